@@ -1,0 +1,152 @@
+"""Finding a robot by built-in name or file, and limits from a file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from excitant.exceptions import BadInput, BadRobot, UnknownName
+from excitant.robots.motion import Array
+from excitant.robots.robot import Limits, Robot
+from excitant.robots.urdf import robot_from_urdf
+
+_LIMIT_NAMES = ("position", "velocity", "acceleration", "torque")
+
+
+def builtin_robots() -> tuple[str, ...]:
+    """Names of the arms that come with excitant."""
+    folder = resources.files("excitant.robots.library")
+    return tuple(sorted(Path(f.name).stem for f in folder.iterdir() if f.name.endswith(".urdf")))
+
+
+def load_robot(spec: str | Path, *, lock: Mapping[str, float] | None = None) -> Robot:
+    """Robot by built-in name, URDF file or ``robot.yaml``.
+
+    Args:
+        spec: Name or path.
+        lock: Joints to hold and their positions [rad or m], beside those of a ``robot.yaml``.
+
+    Raises:
+        UnknownName: Neither a built-in arm nor a file; suggests the nearest name.
+        BadRobot: A file that is not a usable robot.
+    """
+    spec = str(spec)
+    if spec in builtin_robots():
+        return _builtin(spec, lock)
+    path = Path(spec)
+    if not path.is_file():
+        if path.suffix or "/" in spec:
+            raise BadRobot(spec, "no such file; give a URDF, a robot.yaml or a built-in name")
+        raise UnknownName("robot", spec, builtin_robots())
+    if path.suffix in (".yaml", ".yml"):
+        return _from_yaml(path, lock)
+    return robot_from_urdf(_read(path), source=spec, lock=lock)
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise BadRobot(path, "not a text file; give a URDF or a robot.yaml") from None
+
+
+def _builtin(name: str, lock: Mapping[str, float] | None) -> Robot:
+    folder = resources.files("excitant.robots.library")
+    text = (folder / f"{name}.urdf").read_text(encoding="utf-8")
+    robot = robot_from_urdf(text, source=name, name=name, lock=lock)
+    limits = folder / f"{name}.yaml"
+    if limits.is_file():
+        content = yaml.safe_load(limits.read_text(encoding="utf-8"))
+        robot = robot.with_limits(merge_limits(robot, content["limits"], name))
+    return robot
+
+
+def _from_yaml(path: Path, lock: Mapping[str, float] | None) -> Robot:
+    content = _mapping(path)
+    if "model" not in content:
+        raise BadRobot(path, "no 'model' entry; add 'model: path/to/robot.urdf'")
+    model = path.parent / str(content["model"])
+    gravity = content.get("gravity", (0.0, 0.0, -9.81))
+    if np.shape(gravity) != (3,):
+        raise BadRobot(path, f"gravity {gravity} is not three numbers")
+    held = {**dict(content.get("lock") or {}), **dict(lock or {})}
+    if str(content["model"]) in builtin_robots():
+        model_text, source = load_robot(str(content["model"])).urdf, str(content["model"])
+    elif model.is_file():
+        model_text, source = _read(model), str(model)
+    else:
+        raise BadRobot(path, f"model {model} does not exist")
+    robot = robot_from_urdf(
+        model_text,
+        source=source,
+        joints=content.get("joints"),
+        lock=held or None,
+        gravity=gravity,
+    )
+    return robot.with_limits(merge_limits(robot, content.get("limits") or {}, str(path)))
+
+
+def _mapping(path: Path) -> dict[str, Any]:
+    try:
+        text = path.read_text(encoding="utf-8")
+        content = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
+    except OSError:
+        raise BadInput(f"{path}: no such file") from None
+    except (ValueError, yaml.YAMLError) as error:
+        raise BadInput(f"{path}: cannot be read ({str(error).splitlines()[0]})") from None
+    if not isinstance(content, dict):
+        raise BadInput(f"{path}: expected entries 'name: value', found something else")
+    return content
+
+
+def load_limits(path: str | Path, robot: Robot) -> Limits:
+    """Limits of a robot with some replaced by those of a YAML or JSON file.
+
+    The file holds ``position: [[lo, hi], ...]``, ``velocity``, ``acceleration`` and
+    ``torque`` (one number, or one per joint), at the top or under ``limits``. What it leaves
+    out stays as the robot has it.
+
+    Raises:
+        BadInput: Unreadable, unknown names, wrong counts, or limits that exclude everything.
+    """
+    content = _mapping(Path(path))
+    return merge_limits(robot, content.get("limits", content), str(path))
+
+
+def merge_limits(robot: Robot, values: Mapping[str, Any], source: str) -> Limits:
+    """Limits of the robot with some replaced; see `load_limits`."""
+    known = dict.fromkeys(_LIMIT_NAMES)
+    for name in values:
+        if name not in known:
+            raise BadInput(f"{source}: {UnknownName('limit', str(name), _LIMIT_NAMES)}")
+    merged = {
+        name: _limit(robot, name, values[name], source)
+        if values.get(name) is not None
+        else getattr(robot.limits, name)
+        for name in _LIMIT_NAMES
+    }
+    return Limits(**merged)
+
+
+def _limit(robot: Robot, name: str, value: Any, source: str) -> Array:
+    shape = (robot.nv, 2) if name == "position" else (robot.nv,)
+    try:
+        limit = np.broadcast_to(np.asarray(value, float), shape)
+    except (ValueError, TypeError):
+        raise BadInput(
+            f"{source}: {name} limits have shape {np.shape(value) if value else ()}, "
+            f"expected {shape} for the {robot.nv} joints of {robot.name}"
+        ) from None
+    bad = limit[:, 0] >= limit[:, 1] if name == "position" else ~(limit > 0)
+    bad |= np.isnan(limit).reshape(robot.nv, -1).any(axis=1)
+    if bad.any():
+        joint = robot.joints[int(np.argmax(bad))]
+        rule = "lower must be below upper" if name == "position" else "must be positive"
+        raise BadInput(f"{source}: {name} limit of joint {joint}: {rule}")
+    return limit

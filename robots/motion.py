@@ -1,0 +1,55 @@
+"""Motion: sampled joint positions with their first and second derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+def read_only(values: npt.ArrayLike) -> Array:
+    """Copy to a float array that refuses writing."""
+    array = np.array(values, dtype=float)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Joint motion at ``n`` instants.
+
+    Attributes:
+        t: Time, shape (n,) [s].
+        q: Joint positions, shape (n, nv) [rad or m].
+        dq: Joint velocities, shape (n, nv) [rad/s or m/s].
+        ddq: Joint accelerations, shape (n, nv) [rad/s² or m/s²].
+    """
+
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+
+    def __post_init__(self) -> None:
+        for name in ("t", "q", "dq", "ddq"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+        if not (self.q.shape == self.dq.shape == self.ddq.shape == (len(self.t), self.nv)):
+            raise ValueError(
+                f"shapes differ: t {self.t.shape}, q {self.q.shape}, "
+                f"dq {self.dq.shape}, ddq {self.ddq.shape}"
+            )
+
+    @property
+    def nv(self) -> int:
+        """Number of joints."""
+        return int(self.q.shape[1])
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def __getitem__(self, rows: slice | npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Motion:
+        """The motion at some of its instants."""
+        return Motion(self.t[rows], self.q[rows], self.dq[rows], self.ddq[rows])

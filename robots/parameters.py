@@ -1,0 +1,120 @@
+"""Standard inertial parameters of a link and their physical consistency.
+
+Order (Pinocchio's ``Inertia.toDynamicParameters``):
+m, mcx, mcy, mcz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz; inertia about the joint frame.
+
+The pseudo-inertia (Wensing, Kim, Slotine 2018) of a body is
+
+    P = [[Σ, m c], [(m c)ᵀ, m]],   Σ = ½ tr(I) 1 − I,
+
+and a body of positive mass density exists for the parameters exactly when P ≻ 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from excitant.robots.motion import Array
+
+STANDARD = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+UNITS = ("kg", "kg·m", "kg·m", "kg·m", *("kg·m²",) * 6)
+
+
+def _pseudo_inertia_basis() -> Array:
+    basis = np.zeros((10, 4, 4))
+    basis[0, 3, 3] = 1.0
+    for k in range(3):
+        basis[1 + k, k, 3] = basis[1 + k, 3, k] = 1.0
+    for index, (i, j) in {4: (0, 0), 6: (1, 1), 9: (2, 2)}.items():
+        basis[index, :3, :3] = 0.5 * np.eye(3)
+        basis[index, i, j] -= 1.0
+    for index, (i, j) in {5: (0, 1), 7: (0, 2), 8: (1, 2)}.items():
+        basis[index, i, j] = basis[index, j, i] = -1.0
+    return basis
+
+
+PSEUDO_INERTIA_BASIS = _pseudo_inertia_basis()
+"""P(φ) = Σ_k φ_k · PSEUDO_INERTIA_BASIS[k], shape (10, 4, 4)."""
+
+
+def pseudo_inertia(phi: npt.ArrayLike) -> Array:
+    """Pseudo-inertia of one link or of many.
+
+    Args:
+        phi: Standard parameters, shape (..., 10).
+
+    Returns:
+        Shape (..., 4, 4).
+    """
+    return np.tensordot(np.asarray(phi, float), PSEUDO_INERTIA_BASIS, axes=1)
+
+
+def from_pseudo_inertia(P: npt.ArrayLike) -> Array:
+    """Standard parameters, shape (..., 10), of pseudo-inertias, shape (..., 4, 4)."""
+    P = np.asarray(P, float)
+    sigma = P[..., :3, :3]
+    inertia = np.trace(sigma, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - sigma
+    rows, columns = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]
+    return np.concatenate([P[..., 3, 3:], P[..., :3, 3], inertia[..., rows, columns]], axis=-1)
+
+
+def violations(phi: npt.ArrayLike, links: tuple[str, ...]) -> list[str]:
+    """Which links no body of positive density can have, and by which inequality.
+
+    Args:
+        phi: Standard parameters of all links, shape (10 · links,).
+        links: Names of the links.
+
+    Returns:
+        One sentence per offending link.
+    """
+    found = []
+    for link, values in zip(links, np.reshape(np.asarray(phi, float), (-1, 10)), strict=True):
+        mass, P = values[0], pseudo_inertia(values)
+        if mass <= 0:
+            found.append(f"{link}: mass {mass:.4g} kg is not positive")
+            continue
+        central = P[:3, :3] - np.outer(P[:3, 3], P[:3, 3]) / mass
+        second = np.linalg.eigvalsh(central)
+        if second[0] <= 0:
+            moments = np.sort(second.sum() - second)
+            if moments[0] <= 0:
+                found.append(
+                    f"{link}: inertia about the centre of mass is not positive "
+                    f"(smallest principal moment {moments[0]:.4g} kg·m²)"
+                )
+            else:
+                found.append(
+                    f"{link}: principal moments break the triangle inequality "
+                    f"({moments[2]:.4g} > {moments[0]:.4g} + {moments[1]:.4g} kg·m²)"
+                )
+    return found
+
+
+def nearest_consistent(phi: npt.ArrayLike, relative_floor: float = 1e-4) -> Array:
+    """Parameters of one link moved to the nearest pseudo-inertia bounded away from singular.
+
+    The second-moment matrix about the centre of mass is clipped at ``relative_floor`` times
+    its largest eigenvalue (or, for a point mass, at a radius of gyration of 1 cm); mass and
+    first moment are kept.
+
+    Args:
+        phi: Standard parameters of one link with positive mass, shape (10,).
+        relative_floor: Smallest eigenvalue allowed, relative to the largest.
+    """
+    P = pseudo_inertia(phi)
+    mass, first = P[3, 3], P[:3, 3]
+    if mass <= 0:
+        raise ValueError(f"mass {mass} kg is not positive")
+    values, vectors = np.linalg.eigh(P[:3, :3] - np.outer(first, first) / mass)
+    radius = 0.01  # m: a link is not a point
+    floor = max(relative_floor * values[-1], relative_floor * mass * radius**2)
+    if values[-1] <= 0:
+        floor = mass * radius**2
+    if values[0] >= floor:
+        return np.array(phi, float)
+    central = (vectors * np.maximum(values, floor)) @ vectors.T
+    P = P.copy()
+    P[:3, :3] = central + np.outer(first, first) / mass
+    return from_pseudo_inertia(P)

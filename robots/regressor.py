@@ -1,0 +1,86 @@
+"""The regressor Y(q, q̇, q̈): torque is linear in the standard parameters, τ = Y φ.
+
+Values come from Pinocchio's C++ regressor. The derivatives are exact, not approximations,
+because of the form of Y:
+
+* linear in q̈, so a unit difference is the derivative;
+* quadratic in q̇, so a central difference of any step is the derivative;
+* for a revolute joint a trigonometric polynomial of degree 2 in its angle (the kinetic and
+  potential energy are), so differentiating the interpolant through five equidistant angles is
+  the derivative; for a prismatic joint a polynomial of degree 2, so a central difference is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from excitant.robots.motion import Array, Motion
+from excitant.robots.robot import Robot
+
+_ANGLES = 2 * np.pi * np.arange(1, 5) / 5
+_WEIGHTS = 0.5 * np.array([1, -1, 1, -1]) / np.sin(_ANGLES / 2)
+
+
+def regressor(robot: Robot, motion: Motion) -> Array:
+    """Regressor at every instant of a motion.
+
+    Returns:
+        Shape (n, nv, 10 nv): torque of joint i at instant k is ``Y[k, i] @ robot.phi``.
+    """
+    return _evaluate(robot, motion.q, motion.dq, motion.ddq)
+
+
+def _evaluate(robot: Robot, q: Array, dq: Array, ddq: Array) -> Array:
+    model, data = robot.model, robot.model.createData()
+    Y = np.empty((len(q), robot.nv, 10 * robot.nv))
+    compute = pin.computeJointTorqueRegressor
+    for k in range(len(q)):
+        Y[k] = compute(model, data, q[k], dq[k], ddq[k])
+    return Y
+
+
+@dataclass(frozen=True, eq=False)
+class RegressorDerivatives:
+    """Regressor with its derivatives by each joint's position, velocity and acceleration.
+
+    Attributes:
+        Y: Shape (n, nv, 10 nv).
+        by_q: Derivative by joint position; first index the joint, shape (nv, n, nv, 10 nv).
+        by_dq: Derivative by joint velocity, same shape.
+        by_ddq: Derivative by joint acceleration, same shape.
+    """
+
+    Y: Array
+    by_q: Array
+    by_dq: Array
+    by_ddq: Array
+
+
+def regressor_derivatives(robot: Robot, motion: Motion) -> RegressorDerivatives:
+    """Exact derivatives of the regressor at every instant of a motion."""
+    q, dq, ddq = motion.q, motion.dq, motion.ddq
+    Y = _evaluate(robot, q, dq, ddq)
+    shape = (robot.nv, *Y.shape)
+    by_q, by_dq, by_ddq = np.zeros(shape), np.empty(shape), np.empty(shape)
+    for j, unit in enumerate(np.eye(robot.nv)):
+        by_ddq[j] = _evaluate(robot, q, dq, ddq + unit) - Y
+        by_dq[j] = (_evaluate(robot, q, dq + unit, ddq) - _evaluate(robot, q, dq - unit, ddq)) / 2
+        if robot.revolute[j]:
+            for angle, weight in zip(_ANGLES, _WEIGHTS, strict=True):
+                by_q[j] += weight * _evaluate(robot, q + angle * unit, dq, ddq)
+        else:
+            ahead, behind = (_evaluate(robot, q + s * unit, dq, ddq) for s in (1.0, -1.0))
+            by_q[j] = (ahead - behind) / 2
+    return RegressorDerivatives(Y, by_q, by_dq, by_ddq)
+
+
+def rigid_body_torque(robot: Robot, motion: Motion) -> Array:
+    """Torque of the rigid bodies alone by recursive Newton-Euler, shape (n, nv) [N·m]."""
+    model, data = robot.model, robot.model.createData()
+    tau = np.empty(motion.q.shape)
+    for k in range(len(motion)):
+        tau[k] = pin.rnea(model, data, motion.q[k], motion.dq[k], motion.ddq[k])
+    return tau

@@ -1,0 +1,131 @@
+"""Robot: what an arm is. Kinematics, inertias, limits, gravity and effects, never changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from excitant.robots.motion import Array, read_only
+from excitant.robots.parameters import STANDARD
+
+if TYPE_CHECKING:
+    from excitant.robots.effects import Effect
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits of the joints; ``inf`` where there is none.
+
+    Attributes:
+        position: Lowest and highest position, shape (nv, 2) [rad or m].
+        velocity: Highest speed, shape (nv,) [rad/s or m/s].
+        acceleration: Highest acceleration, shape (nv,) [rad/s² or m/s²].
+        torque: Highest torque, shape (nv,) [N·m or N].
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+
+    def __post_init__(self) -> None:
+        for name in ("position", "velocity", "acceleration", "torque"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A serial arm with one degree of freedom per joint.
+
+    Attributes:
+        name: Name of the arm.
+        model: Pinocchio's model of the moving joints; never edited (``data`` is made per call).
+        links: Name of the link that each joint carries, with everything fixed to it.
+        revolute: Whether each joint turns (or slides), shape (nv,).
+        limits: Limits of the joints.
+        urdf: URDF text the arm was read from.
+        locked: Positions of the joints that are held.
+        effects: What makes torque beyond rigid-body inertia, with values.
+        source: File or name the arm was loaded from.
+    """
+
+    name: str
+    model: Any
+    links: tuple[str, ...]
+    revolute: npt.NDArray[np.bool_]
+    limits: Limits
+    urdf: str
+    locked: tuple[tuple[str, float], ...] = ()
+    effects: tuple[Effect, ...] = ()
+    source: str = ""
+
+    @property
+    def nv(self) -> int:
+        """Number of joints."""
+        return int(self.model.nv)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints, in order."""
+        return tuple(str(name) for name in list(self.model.names)[1:])
+
+    @property
+    def gravity(self) -> Array:
+        """Gravity in the base frame, shape (3,) [m/s²]."""
+        return read_only(self.model.gravity.linear)
+
+    @property
+    def phi(self) -> Array:
+        """Standard parameters of all links, shape (10 nv,)."""
+        inertias = list(self.model.inertias)[1:]
+        return read_only(np.concatenate([body.toDynamicParameters() for body in inertias]))
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the standard parameters, ``link.m`` to ``link.Izz`` for each link."""
+        return tuple(f"{link}.{name}" for link in self.links for name in STANDARD)
+
+    def joint_index(self, joint: str) -> int:
+        """Position of a joint in the order of this robot."""
+        return self.joints.index(joint)
+
+    def with_parameters(self, phi: npt.ArrayLike) -> Robot:
+        """The same arm with other standard parameters, shape (10 nv,); masses not zero."""
+        model = self.model.copy()
+        for j, values in enumerate(np.reshape(np.asarray(phi, float), (self.nv, 10)), start=1):
+            model.inertias[j] = pin.Inertia.FromDynamicParameters(values)
+        return replace(self, model=model)
+
+    def with_gravity(self, gravity: npt.ArrayLike) -> Robot:
+        """The same arm under another gravity vector in the base frame, shape (3,) [m/s²]."""
+        model = self.model.copy()
+        model.gravity.linear = np.asarray(gravity, float)
+        return replace(self, model=model)
+
+    def with_effects(self, effects: Sequence[Effect]) -> Robot:
+        """The same arm with these effects instead of its own."""
+        return replace(self, effects=tuple(effects))
+
+    def with_limits(self, limits: Limits) -> Robot:
+        """The same arm with other limits."""
+        return replace(self, limits=limits)
+
+    def random_motion(self, rng: np.random.Generator, n: int) -> tuple[Array, Array, Array]:
+        """Random positions, velocities and accelerations inside the limits, each (n, nv).
+
+        Unlimited quantities are drawn within one turn, 3 rad/s and 10 rad/s².
+        """
+        low, high = np.clip(self.limits.position, -2 * np.pi, 2 * np.pi).T
+        speed = np.where(self.limits.velocity < 1e3, self.limits.velocity, 3.0)
+        acceleration = np.where(self.limits.acceleration < 1e4, self.limits.acceleration, 10.0)
+        shape = (n, self.nv)
+        return (
+            rng.uniform(low, high, shape),
+            rng.uniform(-speed, speed, shape),
+            rng.uniform(-acceleration, acceleration, shape),
+        )

@@ -1,0 +1,32 @@
+"""Torque of a robot with its effects, and the columns of everything that is linear in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from excitant.robots.effects import Effect
+from excitant.robots.motion import Array, Motion
+from excitant.robots.regressor import regressor, rigid_body_torque
+from excitant.robots.robot import Robot
+
+
+def torque(robot: Robot, motion: Motion) -> Array:
+    """Torque that the robot with its effects needs for a motion, shape (n, nv) [N·m]."""
+    tau = rigid_body_torque(robot, motion)
+    for effect in robot.effects:
+        tau += effect.torque(robot, motion)
+    return tau
+
+
+def observation_columns(robot: Robot, effects: Sequence[Effect], motion: Motion) -> Array:
+    """Columns of the standard parameters followed by those of effects, shape (n, nv, p)."""
+    parts = [regressor(robot, motion), *(effect.columns(robot, motion) for effect in effects)]
+    return np.concatenate(parts, axis=2)
+
+
+def column_names(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
+    """Names of the columns of `observation_columns`."""
+    added = (p.name for effect in effects for p in effect.parameters(robot))
+    return (*robot.parameter_names, *added)

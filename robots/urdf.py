@@ -1,0 +1,256 @@
+"""Reading robots from URDF and writing identified inertias back."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from excitant.exceptions import BadRobot, UnknownName
+from excitant.robots.motion import Array
+from excitant.robots.robot import Limits, Robot
+
+_UNLIMITED = 1e9
+
+
+def robot_from_urdf(
+    text: str,
+    *,
+    source: str,
+    name: str | None = None,
+    joints: Sequence[str] | None = None,
+    lock: Mapping[str, float] | None = None,
+    gravity: npt.ArrayLike = (0.0, 0.0, -9.81),
+) -> Robot:
+    """Robot from the text of a URDF.
+
+    Args:
+        text: The URDF.
+        source: Where it came from, for messages.
+        name: Name of the arm; the URDF's own when not given.
+        joints: Joints to keep; all others are locked. All joints when not given.
+        lock: Joints to lock and their positions [rad or m]; neutral (0) for those that
+            ``joints`` leaves out.
+        gravity: Gravity in the base frame [m/s²].
+
+    Raises:
+        BadRobot: Not XML, not a URDF, no joints, joints of several degrees of freedom,
+            inertias or limits that are not numbers.
+        UnknownName: A joint to keep or lock that the URDF does not have.
+    """
+    root = _parse(text, source)
+    _check(root, source)
+    _bound_continuous_joints(root)
+    model = _build(ET.tostring(root, encoding="unicode"), source)
+    locked = _locked(model, joints, dict(lock or {}))
+    if locked:
+        reference = pin.neutral(model)
+        for joint, value in locked.items():
+            reference[model.joints[model.getJointId(joint)].idx_q] = value
+        model = pin.buildReducedModel(
+            model, [model.getJointId(joint) for joint in locked], reference
+        )
+    if model.nv == 0:
+        raise BadRobot(source, "it has no moving joints; name a URDF of an arm")
+    if model.nq != model.nv:
+        raise BadRobot(source, "only revolute, continuous and prismatic joints are supported")
+    model.gravity.linear = np.asarray(gravity, float)
+    names = [str(joint) for joint in list(model.names)[1:]]
+    elements = {str(e.get("name")): e for e in root.findall("joint")}
+    return Robot(
+        name=name or root.get("name") or Path(source).stem,
+        model=model,
+        links=tuple(_child(elements[joint]) for joint in names),
+        revolute=np.array([elements[joint].get("type") != "prismatic" for joint in names]),
+        limits=_limits(model),
+        urdf=text,
+        locked=tuple(sorted(locked.items())),
+        source=source,
+    )
+
+
+def _parse(text: str, source: str) -> ET.Element:
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise BadRobot(source, f"not XML ({error}); give a URDF file") from None
+    if root.tag != "robot":
+        raise BadRobot(source, f"not a URDF: the root element is <{root.tag}>, not <robot>")
+    return root
+
+
+def _check(root: ET.Element, source: str) -> None:
+    """Refuse what Pinocchio would accept in silence or crash on."""
+    links = [str(link.get("name")) for link in root.findall("link")]
+    for kind, names in (
+        ("link", links),
+        ("joint", [str(joint.get("name")) for joint in root.findall("joint")]),
+    ):
+        double = {name for name in names if names.count(name) > 1}
+        if double:
+            raise BadRobot(source, f"{kind} '{min(double)}' is defined twice; rename one")
+    for joint in root.findall("joint"):
+        for end in ("parent", "child"):
+            element = joint.find(end)
+            if element is None or element.get("link") not in links:
+                raise BadRobot(source, f"joint '{joint.get('name')}' has no known {end} link")
+    for owner in root:
+        for element in owner.iter():
+            for key in ("value", "xyz", "rpy", "ixx", "ixy", "ixz", "iyy", "iyz", "izz",
+                        "lower", "upper", "effort", "velocity"):  # fmt: skip
+                if element.tag in _NUMERIC and key in element.attrib:
+                    _number(element.attrib[key], key, owner, source)
+
+
+_NUMERIC = ("mass", "inertia", "origin", "limit", "axis")
+
+
+def _number(text: str, key: str, owner: ET.Element, source: str) -> None:
+    try:
+        finite = all(np.isfinite(float(word)) for word in text.split())
+    except ValueError:
+        finite = False
+    if not finite:
+        raise BadRobot(
+            source, f"{owner.tag} '{owner.get('name')}': {key}=\"{text}\" is not a number"
+        )
+
+
+def _bound_continuous_joints(root: ET.Element) -> None:
+    """Make continuous joints revolute with no limits, so that q and q̇ have the same size."""
+    for joint in root.findall("joint"):
+        if joint.get("type") != "continuous":
+            continue
+        joint.set("type", "revolute")
+        limit = joint.find("limit")
+        if limit is None:
+            limit = ET.SubElement(joint, "limit")
+        for key, value in (("lower", -_UNLIMITED), ("upper", _UNLIMITED)):
+            limit.set(key, str(value))
+        for key in ("effort", "velocity"):
+            limit.set(key, limit.get(key) or str(_UNLIMITED))
+
+
+def _build(text: str, source: str) -> pin.Model:
+    with _captured_stderr() as messages:
+        try:
+            return pin.buildModelFromXML(text)
+        except Exception as error:
+            first = next(iter(messages()), str(error).splitlines()[0] if str(error) else "")
+            raise BadRobot(source, f"Pinocchio cannot read it: {first}") from None
+
+
+@contextmanager
+def _captured_stderr() -> Iterator[object]:
+    """Collect what C++ libraries write to the error stream."""
+    with tempfile.TemporaryFile() as sink:
+        saved = os.dup(2)
+        os.dup2(sink.fileno(), 2)
+
+        def messages() -> list[str]:
+            sink.seek(0)
+            return [line for line in sink.read().decode(errors="replace").splitlines() if line]
+
+        try:
+            yield messages
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)
+
+
+def _locked(
+    model: pin.Model, joints: Sequence[str] | None, lock: dict[str, float]
+) -> dict[str, float]:
+    names = [str(joint) for joint in list(model.names)[1:]]
+    for joint in (*lock, *(joints or ())):
+        if joint not in names:
+            raise UnknownName("joint", joint, names)
+    if joints is not None:
+        lock = {joint: lock.get(joint, 0.0) for joint in names if joint not in joints}
+    return lock
+
+
+def _child(joint: ET.Element) -> str:
+    child = joint.find("child")
+    assert child is not None  # checked in _check
+    return str(child.get("link"))
+
+
+def _limits(model: pin.Model) -> Limits:
+    """Limits of the URDF; zero speed or effort means that none was given."""
+    position = np.column_stack([model.lowerPositionLimit, model.upperPositionLimit])
+    position = np.where(np.abs(position) >= _UNLIMITED, np.inf * np.sign(position), position)
+    unset = position[:, 0] >= position[:, 1]
+    position[unset] = (-np.inf, np.inf)
+    velocity, effort = (
+        np.where((limit <= 0) | (limit >= _UNLIMITED), np.inf, limit)
+        for limit in (np.array(model.velocityLimit), np.array(model.effortLimit))
+    )
+    return Limits(position, velocity, np.full(model.nv, np.inf), effort)
+
+
+def urdf_with_parameters(robot: Robot, phi: npt.ArrayLike) -> str:
+    """The robot's URDF with other inertias.
+
+    Each moving link gets the inertia of everything it carries: links fixed to it, or held by
+    a locked joint, lose their own ``<inertial>`` so that nothing counts twice.
+
+    Args:
+        robot: The arm.
+        phi: Standard parameters in the order of ``robot.phi``, shape (10 nv,).
+
+    Returns:
+        URDF text; reloading it gives the same torque.
+    """
+    root = ET.fromstring(robot.urdf)
+    values: dict[str, Array] = dict(
+        zip(robot.links, np.reshape(np.asarray(phi, float), (-1, 10)), strict=True)
+    )
+    carrier = _carriers(root, robot)
+    for link in root.findall("link"):
+        name = str(link.get("name"))
+        if carrier.get(name) is None:
+            continue
+        for inertial in link.findall("inertial"):
+            link.remove(inertial)
+        if name in values:
+            link.insert(0, _inertial(values[name]))
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _carriers(root: ET.Element, robot: Robot) -> dict[str, str | None]:
+    """For every link the moving link that carries it; None for what stands still."""
+    parent = {}
+    for joint in root.findall("joint"):
+        element = joint.find("parent")
+        assert element is not None  # checked when the robot was read
+        parent[_child(joint)] = str(element.get("link"))
+
+    def carrier(link: str | None) -> str | None:
+        while link is not None and link not in robot.links:
+            link = parent.get(link)
+        return link
+
+    return {str(e.get("name")): carrier(str(e.get("name"))) for e in root.findall("link")}
+
+
+def _inertial(phi: Array) -> ET.Element:
+    mass, lever = phi[0], phi[1:4] / phi[0]
+    xx, xy, yy, xz, yz, zz = phi[4:] - mass * (
+        lever @ lever * np.array([1.0, 0, 1, 0, 0, 1])
+        - np.array([lever[i] * lever[j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))])
+    )  # fmt: skip
+    element = ET.Element("inertial")
+    ET.SubElement(element, "origin", xyz=" ".join(repr(float(x)) for x in lever), rpy="0 0 0")
+    ET.SubElement(element, "mass", value=repr(float(mass)))
+    tensor = {"ixx": xx, "ixy": xy, "ixz": xz, "iyy": yy, "iyz": yz, "izz": zz}
+    ET.SubElement(element, "inertia", {key: repr(float(x)) for key, x in tensor.items()})
+    return element

@@ -1,0 +1,92 @@
+"""Everything excitant refuses, each with its evidence and what to do about it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+
+class ExcitantError(Exception):
+    """Base of all errors that a user can act on; its text is one line."""
+
+    def __str__(self) -> str:
+        return " ".join(super().__str__().split())
+
+
+class UnknownName(ExcitantError):
+    """A name that is not in the list it is looked up in.
+
+    Args:
+        kind: What is named, e.g. ``"robot"``.
+        name: The name given.
+        known: The names that exist.
+    """
+
+    def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
+        self.name, self.known = name, tuple(known)
+        near = difflib.get_close_matches(name.lower(), self.known, n=1, cutoff=0.4)
+        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(self.known)}"
+        super().__init__(f"unknown {kind} '{name}': {hint}")
+
+
+class BadRobot(ExcitantError):
+    """A robot description that cannot be used.
+
+    Args:
+        source: File or name of the robot.
+        why: What is wrong, where, and what to do.
+    """
+
+    def __init__(self, source: str | Path, why: str) -> None:
+        self.source, self.why = str(source), why
+        super().__init__(f"robot {source}: {why}")
+
+
+class BadRecording(ExcitantError):
+    """A recording that cannot be used.
+
+    Args:
+        file: File of the recording.
+        why: What is wrong and what to do.
+        row: Row in the table, counted from 0 after the header.
+        column: Column at fault.
+    """
+
+    def __init__(
+        self, file: str | Path, why: str, *, row: int | None = None, column: str | None = None
+    ) -> None:
+        self.file, self.why, self.row, self.column = str(file), why, row, column
+        where = [f"column '{column}'"] if column is not None else []
+        where += [f"row {row}"] if row is not None else []
+        super().__init__(f"recording {file}{''.join(', ' + w for w in where)}: {why}")
+
+
+class BadInput(ExcitantError):
+    """A file or option, other than a robot or recording, that cannot be used."""
+
+
+class Infeasible(ExcitantError):
+    """A problem without a solution, or one whose solver did not find it.
+
+    Args:
+        problem: What was to be solved.
+        status: Why there is no solution and which limits conflict.
+    """
+
+    def __init__(self, problem: str, status: str) -> None:
+        self.problem, self.status = problem, status
+        super().__init__(f"{problem}: {status}")
+
+
+class RankDeficient(ExcitantError):
+    """Data that leave parameters undetermined where a unique value is required.
+
+    Args:
+        names: The parameters concerned.
+        why: Context and what to do.
+    """
+
+    def __init__(self, names: Sequence[str], why: str) -> None:
+        self.names = tuple(names)
+        super().__init__(f"{why}: {', '.join(self.names)}")
