@@ -1,0 +1,1 @@
+"""What can be known, how well, and what the model gets wrong."""

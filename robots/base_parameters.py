@@ -55,7 +55,8 @@ class BaseParameters:
 
 def expression(row: Array, names: Sequence[str], leading: int) -> str:
     """A linear combination as text, its leading parameter first."""
-    order = [leading, *(k for k in np.flatnonzero(np.abs(row) > 1e-7) if k != leading)]
+    others = [int(k) for k in np.flatnonzero(np.abs(row) > 1e-7)]
+    order = [leading, *(k for k in others if k != leading)]
     text = ""
     for k in order:
         value, size = row[k], f"{abs(row[k]):.5g}"
@@ -105,4 +106,18 @@ def base_parameters(robot: Robot, effects: Sequence[Effect] = ()) -> BaseParamet
         read_only(regrouping),
         read_only(scipy.linalg.null_space(regrouping)),
         (min(accepted), max(rejected)),
+    )
+
+
+def categories(base: BaseParameters) -> tuple[str, ...]:
+    """Category of every parameter: ``unique``, ``combined`` or ``unidentifiable``.
+
+    A parameter is uniquely identifiable when its unit vector is orthogonal to the null space
+    of the regressor, and unidentifiable when it lies inside it (no torque contains it).
+    """
+    shown = np.linalg.norm(base.regrouping, axis=0) > _TOLERANCE
+    alone = np.linalg.norm(base.null_space, axis=1) < _TOLERANCE
+    return tuple(
+        "unidentifiable" if not s else "unique" if a else "combined"
+        for s, a in zip(shown, alone, strict=True)
     )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -12,9 +14,16 @@ import numpy as np
 import yaml
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
+from excitant.robots.effects import (
+    EFFECTS,
+    CoulombFriction,
+    Effect,
+    ViscousFriction,
+    effects_from_entries,
+)
 from excitant.robots.motion import Array
 from excitant.robots.robot import Limits, Robot
-from excitant.robots.urdf import robot_from_urdf
+from excitant.robots.urdf import number, robot_from_urdf
 
 _LIMIT_NAMES = ("position", "velocity", "acceleration", "torque")
 
@@ -46,7 +55,23 @@ def load_robot(spec: str | Path, *, lock: Mapping[str, float] | None = None) -> 
         raise UnknownName("robot", spec, builtin_robots())
     if path.suffix in (".yaml", ".yml"):
         return _from_yaml(path, lock)
-    return robot_from_urdf(_read(path), source=spec, lock=lock)
+    return _with_urdf_friction(robot_from_urdf(_read(path), source=spec, lock=lock))
+
+
+def _with_urdf_friction(robot: Robot) -> Robot:
+    """The robot with the ``<dynamics damping friction>`` of its URDF as effects."""
+    root = ET.fromstring(robot.urdf)
+    found: dict[type[Effect], dict[str, float]] = {ViscousFriction: {}, CoulombFriction: {}}
+    for joint in root.findall("joint"):
+        dynamics = joint.find("dynamics")
+        name = str(joint.get("name"))
+        if dynamics is None or name not in robot.joints:
+            continue
+        for kind, key in ((ViscousFriction, "damping"), (CoulombFriction, "friction")):
+            value = number(dynamics.get(key, "0"), key, joint, robot.source)
+            if value != 0:
+                found[kind][name] = value
+    return robot.with_effects([kind(tuple(v), tuple(v.values())) for kind, v in found.items() if v])
 
 
 def _read(path: Path) -> str:
@@ -59,12 +84,35 @@ def _read(path: Path) -> str:
 def _builtin(name: str, lock: Mapping[str, float] | None) -> Robot:
     folder = resources.files("excitant.robots.library")
     text = (folder / f"{name}.urdf").read_text(encoding="utf-8")
-    robot = robot_from_urdf(text, source=name, name=name, lock=lock)
-    limits = folder / f"{name}.yaml"
-    if limits.is_file():
-        content = yaml.safe_load(limits.read_text(encoding="utf-8"))
-        robot = robot.with_limits(merge_limits(robot, content["limits"], name))
-    return robot
+    robot = robot_from_urdf(text, source=name, name=name)
+    supplement = folder / f"{name}.yaml"
+    if supplement.is_file():
+        robot = _supplemented(robot, yaml.safe_load(supplement.read_text(encoding="utf-8")), name)
+    return _kept(robot, robot_from_urdf(text, source=name, name=name, lock=lock)) if lock else robot
+
+
+def _kept(whole: Robot, held: Robot) -> Robot:
+    """The arm with joints held, and of the whole arm's limits and effects what remains."""
+    rows = [whole.joint_index(joint) for joint in held.joints]
+    effects = []
+    for effect in whole.effects:
+        values = np.reshape(effect.values or (), (len(effect.joints), -1))
+        kept = [k for k, joint in enumerate(effect.joints) if joint in held.joints]
+        joints = tuple(effect.joints[k] for k in kept)
+        effects.append(replace(effect, joints=joints).with_values(values[kept]))
+    limits = Limits(*(getattr(whole.limits, name)[rows] for name in _LIMIT_NAMES))
+    return held.with_limits(limits).with_effects(effects)
+
+
+def _supplemented(robot: Robot, content: Mapping[str, Any], source: str) -> Robot:
+    """The robot with the limits and effects that a YAML file gives beside its model."""
+    robot = robot.with_limits(merge_limits(robot, content.get("limits") or {}, source))
+    entries = content.get("effects")
+    if entries is None:
+        return robot
+    if not isinstance(entries, list) or not all(isinstance(e, dict) for e in entries):
+        raise BadInput(f"{source}: 'effects' must be a list of entries 'effect: name, values: []'")
+    return robot.with_effects(effects_from_entries(entries, robot, EFFECTS, source))
 
 
 def _from_yaml(path: Path, lock: Mapping[str, float] | None) -> Robot:
@@ -76,9 +124,7 @@ def _from_yaml(path: Path, lock: Mapping[str, float] | None) -> Robot:
     if np.shape(gravity) != (3,):
         raise BadRobot(path, f"gravity {gravity} is not three numbers")
     held = {**dict(content.get("lock") or {}), **dict(lock or {})}
-    if str(content["model"]) in builtin_robots():
-        model_text, source = load_robot(str(content["model"])).urdf, str(content["model"])
-    elif model.is_file():
+    if model.is_file():
         model_text, source = _read(model), str(model)
     else:
         raise BadRobot(path, f"model {model} does not exist")
@@ -89,7 +135,7 @@ def _from_yaml(path: Path, lock: Mapping[str, float] | None) -> Robot:
         lock=held or None,
         gravity=gravity,
     )
-    return robot.with_limits(merge_limits(robot, content.get("limits") or {}, str(path)))
+    return _supplemented(_with_urdf_friction(robot), content, str(path))
 
 
 def _mapping(path: Path) -> dict[str, Any]:

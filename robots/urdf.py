@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -106,21 +106,24 @@ def _check(root: ET.Element, source: str) -> None:
             for key in ("value", "xyz", "rpy", "ixx", "ixy", "ixz", "iyy", "iyz", "izz",
                         "lower", "upper", "effort", "velocity"):  # fmt: skip
                 if element.tag in _NUMERIC and key in element.attrib:
-                    _number(element.attrib[key], key, owner, source)
+                    for word in element.attrib[key].split():
+                        number(word, key, owner, source)
 
 
 _NUMERIC = ("mass", "inertia", "origin", "limit", "axis")
 
 
-def _number(text: str, key: str, owner: ET.Element, source: str) -> None:
+def number(text: str, key: str, owner: ET.Element, source: str) -> float:
+    """A finite number from an attribute of an element's child, or `BadRobot`."""
     try:
-        finite = all(np.isfinite(float(word)) for word in text.split())
+        value = float(text)
     except ValueError:
-        finite = False
-    if not finite:
+        value = np.nan
+    if not np.isfinite(value):
         raise BadRobot(
             source, f"{owner.tag} '{owner.get('name')}': {key}=\"{text}\" is not a number"
         )
+    return value
 
 
 def _bound_continuous_joints(root: ET.Element) -> None:
@@ -148,7 +151,7 @@ def _build(text: str, source: str) -> pin.Model:
 
 
 @contextmanager
-def _captured_stderr() -> Iterator[object]:
+def _captured_stderr() -> Iterator[Callable[[], list[str]]]:
     """Collect what C++ libraries write to the error stream."""
     with tempfile.TemporaryFile() as sink:
         saved = os.dup(2)
@@ -196,8 +199,12 @@ def _limits(model: pin.Model) -> Limits:
     return Limits(position, velocity, np.full(model.nv, np.inf), effort)
 
 
-def urdf_with_parameters(robot: Robot, phi: npt.ArrayLike) -> str:
-    """The robot's URDF with other inertias.
+def urdf_with_parameters(
+    robot: Robot,
+    phi: npt.ArrayLike,
+    friction: Mapping[str, tuple[float, float]] | None = None,
+) -> str:
+    """The robot's URDF with other inertias and joint friction.
 
     Each moving link gets the inertia of everything it carries: links fixed to it, or held by
     a locked joint, lose their own ``<inertial>`` so that nothing counts twice.
@@ -205,6 +212,8 @@ def urdf_with_parameters(robot: Robot, phi: npt.ArrayLike) -> str:
     Args:
         robot: The arm.
         phi: Standard parameters in the order of ``robot.phi``, shape (10 nv,).
+        friction: Viscous [N·m·s/rad] and Coulomb [N·m] friction by joint, written as
+            ``<dynamics damping friction>``; left as they are when not given.
 
     Returns:
         URDF text; reloading it gives the same torque.
@@ -222,8 +231,21 @@ def urdf_with_parameters(robot: Robot, phi: npt.ArrayLike) -> str:
             link.remove(inertial)
         if name in values:
             link.insert(0, _inertial(values[name]))
+    for joint in root.findall("joint"):
+        _set_friction(joint, friction or {})
     ET.indent(root)
     return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _set_friction(joint: ET.Element, friction: Mapping[str, tuple[float, float]]) -> None:
+    name = str(joint.get("name"))
+    if name not in friction:
+        return
+    dynamics = joint.find("dynamics")
+    if dynamics is None:
+        dynamics = ET.SubElement(joint, "dynamics")
+    for key, value in zip(("damping", "friction"), friction[name], strict=True):
+        dynamics.set(key, repr(float(value)))
 
 
 def _carriers(root: ET.Element, robot: Robot) -> dict[str, str | None]:
@@ -246,8 +268,8 @@ def _inertial(phi: Array) -> ET.Element:
     mass, lever = phi[0], phi[1:4] / phi[0]
     xx, xy, yy, xz, yz, zz = phi[4:] - mass * (
         lever @ lever * np.array([1.0, 0, 1, 0, 0, 1])
-        - np.array([lever[i] * lever[j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))])
-    )  # fmt: skip
+        - np.outer(lever, lever)[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    )
     element = ET.Element("inertial")
     ET.SubElement(element, "origin", xyz=" ".join(repr(float(x)) for x in lever), rpy="0 0 0")
     ET.SubElement(element, "mass", value=repr(float(mass)))

@@ -4,6 +4,7 @@ from excitant.robots.effects.base import Effect, JointEffect, Parameter, Term
 from excitant.robots.effects.drive import RotorInertia, TorqueOffset
 from excitant.robots.effects.friction import CoulombFriction, StribeckFriction, ViscousFriction
 from excitant.robots.effects.load import AddedInertia, InertialParameters, Payload
+from excitant.robots.effects.serialisation import effect_entries, effects_from_entries
 
 EFFECTS: dict[str, type[Effect]] = {
     effect.name: effect
@@ -44,5 +45,7 @@ __all__ = [
     "Term",
     "TorqueOffset",
     "ViscousFriction",
+    "effect_entries",
+    "effects_from_entries",
     "standard_effects",
 ]

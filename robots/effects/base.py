@@ -55,7 +55,8 @@ class Effect(ABC):
         """Torque that the joints must give for it, shape (n, nv) [N·m]."""
         if self.values is None:
             raise ValueError(f"{self.name} has no values yet")
-        return self.columns(robot, motion) @ np.array(self.values)
+        tau: Array = self.columns(robot, motion) @ np.array(self.values)
+        return tau
 
     def with_values(self, values: npt.ArrayLike) -> Self:
         """The same effect with these coefficients."""

@@ -1,0 +1,91 @@
+"""Dataset: a folder of recordings with its robot, described by ``dataset.json``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from excitant.exceptions import BadInput
+from excitant.identify.recording import Recording, read_recording
+from excitant.robots.loading import load_robot
+from excitant.robots.robot import Robot
+
+_SUFFIXES = (".parquet", ".csv")
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A robot and where its recordings are.
+
+    Attributes:
+        robot: The arm.
+        folder: Folder the recordings are named relative to; None when they are paths.
+        torque_column: Prefix of the torque columns, when the sidecar says.
+    """
+
+    robot: Robot
+    folder: Path | None = None
+    torque_column: str | None = None
+
+    def recordings(self, names: Sequence[str]) -> list[Recording]:
+        """Recordings by name; all of the folder when none is named."""
+        paths = [self._path(name) for name in names] or self._all()
+        return [
+            read_recording(path, self.robot.nv, torque_column=self.torque_column) for path in paths
+        ]
+
+    def _path(self, name: str) -> Path:
+        path = Path(name) if self.folder is None else self.folder / name
+        if self.folder is not None and not path.is_file():
+            for suffix in _SUFFIXES:
+                if (with_suffix := path.with_name(path.name + suffix)).is_file():
+                    return with_suffix
+        return path
+
+    def _all(self) -> list[Path]:
+        if self.folder is None:
+            raise BadInput("no recording given; name at least one file")
+        found = sorted(p for p in self.folder.iterdir() if p.suffix in _SUFFIXES)
+        if not found:
+            raise BadInput(f"{self.folder}: no .parquet or .csv recording in this folder")
+        return found
+
+
+def load_dataset(spec: str | Path) -> Dataset:
+    """Dataset from a folder with ``dataset.json`` or ``robot.urdf``, or from a robot alone.
+
+    Raises:
+        BadInput: A folder without a robot, or a sidecar that cannot be read.
+    """
+    folder = Path(spec)
+    if not folder.is_dir():
+        return Dataset(load_robot(spec))
+    sidecar = _sidecar(folder / "dataset.json")
+    kinematics = sidecar.get("kinematics") or {}
+    name = kinematics.get("urdf", "robot.urdf")
+    candidates = [folder / str(name)] if name else []
+    candidates += [folder / "robot.yaml"]
+    model = next((path for path in candidates if path.is_file()), None)
+    if model is None:
+        raise BadInput(
+            f"{folder}: no robot model (robot.urdf or robot.yaml) in this folder; add one, or "
+            f"give ROBOT and the paths of the recordings"
+        )
+    lock = dict.fromkeys(kinematics.get("lock") or (), 0.0)
+    column = (sidecar.get("torque") or {}).get("column")
+    return Dataset(load_robot(model, lock=lock or None), folder, column)
+
+
+def _sidecar(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        return {}
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise BadInput(f"{path}: not valid JSON ({error})") from None
+    if not isinstance(content, dict):
+        raise BadInput(f"{path}: expected an object with 'kinematics' and 'torque'")
+    return content

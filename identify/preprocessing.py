@@ -1,0 +1,141 @@
+"""From a recording to rows of the identification problem.
+
+Positions pass a zero-phase Butterworth filter and are differentiated through a quintic spline.
+Every column of the regressor and the torque then pass one and the same zero-phase filter
+("parallel filtering", Gautier 1997), friction columns too, and are decimated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.interpolate
+import scipy.signal
+
+from excitant.exceptions import BadRecording
+from excitant.identify.recording import MINIMUM_DURATION, Recording
+from excitant.robots.motion import Array, Motion, read_only
+
+CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
+_ORDER = 4
+_POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
+_NYQUIST_SHARE = 0.8
+_GAP_STEPS, _GAP_TIME = 3.0, 0.05  # a gap is longer than both [median steps, s]
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """An uninterrupted part of a recording at a regular rate, ready for the regressor.
+
+    Attributes:
+        name: Name of the recording.
+        motion: Filtered motion at the full rate, n instants.
+        tau: Filtered torque, shape (n, nv).
+        tau_raw: Unfiltered torque at the same instants, shape (n, nv).
+        cutoff_hz: Cut-off of the torque filter [Hz].
+        keep: Instants that become rows: edges of the filter left out, decimated.
+    """
+
+    name: str
+    motion: Motion
+    tau: Array
+    tau_raw: Array
+    cutoff_hz: float
+    keep: slice
+
+    def __post_init__(self) -> None:
+        for name in ("tau", "tau_raw"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @property
+    def rate_hz(self) -> float:
+        """Sampling rate of the motion [Hz]."""
+        return float(1 / (self.motion.t[1] - self.motion.t[0]))
+
+    def filtered(self, values: Array) -> Array:
+        """Pass columns, shape (n, ...), through the torque filter."""
+        return _low_pass(values, self.cutoff_hz, self.rate_hz)
+
+    def rows(self, columns: Callable[[Motion], Array]) -> Array:
+        """Filtered and decimated columns of the motion, shape (rows, ...)."""
+        return self.filtered(columns(self.motion))[self.keep]
+
+    @property
+    def t(self) -> Array:
+        """Times of the rows [s]."""
+        return self.motion.t[self.keep]
+
+
+def prepare(recording: Recording, cutoff_hz: float | None = None) -> list[Segment]:
+    """Segments of a recording, split at gaps, filtered and differentiated.
+
+    Args:
+        recording: What was logged.
+        cutoff_hz: Cut-off of the torque filter; 10 Hz, or 0.4 times the sampling rate when
+            that is lower.
+
+    Raises:
+        BadRecording: The cut-off is not below half the sampling rate, or no uninterrupted
+            part is long enough.
+    """
+    step = float(np.median(np.diff(recording.t)))
+    if cutoff_hz is None:
+        cutoff_hz = min(CUTOFF_HZ, 0.5 * _NYQUIST_SHARE / step)
+    if not 0 < cutoff_hz <= 0.5 * _NYQUIST_SHARE / step * (1 + 1e-9):
+        raise BadRecording(
+            recording.file,
+            f"cut-off {cutoff_hz:g} Hz does not fit its rate of {1 / step:.4g} Hz; "
+            f"choose one up to {0.5 * _NYQUIST_SHARE / step:.3g} Hz",
+        )
+    breaks = np.flatnonzero(np.diff(recording.t) > max(_GAP_STEPS * step, _GAP_TIME)) + 1
+    segments = []
+    for part in np.split(np.arange(len(recording.t)), breaks):
+        if len(part) > 20 and recording.t[part[-1]] - recording.t[part[0]] >= MINIMUM_DURATION:
+            segments.append(_segment(recording, part, step, cutoff_hz))
+    if not segments:
+        raise BadRecording(
+            recording.file,
+            f"no uninterrupted part of {MINIMUM_DURATION:g} s; time jumps {len(breaks)} times",
+            row=int(breaks[0]),
+            column="t",
+        )
+    return segments
+
+
+def _segment(
+    recording: Recording, part: npt.NDArray[np.intp], step: float, cutoff_hz: float
+) -> Segment:
+    t = recording.t[part]
+    grid = np.arange(t[0], t[-1] + 1e-9, step)
+    q = scipy.interpolate.make_interp_spline(t, recording.q[part], k=3)(grid)
+    tau = _resampled(grid, t, recording.tau[part])
+    position_cutoff = min(_POSITION_RATIO * cutoff_hz, 0.5 * _NYQUIST_SHARE / step)
+    smooth = scipy.interpolate.make_interp_spline(
+        grid, _low_pass(q, position_cutoff, 1 / step), k=5
+    )
+    motion = Motion(grid, smooth(grid), smooth(grid, 1), smooth(grid, 2))
+    edge = round(1 / (cutoff_hz * step))
+    stride = max(1, int(1 / (4 * cutoff_hz * step)))
+    return Segment(
+        name=recording.name,
+        motion=motion,
+        tau=_low_pass(tau, cutoff_hz, 1 / step),
+        tau_raw=tau,
+        cutoff_hz=cutoff_hz,
+        keep=slice(edge, len(grid) - edge, stride),
+    )
+
+
+def _resampled(grid: Array, t: Array, values: Array) -> Array:
+    return np.column_stack([np.interp(grid, t, column) for column in values.T])
+
+
+def _low_pass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
+    sections = scipy.signal.butter(_ORDER, cutoff_hz, fs=rate_hz, output="sos")
+    filtered: Array = scipy.signal.sosfiltfilt(
+        sections, values, axis=0, padlen=min(len(values) - 1, int(3 * rate_hz / cutoff_hz))
+    )
+    return filtered
