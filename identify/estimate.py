@@ -12,7 +12,7 @@ from excitant.exceptions import BadRecording
 from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
 from excitant.identify.drive_gain import drive_gains
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
-from excitant.identify.physical import PhysicalFit, fit_physical, prior_parameters
+from excitant.identify.physical import EffectPrior, PhysicalFit, fit_physical, prior_parameters
 from excitant.identify.preprocessing import Segment, prepare
 from excitant.identify.recording import Recording
 from excitant.robots.base_parameters import BaseParameters, base_parameters
@@ -151,13 +151,11 @@ def identify(
     base = base_parameters(robot, effects)
     W = observation(robot, effects, data.train)
     measured = series(data.train)
-    gains = _gains(robot, base, W, measured, data)
+    gains = torque_per_reading(robot, base, W, measured, data.unit)
     tau = measured.measured * gains
     fit = weighted_least_squares(W[:, :, base.columns], tau, base.expressions)
     R, z = whitened(W, tau, fit)
-    lower = np.array([p.lower for e in effects for p in e.parameters(robot)])
-    scale = _effect_scale(W[:, :, 10 * robot.nv :], tau)
-    physical = fit_physical(R, z, prior, lower, scale)
+    physical = fit_physical(R, z, prior, _open_prior(robot, effects, W, tau))
     model = identified_robot(robot, effects, physical.x)
     rows = series(data.validate)
     predicted = predicted_torque(model, data.validate) / gains
@@ -198,7 +196,7 @@ def whitened(W: Array, tau: Array, fit: LeastSquares) -> tuple[Array, Array]:
     weight = 1 / (fit.sigma * np.sqrt(fit.inflation))
     rows = np.concatenate([W, tau[:, :, None]], axis=2) * weight[:, None]
     flat = rows.reshape(-1, rows.shape[2])
-    R: Array = scipy.linalg.qr(flat, mode="r")[0][: rows.shape[2]]
+    R = np.asarray(scipy.linalg.qr(flat, mode="r")[0], float)[: rows.shape[2]]
     return R[:, :-1], R[:, -1]
 
 
@@ -212,8 +210,11 @@ def identified_robot(robot: Robot, effects: Sequence[Effect], x: Array) -> Robot
     return robot.with_parameters(x[: 10 * robot.nv]).with_effects(valued)
 
 
-def _gains(robot: Robot, base: BaseParameters, W: Array, measured: Series, data: Data) -> Array:
-    if data.unit != "A":
+def torque_per_reading(
+    robot: Robot, base: BaseParameters, W: Array, measured: Series, unit: str
+) -> Array:
+    """Drive gains where torque came as current, ones otherwise, shape (nv,)."""
+    if unit != "A":
         return np.ones(robot.nv)
     links = 10 * robot.nv
     columns = [c for c in base.columns if c < links]
@@ -221,11 +222,23 @@ def _gains(robot: Robot, base: BaseParameters, W: Array, measured: Series, data:
     return drive_gains(W[:, :, columns], W[:, :, links:], measured.measured, given)
 
 
-def _effect_scale(columns: Array, tau: Array) -> Array:
-    """A hundred times the coefficient that would explain all torque, or 1e3 when silent."""
+def _open_prior(robot: Robot, effects: Sequence[Effect], W: Array, tau: Array) -> EffectPrior:
+    """Nothing known of effects but their signs."""
+    std = implausible_size(W[:, :, 10 * robot.nv :], tau)
+    lower = np.array([p.lower for e in effects for p in e.parameters(robot)])
+    return EffectPrior(np.zeros_like(std), std, lower)
+
+
+def implausible_size(columns: Array, tau: Array) -> Array:
+    """A hundred times the coefficient that would explain all torque, or 1e3 when silent.
+
+    Args:
+        columns: Columns of effects, shape (n, nv, e).
+        tau: Torque, shape (n, nv).
+    """
     size = np.sqrt((columns**2).mean(axis=(0, 1)))
     torque = np.sqrt((tau**2).mean())
-    return np.where(size > 0, 100 * torque / np.where(size > 0, size, 1.0), 1e3)
+    return np.asarray(np.where(size > 0, 100 * torque / np.where(size > 0, size, 1.0), 1e3))
 
 
 def _notes(robot: Robot, prior: Array, data: Data, gains: Array) -> tuple[str, ...]:

@@ -2,7 +2,8 @@
 
 With the pseudo-inertia of link k written P_k = L_k Q_k L_kᵀ, where L_k L_kᵀ is the prior's,
 
-    minimise  ‖R x − z‖² + Σ_k ‖Q_k − 1‖² / σ²   subject to  Q_k ⪰ ε 1,  θ ≥ bounds,
+    minimise  ‖R x − z‖² + Σ_k ‖Q_k − 1‖² / σ_k² + Σ_i (θ_i − θ̄_i)² / s_i²
+    subject to  Q_k ⪰ ε 1,  θ ≥ bounds,
 
 where ‖R x − z‖² is the whitened data (a QR factor of it, so the size of the problem does not
 grow with the recording) and x holds the standard parameters φ and the effect coefficients θ.
@@ -12,6 +13,7 @@ affine-invariant metric: Lee, Wensing, Park 2020). Sousa and Cortesão 2014 for 
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import cvxpy as cp
@@ -45,6 +47,21 @@ class KktResiduals:
     stationarity: float
     complementarity: float
     primal: float
+
+
+@dataclass(frozen=True, eq=False)
+class EffectPrior:
+    """What is known of effect coefficients beforehand, each array of shape (e,).
+
+    Attributes:
+        mean: Expected values.
+        std: Their standard deviations; large where only the data shall decide.
+        lower: Smallest values physics allows.
+    """
+
+    mean: Array
+    std: Array
+    lower: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +108,8 @@ def fit_physical(
     R: Array,
     z: Array,
     prior: Array,
-    lower: Array,
-    effect_scale: Array,
-    prior_sigma: float = PRIOR_SIGMA,
+    effects: EffectPrior,
+    prior_sigma: float | Array = PRIOR_SIGMA,
 ) -> PhysicalFit:
     """Solve the semidefinite fit.
 
@@ -101,22 +117,21 @@ def fit_physical(
         R: Whitened observation matrix or its QR factor, shape (m, p), p = 10 links + effects.
         z: Whitened torque, shape (m,).
         prior: Standard parameters of the prior, consistent, shape (links, 10).
-        lower: Lower bounds of the effect coefficients, shape (p − 10 links,).
-        effect_scale: Size beyond which an effect coefficient is implausible (a weak prior
-            around zero that only keeps what the data do not show), same shape.
-        prior_sigma: Relative uncertainty σ of the prior.
+        effects: Prior and bounds of the p − 10 links effect coefficients.
+        prior_sigma: Relative uncertainty σ of the prior, for all links or for each.
 
     Raises:
         Infeasible: The solver did not converge.
     """
-    T = _coordinates(prior)
-    scale = scipy.linalg.block_diag(T, np.diag(effect_scale))
-    links, effects = len(prior), len(effect_scale)
+    links = len(prior)
+    unit = _effect_units(R[:, 10 * links :], effects.std)
+    scale = scipy.linalg.block_diag(link_coordinates(prior), np.diag(unit))
     A = R @ scale
-    centre = np.concatenate([np.tile(np.eye(4)[_UPPER], links), np.zeros(effects)])
-    weight = np.concatenate([np.tile(_svec_weights() / prior_sigma, links), np.full(effects, 1.0)])
-    y, duals = _solve(A, z, centre, weight, lower / effect_scale, links)
-    kkt = _kkt(A, z, centre, weight, lower / effect_scale, y, duals)
+    centre = np.concatenate([np.tile(np.eye(4)[_UPPER], links), effects.mean / unit])
+    weight = np.concatenate([link_weights(links, prior_sigma), unit / effects.std])
+    lower = effects.lower / unit
+    y, duals = _solve(A, z, centre, weight, lower, links)
+    kkt = _kkt(A, z, centre, weight, lower, y, duals)
     precision = A.T @ A + np.diag(weight**2)
     covariance = scale @ np.linalg.inv(precision) @ scale.T
     prior_covariance = scale @ np.diag(weight**-2.0) @ scale.T
@@ -124,13 +139,31 @@ def fit_physical(
     return PhysicalFit(scale @ y, covariance, np.clip(share, 0, 1), kkt)
 
 
+def _effect_units(R: Array, std: Array) -> Array:
+    """Units of the effect coefficients that make their columns alike, shape (e,)."""
+    norms = np.sqrt((R**2).sum(axis=0) + std**-2.0)
+    return np.asarray(np.sqrt(len(R)) / norms, float)
+
+
 def _svec_weights() -> Array:
     """Weights w with Σ (w · upper(Q))² = ‖Q‖_F²."""
     return np.where(_UPPER[0] == _UPPER[1], 1.0, np.sqrt(2.0))
 
 
-def _coordinates(prior: Array) -> Array:
-    """Map from the upper triangles of all Q_k to the standard parameters, block diagonal."""
+def link_weights(links: int, sigma: float | Array) -> Array:
+    """Square roots of the prior precision of the coordinates y, shape (10 links,)."""
+    each = np.broadcast_to(np.asarray(sigma, float), (links,))
+    return np.concatenate([_svec_weights() / s for s in each])
+
+
+def link_coordinates(prior: Array) -> Array:
+    """Map T from coordinates to standard parameters, φ = T y, shape (10 links, 10 links).
+
+    The coordinates y are the upper triangles of all Q_k; the prior lies at Q = 1.
+
+    Args:
+        prior: Consistent standard parameters, shape (links, 10).
+    """
     blocks = []
     for values in prior:
         L = np.linalg.cholesky(pseudo_inertia(values))
@@ -157,19 +190,27 @@ def _solve(
     if theta is not None and len(bounded):
         constraints.append(theta[bounded] >= lower[bounded])
     problem = cp.Problem(cp.Minimize(objective / size), constraints)
-    try:
-        problem.solve(
-            solver=cp.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11,
-            reduced_tol_gap_abs=1e-8, reduced_tol_gap_rel=1e-8, reduced_tol_feas=1e-8,
-        )  # fmt: skip
-    except cp.SolverError as error:
-        raise Infeasible("physically consistent fit", str(error)) from None
-    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
-        raise Infeasible("physically consistent fit", f"solver ended '{problem.status}'")
+    _solve_tightly(problem)
     multipliers = [np.asarray(c.dual_value, float) * size for c in constraints]
     if len(multipliers) == links:
         multipliers.append(np.zeros(0))
     return np.asarray(y.value, float), multipliers
+
+
+def _solve_tightly(problem: cp.Problem) -> None:
+    """Solve to the tightest tolerance that rounding allows."""
+    for tolerance in (1e-10, 1e-8, 1e-7):
+        names = ("tol_gap_abs", "tol_gap_rel", "tol_feas")
+        try:
+            with warnings.catch_warnings(action="ignore"):  # the status says it
+                problem.solve(solver=cp.CLARABEL, **dict.fromkeys(names, tolerance))
+        except cp.SolverError:
+            continue
+        if problem.status == cp.OPTIMAL:
+            return
+    raise Infeasible(
+        "physically consistent fit", f"the semidefinite solver ended '{problem.status}'"
+    )
 
 
 def _kkt(

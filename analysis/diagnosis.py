@@ -1,0 +1,296 @@
+"""`diagnose`: what a given model gets wrong, by cause, with the gain on data not fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from excitant.analysis.evidence import Candidate, Evidence, weigh
+from excitant.analysis.extension import Extension, contribution, extend
+from excitant.analysis.hypotheses import hypotheses
+from excitant.analysis.selection import Rival, given_values, rivals, select
+from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
+from excitant.identify.estimate import Data, observation, split, torque_per_reading
+from excitant.identify.least_squares import autocorrelation_time
+from excitant.identify.physical import prior_parameters
+from excitant.identify.recording import Recording
+from excitant.robots.base_parameters import base_parameters
+from excitant.robots.effects import Effect, InertialParameters, JointEffect, standard_effects
+from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
+
+_BLOCKS = 10  # of the hold-out, to see how much the gain varies
+_DEVIATIONS = 2.0  # standard errors by which the gain must exceed zero
+_FLOOR = 0.05  # of a joint's squared error: dry friction is never an ideal sign function
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """One cause that the data call for.
+
+    Attributes:
+        effect: The cause, on one joint, with the value that the extended model has.
+        given: The value that the given model has for each coefficient.
+        std: Standard deviation of each coefficient.
+        explained: Share of the given model's squared error on the hold-out that it removes.
+        rms_before: Error on the hold-out without it, all other causes kept [N·m or A].
+        rms_after: Error on the hold-out of the extended model [N·m or A].
+        gain_error: Standard error of the relative gain in squared error, from blocks.
+        rivals: Causes that the data cannot tell from it.
+        torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
+    """
+
+    effect: Effect
+    given: tuple[float, ...]
+    std: tuple[float, ...]
+    explained: float
+    rms_before: float
+    rms_after: float
+    gain_error: float
+    rivals: tuple[Rival, ...]
+    torque: Array
+
+    @property
+    def verdict(self) -> str:
+        """``named``, or ``undecided`` when there are rivals."""
+        return "undecided" if self.rivals else "named"
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What a given model gets wrong.
+
+    Attributes:
+        robot: The given robot.
+        data: What was fitted and held out.
+        gains: Torque per reading, shape (nv,).
+        extension: The extended model.
+        simulation: Accuracy of the given model on the hold-out.
+        extended: Accuracy of the extended model on the hold-out.
+        findings: Causes in order of importance.
+        series: Rows of the hold-out.
+        velocity: Joint velocities at those rows, shape (n, nv) [rad/s].
+        acceleration: Joint accelerations at those rows, shape (n, nv) [rad/s²].
+        simulated: Torque of the given model at those rows [torque unit].
+        predicted: Torque of the extended model at those rows [torque unit].
+        correlation_s: How long each joint's remaining error stays correlated, shape (nv,) [s].
+        waterfall: Error on the hold-out, relative to the given model's, as causes are added.
+        notes: What the user should know, as sentences.
+    """
+
+    robot: Robot
+    data: Data
+    gains: Array
+    extension: Extension
+    simulation: Accuracy
+    extended: Accuracy
+    findings: tuple[Finding, ...]
+    series: Series
+    velocity: Array
+    acceleration: Array
+    simulated: Array
+    predicted: Array
+    correlation_s: Array
+    waterfall: tuple[tuple[str, float], ...]
+    notes: tuple[str, ...]
+
+
+def diagnose(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    *,
+    validate: Sequence[Recording] = (),
+    cutoff_hz: float | None = None,
+) -> Diagnosis:
+    """Name what the given model gets wrong.
+
+    Args:
+        robot: The given model: inertias and effects as they are believed to be.
+        recordings: What to explain.
+        validate: What to judge on; the last 30 % of each recording when empty.
+        cutoff_hz: Cut-off of the torque filter [Hz].
+
+    Raises:
+        BadRecording: Recordings that cannot be used.
+        BadRobot: Links without mass.
+        Infeasible: The semidefinite solver failed.
+    """
+    prior = prior_parameters(robot)
+    data = split(recordings, validate, cutoff_hz)
+    gains = _gains(robot, data)
+    columns = hypotheses(robot, prior, data.train)
+    rows = columns.rows(data.train, gains)
+    evidence = weigh(rows.X, rows.residual, columns.precision, columns.nuisance, columns.candidates)
+    chosen = select(evidence, robot)
+    tau = series(data.train).measured * gains
+    while True:
+        extension = extend(robot, prior, evidence, chosen, data.train, tau)
+        confirmed, judged = _judge(robot, evidence, extension, chosen, data, gains)
+        if len(confirmed) == len(chosen):
+            break
+        chosen = confirmed
+    return _diagnosis(robot, data, gains, extension, judged)
+
+
+def _gains(robot: Robot, data: Data) -> Array:
+    """Torque per reading, from the links' base parameters and the standard effects."""
+    if data.unit != "A":
+        return np.ones(robot.nv)
+    effects = standard_effects(robot.joints)
+    W = observation(robot, effects, data.train)
+    base = base_parameters(robot, effects)
+    return torque_per_reading(robot, base, W, series(data.train), data.unit)
+
+
+def _judge(
+    robot: Robot,
+    evidence: Evidence,
+    extension: Extension,
+    chosen: Sequence[Candidate],
+    data: Data,
+    gains: Array,
+) -> tuple[list[Candidate], list[Finding]]:
+    """The causes that pay on the hold-out, with their findings."""
+    held = series(data.validate)
+    error = held.measured - predicted_torque(extension.model, data.validate) / gains
+    given = held.measured - predicted_torque(robot, data.validate) / gains
+    weight = gains / evidence.sigma
+    confirmed, findings = [], []
+    for candidate in chosen:
+        torque = contribution(extension, robot, candidate.effect, data.validate) / gains
+        joints = _joints(robot, candidate.effect)
+        without = error + torque
+        gain = ((without**2 - error**2) * weight**2)[:, joints]
+        relative, spread = _relative_gain(
+            (without * weight)[:, joints], (torque * weight)[:, joints]
+        )
+        if relative < max(_FLOOR, _DEVIATIONS * spread):
+            continue
+        confirmed.append(candidate)
+        findings.append(
+            _finding(
+                robot,
+                extension,
+                candidate,
+                tuple(rivals(evidence, robot, chosen, candidate)),
+                torque,
+                explained=float(gain.sum() / ((given * weight) ** 2).sum()),
+                errors=(without[:, joints], error[:, joints]),
+                gain_error=spread,
+            )
+        )
+    return confirmed, findings
+
+
+def _joints(robot: Robot, effect: Effect) -> list[int]:
+    """Joints whose torque an effect changes: its own, or all for a body."""
+    if isinstance(effect, JointEffect):
+        return [robot.joint_index(joint) for joint in effect.joints]
+    return list(range(robot.nv))
+
+
+def _relative_gain(error: Array, torque: Array) -> tuple[float, float]:
+    """Fall of the squared error, relative to it, when a cause's torque is taken off it.
+
+    The gain is (2a − 1)‖f‖² with the slope a of the error on the torque f. Its standard error
+    is that of the slope, robust to autocorrelation by blocks of time.
+    """
+    power = (torque**2).sum()
+    if power <= 0:
+        return 0.0, 0.0
+    slope = (error * torque).sum() / power
+    scores = torque * (error - slope * torque)
+    blocks = np.array([part.sum() for part in np.array_split(scores, _BLOCKS)])
+    unit = power / (error**2).sum()
+    return float((2 * slope - 1) * unit), float(2 * np.linalg.norm(blocks) / power * unit)
+
+
+def _finding(
+    robot: Robot,
+    extension: Extension,
+    candidate: Candidate,
+    others: tuple[Rival, ...],
+    torque: Array,
+    *,
+    explained: float,
+    errors: tuple[Array, Array],
+    gain_error: float,
+) -> Finding:
+    effect = candidate.effect
+    names = [p.name for p in effect.parameters(robot)]
+    if isinstance(effect, InertialParameters):
+        j = robot.joint_index(effect.joints[0])
+        part = slice(10 * j, 10 * j + 10)
+        values = list(extension.model.phi[part] - robot.phi[part])
+        given, std = [0.0] * 10, list(extension.link_std[part])
+    else:
+        fitted, known = given_values(extension.model), given_values(robot)
+        values = [fitted[name] for name in names]
+        given = [known.get(name, 0.0) for name in names]
+        std = [extension.std[name] for name in names]
+    before, after = (float(np.sqrt((e**2).mean())) for e in errors)
+    return Finding(
+        effect.with_values(values),
+        tuple(given),
+        tuple(float(s) for s in std),
+        explained,
+        before,
+        after,
+        gain_error,
+        others,
+        torque,
+    )
+
+
+def _diagnosis(
+    robot: Robot, data: Data, gains: Array, extension: Extension, findings: list[Finding]
+) -> Diagnosis:
+    held = series(data.validate)
+    simulated, predicted = (
+        predicted_torque(model, data.validate) / gains for model in (robot, extension.model)
+    )
+    findings = sorted(findings, key=lambda f: -f.explained)
+    error = held.measured - predicted
+    step = held.t[1] - held.t[0]
+    notes = [data.holdout]
+    if data.unit == "A":
+        notes.append(
+            "torque came as motor current; effects are in N·m by drive gains whose common scale "
+            "rests on the given masses"
+        )
+    return Diagnosis(
+        robot=robot,
+        data=data,
+        gains=gains,
+        extension=extension,
+        simulation=held.accuracy(simulated),
+        extended=held.accuracy(predicted),
+        findings=tuple(findings),
+        series=held,
+        velocity=np.concatenate([s.motion.dq[s.keep] for s in data.validate]),
+        acceleration=np.concatenate([s.motion.ddq[s.keep] for s in data.validate]),
+        simulated=simulated,
+        predicted=predicted,
+        correlation_s=np.array([autocorrelation_time(e) * step for e in error.T]),
+        waterfall=_waterfall(held.measured - simulated, error, findings),
+        notes=tuple(notes),
+    )
+
+
+def _waterfall(
+    given: Array, extended: Array, findings: Sequence[Finding]
+) -> tuple[tuple[str, float], ...]:
+    """Error over all joints as causes are added to the given model in order of importance."""
+    size = np.sqrt((given**2).mean(axis=0))
+    steps, error = [("given model", 1.0)], given
+    for finding in findings:
+        error = error - finding.torque
+        label = f"+ {finding.effect.name} {', '.join(finding.effect.joints)}"
+        steps.append((label, _relative(error, size)))
+    return (*steps, ("all re-identified", _relative(extended, size)))
+
+
+def _relative(error: Array, size: Array) -> float:
+    return float(np.sqrt(((error / size) ** 2).mean()))
