@@ -25,7 +25,7 @@ from excitant.robots.effects import (
 from excitant.robots.motion import Array, read_only
 from excitant.robots.robot import Robot
 
-TOLERANCE = 0.1  # relative uncertainty of the given values before they count as wrong
+TOLERANCE = 0.05  # relative standard deviation of the given values: right to ±10 %
 _WRONG_LINK = 1.0  # relative size of the changes that `inertial_parameters` stands for
 _STRIBECK_SPEEDS = np.geomspace(0.01, 0.4, 8)  # of each joint's highest speed in the recording
 _REACH = 0.3  # m: scale of a payload's lever, decides nothing but the units of its coordinates
@@ -103,7 +103,7 @@ def hypotheses(
         robot: The given robot with its effects.
         prior: Its standard parameters as prior, consistent, shape (nv, 10).
         segments: Recording the candidates are to explain.
-        tolerance: Relative uncertainty of the given inertias and effects.
+        tolerance: Relative standard deviation of the given inertias and effects.
     """
     given = np.concatenate([np.abs(e.values or ()) for e in robot.effects] or [np.zeros(0)])
     given_scale = tolerance * np.where(given > 0, given, 1e-9)

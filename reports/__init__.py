@@ -1,0 +1,7 @@
+"""Reports: pages and summaries drawn from saved results only."""
+
+from excitant.reports.html import render
+from excitant.reports.run import load_run, save_run
+from excitant.reports.summary import summarize
+
+__all__ = ["load_run", "render", "save_run", "summarize"]

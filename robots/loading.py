@@ -120,10 +120,13 @@ def _from_yaml(path: Path, lock: Mapping[str, float] | None) -> Robot:
     if "model" not in content:
         raise BadRobot(path, "no 'model' entry; add 'model: path/to/robot.urdf'")
     model = path.parent / str(content["model"])
-    gravity = content.get("gravity", (0.0, 0.0, -9.81))
-    if np.shape(gravity) != (3,):
-        raise BadRobot(path, f"gravity {gravity} is not three numbers")
-    held = {**dict(content.get("lock") or {}), **dict(lock or {})}
+    gravity = _numbers(content.get("gravity", (0.0, 0.0, -9.81)))
+    if gravity.shape != (3,):
+        raise BadRobot(path, f"gravity {content['gravity']} is not three numbers")
+    given = content.get("lock") or {}
+    if not isinstance(given, dict) or _numbers(list(given.values())).shape != (len(given),):
+        raise BadRobot(path, "'lock' must hold entries 'joint: position'")
+    held = {**given, **dict(lock or {})}
     if model.is_file():
         model_text, source = _read(model), str(model)
     else:
@@ -136,6 +139,15 @@ def _from_yaml(path: Path, lock: Mapping[str, float] | None) -> Robot:
         gravity=gravity,
     )
     return _supplemented(_with_urdf_friction(robot), content, str(path))
+
+
+def _numbers(value: Any) -> Array:
+    """Finite numbers of an entry; without shape when it is anything else."""
+    try:
+        numbers = np.asarray(value, float)
+    except (TypeError, ValueError):
+        return np.array(np.nan)
+    return numbers if np.isfinite(numbers).all() else np.array(np.nan)
 
 
 def _mapping(path: Path) -> dict[str, Any]:

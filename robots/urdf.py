@@ -59,8 +59,13 @@ def robot_from_urdf(
         )
     if model.nv == 0:
         raise BadRobot(source, "it has no moving joints; name a URDF of an arm")
-    if model.nq != model.nv:
-        raise BadRobot(source, "only revolute, continuous and prismatic joints are supported")
+    for joint, name_of in zip(list(model.joints)[1:], list(model.names)[1:], strict=True):
+        if joint.nq != 1 or joint.nv != 1:
+            raise BadRobot(
+                source,
+                f"joint '{name_of}' has {joint.nv} degrees of freedom; only revolute, continuous "
+                "and prismatic joints are supported",
+            )
     model.gravity.linear = np.asarray(gravity, float)
     names = [str(joint) for joint in list(model.names)[1:]]
     elements = {str(e.get("name")): e for e in root.findall("joint")}
@@ -189,7 +194,7 @@ def _child(joint: ET.Element) -> str:
 def _limits(model: pin.Model) -> Limits:
     """Limits of the URDF; zero speed or effort means that none was given."""
     position = np.column_stack([model.lowerPositionLimit, model.upperPositionLimit])
-    position = np.where(np.abs(position) >= _UNLIMITED, np.inf * np.sign(position), position)
+    position = np.where(np.abs(position) >= _UNLIMITED, np.copysign(np.inf, position), position)
     unset = position[:, 0] >= position[:, 1]
     position[unset] = (-np.inf, np.inf)
     velocity, effort = (

@@ -1,0 +1,63 @@
+# Needs only make and Python 3.11 or newer. The commands install what they need on first use.
+PYTHON ?= python3
+ARGS ?=
+
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+
+.PHONY: help demo test lint lock clean
+
+help:
+	@echo "make demo   the whole workflow on a virtual arm: design, run, identify, diagnose, report"
+	@echo "make test   the test suite without the slow statistical tests"
+	@echo "make lint   ruff, mypy and the import rules"
+	@echo "make lock   resolve pyproject.toml anew into requirements.lock"
+	@echo "make clean  remove the virtual environment, caches and build products (keeps runs/)"
+	@echo
+	@echo "Options: ARGS='...' passed to demo or to pytest; PYTHON=python3.12 chooses the interpreter."
+
+demo: $(INSTALLED)
+	$(BIN)/excitant demo $(ARGS)
+
+test: $(INSTALLED)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 8 -m "not slow" $(ARGS)
+
+lint: $(INSTALLED)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+# The stamp goes first and comes back last: an interrupted install is started over, not trusted.
+$(INSTALLED): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	  echo "excitant needs Python 3.11 or newer, which '$(PYTHON)' is not;" \
+	    "choose another one, for example: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; \
+	  exit 1; }
+	@test -e $@ || { echo "Creating $(VENV) with $$($(PYTHON) --version)"; \
+	  $(PYTHON) -m venv --clear $(VENV); }
+	@rm -f $@
+	@echo "Installing the packages pinned in requirements.lock (about 1.4 GB, a minute or more)"
+	@$(PIP) install --requirement requirements.lock
+	@echo "Installing excitant from this folder"
+	@$(PIP) install --no-deps --no-build-isolation --editable .
+	@touch $@
+
+# Resolved with the oldest supported Python, so that every pin exists for the newer ones too.
+lock:
+	$(PYTHON) -m venv --clear build/lock
+	build/lock/bin/python -m pip install --quiet --dry-run --ignore-installed \
+	  --report build/lock/report.json ".[dev]" "setuptools>=77"
+	build/lock/bin/python -c 'import json; \
+	  packages = [p["metadata"] for p in json.load(open("build/lock/report.json"))["install"]]; \
+	  pins = {p["name"].lower() + "==" + p["version"] for p in packages if p["name"] != "excitant"}; \
+	  head = "# Written by `make lock` from pyproject.toml, extra \"dev\" included.\n"; \
+	  open("requirements.lock", "w").write(head + "\n".join(sorted(pins)) + "\n")'
+	@rm -r build/lock
+
+clean:
+	rm -rf $(VENV) build dist src/*.egg-info
+	rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .coverage
+	find . -type d -name __pycache__ -prune -exec rm -rf {} +

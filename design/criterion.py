@@ -1,0 +1,200 @@
+"""Information of a motion about the base parameters, its exact derivatives, and criteria."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from excitant.exceptions import UnknownName
+from excitant.robots import (
+    Array,
+    BaseParameters,
+    Motion,
+    Robot,
+    base_parameters,
+    regressor_derivatives,
+)
+from excitant.robots.effects import standard_effects
+from excitant.robots.torque import observation_columns
+
+COLUMNS = ("friction", "inertial")
+CRITERIA = ("condition", "d", "a", "e")
+
+_SIGN_WIDTH = 0.02  # of the speed scale: where the smooth sign of the derivatives turns
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """What a design makes visible: base columns of the observation matrix W.
+
+    Attributes:
+        robot: The arm.
+        columns: ``"inertial"`` (standard parameters of the links) or ``"friction"`` (those with
+            viscous and Coulomb friction, torque offset and rotor inertia of every joint).
+        base: Base parameters of these columns.
+    """
+
+    robot: Robot
+    columns: str
+    base: BaseParameters
+
+    def observation(self, motion: Motion, *, smooth: bool = False) -> Array:
+        """Base columns at every instant, shape (n, nv, r).
+
+        Args:
+            motion: The motion.
+            smooth: With tanh instead of the sign of velocity, as the derivatives have it.
+        """
+        effects = standard_effects(self.robot.joints) if self.columns == "friction" else ()
+        Y = observation_columns(self.robot, effects, motion)
+        if smooth and effects:
+            nv = self.robot.nv
+            first = 11 * nv  # Coulomb columns, one per joint, follow the viscous ones
+            j = np.arange(nv)
+            Y[:, j, first + j] = np.tanh(motion.dq / sign_width(self.robot))
+        return Y[:, :, list(self.base.columns)]
+
+    def matrix(self, motion: Motion, *, smooth: bool = False) -> Array:
+        """M = WᵀW / n, shape (r, r)."""
+        W = self.observation(motion, smooth=smooth).reshape(-1, len(self.base))
+        M: Array = W.T @ W / len(motion)
+        return M
+
+    def linearise(self, motion: Motion) -> Linearisation:
+        """Base columns with their exact derivatives by q, q̇ and q̈ (with the smooth sign)."""
+        exact = regressor_derivatives(self.robot, motion)
+        parts = (exact.Y, exact.by_q, exact.by_dq, exact.by_ddq)
+        if self.columns == "friction":
+            added = _friction_derivatives(self.robot, motion)
+            parts = tuple(
+                np.concatenate([a, b], axis=-1) for a, b in zip(parts, added, strict=True)
+            )  # type: ignore[assignment]
+        keep = list(self.base.columns)
+        return Linearisation(*(part[..., keep] for part in parts))
+
+
+def information(robot: Robot, columns: str = "friction") -> Information:
+    """What the columns of this name let a motion of the robot show.
+
+    Raises:
+        UnknownName: Columns other than ``"friction"`` and ``"inertial"``.
+    """
+    if columns not in COLUMNS:
+        raise UnknownName("columns", columns, COLUMNS)
+    effects = standard_effects(robot.joints) if columns == "friction" else ()
+    return Information(robot, columns, base_parameters(robot, effects))
+
+
+def condition_number(M: Array) -> float:
+    """cond₂(W) from M = WᵀW / n: √(λmax / λmin)."""
+    eigenvalues = np.linalg.eigvalsh(M)
+    return float(np.sqrt(eigenvalues[-1] / max(float(eigenvalues[0]), 1e-300)))
+
+
+def speed_scale(robot: Robot) -> Array:
+    """Velocity limit of each joint, 3 where there is none, shape (nv,) [rad/s or m/s]."""
+    return np.where(robot.limits.velocity < 1e3, robot.limits.velocity, 3.0)
+
+
+def sign_width(robot: Robot) -> Array:
+    """Speed within which the smooth sign turns, shape (nv,) [rad/s or m/s]."""
+    return _SIGN_WIDTH * speed_scale(robot)
+
+
+def _friction_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, Array, Array]:
+    """Columns of `standard_effects` (smooth sign) and their derivatives by q, q̇, q̈."""
+    n, nv, j = len(motion), robot.nv, np.arange(robot.nv)
+    width = sign_width(robot)
+    sign = np.tanh(motion.dq / width)
+    Y = np.zeros((n, nv, 4 * nv))
+    by_q, by_dq, by_ddq = np.zeros((3, nv, n, nv, 4 * nv))
+    for block, values in enumerate((motion.dq, sign, np.ones_like(sign), motion.ddq)):
+        Y[:, j, block * nv + j] = values
+    by_dq[j, :, j, j] = 1.0
+    by_dq[j, :, j, nv + j] = ((1 - sign**2) / width).T
+    by_ddq[j, :, j, 3 * nv + j] = 1.0
+    return Y, by_q, by_dq, by_ddq
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """Base columns at n instants and their derivatives by the joints' motion.
+
+    Attributes:
+        Y: Shape (n, nv, r).
+        by_q: Derivative by joint position; first index the joint, shape (nv, n, nv, r).
+        by_dq: By joint velocity, same shape.
+        by_ddq: By joint acceleration, same shape.
+    """
+
+    Y: Array
+    by_q: Array
+    by_dq: Array
+    by_ddq: Array
+
+    def derivative(self, basis: Sequence[Array], U: Array) -> Array:
+        """Derivatives of UᵀMU by coefficients of the motion.
+
+        The motion is q⁽ᵒ⁾ = basis[o] @ X with coefficients X of shape (c, nv).
+
+        Args:
+            basis: Basis functions of q, q̇ and q̈ at the instants, each of shape (n, c).
+            U: Directions in the space of base parameters, shape (r, m).
+
+        Returns:
+            Shape (c · nv, m, m), coefficients in the order of ``X.ravel()``.
+        """
+        n, nv, _ = self.Y.shape
+        m, c = U.shape[1], basis[0].shape[1]
+        WU = np.swapaxes(self.Y @ U, 1, 2)
+        total = np.zeros((c, nv, m * m))
+        for phi, block in zip(basis, (self.by_q, self.by_dq, self.by_ddq), strict=True):
+            S = WU[None] @ (block @ U)
+            total += np.tensordot(phi, S.reshape(nv, n, m * m), axes=(0, 1))
+        D = total.reshape(c * nv, m, m) / n
+        derivative: Array = D + np.swapaxes(D, 1, 2)
+        return derivative
+
+
+def objective(M: Array, criterion: str) -> float:
+    """Value to be minimised, dimensionless; a criterion halved or doubled moves it alike.
+
+    ``condition``: log(λmax/λmin); ``d``: −log det M / r; ``a``: log tr M⁻¹; ``e``: −log λmin.
+    """
+    eigenvalues = np.maximum(np.linalg.eigvalsh(M), 1e-300)
+    log = np.log(eigenvalues)
+    values = {
+        "condition": log[-1] - log[0],
+        "d": -log.mean(),
+        "a": np.log((1 / eigenvalues).sum()),
+        "e": -log[0],
+    }
+    return float(values[criterion])
+
+
+def smooth_model(M: Array, dM: Array, criterion: str) -> tuple[Array, Array]:
+    """Gradient and Hessian of objective ``d`` or ``a`` along M + Σ dM_i x_i at x = 0.
+
+    Both are convex in the linearised M, so the Hessian is positive semidefinite.
+
+    Args:
+        M: Information, shape (r, r), positive definite.
+        dM: Its derivatives, shape (k, r, r).
+        criterion: ``"d"`` or ``"a"``.
+
+    Returns:
+        Shapes (k,) and (k, k).
+    """
+    eigenvalues, V = np.linalg.eigh(M)
+    root = V / np.sqrt(np.maximum(eigenvalues, 1e-300))
+    A = (root.T @ dM @ root).reshape(len(dM), len(M), len(M))
+    if criterion == "d":
+        flat = A.reshape(len(dM), -1)
+        return -np.einsum("kii->k", A) / len(M), flat @ flat.T / len(M)
+    weight = 1 / np.maximum(eigenvalues, 1e-300)
+    total = weight.sum()
+    gradient = -np.einsum("kii,i->k", A, weight) / total
+    half = (A * np.sqrt(weight)).reshape(len(dM), -1)
+    return gradient, 2 * half @ half.T / total

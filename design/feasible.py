@@ -1,0 +1,123 @@
+"""Trajectories within all limits to start from, and why there may be none."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from excitant.design.constraints import kinematic_limits, position_range
+from excitant.design.trajectory import (
+    FourierTrajectory,
+    from_coefficients,
+    rest_basis,
+)
+from excitant.exceptions import Infeasible
+from excitant.robots import Array, Motion, Robot, torque
+
+_POSES = 2000
+_POLISH = 30
+_DRAWS = 20
+_SHRINKS = 40
+_TORQUE_SAMPLES = 32  # per harmonic
+_TORQUE_SHARE = 0.99  # of the limit at the samples, which leaves room between them
+
+
+def random_trajectory(
+    robot: Robot, rng: np.random.Generator, duration: float, harmonics: int
+) -> FourierTrajectory:
+    """A random trajectory at rest at both ends and within all limits of the robot.
+
+    Args:
+        robot: The arm; its limits count.
+        rng: Source of randomness.
+        duration: Period [s].
+        harmonics: Number of harmonics, at least 2.
+
+    Raises:
+        Infeasible: No pose, or no motion found, within position and torque limits.
+    """
+    t = np.linspace(0.0, duration, _TORQUE_SAMPLES * harmonics)
+    drawn: list[tuple[float, int, FourierTrajectory]] = []
+    for _ in range(_DRAWS):
+        trajectory = _draw(robot, rng, duration, harmonics)
+        ratio = float(torque_use(robot, trajectory.at(t)).max())
+        if ratio <= _TORQUE_SHARE:
+            return trajectory
+        drawn.append((ratio, len(drawn), trajectory))
+    best = min(drawn)[2]
+    X0 = np.zeros((1 + 2 * harmonics, robot.nv))
+    X0[0] = standstill(robot, rng)
+    for share in 0.7 ** np.arange(1, _SHRINKS):
+        trajectory = from_coefficients(X0 + share * (best.coefficients - X0), duration)
+        use = torque_use(robot, trajectory.at(t))
+        if use.max() <= _TORQUE_SHARE:
+            return trajectory
+    joint = robot.joints[int(use.argmax())]
+    raise Infeasible(
+        f"trajectory of {robot.name}",
+        f"torque limit of joint {joint} is exceeded by every motion tried, however slow "
+        f"(down to {use.max():.4g} times the limit); raise the torque limit",
+    )
+
+
+def torque_use(robot: Robot, motion: Motion) -> Array:
+    """Largest torque over its limit per joint at the instants of a motion, shape (nv,)."""
+    use: Array = (np.abs(torque(robot, motion)) / robot.limits.torque).max(axis=0)
+    return use
+
+
+def _draw(
+    robot: Robot, rng: np.random.Generator, duration: float, harmonics: int
+) -> FourierTrajectory:
+    """Random coefficients, scaled joint by joint into the kinematic limits."""
+    middle, half = position_range(robot.limits)
+    half = np.where(np.isfinite(half), half, np.pi)
+    bound = kinematic_limits(robot.limits)[1]
+    fade = 1 / np.arange(1, harmonics + 1)[:, None] ** rng.uniform(0.0, 2.0)
+    X = rng.normal(size=(1 + 2 * harmonics, robot.nv))
+    X[1:] *= np.vstack([fade, fade])
+    X[0] = 0.0
+    Z = rest_basis(harmonics)
+    X = Z @ (Z.T @ X)
+    X[0] = 0.0
+    wave = from_coefficients(X, duration)
+    reach = [np.maximum(*(np.abs(e) for e in wave.extrema(order))) for order in range(3)]
+    shift = rng.uniform(0.0, 0.6, robot.nv) * rng.choice([-1.0, 1.0], robot.nv) * half
+    room = [half - np.abs(shift), bound[1], bound[2]]
+    share = np.min([b / np.maximum(r, 1e-12) for b, r in zip(room, reach, strict=True)], axis=0)
+    X = X * share * rng.uniform(0.5, 0.99, robot.nv)
+    X[0] = middle + shift
+    return from_coefficients(X, duration)
+
+
+def standstill(robot: Robot, rng: np.random.Generator) -> Array:
+    """A pose within the position limits that the torque limits can hold, shape (nv,).
+
+    The best of many random poses, improved by random search around it.
+
+    Raises:
+        Infeasible: Gravity needs more torque than the limit at every pose tried.
+    """
+    middle, half = position_range(robot.limits)
+    half = np.where(np.isfinite(half), half, np.pi)
+    width, pose, best = 1.0, middle, np.inf
+    use = np.zeros(robot.nv)
+    for _ in range(_POLISH):
+        poses = pose + width * half * rng.uniform(-1, 1, (_POSES // _POLISH * 2, robot.nv))
+        poses = np.clip(poses, middle - half, middle + half)
+        zero = np.zeros_like(poses)
+        held = Motion(np.arange(len(poses), dtype=float), poses, zero, zero)
+        uses = np.abs(torque(robot, held)) / robot.limits.torque
+        k = int(uses.max(axis=1).argmin())
+        if uses[k].max() < best:
+            best, pose, use = float(uses[k].max()), poses[k], uses[k]
+        width *= 0.8
+    if best < _TORQUE_SHARE:
+        return pose
+    tight = [robot.joints[j] for j in np.flatnonzero(use >= 0.999 * best)]
+    limit = ", ".join(f"{robot.limits.torque[robot.joint_index(j)]:.4g} N·m" for j in tight)
+    raise Infeasible(
+        f"trajectory of {robot.name}",
+        f"torque limit of {', '.join(tight)} ({limit}) is below what gravity needs at every "
+        f"pose within the position limits (at least {best:.3g} times the limit); raise the "
+        "torque limit or widen the position limits",
+    )

@@ -1,0 +1,212 @@
+"""The design problem in the free coefficients of a trajectory at rest at both ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from excitant.design.constraints import kinematic_limits
+from excitant.design.criterion import Information, objective
+from excitant.design.trajectory import (
+    FourierTrajectory,
+    fourier_basis,
+    from_coefficients,
+    rest_basis,
+)
+from excitant.robots import Array, Motion, Robot, torque
+
+_MARGIN = 1e-4  # share of every limit kept free, above what the exchange leaves violated
+_SAMPLES = {"inertial": 12, "friction": 20}  # per harmonic, for the information
+_PEAK_SAMPLES = 32  # per harmonic, for finding peaks
+_REACH = np.pi  # taken as half the range of an unlimited joint
+
+Bases = Sequence[Array]
+
+
+@dataclass(frozen=True, eq=False)
+class DesignProblem:
+    """Minimise a criterion of the information over trajectories within the limits.
+
+    The unknowns z, shape (2 H − 1, nv), are the coefficients X = Z z in an orthonormal basis Z
+    of those at rest at both ends.
+
+    Attributes:
+        information: What is to be made visible, on which robot.
+        criterion: ``"condition"``, ``"d"``, ``"a"`` or ``"e"``.
+        period: Duration [s].
+        harmonics: Number of harmonics H.
+    """
+
+    information: Information
+    criterion: str
+    period: float
+    harmonics: int
+
+    @property
+    def robot(self) -> Robot:
+        """The arm."""
+        return self.information.robot
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return (2 * self.harmonics - 1) * self.robot.nv
+
+    @cached_property
+    def Z(self) -> Array:
+        """Basis of the coefficients at rest, shape (1 + 2 H, 2 H − 1)."""
+        return rest_basis(self.harmonics)
+
+    @cached_property
+    def samples(self) -> Array:
+        """Instants at which the information is summed [s]."""
+        n = _SAMPLES[self.information.columns] * self.harmonics
+        return np.arange(n) / n * self.period
+
+    @cached_property
+    def sample_bases(self) -> Bases:
+        """Basis of q, q̇, q̈ at `samples`."""
+        return self.bases(self.samples)
+
+    @cached_property
+    def instants(self) -> Array:
+        """Equidistant instants between which peaks are looked for [s]."""
+        n = _PEAK_SAMPLES * self.harmonics
+        return np.arange(n) / n * self.period
+
+    @cached_property
+    def middle(self) -> Array:
+        """Middle of the range of q, q̇, q̈; shape (3, nv)."""
+        return kinematic_limits(self.robot.limits)[0]
+
+    @cached_property
+    def bound(self) -> Array:
+        """Largest distance of q, q̇, q̈ from the middle, less a margin; shape (3, nv)."""
+        return kinematic_limits(self.robot.limits)[1] * (1 - _MARGIN)
+
+    @cached_property
+    def torque_bound(self) -> Array:
+        """Torque limits less a margin, shape (nv,) [N·m]."""
+        return self.robot.limits.torque * (1 - _MARGIN)
+
+    @cached_property
+    def reach(self) -> Array:
+        """Largest useful size of each coefficient alone, shape (1 + 2 H, nv)."""
+        w = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)[:, None]
+        half = np.minimum(self.bound[0], _REACH)
+        amplitude = np.minimum(np.minimum(half, self.bound[1] / w), self.bound[2] / w**2)
+        return np.vstack([half, amplitude, amplitude])
+
+    def bases(self, t: Array) -> Bases:
+        """Basis functions of z for q, q̇ and q̈ at given instants, each (n, 2 H − 1)."""
+        return [fourier_basis(t, self.harmonics, self.period, o) @ self.Z for o in range(3)]
+
+    def trajectory(self, z: Array) -> FourierTrajectory:
+        """The trajectory of these unknowns."""
+        return from_coefficients(self.Z @ z, self.period)
+
+    def unknowns(self, trajectory: FourierTrajectory) -> Array:
+        """The unknowns of a trajectory at rest."""
+        z: Array = self.Z.T @ trajectory.coefficients
+        return z
+
+    def information_matrix(self, z: Array, *, smooth: bool = True) -> Array:
+        """M at the samples, shape (r, r)."""
+        return self.information.matrix(motion_of(z, self.samples, self.sample_bases), smooth=smooth)
+
+    def objective(self, z: Array) -> float:
+        """Criterion to be minimised."""
+        return objective(self.information_matrix(z), self.criterion)
+
+    @cached_property
+    def grid_bases(self) -> tuple[Array, ...]:
+        """Basis of q and its first four derivatives at `instants`."""
+        t, H, T = self.instants, self.harmonics, self.period
+        return tuple(fourier_basis(t, H, T, order) @ self.Z for order in range(5))
+
+    def kinematic_peaks(
+        self, z: Array, order: int, share: float
+    ) -> tuple[Array, npt.NDArray[np.intp]]:
+        """Local extrema of a derivative beyond a share of its bound, by one Newton step.
+
+        Returns:
+            Instants [s] and joints, both of shape (k,).
+        """
+        value, slope, curve = (basis @ z for basis in self.grid_bases[order : order + 3])
+        use = np.abs(value - self.middle[order]) / self.bound[order]
+        peak = (use >= np.roll(use, 1, axis=0)) & (use > np.roll(use, -1, axis=0))
+        k, joint = np.nonzero(peak & (use > 0.98 * share))
+        slope, curve, spacing = slope[k, joint], curve[k, joint], self.period / len(use)
+        shift = -slope / np.where(curve == 0.0, np.inf, curve)
+        shift = np.clip(shift, -spacing, spacing)
+        rise = np.abs(shift * (slope + 0.5 * curve * shift)) / self.bound[order, joint]
+        high = use[k, joint] + rise > share
+        return (self.instants[k] + shift)[high], joint[high]
+
+    def torque_ratio(self, z: Array) -> float:
+        """Worst use of the torque bounds at the peaks between `instants`."""
+        if np.all(np.isinf(self.torque_bound)):
+            return 0.0
+        return float(self.torque_peaks(z, 1.0)[2].max(initial=0.0))
+
+    def torque_peaks(self, z: Array, share: float) -> tuple[Array, npt.NDArray[np.intp], Array]:
+        """Local peaks of each joint's torque that reach a share of the highest one.
+
+        Returns:
+            Instants [s], joints and torque over its bound (estimated), each of shape (k,).
+        """
+        motion = motion_of(z, self.instants, self.grid_bases)
+        use = np.abs(torque(self.robot, motion)) / self.torque_bound
+        before, after = np.roll(use, 1, axis=0), np.roll(use, -1, axis=0)
+        k, joint = np.nonzero((use >= before) & (use > after) & (use >= share * use.max()))
+        here, rise = use[k, joint], after[k, joint] - before[k, joint]
+        bend = before[k, joint] - 2 * here + after[k, joint]
+        shift = np.clip(-0.5 * rise / np.minimum(bend, -1e-300), -0.5, 0.5)
+        t = self.instants[k] + shift * self.period / len(self.instants)
+        return t, joint, here + 0.25 * np.abs(rise * shift)
+
+
+def motion_of(z: Array, t: Array, bases: Bases) -> Motion:
+    """Motion of the unknowns at instants whose bases are known."""
+    return Motion(t, bases[0] @ z, bases[1] @ z, bases[2] @ z)
+
+
+def torque_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, Array, Array]:
+    """Torque and its derivatives by q, q̇, q̈ at every instant.
+
+    Rigid bodies analytically (Carpentier and Mansard 2018), effects by central differences.
+
+    Returns:
+        Shapes (n, nv), and three of (n, nv, nv): torque joint first.
+    """
+    model, data = robot.model, robot.model.createData()
+    n, nv = motion.q.shape
+    D = np.empty((3, n, nv, nv))
+    for k in range(n):
+        pin.computeRNEADerivatives(model, data, motion.q[k], motion.dq[k], motion.ddq[k])
+        D[0, k], D[1, k], D[2, k] = data.dtau_dq, data.dtau_dv, data.M
+    upper = np.triu(D[2])
+    D[2] = upper + np.swapaxes(np.triu(upper, 1), 1, 2)
+    if robot.effects:
+        D += _effect_derivatives(robot, motion)
+    return torque(robot, motion), D[0], D[1], D[2]
+
+
+def _effect_derivatives(robot: Robot, motion: Motion, step: float = 1e-6) -> Array:
+    n, nv = motion.q.shape
+    D = np.zeros((3, n, nv, nv))
+    state = np.stack([motion.q, motion.dq, motion.ddq])
+    for order in range(3):
+        for j in range(nv):
+            change = np.zeros_like(state)
+            change[order, :, j] = step
+            ahead, behind = (Motion(motion.t, *(state + sign * change)) for sign in (1.0, -1.0))
+            for effect in robot.effects:
+                difference = effect.torque(robot, ahead) - effect.torque(robot, behind)
+                D[order, :, :, j] += difference / (2 * step)
+    return D

@@ -1,0 +1,204 @@
+"""Sections on an excitation motion: designed, or only checked."""
+
+from __future__ import annotations
+
+from excitant.reports.design_figures import (
+    convergence_figure,
+    eigenvalue_figure,
+    motion_figure,
+)
+from excitant.reports.model import (
+    FAIR,
+    GOOD,
+    PLAIN,
+    POOR,
+    Cell,
+    Fact,
+    Facts,
+    Notes,
+    Section,
+    Table,
+    section,
+    table,
+)
+from excitant.reports.reading import (
+    Result,
+    Series,
+    at,
+    joint_names,
+    real,
+    records,
+    text,
+    words,
+    worst_points,
+)
+from excitant.reports.wording import NONE, number, percent, plain, quantity, value_and_std
+
+
+def design_section(result: Result, series: Series) -> Section:
+    """The designed motion: how well it excites, within which limits, and how it was found."""
+    joints = joint_names(result)
+    return section(
+        "Excitation design",
+        _design_lead(result),
+        [
+            ("Key figures", [_design_facts(result)]),
+            (
+                "Motion against limits",
+                [_limit_table(result), motion_figure(joints, result, series)],
+            ),
+            ("What the motion makes visible", [eigenvalue_figure(series)]),
+            ("How it was found", [convergence_figure(result), _starts(result)]),
+            ("Files", [file_list(result)]),
+        ],
+    )
+
+
+def _design_lead(result: Result) -> str:
+    initial, final = (real(result, "condition_number", k) for k in ("initial", "final"))
+    motion = "The motion"
+    if (duration := real(result, "duration")) is not None:
+        motion = f"A motion of {quantity(duration, 's')}"
+    if final is None:
+        return f"{motion} was designed for {text(result, 'robot') or 'the arm'}."
+    before = "" if initial is None else f", {number(initial)} at the start of the search"
+    holds = ""
+    points = [point for point in worst_points(result) if point.ratio is not None]
+    if points:
+        all_hold = all(point.holds for point in points)
+        holds = " All limits hold." if all_hold else " Not all limits hold: see below."
+    return f"{motion} reaches a condition number of {number(final)}{before}.{holds}"
+
+
+def _design_facts(result: Result) -> Facts | None:
+    bound = real(result, "condition_number", "lower_bound")
+    facts = [
+        Fact(
+            "Condition number",
+            number(at(result, "condition_number", "final")),
+            f"from {number(at(result, 'condition_number', 'initial'))}"
+            + ("" if bound is None else f"; no motion below {number(bound)}"),
+        ),
+        Fact("Duration", quantity(at(result, "duration"), "s"), _harmonics(result)),
+        Fact("Base parameters", text(result, "base_parameters") or NONE, _columns(result)),
+        Fact("Criterion", plain(text(result, "criterion")) or NONE),
+        Fact("Clearance", quantity(at(result, "clearance_m"), "m"), "to obstacles and itself"),
+        Fact("Search", quantity(at(result, "wall_s"), "s"), _effort(result)),
+    ]
+    return known_facts(facts)
+
+
+def known_facts(facts: list[Fact]) -> Facts | None:
+    """The facts that have a value."""
+    known = tuple(fact for fact in facts if fact.value not in (NONE, ""))
+    return Facts(known) if known else None
+
+
+def _harmonics(result: Result) -> str:
+    count = real(result, "harmonics")
+    return "" if count is None else f"{count:.0f} harmonics"
+
+
+def _columns(result: Result) -> str:
+    return f"columns: {plain(text(result, 'columns'))}" if text(result, "columns") else ""
+
+
+def _effort(result: Result) -> str:
+    starts, iterations = len(records(result, "starts")), real(result, "iterations")
+    parts = [f"{starts} starts"] if starts else []
+    parts += [] if iterations is None else [f"{iterations:.0f} iterations"]
+    return ", ".join(parts)
+
+
+def _limit_table(result: Result) -> Table | None:
+    rows: list[list[Cell | str]] = []
+    for point in worst_points(result):
+        share, verdict = NONE, Cell("no limit given")
+        if point.ratio is not None:
+            share = f"{100 * point.ratio:.1f}\u00a0%"
+            verdict = Cell("holds", GOOD) if point.holds else Cell("exceeded", POOR)
+        rows.append([point.quantity, share, verdict, point.joint or NONE, number(point.t)])
+    if not rows:
+        return None
+    return table(
+        "name:Quantity | number:Worst share of limit | text:Verdict | name:Joint | number:At [s]",
+        rows,
+        "The worst point of the continuous motion, also between samples: 100 % is the limit.",
+    )
+
+
+def _starts(result: Result) -> Table | None:
+    rows: list[list[Cell | str]] = [
+        [
+            text(start, "start") or str(k),
+            number(at(start, "condition_number"), 4),
+            text(start, "iterations") or NONE,
+            plain(text(start, "status")) or NONE,
+        ]
+        for k, start in enumerate(records(result, "starts"))
+    ]
+    if not rows:
+        return None
+    return table(
+        "number:Start | number:Condition number | number:Iterations | text:Status",
+        rows,
+        "Every start of the search with where it ended.",
+        f"All {len(rows)} starts" if len(rows) > 8 else "",
+    )
+
+
+def file_list(result: Result, *keys: str) -> Notes | None:
+    """The artefact files of a run."""
+    found = at(result, *keys, "files") if keys else at(result, "files")
+    files = [str(f) for f in found.values()] if isinstance(found, dict) else words(found)
+    if isinstance(found, list):
+        files = [str(f) for f in found if f is not None]
+    return Notes(tuple(files)) if files else None
+
+
+def check_section(result: Result, series: Series) -> Section:
+    """Whether somebody's trajectory keeps the limits, and how well it excites."""
+    holds = at(result, "holds")
+    name = text(result, "trajectory") or "The trajectory"
+    arm = text(result, "robot") or "the arm"
+    lead = f"{name} was checked."
+    if isinstance(holds, bool):
+        lead = f"{name} {'keeps all' if holds else 'does not keep the'} limits of {arm}."
+    verdicts = words(result, "verdicts")
+    tone = PLAIN if not isinstance(holds, bool) else (GOOD if holds else POOR)
+    facts = [
+        Fact("Limits", {GOOD: "hold", POOR: "exceeded"}.get(tone, NONE), "", tone),
+        Fact("Condition number", number(at(result, "condition_number"))),
+        Fact("Clearance", quantity(at(result, "clearance_m"), "m"), "to obstacles and itself"),
+        Fact("Duration", quantity(at(result, "duration"), "s")),
+    ]
+    return section(
+        "Trajectory check",
+        lead,
+        [
+            ("Key figures", [known_facts(facts)]),
+            ("Verdicts", [Notes(tuple(verdicts)) if verdicts else None]),
+            (
+                "Motion against limits",
+                [_limit_table(result), motion_figure(joint_names(result), result, series)],
+            ),
+            ("What the motion makes visible", [eigenvalue_figure(series)]),
+        ],
+    )
+
+
+def quality(rel_std: object) -> str:
+    """Tone of a relative standard deviation: below 5 % good, below 30 % fair, else poor."""
+    x = real(rel_std)
+    if x is None:
+        return PLAIN
+    return GOOD if abs(x) < 0.05 else FAIR if abs(x) < 0.3 else POOR
+
+
+def uncertain(row: Result) -> list[Cell | str]:
+    """Cells value, standard deviation and relative standard deviation of one estimate."""
+    value, std = value_and_std(at(row, "value"), at(row, "std"))
+    rel = at(row, "rel_std")
+    if rel is None and real(row, "std") is not None and real(row, "value"):
+        rel = abs(float(row["std"]) / float(row["value"]))
+    return [value, std, Cell(percent(rel), quality(rel))]

@@ -1,0 +1,220 @@
+"""Drawing with Matplotlib: one calm style, compact SVG that sits inside a page.
+
+Every panel is drawn at one width, so that its letters have the same size everywhere; the page
+lays panels side by side or one above the other. Colours are those of Okabe and Ito (2008),
+which the colour-blind can tell apart; each meaning keeps its colour through all reports.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import html
+import io
+import math
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, cast
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+from excitant.reports.model import Panel
+from excitant.reports.wording import number, power_of_ten
+from excitant.robots.motion import Array
+
+MEASURED, GIVEN, FITTED = "#4d4d4d", "#d55e00", "#0072b2"
+GREEN, PURPLE, AMBER, LIGHT = "#009e73", "#b0558f", "#e69f00", "#b9bdc2"
+
+WIDTH = 3.9  # inch: 281 pt, which a phone shows a little larger than drawn
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.6, 0.12, 0.1, 0.42  # inch
+_BINS = 200
+
+_STYLE: Any = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "excitant",
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "text.parse_math": False,
+    "text.usetex": False,
+    "text.color": "#222222",
+    "axes.labelcolor": "#444444",
+    "axes.labelsize": 9,
+    "axes.edgecolor": "#8a8f94",
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    "grid.color": "#e4e6e8",
+    "grid.linewidth": 0.6,
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "xtick.bottom": False,
+    "ytick.left": False,
+    "xtick.minor.bottom": False,
+    "ytick.minor.left": False,
+    "lines.solid_capstyle": "round",
+    "lines.linewidth": 1.1,
+    "savefig.transparent": True,
+}
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Matplotlib's own defaults under the report's style, whatever the user has configured."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        with mpl.rc_context(_STYLE):
+            yield
+
+
+def axes(height: float, ratios: Sequence[float] = (1,), left: float = _LEFT) -> list[Axes]:
+    """Axes one above the other with a common abscissa, margins in inches."""
+    figure = Figure(figsize=(WIDTH, height))
+    FigureCanvasSVG(figure)
+    grid = figure.subplots(
+        len(ratios),
+        1,
+        sharex=True,
+        squeeze=False,
+        gridspec_kw={
+            "height_ratios": list(ratios),
+            "left": left / WIDTH,
+            "right": 1 - _RIGHT / WIDTH,
+            "top": 1 - _TOP / height,
+            "bottom": _BOTTOM / height,
+            "hspace": 0.16,
+        },
+    )
+    found: list[Axes] = list(grid[:, 0])
+    for ax in found:
+        ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
+        ax.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
+        ax.yaxis.set_major_formatter(FuncFormatter(_tick))
+        ax.xaxis.set_major_formatter(FuncFormatter(_tick))
+    figure.align_ylabels(found)
+    return found
+
+
+def label_y(ax: Axes, words: str) -> None:
+    """Name the ordinate at a fixed distance, so that panels line up."""
+    ax.set_ylabel(words)
+    box = ax.get_position()
+    ax.yaxis.set_label_coords((0.13 / WIDTH - box.x0) / box.width, 0.5)
+
+
+def log_y(ax: Axes) -> None:
+    """Make the ordinate logarithmic, with powers of ten or plain numbers as labels."""
+    ax.set_yscale("log")
+    lower, upper = sorted(ax.get_ylim())
+    decades = math.log10(upper / lower) if lower > 0 else 1.0
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0,) if decades > 2 else (1.0, 2.0, 5.0)))
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.yaxis.set_major_formatter(FuncFormatter(_log_tick))
+
+
+def _tick(value: float, _position: int | None = None) -> str:
+    if abs(value) < 1e-12:
+        return "0"
+    return f"{value:.6g}".replace("-", "−") if 1e-3 <= abs(value) < 1e5 else number(value, 2)
+
+
+def _log_tick(value: float, _position: int | None = None) -> str:
+    exponent = round(math.log10(value)) if value > 0 else 0
+    if value > 0 and abs(exponent) > 3 and math.isclose(value, 10.0**exponent):
+        return power_of_ten(exponent)
+    return f"{value:g}"
+
+
+def panel(ax: Axes, label: str, title: str = "") -> Panel:
+    """The finished drawing that holds these axes."""
+    figure = cast(Figure, ax.get_figure(root=True))
+    for each in figure.axes:
+        for artist in (*each.lines, *each.patches, *each.collections):
+            artist.set_clip_on(False)
+    return Panel(_svg(figure, label), label, title)
+
+
+def _svg(figure: Figure, label: str) -> str:
+    """SVG element to be put into a page: no namespaces, unique ids, short coordinates."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", dpi=200, metadata={"Date": None, "Creator": None})
+    raw = buffer.getvalue()
+    drawing = raw[raw.index("<svg") :]
+    drawing = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", drawing, flags=re.DOTALL)
+    drawing = re.sub(
+        r' id="(?:figure|axes|patch|line2d|text|matplotlib|xtick|ytick)[^"]*"', "", drawing
+    )
+    drawing = re.sub(r"<[^>]*>", _shorten_tag, drawing).replace("xlink:href", "href")
+    mark = hashlib.sha1((label + drawing).encode(), usedforsecurity=False).hexdigest()[:8]
+    drawing = re.sub(r'(id="|href="#|url\(#)', rf"\1f{mark}", drawing)
+    drawing = re.sub(r">\s+<", "><", drawing)
+    box = drawing.split('viewBox="', 1)[1].split('"', 1)[0]
+    head = f'<svg role="img" aria-label="{html.escape(label)}" viewBox="{box}">'
+    return head + drawing[drawing.index(">") + 1 :].strip()
+
+
+def _shorten_tag(found: re.Match[str]) -> str:
+    tag = re.sub(r'd="[^"]*"', _shorten_path, found[0])
+    if tag.startswith("<image"):
+        return tag
+    return re.sub(r"-?\d+\.\d{3,}", lambda m: f"{float(m[0]):.2f}", tag)
+
+
+def _shorten_path(found: re.Match[str]) -> str:
+    path = re.sub(r"-?\d+\.\d+", lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), found[0])
+    path = " ".join(path.split())
+    return re.sub(r"(?<=\d) L (?=[-\d])", " ", path)
+
+
+def timeline(t: Array) -> tuple[Array, list[int]]:
+    """Time that only grows, and where recordings were joined.
+
+    Args:
+        t: Time, shape (n,) [s]; falls where the next recording begins.
+
+    Returns:
+        Time with each recording after the one before, and the first index of each later one.
+    """
+    step = np.diff(t)
+    joins = [int(k) + 1 for k in np.flatnonzero(step <= 0)]
+    usual = float(np.median(step[step > 0])) if (step > 0).any() else 1.0
+    step[step <= 0] = usual
+    start = t[0] if abs(t[0]) < 1e5 else 0.0
+    return start + np.concatenate([[0.0], np.cumsum(step)]), joins
+
+
+def thin(x: Array, y: Array, bins: int = _BINS) -> tuple[Array, Array]:
+    """A curve with fewer points that looks the same: each bin's least and greatest value.
+
+    Args:
+        x: Abscissa, shape (n,).
+        y: Ordinate, shape (n,); NaN breaks the curve.
+        bins: Bins; at most two points each remain.
+    """
+    if len(y) <= 2 * bins:
+        return x, y
+    size = -(-len(y) // bins)
+    padded = np.full(-(-len(y) // size) * size, np.nan)
+    padded[: len(y)] = y
+    rows = padded.reshape(-1, size)
+    first = size * np.arange(len(rows))
+    least = first + np.where(np.isnan(rows), np.inf, rows).argmin(axis=1)
+    greatest = first + np.where(np.isnan(rows), -np.inf, rows).argmax(axis=1)
+    keep = np.unique(np.concatenate([[0], least, greatest, [len(y) - 1]]))
+    return x[keep], y[keep]
+
+
+def draw_curve(ax: Axes, t: Array, joins: Sequence[int], y: Array, **look: Any) -> None:
+    """A curve over time, broken where recordings were joined."""
+    for first, last in zip([0, *joins], [*joins, len(t)], strict=True):
+        share = max(20, round(_BINS * (last - first) / len(t)))
+        ax.plot(*thin(t[first:last], y[first:last], share), **look)

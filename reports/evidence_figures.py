@@ -1,0 +1,89 @@
+"""What shows an effect: the residual against the quantity that tells it."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from excitant.reports.drawing import FITTED, LIGHT, MEASURED, axes, label_y, panel
+from excitant.reports.model import Figure, Key
+from excitant.reports.reading import Result, Series, curve, text
+from excitant.reports.wording import listing, number, plain
+from excitant.robots.motion import Array
+
+_POINTS = 2500
+_MEDIANS = 24
+_CURVE = 90
+
+
+def evidence_figure(
+    index: int, finding: Result, joints: list[str], series: Series, unit: str
+) -> Figure | None:
+    """Residual before an effect was added, in its telling domain, and the fitted effect."""
+    x, residual = curve(series, f"finding{index}_x"), curve(series, f"finding{index}_residual")
+    if x is None or residual is None or len(x) != len(residual):
+        return None
+    fit = curve(series, f"finding{index}_fit")
+    fit = fit if fit is not None and len(fit) == len(x) else None
+    seen = np.isfinite(x) & np.isfinite(residual)
+    if seen.sum() < 2:
+        return None
+    order = np.flatnonzero(seen)[np.argsort(x[seen], kind="stable")]
+    x, residual = x[order], residual[order]
+    (ax,) = axes(2.6)
+    _scatter(ax, x, residual)
+    legend = [Key("dot", LIGHT, "residual before"), Key("dot", MEASURED, "median in bins")]
+    if fit is not None:
+        ax.plot(*_along(x, fit[order], _CURVE), color=FITTED, lw=1.8)
+        legend.append(Key("line", FITTED, "fitted effect"))
+    if len(x) >= 4 * _MEDIANS:
+        centres, medians = _along(x, residual, _MEDIANS)
+        ax.plot(centres, medians, "o", ms=4, color=MEASURED, mec="white", mew=0.7)
+    else:
+        del legend[1]
+    _limits(ax, x, residual)
+    effect = plain(text(finding, "effect"))
+    x_label = text(finding, "figure", "x_label") or "telling quantity"
+    ax.set_xlabel(x_label)
+    label_y(ax, text(finding, "figure", "y_label") or f"residual [{unit}]")
+    joint = text(finding, "figure", "joint") or listing(joints, "all joints")
+    rms = number(np.sqrt(np.mean(residual**2)))
+    label = f"{joint}: residual (rms {rms} {unit}) against {x_label}, with the fitted {effect}"
+    caption = (
+        f"What the model leaves at {joint} before {effect} is added, against {x_label}: the blue "
+        f"curve is the fitted effect, and it should run through the medians."
+    )
+    return Figure((panel(ax, label, joint),), caption, tuple(legend))
+
+
+def _scatter(ax: Axes, x: Array, y: Array) -> None:
+    """Points as one small picture; thousands of them would make the page heavy."""
+    step = max(1, len(x) // _POINTS)
+    ax.scatter(x[::step], y[::step], s=5, c="#9aa0a6", alpha=0.35, lw=0, rasterized=True)
+
+
+def _along(x: Array, y: Array, bins: int) -> tuple[Array, Array]:
+    """Median of y in equal bins of the sorted abscissa; the points themselves when few."""
+    if len(x) <= 2 * bins or x[-1] <= x[0]:
+        return x, y
+    lower, upper = np.quantile(x, [0.002, 0.998])
+    if upper <= lower:
+        lower, upper = x[0], x[-1]
+    edges = np.searchsorted(x, np.linspace(lower, upper, bins + 1))
+    least = max(3, len(x) // (40 * bins))
+    pairs = [
+        (np.median(x[first:last]), np.nanmedian(y[first:last]))
+        for first, last in pairwise(edges)
+        if last - first >= least and np.isfinite(y[first:last]).any()
+    ]
+    centres, medians = np.array(pairs, dtype=float).reshape(-1, 2).T
+    return centres, medians
+
+
+def _limits(ax: Axes, x: Array, y: Array) -> None:
+    for values, setter in ((x, ax.set_xlim), (y, ax.set_ylim)):
+        lower, upper = float(values.min()), float(values.max())
+        margin = 0.04 * (upper - lower) or 1.0
+        setter(lower - margin, upper + margin)

@@ -1,0 +1,212 @@
+"""Section on identified parameters and how well they predict."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from excitant.reports.design_section import file_list, known_facts, uncertain
+from excitant.reports.model import (
+    GOOD,
+    PLAIN,
+    POOR,
+    Cell,
+    Fact,
+    Facts,
+    Figure,
+    Notes,
+    Section,
+    Table,
+    section,
+    table,
+)
+from excitant.reports.reading import (
+    Result,
+    Series,
+    at,
+    joint_names,
+    middle,
+    real,
+    records,
+    text,
+    words,
+)
+from excitant.reports.torque_figures import (
+    Change,
+    Curves,
+    error_bars,
+    over_holdout,
+    torque_figure,
+)
+from excitant.reports.wording import NONE, listing, number, percent, plain, quantity
+
+_CURVES = Curves(
+    "given",
+    "model as given",
+    "identified",
+    "identified model",
+    "Measured torque and the models' prediction over the hold-out, below it what each model "
+    "leaves: a blue residual without shape is noise, one with shape is something the model lacks.",
+)
+
+
+def identify_section(result: Result, series: Series) -> Section:
+    """The identified model: errors before and after, and each parameter with its uncertainty."""
+    joints, unit = joint_names(result), text(result, "unit") or "N·m"
+    notes = words(result, "notes")
+    return section(
+        "Identification",
+        _lead(result),
+        [
+            ("Key figures", [_facts(result), Notes(tuple(notes)) if notes else None]),
+            ("Error per joint", [_bars(result, unit), _joint_table(result, unit)]),
+            (over_holdout(unit), [torque_figure(joints, series, unit, _CURVES)]),
+            ("Base parameters", [_base_table(result)]),
+            ("Standard parameters", [_parameter_table(result)]),
+            ("Physical consistency", [_physical(result)]),
+            ("Files", [file_list(result)]),
+        ],
+    )
+
+
+def _bars(result: Result, unit: str) -> Figure | None:
+    rows = records(result, "joints")
+    held_out = any(at(row, "validate") is not None for row in rows)
+    after = "validate" if held_out else "train"
+    changes = [
+        Change(
+            text(row, "name"),
+            real(row, "baseline", "rms"),
+            real(row, after, "rms"),
+            real(row, "baseline", "nrmse"),
+            real(row, after, "nrmse"),
+        )
+        for row in rows
+    ]
+    return error_bars(
+        changes,
+        unit,
+        ("model as given", "identified model"),
+        f"Prediction error per joint on the {'hold-out' if held_out else 'fitted data'}, as a "
+        "share of the measured torque's standard deviation so that joints compare; beside each bar "
+        f"the rms [{unit}]: shorter is better.",
+    )
+
+
+def _lead(result: Result) -> str:
+    rows = records(result, "joints")
+    before, after = (middle(rows, key, "nrmse") for key in ("baseline", "validate"))
+    where = "on the hold-out"
+    if after is None:
+        after, where = middle(rows, "train", "nrmse"), "on the fitted data (nothing was held out)"
+    subject = f"The identified model of {text(result, 'robot') or 'the arm'}"
+    if after is None:
+        return f"{subject} is described below."
+    change = "" if before is None else f" instead of {percent(before)} with the model as given"
+    held = text(result, "holdout").rstrip(".")
+    return (
+        f"{subject} misses {percent(after)} of the measured torque {where}{change} "
+        f"(rms over standard deviation, median over joints).{f' {held}.' if held else ''}"
+    )
+
+
+def _facts(result: Result) -> Facts | None:
+    consistent = at(result, "physical", "consistent")
+    physical = (
+        {True: "yes", False: "no"}.get(consistent, NONE) if isinstance(consistent, bool) else NONE
+    )
+    tone = {"yes": GOOD, "no": POOR}.get(physical, PLAIN)
+    effects = [plain(effect) for effect in words(result, "effects")]
+    count = len(records(result, "base_parameters"))
+    return known_facts(
+        [
+            Fact("Estimator", plain(text(result, "estimator"))),
+            Fact("Effects", listing(effects), "besides the links' inertia"),
+            Fact("Cut-off", quantity(at(result, "cutoff_hz"), "Hz"), "measured and model alike"),
+            Fact("Base parameters", str(count) if count else NONE, "all that torque can show"),
+            Fact("Physically consistent", physical, "every link a body that can exist", tone),
+        ]
+    )
+
+
+def _joint_table(result: Result, unit: str) -> Table | None:
+    rows: list[list[Cell | str]] = [
+        [
+            text(row, "name"),
+            number(at(row, "baseline", "rms")),
+            number(at(row, "train", "rms")),
+            number(at(row, "validate", "rms")),
+            number(at(row, "validate", "rms_raw")),
+            percent(at(row, "validate", "nrmse")),
+            number(at(row, "validate", "r2"), 4),
+        ]
+        for row in records(result, "joints")
+    ]
+    if not rows:
+        return None
+    cutoff = real(result, "cutoff_hz")
+    same = "" if cutoff is None else f" after the same filter ({quantity(cutoff, 'Hz')})"
+    return table(
+        f"name:Joint | number:Given, rms [{unit}] | number:Fitted data, rms [{unit}] | "
+        f"number:Hold-out, rms [{unit}] | number:Hold-out, rms unfiltered [{unit}] | "
+        "number:Hold-out, nrmse | number:Hold-out, r²",
+        rows,
+        f"Error of the prediction{same}; nrmse is rms over the measured torque's std.",
+    )
+
+
+def _base_table(result: Result) -> Table | None:
+    rows: list[list[Cell | str]] = [
+        [text(row, "expression"), *uncertain(row), text(row, "unit")]
+        for row in records(result, "base_parameters")
+    ]
+    if not rows:
+        return None
+    si = "" if any(row[-1] for row in rows) else " (SI)"
+    columns = f"expression:Base parameter | number:Value{si} | number:Std{si} | number:Relative std"
+    return table(
+        columns + ("" if si else " | name:Unit"),
+        [row[:-1] for row in rows] if si else rows,
+        "The combinations of parameters that the torque depends on. Relative standard deviation: "
+        "● below 5\u00a0%, ◐ below 30\u00a0%, ○ above; near zero it is large by nature.",
+        f"All {len(rows)} base parameters" if len(rows) > 12 else "",
+    )
+
+
+def _parameter_table(result: Result) -> Table | None:
+    found = records(result, "parameters")
+    if not found:
+        return None
+    counts = Counter(plain(text(row, "category")) for row in found if text(row, "category"))
+    rows: list[list[Cell | str]] = [
+        [
+            text(row, "name").removeprefix(f"{text(row, 'link')}."),
+            text(row, "link") or NONE,
+            *uncertain(row),
+            text(row, "unit") or NONE,
+            number(at(row, "prior"), 4),
+            plain(text(row, "category")) or NONE,
+            "prior" if at(row, "prior_dominated") is True else "data",
+        ]
+        for row in found
+    ]
+    return table(
+        "name:Parameter | name:Link | number:Value | number:Std | number:Relative std | "
+        "name:Unit | number:Before | text:Category | text:Value comes from",
+        rows,
+        "Values that come from the prior are those the data leave open: they complete the model, "
+        "but were not measured.",
+        f"All {len(rows)} parameters: "
+        + (", ".join(f"{n} {category}" for category, n in counts.items()) or "values"),
+    )
+
+
+def _physical(result: Result) -> Notes | None:
+    violations = words(result, "physical", "violations")
+    if violations:
+        return Notes(tuple(violations), POOR)
+    if at(result, "physical", "consistent") is True:
+        sentence = (
+            "Every link has positive mass and an inertia that a body of positive density has."
+        )
+        return Notes((sentence,), GOOD)
+    return None

@@ -1,0 +1,217 @@
+"""Run directories: a result saved whole or not at all, and read back."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import secrets
+import zipfile
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from excitant.exceptions import BadInput
+from excitant.reports.html import render
+from excitant.reports.summary import summarize
+from excitant.robots.motion import Array
+
+RESULT, SERIES, SUMMARY, REPORT = "result.json", "series.npz", "summary.txt", "report.html"
+
+_LONG = 1000  # values; longer arrays are saved in single precision where that loses nothing
+_SINGLE = 1e-6  # of an array's range: error allowed to single precision
+
+
+def save_run(
+    directory: str | Path,
+    result: Mapping[str, Any],
+    series: Mapping[str, Array],
+    files: Mapping[str, str | bytes] | None = None,
+) -> list[Path]:
+    """Write a run directory with its report.
+
+    Everything is rendered and written beside its final name first, then moved into place,
+    ``result.json`` last. On failure no file is left half-written, and a directory made here is
+    removed again.
+
+    Args:
+        directory: Where to write; made when missing.
+        result: JSON-like; NumPy numbers and arrays are converted, NaN and infinity become null.
+        series: Numeric arrays by key.
+        files: Further artefacts, content by name relative to the directory.
+
+    Returns:
+        The paths written, artefacts first.
+
+    Raises:
+        BadInput: A name or value cannot be saved, or the directory cannot be written.
+    """
+    directory = Path(directory)
+    contents = {name: _encoded(data) for name, data in (files or {}).items()}
+    for name in contents:
+        _refuse_name(name)
+    encoded, packed = _dump(result), _pack(series)
+    read, arrays = json.loads(encoded), _unpack(packed)
+    contents[SERIES] = packed
+    contents[SUMMARY] = summarize(read).encode()
+    contents[REPORT] = render(read, arrays).encode()
+    contents[RESULT] = encoded
+    try:
+        return _write_all(directory, contents)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise BadInput(f"{directory}: cannot be written: {why}; choose another folder") from error
+
+
+def load_run(directory: str | Path) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Result and series of a run directory.
+
+    Raises:
+        BadInput: A file is missing or corrupt.
+    """
+    directory = Path(directory)
+    if not directory.is_dir():
+        raise BadInput(f"{directory}: no such folder; give the folder that a run was written to")
+    try:
+        result = json.loads(_content(directory / RESULT))
+    except ValueError as error:
+        raise BadInput(f"{directory / RESULT}: not JSON ({error}); run the command again") from None
+    if not isinstance(result, dict) or not isinstance(result.get("verb"), str):
+        raise BadInput(f"{directory / RESULT}: not a result of excitant: 'verb' is missing")
+    try:
+        series = _unpack(_content(directory / SERIES))
+    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        raise BadInput(
+            f"{directory / SERIES}: not an archive of arrays ({error}); run the command again"
+        ) from None
+    return result, series
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise BadInput(f"{path}: missing; the run is incomplete, run the command again") from None
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _encoded(data: str | bytes) -> bytes:
+    return data.encode() if isinstance(data, str) else bytes(data)
+
+
+def _refuse_name(name: str) -> None:
+    path = PurePosixPath(name)
+    inside = name and not path.is_absolute() and ".." not in path.parts and "\\" not in name
+    if not inside or path.parts == ():
+        raise BadInput(f"artefact '{name}': its name must stay inside the run's folder")
+    if str(path) in (RESULT, SERIES, SUMMARY, REPORT):
+        raise BadInput(f"artefact '{name}': this name is taken by the run itself")
+
+
+def _dump(result: Mapping[str, Any]) -> bytes:
+    text = json.dumps(_plain(result, "result"), indent=1, ensure_ascii=False, allow_nan=False)
+    return (text + "\n").encode()
+
+
+def _plain(value: Any, where: str) -> Any:
+    """The value in JSON's own types; what is not finite becomes None."""
+    if value is None or isinstance(value, bool):
+        return value
+    if isinstance(value, str | Path):
+        return str(value).encode(errors="replace").decode()
+    if isinstance(value, np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist(), where)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item, f"{where}.{key}") for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item, f"{where}[{k}]") for k, item in enumerate(value)]
+    raise BadInput(f"{where}: a {type(value).__name__} cannot be saved as JSON")
+
+
+def _pack(series: Mapping[str, Array]) -> bytes:
+    arrays = {}
+    for key, values in series.items():
+        array = np.asarray(values)
+        if array.dtype.kind not in "biuf":
+            raise BadInput(f"series '{key}': {array.dtype} cannot be saved, only numbers")
+        arrays[key] = _single(array)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    return buffer.getvalue()
+
+
+def _single(array: Any) -> Any:
+    """The array in single precision where its range shows no difference."""
+    if array.dtype != np.float64 or array.size < _LONG:
+        return array
+    finite = array[np.isfinite(array)]
+    if not finite.size or np.abs(finite).max() > np.finfo(np.float32).max:
+        return array
+    error = np.abs(finite - finite.astype(np.float32)).max()
+    return array.astype(np.float32) if error <= _SINGLE * np.ptp(finite) else array
+
+
+def _unpack(packed: bytes) -> dict[str, Array]:
+    archive = np.load(io.BytesIO(packed), allow_pickle=False)
+    if not isinstance(archive, np.lib.npyio.NpzFile):
+        raise ValueError("a single array")
+    with archive:
+        return {key: np.asarray(archive[key]) for key in archive.files}
+
+
+def _write_all(directory: Path, contents: Mapping[str, bytes]) -> list[Path]:
+    made: list[Path] = []
+    staged: list[tuple[Path, Path]] = []
+    fresh = not directory.exists()
+    try:
+        for name, data in contents.items():
+            path = directory / name
+            _make(path.parent, made)
+            staged.append((_stage(path, data), path))
+        for temporary, path in staged:
+            os.replace(temporary, path)
+    except BaseException:
+        for temporary, path in staged:
+            temporary.unlink(missing_ok=True)
+            if fresh:
+                path.unlink(missing_ok=True)
+        for folder in reversed(made):
+            with suppress(OSError):
+                folder.rmdir()
+        raise
+    return [path for _, path in staged]
+
+
+def _make(folder: Path, made: list[Path]) -> None:
+    missing = []
+    while not folder.exists():
+        missing.append(folder)
+        folder = folder.parent
+    for each in reversed(missing):
+        each.mkdir()
+        made.append(each)
+
+
+def _stage(path: Path, data: bytes) -> Path:
+    """The content on disk under a temporary name beside its final one."""
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    try:
+        with temporary.open("xb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    return temporary

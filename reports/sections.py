@@ -1,0 +1,119 @@
+"""From a saved result to a page: which sections it has, and what comes first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from excitant.exceptions import BadInput
+from excitant.reports.analyze_section import analyze_section
+from excitant.reports.design_section import check_section, design_section, known_facts
+from excitant.reports.diagnose_section import diagnose_section
+from excitant.reports.identify_section import identify_section
+from excitant.reports.model import GOOD, POOR, Block, Fact, Notes, Page, Section
+from excitant.reports.reading import Result, Series, at, middle, part, real, records, text, words
+from excitant.reports.wording import NONE, listing, number, percent, plain, quantity
+
+SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
+    "design": design_section,
+    "check": check_section,
+    "identify": identify_section,
+    "analyze": analyze_section,
+    "diagnose": diagnose_section,
+}
+VERBS = (*SECTIONS, "demo")
+
+
+def build_page(result: Result, series: Series) -> Page:
+    """The page of a result.
+
+    Raises:
+        BadInput: The result's ``verb`` is none that has a report.
+    """
+    verb = text(result, "verb")
+    if verb not in VERBS:
+        raise BadInput(f"result.json: verb '{verb}' has no report; known: {', '.join(VERBS)}")
+    robot = text(result, "robot")
+    if verb == "demo":
+        return _demo_page(result, series, robot)
+    only = SECTIONS[verb](result, series)
+    return Page(f"{only.title}: {robot}" if robot else only.title, only.lead, (), (only,))
+
+
+def _demo_page(result: Result, series: Series, robot: str) -> Page:
+    sections = tuple(
+        build({"robot": robot, **at(result, verb)}, part(series, verb))
+        for verb, build in SECTIONS.items()
+        if isinstance(at(result, verb), dict)
+    )
+    seed = text(result, "seed")
+    return Page(
+        f"Demonstration: {robot}" if robot else "Demonstration",
+        "A virtual arm hides an effect from its model. A motion was designed for the model, run on "
+        "the arm, the model identified, what can be known analysed, and what it still gets wrong "
+        "diagnosed" + (f" (seed {seed})." if seed else "."),
+        tuple(_demo_summary(result)),
+        sections,
+    )
+
+
+def _demo_summary(result: Result) -> list[Block]:
+    diagnosis = at(result, "diagnose")
+    headline = text(diagnosis, "headline")
+    facts = known_facts([_hidden(result), _verdict(result), _holdout(result), _condition(result)])
+    blocks: list[Block] = [Notes((headline,), "lead")] if headline else []
+    return blocks if facts is None else [*blocks, facts]
+
+
+def _hidden(result: Result) -> Fact:
+    effect, joint = text(result, "truth", "effect"), text(result, "truth", "joint")
+    values = at(result, "truth", "parameters")
+    remark = ""
+    if isinstance(values, dict):
+        remark = ", ".join(
+            f"{name} = {value if isinstance(value, str) else number(value)}"
+            for name, value in values.items()
+            if isinstance(value, str) or real(value) is not None
+        )
+    where = f" at {joint}" if joint else ""
+    return Fact("Hidden effect", f"{plain(effect)}{where}" if effect else NONE, remark)
+
+
+def _verdict(result: Result) -> Fact:
+    correct = at(result, "verdict", "correct")
+    effect, joints = text(result, "verdict", "effect"), words(result, "verdict", "joints")
+    named = f"{plain(effect)} at {listing(joints)}" if joints else plain(effect)
+    if correct is True:
+        return Fact("Named by the diagnosis", "✓ yes", named, GOOD)
+    if correct is False:
+        return Fact("Named by the diagnosis", "✗ no", named or "nothing was named", POOR)
+    return Fact("Named by the diagnosis", NONE)
+
+
+def _holdout(result: Result) -> Fact:
+    diagnosis, joint = at(result, "diagnose"), text(result, "truth", "joint")
+    unit = text(diagnosis, "unit") or "N·m"
+    rms = [
+        next(
+            (real(r, "rms") for r in records(diagnosis, m, "joints") if text(r, "name") == joint),
+            None,
+        )
+        for m in ("simulation", "extended")
+    ]
+    if rms[0] is not None and rms[1] is not None:
+        change = f"{number(rms[0])} → {quantity(rms[1], unit)}"
+        return Fact("Hold-out error, before → after", change, f"rms at {joint}")
+    before, after = (
+        middle(records(diagnosis, m, "joints"), "nrmse") for m in ("simulation", "extended")
+    )
+    if before is None or after is None:
+        return Fact("Hold-out error, before → after", NONE)
+    change = f"{percent(before)} → {percent(after)}"
+    return Fact("Hold-out error, before → after", change, "nrmse, median over joints")
+
+
+def _condition(result: Result) -> Fact:
+    initial, final = (at(result, "design", "condition_number", key) for key in ("initial", "final"))
+    if real(final) is None:
+        return Fact("Condition number", NONE)
+    change = number(final) if real(initial) is None else f"{number(initial)} → {number(final)}"
+    return Fact("Condition number", change, "of the designed motion")

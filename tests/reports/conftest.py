@@ -1,0 +1,406 @@
+"""Made-up runs of every verb on a seven-joint arm, with the nulls and long names of real ones."""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from excitant.reports import render
+
+JOINTS = [
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "upper_arm_roll_joint",
+    "elbow_joint",
+    "right_arm_forearm_roll_actuator_joint_with_a_very_long_name",
+    "wrist_flex_joint",
+    "wrist_roll_joint",
+]
+LINKS = [f"{joint.removesuffix('_joint')}_link" for joint in JOINTS]
+STANDARD = ["m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz"]
+SIZE = np.array([40.0, 85.0, 22.0, 30.0, 4.0, 3.0, 0.6])
+
+Run = tuple[dict[str, Any], dict[str, np.ndarray]]
+
+
+def _motion(n: int, duration: float, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    t = np.linspace(0, duration, n)
+    w = 2 * np.pi / duration * np.arange(1, 6)
+    a, b = rng.normal(size=(2, 5, 7)) / np.arange(1, 6)[:, None]
+    s, c = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
+    q = s @ a + c @ b
+    dq = (c * w) @ a - (s * w) @ b
+    ddq = -(s * w**2) @ a - (c * w**2) @ b
+    return t, q, dq, ddq
+
+
+def _expression(rng: np.random.Generator, link: int, terms: int) -> str:
+    text = f"{LINKS[link]}.{STANDARD[int(rng.integers(10))]}"
+    for _ in range(terms):
+        sign = "+" if rng.random() < 0.6 else "−"
+        other = f"{LINKS[int(rng.integers(link, 7))]}.{STANDARD[int(rng.integers(10))]}"
+        text += f" {sign} {rng.random():.5g}·{other}"
+    return text
+
+
+def _accuracy(rms: float, scale: float, raw: bool = False) -> dict[str, Any]:
+    nrmse = rms / scale
+    found = {"rms": rms, "nrmse": nrmse, "r2": 1 - nrmse**2}
+    return {**found, "rms_raw": rms * 1.4} if raw else found
+
+
+def design_run() -> Run:
+    rng = np.random.default_rng(1)
+    t, q, dq, ddq = _motion(2001, 10.0, rng)
+    tau = SIZE * (0.5 * np.sin(q) + 0.05 * ddq) + 0.1 * SIZE * np.sign(dq)
+    ratios = {"position": 0.9998, "velocity": 1.0, "acceleration": 0.734, "torque": None}
+    starts = [
+        {
+            "start": k,
+            "condition_number": 9.31 + 0.7 * k**1.5,
+            "status": "converged" if k < 6 else "stopped: time limit",
+            "iterations": 40 + 7 * k,
+            "history": [*(9.31 + 0.7 * k**1.5 + 160 * np.exp(-np.arange(39) / (4 + k))), None],
+        }
+        for k in range(8)
+    ]
+    result = {
+        "verb": "design",
+        "robot": "seven_joint_arm",
+        "joints": JOINTS,
+        "duration": 10.0,
+        "harmonics": 5,
+        "columns": "friction",
+        "base_parameters": 57,
+        "criterion": "condition",
+        "condition_number": {"initial": 171.2, "final": 9.31, "lower_bound": 6.02},
+        "limits": ratios,
+        "limit_values": {
+            "position": [[-1.02 * abs(q[:, j]).max(), 1.02 * abs(q[:, j]).max()] for j in range(7)],
+            "velocity": (abs(dq).max(0) * 1.0).tolist(),
+            "acceleration": [*(abs(ddq).max(0) * 1.3)[:6].tolist(), None],
+            "torque": None,
+        },
+        "worst": {
+            "position": {"joint": JOINTS[4], "t": 3.21},
+            "velocity": {"joint": "elbow_joint", "t": 7.77},
+            "acceleration": {"joint": 2, "t": None},
+            "torque": None,
+        },
+        "clearance_m": 0.043,
+        "starts": starts,
+        "iterations": 412,
+        "wall_s": 23.4,
+        "files": ["trajectory.csv", "trajectory.json", "approach.csv", "return.csv"],
+    }
+    values = np.sort(10 ** rng.uniform(-4.2, 0, 57))[::-1]
+    series = {
+        "t": t,
+        "q": q,
+        "dq": dq,
+        "ddq": ddq,
+        "tau": tau,
+        "eigenvalues_initial": values,
+        "eigenvalues_final": np.sort(10 ** rng.uniform(-1.9, 0, 57))[::-1],
+    }
+    return result, series
+
+
+def _holdout(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    t, q, dq, ddq = _motion(3000, 12.0, rng)
+    clean = SIZE * (0.5 * np.sin(q) + 0.05 * ddq)
+    friction = SIZE * (0.12 * np.tanh(dq / 0.02) + 0.05 * dq)
+    measured = clean + friction + 0.02 * SIZE * rng.normal(size=q.shape)
+    given = 0.85 * clean
+    t = np.concatenate([14 + t[:1500], 30 + t[1500:] - t[1500] - 16])  # two recordings joined
+    return t, dq, measured, given, clean + 0.98 * friction
+
+
+def identify_run() -> Run:
+    rng = np.random.default_rng(2)
+    t, _, measured, given, identified = _holdout(rng)
+    scale, before, after = (
+        measured.std(0),
+        (measured - given).std(0),
+        (measured - identified).std(0),
+    )
+    given = given.copy()
+    given[:, 6] = np.nan
+    joints = [
+        {
+            "name": name,
+            "train": _accuracy(0.95 * after[j], scale[j], raw=True),
+            "validate": None if j == 5 else _accuracy(after[j], scale[j], raw=True),
+            "baseline": None if j == 6 else _accuracy(before[j] * (60 if j == 4 else 1), scale[j]),
+        }
+        for j, name in enumerate(JOINTS)
+    ]
+    categories = ["unique", "combined", "unidentifiable"]
+    parameters = []
+    for j, link in enumerate(LINKS):
+        for k, symbol in enumerate(STANDARD):
+            category = categories[int(rng.integers(3))]
+            parameters.append(
+                {
+                    "name": f"{link}.{symbol}",
+                    "link": link,
+                    "value": float(rng.normal() * 10 ** rng.uniform(-5, 1)),
+                    "std": None
+                    if category == "unidentifiable"
+                    else float(10 ** rng.uniform(-5, 0)),
+                    "unit": "kg" if k == 0 else "kg·m" if k < 4 else "kg·m²",
+                    "category": category,
+                    "prior": None if j == 3 else float(rng.normal()),
+                    "prior_dominated": category != "unique",
+                }
+            )
+    base = []
+    for k in range(57):
+        value, std = float(rng.normal()), float(10 ** rng.uniform(-4, -0.3))
+        base.append(
+            {
+                "expression": _expression(rng, k % 7, 25 if k == 3 else int(rng.integers(6))),
+                "value": value,
+                "std": None if k == 9 else std,
+                "rel_std": None if k == 9 else abs(std / value),
+            }
+        )
+    result = {
+        "verb": "identify",
+        "robot": "seven_joint_arm",
+        "estimator": "physical",
+        "effects": ["viscous_friction", "coulomb_friction", "torque_offset"],
+        "cutoff_hz": 12.5,
+        "unit": "N·m",
+        "holdout": "The last 30 % of each of 2 recordings was held out.",
+        "joints": joints,
+        "parameters": parameters,
+        "base_parameters": base,
+        "physical": {"consistent": True, "violations": []},
+        "notes": ["wrist_flex_joint moved too little in the hold-out to be judged there.", None],
+        "files": ["identified.urdf", "identified.xml", "model.yaml"],
+    }
+    return result, {"t": t, "measured": measured, "given": given, "identified": identified}
+
+
+def analyze_run() -> Run:
+    rng = np.random.default_rng(3)
+    links = []
+    for j, (link, joint) in enumerate(zip(LINKS, JOINTS, strict=True)):
+        names = [f"{link}.{symbol}" for symbol in STANDARD]
+        unique, combined, none = names[:0], names[9:], names[:9]
+        if j:
+            unique, combined, none = names[5:6] + names[7:9], names[:5] + names[9:], names[6:7]
+        groups = [
+            {"expression": _expression(rng, j, 24 if i == 1 else 4), "members": combined}
+            for i in range(3)
+        ]
+        links.append(
+            {
+                "link": link,
+                "joint": None if j == 6 else joint,
+                "unique": unique,
+                "combined": groups,
+                "unidentifiable": none,
+            }
+        )
+    practical = [
+        {
+            "name": _expression(rng, k % 7, k % 4),
+            "std": float(10 ** rng.uniform(-4, 0)),
+            "rel_std": None if k == 4 else float(10 ** rng.uniform(-3, 1.5)),
+            "verdict": ["good", "fair", "poor"][k % 3],
+        }
+        for k in range(57)
+    ]
+    result = {
+        "verb": "analyze",
+        "robot": "seven_joint_arm",
+        "standard_parameters": 70,
+        "base_parameters": 43,
+        "links": links,
+        "condition_number": 31.4159,
+        "practical": practical,
+    }
+    return result, {"singular_values": np.sort(10 ** rng.uniform(-2, 1, 43))[::-1]}
+
+
+def _findings() -> list[dict[str, Any]]:
+    first = {
+        "effect": "stribeck_friction",
+        "joints": ["elbow_joint"],
+        "parameters": [
+            {"name": "elbow_joint.stribeck", "value": 4.8123, "std": 0.0312, "unit": "N·m"},
+            {
+                "name": "elbow_joint.stribeck_velocity",
+                "value": 0.0712,
+                "std": None,
+                "unit": "rad/s",
+            },
+        ],
+        "explained": 0.731,
+        "holdout": {"rms_before": 4.62, "rms_after": 1.31},
+        "verdict": "named",
+        "rivals": [],
+        "figure": {
+            "x_label": "velocity of elbow_joint [rad/s]",
+            "y_label": "residual [N·m]",
+            "joint": "elbow_joint",
+        },
+    }
+    second = {
+        "effect": "inertial_parameters",
+        "joints": [JOINTS[4], "wrist_flex_joint"],
+        "parameters": [
+            {"name": f"{LINKS[4]}.{s}", "value": 0.001234 * k, "std": 1e-5, "unit": "kg·m²"}
+            for k, s in enumerate(STANDARD)
+        ],
+        "explained": 0.112,
+        "holdout": {"rms_before": 1.31, "rms_after": 1.18},
+        "verdict": "undecided",
+        "rivals": [
+            {
+                "effect": "payload",
+                "joints": [JOINTS[6]],
+                "why": "A mass at the flange makes the torque of a heavier wrist link.",
+                "experiment": "Move wrist_flex_joint through ±1.5 rad at 0.2 rad/s, first with the "
+                "forearm level, then upright.",
+            },
+            {"effect": "rotor_inertia", "joints": None, "why": None, "experiment": None},
+        ],
+        "figure": None,
+    }
+    third = {"effect": "unknown", "joints": None, "parameters": None, "explained": None}
+    return [first, second, third]
+
+
+def diagnose_run() -> Run:
+    rng = np.random.default_rng(4)
+    t, dq, measured, given, extended = _holdout(rng)
+    scale, before, after = measured.std(0), (measured - given).std(0), (measured - extended).std(0)
+    stribeck = 6 * np.sign(dq[:, 3]) * np.exp(-np.abs(dq[:, 3]) / 0.3) + 3 * np.sign(dq[:, 3])
+    result = {
+        "verb": "diagnose",
+        "headline": "elbow_joint has Stribeck friction that the model lacks; the inertia of the "
+        "forearm is probably wrong too.",
+        "robot": "seven_joint_arm",
+        "unit": "N·m",
+        "cutoff_hz": 12.5,
+        "simulation": {
+            "joints": [{"name": n, **_accuracy(before[j], scale[j])} for j, n in enumerate(JOINTS)]
+        },
+        "faults": [
+            {"fault": "saturation", "joints": ["elbow_joint"], "detail": "41 samples at ±87 N·m"},
+            {"fault": "duplicate_samples", "joints": None, "detail": None},
+        ],
+        "findings": _findings(),
+        "unexplained": [
+            {"joint": "wrist_roll_joint", "share": 0.021, "structure": "periodic in motor angle"},
+            {"joint": "elbow_joint", "share": None, "structure": None},
+        ],
+        "extended": {
+            "joints": [{"name": n, **_accuracy(after[j], scale[j])} for j, n in enumerate(JOINTS)],
+            "files": ["extended.urdf", "extended.yaml"],
+        },
+        "waterfall": [
+            {"label": "as given", "rms": 4.62},
+            {"label": "+ stribeck_friction at elbow_joint", "rms": 1.31},
+            {"label": f"+ inertial_parameters at {JOINTS[4]}, wrist_flex_joint", "rms": 1.18},
+            {"label": "+ unknown", "rms": None},
+        ],
+        "notes": ["Velocities below 0.05 rad/s are rare: presliding was not judged."],
+    }
+    series = {
+        "t": t,
+        "measured": measured,
+        "simulated": given,
+        "extended": extended,
+        "finding0_x": dq[:, 3],
+        "finding0_residual": stribeck + rng.normal(size=len(t)),
+        "finding0_fit": stribeck,
+        "finding1_x": np.cumsum(rng.normal(size=len(t))),
+        "finding1_residual": rng.normal(size=len(t)),
+        "finding1_fit": 0.2 * rng.normal(size=len(t)),
+    }
+    return result, series
+
+
+def check_run() -> Run:
+    _, series = design_run()
+    designed, _ = design_run()
+    result = {
+        "verb": "check",
+        "robot": "seven_joint_arm",
+        "trajectory": "somebody/trajectory.csv",
+        "joints": JOINTS,
+        "limits": {"position": 0.81, "velocity": 1.31, "acceleration": None, "torque": 0.5},
+        "worst": {"velocity": {"joint": "elbow_joint", "t": 2.5}},
+        "limit_values": designed["limit_values"],
+        "condition_number": None,
+        "holds": False,
+        "verdicts": [
+            "velocity of elbow_joint reaches 131 % of its limit at 2.5 s: slow down by 1.31.",
+            "all other limits hold.",
+        ],
+    }
+    return result, {key: series[key] for key in ("t", "q", "dq", "ddq")}
+
+
+def demo_run() -> Run:
+    parts = {
+        "design": design_run(),
+        "identify": identify_run(),
+        "analyze": analyze_run(),
+        "diagnose": diagnose_run(),
+    }
+    result: dict[str, Any] = {
+        "verb": "demo",
+        "robot": "seven_joint_arm",
+        "seed": 7,
+        "truth": {
+            "effect": "stribeck_friction",
+            "joint": "elbow_joint",
+            "parameters": {"level_Nm": 5.0, "velocity_rad_s": 0.07},
+        },
+        "verdict": {"effect": "stribeck_friction", "joints": ["elbow_joint"], "correct": True},
+    }
+    series = {}
+    for verb, (content, arrays) in parts.items():
+        result[verb] = {key: value for key, value in content.items() if key != "verb"}
+        series |= {f"{verb}/{key}": values for key, values in arrays.items()}
+    return result, series
+
+
+BUILDERS: dict[str, Callable[[], Run]] = {
+    "design": design_run,
+    "check": check_run,
+    "identify": identify_run,
+    "analyze": analyze_run,
+    "diagnose": diagnose_run,
+    "demo": demo_run,
+}
+
+
+@pytest.fixture(params=list(BUILDERS))
+def run(request: pytest.FixtureRequest) -> Run:
+    """A run of each verb."""
+    return BUILDERS[request.param]()
+
+
+@cache
+def _page(verb: str) -> str:
+    return render(*BUILDERS[verb]())
+
+
+@pytest.fixture(params=list(BUILDERS))
+def page(request: pytest.FixtureRequest) -> str:
+    """The page of each verb."""
+    return _page(request.param)
+
+
+@pytest.fixture
+def make() -> dict[str, Callable[[], Run]]:
+    """How to make a run, by verb."""
+    return BUILDERS

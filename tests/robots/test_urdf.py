@@ -1,0 +1,223 @@
+"""Reading robots, refusing what is none, and writing inertias back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from excitant.exceptions import BadInput, BadRobot, ExcitantError, UnknownName
+from excitant.robots import Motion, Robot, builtin_robots, load_robot, rigid_body_torque, torque
+from excitant.robots.urdf import robot_from_urdf, urdf_with_parameters
+
+States = Callable[[Robot, int, int], Motion]
+Bodies = Callable[[int, int], np.ndarray]
+
+LOCKS = {
+    "panda": {"panda_joint3": 0.4, "panda_joint7": -1.0},
+    "ur10": {"shoulder_pan_joint": 0.3, "wrist_2_joint": -1.2},
+    "planar_2r": {"joint1": 0.5},
+    "gantry": {"swing": 0.7},
+}
+
+
+def same_torque(left: Robot, right: Robot, motion: Motion, relative: float) -> bool:
+    tau = rigid_body_torque(left, motion)
+    difference = np.abs(tau - rigid_body_torque(right, motion)).max()
+    return bool(difference <= relative * np.abs(tau).max())
+
+
+@given(seed=st.integers(0, 2**32 - 1), lock=st.booleans())
+def test_written_parameters_reload_to_the_same_torque(
+    arm: Robot, random_states: States, random_bodies: Bodies, seed: int, lock: bool
+) -> None:
+    held = LOCKS[arm.name] if lock else {}
+    robot = robot_from_urdf(arm.urdf, source="given", lock=held)
+    phi = random_bodies(seed, robot.nv)
+    written = urdf_with_parameters(robot, phi)
+    again = robot_from_urdf(written, source="written", lock=held)
+    assert again.joints == robot.joints
+    motion = random_states(robot, seed, 5)
+    assert same_torque(robot.with_parameters(phi), again, motion, 1e-9)
+
+
+def test_writing_what_was_read_changes_nothing(arm: Robot, random_states: States) -> None:
+    again = robot_from_urdf(urdf_with_parameters(arm, arm.phi), source="written")
+    assert same_torque(arm, again, random_states(arm, 0, 20), 1e-9)
+
+
+def test_locked_joint_carries_its_links_along(arm: Robot, random_states: States) -> None:
+    """A locked arm needs the torque of the whole arm whose locked joints stand still."""
+    held = LOCKS[arm.name]
+    part = robot_from_urdf(arm.urdf, source="given", lock=held)
+    motion = random_states(part, 5, 20)
+    whole = {name: np.zeros((20, arm.nv)) for name in ("q", "dq", "ddq")}
+    rows = [arm.joint_index(joint) for joint in part.joints]
+    for joint, value in held.items():
+        whole["q"][:, arm.joint_index(joint)] = value
+    for name, values in whole.items():
+        values[:, rows] = getattr(motion, name)
+    tau = rigid_body_torque(arm, Motion(motion.t, **whole))[:, rows]
+    assert np.abs(tau - rigid_body_torque(part, motion)).max() <= 1e-9 * np.abs(tau).max()
+
+
+def test_built_in_arm_keeps_limits_and_effects_of_the_joints_left(builtin: Robot) -> None:
+    held = LOCKS[builtin.name]
+    part = load_robot(builtin.name, lock=held)
+    rows = [builtin.joint_index(joint) for joint in part.joints]
+    assert np.array_equal(part.limits.acceleration, builtin.limits.acceleration[rows])
+    still = Motion([0.0], *np.zeros((3, 1, builtin.nv)))
+    motion = Motion([0.0], still.q[:, rows], still.dq[:, rows] + 1, still.ddq[:, rows])
+    friction = torque(part, motion) - rigid_body_torque(part, motion)
+    moving = Motion([0.0], still.q, still.dq + 1, still.ddq)
+    whole = torque(builtin, moving) - rigid_body_torque(builtin, moving)
+    assert np.allclose(friction, whole[:, rows], rtol=1e-12, atol=1e-12)
+
+
+def test_built_in_arms_are_complete(builtin: Robot) -> None:
+    for name in ("position", "velocity", "acceleration", "torque"):
+        assert np.isfinite(getattr(builtin.limits, name)).all(), name
+    named = {effect.name for effect in builtin.effects}
+    assert named == {"viscous_friction", "coulomb_friction", "rotor_inertia"}
+    rest = np.clip(0.0, *builtin.limits.position.T)[None]
+    motion = Motion([0.0], rest, 0 * rest, 0 * rest)
+    assert (np.abs(torque(builtin, motion)) < builtin.limits.torque).all()
+
+
+def test_continuous_joints_have_one_position_and_no_limits(gantry: Robot) -> None:
+    j = gantry.joint_index("swing")
+    assert gantry.model.nq == gantry.nv == 3
+    assert np.array_equal(gantry.limits.position[j], [-np.inf, np.inf])
+    assert gantry.limits.velocity[j] == gantry.limits.torque[j] == np.inf
+    assert gantry.revolute.tolist() == [False, True, True]
+
+
+def test_a_limit_at_zero_is_a_limit(gantry_urdf: str) -> None:
+    robot = robot_from_urdf(gantry_urdf.replace('lower="-1"', 'lower="0"'), source="given")
+    assert robot.limits.position[0].tolist() == [0.0, 1.5]
+
+
+BROKEN: dict[str, tuple[tuple[str, str], str]] = {
+    "not XML": (("</robot>", ""), "XML"),
+    "another root": (('robot name="gantry"', 'mujoco model="gantry"'), "mujoco"),
+    "mass that is no number": (('mass value="1.5"', 'mass value="nan"'), "box"),
+    "inertia that is no number": (('ixx="0.003"', 'ixx="small"'), "box"),
+    "limit that is no number": (('upper="1.5"', 'upper="inf"'), "slide"),
+    "missing child": (('child link="box"', 'child link="bux"'), "weld"),
+    "missing parent": (('parent link="box"', 'parent link="bux"'), "twist"),
+    "joint twice": (('joint name="twist"', 'joint name="slide"'), "slide"),
+    "link twice": (('link name="tip"', 'link name="box"'), "box"),
+    "floating joint": (('"twist" type="revolute"', '"twist" type="floating"'), "twist"),
+    "planar joint": (('"twist" type="revolute"', '"twist" type="planar"'), "twist"),
+    "unknown kind of joint": (('"twist" type="revolute"', '"twist" type="rev"'), "twist"),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_broken_robot_is_refused_by_name(gantry_urdf: str, kind: str, tmp_path: Path) -> None:
+    (old, new), culprit = BROKEN[kind]
+    root = gantry_urdf.replace("</robot>", "</mujoco>") if "root" in kind else gantry_urdf
+    path = tmp_path / "broken.urdf"
+    assert old in root
+    path.write_text(root.replace(old, new))
+    with pytest.raises(BadRobot) as refused:
+        load_robot(path)
+    message = str(refused.value)
+    assert str(path) in message
+    assert culprit in message.removeprefix(f"robot {path}")
+    assert "\n" not in message
+
+
+def test_robot_without_moving_joint(gantry_urdf: str) -> None:
+    fixed = gantry_urdf
+    for kind in ("prismatic", "continuous", "revolute"):
+        fixed = fixed.replace(f'type="{kind}"', 'type="fixed"')
+    with pytest.raises(BadRobot, match="no moving joints"):
+        robot_from_urdf(fixed, source="statue")
+    with pytest.raises(BadRobot, match="no moving joints"):
+        robot_from_urdf(gantry_urdf, source="held", joints=())
+
+
+@pytest.mark.parametrize("name", builtin_robots())
+def test_unknown_robot_suggests_the_nearest(name: str) -> None:
+    with pytest.raises(UnknownName, match=f"did you mean '{name}'"):
+        load_robot(name[:-1] + "x")
+
+
+def test_missing_file_is_said_to_be_missing(tmp_path: Path) -> None:
+    with pytest.raises(BadRobot, match="no such file"):
+        load_robot(tmp_path / "absent.urdf")
+
+
+def test_binary_file_is_no_robot(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_bytes(bytes(range(256)))
+    with pytest.raises(BadRobot, match="not a text file"):
+        load_robot(path)
+
+
+def test_unknown_joint_to_lock_or_keep(builtin: Robot) -> None:
+    nearest = builtin.joints[0]
+    with pytest.raises(UnknownName, match=f"did you mean '{nearest}'"):
+        load_robot(builtin.name, lock={nearest + "s": 0.0})
+    with pytest.raises(UnknownName, match="joint"):
+        robot_from_urdf(builtin.urdf, source="given", joints=["none of these"])
+
+
+GOOD = "model: arm.urdf\n"
+BAD_YAML: dict[str, tuple[str, str]] = {
+    "no model": ("gravity: [0, 0, -9.81]\n", "model"),
+    "no such model": ("model: none.urdf\n", "none.urdf"),
+    "gravity of two numbers": (GOOD + "gravity: [0, -9.81]\n", "gravity"),
+    "gravity of words": (GOOD + "gravity: [down, down, down]\n", "gravity"),
+    "gravity not finite": (GOOD + "gravity: [0, .nan, 0]\n", "gravity"),
+    "lock at a word": (GOOD + "lock: {swing: up}\n", "lock"),
+    "lock without position": (GOOD + "lock: [swing]\n", "lock"),
+    "a list": ("- model\n", "expected entries"),
+    "not YAML": ("model: [\n", "cannot be read"),
+    "joint unknown": (GOOD + "joints: [slde]\n", "slide"),
+    "lock unknown": (GOOD + "lock: {slde: 0}\n", "slide"),
+    "limit unknown": (GOOD + "limits: {velocty: 1}\n", "velocity"),
+    "effect unknown": (GOOD + "effects: [{effect: viscos_friction, values: 1}]\n", "viscous"),
+    "effect values": (GOOD + "effects: [{effect: viscous_friction, values: [1, 2]}]\n", "viscous"),
+    "effects no list": (GOOD + "effects: {viscous_friction: 1}\n", "effects"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_YAML)
+def test_bad_robot_yaml_is_refused_in_one_line(gantry_urdf: str, kind: str, tmp_path: Path) -> None:
+    text, culprit = BAD_YAML[kind]
+    (tmp_path / "arm.urdf").write_text(gantry_urdf)
+    path = tmp_path / "robot.yaml"
+    path.write_text(text)
+    with pytest.raises(ExcitantError, match=culprit) as refused:
+        load_robot(path)
+    assert "\n" not in str(refused.value)
+
+
+def test_robot_yaml_says_what_the_urdf_cannot(gantry_urdf: str, tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(gantry_urdf)
+    path = tmp_path / "robot.yaml"
+    path.write_text(
+        "model: arm.urdf\njoints: [slide, twist]\nlock: {swing: 0.2}\ngravity: [0, 9.81, 0]\n"
+        "limits: {acceleration: 4, torque: [300, 20]}\n"
+        "effects: [{effect: coulomb_friction, joints: [twist], values: [0.5]}]\n"
+    )
+    robot = load_robot(path)
+    assert robot.joints == ("slide", "twist")
+    assert robot.gravity.tolist() == [0, 9.81, 0]
+    assert robot.limits.torque.tolist() == [300, 20]
+    assert robot.effects[0].values == (0.5,)
+    expected = robot_from_urdf(gantry_urdf, source="x", lock={"swing": 0.2}, gravity=[0, 9.81, 0])
+    rng = np.random.default_rng(0)
+    motion = Motion(np.arange(4.0), *rng.standard_normal((3, 4, 2)))
+    assert same_torque(robot, expected, motion, 1e-12)
+
+
+def test_bad_input_is_an_error_users_can_catch() -> None:
+    assert issubclass(BadRobot, ExcitantError)
+    assert issubclass(BadInput, ExcitantError)

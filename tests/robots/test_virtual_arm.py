@@ -1,0 +1,444 @@
+"""Laws of the plant, judged by MuJoCo, by the balance of power and by the effects' own formulas."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from excitant.exceptions import BadInput, BadRobot, UnknownName
+from excitant.robots import (
+    Motion,
+    Robot,
+    base_parameters,
+    load_robot,
+    plant,
+    torque,
+    virtual_arm,
+)
+from excitant.robots.effects import EFFECTS, RotorInertia
+from excitant.robots.parameters import violations
+from excitant.robots.plant import stick_or_slip
+from excitant.robots.virtual_arm import (
+    HiddenEffect,
+    Sensors,
+    draw_hidden_effect,
+    ideal_sensors,
+    industrial_sensors,
+    typical_torque,
+)
+from excitant.robots.virtual_arm import virtual_arm as build
+
+Trajectory = Callable[[np.ndarray, int], np.ndarray]
+
+RATE = 1000.0
+STENCIL = np.array([-1 / 60, 3 / 20, -3 / 4, 0, 3 / 4, -3 / 20, 1 / 60]) * RATE
+"""Central difference of sixth order."""
+SMOOTH = 1e-4
+"""Error of the plant's midpoint rule relative to the largest torque: (ω h)² / 4 with the
+controller's ω = 40 rad/s, the fastest there is in smooth motion, and h = 0.5 ms."""
+
+
+def swing(robot: Robot, share: float = 0.35) -> Trajectory:
+    """Out and back with other periods for each joint, from rest, within limits."""
+    low, high = np.clip(robot.limits.position, -2.0, 2.0).T
+    omega = 2 * np.pi * (0.35 + 0.07 * np.arange(robot.nv))
+    speed = np.minimum(robot.limits.velocity, 3.0)
+    amplitude = np.minimum(share * (high - low) / 2, share * speed / omega)
+
+    def trajectory(t: np.ndarray, order: int = 0) -> np.ndarray:
+        phase = np.outer(t, omega) + np.pi + order * np.pi / 2
+        position = (low + high) / 2 if order == 0 else 0.0
+        return position + amplitude * omega**order * np.cos(phase)
+
+    return trajectory
+
+
+def hold(robot: Robot) -> Trajectory:
+    """Standing still somewhere."""
+    low, high = np.clip(robot.limits.position, -2.0, 2.0).T
+    place = low + 0.4 * (high - low)
+    return lambda t, order=0: np.ones((len(t), 1)) * place * (order == 0)
+
+
+def motion_of(table: pd.DataFrame) -> tuple[Motion, np.ndarray]:
+    """Recorded motion and torque, without the rows that the difference quotient lacks."""
+    n = (table.shape[1] - 1) // 3
+    q, dq, tau = (table[[f"{c}{j + 1}" for j in range(n)]].to_numpy() for c in ("q", "dq", "tau"))
+    windows = np.lib.stride_tricks.sliding_window_view(dq, 7, axis=0)
+    rows = slice(3, len(q) - 3)
+    return Motion(table["t"].to_numpy()[rows], q[rows], dq[rows], windows @ STENCIL), tau[rows]
+
+
+def sliding(motion: Motion) -> np.ndarray:
+    """Rows away from any standstill, where the acceleration has no jump."""
+    sign = np.sign(motion.dq)
+    calm = np.abs(motion.dq) > 1e-3
+    for shift in range(-8, 9):
+        calm &= np.roll(sign, shift, axis=0) == sign
+    calm[:8] = calm[-8:] = False
+    return calm.all(axis=1)
+
+
+def clean(robot: Robot, hidden: tuple[HiddenEffect, ...] = ()) -> virtual_arm.VirtualArm:
+    """A virtual arm that is the nominal one but for the hidden effects, with true sensors."""
+    sensors = ideal_sensors(robot, RATE)
+    rng = np.random.default_rng(0)
+    return build(robot, rng, hidden=hidden, sensors=sensors, tolerance=0.0)
+
+
+def record(robot: Robot, *hidden: HiddenEffect, duration: float = 3.0) -> pd.DataFrame:
+    return clean(robot, hidden).record(swing(robot), duration, np.random.default_rng(0))
+
+
+def mujoco_torque(robot: Robot, motion: Motion) -> np.ndarray:
+    compiler = '<mujoco><compiler balanceinertia="false" fusestatic="false"/></mujoco>'
+    model = mujoco.MjModel.from_xml_string(robot.urdf.replace("</robot>", compiler + "</robot>"))
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
+    data, tau = mujoco.MjData(model), np.empty(motion.q.shape)
+    rows = [model.joint(joint).dofadr[0] for joint in robot.joints]
+    for k in range(len(motion)):
+        data.qpos[rows], data.qvel[rows] = motion.q[k], motion.dq[k]
+        data.qacc[rows] = motion.ddq[k]
+        mujoco.mj_inverse(model, data)
+        tau[k] = data.qfrc_inverse[rows]
+    return tau
+
+
+def mujoco_error(robot: Robot) -> float:
+    """Largest difference of the recorded torque from MuJoCo's, relative to the largest torque."""
+    motion, tau = motion_of(record(robot))
+    return float(np.abs(tau - mujoco_torque(robot, motion)).max() / np.abs(tau).max())
+
+
+def test_frictionless_arm_needs_the_torque_that_mujoco_says(arm: Robot) -> None:
+    assert mujoco_error(arm.with_effects(())) <= SMOOTH
+
+
+def test_half_the_step_leaves_a_quarter_of_the_error(
+    builtin: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bare, errors = builtin.with_effects(()), []
+    for step in (5e-4, 2.5e-4):
+        monkeypatch.setattr(plant, "_STEP", step)
+        errors.append(mujoco_error(bare))
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.2)
+
+
+def test_power_goes_into_energy_and_friction(builtin: Robot) -> None:
+    """∫ τ·q̇ dt = ΔE + ∫ (F_v q̇² + F_c |q̇|) dt, with the rotors' kinetic energy in E."""
+    run = record(builtin)
+    motion, tau = motion_of(run)
+    data = builtin.model.createData()
+    numbers = {effect.name: np.array(effect.values) for effect in builtin.effects}
+    energy = [
+        pin.computeKineticEnergy(builtin.model, data, q, dq)
+        + pin.computePotentialEnergy(builtin.model, data, q)
+        + numbers["rotor_inertia"] @ dq**2 / 2
+        for q, dq in zip(motion.q, motion.dq, strict=True)
+    ]
+    friction = numbers["viscous_friction"] * motion.dq**2
+    friction += numbers["coulomb_friction"] * np.abs(motion.dq)
+    power = np.sum(tau * motion.dq - friction, axis=1)
+    work = np.concatenate([[0.0], np.cumsum((power[1:] + power[:-1]) / 2 / RATE)])
+    lost = np.abs(np.array(energy) - energy[0] - work).max()
+    exchanged = np.sum(np.abs(power)) / RATE
+    assert lost <= 2e-4 * exchanged
+
+
+def parameters_of(name: str, robot: Robot, j: int) -> tuple[tuple[str, float], ...]:
+    size = float(0.3 * typical_torque(robot)[j])
+    return {
+        "viscous_friction": (("Fv", size),),
+        "coulomb_friction": (("Fc", size),),
+        "stribeck_friction": (("Fs", size), ("velocity", 0.12)),
+        "torque_offset": (("offset", -size),),
+        "rotor_inertia": (("Ia", size / 5),),
+    }[name]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["viscous_friction", "coulomb_friction", "stribeck_friction", "torque_offset", "rotor_inertia"],
+)
+def test_hidden_effect_shows_in_its_joint_as_its_formula_says(builtin: Robot, name: str) -> None:
+    """The plant and the effect that will be fitted are written apart and must agree."""
+    j = builtin.nv // 2
+    numbers = parameters_of(name, builtin, j)
+    motion, tau = motion_of(record(builtin, HiddenEffect(name, builtin.joints[j], numbers)))
+    rows = sliding(motion)
+    assert rows.mean() > 0.5
+    shape = {"velocity": 0.12} if name == "stribeck_friction" else {}
+    formula = EFFECTS[name]((builtin.joints[j],), **shape).with_values([numbers[0][1]])
+    shown = (tau - torque(builtin, motion))[rows]
+    expected = formula.torque(builtin, motion)[rows]
+    tolerance = 1e-3 * np.abs(expected[:, j]).max() + SMOOTH * np.abs(tau).max()
+    assert np.abs(shown - expected).max() <= tolerance
+    assert np.abs(np.delete(shown, j, axis=1)).max() <= tolerance
+
+
+def test_hidden_payload_is_a_heavier_last_link(builtin: Robot) -> None:
+    effects = (draw_hidden_effect(builtin, np.random.default_rng(seed)) for seed in range(100))
+    payload = next(effect for effect in effects if effect.effect == "payload")
+    motion, tau = motion_of(record(builtin, payload))
+    rows = sliding(motion)
+    formula = EFFECTS["payload"]((payload.joint,)).with_values([v for _, v in payload.parameters])
+    expected = torque(builtin.with_effects((*builtin.effects, formula)), motion)
+    difference = np.abs(tau - expected)[rows].max(axis=0)
+    assert (difference <= 1e-3 * np.abs(expected).max(axis=0)).all()
+    values = dict(payload.parameters)
+    assert violations(list(values.values()), ("payload",)) == []
+
+
+def test_standing_arm_stands_still(builtin: Robot) -> None:
+    """Friction that outweighs the controller's errors holds every joint to the last bit."""
+    strong = tuple(
+        HiddenEffect("coulomb_friction", joint, (("Fc", float(limit)),))
+        for joint, limit in zip(builtin.joints, builtin.limits.torque, strict=True)
+    )
+    run = clean(builtin, strong).record(hold(builtin), 0.5, np.random.default_rng(0))
+    assert (run.filter(regex=r"^dq").to_numpy() == 0).all()
+    assert (run.filter(regex=r"^q").nunique() == 1).all()
+
+
+def test_a_stuck_joint_stays_while_the_others_move(builtin: Robot) -> None:
+    j = builtin.nv - 1
+    grip = HiddenEffect("coulomb_friction", builtin.joints[j], (("Fc", 1e4),))
+    run = record(builtin, grip, duration=1.0)
+    assert run[f"q{j + 1}"].nunique() == 1
+    assert (run[f"dq{j + 1}"] == 0).all()
+    travel = run.filter(regex=r"^q").max() - run.filter(regex=r"^q").min()
+    assert (travel.drop(f"q{j + 1}") > 0.01).all()
+
+
+def test_a_sliding_joint_comes_to_rest_without_creep_or_chatter() -> None:
+    """With its motor off, a pendulum with dry friction stops, and then never moves again."""
+    robot = load_robot("planar_2r").with_gravity([0.0, 0.0, 0.0])
+    limits = robot.limits
+    powerless = type(limits)(limits.position, limits.velocity, limits.acceleration, [1e-9, 1e-9])
+    bare = robot.with_limits(powerless).with_effects(())
+    rows = {"viscous_friction": 0.6, "coulomb_friction": 0.8}
+    drives = tuple(
+        HiddenEffect(name, joint, ((symbol, rows[name]),))
+        for joint in bare.joints
+        for name, symbol in (("viscous_friction", "Fv"), ("coulomb_friction", "Fc"))
+    )
+    model, friction = virtual_arm.with_effects(bare, *virtual_arm.nominal_truth(bare), drives)
+    step = plant._Arm(
+        model, model.createData(), friction, np.diag(friction.viscous) * 5e-4 / 2, 5e-4
+    )
+    control = plant.tracking_controller(
+        bare, *virtual_arm.nominal_truth(bare), hold(bare), np.zeros(1)
+    )
+    state = (np.zeros(2), np.array([1.0, -2.0]), np.zeros(2))
+    speeds = []
+    for _ in range(4000):
+        state = step.step(*state, control, 0)
+        speeds.append(state[1])
+    moving = np.abs(np.array(speeds)).max(axis=1) > 0
+    stopped = int(np.argmin(moving))
+    assert 0 < stopped < 4000
+    assert not moving[stopped:].any()
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 7))
+@settings(max_examples=200)
+def test_dry_friction_obeys_coulombs_law(seed: int, n: int) -> None:
+    """K δ + λ = impulse, |λ| ≤ level, and λ = level · sign(v + δ) where a joint moves."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((n, n))
+    K = root @ root.T + 0.1 * np.eye(n)
+    v = rng.choice([0.0, 1e-3, -1e-3, 1.0, -1.0], n)
+    level = rng.choice([0.0, 0.1, 1.0, 10.0], n)
+    impulse = rng.standard_normal(n) * rng.choice([0.1, 3.0, 30.0])
+    delta = stick_or_slip(K, impulse, level, v)
+    friction = impulse - K @ delta
+    scale = 1e-9 * (np.abs(impulse).max() + np.abs(K).max() * (1 + np.abs(delta).max()))
+    assert (np.abs(friction) <= level + scale).all()
+    after = v + delta
+    moves = np.abs(after) > 1e-9
+    assert np.abs(friction - level * np.sign(after))[moves].max(initial=0.0) <= scale
+
+
+def test_same_seed_same_recording(builtin: Robot) -> None:
+    def once(seed: int) -> pd.DataFrame:
+        rng = np.random.default_rng(seed)
+        return build(builtin, rng).record(swing(builtin), 0.5, rng)
+
+    pd.testing.assert_frame_equal(once(3), once(3), check_exact=True)
+    assert not once(3).equals(once(4))
+
+
+def test_truth_is_near_the_nominal_arm_and_possible(arm: Robot) -> None:
+    for seed in range(10):
+        truth = build(arm, np.random.default_rng(seed), hidden=())
+        phi = np.concatenate([b.toDynamicParameters() for b in list(truth.model.inertias)[1:]])
+        assert violations(phi, arm.links) == []
+        masses = phi[::10] / arm.phi[::10] - 1
+        assert 0 < np.abs(masses).max() <= 0.03
+        for effect in arm.effects:
+            row = {"viscous_friction": "viscous", "coulomb_friction": "coulomb"}
+            true = getattr(truth.drives, row.get(effect.name, "rotor"))
+            assert np.abs(true / effect.values - 1).max() <= 0.05
+
+
+def test_the_nominal_robot_is_not_touched(builtin: Robot) -> None:
+    phi = np.array(builtin.phi)
+    build(builtin, np.random.default_rng(0), hidden=[draw_payload(builtin)])
+    assert np.array_equal(builtin.phi, phi)
+    assert not np.any(builtin.model.armature)
+
+
+def draw_payload(robot: Robot) -> HiddenEffect:
+    drawn = (draw_hidden_effect(robot, np.random.default_rng(seed)) for seed in range(100))
+    return next(effect for effect in drawn if effect.effect == "payload")
+
+
+def test_drawn_effects_are_of_every_kind_and_show(builtin: Robot) -> None:
+    drawn = [draw_hidden_effect(builtin, np.random.default_rng(seed)) for seed in range(60)]
+    assert {effect.effect for effect in drawn} == {
+        "viscous_friction",
+        "coulomb_friction",
+        "stribeck_friction",
+        "torque_offset",
+        "rotor_inertia",
+        "payload",
+    }
+    motion = Motion(np.arange(200.0), *builtin.random_motion(np.random.default_rng(1), 200))
+    half = Motion(motion.t, motion.q, motion.dq / 2, motion.ddq / 2)
+    slow = Motion(motion.t, motion.q, motion.dq / 40, motion.ddq / 2)
+    typical, noise = typical_torque(builtin), industrial_sensors(builtin).torque_noise
+    for hidden in drawn:
+        parameters = dict(hidden.parameters)
+        shape = {k: parameters.pop(k) for k in ("velocity",) if k in parameters}
+        effect = EFFECTS[hidden.effect]((hidden.joint,), **shape).with_values(
+            [*parameters.values()]
+        )
+        at = slow if shape else half
+        size = np.sqrt(np.mean(effect.torque(builtin, at) ** 2, axis=0))
+        assert (size >= 0.05 * typical).any(), hidden
+        assert (size >= 3 * noise).any(), hidden
+        assert (size <= np.maximum(typical, 6 * noise)).all(), hidden
+
+
+def test_rotor_inertia_is_drawn_only_where_it_can_be_told(builtin: Robot) -> None:
+    """Its column must not be a combination of the columns of the links."""
+    drawn = (draw_hidden_effect(builtin, np.random.default_rng(seed)) for seed in range(60))
+    joints = {effect.joint for effect in drawn if effect.effect == "rotor_inertia"}
+    rigid = len(base_parameters(builtin))
+    separable = {
+        joint
+        for joint in builtin.joints
+        if len(base_parameters(builtin, [RotorInertia((joint,))])) > rigid
+    }
+    assert builtin.joints[0] not in separable
+    assert joints == separable
+
+
+def test_recording_has_the_columns_rate_and_noise_of_its_sensors(builtin: Robot) -> None:
+    nv = builtin.nv
+    noise, step = np.full(nv, 0.2), np.full(nv, 0.05)
+    sensors = Sensors(200.0, 1e-3, 0.01, noise, step)
+    kwargs = {"hidden": (), "tolerance": 0.0}
+    real = build(builtin, np.random.default_rng(0), sensors=sensors, **kwargs)
+    true = build(builtin, np.random.default_rng(0), sensors=ideal_sensors(builtin, 200.0), **kwargs)
+    seen, truth = (a.record(swing(builtin), 2.0, np.random.default_rng(1)) for a in (real, true))
+    numbers = range(1, nv + 1)
+    assert list(seen) == ["t", *(f"{c}{j}" for c in ("q", "dq", "tau") for j in numbers)]
+    assert np.allclose(seen["t"], np.arange(401) / 200, rtol=0, atol=1e-12)
+    error = seen - truth
+    assert np.abs(error.filter(regex=r"^q")).to_numpy().max() <= 0.5e-3 + 1e-12
+    assert error.filter(regex=r"^dq").to_numpy().std() == pytest.approx(0.01, rel=0.1)
+    assert error.filter(regex=r"^tau").to_numpy().std() == pytest.approx(0.2, rel=0.1)
+    counts = seen.filter(regex=r"^tau").to_numpy() / 0.05
+    assert np.allclose(counts, np.round(counts), atol=1e-6)
+
+
+def test_torque_never_exceeds_the_limits(builtin: Robot) -> None:
+    limits = builtin.limits
+    weak = type(limits)(
+        limits.position, limits.velocity, limits.acceleration, 0.5 * typical_torque(builtin)
+    )
+    run = record(builtin.with_limits(weak), duration=0.5)
+    tau = run.filter(regex=r"^tau").to_numpy()
+    assert (np.abs(tau) <= weak.torque).all()
+    assert (np.abs(tau) == weak.torque).any()
+
+
+def test_it_starts_where_the_trajectory_starts_and_follows_it(builtin: Robot) -> None:
+    run, trajectory = record(builtin), swing(builtin)
+    q = run.filter(regex=r"^q").to_numpy()
+    assert np.array_equal(q[:1], trajectory(np.zeros(1), 0))
+    assert np.abs(q - trajectory(run["t"].to_numpy(), 0)).max() < 5e-3
+
+
+def test_arm_without_rotors_bears_a_payload(builtin: Robot) -> None:
+    """Light wrists get the stiffness that their motors can give: 5 % of the limit at 0.01 rad."""
+    bare = builtin.with_effects(())
+    run = record(bare, draw_payload(builtin))
+    q = run.filter(regex=r"^q").to_numpy()
+    assert np.abs(q - swing(bare)(run["t"].to_numpy(), 0)).max() < 0.05
+
+
+def test_impossible_nominal_inertia_still_runs(builtin: Robot) -> None:
+    phi = np.array(builtin.phi)
+    phi[9] += 5.0
+    strange = builtin.with_parameters(phi)
+    assert violations(strange.phi, strange.links)
+    run = build(strange, np.random.default_rng(0), hidden=()).record(
+        swing(strange), 0.2, np.random.default_rng(0)
+    )
+    assert np.isfinite(run.to_numpy()).all()
+
+
+def test_joint_that_moves_no_inertia_is_refused() -> None:
+    robot = load_robot("planar_2r").with_effects(())
+    empty = robot.with_parameters([*robot.phi[:10], 1e-16, *np.zeros(9)])
+    with pytest.raises(BadRobot, match="joint2 moves nothing"):
+        clean(empty).record(hold(empty), 0.1, np.random.default_rng(0))
+
+
+def test_progress_grows_to_one(builtin: Robot) -> None:
+    told: list[float] = []
+    arm = clean(builtin)
+    arm.record(swing(builtin), 2.5, np.random.default_rng(0), told.append)
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+
+
+def test_refusals(builtin: Robot) -> None:
+    arm, rng = clean(builtin), np.random.default_rng(0)
+    moving = swing(builtin)
+    with pytest.raises(BadInput, match="starts at"):
+        arm.record(lambda t, order: moving(t + 0.1, order), 1.0, rng)
+    with pytest.raises(BadInput, match="shorter than one sample"):
+        arm.record(moving, 0.0, rng)
+    with pytest.raises(UnknownName, match="did you mean 'payload'"):
+        build(builtin, rng, hidden=[HiddenEffect("payloads", builtin.joints[0], ())])
+    with pytest.raises(UnknownName, match="joint"):
+        build(builtin, rng, hidden=[HiddenEffect("rotor_inertia", "elsewhere", (("Ia", 1.0),))])
+    empty = builtin.with_effects([EFFECTS["viscous_friction"](builtin.joints)])
+    with pytest.raises(BadRobot, match="viscous_friction has no values"):
+        build(empty, rng)
+
+
+def test_the_plant_shares_no_code_with_what_is_fitted() -> None:
+    forbidden = ("effects", "regressor", "torque", "simulation", "base_parameters")
+    for module in (plant, virtual_arm):
+        imported = set()
+        for node in ast.walk(ast.parse(inspect.getsource(module))):
+            if isinstance(node, ast.ImportFrom):
+                imported |= {node.module, *(f"{node.module}.{a.name}" for a in node.names)}
+            elif isinstance(node, ast.Import):
+                imported |= {a.name for a in node.names}
+        for name in forbidden:
+            assert not any(i.startswith(f"excitant.robots.{name}") for i in imported), name

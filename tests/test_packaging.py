@@ -1,0 +1,186 @@
+"""What is shipped is complete, says one version, and works away from the checkout."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+import excitant
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDERS = ("analysis", "design", "identify", "reports", "robots")
+MAX_WHEEL_BYTES = 5_000_000
+
+IMPORT_EVERYTHING = """
+import importlib, pathlib, pkgutil, sys
+import excitant
+home = pathlib.Path(excitant.__file__).resolve().parent
+assert home.is_relative_to(pathlib.Path(sys.argv[1]).resolve()), home
+names = [m.name for m in pkgutil.walk_packages(excitant.__path__, "excitant.")]
+for name in names:
+    if not name.endswith("__main__"):
+        importlib.import_module(name)
+print("\\n".join(names))
+"""
+
+
+@pytest.fixture(scope="module")
+def project() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def shipped_modules() -> set[Path]:
+    """Python files that a wheel must hold, relative to the package."""
+    found = {file.relative_to(ROOT) for folder in FOLDERS for file in (ROOT / folder).rglob("*.py")}
+    return found | {Path(file.name) for file in (ROOT / "src/excitant").glob("*.py")}
+
+
+def data_files() -> set[Path]:
+    """Templates and built-in robots, relative to the package."""
+    folders = (ROOT / "reports/templates", ROOT / "robots/library")
+    files = (file for folder in folders for file in folder.rglob("*"))
+    return {
+        file.relative_to(ROOT)
+        for file in files
+        if file.is_file() and file.suffix not in (".py", ".pyc")
+    }
+
+
+def clean_copy(target: Path) -> Path:
+    """The checkout without environment, caches and build products; links stay links."""
+    leave = shutil.ignore_patterns(
+        ".*", "build", "dist", "runs", "*.egg-info", "__pycache__", "*.pyc"
+    )
+    return shutil.copytree(ROOT, target, symlinks=True, ignore=leave)
+
+
+def build(what: str, source: Path, target: Path) -> Path:
+    """Build a wheel or an sdist with the backend that pyproject.toml names."""
+    target.mkdir(exist_ok=True)
+    code = (
+        "import sys\nfrom setuptools import build_meta\n"
+        f"print(build_meta.build_{what}(sys.argv[1]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(target)], cwd=source, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return target / done.stdout.splitlines()[-1]
+
+
+def contents(wheel: Path) -> set[Path]:
+    """Files of the package in a wheel, relative to the package."""
+    with zipfile.ZipFile(wheel) as archive:
+        names = (Path(name) for name in archive.namelist())
+        return {name.relative_to("excitant") for name in names if name.parts[0] == "excitant"}
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    work = tmp_path_factory.mktemp("wheel")
+    return build("wheel", clean_copy(work / "checkout"), work / "dist")
+
+
+def test_one_version(project: dict[str, Any]) -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert project["project"]["version"] == excitant.__version__
+    assert str(citation["version"]) == excitant.__version__
+    assert citation["license"] == project["project"]["license"]
+
+
+def test_changelog_has_a_place_for_the_next_change() -> None:
+    assert "## [Unreleased]" in (ROOT / "CHANGELOG.md").read_text().splitlines()
+
+
+def test_every_package_folder_is_declared(project: dict[str, Any]) -> None:
+    inits = {file.parent for file in shipped_modules() if file.name == "__init__.py"}
+    packages = {".".join(("excitant", *folder.parts)) for folder in inits}
+    assert set(project["tool"]["setuptools"]["packages"]) == packages
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_top_level_folder_is_the_package(folder: str) -> None:
+    link = ROOT / "src/excitant" / folder
+    assert link.is_symlink()
+    assert not Path(os.readlink(link)).is_absolute()
+    assert link.resolve() == ROOT / folder
+
+
+def test_lock_pins_every_requirement_and_names_no_place(project: dict[str, Any]) -> None:
+    lines = (ROOT / "requirements.lock").read_text().splitlines()
+    pins = [Requirement(line) for line in lines if line and not line.startswith("#")]
+    assert all(pin.url is None and pin.marker is None for pin in pins)
+    assert all([clause.operator for clause in pin.specifier] == ["=="] for pin in pins)
+
+    versions = {canonicalize_name(pin.name): next(iter(pin.specifier)).version for pin in pins}
+    table = project["project"]
+    wanted = [*table["dependencies"], *table["optional-dependencies"]["dev"]]
+    wanted += project["build-system"]["requires"]
+    for requirement in map(Requirement, wanted):
+        version = versions.get(canonicalize_name(requirement.name))
+        assert version is not None, f"{requirement.name} is not locked; run make lock"
+        assert requirement.specifier.contains(version), f"{requirement}: locked {version}"
+
+
+def test_installed_requirements_agree(project: dict[str, Any]) -> None:
+    for requirement in map(Requirement, project["project"]["dependencies"]):
+        version = importlib.metadata.version(requirement.name)
+        assert requirement.specifier.contains(version), f"{requirement}: installed {version}"
+
+
+def test_wheel_is_complete_and_small(wheel: Path) -> None:
+    expected = shipped_modules() | data_files() | {Path("py.typed")}
+    assert contents(wheel) == expected
+    assert wheel.stat().st_size <= MAX_WHEEL_BYTES
+
+
+def test_wheel_brings_templates_and_robots(wheel: Path) -> None:
+    names = contents(wheel)
+    assert any(name.match("reports/templates/*") for name in names)
+    assert any(name.match("robots/library/*.urdf") for name in names)
+
+
+def test_wheel_says_its_licence_and_command(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        info = next(n.split("/")[0] for n in archive.namelist() if ".dist-info/" in n)
+        metadata = archive.read(f"{info}/METADATA").decode()
+        scripts = archive.read(f"{info}/entry_points.txt").decode()
+        licence = archive.read(f"{info}/licenses/LICENSE").decode()
+    assert "License-Expression: Apache-2.0" in metadata
+    assert "excitant = excitant.cli:main" in scripts
+    assert "Version 2.0, January 2004" in licence
+
+
+def test_installed_wheel_imports_outside_the_checkout(wheel: Path, tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
+    subprocess.run([*pip, "--no-deps", "--no-index", "--target", str(site), wheel], check=True)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", IMPORT_EVERYTHING, str(site)],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(site)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert {f"excitant.{folder}" for folder in FOLDERS} <= set(done.stdout.split())
+
+
+@pytest.mark.slow
+def test_wheel_from_sdist_is_the_wheel_from_the_checkout(wheel: Path, tmp_path: Path) -> None:
+    sdist = build("sdist", clean_copy(tmp_path / "checkout"), tmp_path / "dist")
+    shutil.unpack_archive(sdist, tmp_path, filter="data")
+    unpacked = tmp_path / sdist.name.removesuffix(".tar.gz")
+    assert contents(build("wheel", unpacked, tmp_path / "dist")) == contents(wheel)
