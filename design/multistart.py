@@ -108,13 +108,16 @@ class MultiStart:
         self._work([Task(s, _ITERATIONS) for s in ranked[:keep] if s.status == "running"])
 
     def _restarts(self) -> None:
-        first, elite = len(self.states), self._ranked()[:_ELITE]
+        first, elite = len(self.states), self._sound()[:_ELITE]
         last = first + _ROUND if self.starts is None else min(first + _ROUND, self.starts)
         tasks = self._polishing(_POLISHED // 2)
         for k in range(first, last):
-            parent = elite[k % len(elite)]
-            state = replace(self._blank(k), parent=parent.index)
-            tasks.append(Task(state, _ITERATIONS, elite[0].merit, parent.z))
+            task = Task(self._blank(k), _ITERATIONS)
+            if elite:
+                parent = elite[k % len(elite)]
+                state = replace(task.state, parent=parent.index)
+                task = Task(state, _ITERATIONS, elite[0].merit, parent.z)
+            tasks.append(task)
         self._work(tasks)
 
     def _polishing(self, count: int) -> list[Task]:
@@ -127,6 +130,9 @@ class MultiStart:
 
     def _ranked(self) -> list[SearchState]:
         return sorted(self.states.values(), key=lambda s: (s.merit, s.index))
+
+    def _sound(self) -> list[SearchState]:
+        return [state for state in self._ranked() if np.isfinite(state.merit)]
 
     def _work(self, tasks: Sequence[Task]) -> None:
         for state in _results(self.problem, tasks, self.jobs, self.seed, self.deadline):

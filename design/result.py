@@ -20,7 +20,7 @@ def design_result(design: Design) -> dict[str, Any]:
         "duration": design.duration,
         "harmonics": design.harmonics,
         "columns": design.columns,
-        "base_parameters": list(design.base.expressions),
+        "base_parameters": len(design.base),
         "criterion": design.criterion,
         "condition_number": {
             "initial": _number(design.condition_initial),

@@ -99,8 +99,8 @@ def identify_series(estimate: Estimate) -> dict[str, Array]:
     }
 
 
-def model_files(model: Robot, stem: str) -> dict[str, str]:
-    """URDF and model.yaml of a robot; the YAML adds what a URDF cannot hold.
+def model_files(model: Robot, stem: str, yaml_name: str) -> dict[str, str]:
+    """URDF and YAML of a robot; the YAML refers to the URDF and adds what that cannot hold.
 
     ``load_robot`` reads the YAML back to the same torque.
     """
@@ -118,7 +118,7 @@ def model_files(model: Robot, stem: str) -> dict[str, str]:
     }
     return {
         f"{stem}.urdf": urdf_with_parameters(model, model.phi, _urdf_friction(model)),
-        "model.yaml": yaml.safe_dump(content, sort_keys=False, allow_unicode=True),
+        yaml_name: yaml.safe_dump(content, sort_keys=False, allow_unicode=True),
     }
 
 

@@ -1,0 +1,7 @@
+"""``python -m excitant``."""
+
+import sys
+
+from excitant.cli import main
+
+sys.exit(main())

@@ -1,0 +1,205 @@
+"""The command line: arguments, one error boundary, exit status."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+
+from excitant import __version__, commands
+from excitant.exceptions import ExcitantError
+
+_SOLVERS = ("pin", "clarabel", "cvxpy", "numpy", "scipy")
+_ROBOT = "built-in name, URDF or robot.yaml"
+_DATASET = f"{_ROBOT}, or a folder with dataset.json"
+
+
+class _Help(argparse.RawDescriptionHelpFormatter):
+    """Descriptions as written, so that examples keep their lines."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Args:
+        arguments: Words after ``excitant``; those of the process when None.
+
+    Returns:
+        0 when done, 1 when refused or failed; wrong usage exits with 2.
+    """
+    args = _parser().parse_args(arguments)
+    try:
+        args.run(args)
+    except ExcitantError as error:
+        if args.debug:
+            raise
+        return _failed(str(error))
+    except OSError as error:
+        if args.debug:
+            raise
+        return _failed(f"{error.filename or 'file'}: {error.strerror or error}")
+    except KeyboardInterrupt:
+        return _failed("interrupted; nothing was written")
+    return 0
+
+
+def _failed(why: str) -> int:
+    print(f"excitant: {why}", file=sys.stderr)
+    return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="excitant",
+        formatter_class=_Help,
+        description="Design the motion that makes a robot arm's dynamics visible, identify them, "
+        "say what can be known,\nand name what the model still gets wrong.",
+        epilog="example:\n  excitant demo --seed 3",
+    )
+    solvers = ", ".join(f"{name} {version(name)}" for name in _SOLVERS)
+    parser.add_argument("--version", action="version", version=f"{__version__} ({solvers})")
+    verbs = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for add in (
+        _demo,
+        _robots,
+        _design,
+        _check,
+        _simulate,
+        _identify,
+        _analyze,
+        _diagnose,
+        _report,
+    ):
+        add(verbs)
+    return parser
+
+
+_Verbs = argparse._SubParsersAction  # argparse has no public name for it
+
+
+def _verb(
+    verbs: _Verbs[argparse.ArgumentParser], name: str, summary: str, example: str
+) -> argparse.ArgumentParser:
+    verb = verbs.add_parser(
+        name,
+        help=summary,
+        description=summary[0].upper() + summary[1:] + ".",
+        epilog=f"example:\n  {example}",
+        formatter_class=_Help,
+    )
+    verb.set_defaults(run=getattr(commands, name))
+    verb.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    verb.add_argument("--json", action="store_true", help="print result.json and nothing else")
+    return verb
+
+
+def _output(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument(
+        "-o", "--output", metavar="DIR", help="folder to write into (default: runs/<verb>-...)"
+    )
+
+
+def _demo(verbs: _Verbs[argparse.ArgumentParser]) -> None:
+    verb = _verb(verbs, "demo", "the main job on a virtual arm that hides an effect",
+                 "excitant demo --seed 3 -o runs/demo")  # fmt: skip
+    verb.add_argument("--seed", type=_natural, default=0, help="draws the hidden effect")
+    verb.add_argument("--robot", default="ur10", help=f"arm to use, {_ROBOT} (default: ur10)")
+    _output(verb)
+
+
+def _robots(verbs: _Verbs[argparse.ArgumentParser]) -> None:
+    verb = _verb(verbs, "robots", "built-in arms, or one arm's joints, limits and parameters",
+                 "excitant robots panda")  # fmt: skip
+    verb.add_argument("name", nargs="?", metavar="ROBOT", help=_ROBOT)
+
+
+def _design(verbs: _Verbs[argparse.ArgumentParser]) -> None:
+    verb = _verb(verbs, "design", "an excitation trajectory within all limits",
+                 "excitant design ur10 --duration 10 --harmonics 5 --time-limit 30")  # fmt: skip
+    verb.add_argument("robot", metavar="ROBOT", help=_ROBOT)
+    verb.add_argument("--duration", type=float, default=10.0, help="period [s] (default: 10)")
+    verb.add_argument("--harmonics", type=int, default=5, help="Fourier terms (default: 5)")
+    verb.add_argument("--criterion", default="condition", choices=("condition", "d", "a", "e"))
+    verb.add_argument("--columns", default="friction", choices=("friction", "inertial"),
+                      help="what to make visible: all that identify estimates, or the links "
+                      "only (default: friction)")  # fmt: skip
+    verb.add_argument("--limits", metavar="FILE", help="YAML or JSON with limits to use instead")
+    verb.add_argument("--rate", type=float, default=100.0, help="rate of trajectory.csv [Hz]")
+    verb.add_argument("--starts", type=int, help="number of searches (default: 16)")
+    verb.add_argument("--jobs", type=int, help="processes (default: all processors)")
+    verb.add_argument("--seed", type=_natural, default=0)
+    verb.add_argument("--time-limit", type=float, metavar="S", help="return the best so far [s]")
+    _output(verb)
+
+
+def _check(verbs: _Verbs[argparse.ArgumentParser]) -> None:
+    verb = _verb(verbs, "check", "limits between samples and conditioning of any trajectory",
+                 "excitant check ur10 trajectory.csv")  # fmt: skip
+    verb.add_argument("robot", metavar="ROBOT", help=_ROBOT)
+    verb.add_argument("trajectory", metavar="TRAJECTORY", help="CSV or JSON")
+    verb.add_argument("--limits", metavar="FILE", help="YAML or JSON with limits to use instead")
+    verb.add_argument("--columns", default="friction", choices=("friction", "inertial"))
+    _output(verb)
+
+
+def _simulate(verbs: _Verbs[argparse.ArgumentParser]) -> None:
+    verb = _verb(verbs, "simulate", "what a virtual arm would record",
+                 "excitant simulate ur10 trajectory.csv -o recording.parquet")  # fmt: skip
+    verb.add_argument("robot", metavar="ROBOT", help=_ROBOT)
+    verb.add_argument("trajectory", metavar="TRAJECTORY", help="CSV or JSON")
+    verb.add_argument("-o", "--output", metavar="FILE", required=True, help=".parquet or .csv")
+    verb.add_argument("--seed", type=_natural, default=0, help="draws noise and what is hidden")
+    verb.add_argument("--hidden", action="store_true",
+                      help="let the arm differ from its model: values off by some per cent, and "
+                      "one effect that is not in the model")  # fmt: skip
+
+
+def _fit_options(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument("robot", metavar="ROBOT|DATASET", help=_DATASET)
+    verb.add_argument("recordings", nargs="*", metavar="RECORDING",
+                      help=".parquet or .csv; all of the folder when none is named")  # fmt: skip
+    verb.add_argument("--validate", nargs="+", default=[], metavar="RECORDING",
+                      help="hold-out (default: the last 30 %% of each recording)")  # fmt: skip
+    verb.add_argument("--cutoff", type=float, metavar="HZ",
+                      help="cut-off of the torque filter (default: 10 Hz)")  # fmt: skip
+    _output(verb)
+
+
+def _identify(verbs: _Verbs[argparse.ArgumentParser]) -> None:
+    verb = _verb(verbs, "identify", "from recordings to a physically consistent model",
+                 "excitant identify path/to/dataset run1.parquet --validate run2.parquet")  # fmt: skip
+    _fit_options(verb)
+    verb.add_argument("--effects", metavar="NAME,...",
+                      help="effects to estimate (default: viscous_friction,coulomb_friction,"
+                      "torque_offset,rotor_inertia)")  # fmt: skip
+
+
+def _analyze(verbs: _Verbs[argparse.ArgumentParser]) -> None:
+    verb = _verb(verbs, "analyze", "what can be known, link by link",
+                 "excitant analyze panda --trajectory trajectory.csv")  # fmt: skip
+    verb.add_argument("robot", metavar="ROBOT|DATASET", help=_DATASET)
+    motion = verb.add_mutually_exclusive_group()
+    motion.add_argument("--trajectory", metavar="FILE", help="how well this motion shows it")
+    motion.add_argument("--recording", nargs="+", metavar="FILE", help="or these recordings")
+    verb.add_argument("--columns", default="friction", choices=("friction", "inertial"))
+    _output(verb)
+
+
+def _diagnose(verbs: _Verbs[argparse.ArgumentParser]) -> None:
+    verb = _verb(verbs, "diagnose", "what the given model gets wrong, by cause",
+                 "excitant diagnose path/to/dataset run1.parquet --validate run2.parquet")  # fmt: skip
+    _fit_options(verb)
+
+
+def _report(verbs: _Verbs[argparse.ArgumentParser]) -> None:
+    verb = _verb(verbs, "report", "render the report of a run again",
+                 "excitant report runs/demo")  # fmt: skip
+    verb.add_argument("directory", metavar="DIR", help="folder of a run")
+
+
+def _natural(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError("must not be negative")
+    return value

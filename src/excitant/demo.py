@@ -1,0 +1,139 @@
+"""The main job, end to end, on a virtual arm that hides an effect from its user."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from excitant.analysis.diagnosis import diagnose
+from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series
+from excitant.analysis.identifiability import analyze, analyze_result
+from excitant.design import (
+    design,
+    design_result,
+    design_series,
+    random_trajectory,
+    trajectory_csv,
+    trajectory_json,
+)
+from excitant.identify import (
+    identify,
+    identify_result,
+    identify_series,
+    model_files,
+    recording_from_table,
+)
+from excitant.progress import Advance
+from excitant.robots import Array, Robot
+from excitant.robots.virtual_arm import HiddenEffect, virtual_arm
+
+_DURATION = 10.0  # s, of the excitation and of the hold-out
+_HARMONICS = 5
+_STARTS = 8
+_PERIODS = 2  # recorded of the excitation
+
+
+@dataclass(frozen=True, eq=False)
+class Demo:
+    """What the demo writes.
+
+    Attributes:
+        result: result.json with one entry per verb.
+        series: Arrays, keys prefixed by the verb.
+        files: Artefacts by name.
+    """
+
+    result: dict[str, Any]
+    series: dict[str, Array]
+    files: dict[str, str | bytes]
+
+
+def run_demo(robot: Robot, seed: int, advance: Advance) -> Demo:
+    """Design, run, identify, analyze and diagnose.
+
+    The virtual arm differs from the given robot by some per cent in every value and by one
+    effect drawn from the seed; nothing but its recordings reaches the other steps.
+
+    Args:
+        robot: The robot as given, with its limits and effects.
+        seed: Draws the hidden effect, its joint and size, and all noise.
+        advance: Told how far it is.
+    """
+    rng = np.random.default_rng(seed)
+    arm = virtual_arm(robot, rng)
+    advance(0.02, "designing the excitation")
+    found = design(
+        robot, duration=_DURATION, harmonics=_HARMONICS, starts=_STARTS, seed=seed,
+        progress=lambda done, total, kappa, ratio: advance(
+            0.02 + 0.5 * done / (total or 1), f"designing the excitation, κ {kappa:.4g}"
+        ),
+    )  # fmt: skip
+    advance(0.55, "running it on the virtual arm")
+    excitation = arm.record(found.trajectory, _PERIODS * _DURATION, rng)
+    holdout = arm.record(random_trajectory(robot, rng, _DURATION, _HARMONICS), _DURATION, rng)
+    recording, held = (
+        recording_from_table(table, robot.nv, file=f"{name}.parquet", name=name)
+        for table, name in ((excitation, "excitation"), (holdout, "holdout"))
+    )
+    advance(0.75, "identifying")
+    estimate = identify(robot, [recording], validate=[held])
+    advance(0.85, "diagnosing")
+    diagnosis = diagnose(robot, [recording], validate=[held])
+    verbs = {
+        "design": (design_result(found), design_series(found)),
+        "identify": (identify_result(estimate), identify_series(estimate)),
+        "analyze": (analyze_result(analyze(robot, estimate=estimate)), {}),
+        "diagnose": (diagnose_result(diagnosis), diagnose_series(diagnosis)),
+    }
+    advance(0.95, "writing the report")
+    return Demo(
+        result={
+            "verb": "demo",
+            "robot": robot.name,
+            "seed": seed,
+            "truth": _truth(arm.hidden[0]),
+            "verdict": _verdict(arm.hidden[0], verbs["diagnose"][0]),
+            **{verb: result for verb, (result, _) in verbs.items()},
+        },
+        series={f"{v}/{key}": a for v, (_, arrays) in verbs.items() for key, a in arrays.items()},
+        files={
+            "trajectory.csv": trajectory_csv(found.trajectory),
+            "trajectory.json": trajectory_json(found.trajectory, robot),
+            "excitation.parquet": _parquet(excitation),
+            "holdout.parquet": _parquet(holdout),
+            **model_files(estimate.model, "identified", "model.yaml"),
+            **model_files(diagnosis.extension.model, "extended", "extended.yaml"),
+        },
+    )
+
+
+def _truth(hidden: HiddenEffect) -> dict[str, Any]:
+    return {
+        "effect": hidden.effect,
+        "joint": hidden.joint,
+        "parameters": dict(hidden.parameters),
+    }
+
+
+def _verdict(hidden: HiddenEffect, diagnosis: Mapping[str, Any]) -> dict[str, Any]:
+    """Whether the leading finding is the hidden effect, on its joint, and named."""
+    if not diagnosis["findings"]:
+        return {"effect": None, "joints": [], "correct": False}
+    lead = diagnosis["findings"][0]
+    right = (
+        lead["effect"] == hidden.effect
+        and lead["joints"] == [hidden.joint]
+        and lead["verdict"] == "named"
+    )
+    return {"effect": lead["effect"], "joints": lead["joints"], "correct": right}
+
+
+def _parquet(table: pd.DataFrame) -> bytes:
+    buffer = io.BytesIO()
+    table.to_parquet(buffer, index=False)
+    return buffer.getvalue()

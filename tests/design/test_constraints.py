@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from excitant.design import FourierTrajectory, check, random_trajectory
+from excitant.design.constraints import QUANTITIES
+from excitant.exceptions import BadInput, Infeasible
+from excitant.robots import Motion, Robot, torque
+from excitant.robots.effects import CoulombFriction, ViscousFriction
+
+Limited = Callable[..., Robot]
+
+
+def dense_ratios(robot: Robot, motion: Motion) -> dict[str, np.ndarray]:
+    low, high = robot.limits.position.T
+    sizes = {
+        "position": np.abs(motion.q - (low + high) / 2) / ((high - low) / 2),
+        "velocity": np.abs(motion.dq) / robot.limits.velocity,
+        "acceleration": np.abs(motion.ddq) / robot.limits.acceleration,
+        "torque": np.abs(torque(robot, motion)) / robot.limits.torque,
+    }
+    return {name: size.max(axis=0) for name, size in sizes.items()}
+
+
+@pytest.mark.parametrize("friction", [False, True])
+@pytest.mark.parametrize("sampled", [False, True])
+def test_ratios_cover_dense_sampling(
+    ur10: Robot, limited: Limited, sampled: bool, friction: bool
+) -> None:
+    effects = [CoulombFriction(ur10.joints, (9.0,) * 6), ViscousFriction(ur10.joints, (5.0,) * 6)]
+    robot = limited(ur10, acceleration=12.0).with_effects(effects if friction else ())
+    trajectory = random_trajectory(robot, np.random.default_rng(4), 6.0, 6)
+    report = check(robot, trajectory.motion(100) if sampled else trajectory)
+    exact = dense_ratios(robot, trajectory.sample(100_001))
+    for use in report.uses:
+        # the dense samples miss the edge of a friction jump by up to one step of 60 µs
+        jumps = friction and use.quantity == "torque"
+        rtol = 2e-4 if jumps else 2e-5
+        np.testing.assert_allclose(use.ratios, exact[use.quantity], rtol=rtol)
+        if not sampled:
+            assert np.all(use.ratios >= exact[use.quantity] * (1 - 1e-7))
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+@pytest.mark.parametrize("quantity", QUANTITIES)
+def test_flags_a_planted_violation(
+    ur10: Robot, limited: Limited, quantity: str, sampled: bool
+) -> None:
+    robot = limited(ur10, acceleration=12.0)
+    trajectory = random_trajectory(robot, np.random.default_rng(7), 6.0, 5)
+    assert check(robot, trajectory).hold
+    fine = trajectory.sample(60_001)
+    values = {"position": fine.q, "velocity": fine.dq, "acceleration": fine.ddq}
+    values["torque"] = torque(robot, fine)
+    j, excess = 2, 1.07
+    size = np.abs(values[quantity][:, j])
+    limit = np.array(getattr(robot.limits, quantity))
+    if quantity == "position":
+        half = size.max() / excess
+        limit[j] = -half, half
+    else:
+        limit[j] = size.max() / excess
+    tight = limited(robot, **{quantity: limit})
+    report = check(tight, trajectory.motion(50) if sampled else trajectory)
+    assert not report.hold
+    assert report.worst.quantity == quantity
+    assert report.worst.joint == robot.joints[j]
+    assert report.worst.ratio == pytest.approx(excess, rel=1e-4)
+    k = round(report.worst.time / 6.0 * 60_000)
+    assert size[max(k - 2, 0) : k + 3].max() == pytest.approx(size.max(), rel=1e-4)
+
+
+def test_sees_what_happens_between_samples(planar: Robot, limited: Limited) -> None:
+    sine = np.zeros((2, 2))
+    sine[1, 0] = 0.5
+    trajectory = FourierTrajectory([0, 0], np.zeros((2, 2)), sine, 2.0)
+    coarse = trajectory.at(np.arange(9) / 4 + 1 / 16)
+    seen = np.abs(coarse.q).max()
+    assert seen < 0.48
+    robot = limited(
+        planar, position=[-0.49, 0.49], velocity=np.inf, acceleration=np.inf, torque=np.inf
+    )
+    report = check(robot, coarse)
+    assert report.worst.quantity == "position"
+    assert report.worst.ratio == pytest.approx(0.5 / 0.49, rel=5e-3)
+
+
+def test_no_limit_is_never_exceeded(planar: Robot, limited: Limited) -> None:
+    inf = np.inf
+    robot = limited(planar, position=[-inf, inf], velocity=inf, acceleration=inf, torque=inf)
+    motion = random_trajectory(robot, np.random.default_rng(0), 5.0, 3)
+    report = check(robot, motion)
+    assert report.worst.ratio == 0.0
+    assert report.hold
+
+
+def test_refuses_another_number_of_joints(planar: Robot, ur10: Robot) -> None:
+    trajectory = random_trajectory(planar, np.random.default_rng(0), 5.0, 3)
+    with pytest.raises(BadInput, match="2 joints, robot ur10 has 6"):
+        check(ur10, trajectory)
+    with pytest.raises(BadInput, match="1 samples"):
+        check(planar, trajectory.at([0.0]))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_trajectories_hold_every_limit(ur10: Robot, limited: Limited, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    middle, half = rng.uniform(-2, 2, 6), rng.uniform(0.3, 3.0, 6)
+    robot = limited(
+        ur10,
+        position=np.column_stack([middle - half, middle + half]),
+        velocity=rng.uniform(0.5, 3, 6),
+        acceleration=rng.uniform(1, 20, 6),
+    )
+    for duration, harmonics in ((4.0, 2), (12.0, 7)):
+        trajectory = random_trajectory(robot, rng, duration, harmonics)
+        assert trajectory.at_rest
+        assert check(robot, trajectory).hold
+
+
+def test_weak_motors_get_a_feasible_random_trajectory(ur10: Robot, limited: Limited) -> None:
+    robot = limited(ur10, torque=ur10.limits.torque * 0.15)
+    assert check(robot, random_trajectory(robot, np.random.default_rng(0), 10.0, 5)).hold
+
+
+def test_gravity_above_the_torque_limit_names_the_joint(ur10: Robot, limited: Limited) -> None:
+    weak = np.array(ur10.limits.torque)
+    weak[1] = 1.0
+    stretched = np.array(ur10.limits.position)
+    stretched[1] = -0.2, 0.2
+    stretched[2] = -0.1, 0.1
+    robot = limited(ur10, torque=weak, position=stretched)
+    with pytest.raises(Infeasible, match=rf"torque limit of {ur10.joints[1]} \(1 N·m\)"):
+        random_trajectory(robot, np.random.default_rng(0), 10.0, 5)
+
+
+def test_friction_above_the_torque_limit_names_the_joint(planar: Robot) -> None:
+    sticky = float(planar.limits.torque[1]) * 1.2
+    robot = planar.with_effects([CoulombFriction(planar.joints, (0.0, sticky))])
+    with pytest.raises(Infeasible, match=f"torque limit of joint {planar.joints[1]}"):
+        random_trajectory(robot, np.random.default_rng(0), 10.0, 3)

@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from excitant.design import build_design, condition_number, information, random_trajectory
+from excitant.design.criterion import objective, smooth_model
+from excitant.design.problem import DesignProblem, motion_of, torque_derivatives
+from excitant.design.subproblem import local_model
+from excitant.exceptions import UnknownName
+from excitant.robots import Motion, Robot, torque
+from excitant.robots.effects import CoulombFriction, RotorInertia, ViscousFriction
+
+
+def problem_and_point(robot: Robot, columns: str, criterion: str) -> tuple[DesignProblem, np.ndarray]:
+    problem = build_design(robot, harmonics=3, columns=columns, criterion=criterion)
+    rng = np.random.default_rng(5)
+    return problem, problem.unknowns(random_trajectory(robot, rng, 10.0, 3))
+
+
+@pytest.mark.parametrize("columns", ["inertial", "friction"])
+@pytest.mark.parametrize("name", ["planar_2r", "ur10"])
+def test_derivative_of_information(columns: str, name: str, request: pytest.FixtureRequest) -> None:
+    robot = request.getfixturevalue({"planar_2r": "planar", "ur10": "ur10"}[name])
+    problem, z = problem_and_point(robot, columns, "condition")
+    linear = problem.information.linearise(motion_of(z, problem.samples, problem.sample_bases))
+    r = len(problem.information.base)
+    dM = linear.derivative(problem.sample_bases, np.eye(r))
+    direction = np.random.default_rng(0).normal(size=z.shape)
+    h = 1e-6
+    ahead, behind = (problem.information_matrix(z + s * h * direction) for s in (1, -1))
+    expected = (ahead - behind) / (2 * h)
+    found = np.tensordot(direction.ravel(), dM, 1)
+    assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
+    U = np.linalg.qr(np.random.default_rng(1).normal(size=(r, min(3, r))))[0]
+    early = linear.derivative(problem.sample_bases, U)
+    assert np.allclose(early, U.T @ dM @ U, rtol=0, atol=1e-12 * np.abs(dM).max() * r)
+
+
+@pytest.mark.parametrize("criterion", ["d", "a"])
+def test_gradient_of_smooth_criteria(ur10: Robot, criterion: str) -> None:
+    problem, z = problem_and_point(ur10, "inertial", criterion)
+    gradient = local_model(problem, z).gradient
+    direction = np.random.default_rng(0).normal(size=z.shape)
+    h = 1e-5
+    ahead, behind = (problem.objective(z + s * h * direction) for s in (1, -1))
+    expected = (ahead - behind) / (2 * h)
+    assert gradient @ direction.ravel() == pytest.approx(expected, rel=1e-5, abs=1e-7)
+
+
+@pytest.mark.parametrize("criterion", ["condition", "e"])
+def test_gradient_of_extreme_eigenvalues(ur10: Robot, criterion: str) -> None:
+    problem, z = problem_and_point(ur10, "inertial", criterion)
+    model = local_model(problem, z)
+    gradient = sum(
+        (-1 if block.lowest else 1) * block.derivative[:, i, i]
+        for block, i in zip(model.blocks, (0, -1), strict=False)
+    )
+    direction = np.random.default_rng(0).normal(size=z.shape)
+    h = 1e-6
+    ahead, behind = (problem.objective(z + s * h * direction) for s in (1, -1))
+    expected = (ahead - behind) / (2 * h)
+    assert gradient @ direction.ravel() == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("criterion", ["d", "a"])
+def test_hessian_along_linear_information(criterion: str) -> None:
+    rng = np.random.default_rng(2)
+    W = rng.normal(size=(30, 6))
+    M, dM = W.T @ W, rng.normal(size=(4, 6, 6))
+    dM = dM + np.swapaxes(dM, 1, 2)
+    gradient, hessian = smooth_model(M, dM, criterion)
+    assert np.linalg.eigvalsh(hessian).min() > -1e-12
+    x = rng.normal(size=4)
+    value = {"d": lambda A: objective(A, "d"), "a": lambda A: np.trace(np.linalg.inv(A))}[criterion]
+    scale = 1.0 if criterion == "d" else value(M)
+    h = 1e-3
+    ahead, here, behind = (value(M + s * h * np.tensordot(x, dM, 1)) for s in (1, 0, -1))
+    assert (ahead - behind) / (2 * h) == pytest.approx(scale * gradient @ x, rel=1e-3)
+    assert (ahead - 2 * here + behind) / h**2 == pytest.approx(scale * x @ hessian @ x, rel=1e-3)
+
+
+def test_condition_number_is_that_of_the_observation_matrix(planar: Robot) -> None:
+    visible = information(planar, "friction")
+    motion = random_trajectory(planar, np.random.default_rng(0), 5.0, 3).motion(100)
+    W = visible.observation(motion).reshape(-1, len(visible.base))
+    assert condition_number(visible.matrix(motion)) == pytest.approx(np.linalg.cond(W), rel=1e-8)
+
+
+def test_torque_derivatives_with_effects(ur10: Robot) -> None:
+    joints = ur10.joints
+    robot = ur10.with_effects(
+        [
+            ViscousFriction(joints, (3.0,) * 6),
+            CoulombFriction(joints, (2.0,) * 6),
+            RotorInertia(joints, (0.4,) * 6),
+        ]
+    )
+    rng = np.random.default_rng(0)
+    q, dq, ddq, *change = rng.normal(size=(6, 4, 6))
+    t = np.arange(4.0)
+    h = 1e-6
+    _, by_q, by_dq, by_ddq = torque_derivatives(robot, Motion(t, q, dq, ddq))
+    ahead, behind = (
+        torque(robot, Motion(t, *(x + s * h * d for x, d in zip((q, dq, ddq), change, strict=True))))
+        for s in (1, -1)
+    )
+    found = sum(
+        np.einsum("nij,nj->ni", D, d) for D, d in zip((by_q, by_dq, by_ddq), change, strict=True)
+    )
+    np.testing.assert_allclose(found, (ahead - behind) / (2 * h), rtol=0, atol=1e-5)
+
+
+def test_unknown_columns_and_criterion(planar: Robot) -> None:
+    with pytest.raises(UnknownName, match="did you mean 'friction'"):
+        information(planar, "frictions")
+    with pytest.raises(UnknownName, match="criterion"):
+        build_design(planar, criterion="best")
