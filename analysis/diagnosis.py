@@ -287,7 +287,8 @@ def _waterfall(
     steps, error = [("given model", 1.0)], given
     for finding in findings:
         error = error - finding.torque
-        label = f"+ {finding.effect.name} {', '.join(finding.effect.joints)}"
+        name = finding.effect.name.replace("_", " ")
+        label = f"+ {name} at {', '.join(finding.effect.joints)}"
         steps.append((label, _relative(error, size)))
     return (*steps, ("all re-identified", _relative(extended, size)))
 

@@ -29,11 +29,14 @@ class Practical:
         expression: The base parameter.
         value: Its value.
         std: Standard deviation of its estimate.
+        negligible: Whether its torque stays below the noise whatever value within two standard
+            deviations it has.
     """
 
     expression: str
     value: float
     std: float
+    negligible: bool
 
     @property
     def rel_std(self) -> float | None:
@@ -42,12 +45,10 @@ class Practical:
 
     @property
     def verdict(self) -> str:
-        """``well`` (to 10 %), ``roughly`` (to 30 %) or ``hardly`` determined by this motion."""
-        if self.rel_std is None:
-            return "hardly"
-        return (
-            "well" if self.rel_std <= _WELL else "roughly" if self.rel_std <= _ROUGHLY else "hardly"
-        )
+        """``well`` (to 10 %), ``roughly`` (to 30 %), ``negligible`` or ``hardly`` determined."""
+        if self.rel_std is not None and self.rel_std <= _ROUGHLY:
+            return "well" if self.rel_std <= _WELL else "roughly"
+        return "negligible" if self.negligible else "hardly"
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,14 +96,15 @@ def analyze(
     if estimate is not None:
         fit = estimate.least_squares
         std = np.sqrt(np.diag(fit.covariance))
-        practical = _practical(estimate.base, fit.beta, std)
-        W = _base_observation(estimate)
+        W = observation(robot, estimate.model.effects, estimate.data.train)
+        W = W[:, :, estimate.base.columns]
+        practical = _practical(estimate.base, fit.beta, std, W, fit.sigma)
         basis = "from the residual of the recording, with its autocorrelation"
         return Identifiability(
             robot,
             estimate.base,
             categories(estimate.base),
-            float(np.linalg.cond(W)),
+            float(np.linalg.cond(W.reshape(-1, len(estimate.base)))),
             practical,
             basis,
         )
@@ -131,7 +133,7 @@ def _under_motion(
         base,
         structural.category,
         float(np.linalg.cond(W.reshape(-1, len(base)))),
-        _practical(base, values, std),
+        _practical(base, values, std, W, sigma),
         f"for torque noise of {100 * TORQUE_NOISE:g} % of each limit at {len(motion)} instants",
     )
 
@@ -147,16 +149,16 @@ def _values(robot: Robot, effects: Sequence[Effect]) -> Array:
     return np.concatenate([robot.phi, added])
 
 
-def _practical(base: BaseParameters, values: Array, std: Array) -> tuple[Practical, ...]:
+def _practical(
+    base: BaseParameters, values: Array, std: Array, W: Array, sigma: Array
+) -> tuple[Practical, ...]:
+    """Verdicts from values, standard deviations, base columns (n, nv, r) and noise (nv,)."""
+    per_unit = (np.sqrt((W**2).mean(axis=0)) / sigma[:, None]).max(axis=0)
+    torque = (np.abs(values) + 2 * std) * per_unit
     return tuple(
-        Practical(text, float(value), float(s))
-        for text, value, s in zip(base.expressions, values, std, strict=True)
+        Practical(text, float(value), float(s), bool(t < 1))
+        for text, value, s, t in zip(base.expressions, values, std, torque, strict=True)
     )
-
-
-def _base_observation(estimate: Estimate) -> Array:
-    W = observation(estimate.given, estimate.model.effects, estimate.data.train)
-    return W[:, :, estimate.base.columns].reshape(-1, len(estimate.base))
 
 
 def analyze_result(identifiability: Identifiability) -> dict[str, Any]:

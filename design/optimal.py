@@ -37,7 +37,8 @@ class StartRecord:
     Attributes:
         index: Number of the start; its seed is (seed, index).
         parent: Start whose solution it began from, or None for a random one.
-        condition: Condition number it ended with.
+        condition: Condition number it ended with, at the samples of the search (with the
+            smooth sign of velocity, for ``"friction"``).
         status: ``"converged"``, ``"stopped"`` (not worth going on beside others),
             ``"iteration limit"``, ``"time limit"``, ``"interrupted"`` or ``"infeasible"``.
         iterations: Steps taken.
@@ -251,6 +252,6 @@ class _Teller:
             trajectory = self.problem.trajectory(state.best)
             self.best = state.best_value
             self.ratio = check(self.problem.robot, trajectory).worst.ratio
-            self.condition = condition_number(self.problem.information_matrix(state.best))
+            self.condition = condition_number(_information(self.problem, trajectory))
         done = sum(s.status not in ("running", "stalled") for s in states)
         self.progress(done, self.total, self.condition, self.ratio)

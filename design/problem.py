@@ -8,17 +8,17 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 
 from excitant.design.constraints import kinematic_limits
 from excitant.design.criterion import Information, objective
+from excitant.design.torque_peaks import torque_peaks
 from excitant.design.trajectory import (
     FourierTrajectory,
     fourier_basis,
     from_coefficients,
     rest_basis,
 )
-from excitant.robots import Array, Motion, Robot, torque
+from excitant.robots import Array, Motion, Robot
 
 _MARGIN = 1e-4  # share of every limit kept free, above what the exchange leaves violated
 _SAMPLES = {"inertial": 12, "friction": 20}  # per harmonic, for the information
@@ -149,64 +149,12 @@ class DesignProblem:
         return (self.instants[k] + shift)[high], joint[high]
 
     def torque_ratio(self, z: Array) -> float:
-        """Worst use of the torque bounds at the peaks between `instants`."""
+        """Worst use of the torque bounds at its peaks."""
         if np.all(np.isinf(self.torque_bound)):
             return 0.0
-        return float(self.torque_peaks(z, 1.0)[2].max(initial=0.0))
-
-    def torque_peaks(self, z: Array, share: float) -> tuple[Array, npt.NDArray[np.intp], Array]:
-        """Local peaks of each joint's torque that reach a share of the highest one.
-
-        Returns:
-            Instants [s], joints and torque over its bound (estimated), each of shape (k,).
-        """
-        motion = motion_of(z, self.instants, self.grid_bases)
-        use = np.abs(torque(self.robot, motion)) / self.torque_bound
-        before, after = np.roll(use, 1, axis=0), np.roll(use, -1, axis=0)
-        k, joint = np.nonzero((use >= before) & (use > after) & (use >= share * use.max()))
-        here, rise = use[k, joint], after[k, joint] - before[k, joint]
-        bend = before[k, joint] - 2 * here + after[k, joint]
-        shift = np.clip(-0.5 * rise / np.minimum(bend, -1e-300), -0.5, 0.5)
-        t = self.instants[k] + shift * self.period / len(self.instants)
-        return t, joint, here + 0.25 * np.abs(rise * shift)
+        return float(torque_peaks(self, z).use.max(initial=0.0))
 
 
 def motion_of(z: Array, t: Array, bases: Bases) -> Motion:
     """Motion of the unknowns at instants whose bases are known."""
     return Motion(t, bases[0] @ z, bases[1] @ z, bases[2] @ z)
-
-
-def torque_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, Array, Array]:
-    """Torque and its derivatives by q, q̇, q̈ at every instant.
-
-    Rigid bodies analytically (Carpentier and Mansard 2018), effects by central differences.
-
-    Returns:
-        Shapes (n, nv), and three of (n, nv, nv): torque joint first.
-    """
-    model, data = robot.model, robot.model.createData()
-    n, nv = motion.q.shape
-    D = np.empty((3, n, nv, nv))
-    for k in range(n):
-        pin.computeRNEADerivatives(model, data, motion.q[k], motion.dq[k], motion.ddq[k])
-        D[0, k], D[1, k], D[2, k] = data.dtau_dq, data.dtau_dv, data.M
-    upper = np.triu(D[2])
-    D[2] = upper + np.swapaxes(np.triu(upper, 1), 1, 2)
-    if robot.effects:
-        D += _effect_derivatives(robot, motion)
-    return torque(robot, motion), D[0], D[1], D[2]
-
-
-def _effect_derivatives(robot: Robot, motion: Motion, step: float = 1e-6) -> Array:
-    n, nv = motion.q.shape
-    D = np.zeros((3, n, nv, nv))
-    state = np.stack([motion.q, motion.dq, motion.ddq])
-    for order in range(3):
-        for j in range(nv):
-            change = np.zeros_like(state)
-            change[order, :, j] = step
-            ahead, behind = (Motion(motion.t, *(state + sign * change)) for sign in (1.0, -1.0))
-            for effect in robot.effects:
-                difference = effect.torque(robot, ahead) - effect.torque(robot, behind)
-                D[order, :, :, j] += difference / (2 * step)
-    return D

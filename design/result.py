@@ -32,7 +32,7 @@ def design_result(design: Design) -> dict[str, Any]:
             use.quantity: _nested(getattr(design.robot.limits, use.quantity)) for use in uses
         },
         "worst": {
-            use.quantity: {"joint": use.joint, "time": use.time, "ratio": use.ratio}
+            use.quantity: {"joint": use.joint, "t": use.time, "ratio": use.ratio}
             if use.ratio > 0
             else None
             for use in uses
@@ -40,9 +40,9 @@ def design_result(design: Design) -> dict[str, Any]:
         "clearance_m": None,
         "starts": [
             {
-                "index": start.index,
+                "start": start.index,
                 "parent": start.parent,
-                "condition": _number(start.condition),
+                "condition_number": _number(start.condition),
                 "status": start.status,
                 "iterations": start.iterations,
                 "history": [_number(value) for value in start.history],

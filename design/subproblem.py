@@ -9,7 +9,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from excitant.design.criterion import smooth_model
-from excitant.design.problem import DesignProblem, motion_of, torque_derivatives
+from excitant.design.problem import DesignProblem, motion_of
+from excitant.design.torque_peaks import torque_rows
 from excitant.design.trajectory import fourier_basis
 from excitant.robots import Array
 
@@ -93,24 +94,8 @@ def local_model(problem: DesignProblem, z: Array) -> LocalModel:
             value = np.diag(eigenvalues[span]) / scale
             dM = linear.derivative(problem.sample_bases, V[:, span]) / scale
             blocks.append(Block(value, dM, lowest))
-    rows, use = _torque_rows(problem, z)
+    rows, use = torque_rows(problem, z, _NEAR_TORQUE)
     return LocalModel(z, tuple(blocks), gradient, hessian, rows, use)
-
-
-def _torque_rows(problem: DesignProblem, z: Array) -> tuple[Array, Array]:
-    if np.all(np.isinf(problem.torque_bound)):
-        return np.zeros((0, problem.size)), np.zeros(0)
-    t, joint, use = problem.torque_peaks(z, 0.0)
-    near = use > _NEAR_TORQUE
-    t, joint = t[near], joint[near]
-    bases = problem.bases(t)
-    tau, *parts = torque_derivatives(problem.robot, motion_of(z, t, bases))
-    m = np.arange(len(t))
-    share = np.sign(tau[m, joint]) / problem.torque_bound[joint]
-    rows = np.zeros((len(t), *z.shape))
-    for phi, D in zip(bases, parts, strict=True):
-        rows += phi[:, :, None] * D[m, joint][:, None, :]
-    return rows.reshape(len(t), problem.size) * share[:, None], tau[m, joint] * share
 
 
 def solve_step(problem: DesignProblem, model: LocalModel, radius: float) -> Step | None:
@@ -186,14 +171,20 @@ def _fixed_part(problem: DesignProblem, model: LocalModel) -> _Cone:
         parts.append(A)
         right.append(b)
         cones.append(clarabel.PSDTriangleConeT(len(block.value)))
-    P = sp.csc_matrix((n, n))
-    if model.hessian.any():
-        P[:k, :k] = np.triu(model.hessian)
+    P = np.zeros((n, n))
+    P[:k, :k] = np.triu(model.hessian)
     signs = [-1.0 if block.lowest else 1.0 for block in model.blocks]
     cost = np.concatenate([model.gradient, signs, [PENALTY]])
     trust = np.zeros(sum(len(r) for r in right))
     trust[: 2 * len(box)] = 1.0
-    return _Cone(P, cost, sp.csc_matrix(np.vstack(parts)), np.concatenate(right), trust, (*cones,))
+    return _Cone(
+        sp.csc_matrix(P),
+        cost,
+        sp.csc_matrix(np.vstack(parts)),
+        np.concatenate(right),
+        trust,
+        (*cones,),
+    )
 
 
 def _solve(fixed: _Cone, radius: float, rows: Array, room: Array) -> Array | None:

@@ -1,7 +1,8 @@
 """Reports: pages and summaries drawn from saved results only."""
 
+from excitant.reports.brief import brief
 from excitant.reports.html import render
 from excitant.reports.run import load_run, save_run
 from excitant.reports.summary import summarize
 
-__all__ = ["load_run", "render", "save_run", "summarize"]
+__all__ = ["brief", "load_run", "render", "save_run", "summarize"]

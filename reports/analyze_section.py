@@ -22,16 +22,7 @@ from excitant.reports.reading import Result, Series, at, real, records, text, wo
 from excitant.reports.wording import NONE, listing, number, percent, plain
 from excitant.robots.parameters import STANDARD
 
-_TONES = {
-    "good": GOOD,
-    "identifiable": GOOD,
-    "well determined": GOOD,
-    "fair": FAIR,
-    "weak": FAIR,
-    "poor": POOR,
-    "not identifiable": POOR,
-    "unidentifiable": POOR,
-}
+_TONES = {"well": GOOD, "roughly": FAIR, "negligible": GOOD, "hardly": POOR}
 
 
 def analyze_section(result: Result, series: Series) -> Section:

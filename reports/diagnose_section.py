@@ -66,7 +66,7 @@ def diagnose_section(result: Result, series: Series) -> Section:
     notes = words(result, "notes")
     parts: list[tuple[str, list[Block | None]]] = [
         ("Key figures", [_facts(result), _fault_table(result), _finding_table(result, unit)]),
-        ("Error step by step", [_waterfall(result, unit)]),
+        ("Error step by step", [_waterfall(result)]),
     ]
     for k, finding in enumerate(findings):
         title = f"Finding {k + 1}: {plain(text(finding, 'effect'))}"
@@ -211,7 +211,7 @@ def _rivals(finding: Result) -> Table | None:
     return table(columns, rows, caption) if rows else None
 
 
-def _waterfall(result: Result, unit: str) -> Block | None:
+def _waterfall(result: Result) -> Block | None:
     steps = [
         (text(row, "label"), rms)
         for row in records(result, "waterfall")
@@ -219,9 +219,8 @@ def _waterfall(result: Result, unit: str) -> Block | None:
     ]
     return waterfall(
         steps,
-        unit,
-        "Error on the hold-out after each effect that was added, from the model as given: long "
-        "grey pieces are effects that matter.",
+        "Error on the hold-out after each effect that was added, every joint relative to the "
+        "model as given: long grey pieces are effects that matter.",
     )
 
 

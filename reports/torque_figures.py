@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import PercentFormatter
 
 from excitant.reports.drawing import (
     FITTED,
@@ -168,8 +169,8 @@ def _bar(
     ax.text(min(length, top) + 0.012 * top, y, text, va="center", ha="left", fontsize=8)
 
 
-def waterfall(steps: Sequence[tuple[str, float]], unit: str, caption: str) -> Figure | None:
-    """Hold-out error after each effect that was added: what remains, and what it took away."""
+def waterfall(steps: Sequence[tuple[str, float]], caption: str) -> Figure | None:
+    """Hold-out error, relative to the model as given, after each effect that was added."""
     if len(steps) < 2:
         return None
     top = max(rms for _, rms in steps) or 1.0
@@ -181,13 +182,14 @@ def waterfall(steps: Sequence[tuple[str, float]], unit: str, caption: str) -> Fi
         if row and steps[row - 1][1] > rms:
             end = steps[row - 1][1]
             ax.barh(row + 0.06, end - rms, left=rms, height=0.26, color=LIGHT)
-        ax.text(end + 0.012 * top, row + 0.06, quantity(rms, unit), va="center", fontsize=8)
+        ax.text(end + 0.012 * top, row + 0.06, percent(rms, 3), va="center", fontsize=8)
     _bar_axes(ax, len(steps) - 0.65, 1.27 * top)
-    ax.set_xlabel(f"rms on the hold-out [{unit}]")
-    said = "; ".join(f"{label} {quantity(rms, unit)}" for label, rms in steps)
+    ax.set_xlabel("error on the hold-out, share of the given model's")
+    ax.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    said = "; ".join(f"{label} {percent(rms, 3)}" for label, rms in steps)
     legend = (
         Key("box", GIVEN, "model as given"),
         Key("box", FITTED, "what remains"),
         Key("box", LIGHT, "taken away by this effect"),
     )
-    return Figure((panel(ax, f"rms on the hold-out step by step: {said}"),), caption, legend)
+    return Figure((panel(ax, f"error on the hold-out step by step: {said}"),), caption, legend)

@@ -168,7 +168,7 @@ def _fit_options(verb: argparse.ArgumentParser) -> None:
 
 def _identify(verbs: _Verbs[argparse.ArgumentParser]) -> None:
     verb = _verb(verbs, "identify", "from recordings to a physically consistent model",
-                 "excitant identify path/to/dataset run1.parquet --validate run2.parquet")  # fmt: skip
+                 "excitant identify ur10 run1.parquet --validate run2.parquet")  # fmt: skip
     _fit_options(verb)
     verb.add_argument("--effects", metavar="NAME,...",
                       help="effects to estimate (default: viscous_friction,coulomb_friction,"
@@ -188,7 +188,7 @@ def _analyze(verbs: _Verbs[argparse.ArgumentParser]) -> None:
 
 def _diagnose(verbs: _Verbs[argparse.ArgumentParser]) -> None:
     verb = _verb(verbs, "diagnose", "what the given model gets wrong, by cause",
-                 "excitant diagnose path/to/dataset run1.parquet --validate run2.parquet")  # fmt: skip
+                 "excitant diagnose ur10 run1.parquet --validate run2.parquet")  # fmt: skip
     _fit_options(verb)
 
 

@@ -40,7 +40,7 @@ from excitant.identify import (
     model_files,
 )
 from excitant.progress import progress_bar
-from excitant.reports import load_run, save_run, summarize
+from excitant.reports import brief, load_run, save_run
 from excitant.robots import (
     Array,
     Motion,
@@ -51,7 +51,7 @@ from excitant.robots import (
     load_robot,
     torque,
 )
-from excitant.robots.effects import EFFECTS, Effect, JointEffect, standard_effects
+from excitant.robots.effects import EFFECTS, JointEffect, standard_effects
 from excitant.robots.virtual_arm import virtual_arm
 
 _DENSE_HZ = 100.0
@@ -282,11 +282,11 @@ def identify(args: argparse.Namespace) -> None:
     _finish(args, directory, identify_result(estimate), identify_series(estimate), files)
 
 
-def _effects(names: str | None, robot: Robot) -> list[Effect] | None:
+def _effects(names: str | None, robot: Robot) -> list[JointEffect] | None:
     if names is None:
         return None
     known = {name: kind for name, kind in EFFECTS.items() if issubclass(kind, JointEffect)}
-    effects = []
+    effects: list[JointEffect] = []
     for name in (word.strip() for word in names.split(",")):
         if name not in known:
             raise UnknownName("effect", name, known)
@@ -367,13 +367,14 @@ def _finish(
     if args.json:
         _print_json(saved)
         return
-    print(summarize(saved).rstrip())
+    print(brief(saved))
     print()
     _print_paths(paths)
 
 
 def _print_paths(paths: Sequence[Path]) -> None:
-    for path in paths:
+    """All paths, the report last because it is the one to open."""
+    for path in sorted(paths, key=lambda path: path.suffix == ".html"):
         print(path)
 
 

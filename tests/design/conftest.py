@@ -27,7 +27,9 @@ def limited() -> Callable[..., Robot]:
         values = {name: changes.get(name, getattr(robot.limits, name)) for name in names}
         shapes = {name: (robot.nv, 2) if name == "position" else (robot.nv,) for name in names}
         return robot.with_limits(
-            Limits(**{k: np.broadcast_to(np.asarray(v, float), shapes[k]) for k, v in values.items()})
+            Limits(
+                **{k: np.broadcast_to(np.asarray(v, float), shapes[k]) for k, v in values.items()}
+            )
         )
 
     return replaced

@@ -3,16 +3,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from excitant.design import build_design, condition_number, information, random_trajectory
+from excitant.design import build_design, check, condition_number, information, random_trajectory
 from excitant.design.criterion import objective, smooth_model
-from excitant.design.problem import DesignProblem, motion_of, torque_derivatives
+from excitant.design.problem import DesignProblem, motion_of
 from excitant.design.subproblem import local_model
+from excitant.design.torque_peaks import torque_derivatives, torque_peaks, torque_rows
 from excitant.exceptions import UnknownName
 from excitant.robots import Motion, Robot, torque
 from excitant.robots.effects import CoulombFriction, RotorInertia, ViscousFriction
 
 
-def problem_and_point(robot: Robot, columns: str, criterion: str) -> tuple[DesignProblem, np.ndarray]:
+def problem_and_point(
+    robot: Robot, columns: str, criterion: str
+) -> tuple[DesignProblem, np.ndarray]:
     problem = build_design(robot, harmonics=3, columns=columns, criterion=criterion)
     rng = np.random.default_rng(5)
     return problem, problem.unknowns(random_trajectory(robot, rng, 10.0, 3))
@@ -102,13 +105,38 @@ def test_torque_derivatives_with_effects(ur10: Robot) -> None:
     h = 1e-6
     _, by_q, by_dq, by_ddq = torque_derivatives(robot, Motion(t, q, dq, ddq))
     ahead, behind = (
-        torque(robot, Motion(t, *(x + s * h * d for x, d in zip((q, dq, ddq), change, strict=True))))
+        torque(
+            robot, Motion(t, *(x + s * h * d for x, d in zip((q, dq, ddq), change, strict=True)))
+        )
         for s in (1, -1)
     )
     found = sum(
         np.einsum("nij,nj->ni", D, d) for D, d in zip((by_q, by_dq, by_ddq), change, strict=True)
     )
     np.testing.assert_allclose(found, (ahead - behind) / (2 * h), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("friction", [False, True])
+def test_peaks_are_those_of_the_continuous_torque_and_follow_it(
+    ur10: Robot, friction: bool
+) -> None:
+    robot = ur10.with_effects([CoulombFriction(ur10.joints, (30.0,) * 6)] if friction else ())
+    problem, z = problem_and_point(robot, "inertial", "condition")
+    exact = check(robot, problem.trajectory(z)).torque.ratio
+    room = robot.limits.torque[0] / problem.torque_bound[0]
+    peaks = torque_peaks(problem, z)
+    assert peaks.use.max() == pytest.approx(exact * room, rel=1e-3)
+    if friction:
+        assert peaks.side[peaks.use.argmax()] != 0
+    rows, use = torque_rows(problem, z, 0.9 * peaks.use.max())
+    top = use.argmax()
+    direction = np.random.default_rng(0).normal(size=z.shape)
+    h = 1e-5
+    ahead, behind = (
+        check(robot, problem.trajectory(z + s * h * direction)).torque.ratio * room for s in (1, -1)
+    )
+    expected = (ahead - behind) / (2 * h)
+    assert rows[top] @ direction.ravel() == pytest.approx(expected, rel=0.02)
 
 
 def test_unknown_columns_and_criterion(planar: Robot) -> None:

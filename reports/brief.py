@@ -1,0 +1,88 @@
+"""A run in a few lines, for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from excitant.reports.reading import Result, at, middle, real, records, text, words
+from excitant.reports.wording import number, percent, plain
+
+
+def brief(result: Result) -> str:
+    """What a run came to, one line per question."""
+    lines = _VERBS[text(result, "verb")](result)
+    return "\n".join(f"{label:<13}{words}" for label, words in lines)
+
+
+Lines = list[tuple[str, str]]
+
+
+def _demo(result: Result) -> Lines:
+    truth = f"{plain(at(result, 'truth', 'effect'))} at {text(result, 'truth', 'joint')}"
+    outcome = "named" if at(result, "verdict", "correct") else "not named"
+    parts = [
+        line
+        for verb in ("design", "identify", "analyze", "diagnose")
+        for line in _VERBS[verb](at(result, verb))
+    ]
+    return [*parts, ("hidden", f"{truth} (seed {at(result, 'seed')}): {outcome}")]
+
+
+def _design(result: Result) -> Lines:
+    before, after = (real(result, "condition_number", k) for k in ("initial", "final"))
+    worst = max(real(result, "limits", k) or 0.0 for k in at(result, "limits"))
+    return [
+        ("designed", f"condition number {number(before)} → {number(after)}, "
+         f"limits used up to {percent(worst, 4)}"),
+    ]  # fmt: skip
+
+
+def _identify(result: Result) -> Lines:
+    rows, unit = records(result, "joints"), text(result, "unit")
+    given, found = (
+        sum(real(row, kind, "rms") or 0.0 for row in rows) for kind in ("baseline", "validate")
+    )
+    r2 = middle(rows, "validate", "r2")
+    consistent = "physically consistent" if at(result, "physical", "consistent") else "not physical"
+    return [
+        ("identified", f"hold-out error, sum of joints, {number(given)} → {number(found)} {unit}, "
+         f"median r² {number(r2, 4)}, {consistent}"),
+        ("", text(result, "holdout")),
+    ]  # fmt: skip
+
+
+def _analyze(result: Result) -> Lines:
+    links = records(result, "links")
+    unique, hidden = (sum(len(words(k, n)) for k in links) for n in ("unique", "unidentifiable"))
+    total = at(result, "standard_parameters")
+    lines = [
+        ("identifiable", f"{at(result, 'base_parameters')} combinations of {total} parameters; "
+         f"{unique} parameters uniquely, {hidden} not at all"),
+    ]  # fmt: skip
+    practical = records(result, "practical")
+    if practical:
+        weak = sum(row.get("verdict") == "hardly" for row in practical)
+        lines.append(("", f"this motion hardly shows {weak} of {len(practical)} combinations"))
+    return lines
+
+
+def _diagnose(result: Result) -> Lines:
+    return [("diagnosed", text(result, "headline"))]
+
+
+def _check(result: Result) -> Lines:
+    kappa = number(real(result, "condition_number"))
+    return [
+        *(("checked" if k == 0 else "", line) for k, line in enumerate(words(result, "verdicts"))),
+        ("", f"condition number {kappa} ({text(result, 'columns')} columns)"),
+    ]
+
+
+_VERBS: dict[str, Callable[[Result], Lines]] = {
+    "demo": _demo,
+    "design": _design,
+    "identify": _identify,
+    "analyze": _analyze,
+    "diagnose": _diagnose,
+    "check": _check,
+}

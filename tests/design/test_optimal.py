@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from excitant.design import Design, check, design, design_result, design_series
+from excitant.exceptions import BadInput, Infeasible
+from excitant.robots import Robot, torque
+
+Limited = Callable[..., Robot]
+
+
+def assert_limits_hold(result: Design, rate_hz: float = 2000.0) -> None:
+    robot, motion = result.robot, result.trajectory.motion(rate_hz)
+    low, high = robot.limits.position.T
+    assert result.trajectory.at_rest
+    assert np.all(np.abs(motion.q - (low + high) / 2) <= (high - low) / 2)
+    assert np.all(np.abs(motion.dq) <= robot.limits.velocity)
+    assert np.all(np.abs(motion.ddq) <= robot.limits.acceleration)
+    assert np.all(np.abs(torque(robot, motion)) <= robot.limits.torque)
+    assert result.limits.worst.ratio <= 1.0
+
+
+@pytest.fixture(scope="module")
+def arm(ur10: Robot, limited: Limited) -> Robot:
+    return limited(ur10, position=[-np.pi, np.pi], acceleration=10.0)
+
+
+@pytest.fixture(scope="module")
+def found(arm: Robot) -> Design:
+    return design(arm, columns="inertial", harmonics=4, starts=2, jobs=1, seed=3)
+
+
+def test_improves_on_random_and_holds_every_limit(found: Design) -> None:
+    assert found.condition_final < found.condition_initial / 5
+    assert_limits_hold(found)
+    assert found.limits.worst.ratio > 0.999
+
+
+def test_figures_are_those_of_the_trajectory(found: Design) -> None:
+    from excitant.robots import regressor
+
+    motion = found.trajectory.motion(100.0)
+    W = regressor(found.robot, motion)[:, :, list(found.base.columns)].reshape(-1, len(found.base))
+    assert found.condition_final == pytest.approx(np.linalg.cond(W), rel=1e-7)
+    eigenvalues = np.linalg.svd(W, compute_uv=False)[::-1] ** 2 / len(motion)
+    np.testing.assert_allclose(found.eigenvalues_final, eigenvalues, rtol=1e-6)
+
+
+def test_result_and_series(found: Design) -> None:
+    result = design_result(found)
+    assert json.loads(json.dumps(result, allow_nan=False)) == result
+    assert result["verb"] == "design"
+    assert result["condition_number"]["final"] == found.condition_final
+    assert result["iterations"] == sum(start["iterations"] for start in result["starts"])
+    assert [start["status"] for start in result["starts"]] == ["converged"] * 2
+    for name, use in result["worst"].items():
+        assert use["joint"] in result["joints"]
+        assert use["ratio"] == result["limits"][name] <= 1.0
+    series = design_series(found)
+    assert len(series["t"]) >= 1000
+    share = np.abs(series["tau"]) / found.robot.limits.torque
+    assert share.max() == pytest.approx(found.limits.torque.ratio, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_limits_hold_between_samples(planar: Robot, limited: Limited, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    middle, half = rng.uniform(-2, 2, 2), rng.uniform(0.5, 2.0, 2)
+    robot = limited(
+        planar,
+        position=np.column_stack([middle - half, middle + half]),
+        velocity=rng.uniform(1, 4, 2),
+        acceleration=rng.uniform(5, 20, 2),
+        torque=planar.limits.torque * rng.uniform(0.6, 1.0, 2),
+    )
+    result = design(robot, duration=5.0, harmonics=4, starts=2, jobs=1, seed=seed)
+    assert_limits_hold(result)
+    assert result.condition_final < result.condition_initial
+
+
+def test_torque_limits_bind_and_hold(arm: Robot, limited: Limited) -> None:
+    weak = limited(arm, torque=arm.limits.torque * 0.25)
+    result = design(weak, columns="inertial", harmonics=4, starts=1, jobs=1, seed=1)
+    assert_limits_hold(result)
+    assert result.limits.torque.ratio > 0.999
+    assert result.condition_final < result.condition_initial / 5
+
+
+@pytest.mark.parametrize("criterion", ["d", "a", "e"])
+def test_every_criterion_improves_its_own_value(planar: Robot, criterion: str) -> None:
+    result = design(planar, criterion=criterion, harmonics=3, starts=1, jobs=1)
+    values = {
+        "d": lambda e: np.log(e).sum(),
+        "a": lambda e: -np.log((1 / e).sum()),
+        "e": lambda e: np.log(e[0]),
+    }
+    value = values[criterion]
+    assert value(result.eigenvalues_final) > value(result.eigenvalues_initial) + 0.5
+    assert_limits_hold(result)
+
+
+def test_number_of_processes_does_not_change_the_result(planar: Robot) -> None:
+    one, two = (
+        design(planar, harmonics=3, starts=5, jobs=jobs, seed=2, columns="friction")
+        for jobs in (1, 2)
+    )
+    np.testing.assert_array_equal(one.trajectory.coefficients, two.trajectory.coefficients)
+    assert [s.history for s in one.starts] == [s.history for s in two.starts]
+    other = design(planar, harmonics=3, starts=5, jobs=1, seed=3, columns="friction")
+    assert not np.array_equal(one.trajectory.coefficients, other.trajectory.coefficients)
+
+
+@pytest.mark.parametrize("starts", [None, 500])
+def test_time_limit_returns_the_best_so_far(arm: Robot, starts: int | None) -> None:
+    began = time.time()
+    result = design(arm, starts=starts, jobs=1, time_limit=2.0)
+    assert time.time() - began < 6.0
+    assert_limits_hold(result)
+    assert result.condition_final < result.condition_initial
+    assert result.starts[-1].status == "time limit"
+
+
+def test_no_time_at_all_returns_the_first_trajectory(arm: Robot) -> None:
+    result = design(arm, starts=2, jobs=1, time_limit=0.0)
+    assert result.condition_final == result.condition_initial
+    assert {start.status for start in result.starts} == {"time limit"}
+    assert_limits_hold(result)
+
+
+def test_interrupt_returns_the_best_so_far(arm: Robot) -> None:
+    def stop(done: int, total: int | None, condition: float, worst: float) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+    assert threading.current_thread() is threading.main_thread()
+    result = design(arm, columns="inertial", starts=20, jobs=1, progress=stop)
+    assert_limits_hold(result)
+    assert result.condition_final < result.condition_initial
+    assert {start.status for start in result.starts} == {"interrupted"}
+
+
+def test_progress_tells_what_is_reached(planar: Robot) -> None:
+    told: list[tuple[int, int | None, float, float]] = []
+    result = design(planar, harmonics=3, starts=4, jobs=1, progress=lambda *news: told.append(news))
+    assert told[-1][0] <= told[-1][1] == 4
+    conditions = [news[2] for news in told]
+    assert conditions == sorted(conditions, reverse=True)
+    assert conditions[-1] == pytest.approx(result.condition_final, rel=0.1)
+    assert told[-1][3] == pytest.approx(result.limits.worst.ratio, rel=1e-3)
+
+
+def test_infeasible_names_joint_and_limit(planar: Robot, limited: Limited) -> None:
+    robot = limited(planar, torque=[1.0, 100.0], position=[[-0.2, 0.2], [-0.2, 0.2]])
+    with pytest.raises(Infeasible, match=f"torque limit of {planar.joints[0]}") as error:
+        design(robot, starts=1, jobs=1)
+    assert "position limits" in str(error.value)
+
+
+def test_refuses_impossible_options(planar: Robot) -> None:
+    with pytest.raises(BadInput, match="at least 2"):
+        design(planar, harmonics=1)
+    with pytest.raises(BadInput, match="duration"):
+        design(planar, duration=-1.0)
+    with pytest.raises(BadInput, match="starts"):
+        design(planar, starts=0)
+
+
+def test_check_agrees_with_the_report(found: Design) -> None:
+    sampled = check(found.robot, found.trajectory.motion(200.0))
+    for ours, theirs in zip(found.limits.uses, sampled.uses, strict=True):
+        np.testing.assert_allclose(theirs.ratios, ours.ratios, rtol=1e-4)
