@@ -3,25 +3,31 @@
 Torque is smooth but for friction, which jumps where a joint turns back. There the largest
 torque is a one-sided limit, which no sample attains: both sides are evaluated at the very
 instant, with the joint's velocity replaced by a tiny one of either sign.
+
+A joint that slows down to almost nothing without turning would need the torque of the other
+side as soon as it turned. That torque counts with a weight that grows to 1 as the velocity
+falls to 0, so that the constraint does not appear from nowhere between two steps.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from excitant.design.criterion import speed_scale
 from excitant.design.trajectory import fourier_basis
-from excitant.robots import Array, Motion, Robot, torque
+from excitant.robots import Array, Motion, Robot, rigid_body_torque, torque
 
 if TYPE_CHECKING:
     from excitant.design.problem import DesignProblem
 
 _CREEP = 1e-5  # speed that stands for a one-sided limit [rad/s or m/s]
 _STEP = 1e-6  # of central differences of effects; below `_CREEP`, so that no sign changes
+_SLOW = 0.05  # of the speed scale, below which a joint almost turns
 _STILL = 1e-6  # acceleration, as a share of the largest, below which a turn stays where it is
 
 
@@ -33,18 +39,20 @@ class TorquePeaks:
         t: Instants, shape (k,) [s].
         joint: Joint, shape (k,).
         side: 0, or the sign of velocity where the joint turns back, shape (k,).
-        use: Magnitude over the torque bound, shape (k,).
+        weight: Weight of the torque; 1, but less where the joint only almost turns, shape (k,).
+        use: Weighted magnitude over the torque bound, shape (k,).
     """
 
     t: Array
     joint: npt.NDArray[np.intp]
     side: Array
+    weight: Array
     use: Array
 
     def above(self, share: float) -> TorquePeaks:
         """Those whose use exceeds a share."""
         k = self.use > share
-        return TorquePeaks(self.t[k], self.joint[k], self.side[k], self.use[k])
+        return TorquePeaks(self.t[k], self.joint[k], self.side[k], self.weight[k], self.use[k])
 
     def motion(self, problem: DesignProblem, z: Array) -> Motion:
         """The motion at the instants, creeping where it turns."""
@@ -55,31 +63,38 @@ class TorquePeaks:
 
 
 def torque_peaks(problem: DesignProblem, z: Array) -> TorquePeaks:
-    """Peaks of every joint's torque along a trajectory, estimated between samples."""
-    q, dq, ddq = (basis @ z for basis in problem.grid_bases[:3])
-    robot, t = problem.robot, problem.instants
-    use = np.abs(torque(robot, Motion(t, q, dq, ddq))) / problem.torque_bound
+    """Peaks of every joint's torque along a trajectory, located between samples by a parabola."""
+    motion = Motion(problem.instants, *(basis @ z for basis in problem.grid_bases[:3]))
+    rigid = rigid_body_torque(problem.robot, motion)
+    if not problem.robot.effects:
+        return _smooth_peaks(problem, z, rigid, 0.0)
+    parts = [_turns(problem, z, motion.dq), _almost_turns(problem, z, motion.dq)]
+    for side in (1.0, -1.0):
+        dq = side * np.maximum(side * motion.dq, _CREEP)
+        one_way = Motion(motion.t, motion.q, dq, motion.ddq)
+        tau = rigid + sum(e.torque(problem.robot, one_way) for e in problem.robot.effects)
+        parts.append(_smooth_peaks(problem, z, tau, side))
+    names = ("t", "joint", "side", "weight", "use")
+    return TorquePeaks(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+
+def _smooth_peaks(problem: DesignProblem, z: Array, tau: Array, side: float) -> TorquePeaks:
+    """Peaks of torque without jumps: friction as if every joint moved to this side.
+
+    Where a joint moves to the other side, the peak counts only if it is slow.
+    """
+    use = np.abs(tau) / problem.torque_bound
     before, after = np.roll(use, 1, axis=0), np.roll(use, -1, axis=0)
     k, joint = np.nonzero((use >= before) & (use > after))
-    here, rise = use[k, joint], after[k, joint] - before[k, joint]
-    bend = np.minimum(before[k, joint] - 2 * here + after[k, joint], -1e-300)
-    shift = np.clip(-0.5 * rise / bend, -0.5, 0.5)
-    if robot.effects:
-        v = dq[:, joint]
-        columns = np.arange(len(k))
-        around = [v[(k + step) % len(t), columns] for step in (-1, 0, 1)]
-        shift[(np.min(around, axis=0) <= 0) & (np.max(around, axis=0) >= 0)] = 0.0
-    times = t[k] + shift * problem.period / len(t)
-    smooth = TorquePeaks(times, joint, np.zeros(len(k)), here + 0.25 * np.abs(rise * shift))
-    if not robot.effects:
-        return smooth
-    turns = _turns(problem, z, dq)
-    return TorquePeaks(
-        *(
-            np.concatenate([getattr(smooth, name), getattr(turns, name)])
-            for name in ("t", "joint", "side", "use")
-        )
-    )
+    rise = after[k, joint] - before[k, joint]
+    bend = before[k, joint] - 2 * use[k, joint] + after[k, joint]
+    shift = np.clip(-0.5 * rise / np.minimum(bend, -1e-300), -0.5, 0.5)
+    t = problem.instants[k] + shift * problem.period / len(use)
+    along = side * _own(problem, z, t, joint, 1)
+    weight = np.clip(1 + np.minimum(along, 0.0) / slow_speed(problem.robot)[joint], 0.0, 1.0)
+    counts = weight > 0
+    sides = np.where(along < 0, side, 0.0)
+    return _sided(problem, z, t[counts], joint[counts], sides[counts], weight[counts])
 
 
 def _turns(problem: DesignProblem, z: Array, dq: Array) -> TorquePeaks:
@@ -88,17 +103,57 @@ def _turns(problem: DesignProblem, z: Array, dq: Array) -> TorquePeaks:
     following = np.roll(dq, -1, axis=0)
     k, joint = np.nonzero(dq * following < 0)
     share = dq[k, joint] / (dq[k, joint] - following[k, joint])
-    t = (k + share) * problem.period / n
-    for _ in range(2):
-        v, a = (_own(problem, z, t, joint, order) for order in (1, 2))
-        step = np.divide(v, a, out=np.zeros_like(v), where=a != 0.0)
-        t = t - np.clip(step, -problem.period / n, problem.period / n)
+    t = _polished(problem, z, (k + share) * problem.period / n, joint, 1)
     t, joint = np.append(t, np.zeros(nv)), np.append(joint, np.arange(nv))
     side = np.repeat([1.0, -1.0], len(t))
-    both = TorquePeaks(np.tile(t, 2), np.tile(joint, 2), side, np.ones(len(side)))
-    tau = torque(problem.robot, both.motion(problem, z))[np.arange(len(side)), both.joint]
-    use = np.abs(tau) / problem.torque_bound[both.joint]
-    return TorquePeaks(both.t, both.joint, both.side, use)
+    return _sided(problem, z, np.tile(t, 2), np.tile(joint, 2), side, np.ones(len(side)))
+
+
+def _almost_turns(problem: DesignProblem, z: Array, dq: Array) -> TorquePeaks:
+    """The other side where a joint is slow: at the samples, and where it is slowest."""
+    size, n = np.abs(dq), len(dq)
+    before, after = np.roll(dq, 1, axis=0), np.roll(dq, -1, axis=0)
+    slowest = (size <= np.abs(before)) & (size < np.abs(after))
+    k, joint = np.nonzero(slowest & (dq * before > 0) & (dq * after > 0))
+    t = _polished(problem, z, k * problem.period / n, joint, 2)
+    slow = np.nonzero(size < slow_speed(problem.robot))
+    k, joint = np.append(k, slow[0]), np.append(joint, slow[1])
+    t = np.append(t, problem.instants[slow[0]])
+    side = -np.sign(dq[k, joint])
+    short = -side * _own(problem, z, t, joint, 1)  # below 0 it turns twice between two samples
+    weight = np.clip(1 - short / slow_speed(problem.robot)[joint], 0.0, 1.0)
+    near = weight > 0
+    return _sided(problem, z, t[near], joint[near], side[near], weight[near])
+
+
+def slow_speed(robot: Robot) -> Array:
+    """Speed below which a joint almost turns, shape (nv,) [rad/s or m/s]."""
+    return _SLOW * speed_scale(robot)
+
+
+def _sided(
+    problem: DesignProblem,
+    z: Array,
+    t: Array,
+    joint: npt.NDArray[np.intp],
+    side: Array,
+    weight: Array,
+) -> TorquePeaks:
+    blank = TorquePeaks(t, joint, side, weight, np.zeros(len(t)))
+    tau = torque(problem.robot, blank.motion(problem, z))[np.arange(len(t)), joint]
+    return replace(blank, use=weight * np.abs(tau) / problem.torque_bound[joint])
+
+
+def _polished(
+    problem: DesignProblem, z: Array, t: Array, joint: npt.NDArray[np.intp], order: int
+) -> Array:
+    """Instants moved by Newton's method to zeros of a derivative, less than a grid step."""
+    spacing = problem.period / len(problem.instants)
+    for _ in range(2):
+        value, slope = (_own(problem, z, t, joint, order + k) for k in (0, 1))
+        step = np.divide(value, slope, out=np.zeros_like(value), where=slope != 0.0)
+        t = t - np.clip(step, -spacing, spacing)
+    return t
 
 
 def _own(
@@ -128,11 +183,21 @@ def torque_rows(problem: DesignProblem, z: Array, share: float) -> tuple[Array, 
     for phi, D, speed in zip(bases, parts, (motion.dq, motion.ddq, jerk), strict=True):
         rows += phi[:, :, None] * D[m, joint][:, None, :]
         rate += np.einsum("kj,kj->k", D[m, joint], speed)
-    a = motion.ddq[m, joint]
-    moving = (peaks.side != 0) & (np.abs(a) > _STILL * np.abs(motion.ddq).max(initial=0.0))
-    delay = np.divide(rate, a, out=np.zeros_like(a), where=moving)
-    rows[m, :, joint] -= bases[1] * delay[:, None]
-    return rows.reshape(len(m), problem.size) * sign[:, None], tau[m, joint] * sign
+    rows[m, :, joint] -= bases[1] * _delay(peaks, motion, rate)[:, None]
+    v = np.einsum("kd,kd->k", bases[1], z[:, joint].T)
+    growth = np.where(peaks.weight < 1, -np.sign(v) / slow_speed(problem.robot)[joint], 0.0)
+    rows *= peaks.weight[:, None, None]
+    rows[m, :, joint] += bases[1] * (tau[m, joint] * growth)[:, None]
+    use = tau[m, joint] * sign * peaks.weight
+    return rows.reshape(len(m), problem.size) * sign[:, None], use
+
+
+def _delay(peaks: TorquePeaks, motion: Motion, rate: Array) -> Array:
+    """Change of torque per change of velocity at a turn, which that velocity moves in time."""
+    a = motion.ddq[np.arange(len(motion)), peaks.joint]
+    still = np.abs(a) <= _STILL * np.abs(motion.ddq).max(initial=0.0)
+    moving = (peaks.side != 0) & (peaks.weight == 1) & ~still
+    return np.divide(rate, a, out=np.zeros_like(a), where=moving)
 
 
 def torque_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, Array, Array]:
