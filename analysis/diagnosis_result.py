@@ -189,5 +189,8 @@ def _in_words(finding: Finding, joints: Sequence[str], diagnosis: Diagnosis) -> 
     if len(joints) > 1:
         return f"{name[0].upper()}{name[1:]} of {len(joints)} joints is missing or wrong"
     unit = effect.parameters(diagnosis.robot)[0].unit
-    given = f" (given {finding.given[0]:.3g})" if finding.given[0] else ""
-    return f"{joints[0]}: {name} of {values[0]:.3g} {unit}{given} is not in the model"
+    if finding.given[0]:
+        return (
+            f"{joints[0]}: {name} is {values[0]:.3g} {unit}, the model says {finding.given[0]:.3g}"
+        )
+    return f"{joints[0]}: {name} of {values[0]:.3g} {unit} is not in the model"
