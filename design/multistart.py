@@ -24,6 +24,7 @@ _ITERATIONS = 300
 _ELITE = 3  # searches whose solutions are mixed with random trajectories to start again
 _MIX = (0.3, 0.5)  # share of the random trajectory
 _POLISHED = 4  # best searches that are driven to convergence
+_ISLAND = 24  # starts after which random ones begin anew
 _ROUND = 6  # restarts that begin from the same knowledge
 
 
@@ -53,7 +54,8 @@ class MultiStart:
     Random starts are screened: after a few iterations the better half goes on. Restarts begin
     at a mixture of one of the best solutions and a random trajectory; the kinematic limits are
     convex, so it keeps them. Searches run until they become slow; only the best are then
-    driven to convergence.
+    driven to convergence. After some restarts, which come to resemble each other, all this
+    begins anew.
 
     Attributes:
         problem: The design problem.
@@ -72,13 +74,14 @@ class MultiStart:
     deadline: float
     report: Callable[[Sequence[SearchState]], None]
     states: dict[int, SearchState] = field(default_factory=dict)
+    _first: int = 0
 
     def run(self) -> tuple[SearchState, ...]:
         """All searches, ended one way or another; Ctrl-C ends them early."""
         try:
-            self._random_starts()
+            self._island()
             while self._more():
-                self._restarts()
+                self._island()
             self._work(self._polishing(_POLISHED))
             for state in self._ranked()[_POLISHED:]:
                 self._end(state, "stopped", ("stalled",))
@@ -88,29 +91,36 @@ class MultiStart:
             self._end_all("interrupted")
         return tuple(self.states[k] for k in sorted(self.states))
 
+    def _island(self) -> None:
+        self._random_starts()
+        while self._more() and self._room > 0:
+            self._restarts()
+
     @property
-    def _fresh(self) -> int:
-        if self.starts is None:
-            return 2 * _ROUND
-        return self.starts if self.starts < 4 else -(-self.starts // 2)
+    def _room(self) -> int:
+        """Starts that this island still has."""
+        left = _ISLAND if self.starts is None else self.starts - self._first
+        return min(_ISLAND, left) - (len(self.states) - self._first)
 
     def _more(self) -> bool:
         enough = self.starts is not None and len(self.states) >= self.starts
         return not enough and time.time() < self.deadline
 
     def _random_starts(self) -> None:
-        new = [self._blank(k) for k in range(self._fresh)]
+        self._first = first = len(self.states)
+        count = self._room if self._room < 4 else -(-self._room // 2)
+        new = [self._blank(k) for k in range(first, first + count)]
         self._work([Task(state, _SCREENING) for state in new])
-        ranked = self._ranked()
+        ranked = self._ranked(first)
         keep = len(ranked) if len(ranked) < 4 else -(-len(ranked) // 2)
         for state in ranked[keep:]:
             self._end(state, "stopped", ("running",))
         self._work([Task(s, _ITERATIONS) for s in ranked[:keep] if s.status == "running"])
 
     def _restarts(self) -> None:
-        first, elite = len(self.states), self._sound()[:_ELITE]
-        last = first + _ROUND if self.starts is None else min(first + _ROUND, self.starts)
-        tasks = self._polishing(_POLISHED // 2)
+        first, last = len(self.states), len(self.states) + min(_ROUND, self._room)
+        elite = [s for s in self._ranked(self._first) if np.isfinite(s.merit)][:_ELITE]
+        tasks = self._polishing(_POLISHED // 2, self._first)
         for k in range(first, last):
             task = Task(self._blank(k), _ITERATIONS)
             if elite:
@@ -120,19 +130,18 @@ class MultiStart:
             tasks.append(task)
         self._work(tasks)
 
-    def _polishing(self, count: int) -> list[Task]:
+    def _polishing(self, count: int, first: int = 0) -> list[Task]:
         """Tasks that drive the best searches to convergence."""
-        slow = [s for s in self._ranked()[:count] if s.status == "stalled"]
+        slow = [s for s in self._ranked(first)[:count] if s.status == "stalled"]
         return [Task(state, _ITERATIONS, least=FINE) for state in slow]
 
     def _blank(self, index: int) -> SearchState:
         return SearchState(index, np.zeros((2 * self.problem.harmonics - 1, 0)))
 
-    def _ranked(self) -> list[SearchState]:
-        return sorted(self.states.values(), key=lambda s: (s.merit, s.index))
-
-    def _sound(self) -> list[SearchState]:
-        return [state for state in self._ranked() if np.isfinite(state.merit)]
+    def _ranked(self, first: int = 0) -> list[SearchState]:
+        """The searches from a start onwards, best first."""
+        states = (state for state in self.states.values() if state.index >= first)
+        return sorted(states, key=lambda s: (s.merit, s.index))
 
     def _work(self, tasks: Sequence[Task]) -> None:
         for state in _results(self.problem, tasks, self.jobs, self.seed, self.deadline):

@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from excitant.design.criterion import speed_scale
 from excitant.design.trajectory import fourier_basis
-from excitant.robots import Array, Motion, Robot, rigid_body_torque, torque
+from excitant.robots import Array, Motion, Robot, torque
 
 if TYPE_CHECKING:
     from excitant.design.problem import DesignProblem
@@ -65,17 +65,26 @@ class TorquePeaks:
 def torque_peaks(problem: DesignProblem, z: Array) -> TorquePeaks:
     """Peaks of every joint's torque along a trajectory, located between samples by a parabola."""
     motion = Motion(problem.instants, *(basis @ z for basis in problem.grid_bases[:3]))
-    rigid = rigid_body_torque(problem.robot, motion)
+    tau = torque(problem.robot, motion)
     if not problem.robot.effects:
-        return _smooth_peaks(problem, z, rigid, 0.0)
+        return _smooth_peaks(problem, z, tau, 0.0)
+    jump = _jump(problem.robot, motion)
     parts = [_turns(problem, z, motion.dq), _almost_turns(problem, z, motion.dq)]
     for side in (1.0, -1.0):
-        dq = side * np.maximum(side * motion.dq, _CREEP)
-        one_way = Motion(motion.t, motion.q, dq, motion.ddq)
-        tau = rigid + sum(e.torque(problem.robot, one_way) for e in problem.robot.effects)
-        parts.append(_smooth_peaks(problem, z, tau, side))
+        one_way = tau + side * jump * (side * motion.dq < 0)
+        parts.append(_smooth_peaks(problem, z, one_way, side))
     names = ("t", "joint", "side", "weight", "use")
     return TorquePeaks(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+
+def _jump(robot: Robot, motion: Motion) -> Array:
+    """What a joint's torque would jump by if it turned to the positive side, shape (n, nv)."""
+    jump = np.zeros_like(motion.q)
+    for side in (1.0, -1.0):
+        creeping = Motion(motion.t, motion.q, np.full_like(jump, side * _CREEP), motion.ddq)
+        for effect in robot.effects:
+            jump += side * effect.torque(robot, creeping)
+    return jump
 
 
 def _smooth_peaks(problem: DesignProblem, z: Array, tau: Array, side: float) -> TorquePeaks:

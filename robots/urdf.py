@@ -51,12 +51,7 @@ def robot_from_urdf(
     model = _build(ET.tostring(root, encoding="unicode"), source)
     locked = _locked(model, joints, dict(lock or {}))
     if locked:
-        reference = pin.neutral(model)
-        for joint, value in locked.items():
-            reference[model.joints[model.getJointId(joint)].idx_q] = value
-        model = pin.buildReducedModel(
-            model, [model.getJointId(joint) for joint in locked], reference
-        )
+        model = pin.buildReducedModel(model, *_lock(model, locked))
     if model.nv == 0:
         raise BadRobot(source, "it has no moving joints; name a URDF of an arm")
     for joint, name_of in zip(list(model.joints)[1:], list(model.names)[1:], strict=True):
@@ -79,6 +74,30 @@ def robot_from_urdf(
         locked=tuple(sorted(locked.items())),
         source=source,
     )
+
+
+def full_model(root: ET.Element, robot: Robot) -> tuple[pin.Model, Array, list[int]]:
+    """Model of a robot's URDF with all joints, to build geometry on.
+
+    Args:
+        root: The robot's URDF; its continuous joints become revolute.
+        robot: The robot that was read from it.
+
+    Returns:
+        The model, a configuration with the locked joints in place, and their indices.
+    """
+    _bound_continuous_joints(root)
+    model = _build(ET.tostring(root, encoding="unicode"), robot.source)
+    joints, reference = _lock(model, dict(robot.locked))
+    return model, reference, joints
+
+
+def _lock(model: pin.Model, locked: Mapping[str, float]) -> tuple[list[int], Array]:
+    """Indices of locked joints, and a configuration that has them in place."""
+    reference: Array = pin.neutral(model)
+    for joint, value in locked.items():
+        reference[model.joints[model.getJointId(joint)].idx_q] = value
+    return [model.getJointId(joint) for joint in locked], reference
 
 
 def _parse(text: str, source: str) -> ET.Element:

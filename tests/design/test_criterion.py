@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -118,32 +116,47 @@ def test_torque_derivatives_with_effects(ur10: Robot) -> None:
     np.testing.assert_allclose(found, (ahead - behind) / (2 * h), rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize("friction", [False, True])
+@pytest.mark.parametrize("friction", [0.0, 30.0])
 @pytest.mark.parametrize("seed", range(4))
-def test_peaks_are_those_of_the_continuous_torque_and_follow_it(
-    ur10: Robot, limited: Callable[..., Robot], friction: bool, seed: int
+def test_torque_peaks_are_those_of_continuous_time_and_rows_follow_them(
+    ur10: Robot, friction: float, seed: int
 ) -> None:
-    # the first axis is vertical: inertia peaks where it turns, and friction adds to it there
-    limits = [300.0, *[np.inf] * 5] if friction else ur10.limits.torque
-    effects = [CoulombFriction(ur10.joints, (30.0,) * 6)] if friction else ()
-    robot = limited(ur10, torque=limits).with_effects(effects)
+    robot = ur10.with_effects([CoulombFriction(ur10.joints, (friction,) * 6)] if friction else ())
     problem = build_design(robot, harmonics=3, columns="inertial")
     rng = np.random.default_rng(seed)
     z = problem.unknowns(random_trajectory(robot, rng, 10.0, 3))
     room = robot.limits.torque[0] / problem.torque_bound[0]
     peaks = torque_peaks(problem, z)
-    top = peaks.use.argmax()
-    if friction:
-        assert peaks.side[top] != 0
     exact = room * check(robot, problem.trajectory(z)).torque.ratio
-    assert peaks.use[top] == pytest.approx(exact, rel=1e-3)
-    rows, use = torque_rows(problem, z, 0.9 * peaks.use[top])
-    row, direction, h = rows[use.argmax()], rng.normal(size=z.shape), 1e-5
-    ahead, behind = (
-        room * check(robot, problem.trajectory(z + s * h * direction)).torque.ratio for s in (1, -1)
-    )
-    size = np.linalg.norm(row) * np.linalg.norm(direction)
-    assert row @ direction.ravel() == pytest.approx((ahead - behind) / (2 * h), abs=0.01 * size)
+    assert peaks.use.max() == pytest.approx(exact, rel=1e-3)
+    rows, use = torque_rows(problem, z, -1.0)
+    np.testing.assert_allclose(use, peaks.use, rtol=1e-9)
+    direction, h = rng.normal(size=z.shape), 1e-6
+    found = rows @ direction.ravel()
+    size = 1e-6 + np.linalg.norm(rows, axis=1) * np.linalg.norm(direction)
+
+    def sized(step: float) -> np.ndarray:
+        """Use at the same instants, of the motion changed by a step."""
+        motion = peaks.motion(problem, z + step * direction)
+        tau = torque(robot, motion)[np.arange(len(use)), peaks.joint]
+        return np.abs(tau) / problem.torque_bound[peaks.joint]
+
+    smooth = (peaks.side == 0) & (peaks.use > 0.1)
+    still = (sized(h) - sized(-h)) / (2 * h)
+    assert smooth.sum() >= 3
+    assert np.all(np.abs(found - still)[smooth] < 1e-4 * size[smooth])
+    ahead, behind = (torque_peaks(problem, z + s * h * direction) for s in (1, -1))
+    turning = (peaks.side != 0) & (peaks.weight == 1) & (peaks.t > 0.3) & (peaks.t < 9.7)
+    for k in np.flatnonzero(turning & (peaks.use > 0.1)):
+        same = [
+            (p.joint == peaks.joint[k])
+            & (p.side == peaks.side[k])
+            & (np.abs(p.t - peaks.t[k]) < 1e-3)
+            for p in (ahead, behind)
+        ]
+        moved = float((ahead.use[same[0]] - behind.use[same[1]])[0]) / (2 * h)
+        assert abs(found[k] - moved) < 1e-3 * size[k]
+    assert turning.any() == (friction > 0)
 
 
 def test_unknown_columns_and_criterion(planar: Robot) -> None:
