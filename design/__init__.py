@@ -1,15 +1,20 @@
 """Motions that make a robot arm's dynamics visible."""
 
+from excitant.design.approach import approach, retime, return_path
+from excitant.design.clearance import Clearance, clearance
 from excitant.design.constraints import LimitReport, LimitUse, check
 from excitant.design.criterion import Information, condition_number, information
 from excitant.design.export import load_trajectory, motion_csv, trajectory_csv, trajectory_json
 from excitant.design.feasible import random_trajectory
+from excitant.design.formats import write_formats
 from excitant.design.interpolation import HermiteTrajectory
-from excitant.design.optimal import Design, StartRecord, build_design, design
+from excitant.design.optimal import CLEARANCE, Design, StartRecord, build_design, design
 from excitant.design.result import design_result, design_series
 from excitant.design.trajectory import FourierTrajectory
 
 __all__ = [
+    "CLEARANCE",
+    "Clearance",
     "Design",
     "FourierTrajectory",
     "HermiteTrajectory",
@@ -17,8 +22,10 @@ __all__ = [
     "LimitReport",
     "LimitUse",
     "StartRecord",
+    "approach",
     "build_design",
     "check",
+    "clearance",
     "condition_number",
     "design",
     "design_result",
@@ -27,6 +34,9 @@ __all__ = [
     "load_trajectory",
     "motion_csv",
     "random_trajectory",
+    "retime",
+    "return_path",
     "trajectory_csv",
     "trajectory_json",
+    "write_formats",
 ]

@@ -85,12 +85,16 @@ def _smallest(scene: Scene, distance: Array, t: Array) -> Clearance:
     return Clearance(value, value, scene.pairs[int(pair)], float(t[k]))
 
 
+def pose_use(scene: Scene, required: float, q: Array) -> Array:
+    """1 where a pose has the distance required; more where it has less, shape (n,)."""
+    return np.asarray(1 + (required - scene.distances(q).min(axis=1)) / SCALE)
+
+
 def clearance_use(problem: DesignProblem, z: Array) -> float:
     """1 where the smallest distance at the problem's instants is what is required; above, less."""
     if problem.scene is None:
         return 0.0
-    distance = problem.scene.distances(problem.grid_bases[0] @ z)
-    return 1 + (problem.required - float(distance.min())) / SCALE
+    return float(pose_use(problem.scene, problem.required, problem.grid_bases[0] @ z).max())
 
 
 def clearance_rows(problem: DesignProblem, z: Array, near: float) -> tuple[Array, Array]:
@@ -109,7 +113,9 @@ def clearance_rows(problem: DesignProblem, z: Array, near: float) -> tuple[Array
     q = problem.grid_bases[0] @ z
     distance = problem.scene.distances(q)
     use = 1 + (problem.required - distance) / SCALE
-    nearest = (distance <= np.roll(distance, 1, axis=0)) & (distance < np.roll(distance, -1, axis=0))
+    nearest = (distance <= np.roll(distance, 1, axis=0)) & (
+        distance < np.roll(distance, -1, axis=0)
+    )
     rows, uses = [], []
     for k, pair in np.argwhere(nearest & (use > near)):
         _, gradient = problem.scene.gradient(q[k], int(pair))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from excitant.design.constraints import kinematic_limits, position_range
@@ -21,8 +23,16 @@ _TORQUE_SAMPLES = 32  # per harmonic
 _TORQUE_SHARE = 0.99  # of the limit at the samples, which leaves room between them
 
 
+PoseUse = Callable[[Array], Array]
+"""Use of a limit on poses alone by each pose, (n, nv) to (n,); at most 1 where it holds."""
+
+
 def random_trajectory(
-    robot: Robot, rng: np.random.Generator, duration: float, harmonics: int
+    robot: Robot,
+    rng: np.random.Generator,
+    duration: float,
+    harmonics: int,
+    pose_use: PoseUse | None = None,
 ) -> FourierTrajectory:
     """A random trajectory at rest at both ends and within all limits of the robot.
 
@@ -31,6 +41,7 @@ def random_trajectory(
         rng: Source of randomness.
         duration: Period [s].
         harmonics: Number of harmonics, at least 2.
+        pose_use: A limit on poses, such as clearance.
 
     Raises:
         Infeasible: No pose, or no motion found, within position and torque limits.
@@ -39,18 +50,28 @@ def random_trajectory(
     drawn: list[tuple[float, int, FourierTrajectory]] = []
     for _ in range(_DRAWS):
         trajectory = _draw(robot, rng, duration, harmonics)
-        ratio = float(torque_use(robot, trajectory.at(t)).max())
+        ratio = max(
+            float(torque_use(robot, trajectory.at(t)).max()),
+            float(pose_use(trajectory(t)).max()) if pose_use else 0.0,
+        )
         if ratio <= _TORQUE_SHARE:
             return trajectory
         drawn.append((ratio, len(drawn), trajectory))
     best = min(drawn)[2]
     X0 = np.zeros((1 + 2 * harmonics, robot.nv))
-    X0[0] = standstill(robot, rng)
+    X0[0] = standstill(robot, rng, pose_use)
     for share in 0.7 ** np.arange(1, _SHRINKS):
         trajectory = from_coefficients(X0 + share * (best.coefficients - X0), duration)
         use = torque_use(robot, trajectory.at(t))
-        if use.max() <= _TORQUE_SHARE:
+        apart = float(pose_use(trajectory(t)).max()) if pose_use else 0.0
+        if max(use.max(), apart) <= _TORQUE_SHARE:
             return trajectory
+    if use.max() <= _TORQUE_SHARE:
+        raise Infeasible(
+            f"trajectory of {robot.name}",
+            "every motion tried comes too close to an obstacle or to the arm itself; lower the "
+            "required clearance or widen the position limits",
+        )
     joint = robot.joints[int(use.argmax())]
     raise Infeasible(
         f"trajectory of {robot.name}",
@@ -89,13 +110,14 @@ def _draw(
     return from_coefficients(X, duration)
 
 
-def standstill(robot: Robot, rng: np.random.Generator) -> Array:
+def standstill(robot: Robot, rng: np.random.Generator, pose_use: PoseUse | None = None) -> Array:
     """A pose within the position limits that the torque limits can hold, shape (nv,).
 
     The best of many random poses, improved by random search around it.
 
     Raises:
-        Infeasible: Gravity needs more torque than the limit at every pose tried.
+        Infeasible: Gravity needs more torque than the limit at every pose tried, or none keeps
+            the clearance.
     """
     middle, half = position_range(robot.limits)
     half = np.where(np.isfinite(half), half, np.pi)
@@ -107,12 +129,20 @@ def standstill(robot: Robot, rng: np.random.Generator) -> Array:
         zero = np.zeros_like(poses)
         held = Motion(np.arange(len(poses), dtype=float), poses, zero, zero)
         uses = np.abs(torque(robot, held)) / robot.limits.torque
-        k = int(uses.max(axis=1).argmin())
-        if uses[k].max() < best:
-            best, pose, use = float(uses[k].max()), poses[k], uses[k]
+        apart = pose_use(poses) if pose_use else np.zeros(len(poses))
+        worst = np.maximum(uses.max(axis=1), apart)
+        k = int(worst.argmin())
+        if worst[k] < best:
+            best, pose, use = float(worst[k]), poses[k], uses[k]
         width *= 0.8
     if best < _TORQUE_SHARE:
         return pose
+    if use.max() < _TORQUE_SHARE:
+        raise Infeasible(
+            f"trajectory of {robot.name}",
+            "every pose tried is too close to an obstacle or to the arm itself; lower the "
+            "required clearance, move the obstacles or widen the position limits",
+        )
     tight = [robot.joints[j] for j in np.flatnonzero(use >= 0.999 * best)]
     limit = ", ".join(f"{robot.limits.torque[robot.joint_index(j)]:.4g} N·m" for j in tight)
     raise Infeasible(

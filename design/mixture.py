@@ -1,8 +1,8 @@
 """The best-conditioned mixture of given states: a semidefinite programme with its dual.
 
-A mixture weighs states k = 1 … n. It is the master problem of the column generation in
-`excitant.design.bound`, solved many times over with a few hundred states; a general conic solver
-needs 10 to 20 s each time (its linear system has p² rows), this one works on n × n.
+It is the master problem of the column generation in `excitant.design.bound`, solved dozens of
+times with several hundred states. The linear system of a general conic solver has a row for
+every entry of M; the one here has a row for every state, and is 50 times faster.
 """
 
 from __future__ import annotations
@@ -15,31 +15,58 @@ import scipy.linalg
 
 from excitant.robots.motion import Array
 
-_STEP = 0.95
+_STEP = 0.95  # of the way to the boundary
 _ITERATIONS = 60
+_START = 10.0  # the dual slacks begin at this multiple of the identity
+_FEASIBLE = 1e-6
+_STALLED = 1e-4  # step below which no progress is to be expected
+
+
+@dataclass(frozen=True, eq=False)
+class Multipliers:
+    """Dual variables of `best_mixture`: a lower bound tr P on κ, when all states agree.
+
+    Attributes:
+        P: Of Σ w M ⪰ I, per block, positive semidefinite.
+        Q: Of Σ w M ⪯ κ I, per block, positive semidefinite, traces adding to 1.
+        y: Of the equality rows, shape (m,).
+    """
+
+    P: tuple[Array, ...]
+    Q: tuple[Array, ...]
+    y: Array
+
+    @property
+    def value(self) -> float:
+        """tr P."""
+        return float(sum(np.trace(P) for P in self.P))
+
+    def towards(self, other: Multipliers, share: float) -> Multipliers:
+        """The convex combination that lies ``share`` of the way to others."""
+
+        def between(a: Sequence[Array], b: Sequence[Array]) -> tuple[Array, ...]:
+            return tuple((1 - share) * x + share * z for x, z in zip(a, b, strict=True))
+
+        return Multipliers(
+            between(self.P, other.P),
+            between(self.Q, other.Q),
+            (1 - share) * self.y + share * other.y,
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """Solution of `best_mixture` and its dual certificate.
+    """Solution of `best_mixture`.
 
     Attributes:
-        value: κ of the mixture, largest over smallest eigenvalue.
         weights: Weight of each state, not negative, shape (n,).
-        P: Multiplier of Σ w M ⪰ I per block, positive semidefinite.
-        Q: Multiplier of Σ w M ⪯ κ I per block, positive semidefinite, traces adding to 1.
-        y: Multiplier of each equality row, shape (m,).
-        B: Multiplier of each matrix row, positive semidefinite.
-        gap: Primal less dual value, relative.
+        multipliers: The dual solution.
+        gap: Primal less dual value, relative to the latter.
         iterations: Steps taken.
     """
 
-    value: float
     weights: Array
-    P: tuple[Array, ...]
-    Q: tuple[Array, ...]
-    y: Array
-    B: tuple[Array, ...]
+    multipliers: Multipliers
     gap: float
     iterations: int
 
@@ -47,175 +74,230 @@ class Mixture:
 def best_mixture(
     M: Sequence[Array],
     rows: Array,
-    cones: Sequence[Array],
     *,
     bound: float = 10.0,
     tolerance: float = 1e-6,
 ) -> Mixture:
     """Minimise κ over weights w ≥ 0 of states.
 
-        I ⪯ Σ w_k M_k ⪯ κ I,   Σ w_k a_k = 0 (softly),   Σ w_k N_k ⪰ 0
+        I ⪯ Σ w_k M_k ⪯ κ I,   Σ w_k a_k = 0 (softly)
 
-    The dual maximises tr P over P, Q, B ⪰ 0, tr Q = 1, |y| ≤ bound with
-    ⟨P − Q, M_k⟩ + y·a_k + ⟨B, N_k⟩ ≤ 0 for every k. An equality row may be violated at the
-    price ``bound`` per unit, which is what bounds its multiplier. Primal-dual interior-point
-    method with the HKM direction and Mehrotra's corrector (Helmberg et al. 1996).
+    The dual maximises tr P over P, Q ⪰ 0, tr Q = 1, |y| ≤ bound with ⟨P − Q, M_k⟩ + y·a_k ≤ 0
+    for every k. An equality row may be violated at the price ``bound`` per unit, which is what
+    bounds its multiplier. Primal-dual interior-point method, HKM direction with Mehrotra's
+    corrector (Helmberg, Rendl, Vanderbei, Wolkowicz 1996). Stopped at a loose tolerance, the
+    multipliers are well inside the optimal face, as column generation likes it.
 
     Args:
         M: Diagonal blocks of the states' information, each of shape (n, p_b, p_b).
         rows: a, shape (n, m).
-        cones: N, each of shape (n, s_b, s_b).
         bound: Largest multiplier of an equality row.
         tolerance: Relative gap to stop at.
     """
-    return _InteriorPoint(M, rows, cones, bound).run(tolerance)
+    programme = _programme(M, rows, bound)
+    point, ap, ad = _start(programme), 1.0, 1.0
+    for iteration in range(_ITERATIONS):
+        residual = _residual(programme, point)
+        if residual.gap < tolerance and residual.size < _FEASIBLE or max(ap, ad) < _STALLED:
+            break
+        try:
+            step = _newton(programme, point, residual)
+        except np.linalg.LinAlgError:
+            break
+        ap, ad = _reaches(point, step)
+        point = _moved(point, step, ap, ad)
+    return _mixture(programme, point, residual.gap, iteration)
 
 
-class _InteriorPoint:
-    """min ⟨C, X⟩ over A X = b, X ⪰ 0 with X = (P, Q, B; s, y⁺, y⁻, u ≥ 0).
+@dataclass(frozen=True, eq=False)
+class _Programme:
+    """min ⟨C, X⟩ over A X = b, X ⪰ 0 with X = (P, Q) and x = (s, y⁺, y⁻, u) ≥ 0.
 
-    Row k: ⟨M_k, Q − P⟩ − a_k·(y⁺ − y⁻) − ⟨N_k, B⟩ − s_k = 0; row n: tr Q = 1; then
-    y⁺ + y⁻ + u = bound.
+    Equation k: ⟨M_k, Q − P⟩ − a_k·(y⁺ − y⁻) − s_k = 0; equation n: tr Q = 1; the
+    others: y⁺ + y⁻ + u = bound. The dual variables v are the weights, −κ and the prices paid.
     """
 
-    def __init__(
-        self, M: Sequence[Array], rows: Array, cones: Sequence[Array], bound: float
-    ) -> None:
-        n, m = rows.shape
-        self.n, self.m, self.blocks, self.cones = n, m, len(M), len(cones)
-        self.A = [-block for block in M] + list(M) + [-cone for cone in cones]
-        size = n + 1 + m
-        self.b = np.concatenate([np.zeros(n), [1.0], np.full(m, bound)])
-        L = np.zeros((size, n + 3 * m))
-        L[:n, :n] = -np.eye(n)
-        L[:n, n : n + m], L[:n, n + m : n + 2 * m] = -rows, rows
-        for part in range(3):
-            L[n + 1 :, n + part * m : n + (part + 1) * m] = np.eye(m)
-        self.L, self.c = L, np.zeros(n + 3 * m)
-        self.C = [-np.eye(A.shape[1]) * (k < self.blocks) for k, A in enumerate(self.A)]
-        self.traced = range(self.blocks, 2 * self.blocks)
+    A: list[Array]
+    C: list[Array]
+    L: Array
+    b: Array
+    n: int
+    m: int
+    blocks: int
+
+    def traced(self, k: int) -> bool:
+        """Whether a block is one of Q."""
+        return k >= self.blocks
 
     def forward(self, X: Sequence[Array], x: Array) -> Array:
-        """A X."""
-        out = self.L @ x
+        """A X, shape (equations,)."""
+        out: Array = self.L @ x
         for k, (A, block) in enumerate(zip(self.A, X, strict=True)):
-            out[: self.n] += np.einsum("kij,ij->k", A, block, optimize=True)
-            if k in self.traced:
+            out[: self.n] += A.reshape(self.n, -1) @ block.ravel()
+            if self.traced(k):
                 out[self.n] += np.trace(block)
         return out
 
     def adjoint(self, v: Array) -> tuple[list[Array], Array]:
-        """Aᵀ v."""
+        """Aᵀ v, for the blocks and for the rest."""
         blocks = [np.tensordot(v[: self.n], A, axes=1) for A in self.A]
-        for k in self.traced:
-            blocks[k] = blocks[k] + v[self.n] * np.eye(len(blocks[k]))
+        for k, block in enumerate(blocks):
+            if self.traced(k):
+                block[np.diag_indices_from(block)] += v[self.n]
         return blocks, self.L.T @ v
 
-    def schur(self, X: Sequence[Array], inverse: Sequence[Array], x: Array, s: Array) -> Array:
-        """The matrix A (X ⊗ S⁻¹) Aᵀ."""
-        H = (self.L * (x / s)) @ self.L.T
+    def schur(self, X: Sequence[Array], inverse: Sequence[Array], ratio: Array) -> Array:
+        """A (X ⊗ S⁻¹) Aᵀ, shape (equations, equations)."""
+        H: Array = (self.L * ratio) @ self.L.T
         n = self.n
         for k, (A, block, S) in enumerate(zip(self.A, X, inverse, strict=True)):
             left, right = _root(S), _root(block)
             F = (left.T @ A @ right).reshape(n, -1)
-            H[:n, :n] += _gram(F)
-            if k in self.traced:
+            H[:n, :n] += F @ F.T
+            if self.traced(k):
                 trace = (left.T @ right).ravel()
                 H[n, :n] += F @ trace
                 H[:n, n] += F @ trace
                 H[n, n] += trace @ trace
+        H[np.diag_indices_from(H)] *= 1 + 1e-13
         return H
 
-    def run(self, tolerance: float) -> Mixture:
-        """Iterate from multiples of the identity."""
-        X = [np.eye(A.shape[1]) / A.shape[1] for A in self.A]
-        S = [10*np.eye(A.shape[1]) for A in self.A]
-        x, s, v = np.ones(len(self.c)), 10*np.ones(len(self.c)), np.zeros(len(self.b))
-        x[self.n :] = self.b[-1] / 3 if self.m else 1.0
-        degree = len(x) + sum(len(block) for block in X)
-        best: Mixture | None = None
-        ap = ad = 1.0
-        for iteration in range(_ITERATIONS):
-            back, back_lin = self.adjoint(v)
-            Rd = [C - Sb - Ab for C, Sb, Ab in zip(self.C, S, back, strict=True)]
-            rd = self.c - s - back_lin
-            rp = self.b - self.forward(X, x)
-            mu = (sum(np.vdot(a, b) for a, b in zip(X, S, strict=True)) + x @ s) / degree
-            primal = sum(np.vdot(a, b) for a, b in zip(X, self.C, strict=True))
-            gap = degree * mu / max(1.0, abs(float(primal)))
-            infeasible = max(
-                float(np.abs(rp).max()), float(np.abs(rd).max()), *(np.abs(R).max() for R in Rd)
-            )
-            best = self.mixture(X, x, v, gap, iteration)
-            if (gap < tolerance and infeasible < 1e-6) or max(ap, ad) < 1e-4:
-                break
-            inverse = [np.linalg.inv(Sb) for Sb in S]
-            H = self.schur(X, inverse, x, s)
-            H[np.diag_indices_from(H)] *= 1 + 1e-13
-            try:
-                factor = scipy.linalg.cho_factor(H, lower=True, check_finite=False)
-            except np.linalg.LinAlgError:
-                break
-            E = [_sym(0 * R) for R in Rd]
-            e = np.zeros_like(x)
-            for sigma in (0.0, -1.0):
-                if sigma < 0:
-                    ap, ad = self.steps(X, S, x, s, dX, dS, dx, ds)
-                    after = sum(
-                        np.vdot(a + ap * da, b + ad * db)
-                        for a, da, b, db in zip(X, dX, S, dS, strict=True)
-                    ) + (x + ap * dx) @ (s + ad * ds)
-                    sigma = min(1.0, (float(after) / degree / mu)) ** 3
-                    E = [da @ db @ i for da, db, i in zip(dX, dS, inverse, strict=True)]
-                    e = dx * ds / s
-                T = [
-                    sigma * mu * i - a @ R @ i - c
-                    for i, a, R, c in zip(inverse, X, Rd, E, strict=True)
-                ]
-                t = sigma * mu / s - x * rd / s - e
-                rhs = self.b - self.forward([_sym(a) for a in T], t)
-                dv = scipy.linalg.cho_solve(factor, rhs, check_finite=False)
-                back, back_lin = self.adjoint(dv)
-                dS = [R - a for R, a in zip(Rd, back, strict=True)]
-                ds = rd - back_lin
-                dX = [
-                    _sym(a + Xb @ Ab @ i) - Xb
-                    for a, Xb, Ab, i in zip(T, X, back, inverse, strict=True)
-                ]
-                dx = t + x * back_lin / s - x
-            ap, ad = self.steps(X, S, x, s, dX, dS, dx, ds)
-            X = [a + ap * d for a, d in zip(X, dX, strict=True)]
-            S = [a + ad * d for a, d in zip(S, dS, strict=True)]
-            x, s, v = x + ap * dx, s + ad * ds, v + ad * dv
-        assert best is not None
-        return best
 
-    def steps(self, X, S, x, s, dX, dS, dx, ds):
-        ap = min(_reach_line(x, dx), *(_reach(a, d) for a, d in zip(X, dX, strict=True)))
-        ad = min(_reach_line(s, ds), *(_reach(a, d) for a, d in zip(S, dS, strict=True)))
-        return min(1.0, _STEP * ap), min(1.0, _STEP * ad)
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Primal (X, x), dual slacks (S, s) and dual variables v; or a direction of them."""
 
-    def mixture(self, X, x, v, gap, iteration) -> Mixture:
-        n, m, k = self.n, self.m, self.blocks
-        total = sum(float(np.trace(Q)) for Q in X[k : 2 * k])
-        return Mixture(
-            value=-float(v[n]),
-            weights=np.maximum(v[:n], 0.0),
-            P=tuple(a / total for a in X[:k]),
-            Q=tuple(a / total for a in X[k : 2 * k]),
-            y=(x[n : n + m] - x[n + m : n + 2 * m]) / total,
-            B=tuple(a / total for a in X[2 * k :]),
-            gap=gap,
-            iterations=iteration,
-        )
+    X: list[Array]
+    x: Array
+    S: list[Array]
+    s: Array
+    v: Array
+
+    def product(self) -> float:
+        """⟨X, S⟩ + x·s."""
+        inner = sum(float(np.vdot(a, b)) for a, b in zip(self.X, self.S, strict=True))
+        return inner + float(self.x @ self.s)
+
+    @property
+    def degree(self) -> int:
+        """Order of the cone."""
+        return len(self.x) + sum(len(block) for block in self.X)
 
 
-def _gram(F: Array) -> Array:
-    return F @ F.T
+@dataclass(frozen=True, eq=False)
+class _Residual:
+    """Dual residuals of the blocks and of the rest, largest residual, and relative gap."""
+
+    blocks: list[Array]
+    rest: Array
+    size: float
+    gap: float
 
 
-def _sym(A: Array) -> Array:
-    return (A + A.T) / 2
+def _programme(M: Sequence[Array], rows: Array, bound: float) -> _Programme:
+    n, m = rows.shape
+    L = np.zeros((n + 1 + m, n + 3 * m))
+    L[:n, :n] = -np.eye(n)
+    L[:n, n : n + m], L[:n, n + m : n + 2 * m] = -rows, rows
+    L[n + 1 :, n:] = np.tile(np.eye(m), 3)
+    A = [*(-block for block in M), *M]
+    C = [-np.eye(a.shape[1]) * (k < len(M)) for k, a in enumerate(A)]
+    b = np.concatenate([np.zeros(n), [1.0], np.full(m, bound)])
+    return _Programme(A, C, L, b, n, m, len(M))
+
+
+def _start(programme: _Programme) -> _Point:
+    sizes = [a.shape[1] for a in programme.A]
+    x = np.ones(programme.L.shape[1])
+    x[programme.n :] = programme.b[-1] / 3
+    X, S = [np.eye(p) / p for p in sizes], [_START * np.eye(p) for p in sizes]
+    return _Point(X, x, S, np.full(len(x), _START), np.zeros(len(programme.b)))
+
+
+def _residual(programme: _Programme, point: _Point) -> _Residual:
+    back, rest = programme.adjoint(point.v)
+    blocks = [C - S - A for C, S, A in zip(programme.C, point.S, back, strict=True)]
+    rest = -point.s - rest
+    primal = programme.b - programme.forward(point.X, point.x)
+    size = max(float(np.abs(r).max()) for r in (primal, rest, *blocks))
+    value = sum(float(np.vdot(X, C)) for X, C in zip(point.X, programme.C, strict=True))
+    return _Residual(blocks, rest, size, point.product() / max(1.0, abs(value)))
+
+
+def _newton(programme: _Programme, point: _Point, residual: _Residual) -> _Point:
+    """Predictor, then corrector, with one factorisation."""
+    inverse = [np.linalg.inv(S) for S in point.S]
+    H = programme.schur(point.X, inverse, point.x / point.s)
+    factor = scipy.linalg.cho_factor(H, lower=True, check_finite=False)
+    mu = point.product() / point.degree
+
+    def direction(target: float, second: list[Array], second_rest: Array) -> _Point:
+        R, r = residual.blocks, residual.rest
+        T = [
+            target * i - X @ d @ i - e
+            for i, X, d, e in zip(inverse, point.X, R, second, strict=True)
+        ]
+        t = target / point.s - point.x * r / point.s - second_rest
+        right = programme.b - programme.forward([_symmetric(a) for a in T], t)
+        v = scipy.linalg.cho_solve(factor, right, check_finite=False)
+        back, rest = programme.adjoint(v)
+        X = [
+            _symmetric(a + X @ A @ i) - X
+            for a, X, A, i in zip(T, point.X, back, inverse, strict=True)
+        ]
+        S = [d - A for d, A in zip(R, back, strict=True)]
+        return _Point(X, t + point.x * rest / point.s - point.x, S, r - rest, v)
+
+    first = direction(0.0, [np.zeros_like(X) for X in point.X], np.zeros_like(point.x))
+    after = _moved(point, first, *_reaches(point, first)).product() / point.degree
+    target = mu * min(1.0, max(after / mu, 0.0)) ** 3
+    second = [a @ b @ i for a, b, i in zip(first.X, first.S, inverse, strict=True)]
+    return direction(target, second, first.x * first.s / point.s)
+
+
+def _moved(point: _Point, step: _Point, primal: float, dual: float) -> _Point:
+    return _Point(
+        [a + primal * d for a, d in zip(point.X, step.X, strict=True)],
+        point.x + primal * step.x,
+        [a + dual * d for a, d in zip(point.S, step.S, strict=True)],
+        point.s + dual * step.s,
+        point.v + dual * step.v,
+    )
+
+
+def _reaches(point: _Point, step: _Point) -> tuple[float, float]:
+    """Primal and dual step lengths that stay inside the cone."""
+    primal = [_reach(a, d) for a, d in zip(point.X, step.X, strict=True)]
+    dual = [_reach(a, d) for a, d in zip(point.S, step.S, strict=True)]
+    primal.append(_reach_line(point.x, step.x))
+    dual.append(_reach_line(point.s, step.s))
+    return min(1.0, _STEP * min(primal)), min(1.0, _STEP * min(dual))
+
+
+def _reach(A: Array, D: Array) -> float:
+    """Largest step along D that keeps A + step·D positive semidefinite."""
+    R = np.linalg.inv(_root(A))
+    low = float(np.linalg.eigvalsh(_symmetric(R @ D @ R.T))[0])
+    return np.inf if low >= 0 else -1 / low
+
+
+def _reach_line(x: Array, dx: Array) -> float:
+    down = dx < 0
+    return float(np.min(-x[down] / dx[down])) if down.any() else np.inf
+
+
+def _mixture(programme: _Programme, point: _Point, gap: float, iterations: int) -> Mixture:
+    n, m, k = programme.n, programme.m, programme.blocks
+    total = sum(float(np.trace(Q)) for Q in point.X[k:])
+    X = [a / total for a in point.X]
+    y = (point.x[n : n + m] - point.x[n + m : n + 2 * m]) / total
+    multipliers = Multipliers(tuple(X[:k]), tuple(X[k:]), y)
+    return Mixture(np.maximum(point.v[:n], 0.0), multipliers, gap, iterations)
+
+
+def _symmetric(A: Array) -> Array:
+    S: Array = (A + A.T) / 2
+    return S
 
 
 def _root(A: Array) -> Array:
@@ -224,20 +306,5 @@ def _root(A: Array) -> Array:
         return np.linalg.cholesky(A)
     except np.linalg.LinAlgError:
         e, V = np.linalg.eigh(A)
-        return V * np.sqrt(np.maximum(e, 1e-300))
-
-
-def _reach(A: Array, D: Array) -> float:
-    """Largest step along D that keeps A + step·D positive semidefinite."""
-    R = np.linalg.inv(_chol(A))
-    low = float(np.linalg.eigvalsh(_sym(R @ D @ R.T))[0])
-    return np.inf if low >= 0 else -1 / low
-
-
-def _chol(A: Array) -> Array:
-    return _root(A + 1e-16 * np.trace(A) / len(A) * np.eye(len(A)))
-
-
-def _reach_line(x: Array, dx: Array) -> float:
-    down = dx < 0
-    return float(np.min(-x[down] / dx[down])) if down.any() else np.inf
+        R: Array = V * np.sqrt(np.maximum(e, 1e-14 * max(float(e[-1]), 1e-300)))
+        return R

@@ -13,7 +13,6 @@ import numpy as np
 from joblib.externals.loky import get_reusable_executor
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from excitant.design.feasible import random_trajectory
 from excitant.design.problem import DesignProblem
 from excitant.design.search import COARSE, FINE, SearchState, advance
 from excitant.exceptions import Infeasible
@@ -197,7 +196,7 @@ def _perform(problem: DesignProblem, task: Task, seed: int, deadline: float) -> 
 
 def _begin(problem: DesignProblem, task: Task, seed: int) -> SearchState:
     rng = np.random.default_rng([seed, task.state.index])
-    drawn = random_trajectory(problem.robot, rng, problem.period, problem.harmonics)
+    drawn = problem.random(rng)
     z = problem.unknowns(drawn)
     if task.parent is not None:
         share = rng.uniform(*_MIX)

@@ -9,15 +9,17 @@ from dataclasses import dataclass
 import joblib
 import numpy as np
 
+from excitant.design.clearance import Clearance
+from excitant.design.clearance import clearance as motion_clearance
 from excitant.design.constraints import LimitReport, check
 from excitant.design.criterion import CRITERIA, condition_number, information, objective
-from excitant.design.feasible import random_trajectory
 from excitant.design.multistart import MultiStart
 from excitant.design.problem import DesignProblem
 from excitant.design.search import SearchState
 from excitant.design.trajectory import FourierTrajectory, from_coefficients
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots import Array, BaseParameters, Motion, Robot
+from excitant.robots.geometry import Scene
 from excitant.robots.motion import read_only
 
 Progress = Callable[[int, int | None, float, float], None]
@@ -25,6 +27,8 @@ Progress = Callable[[int, int | None, float, float], None]
 and its worst limit ratio."""
 
 _STARTS = 16
+CLEARANCE = 0.01  # m
+_CLEARANCE_MARGIN = 0.004  # m, for what happens between the instants of the optimiser
 _DENSE_HZ, _DENSE = 100.0, 1000  # samples of the figures reported: rate, and at least so many
 _SHRINKS = 30
 _CANDIDATES = 4  # best searches whose exact figures decide
@@ -73,6 +77,7 @@ class Design:
         eigenvalues_initial: Eigenvalues of M = WᵀW / n before, ascending, shape (r,).
         eigenvalues_final: Eigenvalues of M after.
         limits: Worst use of every limit over the continuous motion.
+        clearance: Smallest distance over the continuous motion; None without a scene.
         starts: How each search went.
         wall_s: Time taken [s].
     """
@@ -89,6 +94,7 @@ class Design:
     eigenvalues_initial: Array
     eigenvalues_final: Array
     limits: LimitReport
+    clearance: Clearance | None
     starts: tuple[StartRecord, ...]
     wall_s: float
 
@@ -105,6 +111,8 @@ def build_design(
     harmonics: int = 5,
     criterion: str = "condition",
     columns: str = "friction",
+    scene: Scene | None = None,
+    clearance: float = CLEARANCE,
 ) -> DesignProblem:
     """State the design problem without solving it; see `design`."""
     if criterion not in CRITERIA:
@@ -115,7 +123,18 @@ def build_design(
         raise BadInput(
             f"{harmonics} harmonics cannot move and be at rest at both ends; use at least 2"
         )
-    return DesignProblem(information(robot, columns), criterion, float(duration), harmonics)
+    if not np.isfinite(clearance) or clearance < 0:
+        raise BadInput(f"clearance {clearance} m is not a distance")
+    if scene is not None and not scene.pairs:
+        scene = None
+    return DesignProblem(
+        information(robot, columns),
+        criterion,
+        float(duration),
+        harmonics,
+        scene,
+        clearance + _CLEARANCE_MARGIN,
+    )
 
 
 def design(
@@ -125,6 +144,8 @@ def design(
     harmonics: int = 5,
     criterion: str = "condition",
     columns: str = "friction",
+    scene: Scene | None = None,
+    clearance: float = CLEARANCE,
     starts: int | None = None,
     jobs: int | None = None,
     seed: int = 0,
@@ -142,6 +163,8 @@ def design(
         harmonics: Number of harmonics, at least 2.
         criterion: ``"condition"`` (cond₂ W), ``"d"`` (det M), ``"a"`` (tr M⁻¹), ``"e"`` (λmin).
         columns: ``"friction"`` or ``"inertial"``.
+        scene: The arm's bodies among obstacles, kept apart; None to leave clearance out.
+        clearance: Smallest distance that they keep [m].
         starts: Number of searches; 16 by default, or as many as fit in a time limit.
         jobs: Number of processes; as many as processors by default. Without a time limit the
             result does not depend on it.
@@ -160,9 +183,15 @@ def design(
     if starts is None and time_limit is None:
         starts = _STARTS
     problem = build_design(
-        robot, duration=duration, harmonics=harmonics, criterion=criterion, columns=columns
+        robot,
+        duration=duration,
+        harmonics=harmonics,
+        criterion=criterion,
+        columns=columns,
+        scene=scene,
+        clearance=clearance,
     )
-    initial = random_trajectory(robot, np.random.default_rng([seed, 0]), duration, harmonics)
+    initial = problem.random(np.random.default_rng([seed, 0]))
     deadline = np.inf if time_limit is None else began + time_limit
     tell = _Teller(problem, starts, progress)
     searches = MultiStart(
@@ -183,6 +212,7 @@ def design(
         eigenvalues_initial=read_only(np.linalg.eigvalsh(before)),
         eigenvalues_final=read_only(np.linalg.eigvalsh(after)),
         limits=check(robot, trajectory),
+        clearance=None if problem.scene is None else motion_clearance(problem.scene, trajectory),
         starts=tuple(_record(state) for state in searches),
         wall_s=time.time() - began,
     )
@@ -212,9 +242,16 @@ def _best(
     candidates = [initial]
     for _, _, z in found[:_CANDIDATES]:
         kept = within_limits(problem.robot, problem.trajectory(z))
-        if kept is not None:
+        if kept is not None and _keeps_apart(problem, kept):
             candidates.append(kept)
     return min(candidates, key=lambda x: objective(_information(problem, x), problem.criterion))
+
+
+def _keeps_apart(problem: DesignProblem, trajectory: FourierTrajectory) -> bool:
+    if problem.scene is None:
+        return True
+    least = problem.required - _CLEARANCE_MARGIN
+    return motion_clearance(problem.scene, trajectory).certified >= least
 
 
 def within_limits(robot: Robot, trajectory: FourierTrajectory) -> FourierTrajectory | None:

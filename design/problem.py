@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
 
+from excitant.design.clearance import clearance_use, pose_use
 from excitant.design.constraints import kinematic_limits
 from excitant.design.criterion import Information, objective
+from excitant.design.feasible import random_trajectory
 from excitant.design.torque_peaks import torque_peaks
 from excitant.design.trajectory import (
     FourierTrajectory,
@@ -19,6 +21,7 @@ from excitant.design.trajectory import (
     rest_basis,
 )
 from excitant.robots import Array, Motion, Robot
+from excitant.robots.geometry import Scene
 
 _MARGIN = 1e-4  # share of every limit kept free, above what the exchange leaves violated
 _SAMPLES = {"inertial": 12, "friction": 20}  # per harmonic, for the information
@@ -40,12 +43,16 @@ class DesignProblem:
         criterion: ``"condition"``, ``"d"``, ``"a"`` or ``"e"``.
         period: Duration [s].
         harmonics: Number of harmonics H.
+        scene: The arm's bodies and obstacles; None to leave clearance out.
+        required: Smallest distance between bodies [m].
     """
 
     information: Information
     criterion: str
     period: float
     harmonics: int
+    scene: Scene | None = None
+    required: float = 0.0
 
     @property
     def robot(self) -> Robot:
@@ -110,6 +117,11 @@ class DesignProblem:
         """The trajectory of these unknowns."""
         return from_coefficients(self.Z @ z, self.period)
 
+    def random(self, rng: np.random.Generator) -> FourierTrajectory:
+        """A random trajectory within all limits, clearance included."""
+        use = None if self.scene is None else partial(pose_use, self.scene, self.required)
+        return random_trajectory(self.robot, rng, self.period, self.harmonics, use)
+
     def unknowns(self, trajectory: FourierTrajectory) -> Array:
         """The unknowns of a trajectory at rest."""
         z: Array = self.Z.T @ trajectory.coefficients
@@ -148,11 +160,12 @@ class DesignProblem:
         high = use[k, joint] + rise > share
         return (self.instants[k] + shift)[high], joint[high]
 
-    def torque_ratio(self, z: Array) -> float:
-        """Worst use of the torque bounds at its peaks."""
+    def worst_use(self, z: Array) -> float:
+        """Worst use of the torque bounds at its peaks, and of the clearance."""
+        use = clearance_use(self, z)
         if np.all(np.isinf(self.torque_bound)):
-            return 0.0
-        return float(torque_peaks(self, z).use.max(initial=0.0))
+            return use
+        return max(use, float(torque_peaks(self, z).use.max(initial=0.0)))
 
 
 def motion_of(z: Array, t: Array, bases: Bases) -> Motion:

@@ -37,7 +37,7 @@ def design_result(design: Design) -> dict[str, Any]:
             else None
             for use in uses
         },
-        "clearance_m": None,
+        "clearance_m": None if design.clearance is None else design.clearance.certified,
         "starts": [
             {
                 "start": start.index,

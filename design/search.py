@@ -31,7 +31,7 @@ class SearchState:
         index: Number of the start.
         z: Unknowns, shape (2 H − 1, nv).
         value: Criterion to be minimised, at z.
-        excess: Torque beyond its bound at z, as a share of it.
+        excess: Torque beyond its bound at z, as a share of it; or clearance missing.
         best: Unknowns of the lowest value within all limits; None before there is one.
         best_value: That value.
         radius: Trust region.
@@ -69,7 +69,7 @@ class SearchState:
         """The search moved to z, and that entered into its history."""
         M = problem.information_matrix(z)
         value = objective(M, problem.criterion)
-        excess = max(0.0, problem.torque_ratio(z) - 1.0)
+        excess = max(0.0, problem.worst_use(z) - 1.0)
         new = replace(self, z=z, value=value, excess=excess)
         if excess <= FEASIBLE and value < self.best_value:
             new = replace(new, best=z, best_value=value)

@@ -8,6 +8,7 @@ import clarabel
 import numpy as np
 import scipy.sparse as sp
 
+from excitant.design.clearance import clearance_rows
 from excitant.design.criterion import smooth_model
 from excitant.design.problem import DesignProblem, motion_of
 from excitant.design.torque_peaks import torque_rows
@@ -19,6 +20,7 @@ PENALTY = 50.0  # of a torque violation (as share of the limit) against the log 
 _LOWEST, _HIGHEST = 8, 4  # eigenvectors whose subspace an LMI follows
 _NEAR = 0.5  # share of a limit from which an extremum is a row
 _NEAR_TORQUE = 0.7
+_NEAR_CLEARANCE = -0.5  # 15 cm more than required
 _EXCHANGES = 8
 _TOLERANCE = 3e-5  # of a limit, at which the exchange stops
 _LOOSE = 0.01  # the same, as a share of the step's length
@@ -48,16 +50,16 @@ class LocalModel:
         blocks: Eigenvalue subspaces, for ``condition`` and ``e``.
         gradient: Of the smooth criteria, shape (k,).
         hessian: Of the smooth criteria, shape (k, k).
-        torque_rows: Use of torque bounds by the unknowns, shape (m, k).
-        torque_use: Their use at z, shape (m,).
+        rows: Use of torque bounds and of clearance by the unknowns, shape (m, k).
+        use: Their use at z, shape (m,).
     """
 
     z: Array
     blocks: tuple[Block, ...]
     gradient: Array
     hessian: Array
-    torque_rows: Array
-    torque_use: Array
+    rows: Array
+    use: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +96,11 @@ def local_model(problem: DesignProblem, z: Array) -> LocalModel:
             value = np.diag(eigenvalues[span]) / scale
             dM = linear.derivative(problem.sample_bases, V[:, span]) / scale
             blocks.append(Block(value, dM, lowest))
-    rows, use = torque_rows(problem, z, _NEAR_TORQUE)
+    limited = (
+        torque_rows(problem, z, _NEAR_TORQUE),
+        clearance_rows(problem, z, _NEAR_CLEARANCE),
+    )
+    rows, use = (np.concatenate(parts) for parts in zip(*limited, strict=True))
     return LocalModel(z, tuple(blocks), gradient, hessian, rows, use)
 
 
@@ -157,14 +163,14 @@ class _Cone:
 
 
 def _fixed_part(problem: DesignProblem, model: LocalModel) -> _Cone:
-    k, nb, m = problem.size, len(model.blocks), len(model.torque_use)
+    k, nb, m = problem.size, len(model.blocks), len(model.use)
     n = k + nb + 1
     box = np.kron(problem.Z, np.eye(problem.robot.nv)) / problem.reach.reshape(-1, 1)
     linear = np.zeros((2 * len(box) + m + 1, n))
     linear[: 2 * len(box), :k] = np.vstack([box, -box])
-    linear[2 * len(box) : -1, :k] = model.torque_rows
+    linear[2 * len(box) : -1, :k] = model.rows
     linear[2 * len(box) :, -1] = -1.0
-    right = [np.zeros(2 * len(box)), 1 - model.torque_use, np.zeros(1)]
+    right = [np.zeros(2 * len(box)), 1 - model.use, np.zeros(1)]
     parts, cones = [linear], [clarabel.NonnegativeConeT(len(linear))]
     for i, block in enumerate(model.blocks):
         A, b = _lmi(block, k, i, n)
@@ -229,5 +235,5 @@ def _predicted_gain(problem: DesignProblem, model: LocalModel, solution: Array) 
     change = model.gradient @ dz + 0.5 * dz @ model.hessian @ dz
     for block, bound in zip(model.blocks, solution[k:-1], strict=True):
         change += (-1.0 if block.lowest else 1.0) * np.log(max(float(bound), 1e-3))
-    before = max(0.0, float(model.torque_use.max(initial=0.0)) - 1.0)
+    before = max(0.0, float(model.use.max(initial=0.0)) - 1.0)
     return float(PENALTY * (before - solution[-1]) - change)

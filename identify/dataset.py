@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from excitant.exceptions import BadInput
+from excitant.exceptions import BadInput, UnknownName
 from excitant.identify.recording import Recording, read_recording
 from excitant.robots.loading import load_robot
 from excitant.robots.robot import Robot
@@ -63,8 +63,9 @@ def load_dataset(spec: str | Path) -> Dataset:
     folder = Path(spec)
     if not folder.is_dir():
         return Dataset(load_robot(spec))
-    sidecar = _sidecar(folder / "dataset.json")
-    kinematics = sidecar.get("kinematics") or {}
+    sidecar = folder / "dataset.json"
+    content = _sidecar(sidecar)
+    kinematics, torque = (_entries(content, name, sidecar) for name in ("kinematics", "torque"))
     name = kinematics.get("urdf", "robot.urdf")
     candidates = [folder / str(name)] if name else []
     candidates += [folder / "robot.yaml"]
@@ -74,9 +75,23 @@ def load_dataset(spec: str | Path) -> Dataset:
             f"{folder}: no robot model (robot.urdf or robot.yaml) in this folder; add one, or "
             f"give ROBOT and the paths of the recordings"
         )
-    lock = dict.fromkeys(kinematics.get("lock") or (), 0.0)
-    column = (sidecar.get("torque") or {}).get("column")
-    return Dataset(load_robot(model, lock=lock or None), folder, column)
+    lock, column = kinematics.get("lock") or [], torque.get("column")
+    if not isinstance(lock, list) or not all(isinstance(joint, str) for joint in lock):
+        raise BadInput(f"{sidecar}: 'kinematics.lock' must be a list of joints")
+    if not isinstance(column, str | None):
+        raise BadInput(f"{sidecar}: 'torque.column' must be a prefix such as 'tau' or 'i'")
+    try:
+        robot = load_robot(model, lock=dict.fromkeys(lock, 0.0) or None)
+    except UnknownName as error:
+        raise BadInput(f"{sidecar}: {error}") from None
+    return Dataset(robot, folder, column)
+
+
+def _entries(content: dict[str, Any], name: str, sidecar: Path) -> dict[str, Any]:
+    entries = content.get(name) or {}
+    if not isinstance(entries, dict):
+        raise BadInput(f"{sidecar}: '{name}' must be an object, such as {{}}")
+    return entries
 
 
 def _sidecar(path: Path) -> dict[str, Any]:

@@ -179,22 +179,40 @@ def link_coordinates(prior: Array) -> Array:
 def _solve(
     A: Array, z: Array, centre: Array, weight: Array, lower: Array, links: int
 ) -> tuple[Array, list[Array]]:
-    Q = [cp.Variable((4, 4), symmetric=True) for _ in range(links)]
-    parts = [cp.hstack([block[i, j] for i, j in zip(*_UPPER, strict=True)]) for block in Q]
-    theta = cp.Variable(len(lower)) if len(lower) else None
-    y = cp.hstack([*parts, theta] if theta is not None else parts)
-    size = max(1.0, float(z @ z))  # keeps the solver's tolerances relative
-    objective = cp.sum_squares(A @ y - z) + cp.sum_squares(cp.multiply(weight, y - centre))
-    constraints = [block >> _MARGIN * np.eye(4) for block in Q]
+    """Minimiser and multipliers.
+
+    With U a QR factor of data and prior together and y₀ the minimum without constraints, the
+    objective is ‖U (y − y₀)‖² plus a constant. It is solved for U (y − y₀), which no
+    quality of data makes ill-conditioned.
+    """
+    stacked = np.column_stack([np.vstack([A, np.diag(weight)]), np.r_[z, weight * centre]])
+    factor = np.asarray(np.linalg.qr(stacked, mode="r"), float)[: len(centre)]
+    U, free = factor[:, :-1], scipy.linalg.solve_triangular(factor[:, :-1], factor[:, -1])
+    size = max(1.0, float(np.linalg.norm(U @ (centre - free))))
+    step = size * scipy.linalg.solve_triangular(U, np.eye(len(free)))
+    v = cp.Variable(len(free))
     bounded = np.flatnonzero(np.isfinite(lower))
-    if theta is not None and len(bounded):
-        constraints.append(theta[bounded] >= lower[bounded])
-    problem = cp.Problem(cp.Minimize(objective / size), constraints)
-    _solve_tightly(problem)
-    multipliers = [np.asarray(c.dual_value, float) * size for c in constraints]
+    maps = [_symmetric(10 * k, len(free)) for k in range(links)]
+    constraints = [
+        cp.reshape((M @ step) @ v + M @ free, (4, 4), order="C") >> _MARGIN * np.eye(4)
+        for M in maps
+    ]
+    if len(bounded):
+        rows = 10 * links + bounded
+        constraints.append(step[rows] @ v + free[rows] >= lower[bounded])
+    _solve_tightly(cp.Problem(cp.Minimize(cp.sum_squares(v)), constraints))
+    multipliers = [np.asarray(c.dual_value, float) * size**2 for c in constraints]
     if len(multipliers) == links:
         multipliers.append(np.zeros(0))
-    return np.asarray(y.value, float), multipliers
+    return free + step @ np.asarray(v.value, float), multipliers
+
+
+def _symmetric(start: int, size: int) -> Array:
+    """Map from all coordinates to the 16 entries of one Q, shape (16, size)."""
+    selection = np.zeros((4, 4, size))
+    for k, (i, j) in enumerate(zip(*_UPPER, strict=True)):
+        selection[i, j, start + k] = selection[j, i, start + k] = 1.0
+    return selection.reshape(16, size)
 
 
 def _solve_tightly(problem: cp.Problem) -> None:

@@ -96,13 +96,19 @@ def prepare(recording: Recording, cutoff_hz: float | None = None) -> list[Segmen
         if len(part) > 20 and recording.t[part[-1]] - recording.t[part[0]] >= MINIMUM_DURATION:
             segments.append(_segment(recording, part, step, cutoff_hz))
     if not segments:
-        raise BadRecording(
-            recording.file,
-            f"no uninterrupted part of {MINIMUM_DURATION:g} s; time jumps {len(breaks)} times",
-            row=int(breaks[0]),
-            column="t",
-        )
+        raise BadRecording(recording.file, _too_short(recording, breaks), column="t")
     return segments
+
+
+def _too_short(recording: Recording, breaks: npt.NDArray[np.intp]) -> str:
+    needed = f"{MINIMUM_DURATION:g} s without interruption are needed"
+    if len(breaks):
+        first = recording.t[breaks[0] - 1]
+        return f"time jumps {len(breaks)} times, first after {first:.4g} s; {needed}"
+    return (
+        f"'{recording.name}' lasts {recording.duration:.3g} s; {needed}: "
+        "record longer or name a hold-out of its own"
+    )
 
 
 def _segment(

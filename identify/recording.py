@@ -87,11 +87,12 @@ def recording_from_table(
 ) -> Recording:
     """Recording from a table in memory; see `read_recording`."""
     prefix = torque_column or _torque_prefix(table, file)
-    for quantity in ("q", prefix):
-        _check_joint_count(table, quantity, joints, file)
+    _check_joint_count(table, "q", joints, file)
+    _check_columns(table, prefix, joints, file)
     columns = ["t", *_names("q", joints), *_names(prefix, joints)]
     values = _numbers(table, columns, file)
     _check_time(values[:, 0], file)
+    _check_alive(values[:, 1 + joints :], columns[1 + joints :], file)
     return Recording(
         name=name,
         file=file,
@@ -130,21 +131,35 @@ def _torque_prefix(table: pd.DataFrame, file: str) -> str:
     )
 
 
+def _numbered(table: pd.DataFrame, prefix: str) -> list[int]:
+    pattern = re.compile(rf"{re.escape(prefix)}([1-9]\d*)$")
+    return sorted(int(m.group(1)) for c in table.columns if (m := pattern.match(str(c))))
+
+
 def _check_joint_count(table: pd.DataFrame, prefix: str, joints: int, file: str) -> None:
-    pattern = re.compile(rf"{re.escape(prefix)}(\d+)$")
-    found = sorted(int(m.group(1)) for c in table.columns if (m := pattern.match(str(c))))
-    missing = sorted(set(range(1, joints + 1)) - set(found))
-    if not missing and len(found) == joints:
-        return
-    if found == list(range(1, len(found) + 1)) and found:
+    found = _numbered(table, prefix)
+    if found and found == list(range(1, len(found) + 1)) and len(found) != joints:
+        span = f"{prefix}1" + (f"..{prefix}{len(found)}" if len(found) > 1 else "")
+        plural = "s" if len(found) > 1 else ""
         raise BadRecording(
             file,
-            f"has {len(found)} joints ({prefix}1..{prefix}{len(found)}), the robot has {joints}; "
+            f"has {len(found)} joint{plural} ({span}), the robot has {joints}; "
             "give the recording of this robot, or lock the joints that it leaves out",
         )
-    if missing:
-        raise BadRecording(file, "is missing; rename or add it", column=f"{prefix}{missing[0]}")
-    raise BadRecording(file, "does not belong to a joint of the robot", column=f"{prefix}0")
+    _check_columns(table, prefix, joints, file)
+
+
+def _check_columns(table: pd.DataFrame, prefix: str, joints: int, file: str) -> None:
+    found = _numbered(table, prefix)
+    for k in range(1, joints + 1):
+        if k not in found:
+            raise BadRecording(file, "is missing; rename or add it", column=f"{prefix}{k}")
+    if len(found) > joints:
+        raise BadRecording(
+            file,
+            f"belongs to no joint: the robot has {joints}; remove it or give the right robot",
+            column=f"{prefix}{found[-1]}",
+        )
 
 
 def _numbers(table: pd.DataFrame, columns: list[str], file: str) -> Array:
@@ -161,12 +176,23 @@ def _numbers(table: pd.DataFrame, columns: list[str], file: str) -> Array:
         column = columns[int(np.argmax(bad[row]))]
         raise BadRecording(
             file,
-            f"value {table[column].iloc[row]!r} is not a finite number "
+            f"value '{table[column].iloc[row]}' is not a finite number "
             f"({int(bad.any(axis=1).sum())} such rows); remove or repair them",
             row=row,
             column=column,
         )
     return values
+
+
+def _check_alive(tau: Array, columns: list[str], file: str) -> None:
+    dead = np.ptp(tau, axis=0) == 0
+    if dead.any():
+        k = int(np.argmax(dead))
+        raise BadRecording(
+            file,
+            f"dead channel: {tau[0, k]:g} in every row; repair the sensor or lock this joint",
+            column=columns[k],
+        )
 
 
 def _check_time(t: Array, file: str) -> None:

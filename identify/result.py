@@ -69,7 +69,8 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
             "unit": units[k],
             "category": category,
             "prior": None if given[k] is None else float(given[k]),
-            "prior_dominated": bool(physical.prior_share[k] > _PRIOR_DOMINATED),
+            "prior_dominated": category == "unidentifiable"
+            or bool(physical.prior_share[k] > _PRIOR_DOMINATED),
         }
         for k, category in enumerate(categories(estimate.base))
     ]

@@ -34,6 +34,7 @@ def _design(result: Result) -> Lines:
     return [
         ("designed", f"condition number {number(before)} → {number(after)}, "
          f"limits used up to {percent(worst, 4)}"),
+        *(("", note) for note in words(result, "notes")),
     ]  # fmt: skip
 
 

@@ -18,6 +18,8 @@ from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.urdf import full_model
 
+_POSES = 200  # random ones, to tell pairs whose distance is a matter of drawing
+_MOVING = 1e-3  # m: distances that change less do not change
 _SHAPES = ("box", "sphere", "half_space")
 _KEYS = {
     "box": {"size": 3, "position": 3, "rpy": 3},
@@ -152,7 +154,8 @@ def scene(
 ) -> Scene | None:
     """Collision scene of a robot; None when its URDF has no collision shape.
 
-    Meshes that are not found are left out.
+    Meshes that are not found are left out, and so are pairs of the arm's own bodies that overlap
+    at every pose or whose distance never changes: no motion can do anything about them.
 
     Args:
         robot: The arm; its URDF's ``<collision>`` elements count.
@@ -173,7 +176,24 @@ def scene(
     for obstacle in obstacles:
         shape, placement = obstacle.geometry()
         geometry.addGeometryObject(pin.GeometryObject(obstacle.name, 0, 0, placement, shape))
-    pairs = _pairs(robot, geometry)
+    everything = _paired(robot, geometry, _pairs(robot, geometry))
+    q, _, _ = robot.random_motion(np.random.default_rng(0), _POSES)
+    distance = everything.distances(q)
+    moving = (distance.max(axis=0) > 0) & (np.ptp(distance, axis=0) > _MOVING)
+    fixed = {obstacle.name for obstacle in obstacles}
+    kept = [
+        (pair.first, pair.second)
+        for pair, moves, names in zip(
+            everything.geometry.collisionPairs, moving, everything.pairs, strict=True
+        )
+        if moves or fixed & set(names)
+    ]
+    return _paired(robot, geometry, kept)
+
+
+def _paired(robot: Robot, geometry: Any, pairs: Sequence[tuple[int, int]]) -> Scene:
+    geometry = geometry.copy()
+    geometry.removeAllCollisionPairs()
     for one, other in pairs:
         geometry.addCollisionPair(pin.CollisionPair(one, other))
     names = [body.name for body in geometry.geometryObjects]

@@ -1,12 +1,19 @@
-"""Where the recordings of real arms are."""
+"""Recordings: where those of real arms are, and those of virtual arms."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import hypothesis
+import numpy as np
 import pytest
+
+from excitant.design import random_trajectory
+from excitant.identify import Recording, recording_from_table
+from excitant.robots import Robot
+from excitant.robots.virtual_arm import HiddenEffect, Sensors, ideal_sensors, virtual_arm
 
 hypothesis.settings.register_profile("excitant", deadline=None, derandomize=True, max_examples=25)
 hypothesis.settings.load_profile("excitant")
@@ -19,7 +26,40 @@ def data_folder() -> Path:
     folder = Path(os.environ.get("EXCITANT_DATA", beside))
     if not folder.is_dir():
         reason = f"no recordings of real arms in {folder}; set EXCITANT_DATA"
-        if os.environ.get("CI"):
+        if os.environ.get("CI") or os.environ.get("EXCITANT_DATA_REQUIRED") == "1":
             pytest.fail(reason)
         pytest.skip(reason)
     return folder
+
+
+Runs = Callable[..., list[Recording]]
+
+
+@pytest.fixture(scope="session")
+def runs() -> Runs:
+    """``runs(robot, seed, hidden=..., sensors=..., tolerance=...)``: two motions recorded.
+
+    The arm is virtual and shares no code with the effects that are fitted; by default it is its
+    nominal description, seen by true sensors.
+    """
+
+    def recorded(
+        robot: Robot,
+        seed: int,
+        hidden: Sequence[HiddenEffect] | None = (),
+        sensors: Sensors | None = None,
+        tolerance: float = 0.0,
+        duration: float = 10.0,
+    ) -> list[Recording]:
+        rng = np.random.default_rng(seed)
+        sensors = sensors or ideal_sensors(robot)
+        arm = virtual_arm(robot, rng, hidden=hidden, sensors=sensors, tolerance=tolerance)
+        tables = [
+            arm.record(random_trajectory(robot, rng, duration, 5), duration, rng) for _ in range(2)
+        ]
+        return [
+            recording_from_table(table, robot.nv, file=f"{name}.parquet", name=name)
+            for name, table in zip(("excitation", "holdout"), tables, strict=True)
+        ]
+
+    return recorded

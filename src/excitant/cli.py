@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 
-from excitant import __version__, commands
+from excitant import __version__, commands, motion_commands
 from excitant.exceptions import ExcitantError
 
 _SOLVERS = ("pin", "clarabel", "cvxpy", "numpy", "scipy")
@@ -88,7 +88,8 @@ def _verb(
         epilog=f"example:\n  {example}",
         formatter_class=_Help,
     )
-    verb.set_defaults(run=getattr(commands, name))
+    owner = commands if hasattr(commands, name) else motion_commands
+    verb.set_defaults(run=getattr(owner, name))
     verb.add_argument("--debug", action="store_true", help="show the traceback of an error")
     verb.add_argument("--json", action="store_true", help="print result.json and nothing else")
     return verb
@@ -125,6 +126,11 @@ def _design(verbs: _Verbs[argparse.ArgumentParser]) -> None:
                       help="what to make visible: all that identify estimates, or the links "
                       "only (default: friction)")  # fmt: skip
     verb.add_argument("--limits", metavar="FILE", help="YAML or JSON with limits to use instead")
+    _surroundings(verb)
+    verb.add_argument("--from", dest="start", metavar="Q1,Q2,...",
+                      help="present pose [rad]: writes approach.csv and return.csv too")  # fmt: skip
+    verb.add_argument("--formats", metavar="NAME,...",
+                      help="further files: ros2 (YAML), mcap, urscript, npz")  # fmt: skip
     verb.add_argument("--rate", type=float, default=100.0, help="rate of trajectory.csv [Hz]")
     verb.add_argument("--starts", type=int, help="number of searches (default: 16)")
     verb.add_argument("--jobs", type=int, help="processes (default: all processors)")
@@ -133,12 +139,22 @@ def _design(verbs: _Verbs[argparse.ArgumentParser]) -> None:
     _output(verb)
 
 
+def _surroundings(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument("--obstacles", metavar="FILE", help="YAML with boxes, spheres, half-spaces")
+    verb.add_argument("--clearance", type=float, metavar="M",
+                      help="least distance to obstacles and between the arm's own bodies "
+                      "(default: 0.01 m where the robot has collision shapes)")  # fmt: skip
+    verb.add_argument("--ignore-collisions", action="store_true",
+                      help="leave clearance out")  # fmt: skip
+
+
 def _check(verbs: _Verbs[argparse.ArgumentParser]) -> None:
     verb = _verb(verbs, "check", "limits between samples and conditioning of any trajectory",
                  "excitant check ur10 trajectory.csv")  # fmt: skip
     verb.add_argument("robot", metavar="ROBOT", help=_ROBOT)
     verb.add_argument("trajectory", metavar="TRAJECTORY", help="CSV or JSON")
     verb.add_argument("--limits", metavar="FILE", help="YAML or JSON with limits to use instead")
+    _surroundings(verb)
     verb.add_argument("--columns", default="friction", choices=("friction", "inertial"))
     _output(verb)
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from excitant.analysis.diagnosis import diagnose
 from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series
@@ -28,6 +26,7 @@ from excitant.identify import (
     model_files,
     recording_from_table,
 )
+from excitant.output import table_bytes
 from excitant.progress import Advance
 from excitant.robots import Array, Robot
 from excitant.robots.virtual_arm import HiddenEffect, virtual_arm
@@ -104,8 +103,8 @@ def run_demo(robot: Robot, seed: int, advance: Advance) -> Demo:
         files={
             "trajectory.csv": trajectory_csv(found.trajectory),
             "trajectory.json": trajectory_json(found.trajectory, robot),
-            "excitation.parquet": _parquet(excitation),
-            "holdout.parquet": _parquet(holdout),
+            "excitation.parquet": table_bytes(excitation, ".parquet"),
+            "holdout.parquet": table_bytes(holdout, ".parquet"),
             **model_files(estimate.model, "identified", "model.yaml"),
             **model_files(diagnosis.extension.model, "extended", "extended.yaml"),
         },
@@ -131,9 +130,3 @@ def _verdict(hidden: HiddenEffect, diagnosis: Mapping[str, Any]) -> dict[str, An
         and lead["verdict"] == "named"
     )
     return {"effect": lead["effect"], "joints": lead["joints"], "correct": right}
-
-
-def _parquet(table: pd.DataFrame) -> bytes:
-    buffer = io.BytesIO()
-    table.to_parquet(buffer, index=False)
-    return buffer.getvalue()

@@ -1,0 +1,233 @@
+"""The commands about motions: design, check, simulate."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from excitant.design import (
+    CLEARANCE,
+    FourierTrajectory,
+    HermiteTrajectory,
+    approach,
+    condition_number,
+    design_result,
+    design_series,
+    information,
+    load_trajectory,
+    motion_csv,
+    return_path,
+    trajectory_csv,
+    trajectory_json,
+    write_formats,
+)
+from excitant.design import check as check_limits
+from excitant.design import clearance as motion_clearance
+from excitant.design import design as design_trajectory
+from excitant.exceptions import BadInput, Infeasible
+from excitant.output import finish, print_json, run_directory, table_bytes, write_atomically
+from excitant.progress import progress_bar
+from excitant.robots import Array, Motion, Robot, load_limits, load_robot, torque
+from excitant.robots.geometry import Scene, load_obstacles, scene
+from excitant.robots.virtual_arm import virtual_arm
+
+_DENSE_HZ = 100.0
+_TIMED = 1000.0  # s: the bar of a search without time limit fills by starts instead
+
+
+def design(args: argparse.Namespace) -> None:
+    """Design an excitation trajectory."""
+    robot = _limited(args)
+    if not 1 <= args.rate <= 10_000:
+        raise BadInput(f"--rate {args.rate:g} Hz: give a control rate from 1 to 10000 Hz")
+    start = _pose(args.start, robot) if args.start else None
+    surroundings, least = _surroundings(args, robot)
+    began = time.monotonic()
+    with progress_bar("design") as advance:
+
+        def tell(done: int, total: int | None, condition: float, ratio: float) -> None:
+            spent = (time.monotonic() - began) / (args.time_limit or _TIMED)
+            advance(
+                done / total if total else min(spent, 1.0),
+                f"{done} starts, best κ {condition:.4g}, worst limit {100 * ratio:.1f} %",
+            )
+
+        found = design_trajectory(
+            robot,
+            duration=args.duration,
+            harmonics=args.harmonics,
+            criterion=args.criterion,
+            columns=args.columns,
+            scene=surroundings,
+            clearance=least,
+            starts=args.starts,
+            jobs=args.jobs,
+            seed=args.seed,
+            time_limit=args.time_limit,
+            progress=tell,
+        )
+    files: dict[str, str | bytes] = {
+        "trajectory.csv": trajectory_csv(found.trajectory, args.rate),
+        "trajectory.json": trajectory_json(found.trajectory, robot),
+    }
+    motions = {"trajectory": found.trajectory.motion(args.rate)}
+    result = design_result(found)
+    if start is not None:
+        try:
+            ways = _ways(robot, start, found.trajectory, args.rate, surroundings, least)
+            files |= {f"{name}.csv": motion_csv(motion) for name, motion in ways.items()}
+            motions |= ways
+        except Infeasible as error:  # the design stands without them
+            result["notes"] = [str(error)]
+    names = [word.strip() for word in (args.formats or "").split(",") if word.strip()]
+    for stem, motion in motions.items():
+        files |= write_formats(motion, robot, names, rate_hz=args.rate, stem=stem)
+    finish(args, run_directory(args, "design", robot), result, design_series(found), files)
+
+
+def _pose(text: str, robot: Robot) -> Array:
+    try:
+        pose = np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        raise BadInput(f"--from {text}: give one number per joint, as in 0,-1.57,0") from None
+    if len(pose) != robot.nv:
+        raise BadInput(f"--from has {len(pose)} numbers, {robot.name} has {robot.nv} joints")
+    return pose
+
+
+def _ways(
+    robot: Robot,
+    start: Array,
+    trajectory: FourierTrajectory,
+    rate: float,
+    surroundings: Scene | None,
+    least: float,
+) -> dict[str, Motion]:
+    """Approach from a pose to the trajectory, and return from it."""
+
+    def distance(pose: Array) -> float:
+        assert surroundings is not None
+        return float(surroundings.distances(pose[None]).min())
+
+    clear = distance if surroundings is not None else None
+    there = trajectory(0.0)[0]
+    options: dict[str, Any] = {"clearance": clear, "margin": least, "rate_hz": rate}
+    return {
+        "approach": approach(robot, start, there, **options),
+        "return": return_path(robot, there, start, **options),
+    }
+
+
+def _surroundings(args: argparse.Namespace, robot: Robot) -> tuple[Scene | None, float]:
+    """Scene to keep clear of, if any, and the least distance [m]."""
+    least = CLEARANCE if args.clearance is None else args.clearance
+    if args.ignore_collisions:
+        return None, least
+    found = scene(robot, load_obstacles(args.obstacles) if args.obstacles else ())
+    if found is None and (args.obstacles or args.clearance is not None):
+        raise BadInput(
+            f"{robot.source}: the robot has no collision shapes; add <collision> elements to its "
+            "URDF, or leave --obstacles and --clearance out"
+        )
+    return found, least
+
+
+def check(args: argparse.Namespace) -> None:
+    """Check anybody's trajectory against the limits of a robot."""
+    robot = _limited(args)
+    trajectory = load_trajectory(args.trajectory, robot)
+    surroundings, least = _surroundings(args, robot)
+    report = check_limits(robot, trajectory)
+    motion = sampled(trajectory)
+    path = (
+        trajectory if isinstance(trajectory, FourierTrajectory) else HermiteTrajectory(trajectory)
+    )
+    near = motion_clearance(surroundings, path) if surroundings is not None else None
+    result = {
+        "verb": "check",
+        "robot": robot.name,
+        "trajectory": str(args.trajectory),
+        "joints": list(robot.joints),
+        "holds": report.hold and (near is None or near.distance >= least),
+        "limits": {use.quantity: use.ratio for use in report.uses},
+        "worst": {
+            use.quantity: {"joint": use.joint, "t": use.time, "ratio": use.ratio}
+            for use in report.uses
+            if use.ratio > 0
+        },
+        "limit_values": {use.quantity: getattr(robot.limits, use.quantity) for use in report.uses},
+        "columns": args.columns,
+        "condition_number": condition_number(information(robot, args.columns).matrix(motion)),
+        "clearance_m": None if near is None else near.certified,
+        "verdicts": [
+            f"{use.quantity} limit of {use.joint} exceeded by {100 * (use.ratio - 1):.3g} % "
+            f"at {use.time:.4g} s"
+            for use in report.uses
+            if use.ratio > 1
+        ]
+        + [
+            f"{near.bodies[0]} and {near.bodies[1]} come within {1000 * near.distance:.3g} mm "
+            f"at {near.time:.4g} s, required {1000 * least:.3g} mm"
+            for near in [near]
+            if near is not None and near.distance < least
+        ]
+        or ["all limits hold, between samples too"],
+    }
+    series = {
+        "t": motion.t,
+        "q": motion.q,
+        "dq": motion.dq,
+        "ddq": motion.ddq,
+        "tau": torque(robot, motion),
+    }
+    finish(args, run_directory(args, "check", robot), result, series, {})
+
+
+def simulate(args: argparse.Namespace) -> None:
+    """Record a trajectory on a virtual arm."""
+    robot = load_robot(args.robot)
+    target = Path(args.output)
+    if target.suffix not in (".csv", ".parquet"):
+        raise BadInput(f"{target}: name a .csv or .parquet file")
+    trajectory = load_trajectory(args.trajectory, robot)
+    path = (
+        trajectory if isinstance(trajectory, FourierTrajectory) else HermiteTrajectory(trajectory)
+    )
+    duration = float(sampled(trajectory).t[-1])
+    rng = np.random.default_rng(args.seed)
+    arm = virtual_arm(
+        robot, rng, hidden=None if args.hidden else (), tolerance=0.03 if args.hidden else 0.0
+    )
+    with progress_bar("simulate") as advance:
+        table = arm.record(path, duration, rng, lambda fraction: advance(fraction, ""))
+    write_atomically(target, table_bytes(table, target.suffix))
+    result = {
+        "verb": "simulate",
+        "robot": robot.name,
+        "samples": len(table),
+        "duration": duration,
+        "hidden": [
+            {"effect": h.effect, "joint": h.joint, "parameters": dict(h.parameters)}
+            for h in arm.hidden
+        ],
+        "files": [str(target)],
+    }
+    if args.json:
+        print_json(result)
+    else:
+        print(f"{target}  {len(table)} samples over {duration:g} s")
+
+
+def _limited(args: argparse.Namespace) -> Robot:
+    robot = load_robot(args.robot)
+    return robot.with_limits(load_limits(args.limits, robot)) if args.limits else robot
+
+
+def sampled(trajectory: FourierTrajectory | Motion) -> Motion:
+    if isinstance(trajectory, Motion):
+        return trajectory
+    return trajectory.motion(_DENSE_HZ)

@@ -1,0 +1,78 @@
+"""Where commands put their results: run folders, files and the terminal."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from excitant.reports import brief, load_run, save_run
+from excitant.robots import Array, Robot
+
+
+def table_bytes(table: pd.DataFrame, suffix: str) -> bytes:
+    """A table as the content of a ``.csv`` or ``.parquet`` file."""
+    buffer = io.BytesIO()
+    if suffix == ".csv":
+        table.to_csv(buffer, index=False)
+    else:
+        table.to_parquet(buffer, index=False)
+    return buffer.getvalue()
+
+
+def write_atomically(target: Path, content: bytes) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        os.replace(name, target)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def run_directory(args: argparse.Namespace, verb: str, robot: Robot) -> Path:
+    if args.output:
+        return Path(args.output)
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    return Path("runs") / f"{verb}-{robot.name}-{stamp}"
+
+
+def finish(
+    args: argparse.Namespace,
+    directory: Path,
+    result: dict[str, Any],
+    series: Mapping[str, Array],
+    files: Mapping[str, str | bytes],
+) -> None:
+    """Save the run, then print its paths and summary, or its result as JSON."""
+    result["files"] = [str(directory / name) for name in files]
+    paths = save_run(directory, result, series, files)
+    saved, _ = load_run(directory)
+    if args.json:
+        print_json(saved)
+        return
+    print(brief(saved))
+    print()
+    print_paths(paths)
+
+
+def print_paths(paths: Sequence[Path]) -> None:
+    """All paths, the report last because it is the one to open."""
+    for path in sorted(paths, key=lambda path: path.suffix == ".html"):
+        print(path)
+
+
+def print_json(content: Mapping[str, Any]) -> None:
+    json.dump(content, sys.stdout, indent=1, ensure_ascii=False)
+    print()

@@ -1,0 +1,114 @@
+"""A folder with its robot and recordings needs nothing else said."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from excitant.exceptions import BadInput, BadRecording, ExcitantError
+from excitant.identify import load_dataset
+from excitant.robots import Robot, load_robot
+
+
+@pytest.fixture
+def folder(table: pd.DataFrame, planar: Robot, tmp_path: Path) -> Path:
+    (tmp_path / "robot.urdf").write_text(planar.urdf, encoding="utf-8")
+    table.assign(i1=table.tau1 / 2, i2=table.tau2 / 2).to_parquet(tmp_path / "first.parquet")
+    table.to_csv(tmp_path / "second.csv", index=False)
+    (tmp_path / "dataset.json").write_text("{}")
+    return tmp_path
+
+
+def test_recordings_are_named_relative_to_the_folder(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
+    dataset = load_dataset(folder)
+    named = dataset.recordings(["first", "first.parquet", "second", "second.csv"])
+    assert [r.name for r in named] == ["first", "first", "second", "second"]
+    assert {Path(r.file).parent for r in named} == {folder}
+
+
+def test_all_recordings_of_the_folder_when_none_is_named(folder: Path) -> None:
+    assert [r.name for r in load_dataset(folder).recordings([])] == ["first", "second"]
+
+
+def test_without_a_folder_recordings_are_paths(folder: Path) -> None:
+    dataset = load_dataset("planar_2r")
+    assert dataset.recordings([str(folder / "second.csv")])[0].name == "second"
+    with pytest.raises(BadInput, match="name at least one file"):
+        dataset.recordings([])
+
+
+def test_the_sidecar_names_the_torque_column(folder: Path) -> None:
+    assert load_dataset(folder).recordings(["first"])[0].unit == "N·m"
+    (folder / "dataset.json").write_text(json.dumps({"torque": {"column": "i"}}))
+    assert load_dataset(folder).recordings(["first"])[0].unit == "A"
+    with pytest.raises(BadRecording, match="'i1'"):
+        load_dataset(folder).recordings(["second"])
+
+
+def test_the_sidecar_locks_joints(folder: Path, planar: Robot) -> None:
+    sidecar = {"kinematics": {"urdf": "robot.urdf", "lock": ["joint2"]}}
+    (folder / "dataset.json").write_text(json.dumps(sidecar))
+    robot = load_dataset(folder).robot
+    assert robot.joints == ("joint1",)
+    assert dict(robot.locked) == {"joint2": 0.0}
+    expected = load_robot(folder / "robot.urdf", lock={"joint2": 0.0})
+    assert robot.phi.tolist() == expected.phi.tolist()
+    assert robot.phi[0] == pytest.approx(planar.phi[::10].sum())  # the outer link rides along
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [("{", "not valid JSON"), ("[]", "expected an object"), (None, "")],
+)
+def test_a_bad_sidecar_is_refused(folder: Path, content: str | None, why: str) -> None:
+    if content is None:
+        (folder / "dataset.json").unlink()
+        assert load_dataset(folder).robot.nv == 2
+        return
+    (folder / "dataset.json").write_text(content)
+    with pytest.raises(BadInput, match=why) as refusal:
+        load_dataset(folder)
+    assert "dataset.json" in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"kinematics": "robot.urdf"},
+        {"torque": "i"},
+        {"torque": {"column": 3}},
+        {"kinematics": {"lock": "joint2"}},
+        {"kinematics": {"lock": ["joint9"]}},
+        {"kinematics": {"urdf": "nothing.urdf"}},
+    ],
+)
+def test_a_sidecar_of_wrong_form_is_refused_not_crashed_on(folder: Path, content: object) -> None:
+    (folder / "dataset.json").write_text(json.dumps(content))
+    with pytest.raises(ExcitantError, match=str(folder)) as refusal:
+        load_dataset(folder).recordings([])
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_folder_without_robot_or_recordings_is_refused(folder: Path) -> None:
+    for path in folder.glob("*.parquet"), folder.glob("*.csv"):
+        for file in path:
+            file.unlink()
+    with pytest.raises(BadInput, match=r"no \.parquet or \.csv recording"):
+        load_dataset(folder).recordings([])
+    (folder / "robot.urdf").unlink()
+    with pytest.raises(BadInput, match="no robot model"):
+        load_dataset(folder)
+
+
+def test_real_data_sets_read(data_folder: Path) -> None:
+    for name, nv, unit in (("ur10", 6, "N·m"), ("panda", 7, "N·m"), ("ur10e", 6, "A")):
+        dataset = load_dataset(data_folder / name)
+        recordings = dataset.recordings([])
+        assert dataset.robot.nv == nv
+        assert {r.unit for r in recordings} == {unit}

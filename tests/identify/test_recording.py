@@ -1,0 +1,215 @@
+"""Every recording that cannot be used is refused in one line that says where and what to do."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from excitant.exceptions import BadRecording, ExcitantError
+from excitant.identify import Recording, read_recording, recording_from_table, split
+
+Corruption = Callable[[pd.DataFrame], pd.DataFrame]
+
+
+def with_value(row: int, column: str, value: object) -> Corruption:
+    def corrupt(table: pd.DataFrame) -> pd.DataFrame:
+        table = table.astype(object)
+        table.loc[row, column] = value
+        return table
+
+    return corrupt
+
+
+def rearranged(table: pd.DataFrame) -> pd.DataFrame:
+    return table.iloc[[*range(40), 41, 40, *range(42, len(table))]]
+
+
+CORRUPTIONS: dict[str, tuple[Corruption, int | None, str | None, str]] = {
+    "missing position": (lambda x: x.drop(columns="q1"), None, "q1", "rename or add"),
+    "missing torque": (lambda x: x.drop(columns="tau2"), None, "tau2", "rename or add"),
+    "missing time": (lambda x: x.drop(columns="t"), None, "t", "rename or add"),
+    "no torque": (lambda x: x.drop(columns=["tau1", "tau2"]), None, None, "neither 'tau1'"),
+    "not a number": (with_value(17, "q2", np.nan), 17, "q2", "remove or repair"),
+    "infinite": (with_value(3, "tau1", np.inf), 3, "tau1", "remove or repair"),
+    "text": (with_value(5, "tau2", "abc"), 5, "tau2", "'abc'"),
+    "one joint too few": (lambda x: x.drop(columns=["q2", "tau2"]), None, None, "lock the joints"),
+    "one joint too many": (lambda x: x.assign(q3=x.q1, tau3=x.tau1), None, None, "lock the joints"),
+    "one torque too many": (lambda x: x.assign(tau3=x.tau1), None, "tau3", "remove it"),
+    "time goes back": (rearranged, 41, "t", "goes back"),
+    "time repeats": (with_value(40, "t", 0.39), 40, "t", "repeats"),
+    "short": (lambda x: x[:150], None, "t", "at least 2 s"),
+    "one row": (lambda x: x[:1], None, "t", "at least 2 s"),
+    "no rows": (lambda x: x[:0], None, "t", "at least 2 s"),
+    "dead channel": (lambda x: x.assign(tau2=0.25), None, "tau2", "repair the sensor"),
+}
+
+
+@pytest.mark.parametrize("name", CORRUPTIONS)
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_a_bad_table_is_refused_where_it_is_bad(
+    name: str, suffix: str, table: pd.DataFrame, tmp_path: Path
+) -> None:
+    corrupt, row, column, advice = CORRUPTIONS[name]
+    bad = corrupt(table).reset_index(drop=True)
+    path = tmp_path / f"bad{suffix}"
+    if suffix == ".csv":
+        bad.to_csv(path, index=False)
+    else:
+        mixed = bad.map(lambda v: isinstance(v, str)).any()
+        bad.astype({c: str if mixed[c] else float for c in bad}).to_parquet(path)
+    with pytest.raises(BadRecording) as refusal:
+        read_recording(path, 2)
+    error, text = refusal.value, str(refusal.value)
+    assert (error.file, error.row, error.column) == (str(path), row, column)
+    assert str(path) in text
+    assert advice in text
+    assert "\n" not in text
+    assert row is None or f"row {row}" in text
+
+
+FILES = {
+    "empty.csv": (b"", "cannot be read"),
+    "corrupt.parquet": (b"PAR1 rubbish", "cannot be read"),
+    "binary.csv": (bytes(range(128, 256)) * 20, "cannot be read"),
+    "unknown.xyz": (b"t,q1\n", "give .parquet or .csv"),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_bad_file_is_refused_by_name(name: str, tmp_path: Path) -> None:
+    content, why = FILES[name]
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(BadRecording, match=why) as refusal:
+        read_recording(tmp_path / name, 2)
+    assert name in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadRecording, match="no such file"):
+        read_recording(tmp_path / "nothing.csv", 2)
+
+
+def test_csv_and_parquet_hold_the_same_recording(table: pd.DataFrame, tmp_path: Path) -> None:
+    table.to_csv(tmp_path / "a.csv", index=False)
+    table.to_parquet(tmp_path / "a.parquet")
+    one, other = (read_recording(tmp_path / f"a{s}", 2) for s in (".csv", ".parquet"))
+    for name in ("t", "q", "tau"):  # CSV is written with the shortest digits that read back
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_a_recording_in_amperes_says_so(table: pd.DataFrame) -> None:
+    renamed = table.rename(columns={"tau1": "i1", "tau2": "i2"})
+    assert recording_from_table(renamed, 2, file="f", name="n").unit == "A"
+    assert recording_from_table(table, 2, file="f", name="n").unit == "N·m"
+
+
+def test_recordings_in_different_units_are_refused(table: pd.DataFrame) -> None:
+    renamed = table.rename(columns={"tau1": "i1", "tau2": "i2"})
+    one = recording_from_table(table, 2, file="torque.csv", name="torque")
+    other = recording_from_table(renamed, 2, file="current.csv", name="current")
+    for first, second in ((one, other), (other, one)):
+        with pytest.raises(BadRecording, match="use recordings of one unit") as refusal:
+            split([first], [second])
+        assert "torque.csv" in str(refusal.value)
+        assert "current.csv" in str(refusal.value)
+
+
+def test_too_little_to_hold_out_is_refused_with_advice(table: pd.DataFrame) -> None:
+    recording = recording_from_table(table, 2, file="f.csv", name="n")
+    assert recording.duration > 2.0
+    with pytest.raises(BadRecording, match="hold-out of its own") as refusal:
+        split([recording])
+    assert refusal.value.file == "f.csv"
+    split([recording], [recording])
+
+
+@given(
+    start=st.floats(0, 0.9),
+    length=st.floats(0.05, 1),
+)
+def test_parts_of_a_recording_cover_it_once(start: float, length: float) -> None:
+    t = np.sort(np.random.default_rng(0).uniform(0, 10, 500))
+    recording = Recording("n", "f", t, t[:, None], t[:, None])
+    end = min(1.0, start + length)
+    cuts = [0.0, start, end, 1.0] if end < 1 else [0.0, start, 1.0]
+    parts = [recording.between(a, b, "part").t for a, b in itertools.pairwise(cuts) if b > a]
+    np.testing.assert_array_equal(np.concatenate(parts), t)
+
+
+VALUES = st.one_of(
+    st.floats(allow_nan=True, allow_infinity=True),
+    st.integers(),
+    st.text(max_size=5),
+    st.none(),
+    st.booleans(),
+)
+CHANGES = st.one_of(
+    st.tuples(st.just("set"), st.integers(0, 299), st.integers(0, 4), VALUES),
+    st.tuples(st.just("drop row"), st.integers(0, 299)),
+    st.tuples(st.just("repeat row"), st.integers(0, 299)),
+    st.tuples(st.just("drop column"), st.integers(0, 4)),
+    st.tuples(st.just("rename column"), st.integers(0, 4), st.text(max_size=4)),
+    st.tuples(st.just("fill"), st.integers(0, 4), VALUES),
+    st.tuples(st.just("cut"), st.integers(0, 300)),
+)
+
+
+def changed(table: pd.DataFrame, change: tuple[object, ...]) -> pd.DataFrame:
+    kind, *arguments = change
+    table = table.copy()
+    if kind == "set":
+        row, column, value = arguments
+        values = list(table.iloc[:, column % table.shape[1]])
+        if row < len(values):
+            values[row] = value
+        table.isetitem(column % table.shape[1], pd.Series(values, table.index, dtype=object))
+    elif kind == "drop row":
+        table = table.drop(index=arguments[0], errors="ignore")
+    elif kind == "repeat row":
+        table = pd.concat([table, table[arguments[0] : arguments[0] + 1]])
+    elif kind == "drop column":
+        table = table.drop(columns=table.columns[arguments[0] % table.shape[1]])
+    elif kind == "rename column":
+        old = table.columns[arguments[0] % table.shape[1]]
+        table = table.rename(columns={old: arguments[1]})
+    elif kind == "fill":
+        table.isetitem(
+            arguments[0] % table.shape[1],
+            pd.Series([arguments[1]] * len(table), table.index, dtype=object),
+        )
+    else:
+        table = table[: arguments[0]]
+    return table
+
+
+@given(changes=st.lists(CHANGES, min_size=1, max_size=3))
+def test_a_corrupted_table_is_refused_or_valid(changes: list[tuple[object, ...]]) -> None:
+    t = np.arange(300) / 100.0
+    waves = {f"{c}{k}": np.sin(k * t + ord(c[0])) for c in ("q", "tau") for k in (1, 2)}
+    table = pd.DataFrame({"t": t, **waves})
+    for change in changes:
+        table = changed(table, change)
+    try:
+        recording = recording_from_table(table, 2, file="f.csv", name="n")
+    except ExcitantError as error:
+        refusal = str(error)
+    else:
+        refusal = ""
+    if refusal:
+        assert "f.csv" in refusal
+        assert "\n" not in refusal
+        return
+    assert recording.q.shape == recording.tau.shape == (len(recording.t), 2)
+    assert (np.diff(recording.t) > 0).all()
+    for values in (recording.t, recording.q, recording.tau):
+        assert np.isfinite(values).all()
+        assert not values.flags.writeable
+    assert (np.ptp(recording.tau, axis=0) > 0).all()

@@ -1,0 +1,89 @@
+"""The demo names what its virtual arm hides, for a seed fixed here and for others."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from excitant.cli import main
+from excitant.demo import run_demo
+from excitant.reports import load_run
+from excitant.robots import load_robot
+
+SEED = 3
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("demo") / "out"
+    assert main(["demo", "--seed", str(SEED), "-o", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(directory: Path) -> dict[str, Any]:
+    return load_run(directory)[0]
+
+
+def test_the_hidden_effect_is_named_on_its_joint(result: dict[str, Any]) -> None:
+    truth, lead = result["truth"], result["diagnose"]["findings"][0]
+    assert (lead["effect"], lead["joints"]) == (truth["effect"], [truth["joint"]])
+    assert lead["verdict"] == "named"
+    assert result["verdict"] == {
+        "effect": truth["effect"], "joints": [truth["joint"]], "correct": True
+    }  # fmt: skip
+
+
+def test_the_report_says_so(directory: Path, result: dict[str, Any]) -> None:
+    plain = result["truth"]["effect"].replace("_", " ")
+    for name in ("summary.txt", "report.html"):
+        text = (directory / name).read_text(encoding="utf-8")
+        assert plain in text.lower()
+        assert result["truth"]["joint"] in text
+
+
+def test_the_result_holds_every_verb(directory: Path, result: dict[str, Any]) -> None:
+    agreed = {
+        "design": {"joints", "duration", "harmonics", "condition_number", "limits", "wall_s"},
+        "identify": {"joints", "parameters", "base_parameters", "physical"},
+        "analyze": {"links", "condition_number", "practical"},
+        "diagnose": {"simulation", "findings", "unexplained", "extended"},
+    }
+    for verb, keys in agreed.items():
+        assert keys <= set(result[verb]), verb
+    assert result["identify"]["physical"]["consistent"]
+    assert max(v for v in result["design"]["limits"].values() if v is not None) <= 1.0
+    assert all(Path(file).is_file() for file in result["files"])
+
+
+def test_what_is_named_makes_the_model_better(result: dict[str, Any]) -> None:
+    holdout = result["diagnose"]["findings"][0]["holdout"]
+    assert holdout["rms_after"] < holdout["rms_before"]
+    for joint in result["identify"]["joints"]:
+        assert joint["validate"]["rms"] < joint["baseline"]["rms"] or joint["validate"]["r2"] > 0.97
+
+
+def test_the_written_recordings_give_the_same_diagnosis(
+    directory: Path, result: dict[str, Any], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    words = ["diagnose", "ur10", str(directory / "excitation.parquet"), "--json"]
+    words += ["--validate", str(directory / "holdout.parquet"), "-o", str(tmp_path / "again")]
+    assert main(words) == 0
+    again = json.loads(capsys.readouterr().out)
+    for found, expected in zip(again["findings"], result["diagnose"]["findings"], strict=True):
+        assert (found["effect"], found["joints"]) == (expected["effect"], expected["joints"])
+        assert found["holdout"] == pytest.approx(expected["holdout"], rel=1e-9)
+
+
+@pytest.mark.slow
+def test_five_seeds_are_named_right(result: dict[str, Any]) -> None:
+    silent: Callable[[float, str], None] = lambda fraction, words: None  # noqa: E731
+    robot = load_robot("ur10")
+    others = [run_demo(robot, seed, silent).result for seed in range(5) if seed != SEED]
+    verdicts = [(v["seed"], v["truth"]["effect"], v["verdict"]) for v in (result, *others)]
+    assert len(verdicts) == 5
+    assert all(verdict["correct"] for *_, verdict in verdicts), verdicts
