@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from excitant.analysis.evidence import Candidate, Evidence, weigh
-from excitant.analysis.extension import Extension, contribution, extend
+from excitant.analysis.extension import Extension, contribution, extend, tolerance_metric
 from excitant.analysis.hypotheses import hypotheses
 from excitant.analysis.selection import Rival, given_values, rivals, select
 from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
@@ -120,7 +120,7 @@ def diagnose(
     prior = prior_parameters(robot)
     data = split(recordings, validate, cutoff_hz)
     gains = _gains(robot, data)
-    columns = hypotheses(robot, prior, data.train)
+    columns = hypotheses(robot, tolerance_metric(prior), data.train)
     rows = columns.rows(data.train, gains)
     evidence = weigh(rows.X, rows.residual, columns.precision, columns.nuisance, columns.candidates)
     chosen = select(evidence, robot)

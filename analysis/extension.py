@@ -15,7 +15,7 @@ from excitant.identify.physical import EffectPrior, fit_physical
 from excitant.identify.preprocessing import Segment
 from excitant.robots.effects import Effect, InertialParameters, Payload
 from excitant.robots.motion import Array, read_only
-from excitant.robots.parameters import from_pseudo_inertia
+from excitant.robots.parameters import from_pseudo_inertia, isotropic
 from excitant.robots.robot import Robot
 
 _WRONG_LINK_SIGMA = 1.0
@@ -73,6 +73,7 @@ def extend(
         bodies,
         _effect_prior(robot, effects, chosen, W[:, :, start:], tau),
         sigma,
+        tolerance_metric(bodies),
     )
     std = np.sqrt(np.diag(fit.covariance))
     valued, deviations, at = [], {}, 10 * robot.nv
@@ -101,6 +102,11 @@ def merged(effects: Sequence[Effect]) -> list[Effect]:
     for effect in effects:
         kinds.setdefault(replace(effect, joints=(), values=None), []).extend(effect.joints)
     return [replace(kind, joints=tuple(joints)) for kind, joints in kinds.items()]
+
+
+def tolerance_metric(bodies: Array) -> Array:
+    """What ten per cent of a link is ten per cent of, shape (links, 10)."""
+    return np.array([isotropic(phi) for phi in bodies])
 
 
 def _bodies(robot: Robot, prior: Array, chosen: Sequence[Candidate]) -> tuple[Array, Array]:

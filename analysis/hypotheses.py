@@ -50,7 +50,7 @@ class Hypotheses:
 
     Attributes:
         robot: The given robot.
-        prior: Its standard parameters as prior, shape (nv, 10).
+        metric: Bodies that tolerances are relative to, shape (nv, 10).
         candidates: Causes to consider.
         nuisance: Number of leading columns that stand for tolerances of the given values.
         precision: Prior precision of every column's coordinate.
@@ -58,7 +58,7 @@ class Hypotheses:
     """
 
     robot: Robot
-    prior: Array
+    metric: Array
     candidates: tuple[Candidate, ...]
     nuisance: int
     precision: Array
@@ -72,7 +72,7 @@ class Hypotheses:
         links = 10 * robot.nv
         given = links + len(self.given_scale)
         parts = [
-            W[:, :, :links] @ link_coordinates(self.prior),
+            W[:, :, :links] @ link_coordinates(self.metric),
             W[:, :, links:given] * self.given_scale,
         ]
         start = given
@@ -95,13 +95,13 @@ _BODIES = (InertialParameters, Payload)
 
 
 def hypotheses(
-    robot: Robot, prior: Array, segments: Sequence[Segment], tolerance: float = TOLERANCE
+    robot: Robot, metric: Array, segments: Sequence[Segment], tolerance: float = TOLERANCE
 ) -> Hypotheses:
     """Columns for a robot, the shapes of the candidates fitted to the motion's speeds.
 
     Args:
         robot: The given robot with its effects.
-        prior: Its standard parameters as prior, consistent, shape (nv, 10).
+        metric: Bodies that tolerances are relative to, shape (nv, 10).
         segments: Recording the candidates are to explain.
         tolerance: Relative standard deviation of the given inertias and effects.
     """
@@ -110,14 +110,14 @@ def hypotheses(
     weights = [link_weights(robot.nv, tolerance) ** 2, np.ones(len(given))]
     nuisance = start = 10 * robot.nv + len(given)
     candidates = []
-    for effect, scale, weight in _effects(robot, prior, segments):
+    for effect, scale, weight in _effects(robot, metric, segments):
         stop = start + len(weight)
         candidates.append(Candidate(effect, slice(start, stop), scale))
         weights.append(weight)
         start = stop
     return Hypotheses(
         robot,
-        prior,
+        metric,
         tuple(candidates),
         nuisance,
         read_only(np.concatenate(weights)),
@@ -126,7 +126,7 @@ def hypotheses(
 
 
 def _effects(
-    robot: Robot, prior: Array, segments: Sequence[Segment]
+    robot: Robot, metric: Array, segments: Sequence[Segment]
 ) -> list[tuple[Effect, Array, Array]]:
     """Each candidate with the scale of its coordinates and their prior precision."""
     found: list[tuple[Effect, Array, Array]] = []
@@ -146,14 +146,14 @@ def _effects(
             columns = np.concatenate([effect.columns(robot, s.motion[s.keep]) for s in segments])
             size = implausible_size(columns[:, [j]], torque[:, [j]])
             found.append((effect, np.diag(size), np.ones(1)))
-        block = link_coordinates(prior[[j]])
+        block = link_coordinates(metric[[j]])
         found.append((InertialParameters((joint,)), block, link_weights(1, _WRONG_LINK) ** 2))
-    found.append((Payload((robot.joints[-1],)), _payload_scale(prior), np.ones(10)))
+    found.append((Payload((robot.joints[-1],)), _payload_scale(metric), np.ones(10)))
     return found
 
 
-def _payload_scale(prior: Array) -> Array:
+def _payload_scale(metric: Array) -> Array:
     """Units of a payload's coordinates: the arm's mass at the scale of a lever."""
-    mass = prior[:, 0].sum()
+    mass = metric[:, 0].sum()
     units = mass * np.repeat([1.0, _REACH, _REACH**2], [1, 3, 6])
     return np.diag(units)

@@ -22,8 +22,9 @@ BoundProgress = Callable[[float, float, float], None]
 
 _SEEDS, _SEED_STATES = 8, 40  # random trajectories to begin with, and states of each
 _SEED_HARMONICS, _SEED_DURATION = 5, 10.0  # of those, where the motion has no band
-_STARTS, _STEPS = 120, 12  # of the ascent: from support and from random states each; steps
-_FINAL_STARTS, _FINAL_STEPS = 400, 40  # of the last search for a violation
+_STARTS = 120  # of the ascent, from states of large weight and from random ones each
+_STEPS, _KEPT, _POLISH = 8, 80, 24  # steps of all, how many go on, and their further steps
+_FINAL_STARTS, _FINAL_STEPS = 300, 40  # of the last search for a violation
 _FINAL_SHARE = 0.1  # of the time limit, kept for that search
 _LOOSE_ROUNDS, _LOOSE, _TIGHT = 6, 1e-2, 1e-3  # gaps at which the master problem stops
 _SPARE = 80  # states kept beyond twice those with weight
@@ -132,7 +133,7 @@ def lower_bound(
         history=np.array(search.history),
         relaxation=problem,
         multipliers=multipliers,
-        states=search.states,
+        states=search.used,
         weights=search.mixture.weights,
         iterations=len(search.history),
         wall_s=time.time() - began,
@@ -155,6 +156,7 @@ class _Search:
         self.problem, self.rng, self.states = problem, rng, states
         self.began, self.time_limit, self.progress = began, time_limit, progress
         self.history: list[tuple[float, float]] = []
+        self.used = states
         self.best: Multipliers
         self.mixture: Mixture
         self.bound = 0.0
@@ -176,9 +178,12 @@ class _Search:
     def round(self) -> float:
         """One master problem and one search for violating states; the ceiling."""
         tolerance = _LOOSE if len(self.history) < _LOOSE_ROUNDS else _TIGHT
-        self.mixture = self.problem.mixture(self.states, tolerance)
+        self.used = self.states
+        self.mixture = self.problem.mixture(self.used, tolerance)
         multipliers = self.mixture.multipliers
-        found, price = self.problem.worst(multipliers, self.starts(multipliers, _STARTS), _STEPS)
+        found, price = self.problem.worst(
+            multipliers, self.starts(multipliers), _STEPS, _KEPT, _POLISH
+        )
         violation = float(price.max(initial=0.0))
         bound = np.sqrt(multipliers.value / (1 + max(violation, 0.0)))
         if bound > self.bound:
@@ -197,8 +202,71 @@ class _Search:
             self.states = self.states[np.sort(order)]
         self.states = _together([self.states, found])
 
-    def starts(self, multipliers: Multipliers, n: int) -> Array:
+    def starts(self, multipliers: Multipliers) -> Array:
         """Points of the cube: states of large weight, and random ones of high price."""
-        heavy = np.argsort(-self.mixture.weights)[:n]
-        near = self.problem.space.cube(self.states[np.sort(heavy)])
-        return np.concatenate([near, self.problem.promising(multipliers, self.rng, n)])
+        heavy = np.argsort(-self.mixture.weights)[:_STARTS]
+        near = self.problem.space.cube(self.used[np.sort(heavy)])
+        return np.concatenate([near, self.problem.promising(multipliers, self.rng, _STARTS)])
+
+    def certify(self) -> Multipliers:
+        """The best multipliers, repaired by the violation that a longer search finds."""
+        states = self.problem.space.cube(self.used)
+        random = self.problem.promising(self.best, self.rng, _FINAL_STARTS)
+        price = self.problem.price(self.best, self.used)
+        starts = np.concatenate([states[np.argsort(-price)[:_FINAL_STARTS]], random])
+        found = self.problem.worst(self.best, starts, _FINAL_STEPS, _KEPT, _POLISH)[1]
+        self.violation = max(self.violation, float(found.max(initial=0.0)), float(price.max()))
+        return self.problem.repaired(self.best, self.violation)
+
+
+def _check(duration: float, harmonics: int | None, criterion: str, time_limit: float) -> None:
+    if criterion != "condition":
+        raise BadInput(f"no lower bound for criterion '{criterion}', only for 'condition'")
+    if not (np.isfinite(duration) and duration > 0):
+        raise BadInput(f"duration {duration} s is not a positive number")
+    if harmonics is not None and harmonics < 2:
+        raise BadInput(f"{harmonics} harmonics cannot be at rest at both ends; use at least 2")
+    if not time_limit > 0:
+        raise BadInput(f"time limit {time_limit} s is not positive")
+
+
+def _seeds(
+    robot: Robot,
+    rng: np.random.Generator,
+    duration: float,
+    harmonics: int | None,
+    pool: Sequence[Motion],
+) -> Motion:
+    """States of random trajectories, which obey every row together, and of those given."""
+    period, H = (
+        (_SEED_DURATION, _SEED_HARMONICS) if harmonics is None else (float(duration), harmonics)
+    )
+    t = (np.arange(_SEED_STATES) + 0.5) / _SEED_STATES * period
+    motions = [random_trajectory(robot, rng, period, H).at(t) for _ in range(_SEEDS)]
+    for motion in pool:
+        if motion.nv != robot.nv:
+            raise BadInput(f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}")
+        rows = np.linspace(0, len(motion) - 1, min(len(motion), 2 * _SEED_STATES)).round()
+        motions.append(motion[np.unique(rows.astype(np.intp))])
+    return _together(motions)
+
+
+def _together(motions: Sequence[Motion]) -> Motion:
+    """All states of several motions."""
+    q, dq, ddq = (
+        np.concatenate([getattr(motion, name) for motion in motions]) for name in ("q", "dq", "ddq")
+    )
+    return numbered(q, dq, ddq)
+
+
+def _assumptions(robot: Robot, duration: float, harmonics: int | None, columns: str) -> str:
+    kind = (
+        "any motion"
+        if harmonics is None
+        else f"any motion of period {duration:g} s with {harmonics} harmonics"
+    )
+    return (
+        f"Holds for {kind} of {robot.name} within its position, velocity, acceleration and torque "
+        f"limits, for the unscaled {columns} base columns; numerical, not a proof: states that "
+        "would violate it are searched for by ascent from many starts, not exhaustively."
+    )

@@ -38,7 +38,7 @@ class Multipliers:
 
     @property
     def value(self) -> float:
-        """tr P."""
+        """The bound on κ, tr P."""
         return float(sum(np.trace(P) for P in self.P))
 
     def towards(self, other: Multipliers, share: float) -> Multipliers:
@@ -95,18 +95,20 @@ def best_mixture(
         tolerance: Relative gap to stop at.
     """
     programme = _programme(M, rows, bound)
-    point, ap, ad = _start(programme), 1.0, 1.0
-    for iteration in range(_ITERATIONS):
+    point, ap, ad, done = _start(programme), 1.0, 1.0, 0
+    while True:
         residual = _residual(programme, point)
-        if residual.gap < tolerance and residual.size < _FEASIBLE or max(ap, ad) < _STALLED:
+        if (residual.gap < tolerance and residual.size < _FEASIBLE) or max(ap, ad) < _STALLED:
+            break
+        if done == _ITERATIONS:
             break
         try:
             step = _newton(programme, point, residual)
         except np.linalg.LinAlgError:
             break
         ap, ad = _reaches(point, step)
-        point = _moved(point, step, ap, ad)
-    return _mixture(programme, point, residual.gap, iteration)
+        point, done = _moved(point, step, ap, ad), done + 1
+    return _mixture(programme, point, residual.gap, done)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +228,7 @@ def _residual(programme: _Programme, point: _Point) -> _Residual:
 
 def _newton(programme: _Programme, point: _Point, residual: _Residual) -> _Point:
     """Predictor, then corrector, with one factorisation."""
-    inverse = [np.linalg.inv(S) for S in point.S]
+    inverse: list[Array] = [np.linalg.inv(S) for S in point.S]
     H = programme.schur(point.X, inverse, point.x / point.s)
     factor = scipy.linalg.cho_factor(H, lower=True, check_finite=False)
     mu = point.product() / point.degree
@@ -303,7 +305,8 @@ def _symmetric(A: Array) -> Array:
 def _root(A: Array) -> Array:
     """R with R Rᵀ = A."""
     try:
-        return np.linalg.cholesky(A)
+        L: Array = np.linalg.cholesky(A)
+        return L
     except np.linalg.LinAlgError:
         e, V = np.linalg.eigh(A)
         R: Array = V * np.sqrt(np.maximum(e, 1e-14 * max(float(e[-1]), 1e-300)))

@@ -102,18 +102,36 @@ class Relaxation:
             multipliers.y / (1 + e),
         )
 
-    def worst(self, multipliers: Multipliers, starts: Array, steps: int) -> tuple[Motion, Array]:
+    def worst(
+        self, multipliers: Multipliers, starts: Array, steps: int, kept: int, polish: int
+    ) -> tuple[Motion, Array]:
         """States of highest price, by ascent from points of the cube.
 
-        Projected gradients with the exact derivatives of the regressor; of several steps along
-        each the best is taken. Torque above its limit is penalised on the way, and time
-        stretched in the end until it holds.
+        Torque above its limit is penalised on the way, and time stretched in the end until it
+        holds.
+
+        Args:
+            multipliers: What prices the states.
+            starts: Points of the cube, shape (n, 3 nv).
+            steps: Steps from every start.
+            kept: How many of the best go on.
+            polish: Further steps of those.
 
         Returns:
             The states and their prices, highest first.
         """
-        u, value = starts, self._merit(multipliers, starts)
-        reach = np.full(len(u), 0.3)
+        u, merit = self._ascend(multipliers, starts, steps)
+        order = np.argsort(-merit)
+        polished = self._ascend(multipliers, u[order[:kept]], polish)[0]
+        u = np.concatenate([polished, u[order[kept:]]])
+        motion = self.space.slowed(self.space.motion(u))
+        price = self.price(multipliers, motion)
+        order = np.argsort(-price)
+        return motion[order], price[order]
+
+    def _ascend(self, multipliers: Multipliers, u: Array, steps: int) -> tuple[Array, Array]:
+        """Projected gradient ascent: points and merits. Of several steps the best is taken."""
+        value, reach = self._merit(multipliers, u), np.full(len(u), 0.3)
         for _ in range(steps):
             d = self._slope(multipliers, u)
             d = np.where((np.abs(u) >= 1) & (d * u > 0), 0.0, d)
@@ -125,10 +143,7 @@ class Relaxation:
                 up = merit > top
                 best[up], top[up], used[up] = there[up], merit[up], factor * reach[up]
             u, value, reach = best, top, np.clip(used, 1e-5, 2.0)
-        motion = self.space.slowed(self.space.motion(u))
-        price = self.price(multipliers, motion)
-        order = np.argsort(-price)
-        return motion[order], price[order]
+        return u, value
 
     def promising(self, multipliers: Multipliers, rng: np.random.Generator, n: int) -> Array:
         """The n best-priced of many random points of the cube, half of them at its faces."""

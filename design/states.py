@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from excitant.design.constraints import position_range
 from excitant.exceptions import BadInput
@@ -94,11 +95,11 @@ class StateSpace:
         return numbered(motion.q[keep], (s * motion.dq)[keep], (s**2 * motion.ddq)[keep])
 
     def _speeds(self, u1: Array) -> tuple[Array, Array]:
-        """b and its derivative by u₁."""
+        """Limit b and its derivative by u₁."""
         return _arc(u1, np.where(self.bounded, self.top * self.half, np.inf), self.speed)
 
     def _accelerations(self, dq: Array) -> tuple[Array, Array]:
-        """c and its derivative by q̇."""
+        """Limit c and its derivative by q̇."""
         c, dc = _arc(dq / self.speed, self.top * self.speed, self.acceleration)
         return c, dc / self.speed
 
@@ -154,7 +155,7 @@ def _torque_reach(robot: Robot, middle: Array, half: Array, speed: Array) -> Arr
     return np.where(np.isnan(most), np.inf, most)
 
 
-def _refuse(robot: Robot, culprits: Array, why: str) -> None:
+def _refuse(robot: Robot, culprits: npt.NDArray[np.bool_], why: str) -> None:
     if np.any(culprits):
         joint = robot.joints[int(np.flatnonzero(culprits)[0])]
         raise BadInput(

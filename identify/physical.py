@@ -110,6 +110,7 @@ def fit_physical(
     prior: Array,
     effects: EffectPrior,
     prior_sigma: float | Array = PRIOR_SIGMA,
+    metric: Array | None = None,
 ) -> PhysicalFit:
     """Solve the semidefinite fit.
 
@@ -119,19 +120,23 @@ def fit_physical(
         prior: Standard parameters of the prior, consistent, shape (links, 10).
         effects: Prior and bounds of the p − 10 links effect coefficients.
         prior_sigma: Relative uncertainty σ of the prior, for all links or for each.
+        metric: Bodies that σ is relative to, shape (links, 10); those of the prior if None.
 
     Raises:
         Infeasible: The solver did not converge.
     """
     links = len(prior)
     unit = _effect_units(R[:, 10 * links :], effects.std)
-    scale = scipy.linalg.block_diag(link_coordinates(prior), np.diag(unit))
+    T = link_coordinates(prior if metric is None else metric)
+    scale = scipy.linalg.block_diag(T, np.diag(unit))
     A = R @ scale
-    centre = np.concatenate([np.tile(np.eye(4)[_UPPER], links), effects.mean / unit])
+    centre = np.concatenate([np.linalg.solve(T, prior.ravel()), effects.mean / unit])
+    smallest = min(np.linalg.eigvalsh(Q)[0] for Q in _matrices(centre, links))
+    margin = min(_MARGIN, 0.5 * float(smallest))
     weight = np.concatenate([link_weights(links, prior_sigma), unit / effects.std])
     lower = effects.lower / unit
-    y, duals = _solve(A, z, centre, weight, lower, links)
-    kkt = _kkt(A, z, centre, weight, lower, y, duals)
+    y, duals = _solve(A, z, centre, weight, lower, links, margin)
+    kkt = _kkt(A, z, centre, weight, lower, y, duals, margin)
     precision = A.T @ A + np.diag(weight**2)
     covariance = scale @ np.linalg.inv(precision) @ scale.T
     prior_covariance = scale @ np.diag(weight**-2.0) @ scale.T
@@ -177,7 +182,7 @@ def link_coordinates(prior: Array) -> Array:
 
 
 def _solve(
-    A: Array, z: Array, centre: Array, weight: Array, lower: Array, links: int
+    A: Array, z: Array, centre: Array, weight: Array, lower: Array, links: int, margin: float
 ) -> tuple[Array, list[Array]]:
     """Minimiser and multipliers.
 
@@ -194,8 +199,7 @@ def _solve(
     bounded = np.flatnonzero(np.isfinite(lower))
     maps = [_symmetric(10 * k, len(free)) for k in range(links)]
     constraints = [
-        cp.reshape((M @ step) @ v + M @ free, (4, 4), order="C") >> _MARGIN * np.eye(4)
-        for M in maps
+        cp.reshape((M @ step) @ v + M @ free, (4, 4), order="C") >> margin * np.eye(4) for M in maps
     ]
     if len(bounded):
         rows = 10 * links + bounded
@@ -205,6 +209,13 @@ def _solve(
     if len(multipliers) == links:
         multipliers.append(np.zeros(0))
     return free + step @ np.asarray(v.value, float), multipliers
+
+
+def _matrices(y: Array, links: int) -> Array:
+    """The matrices Q_k of the coordinates, shape (links, 4, 4)."""
+    Q = np.zeros((links, 4, 4))
+    Q[:, *_UPPER] = y[: 10 * links].reshape(links, 10)
+    return Q + np.triu(Q, 1).transpose(0, 2, 1)
 
 
 def _symmetric(start: int, size: int) -> Array:
@@ -232,19 +243,23 @@ def _solve_tightly(problem: cp.Problem) -> None:
 
 
 def _kkt(
-    A: Array, z: Array, centre: Array, weight: Array, lower: Array, y: Array, duals: list[Array]
+    A: Array,
+    z: Array,
+    centre: Array,
+    weight: Array,
+    lower: Array,
+    y: Array,
+    duals: list[Array],
+    margin: float,
 ) -> KktResiduals:
     *matrices, bounds = duals
     gradient = 2 * A.T @ (A @ y - z) + 2 * weight**2 * (y - centre)
     pull = np.zeros_like(y)
     slackness, violation = [], [0.0]
-    for k, Z in enumerate(matrices):
-        Q = np.zeros((4, 4))
-        Q[_UPPER] = y[10 * k : 10 * k + 10]
-        Q = Q + np.triu(Q, 1).T
+    for k, (Z, Q) in enumerate(zip(matrices, _matrices(y, len(matrices)), strict=True)):
         pull[10 * k : 10 * k + 10] = (_svec_weights() ** 2) * ((Z + Z.T) / 2)[_UPPER]
-        slackness.append(abs(float(np.sum(Z * (Q - _MARGIN * np.eye(4))))))
-        violation.append(_MARGIN - float(np.linalg.eigvalsh(Q)[0]))
+        slackness.append(abs(float(np.sum(Z * (Q - margin * np.eye(4))))))
+        violation.append(margin - float(np.linalg.eigvalsh(Q)[0]))
     bounded = 10 * len(matrices) + np.flatnonzero(np.isfinite(lower))
     if len(bounded):
         gap = y[bounded] - lower[np.isfinite(lower)]

@@ -92,6 +92,21 @@ def violations(phi: npt.ArrayLike, links: tuple[str, ...]) -> list[str]:
     return found
 
 
+def isotropic(phi: npt.ArrayLike) -> Array:
+    """A body of the same mass, centre of mass and radius of gyration, alike in all directions.
+
+    The scale for "ten per cent of a link" that does not shrink with the link's thickness.
+
+    Args:
+        phi: Consistent standard parameters of one link, shape (10,).
+    """
+    P = pseudo_inertia(phi)
+    mass, first = P[3, 3], P[:3, 3]
+    central = P[:3, :3] - np.outer(first, first) / mass
+    P[:3, :3] = np.trace(central) / 3 * np.eye(3) + np.outer(first, first) / mass
+    return from_pseudo_inertia(P)
+
+
 def nearest_consistent(phi: npt.ArrayLike, relative_floor: float = 1e-4) -> Array:
     """Parameters of one link moved to the nearest pseudo-inertia bounded away from singular.
 

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 
+from threadpoolctl import threadpool_limits
+
 from excitant import __version__, commands, motion_commands
 from excitant.exceptions import ExcitantError
 
@@ -30,7 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     args = _parser().parse_args(arguments)
     try:
-        args.run(args)
+        with threadpool_limits(1):  # many small matrices: threads cost more than they bring
+            args.run(args)
     except ExcitantError as error:
         if args.debug:
             raise
@@ -128,7 +131,7 @@ def _design(verbs: _Verbs[argparse.ArgumentParser]) -> None:
     verb.add_argument("--limits", metavar="FILE", help="YAML or JSON with limits to use instead")
     _surroundings(verb)
     verb.add_argument("--from", dest="start", metavar="Q1,Q2,...",
-                      help="present pose [rad]: writes approach.csv and return.csv too")  # fmt: skip
+                      help="present pose: writes approach.csv and return.csv too")  # fmt: skip
     verb.add_argument("--formats", metavar="NAME,...",
                       help="further files: ros2 (YAML), mcap, urscript, npz")  # fmt: skip
     verb.add_argument("--rate", type=float, default=100.0, help="rate of trajectory.csv [Hz]")

@@ -228,6 +228,7 @@ def _limited(args: argparse.Namespace) -> Robot:
 
 
 def sampled(trajectory: FourierTrajectory | Motion) -> Motion:
+    """Samples of a trajectory, at 100 Hz where it has none of its own."""
     if isinstance(trajectory, Motion):
         return trajectory
     return trajectory.motion(_DENSE_HZ)

@@ -30,6 +30,7 @@ def table_bytes(table: pd.DataFrame, suffix: str) -> bytes:
 
 
 def write_atomically(target: Path, content: bytes) -> None:
+    """Write a file whole or not at all; its folder is made when missing."""
     target.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     try:
@@ -42,6 +43,7 @@ def write_atomically(target: Path, content: bytes) -> None:
 
 
 def run_directory(args: argparse.Namespace, verb: str, robot: Robot) -> Path:
+    """Folder named by the user, else one named by verb, robot and time."""
     if args.output:
         return Path(args.output)
     stamp = time.strftime("%Y%m%d-%H%M%S")
@@ -74,5 +76,6 @@ def print_paths(paths: Sequence[Path]) -> None:
 
 
 def print_json(content: Mapping[str, Any]) -> None:
+    """Print plain values as JSON."""
     json.dump(content, sys.stdout, indent=1, ensure_ascii=False)
     print()
