@@ -18,8 +18,8 @@ from excitant.robots.motion import Array
 _STEP = 0.95  # of the way to the boundary
 _ITERATIONS = 60
 _START = 10.0  # the dual slacks begin at this multiple of the identity
-_FEASIBLE = 1e-6
-_STALLED = 1e-4  # step below which no progress is to be expected
+_FEASIBLE = 1e2  # residuals weigh so much more than the gap
+_PATIENCE = 5  # steps without progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,20 +95,22 @@ def best_mixture(
         tolerance: Relative gap to stop at.
     """
     programme = _programme(M, rows, bound)
-    point, ap, ad, done = _start(programme), 1.0, 1.0, 0
-    while True:
+    point = _start(programme)
+    best, least, stalled = point, _residual(programme, point), 0
+    for done in range(_ITERATIONS):
         residual = _residual(programme, point)
-        if (residual.gap < tolerance and residual.size < _FEASIBLE) or max(ap, ad) < _STALLED:
-            break
-        if done == _ITERATIONS:
+        if residual.merit < least.merit:
+            best, least, stalled = point, residual, 0
+        else:
+            stalled += 1
+        if residual.merit < tolerance or stalled == _PATIENCE:
             break
         try:
             step = _newton(programme, point, residual)
         except np.linalg.LinAlgError:
             break
-        ap, ad = _reaches(point, step)
-        point, done = _moved(point, step, ap, ad), done + 1
-    return _mixture(programme, point, residual.gap, done)
+        point = _moved(point, step, *_reaches(point, step))
+    return _mixture(programme, best, least.gap, done)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +197,11 @@ class _Residual:
     size: float
     gap: float
 
+    @property
+    def merit(self) -> float:
+        """Distance from optimality."""
+        return max(self.gap, _FEASIBLE * self.size)
+
 
 def _programme(M: Sequence[Array], rows: Array, bound: float) -> _Programme:
     n, m = rows.shape
@@ -228,7 +235,7 @@ def _residual(programme: _Programme, point: _Point) -> _Residual:
 
 def _newton(programme: _Programme, point: _Point, residual: _Residual) -> _Point:
     """Predictor, then corrector, with one factorisation."""
-    inverse: list[Array] = [np.linalg.inv(S) for S in point.S]
+    inverse: list[Array] = [np.asarray(np.linalg.inv(S), float) for S in point.S]
     H = programme.schur(point.X, inverse, point.x / point.s)
     factor = scipy.linalg.cho_factor(H, lower=True, check_finite=False)
     mu = point.product() / point.degree
@@ -242,6 +249,7 @@ def _newton(programme: _Programme, point: _Point, residual: _Residual) -> _Point
         t = target / point.s - point.x * r / point.s - second_rest
         right = programme.b - programme.forward([_symmetric(a) for a in T], t)
         v = scipy.linalg.cho_solve(factor, right, check_finite=False)
+        v += scipy.linalg.cho_solve(factor, right - H @ v, check_finite=False)
         back, rest = programme.adjoint(v)
         X = [
             _symmetric(a + X @ A @ i) - X
@@ -305,8 +313,7 @@ def _symmetric(A: Array) -> Array:
 def _root(A: Array) -> Array:
     """R with R Rᵀ = A."""
     try:
-        L: Array = np.linalg.cholesky(A)
-        return L
+        return np.asarray(np.linalg.cholesky(A), float)
     except np.linalg.LinAlgError:
         e, V = np.linalg.eigh(A)
         R: Array = V * np.sqrt(np.maximum(e, 1e-14 * max(float(e[-1]), 1e-300)))

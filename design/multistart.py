@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import joblib
 import numpy as np
 from joblib.externals.loky import get_reusable_executor
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+from threadpoolctl import threadpool_limits
 
 from excitant.design.problem import DesignProblem
 from excitant.design.search import COARSE, FINE, SearchState, advance

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -177,7 +178,7 @@ def test_tighter_limits_never_lower_the_bound(planar: Robot, limited: Limited) -
         )
         for harmonics, share in ((None, 1.0), (5, 1.0), (5, 0.7), (5, 0.4))
     ]
-    for looser, tighter in zip(bounds, bounds[1:], strict=False):
+    for looser, tighter in itertools.pairwise(bounds):
         assert tighter.without_repair >= looser.value * (1 - 1e-9)
         assert tighter.value >= looser.value * (1 - 0.02)
     assert bounds[-1].value > 1.2 * bounds[0].value
