@@ -10,7 +10,7 @@ from excitant.design.formats import write_formats
 from excitant.design.interpolation import HermiteTrajectory
 from excitant.design.optimal import CLEARANCE, Design, StartRecord, build_design, design
 from excitant.design.result import design_result, design_series
-from excitant.design.trajectory import FourierTrajectory
+from excitant.design.trajectory import FourierTrajectory, from_coefficients
 
 __all__ = [
     "CLEARANCE",
@@ -30,6 +30,7 @@ __all__ = [
     "design",
     "design_result",
     "design_series",
+    "from_coefficients",
     "information",
     "load_trajectory",
     "motion_csv",

@@ -1,0 +1,122 @@
+"""Clearance is a distance that holds at every instant, not only at the samples."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from excitant.design import clearance, design, from_coefficients
+from excitant.exceptions import BadInput, Infeasible
+from excitant.robots import Robot, load_robot
+from excitant.robots.geometry import Obstacle, Scene, load_obstacles, scene
+
+FLOOR = Obstacle("floor", "half_space", (("normal", (0.0, 0.0, 1.0)), ("offset", (-0.15,))))
+
+
+@pytest.fixture(scope="module")
+def cell() -> Scene:
+    found = scene(load_robot("ur10"), (FLOOR,))
+    assert found is not None
+    return found
+
+
+def path(cell: Scene, seed: int):
+    rng = np.random.default_rng(seed)
+    nv = cell.robot.nv
+    return from_coefficients(np.vstack([rng.uniform(-2, 2, nv), 0.3 * rng.normal(size=(6, nv))]), 8)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_instant_is_nearer_than_certified(cell: Scene, seed: int) -> None:
+    trajectory = path(cell, seed)
+    found = clearance(cell, trajectory)
+    dense = cell.distances(trajectory(np.linspace(0, 8, 4001)))
+    assert found.certified <= dense.min() <= found.distance + 1e-3
+    assert found.distance - found.certified <= 2e-3
+    k = int(np.argmin(dense.min(axis=1)))
+    worst = cell.pairs[int(dense[k].argmin())]
+    assert found.bodies == worst or abs(np.sort(dense.min(axis=0))[1] - dense.min()) < 2e-3
+
+
+def test_gradient_is_that_of_the_distance(cell: Scene) -> None:
+    rng = np.random.default_rng(3)
+    # coal's distances are right to about 1e-6 m, so a wide step: 1e-6 / h + O(h²) per radian
+    h, checked = 1e-3, 0
+    for q in rng.uniform(-2, 2, (12, 6)):
+        for pair in range(0, len(cell.pairs), 5):
+            distance, gradient = cell.gradient(q, pair)
+            if distance < 0.02:  # inside each other the nearest points jump
+                continue
+            ends = [cell.distances(q + s * h * np.eye(6))[:, pair] for s in (1, -1)]
+            np.testing.assert_allclose(gradient, (ends[0] - ends[1]) / (2 * h), atol=5e-3)
+            checked += 1
+    assert checked > 50
+
+
+def test_speeds_bound_every_gradient(cell: Scene) -> None:
+    bound = cell.speeds()
+    for q in np.random.default_rng(4).uniform(-3, 3, (15, 6)):
+        for pair in range(len(cell.pairs)):
+            assert (np.abs(cell.gradient(q, pair)[1]) <= bound[pair] + 1e-9).all()
+
+
+def test_design_keeps_the_clearance() -> None:
+    robot = load_robot("planar_2r")
+    wall = Obstacle(
+        "wall", "box", (("size", (0.1, 4.0, 4.0)), ("position", (0.55, 0.0, 0.0)))
+    )  # before the arm: half of its reach is gone
+    around = scene(robot, (wall,))
+    assert around is not None
+    free = design(robot, columns="inertial", harmonics=3, starts=2, jobs=1)
+    kept = design(
+        robot, columns="inertial", harmonics=3, starts=2, jobs=1, scene=around, clearance=0.03
+    )
+    assert clearance(around, free.trajectory).distance < 0.03  # the wall matters
+    assert kept.clearance is not None
+    assert kept.clearance.certified >= 0.03
+    dense = around.distances(kept.trajectory(np.linspace(0, kept.duration, 5001)))
+    assert dense.min() >= 0.03
+    assert kept.limits.hold
+
+
+def test_a_cell_without_room_is_refused() -> None:
+    robot = load_robot("planar_2r")
+    everywhere = Obstacle("rock", "sphere", (("radius", (5.0,)), ("position", (0.0, 0.0, 0.0))))
+    with pytest.raises(Infeasible, match="too close to an obstacle"):
+        design(robot, starts=1, jobs=1, scene=scene(robot, (everywhere,)))
+
+
+def test_a_robot_without_shapes_has_no_scene(robot_without_shapes: Robot) -> None:
+    assert scene(robot_without_shapes) is None
+
+
+@pytest.fixture
+def robot_without_shapes() -> Robot:
+    from excitant.robots.urdf import robot_from_urdf
+
+    text = load_robot("planar_2r").urdf
+    while "<collision>" in text:
+        start, end = text.index("<collision>"), text.index("</collision>") + len("</collision>")
+        text = text[:start] + text[end:]
+    return robot_from_urdf(text, source="bare.urdf")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("- box: {size: [1, 1], position: [0, 0, 0]}", "obstacle 1: size must be 3 positive"),
+        ("- sphere: {radius: -1, position: [0, 0, 0]}", "radius must be 1 positive"),
+        ("- sphere: {radius: 1}", "sphere needs radius, position"),
+        ("- cone: {}", "exactly one of box, sphere, half_space"),
+        ("- half_space: {normal: [0, 0, 0], offset: 1}", "normal must not be zero"),
+        ("box", "expected a list"),
+        ("- [", "not YAML"),
+    ],
+)
+def test_bad_obstacles_are_refused_in_one_line(text: str, says: str, tmp_path: Path) -> None:
+    file = tmp_path / "cell.yaml"
+    file.write_text(text)
+    with pytest.raises(BadInput, match=says) as error:
+        load_obstacles(file)
+    assert "\n" not in str(error.value)
+    assert "cell.yaml" in str(error.value)
