@@ -30,11 +30,29 @@ class Dataset:
     folder: Path | None = None
     torque_column: str | None = None
 
-    def recordings(self, names: Sequence[str]) -> list[Recording]:
-        """Recordings by name; all of the folder when none is named."""
+    def recordings(self, names: Sequence[str], *, without: Sequence[str] = ()) -> list[Recording]:
+        """Recordings by name; all of the folder when none is named.
+
+        Args:
+            names: Recordings to read.
+            without: Recordings that are held out: not among "all", refused among names.
+
+        Raises:
+            BadInput: Nothing to read, or a recording both named and held out.
+            BadRecording: A recording that cannot be used.
+        """
+        held = {self._path(name).resolve() for name in without}
+        for name in names:
+            if self._path(name).resolve() in held:
+                raise BadInput(
+                    f"{name} is to be fitted and held out; leave it out of one of the two"
+                )
         paths = [self._path(name) for name in names] or self._all()
+        kept = [path for path in paths if path.resolve() not in held]
+        if not kept:
+            raise BadInput(f"{self.folder}: every recording is held out; none is left to fit")
         return [
-            read_recording(path, self.robot.nv, torque_column=self.torque_column) for path in paths
+            read_recording(path, self.robot.nv, torque_column=self.torque_column) for path in kept
         ]
 
     def _path(self, name: str) -> Path:

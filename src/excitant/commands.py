@@ -102,7 +102,7 @@ def identify(args: argparse.Namespace) -> None:
     robot = dataset.robot
     estimate = identify_robot(
         robot,
-        dataset.recordings(args.recordings),
+        dataset.recordings(args.recordings, without=args.validate),
         validate=dataset.recordings(args.validate) if args.validate else (),
         effects=_effects(args.effects, robot),
         cutoff_hz=args.cutoff,
@@ -144,7 +144,7 @@ def diagnose(args: argparse.Namespace) -> None:
     dataset = load_dataset(args.robot)
     found = diagnosis.diagnose(
         dataset.robot,
-        dataset.recordings(args.recordings),
+        dataset.recordings(args.recordings, without=args.validate),
         validate=dataset.recordings(args.validate) if args.validate else (),
         cutoff_hz=args.cutoff,
     )

@@ -112,3 +112,12 @@ def test_real_data_sets_read(data_folder: Path) -> None:
         recordings = dataset.recordings([])
         assert dataset.robot.nv == nv
         assert {r.unit for r in recordings} == {unit}
+
+
+def test_what_is_held_out_is_never_fitted(data_folder: Path) -> None:
+    dataset = load_dataset(data_folder / "dualarm_v2")
+    names = [r.name for r in dataset.recordings([], without=["exc_52p2.parquet"])]
+    assert "exc_52p2" not in names
+    assert "exc_13p5" in names
+    with pytest.raises(BadInput, match="exc_52p2 is to be fitted and held out"):
+        dataset.recordings(["exc_52p2"], without=["exc_52p2.parquet"])
