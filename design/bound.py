@@ -26,8 +26,10 @@ _STARTS = 120  # of the ascent, from states of large weight and from random ones
 _STEPS, _KEPT, _POLISH = 8, 80, 24  # steps of all, how many go on, and their further steps
 _FINAL_STARTS, _FINAL_STEPS = 300, 40  # of the last search for a violation
 _FINAL_SHARE = 0.1  # of the time limit, kept for that search
-_LOOSE_ROUNDS, _LOOSE, _TIGHT = 6, 1e-2, 1e-3  # gaps at which the master problem stops
+_LOOSE_ROUNDS = 6  # with a loose master problem and no polish
+_LOOSE, _TIGHT = 1e-2, 1e-3  # gaps at which the master problem stops
 _SPARE = 80  # states kept beyond twice those with weight
+_ADDED = 0.02  # of the worst violation: states that violate more are added
 _SUPPORT = 1e-3  # of the largest weight
 _CLOSED = 2e-3  # relative distance of bound and ceiling to stop at
 
@@ -156,7 +158,7 @@ class _Search:
         self.problem, self.rng, self.states = problem, rng, states
         self.began, self.time_limit, self.progress = began, time_limit, progress
         self.history: list[tuple[float, float]] = []
-        self.used = states
+        self.used = self.archive = states
         self.best: Multipliers
         self.mixture: Mixture
         self.bound = 0.0
@@ -177,20 +179,23 @@ class _Search:
 
     def round(self) -> float:
         """One master problem and one search for violating states; the ceiling."""
-        tolerance = _LOOSE if len(self.history) < _LOOSE_ROUNDS else _TIGHT
+        early = len(self.history) < _LOOSE_ROUNDS
+        tolerance, polish = (_LOOSE, 0) if early else (_TIGHT, _POLISH)
         self.used = self.states
         self.mixture = self.problem.mixture(self.used, tolerance)
         multipliers = self.mixture.multipliers
+        ceiling = float(np.sqrt(multipliers.value))
         found, price = self.problem.worst(
-            multipliers, self.starts(multipliers), _STEPS, _KEPT, _POLISH
+            multipliers, self.starts(multipliers, _STARTS), _STEPS, _KEPT, polish
         )
         violation = float(price.max(initial=0.0))
         bound = np.sqrt(multipliers.value / (1 + max(violation, 0.0)))
         if bound > self.bound:
             self.best, self.bound, self.violation = multipliers, float(bound), violation
-        ceiling = float(np.sqrt(multipliers.value))
         self.history.append((ceiling, self.bound))
-        self.exchange(multipliers, found[price > 0.02 * violation])
+        found = found[price > _ADDED * violation]
+        self.archive = _together([self.archive, found])
+        self.exchange(multipliers, found)
         return ceiling
 
     def exchange(self, multipliers: Multipliers, found: Motion) -> None:
@@ -202,20 +207,18 @@ class _Search:
             self.states = self.states[np.sort(order)]
         self.states = _together([self.states, found])
 
-    def starts(self, multipliers: Multipliers) -> Array:
-        """Points of the cube: states of large weight, and random ones of high price."""
-        heavy = np.argsort(-self.mixture.weights)[:_STARTS]
-        near = self.problem.space.cube(self.used[np.sort(heavy)])
-        return np.concatenate([near, self.problem.promising(multipliers, self.rng, _STARTS)])
+    def starts(self, multipliers: Multipliers, n: int) -> Array:
+        """Points of the cube: the best-priced n of all ever found, and n random ones."""
+        price = self.problem.price(multipliers, self.archive)
+        near = self.problem.space.cube(self.archive[np.argsort(-price)[:n]])
+        known = near[: len(near) // 2]
+        return np.concatenate([near, self.problem.promising(multipliers, known, self.rng, n)])
 
     def certify(self) -> Multipliers:
         """The best multipliers, repaired by the violation that a longer search finds."""
-        states = self.problem.space.cube(self.used)
-        random = self.problem.promising(self.best, self.rng, _FINAL_STARTS)
-        price = self.problem.price(self.best, self.used)
-        starts = np.concatenate([states[np.argsort(-price)[:_FINAL_STARTS]], random])
+        starts = self.starts(self.best, _FINAL_STARTS)
         found = self.problem.worst(self.best, starts, _FINAL_STEPS, _KEPT, _POLISH)[1]
-        self.violation = max(self.violation, float(found.max(initial=0.0)), float(price.max()))
+        self.violation = max(self.violation, float(found.max(initial=0.0)))
         return self.problem.repaired(self.best, self.violation)
 
 

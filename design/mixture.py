@@ -41,18 +41,6 @@ class Multipliers:
         """The bound on κ, tr P."""
         return float(sum(np.trace(P) for P in self.P))
 
-    def towards(self, other: Multipliers, share: float) -> Multipliers:
-        """The convex combination that lies ``share`` of the way to others."""
-
-        def between(a: Sequence[Array], b: Sequence[Array]) -> tuple[Array, ...]:
-            return tuple((1 - share) * x + share * z for x, z in zip(a, b, strict=True))
-
-        return Multipliers(
-            between(self.P, other.P),
-            between(self.Q, other.Q),
-            (1 - share) * self.y + share * other.y,
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
@@ -96,8 +84,8 @@ def best_mixture(
     """
     programme = _programme(M, rows, bound)
     point = _start(programme)
-    best, least, stalled = point, _residual(programme, point), 0
-    for done in range(_ITERATIONS):
+    best, least, stalled, done = point, _residual(programme, point), 0, 0
+    for _ in range(_ITERATIONS):
         residual = _residual(programme, point)
         if residual.merit < least.merit:
             best, least, stalled = point, residual, 0
@@ -109,7 +97,7 @@ def best_mixture(
             step = _newton(programme, point, residual)
         except np.linalg.LinAlgError:
             break
-        point = _moved(point, step, *_reaches(point, step))
+        point, done = _moved(point, step, *_reaches(point, step)), done + 1
     return _mixture(programme, best, least.gap, done)
 
 

@@ -125,8 +125,6 @@ def build_design(
         )
     if not np.isfinite(clearance) or clearance < 0:
         raise BadInput(f"clearance {clearance} m is not a distance")
-    if scene is not None and not scene.pairs:
-        scene = None
     return DesignProblem(
         information(robot, columns),
         criterion,

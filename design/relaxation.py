@@ -18,6 +18,7 @@ from excitant.robots.robot import Robot
 _STATES = 1000  # random states for scales and symmetries
 _SAME = 1e-9
 _TORQUE_PENALTY = 1e3
+_DRAWS = 30  # random points per point kept
 _STEPS = (0.05, 0.25, 1.0, 4.0)  # tried along every gradient, as multiples of the last step
 _IDENTITY_SHARE = 0.5
 _MULTIPLIER = 0.1  # largest of an equality row, in units of the typical tr M; 0.03 occurs
@@ -145,10 +146,16 @@ class Relaxation:
             u, value, reach = best, top, np.clip(used, 1e-5, 2.0)
         return u, value
 
-    def promising(self, multipliers: Multipliers, rng: np.random.Generator, n: int) -> Array:
-        """The n best-priced of many random points of the cube, half of them at its faces."""
-        u = rng.uniform(-1, 1, (12 * n, 3 * self.space.robot.nv))
-        u = np.where(rng.random(u.shape) < rng.choice([0.0, 0.5], (len(u), 1)), np.sign(u), u)
+    def promising(
+        self, multipliers: Multipliers, known: Array, rng: np.random.Generator, n: int
+    ) -> Array:
+        """The n best-priced of many points of the cube: random ones and mutants of known ones."""
+        count = _DRAWS * n
+        u = rng.uniform(-1, 1, (count, 3 * self.space.robot.nv))
+        u = np.where(rng.random(u.shape) < rng.choice([0.0, 0.5], (count, 1)), np.sign(u), u)
+        parents = known[rng.integers(len(known), size=count)]
+        inherited = rng.random(u.shape) < rng.choice([0.0, 0.7, 0.9], (count, 1))
+        u = np.where(inherited, parents, u)
         best: Array = u[np.argsort(-self._merit(multipliers, u))[:n]]
         return best
 

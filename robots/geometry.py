@@ -152,7 +152,7 @@ def _reaches(scene: Scene) -> Array:
 def scene(
     robot: Robot, obstacles: Sequence[Obstacle] = (), package_dirs: Sequence[str] = ()
 ) -> Scene | None:
-    """Collision scene of a robot; None when its URDF has no collision shape.
+    """Collision scene of a robot; None when no motion can bring two of its shapes together.
 
     Meshes that are not found are left out, and so are pairs of the arm's own bodies that overlap
     at every pose or whose distance never changes: no motion can do anything about them.
@@ -188,7 +188,7 @@ def scene(
         )
         if moves or fixed & set(names)
     ]
-    return _paired(robot, geometry, kept)
+    return _paired(robot, geometry, kept) if kept else None
 
 
 def _paired(robot: Robot, geometry: Any, pairs: Sequence[tuple[int, int]]) -> Scene:
