@@ -10,7 +10,7 @@ import numpy as np
 from excitant.analysis.evidence import Candidate, Evidence, weigh
 from excitant.analysis.extension import Extension, contribution, extend, tolerance_metric
 from excitant.analysis.hypotheses import hypotheses
-from excitant.analysis.selection import Rival, given_values, rivals, select
+from excitant.analysis.selection import Rival, rivals, select
 from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
 from excitant.identify.estimate import Data, observation, split, torque_per_reading
 from excitant.identify.least_squares import autocorrelation_time
@@ -20,6 +20,7 @@ from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, InertialParameters, JointEffect, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
+from excitant.robots.torque import effect_values
 
 _BLOCKS = 10  # of the hold-out, to see how much the gain varies
 _DEVIATIONS = 2.0  # standard errors by which the gain must exceed zero
@@ -226,7 +227,7 @@ def _finding(
         values = list(extension.model.phi[part] - robot.phi[part])
         given, std = [0.0] * 10, list(extension.link_std[part])
     else:
-        fitted, known = given_values(extension.model), given_values(robot)
+        fitted, known = effect_values(extension.model), effect_values(robot)
         values = [fitted[name] for name in names]
         given = [known.get(name, 0.0) for name in names]
         std = [extension.std[name] for name in names]

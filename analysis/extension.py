@@ -9,7 +9,6 @@ import numpy as np
 
 from excitant.analysis.evidence import Candidate, Evidence
 from excitant.analysis.hypotheses import TOLERANCE
-from excitant.analysis.selection import given_values
 from excitant.identify.estimate import implausible_size, observation
 from excitant.identify.physical import EffectPrior, fit_physical
 from excitant.identify.preprocessing import Segment
@@ -17,6 +16,7 @@ from excitant.robots.effects import Effect, InertialParameters, Payload
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import from_pseudo_inertia, isotropic
 from excitant.robots.robot import Robot
+from excitant.robots.torque import effect_values
 
 _WRONG_LINK_SIGMA = 1.0
 _PAYLOAD_SIGMA = 100.0  # a payload is anything
@@ -152,7 +152,7 @@ def contribution(
         part = slice(10 * j, 10 * j + 10)
         values = extension.model.phi[part] - robot.phi[part]
     else:
-        fitted, given = (given_values(owner) for owner in (extension.model, robot))
+        fitted, given = (effect_values(owner) for owner in (extension.model, robot))
         names = [p.name for p in effect.parameters(robot)]
         values = np.array([fitted[name] - given.get(name, 0.0) for name in names])
     W = np.concatenate([s.rows(lambda m: effect.columns(robot, m)) for s in segments])

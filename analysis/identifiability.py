@@ -15,7 +15,7 @@ from excitant.robots.base_parameters import BaseParameters, base_parameters, cat
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
-from excitant.robots.torque import observation_columns
+from excitant.robots.torque import effect_values, observation_columns
 
 TORQUE_NOISE = 0.01  # of each joint's torque limit, where no recording tells the noise
 _WELL, _ROUGHLY = 0.1, 0.3  # relative standard deviation
@@ -140,11 +140,7 @@ def _under_motion(
 
 def _values(robot: Robot, effects: Sequence[Effect]) -> Array:
     """Standard parameters and effect coefficients of the robot as given; zero if unknown."""
-    known = {
-        p.name: value
-        for effect in robot.effects
-        for p, value in zip(effect.parameters(robot), effect.values or (), strict=True)
-    }
+    known = effect_values(robot)
     added = [known.get(p.name, 0.0) for effect in effects for p in effect.parameters(robot)]
     return np.concatenate([robot.phi, added])
 

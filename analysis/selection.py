@@ -10,6 +10,7 @@ import numpy as np
 from excitant.analysis.evidence import Candidate, Evidence
 from excitant.robots.effects import Payload
 from excitant.robots.robot import Robot
+from excitant.robots.torque import effect_values
 
 _LARGEST_SET = 60
 _ODDS = 2 * np.log(100.0)  # a rival less than 100 times less likely cannot be excluded
@@ -73,18 +74,9 @@ def plausible(
     if isinstance(candidate.effect, Payload):
         return bool(value[0] > -_SIGN_DEVIATIONS * std[0])
     parameters = candidate.effect.parameters(robot)
-    given = given_values(robot)
+    given = effect_values(robot)
     lower = np.array([p.lower - given.get(p.name, 0.0) for p in parameters])
     return bool((value > lower - _SIGN_DEVIATIONS * std).all())
-
-
-def given_values(robot: Robot) -> dict[str, float]:
-    """Coefficients of the robot's own effects by name."""
-    return {
-        p.name: value
-        for effect in robot.effects
-        for p, value in zip(effect.parameters(robot), effect.values or (), strict=True)
-    }
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from excitant.design.interpolation import HermiteTrajectory, largest
 from excitant.design.trajectory import FourierTrajectory
 from excitant.exceptions import BadInput
 from excitant.robots import Array, Limits, Motion, Robot, torque
-from excitant.robots.motion import read_only
+from excitant.robots.motion import freeze
 
 QUANTITIES = ("position", "velocity", "acceleration", "torque")
 
@@ -37,8 +37,7 @@ class LimitUse:
     joints: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        for name in ("ratios", "times"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        freeze(self, "ratios", "times")
 
     @property
     def ratio(self) -> float:

@@ -17,7 +17,7 @@ import yaml
 from excitant.design.trajectory import FourierTrajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots import Array, Motion, Robot
-from excitant.robots.motion import read_only
+from excitant.robots.motion import freeze, read_only
 
 TOPIC = "/joint_trajectory_controller/joint_trajectory"
 
@@ -218,8 +218,7 @@ class ServoProgram:
     q: Array
 
     def __post_init__(self) -> None:
-        for name in ("first", "t", "q"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        freeze(self, "first", "t", "q")
 
 
 def read_urscript(text: str) -> ServoProgram:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from excitant.design.paths import Path, static_torque
 from excitant.robots import Array, Motion, Robot, torque
-from excitant.robots.motion import read_only
+from excitant.robots.motion import freeze
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +25,7 @@ class Profile:
     speed: Array
 
     def __post_init__(self) -> None:
-        for name in ("s", "speed"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        freeze(self, "s", "speed")
 
     @property
     def t(self) -> Array:
@@ -89,8 +88,7 @@ class PathDynamics:
     high: Array
 
     def __post_init__(self) -> None:
-        for name in ("a", "b", "low", "high"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        freeze(self, "a", "b", "low", "high")
 
 
 def path_kinematics(path: Path, s: Array) -> PathDynamics:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from excitant.robots.motion import Array, Motion, read_only
+from excitant.robots.motion import Array, Motion, freeze, read_only
 
 _REST = 1e-9  # of the largest possible speed or acceleration of the series
 
@@ -33,8 +33,7 @@ class FourierTrajectory:
     period: float
 
     def __post_init__(self) -> None:
-        for name in ("offset", "cosine", "sine"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        freeze(self, "offset", "cosine", "sine")
         object.__setattr__(self, "period", float(self.period))
         shape = (len(self.cosine), *self.offset.shape)
         if self.offset.ndim != 1 or self.cosine.shape != shape or self.sine.shape != shape:

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.linalg
 
 from excitant.exceptions import RankDeficient
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array, freeze
 
 _ROUNDS = 4  # of re-estimating the noise of each joint; the weights settle in two or three
 
@@ -30,8 +30,7 @@ class LeastSquares:
     inflation: Array
 
     def __post_init__(self) -> None:
-        for name in ("beta", "covariance", "sigma", "inflation"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        freeze(self, "beta", "covariance", "sigma", "inflation")
 
 
 def weighted_least_squares(W: Array, tau: Array, names: tuple[str, ...]) -> LeastSquares:

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.linalg
 
 from excitant.exceptions import BadRobot, Infeasible
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array, freeze
 from excitant.robots.parameters import (
     from_pseudo_inertia,
     nearest_consistent,
@@ -81,8 +81,7 @@ class PhysicalFit:
     kkt: KktResiduals
 
     def __post_init__(self) -> None:
-        for name in ("x", "covariance", "prior_share"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        freeze(self, "x", "covariance", "prior_share")
 
 
 def prior_parameters(robot: Robot) -> Array:

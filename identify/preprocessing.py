@@ -17,7 +17,7 @@ import scipy.signal
 
 from excitant.exceptions import BadRecording
 from excitant.identify.recording import MINIMUM_DURATION, Recording
-from excitant.robots.motion import Array, Motion, read_only
+from excitant.robots.motion import Array, Motion, freeze
 
 CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
 _ORDER = 4
@@ -47,8 +47,7 @@ class Segment:
     keep: slice
 
     def __post_init__(self) -> None:
-        for name in ("tau", "tau_raw"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        freeze(self, "tau", "tau_raw")
 
     @property
     def rate_hz(self) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from excitant.exceptions import BadRecording
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array, freeze
 
 MINIMUM_DURATION = 2.0  # s: less holds no motion to fit and to filter
 TORQUE_COLUMNS = ("tau", "i")
@@ -38,8 +38,7 @@ class Recording:
     unit: str = "N·m"
 
     def __post_init__(self) -> None:
-        for name in ("t", "q", "tau"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        freeze(self, "t", "q", "tau")
 
     @property
     def duration(self) -> float:

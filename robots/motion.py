@@ -17,6 +17,12 @@ def read_only(values: npt.ArrayLike) -> Array:
     return array
 
 
+def freeze(noun: object, *names: str) -> None:
+    """Replace arrays of a frozen dataclass, as it is made, by copies that refuse writing."""
+    for name in names:
+        object.__setattr__(noun, name, read_only(getattr(noun, name)))
+
+
 @dataclass(frozen=True, eq=False)
 class Motion:
     """Joint motion at ``n`` instants.
@@ -34,8 +40,7 @@ class Motion:
     ddq: Array
 
     def __post_init__(self) -> None:
-        for name in ("t", "q", "dq", "ddq"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        freeze(self, "t", "q", "dq", "ddq")
         if not (self.q.shape == self.dq.shape == self.ddq.shape == (len(self.t), self.nv)):
             raise ValueError(
                 f"shapes differ: t {self.t.shape}, q {self.q.shape}, "

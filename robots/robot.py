@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array, freeze, read_only
 from excitant.robots.parameters import STANDARD
 
 if TYPE_CHECKING:
@@ -34,8 +34,7 @@ class Limits:
     torque: Array
 
     def __post_init__(self) -> None:
-        for name in ("position", "velocity", "acceleration", "torque"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        freeze(self, "position", "velocity", "acceleration", "torque")
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ import pandas as pd
 import pinocchio as pin
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array, freeze, read_only
 from excitant.robots.parameters import STANDARD
 from excitant.robots.plant import Drives, Progress, Trajectory, simulate
 from excitant.robots.robot import Robot
@@ -66,8 +66,7 @@ class Sensors:
     torque_resolution: Array
 
     def __post_init__(self) -> None:
-        for name in ("torque_noise", "torque_resolution"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        freeze(self, "torque_noise", "torque_resolution")
 
 
 def industrial_sensors(robot: Robot, rate_hz: float = 250.0) -> Sensors:
