@@ -1,6 +1,7 @@
 """Motions that make a robot arm's dynamics visible."""
 
 from excitant.design.approach import approach, retime, return_path
+from excitant.design.bound import Bound, lower_bound
 from excitant.design.clearance import Clearance, clearance
 from excitant.design.constraints import LimitReport, LimitUse, check
 from excitant.design.criterion import Information, condition_number, information
@@ -14,6 +15,7 @@ from excitant.design.trajectory import FourierTrajectory, from_coefficients
 
 __all__ = [
     "CLEARANCE",
+    "Bound",
     "Clearance",
     "Design",
     "FourierTrajectory",
@@ -33,6 +35,7 @@ __all__ = [
     "from_coefficients",
     "information",
     "load_trajectory",
+    "lower_bound",
     "motion_csv",
     "random_trajectory",
     "retime",

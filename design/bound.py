@@ -24,7 +24,7 @@ _SEEDS, _SEED_STATES = 8, 40  # random trajectories to begin with, and states of
 _SEED_HARMONICS, _SEED_DURATION = 5, 10.0  # of those, where the motion has no band
 _STARTS = 120  # of the ascent, from states of large weight and from random ones each
 _STEPS, _KEPT, _POLISH = 8, 80, 24  # steps of all, how many go on, and their further steps
-_FINAL_STARTS, _FINAL_STEPS = 300, 40  # of the last search for a violation
+_FINAL_STARTS, _FINAL_STEPS = 300, 16  # of the last search for a violation
 _FINAL_SHARE = 0.1  # of the time limit, kept for that search
 _LOOSE_ROUNDS = 6  # with a loose master problem and no polish
 _LOOSE, _TIGHT = 1e-2, 1e-3  # gaps at which the master problem stops
@@ -131,7 +131,7 @@ def lower_bound(
         multipliers = search.certify()
     return Bound(
         value=max(1.0, float(np.sqrt(multipliers.value))),
-        without_repair=float(np.sqrt(search.best.value)),
+        without_repair=max(1.0, float(np.sqrt(search.best.value))),
         history=np.array(search.history),
         relaxation=problem,
         multipliers=multipliers,

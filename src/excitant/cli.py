@@ -129,6 +129,9 @@ def _design(verbs: _Verbs[argparse.ArgumentParser]) -> None:
                       help="what to make visible: all that identify estimates, or the links "
                       "only (default: friction)")  # fmt: skip
     verb.add_argument("--limits", metavar="FILE", help="YAML or JSON with limits to use instead")
+    verb.add_argument("--bound", action="store_true",
+                      help="also a numerical lower bound on the condition number of any such "
+                      "motion (a minute more)")  # fmt: skip
     _surroundings(verb)
     verb.add_argument("--from", dest="start", metavar="Q1,Q2,...",
                       help="present pose: writes approach.csv and return.csv too")  # fmt: skip

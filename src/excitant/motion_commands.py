@@ -11,6 +11,7 @@ import numpy as np
 
 from excitant.design import (
     CLEARANCE,
+    Design,
     FourierTrajectory,
     HermiteTrajectory,
     approach,
@@ -19,6 +20,7 @@ from excitant.design import (
     design_series,
     information,
     load_trajectory,
+    lower_bound,
     motion_csv,
     return_path,
     trajectory_csv,
@@ -36,6 +38,7 @@ from excitant.robots.geometry import Scene, load_obstacles, scene
 from excitant.robots.virtual_arm import virtual_arm
 
 _DENSE_HZ = 100.0
+_BOUND_TIME = 60.0  # s: much less leaves the bound near 1
 _TIMED = 1000.0  # s: the bar of a search without time limit fills by starts instead
 
 
@@ -76,17 +79,41 @@ def design(args: argparse.Namespace) -> None:
     }
     motions = {"trajectory": found.trajectory.motion(args.rate)}
     result = design_result(found)
+    if args.bound:
+        result |= _bound(found, args.seed)
     if start is not None:
         try:
             ways = _ways(robot, start, found.trajectory, args.rate, surroundings, least)
             files |= {f"{name}.csv": motion_csv(motion) for name, motion in ways.items()}
             motions |= ways
         except Infeasible as error:  # the design stands without them
-            result["notes"] = [str(error)]
+            result["notes"] = [*result.get("notes", []), str(error)]
     names = [word.strip() for word in (args.formats or "").split(",") if word.strip()]
     for stem, motion in motions.items():
         files |= write_formats(motion, robot, names, rate_hz=args.rate, stem=stem)
     finish(args, run_directory(args, "design", robot), result, design_series(found), files)
+
+
+def _bound(found: Design, seed: int) -> dict[str, Any]:
+    """Numerical lower bound on what any such motion could reach, as entries of the result."""
+    with progress_bar("bound") as advance:
+        bound = lower_bound(
+            found.robot,
+            duration=found.duration,
+            harmonics=found.harmonics,
+            columns=found.columns,
+            criterion=found.criterion,
+            seed=seed,
+            time_limit=_BOUND_TIME,
+            pool=[found.trajectory.motion(_DENSE_HZ)],
+            progress=lambda spent, value, ceiling: advance(
+                min(spent / _BOUND_TIME, 1.0), f"κ ≥ {value:.4g}"
+            ),
+        )
+    condition = design_result(found)["condition_number"] | {"lower_bound": bound.value}
+    ratio = found.condition_final / bound.value
+    note = f"within ×{ratio:.2g} of the best possible: {bound.assumptions}"
+    return {"condition_number": condition, "notes": [note]}
 
 
 def _pose(text: str, robot: Robot) -> Array:

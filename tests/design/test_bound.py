@@ -69,8 +69,8 @@ def reference_mixture(M: np.ndarray, rows: np.ndarray) -> float:
 
 
 def grid_value(problem: Relaxation, counts: tuple[int, int, int]) -> float:
-    """The relaxation of a one-joint arm on a dense grid of states."""
-    axes = [np.linspace(-1, 1, n) for n in counts]
+    """The relaxation of a one-joint arm on a dense grid of states; q̇ ≥ 0 says all of it."""
+    axes = [np.linspace(low, 1, n) for low, n in zip((-1, 0, -1), counts, strict=True)]
     u = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
     motion = problem.space.slowed(problem.space.motion(u))
     M, rows = problem.matrices(motion)[0], problem.rows(motion)
@@ -120,13 +120,13 @@ def test_pendulum_has_the_bound_known_in_closed_form(pendulum: Robot, limited: L
     assert_certificate_holds(bound)
 
 
-@pytest.mark.parametrize("half", [0.5, 1.2])
+@pytest.mark.parametrize("half", [0.4, 0.7])
 def test_pendulum_agrees_with_a_dense_grid(pendulum: Robot, limited: Limited, half: float) -> None:
     robot = limited(pendulum, position=[[0.3 - half, 0.3 + half]], acceleration=8.0)
     bound = lower_bound(robot, duration=5.0, harmonics=4, time_limit=20.0)
-    exhaustive = grid_value(bound.relaxation, (31, 9, 9))
+    exhaustive = grid_value(bound.relaxation, (41, 7, 9))
     assert bound.value <= exhaustive * (1 + 1e-4)
-    assert bound.value == pytest.approx(exhaustive, rel=0.02)
+    assert bound.value == pytest.approx(exhaustive, rel=5e-3)
     assert_certificate_holds(bound)
 
 
@@ -192,12 +192,18 @@ def test_certificate_of_a_six_joint_arm(ur10: Robot, limited: Limited) -> None:
     pool = [random_trajectory(robot, rng, 10.0, 5).sample(200)]
     told: list[tuple[float, float, float]] = []
     bound = lower_bound(robot, time_limit=8.0, pool=pool, progress=lambda *x: told.append(x))
-    assert bound.wall_s < 25.0
     assert_certificate_holds(bound)
-    assert bound.value > 1.2
     assert len(told) == bound.iterations == len(bound.history)
     assert np.all(np.diff(bound.history[:, 1]) >= 0)
     assert "not a proof" in bound.assumptions
+
+
+@pytest.mark.slow
+def test_bound_of_a_six_joint_arm_is_far_above_one(ur10: Robot, limited: Limited) -> None:
+    robot = limited(ur10, position=[-np.pi, np.pi], acceleration=10.0)
+    bound = lower_bound(robot, time_limit=90.0)
+    assert bound.value > 7.6 / 4
+    assert_certificate_holds(bound)
 
 
 def test_test_functions_vanish_on_trajectories(ur10: Robot, limited: Limited) -> None:
