@@ -36,13 +36,13 @@ _LABEL = {
 
 
 def grouped(diagnosis: Diagnosis) -> list[list[Finding]]:
-    """Findings by cause: one group where most joints share the cause, else joint by joint."""
+    """Findings by cause: one group where most joints share it and its verdict, else by joint."""
     groups: dict[str, list[Finding]] = {}
     for finding in diagnosis.findings:
         name = finding.effect.name
         same = [f for f in diagnosis.findings if f.effect.name == name]
         common = isinstance(finding.effect, JointEffect) and 2 * len(same) > diagnosis.robot.nv > 2
-        key = name if common else f"{name} {finding.effect.joints}"
+        key = f"{name} {finding.verdict if common else finding.effect.joints}"
         groups.setdefault(key, []).append(finding)
     return sorted(groups.values(), key=lambda group: -sum(f.explained for f in group))
 
