@@ -131,7 +131,10 @@ def worst_points(result: Result) -> list[WorstPoint]:
         if isinstance(joint, int) and 0 <= joint < len(names):
             joint = names[joint]
         name = "" if joint is None else str(joint)
-        points.append(WorstPoint(quantity, real(limits, quantity), name, real(where, "t")))
+        ratio = real(limits, quantity)
+        if ratio == 0 and where is None:  # an unlimited quantity uses nothing of its limit
+            ratio = None
+        points.append(WorstPoint(quantity, ratio, name, real(where, "t")))
     return points
 
 

@@ -236,3 +236,16 @@ def test_rendering_changes_no_setting_and_takes_seconds(make):
 
 def test_page_is_the_same_each_time(make):
     assert render(*make["diagnose"]()) == render(*make["diagnose"]())
+
+
+def test_a_quantity_without_a_limit_does_not_hold_it() -> None:
+    result = {
+        "verb": "check",
+        "robot": "arm",
+        "joints": ["a"],
+        "limits": {"velocity": 0.5, "acceleration": 0.0},
+        "worst": {"velocity": {"joint": "a", "t": 1.0}, "acceleration": None},
+        "holds": True,
+    }
+    page = render(result, {})
+    assert page.count("no limit given") == 1
