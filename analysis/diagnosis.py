@@ -126,13 +126,17 @@ def diagnose(
     evidence = weigh(rows.X, rows.residual, columns.precision, columns.nuisance, columns.candidates)
     chosen = select(evidence, robot)
     tau = series(data.train).measured * gains
+    simulated = predicted_torque(robot, data.validate) / gains
     while True:
         extension = extend(robot, prior, evidence, chosen, data.train, tau)
-        confirmed, judged = _judge(robot, evidence, extension, chosen, data, gains)
+        predicted = predicted_torque(extension.model, data.validate) / gains
+        confirmed, judged = _judge(
+            robot, evidence, extension, chosen, data, gains, simulated, predicted
+        )
         if len(confirmed) == len(chosen):
             break
         chosen = confirmed
-    return _diagnosis(robot, data, gains, extension, judged)
+    return _diagnosis(robot, data, gains, extension, judged, simulated, predicted)
 
 
 def _gains(robot: Robot, data: Data) -> Array:
@@ -152,11 +156,12 @@ def _judge(
     chosen: Sequence[Candidate],
     data: Data,
     gains: Array,
+    simulated: Array,
+    predicted: Array,
 ) -> tuple[list[Candidate], list[Finding]]:
     """The causes that pay on the hold-out, with their findings."""
     held = series(data.validate)
-    error = held.measured - predicted_torque(extension.model, data.validate) / gains
-    given = held.measured - predicted_torque(robot, data.validate) / gains
+    error, given = held.measured - predicted, held.measured - simulated
     weight = gains / evidence.sigma
     confirmed, findings = [], []
     for candidate in chosen:
@@ -246,12 +251,15 @@ def _finding(
 
 
 def _diagnosis(
-    robot: Robot, data: Data, gains: Array, extension: Extension, findings: list[Finding]
+    robot: Robot,
+    data: Data,
+    gains: Array,
+    extension: Extension,
+    findings: list[Finding],
+    simulated: Array,
+    predicted: Array,
 ) -> Diagnosis:
     held = series(data.validate)
-    simulated, predicted = (
-        predicted_torque(model, data.validate) / gains for model in (robot, extension.model)
-    )
     findings = sorted(findings, key=lambda f: -f.explained)
     error = held.measured - predicted
     step = held.t[1] - held.t[0]

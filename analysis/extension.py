@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from excitant.analysis.evidence import Candidate, Evidence
-from excitant.analysis.hypotheses import TOLERANCE
+from excitant.analysis.hypotheses import TOLERANCE, WRONG_LINK
 from excitant.identify.estimate import implausible_size, observation
 from excitant.identify.physical import EffectPrior, fit_physical
 from excitant.identify.preprocessing import Segment
@@ -18,7 +18,6 @@ from excitant.robots.parameters import from_pseudo_inertia, isotropic
 from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values
 
-_WRONG_LINK_SIGMA = 1.0
 _PAYLOAD_SIGMA = 100.0  # a payload is anything
 _PAYLOAD_SHARE, _PAYLOAD_RADIUS = 0.05, 0.1  # of the arm's mass, m: its reference body
 
@@ -112,7 +111,7 @@ def tolerance_metric(bodies: Array) -> Array:
 def _bodies(robot: Robot, prior: Array, chosen: Sequence[Candidate]) -> tuple[Array, Array]:
     """Prior and its relative uncertainty for every link, and for a payload when there is one."""
     wrong = {c.effect.joints[0] for c in chosen if isinstance(c.effect, InertialParameters)}
-    sigma = [_WRONG_LINK_SIGMA if joint in wrong else TOLERANCE for joint in robot.joints]
+    sigma = [WRONG_LINK if joint in wrong else TOLERANCE for joint in robot.joints]
     if not any(isinstance(c.effect, Payload) for c in chosen):
         return prior, np.array(sigma)
     mass = _PAYLOAD_SHARE * prior[:, 0].sum()

@@ -26,7 +26,7 @@ from excitant.robots.motion import Array, read_only
 from excitant.robots.robot import Robot
 
 TOLERANCE = 0.05  # relative standard deviation of the given values: right to ±10 %
-_WRONG_LINK = 1.0  # relative size of the changes that `inertial_parameters` stands for
+WRONG_LINK = 1.0  # relative size of the changes that `inertial_parameters` stands for
 _STRIBECK_SPEEDS = np.geomspace(0.01, 0.4, 8)  # of each joint's highest speed in the recording
 _REACH = 0.3  # m: scale of a payload's lever, decides nothing but the units of its coordinates
 
@@ -147,7 +147,7 @@ def _effects(
             size = implausible_size(columns[:, [j]], torque[:, [j]])
             found.append((effect, np.diag(size), np.ones(1)))
         block = link_coordinates(metric[[j]])
-        found.append((InertialParameters((joint,)), block, link_weights(1, _WRONG_LINK) ** 2))
+        found.append((InertialParameters((joint,)), block, link_weights(1, WRONG_LINK) ** 2))
     found.append((Payload((robot.joints[-1],)), _payload_scale(metric), np.ones(10)))
     return found
 

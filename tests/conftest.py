@@ -12,7 +12,7 @@ import pytest
 
 from excitant.design import random_trajectory
 from excitant.identify import Recording, recording_from_table
-from excitant.robots import Robot
+from excitant.robots import Robot, load_robot
 from excitant.robots.virtual_arm import HiddenEffect, Sensors, ideal_sensors, virtual_arm
 
 hypothesis.settings.register_profile("excitant", deadline=None, derandomize=True, max_examples=25)
@@ -30,6 +30,16 @@ def data_folder() -> Path:
             pytest.fail(reason)
         pytest.skip(reason)
     return folder
+
+
+@pytest.fixture(scope="session")
+def planar() -> Robot:
+    return load_robot("planar_2r")
+
+
+@pytest.fixture(scope="session")
+def ur10() -> Robot:
+    return load_robot("ur10")
 
 
 Runs = Callable[..., list[Recording]]

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from excitant.robots.effects.base import Effect, Parameter
 from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import STANDARD, UNITS
@@ -50,16 +48,3 @@ class Payload(AddedInertia):
 
     name: ClassVar[str] = "payload"
     prefix: ClassVar[str] = "payload_"
-
-
-def payload(robot: Robot) -> Payload:
-    """Unknown payload on the last link."""
-    return Payload(joints=(robot.joints[-1],))
-
-
-def added_parameters(robot: Robot, effect: AddedInertia) -> Array:
-    """The robot's standard parameters with the effect's increments, shape (10 nv,)."""
-    phi = np.array(robot.phi)
-    j = robot.joint_index(effect.joints[0])
-    phi[10 * j : 10 * j + 10] += np.array(effect.values or np.zeros(10))
-    return phi

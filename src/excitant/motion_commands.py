@@ -39,7 +39,6 @@ from excitant.robots.virtual_arm import virtual_arm
 
 _DENSE_HZ = 100.0
 _BOUND_TIME = 60.0  # s: much less leaves the bound near 1
-_TIMED = 1000.0  # s: the bar of a search without time limit fills by starts instead
 
 
 def design(args: argparse.Namespace) -> None:
@@ -53,9 +52,12 @@ def design(args: argparse.Namespace) -> None:
     with progress_bar("design") as advance:
 
         def tell(done: int, total: int | None, condition: float, ratio: float) -> None:
-            spent = (time.monotonic() - began) / (args.time_limit or _TIMED)
+            if total is None:  # as many starts as fit into the time limit
+                share = min((time.monotonic() - began) / args.time_limit, 1.0)
+            else:
+                share = done / total
             advance(
-                done / total if total else min(spent, 1.0),
+                share,
                 f"{done} starts, best κ {condition:.4g}, worst limit {100 * ratio:.1f} %",
             )
 

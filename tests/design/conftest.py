@@ -5,17 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from excitant.robots import Limits, Robot, load_robot
-
-
-@pytest.fixture(scope="session")
-def planar() -> Robot:
-    return load_robot("planar_2r")
-
-
-@pytest.fixture(scope="session")
-def ur10() -> Robot:
-    return load_robot("ur10")
+from excitant.robots import Limits, Robot
 
 
 @pytest.fixture(scope="session")

@@ -9,19 +9,9 @@ import pandas as pd
 import pytest
 
 from excitant.identify import Recording
-from excitant.robots import Motion, Robot, load_robot, torque
+from excitant.robots import Motion, Robot, torque
 
 HARMONICS = np.array([0.3, 0.5, 0.8, 1.3])  # Hz, far below the cut-off of the torque filter
-
-
-@pytest.fixture(scope="session")
-def planar() -> Robot:
-    return load_robot("planar_2r")
-
-
-@pytest.fixture(scope="session")
-def ur10() -> Robot:
-    return load_robot("ur10")
 
 
 @pytest.fixture
