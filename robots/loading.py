@@ -25,7 +25,7 @@ from excitant.robots.motion import Array
 from excitant.robots.robot import Limits, Robot
 from excitant.robots.urdf import number, robot_from_urdf
 
-_LIMIT_NAMES = ("position", "velocity", "acceleration", "torque")
+_LIMIT_NAMES = ("position", "velocity", "acceleration", "torque", "jerk")
 
 
 def builtin_robots() -> tuple[str, ...]:
@@ -166,8 +166,8 @@ def _mapping(path: Path) -> dict[str, Any]:
 def load_limits(path: str | Path, robot: Robot) -> Limits:
     """Limits of a robot with some replaced by those of a YAML or JSON file.
 
-    The file holds ``position: [[lo, hi], ...]``, ``velocity``, ``acceleration`` and
-    ``torque`` (one number, or one per joint), at the top or under ``limits``. What it leaves
+    The file holds ``position: [[lo, hi], ...]``, ``velocity``, ``acceleration``, ``torque``
+    and ``jerk`` (one number, or one per joint), at the top or under ``limits``. What it leaves
     out stays as the robot has it.
 
     Raises:

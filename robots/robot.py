@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,15 +26,19 @@ class Limits:
         velocity: Highest speed, shape (nv,) [rad/s or m/s].
         acceleration: Highest acceleration, shape (nv,) [rad/s² or m/s²].
         torque: Highest torque, shape (nv,) [N·m or N].
+        jerk: Highest jerk, shape (nv,) [rad/s³ or m/s³]; none by default.
     """
 
     position: Array
     velocity: Array
     acceleration: Array
     torque: Array
+    jerk: Array = field(default_factory=lambda: np.array(np.inf))
 
     def __post_init__(self) -> None:
-        freeze(self, "position", "velocity", "acceleration", "torque")
+        jerk = np.broadcast_to(self.jerk, np.shape(self.velocity))
+        object.__setattr__(self, "jerk", jerk)
+        freeze(self, "position", "velocity", "acceleration", "torque", "jerk")
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +92,12 @@ class Robot:
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the standard parameters, ``link.m`` to ``link.Izz`` for each link."""
         return tuple(f"{link}.{name}" for link in self.links for name in STANDARD)
+
+    @property
+    def tip(self) -> int:
+        """Pinocchio's frame of the tool: the last body of the chain."""
+        frames = list(self.model.frames)
+        return max(k for k, frame in enumerate(frames) if frame.type == pin.FrameType.BODY)
 
     def joint_index(self, joint: str) -> int:
         """Position of a joint in the order of this robot."""
