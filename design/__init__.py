@@ -9,9 +9,11 @@ from excitant.design.export import load_trajectory, motion_csv, trajectory_csv, 
 from excitant.design.feasible import random_trajectory
 from excitant.design.formats import write_formats
 from excitant.design.interpolation import HermiteTrajectory
-from excitant.design.optimal import CLEARANCE, Design, StartRecord, build_design, design
+from excitant.design.optimal import CLEARANCE, build_design, design
+from excitant.design.outcome import Design, StartRecord
 from excitant.design.result import design_result, design_series
-from excitant.design.trajectory import FourierTrajectory, from_coefficients
+from excitant.design.splines import SplineTrajectory
+from excitant.design.trajectory import FourierTrajectory, Trajectory, from_coefficients
 
 __all__ = [
     "CLEARANCE",
@@ -23,7 +25,9 @@ __all__ = [
     "Information",
     "LimitReport",
     "LimitUse",
+    "SplineTrajectory",
     "StartRecord",
+    "Trajectory",
     "approach",
     "build_design",
     "check",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from excitant.design.interpolation import HermiteTrajectory
-from excitant.design.trajectory import FourierTrajectory
+from excitant.design.trajectory import Trajectory
 from excitant.robots import Array
 from excitant.robots.geometry import Scene
 
@@ -38,7 +38,7 @@ class Clearance:
     time: float
 
 
-def clearance(scene: Scene, path: FourierTrajectory | HermiteTrajectory) -> Clearance:
+def clearance(scene: Scene, path: Trajectory | HermiteTrajectory) -> Clearance:
     """Smallest distance over a continuous motion, by branch and bound in time.
 
     Between two instants a pair's distance falls below neither end by more than half of what
@@ -46,7 +46,7 @@ def clearance(scene: Scene, path: FourierTrajectory | HermiteTrajectory) -> Clea
 
     Args:
         scene: The arm among its obstacles.
-        path: Fourier trajectory (one period) or interpolated samples.
+        path: Trajectory (one period) or interpolated samples.
     """
     start, end, speed = _span(path)
     t = np.linspace(start, end, _INTERVALS + 1)
@@ -70,9 +70,9 @@ def clearance(scene: Scene, path: FourierTrajectory | HermiteTrajectory) -> Clea
         begin = np.concatenate([begin, begin + length])
 
 
-def _span(path: FourierTrajectory | HermiteTrajectory) -> tuple[float, float, Array]:
+def _span(path: Trajectory | HermiteTrajectory) -> tuple[float, float, Array]:
     """First and last instant [s] and a bound on each joint's speed in between."""
-    if isinstance(path, FourierTrajectory):
+    if isinstance(path, Trajectory):
         return 0.0, path.period, np.abs(path.extrema(1)).max(axis=0)
     t = path.samples.t
     fine = np.linspace(t[0], t[-1], 20 * len(t))
@@ -102,7 +102,7 @@ def clearance_rows(problem: DesignProblem, z: Array, near: float) -> tuple[Array
 
     Args:
         problem: The design problem.
-        z: Unknowns, shape (2 H − 1, nv).
+        z: Unknowns, shape (c − 2, nv).
         near: Use from which an instant becomes a row.
 
     Returns:

@@ -7,15 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from excitant.design.interpolation import HermiteTrajectory, largest
-from excitant.design.trajectory import FourierTrajectory
+from excitant.design.trajectory import Trajectory
 from excitant.exceptions import BadInput
-from excitant.robots import Array, Limits, Motion, Robot, torque
+from excitant.robots import Array, Limits, Motion, Robot
 from excitant.robots.motion import freeze
+from excitant.robots.torque import largest_torque
 
-QUANTITIES = ("position", "velocity", "acceleration", "torque")
+KINEMATIC = ("position", "velocity", "acceleration", "jerk")  # by derivative order
 
 _PER_HARMONIC = 100  # instants per period of the highest harmonic, for torque
 _PER_SAMPLE = 8  # instants per sampling interval of a recorded motion
+_SHRINKS = 30
 _ONE_SIDED = 4 * np.pi  # width given to a range that is bounded on one side only
 
 
@@ -24,7 +26,7 @@ class LimitUse:
     """How far one quantity goes, as a share of its limit; ≤ 1 holds.
 
     Attributes:
-        quantity: ``"position"``, ``"velocity"``, ``"acceleration"`` or ``"torque"``.
+        quantity: ``"position"``, ``"velocity"``, ``"acceleration"``, ``"jerk"`` or ``"torque"``.
         ratios: Largest magnitude over limit per joint, shape (nv,); 0 without a limit. For
             position it is |q − middle| over half the range.
         times: When each joint's largest ratio occurs, shape (nv,) [s].
@@ -64,17 +66,20 @@ class LimitReport:
         velocity: Use of the velocity limit.
         acceleration: Use of the acceleration limit.
         torque: Use of the torque limit.
+        jerk: Use of the limit on jerk; None without one.
     """
 
     position: LimitUse
     velocity: LimitUse
     acceleration: LimitUse
     torque: LimitUse
+    jerk: LimitUse | None = None
 
     @property
     def uses(self) -> tuple[LimitUse, ...]:
-        """All four quantities."""
-        return (self.position, self.velocity, self.acceleration, self.torque)
+        """All quantities; jerk only with a limit on it."""
+        four = (self.position, self.velocity, self.acceleration, self.torque)
+        return four if self.jerk is None else (*four, self.jerk)
 
     @property
     def worst(self) -> LimitUse:
@@ -102,19 +107,19 @@ def position_range(limits: Limits) -> tuple[Array, Array]:
 
 
 def kinematic_limits(limits: Limits) -> tuple[Array, Array]:
-    """Limits by derivative order as |q⁽ᵒ⁾ − middle| ≤ bound, both of shape (3, nv)."""
+    """Limits by derivative order as |q⁽ᵒ⁾ − middle| ≤ bound, both of shape (4, nv)."""
     middle, half = position_range(limits)
     zero = np.zeros_like(middle)
     return (
-        np.stack([middle, zero, zero]),
-        np.stack([half, limits.velocity, limits.acceleration]),
+        np.stack([middle, zero, zero, zero]),
+        np.stack([half, limits.velocity, limits.acceleration, limits.jerk]),
     )
 
 
-def check(robot: Robot, motion: Motion | FourierTrajectory) -> LimitReport:
+def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
     """Worst use of every limit of the robot over a continuous motion.
 
-    A Fourier trajectory is judged at its exact extrema, over one period; a sampled motion
+    A trajectory is judged at its exact extrema, over one period; a sampled motion
     between its samples too, along the quintic Hermite interpolant of q, q̇ and q̈. Torque is
     that of the rigid bodies and the robot's effects, located by cubic interpolation of a fine
     grid and evaluated at the interpolant's extrema.
@@ -124,28 +129,48 @@ def check(robot: Robot, motion: Motion | FourierTrajectory) -> LimitReport:
     """
     if motion.nv != robot.nv:
         raise BadInput(f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}")
-    if isinstance(motion, FourierTrajectory):
-        q, dq, ddq = (_fourier_use(robot, motion, order) for order in range(3))
+    orders = range(4 if np.isfinite(robot.limits.jerk).any() else 3)
+    if isinstance(motion, Trajectory):
+        uses = [_exact_use(robot, motion, order) for order in orders]
         n = _PER_HARMONIC * max(motion.harmonics, 1)
         t, path = np.linspace(0.0, motion.period, n + 1), motion
         stops = motion.extremum_times(0).ravel()
-        return LimitReport(q, dq, ddq, _torque_use(robot, path, t, stops))
+        tau = _torque_use(robot, path, t, stops)
+        return LimitReport(uses[0], uses[1], uses[2], tau, *uses[3:])
     if len(motion) < 2:
         raise BadInput(f"motion has {len(motion)} samples, at least two are needed")
     spline = HermiteTrajectory(motion)
     share = np.arange(_PER_SAMPLE) / _PER_SAMPLE
     fine = (motion.t[:-1, None] + share * np.diff(motion.t)[:, None]).ravel()
     fine = np.append(fine, motion.t[-1])
-    q, dq, ddq = (_sampled_use(robot, spline, order, fine) for order in range(3))
-    return LimitReport(q, dq, ddq, _torque_use(robot, spline, fine, _reversals(spline, fine)))
+    uses = [_sampled_use(robot, spline, order, fine) for order in orders]
+    tau = _torque_use(robot, spline, fine, _reversals(spline, fine))
+    return LimitReport(uses[0], uses[1], uses[2], tau, *uses[3:])
+
+
+def within_limits(robot: Robot, trajectory: Trajectory) -> Trajectory | None:
+    """The trajectory, shrunk towards its middle by what it exceeds a limit; None if that fails.
+
+    Meant for an excess of a small share of a limit: the middle is a pose, and torque need not
+    fall on the way there.
+    """
+    X = trajectory.coefficients
+    centre = trajectory.series.constant(trajectory.series.mean(X))
+    for _ in range(_SHRINKS):
+        excess = check(robot, trajectory).worst.ratio - 1
+        if excess <= 0:
+            return trajectory
+        X = centre + (1 - 2 * excess - 1e-7) * (X - centre)
+        trajectory = trajectory.series.trajectory(X)
+    return None
 
 
 def _use(robot: Robot, order: int, size: Array, times: Array) -> LimitUse:
     bound = kinematic_limits(robot.limits)[1][order]
-    return LimitUse(QUANTITIES[order], size / bound, times, robot.joints)
+    return LimitUse(KINEMATIC[order], size / bound, times, robot.joints)
 
 
-def _fourier_use(robot: Robot, trajectory: FourierTrajectory, order: int) -> LimitUse:
+def _exact_use(robot: Robot, trajectory: Trajectory, order: int) -> LimitUse:
     middle = kinematic_limits(robot.limits)[0][order]
     times, values = trajectory.extrema_in_time(order)
     size = np.abs(values - middle)
@@ -160,7 +185,7 @@ def _sampled_use(robot: Robot, spline: HermiteTrajectory, order: int, t: Array) 
 
 
 def _torque_use(
-    robot: Robot, path: FourierTrajectory | HermiteTrajectory, t: Array, stops: Array
+    robot: Robot, path: Trajectory | HermiteTrajectory, t: Array, stops: Array
 ) -> LimitUse:
     """Torque over continuous time; just before and after ``stops`` friction may jump."""
     if np.all(np.isinf(robot.limits.torque)):
@@ -171,7 +196,7 @@ def _torque_use(
         t = np.unique(np.clip(np.concatenate([t, beside]), t[0], t[-1]))
 
     def tau(s: Array) -> Array:
-        return torque(robot, path.at(s))
+        return largest_torque(robot, path.at(s))
 
     def rate(s: Array) -> Array:
         ahead, behind = np.minimum(s + dt, t[-1]), np.maximum(s - dt, t[0])

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
-from excitant.exceptions import UnknownName
+from excitant.exceptions import BadInput, UnknownName
 from excitant.robots import (
     Array,
     BaseParameters,
@@ -17,6 +18,7 @@ from excitant.robots import (
     regressor_derivatives,
 )
 from excitant.robots.effects import standard_effects
+from excitant.robots.motion import freeze
 from excitant.robots.torque import observation_columns
 
 COLUMNS = ("friction", "inertial")
@@ -34,11 +36,20 @@ class Information:
         columns: ``"inertial"`` (standard parameters of the links) or ``"friction"`` (those with
             viscous and Coulomb friction, torque offset and rotor inertia of every joint).
         base: Base parameters of these columns.
+        weights: Weight of each joint's equations, 1 / its noise relative to the others,
+            shape (nv,).
+        earlier: Information that earlier recordings hold already, divided by the samples of
+            the motion to be designed, shape (r, r).
     """
 
     robot: Robot
     columns: str
     base: BaseParameters
+    weights: Array
+    earlier: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "weights", "earlier")
 
     def observation(self, motion: Motion, *, smooth: bool = False) -> Array:
         """Base columns at every instant, shape (n, nv, r).
@@ -54,12 +65,16 @@ class Information:
             first = 11 * nv  # Coulomb columns, one per joint, follow the viscous ones
             j = np.arange(nv)
             Y[:, j, first + j] = np.tanh(motion.dq / sign_width(self.robot))
-        return Y[:, :, list(self.base.columns)]
+        return Y[:, :, list(self.base.columns)] * self.weights[:, None]
 
     def matrix(self, motion: Motion, *, smooth: bool = False) -> Array:
-        """M = WᵀW / n, shape (r, r)."""
-        W = self.observation(motion, smooth=smooth).reshape(-1, len(self.base))
-        M: Array = W.T @ W / len(motion)
+        """M = WᵀW / n, with what earlier recordings hold already, shape (r, r)."""
+        return self.gram(self.observation(motion, smooth=smooth))
+
+    def gram(self, observation: Array) -> Array:
+        """M of weighted base columns at n instants, shape (n, nv, r) to (r, r)."""
+        W = observation.reshape(-1, len(self.base))
+        M: Array = W.T @ W / len(observation) + self.earlier
         return M
 
     def linearise(self, motion: Motion) -> Linearisation:
@@ -72,19 +87,55 @@ class Information:
                 np.concatenate([a, b], axis=-1) for a, b in zip(parts, added, strict=True)
             )  # type: ignore[assignment]
         keep = list(self.base.columns)
-        return Linearisation(*(part[..., keep] for part in parts))
+        return Linearisation(*(part[..., keep] * self.weights[:, None] for part in parts))
 
 
-def information(robot: Robot, columns: str = "friction") -> Information:
+def information(
+    robot: Robot,
+    columns: str = "friction",
+    *,
+    noise: npt.ArrayLike | None = None,
+    earlier: Sequence[Motion] = (),
+    duration: float = 10.0,
+) -> Information:
     """What the columns of this name let a motion of the robot show.
+
+    Args:
+        robot: The arm.
+        columns: ``"friction"`` or ``"inertial"``.
+        noise: Standard deviation of each joint's torque noise, shape (nv,) [N·m or N]; equal
+            if not given.
+        earlier: Motions recorded before, whose information counts for as long as they lasted.
+        duration: Of the motion to be designed [s].
 
     Raises:
         UnknownName: Columns other than ``"friction"`` and ``"inertial"``.
+        BadInput: Noise that is not one positive number per joint, or motions of other joints.
     """
     if columns not in COLUMNS:
         raise UnknownName("columns", columns, COLUMNS)
     effects = standard_effects(robot.joints) if columns == "friction" else ()
-    return Information(robot, columns, base_parameters(robot, effects))
+    base = base_parameters(robot, effects)
+    blank = np.zeros((len(base), len(base)))
+    new = Information(robot, columns, base, _weights(robot, noise), blank)
+    for motion in earlier:
+        if motion.nv != robot.nv:
+            raise BadInput(f"a recording has {motion.nv} joints, {robot.name} has {robot.nv}")
+        blank = blank + new.matrix(motion) * float(np.ptp(motion.t)) / duration
+    return replace(new, earlier=blank)
+
+
+def _weights(robot: Robot, noise: npt.ArrayLike | None) -> Array:
+    if noise is None:
+        return np.ones(robot.nv)
+    sigma = np.asarray(noise, float)
+    if sigma.shape != (robot.nv,) or not (np.isfinite(sigma).all() and (sigma > 0).all()):
+        raise BadInput(
+            f"torque noise: give one positive number [N·m] for each of the {robot.nv} joints of "
+            f"{robot.name}"
+        )
+    weights: Array = np.exp(np.log(sigma).mean()) / sigma
+    return weights
 
 
 def condition_number(M: Array) -> float:

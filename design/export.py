@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from excitant.design.trajectory import FourierTrajectory
+from excitant.design.splines import SplineTrajectory
+from excitant.design.trajectory import FourierTrajectory, Trajectory
 from excitant.exceptions import BadInput
 from excitant.robots import Array, Motion, Robot
 
-_FORMAT = "fourier"
-_COEFFICIENTS = ("offset", "cosine", "sine")
+_COEFFICIENTS = {"fourier": ("offset", "cosine", "sine"), "spline": ("control_points",)}
 _KINDS = ("q", "dq", "ddq")
 
 
@@ -26,26 +26,27 @@ def motion_csv(motion: Motion) -> str:
     return "\n".join([header, *lines]) + "\n"
 
 
-def trajectory_csv(trajectory: FourierTrajectory, rate_hz: float = 100.0) -> str:
-    """One period at a control rate [Hz] as a table, first and last sample included."""
-    return motion_csv(trajectory.motion(rate_hz))
+def trajectory_csv(trajectory: Trajectory, rate_hz: float = 100.0, repetitions: int = 1) -> str:
+    """Periods at a control rate [Hz] as a table, first and last sample included."""
+    return motion_csv(trajectory.motion(rate_hz, repetitions))
 
 
-def trajectory_json(trajectory: FourierTrajectory, robot: Robot) -> str:
+def trajectory_json(trajectory: Trajectory, robot: Robot) -> str:
     """The exact coefficients, with the names of the joints."""
+    form = "spline" if isinstance(trajectory, SplineTrajectory) else "fourier"
     content: dict[str, Any] = {
-        "format": _FORMAT,
+        "format": form,
         "robot": robot.name,
         "joints": list(robot.joints),
         "period": trajectory.period,
         "harmonics": trajectory.harmonics,
     }
-    for name in _COEFFICIENTS:
+    for name in _COEFFICIENTS[form]:
         content[name] = getattr(trajectory, name).tolist()
     return json.dumps(content, indent=1) + "\n"
 
 
-def load_trajectory(path: str | Path, robot: Robot) -> FourierTrajectory | Motion:
+def load_trajectory(path: str | Path, robot: Robot) -> Trajectory | Motion:
     """Trajectory from a ``.json`` file of coefficients or a table of samples (CSV).
 
     Raises:
@@ -65,14 +66,17 @@ def load_trajectory(path: str | Path, robot: Robot) -> FourierTrajectory | Motio
     return _from_csv(text, path, robot)
 
 
-def _from_json(text: str, path: Path, robot: Robot) -> FourierTrajectory:
+def _from_json(text: str, path: Path, robot: Robot) -> Trajectory:
     try:
         content = json.loads(text)
     except ValueError as error:
         raise BadInput(f"trajectory {path}: not JSON ({error})") from None
+    names = _COEFFICIENTS["fourier"]
     if not isinstance(content, dict):
-        raise BadInput(f"trajectory {path}: expected an object with {', '.join(_COEFFICIENTS)}")
-    missing = [name for name in ("period", *_COEFFICIENTS) if name not in content]
+        raise BadInput(f"trajectory {path}: expected an object with {', '.join(names)}")
+    if "control_points" in content:
+        names = _COEFFICIENTS["spline"]
+    missing = [name for name in ("period", *names) if name not in content]
     if missing:
         raise BadInput(f"trajectory {path}: entry '{missing[0]}' is missing")
     joints = content.get("joints")
@@ -81,17 +85,29 @@ def _from_json(text: str, path: Path, robot: Robot) -> FourierTrajectory:
             f"trajectory {path}: its joints {', '.join(map(str, joints))} are not those of "
             f"{robot.name} ({', '.join(robot.joints)})"
         )
-    offset = _numbers(content["offset"], "offset", path, robot, dimensions=1)
-    cosine, sine = (_numbers(content[k], k, path, robot, dimensions=2) for k in ("cosine", "sine"))
-    if len(cosine) != len(sine):
-        raise BadInput(
-            f"trajectory {path}: {len(cosine)} rows of 'cosine' but {len(sine)} of 'sine'"
-        )
+    arrays = [
+        _numbers(content[name], name, path, robot, dimensions=1 if name == "offset" else 2)
+        for name in names
+    ]
     period = content["period"]
     number = isinstance(period, int | float) and not isinstance(period, bool)
     if not number or not (math.isfinite(period) and period > 0):
         raise BadInput(f"trajectory {path}: period {period!r} is not a positive number of seconds")
+    if len(arrays) == 1:
+        return _spline(arrays[0], float(period), path)
+    offset, cosine, sine = arrays
+    if len(cosine) != len(sine):
+        raise BadInput(
+            f"trajectory {path}: {len(cosine)} rows of 'cosine' but {len(sine)} of 'sine'"
+        )
     return FourierTrajectory(offset, cosine, sine, float(period))
+
+
+def _spline(control_points: Array, period: float, path: Path) -> SplineTrajectory:
+    try:
+        return SplineTrajectory(control_points, period)
+    except ValueError as error:
+        raise BadInput(f"trajectory {path}: {error}") from None
 
 
 def _numbers(value: Any, name: str, path: Path, robot: Robot, *, dimensions: int) -> Array:

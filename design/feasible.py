@@ -8,18 +8,22 @@ import numpy as np
 
 from excitant.design.constraints import kinematic_limits, position_range
 from excitant.design.trajectory import (
+    FourierSeries,
     FourierTrajectory,
+    Series,
+    Trajectory,
     from_coefficients,
-    rest_basis,
 )
 from excitant.exceptions import Infeasible
-from excitant.robots import Array, Motion, Robot, torque
+from excitant.robots import Array, Motion, Robot
+from excitant.robots.torque import largest_torque
 
 _POSES = 2000
 _POLISH = 30
 _DRAWS = 20
 _SHRINKS = 40
 _TORQUE_SAMPLES = 32  # per harmonic
+_WAVES = 10  # highest harmonic of a random start
 _TORQUE_SHARE = 0.99  # of the limit at the samples, which leaves room between them
 
 
@@ -28,28 +32,44 @@ PoseUse = Callable[[Array], Array]
 
 
 def random_trajectory(
-    robot: Robot,
-    rng: np.random.Generator,
-    duration: float,
-    harmonics: int,
-    pose_use: PoseUse | None = None,
+    robot: Robot, rng: np.random.Generator, duration: float, harmonics: int
 ) -> FourierTrajectory:
-    """A random trajectory at rest at both ends and within all limits of the robot.
+    """A random Fourier series at rest at both ends and within all limits of the robot.
 
     Args:
         robot: The arm; its limits count.
         rng: Source of randomness.
         duration: Period [s].
         harmonics: Number of harmonics, at least 2.
+
+    Raises:
+        Infeasible: No pose, or no motion found, within position and torque limits.
+    """
+    drawn = random_start(robot, rng, FourierSeries(duration, harmonics))
+    return from_coefficients(drawn.coefficients, duration)
+
+
+def random_start(
+    robot: Robot,
+    rng: np.random.Generator,
+    series: Series,
+    pose_use: PoseUse | None = None,
+) -> Trajectory:
+    """A random trajectory at rest at both ends and within all limits of the robot.
+
+    Args:
+        robot: The arm; its limits count.
+        rng: Source of randomness.
+        series: Functions of time that it is a combination of.
         pose_use: A limit on poses, such as clearance.
 
     Raises:
         Infeasible: No pose, or no motion found, within position and torque limits.
     """
-    t = np.linspace(0.0, duration, _TORQUE_SAMPLES * harmonics)
-    drawn: list[tuple[float, int, FourierTrajectory]] = []
+    t = series.instants(_TORQUE_SAMPLES)
+    drawn: list[tuple[float, int, Trajectory]] = []
     for _ in range(_DRAWS):
-        trajectory = _draw(robot, rng, duration, harmonics)
+        trajectory = _draw(robot, rng, series)
         ratio = max(
             float(torque_use(robot, trajectory.at(t)).max()),
             float(pose_use(trajectory(t)).max()) if pose_use else 0.0,
@@ -58,10 +78,9 @@ def random_trajectory(
             return trajectory
         drawn.append((ratio, len(drawn), trajectory))
     best = min(drawn)[2]
-    X0 = np.zeros((1 + 2 * harmonics, robot.nv))
-    X0[0] = standstill(robot, rng, pose_use)
+    X0 = series.constant(standstill(robot, rng, pose_use))
     for share in 0.7 ** np.arange(1, _SHRINKS):
-        trajectory = from_coefficients(X0 + share * (best.coefficients - X0), duration)
+        trajectory = series.trajectory(X0 + share * (best.coefficients - X0))
         use = torque_use(robot, trajectory.at(t))
         apart = float(pose_use(trajectory(t)).max()) if pose_use else 0.0
         if max(use.max(), apart) <= _TORQUE_SHARE:
@@ -82,32 +101,31 @@ def random_trajectory(
 
 def torque_use(robot: Robot, motion: Motion) -> Array:
     """Largest torque over its limit per joint at the instants of a motion, shape (nv,)."""
-    use: Array = (np.abs(torque(robot, motion)) / robot.limits.torque).max(axis=0)
+    use: Array = (np.abs(largest_torque(robot, motion)) / robot.limits.torque).max(axis=0)
     return use
 
 
-def _draw(
-    robot: Robot, rng: np.random.Generator, duration: float, harmonics: int
-) -> FourierTrajectory:
-    """Random coefficients, scaled joint by joint into the kinematic limits."""
+def _draw(robot: Robot, rng: np.random.Generator, series: Series) -> Trajectory:
+    """Random waves, scaled joint by joint into the kinematic limits."""
     middle, half = position_range(robot.limits)
     half = np.where(np.isfinite(half), half, np.pi)
     bound = kinematic_limits(robot.limits)[1]
-    fade = 1 / np.arange(1, harmonics + 1)[:, None] ** rng.uniform(0.0, 2.0)
-    X = rng.normal(size=(1 + 2 * harmonics, robot.nv))
+    waves = FourierSeries(series.period, min(series.terms, _WAVES))
+    fade = 1 / np.arange(1, waves.harmonics + 1)[:, None] ** rng.uniform(0.0, 2.0)
+    X = rng.normal(size=(waves.size, robot.nv))
     X[1:] *= np.vstack([fade, fade])
     X[0] = 0.0
-    Z = rest_basis(harmonics)
-    X = Z @ (Z.T @ X)
+    X = waves.rest @ (waves.rest.T @ X)
     X[0] = 0.0
-    wave = from_coefficients(X, duration)
-    reach = [np.maximum(*(np.abs(e) for e in wave.extrema(order))) for order in range(3)]
+    if waves != series:
+        X = series.nearest(waves.trajectory(X))
+    moved = series.trajectory(X)
+    reach = [np.maximum(*(np.abs(e) for e in moved.extrema(k))) for k in range(len(bound))]
     shift = rng.uniform(0.0, 0.6, robot.nv) * rng.choice([-1.0, 1.0], robot.nv) * half
-    room = [half - np.abs(shift), bound[1], bound[2]]
+    room = [half - np.abs(shift), *bound[1:]]
     share = np.min([b / np.maximum(r, 1e-12) for b, r in zip(room, reach, strict=True)], axis=0)
     X = X * share * rng.uniform(0.5, 0.99, robot.nv)
-    X[0] = middle + shift
-    return from_coefficients(X, duration)
+    return series.trajectory(X + series.constant(middle + shift))
 
 
 def standstill(robot: Robot, rng: np.random.Generator, pose_use: PoseUse | None = None) -> Array:
@@ -128,7 +146,7 @@ def standstill(robot: Robot, rng: np.random.Generator, pose_use: PoseUse | None 
         poses = np.clip(poses, middle - half, middle + half)
         zero = np.zeros_like(poses)
         held = Motion(np.arange(len(poses), dtype=float), poses, zero, zero)
-        uses = np.abs(torque(robot, held)) / robot.limits.torque
+        uses = np.abs(largest_torque(robot, held)) / robot.limits.torque
         apart = pose_use(poses) if pose_use else np.zeros(len(poses))
         worst = np.maximum(uses.max(axis=1), apart)
         k = int(worst.argmin())

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from excitant.design.trajectory import FourierTrajectory
+from excitant.design.trajectory import Trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots import Array, Motion, Robot
 from excitant.robots.motion import freeze, read_only
@@ -43,7 +43,7 @@ class NamedMotion:
 
 
 def write_formats(
-    motion: Motion | FourierTrajectory,
+    motion: Motion | Trajectory,
     robot: Robot,
     names: Sequence[str],
     *,
@@ -66,7 +66,7 @@ def write_formats(
     for name in names:
         if name not in FORMATS:
             raise UnknownName("format", name, FORMATS)
-    sampled = motion.motion(rate_hz) if isinstance(motion, FourierTrajectory) else motion
+    sampled = motion.motion(rate_hz) if isinstance(motion, Trajectory) else motion
     if sampled.nv != robot.nv:
         raise BadInput(f"motion has {sampled.nv} joints, robot {robot.name} has {robot.nv}")
     if not all(np.isfinite(x).all() for x in (sampled.t, sampled.q, sampled.dq, sampled.ddq)):

@@ -12,14 +12,9 @@ import numpy.typing as npt
 from excitant.design.clearance import clearance_use, pose_use
 from excitant.design.constraints import kinematic_limits
 from excitant.design.criterion import Information, objective
-from excitant.design.feasible import random_trajectory
+from excitant.design.feasible import random_start
 from excitant.design.torque_peaks import torque_peaks
-from excitant.design.trajectory import (
-    FourierTrajectory,
-    fourier_basis,
-    from_coefficients,
-    rest_basis,
-)
+from excitant.design.trajectory import Series, Trajectory
 from excitant.robots import Array, Motion, Robot
 from excitant.robots.geometry import Scene
 
@@ -35,22 +30,20 @@ Bases = Sequence[Array]
 class DesignProblem:
     """Minimise a criterion of the information over trajectories within the limits.
 
-    The unknowns z, shape (2 H − 1, nv), are the coefficients X = Z z in an orthonormal basis Z
+    The unknowns z, shape (c − 2, nv), are the coefficients X = Z z in an orthonormal basis Z
     of those at rest at both ends.
 
     Attributes:
         information: What is to be made visible, on which robot.
         criterion: ``"condition"``, ``"d"``, ``"a"`` or ``"e"``.
-        period: Duration [s].
-        harmonics: Number of harmonics H.
+        series: Functions of time that the motion is a combination of; c of them.
         scene: The arm's bodies and obstacles; None to leave clearance out.
         required: Smallest distance between bodies [m].
     """
 
     information: Information
     criterion: str
-    period: float
-    harmonics: int
+    series: Series
     scene: Scene | None = None
     required: float = 0.0
 
@@ -62,18 +55,22 @@ class DesignProblem:
     @property
     def size(self) -> int:
         """Number of unknowns."""
-        return (2 * self.harmonics - 1) * self.robot.nv
+        return (self.series.size - 2) * self.robot.nv
 
-    @cached_property
+    @property
+    def period(self) -> float:
+        """Duration [s]."""
+        return self.series.period
+
+    @property
     def Z(self) -> Array:
-        """Basis of the coefficients at rest, shape (1 + 2 H, 2 H − 1)."""
-        return rest_basis(self.harmonics)
+        """Basis of the coefficients at rest, shape (c, c − 2)."""
+        return self.series.rest
 
     @cached_property
     def samples(self) -> Array:
         """Instants at which the information is summed [s]."""
-        n = _SAMPLES[self.information.columns] * self.harmonics
-        return np.arange(n) / n * self.period
+        return self.series.instants(_SAMPLES[self.information.columns])
 
     @cached_property
     def sample_bases(self) -> Bases:
@@ -83,18 +80,22 @@ class DesignProblem:
     @cached_property
     def instants(self) -> Array:
         """Equidistant instants between which peaks are looked for [s]."""
-        n = _PEAK_SAMPLES * self.harmonics
-        return np.arange(n) / n * self.period
+        return self.series.instants(_PEAK_SAMPLES)
+
+    @cached_property
+    def orders(self) -> int:
+        """How many derivatives of q are limited, q included: 3, or 4 with limits on jerk."""
+        return 4 if np.isfinite(self.robot.limits.jerk).any() else 3
 
     @cached_property
     def middle(self) -> Array:
-        """Middle of the range of q, q̇, q̈; shape (3, nv)."""
-        return kinematic_limits(self.robot.limits)[0]
+        """Middle of the range of q, q̇, q̈ (and jerk); shape (orders, nv)."""
+        return kinematic_limits(self.robot.limits)[0][: self.orders]
 
     @cached_property
     def bound(self) -> Array:
-        """Largest distance of q, q̇, q̈ from the middle, less a margin; shape (3, nv)."""
-        return kinematic_limits(self.robot.limits)[1] * (1 - _MARGIN)
+        """Largest distance of q, q̇, q̈ (and jerk) from the middle, less a margin."""
+        return kinematic_limits(self.robot.limits)[1][: self.orders] * (1 - _MARGIN)
 
     @cached_property
     def torque_bound(self) -> Array:
@@ -103,28 +104,34 @@ class DesignProblem:
 
     @cached_property
     def reach(self) -> Array:
-        """Largest useful size of each coefficient alone, shape (1 + 2 H, nv)."""
-        w = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)[:, None]
-        half = np.minimum(self.bound[0], _REACH)
-        amplitude = np.minimum(np.minimum(half, self.bound[1] / w), self.bound[2] / w**2)
-        return np.vstack([half, amplitude, amplitude])
+        """Largest useful change of each coefficient alone, shape (c, nv)."""
+        bound = self.bound.copy()
+        bound[0] = np.minimum(bound[0], _REACH)
+        return self.series.reach(bound)
+
+    def basis(self, t: Array, order: int) -> Array:
+        """Basis functions of z for a derivative of q at given instants, shape (n, c − 2)."""
+        return self.series.basis(t, order) @ self.Z
 
     def bases(self, t: Array) -> Bases:
-        """Basis functions of z for q, q̇ and q̈ at given instants, each (n, 2 H − 1)."""
-        return [fourier_basis(t, self.harmonics, self.period, o) @ self.Z for o in range(3)]
+        """Basis functions of z for q, q̇ and q̈ at given instants, each (n, c − 2)."""
+        return [self.basis(t, order) for order in range(3)]
 
-    def trajectory(self, z: Array) -> FourierTrajectory:
+    def trajectory(self, z: Array) -> Trajectory:
         """The trajectory of these unknowns."""
-        return from_coefficients(self.Z @ z, self.period)
+        return self.series.trajectory(self.Z @ z)
 
-    def random(self, rng: np.random.Generator) -> FourierTrajectory:
+    def random(self, rng: np.random.Generator) -> Trajectory:
         """A random trajectory within all limits, clearance included."""
         use = None if self.scene is None else partial(pose_use, self.scene, self.required)
-        return random_trajectory(self.robot, rng, self.period, self.harmonics, use)
+        return random_start(self.robot, rng, self.series, use)
 
-    def unknowns(self, trajectory: FourierTrajectory) -> Array:
-        """The unknowns of a trajectory at rest."""
-        z: Array = self.Z.T @ trajectory.coefficients
+    def unknowns(self, trajectory: Trajectory) -> Array:
+        """The unknowns of a trajectory at rest, or of the nearest to one of other functions."""
+        if trajectory.series == self.series:
+            z: Array = self.Z.T @ trajectory.coefficients
+        else:
+            z = self.Z.T @ self.series.nearest(trajectory)
         return z
 
     def information_matrix(self, z: Array, *, smooth: bool = True) -> Array:
@@ -137,9 +144,8 @@ class DesignProblem:
 
     @cached_property
     def grid_bases(self) -> tuple[Array, ...]:
-        """Basis of q and its first four derivatives at `instants`."""
-        t, H, T = self.instants, self.harmonics, self.period
-        return tuple(fourier_basis(t, H, T, order) @ self.Z for order in range(5))
+        """Basis of q and the derivatives that `kinematic_peaks` needs, at `instants`."""
+        return tuple(self.basis(self.instants, order) for order in range(self.orders + 2))
 
     def kinematic_peaks(
         self, z: Array, order: int, share: float

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
+import coal
 import numpy as np
+import pinocchio as pin
 
-from excitant.design.optimal import Design, dense_motion
-from excitant.robots import Array, torque
+from excitant.design.constraints import LimitReport, position_range
+from excitant.design.outcome import Design, dense_motion
+from excitant.design.splines import SplineTrajectory
+from excitant.design.trajectory import Trajectory
+from excitant.design.visibility import visibility
+from excitant.robots import Array, Robot, torque
+from excitant.robots.geometry import Scene
+
+_DERIVATIVES = ("position", "velocity", "acceleration", "jerk")
+_POSES = 4  # of the arm, drawn along the motion
 
 
 def design_result(design: Design) -> dict[str, Any]:
@@ -17,8 +27,10 @@ def design_result(design: Design) -> dict[str, Any]:
         "verb": "design",
         "robot": design.robot.name,
         "joints": list(design.robot.joints),
+        "revolute": [bool(turns) for turns in design.robot.revolute],
         "duration": design.duration,
         "harmonics": design.harmonics,
+        "series": "spline" if isinstance(design.trajectory, SplineTrajectory) else "fourier",
         "columns": design.columns,
         "base_parameters": len(design.base),
         "criterion": design.criterion,
@@ -27,6 +39,7 @@ def design_result(design: Design) -> dict[str, Any]:
             "final": _number(design.condition_final),
             "lower_bound": None,
         },
+        **visibility(design),
         "limits": {use.quantity: use.ratio for use in uses},
         "limit_values": {
             use.quantity: _nested(getattr(design.robot.limits, use.quantity)) for use in uses
@@ -37,7 +50,16 @@ def design_result(design: Design) -> dict[str, Any]:
             else None
             for use in uses
         },
+        "certified": certified(design.robot, design.limits, design.trajectory),
         "clearance_m": None if design.clearance is None else design.clearance.certified,
+        "closest": None
+        if design.clearance is None
+        else {
+            "bodies": list(design.clearance.bodies),
+            "t": design.clearance.time,
+            "distance_m": design.clearance.distance,
+        },
+        "obstacles": [] if design.scene is None else obstacle_values(design.scene),
         "starts": [
             {
                 "start": start.index,
@@ -56,22 +78,133 @@ def design_result(design: Design) -> dict[str, Any]:
 
 
 def design_series(design: Design) -> dict[str, Array]:
-    """Curves of a design: one period of the motion with its torque, and the eigenvalues.
+    """Curves of a design: one period of the motion with its torque, path and eigenvalues.
 
     Returns:
-        ``t`` (n,), ``q``, ``dq``, ``ddq``, ``tau`` (n, nv), and ``eigenvalues_initial``,
-        ``eigenvalues_final`` (r,).
+        ``t`` (n,), ``q``, ``dq``, ``ddq``, ``tau`` (n, nv), ``eigenvalues_initial``,
+        ``eigenvalues_final`` (r,), and in the base frame [m] ``tool`` (n, 3), the origin of
+        the tool's frame, and ``arm`` (poses, nodes, 3), the arm as a line from the base through
+        the joints to the tool at the instants ``arm_t`` (poses,); lines of a branched arm are
+        parted by NaN. With a limit on jerk also ``dddq`` (n, nv).
     """
-    motion = dense_motion(design.trajectory)
+    robot, motion = design.robot, dense_motion(design.trajectory)
+    tool, arm = _skeleton(robot, motion.q)
+    near = None if design.clearance is None else design.clearance.time
+    poses = _telling_poses(tool, motion.t, near)
+    jerk = {} if np.isinf(robot.limits.jerk).all() else {"dddq": design.trajectory(motion.t, 3)}
     return {
+        **jerk,
         "t": motion.t,
         "q": motion.q,
         "dq": motion.dq,
         "ddq": motion.ddq,
-        "tau": torque(design.robot, motion),
+        "tau": torque(robot, motion),
         "eigenvalues_initial": design.eigenvalues_initial,
         "eigenvalues_final": design.eigenvalues_final,
+        "tool": tool,
+        "arm": arm[poses],
+        "arm_t": motion.t[poses],
     }
+
+
+def certified(
+    robot: Robot, report: LimitReport, trajectory: Trajectory | None = None
+) -> dict[str, list[dict[str, float] | None]]:
+    """What each limited quantity of each joint provably stays within, between samples too.
+
+    Args:
+        robot: The arm.
+        report: Use of its limits by a continuous motion.
+        trajectory: That motion, if its extrema are known exactly; without it the range is as
+            wide on both sides of the limits' middle.
+
+    Returns:
+        By quantity and joint ``low`` and ``high`` in the quantity's unit, the largest ``ratio``
+        to the limit and when it occurs, ``t`` [s]; None where the joint has no limit.
+    """
+    found = {}
+    for use in report.uses:
+        half = np.asarray(getattr(robot.limits, use.quantity), float)
+        middle = np.zeros(robot.nv)
+        if use.quantity == "position":
+            middle, half = position_range(robot.limits)
+        reach = use.ratios * np.where(np.isfinite(half), half, 0.0)
+        low, high = middle - reach, middle + reach
+        if trajectory is not None and use.quantity in _DERIVATIVES:
+            low, high = trajectory.extrema(_DERIVATIVES.index(use.quantity))
+        rows = zip(*(x.tolist() for x in (half, low, high, use.ratios, use.times)), strict=True)
+        found[use.quantity] = [
+            {"low": lo, "high": hi, "ratio": ratio, "t": t} if np.isfinite(h) else None
+            for h, lo, hi, ratio, t in rows
+        ]
+    return found
+
+
+def obstacle_values(scene: Scene) -> list[dict[str, Any]]:
+    """Obstacles of a scene as plain values, with the keys of an obstacle file."""
+    found = []
+    for body in scene.geometry.geometryObjects:
+        if body.parentFrame != 0:  # the arm's own bodies, its base included, hang on a link
+            continue
+        place, shape = body.placement, body.geometry
+        values: dict[str, Any] = {"name": str(body.name), "position": place.translation.tolist()}
+        if isinstance(shape, coal.Box):
+            rpy = pin.rpy.matrixToRpy(place.rotation)
+            values |= {"shape": "box", "size": (2 * shape.halfSide).tolist(), "rpy": rpy.tolist()}
+        elif isinstance(shape, coal.Sphere):
+            values |= {"shape": "sphere", "radius": float(shape.radius)}
+        elif isinstance(shape, coal.Halfspace):
+            del values["position"]
+            values |= {"shape": "half_space", "normal": shape.n.tolist(), "offset": float(shape.d)}
+        found.append(values)
+    return found
+
+
+def _skeleton(robot: Robot, q: Array) -> tuple[Array, Array]:
+    """Tool's path (n, 3), and the arm as a line at every instant (n, nodes, 3) [m]."""
+    model, data = robot.model, robot.model.createData()
+    chains = [list(model.supports[leaf]) for leaf in _leaves(robot)]
+    ends = [_last_body(robot, chain[-1]) for chain in chains]
+    gap = np.full((1, 3), np.nan)
+    tool, arm = [], []
+    for pose in q:
+        pin.framesForwardKinematics(model, data, pose)
+        lines = []
+        for chain, end in zip(chains, ends, strict=True):
+            nodes = [*(data.oMi[j].translation for j in chain), data.oMf[end].translation]
+            lines += [np.array(nodes), gap]
+        arm.append(np.concatenate(lines[:-1]))
+        tool.append(data.oMf[robot.tip].translation.copy())
+    return np.array(tool), np.array(arm)
+
+
+def _leaves(robot: Robot) -> list[int]:
+    """The joints that carry no other joint."""
+    parents = set(list(robot.model.parents)[1:])
+    return [j for j in range(1, robot.nv + 1) if j not in parents]
+
+
+def _last_body(robot: Robot, joint: int) -> int:
+    """Frame of the last body fixed to a joint's link; the tool's if it is."""
+    frames = list(robot.model.frames)
+    if frames[robot.tip].parentJoint == joint:
+        return robot.tip
+    fixed = [k for k, f in enumerate(frames) if f.parentJoint == joint]
+    return max((k for k in fixed if frames[k].type == pin.FrameType.BODY), default=max(fixed))
+
+
+def _telling_poses(tool: Array, t: Array, near: float | None) -> list[int]:
+    """Indices of few instants with the tool far apart, in time order, and of that of an event.
+
+    They begin with the first instant; each further one is farthest from those before it.
+    """
+    chosen = [0]
+    if near is not None:
+        chosen.append(int(np.abs(t - near).argmin()))
+    while len(chosen) < _POSES + (near is not None):
+        away = np.linalg.norm(tool[:, None] - tool[chosen], axis=2).min(axis=1)
+        chosen.append(int(away.argmax()))
+    return sorted(set(chosen))
 
 
 def _number(value: float) -> float | None:

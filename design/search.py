@@ -29,7 +29,7 @@ class SearchState:
 
     Attributes:
         index: Number of the start.
-        z: Unknowns, shape (2 H − 1, nv).
+        z: Unknowns, shape (c − 2, nv).
         value: Criterion to be minimised, at z.
         excess: Torque beyond its bound at z, as a share of it; or clearance missing.
         best: Unknowns of the lowest value within all limits; None before there is one.

@@ -12,7 +12,6 @@ from excitant.design.clearance import clearance_rows
 from excitant.design.criterion import smooth_model
 from excitant.design.problem import DesignProblem, motion_of
 from excitant.design.torque_peaks import torque_rows
-from excitant.design.trajectory import fourier_basis
 from excitant.robots import Array
 
 PENALTY = 50.0  # of a torque violation (as share of the limit) against the log criterion
@@ -46,7 +45,7 @@ class LocalModel:
     """Criterion and torque of a design problem around z.
 
     Attributes:
-        z: Where, shape (2 H − 1, nv).
+        z: Where, shape (c − 2, nv).
         blocks: Eigenvalue subspaces, for ``condition`` and ``e``.
         gradient: Of the smooth criteria, shape (k,).
         hessian: Of the smooth criteria, shape (k, k).
@@ -79,8 +78,7 @@ def local_model(problem: DesignProblem, z: Array) -> LocalModel:
     """Linearise information and torque around z."""
     motion = motion_of(z, problem.samples, problem.sample_bases)
     linear = problem.information.linearise(motion)
-    W = linear.Y.reshape(-1, linear.Y.shape[2])
-    M = W.T @ W / len(motion)
+    M = problem.information.gram(linear.Y)
     k = problem.size
     gradient, hessian, blocks = np.zeros(k), np.zeros((k, k)), []
     if problem.criterion in ("a", "d"):
@@ -133,9 +131,9 @@ def _extremum_rows(
 ) -> tuple[Array, Array]:
     """Rows a·dz ≤ room around z for the extrema of ``there`` beyond a share of their limit."""
     parts, rooms = [], []
-    for order in range(3):
+    for order in range(problem.orders):
         t, joint = problem.kinematic_peaks(there, order, share)
-        phi = fourier_basis(t, problem.harmonics, problem.period, order) @ problem.Z
+        phi = problem.basis(t, order)
         middle, bound = problem.middle[order, joint], problem.bound[order, joint]
         here, then = (np.einsum("kd,kd->k", phi, x[:, joint].T) - middle for x in (z, there))
         scale = np.sign(then) / bound

@@ -11,6 +11,7 @@ falls to 0, so that the constraint does not appear from nowhere between two step
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -19,8 +20,8 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.design.criterion import speed_scale
-from excitant.design.trajectory import fourier_basis
 from excitant.robots import Array, Motion, Robot, torque
+from excitant.robots.torque import largest_torque, link_torques
 
 if TYPE_CHECKING:
     from excitant.design.problem import DesignProblem
@@ -65,7 +66,7 @@ class TorquePeaks:
 def torque_peaks(problem: DesignProblem, z: Array) -> TorquePeaks:
     """Peaks of every joint's torque along a trajectory, located between samples by a parabola."""
     motion = Motion(problem.instants, *(basis @ z for basis in problem.grid_bases[:3]))
-    tau = torque(problem.robot, motion)
+    tau = largest_torque(problem.robot, motion)
     if not problem.robot.effects:
         return _smooth_peaks(problem, z, tau, 0.0)
     jump = _jump(problem.robot, motion)
@@ -149,7 +150,7 @@ def _sided(
     weight: Array,
 ) -> TorquePeaks:
     blank = TorquePeaks(t, joint, side, weight, np.zeros(len(t)))
-    tau = torque(problem.robot, blank.motion(problem, z))[np.arange(len(t)), joint]
+    tau = largest_torque(problem.robot, blank.motion(problem, z))[np.arange(len(t)), joint]
     return replace(blank, use=weight * np.abs(tau) / problem.torque_bound[joint])
 
 
@@ -169,7 +170,7 @@ def _own(
     problem: DesignProblem, z: Array, t: Array, joint: npt.NDArray[np.intp], order: int
 ) -> Array:
     """A derivative of joint ``joint[k]`` at instant ``t[k]``."""
-    phi = fourier_basis(t, problem.harmonics, problem.period, order) @ problem.Z
+    phi = problem.basis(t, order)
     values: Array = np.einsum("kd,kd->k", phi, z[:, joint].T)
     return values
 
@@ -184,10 +185,10 @@ def torque_rows(problem: DesignProblem, z: Array, share: float) -> tuple[Array, 
     peaks = torque_peaks(problem, z).above(share)
     joint, m = peaks.joint, np.arange(len(peaks.t))
     motion, bases = peaks.motion(problem, z), problem.bases(peaks.t)
-    tau, *parts = torque_derivatives(problem.robot, motion)
+    tau, *parts = torque_derivatives(problem.robot, motion, joint)
     sign = np.sign(tau[m, joint]) / problem.torque_bound[joint]
     rows = np.zeros((len(m), *z.shape))
-    jerk = fourier_basis(peaks.t, problem.harmonics, problem.period, 3) @ problem.Z @ z
+    jerk = problem.basis(peaks.t, 3) @ z
     rate = np.zeros(len(m))
     for phi, D, speed in zip(bases, parts, (motion.dq, motion.ddq, jerk), strict=True):
         rows += phi[:, :, None] * D[m, joint][:, None, :]
@@ -209,25 +210,47 @@ def _delay(peaks: TorquePeaks, motion: Motion, rate: Array) -> Array:
     return np.divide(rate, a, out=np.zeros_like(a), where=moving)
 
 
-def torque_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, Array, Array]:
+def torque_derivatives(
+    robot: Robot, motion: Motion, joint: npt.NDArray[np.intp] | None = None
+) -> tuple[Array, Array, Array, Array]:
     """Torque and its derivatives by q, q̇, q̈ at every instant.
 
     Rigid bodies analytically (Carpentier and Mansard 2018), effects by central differences.
 
+    Args:
+        robot: The arm.
+        motion: The motion.
+        joint: The joint, at every instant, whose torque is to be the largest within the
+            uncertainty of the masses; without it they count as certain.
+
     Returns:
         Shapes (n, nv), and three of (n, nv, nv): torque joint first.
     """
-    model, data = robot.model, robot.model.createData()
     n, nv = motion.q.shape
+    bodies = [robot] * n if joint is None else _worst_bodies(robot, motion, joint)
+    data = robot.model.createData()
     D = np.empty((3, n, nv, nv))
-    for k in range(n):
-        pin.computeRNEADerivatives(model, data, motion.q[k], motion.dq[k], motion.ddq[k])
+    for k, body in enumerate(bodies):
+        pin.computeRNEADerivatives(body.model, data, motion.q[k], motion.dq[k], motion.ddq[k])
         D[0, k], D[1, k], D[2, k] = data.dtau_dq, data.dtau_dv, data.M
     upper = np.triu(D[2])
     D[2] = upper + np.swapaxes(np.triu(upper, 1), 1, 2)
     if robot.effects:
         D += _effect_derivatives(robot, motion)
-    return torque(robot, motion), D[0], D[1], D[2]
+    tau = torque(robot, motion) if joint is None else largest_torque(robot, motion)
+    return tau, D[0], D[1], D[2]
+
+
+def _worst_bodies(robot: Robot, motion: Motion, joint: npt.NDArray[np.intp]) -> Sequence[Robot]:
+    """The arm with the masses that make ``joint[k]``'s torque at instant k largest."""
+    p, n = robot.limits.mass_uncertainty, len(motion)
+    if p == 0:
+        return [robot] * n
+    k = np.arange(n)
+    total = torque(robot, motion)[k, joint]
+    parts = link_torques(robot, motion)[k, joint]
+    share = 1 + p * np.sign(parts) * np.where(total < 0, -1.0, 1.0)[:, None]
+    return [robot.with_parameters(robot.phi * np.repeat(s, 10)) for s in share]
 
 
 def _effect_derivatives(robot: Robot, motion: Motion) -> Array:

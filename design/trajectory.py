@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,8 +15,216 @@ from excitant.robots.motion import Array, Motion, freeze, read_only
 _REST = 1e-9  # of the largest possible speed or acceleration of the series
 
 
+class Series(ABC):
+    """Basis functions in time, of which a periodic joint motion is a combination."""
+
+    period: float
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Number c of basis functions, the constant among what they span."""
+
+    @property
+    def terms(self) -> int:
+        """Number of harmonics of a Fourier series with as many coefficients."""
+        return self.size // 2
+
+    @abstractmethod
+    def basis(self, t: npt.ArrayLike, order: int = 0) -> Array:
+        """The order-th time derivative of the basis functions, shape (n, c)."""
+
+    @abstractmethod
+    def trajectory(self, coefficients: npt.ArrayLike) -> Trajectory:
+        """The motion with these coefficients, shape (c, nv)."""
+
+    @abstractmethod
+    def resized(self, terms: int, period: float | None = None) -> Series:
+        """The same kind of functions with another number of terms, or another period [s]."""
+
+    @abstractmethod
+    def constant(self, pose: Array) -> Array:
+        """Coefficients of standing still, shape (c, nv)."""
+
+    @abstractmethod
+    def mean(self, coefficients: Array) -> Array:
+        """Mean pose of the motion with these coefficients, shape (nv,)."""
+
+    @abstractmethod
+    def peaks(self, order: int) -> Array:
+        """Largest magnitude of each basis function's derivative, shape (c,)."""
+
+    @abstractmethod
+    def reach(self, bound: Array) -> Array:
+        """Largest useful change of each coefficient alone, shape (c, nv).
+
+        Args:
+            bound: Half ranges of q, q̇, q̈ (and more derivatives), shape (≥ 3, nv).
+        """
+
+    @cached_property
+    def rest(self) -> Array:
+        """Orthonormal basis of the coefficients at rest at both ends, shape (c, c − 2)."""
+        ends = np.vstack([self.basis(0.0, order) for order in (1, 2)])
+        return scipy.linalg.null_space(ends / np.abs(ends).max(axis=1, keepdims=True))
+
+    def instants(self, per_term: int) -> Array:
+        """Equidistant instants over one period, the end left out [s]."""
+        n = per_term * self.terms
+        return np.arange(n) / n * self.period
+
+    def nearest(self, trajectory: Trajectory) -> Array:
+        """Coefficients at rest of the motion nearest to another one, shape (c, nv).
+
+        Least squares over the period; exact where the series holds that motion.
+        """
+        t = np.arange(16 * self.size) / (16 * self.size) * self.period
+        z = np.linalg.lstsq(
+            self.basis(t) @ self.rest, trajectory(t / self.period * trajectory.period), rcond=None
+        )[0]
+        coefficients: Array = self.rest @ z
+        return coefficients
+
+
+class Trajectory(ABC):
+    """Periodic joint motion, known at every instant with its derivatives.
+
+    Attributes:
+        period: Duration of one period [s].
+    """
+
+    period: float
+
+    @property
+    @abstractmethod
+    def series(self) -> Series:
+        """The basis functions."""
+
+    @property
+    @abstractmethod
+    def coefficients(self) -> Array:
+        """Coefficient of each basis function, shape (c, nv) [rad or m]."""
+
+    @abstractmethod
+    def extremum_times(self, order: int = 0) -> Array:
+        """Instants among which every extremum of a derivative lies, shape (k, nv) [s]."""
+
+    def __call__(self, t: npt.ArrayLike, order: int = 0) -> Array:
+        """Evaluate the motion or its time derivative of the given order, shape (n, nv)."""
+        return self.series.basis(t, order) @ self.coefficients
+
+    @property
+    def nv(self) -> int:
+        """Number of joints."""
+        return int(self.coefficients.shape[1])
+
+    @property
+    def harmonics(self) -> int:
+        """Number of harmonics, or that of a Fourier series with as many coefficients."""
+        return self.series.terms
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether q̇ = q̈ = 0 at t = 0 and t = period."""
+        size = np.abs(self.coefficients)
+        return all(
+            bool(np.all(np.abs(self(0.0, k)) <= _REST * (self.series.peaks(k) @ size) + 1e-300))
+            for k in (1, 2)
+        )
+
+    def at(self, t: npt.ArrayLike) -> Motion:
+        """The motion at the given instants [s], shape (n,)."""
+        t = np.atleast_1d(np.asarray(t, float))
+        return Motion(t, self(t), self(t, 1), self(t, 2))
+
+    def sample(self, n: int) -> Motion:
+        """One period at ``n`` equidistant instants, first and last included."""
+        return self.at(np.linspace(0.0, self.period, n))
+
+    def motion(self, rate_hz: float, repetitions: int = 1) -> Motion:
+        """One or more periods at a control rate [Hz], first and last sample included.
+
+        The rate is adjusted, by less than half a sample per period, to divide the period.
+        """
+        n = max(1, round(self.period * rate_hz))
+        t: Array = np.arange(repetitions * n + 1.0) * (self.period / n)
+        once = self.sample(n + 1)
+        k = np.append(np.tile(np.arange(n), repetitions), n)
+        return Motion(t, once.q[k], once.dq[k], once.ddq[k])
+
+    def extrema_in_time(self, order: int = 0) -> tuple[Array, Array]:
+        """Instants of `extremum_times` and the derivative there, both (k, nv)."""
+        times = self.extremum_times(order)
+        return times, self._along(times, order)
+
+    def extrema(self, order: int = 0) -> tuple[Array, Array]:
+        """Exact smallest and largest value of a derivative per joint, each of shape (nv,)."""
+        values = self.extrema_in_time(order)[1]
+        return values.min(axis=0), values.max(axis=0)
+
+    def _along(self, times: Array, order: int) -> Array:
+        """Joint j evaluated at its own instants ``times[:, j]``, same shape."""
+        n, nv = times.shape
+        basis = self.series.basis(times.ravel(), order).reshape(n, nv, -1)
+        values: Array = np.einsum("njc,cj->nj", basis, self.coefficients, optimize=True)
+        return values
+
+
 @dataclass(frozen=True, eq=False)
-class FourierTrajectory:
+class FourierSeries(Series):
+    """1, cos hωt, sin hωt for h = 1 … H, ω = 2π / period (Swevers et al. 1997).
+
+    Attributes:
+        period: Duration of one period [s].
+        harmonics: Number of harmonics H.
+    """
+
+    period: float
+    harmonics: int
+
+    @property
+    def size(self) -> int:
+        """Number of basis functions, 1 + 2 H."""
+        return 1 + 2 * self.harmonics
+
+    def basis(self, t: npt.ArrayLike, order: int = 0) -> Array:
+        """The order-th time derivative of the basis functions, shape (n, 1 + 2 H)."""
+        return fourier_basis(t, self.harmonics, self.period, order)
+
+    def trajectory(self, coefficients: npt.ArrayLike) -> FourierTrajectory:
+        """The motion with these coefficients, shape (1 + 2 H, nv)."""
+        return from_coefficients(coefficients, self.period)
+
+    def resized(self, terms: int, period: float | None = None) -> FourierSeries:
+        """The same functions with another number of harmonics, or another period [s]."""
+        return FourierSeries(period or self.period, terms)
+
+    def constant(self, pose: Array) -> Array:
+        """Coefficients of standing still, shape (1 + 2 H, nv)."""
+        X = np.zeros((self.size, len(pose)))
+        X[0] = pose
+        return X
+
+    def mean(self, coefficients: Array) -> Array:
+        """Mean pose of the motion with these coefficients, shape (nv,)."""
+        middle: Array = coefficients[0]
+        return middle
+
+    def peaks(self, order: int) -> Array:
+        """Largest magnitude of each basis function's derivative, shape (1 + 2 H,)."""
+        w = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)
+        return np.concatenate([[float(order == 0)], w**order, w**order])
+
+    def reach(self, bound: Array) -> Array:
+        """Largest useful size of each coefficient alone, shape (1 + 2 H, nv)."""
+        with np.errstate(divide="ignore"):
+            each = [b / self.peaks(order)[:, None] for order, b in enumerate(bound)]
+        least: Array = np.min(each, axis=0)
+        return least
+
+
+@dataclass(frozen=True, eq=False)
+class FourierTrajectory(Trajectory):
     """Periodic joint motion as a finite Fourier series (Swevers et al. 1997, eq. 4).
 
     q(t) = offset + Σ_h cosine_h cos(hωt) + sine_h sin(hωt), with ω = 2π / period.
@@ -44,15 +253,6 @@ class FourierTrajectory:
         if not self.period > 0:
             raise ValueError(f"period {self.period} is not positive")
 
-    def __call__(self, t: npt.ArrayLike, order: int = 0) -> Array:
-        """Evaluate the motion or its time derivative of the given order, shape (n, nv)."""
-        return fourier_basis(t, self.harmonics, self.period, order) @ self.coefficients
-
-    @property
-    def nv(self) -> int:
-        """Number of joints."""
-        return len(self.offset)
-
     @property
     def harmonics(self) -> int:
         """Number of harmonics."""
@@ -63,31 +263,10 @@ class FourierTrajectory:
         """Offset, cosine and sine coefficients below one another, shape (1 + 2 H, nv)."""
         return read_only(np.vstack([self.offset, self.cosine, self.sine]))
 
-    @property
-    def at_rest(self) -> bool:
-        """Whether q̇ = q̈ = 0 at t = 0 and t = period."""
-        w = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)[:, None]
-        size = np.abs(self.cosine) + np.abs(self.sine)
-        return all(
-            bool(np.all(np.abs(self(0.0, k)) <= _REST * (w**k * size).sum(axis=0) + 1e-300))
-            for k in (1, 2)
-        )
-
-    def at(self, t: npt.ArrayLike) -> Motion:
-        """The motion at the given instants [s], shape (n,)."""
-        t = np.atleast_1d(np.asarray(t, float))
-        return Motion(t, self(t), self(t, 1), self(t, 2))
-
-    def sample(self, n: int) -> Motion:
-        """One period at ``n`` equidistant instants, first and last included."""
-        return self.at(np.linspace(0.0, self.period, n))
-
-    def motion(self, rate_hz: float) -> Motion:
-        """One period at a control rate [Hz], first and last sample included.
-
-        The rate is adjusted, by less than half a sample per period, to divide the period.
-        """
-        return self.sample(max(2, round(self.period * rate_hz) + 1))
+    @cached_property
+    def series(self) -> FourierSeries:
+        """The basis functions."""
+        return FourierSeries(self.period, self.harmonics)
 
     def extremum_times(self, order: int = 0) -> Array:
         """Instants among which every extremum of a derivative lies, shape (2 H + 1, nv) [s].
@@ -102,21 +281,11 @@ class FourierTrajectory:
         )  # in the angle θ = ωt, so that high derivatives keep their size
         theta = np.stack([_root_angles(scaled, order + 1, j) for j in range(self.nv)], axis=1)
         for _ in range(4):
-            slope, curve = (_along(scaled, theta, order + k) for k in (1, 2))
+            slope, curve = (scaled._along(theta, order + k) for k in (1, 2))
             step = np.divide(slope, curve, out=np.zeros_like(slope), where=np.abs(curve) > 1e-12)
             theta = theta - np.where(np.abs(step) < 0.5 / max(self.harmonics, 1), step, 0.0)
         times: Array = np.vstack([np.zeros(self.nv), np.mod(theta, 2 * np.pi) / w])
         return times
-
-    def extrema_in_time(self, order: int = 0) -> tuple[Array, Array]:
-        """Instants of `extremum_times` and the derivative there, both (2 H + 1, nv)."""
-        times = self.extremum_times(order)
-        return times, _along(self, times, order)
-
-    def extrema(self, order: int = 0) -> tuple[Array, Array]:
-        """Exact smallest and largest value of a derivative per joint, each of shape (nv,)."""
-        values = self.extrema_in_time(order)[1]
-        return values.min(axis=0), values.max(axis=0)
 
 
 def from_coefficients(coefficients: npt.ArrayLike, period: float) -> FourierTrajectory:
@@ -134,27 +303,6 @@ def fourier_basis(t: npt.ArrayLike, harmonics: int, period: float, order: int = 
     turned = ((cos, sin), (-sin, cos), (-cos, -sin), (sin, -cos))[order % 4]
     constant = np.full((len(angle), 1), float(order == 0))
     return np.hstack([constant, turned[0] * w**order, turned[1] * w**order])
-
-
-def rest_basis(harmonics: int) -> Array:
-    """Orthonormal basis of the coefficients at rest, shape (1 + 2 H, 2 H − 1).
-
-    Rest, q̇ = q̈ = 0 at both ends, is two linear equations: Σ h sine_h = 0, Σ h² cosine_h = 0.
-    """
-    h = np.arange(1.0, harmonics + 1)
-    zero = np.zeros(harmonics)
-    equations = np.array([[0.0, *zero, *h], [0.0, *(h**2), *zero]])
-    return scipy.linalg.null_space(equations)
-
-
-def _along(trajectory: FourierTrajectory, times: Array, order: int) -> Array:
-    """Joint j evaluated at its own instants ``times[:, j]``, same shape."""
-    n, nv = times.shape
-    basis = fourier_basis(times.ravel(), trajectory.harmonics, trajectory.period, order)
-    values: Array = np.einsum(
-        "njc,cj->nj", basis.reshape(n, nv, -1), trajectory.coefficients, optimize=True
-    )
-    return values
 
 
 def _root_angles(trajectory: FourierTrajectory, order: int, joint: int) -> Array:

@@ -20,12 +20,15 @@ from excitant.robots.urdf import full_model
 
 _POSES = 200  # random ones, to tell pairs whose distance is a matter of drawing
 _MOVING = 1e-3  # m: distances that change less do not change
-_SHAPES = ("box", "sphere", "half_space")
+_SHAPES = ("box", "sphere", "half_space", "workspace")
 _KEYS = {
     "box": {"size": 3, "position": 3, "rpy": 3},
     "sphere": {"radius": 1, "position": 3},
     "half_space": {"normal": 3, "offset": 1},
+    "workspace": {"low": 3, "high": 3},
 }
+_TOOL = "tool point"
+_POINT = 1e-4  # m, radius of the sphere that stands for it
 
 
 @dataclass(frozen=True)
@@ -37,11 +40,13 @@ class Obstacle:
         shape: ``"box"``, ``"sphere"`` or ``"half_space"`` (all points x with n·x ≤ offset).
         values: ``size`` [m], ``position`` [m], ``rpy`` [rad], ``radius`` [m], ``normal``,
             ``offset`` [m] as the shape needs.
+        tool_only: Whether only the tool point must keep away from it.
     """
 
     name: str
     shape: str
     values: tuple[tuple[str, tuple[float, ...]], ...]
+    tool_only: bool = False
 
     def geometry(self) -> tuple[Any, Any]:
         """Shape and placement for Pinocchio."""
@@ -169,14 +174,17 @@ def scene(
     geometry = pin.buildGeomFromUrdfString(
         model, text, pin.GeometryType.COLLISION, package_dirs=list(package_dirs)
     )
-    if not len(geometry.geometryObjects):
+    boxed = {obstacle.name for obstacle in obstacles if obstacle.tool_only}
+    if not len(geometry.geometryObjects) and not boxed:
         return None
     if locked:
         _, (geometry,) = pin.buildReducedModel(model, [geometry], locked, reference)
     for obstacle in obstacles:
         shape, placement = obstacle.geometry()
         geometry.addGeometryObject(pin.GeometryObject(obstacle.name, 0, 0, placement, shape))
-    everything = _paired(robot, geometry, _pairs(robot, geometry))
+    if boxed:
+        geometry.addGeometryObject(_tool_point(robot))
+    everything = _paired(robot, geometry, _pairs(robot, geometry, boxed))
     q, _, _ = robot.random_motion(np.random.default_rng(0), _POSES)
     distance = everything.distances(q)
     moving = (distance.max(axis=0) > 0) & (np.ptp(distance, axis=0) > _MOVING)
@@ -200,16 +208,25 @@ def _paired(robot: Robot, geometry: Any, pairs: Sequence[tuple[int, int]]) -> Sc
     return Scene(robot, geometry, tuple((names[i], names[j]) for i, j in pairs))
 
 
-def _pairs(robot: Robot, geometry: Any) -> list[tuple[int, int]]:
+def _tool_point(robot: Robot) -> Any:
+    frame = robot.model.frames[robot.tip]
+    placement = frame.placement
+    return pin.GeometryObject(_TOOL, frame.parentJoint, robot.tip, placement, coal.Sphere(_POINT))
+
+
+def _pairs(robot: Robot, geometry: Any, boxed: set[str]) -> list[tuple[int, int]]:
+    """Bodies on joints that are not neighbours; the tool point with its workspace alone."""
     joints = [body.parentJoint for body in geometry.geometryObjects]
     parents = list(robot.model.parents)
+    alone = [body.name in boxed or body.name == _TOOL for body in geometry.geometryObjects]
     return [
         (i, k)
         for i in range(len(joints))
         for k in range(i + 1, len(joints))
         if joints[i] != joints[k]
-        and parents[joints[i]] != joints[k]
-        and parents[joints[k]] != joints[i]
+        and (alone[i] or parents[joints[i]] != joints[k])
+        and (alone[k] or parents[joints[k]] != joints[i])
+        and alone[i] == alone[k]
     ]
 
 
@@ -227,7 +244,9 @@ def _drop_missing_meshes(root: ET.Element, robot: Robot, package_dirs: Sequence[
 
 
 def load_obstacles(path: str | Path) -> tuple[Obstacle, ...]:
-    """Obstacles from a YAML file: a list of ``{name, box|sphere|half_space: {...}}``.
+    """Obstacles from a YAML file: a list of ``{name, box|sphere|half_space|workspace: {...}}``.
+
+    A workspace, ``{low: [x, y, z], high: [x, y, z]}`` [m], is a box that the tool point stays in.
 
     Raises:
         BadInput: Unreadable, an unknown shape, or values that do not fit; names the entry.
@@ -241,10 +260,10 @@ def load_obstacles(path: str | Path) -> tuple[Obstacle, ...]:
     entries = content.get("obstacles") if isinstance(content, dict) else content
     if not isinstance(entries, list):
         raise BadInput(f"{path}: expected a list of obstacles, '- box: {{size: [..], ...}}'")
-    return tuple(_obstacle(path, k, entry) for k, entry in enumerate(entries))
+    return tuple(part for k, entry in enumerate(entries) for part in _obstacle(path, k, entry))
 
 
-def _obstacle(path: str | Path, k: int, entry: object) -> Obstacle:
+def _obstacle(path: str | Path, k: int, entry: object) -> tuple[Obstacle, ...]:
     where = f"{path}: obstacle {k + 1}"
     shapes = [s for s in _SHAPES if isinstance(entry, Mapping) and s in entry]
     if not isinstance(entry, Mapping) or len(shapes) != 1:
@@ -270,4 +289,22 @@ def _obstacle(path: str | Path, k: int, entry: object) -> Obstacle:
         values.append((key, numbers))
     if shape == "half_space" and not any(values[0][1]):
         raise BadInput(f"{where}: normal must not be zero")
-    return Obstacle(str(entry.get("name", f"{shape} {k + 1}")), shape, tuple(values))
+    name = str(entry.get("name", f"{shape} {k + 1}"))
+    if shape == "workspace":
+        return _workspace(where, name, *(numbers for _, numbers in values))
+    return (Obstacle(name, shape, tuple(values)),)
+
+
+def _workspace(
+    where: str, name: str, low: tuple[float, ...], high: tuple[float, ...]
+) -> tuple[Obstacle, ...]:
+    """The half-spaces around a box, which the tool point must not enter."""
+    if not all(a < b for a, b in zip(low, high, strict=True)):
+        raise BadInput(f"{where}: low must be below high in x, y and z")
+    sides = []
+    for axis, (a, b) in enumerate(zip(low, high, strict=True)):
+        for sign, offset, side in ((1.0, a, "low"), (-1.0, -b, "high")):
+            normal = tuple(sign * float(axis == k) for k in range(3))
+            values = (("normal", normal), ("offset", (offset,)))
+            sides.append(Obstacle(f"{name} {'xyz'[axis]} {side}", "half_space", values, True))
+    return tuple(sides)

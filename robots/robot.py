@@ -27,6 +27,8 @@ class Limits:
         acceleration: Highest acceleration, shape (nv,) [rad/s² or m/s²].
         torque: Highest torque, shape (nv,) [N·m or N].
         jerk: Highest jerk, shape (nv,) [rad/s³ or m/s³]; none by default.
+        mass_uncertainty: Share by which the inertial parameters of each link may be larger or
+            smaller than the model's, for all of which the torque limits must hold.
     """
 
     position: Array
@@ -34,6 +36,7 @@ class Limits:
     acceleration: Array
     torque: Array
     jerk: Array = field(default_factory=lambda: np.array(np.inf))
+    mass_uncertainty: float = 0.0
 
     def __post_init__(self) -> None:
         jerk = np.broadcast_to(self.jerk, np.shape(self.velocity))

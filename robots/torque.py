@@ -40,3 +40,25 @@ def effect_values(robot: Robot) -> dict[str, float]:
         if effect.values is not None
         for p, value in zip(effect.parameters(robot), effect.values, strict=True)
     }
+
+
+def largest_torque(robot: Robot, motion: Motion) -> Array:
+    """Torque of largest magnitude within the uncertainty of the masses, shape (n, nv).
+
+    With each link's parameters free within ± p of the model's, Σᵢ p |τᵢ| is added to the
+    magnitude, τᵢ the torque of link i. `torque` where p, the robot's limits'
+    ``mass_uncertainty``, is 0.
+    """
+    tau, p = torque(robot, motion), robot.limits.mass_uncertainty
+    if p == 0:
+        return tau
+    return tau + p * np.where(tau < 0, -1.0, 1.0) * np.abs(link_torques(robot, motion)).sum(axis=2)
+
+
+def link_torques(robot: Robot, motion: Motion) -> Array:
+    """Torque that each link's own inertial parameters need, shape (n, nv, links)."""
+    Y = regressor(robot, motion)
+    parts: Array = np.einsum(
+        "njlp,lp->njl", Y.reshape(*Y.shape[:2], robot.nv, 10), robot.phi.reshape(-1, 10)
+    )
+    return parts

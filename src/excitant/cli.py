@@ -125,12 +125,24 @@ def _design(verbs: _Verbs[argparse.ArgumentParser]) -> None:
     verb = _verb(verbs, "design", "an excitation trajectory within all limits",
                  "excitant design ur10 --duration 10 --harmonics 5 --time-limit 30")  # fmt: skip
     verb.add_argument("robot", metavar="ROBOT", help=_ROBOT)
-    verb.add_argument("--duration", type=float, default=10.0, help="period [s] (default: 10)")
-    verb.add_argument("--harmonics", type=int, default=5, help="Fourier terms (default: 5)")
+    verb.add_argument("--duration", type=_span, default=10.0, metavar="S[:S]",
+                      help="period [s], or the shortest and the longest to choose from "
+                      "(default: 10)")  # fmt: skip
+    verb.add_argument("--harmonics", type=_harmonics, default=5, metavar="H",
+                      help="Fourier terms, or 'search' to add them while they pay "
+                      "(default: 5)")  # fmt: skip
+    verb.add_argument("--series", default="fourier", choices=("fourier", "spline"),
+                      help="spline: B-splines of 2 H pieces, for tight cells")  # fmt: skip
+    verb.add_argument("--max-frequency", type=float, default=2.5, metavar="HZ",
+                      help="highest that a search for harmonics adds (default: 2.5)")  # fmt: skip
     verb.add_argument("--criterion", default="condition", choices=("condition", "d", "a", "e"))
     verb.add_argument("--columns", default="friction", choices=("friction", "inertial"),
                       help="what to make visible: all that identify estimates, or the links "
                       "only (default: friction)")  # fmt: skip
+    verb.add_argument("--noise", type=_numbers, metavar="S1,S2,...",
+                      help="torque noise of each joint, which weights its equations")  # fmt: skip
+    verb.add_argument("--after", nargs="+", metavar="RECORDING",
+                      help="recordings made already: design what should run next")  # fmt: skip
     verb.add_argument("--limits", metavar="FILE", help="YAML or JSON with limits to use instead")
     verb.add_argument("--bound", action="store_true",
                       help="also a numerical lower bound on the condition number of any such "
@@ -141,15 +153,24 @@ def _design(verbs: _Verbs[argparse.ArgumentParser]) -> None:
     verb.add_argument("--formats", metavar="NAME,...",
                       help="further files: ros2 (YAML), mcap, urscript, npz")  # fmt: skip
     verb.add_argument("--rate", type=float, default=100.0, help="rate of trajectory.csv [Hz]")
+    verb.add_argument("--repeat", type=int, default=1, metavar="N",
+                      help="periods in trajectory.csv, for averaging (default: 1)")  # fmt: skip
     verb.add_argument("--starts", type=int, help="number of searches (default: 16)")
     verb.add_argument("--jobs", type=int, help="processes (default: all processors)")
+    verb.add_argument("--cluster", metavar="ADDRESS", help="Dask scheduler to search on, "
+                      "such as tcp://10.0.0.5:8786")  # fmt: skip
     verb.add_argument("--seed", type=_natural, default=0)
     verb.add_argument("--time-limit", type=float, metavar="S", help="return the best so far [s]")
     _output(verb)
 
 
 def _surroundings(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument("--obstacles", metavar="FILE", help="YAML with boxes, spheres, half-spaces")
+    verb.add_argument("--mass-uncertainty", type=float, default=0.0, metavar="PERCENT",
+                      help="hold the torque limits even if each link's mass and inertia are "
+                      "larger or smaller by so much (default: 0)")  # fmt: skip
+    verb.add_argument("--obstacles", metavar="FILE",
+                      help="YAML with boxes, spheres, half-spaces, or a workspace of the "
+                      "tool")  # fmt: skip
     verb.add_argument("--clearance", type=float, metavar="M",
                       help="least distance to obstacles and between the arm's own bodies "
                       "(default: 0.01 m where the robot has collision shapes)")  # fmt: skip
@@ -198,6 +219,17 @@ def _identify(verbs: _Verbs[argparse.ArgumentParser]) -> None:
     verb.add_argument("--effects", metavar="NAME,...",
                       help="effects to estimate (default: viscous_friction,coulomb_friction,"
                       "torque_offset,rotor_inertia)")  # fmt: skip
+    verb.add_argument("--online", action="store_true",
+                      help="sample by sample, as in a control loop: estimates over time, and "
+                      "where the motion did not excite enough")  # fmt: skip
+    verb.add_argument("--forgetting", type=float, metavar="S",
+                      help="with --online: time constant of forgetting [s] (default: "
+                      "nothing is forgotten)")  # fmt: skip
+    verb.add_argument("--payload", action="store_true",
+                      help="also what the last link carries in these recordings, on top of the "
+                      "model given or of --unloaded")  # fmt: skip
+    verb.add_argument("--unloaded", nargs="+", default=[], metavar="RECORDING",
+                      help="with --payload: the arm without load, any motion")  # fmt: skip
 
 
 def _analyze(verbs: _Verbs[argparse.ArgumentParser]) -> None:
@@ -221,6 +253,19 @@ def _report(verbs: _Verbs[argparse.ArgumentParser]) -> None:
     verb = _verb(verbs, "report", "render the report of a run again",
                  "excitant report runs/demo")  # fmt: skip
     verb.add_argument("directory", metavar="DIR", help="folder of a run")
+
+
+def _span(text: str) -> float | tuple[float, float]:
+    shortest, _, longest = text.partition(":")
+    return (float(shortest), float(longest)) if longest else float(text)
+
+
+def _harmonics(text: str) -> int | None:
+    return None if text == "search" else int(text)
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(word) for word in text.split(",")]
 
 
 def _natural(text: str) -> int:

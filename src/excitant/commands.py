@@ -10,9 +10,19 @@ import numpy as np
 from excitant.analysis import diagnosis, diagnosis_result, identifiability
 from excitant.demo import Demo, run_demo
 from excitant.design import load_trajectory
-from excitant.exceptions import UnknownName
+from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import identify as identify_robot
-from excitant.identify import identify_result, identify_series, load_dataset, model_files
+from excitant.identify import (
+    identify_online,
+    identify_payload,
+    identify_result,
+    identify_series,
+    load_dataset,
+    model_files,
+    online_result,
+    online_series,
+    payload_result,
+)
 from excitant.motion_commands import sampled
 from excitant.output import finish, print_json, print_paths, run_directory
 from excitant.progress import progress_bar
@@ -100,16 +110,36 @@ def identify(args: argparse.Namespace) -> None:
     """Identify a robot from recordings."""
     dataset = load_dataset(args.robot)
     robot = dataset.robot
-    estimate = identify_robot(
-        robot,
-        dataset.recordings(args.recordings, without=args.validate),
-        validate=dataset.recordings(args.validate) if args.validate else (),
-        effects=_effects(args.effects, robot),
-        cutoff_hz=args.cutoff,
-    )
+    effects = _effects(args.effects, robot)
+    if args.unloaded and not args.payload:
+        raise BadInput("--unloaded names what --payload is compared with; give --payload too")
+    if args.forgetting is not None and not args.online:
+        raise BadInput("--forgetting is for --online; give --online too")
+    without = [*args.validate, *args.unloaded]
+    recordings = dataset.recordings(args.recordings, without=without)
+    options: dict[str, Any] = {
+        "validate": dataset.recordings(args.validate) if args.validate else (),
+        "effects": effects,
+        "cutoff_hz": args.cutoff,
+    }
+    if args.online:
+        with progress_bar("identify") as advance:
+            found = identify_online(
+                robot, recordings, **options, forgetting=args.forgetting,
+                progress=lambda fraction: advance(fraction, ""),
+            )  # fmt: skip
+        estimate, result, series = found.estimate, online_result(found), online_series(found.run)
+    else:
+        estimate, series = identify_robot(robot, recordings, **options), {}
+        result = identify_result(estimate)
+    if args.payload:
+        unloaded = dataset.recordings(args.unloaded) if args.unloaded else ()
+        result["payload"] = payload_result(
+            identify_payload(robot, recordings, unloaded=unloaded, effects=effects)
+        )
     directory = run_directory(args, "identify", robot)
     files = model_files(estimate.model, "identified", "model.yaml")
-    finish(args, directory, identify_result(estimate), identify_series(estimate), files)
+    finish(args, directory, result, identify_series(estimate) | series, files)
 
 
 def _effects(names: str | None, robot: Robot) -> list[JointEffect] | None:

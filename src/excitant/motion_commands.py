@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,9 @@ import numpy as np
 from excitant.design import (
     CLEARANCE,
     Design,
-    FourierTrajectory,
     HermiteTrajectory,
+    SplineTrajectory,
+    Trajectory,
     approach,
     condition_number,
     design_result,
@@ -31,6 +33,8 @@ from excitant.design import check as check_limits
 from excitant.design import clearance as motion_clearance
 from excitant.design import design as design_trajectory
 from excitant.exceptions import BadInput, Infeasible
+from excitant.identify.dataset import Dataset
+from excitant.identify.preprocessing import prepare
 from excitant.output import finish, print_json, run_directory, table_bytes, write_atomically
 from excitant.progress import progress_bar
 from excitant.robots import Array, Motion, Robot, load_limits, load_robot, torque
@@ -46,6 +50,10 @@ def design(args: argparse.Namespace) -> None:
     robot = _limited(args)
     if not 1 <= args.rate <= 10_000:
         raise BadInput(f"--rate {args.rate:g} Hz: give a control rate from 1 to 10000 Hz")
+    if args.repeat < 1:
+        raise BadInput(f"--repeat {args.repeat}: give the number of periods, at least 1")
+    if args.bound and (args.noise or args.after):
+        raise BadInput("--bound holds for one motion with equal noise; leave --noise and --after")
     start = _pose(args.start, robot) if args.start else None
     surroundings, least = _surroundings(args, robot)
     began = time.monotonic()
@@ -65,22 +73,27 @@ def design(args: argparse.Namespace) -> None:
             robot,
             duration=args.duration,
             harmonics=args.harmonics,
+            series=args.series,
+            top_hz=args.max_frequency,
             criterion=args.criterion,
             columns=args.columns,
+            noise=args.noise,
+            earlier=_earlier(args, robot),
             scene=surroundings,
             clearance=least,
             starts=args.starts,
             jobs=args.jobs,
+            cluster=args.cluster,
             seed=args.seed,
             time_limit=args.time_limit,
             progress=tell,
         )
     files: dict[str, str | bytes] = {
-        "trajectory.csv": trajectory_csv(found.trajectory, args.rate),
+        "trajectory.csv": trajectory_csv(found.trajectory, args.rate, args.repeat),
         "trajectory.json": trajectory_json(found.trajectory, robot),
     }
-    motions = {"trajectory": found.trajectory.motion(args.rate)}
-    result = design_result(found)
+    motions = {"trajectory": found.trajectory.motion(args.rate, args.repeat)}
+    result = design_result(found) | {"periods": args.repeat}
     if args.bound:
         result |= _bound(found, args.seed)
     if start is not None:
@@ -96,13 +109,19 @@ def design(args: argparse.Namespace) -> None:
     finish(args, run_directory(args, "design", robot), result, design_series(found), files)
 
 
+def _earlier(args: argparse.Namespace, robot: Robot) -> list[Motion]:
+    """Motions of recordings made already."""
+    recordings = Dataset(robot).recordings(args.after) if args.after else ()
+    return [part.motion[part.keep] for recording in recordings for part in prepare(recording)]
+
+
 def _bound(found: Design, seed: int) -> dict[str, Any]:
     """Numerical lower bound on what any such motion could reach, as entries of the result."""
     with progress_bar("bound") as advance:
         bound = lower_bound(
             found.robot,
             duration=found.duration,
-            harmonics=found.harmonics,
+            harmonics=None if isinstance(found.trajectory, SplineTrajectory) else found.harmonics,
             columns=found.columns,
             criterion=found.criterion,
             seed=seed,
@@ -131,7 +150,7 @@ def _pose(text: str, robot: Robot) -> Array:
 def _ways(
     robot: Robot,
     start: Array,
-    trajectory: FourierTrajectory,
+    trajectory: Trajectory,
     rate: float,
     surroundings: Scene | None,
     least: float,
@@ -172,9 +191,7 @@ def check(args: argparse.Namespace) -> None:
     surroundings, least = _surroundings(args, robot)
     report = check_limits(robot, trajectory)
     motion = sampled(trajectory)
-    path = (
-        trajectory if isinstance(trajectory, FourierTrajectory) else HermiteTrajectory(trajectory)
-    )
+    path = trajectory if isinstance(trajectory, Trajectory) else HermiteTrajectory(trajectory)
     near = motion_clearance(surroundings, path) if surroundings is not None else None
     result = {
         "verb": "check",
@@ -223,9 +240,7 @@ def simulate(args: argparse.Namespace) -> None:
     if target.suffix not in (".csv", ".parquet"):
         raise BadInput(f"{target}: name a .csv or .parquet file")
     trajectory = load_trajectory(args.trajectory, robot)
-    path = (
-        trajectory if isinstance(trajectory, FourierTrajectory) else HermiteTrajectory(trajectory)
-    )
+    path = trajectory if isinstance(trajectory, Trajectory) else HermiteTrajectory(trajectory)
     duration = float(sampled(trajectory).t[-1])
     rng = np.random.default_rng(args.seed)
     arm = virtual_arm(
@@ -253,10 +268,13 @@ def simulate(args: argparse.Namespace) -> None:
 
 def _limited(args: argparse.Namespace) -> Robot:
     robot = load_robot(args.robot)
-    return robot.with_limits(load_limits(args.limits, robot)) if args.limits else robot
+    limits = load_limits(args.limits, robot) if args.limits else robot.limits
+    if not 0 <= args.mass_uncertainty < 100:
+        raise BadInput(f"--mass-uncertainty {args.mass_uncertainty:g}: give 0 to 100 [%]")
+    return robot.with_limits(replace(limits, mass_uncertainty=args.mass_uncertainty / 100))
 
 
-def sampled(trajectory: FourierTrajectory | Motion) -> Motion:
+def sampled(trajectory: Trajectory | Motion) -> Motion:
     """Samples of a trajectory, at 100 Hz where it has none of its own."""
     if isinstance(trajectory, Motion):
         return trajectory

@@ -13,7 +13,7 @@ def limited() -> Callable[..., Robot]:
     """A robot with some of its limits replaced."""
 
     def replaced(robot: Robot, **changes: object) -> Robot:
-        names = ("position", "velocity", "acceleration", "torque")
+        names = ("position", "velocity", "acceleration", "torque", "jerk")
         values = {name: changes.get(name, getattr(robot.limits, name)) for name in names}
         shapes = {name: (robot.nv, 2) if name == "position" else (robot.nv,) for name in names}
         return robot.with_limits(

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from excitant.design import FourierTrajectory, HermiteTrajectory
-from excitant.design.trajectory import from_coefficients, rest_basis
+from excitant.design.trajectory import FourierSeries, from_coefficients
 
 
 def random_series(
@@ -14,7 +14,7 @@ def random_series(
 ) -> FourierTrajectory:
     X = np.random.default_rng(seed).normal(size=(1 + 2 * harmonics, nv))
     if rest:
-        Z = rest_basis(harmonics)
+        Z = FourierSeries(period, harmonics).rest
         X = Z @ (Z.T @ X)
     return from_coefficients(X, period)
 
