@@ -84,16 +84,15 @@ def design_series(design: Design) -> dict[str, Array]:
         ``t`` (n,), ``q``, ``dq``, ``ddq``, ``tau`` (n, nv), ``eigenvalues_initial``,
         ``eigenvalues_final`` (r,), and in the base frame [m] ``tool`` (n, 3), the origin of
         the tool's frame, and ``arm`` (poses, nodes, 3), the arm as a line from the base through
-        the joints to the tool at the instants ``arm_t`` (poses,); lines of a branched arm are
-        parted by NaN. With a limit on jerk also ``dddq`` (n, nv).
+        the joints to the tool at the instants ``arm_t`` (poses,). A branched arm has
+        ``other_tools`` (n, ends − 1, 3) too, and its lines are parted by NaN. With a limit on
+        jerk also ``dddq`` (n, nv).
     """
     robot, motion = design.robot, dense_motion(design.trajectory)
-    tool, arm = _skeleton(robot, motion.q)
+    tool, others, arm = _skeleton(robot, motion.q)
     near = None if design.clearance is None else design.clearance.time
     poses = _telling_poses(tool, motion.t, near)
-    jerk = {} if np.isinf(robot.limits.jerk).all() else {"dddq": design.trajectory(motion.t, 3)}
-    return {
-        **jerk,
+    series = {
         "t": motion.t,
         "q": motion.q,
         "dq": motion.dq,
@@ -105,6 +104,11 @@ def design_series(design: Design) -> dict[str, Array]:
         "arm": arm[poses],
         "arm_t": motion.t[poses],
     }
+    if others.size:
+        series["other_tools"] = others
+    if np.isfinite(robot.limits.jerk).any():
+        series["dddq"] = design.trajectory(motion.t, 3)
+    return series
 
 
 def certified(
@@ -160,22 +164,25 @@ def obstacle_values(scene: Scene) -> list[dict[str, Any]]:
     return found
 
 
-def _skeleton(robot: Robot, q: Array) -> tuple[Array, Array]:
-    """Tool's path (n, 3), and the arm as a line at every instant (n, nodes, 3) [m]."""
+def _skeleton(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
+    """Path of the tool (n, 3), those of further ends (n, ends − 1, 3), arm (n, nodes, 3) [m]."""
     model, data = robot.model, robot.model.createData()
     chains = [list(model.supports[leaf]) for leaf in _leaves(robot)]
     ends = [_last_body(robot, chain[-1]) for chain in chains]
+    further = [end for end in ends if end != robot.tip]
     gap = np.full((1, 3), np.nan)
-    tool, arm = [], []
-    for pose in q:
+    tool, others, arm = np.empty((len(q), 3)), np.empty((len(q), len(further), 3)), []
+    for k, pose in enumerate(q):
         pin.framesForwardKinematics(model, data, pose)
         lines = []
         for chain, end in zip(chains, ends, strict=True):
             nodes = [*(data.oMi[j].translation for j in chain), data.oMf[end].translation]
             lines += [np.array(nodes), gap]
         arm.append(np.concatenate(lines[:-1]))
-        tool.append(data.oMf[robot.tip].translation.copy())
-    return np.array(tool), np.array(arm)
+        tool[k] = data.oMf[robot.tip].translation
+        for i, end in enumerate(further):
+            others[k, i] = data.oMf[end].translation
+    return tool, others, np.array(arm)
 
 
 def _leaves(robot: Robot) -> list[int]:

@@ -88,6 +88,8 @@ def connect(address: str) -> Any:
 
 def results(problem: DesignProblem, tasks: Sequence[Task], effort: Effort) -> Iterable[SearchState]:
     """States after their tasks, as they come."""
+    if not tasks:
+        return
     if effort.client is not None:
         yield from _over_cluster(effort.client, problem, tasks, effort)
         return
@@ -118,7 +120,7 @@ def _over_cluster(
         for task in tasks
     ]
     try:
-        for future in as_completed(futures):  # type: ignore[no-untyped-call]
+        for future in as_completed(futures, loop=client.loop):  # type: ignore[no-untyped-call]
             yield future.result()
     except KeyboardInterrupt:
         client.cancel(futures)

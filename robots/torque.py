@@ -52,7 +52,9 @@ def largest_torque(robot: Robot, motion: Motion) -> Array:
     tau, p = torque(robot, motion), robot.limits.mass_uncertainty
     if p == 0:
         return tau
-    return tau + p * np.where(tau < 0, -1.0, 1.0) * np.abs(link_torques(robot, motion)).sum(axis=2)
+    margin = p * np.abs(link_torques(robot, motion)).sum(axis=2)
+    largest: Array = np.where(tau < 0, tau - margin, tau + margin)
+    return largest
 
 
 def link_torques(robot: Robot, motion: Motion) -> Array:
