@@ -1,0 +1,118 @@
+"""Excitation trajectory by FIGAROH's public interface, for its own Python environment.
+
+Called as ``python figaroh_driver.py SPECIFICATION.json``; imports nothing of excitant. The
+entries of the specification are the fields of `Specification`.
+
+The steps are those of FIGAROH's UR10 example: load the robot, derive from
+`BaseOptimalTrajectory`, initialise, solve segment by segment with IPOPT. The problem's limits
+replace those of the URDF, the margins inside them are zero (``soft_lim``), and the result is
+sampled at the rate of the benchmark from the waypoints that IPOPT returned.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from figaroh.optimal.base_optimal_trajectory import (
+    BaseOptimalTrajectory,
+    BaseTrajectoryIPOPTProblem,
+)
+from figaroh.tools.robot import load_robot
+from figaroh_specification import Specification
+
+
+class RecordingProblem(BaseTrajectoryIPOPTProblem):
+    """FIGAROH's problem of one segment, which keeps the waypoints of its solution."""
+
+    def solve_with_waypoints(self, wps: Any) -> tuple[bool, dict[str, Any]]:
+        """Solve as FIGAROH does, and keep times, waypoints and their derivatives."""
+        success, results = super().solve_with_waypoints(wps)
+        if success:
+            rest = np.reshape(results["x_opt"], (self.n_wps - 1, self.n_joints))
+            waypoints = np.vstack([self.wp_init, rest]).T
+            solved = (self.tps, waypoints, self.vel_wps, self.acc_wps)
+            self.opt_traj.solved.append(solved)
+        return success, results
+
+
+class RecordingTrajectory(BaseOptimalTrajectory):
+    """FIGAROH's optimiser; ``solved`` holds the spline of every segment."""
+
+    def __init__(self, robot: Any, joints: list[str], configuration: str) -> None:
+        super().__init__(robot, joints, configuration)
+        self.solved: list[tuple[Any, ...]] = []
+
+    def create_ipopt_problem(self, *arguments: Any) -> RecordingProblem:
+        """One segment, as FIGAROH states it."""
+        return RecordingProblem(self, *arguments)
+
+
+def prepared(specification: Specification) -> RecordingTrajectory:
+    """The optimiser, initialised for the robot under the limits of the problem."""
+    robot = load_robot(specification.urdf, load_by_urdf=True)
+    limits = {k: np.asarray(v, float) for k, v in specification.limits.items()}
+    robot.model.lowerPositionLimit[:] = limits["position"][:, 0]
+    robot.model.upperPositionLimit[:] = limits["position"][:, 1]
+    robot.model.velocityLimit[:] = limits["velocity"]
+    robot.model.effortLimit[:] = limits["torque"]
+    joints = [str(name) for name in list(robot.model.names)[1:]]
+    with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
+        yaml.safe_dump(specification.configuration(joints), file)
+        file.flush()
+        optimiser = RecordingTrajectory(robot, joints, file.name)
+    bodies = [robot.model.joints[robot.model.getJointId(name)] for name in joints]
+    optimiser.identif_config |= {
+        "active_joints": joints,
+        "act_Jid": [robot.model.getJointId(name) for name in joints],
+        "act_J": bodies,
+        "act_idxq": [body.idx_q for body in bodies],
+        "act_idxv": [body.idx_v for body in bodies],
+    }
+    optimiser.initialize()
+    return optimiser
+
+
+def sampled(optimiser: RecordingTrajectory, rate_hz: float) -> np.ndarray:
+    """All segments in a row at a rate [Hz], columns t, q, dq, ddq."""
+    parts = []
+    for k, (times, *waypoints) in enumerate(optimiser.solved):
+        _, q, dq, ddq = optimiser.CB.get_full_config(rate_hz, times, *waypoints)
+        parts.append(np.hstack([q, dq, ddq])[min(k, 1) :])
+    states = np.vstack(parts)
+    return np.column_stack([np.arange(len(states)) / rate_hz, states])
+
+
+def main() -> int:
+    """Design, write the trajectory, and tell what the optimiser said on standard output."""
+    specification = Specification(**json.loads(Path(sys.argv[1]).read_text(encoding="utf-8")))
+    np.random.seed(specification.seed)  # noqa: NPY002
+    optimiser = prepared(specification)
+    results = optimiser.solve(stack_reps=specification.segments)
+    if len(optimiser.solved) < specification.segments:
+        print(json.dumps({"solved": len(optimiser.solved)}))
+        return 3
+    table = sampled(optimiser, specification.rate_hz)
+    nv = table.shape[1] // 3
+    names = ["t", *(f"{kind}{j + 1}" for kind in ("q", "dq", "ddq") for j in range(nv))]
+    np.savetxt(specification.csv, table, "%.17g", ",", header=",".join(names), comments="")
+    segments = results["iteration_data"]
+    print(
+        json.dumps(
+            {
+                "solved": len(optimiser.solved),
+                "converged": [bool(segment["converged"]) for segment in segments],
+                "status": [int(segment["status"]) for segment in segments],
+            }
+        )
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

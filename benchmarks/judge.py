@@ -1,0 +1,115 @@
+"""Neutral judge of a motion: NumPy and Pinocchio only, nothing of excitant.
+
+The condition number is that of the stacked joint torque regressor, rigid bodies only, unscaled.
+Base columns are chosen on random states within the limits, never on the motion itself:
+
+* ``left``: from left to right, a column is base when it is no combination of those before it;
+* ``proj``: all columns, projected on the row space of the random states (free of any choice).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+Array = npt.NDArray[np.float64]
+
+_STATES = 600
+_INDEPENDENT = 1e-8  # of a column's own length
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """Positions, velocities and accelerations, each of shape (n, nv); SI units."""
+
+    q: Array
+    dq: Array
+    ddq: Array
+
+
+@dataclass(frozen=True)
+class Conditioning:
+    """Condition numbers of a motion.
+
+    Attributes:
+        left: Of the base columns chosen from left to right.
+        proj: Of the projection on the row space.
+        base: Number of base parameters.
+    """
+
+    left: float
+    proj: float
+    base: int
+
+
+def read_motion(path: Path, nv: int) -> tuple[Array, States]:
+    """Instants [s] and states of a table ``t,q1..,dq1..,ddq1..``."""
+    with path.open(encoding="utf-8") as file:
+        names = file.readline().strip().split(",")
+        table = np.loadtxt(file, delimiter=",")
+    columns = [[names.index(f"{kind}{j + 1}") for j in range(nv)] for kind in ("q", "dq", "ddq")]
+    return table[:, names.index("t")], States(*(table[:, c] for c in columns))
+
+
+def random_states(limits: dict[str, Any], rng: np.random.Generator, n: int = _STATES) -> States:
+    """States drawn uniformly within the limits; accelerations within 10 rad/s² without one."""
+    low, high = np.asarray(limits["position"], float).T
+    speed = np.asarray(limits["velocity"], float)
+    acceleration = np.asarray(limits.get("acceleration", np.full(len(speed), 10.0)), float)
+    shape = (n, len(speed))
+    return States(
+        rng.uniform(low, high, shape),
+        rng.uniform(-speed, speed, shape),
+        rng.uniform(-acceleration, acceleration, shape),
+    )
+
+
+def observation(model: Any, states: States) -> Array:
+    """Stacked joint torque regressor W, shape (n nv, 10 nv)."""
+    data = model.createData()
+    rows = [
+        pin.computeJointTorqueRegressor(model, data, *state).copy()
+        for state in zip(states.q, states.dq, states.ddq, strict=True)
+    ]
+    return np.vstack(rows)
+
+
+def torques(model: Any, states: States) -> Array:
+    """Joint torques by the recursive Newton-Euler algorithm, shape (n, nv) [N·m or N]."""
+    data = model.createData()
+    rows = [
+        pin.rnea(model, data, *state).copy()
+        for state in zip(states.q, states.dq, states.ddq, strict=True)
+    ]
+    return np.array(rows)
+
+
+def left_columns(W: Array) -> npt.NDArray[np.intp]:
+    """Columns that are no combination of those to their left, by Gram-Schmidt, twice."""
+    lengths = np.linalg.norm(W, axis=0)
+    chosen, Q = [], np.zeros((len(W), 0))
+    for k in np.flatnonzero(lengths > _INDEPENDENT * lengths.max()):
+        rest = W[:, k] / lengths[k]
+        for _ in range(2):
+            rest = rest - Q @ (Q.T @ rest)
+        length = np.linalg.norm(rest)
+        if length > _INDEPENDENT:
+            chosen.append(k)
+            Q = np.column_stack([Q, rest / length])
+    return np.array(chosen)
+
+
+def conditioning(model: Any, limits: dict[str, Any], states: States) -> Conditioning:
+    """Condition numbers of a motion of the model."""
+    reference = observation(model, random_states(limits, np.random.default_rng(0)))
+    W, columns = observation(model, states), left_columns(reference)
+    _, sizes, Vt = np.linalg.svd(reference, full_matrices=False)
+    row_space = Vt[sizes > _INDEPENDENT * sizes[0]].T
+    return Conditioning(
+        float(np.linalg.cond(W[:, columns])), float(np.linalg.cond(W @ row_space)), len(columns)
+    )
