@@ -1,6 +1,8 @@
 """What an arm is, and what torque it needs."""
 
 from excitant.robots.base_parameters import BaseParameters, base_parameters
+from excitant.robots.dh import DHChain, with_convention
+from excitant.robots.dh_urdf import dh_from_robot, robot_from_dh, urdf_from_dh
 from excitant.robots.loading import builtin_robots, load_limits, load_robot
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor, regressor_derivatives, rigid_body_torque
@@ -10,15 +12,20 @@ from excitant.robots.torque import torque
 __all__ = [
     "Array",
     "BaseParameters",
+    "DHChain",
     "Limits",
     "Motion",
     "Robot",
     "base_parameters",
     "builtin_robots",
+    "dh_from_robot",
     "load_limits",
     "load_robot",
     "regressor",
     "regressor_derivatives",
     "rigid_body_torque",
+    "robot_from_dh",
     "torque",
+    "urdf_from_dh",
+    "with_convention",
 ]

@@ -14,6 +14,8 @@ import numpy as np
 import yaml
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
+from excitant.robots.dh_entries import chain_from_entries
+from excitant.robots.dh_urdf import robot_from_dh, with_limits_in_urdf
 from excitant.robots.effects import (
     EFFECTS,
     CoulombFriction,
@@ -31,14 +33,16 @@ _LIMIT_NAMES = ("position", "velocity", "acceleration", "torque", "jerk")
 def builtin_robots() -> tuple[str, ...]:
     """Names of the arms that come with excitant."""
     folder = resources.files("excitant.robots.library")
-    return tuple(sorted(Path(f.name).stem for f in folder.iterdir() if f.name.endswith(".urdf")))
+    files = (Path(f.name) for f in folder.iterdir())
+    return tuple(sorted({f.stem for f in files if f.suffix in (".urdf", ".yaml")}))
 
 
 def load_robot(spec: str | Path, *, lock: Mapping[str, float] | None = None) -> Robot:
     """Robot by built-in name, URDF file or ``robot.yaml``.
 
     Args:
-        spec: Name or path.
+        spec: Name or path. A ``robot.yaml`` names a ``model`` file, or describes the arm itself
+            in Denavit-Hartenberg form (`excitant.robots.dh_entries`).
         lock: Joints to hold and their positions [rad or m], beside those of a ``robot.yaml``.
 
     Raises:
@@ -83,12 +87,17 @@ def _read(path: Path) -> str:
 
 def _builtin(name: str, lock: Mapping[str, float] | None) -> Robot:
     folder = resources.files("excitant.robots.library")
-    text = (folder / f"{name}.urdf").read_text(encoding="utf-8")
-    robot = robot_from_urdf(text, source=name, name=name)
-    supplement = folder / f"{name}.yaml"
-    if supplement.is_file():
-        robot = _supplemented(robot, yaml.safe_load(supplement.read_text(encoding="utf-8")), name)
-    return _kept(robot, robot_from_urdf(text, source=name, name=name, lock=lock)) if lock else robot
+    model, supplement = folder / f"{name}.urdf", folder / f"{name}.yaml"
+    content = yaml.safe_load(supplement.read_text("utf-8")) if supplement.is_file() else {}
+    if model.is_file():
+        text = model.read_text(encoding="utf-8")
+        robot = _supplemented(robot_from_urdf(text, source=name, name=name), content, name)
+    else:
+        robot = _from_dh({"name": name, **content}, name, {})
+    if not lock:
+        return robot
+    held = robot_from_urdf(robot.urdf, source=name, name=name, lock=lock, gravity=robot.gravity)
+    return _kept(robot, held)
 
 
 def _kept(whole: Robot, held: Robot) -> Robot:
@@ -100,8 +109,8 @@ def _kept(whole: Robot, held: Robot) -> Robot:
         kept = [k for k, joint in enumerate(effect.joints) if joint in held.joints]
         joints = tuple(effect.joints[k] for k in kept)
         effects.append(replace(effect, joints=joints).with_values(values[kept]))
-    limits = Limits(*(getattr(whole.limits, name)[rows] for name in _LIMIT_NAMES))
-    return held.with_limits(limits).with_effects(effects)
+    limits: dict[str, Any] = {name: getattr(whole.limits, name)[rows] for name in _LIMIT_NAMES}
+    return held.with_limits(replace(whole.limits, **limits)).with_effects(effects)
 
 
 def _supplemented(robot: Robot, content: Mapping[str, Any], source: str) -> Robot:
@@ -117,28 +126,50 @@ def _supplemented(robot: Robot, content: Mapping[str, Any], source: str) -> Robo
 
 def _from_yaml(path: Path, lock: Mapping[str, float] | None) -> Robot:
     content = _mapping(path)
-    if "model" not in content:
-        raise BadRobot(path, "no 'model' entry; add 'model: path/to/robot.urdf'")
-    model = path.parent / str(content["model"])
-    gravity = _numbers(content.get("gravity", (0.0, 0.0, -9.81)))
-    if gravity.shape != (3,):
-        raise BadRobot(path, f"gravity {content['gravity']} is not three numbers")
     given = content.get("lock") or {}
     if not isinstance(given, dict) or _numbers(list(given.values())).shape != (len(given),):
         raise BadRobot(path, "'lock' must hold entries 'joint: position'")
     held = {**given, **dict(lock or {})}
-    if model.is_file():
-        model_text, source = _read(model), str(model)
-    else:
+    if "dh" in content:
+        if "model" in content:
+            raise BadRobot(path, "both 'model' and 'dh' are given; keep one")
+        return _from_dh(content, str(path), held)
+    if "model" not in content:
+        raise BadRobot(
+            path,
+            "no 'model' entry; add 'model: path/to/robot.urdf', or 'convention:' and 'dh:' with "
+            "Denavit-Hartenberg numbers",
+        )
+    model = path.parent / str(content["model"])
+    gravity = _gravity(content, path)
+    if not model.is_file():
         raise BadRobot(path, f"model {model} does not exist")
+    joints = content.get("joints")
     robot = robot_from_urdf(
-        model_text,
+        _read(model), source=str(model), joints=joints, lock=held or None, gravity=gravity
+    )
+    return _supplemented(_with_urdf_friction(robot), content, str(path))
+
+
+def _from_dh(content: Mapping[str, Any], source: str, held: Mapping[str, float]) -> Robot:
+    """The robot of Denavit-Hartenberg entries; its URDF states its limits too."""
+    chain = chain_from_entries(content, source, _gravity(content, source))
+    whole = robot_from_dh(chain, source=source)
+    robot = robot_from_urdf(
+        whole.urdf,
         source=source,
         joints=content.get("joints"),
         lock=held or None,
-        gravity=gravity,
+        gravity=chain.gravity,
     )
-    return _supplemented(_with_urdf_friction(robot), content, str(path))
+    return with_limits_in_urdf(_supplemented(robot, content, source), chain)
+
+
+def _gravity(content: Mapping[str, Any], source: str | Path) -> Array:
+    gravity = _numbers(content.get("gravity", (0.0, 0.0, -9.81)))
+    if gravity.shape != (3,):
+        raise BadRobot(source, f"gravity {content['gravity']} is not three numbers")
+    return gravity
 
 
 def _numbers(value: Any) -> Array:
@@ -183,13 +214,13 @@ def merge_limits(robot: Robot, values: Mapping[str, Any], source: str) -> Limits
     for name in values:
         if name not in known:
             raise BadInput(f"{source}: {UnknownName('limit', str(name), _LIMIT_NAMES)}")
-    merged = {
+    merged: dict[str, Any] = {
         name: _limit(robot, name, values[name], source)
         if values.get(name) is not None
         else getattr(robot.limits, name)
         for name in _LIMIT_NAMES
     }
-    return Limits(**merged)
+    return replace(robot.limits, **merged)
 
 
 def _limit(robot: Robot, name: str, value: Any, source: str) -> Array:

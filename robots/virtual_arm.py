@@ -264,7 +264,8 @@ def draw_hidden_effect(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
 
     At moderate speed the effect makes 8 to 20 % of the joint's typical torque and at least four
     times the noise of `industrial_sensors`. Rotor inertia is drawn only where no inertia of the
-    links could pass for it; a payload weighs 7 to 16 % of the arm and hangs at its last link.
+    links could pass for it; a payload weighs 7 to 16 % of the arm and hangs at its last link,
+    less if it would load a joint with more than its typical torque.
     """
     kinds = ["viscous_friction", "coulomb_friction", "stribeck_friction", "torque_offset"]
     separable = _separable_rotors(robot)
@@ -304,8 +305,25 @@ def _draw_payload(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
     lever = flange + reach * rng.uniform(0.02, 0.06) * direction / np.linalg.norm(direction)
     box = pin.Inertia.FromBox(mass, *(reach * rng.uniform(0.03, 0.1, 3)))
     phi = pin.Inertia(mass, lever, box.inertia).toDynamicParameters()
+    phi *= _bearable(robot, phi)
     values = tuple(zip(STANDARD, phi.tolist(), strict=True))
     return HiddenEffect("payload", robot.joints[-1], values)
+
+
+def _bearable(robot: Robot, payload: Array) -> float:
+    """Share of a payload that loads no joint with more than 0.9 of its typical torque."""
+    loaded = robot.model.copy()
+    phi = loaded.inertias[robot.nv].toDynamicParameters() + payload
+    loaded.inertias[robot.nv] = pin.Inertia.FromDynamicParameters(phi)
+    one, other = robot.model.createData(), loaded.createData()
+    added = [
+        pin.rnea(loaded, other, *x) - pin.rnea(robot.model, one, *x)
+        for x in zip(*_typical_motion(robot), strict=True)
+    ]
+    load = np.sqrt(np.mean(np.square(added), axis=0))
+    noise = industrial_sensors(robot).torque_noise
+    bearable = 0.9 * np.maximum(typical_torque(robot), 6 * noise)
+    return min(1.0, float((bearable / np.maximum(load, 1e-12)).min()))
 
 
 def typical_torque(robot: Robot) -> Array:

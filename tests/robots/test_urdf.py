@@ -21,6 +21,9 @@ LOCKS = {
     "panda": {"panda_joint3": 0.4, "panda_joint7": -1.0},
     "ur10": {"shoulder_pan_joint": 0.3, "wrist_2_joint": -1.2},
     "planar_2r": {"joint1": 0.5},
+    "cmu_dd_arm_ii": {"joint2": 0.6, "joint5": -0.9},
+    "cylindrical": {"lift": 0.4},
+    "puma560": {"joint1": 0.3, "joint4": 1.1},
     "gantry": {"swing": 0.7},
 }
 

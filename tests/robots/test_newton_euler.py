@@ -1,0 +1,528 @@
+"""Laws of the seed paper's recursion (Khosla 1987), and its arm, the CMU DD Arm II."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from excitant.robots import (
+    DHChain,
+    Motion,
+    base_parameters,
+    dh_from_robot,
+    load_robot,
+    regressor,
+    rigid_body_torque,
+    robot_from_dh,
+    with_convention,
+)
+from excitant.robots.dh import parameter_map
+from excitant.robots.library.cmu_dd_arm_ii import (
+    dd_arm,
+    dd_arm_chain,
+    dd_arm_parameters,
+    dd_arm_tables,
+)
+from excitant.robots.newton_euler import (
+    central_parameters,
+    classical_torque,
+    cross_matrix,
+    forward_recursion,
+    inertia_columns,
+    kinematic_matrix,
+    modified_torque,
+    pseudo_rotation,
+    select_torque,
+    torque_matrix,
+    wrench_matrix,
+)
+from excitant.robots.parameters import STANDARD, nearest_consistent, violations
+
+Chains = Callable[..., DHChain]
+SEEDS = st.integers(0, 2**32 - 1)
+JOINTS = st.integers(1, 9)
+CONVENTIONS = st.sampled_from(["standard", "modified"])
+EXACT = 1e-10
+"""Relative; rounding leaves about 1e-14."""
+
+
+def close(left: np.ndarray, right: np.ndarray, relative: float = EXACT) -> bool:
+    return bool(np.abs(left - right).max() <= relative * np.abs(right).max())
+
+
+def states(seed: int, n: int, nv: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-2, 2, (3, n, nv))
+
+
+def rank(W: np.ndarray) -> int:
+    """Number of independent columns, whatever their units."""
+    norms = np.linalg.norm(W, axis=0)
+    W = W[:, norms > 1e-10 * norms.max()]
+    return int(np.linalg.matrix_rank(W / np.linalg.norm(W, axis=0), tol=1e-8 * np.sqrt(W.shape[1])))
+
+
+# The recursion against those who know
+
+
+@given(seed=SEEDS, nv=JOINTS, convention=CONVENTIONS)
+def test_modified_recursion_is_the_classical_one(
+    random_chain: Chains, seed: int, nv: int, convention: str
+) -> None:
+    chain, x = random_chain(seed, nv, convention), states(seed, 5, nv)
+    wrench = np.random.default_rng(seed).standard_normal((5, 6))
+    for held in (None, wrench, wrench[0]):
+        expected = classical_torque(chain, *x, wrench=held)
+        assert close(modified_torque(chain, *x, wrench=held), expected)
+    assert close(torque_matrix(chain, *x) @ chain.phi, classical_torque(chain, *x))
+
+
+@given(seed=SEEDS, nv=JOINTS, convention=CONVENTIONS)
+def test_both_are_what_pinocchio_says(
+    random_chain: Chains, seed: int, nv: int, convention: str
+) -> None:
+    chain, x = random_chain(seed, nv, convention), states(seed, 5, nv)
+    robot, motion = robot_from_dh(chain), Motion(np.arange(5.0), *x)
+    expected = rigid_body_torque(robot, motion)
+    assert close(classical_torque(chain, *x), expected)
+    assert close(modified_torque(chain, *x), expected)
+    M = torque_matrix(chain, *x)
+    assert close(regressor(robot, motion) @ parameter_map(chain), M)
+
+
+@given(seed=SEEDS, nv=JOINTS, convention=CONVENTIONS)
+def test_tip_wrench_is_the_jacobians_transpose(
+    random_chain: Chains, seed: int, nv: int, convention: str
+) -> None:
+    """τ(wrench) − τ(none) = Jᵀ wrench, with J from Pinocchio at the last frame."""
+    chain, x = random_chain(seed, nv, convention), states(seed, 3, nv)
+    bare = replace(chain, tool=np.eye(4))
+    robot = robot_from_dh(bare)
+    wrench = np.random.default_rng(seed).standard_normal(6)
+    shown = modified_torque(bare, *x, wrench=wrench) - modified_torque(bare, *x)
+    data = robot.model.createData()
+    for k, q in enumerate(x[0]):
+        J = pin.computeFrameJacobian(robot.model, data, q, robot.tip, pin.LOCAL)
+        scale = np.abs(modified_torque(bare, *x)).max() + np.abs(J.T @ wrench).max()
+        assert np.abs(shown[k] - J.T @ wrench).max() <= EXACT * scale
+
+
+def test_a_standing_arm_feels_gravity_as_upward_acceleration(random_chain: Chains) -> None:
+    """v̇_0 = −g: at rest every link's origin 'accelerates' by −g, in any frame."""
+    chain, zero = random_chain(3, 6), np.zeros((4, 6))
+    q = states(3, 4, 6)[0]
+    motion = forward_recursion(chain, q, zero, zero)
+    turned = chain.frames(q)[:, 1:, :3, :3] @ motion.dv[..., None]
+    assert np.allclose(turned[..., 0], -chain.gravity, rtol=0, atol=1e-12)
+
+
+def test_the_axis_in_the_link_frame_is_right_for_any_twist(random_chain: Chains) -> None:
+    chain = random_chain(8, 7)
+    axis = forward_recursion(chain, *states(8, 3, 7)).axis
+    zero = np.zeros(7)
+    expected = np.column_stack([zero, np.sin(chain.alpha), np.cos(chain.alpha)])
+    assert np.allclose(axis, expected, rtol=0, atol=1e-15)
+
+
+# The paper's properties
+
+
+@given(seed=SEEDS, nv=JOINTS)
+def test_linear_in_masses_first_moments_and_inertias(
+    random_chain: Chains, seed: int, nv: int
+) -> None:
+    """Superposition and scaling hold for the modified recursion in all ten parameters."""
+    chain, x = random_chain(seed, nv), states(seed, 4, nv)
+    rng = np.random.default_rng(seed)
+    one, other = rng.standard_normal((2, 10 * nv))
+
+    def tau(phi: np.ndarray) -> np.ndarray:
+        return modified_torque(chain.with_parameters(phi), *x)
+
+    both = tau(2.5 * one - other)
+    scale = np.abs(tau(one)).max() + np.abs(tau(other)).max() + np.abs(both).max()
+    assert np.abs(both - 2.5 * tau(one) + tau(other)).max() <= EXACT * scale
+
+
+def central_torque(chain: DHChain, x: np.ndarray, c: np.ndarray, m: float) -> np.ndarray:
+    """Classical torque with the last link's mass and centre moved, its central inertia kept."""
+    _, _, central = central_parameters(chain.phi[-10:])
+    inertia = central + m * (c @ c * np.eye(3) - np.outer(c, c))
+    last = [m, *(m * c), *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
+    return classical_torque(chain.with_parameters([*chain.phi[:-10], *last]), *x)
+
+
+@given(seed=SEEDS)
+def test_classical_parameters_linear_in_mass_quadratic_in_centre_of_mass(
+    random_chain: Chains, seed: int
+) -> None:
+    """Why the modified form: in (m, c, I_C) torque is linear in m and I_C, quadratic in c."""
+    chain, x = random_chain(seed, 4), states(seed, 4, 4)
+    chain = replace(chain, revolute=np.ones(4, dtype=bool))
+    step, c = np.array([0.3, -0.2, 0.4]), np.array([0.1, 0.2, -0.1])
+    masses = [central_torque(chain, x, c, m) for m in (1.0, 2.0, 3.0)]
+    scale = np.abs(masses).max()
+    assert np.abs(np.diff(masses, 2, axis=0)).max() <= EXACT * scale
+    moved = [central_torque(chain, x, c + k * step, 2.0) for k in range(4)]
+    scale = np.abs(moved).max()
+    assert np.abs(np.diff(moved, 2, axis=0)).max() > 1e-4 * scale
+    assert np.abs(np.diff(moved, 3, axis=0)).max() <= EXACT * scale
+
+
+@given(seed=SEEDS, nv=st.integers(2, 9), convention=CONVENTIONS)
+def test_outer_equations_contain_nothing_of_inner_links(
+    random_chain: Chains, seed: int, nv: int, convention: str
+) -> None:
+    """Property 4: neither m_i, nor I_i, nor m_i s_i shows in τ_{i+1} .. τ_N."""
+    chain, x = random_chain(seed, nv, convention), states(seed, 4, nv)
+    M = torque_matrix(chain, *x)
+    rng = np.random.default_rng(seed)
+    for i in range(nv - 1):
+        assert not M[:, i + 1 :, : 10 * i + 10].any()
+        phi = np.array(chain.phi)
+        phi[: 10 * i + 10] = rng.standard_normal(10 * i + 10)
+        changed = modified_torque(chain.with_parameters(phi), *x)
+        expected = modified_torque(chain, *x)
+        assert np.array_equal(changed[:, i + 1 :], expected[:, i + 1 :])
+
+
+def test_the_stack_is_block_upper_triangular_with_k_on_the_diagonal(random_chain: Chains) -> None:
+    """The last diagonal block is K_N, and blocks beside the diagonal are R_{i+1} K_{i+1}."""
+    chain = random_chain(5, 6)
+    motion = forward_recursion(chain, *states(5, 3, 6))
+    stack = wrench_matrix(chain, motion)
+    K = kinematic_matrix(motion.p, motion.omega, motion.domega, motion.dv)
+    for i in range(6):
+        assert np.array_equal(stack[:, i, :, 10 * i : 10 * i + 10], K[:, i])
+        assert not stack[:, i, :, : 10 * i].any()
+    R = pseudo_rotation(motion.turn[:, 3], motion.reach[:, 2])
+    assert close(stack[:, 2, :, 30:40], R @ K[:, 3])
+
+
+# What the paper gets wrong, and what it takes for wrong
+
+
+def arm_of(random_chain: Chains, convention: str, seed: int = 1) -> DHChain:
+    """A random arm of six revolute joints."""
+    chain = random_chain(seed, 6, convention)
+    return replace(chain, revolute=np.ones(6, dtype=bool), a=np.full(6, 0.3), d=np.full(6, 0.2))
+
+
+def torque_with(chain: DHChain, x: np.ndarray, change: Callable[..., None]) -> np.ndarray:
+    """Torque from the stack built here, block by block, with K changed before it is used."""
+    motion = forward_recursion(chain, *x)
+    K = np.array(kinematic_matrix(motion.p, motion.omega, motion.domega, motion.dv))
+    change(K, motion)
+    own = (K @ chain.phi.reshape(-1, 10)[None, :, :, None])[..., 0]
+    g = np.array(own)
+    for i in reversed(range(chain.nv - 1)):
+        R = pseudo_rotation(motion.turn[:, i + 1], motion.reach[:, i])
+        g[:, i] += (R @ g[:, i + 1, :, None])[..., 0]
+    return select_torque(chain, motion, g)
+
+
+def without_lever_times_acceleration(K: np.ndarray, motion: object) -> None:
+    K[..., 3:, 0] = 0.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_lever_times_acceleration_belongs_to_distal_frames_only(
+    random_chain: Chains, seed: int
+) -> None:
+    """[p×]v̇: needed in the paper's frames, zero in those of An, Atkeson and Hollerbach."""
+    distal = arm_of(random_chain, "standard", seed)
+    x = states(seed, 50, 6)
+    expected = classical_torque(distal, *x)
+    assert close(torque_with(distal, x, lambda K, motion: None), expected)
+    dropped = torque_with(distal, x, without_lever_times_acceleration) - expected
+    assert np.sqrt(np.mean(dropped**2)) > 0.05 * np.sqrt(np.mean(expected**2))
+    proximal = with_convention(distal, "modified")
+    assert close(torque_with(proximal, x, without_lever_times_acceleration), expected)
+    motion = Motion(np.arange(50.0), *x)
+    assert close(torque_matrix(proximal, *x), regressor(robot_from_dh(proximal), motion))
+
+
+def test_the_printed_kinematic_matrix_is_wrong(random_chain: Chains) -> None:
+    """[p×][ω×] for [p×]([ω̇×] + [ω×][ω×]): other units, so it breaks the scaling of time."""
+    chain = replace(arm_of(random_chain, "standard"), gravity=np.zeros(3))
+    q, dq, ddq = states(2, 40, 6)
+
+    def printed(K: np.ndarray, motion: object) -> None:
+        arm, spin = cross_matrix(motion.p), cross_matrix(motion.omega)
+        K[..., 3:, 1:4] = arm @ spin - cross_matrix(motion.dv)
+
+    def right(K: np.ndarray, motion: object) -> None:
+        pass
+
+    expected = classical_torque(chain, q, dq, ddq)
+    assert np.abs(torque_with(chain, (q, dq, ddq), printed) - expected).max() > 0.1
+    for form, scales in ((right, True), (printed, False)):
+        once = torque_with(chain, (q, dq, ddq), form)
+        twice = torque_with(chain, (q, 2 * dq, 4 * ddq), form)
+        assert close(twice, 4 * once, 1e-9) == scales
+
+
+def test_the_printed_last_block_has_the_wrong_size() -> None:
+    """[ω×][ω×] is 3 × 3 where I has six elements; [ω×][·ω] is meant: ω × (I ω)."""
+    rng = np.random.default_rng(0)
+    omega, elements = rng.standard_normal(3), rng.standard_normal(6)
+    spin = cross_matrix(omega)
+    assert (spin @ spin).shape != (3, 6) == (spin @ inertia_columns(omega)).shape
+    xx, xy, yy, xz, yz, zz = elements
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    assert np.allclose(inertia_columns(omega) @ elements, inertia @ omega, rtol=1e-13)
+    expected = np.cross(omega, inertia @ omega)
+    assert np.allclose(spin @ inertia_columns(omega) @ elements, expected, rtol=1e-13)
+
+
+# The CMU DD Arm II
+
+
+@pytest.fixture(scope="module")
+def dd() -> DHChain:
+    return dd_arm_chain()
+
+
+def test_dd_arm_tables_are_complete_and_marked() -> None:
+    table = {entry.name: entry for entry in dd_arm_tables()}
+    assert len(table) == 46
+    assert table["m5+m4"].initial == pytest.approx(1.880 + 0.937)
+    assert table["m4s4z"].likely == 0.051462
+    assert table["m4s4z"].value("estimated") == 0.081462
+    assert table["m4s4z"].value("estimated", likely=True) == 0.051462
+    assert table["m4s4z"].value("initial", likely=True) == 0.043011
+    doubtful = {name for name, entry in table.items() if entry.doubtful}
+    assert doubtful == {
+        *("m4s4z", "m3s3y", "m3s3z", "I3yz", "m5s5z", "I5xx", "I3xz", "I3yy", "I3zz"),
+    }
+    assert all(table[name].why and table[name].printed for name in doubtful)
+    likely = table["m4s4z"].likely / table["m4s4z"].initial
+    assert likely == pytest.approx(table["m4s4y"].estimated / table["m4s4y"].initial, rel=0.01)
+
+
+def test_dd_arm_is_loaded_with_its_initial_values(dd: DHChain) -> None:
+    """The arm's file states them twice: as tables, and as inertias about the same frames."""
+    assert np.allclose(dd.phi, dd_arm_parameters("initial"), rtol=0, atol=1e-9)
+    loaded, x = load_robot("cmu_dd_arm_ii"), states(0, 5, 6)
+    expected = modified_torque(dd, *x)
+    motion = Motion(np.arange(5.0), *x)
+    assert close(rigid_body_torque(loaded, motion), expected)
+    assert close(rigid_body_torque(dd_arm("initial"), motion), expected, 1e-8)
+    estimated = dd.with_parameters(dd_arm_parameters("estimated"))
+    assert close(
+        rigid_body_torque(dd_arm("estimated"), motion), modified_torque(estimated, *x), 1e-8
+    )
+
+
+def test_dd_arm_shows_exactly_what_the_tables_list(dd: DHChain) -> None:
+    """47 non-zero columns, two of them the same (m4, m5): the 46 rows of the tables."""
+    W = torque_matrix(dd, *states(0, 200, 6)).reshape(-1, 60)
+    norms = np.linalg.norm(W, axis=0)
+    names = [f"{link}.{name}" for link in dd.links for name in STANDARD]
+    shown = {name for name, norm in zip(names, norms, strict=True) if norm > 1e-12 * norms.max()}
+    m4, m5 = names.index("link4.m"), names.index("link5.m")
+    assert np.allclose(W[:, m4], W[:, m5], rtol=0, atol=1e-12 * norms.max())
+    listed = {p for e in dd_arm_tables() for p in e.parameter.split(" + ")}
+    assert shown == listed
+    assert len(shown) - 1 == len(dd_arm_tables()) == 46
+
+
+def test_what_the_tables_leave_out_moves_no_torque(dd: DHChain) -> None:
+    x, rng = states(4, 30, 6), np.random.default_rng(4)
+    names = [f"{link}.{name}" for link in dd.links for name in STANDARD]
+    listed = {p for e in dd_arm_tables() for p in e.parameter.split(" + ")}
+    phi = [v if n in listed else v + rng.standard_normal() for n, v in zip(names, dd.phi, strict=1)]
+    changed = modified_torque(dd.with_parameters(phi), *x)
+    assert close(changed, modified_torque(dd, *x))
+
+
+def test_dd_arm_has_32_base_parameters(dd: DHChain) -> None:
+    assert len(base_parameters(load_robot("cmu_dd_arm_ii"))) == 32
+    assert rank(torque_matrix(dd, *states(1, 200, 6)).reshape(-1, 60)) == 32
+
+
+def experiments(dd: DHChain, moving: str, poses: str) -> list[np.ndarray]:
+    """M of one experiment per joint, last joint first.
+
+    Args:
+        dd: The arm.
+        moving: ``"i"``: only joint i moves; ``"1..i"``: joints 1 to i do.
+        poses: ``"one"`` or ``"many"`` of the joints that stand still.
+    """
+    found = []
+    for i in reversed(range(6)):
+        q, dq, ddq = states(7 + i, 200, 6)
+        still = np.arange(6) > i if moving == "1..i" else np.arange(6) != i
+        dq[:, still] = ddq[:, still] = 0.0
+        if poses == "one":
+            q[:, still] = q[0, still]
+        found.append(torque_matrix(dd, q, dq, ddq))
+    return found
+
+
+def own(M: np.ndarray, i: int) -> np.ndarray:
+    return M[:, :, 10 * i : 10 * i + 10]
+
+
+def stacked_ranks(parts: list[np.ndarray]) -> list[int]:
+    """How many combinations each experiment adds to those before it."""
+    ranks = [rank(np.vstack(parts[: k + 1])) for k in range(len(parts))]
+    return np.diff([0, *ranks]).tolist()
+
+
+def test_cascade_of_joint_torques_recovers_the_base_set(dd: DHChain) -> None:
+    """Joints 1..i move, τ_i alone is read: 7 + 7 + 7 + 7 + 3 + 1 = 32."""
+    runs = list(zip(experiments(dd, "1..i", "one"), reversed(range(6)), strict=True))
+    assert [rank(own(M, i)[:, i]) for M, i in runs] == [7, 7, 7, 7, 3, 1]
+    assert stacked_ranks([M[:, i] for M, i in runs]) == [7, 7, 7, 7, 3, 1]
+
+
+def test_only_one_link_moves_read_literally(dd: DHChain) -> None:
+    """Joint i alone moves, the others hold one pose, τ_i alone is read: 14."""
+    runs = list(zip(experiments(dd, "i", "one"), reversed(range(6)), strict=True))
+    assert [rank(own(M, i)[:, i]) for M, i in runs] == [3, 3, 3, 3, 1, 1]
+
+
+def test_many_poses_make_up_for_most_of_it(dd: DHChain) -> None:
+    """Joint i alone moves, the others hold many poses: τ_i determines 30, τ_1..τ_i all 32."""
+    runs = list(zip(experiments(dd, "i", "many"), reversed(range(6)), strict=True))
+    assert sum(stacked_ranks([M[:, i] for M, i in runs])) == 30
+    assert sum(stacked_ranks([M[:, : i + 1].reshape(-1, 60) for M, i in runs])) == 32
+
+
+@pytest.mark.parametrize(
+    ("offset", "ranks"), [("a", [7, 7, 7, 5, 3, 1]), ("d", [7, 7, 6, 5, 3, 1])]
+)
+def test_what_many_poses_and_inner_torques_show_of_the_moving_link(
+    dd: DHChain, offset: str, ranks: list[int]
+) -> None:
+    """30 if the p3 that the tables demand is across joint 3, 29 if it is along it (as assumed).
+
+    Along joint 3 it gives the weight of link 4 no lever of its own. The tables, 46 columns and
+    32 base parameters, are the same for both.
+    """
+    third = np.arange(6) == 2
+    lengths = {key: np.where(third, 0.1 * (key == offset), getattr(dd, key)) for key in ("a", "d")}
+    arm = replace(dd, **lengths)
+    runs = list(zip(experiments(arm, "i", "many"), reversed(range(6)), strict=True))
+    assert [rank(own(M, i)[:, : i + 1].reshape(-1, 10)) for M, i in runs] == ranks
+    W = torque_matrix(arm, *states(1, 200, 6)).reshape(-1, 60)
+    norms = np.linalg.norm(W, axis=0)
+    assert np.sum(norms > 1e-12 * norms.max()) == 47
+    assert rank(W) == 32
+
+
+def test_seven_columns_of_links_1_and_2_hold_four_combinations(dd: DHChain) -> None:
+    W = torque_matrix(dd, *states(2, 200, 6))[:, :, :20].reshape(-1, 20)
+    norms = np.linalg.norm(W, axis=0)
+    assert np.sum(norms > 1e-12 * norms.max()) == 7
+    assert rank(W) == 4
+
+
+def test_initial_values_are_possible_and_link_5_as_estimated_is_not(dd: DHChain) -> None:
+    assert violations(dd_arm_parameters("initial"), dd.links) == []
+    phi = dd_arm_parameters("estimated")
+    found = {line.split(":")[0]: line for line in violations(phi, dd.links)}
+    assert set(found) == {"link4", "link5"}
+    assert "break the triangle inequality" in found["link5"]
+    link5 = phi[40:50]
+    assert link5[4] > link5[6] + link5[9]
+    nearest = nearest_consistent(link5)
+    assert violations(nearest, ("link5",)) == []
+    assert np.allclose(nearest[:4], link5[:4], rtol=1e-12)
+    assert violations(dd_arm_parameters("estimated", likely=True), dd.links) == []
+
+
+def test_link_1_is_about_its_centre_of_mass(dd: DHChain) -> None:
+    """About the frame the printed I1zz would violate I ≥ (m s)² / m."""
+    row = {entry.name: entry.initial for entry in dd_arm_tables()}
+    assert row["I1zz"] < row["m1s1x"] ** 2 / row["m1"]
+    assert dd.phi[9] == pytest.approx(row["I1zz"] + row["m1s1x"] ** 2 / row["m1"])
+    assert row["I2yy"] > row["m2s2x"] ** 2 / row["m2"]
+    assert dd.phi[16] == row["I2yy"]
+
+
+# How many base parameters, by rule
+
+
+def structural_count(chain: DHChain) -> int:
+    """Base parameters by the rules of Gautier and Khalil (1990), without any regressor.
+
+    In proximal frames: a revolute joint regroups YY, MZ, M; a prismatic one its six inertias.
+    Let r be the first revolute joint and m the first one after it with another direction.
+    Revolute joints before m keep ZZ of their inertia only, and lose MX, MY as well when their
+    axis is that of r, along gravity, with no sliding across it before. Prismatic joints between
+    r and m keep M alone if they slide along r's axis, else lose one component of M c; before r
+    they keep M alone.
+    """
+    frames = chain.frames(np.zeros((1, chain.nv)))[0, 1:]
+    axes, points = frames[:, :3, 2], frames[:, :3, 3]
+    turning = np.flatnonzero(chain.revolute)
+    first = int(turning[0]) if len(turning) else chain.nv
+
+    def along(u: np.ndarray, v: np.ndarray) -> bool:
+        return bool(np.linalg.norm(np.cross(u, v)) < 1e-9)
+
+    other = next((j for j in turning if not along(axes[j], axes[first])), chain.nv)
+    count = 0
+    for j in range(chain.nv):
+        if j < first:
+            count += 1
+        elif j >= other:
+            count += 7 if chain.revolute[j] else 4
+        elif chain.revolute[j]:
+            slides = [k for k in range(j) if not chain.revolute[k]]
+            same = along(points[j] - points[first], axes[first])
+            calm = along(chain.gravity, axes[first])
+            calm = calm and all(along(axes[k], axes[first]) for k in slides)
+            count += 1 if same and calm else 3
+        else:
+            count += 1 if along(axes[j], axes[first]) else 3
+    return count
+
+
+@pytest.mark.parametrize(
+    ("name", "gravity", "count"),
+    [
+        ("puma560", (0, 0, -9.81), 36),
+        ("puma560", (3, 0, -9.3), 38),
+        ("cmu_dd_arm_ii", (0, 0, -9.81), 32),
+        ("ur10", (0, 0, -9.81), 36),
+        ("panda", (0, 0, -9.81), 43),
+        ("planar_2r", (0, 0, -9.81), 6),
+        ("planar_2r", (0, 0, 0), 4),
+        ("cylindrical", (0, 0, -9.81), 5),
+    ],
+)
+def test_base_parameters_counted_in_three_ways(
+    name: str, gravity: tuple[float, ...], count: int
+) -> None:
+    """Ranks of two regressors that share no code, and a rule that needs none."""
+    robot = load_robot(name).with_gravity(gravity)
+    chain = dh_from_robot(robot, "modified")
+    x = np.array(robot.random_motion(np.random.default_rng(5), 200))
+    assert len(base_parameters(robot)) == count
+    assert rank(torque_matrix(chain, *x).reshape(-1, 10 * robot.nv)) == count
+    assert structural_count(chain) == count
+
+
+@given(seed=SEEDS, nv=st.integers(1, 6))
+def test_the_rule_holds_for_arms_of_right_angles(random_chain: Chains, seed: int, nv: int) -> None:
+    """Random arms with parallel and orthogonal axes, mounted upright or at a slant."""
+    rng = np.random.default_rng(seed)
+    chain = replace(
+        random_chain(seed, nv, "modified"),
+        revolute=np.ones(nv, dtype=bool),
+        alpha=rng.choice([0.0, np.pi / 2, -np.pi / 2], nv) * (np.arange(nv) > 0),
+        a=rng.choice([0.0, 0.4], nv) * (np.arange(nv) > 0),
+        d=rng.choice([0.0, 0.3], nv),
+        base=np.eye(4),
+        gravity=np.array([[0, 0, -9.81], [2, 3, -9]][rng.integers(2)], float),
+    )
+    W = torque_matrix(chain, *states(seed, 100, nv)).reshape(-1, 10 * nv)
+    assert rank(W) == structural_count(chain)
