@@ -17,6 +17,7 @@ from excitant.robots import Array, Robot, torque
 from excitant.robots.geometry import Scene
 
 _DERIVATIVES = ("position", "velocity", "acceleration", "jerk")
+_POINT = 1e-3  # m: a body of less radius at the tool's frame is its point
 _POSES = 4  # of the arm, drawn along the motion
 
 
@@ -146,22 +147,51 @@ def certified(
 
 def obstacle_values(scene: Scene) -> list[dict[str, Any]]:
     """Obstacles of a scene as plain values, with the keys of an obstacle file."""
-    found = []
+    found: list[dict[str, Any]] = []
+    workspaces: dict[str, dict[str, Any]] = {}
+    inward = _tool_sides(scene)
     for body in scene.geometry.geometryObjects:
         if body.parentFrame != 0:  # the arm's own bodies, its base included, hang on a link
             continue
-        place, shape = body.placement, body.geometry
-        values: dict[str, Any] = {"name": str(body.name), "position": place.translation.tolist()}
+        name, place, shape = str(body.name), body.placement, body.geometry
         if isinstance(shape, coal.Box):
-            rpy = pin.rpy.matrixToRpy(place.rotation)
-            values |= {"shape": "box", "size": (2 * shape.halfSide).tolist(), "rpy": rpy.tolist()}
+            size, rpy = (2 * shape.halfSide).tolist(), pin.rpy.matrixToRpy(place.rotation).tolist()
+            values: dict[str, Any] = {"size": size, "position": place.translation.tolist()}
+            found.append({"name": name, "shape": "box", **values, "rpy": rpy})
         elif isinstance(shape, coal.Sphere):
-            values |= {"shape": "sphere", "radius": float(shape.radius)}
-        elif isinstance(shape, coal.Halfspace):
-            del values["position"]
-            values |= {"shape": "half_space", "normal": shape.n.tolist(), "offset": float(shape.d)}
-        found.append(values)
-    return found
+            values = {"radius": float(shape.radius), "position": place.translation.tolist()}
+            found.append({"name": name, "shape": "sphere", **values})
+        elif name in inward:
+            whole = name.rsplit(" ", 2)[0]  # a side is named by its workspace, axis and end
+            blank = {"name": whole, "shape": "workspace", "low": [None] * 3, "high": [None] * 3}
+            axis = int(np.abs(shape.n).argmax())
+            end = "low" if shape.n[axis] > 0 else "high"
+            workspaces.setdefault(whole, blank)[end][axis] = float(shape.d * shape.n[axis])
+        else:
+            values = {"normal": shape.n.tolist(), "offset": float(shape.d)}
+            found.append({"name": name, "shape": "half_space", **values})
+    return [*found, *workspaces.values()]
+
+
+def _tool_sides(scene: Scene) -> set[str]:
+    """Names of the half-spaces around workspaces, which only the tool's point must not enter."""
+    bodies, tip = list(scene.geometry.geometryObjects), scene.robot.tip
+    partners: dict[int, set[int]] = {}
+    for pair in scene.geometry.collisionPairs:
+        partners.setdefault(pair.first, set()).add(pair.second)
+        partners.setdefault(pair.second, set()).add(pair.first)
+    points = {
+        k
+        for k, body in enumerate(bodies)
+        if body.parentFrame == tip
+        and isinstance(body.geometry, coal.Sphere)
+        and body.geometry.radius < _POINT
+    }
+    return {
+        str(bodies[k].name)
+        for k, others in partners.items()
+        if isinstance(bodies[k].geometry, coal.Halfspace) and others <= points
+    }
 
 
 def _skeleton(robot: Robot, q: Array) -> tuple[Array, Array, Array]:

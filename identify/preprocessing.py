@@ -15,7 +15,8 @@ import numpy.typing as npt
 import scipy.interpolate
 import scipy.signal
 
-from excitant.exceptions import BadRecording
+from excitant.exceptions import BadInput, BadRecording
+from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth
 from excitant.identify.recording import MINIMUM_DURATION, Recording
 from excitant.robots.motion import Array, Motion, freeze
 
@@ -68,13 +69,19 @@ class Segment:
         return self.motion.t[self.keep]
 
 
-def prepare(recording: Recording, cutoff_hz: float | None = None) -> list[Segment]:
+def prepare(
+    recording: Recording,
+    cutoff_hz: float | None = None,
+    differentiator: Differentiator | None = None,
+) -> list[Segment]:
     """Segments of a recording, split at gaps, filtered and differentiated.
 
     Args:
         recording: What was logged.
         cutoff_hz: Cut-off of the torque filter; 10 Hz, or 0.4 times the sampling rate when
             that is lower.
+        differentiator: From positions to the motion, in place of the Butterworth filter with
+            a quintic spline; it must have no delay.
 
     Raises:
         BadRecording: The cut-off is not below half the sampling rate, or no uninterrupted
@@ -93,7 +100,7 @@ def prepare(recording: Recording, cutoff_hz: float | None = None) -> list[Segmen
     segments = []
     for part in np.split(np.arange(len(recording.t)), breaks):
         if len(part) > 20 and recording.t[part[-1]] - recording.t[part[0]] >= MINIMUM_DURATION:
-            segments.append(_segment(recording, part, step, cutoff_hz))
+            segments.append(_segment(recording, part, step, cutoff_hz, differentiator))
     if not segments:
         raise BadRecording(recording.file, _too_short(recording, breaks), column="t")
     return segments
@@ -111,17 +118,22 @@ def _too_short(recording: Recording, breaks: npt.NDArray[np.intp]) -> str:
 
 
 def _segment(
-    recording: Recording, part: npt.NDArray[np.intp], step: float, cutoff_hz: float
+    recording: Recording,
+    part: npt.NDArray[np.intp],
+    step: float,
+    cutoff_hz: float,
+    differentiator: Differentiator | None,
 ) -> Segment:
     t = recording.t[part]
     grid = np.arange(t[0], t[-1] + 1e-9, step)
     q = scipy.interpolate.make_interp_spline(t, recording.q[part], k=3)(grid)
     tau = _resampled(grid, t, recording.tau[part])
-    position_cutoff = min(_POSITION_RATIO * cutoff_hz, 0.5 * _NYQUIST_SHARE / step)
-    smooth = scipy.interpolate.make_interp_spline(
-        grid, _low_pass(q, position_cutoff, 1 / step), k=5
-    )
-    motion = Motion(grid, smooth(grid), smooth(grid, 1), smooth(grid, 2))
+    if differentiator is None:
+        position_cutoff = min(_POSITION_RATIO * cutoff_hz, 0.5 * _NYQUIST_SHARE / step)
+        differentiator = ZeroPhaseButterworth(position_cutoff)
+    elif differentiator.delay(1 / step) > 0:
+        raise BadInput(f"{differentiator.name}: a causal one is for loops; give one without delay")
+    motion = differentiator(grid, q)
     edge = round(1 / (cutoff_hz * step))
     stride = max(1, int(1 / (4 * cutoff_hz * step)))
     return Segment(

@@ -30,10 +30,14 @@ def _demo(result: Result) -> Lines:
 
 def _design(result: Result) -> Lines:
     before, after = (real(result, "condition_number", k) for k in ("initial", "final"))
+    scaled = [real(result, "condition_number_scaled", k) for k in ("initial", "final")]
     worst = max(real(result, "limits", k) or 0.0 for k in at(result, "limits"))
+    weak = [text(row, "name") for row in records(result, "weakest")[:3]]
     return [
         ("designed", f"condition number {number(before)} → {number(after)}, "
          f"limits used up to {percent(worst, 4)}"),
+        *([("", f"with columns scaled {number(scaled[0])} → {number(scaled[1])}; "
+            f"seen worst: {', '.join(weak)}")] if weak else []),
         *(("", note) for note in words(result, "notes")),
     ]  # fmt: skip
 

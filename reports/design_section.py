@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from excitant.reports.design_figures import (
-    convergence_figure,
-    eigenvalue_figure,
-    motion_figure,
-)
+from collections.abc import Mapping
+
+from excitant.reports.design_figures import convergence_figure, spectrum_figure
+from excitant.reports.design_motion_figure import envelope_of, motion_figure, share_of_limit
+from excitant.reports.design_space_figure import space_figure
+from excitant.reports.design_weakness import direction_table, weakest_figure, weakest_table
 from excitant.reports.model import (
     FAIR,
     GOOD,
@@ -25,6 +26,7 @@ from excitant.reports.reading import (
     Result,
     Series,
     at,
+    items,
     joint_names,
     real,
     records,
@@ -33,6 +35,13 @@ from excitant.reports.reading import (
     worst_points,
 )
 from excitant.reports.wording import NONE, number, percent, plain, quantity, value_and_std
+
+_CRITERIA = {
+    "condition": "least ratio of singular values of W",
+    "d": "greatest determinant of WᵀW",
+    "a": "least trace of (WᵀW)⁻¹",
+    "e": "greatest weakest singular value of W",
+}
 
 
 def design_section(result: Result, series: Series) -> Section:
@@ -45,9 +54,14 @@ def design_section(result: Result, series: Series) -> Section:
             ("Key figures", [_design_facts(result)]),
             (
                 "Motion against limits",
-                [_limit_table(result), motion_figure(joints, result, series)],
+                [_limit_table(result), _joint_table(result), motion_figure(joints, result, series)],
             ),
-            ("What the motion makes visible", [eigenvalue_figure(series)]),
+            ("Path of the tool", [space_figure(result, series)]),
+            ("What the motion makes visible", [spectrum_figure(series)]),
+            (
+                "What it shows worst",
+                [weakest_figure(result), weakest_table(result), direction_table(result)],
+            ),
             ("How it was found", [convergence_figure(result), _starts(result)]),
             ("Files", [file_list(result)]),
         ],
@@ -79,13 +93,27 @@ def _design_facts(result: Result) -> Facts | None:
             f"from {number(at(result, 'condition_number', 'initial'))}"
             + ("" if bound is None else f"; no motion below {number(bound)}"),
         ),
+        _scaled(result),
         Fact("Duration", quantity(at(result, "duration"), "s"), _harmonics(result)),
         Fact("Base parameters", text(result, "base_parameters") or NONE, _columns(result)),
-        Fact("Criterion", plain(text(result, "criterion")) or NONE),
+        Fact(
+            "Criterion",
+            plain(text(result, "criterion")) or NONE,
+            _CRITERIA.get(text(result, "criterion"), ""),
+        ),
         Fact("Clearance", quantity(at(result, "clearance_m"), "m"), "to obstacles and itself"),
         Fact("Search", quantity(at(result, "wall_s"), "s"), _effort(result)),
     ]
     return known_facts(facts)
+
+
+def _scaled(result: Result) -> Fact:
+    initial = real(result, "condition_number_scaled", "initial")
+    return Fact(
+        "Condition number, scaled",
+        number(at(result, "condition_number_scaled", "final")),
+        ("" if initial is None else f"from {number(initial)}; ") + "columns of W at unit length",
+    )
 
 
 def known_facts(facts: list[Fact]) -> Facts | None:
@@ -96,7 +124,10 @@ def known_facts(facts: list[Fact]) -> Facts | None:
 
 def _harmonics(result: Result) -> str:
     count = real(result, "harmonics")
-    return "" if count is None else f"{count:.0f} harmonics"
+    if count is None:
+        return ""
+    spline = text(result, "series") == "spline"  # twice as many pieces as harmonics
+    return f"spline of {2 * count:.0f} pieces" if spline else f"{count:.0f} harmonics"
 
 
 def _columns(result: Result) -> str:
@@ -115,7 +146,7 @@ def _limit_table(result: Result) -> Table | None:
     for point in worst_points(result):
         share, verdict = NONE, Cell("no limit given")
         if point.ratio is not None:
-            share = f"{100 * point.ratio:.1f}\u00a0%"
+            share = share_of_limit(point.ratio)
             verdict = Cell("holds", GOOD) if point.holds else Cell("exceeded", POOR)
         rows.append([point.quantity, share, verdict, point.joint or NONE, number(point.t)])
     if not rows:
@@ -124,6 +155,30 @@ def _limit_table(result: Result) -> Table | None:
         "name:Quantity | number:Worst share of limit | text:Verdict | name:Joint | number:At [s]",
         rows,
         "The worst point of the continuous motion, also between samples: 100 % is the limit.",
+    )
+
+
+def _joint_table(result: Result) -> Table | None:
+    """The certified share of each limit, joint by joint."""
+    certified, joints = at(result, "certified"), joint_names(result)
+    if not isinstance(certified, Mapping) or not joints:
+        return None
+    quantities = [
+        str(q) for q in certified if any(isinstance(r, Mapping) for r in items(certified, q))
+    ]
+    if not quantities:
+        return None
+    rows: list[list[Cell | str]] = []
+    for k, joint in enumerate(joints):
+        shares = [envelope_of(result, quantity, k) for quantity in quantities]
+        rows.append([joint, *(NONE if e is None else share_of_limit(e.ratio) for e in shares)])
+    heads = " | ".join(f"number:{plain(quantity).capitalize()}" for quantity in quantities)
+    return table(
+        f"name:Joint | {heads}",
+        rows,
+        "Certified share of every joint's limit: where 100 % is reached, that limit bounds what "
+        "the motion can show; a dash means no limit.",
+        f"Share of the limits joint by joint ({len(joints)})",
     )
 
 
@@ -180,9 +235,14 @@ def check_section(result: Result, series: Series) -> Section:
             ("Verdicts", [Notes(tuple(verdicts)) if verdicts else None]),
             (
                 "Motion against limits",
-                [_limit_table(result), motion_figure(joint_names(result), result, series)],
+                [
+                    _limit_table(result),
+                    _joint_table(result),
+                    motion_figure(joint_names(result), result, series),
+                ],
             ),
-            ("What the motion makes visible", [eigenvalue_figure(series)]),
+            ("Path of the tool", [space_figure(result, series)]),
+            ("What the motion makes visible", [spectrum_figure(series)]),
         ],
     )
 

@@ -19,16 +19,18 @@ from typing import Any, cast
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
 from excitant.reports.model import Panel
-from excitant.reports.wording import number, power_of_ten
+from excitant.reports.wording import power_of_ten
 from excitant.robots.motion import Array
 
 MEASURED, GIVEN, FITTED = "#4d4d4d", "#d55e00", "#0072b2"
-GREEN, PURPLE, AMBER, LIGHT = "#009e73", "#b0558f", "#e69f00", "#b9bdc2"
+GREEN, PURPLE, AMBER, SKY, LIGHT = "#009e73", "#b0558f", "#e69f00", "#3a93c9", "#b9bdc2"
 
 WIDTH = 3.9  # inch: 281 pt, which a phone shows a little larger than drawn
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.6, 0.12, 0.1, 0.42  # inch
@@ -76,8 +78,22 @@ def style() -> Iterator[None]:
             yield
 
 
-def axes(height: float, ratios: Sequence[float] = (1,), left: float = _LEFT) -> list[Axes]:
-    """Axes one above the other with a common abscissa, margins in inches."""
+def axes(
+    height: float,
+    ratios: Sequence[float] = (1,),
+    left: float = _LEFT,
+    top: float = _TOP,
+    space: float = 0.16,
+) -> list[Axes]:
+    """Axes one above the other with a common abscissa.
+
+    Args:
+        height: Of the drawing [inch].
+        ratios: Heights of the axes, in proportion.
+        left: Margin for the ordinates' labels [inch].
+        top: Margin above the first axes [inch].
+        space: Between the axes, as a share of their mean height.
+    """
     figure = Figure(figsize=(WIDTH, height))
     FigureCanvasSVG(figure)
     grid = figure.subplots(
@@ -89,9 +105,9 @@ def axes(height: float, ratios: Sequence[float] = (1,), left: float = _LEFT) -> 
             "height_ratios": list(ratios),
             "left": left / WIDTH,
             "right": 1 - _RIGHT / WIDTH,
-            "top": 1 - _TOP / height,
+            "top": 1 - top / height,
             "bottom": _BOTTOM / height,
-            "hspace": 0.16,
+            "hspace": space,
         },
     )
     found: list[Axes] = list(grid[:, 0])
@@ -104,6 +120,33 @@ def axes(height: float, ratios: Sequence[float] = (1,), left: float = _LEFT) -> 
     return found
 
 
+def axes_3d(low: Array, high: Array) -> Any:
+    """Axes in space with one scale for all directions.
+
+    Args:
+        low: Least coordinates to be shown, shape (3,).
+        high: Greatest coordinates, shape (3,).
+    """
+    figure = Figure(figsize=(WIDTH, 3.3))
+    FigureCanvasSVG(figure)
+    ax: Any = figure.add_axes((-0.07, -0.03, 1.04, 1.1), projection="3d")
+    middle, half = (low + high) / 2, 0.52 * np.maximum(high - low, 0.5 * float(np.max(high - low)))
+    ax.set_box_aspect(half.tolist(), zoom=0.94)
+    ax.view_init(elev=24, azim=-56)
+    for k, axis in enumerate((ax.xaxis, ax.yaxis, ax.zaxis)):
+        getattr(ax, f"set_{'xyz'[k]}lim")(middle[k] - half[k], middle[k] + half[k])
+        axis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
+        axis.set_major_formatter(FuncFormatter(_tick))
+        axis.set_pane_color((0.975, 0.978, 0.98, 1.0))
+        axis.set_tick_params(pad=-2, labelsize=7.5)
+    return ax
+
+
+def fill_3d(ax: Any, faces: Sequence[Array], **look: Any) -> None:
+    """Fill plane polygons in space, each of shape (corners, 3)."""
+    ax.add_collection3d(Poly3DCollection(list(faces), **look))
+
+
 def label_y(ax: Axes, words: str) -> None:
     """Name the ordinate at a fixed distance, so that panels line up."""
     ax.set_ylabel(words)
@@ -114,17 +157,30 @@ def label_y(ax: Axes, words: str) -> None:
 def log_y(ax: Axes) -> None:
     """Make the ordinate logarithmic, with powers of ten or plain numbers as labels."""
     ax.set_yscale("log")
-    lower, upper = sorted(ax.get_ylim())
+    _log_axis(ax.yaxis, ax.get_ylim())
+
+
+def log_x(ax: Axes) -> None:
+    """Make the abscissa logarithmic, with powers of ten or plain numbers as labels."""
+    ax.set_xscale("log")
+    _log_axis(ax.xaxis, ax.get_xlim())
+
+
+def _log_axis(axis: Axis, limits: tuple[float, float]) -> None:
+    lower, upper = sorted(limits)
     decades = math.log10(upper / lower) if lower > 0 else 1.0
-    ax.yaxis.set_major_locator(LogLocator(subs=(1.0,) if decades > 2 else (1.0, 2.0, 5.0)))
-    ax.yaxis.set_minor_locator(NullLocator())
-    ax.yaxis.set_major_formatter(FuncFormatter(_log_tick))
+    axis.set_major_locator(LogLocator(subs=(1.0,) if decades > 2 else (1.0, 2.0, 5.0)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(_log_tick))
 
 
 def _tick(value: float, _position: int | None = None) -> str:
     if abs(value) < 1e-12:
         return "0"
-    return f"{value:.6g}".replace("-", "−") if 1e-3 <= abs(value) < 1e5 else number(value, 2)
+    if 1e-3 <= abs(value) < 1e5:
+        return f"{value:.6g}".replace("-", "−")
+    exponent = math.floor(math.log10(abs(value)) + 1e-9)
+    return f"{value / 10.0**exponent:.3g}×{power_of_ten(exponent)}".replace("-", "−")
 
 
 def _log_tick(value: float, _position: int | None = None) -> str:
@@ -211,6 +267,18 @@ def thin(x: Array, y: Array, bins: int = _BINS) -> tuple[Array, Array]:
     greatest = first + np.where(np.isnan(rows), -np.inf, rows).argmax(axis=1)
     keep = np.unique(np.concatenate([[0], least, greatest, [len(y) - 1]]))
     return x[keep], y[keep]
+
+
+def whole_ticks(ax: Axes) -> None:
+    """Label the abscissa at whole numbers only."""
+    ax.xaxis.set_major_locator(MaxNLocator(6, integer=True, steps=[1, 2, 5, 10]))
+
+
+def thin_path(path: Array, points: int = 2 * _BINS) -> Array:
+    """A path in space at no more than so many equidistant samples, the last included."""
+    keep = np.linspace(0, len(path) - 1, min(len(path), points)).round().astype(int)
+    thinned: Array = path[keep]
+    return thinned
 
 
 def draw_curve(ax: Axes, t: Array, joins: Sequence[int], y: Array, **look: Any) -> None:

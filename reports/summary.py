@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from excitant.reports.reading import Result, at, real, records, text, words, worst_points
+from excitant.reports.wording import combination
 
 _FIGURE = 12  # characters of a number
 Cells = Sequence[str | float | None]
@@ -98,6 +99,8 @@ def _design(result: Result) -> list[str]:
         "condition_number.initial",
         "condition_number.final",
         "condition_number.lower_bound",
+        "condition_number_scaled.initial",
+        "condition_number_scaled.final",
         "clearance_m",
         "iterations",
     )
@@ -113,7 +116,25 @@ def _design(result: Result) -> list[str]:
     return [
         *_fields("", result, keys),
         *_limits(result),
+        *_weakest(result),
         *_table("starts", ("start", "condition", "iterations", "status"), starts),
+    ]
+
+
+def _weakest(result: Result) -> list[str]:
+    """What a design shows worst: torque per unit before and after, of parameters and directions."""
+    heads = ("initial", "final")
+    parameters: list[Cells] = [
+        (text(row, "expression"), *(real(row, f"information_{key}") for key in heads))
+        for row in records(result, "weakest")
+    ]
+    directions: list[Cells] = [
+        (combination(row), real(row, "other"), real(row, "strength"))
+        for row in records(result, "weak_directions", "final")
+    ]
+    return [
+        *_numbers_first("weakest base parameters: torque per unit [N.m]", heads, parameters),
+        *_numbers_first("weakest directions: torque per unit [N.m]", heads, directions),
     ]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from excitant.reports.reading import real
+from excitant.reports.reading import Result, real, records, text
 
 NONE = "–"
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -68,6 +68,20 @@ def plain(name: object) -> str:
     for person in ("stribeck", "coulomb"):
         words = words.replace(person, person.capitalize())
     return words
+
+
+def combination(direction: Result) -> str:
+    """A direction in parameter space as text, e.g. ``0.81·link1.Izz − 0.52·joint2.Fv + …``.
+
+    Args:
+        direction: ``members`` with ``name`` and ``coefficient``, and their ``share`` of it.
+    """
+    written = ""
+    for member in records(direction, "members"):
+        size = real(member, "coefficient") or 0.0
+        sign = (" − " if size < 0 else " + ") if written else ("−" if size < 0 else "")
+        written += f"{sign}{abs(size):.2f}·{text(member, 'name')}"
+    return written + (" + …" if (real(direction, "share") or 0.0) < 0.99 else "")
 
 
 def listing(names: list[str], none: str = NONE) -> str:

@@ -51,6 +51,59 @@ def _accuracy(rms: float, scale: float, raw: bool = False) -> dict[str, Any]:
     return {**found, "rms_raw": rms * 1.4} if raw else found
 
 
+def _visibility(rng: np.random.Generator) -> dict[str, Any]:
+    """What a design shows worst, before and after."""
+    weakest = [
+        {
+            "name": f"{LINKS[k % 7]}.{STANDARD[k]}",
+            "expression": _expression(rng, k % 7, 25 if k == 3 else k % 4),
+            "unit": "kg·m²",
+            "value": None if k == 4 else float(rng.normal()),
+            "information_initial": None if k == 5 else 0.01 * (1 + k),
+            "information_final": 0.2 * (1 + k),
+            "std_per_unit_noise_initial": 3.0 / (1 + k),
+            "std_per_unit_noise_final": 0.15 / (1 + k),
+        }
+        for k in range(10)
+    ]
+    directions = [
+        {
+            "strength": 0.1 * (1 + k),
+            "other": 0.01,
+            "members": [
+                {"name": f"{LINKS[3]}.Izz", "coefficient": 0.81},
+                {"name": f"{JOINTS[4]}.Fv", "coefficient": -0.52},
+            ],
+            "share": 0.93,
+        }
+        for k in range(3)
+    ]
+    return {
+        "condition_number_scaled": {"initial": 90.4, "final": 6.21},
+        "joint_weights": [1.0] * 7,
+        "weakest": weakest,
+        "weak_directions": {"initial": directions, "final": directions[:2]},
+    }
+
+
+OBSTACLES = [
+    {"name": "table", "shape": "half_space", "normal": [0.0, 0.0, 1.0], "offset": -0.1},
+    {"name": "pillar", "shape": "box", "size": [0.2, 0.3, 0.9], "position": [0.9, 0.0, 0.45],
+     "rpy": [0.0, 0.0, 0.4]},
+    {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [0.0, 0.9, 0.4]},
+    {"name": "cell", "shape": "workspace", "low": [-0.9, -0.9, 0.0], "high": [0.9, 0.9, 1.3]},
+    {"name": "far wall", "shape": "box", "size": [1.0, 1.0, 1.0], "position": [40.0, 0.0, 0.0]},
+]  # fmt: skip
+
+
+def _space(q: np.ndarray) -> dict[str, np.ndarray]:
+    """A tool's path and an arm in five poses, as curved as real ones."""
+    tool = 0.6 * np.stack([np.cos(q[:, 0]), np.sin(q[:, 0]), 1 + 0.4 * np.sin(q[:, 1])], axis=1)
+    share = np.linspace(0, 1, 9)[None, :, None]
+    arm = share * tool[::500][:, None] + 0.1 * np.sin(np.pi * share) * np.array([0, 0, 1.0])
+    return {"tool": tool, "arm": arm, "arm_t": np.linspace(0.0, 10.0, 5)}
+
+
 def design_run() -> Run:
     rng = np.random.default_rng(1)
     t, q, dq, ddq = _motion(2001, 10.0, rng)
@@ -89,7 +142,23 @@ def design_run() -> Run:
             "acceleration": {"joint": 2, "t": None},
             "torque": None,
         },
+        "certified": {
+            "position": [
+                {"low": q[:, j].min(), "high": q[:, j].max(), "ratio": 0.98, "t": 3.2}
+                for j in range(7)
+            ],
+            "velocity": [
+                {"low": -abs(dq[:, j]).max(), "high": abs(dq[:, j]).max(), "ratio": 1.0, "t": 7.77}
+                for j in range(7)
+            ],
+            "acceleration": [{"ratio": 0.77, "t": None}, *[None] * 6],
+            "torque": [None] * 7,
+        },
+        "revolute": [True] * 6 + [False],
+        **_visibility(rng),
         "clearance_m": 0.043,
+        "closest": {"bodies": ["forearm_0", "table"], "t": 5.0, "distance_m": 0.0434},
+        "obstacles": OBSTACLES,
         "starts": starts,
         "iterations": 412,
         "wall_s": 23.4,
@@ -104,6 +173,7 @@ def design_run() -> Run:
         "tau": tau,
         "eigenvalues_initial": values,
         "eigenvalues_final": np.sort(10 ** rng.uniform(-1.9, 0, 57))[::-1],
+        **_space(q),
     }
     return result, series
 

@@ -1,0 +1,119 @@
+"""Columns of base parameters averaged over a block of samples, fast enough for a control loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from excitant.exceptions import BadInput
+from excitant.robots.base_parameters import BaseParameters
+from excitant.robots.effects import Effect, JointEffect
+from excitant.robots.motion import Array, Motion
+from excitant.robots.robot import Robot
+from excitant.robots.torque import observation_columns
+
+_Indices = npt.NDArray[np.intp]
+
+_STATES = 100
+_TINY = 1e-12  # rad/s: either side of standstill
+
+
+class BlockColumns:
+    """Mean columns of a block of K states.
+
+    Effects whose shape is one formula for all joints are evaluated once for all of them.
+
+    Args:
+        robot: The arm.
+        effects: Effects to estimate; each must depend on the present state alone.
+        base: Base parameters of robot and effects.
+        block: K.
+
+    Attributes:
+        used: For every joint, the base columns that its row can contain.
+
+    Raises:
+        BadInput: An effect that depends on the past.
+    """
+
+    def __init__(
+        self, robot: Robot, effects: Sequence[Effect], base: BaseParameters, block: int
+    ) -> None:
+        self.robot, self._block, self._mean = robot, block, np.full(block, 1 / block)
+        chosen = np.array(base.columns, int)
+        self._links = chosen[chosen < 10 * robot.nv]
+        self._chosen = chosen[chosen >= 10 * robot.nv] - 10 * robot.nv
+        self._count = sum(len(effect.parameters(robot)) for effect in effects)
+        self._fast: dict[tuple[str, ...], tuple[_Indices, list[tuple[JointEffect, _Indices]]]] = {}
+        self._slow: list[tuple[Effect, int]] = []
+        start = 0
+        for effect in effects:
+            if isinstance(effect, JointEffect):
+                _refuse_memory(effect)
+                joints = np.array([robot.joint_index(name) for name in effect.joints], int)
+                terms = len(effect.terms)
+                columns = start + terms * np.arange(len(joints)) + np.arange(terms)[:, None]
+                members = self._fast.setdefault(effect.joints, (joints, []))[1]
+                members.append((effect, joints * self._count + columns))
+            else:
+                self._slow.append((effect, start))
+            start += len(effect.parameters(robot))
+        self._dry = np.array([_jumps(effects, joint) for joint in robot.joints])
+        self.used = _structure(robot, effects, chosen)
+
+    def __call__(self, Y: Array, states: Array) -> Array:
+        """Mean columns, shape (nv, r).
+
+        Args:
+            Y: Mean regressor of the block, shape (nv, 10 nv).
+            states: Position, velocity and acceleration, shape (K, 3, nv).
+        """
+        F, mean = np.zeros((self.robot.nv, self._count)), self._mean
+        for joints, members in self._fast.values():
+            q, dq, ddq = states[:, :, joints].transpose(1, 0, 2).reshape(3, -1)
+            for effect, cells in members:
+                for cell, values in zip(cells, effect.shape(q, dq, ddq), strict=True):
+                    F.put(cell, mean @ values.reshape(self._block, -1))
+        for slow, start in self._slow:
+            motion = Motion(np.arange(float(self._block)), *states.transpose(1, 0, 2))
+            columns = slow.columns(self.robot, motion).mean(axis=0)
+            F[:, start : start + columns.shape[1]] = columns
+        return np.concatenate([Y[:, self._links], F[:, self._chosen]], axis=1)
+
+    def certain(self, dq: Array, still: Array) -> npt.NDArray[np.bool_]:
+        """Joints that moved one way throughout, or have no dry friction, shape (nv,)."""
+        one_way = (dq > still).all(axis=0) | (dq < -still).all(axis=0)
+        return np.asarray(one_way | ~self._dry, bool)
+
+
+def _structure(robot: Robot, effects: Sequence[Effect], columns: _Indices) -> list[_Indices]:
+    q, dq, ddq = robot.random_motion(np.random.default_rng(1), _STATES)
+    W = observation_columns(robot, effects, Motion(np.arange(float(_STATES)), q, dq, ddq))
+    present = np.abs(W[:, :, columns]).max(axis=0) > 0
+    return [np.flatnonzero(row) for row in present]
+
+
+def _refuse_memory(effect: JointEffect) -> None:
+    """Refuse an effect whose torque changes when the order of the samples does."""
+    rng = np.random.default_rng(2)
+    q, dq, ddq = rng.standard_normal((3, _STATES))
+    order = rng.permutation(_STATES)
+    plain, shuffled = effect.shape(q, dq, ddq), effect.shape(q[order], dq[order], ddq[order])
+    if not all(np.allclose(a[order], b) for a, b in zip(plain, shuffled, strict=True)):
+        raise BadInput(
+            f"on-line estimation: {effect.name} depends on the past motion; leave it out, "
+            "or identify off line"
+        )
+
+
+def _jumps(effects: Sequence[Effect], joint: str) -> bool:
+    """Whether some effect on a joint is discontinuous where its velocity changes sign."""
+    zero = np.zeros(1)
+    for effect in effects:
+        if isinstance(effect, JointEffect) and joint in effect.joints:
+            ahead, behind = (effect.shape(zero, zero + v, zero) for v in (_TINY, -_TINY))
+            if any(abs(a[0] - b[0]) > 1e-6 for a, b in zip(ahead, behind, strict=True)):
+                return True
+    return False

@@ -1,0 +1,313 @@
+"""Persistency of excitation: whether a motion shows the parameters, and which joint lacks.
+
+Over a window, rows W of torque noise σ carry the information J = Σ Wᵀ σ⁻² W about the base
+parameters. It is measured against what is known beforehand, P: the eigenvalues of LᵀJL,
+P = LLᵀ, say how many times more the window knows than the prior, direction by direction. Some
+directions no motion of the arm shows above the noise; they are left out by the same count for a
+lively motion of all joints that lasts as long (`lively_motion`). A motion is persistently
+exciting at level α over a window when in every such window no visible direction falls below α.
+Level 1 is what it takes to know a parameter better from the window than from the prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+
+from excitant.exceptions import BadInput
+from excitant.identify.base_prior import BasePrior, base_prior, lively_motion
+from excitant.robots.base_parameters import BaseParameters, base_parameters
+from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.robot import Robot
+from excitant.robots.torque import observation_columns, torque
+
+NOISE_SHARE = 0.01  # noise of a row in parts of the torque of a lively motion, when not known
+ROWS_PER_SECOND = 20.0  # independent rows of torque filtered at 10 Hz
+ENOUGH = 1.0  # the window knows as much as the prior
+_VISIBLE = 10.0  # level of a lively motion that makes a direction worth asking for
+_LISTED = 6  # weak directions that are spelt out
+
+
+@dataclass(frozen=True, eq=False)
+class WeakDirection:
+    """A combination of base parameters that a window does not show.
+
+    Attributes:
+        parameters: Its leading base parameters, largest share first.
+        level: Information of the window relative to the prior.
+        joints: Joints whose livelier motion would show it best.
+    """
+
+    parameters: tuple[str, ...]
+    level: float
+    joints: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class WindowExcitation:
+    """What a window of a motion shows.
+
+    Attributes:
+        start: Begin of the window [s].
+        end: End of the window [s].
+        levels: Level of each visible direction, ascending, shape (v,).
+        weak: Directions below level 1, the weakest first, at most six.
+        joints: Joints whose motion is missing, that which would help most first.
+    """
+
+    start: float
+    end: float
+    levels: Array
+    weak: tuple[WeakDirection, ...] = ()
+    joints: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze(self, "levels")
+
+    @property
+    def level(self) -> float:
+        """Level of the weakest visible direction."""
+        return float(self.levels[0]) if len(self.levels) else np.inf
+
+    @property
+    def missing(self) -> int:
+        """Number of visible directions below level 1."""
+        return int((self.levels < ENOUGH).sum())
+
+    @property
+    def enough(self) -> bool:
+        """Whether every visible direction reaches level 1."""
+        return self.missing == 0
+
+    def sentence(self) -> str:
+        """What it means, in words."""
+        if self.enough:
+            return f"exciting: all {len(self.levels)} visible directions (level {self.level:.3g})"
+        text = (
+            f"not exciting enough since {self.start:.1f} s: {self.missing} of "
+            f"{len(self.levels)} visible directions missing"
+        )
+        return text + (f"; move {', '.join(self.joints)}" if self.joints else "")
+
+
+@dataclass(frozen=True, eq=False)
+class ExcitationJudge:
+    """Judges windows of motions of one arm; made by `excitation_judge`.
+
+    Attributes:
+        robot: The arm.
+        effects: Effects to estimate.
+        base: Base parameters of both.
+        sigma: Noise of an independent row, shape (nv,) [torque unit].
+        window: Length of the windows [s].
+        basis: Visible directions, columns of L V, shape (r, v).
+        lively: A lively motion as long as the window.
+    """
+
+    robot: Robot
+    effects: tuple[Effect, ...]
+    base: BaseParameters
+    sigma: Array
+    window: float
+    basis: Array
+    lively: Motion
+
+    def __post_init__(self) -> None:
+        freeze(self, "sigma", "basis")
+
+    def columns(self, motion: Motion) -> Array:
+        """Whitened rows, so that their squares are levels, shape (n, nv, v)."""
+        W = observation_columns(self.robot, self.effects, motion)[:, :, self.base.columns]
+        return np.asarray(W / self.sigma[:, None] @ self.basis, float)
+
+    def rows(self, W: Array) -> Array:
+        """The same from columns of the base parameters, shape (n, nv, r)."""
+        return np.asarray(W / self.sigma[:, None] @ self.basis, float)
+
+    def judge(self, motion: Motion, rows: Array | None = None) -> WindowExcitation:
+        """What one window shows.
+
+        Args:
+            motion: States of the window, evenly spread over it.
+            rows: Whitened rows, shape (n, nv, v), zero where a row does not count; those of
+                the motion when None.
+        """
+        rows = self.columns(motion) if rows is None else rows
+        each = self._weight(motion)
+        levels, V = np.linalg.eigh(each * _gram(rows))
+        found = WindowExcitation(float(motion.t[0]), float(motion.t[-1]), np.maximum(levels, 0))
+        if found.enough:
+            return found
+        help_of = self._helpers(motion, V[:, levels < ENOUGH])
+        weak = tuple(
+            WeakDirection(
+                self._leading(V[:, k]), float(found.levels[k]), self._joints(help_of[:, k])
+            )
+            for k in range(min(found.missing, _LISTED))
+        )
+        counts = dict.fromkeys(self.robot.joints, 0)
+        for k in range(found.missing):
+            for name in self._joints(help_of[:, k]):
+                counts[name] += 1
+        joints = tuple(sorted((n for n in counts if counts[n]), key=lambda n: -counts[n]))
+        return replace(found, weak=weak, joints=joints)
+
+    def _weight(self, motion: Motion) -> float:
+        """Independent rows per row of a window."""
+        step = (motion.t[-1] - motion.t[0]) / max(len(motion) - 1, 1)
+        return float(min(1.0, ROWS_PER_SECOND * step)) if step > 0 else 1.0
+
+    def _helpers(self, motion: Motion, V: Array) -> Array:
+        """Level of each weak direction if one joint moved lively, shape (nv, weak)."""
+        n = min(len(motion), len(self.lively))
+        thin = motion[np.linspace(0, len(motion) - 1, n).astype(int)]
+        lively = self.lively[np.linspace(0, len(self.lively) - 1, n).astype(int)]
+        levels = np.empty((self.robot.nv, V.shape[1]))
+        for j in range(self.robot.nv):
+            parts = []
+            for name in ("q", "dq", "ddq"):
+                values = np.array(getattr(thin, name))
+                values[:, j] = getattr(lively, name)[:, j]
+                parts.append(values)
+            seen = self.columns(Motion(lively.t, *parts)) @ V
+            levels[j] = self._weight(lively) * (seen**2).sum(axis=(0, 1))
+        return levels
+
+    def _joints(self, levels: Array) -> tuple[str, ...]:
+        """The joint that helps most, and those that help at least half as much."""
+        order = np.argsort(-levels)
+        return tuple(self.robot.joints[j] for j in order if levels[j] >= 0.5 * levels.max())
+
+    def _leading(self, v: Array) -> tuple[str, ...]:
+        """Base parameters that make nine tenths of a direction, in units of prior spread."""
+        spread = np.linalg.norm(self.basis, axis=1)
+        share = (self.basis @ v / np.where(spread > 0, spread, 1.0)) ** 2
+        order = np.argsort(-share)
+        count = int(np.searchsorted(np.cumsum(share[order]), 0.9 * share.sum())) + 1
+        names = [self.base.names[c] for c in self.base.columns]
+        return tuple(names[k] for k in order[: min(count, 3)])
+
+
+def _gram(rows: Array) -> Array:
+    flat = rows.reshape(-1, rows.shape[-1])
+    return np.asarray(flat.T @ flat, float)
+
+
+def excitation_judge(
+    robot: Robot,
+    effects: Sequence[Effect] | None = None,
+    *,
+    window: float,
+    sigma: Array | None = None,
+    base: BaseParameters | None = None,
+    prior: BasePrior | None = None,
+) -> ExcitationJudge:
+    """Prepare to judge windows of one length.
+
+    Args:
+        robot: The arm; its inertias are the prior.
+        effects: Effects to estimate; friction, offset and rotor inertia when None.
+        window: Length of the windows [s].
+        sigma: Noise of an independent row of torque, shape (nv,); 1 % of the torque of a
+            lively motion when None.
+        base: Base parameters of robot and effects, where they are at hand.
+        prior: What is known beforehand; the given robot when None.
+    """
+    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    base = base_parameters(robot, effects) if base is None else base
+    prior = base_prior(robot, effects, base) if prior is None else prior
+    lively = lively_motion(robot, window, ROWS_PER_SECOND if window > 2 else 40 / window)
+    if sigma is None:
+        rms = np.sqrt((torque(robot, lively) ** 2).mean(axis=0))
+        sigma = NOISE_SHARE * np.maximum(rms, 1e-3 * rms.max())
+    scale = np.sqrt(np.diag(prior.covariance))
+    L = scale[:, None] * np.linalg.cholesky(prior.covariance / np.outer(scale, scale))
+    judge = ExcitationJudge(robot, effects, base, sigma, window, L, lively)
+    levels, V = scipy.linalg.eigh(judge._weight(lively) * _gram(judge.columns(lively)))
+    return replace(judge, basis=L @ V[:, levels >= _VISIBLE])
+
+
+@dataclass(frozen=True, eq=False)
+class Persistency:
+    """Excitation along a motion.
+
+    Attributes:
+        window: Length of the windows [s].
+        windows: What each window shows, half overlapping.
+        shortest: Shortest length tried over which the motion is persistently exciting [s];
+            None when there is none.
+    """
+
+    window: float
+    windows: tuple[WindowExcitation, ...]
+    shortest: float | None
+
+    @property
+    def level(self) -> float:
+        """Level α: that of the weakest direction in the weakest window."""
+        return min(each.level for each in self.windows)
+
+    @property
+    def persistent(self) -> bool:
+        """Whether every window reaches level 1."""
+        return all(each.enough for each in self.windows)
+
+    @property
+    def weakest(self) -> WindowExcitation:
+        """The window that shows least."""
+        return min(self.windows, key=lambda each: (-each.missing, each.level))
+
+
+def persistency(
+    robot: Robot,
+    motion: Motion,
+    effects: Sequence[Effect] | None = None,
+    *,
+    window: float | None = None,
+    sigma: Array | None = None,
+) -> Persistency:
+    """Whether a motion is persistently exciting, over which window, at which level.
+
+    What counts as visible is what a lively motion shows in the window asked for.
+
+    Args:
+        robot: The arm.
+        motion: Samples evenly spread in time.
+        effects: Effects to estimate; friction, offset and rotor inertia when None.
+        window: Length of the windows [s]; the whole motion when None.
+        sigma: Noise of an independent row of torque, shape (nv,) [torque unit].
+
+    Raises:
+        BadInput: A window longer than the motion or without samples.
+    """
+    duration = float(motion.t[-1] - motion.t[0])
+    window = duration if window is None else window
+    if not 0 < window <= duration * (1 + 1e-9):
+        raise BadInput(f"excitation: a window of {window:.4g} s, the motion lasts {duration:.4g} s")
+    judge = excitation_judge(robot, effects, window=window, sigma=sigma)
+    stride = max(1, int((len(motion) - 1) / (duration * 2 * ROWS_PER_SECOND)))
+    rows, thin = judge.columns(motion[::stride]), motion[::stride]
+    shortest = None
+    for length in duration / 2.0 ** np.arange(8):
+        if not all(each.enough for each in _windows(judge, thin, rows, float(length))):
+            break
+        shortest = float(length)
+    return Persistency(window, tuple(_windows(judge, thin, rows, window)), shortest)
+
+
+def _windows(
+    judge: ExcitationJudge, motion: Motion, rows: Array, window: float
+) -> list[WindowExcitation]:
+    start, end = float(motion.t[0]), float(motion.t[-1])
+    count = max(1, int(np.ceil(2 * (end - start) / window - 1 - 1e-9)))
+    found = []
+    for first in np.linspace(start, max(start, end - window), count):
+        inside = (motion.t >= first - 1e-9) & (motion.t <= first + window + 1e-9)
+        if inside.sum() < 2:
+            raise BadInput(f"excitation: a window of {window:.4g} s holds no two samples")
+        found.append(judge.judge(motion[inside], rows[inside]))
+    return found

@@ -1,0 +1,135 @@
+"""Information in square-root form: everything linear data say about parameters x, as a triangle.
+
+Rows A x ≈ b of unit noise become, by a QR factorisation, R x ≈ z with R upper triangular and
+‖A x − b‖² = ‖R x − z‖² + ρ² for every x (Bierman 1977). Nothing is squared, so half the digits
+that normal equations lose are kept; new rows, forgetting and sums of information are exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+from scipy.linalg import lapack
+
+from excitant.robots.motion import Array, freeze
+
+_PANEL = 32  # columns that LAPACK takes at a time
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """R x ≈ z of unit noise, beside a part ρ that no x explains.
+
+    Attributes:
+        R: Upper triangular, possibly singular, shape (p, p).
+        z: Shape (p,).
+        rest: ρ², the part of the squares that no x explains.
+    """
+
+    R: Array
+    z: Array
+    rest: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze(self, "R", "z")
+
+    def squares(self, x: Array) -> float:
+        """‖A x − b‖² of all rows behind it."""
+        return float(np.sum((self.R @ x - self.z) ** 2)) + self.rest
+
+    def scaled(self, weight: float) -> Information:
+        """The same rows weighted, each row times a number."""
+        return Information(weight * self.R, weight * self.z, weight**2 * self.rest)
+
+    def matrix(self) -> Array:
+        """Information matrix RᵀR, shape (p, p)."""
+        return np.asarray(self.R.T @ self.R, float)
+
+    def solve(self) -> Array:
+        """The x of least squares, shape (p,); of smallest norm where R is singular."""
+        d = np.abs(np.diag(self.R))
+        if len(d) and d.min() > 1e-12 * d.max():
+            return np.asarray(scipy.linalg.solve_triangular(self.R, self.z), float)
+        return np.asarray(np.linalg.lstsq(self.R, self.z, rcond=1e-12)[0], float)
+
+    def covariance(self) -> Array:
+        """(RᵀR)⁻¹ of a regular R, shape (p, p)."""
+        inverse = scipy.linalg.solve_triangular(self.R, np.eye(len(self.z)))
+        return np.asarray(inverse @ inverse.T, float)
+
+
+def information_of(A: Array, b: Array) -> Information:
+    """Information of rows A x ≈ b, shapes (m, p) and (m,); m may be smaller than p."""
+    p = A.shape[1]
+    factor = np.zeros((p + 1, p + 1))
+    R = np.linalg.qr(np.column_stack([A, b]), mode="r")
+    factor[: len(R)] = R
+    return Information(factor[:p, :p], factor[:p, p], float(factor[p, p] ** 2))
+
+
+def combined(parts: Sequence[Information]) -> Information:
+    """Information of independent parts about the same parameters."""
+    A, b = np.vstack([part.R for part in parts]), np.concatenate([part.z for part in parts])
+    total = information_of(A, b)
+    return Information(total.R, total.z, total.rest + sum(part.rest for part in parts))
+
+
+def gaussian(mean: Array, covariance: Array) -> Information:
+    """What a normal distribution knows, covariance regular."""
+    scale = np.sqrt(np.diag(covariance))
+    L = np.linalg.cholesky(covariance / np.outer(scale, scale))
+    A = scipy.linalg.solve_triangular(L, np.eye(len(mean)), lower=True) / scale
+    return information_of(A, A @ mean)
+
+
+def marginal(information: Information, keep: slice) -> Information:
+    """What is known of the last parameters once the ones before are free.
+
+    Args:
+        information: About all parameters.
+        keep: Parameters of interest, a slice that ends at the last one.
+    """
+    R, z = information.R[keep, keep], information.z[keep]
+    return Information(R, z, information.rest)
+
+
+class InformationFilter:
+    """Information that grows row by row and may be forgotten; the state of a recursion.
+
+    A row costs a rank-one triangular update in place; nothing is allocated but the reflectors.
+
+    Args:
+        columns: Which of the p parameters the rows contain; the others never enter.
+        p: Number of parameters.
+    """
+
+    def __init__(self, columns: npt.NDArray[np.intp], p: int) -> None:
+        self.columns, self.p = columns, p
+        self._size = len(columns) + 1
+        self._factor = np.zeros((self._size, self._size), order="F")
+        self._panel = min(_PANEL, self._size)
+
+    def update(self, rows: Array) -> None:
+        """Add rows [A, b] of the chosen columns, shape (m, columns + 1); the rows are used up."""
+        if len(rows):
+            stacked = np.asfortranarray(rows)
+            result = lapack.dtpqrt(
+                0, self._panel, self._factor, stacked, overwrite_a=1, overwrite_b=1
+            )
+            self._factor = result[0]
+
+    def forget(self, factor: float) -> None:
+        """Weigh everything so far by a factor on the information, 0 < factor ≤ 1."""
+        self._factor *= np.sqrt(factor)
+
+    def information(self) -> Information:
+        """What the rows so far say of all p parameters."""
+        n = self._size - 1
+        R = np.zeros((n, self.p))
+        R[:, self.columns] = self._factor[:n, :n]
+        full = information_of(R, self._factor[:n, n])
+        return Information(full.R, full.z, full.rest + float(self._factor[n, n] ** 2))

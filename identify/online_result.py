@@ -1,0 +1,147 @@
+"""`identify --online`: a recording played through the estimator, as an `Estimate` and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from excitant.identify.accuracy import predicted_torque, series
+from excitant.identify.estimate import (
+    FIT_SHARE,
+    Estimate,
+    identified_robot,
+    implausible_size,
+    observation,
+    split,
+    torque_per_reading,
+)
+from excitant.identify.least_squares import LeastSquares
+from excitant.identify.physical import EffectPrior, fit_physical, prior_parameters
+from excitant.identify.recording import Recording
+from excitant.identify.replay import OnlineRun, joined, replay
+from excitant.identify.result import identify_result
+from excitant.robots.base_parameters import base_parameters
+from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.motion import Array, read_only
+from excitant.robots.robot import Robot
+
+_KEPT = 100  # looks written to result.json
+
+
+@dataclass(frozen=True, eq=False)
+class OnlineIdentification:
+    """What was identified on line, judged as an estimate from the whole recording is.
+
+    Attributes:
+        estimate: Physically consistent model and its accuracy.
+        run: The estimator's way there.
+    """
+
+    estimate: Estimate
+    run: OnlineRun
+
+
+def identify_online(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    *,
+    validate: Sequence[Recording] = (),
+    effects: Sequence[Effect] | None = None,
+    cutoff_hz: float | None = None,
+    forgetting: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> OnlineIdentification:
+    """Identify a robot as if the samples came one by one.
+
+    Args:
+        robot: The arm; its inertias are the prior.
+        recordings: What to fit, one after the other.
+        validate: What to judge on; the last 30 % of each recording when empty.
+        effects: Effects to estimate; friction, offset and rotor inertia when None.
+        cutoff_hz: Cut-off of the torque filter that accuracy is judged under [Hz].
+        forgetting: Time constant of forgetting [s]; nothing is forgotten when None.
+        progress: Told the fraction done.
+
+    Raises:
+        BadRecording: Recordings that cannot be used.
+        BadRobot: Links without mass, so no prior.
+        Infeasible: The semidefinite solver failed.
+    """
+    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    prior = prior_parameters(robot)
+    data = split(recordings, validate, cutoff_hz)
+    base = base_parameters(robot, effects)
+    W, measured = observation(robot, effects, data.train), series(data.train)
+    gains = torque_per_reading(robot, base, W, measured, data.unit)
+    fitted = recordings if validate else [r.between(0, FIT_SHARE, "first 70 %") for r in recordings]
+    run = replay(
+        robot, joined(fitted), effects=effects, base=base, forgetting=forgetting,
+        gains=gains, progress=progress,
+    )  # fmt: skip
+    last, known = run.estimate, run.estimate.data
+    lower = np.array([p.lower for e in effects for p in e.parameters(robot)])
+    spread = implausible_size(W[:, :, 10 * robot.nv :], measured.measured * gains)
+    open_prior = EffectPrior(np.zeros_like(spread), spread, lower)
+    physical = fit_physical(known.R @ base.regrouping, known.z, prior, open_prior)
+    model = identified_robot(robot, effects, physical.x)
+    rows = series(data.validate)
+    predicted = predicted_torque(model, data.validate) / gains
+    given = predicted_torque(robot, data.validate) / gains
+    estimate = Estimate(
+        given=robot,
+        model=model,
+        base=base,
+        least_squares=LeastSquares(last.beta, last.covariance, last.sigma, last.inflation),
+        physical=physical,
+        prior=read_only(prior.ravel()),
+        gains=read_only(gains),
+        data=data,
+        train=measured.accuracy(W @ physical.x / gains),
+        validate=rows.accuracy(predicted),
+        baseline=rows.accuracy(given),
+        series=rows,
+        predicted=read_only(predicted),
+        predicted_given=read_only(given),
+        notes=(data.holdout, run.differentiator),
+    )
+    return OnlineIdentification(estimate, run)
+
+
+def online_result(found: OnlineIdentification) -> dict[str, Any]:
+    """Machine-readable result: that of `identify` and the way there."""
+    run, result = found.run, identify_result(found.estimate)
+    looks = run.looks[:: max(1, -(-len(run.looks) // _KEPT))]
+    if looks[-1] is not run.looks[-1]:
+        looks = (*looks, run.looks[-1])
+    result["estimator"] = (
+        "recursive least squares in square-root information form, on line; "
+        "then physically consistent semidefinite fit"
+    )
+    result["online"] = {
+        "delay_s": run.delay,
+        "differentiator": run.differentiator,
+        "messages": [{"t": float(t), "text": text} for t, text in run.messages],
+        "converged": run.looks[-1].converged,
+        "history": {
+            "t": [float(look.estimate.t) for look in looks],
+            "value": [look.estimate.beta.tolist() for look in looks],
+            "std": [look.estimate.std.tolist() for look in looks],
+            "excitation_level": [
+                None if look.excitation is None else look.excitation.level for look in looks
+            ],
+            "torque_uncertainty": [look.uncertainty.tolist() for look in looks],
+        },
+    }
+    return result
+
+
+def online_series(run: OnlineRun) -> dict[str, Array]:
+    """The estimates over time, for figures: ``online_t`` (k,), values and std (k, r)."""
+    return {
+        "online_t": np.array([look.estimate.t for look in run.looks]),
+        "online_value": np.array([look.estimate.beta for look in run.looks]),
+        "online_std": np.array([look.estimate.std for look in run.looks]),
+    }

@@ -1,0 +1,201 @@
+"""Gains and noise gains are those of the filters, polynomials come out exact, choices hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.optimize
+
+from excitant.exceptions import BadInput
+from excitant.identify import (
+    Differentiator,
+    FourierFit,
+    LocalPolynomial,
+    Recording,
+    ZeroPhaseButterworth,
+    choose_differentiator,
+    five_point,
+    savitzky_golay,
+)
+from excitant.identify.differentiator_choice import best_of, candidates, position_spectrum
+from excitant.identify.preprocessing import prepare
+
+STEP, RATE = 2e-3, 500.0
+SHIFT_INVARIANT = [
+    five_point(),
+    savitzky_golay(8, 4),
+    ZeroPhaseButterworth(20.0),
+    ZeroPhaseButterworth(20.0, "central"),
+]
+NAMES = ("q", "dq", "ddq")
+
+
+def name_of(differentiator: Differentiator) -> str:
+    return differentiator.name
+
+
+def test_five_points_are_the_least_squares_parabola() -> None:
+    np.testing.assert_allclose(10 * five_point().kernel(1), [-2, -1, 0, 1, 2], atol=1e-14)
+    np.testing.assert_allclose(7 * five_point().kernel(2), [2, -1, -2, -1, 2], atol=1e-13)
+
+
+def test_published_figures_of_the_five_point_differentiator() -> None:
+    five = five_point()
+    assert five.noise_gain(RATE) * STEP == pytest.approx(1 / np.sqrt(10), rel=1e-12)  # 0.316
+    gains = five.gain(np.array([2.0, 10.0, 20.0]), RATE)
+    np.testing.assert_allclose(gains, [0.9996, 0.991, 0.965], atol=5e-4)
+    half_power = scipy.optimize.brentq(
+        lambda f: float(five.gain(np.array(f), RATE)) - np.sqrt(0.5), 30, 100
+    )
+    assert half_power == pytest.approx(60.5, abs=0.05)
+
+
+def test_central_differences_let_more_noise_through() -> None:
+    # without its filter: the mean of sin² over all frequencies is one half
+    central = ZeroPhaseButterworth(0.4999999 * RATE, "central")
+    assert central.noise_gain(RATE) * STEP == pytest.approx(np.sqrt(0.5), rel=1e-3)
+
+
+@pytest.mark.parametrize("differentiator", SHIFT_INVARIANT, ids=name_of)
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_a_sinusoid_comes_out_with_the_gain_announced(
+    differentiator: Differentiator, order: int
+) -> None:
+    t = np.arange(0, 8, STEP)
+    middle = slice(len(t) // 3, 2 * len(t) // 3)
+    for f in (1.0, 7.0, 25.0):
+        w = 2 * np.pi * f
+        found = differentiator(t, np.sin(w * t)[:, None])
+        gain = float(differentiator.gain(np.array([f]), RATE, order)[0])
+        ideal = w**order * np.sin(w * t + order * np.pi / 2)
+        error = getattr(found, NAMES[order])[middle, 0] - gain * ideal[middle]
+        assert np.abs(error).max() <= 1e-8 * w**order
+
+
+@pytest.mark.parametrize("differentiator", SHIFT_INVARIANT, ids=name_of)
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_noise_gain_is_the_norm_of_the_impulse_response(
+    differentiator: Differentiator, order: int
+) -> None:
+    t = np.arange(0, 4, STEP)
+    impulse = np.zeros((len(t), 1))
+    impulse[len(t) // 2] = 1.0
+    response = getattr(differentiator(t, impulse), NAMES[order])
+    assert differentiator.noise_gain(RATE, order) == pytest.approx(
+        np.linalg.norm(response), rel=1e-6
+    )
+
+
+def test_noise_gain_of_a_fourier_fit_is_that_of_white_noise() -> None:
+    fit, n = FourierFit(2.0, 5, periods=3), 3000
+    t = np.arange(n) / RATE
+    unit = np.eye(n)
+    for order, name in enumerate(NAMES):
+        response = getattr(fit(t, unit), name)  # row: output instant, column: input instant
+        spread = np.sqrt((response**2).sum(axis=1).mean())
+        assert fit.noise_gain(RATE, order) == pytest.approx(spread, rel=1e-9)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.3])
+def test_polynomials_are_exact_up_to_their_degree(jitter: float) -> None:
+    rng = np.random.default_rng(0)
+    t = np.arange(200) * STEP + jitter * STEP * rng.uniform(-1, 1, 200)
+    s = t / t[-1]
+    c = rng.standard_normal(5)
+    q = np.polynomial.polynomial.polyval(s, c)[:, None]
+    found = savitzky_golay(6, 4)(t, q)
+    for order, name in enumerate(NAMES):
+        derivative = np.polynomial.polynomial.polyder(c, order)
+        true = np.polynomial.polynomial.polyval(s, derivative) / t[-1] ** order
+        np.testing.assert_allclose(
+            getattr(found, name)[:, 0], true, atol=1e-8 * np.abs(true).max(), err_msg=name
+        )
+
+
+@pytest.mark.parametrize("half_width", [2, 9])
+def test_the_causal_kind_says_the_same_later(half_width: int) -> None:
+    t = np.arange(300) * STEP
+    q = np.random.default_rng(1).standard_normal((300, 2))
+    early = LocalPolynomial(half_width, 2)(t, q)
+    late = LocalPolynomial(half_width, 2, causal=True)
+    found = late(t, q)
+    inner = slice(half_width, 300 - half_width)
+    assert late.delay(RATE) == pytest.approx(half_width * STEP)
+    for name in ("t", *NAMES):
+        np.testing.assert_allclose(getattr(found, name), getattr(early, name)[inner])
+    # the instant reported last needs the newest sample and none after it
+    assert found.t[-1] + late.delay(RATE) == pytest.approx(t[-1])
+
+
+def test_a_periodic_motion_is_differentiated_exactly_at_irregular_times() -> None:
+    rng = np.random.default_rng(2)
+    t = np.sort(rng.uniform(0, 5.0, 400))
+    w = 2 * np.pi / 2.5
+    q = (0.3 + np.sin(2 * w * t) - 0.5 * np.cos(3 * w * t))[:, None]
+    found = FourierFit(2.5, 4)(t, q)
+    true = -((2 * w) ** 2) * np.sin(2 * w * t) + 0.5 * (3 * w) ** 2 * np.cos(3 * w * t)
+    np.testing.assert_allclose(found.ddq[:, 0], true, atol=1e-9 * np.abs(true).max())
+
+
+def test_what_cannot_be_is_refused_in_one_line() -> None:
+    t = np.arange(100) * STEP
+    q = np.sin(t)[:, None]
+    with pytest.raises(BadInput, match="time is irregular"):
+        ZeroPhaseButterworth(20.0)(np.delete(t, 50), np.delete(q, 50, axis=0))
+    with pytest.raises(BadInput, match="choose one below 250 Hz"):
+        ZeroPhaseButterworth(260.0)(t, q)
+    with pytest.raises(BadInput, match="at least 5 are needed"):
+        five_point()(t[:4], q[:4])
+    with pytest.raises(BadInput, match="record a whole period"):
+        FourierFit(1000.0, 5)(t, q)
+    with pytest.raises(BadInput, match="degree 5 through 5 samples"):
+        LocalPolynomial(2, 5)
+
+
+def recorded(noise: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ten seconds of two joints with position noise, and their true acceleration."""
+    t = np.arange(0, 10, 1e-3)
+    w = 2 * np.pi * np.array([0.7, 3.1])[:, None, None]
+    angle = w * t[:, None] + np.array([0.0, 1.0])
+    size = np.array([1.0, 0.2])[:, None, None]
+    q = (size * np.sin(angle)).sum(axis=0)
+    rng = np.random.default_rng(seed)
+    noisy = q + noise * rng.standard_normal(q.shape)
+    return t, noisy, -(size * w**2 * np.sin(angle)).sum(axis=0)
+
+
+@pytest.mark.parametrize("noise", [1e-6, 1e-4, 1e-3])
+@pytest.mark.parametrize("causal", [False, True])
+def test_the_predicted_error_is_the_error(noise: float, causal: bool) -> None:
+    t, q, true = recorded(noise)
+    choice = choose_differentiator(t, q, causal=causal)
+    found = choice.differentiator(t, q)
+    edge = (len(t) - len(found)) // 2
+    error = (found.ddq - true[edge : len(t) - edge])[500:-500]
+    # a recording of some hundred independent errors gives their rms to about ten per cent
+    np.testing.assert_allclose(np.sqrt((error**2).mean(axis=0)), choice.error, rtol=0.35)
+    assert (choice.differentiator.delay(1e3) > 0) == causal
+    assert "predicted acceleration error" in choice.why
+    assert "\n" not in choice.why
+
+
+def test_no_candidate_is_much_better_than_the_choice() -> None:
+    t, q, true = recorded(1e-4, seed=3)
+    spectrum = position_spectrum(t, q)
+    np.testing.assert_allclose(spectrum.noise, 1e-4, rtol=0.1)
+    options = candidates(spectrum, period=10.0)
+
+    def error(d: Differentiator) -> float:
+        return float(np.sqrt(((d(t, q).ddq - true)[500:-500] ** 2).mean()))
+
+    errors = [error(option) for option in options]
+    assert error(best_of(options, spectrum).differentiator) <= 1.3 * min(errors)
+
+
+def test_preprocessing_takes_another_differentiator() -> None:
+    t, q, true = recorded(0.0)
+    recording = Recording("n", "f", t, q, q)
+    [segment] = prepare(recording, 10.0, FourierFit(10.0, 40))
+    np.testing.assert_allclose(segment.motion.ddq, true, atol=1e-7 * np.abs(true).max())
+    with pytest.raises(BadInput, match="without delay"):
+        prepare(recording, 10.0, five_point(causal=True))

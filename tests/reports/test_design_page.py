@@ -1,0 +1,185 @@
+"""The page of a design: what the motion does, what it shows worst, and where the tool goes."""
+
+import re
+
+import numpy as np
+import pytest
+
+from excitant.design import design, design_result, design_series
+from excitant.reports import brief, render, summarize
+from excitant.reports.design_motion_figure import envelope_of, motion_figure
+from excitant.reports.design_space_figure import solid_of, space_figure
+from excitant.reports.drawing import style
+from excitant.robots import Limits, load_robot
+from excitant.robots.geometry import scene
+
+PARTS = (
+    "Motion against limits",
+    "Path of the tool",
+    "What the motion makes visible",
+    "What it shows worst",
+    "How it was found",
+)
+
+
+def words(page):
+    return re.sub(r"\s+", " ", re.sub(r"<style.*?</style>|<[^>]*>", "", page, flags=re.DOTALL))
+
+
+def labels(page):
+    return re.findall(r'<svg role="img" aria-label="([^"]*)"', page)
+
+
+@pytest.fixture(scope="module")
+def saved():
+    """A design without any limit on torque, and its page."""
+    robot = load_robot("planar_2r")
+    limits = robot.limits
+    free = Limits(limits.position, limits.velocity, limits.acceleration, limits.torque * np.inf)
+    found = design(robot.with_limits(free), harmonics=3, starts=2, jobs=1, criterion="d")
+    result, series = design_result(found), design_series(found)
+    return found, result, series, render(result, series)
+
+
+def test_every_part_is_there_with_its_figure(make):
+    page = render(*make["design"]())
+    for part in PARTS:
+        assert re.search(f"<h3[^>]*>{part}</h3>", page)
+    said = " ".join(labels(page))
+    for word in ("velocity", "torque", "singular values", "only one parameter", "iterations"):
+        assert word in said
+    for view in ("in perspective", "from above", "from the side"):
+        assert any(label.startswith(view) for label in labels(page))
+
+
+def test_worst_parameters_and_directions_are_named(make):
+    result, series = make["design"]()
+    said = words(render(result, series))
+    summary = summarize(result)
+    for row in result["weakest"]:
+        assert row["expression"] in said
+        assert row["expression"] in summary
+    direction = "0.81·elbow_link.Izz − 0.52·" + result["joints"][4] + ".Fv + …"
+    assert said.count(direction) == 5
+    assert summary.count(direction) == 2
+    assert "6.21" in said
+    assert "6.21" in summary
+    assert result["weakest"][0]["name"] in brief(result)
+
+
+def test_obstacles_are_drawn_and_those_out_of_sight_named(make):
+    result, series = make["design"]()
+    with style():
+        figure = space_figure(result, series)
+        without = space_figure({**result, "obstacles": []}, series)
+    amber = [panel.svg.count("#e69f00") for panel in figure.panels]
+    assert all(amber)
+    assert not any("#e69f00" in panel.svg for panel in without.panels)
+    assert {key.label for key in figure.legend} - {key.label for key in without.legend} == {
+        "obstacle",
+        "workspace of the tool",
+    }
+    assert "far wall" in figure.caption
+    assert "43.4" in figure.caption
+
+
+def test_solids_have_the_shape_of_their_obstacles(make):
+    pillar, ball = make["design"]()[0]["obstacles"][1:3]
+    block = (-np.ones(3), np.ones(3))
+    box = solid_of(pillar, np.zeros(3), 3.0, *block)
+    corners = np.unique(np.concatenate(box.faces).round(9), axis=0)
+    assert len(box.faces) == 6
+    assert len(box.edges) == 12
+    assert len(corners) == 8
+    turned = np.array([np.cos(0.4), np.sin(0.4), 0.0])
+    across = (corners - pillar["position"]) @ turned
+    np.testing.assert_allclose(np.abs(across), 0.1, atol=1e-8)
+    for circle in solid_of(ball, np.zeros(3), 3.0, *block).edges:
+        np.testing.assert_allclose(np.linalg.norm(circle - ball["position"], axis=1), 0.2)
+    tilted = {"shape": "half_space", "normal": [0.0, 3.0, 4.0], "offset": 1.0}
+    (face,) = solid_of(tilted, np.zeros(3), 3.0, *block).faces
+    np.testing.assert_allclose(face @ tilted["normal"], 1.0)
+
+
+def test_large_obstacles_end_where_the_picture_does():
+    hall = {"shape": "box", "size": [90.0, 90.0, 0.1], "position": [0.0, 0.0, -0.2]}
+    solid = solid_of(hall, np.zeros(3), 2.0, -np.ones(3), np.ones(3))
+    assert np.abs(np.concatenate(solid.faces)).max() == pytest.approx(2.0)
+
+
+def test_curves_touch_the_certified_envelope_and_stay_inside(saved):
+    found, result, series, _ = saved
+    for key, quantity in (("q", "position"), ("dq", "velocity"), ("ddq", "acceleration")):
+        limits = np.asarray(result["limit_values"][quantity], float)
+        for k in range(2):
+            envelope, curve = envelope_of(result, quantity, k), series[key][:, k]
+            size = envelope.high - envelope.low
+            assert envelope.low - 1e-9 * size <= curve.min() <= envelope.low + 1e-3 * size
+            assert envelope.high - 1e-3 * size <= curve.max() <= envelope.high + 1e-9 * size
+            low, high = limits[k] if quantity == "position" else (-limits[k], limits[k])
+            assert low <= envelope.low
+            assert envelope.high <= high
+            there = found.trajectory(envelope.t, ("q", "dq", "ddq").index(key))[0, k]
+            assert min(abs(there - envelope.low), abs(there - envelope.high)) <= 1e-6 * size
+
+
+def test_a_quantity_without_limit_says_so_on_the_page(saved):
+    _, result, _, page = saved
+    assert result["certified"]["torque"] == [None, None]
+    assert any("torque no limit" in label for label in labels(page))
+    assert "greatest determinant" in words(page)
+    assert len(page.encode()) < 1_000_000
+
+
+def test_page_of_a_design_without_a_scene(saved):
+    _, result, _, page = saved
+    assert result["obstacles"] == []
+    assert result["closest"] is None
+    assert "obstacle" not in " ".join(labels(page))
+    assert not any(label.startswith("from above") for label in labels(page))  # a plane on edge
+    assert any(label.startswith("from the side") for label in labels(page))
+
+
+def test_unlimited_joints_are_drawn_without_lines(make):
+    result, series = make["design"]()
+    free = {k: v for k, v in result.items() if k not in ("limits", "limit_values", "certified")}
+    with style():
+        figure = motion_figure(result["joints"], free, series)
+    assert figure.legend == ()
+    assert "no limits" in figure.caption
+    assert all("velocity no limit" in panel.label for panel in figure.panels)
+
+
+def test_twelve_joints_fit_on_a_small_page(make):
+    result, series = make["design"]()
+    names = [f"{side}_{k}" for side in ("left", "right") for k in range(1, 7)]
+    wide = {key: np.hstack([series[key], series[key][:, :5]]) for key in ("q", "dq", "ddq", "tau")}
+    half = len(series["arm"][0]) // 2
+    series["arm"][:, half] = np.nan
+    both = {"other_tools": series["tool"][:, None] + 1.0}
+    page = render({**result, "joints": names}, {**series, **wide, **both})
+    assert sum("over time" in label for label in labels(page)) == 12
+    assert "period of the tools" in words(page)
+    assert len(page.encode()) < 1_000_000
+
+
+def test_sliding_joints_have_their_own_units(make):
+    result, series = make["design"]()
+    with style():
+        panels = motion_figure(result["joints"], result, series).panels
+    assert "velocity [m/s]" in panels[6].svg
+    assert "velocity [rad/s]" in panels[5].svg
+
+
+def test_jerk_is_shown_when_it_is_there(make):
+    result, series = make["design"]()
+    series["dddq"] = np.gradient(series["ddq"], series["t"], axis=0)
+    with style():
+        panels = motion_figure(result["joints"], result, series).panels
+    assert all("jerk [" in panel.svg for panel in panels)
+
+
+def test_a_scene_with_nothing_in_it_has_no_obstacles():
+    from excitant.design.result import obstacle_values
+
+    assert obstacle_values(scene(load_robot("ur10"))) == []
