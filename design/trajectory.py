@@ -187,6 +187,13 @@ class FourierSeries(Series):
         """Number of basis functions, 1 + 2 H."""
         return 1 + 2 * self.harmonics
 
+    @cached_property
+    def rest(self) -> Array:
+        """Orthonormal basis of Σ h sine_h = 0 and Σ h² cosine_h = 0, shape (1 + 2 H, 2 H − 1)."""
+        h = np.arange(1.0, self.harmonics + 1)
+        zero = np.zeros(self.harmonics)
+        return scipy.linalg.null_space(np.array([[0.0, *zero, *h], [0.0, *(h**2), *zero]]))
+
     def basis(self, t: npt.ArrayLike, order: int = 0) -> Array:
         """The order-th time derivative of the basis functions, shape (n, 1 + 2 H)."""
         return fourier_basis(t, self.harmonics, self.period, order)

@@ -82,9 +82,15 @@ class BlockColumns:
             F[:, start : start + columns.shape[1]] = columns
         return np.concatenate([Y[:, self._links], F[:, self._chosen]], axis=1)
 
-    def certain(self, dq: Array, still: Array) -> npt.NDArray[np.bool_]:
-        """Joints that moved one way throughout, or have no dry friction, shape (nv,)."""
-        one_way = (dq > still).all(axis=0) | (dq < -still).all(axis=0)
+    def certain(self, path: Array, least: Array) -> npt.NDArray[np.bool_]:
+        """Joints that go one way along a path, or have no dry friction, shape (nv,).
+
+        Args:
+            path: Positions, shape (k, nv).
+            least: Steps between them that are more than noise, shape (nv,).
+        """
+        steps = path[1:] - path[:-1]
+        one_way = (steps > least).all(axis=0) | (steps < -least).all(axis=0)
         return np.asarray(one_way | ~self._dry, bool)
 
 

@@ -33,7 +33,8 @@ from excitant.robots.robot import Robot
 _WINDOW_S = 0.03  # half width of the differentiator that serves when none is given
 _BLOCK_S = 0.01  # block over which rows are averaged when none is given
 RECENT = 10.0  # rows kept to judge residuals and excitation
-_CERTAIN = 3.0  # standard deviations of the velocity above which its sign is known
+_CERTAIN = 3.0  # standard deviations of a step above which its sign is known
+_CORNERS = 5  # positions under the window between which a joint must go one way
 _ROUNDING = 1e-12  # rad: positions are never better than this
 _ROUNDS = 4  # of re-estimating the noise of each joint
 _RING = 4096  # samples between two moves of the buffer
@@ -54,8 +55,8 @@ class OnlineEstimator:
         forgetting: Time constant τ [s]; nothing is forgotten when None.
         sigma: Noise of a row of each joint, shape (nv,) [torque unit]; learnt when None.
         prior: What is known beforehand; the given robot when None, ``False`` for nothing.
-        position_noise: Of the encoders, shape (nv,) [rad]: a joint whose velocity has no certain
-            sign gives no row, because dry friction could be anything.
+        position_noise: Of the encoders, shape (nv,) [rad]: a joint that does not go one way all
+            through the window gives no row, because its dry friction could be anything.
         base: Base parameters of robot and effects, where they are at hand.
 
     Raises:
@@ -90,8 +91,8 @@ class OnlineEstimator:
         self.prior = prior.information() if isinstance(prior, BasePrior) else None
         self._sigma = None if sigma is None else np.array(sigma, float)
         self._fade = 1.0 if forgetting is None else float(np.exp(-self.row_period / forgetting))
-        noise = np.maximum(position_noise, _ROUNDING) * self.differentiator.noise_gain(rate_hz, 1)
-        self._still = _CERTAIN * np.broadcast_to(noise, (robot.nv,))
+        noise = np.maximum(position_noise, _ROUNDING)
+        self._still = _CERTAIN * np.sqrt(2) * np.broadcast_to(noise, (robot.nv,))
         self._columns = BlockColumns(robot, self.effects, self.base, self.block)
         self._allocate()
 
@@ -125,7 +126,9 @@ class OnlineEstimator:
         nv, r, m = self.robot.nv, len(self.base), self.differentiator.half_width
         kernels = [self.differentiator.kernel(k) * self.rate_hz**k for k in range(3)]
         self._kernels, self._middle, self._width = np.array(kernels), m, 2 * m + 1
-        self._ring = np.zeros((_RING + self._width, 2 * nv))
+        self._span = self._width + self.block - 1  # samples that a block rests on
+        self._corners = np.linspace(-self._span, -1, _CORNERS).astype(int)
+        self._ring = np.zeros((_RING + self._span, 2 * nv))
         self._end, self._filled, self._clock = 0, 0, -np.inf
         self._model, self._data = self.robot.model, self.robot.model.createData()
         self._Y, self._tau, self._t_sum = np.zeros((nv, 10 * nv)), np.zeros(nv), 0.0
@@ -158,8 +161,8 @@ class OnlineEstimator:
             self._restart()
         self._clock = t
         if self._end == len(self._ring):
-            self._ring[: self._width] = self._ring[-self._width :]
-            self._end = self._width
+            self._ring[: self._span] = self._ring[-self._span :]
+            self._end = self._span
         nv, row = self.robot.nv, self._ring[self._end]
         row[:nv], row[nv:] = q, tau
         self._end += 1
@@ -195,7 +198,8 @@ class OnlineEstimator:
         self._rows[k, :, r] = share * self._tau
         if not np.isfinite(self._rows[k]).all():
             raise BadInput(f"on-line estimation: a value before {self._clock:g} s is not a number")
-        self._used[k] = self._columns.certain(self._states[:, 1], self._still)
+        path = self._ring[self._end + self._corners, : self.robot.nv]
+        self._used[k] = self._columns.certain(path, self._still)
         self._instants[k], self._middles[k] = share * self._t_sum, self._states[self.block // 2]
         self._weight = self._fade * self._weight + self._used[k]
         self._blocks += 1

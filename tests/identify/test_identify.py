@@ -135,7 +135,10 @@ def test_drive_gains_are_recovered_from_current(ur10: Robot, runs: Runs) -> None
 
 
 def test_current_and_torque_of_one_arm_say_the_same(ur10: Robot, runs: Runs) -> None:
-    excitation, holdout = runs(ur10, 2)
+    k = slice(100, -100)  # at rest, at both ends, the side of dry friction is a matter of rounding
+    excitation, holdout = (
+        Recording(r.name, r.file, r.t[k], r.q[k], r.tau[k], "N·m") for r in runs(ur10, 2)
+    )
     gain = 12.0
     found = identify(ur10, [excitation], validate=[holdout])
     currents = [
