@@ -12,10 +12,10 @@ from excitant.analysis.extension import Extension, contribution, extend, toleran
 from excitant.analysis.hypotheses import hypotheses
 from excitant.analysis.selection import Rival, rivals, select
 from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
-from excitant.identify.estimate import Data, observation, split, torque_per_reading
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.physical import prior_parameters
 from excitant.identify.recording import Recording
+from excitant.identify.rows import Data, observation, split, torque_per_reading
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, InertialParameters, JointEffect, standard_effects
 from excitant.robots.motion import Array

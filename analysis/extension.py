@@ -9,9 +9,9 @@ import numpy as np
 
 from excitant.analysis.evidence import Candidate, Evidence
 from excitant.analysis.hypotheses import TOLERANCE, WRONG_LINK
-from excitant.identify.estimate import implausible_size, observation
 from excitant.identify.physical import EffectPrior, fit_physical
 from excitant.identify.preprocessing import Segment
+from excitant.identify.rows import implausible_size, observation
 from excitant.robots.effects import Effect, InertialParameters, Payload
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import from_pseudo_inertia, isotropic

@@ -9,9 +9,9 @@ import numpy as np
 
 from excitant.analysis.evidence import Candidate
 from excitant.identify.accuracy import predicted_torque, series
-from excitant.identify.estimate import implausible_size, observation
 from excitant.identify.physical import link_coordinates, link_weights
 from excitant.identify.preprocessing import Segment
+from excitant.identify.rows import implausible_size, observation
 from excitant.robots.effects import (
     CoulombFriction,
     Effect,

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from excitant.exceptions import BadInput
-from excitant.identify.estimate import Estimate, observation
+from excitant.identify.estimate import Estimate
 from excitant.identify.least_squares import weighted_least_squares
+from excitant.identify.rows import observation
 from excitant.robots.base_parameters import BaseParameters, base_parameters, categories
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion

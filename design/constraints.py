@@ -129,7 +129,7 @@ def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
     """
     if motion.nv != robot.nv:
         raise BadInput(f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}")
-    orders = range(4 if np.isfinite(robot.limits.jerk).any() else 3)
+    orders = range(robot.limits.orders)
     if isinstance(motion, Trajectory):
         uses = [_exact_use(robot, motion, order) for order in orders]
         n = _PER_HARMONIC * max(motion.harmonics, 1)

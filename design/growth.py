@@ -20,7 +20,7 @@ _WORTH = 0.02  # least decrease of the criterion for which it grows on
 _FAMILY = 4  # best solutions that go on with more harmonics
 _FIRST, _SHARE = 0.1, 0.35  # of the remaining time for the first and each further number
 _SAMPLED = 6  # starts that compare periods
-_PERIODS = 5
+_PERIODS, _COMPARING = 5, 0.3  # periods compared, and the share of the time for that
 
 Found = tuple[DesignProblem, tuple[SearchState, ...]]
 
@@ -61,7 +61,7 @@ def best_period(
     """The problem with the period, among some between two [s], that a few starts do best with."""
     began, tried = time.time(), []
     periods = np.geomspace(shortest, longest, _PERIODS)
-    span = 0.3 * (effort.deadline - began) / _PERIODS
+    span = _COMPARING * (effort.deadline - began) / _PERIODS
     for k, period in enumerate(periods):
         series = problem.series.resized(problem.series.terms, float(period))
         candidate = replace(problem, series=series)

@@ -223,16 +223,22 @@ class _Teller:
 
     def __init__(self, total: int | None, progress: Progress | None) -> None:
         self.total, self.progress = total, progress
-        self.best, self.ratio, self.condition = np.inf, np.inf, np.inf
+        self.told, self.exact = np.inf, np.inf  # criterion of the search, and exactly
+        self.ratio, self.condition = np.inf, np.inf
 
     def __call__(self, problem: DesignProblem, states: Sequence[SearchState]) -> None:
         if self.progress is None:
             return
         state = min(states, key=lambda s: s.best_value)
-        if state.best is not None and state.best_value < self.best:
-            trajectory = problem.trajectory(state.best)
-            self.best = state.best_value
-            self.ratio = check(problem.robot, trajectory).worst.ratio
-            self.condition = condition_number(_information(problem, trajectory))
+        if state.best is not None and state.best_value < self.told:
+            self.told = state.best_value
+            self._look(problem, problem.trajectory(state.best))
         done = sum(s.status not in ("running", "stalled") for s in states)
         self.progress(done, self.total, self.condition, self.ratio)
+
+    def _look(self, problem: DesignProblem, trajectory: Trajectory) -> None:
+        M = _information(problem, trajectory)
+        exact = objective(M, problem.criterion)
+        if exact < self.exact:
+            self.exact, self.condition = exact, condition_number(M)
+            self.ratio = check(problem.robot, trajectory).worst.ratio

@@ -83,19 +83,14 @@ class DesignProblem:
         return self.series.instants(_PEAK_SAMPLES)
 
     @cached_property
-    def orders(self) -> int:
-        """How many derivatives of q are limited, q included: 3, or 4 with limits on jerk."""
-        return 4 if np.isfinite(self.robot.limits.jerk).any() else 3
-
-    @cached_property
     def middle(self) -> Array:
         """Middle of the range of q, q̇, q̈ (and jerk); shape (orders, nv)."""
-        return kinematic_limits(self.robot.limits)[0][: self.orders]
+        return kinematic_limits(self.robot.limits)[0][: self.robot.limits.orders]
 
     @cached_property
     def bound(self) -> Array:
         """Largest distance of q, q̇, q̈ (and jerk) from the middle, less a margin."""
-        return kinematic_limits(self.robot.limits)[1][: self.orders] * (1 - _MARGIN)
+        return kinematic_limits(self.robot.limits)[1][: self.robot.limits.orders] * (1 - _MARGIN)
 
     @cached_property
     def torque_bound(self) -> Array:
@@ -145,7 +140,9 @@ class DesignProblem:
     @cached_property
     def grid_bases(self) -> tuple[Array, ...]:
         """Basis of q and the derivatives that `kinematic_peaks` needs, at `instants`."""
-        return tuple(self.basis(self.instants, order) for order in range(self.orders + 2))
+        return tuple(
+            self.basis(self.instants, order) for order in range(self.robot.limits.orders + 2)
+        )
 
     def kinematic_peaks(
         self, z: Array, order: int, share: float

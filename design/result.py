@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 
@@ -14,10 +13,8 @@ from excitant.design.splines import SplineTrajectory
 from excitant.design.trajectory import Trajectory
 from excitant.design.visibility import visibility
 from excitant.robots import Array, Robot, torque
-from excitant.robots.geometry import Scene
 
 _DERIVATIVES = ("position", "velocity", "acceleration", "jerk")
-_POINT = 1e-3  # m: a body of less radius at the tool's frame is its point
 _POSES = 4  # of the arm, drawn along the motion
 
 
@@ -60,7 +57,9 @@ def design_result(design: Design) -> dict[str, Any]:
             "t": design.clearance.time,
             "distance_m": design.clearance.distance,
         },
-        "obstacles": [] if design.scene is None else obstacle_values(design.scene),
+        "obstacles": []
+        if design.scene is None
+        else [obstacle.plain() for obstacle in design.scene.obstacles],
         "starts": [
             {
                 "start": start.index,
@@ -107,7 +106,7 @@ def design_series(design: Design) -> dict[str, Array]:
     }
     if others.size:
         series["other_tools"] = others
-    if np.isfinite(robot.limits.jerk).any():
+    if robot.limits.orders > 3:
         series["dddq"] = design.trajectory(motion.t, 3)
     return series
 
@@ -143,55 +142,6 @@ def certified(
             for h, lo, hi, ratio, t in rows
         ]
     return found
-
-
-def obstacle_values(scene: Scene) -> list[dict[str, Any]]:
-    """Obstacles of a scene as plain values, with the keys of an obstacle file."""
-    found: list[dict[str, Any]] = []
-    workspaces: dict[str, dict[str, Any]] = {}
-    inward = _tool_sides(scene)
-    for body in scene.geometry.geometryObjects:
-        if body.parentFrame != 0:  # the arm's own bodies, its base included, hang on a link
-            continue
-        name, place, shape = str(body.name), body.placement, body.geometry
-        if isinstance(shape, coal.Box):
-            size, rpy = (2 * shape.halfSide).tolist(), pin.rpy.matrixToRpy(place.rotation).tolist()
-            values: dict[str, Any] = {"size": size, "position": place.translation.tolist()}
-            found.append({"name": name, "shape": "box", **values, "rpy": rpy})
-        elif isinstance(shape, coal.Sphere):
-            values = {"radius": float(shape.radius), "position": place.translation.tolist()}
-            found.append({"name": name, "shape": "sphere", **values})
-        elif name in inward:
-            whole = name.rsplit(" ", 2)[0]  # a side is named by its workspace, axis and end
-            blank = {"name": whole, "shape": "workspace", "low": [None] * 3, "high": [None] * 3}
-            axis = int(np.abs(shape.n).argmax())
-            end = "low" if shape.n[axis] > 0 else "high"
-            workspaces.setdefault(whole, blank)[end][axis] = float(shape.d * shape.n[axis])
-        else:
-            values = {"normal": shape.n.tolist(), "offset": float(shape.d)}
-            found.append({"name": name, "shape": "half_space", **values})
-    return [*found, *workspaces.values()]
-
-
-def _tool_sides(scene: Scene) -> set[str]:
-    """Names of the half-spaces around workspaces, which only the tool's point must not enter."""
-    bodies, tip = list(scene.geometry.geometryObjects), scene.robot.tip
-    partners: dict[int, set[int]] = {}
-    for pair in scene.geometry.collisionPairs:
-        partners.setdefault(pair.first, set()).add(pair.second)
-        partners.setdefault(pair.second, set()).add(pair.first)
-    points = {
-        k
-        for k, body in enumerate(bodies)
-        if body.parentFrame == tip
-        and isinstance(body.geometry, coal.Sphere)
-        and body.geometry.radius < _POINT
-    }
-    return {
-        str(bodies[k].name)
-        for k, others in partners.items()
-        if isinstance(bodies[k].geometry, coal.Halfspace) and others <= points
-    }
 
 
 def _skeleton(robot: Robot, q: Array) -> tuple[Array, Array, Array]:

@@ -131,7 +131,7 @@ def _extremum_rows(
 ) -> tuple[Array, Array]:
     """Rows a·dz ≤ room around z for the extrema of ``there`` beyond a share of their limit."""
     parts, rooms = [], []
-    for order in range(problem.orders):
+    for order in range(problem.robot.limits.orders):
         t, joint = problem.kinematic_peaks(there, order, share)
         phi = problem.basis(t, order)
         middle, bound = problem.middle[order, joint], problem.bound[order, joint]

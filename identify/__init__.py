@@ -10,7 +10,7 @@ from excitant.identify.differentiators import (
     five_point,
     savitzky_golay,
 )
-from excitant.identify.estimate import Data, Estimate, identify, split
+from excitant.identify.estimate import Estimate, identify
 from excitant.identify.excitation import Persistency, persistency
 from excitant.identify.online import OnlineEstimator
 from excitant.identify.online_estimate import OnlineEstimate
@@ -20,6 +20,7 @@ from excitant.identify.payload_run import identify_payload
 from excitant.identify.recording import Recording, read_recording, recording_from_table
 from excitant.identify.replay import Monitor, replay
 from excitant.identify.result import identify_result, identify_series, model_files
+from excitant.identify.rows import Data, split
 
 __all__ = [
     "Data",

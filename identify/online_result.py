@@ -8,24 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from excitant.identify.accuracy import predicted_torque, series
-from excitant.identify.estimate import (
-    FIT_SHARE,
-    Estimate,
-    identified_robot,
-    implausible_size,
-    observation,
-    split,
-    torque_per_reading,
-)
+from excitant.identify.estimate import Estimate, judged
 from excitant.identify.least_squares import LeastSquares
-from excitant.identify.physical import EffectPrior, fit_physical, prior_parameters
+from excitant.identify.physical import fit_physical, prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.replay import OnlineRun, joined, replay
 from excitant.identify.result import identify_result
+from excitant.identify.rows import FIT_SHARE, fit_rows, split
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, standard_effects
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
 _KEPT = 100  # looks written to result.json
@@ -74,39 +66,16 @@ def identify_online(
     prior = prior_parameters(robot)
     data = split(recordings, validate, cutoff_hz)
     base = base_parameters(robot, effects)
-    W, measured = observation(robot, effects, data.train), series(data.train)
-    gains = torque_per_reading(robot, base, W, measured, data.unit)
+    rows = fit_rows(robot, effects, base, data)
     fitted = recordings if validate else [r.between(0, FIT_SHARE, "first 70 %") for r in recordings]
     run = replay(
         robot, joined(fitted), effects=effects, base=base, forgetting=forgetting,
-        gains=gains, progress=progress,
+        gains=rows.gains, progress=progress,
     )  # fmt: skip
     last, known = run.estimate, run.estimate.data
-    lower = np.array([p.lower for e in effects for p in e.parameters(robot)])
-    spread = implausible_size(W[:, :, 10 * robot.nv :], measured.measured * gains)
-    open_prior = EffectPrior(np.zeros_like(spread), spread, lower)
-    physical = fit_physical(known.R @ base.regrouping, known.z, prior, open_prior)
-    model = identified_robot(robot, effects, physical.x)
-    rows = series(data.validate)
-    predicted = predicted_torque(model, data.validate) / gains
-    given = predicted_torque(robot, data.validate) / gains
-    estimate = Estimate(
-        given=robot,
-        model=model,
-        base=base,
-        least_squares=LeastSquares(last.beta, last.covariance, last.sigma, last.inflation),
-        physical=physical,
-        prior=read_only(prior.ravel()),
-        gains=read_only(gains),
-        data=data,
-        train=measured.accuracy(W @ physical.x / gains),
-        validate=rows.accuracy(predicted),
-        baseline=rows.accuracy(given),
-        series=rows,
-        predicted=read_only(predicted),
-        predicted_given=read_only(given),
-        notes=(data.holdout, run.differentiator),
-    )
+    physical = fit_physical(known.R @ base.regrouping, known.z, prior, rows.open_prior)
+    fit = LeastSquares(last.beta, last.covariance, last.sigma, last.inflation)
+    estimate = judged(robot, rows, fit, physical, (data.holdout, run.differentiator))
     return OnlineIdentification(estimate, run)
 
 

@@ -10,11 +10,12 @@ import numpy as np
 from excitant.exceptions import BadInput
 from excitant.identify.accuracy import series
 from excitant.identify.base_prior import base_prior
-from excitant.identify.estimate import Estimate, observation, split, torque_per_reading
+from excitant.identify.estimate import Estimate
 from excitant.identify.information import Information, gaussian
 from excitant.identify.payload import PayloadEstimate, estimate_payload
 from excitant.identify.recording import Recording
 from excitant.identify.replay import joined, replay
+from excitant.identify.rows import observation, split, torque_per_reading
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array

@@ -7,7 +7,7 @@ Every column of the regressor and the torque then pass one and the same zero-pha
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,21 +96,38 @@ def prepare(
             f"cut-off {cutoff_hz:g} Hz does not fit its rate of {1 / step:.4g} Hz; "
             f"choose one up to {0.5 * _NYQUIST_SHARE / step:.3g} Hz",
         )
-    breaks = np.flatnonzero(np.diff(recording.t) > max(_GAP_STEPS * step, _GAP_TIME)) + 1
-    segments = []
-    for part in np.split(np.arange(len(recording.t)), breaks):
-        if len(part) > 20 and recording.t[part[-1]] - recording.t[part[0]] >= MINIMUM_DURATION:
-            segments.append(_segment(recording, part, step, cutoff_hz, differentiator))
+    parts = uninterrupted(recording.t)
+    segments = [
+        _segment(recording, part, cutoff_hz, differentiator)
+        for part in parts
+        if len(part) > 20 and recording.t[part[-1]] - recording.t[part[0]] >= MINIMUM_DURATION
+    ]
     if not segments:
-        raise BadRecording(recording.file, _too_short(recording, breaks), column="t")
+        raise BadRecording(recording.file, _too_short(recording, parts), column="t")
     return segments
 
 
-def _too_short(recording: Recording, breaks: npt.NDArray[np.intp]) -> str:
+def uninterrupted(t: Array) -> list[npt.NDArray[np.intp]]:
+    """Indices of the parts of a time series, shape (n,) [s], between its gaps."""
+    steps = np.diff(t)
+    breaks = np.flatnonzero(steps > max(_GAP_STEPS * float(np.median(steps)), _GAP_TIME)) + 1
+    return np.split(np.arange(len(t)), breaks)
+
+
+def resampled(recording: Recording, part: npt.NDArray[np.intp]) -> tuple[Array, Array, Array]:
+    """Time, positions and torque of a part at a regular rate, the median of the recording's."""
+    t = recording.t[part]
+    grid = np.arange(t[0], t[-1] + 1e-9, float(np.median(np.diff(recording.t))))
+    q = scipy.interpolate.make_interp_spline(t, recording.q[part], k=3)(grid)
+    tau = [np.interp(grid, t, column) for column in recording.tau[part].T]
+    return grid, q, np.column_stack(tau)
+
+
+def _too_short(recording: Recording, parts: Sequence[npt.NDArray[np.intp]]) -> str:
     needed = f"{MINIMUM_DURATION:g} s without interruption are needed"
-    if len(breaks):
-        first = recording.t[breaks[0] - 1]
-        return f"time jumps {len(breaks)} times, first after {first:.4g} s; {needed}"
+    if len(parts) > 1:
+        first = recording.t[parts[0][-1]]
+        return f"time jumps {len(parts) - 1} times, first after {first:.4g} s; {needed}"
     return (
         f"'{recording.name}' lasts {recording.duration:.3g} s; {needed}: "
         "record longer or name a hold-out of its own"
@@ -120,14 +137,11 @@ def _too_short(recording: Recording, breaks: npt.NDArray[np.intp]) -> str:
 def _segment(
     recording: Recording,
     part: npt.NDArray[np.intp],
-    step: float,
     cutoff_hz: float,
     differentiator: Differentiator | None,
 ) -> Segment:
-    t = recording.t[part]
-    grid = np.arange(t[0], t[-1] + 1e-9, step)
-    q = scipy.interpolate.make_interp_spline(t, recording.q[part], k=3)(grid)
-    tau = _resampled(grid, t, recording.tau[part])
+    grid, q, tau = resampled(recording, part)
+    step = float(np.median(np.diff(recording.t)))
     if differentiator is None:
         position_cutoff = min(_POSITION_RATIO * cutoff_hz, 0.5 * _NYQUIST_SHARE / step)
         differentiator = ZeroPhaseButterworth(position_cutoff)
@@ -144,10 +158,6 @@ def _segment(
         cutoff_hz=cutoff_hz,
         keep=slice(edge, len(grid) - edge, stride),
     )
-
-
-def _resampled(grid: Array, t: Array, values: Array) -> Array:
-    return np.column_stack([np.interp(grid, t, column) for column in values.T])
 
 
 def _low_pass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:

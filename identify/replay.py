@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.interpolate
 
 from excitant.exceptions import BadRecording
 from excitant.identify.base_prior import BasePrior, base_prior, lively_motion
@@ -19,6 +18,7 @@ from excitant.identify.excitation import (
 )
 from excitant.identify.online import OnlineEstimator
 from excitant.identify.online_estimate import OnlineEstimate
+from excitant.identify.preprocessing import resampled, uninterrupted
 from excitant.identify.recording import Recording
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
@@ -30,7 +30,7 @@ WINDOW = 8.0  # s of motion that the monitor looks at
 _BETWEEN = 1.0  # s set between recordings that follow each other
 _PERIOD = 0.5  # s between two looks
 _LIVELY = 10.0  # s of lively motion over which the uncertainty of the torque is taken
-_GAP_STEPS, _GAP_TIME = 3.0, 0.05  # a gap is longer than both [median steps, s]
+_FEWEST = 5  # samples without a gap
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,20 +212,10 @@ def replay(
 
 def regular(recording: Recording) -> tuple[Array, Array, Array]:
     """Time, positions and torque at a regular rate between gaps; gaps stay."""
-    t = recording.t
-    step = float(np.median(np.diff(t)))
-    breaks = np.flatnonzero(np.diff(t) > max(_GAP_STEPS * step, _GAP_TIME)) + 1
-    parts = []
-    for rows in np.split(np.arange(len(t)), breaks):
-        if len(rows) < 5:
-            continue
-        grid = np.arange(t[rows[0]], t[rows[-1]] + 1e-9, step)
-        q = scipy.interpolate.make_interp_spline(t[rows], recording.q[rows], k=3)(grid)
-        tau = [np.interp(grid, t[rows], column) for column in recording.tau[rows].T]
-        parts.append((grid, q, np.column_stack(tau)))
+    parts = [part for part in uninterrupted(recording.t) if len(part) >= _FEWEST]
     if not parts:
         raise BadRecording(recording.file, "no five samples without a gap", column="t")
-    times, positions, torques = zip(*parts, strict=True)
+    times, positions, torques = zip(*(resampled(recording, part) for part in parts), strict=True)
     return np.concatenate(times), np.concatenate(positions), np.concatenate(torques)
 
 

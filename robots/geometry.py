@@ -1,9 +1,9 @@
-"""Where an arm's bodies are: collision shapes, obstacles, and the distances between them."""
+"""Where an arm's bodies are: collision shapes among obstacles, and the distances between them."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,53 +11,16 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
-import yaml
 
-from excitant.exceptions import BadInput
 from excitant.robots.motion import Array
+from excitant.robots.obstacles import Obstacle
 from excitant.robots.robot import Robot
 from excitant.robots.urdf import full_model
 
 _POSES = 200  # random ones, to tell pairs whose distance is a matter of drawing
 _MOVING = 1e-3  # m: distances that change less do not change
-_SHAPES = ("box", "sphere", "half_space", "workspace")
-_KEYS = {
-    "box": {"size": 3, "position": 3, "rpy": 3},
-    "sphere": {"radius": 1, "position": 3},
-    "half_space": {"normal": 3, "offset": 1},
-    "workspace": {"low": 3, "high": 3},
-}
 _TOOL = "tool point"
 _POINT = 1e-4  # m, radius of the sphere that stands for it
-
-
-@dataclass(frozen=True)
-class Obstacle:
-    """A body that stands in the cell, in the base frame of the URDF.
-
-    Attributes:
-        name: Name for messages.
-        shape: ``"box"``, ``"sphere"`` or ``"half_space"`` (all points x with n·x ≤ offset).
-        values: ``size`` [m], ``position`` [m], ``rpy`` [rad], ``radius`` [m], ``normal``,
-            ``offset`` [m] as the shape needs.
-        tool_only: Whether only the tool point must keep away from it.
-    """
-
-    name: str
-    shape: str
-    values: tuple[tuple[str, tuple[float, ...]], ...]
-    tool_only: bool = False
-
-    def geometry(self) -> tuple[Any, Any]:
-        """Shape and placement for Pinocchio."""
-        v = {key: np.array(x) for key, x in self.values}
-        if self.shape == "half_space":
-            length = np.linalg.norm(v["normal"])
-            plane = coal.Halfspace(v["normal"] / length, float(v["offset"][0] / length))
-            return plane, pin.SE3.Identity()
-        turn = pin.rpy.rpyToMatrix(*v.get("rpy", np.zeros(3)))
-        shape = coal.Box(*v["size"]) if self.shape == "box" else coal.Sphere(float(v["radius"][0]))
-        return shape, pin.SE3(turn, v["position"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +33,13 @@ class Scene:
         robot: The arm.
         geometry: Pinocchio's geometry model; never edited.
         pairs: Names of both bodies of every pair.
+        obstacles: What stands in the cell.
     """
 
     robot: Robot
     geometry: Any
     pairs: tuple[tuple[str, str], ...]
+    obstacles: tuple[Obstacle, ...] = ()
 
     def distances(self, q: Array) -> Array:
         """Signed distance of every pair at every pose, shape (n, pairs) [m]."""
@@ -174,21 +139,21 @@ def scene(
     geometry = pin.buildGeomFromUrdfString(
         model, text, pin.GeometryType.COLLISION, package_dirs=list(package_dirs)
     )
-    boxed = {obstacle.name for obstacle in obstacles if obstacle.tool_only}
+    boxed = {name for o in obstacles if o.tool_only for name, _, _ in o.bodies()}
     if not len(geometry.geometryObjects) and not boxed:
         return None
     if locked:
         _, (geometry,) = pin.buildReducedModel(model, [geometry], locked, reference)
-    for obstacle in obstacles:
-        shape, placement = obstacle.geometry()
-        geometry.addGeometryObject(pin.GeometryObject(obstacle.name, 0, 0, placement, shape))
+    fixed = set()
+    for name, shape, placement in (body for o in obstacles for body in o.bodies()):
+        geometry.addGeometryObject(pin.GeometryObject(name, 0, 0, placement, shape))
+        fixed.add(name)
     if boxed:
         geometry.addGeometryObject(_tool_point(robot))
-    everything = _paired(robot, geometry, _pairs(robot, geometry, boxed))
+    everything = _paired(robot, geometry, _pairs(robot, geometry, boxed), obstacles)
     q, _, _ = robot.random_motion(np.random.default_rng(0), _POSES)
     distance = everything.distances(q)
     moving = (distance.max(axis=0) > 0) & (np.ptp(distance, axis=0) > _MOVING)
-    fixed = {obstacle.name for obstacle in obstacles}
     kept = [
         (pair.first, pair.second)
         for pair, moves, names in zip(
@@ -196,16 +161,18 @@ def scene(
         )
         if moves or fixed & set(names)
     ]
-    return _paired(robot, geometry, kept) if kept else None
+    return _paired(robot, geometry, kept, obstacles) if kept else None
 
 
-def _paired(robot: Robot, geometry: Any, pairs: Sequence[tuple[int, int]]) -> Scene:
+def _paired(
+    robot: Robot, geometry: Any, pairs: Sequence[tuple[int, int]], obstacles: Sequence[Obstacle]
+) -> Scene:
     geometry = geometry.copy()
     geometry.removeAllCollisionPairs()
     for one, other in pairs:
         geometry.addCollisionPair(pin.CollisionPair(one, other))
     names = [body.name for body in geometry.geometryObjects]
-    return Scene(robot, geometry, tuple((names[i], names[j]) for i, j in pairs))
+    return Scene(robot, geometry, tuple((names[i], names[j]) for i, j in pairs), tuple(obstacles))
 
 
 def _tool_point(robot: Robot) -> Any:
@@ -241,70 +208,3 @@ def _drop_missing_meshes(root: ET.Element, robot: Robot, package_dirs: Sequence[
             name = str(mesh.get("filename")).removeprefix("package://").removeprefix("file://")
             if not any((folder / name).is_file() for folder in folders):
                 link.remove(collision)
-
-
-def load_obstacles(path: str | Path) -> tuple[Obstacle, ...]:
-    """Obstacles from a YAML file: a list of ``{name, box|sphere|half_space|workspace: {...}}``.
-
-    A workspace, ``{low: [x, y, z], high: [x, y, z]}`` [m], is a box that the tool point stays in.
-
-    Raises:
-        BadInput: Unreadable, an unknown shape, or values that do not fit; names the entry.
-    """
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInput(f"{path}: {error.strerror}; give a YAML file of obstacles") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: not YAML ({str(error).splitlines()[0]})") from None
-    entries = content.get("obstacles") if isinstance(content, dict) else content
-    if not isinstance(entries, list):
-        raise BadInput(f"{path}: expected a list of obstacles, '- box: {{size: [..], ...}}'")
-    return tuple(part for k, entry in enumerate(entries) for part in _obstacle(path, k, entry))
-
-
-def _obstacle(path: str | Path, k: int, entry: object) -> tuple[Obstacle, ...]:
-    where = f"{path}: obstacle {k + 1}"
-    shapes = [s for s in _SHAPES if isinstance(entry, Mapping) and s in entry]
-    if not isinstance(entry, Mapping) or len(shapes) != 1:
-        raise BadInput(f"{where}: give exactly one of {', '.join(_SHAPES)}")
-    shape, content = shapes[0], entry[shapes[0]]
-    values = []
-    for key, count in _KEYS[shape].items():
-        if key == "rpy" and isinstance(content, Mapping) and key not in content:
-            continue
-        try:
-            numbers = tuple(float(x) for x in np.ravel(content[key]))
-        except (KeyError, TypeError, ValueError):
-            raise BadInput(f"{where}: {shape} needs {', '.join(_KEYS[shape])} as numbers") from None
-        positive = key in ("size", "radius")
-        if (
-            len(numbers) != count
-            or not np.isfinite(numbers).all()
-            or (positive and min(numbers) <= 0)
-        ):
-            raise BadInput(
-                f"{where}: {key} must be {count} {'positive ' if positive else ''}numbers"
-            )
-        values.append((key, numbers))
-    if shape == "half_space" and not any(values[0][1]):
-        raise BadInput(f"{where}: normal must not be zero")
-    name = str(entry.get("name", f"{shape} {k + 1}"))
-    if shape == "workspace":
-        return _workspace(where, name, *(numbers for _, numbers in values))
-    return (Obstacle(name, shape, tuple(values)),)
-
-
-def _workspace(
-    where: str, name: str, low: tuple[float, ...], high: tuple[float, ...]
-) -> tuple[Obstacle, ...]:
-    """The half-spaces around a box, which the tool point must not enter."""
-    if not all(a < b for a, b in zip(low, high, strict=True)):
-        raise BadInput(f"{where}: low must be below high in x, y and z")
-    sides = []
-    for axis, (a, b) in enumerate(zip(low, high, strict=True)):
-        for sign, offset, side in ((1.0, a, "low"), (-1.0, -b, "high")):
-            normal = tuple(sign * float(axis == k) for k in range(3))
-            values = (("normal", normal), ("offset", (offset,)))
-            sides.append(Obstacle(f"{name} {'xyz'[axis]} {side}", "half_space", values, True))
-    return tuple(sides)

@@ -43,6 +43,11 @@ class Limits:
         object.__setattr__(self, "jerk", jerk)
         freeze(self, "position", "velocity", "acceleration", "torque", "jerk")
 
+    @property
+    def orders(self) -> int:
+        """How many derivatives of q are limited, q included: 3, or 4 with limits on jerk."""
+        return 4 if np.isfinite(self.jerk).any() else 3
+
 
 @dataclass(frozen=True, eq=False)
 class Robot:

@@ -32,13 +32,15 @@ from excitant.design import (
 from excitant.design import check as check_limits
 from excitant.design import clearance as motion_clearance
 from excitant.design import design as design_trajectory
+from excitant.design.result import certified
 from excitant.exceptions import BadInput, Infeasible
 from excitant.identify.dataset import Dataset
 from excitant.identify.preprocessing import prepare
 from excitant.output import finish, print_json, run_directory, table_bytes, write_atomically
 from excitant.progress import progress_bar
 from excitant.robots import Array, Motion, Robot, load_limits, load_robot, torque
-from excitant.robots.geometry import Scene, load_obstacles, scene
+from excitant.robots.geometry import Scene, scene
+from excitant.robots.obstacles import load_obstacles
 from excitant.robots.virtual_arm import virtual_arm
 
 _DENSE_HZ = 100.0
@@ -206,6 +208,9 @@ def check(args: argparse.Namespace) -> None:
             if use.ratio > 0
         },
         "limit_values": {use.quantity: getattr(robot.limits, use.quantity) for use in report.uses},
+        "certified": certified(
+            robot, report, trajectory if isinstance(trajectory, Trajectory) else None
+        ),
         "columns": args.columns,
         "condition_number": condition_number(information(robot, args.columns).matrix(motion)),
         "clearance_m": None if near is None else near.certified,

@@ -8,7 +8,8 @@ import pytest
 from excitant.design import clearance, design, from_coefficients
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Robot, load_robot
-from excitant.robots.geometry import Obstacle, Scene, load_obstacles, scene
+from excitant.robots.geometry import Scene, scene
+from excitant.robots.obstacles import Obstacle, load_obstacles
 
 FLOOR = Obstacle("floor", "half_space", (("normal", (0.0, 0.0, 1.0)), ("offset", (-0.15,))))
 

@@ -9,10 +9,10 @@ import pytest
 import yaml
 
 from excitant.design import Design, design, design_result, design_series
-from excitant.design.result import obstacle_values
 from excitant.design.visibility import lone_torque, scaled_condition_number, weak_directions
 from excitant.robots import Robot
-from excitant.robots.geometry import load_obstacles, scene
+from excitant.robots.geometry import scene
+from excitant.robots.obstacles import load_obstacles
 
 OBSTACLES = [
     {"name": "table", "half_space": {"normal": [0.0, 0.6, 0.8], "offset": -0.9}},
@@ -91,7 +91,7 @@ def test_obstacles_are_written_as_they_were_read(ur10: Robot, tmp_path: Path) ->
     file.write_text(yaml.safe_dump(OBSTACLES), encoding="utf-8")
     surroundings = scene(ur10, load_obstacles(file))
     assert surroundings is not None
-    found = {row["name"]: row for row in obstacle_values(surroundings)}
+    found = {row["name"]: row for row in (obstacle.plain() for obstacle in surroundings.obstacles)}
     assert len(found) == len(OBSTACLES)
     for entry in OBSTACLES:
         row = found[str(entry["name"])]

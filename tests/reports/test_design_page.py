@@ -11,7 +11,6 @@ from excitant.reports.design_motion_figure import envelope_of, motion_figure
 from excitant.reports.design_space_figure import solid_of, space_figure
 from excitant.reports.drawing import style
 from excitant.robots import Limits, load_robot
-from excitant.robots.geometry import scene
 
 PARTS = (
     "Motion against limits",
@@ -177,9 +176,3 @@ def test_jerk_is_shown_when_it_is_there(make):
     with style():
         panels = motion_figure(result["joints"], result, series).panels
     assert all("jerk [" in panel.svg for panel in panels)
-
-
-def test_a_scene_with_nothing_in_it_has_no_obstacles():
-    from excitant.design.result import obstacle_values
-
-    assert obstacle_values(scene(load_robot("ur10"))) == []
