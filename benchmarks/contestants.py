@@ -64,12 +64,21 @@ Found = tuple[float, Any, int]
 """Condition number, the trajectory (None if there is none), and the number of starts or draws."""
 
 
-def excitant(problem: Problem, settings: Settings) -> Found:
-    """Our own design."""
+def excitant(
+    problem: Problem,
+    settings: Settings,
+    *,
+    series: str = "fourier",
+    criterion: str = "condition",
+    search: bool = False,
+) -> Found:
+    """Our own design; with a search for the number of harmonics if wanted."""
     found = design(
         problem.robot,
         duration=problem.duration,
-        harmonics=problem.harmonics,
+        harmonics=None if search else problem.harmonics,
+        series=series,
+        criterion=criterion,
         columns="inertial",
         jobs=settings.jobs,
         seed=settings.seed,
@@ -158,6 +167,8 @@ def _loaded(
 
 CONTESTANTS: dict[str, Callable[[Problem, Settings], Found]] = {
     "excitant": excitant,
+    "a-optimal": partial(excitant, criterion="a"),
+    "spline": partial(excitant, series="spline", search=True),
     "random": _parallel(random_search),
     "l-bfgs": _parallel(gradient_search),
 }

@@ -23,7 +23,7 @@ from verdict import Verdict, external_judge, failed, judged
 
 from excitant.exceptions import ExcitantError
 
-METHODS = ("excitant", "random", "l-bfgs", "figaroh")
+METHODS = ("excitant", "a-optimal", "spline", "random", "l-bfgs", "figaroh")
 
 
 def arguments(words: Sequence[str] | None) -> argparse.Namespace:
@@ -60,11 +60,11 @@ def compete(problem: Problem, given: argparse.Namespace) -> list[Run]:
     """One run after the other, ours first, so that none takes time from another."""
     runs: list[Run] = []
     for method in (m for m in METHODS if m in given.methods):
-        settings = (
-            figaroh_moves(problem, given)
-            if method == "figaroh"
-            else given.harmonics or [problem.harmonics]
-        )
+        settings = given.harmonics or [problem.harmonics]
+        if method == "figaroh":
+            settings = figaroh_moves(problem, given)
+        elif method == "spline":  # searches the number of its pieces
+            settings = settings[:1]
         for setting in settings:
             runs.append(run(problem, given, method, setting))
             tell(given, f"{method} {runs[-1].setting} done after {runs[-1].wall_s:.0f} s")

@@ -31,8 +31,9 @@ class Run:
     """One contestant's work.
 
     Attributes:
-        method: ``"excitant"``, ``"random"``, ``"l-bfgs"`` or ``"figaroh"``.
-        setting: Harmonics ``H=5``, or segments and moves ``2x5``.
+        method: ``"excitant"``, ``"a-optimal"`` and ``"spline"`` (ours too), ``"random"``,
+            ``"l-bfgs"`` or ``"figaroh"``.
+        setting: Harmonics ``H=5``, or segments and moves ``2x5``, or ``search``.
         files: Tables of motions, of which the best counts; with coefficients beside where the
             motion is a Fourier series.
         wall_s: Time by the clock, from the start of the processes to their end [s].
@@ -58,7 +59,8 @@ def fourier_run(problem: Problem, given: argparse.Namespace, method: str, harmon
     said = answer([sys.executable, str(HERE / "contestants.py"), *words])
     files = (stem.with_suffix(".csv"),) if stem.with_suffix(".csv").exists() else ()
     note = said["error"] if "error" in said else f"{said['runs']} starts"
-    return Run(method, f"H={harmonics}", files, *clock.read(), note)
+    setting = "search" if method == "spline" else f"H={harmonics}"
+    return Run(method, setting, files, *clock.read(), note)
 
 
 def run_figaroh(problem: Problem, given: argparse.Namespace, moves: int) -> Run:

@@ -9,18 +9,19 @@ from verdict import NOISE, Verdict
 
 _KINDS = {"equal": "{:g} N·m on every joint", "limit": "{:.0%} of each joint's torque limit"}
 _OURS = "excitant"
+_ALL_OURS = (_OURS, "a-optimal", "spline")
 
 
 def reference(row: Verdict, verdicts: Sequence[Verdict]) -> Verdict | None:
     """Our row that a row is compared with, if there is one.
 
-    That of as many harmonics; for a motion that is no Fourier series, the best of ours that
+    That of as many harmonics; for a motion that is no Fourier series, the best of all ours that
     accelerate no harder, or else the one that accelerates least.
     """
-    ours = [v for v in verdicts if v.method == _OURS and v.samples]
-    same = [v for v in ours if v.setting == row.setting]
     if row.method != "figaroh":
-        return same[0] if same else None
+        same = (v for v in verdicts if v.method == _OURS and v.setting == row.setting)
+        return next((v for v in same if v.samples), None)
+    ours = [v for v in verdicts if v.method in _ALL_OURS and v.samples]
     gentle = [v for v in ours if v.peak_ddq <= row.peak_ddq]
     if gentle:
         return min(gentle, key=lambda v: v.left)
@@ -48,9 +49,9 @@ def conditioning_table(verdicts: Sequence[Verdict]) -> list[str]:
 
 def _against(row: Verdict, ours: Verdict | None) -> str:
     if ours is None or row.method == _OURS:
-        return " " * 26
+        return " " * 33
     ratios = (row.left / ours.left, row.wall_s / ours.wall_s, row.cpu_s / ours.cpu_s)
-    return "".join(f"{ratio:6.2f}" for ratio in ratios) + f" {ours.setting:>7}"
+    return "".join(f"{ratio:6.2f}" for ratio in ratios) + f" {ours.label:<14}"
 
 
 def noise_table(verdicts: Sequence[Verdict]) -> list[str]:
@@ -74,7 +75,7 @@ def _noise_line(row: Verdict, ours: Verdict | None, kind: str) -> str:
     if ours is None or row.method == _OURS:
         return line
     pairs = zip(_figures(ours, kind), figures, strict=True)
-    return line + "   " + "".join(f"{a / b:7.2f}" for a, b in pairs) + f" {ours.setting:>7}"
+    return line + "   " + "".join(f"{a / b:7.2f}" for a, b in pairs) + f" {ours.label}"
 
 
 def _figures(row: Verdict, kind: str) -> tuple[float, float, float]:

@@ -17,8 +17,10 @@ _SCREENING = 12  # iterations after which the worse half of the random starts is
 _ITERATIONS = 300
 _ELITE = 3  # searches whose solutions are mixed with random trajectories to start again
 _POLISHED = 4  # best searches that are driven to convergence
-_ISLAND = 24  # starts after which random ones begin anew
+_RANDOM = 12  # random starts, at most, before the best of them are built upon
 _ROUND = 6  # restarts that begin from the same knowledge
+_ROUNDS = 2  # of restarts without a gain after which random starts begin anew
+_WORTH = 1e-3  # decrease of the merit that counts as a gain
 
 
 @dataclass
@@ -28,8 +30,7 @@ class MultiStart:
     Random starts are screened: after a few iterations the better half goes on. Restarts begin
     at a mixture of one of the best solutions and a random trajectory; the kinematic limits are
     convex, so it keeps them. Searches run until they become slow; only the best are then
-    driven to convergence. After some restarts, which come to resemble each other, all this
-    begins anew.
+    driven to convergence. When restarts bring nothing more, all this begins anew.
 
     Attributes:
         problem: The design problem.
@@ -60,23 +61,29 @@ class MultiStart:
         return tuple(self.states[k] for k in sorted(self.states))
 
     def _island(self) -> None:
+        """Random starts, and restarts for as long as they bring something."""
         self._random_starts()
-        while self._more() and self._room > 0:
+        idle = 0
+        while self._more() and idle < _ROUNDS:
+            before = self._merit()
             self._restarts()
+            idle = 0 if self._merit() < before - _WORTH else idle + 1
+
+    def _merit(self) -> float:
+        """Best merit of this island."""
+        return min((s.merit for s in self._ranked(self._first)), default=np.inf)
 
     @property
-    def _room(self) -> int:
-        """Starts that this island still has."""
-        left = _ISLAND if self.effort.starts is None else self.effort.starts - self._first
-        return min(_ISLAND, left) - (len(self.states) - self._first)
+    def _room(self) -> float:
+        """Starts still to be made."""
+        return np.inf if self.effort.starts is None else self.effort.starts - len(self.states)
 
     def _more(self) -> bool:
-        enough = self.effort.starts is not None and len(self.states) >= self.effort.starts
-        return not enough and time.time() < self.effort.deadline
+        return self._room > 0 and time.time() < self.effort.deadline
 
     def _random_starts(self) -> None:
         self._first = first = len(self.states)
-        count = self._room if self._room < 4 else -(-self._room // 2)
+        count = int(min(self._room, max(3, min(_RANDOM, self._room / 2))))
         if first < len(self.seeds):
             count = len(self.seeds)
         self._work([self._first_task(k) for k in range(first, first + count)])
@@ -91,7 +98,8 @@ class MultiStart:
         return Task(self._blank(index), _SCREENING, seed=seed)
 
     def _restarts(self) -> None:
-        first, last = len(self.states), len(self.states) + min(_ROUND, self._room)
+        first = len(self.states)
+        last = first + int(min(_ROUND, self._room))
         elite = [s for s in self._ranked(self._first) if np.isfinite(s.merit)][:_ELITE]
         tasks = self._polishing(_POLISHED // 2, self._first)
         for k in range(first, last):

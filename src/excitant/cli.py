@@ -5,15 +5,17 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from importlib import import_module
 from importlib.metadata import version
 
 from threadpoolctl import threadpool_limits
 
-from excitant import __version__, commands, motion_commands
+from excitant import __version__
 from excitant.exceptions import ExcitantError
 
 _SOLVERS = ("pin", "clarabel", "cvxpy", "numpy", "scipy")
+_ABOUT_MOTION = ("design", "check", "simulate")
 _ROBOT = "built-in name, URDF or robot.yaml"
 _DATASET = f"{_ROBOT}, or a folder with dataset.json"
 
@@ -33,8 +35,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     args = _parser().parse_args(arguments)
     try:
+        run = _command(args.verb)
         with threadpool_limits(1):  # many small matrices: threads cost more than they bring
-            args.run(args)
+            run(args)
     except ExcitantError as error:
         if args.debug:
             raise
@@ -48,6 +51,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _failed("interrupted; nothing was written")
     return 0
+
+
+def _command(verb: str) -> Callable[[argparse.Namespace], None]:
+    """What carries a command out; imported when it is called, for help to come at once."""
+    module = "motion_commands" if verb in _ABOUT_MOTION else "commands"
+    run: Callable[[argparse.Namespace], None] = getattr(import_module(f"excitant.{module}"), verb)
+    return run
 
 
 def _failed(why: str) -> int:
@@ -94,8 +104,7 @@ def _verb(
         epilog=f"example:\n  {example}",
         formatter_class=_Help,
     )
-    owner = commands if hasattr(commands, name) else motion_commands
-    verb.set_defaults(run=getattr(owner, name))
+    verb.set_defaults(verb=name)
     verb.add_argument("--debug", action="store_true", help="show the traceback of an error")
     verb.add_argument("--json", action="store_true", help="print result.json and nothing else")
     return verb
