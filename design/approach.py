@@ -18,8 +18,9 @@ from excitant.design.paths import (
 )
 from excitant.design.timing import timed
 from excitant.exceptions import BadInput, Infeasible
-from excitant.robots import Array, Motion, Robot, torque
+from excitant.robots import Array, Motion, Robot
 from excitant.robots.motion import read_only
+from excitant.robots.torque import largest_torque
 
 _SAMPLES = 1000  # via points tried
 
@@ -197,7 +198,7 @@ def _inside(robot: Robot, pose: Array, what: str) -> None:
 
 def _holdable(robot: Robot, pose: Array, name: str, options: _Options) -> None:
     """Refuse an end pose that the motors cannot hold or that touches an obstacle."""
-    share = np.abs(torque(robot, _still(pose, np.zeros(1)))[0]) / robot.limits.torque
+    share = np.abs(largest_torque(robot, _still(pose, np.zeros(1)))[0]) / robot.limits.torque
     j = int(share.argmax())
     if share[j] > HOLDING:
         why = f"{holding_refusal(robot, j, float(share[j]))} in the {name} pose"

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy.interpolate import BSpline, CubicSpline
 
 from excitant.robots import Array, Motion, Robot, torque
+from excitant.robots.torque import largest_torque
 
 Clearance = Callable[[Array], float]
 Edge = Callable[[Array, Array], bool]
@@ -96,8 +97,12 @@ def static_torque(robot: Robot, q: Array, direction: Array) -> Array:
         q: Poses, shape (n, nv).
         direction: Velocities of which only the direction counts, shape (n, nv).
     """
+    return torque(robot, _creeping(q, direction))
+
+
+def _creeping(q: Array, direction: Array) -> Motion:
     creep = 1e-6 * direction / max(float(np.abs(direction).max(initial=0.0)), 1e-300)
-    return torque(robot, Motion(np.arange(float(len(q))), q, creep, np.zeros_like(q)))
+    return Motion(np.arange(float(len(q))), q, creep, np.zeros_like(q))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +132,7 @@ def obstruction(
     s = np.linspace(0.0, 1.0, _poses(robot, path) + 1)
     q = path(s)
     if np.isfinite(robot.limits.torque).any():
-        excess = np.abs(static_torque(robot, q, path(s, 1))) / robot.limits.torque
+        excess = np.abs(largest_torque(robot, _creeping(q, path(s, 1)))) / robot.limits.torque
         k, j = np.unravel_index(int(excess.argmax()), excess.shape)
         if excess[k, j] > HOLDING:
             return Obstruction(float(s[k]), holding_refusal(robot, int(j), float(excess[k, j])))

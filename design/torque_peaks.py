@@ -21,6 +21,7 @@ import pinocchio as pin
 
 from excitant.design.criterion import speed_scale
 from excitant.robots import Array, Motion, Robot, torque
+from excitant.robots.effects import Effect, JointEffect
 from excitant.robots.torque import largest_torque, link_torques
 
 if TYPE_CHECKING:
@@ -256,13 +257,27 @@ def _worst_bodies(robot: Robot, motion: Motion, joint: npt.NDArray[np.intp]) -> 
 def _effect_derivatives(robot: Robot, motion: Motion) -> Array:
     n, nv = motion.q.shape
     D = np.zeros((3, n, nv, nv))
-    state = np.stack([motion.q, motion.dq, motion.ddq])
+    own = [effect for effect in robot.effects if isinstance(effect, JointEffect)]
+    others = [effect for effect in robot.effects if not isinstance(effect, JointEffect)]
+    joints = np.arange(nv)
     for order in range(3):
-        for j in range(nv):
-            change = np.zeros_like(state)
-            change[order, :, j] = _STEP
-            ahead, behind = (Motion(motion.t, *(state + sign * change)) for sign in (1.0, -1.0))
-            for effect in robot.effects:
-                difference = effect.torque(robot, ahead) - effect.torque(robot, behind)
-                D[order, :, :, j] += difference / (2 * _STEP)
+        D[order][:, joints, joints] = _difference(robot, own, motion, order, np.ones(nv))
+        if others:
+            for j, unit in enumerate(np.eye(nv)):
+                D[order, :, :, j] += _difference(robot, others, motion, order, unit)
     return D
+
+
+def _difference(
+    robot: Robot, effects: Sequence[Effect], motion: Motion, order: int, way: Array
+) -> Array:
+    """Derivative of the effects' torque along a way of q, q̇ or q̈, shape (n, nv)."""
+    change = np.zeros((3, *motion.q.shape))
+    change[order] = _STEP * way
+    state = np.stack([motion.q, motion.dq, motion.ddq])
+    ahead, behind = (Motion(motion.t, *(state + sign * change)) for sign in (1.0, -1.0))
+    total = np.zeros(motion.q.shape)
+    for effect in effects:
+        total += effect.torque(robot, ahead) - effect.torque(robot, behind)
+    slope: Array = total / (2 * _STEP)
+    return slope

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -80,7 +81,7 @@ class Robot:
         """Number of joints."""
         return int(self.model.nv)
 
-    @property
+    @cached_property
     def joints(self) -> tuple[str, ...]:
         """Names of the joints, in order."""
         return tuple(str(name) for name in list(self.model.names)[1:])

@@ -53,10 +53,13 @@ class Effect(ABC):
 
     def torque(self, robot: Robot, motion: Motion) -> Array:
         """Torque that the joints must give for it, shape (n, nv) [N·m]."""
+        tau: Array = self.columns(robot, motion) @ np.array(self._known())
+        return tau
+
+    def _known(self) -> tuple[float, ...]:
         if self.values is None:
             raise ValueError(f"{self.name} has no values yet")
-        tau: Array = self.columns(robot, motion) @ np.array(self.values)
-        return tau
+        return self.values
 
     def with_values(self, values: npt.ArrayLike) -> Self:
         """The same effect with these coefficients."""
@@ -99,3 +102,12 @@ class JointEffect(Effect):
                 columns[:, j, column] = values
                 column += 1
         return columns
+
+    def torque(self, robot: Robot, motion: Motion) -> Array:
+        """Each joint's terms summed; the columns, of which most are zero, are not built."""
+        tau, values = np.zeros((len(motion), robot.nv)), iter(self._known())
+        for joint in self.joints:
+            j = robot.joint_index(joint)
+            for column in self.shape(motion.q[:, j], motion.dq[:, j], motion.ddq[:, j]):
+                tau[:, j] += next(values) * column
+        return tau

@@ -18,9 +18,13 @@ from excitant.design import (
     Trajectory,
     approach,
     condition_number,
+    design_link_by_link,
     design_result,
     design_series,
     information,
+    link_by_link_design_result,
+    link_by_link_design_series,
+    link_by_link_files,
     load_trajectory,
     lower_bound,
     motion_csv,
@@ -34,8 +38,6 @@ from excitant.design import clearance as motion_clearance
 from excitant.design import design as design_trajectory
 from excitant.design.result import certified
 from excitant.exceptions import BadInput, Infeasible
-from excitant.identify.dataset import Dataset
-from excitant.identify.preprocessing import prepare
 from excitant.output import finish, print_json, run_directory, table_bytes, write_atomically
 from excitant.progress import progress_bar
 from excitant.robots import Array, Motion, Robot, load_limits, load_robot, torque
@@ -56,6 +58,9 @@ def design(args: argparse.Namespace) -> None:
         raise BadInput(f"--repeat {args.repeat}: give the number of periods, at least 1")
     if args.bound and (args.noise or args.after):
         raise BadInput("--bound holds for one motion with equal noise; leave --noise and --after")
+    if args.link_by_link:
+        _design_link_by_link(args, robot)
+        return
     start = _pose(args.start, robot) if args.start else None
     surroundings, least = _surroundings(args, robot)
     began = time.monotonic()
@@ -111,9 +116,46 @@ def design(args: argparse.Namespace) -> None:
     finish(args, run_directory(args, "design", robot), result, design_series(found), files)
 
 
+def _design_link_by_link(args: argparse.Namespace, robot: Robot) -> None:
+    """One motion per link instead of one for all."""
+    for option, value in (("--bound", args.bound), ("--noise", args.noise),
+                          ("--after", args.after), ("--from", args.start),
+                          ("--formats", args.formats)):  # fmt: skip
+        if value:
+            raise BadInput(f"--link-by-link designs each link by its own row; leave {option} out")
+    surroundings, least = _surroundings(args, robot)
+    with progress_bar("design") as advance:
+        found = design_link_by_link(
+            robot,
+            duration=args.duration,
+            harmonics=args.harmonics,
+            series=args.series,
+            top_hz=args.max_frequency,
+            criterion=args.criterion,
+            columns=args.columns,
+            scene=surroundings,
+            clearance=least,
+            starts=args.starts,
+            jobs=args.jobs,
+            cluster=args.cluster,
+            seed=args.seed,
+            time_limit=args.time_limit,
+            progress=lambda share, link, best: advance(share, f"{link}, best κ {best:.4g}"),
+        )
+    result = link_by_link_design_result(found) | {"periods": args.repeat}
+    files = link_by_link_files(found, args.rate, args.repeat)
+    directory = run_directory(args, "design", robot)
+    finish(args, directory, result, link_by_link_design_series(found), files)
+
+
 def _earlier(args: argparse.Namespace, robot: Robot) -> list[Motion]:
     """Motions of recordings made already."""
-    recordings = Dataset(robot).recordings(args.after) if args.after else ()
+    if not args.after:
+        return []
+    from excitant.identify.dataset import Dataset  # takes a second to import
+    from excitant.identify.preprocessing import prepare
+
+    recordings = Dataset(robot).recordings(args.after)
     return [part.motion[part.keep] for recording in recordings for part in prepare(recording)]
 
 

@@ -278,3 +278,17 @@ def test_retiming_an_excitation_under_less_torque(panda: Robot) -> None:
 
 def test_retiming_equal_poses_is_a_standstill(planar: Robot) -> None:
     assert len(retime(planar, [[0.1, 0.2]] * 3)) == 2
+
+
+def test_torque_holds_on_the_way_for_every_mass_within_the_uncertainty(
+    ur10: Robot, limited: Limited
+) -> None:
+    nominal = limited(ur10, acceleration=10.0, torque=0.5 * ur10.limits.torque)
+    wary = nominal.with_limits(replace(nominal.limits, mass_uncertainty=0.2))
+    start, goal = np.array([0.0, -1.57, 0.5, 0, 0, 0]), np.array([1.0, -1.0, 1.2, 0.4, 0.6, 0])
+    motion, rng = approach(wary, start, goal), np.random.default_rng(0)
+    for _ in range(50):
+        shares = 1 + 0.2 * rng.choice([-1.0, 1.0], ur10.nv)
+        other = nominal.with_parameters(nominal.phi * np.repeat(shares, 10))
+        assert np.all(np.abs(torque(other, motion)) <= nominal.limits.torque)
+    assert approach(nominal, start, goal).t[-1] < motion.t[-1]
