@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import joblib
@@ -97,13 +99,12 @@ def results(problem: DesignProblem, tasks: Sequence[Task], effort: Effort) -> It
         for task in tasks:
             yield perform(problem, task, effort.seed, effort.deadline)
         return
+    packed = pickle.dumps(problem)
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
         parallel = joblib.Parallel(n_jobs=effort.jobs, return_as="generator_unordered")
         apart = joblib.delayed(_perform_apart)
         try:
-            yield from parallel(
-                apart(problem, task, effort.seed, effort.deadline) for task in tasks
-            )
+            yield from parallel(apart(packed, task, effort.seed, effort.deadline) for task in tasks)
         except KeyboardInterrupt:
             get_reusable_executor().shutdown(wait=False, kill_workers=True)
             raise
@@ -114,9 +115,9 @@ def _over_cluster(
 ) -> Iterable[SearchState]:
     from distributed import as_completed
 
-    shared = client.scatter(problem, broadcast=True, hash=False)
+    shared = client.scatter(pickle.dumps(problem), broadcast=True, hash=False)
     futures = [
-        client.submit(perform, shared, task, effort.seed, effort.deadline, pure=False)
+        client.submit(_perform_packed, shared, task, effort.seed, effort.deadline, pure=False)
         for task in tasks
     ]
     try:
@@ -127,11 +128,22 @@ def _over_cluster(
         raise
 
 
-def _perform_apart(problem: DesignProblem, task: Task, seed: int, deadline: float) -> SearchState:
-    """`perform` in a process of its own, where Ctrl-C is left to the parent."""
+def _perform_apart(packed: bytes, task: Task, seed: int, deadline: float) -> SearchState:
+    """A task in a process of its own, where Ctrl-C is left to the parent."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return perform(problem, task, seed, deadline)
+    return _perform_packed(packed, task, seed, deadline)
+
+
+def _perform_packed(packed: bytes, task: Task, seed: int, deadline: float) -> SearchState:
+    """A task of a problem that was packed once, before others use and so change its caches."""
+    return perform(_unpacked(packed), task, seed, deadline)
+
+
+@lru_cache(maxsize=1)
+def _unpacked(packed: bytes) -> DesignProblem:
+    problem: DesignProblem = pickle.loads(packed)
+    return problem
 
 
 def perform(problem: DesignProblem, task: Task, seed: int, deadline: float) -> SearchState:
