@@ -2,7 +2,9 @@
 
 from excitant.analysis.diagnosis import Diagnosis, Finding, diagnose
 from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series, headline
-from excitant.analysis.identifiability import Identifiability, analyze, analyze_result
+from excitant.analysis.identifiability import Identifiability, analyze
+from excitant.analysis.identifiability_result import analyze_result, analyze_series
+from excitant.analysis.partial import identify_shown
 
 __all__ = [
     "Diagnosis",
@@ -10,8 +12,10 @@ __all__ = [
     "Identifiability",
     "analyze",
     "analyze_result",
+    "analyze_series",
     "diagnose",
     "diagnose_result",
     "diagnose_series",
     "headline",
+    "identify_shown",
 ]

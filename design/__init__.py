@@ -9,6 +9,12 @@ from excitant.design.export import load_trajectory, motion_csv, trajectory_csv, 
 from excitant.design.feasible import random_trajectory
 from excitant.design.formats import write_formats
 from excitant.design.interpolation import HermiteTrajectory
+from excitant.design.link_by_link import LinkByLinkDesign, design_link_by_link
+from excitant.design.link_by_link_result import (
+    link_by_link_design_result,
+    link_by_link_design_series,
+    link_by_link_files,
+)
 from excitant.design.optimal import CLEARANCE, build_design, design
 from excitant.design.outcome import Design, StartRecord
 from excitant.design.result import design_result, design_series
@@ -25,6 +31,7 @@ __all__ = [
     "Information",
     "LimitReport",
     "LimitUse",
+    "LinkByLinkDesign",
     "SplineTrajectory",
     "StartRecord",
     "Trajectory",
@@ -34,10 +41,14 @@ __all__ = [
     "clearance",
     "condition_number",
     "design",
+    "design_link_by_link",
     "design_result",
     "design_series",
     "from_coefficients",
     "information",
+    "link_by_link_design_result",
+    "link_by_link_design_series",
+    "link_by_link_files",
     "load_trajectory",
     "lower_bound",
     "motion_csv",

@@ -12,45 +12,70 @@ from excitant.identify.differentiators import (
 )
 from excitant.identify.estimate import Estimate, identify
 from excitant.identify.excitation import Persistency, persistency
+from excitant.identify.export import Publication, model_files, publication
+from excitant.identify.importers.chunks import read_chunks
+from excitant.identify.importers.mapping import ColumnMap, load_column_map
+from excitant.identify.importers.raw import RawRecording, raw_recording
+from excitant.identify.link_by_link import LinkByLink, identify_link_by_link
+from excitant.identify.link_by_link_result import link_by_link_result, link_by_link_series
 from excitant.identify.online import OnlineEstimator
 from excitant.identify.online_estimate import OnlineEstimate
 from excitant.identify.online_result import identify_online, online_result, online_series
 from excitant.identify.payload import PayloadEstimate, estimate_payload, payload_result
 from excitant.identify.payload_run import identify_payload
-from excitant.identify.recording import Recording, read_recording, recording_from_table
+from excitant.identify.recording import (
+    Recording,
+    read_recording,
+    read_recordings,
+    recording_from_raw,
+    recording_from_table,
+)
 from excitant.identify.replay import Monitor, replay
-from excitant.identify.result import identify_result, identify_series, model_files
+from excitant.identify.result import identify_result, identify_series
 from excitant.identify.rows import Data, split
 
 __all__ = [
+    "ColumnMap",
     "Data",
     "Dataset",
     "Differentiator",
     "Estimate",
     "FourierFit",
+    "LinkByLink",
     "LocalPolynomial",
     "Monitor",
     "OnlineEstimate",
     "OnlineEstimator",
     "PayloadEstimate",
     "Persistency",
+    "Publication",
+    "RawRecording",
     "Recording",
     "ZeroPhaseButterworth",
     "choose_differentiator",
     "estimate_payload",
     "five_point",
     "identify",
+    "identify_link_by_link",
     "identify_online",
     "identify_payload",
     "identify_result",
     "identify_series",
+    "link_by_link_result",
+    "link_by_link_series",
+    "load_column_map",
     "load_dataset",
     "model_files",
     "online_result",
     "online_series",
     "payload_result",
     "persistency",
+    "publication",
+    "raw_recording",
+    "read_chunks",
     "read_recording",
+    "read_recordings",
+    "recording_from_raw",
     "recording_from_table",
     "replay",
     "savitzky_golay",

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadInput
+from excitant.identify.standstill import dry_joints
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, JointEffect
 from excitant.robots.motion import Array, Motion
@@ -17,7 +18,6 @@ from excitant.robots.torque import observation_columns
 _Indices = npt.NDArray[np.intp]
 
 _STATES = 100
-_TINY = 1e-12  # rad/s: either side of standstill
 
 
 class BlockColumns:
@@ -60,7 +60,7 @@ class BlockColumns:
             else:
                 self._slow.append((effect, start))
             start += len(effect.parameters(robot))
-        self._dry = np.array([_jumps(effects, joint) for joint in robot.joints])
+        self._dry = dry_joints(effects, robot.joints)
         self.used = _structure(robot, effects, chosen)
 
     def __call__(self, Y: Array, states: Array) -> Array:
@@ -112,14 +112,3 @@ def _refuse_memory(effect: JointEffect) -> None:
             f"on-line estimation: {effect.name} depends on the past motion; leave it out, "
             "or identify off line"
         )
-
-
-def _jumps(effects: Sequence[Effect], joint: str) -> bool:
-    """Whether some effect on a joint is discontinuous where its velocity changes sign."""
-    zero = np.zeros(1)
-    for effect in effects:
-        if isinstance(effect, JointEffect) and joint in effect.joints:
-            ahead, behind = (effect.shape(zero, zero + v, zero) for v in (_TINY, -_TINY))
-            if any(abs(a[0] - b[0]) > 1e-6 for a, b in zip(ahead, behind, strict=True)):
-                return True
-    return False

@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from excitant.exceptions import BadInput, UnknownName
-from excitant.identify.recording import Recording, read_recording
+from excitant.identify.importers.mapping import (
+    ColumnMap,
+    Drive,
+    column_map,
+    drive_from_entry,
+    load_column_map,
+)
+from excitant.identify.importers.sources import SUFFIXES
+from excitant.identify.recording import Recording, read_recordings
 from excitant.robots.loading import load_robot
 from excitant.robots.robot import Robot
 
-_SUFFIXES = (".parquet", ".csv")
+_USUAL = (".parquet", ".csv")
 
 
 @dataclass(frozen=True)
@@ -24,11 +34,13 @@ class Dataset:
         robot: The arm.
         folder: Folder the recordings are named relative to; None when they are paths.
         torque_column: Prefix of the torque columns, when the sidecar says.
+        mapping: What is said about the columns and drives.
     """
 
     robot: Robot
     folder: Path | None = None
     torque_column: str | None = None
+    mapping: ColumnMap | None = None
 
     def recordings(self, names: Sequence[str], *, without: Sequence[str] = ()) -> list[Recording]:
         """Recordings by name; all of the folder when none is named.
@@ -41,6 +53,15 @@ class Dataset:
             BadInput: Nothing to read, or a recording both named and held out.
             BadRecording: A recording that cannot be used.
         """
+        return read_recordings(
+            self.paths(names, without=without),
+            self.robot,
+            mapping=self.mapping,
+            torque_column=self.torque_column,
+        )
+
+    def paths(self, names: Sequence[str], *, without: Sequence[str] = ()) -> list[Path]:
+        """Files of recordings; see `recordings`."""
         held = {self._path(name).resolve() for name in without}
         for name in names:
             if self._path(name).resolve() in held:
@@ -51,14 +72,12 @@ class Dataset:
         kept = [path for path in paths if path.resolve() not in held]
         if not kept:
             raise BadInput(f"{self.folder}: every recording is held out; none is left to fit")
-        return [
-            read_recording(path, self.robot.nv, torque_column=self.torque_column) for path in kept
-        ]
+        return kept
 
     def _path(self, name: str) -> Path:
         path = Path(name) if self.folder is None else self.folder / name
-        if self.folder is not None and not path.is_file():
-            for suffix in _SUFFIXES:
+        if self.folder is not None and not path.exists():
+            for suffix in SUFFIXES:
                 if (with_suffix := path.with_name(path.name + suffix)).is_file():
                     return with_suffix
         return path
@@ -66,21 +85,30 @@ class Dataset:
     def _all(self) -> list[Path]:
         if self.folder is None:
             raise BadInput("no recording given; name at least one file")
-        found = sorted(p for p in self.folder.iterdir() if p.suffix in _SUFFIXES)
+        files = sorted(self.folder.iterdir())
+        found = [p for p in files if p.suffix in _USUAL] or [
+            p for p in files if p.suffix in SUFFIXES or (p / "metadata.yaml").is_file()
+        ]
         if not found:
             raise BadInput(f"{self.folder}: no .parquet or .csv recording in this folder")
         return found
 
 
-def load_dataset(spec: str | Path) -> Dataset:
+def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Dataset:
     """Dataset from a folder with ``dataset.json`` or ``robot.urdf``, or from a robot alone.
 
+    Args:
+        spec: Folder, or anything that `load_robot` takes.
+        columns: File that says what columns mean (`load_column_map`); ``columns.yaml`` of the
+            folder when not given. Drive constants that it leaves out are those of a robot.yaml.
+
     Raises:
-        BadInput: A folder without a robot, or a sidecar that cannot be read.
+        BadInput: A folder without a robot, or a file that cannot be read.
     """
     folder = Path(spec)
     if not folder.is_dir():
-        return Dataset(load_robot(spec))
+        robot = load_robot(spec)
+        return Dataset(robot, mapping=_mapping(columns, _drive(folder)))
     sidecar = folder / "dataset.json"
     content = _sidecar(sidecar)
     kinematics, torque = (_entries(content, name, sidecar) for name in ("kinematics", "torque"))
@@ -102,7 +130,35 @@ def load_dataset(spec: str | Path) -> Dataset:
         robot = load_robot(model, lock=dict.fromkeys(lock, 0.0) or None)
     except UnknownName as error:
         raise BadInput(f"{sidecar}: {error}") from None
-    return Dataset(robot, folder, column)
+    beside = folder / "columns.yaml"
+    given = columns if columns is not None or not beside.is_file() else beside
+    drive = drive_from_entry(_gains(torque), str(sidecar)) or _drive(model)
+    return Dataset(robot, folder, column, _mapping(given, drive, content.get("units"), sidecar))
+
+
+def _gains(torque: dict[str, Any]) -> dict[str, Any] | None:
+    gains = torque.get("drive_gain_Nm_per_A")
+    return {"gain_Nm_per_A": gains} if isinstance(gains, list) else None
+
+
+def _drive(model: Path) -> Drive | None:
+    """Drive constants of a robot.yaml, which `load_robot` has read without complaint."""
+    if model.suffix not in (".yaml", ".yml") or not model.is_file():
+        return None
+    content = yaml.safe_load(model.read_text(encoding="utf-8"))
+    return drive_from_entry(content.get("drive"), str(model))
+
+
+def _mapping(
+    columns: str | Path | None, drive: Drive | None, units: object = None, sidecar: Path = Path()
+) -> ColumnMap | None:
+    """The map in a file, completed by drive constants and units that are said elsewhere."""
+    given = ColumnMap() if columns is None else load_column_map(columns)
+    if isinstance(units, dict) and not given.units:
+        given = replace(given, units=column_map({"units": units}, str(sidecar)).units)
+    if given.drive is None:
+        given = replace(given, drive=drive)
+    return given if given != ColumnMap() else None
 
 
 def _entries(content: dict[str, Any], name: str, sidecar: Path) -> dict[str, Any]:

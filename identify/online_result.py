@@ -8,6 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from excitant.identify.differentiator_table import (
+    differentiator_result,
+    differentiator_series,
+    differentiator_table,
+)
 from excitant.identify.estimate import Estimate, judged
 from excitant.identify.least_squares import LeastSquares
 from excitant.identify.physical import fit_physical, prior_parameters
@@ -102,14 +107,21 @@ def online_result(found: OnlineIdentification) -> dict[str, Any]:
                 None if look.excitation is None else look.excitation.level for look in looks
             ],
             "torque_uncertainty": [look.uncertainty.tolist() for look in looks],
+            "noise": [look.estimate.sigma.tolist() for look in looks],
         },
     }
+    table = differentiator_table(run.recording, run.differentiator)
+    result["differentiators"] = differentiator_result(table)
     return result
 
 
 def online_series(run: OnlineRun) -> dict[str, Array]:
-    """The estimates over time, for figures: ``online_t`` (k,), values and std (k, r)."""
-    return {
+    """For figures: estimates over time, ``online_t`` (k,), values and std (k, r); and more.
+
+    What more: the curves of `excitant.identify.differentiator_table.differentiator_series`.
+    """
+    table = differentiator_table(run.recording, run.differentiator)
+    return differentiator_series(table) | {
         "online_t": np.array([look.estimate.t for look in run.looks]),
         "online_value": np.array([look.estimate.beta for look in run.looks]),
         "online_std": np.array([look.estimate.std for look in run.looks]),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,11 +10,14 @@ import numpy as np
 import pandas as pd
 
 from excitant.exceptions import BadRecording
+from excitant.identify.importers.mapping import ColumnMap
+from excitant.identify.importers.parts import put_together, runs_of_parts
+from excitant.identify.importers.raw import RawRecording, raw_from_source, raw_recording
+from excitant.identify.importers.sources import of_frame
 from excitant.robots.motion import Array, freeze
+from excitant.robots.robot import Robot
 
 MINIMUM_DURATION = 2.0  # s: less holds no motion to fit and to filter
-TORQUE_COLUMNS = ("tau", "i")
-UNITS = {"tau": "N·m", "i": "A"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +31,8 @@ class Recording:
         q: Measured positions, shape (n, nv) [rad or m].
         tau: Measured torque, shape (n, nv) [`unit`].
         unit: ``"N·m"`` or ``"A"``.
+        dq: Measured speeds, shape (n, nv) [rad/s or m/s]; None where not logged.
+        notes: How columns were understood and what was left out, one line each.
     """
 
     name: str
@@ -36,9 +41,11 @@ class Recording:
     q: Array
     tau: Array
     unit: str = "N·m"
+    dq: Array | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        freeze(self, "t", "q", "tau")
+        freeze(self, "t", "q", "tau", *(("dq",) if self.dq is not None else ()))
 
     @property
     def duration(self) -> float:
@@ -55,161 +62,170 @@ class Recording:
             t=self.t[rows],
             q=self.q[rows],
             tau=self.tau[rows],
+            dq=None if self.dq is None else self.dq[rows],
         )
 
 
-def read_recording(path: str | Path, joints: int, *, torque_column: str | None = None) -> Recording:
-    """Recording from Parquet or CSV with columns ``t, q1.., tau1..`` (or ``i1..``).
+def read_recording(
+    path: str | Path,
+    robot: Robot | int,
+    *,
+    mapping: ColumnMap | None = None,
+    torque_column: str | None = None,
+) -> Recording:
+    """Recording from a log in any format of `excitant.identify.importers`.
 
     Args:
-        path: File.
-        joints: Number of joints of the arm.
+        path: Parquet, CSV, NPZ, MAT, bag or MCAP with columns ``t, q1.., tau1..`` (or ``i1..``),
+            or with names that say the same.
+        robot: The arm, whose joints are matched by name, or its number of joints.
+        mapping: What the user says about the columns.
         torque_column: Prefix of the torque columns; ``tau`` or else ``i`` when not given.
 
     Raises:
         BadRecording: Names the file, the row (from 0, after the header) and the column.
+        BadInput: A map of columns that does not fit the robot.
     """
-    path = Path(path)
-    table = _read_table(path)
-    return recording_from_table(
-        table, joints, file=str(path), name=path.stem, torque_column=torque_column
-    )
+    return recording_from_raw(raw_recording(path, robot, mapping, torque_column=torque_column))
+
+
+def read_recordings(
+    paths: Sequence[str | Path],
+    robot: Robot | int,
+    *,
+    mapping: ColumnMap | None = None,
+    torque_column: str | None = None,
+) -> list[Recording]:
+    """Recordings from logs, in order; files that are parts of one recording become one.
+
+    See `read_recording`, and `excitant.identify.importers.parts` for what a part is.
+    """
+    raws = [raw_recording(path, robot, mapping, torque_column=torque_column) for path in paths]
+    found = []
+    for parts in runs_of_parts(raws):
+        if len(parts) > 1:
+            for raw in parts:
+                check_finite(raw)
+                check_time(raw)
+        found.append(recording_from_raw(put_together(parts) if len(parts) > 1 else parts[0]))
+    return found
 
 
 def recording_from_table(
     table: pd.DataFrame,
-    joints: int,
+    robot: Robot | int,
     *,
     file: str,
     name: str,
+    mapping: ColumnMap | None = None,
     torque_column: str | None = None,
 ) -> Recording:
     """Recording from a table in memory; see `read_recording`."""
-    prefix = torque_column or _torque_prefix(table, file)
-    _check_joint_count(table, "q", joints, file)
-    _check_columns(table, prefix, joints, file)
-    columns = ["t", *_names("q", joints), *_names(prefix, joints)]
-    values = _numbers(table, columns, file)
-    _check_time(values[:, 0], file)
-    _check_alive(values[:, 1 + joints :], columns[1 + joints :], file)
+    source = of_frame(table, file)
+    return recording_from_raw(
+        raw_from_source(source, name, robot, mapping=mapping, torque_column=torque_column)
+    )
+
+
+def recording_from_raw(raw: RawRecording) -> Recording:
+    """The recording of a log, refused where a row cannot be used as it is.
+
+    Speeds are left out, with a note, where some are no finite numbers; they are not needed.
+
+    Raises:
+        BadRecording: Cells that are no finite number, time that does not rise, a channel without
+            signal, or less than `MINIMUM_DURATION`.
+    """
+    check_finite(raw)
+    _check_duration(raw)
+    check_time(raw)
+    check_alive(raw.tau, raw)
+    dq, notes = raw.dq, raw.notes
+    if dq is not None and not np.isfinite(dq).all():
+        row = int(np.argmax(~np.isfinite(dq).all(axis=1)))
+        dq, notes = None, (*notes, f"speeds left out: row {row} holds no finite number")
     return Recording(
-        name=name,
-        file=file,
-        t=values[:, 0] - values[0, 0],
-        q=values[:, 1 : 1 + joints],
-        tau=values[:, 1 + joints :],
-        unit=UNITS.get(prefix, "N·m"),
+        name=raw.name,
+        file=raw.file,
+        t=raw.t,
+        q=raw.q,
+        tau=raw.tau,
+        unit=raw.unit,
+        dq=dq,
+        notes=notes,
     )
 
 
-def _read_table(path: Path) -> pd.DataFrame:
-    if not path.is_file():
-        raise BadRecording(path, "no such file")
-    try:
-        if path.suffix.lower() in (".parquet", ".pq"):
-            return pd.read_parquet(path)
-        if path.suffix.lower() in (".csv", ".txt"):
-            return pd.read_csv(path, skipinitialspace=True)
-    except Exception as error:
-        raise BadRecording(path, f"cannot be read ({str(error).splitlines()[0]})") from None
-    raise BadRecording(path, f"unknown format '{path.suffix}'; give .parquet or .csv")
+def check_finite(raw: RawRecording, first_row: int = 0) -> None:
+    """Refuse cells of time, position and torque that are no finite number.
 
-
-def _names(prefix: str, joints: int) -> list[str]:
-    return [f"{prefix}{k + 1}" for k in range(joints)]
-
-
-def _torque_prefix(table: pd.DataFrame, file: str) -> str:
-    for prefix in TORQUE_COLUMNS:
-        if f"{prefix}1" in table.columns:
-            return prefix
-    raise BadRecording(
-        file,
-        f"no torque: there is neither 'tau1' [N·m] nor 'i1' [A]; columns are "
-        f"{', '.join(map(str, table.columns[:12]))}",
-    )
-
-
-def _numbered(table: pd.DataFrame, prefix: str) -> list[int]:
-    pattern = re.compile(rf"{re.escape(prefix)}([1-9]\d*)$")
-    return sorted(int(m.group(1)) for c in table.columns if (m := pattern.match(str(c))))
-
-
-def _check_joint_count(table: pd.DataFrame, prefix: str, joints: int, file: str) -> None:
-    found = _numbered(table, prefix)
-    if found and found == list(range(1, len(found) + 1)) and len(found) != joints:
-        span = f"{prefix}1" + (f"..{prefix}{len(found)}" if len(found) > 1 else "")
-        plural = "s" if len(found) > 1 else ""
-        raise BadRecording(
-            file,
-            f"has {len(found)} joint{plural} ({span}), the robot has {joints}; "
-            "give the recording of this robot, or lock the joints that it leaves out",
-        )
-    _check_columns(table, prefix, joints, file)
-
-
-def _check_columns(table: pd.DataFrame, prefix: str, joints: int, file: str) -> None:
-    found = _numbered(table, prefix)
-    for k in range(1, joints + 1):
-        if k not in found:
-            raise BadRecording(file, "is missing; rename or add it", column=f"{prefix}{k}")
-    if len(found) > joints:
-        raise BadRecording(
-            file,
-            f"belongs to no joint: the robot has {joints}; remove it or give the right robot",
-            column=f"{prefix}{found[-1]}",
-        )
-
-
-def _numbers(table: pd.DataFrame, columns: list[str], file: str) -> Array:
-    for column in columns:
-        if column not in table.columns:
-            raise BadRecording(file, "is missing; rename or add it", column=column)
-    values = np.empty((len(table), len(columns)))
-    for k, column in enumerate(columns):
-        series = pd.to_numeric(table[column], errors="coerce")
-        values[:, k] = series.to_numpy(float)
+    Args:
+        raw: The log, or a part of it.
+        first_row: Row of the log that its first row is.
+    """
+    if all(np.isfinite(values).all() for values in (raw.t, raw.q, raw.tau)):
+        return
+    values = np.column_stack([raw.t, raw.q, raw.tau])
     bad = ~np.isfinite(values)
-    if bad.any():
-        row = int(np.argmax(bad.any(axis=1)))
-        column = columns[int(np.argmax(bad[row]))]
+    columns = [raw.columns.t[0], *raw.columns.q.columns, *raw.columns.tau.columns]
+    row = int(np.argmax(bad.any(axis=1)))
+    k = int(np.argmax(bad[row]))
+    text = raw.unreadable.get((row, columns[k]), f"{values[row, k]:g}")
+    raise BadRecording(
+        raw.file,
+        f"value '{text}' is not a finite number "
+        f"({int(bad.any(axis=1).sum())} such rows); remove or repair them",
+        row=row + first_row,
+        column=columns[k],
+    )
+
+
+def check_time(raw: RawRecording, first_row: int = 0, before: float | None = None) -> None:
+    """Refuse time that repeats or goes back.
+
+    Args:
+        raw: The log, or a part of it.
+        first_row: Row of the log that its first row is.
+        before: Time of the row before [s].
+    """
+    t = raw.t if before is None else np.concatenate([[before], raw.t])
+    steps = np.diff(t)
+    if (steps > 0).all():
+        return
+    k = int(np.argmax(steps <= 0))
+    what = "repeats" if steps[k] == 0 else "goes back"
+    raise BadRecording(
+        raw.file,
+        f"time {what} ({t[k + 1]:.6g} after {t[k]:.6g} s); sort or remove those rows",
+        row=k + first_row + (before is None),
+        column=raw.columns.t[0],
+    )
+
+
+def _check_duration(raw: RawRecording) -> None:
+    t = raw.t
+    if len(t) < 2 or t[-1] - t[0] < MINIMUM_DURATION:
+        duration = t[-1] - t[0] if len(t) else 0.0
         raise BadRecording(
-            file,
-            f"value '{table[column].iloc[row]}' is not a finite number "
-            f"({int(bad.any(axis=1).sum())} such rows); remove or repair them",
-            row=row,
-            column=column,
+            raw.file,
+            f"too short: {len(t)} samples over {duration:.3g} s, "
+            f"at least {MINIMUM_DURATION:g} s are needed",
+            column=raw.columns.t[0],
         )
-    return values
 
 
-def _check_alive(tau: Array, columns: list[str], file: str) -> None:
+def check_alive(tau: Array, raw: RawRecording) -> None:
+    """Refuse torque of a joint that is the same in every row.
+
+    Args:
+        tau: Torque, or the extremes of it, shape (n, nv).
+        raw: The log that it comes from.
+    """
     dead = np.ptp(tau, axis=0) == 0
     if dead.any():
         k = int(np.argmax(dead))
         raise BadRecording(
-            file,
+            raw.file,
             f"dead channel: {tau[0, k]:g} in every row; repair the sensor or lock this joint",
-            column=columns[k],
-        )
-
-
-def _check_time(t: Array, file: str) -> None:
-    if len(t) < 2 or t[-1] - t[0] < MINIMUM_DURATION:
-        duration = t[-1] - t[0] if len(t) else 0.0
-        raise BadRecording(
-            file,
-            f"too short: {len(t)} samples over {duration:.3g} s, "
-            f"at least {MINIMUM_DURATION:g} s are needed",
-            column="t",
-        )
-    steps = np.diff(t)
-    if (steps <= 0).any():
-        row = int(np.argmax(steps <= 0)) + 1
-        what = "repeats" if steps[row - 1] == 0 else "goes back"
-        raise BadRecording(
-            file,
-            f"time {what} ({t[row]:.6g} after {t[row - 1]:.6g} s); sort or remove those rows",
-            row=row,
-            column="t",
+            column=raw.columns.tau.columns[k],
         )

@@ -1,19 +1,15 @@
-"""An `Estimate` as result.json, as arrays for figures, and as files."""
+"""An `Estimate` as result.json and as arrays for figures."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-import yaml
 
 from excitant.identify.estimate import Estimate
 from excitant.robots.base_parameters import categories
-from excitant.robots.effects import effect_entries
 from excitant.robots.motion import Array
 from excitant.robots.parameters import UNITS, violations
-from excitant.robots.robot import Robot
-from excitant.robots.urdf import urdf_with_parameters
 
 _PRIOR_DOMINATED = 0.5  # of the prior's standard deviation is left: the data say little
 
@@ -98,36 +94,3 @@ def identify_series(estimate: Estimate) -> dict[str, Array]:
         "given": estimate.predicted_given,
         "identified": estimate.predicted,
     }
-
-
-def model_files(model: Robot, stem: str, yaml_name: str) -> dict[str, str]:
-    """URDF and YAML of a robot; the YAML refers to the URDF and adds what that cannot hold.
-
-    ``load_robot`` reads the YAML back to the same torque.
-    """
-    limits = model.limits
-    content = {
-        "model": f"{stem}.urdf",
-        "joints": list(model.joints),
-        "lock": dict(model.locked),
-        "gravity": [float(g) for g in model.gravity],
-        "limits": {
-            name: getattr(limits, name).tolist()
-            for name in ("position", "velocity", "acceleration", "torque")
-        },
-        "effects": effect_entries(model.effects),
-    }
-    return {
-        f"{stem}.urdf": urdf_with_parameters(model, model.phi, _urdf_friction(model)),
-        yaml_name: yaml.safe_dump(content, sort_keys=False, allow_unicode=True),
-    }
-
-
-def _urdf_friction(model: Robot) -> dict[str, tuple[float, float]]:
-    """Viscous and Coulomb friction of every joint, as far as a URDF can say it."""
-    viscous, coulomb = dict.fromkeys(model.joints, 0.0), dict.fromkeys(model.joints, 0.0)
-    for effect in model.effects:
-        kind = {"viscous_friction": viscous, "coulomb_friction": coulomb}.get(effect.name)
-        if kind is not None and effect.values is not None:
-            kind.update(zip(effect.joints, effect.values, strict=True))
-    return {joint: (viscous[joint], coulomb[joint]) for joint in model.joints}

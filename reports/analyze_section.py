@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from excitant.reports.chain_figure import correlation_figure
 from excitant.reports.design_figures import singular_value_figure
 from excitant.reports.design_section import known_facts, quality
+from excitant.reports.link_sections import (
+    TONES,
+    correlation_table,
+    direction_table,
+    link_parts,
+    missing_table,
+)
 from excitant.reports.model import (
-    FAIR,
     GOOD,
     PLAIN,
     POOR,
@@ -19,30 +26,78 @@ from excitant.reports.model import (
     table,
 )
 from excitant.reports.reading import Result, Series, at, real, records, text, words
-from excitant.reports.wording import NONE, listing, number, percent, plain
+from excitant.reports.wording import NONE, listing, number, percent, plain, value_and_std
 from excitant.robots.parameters import STANDARD
-
-_TONES = {"well": GOOD, "roughly": FAIR, "negligible": GOOD, "hardly": POOR}
 
 
 def analyze_section(result: Result, series: Series) -> Section:
     """Identifiability link by link, and how well a motion determines each parameter."""
-    notes = words(result, "notes")
-    total, base = (text(result, key) for key in ("standard_parameters", "base_parameters"))
-    facts = [
-        Fact("Standard parameters", total, "mass, first moment, inertia of all links"),
-        Fact("Base parameters", base, "combinations that torque can show"),
-        Fact("Condition number", number(at(result, "condition_number")), "with the given motion"),
-    ]
+    links = link_parts(result, series)
     return section(
         "Identifiability",
         _lead(result),
         [
-            ("Key figures", [known_facts(facts), Notes(tuple(notes)) if notes else None]),
-            ("Parameters by link", [_matrix(result), _link_table(result)]),
-            ("With the given motion", [singular_value_figure(series), _practical(result)]),
+            ("Key figures", [known_facts(_facts(result)), _notes(result)]),
+            ("Parameters by link", [_matrix(result), None if links else _link_table(result)]),
+            (
+                "With the given motion",
+                [
+                    _excitation(result),
+                    missing_table(result),
+                    singular_value_figure(series),
+                    _practical(result),
+                ],
+            ),
+            (
+                "What the motion shows worst",
+                [direction_table(result), correlation_figure(series), correlation_table(result)],
+            ),
+            *links,
         ],
     )
+
+
+def _facts(result: Result) -> list[Fact]:
+    rows = [row for link in records(result, "links") for row in records(link, "parameters")]
+    visible = [row for row in rows if text(row, "category") != "unidentifiable"]
+    decided = sum(text(row, "decided_by") == "prior" for row in visible)
+    hidden = len(records(result, "not_shown"))
+    shown = records(result, "practical")
+    total, base = (text(result, key) for key in ("standard_parameters", "base_parameters"))
+    judged = any(text(row, "decided_by") for row in rows)
+    return [
+        Fact("Parameters", total, "of all links, and of their joints' effects"),
+        Fact("Base parameters", base, "combinations that torque can show"),
+        Fact("Condition number", number(at(result, "condition_number")), "with the given motion"),
+        Fact("Not shown by this motion", str(hidden) if shown else NONE,
+             f"of {base} base parameters", POOR if hidden else GOOD),
+        Fact("Follow the prior", str(decided) if judged else NONE,
+             f"of {len(visible)} that torque contains, rather than the data"),
+    ]  # fmt: skip
+
+
+def _notes(result: Result) -> Notes | None:
+    basis, hair = text(result, "basis"), text(result, "structure", "by_a_hair")
+    holds = words(result, "structure", "circumstances")
+    found = [
+        *([f"Holds for: {'; '.join(holds)}."] if holds else []),
+        *([_sentence(hair)] if hair else []),
+        *([f"Standard deviations are {basis}."] if basis else []),
+        *(_sentence(note) for note in words(result, "notes") if note),
+    ]
+    return Notes(tuple(found)) if found else None
+
+
+def _sentence(words: str) -> str:
+    return words[0].upper() + words[1:] + "." * (words[-1] != ".")
+
+
+def _excitation(result: Result) -> Notes | None:
+    sentence = text(result, "persistency", "sentence")
+    if not sentence:
+        return None
+    verdict = isinstance(at(result, "persistency", "persistent"), bool)
+    return Notes((_sentence(f"this motion is {sentence}" if verdict else sentence),))
 
 
 def _lead(result: Result) -> str:
@@ -134,15 +189,19 @@ def _link_table(result: Result) -> Table | None:
 
 def _practical(result: Result) -> Table | None:
     rows: list[list[Cell | str]] = []
-    for row in records(result, "practical"):
+    for k, row in enumerate(records(result, "practical")):
         verdict = plain(text(row, "verdict"))
-        tone = _TONES.get(verdict, quality(at(row, "rel_std")) if verdict else PLAIN)
+        tone = TONES.get(verdict, quality(at(row, "rel_std")) if verdict else PLAIN)
         rel = Cell(percent(at(row, "rel_std")), quality(at(row, "rel_std")))
-        rows.append([text(row, "name"), number(at(row, "std")), rel, Cell(verdict or NONE, tone)])
+        rows.append(
+            [str(k + 1), text(row, "name"), *value_and_std(at(row, "value"), at(row, "std")), rel]
+        )
+        rows[-1].append(Cell(verdict or NONE, tone))
     if not rows:
         return None
     return table(
-        "expression:Base parameter | number:Std (SI units) | number:Relative std | text:Verdict",
+        "number:No. | expression:Base parameter | number:Value (SI) | number:Std (SI) | "
+        "number:Relative std | text:Verdict",
         rows,
         "How precisely this motion determines each base parameter. Relative standard deviation: "
         "● below 5\u00a0%, ◐ below 30\u00a0%, ○ above.",

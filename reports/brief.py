@@ -68,7 +68,7 @@ def _analyze(result: Result) -> Lines:
     if practical:
         weak = sum(row.get("verdict") == "hardly" for row in practical)
         lines.append(("", f"this motion hardly shows {weak} of {len(practical)} combinations"))
-    return lines
+    return [*lines, *(("", note) for note in words(result, "notes"))]
 
 
 def _diagnose(result: Result) -> Lines:

@@ -8,6 +8,7 @@ from excitant.reports.design_figures import convergence_figure, spectrum_figure
 from excitant.reports.design_motion_figure import envelope_of, motion_figure, share_of_limit
 from excitant.reports.design_space_figure import space_figure
 from excitant.reports.design_weakness import direction_table, weakest_figure, weakest_table
+from excitant.reports.link_by_link_section import link_motion_parts
 from excitant.reports.model import (
     FAIR,
     GOOD,
@@ -52,6 +53,7 @@ def design_section(result: Result, series: Series) -> Section:
         _design_lead(result),
         [
             ("Key figures", [_design_facts(result)]),
+            *link_motion_parts(result),
             (
                 "Motion against limits",
                 [_limit_table(result), _joint_table(result), motion_figure(joints, result, series)],

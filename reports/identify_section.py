@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 
 from excitant.reports.design_section import file_list, known_facts, uncertain
+from excitant.reports.differentiator_figure import differentiator_parts
+from excitant.reports.link_by_link_section import link_by_link_parts
 from excitant.reports.model import (
     GOOD,
     PLAIN,
@@ -19,6 +21,8 @@ from excitant.reports.model import (
     section,
     table,
 )
+from excitant.reports.online_section import online_parts
+from excitant.reports.payload_section import payload_parts
 from excitant.reports.reading import (
     Result,
     Series,
@@ -58,8 +62,12 @@ def identify_section(result: Result, series: Series) -> Section:
         _lead(result),
         [
             ("Key figures", [_facts(result), Notes(tuple(notes)) if notes else None]),
+            *link_by_link_parts(result, unit),
+            *payload_parts(result),
             ("Error per joint", [_bars(result, unit), _joint_table(result, unit)]),
             (over_holdout(unit), [torque_figure(joints, series, unit, _CURVES)]),
+            *online_parts(result, series),
+            *differentiator_parts(result, series),
             ("Base parameters", [_base_table(result)]),
             ("Standard parameters", [_parameter_table(result)]),
             ("Physical consistency", [_physical(result)]),

@@ -3,23 +3,33 @@
 The numerical method of Gautier (1991): the rank structure of the regressor on random states
 is that of the arm. Columns are taken from left to right; a column that depends on the base
 columns before it is regrouped into them.
+
+Decisions are taken on columns in units of the arm, over states drawn in units of its own length
+and gravity as well as within its limits, so that they are the same for an arm in millimetres.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
 
 import numpy as np
+import numpy.typing as npt
 import scipy.linalg
 
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.robot import Robot
+from excitant.robots.scale import LENGTH_POWERS, arm_length
 from excitant.robots.torque import column_names, observation_columns
 
+TOLERANCE = 1e-8  # of the longest column; double precision leaves about 1e-14
 _STATES = 600
-_TOLERANCE = 1e-8  # of a normalised column; double precision leaves about 1e-13
+_SLOWEST = -3.0  # decades below the limit, so that friction at low speed shows its shape
+_DIGITS = 12  # of a coefficient that random states leave certain
+_DENOMINATOR = 12  # largest of a fraction in an expression
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +42,8 @@ class BaseParameters:
         regrouping: B, shape (r, p); the identity on the base columns.
         null_space: Orthonormal basis of what no torque shows, shape (p, p − r).
         gap: Smallest part of an accepted column, and largest of a rejected one, outside the
-            columns before it (both relative); close together means special geometry "by a hair".
+            columns before it, where the longest column has length one; close together means
+            special geometry "by a hair".
     """
 
     names: tuple[str, ...]
@@ -53,70 +64,196 @@ class BaseParameters:
         )
 
 
-def expression(row: Array, names: Sequence[str], leading: int) -> str:
-    """A linear combination as text, its leading parameter first."""
-    others = [int(k) for k in np.flatnonzero(np.abs(row) > 1e-7)]
-    order = [leading, *(k for k in others if k != leading)]
+def expression(
+    row: Array,
+    names: Sequence[str],
+    leading: int,
+    factors: Mapping[int, tuple[int, str]] | None = None,
+) -> str:
+    """A linear combination as text, its leading parameter first.
+
+    Args:
+        row: Coefficients, shape (p,).
+        names: Names of the parameters.
+        leading: Index of the parameter to begin with.
+        factors: Sign and text of coefficients that are not to be written as numbers, by index.
+    """
+    others = [int(k) for k in np.flatnonzero(row)]
     text = ""
-    for k in order:
-        value, size = row[k], f"{abs(row[k]):.5g}"
-        sign = (" − " if value < 0 else " + ") if text else ("−" if value < 0 else "")
-        text += sign + ("" if size == "1" else f"{size}·") + names[k]
+    for k in (leading, *(k for k in others if k != leading)):
+        sign, factor = (factors or {}).get(k) or _sign_and_size(float(row[k]))
+        text += (" − " if sign < 0 else " + ") if text else ("−" if sign < 0 else "")
+        text += ("" if factor == "1" else f"{factor}·") + names[k]
     return text
 
 
-def random_observation(robot: Robot, effects: Sequence[Effect], states: int = _STATES) -> Array:
-    """Observation matrix on random states, shape (states · nv, p); always the same ones."""
-    q, dq, ddq = robot.random_motion(np.random.default_rng(0), states)
-    motion = Motion(np.arange(states, dtype=float), q, dq, ddq)
-    columns = observation_columns(robot, effects, motion)
-    return columns.reshape(-1, columns.shape[2])
+def _sign_and_size(value: float) -> tuple[int, str]:
+    return (-1 if value < 0 else 1), coefficient_text(abs(value))
 
 
-def base_parameters(robot: Robot, effects: Sequence[Effect] = ()) -> BaseParameters:
+def coefficient_text(size: float) -> str:
+    """A coefficient as a short decimal, a simple fraction, or five digits.
+
+    Rounded twice, in decimal arithmetic, so that 0.00680625 reads the same on every machine.
+    """
+    value = Decimal(f"{size:.{_DIGITS - 1}e}")
+    rounded = Decimal(f"{value:.4e}")
+    if rounded != value:
+        near = Fraction(size).limit_denominator(_DENOMINATOR)
+        if near and abs(float(near) - size) <= 1e-9 * size:
+            return f"{near.numerator}/{near.denominator}"
+    return f"{float(rounded):.5g}"
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """Columns of all parameters over many states, condensed for decisions about their rank.
+
+    Attributes:
+        names: Names of the parameters, p of them.
+        R: Triangular factor of the columns in units of the arm, so that the longest inertial
+            column and every column of an effect has length one, shape (min(rows, p), p).
+        units: What the columns were divided by; infinite for a column that is zero, shape (p,).
+    """
+
+    names: tuple[str, ...]
+    R: Array
+    units: Array
+
+
+def base_parameters(
+    robot: Robot, effects: Sequence[Effect] = (), *, rng: np.random.Generator | None = None
+) -> BaseParameters:
     """Base parameters of the links, with those of effects when given.
 
     Args:
         robot: The arm; gravity and locked joints count.
         effects: Effects whose coefficients are unknown too.
+        rng: Draws the states; always the same ones when None. The result does not depend on it.
     """
-    names = column_names(robot, effects)
-    R = scipy.linalg.qr(random_observation(robot, effects), mode="r")[0][: len(names)]
-    norms = np.linalg.norm(R, axis=0)
-    columns: list[int] = []
-    basis = np.zeros((R.shape[0], 0))
-    accepted, rejected = [1.0], [0.0]
-    for k in np.flatnonzero(norms > _TOLERANCE * norms.max()):
-        rest = R[:, k] / norms[k]
-        for _ in range(2):
-            rest = rest - basis @ (basis.T @ rest)
-        size = float(np.linalg.norm(rest))
-        if size > _TOLERANCE:
-            basis = np.column_stack([basis, rest / size])
-            columns.append(int(k))
-            accepted.append(size)
-        else:
-            rejected.append(size)
-    regrouping = np.linalg.lstsq(R[:, columns], R, rcond=None)[0]
-    regrouping[np.abs(regrouping) < 1e-9] = 0.0
-    regrouping[:, columns] = np.eye(len(columns))
-    return BaseParameters(
-        names,
-        tuple(columns),
-        read_only(regrouping),
-        read_only(scipy.linalg.null_space(regrouping)),
-        (min(accepted), max(rejected)),
+    rng = np.random.default_rng(0) if rng is None else rng
+    return regroup(observe(robot, effects, structural_motion(robot, rng)))
+
+
+def structural_motion(robot: Robot, rng: np.random.Generator, states: int = _STATES) -> Motion:
+    """Random states that show all that a motion can: half over full turns, half within limits.
+
+    The first half has velocities and accelerations of √(g/L) and g/L for an arm of length L.
+    Those within the limits come at all speeds, down to a thousandth of the limit.
+    """
+    half, length = states // 2, arm_length(robot)
+    gravity = float(np.linalg.norm(robot.gravity)) or length
+    unit = np.where(robot.revolute, 1.0, length)
+    rate = np.sqrt(gravity / length)
+    free = rng.uniform(-1.0, 1.0, (3, half, robot.nv)) * unit
+    free *= np.array([1.0, rate, rate**2])[:, None, None]
+    free[0] *= np.where(robot.revolute, np.pi, 1.0)
+    q, dq, ddq = robot.random_motion(rng, states - half)
+    dq = (
+        dq * 10.0 ** np.where(np.arange(len(dq)) % 2, rng.uniform(_SLOWEST, 0, len(dq)), 0)[:, None]
     )
+    pairs = zip(free, (q, dq, ddq), strict=True)
+    return Motion(np.arange(states, dtype=float), *(np.concatenate(pair) for pair in pairs))
+
+
+def observe(
+    robot: Robot,
+    effects: Sequence[Effect],
+    motion: Motion,
+    rows: npt.NDArray[np.bool_] | None = None,
+) -> Observation:
+    """Columns of all parameters over states, in units of the arm, ready for `regroup`.
+
+    Args:
+        robot: The arm.
+        effects: Effects whose coefficients are unknown too.
+        motion: The states.
+        rows: Which joints' torques are known, shape (nv,); all when None.
+    """
+    length, p = arm_length(robot), 10 * robot.nv
+    W = observation_columns(robot, effects, motion)
+    W *= np.where(robot.revolute, 1.0, length)[:, None]  # forces as torques
+    W[:, :, :p] *= np.tile(length ** (LENGTH_POWERS - 2.0), robot.nv)
+    sizes = np.abs(W[:, :, :p]).max(axis=(1, 2), keepdims=True)
+    W /= np.where(sizes > 0, sizes, 1.0)
+    W = W if rows is None else W[:, rows]
+    R = scipy.linalg.qr(W.reshape(-1, W.shape[2]), mode="r")[0][: W.shape[2]]
+    unit = _units(np.linalg.norm(R, axis=0), p)
+    R = R / unit
+    unit[:p] *= np.tile(length ** (2.0 - LENGTH_POWERS), robot.nv)
+    return Observation(column_names(robot, effects), R, unit)
+
+
+def _units(norms: Array, p: int) -> Array:
+    """Units that bring columns to length one: the inertial ones together, others one by one."""
+    units = np.where(norms > TOLERANCE * norms[p:].max(initial=0.0), norms, np.inf)
+    units[:p] = norms[:p].max(initial=0.0) or 1.0
+    return units
+
+
+def regroup(observation: Observation, tolerance: float = TOLERANCE) -> BaseParameters:
+    """Base parameters of what was observed.
+
+    Args:
+        observation: The columns.
+        tolerance: Length of the part outside the columns before it from which on a column counts
+            as independent, and size from which on a coefficient counts; in the observation's units.
+    """
+    R, units = observation.R, observation.units
+    found, parts = independent_columns(R, tolerance)
+    columns = list(found)
+    dependence = np.linalg.lstsq(R[:, columns], R, rcond=None)[0]
+    dependence[np.abs(dependence) < tolerance] = 0.0
+    B = _rounded(dependence * np.where(np.isfinite(units), units, 0.0) / units[columns, None])
+    B[:, columns] = np.eye(len(columns))
+    rejected = np.delete(parts, columns)
+    return BaseParameters(
+        observation.names,
+        found,
+        read_only(B),
+        read_only(scipy.linalg.null_space(B)),
+        (float(parts[columns].min(initial=1.0)), float(rejected.max(initial=0.0))),
+    )
+
+
+def independent_columns(R: Array, tolerance: float) -> tuple[tuple[int, ...], Array]:
+    """Columns that do not depend on those before, and the part of each that is outside them.
+
+    Args:
+        R: Columns, the longest of length one, shape (m, p).
+        tolerance: Length of that part from which on a column is independent.
+    """
+    columns: list[int] = []
+    parts, Q = np.zeros(R.shape[1]), np.zeros((R.shape[0], 0))
+    for k in range(R.shape[1]):
+        rest = R[:, k]
+        for _ in range(2):
+            rest = rest - Q @ (Q.T @ rest)
+        parts[k] = np.linalg.norm(rest)
+        if parts[k] > tolerance:
+            Q = np.column_stack([Q, rest / parts[k]])
+            columns.append(k)
+    return tuple(columns), parts
+
+
+def _rounded(B: Array) -> Array:
+    """Coefficients without the digits that come from the draw of the states."""
+    exponent = np.floor(np.log10(np.abs(B), out=np.zeros_like(B), where=B != 0))
+    unit = 10.0 ** (_DIGITS - 1 - exponent)
+    rounded: Array = np.round(B * unit) / unit
+    return rounded
 
 
 def categories(base: BaseParameters) -> tuple[str, ...]:
     """Category of every parameter: ``unique``, ``combined`` or ``unidentifiable``.
 
     A parameter is uniquely identifiable when its unit vector is orthogonal to the null space
-    of the regressor, and unidentifiable when it lies inside it (no torque contains it).
+    of the regressor, and unidentifiable when it lies inside it (no torque contains it). Both
+    can be read off B, whatever the units: a null vector is e_j − Σᵢ B_ij e_columns[i].
     """
-    shown = np.linalg.norm(base.regrouping, axis=0) > _TOLERANCE
-    alone = np.linalg.norm(base.null_space, axis=1) < _TOLERANCE
+    shown: npt.NDArray[np.bool_] = np.any(base.regrouping != 0, axis=0)
+    alone = np.zeros(len(base.names), dtype=bool)
+    alone[list(base.columns)] = (base.regrouping != 0).sum(axis=1) == 1
     return tuple(
         "unidentifiable" if not s else "unique" if a else "combined"
         for s, a in zip(shown, alone, strict=True)

@@ -51,7 +51,7 @@ def robot_from_urdf(
     model = _build(ET.tostring(root, encoding="unicode"), source)
     locked = _locked(model, joints, dict(lock or {}))
     if locked:
-        model = pin.buildReducedModel(model, *_lock(model, locked))
+        model = _reduced(model, locked, source)
     if model.nv == 0:
         raise BadRobot(source, "it has no moving joints; name a URDF of an arm")
     for joint, name_of in zip(list(model.joints)[1:], list(model.names)[1:], strict=True):
@@ -90,6 +90,16 @@ def full_model(root: ET.Element, robot: Robot) -> tuple[pin.Model, Array, list[i
     model = _build(ET.tostring(root, encoding="unicode"), robot.source)
     joints, reference = _lock(model, dict(robot.locked))
     return model, reference, joints
+
+
+def _reduced(model: pin.Model, locked: Mapping[str, float], source: str) -> pin.Model:
+    try:
+        return pin.buildReducedModel(model, *_lock(model, locked))
+    except ValueError as error:  # two frames of one name
+        raise BadRobot(
+            source,
+            f"Pinocchio cannot hold joints of it: {error}; give links and joints other names",
+        ) from None
 
 
 def _lock(model: pin.Model, locked: Mapping[str, float]) -> tuple[list[int], Array]:
@@ -289,7 +299,8 @@ def _carriers(root: ET.Element, robot: Robot) -> dict[str, str | None]:
 
 
 def _inertial(phi: Array) -> ET.Element:
-    mass, lever = phi[0], phi[1:4] / phi[0]
+    mass = phi[0]
+    lever = phi[1:4] / mass if mass else np.zeros(3)
     xx, xy, yy, xz, yz, zz = phi[4:] - mass * (
         lever @ lever * np.array([1.0, 0, 1, 0, 0, 1])
         - np.outer(lever, lever)[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]

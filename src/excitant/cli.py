@@ -152,6 +152,9 @@ def _design(verbs: _Verbs[argparse.ArgumentParser]) -> None:
                       help="torque noise of each joint, which weights its equations")  # fmt: skip
     verb.add_argument("--after", nargs="+", metavar="RECORDING",
                       help="recordings made already: design what should run next")  # fmt: skip
+    verb.add_argument("--link-by-link", action="store_true",
+                      help="one motion per link, from the last inward, each of this "
+                      "duration")  # fmt: skip
     verb.add_argument("--limits", metavar="FILE", help="YAML or JSON with limits to use instead")
     verb.add_argument("--bound", action="store_true",
                       help="also a numerical lower bound on the condition number of any such "
@@ -210,14 +213,25 @@ def _simulate(verbs: _Verbs[argparse.ArgumentParser]) -> None:
                       "one effect that is not in the model")  # fmt: skip
 
 
+def _columns(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument("--map", metavar="FILE",
+                      help="YAML that says what the columns of the recordings mean, in which "
+                      "units (default: as their names say)")  # fmt: skip
+
+
 def _fit_options(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("robot", metavar="ROBOT|DATASET", help=_DATASET)
     verb.add_argument("recordings", nargs="*", metavar="RECORDING",
-                      help=".parquet or .csv; all of the folder when none is named")  # fmt: skip
+                      help="Parquet, CSV, NPZ, MAT, ROS bag or MCAP; all of the folder when none "
+                      "is named")  # fmt: skip
+    _columns(verb)
     verb.add_argument("--validate", nargs="+", default=[], metavar="RECORDING",
                       help="hold-out (default: the last 30 %% of each recording)")  # fmt: skip
     verb.add_argument("--cutoff", type=float, metavar="HZ",
                       help="cut-off of the torque filter (default: 10 Hz)")  # fmt: skip
+    verb.add_argument("--repair", action="store_true",
+                      help="repair the faults of the recordings to fit that can be repaired, and "
+                      "say so; without it they are only reported")  # fmt: skip
     _output(verb)
 
 
@@ -228,9 +242,18 @@ def _identify(verbs: _Verbs[argparse.ArgumentParser]) -> None:
     verb.add_argument("--effects", metavar="NAME,...",
                       help="effects to estimate (default: viscous_friction,coulomb_friction,"
                       "torque_offset,rotor_inertia)")  # fmt: skip
+    verb.add_argument("--formats", metavar="NAME,...",
+                      help="files of the model beside URDF and model.yaml: mjcf, sdf, python, c "
+                      "(default: mjcf,sdf)")  # fmt: skip
+    verb.add_argument("--force", action="store_true",
+                      help="publish the model even if the given one predicts the hold-out "
+                      "better")  # fmt: skip
     verb.add_argument("--online", action="store_true",
                       help="sample by sample, as in a control loop: estimates over time, and "
                       "where the motion did not excite enough")  # fmt: skip
+    verb.add_argument("--link-by-link", action="store_true",
+                      help="from the last link inward, each from its own joint's torque; one "
+                      "joint at a time may move")  # fmt: skip
     verb.add_argument("--forgetting", type=float, metavar="S",
                       help="with --online: time constant of forgetting [s] (default: "
                       "nothing is forgotten)")  # fmt: skip
@@ -248,6 +271,14 @@ def _analyze(verbs: _Verbs[argparse.ArgumentParser]) -> None:
     motion = verb.add_mutually_exclusive_group()
     motion.add_argument("--trajectory", metavar="FILE", help="how well this motion shows it")
     motion.add_argument("--recording", nargs="+", metavar="FILE", help="or these recordings")
+    _columns(verb)
+    verb.add_argument("--noise", type=_numbers, metavar="S1,S2,...",
+                      help="with --trajectory: torque noise of each joint (default: 1 %% of its "
+                      "limit)")  # fmt: skip
+    verb.add_argument("--moving", type=_names, metavar="J1,J2,...",
+                      help="joints that move (default: all, or as the motion says)")  # fmt: skip
+    verb.add_argument("--measured", type=_names, metavar="J1,J2,...",
+                      help="joints whose torque is measured (default: all)")  # fmt: skip
     verb.add_argument("--columns", default="friction", choices=("friction", "inertial"))
     _output(verb)
 
@@ -275,6 +306,10 @@ def _harmonics(text: str) -> int | None:
 
 def _numbers(text: str) -> list[float]:
     return [float(word) for word in text.split(",")]
+
+
+def _names(text: str) -> list[str]:
+    return [word.strip() for word in text.split(",") if word.strip()]
 
 
 def _natural(text: str) -> int:

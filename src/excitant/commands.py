@@ -3,32 +3,48 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from excitant.analysis import diagnosis, diagnosis_result, identifiability
+from excitant.analysis import (
+    diagnosis,
+    diagnosis_result,
+    identifiability,
+    identifiability_result,
+    identify_shown,
+)
 from excitant.demo import Demo, run_demo
 from excitant.design import load_trajectory
-from excitant.exceptions import BadInput, UnknownName
-from excitant.identify import identify as identify_robot
+from excitant.exceptions import BadInput, RankDeficient, UnknownName
 from excitant.identify import (
+    Estimate,
+    Recording,
+    identify_link_by_link,
     identify_online,
     identify_payload,
     identify_result,
     identify_series,
+    link_by_link_result,
+    link_by_link_series,
     load_dataset,
     model_files,
     online_result,
     online_series,
     payload_result,
+    publication,
 )
+from excitant.identify import identify as identify_robot
+from excitant.identify.export import DEFAULT_FORMATS, FORMATS
+from excitant.identify.faults import read_checked
 from excitant.motion_commands import sampled
 from excitant.output import finish, print_json, print_paths, run_directory
 from excitant.progress import progress_bar
 from excitant.reports import load_run, save_run
 from excitant.robots import Robot, base_parameters, builtin_robots, load_robot
-from excitant.robots.effects import EFFECTS, JointEffect, standard_effects
+from excitant.robots.effects import EFFECTS, Effect, JointEffect, standard_effects
 
 
 def demo(args: argparse.Namespace) -> None:
@@ -108,17 +124,23 @@ def _finite(value: float) -> float | None:
 
 def identify(args: argparse.Namespace) -> None:
     """Identify a robot from recordings."""
-    dataset = load_dataset(args.robot)
+    dataset = load_dataset(args.robot, columns=args.map)
     robot = dataset.robot
     effects = _effects(args.effects, robot)
+    formats = _formats(args.formats)
     if args.unloaded and not args.payload:
         raise BadInput("--unloaded names what --payload is compared with; give --payload too")
     if args.forgetting is not None and not args.online:
         raise BadInput("--forgetting is for --online; give --online too")
+    if args.link_by_link and args.online:
+        raise BadInput("--link-by-link needs whole recordings; leave --online out")
     without = [*args.validate, *args.unloaded]
-    recordings = dataset.recordings(args.recordings, without=without)
+    checked = read_checked(dataset, args.recordings, without=without, repaired=args.repair)
+    recordings = checked.recordings
+    validate = dataset.recordings(args.validate) if args.validate else []
+    imported = _show_import([*recordings, *validate])
     options: dict[str, Any] = {
-        "validate": dataset.recordings(args.validate) if args.validate else (),
+        "validate": validate,
         "effects": effects,
         "cutoff_hz": args.cutoff,
     }
@@ -129,6 +151,10 @@ def identify(args: argparse.Namespace) -> None:
                 progress=lambda fraction: advance(fraction, ""),
             )  # fmt: skip
         estimate, result, series = found.estimate, online_result(found), online_series(found.run)
+    elif args.link_by_link:
+        stages = identify_link_by_link(robot, recordings, **options)
+        estimate, result = stages.estimate, link_by_link_result(stages)
+        series = link_by_link_series(stages)
     else:
         estimate, series = identify_robot(robot, recordings, **options), {}
         result = identify_result(estimate)
@@ -137,9 +163,34 @@ def identify(args: argparse.Namespace) -> None:
         result["payload"] = payload_result(
             identify_payload(robot, recordings, unloaded=unloaded, effects=effects)
         )
+    result["faults"] = checked.entries()
+    result["notes"] += checked.notes
     directory = run_directory(args, "identify", robot)
-    files = model_files(estimate.model, "identified", "model.yaml")
-    finish(args, directory, result, identify_series(estimate) | series, files)
+    published = publication(estimate, formats=formats, force=args.force)
+    result["published"] = published.published
+    result["import"] = imported
+    result["notes"] += [published.note] if published.note else []
+    finish(args, directory, result, identify_series(estimate) | series, published.files)
+    if published.note and not args.json:
+        print(published.note)
+
+
+def _show_import(recordings: Sequence[Recording]) -> dict[str, list[str]]:
+    """Say at once how columns were understood, where names left a choice."""
+    for recording in recordings:
+        for note in recording.notes:
+            print(f"{recording.name}: {note}", file=sys.stderr)
+    return {recording.name: list(recording.notes) for recording in recordings if recording.notes}
+
+
+def _formats(names: str | None) -> Sequence[str]:
+    if names is None:
+        return DEFAULT_FORMATS
+    formats = [word.strip() for word in names.split(",")]
+    for name in formats:
+        if name not in FORMATS:
+            raise UnknownName("format", name, FORMATS)
+    return formats
 
 
 def _effects(names: str | None, robot: Robot) -> list[JointEffect] | None:
@@ -156,31 +207,47 @@ def _effects(names: str | None, robot: Robot) -> list[JointEffect] | None:
 
 def analyze(args: argparse.Namespace) -> None:
     """Say what can be known of an arm's parameters."""
-    dataset = load_dataset(args.robot)
+    dataset = load_dataset(args.robot, columns=args.map)
     robot = dataset.robot
+    effects = standard_effects(robot.joints) if args.columns == "friction" else ()
+    given: dict[str, Any] = {}
     if args.recording:
-        estimate = identify_robot(robot, dataset.recordings(args.recording))
-        found = identifiability.analyze(robot, estimate=estimate)
-    else:
-        effects = standard_effects(robot.joints) if args.columns == "friction" else ()
-        motion = sampled(load_trajectory(args.trajectory, robot)) if args.trajectory else None
-        found = identifiability.analyze(robot, effects=effects, motion=motion)
+        recordings = dataset.recordings(args.recording)
+        _show_import(recordings)
+        given["estimate"] = _as_far_as_shown(robot, recordings, effects)
+        given["rng"] = np.random.default_rng(0)
+    elif args.trajectory:
+        given["motion"] = sampled(load_trajectory(args.trajectory, robot))
+    given |= {"noise": args.noise, "moving": args.moving, "measured": args.measured}
+    found = identifiability.analyze(robot, effects=effects, **given)
+    result = identifiability_result.analyze_result(found)
     directory = run_directory(args, "analyze", robot)
-    finish(args, directory, identifiability.analyze_result(found), {}, {})
+    finish(args, directory, result, identifiability_result.analyze_series(found), {})
+
+
+def _as_far_as_shown(
+    robot: Robot, recordings: Sequence[Recording], effects: Sequence[Effect]
+) -> Estimate:
+    """An estimate even where the recorded motion leaves parameters open."""
+    try:
+        return identify_robot(robot, recordings, effects=effects)
+    except RankDeficient:
+        return identify_shown(robot, recordings, effects)
 
 
 def diagnose(args: argparse.Namespace) -> None:
     """Name what the given model gets wrong."""
-    dataset = load_dataset(args.robot)
-    found = diagnosis.diagnose(
-        dataset.robot,
-        dataset.recordings(args.recordings, without=args.validate),
-        validate=dataset.recordings(args.validate) if args.validate else (),
-        cutoff_hz=args.cutoff,
-    )
+    dataset = load_dataset(args.robot, columns=args.map)
+    checked = read_checked(dataset, args.recordings, without=args.validate, repaired=args.repair)
+    recordings = checked.recordings
+    validate = dataset.recordings(args.validate) if args.validate else []
+    imported = _show_import([*recordings, *validate])
+    found = diagnosis.diagnose(dataset.robot, recordings, validate=validate, cutoff_hz=args.cutoff)
     directory = run_directory(args, "diagnose", dataset.robot)
     files = model_files(found.extension.model, "extended", "extended.yaml")
-    result = diagnosis_result.diagnose_result(found)
+    result = diagnosis_result.diagnose_result(found) | {"import": imported}
+    result["faults"] = checked.entries()
+    result["notes"] += checked.notes
     result["extended"]["files"] = [str(directory / name) for name in files]
     finish(args, directory, result, diagnosis_result.diagnose_series(found), files)
 

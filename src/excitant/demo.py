@@ -10,7 +10,8 @@ import numpy as np
 
 from excitant.analysis.diagnosis import diagnose
 from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series
-from excitant.analysis.identifiability import analyze, analyze_result
+from excitant.analysis.identifiability import analyze
+from excitant.analysis.identifiability_result import analyze_result, analyze_series
 from excitant.design import (
     design,
     design_result,
@@ -83,10 +84,11 @@ def run_demo(robot: Robot, seed: int, advance: Advance) -> Demo:
     estimate = identify(robot, [recording], validate=[held])
     advance(0.85, "diagnosing")
     diagnosis = diagnose(robot, [recording], validate=[held])
+    known = analyze(robot, estimate=estimate)
     verbs = {
         "design": (design_result(found), design_series(found)),
         "identify": (identify_result(estimate), identify_series(estimate)),
-        "analyze": (analyze_result(analyze(robot, estimate=estimate)), {}),
+        "analyze": (analyze_result(known), analyze_series(known)),
         "diagnose": (diagnose_result(diagnosis), diagnose_series(diagnosis)),
     }
     advance(0.95, "writing the report")

@@ -7,9 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from excitant.analysis.identifiability import analyze, analyze_result
+from excitant.analysis.identifiability import analyze
+from excitant.analysis.identifiability_result import analyze_result, analyze_series
 from excitant.design import random_trajectory
-from excitant.exceptions import BadInput, RankDeficient
+from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Recording, identify
 from excitant.robots import Limits, Motion, Robot, load_robot
 from excitant.robots.effects import standard_effects
@@ -69,7 +70,8 @@ def test_a_recording_gives_its_own_uncertainty(
     found = analyze(ur10, estimate=estimate)
     std = np.sqrt(np.diag(estimate.least_squares.covariance))
     np.testing.assert_array_equal([p.std for p in found.practical], std)
-    assert "residual" in found.basis
+    assert found.motion is not None
+    assert "residual" in found.motion.basis
 
 
 def test_verdicts_follow_the_uncertainty(ur10: Robot) -> None:
@@ -81,10 +83,53 @@ def test_verdicts_follow_the_uncertainty(ur10: Robot) -> None:
             assert p.verdict == ("negligible" if p.negligible else "hardly")
 
 
-def test_a_motion_at_rest_is_refused(ur10: Robot) -> None:
+def test_a_motion_at_rest_shows_what_gravity_does_and_no_more(ur10: Robot) -> None:
     still = np.zeros((100, 6))
-    with pytest.raises(RankDeficient, match="does not determine"):
-        analyze(ur10, motion=Motion(np.arange(100) / 100, still, still, still))
+    found = analyze(ur10, motion=Motion(np.arange(100) / 100, still, still, still))
+    hidden = [p for p in found.practical if p.verdict == "not_shown"]
+    assert len(found.base) - 6 <= len(hidden) < len(found.base)  # one equation for each joint
+    assert found.motion is not None
+    assert found.motion.rests == ur10.joints
+    assert found.motion.condition_number == np.inf
+    result = analyze_result(found)
+    assert len(result["not_shown"]) == len(hidden)
+    assert result["condition_number"] is None
+    assert any("does not show" in note for note in result["notes"])
+
+
+def test_circumstances_that_contradict_each_other_are_refused(ur10: Robot) -> None:
+    motion = repeated(ur10, 1)
+    with pytest.raises(BadInput, match="moving"):
+        analyze(ur10, motion=motion, moving=ur10.joints[:2])
+    with pytest.raises(BadInput, match="noise"):
+        analyze(ur10, noise=[1.0] * 6)
+    with pytest.raises(BadInput, match="at least one joint"):
+        analyze(ur10, measured=[])
+    with pytest.raises(UnknownName, match="elbow"):
+        analyze(ur10, moving=["elbow"])
+    for noise in ([1.0] * 5, [1.0] * 5 + [0.0], [1.0] * 5 + [np.nan]):
+        with pytest.raises(BadInput, match="one positive number"):
+            analyze(ur10, motion=motion, noise=noise)
+
+
+def test_std_is_proportional_to_the_noise_given(ur10: Robot) -> None:
+    motion = repeated(ur10, 1)
+    once, thrice = (analyze(ur10, motion=motion, noise=[k] * 6) for k in (1.0, 3.0))
+    ratio = [b.std / a.std for a, b in zip(once.practical, thrice.practical, strict=True)]
+    np.testing.assert_allclose(ratio, 3.0, rtol=1e-9)
+
+
+def test_torque_that_is_not_measured_shows_nothing(planar: Robot) -> None:
+    motion = repeated(planar, 1)
+    first = analyze(planar, motion=motion, measured=["joint1"])
+    both = analyze(planar, motion=motion)
+    assert set(first.base.names) == set(both.base.names)
+    by_name = {e.name: e for e in both.entries}
+    assert all(
+        by_name[e.name].std_data <= e.std_data * (1 + 1e-9)
+        for e in first.entries
+        if e.category == "unique"
+    )
 
 
 def test_without_torque_limits_there_is_no_noise_to_assume(ur10: Robot) -> None:
@@ -107,8 +152,24 @@ def test_the_result_has_the_agreed_keys(ur10: Robot) -> None:
     for entry in result["links"]:
         assert {"link", "unique", "combined", "unidentifiable"} <= set(entry)
         assert all({"expression", "members"} <= set(c) for c in entry["combined"])
-    assert all(
-        {"name", "std", "rel_std", "verdict"} == set(p) - {"value"} for p in result["practical"]
+    assert all({"name", "std", "rel_std", "verdict"} <= set(p) for p in result["practical"])
+    keys = {"name", "category", "value", "std", "prior", "prior_influence", "expression", "needed"}
+    for entry in result["links"]:
+        assert len(entry["parameters"]) == 10
+        assert all(keys <= set(p) for p in entry["parameters"])
+    assert {"persistency", "directions", "correlations", "not_shown"} <= set(result)
+
+
+@pytest.mark.parametrize("name", ["planar_2r", "ur10", "puma560"])
+def test_the_drawn_chain_keeps_the_distances_of_neighbours(name: str) -> None:
+    robot = load_robot(name)
+    points = analyze_series(analyze(robot))["chain"]
+    assert points.shape == (robot.nv + 2, 3)
+    places = [np.asarray(p.translation) for p in list(robot.model.jointPlacements)[1:]]
+    np.testing.assert_allclose(
+        np.linalg.norm(np.diff(points[:-1], axis=0), axis=1),
+        [np.linalg.norm(place) for place in places],
+        atol=1e-12,
     )
 
 

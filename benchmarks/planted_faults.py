@@ -1,0 +1,225 @@
+"""Faults to plant in faultless recordings, and faultless recordings of virtual arms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import scipy.interpolate
+import scipy.signal
+
+from excitant.design import random_trajectory
+from excitant.identify.faults import Log
+from excitant.robots import Robot
+from excitant.robots.virtual_arm import industrial_sensors, virtual_arm
+
+Plant = Callable[[Robot, Log, np.random.Generator], Log]
+DURATION = 8.0
+
+
+def log_of_table(robot: Robot, table: pd.DataFrame, prefix: str = "tau") -> Log:
+    """The channels of a table with columns t, q1.., dq1.., tau1.. or i1..."""
+
+    def channel(name: str) -> np.ndarray:
+        return table[[f"{name}{j + 1}" for j in range(robot.nv)]].to_numpy(float)
+
+    unit = "A" if prefix == "i" else "N·m"
+    t = table["t"].to_numpy(float)
+    return Log(t, channel("q"), channel(prefix), channel("dq"), robot.joints, unit)
+
+
+def recorded(robot: Robot, seed: int, rate_hz: float = 125.0) -> Log:
+    """A random motion of a virtual arm that deviates from its model, with true sensors' noise."""
+    rng = np.random.default_rng([3, seed])
+    sensors = industrial_sensors(robot, rate_hz)
+    arm = virtual_arm(robot, rng, hidden=(), sensors=sensors)
+    trajectory = random_trajectory(robot, rng, DURATION, 5)
+    return log_of_table(robot, arm.record(trajectory, DURATION, rng))
+
+
+def scaled(log: Log, name: str, factor: object) -> Log:
+    return replace(log, **{name: getattr(log, name) * factor})
+
+
+def flipped(log: Log, joint: int, *names: str) -> Log:
+    sign = np.where(np.arange(log.nv) == joint, -1.0, 1.0)
+    for name in names:
+        log = scaled(log, name, sign)
+    return log
+
+
+def with_rows(log: Log, rows: np.ndarray) -> Log:
+    """Values of other rows at the log's own times."""
+    return replace(log.take(rows), t=log.t[: len(rows)])
+
+
+def edited(log: Log, name: str, edit: Callable[[np.ndarray], None]) -> Log:
+    values = np.array(getattr(log, name))
+    edit(values)
+    return replace(log, **{name: values})
+
+
+def livelier(log: Log) -> int:
+    return int(np.argmax(np.ptp(log.q, axis=0)))
+
+
+def zero_torque(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    return edited(log, "tau", lambda x: x[:, rng.integers(log.nv)].fill(0.0))
+
+
+def noise_for_torque(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    j, noise = livelier(log), rng.standard_normal(len(log))
+    return edited(log, "tau", lambda x: x.__setitem__((slice(None), j), noise))
+
+
+def frozen_torque(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    j, start = livelier(log), int(0.4 * len(log))
+    rows = slice(start, start + round(1.0 / log.step))
+    return edited(log, "tau", lambda x: x.__setitem__((rows, j), x[start, j]))
+
+
+def velocity_negated(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    return flipped(log, int(rng.integers(log.nv)), "dq")
+
+
+def torque_negated(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    return flipped(log, int(rng.integers(log.nv)), "tau")
+
+
+def position_negated(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    return flipped(log, log.nv - 1, "q", "dq")
+
+
+def velocity_in_rpm(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    return scaled(log, "dq", 30 / np.pi)
+
+
+def position_in_degrees(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    return scaled(log, "q", 180 / np.pi)
+
+
+def all_in_degrees(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    return scaled(scaled(log, "q", 180 / np.pi), "dq", 180 / np.pi)
+
+
+def half_rate(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    return scaled(log, "t", 2.0)
+
+
+def half_rate_without_velocity(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    return replace(scaled(log, "t", 2.0), dq=None)
+
+
+def milliseconds(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    return scaled(log, "t", 1000.0)
+
+
+def counted_samples(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    return replace(log, t=np.arange(float(len(log))))
+
+
+def rows_logged_twice(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    rows = np.arange(len(log))
+    again = np.flatnonzero(rng.random(len(log)) < 0.06)[1:]
+    rows[again] -= 1
+    return with_rows(log, rows)
+
+
+def stamps_twice(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    return log.take(np.sort(np.r_[np.arange(len(log)), rng.choice(len(log), 20)]))
+
+
+def held_torque(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    return replace(log, tau=log.tau[np.arange(len(log)) // 4 * 4])
+
+
+def rows_lost(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    kept = rng.random(len(log)) > 0.01
+    kept[[0, -1]] = True
+    return log.take(kept)
+
+
+def rows_lost_unseen(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    speed = np.abs(np.asarray(log.dq)).min(axis=1)
+    speed[:30], speed[-40:] = 0, 0
+    k = int(np.argmax(speed))
+    return with_rows(log, np.delete(np.arange(len(log)), np.arange(k, k + 5)))
+
+
+def not_a_number(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    return edited(log, "tau", lambda x: x.__setitem__((rng.integers(len(log)), 0), np.nan))
+
+
+def torque_outliers(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    rows, j = rng.choice(np.arange(10, len(log) - 10), 5), int(rng.integers(log.nv))
+    jump = 2 * np.ptp(log.tau[:, j]) * rng.choice([-1, 1], 5)
+    return edited(log, "tau", lambda x: x.__setitem__((rows, j), x[rows, j] + jump))
+
+
+def position_outliers(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    rows, j = rng.choice(np.arange(10, len(log) - 10), 3), int(rng.integers(log.nv))
+    return edited(log, "q", lambda x: x.__setitem__((rows, j), x[rows, j] + 0.1))
+
+
+def unsigned_torque(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    counts = np.round(log.tau / np.ptp(log.tau, axis=0) * 20000)
+    counts -= np.round(counts.mean(axis=0))
+    return replace(log, tau=np.where(counts < 0, counts + 65536, counts))
+
+
+def clipped_torque(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    limit = 0.7 * np.abs(log.tau).max(axis=0)
+    return replace(log, tau=np.clip(log.tau, -limit, limit))
+
+
+def model_for_torque(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    rate = 1 / log.step
+    sections = scipy.signal.butter(4, 5.0, fs=rate, output="sos")
+    spline = scipy.interpolate.make_interp_spline(
+        log.t, scipy.signal.sosfiltfilt(sections, log.q, axis=0), k=5
+    )
+    states = zip(*(spline.derivative(k)(log.t) if k else spline(log.t) for k in range(3)))  # noqa: B905
+    data = robot.model.createData()
+    tau = np.array([pin.rnea(robot.model, data, *state) + 0.3 * state[1] for state in states])
+    return replace(log, tau=tau)
+
+
+def hardly_moving(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    share, data = 0.02, robot.model.createData()
+    q, dq = log.q[0] + share * (log.q - log.q[0]), share * np.asarray(log.dq)
+    noise = rng.standard_normal((2, *q.shape))
+    tau = [pin.computeGeneralizedGravity(robot.model, data, x).copy() for x in q]
+    tau = np.array(tau) + np.sign(dq) + 0.01 * log.tau.std(axis=0) * noise[0]
+    return replace(log, q=q, dq=dq + 2e-3 * noise[1], tau=tau)
+
+
+PLANTS: list[tuple[str, Plant]] = [
+    ("dead_channel", zero_torque),
+    ("dead_channel", noise_for_torque),
+    ("dead_channel", frozen_torque),
+    ("wrong_sign", velocity_negated),
+    ("wrong_sign", torque_negated),
+    ("wrong_sign", position_negated),
+    ("wrong_unit", velocity_in_rpm),
+    ("wrong_unit", position_in_degrees),
+    ("wrong_unit", all_in_degrees),
+    ("wrong_sample_rate", half_rate),
+    ("wrong_sample_rate", half_rate_without_velocity),
+    ("wrong_sample_rate", milliseconds),
+    ("wrong_sample_rate", counted_samples),
+    ("duplicate_samples", rows_logged_twice),
+    ("duplicate_samples", stamps_twice),
+    ("duplicate_samples", held_torque),
+    ("dropped_samples", rows_lost),
+    ("dropped_samples", rows_lost_unseen),
+    ("corrupt_rows", not_a_number),
+    ("corrupt_rows", torque_outliers),
+    ("corrupt_rows", position_outliers),
+    ("corrupt_rows", unsigned_torque),
+    ("saturation", clipped_torque),
+    ("not_measured", model_for_torque),
+    ("poor_excitation", hardly_moving),
+]

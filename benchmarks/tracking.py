@@ -1,0 +1,179 @@
+"""Whether the identified MJCF follows a recording better than the given one, in MuJoCo.
+
+    OMP_NUM_THREADS=1 python benchmarks/tracking.py [--data ../shared/data] [--robots ur10 panda]
+
+Both models run under the same commands: the recorded torque as feed-forward and one PD controller
+on the recorded position, for a soft and a stiff loop: stiffness ω² times the mean inertia of both
+models, but no less than what bears the recorded rms torque at 0.2 rad, since friction, not
+inertia, rules small joints.
+What a model gets wrong shows as tracking error, so the ratio given : identified is above 1 where
+identification made the simulation more like the arm. Models are fitted on the first part of a
+recording (or on an excitation of its own) and simulated on the hold-out, which is cut into pieces
+of a few seconds that each start in the recorded state. A piece in which a model runs away
+(2 rad or m off) ends there, and the error stays at what it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from excitant.design import random_trajectory
+from excitant.identify import Estimate, Recording, identify, load_dataset, recording_from_table
+from excitant.identify.export import mjcf_text
+from excitant.identify.export.bodies import tree
+from excitant.identify.preprocessing import Segment
+from excitant.robots import Robot, load_robot
+from excitant.robots.virtual_arm import virtual_arm
+
+_STEP = 1e-3  # s, of the simulation
+_PIECE = 3.0  # s, of simulation from a recorded state
+_LOST = 2.0  # rad or m: the model has run away
+_YIELD = 0.2  # rad or m: the loop bears the recorded torque there
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """An estimate and where its recording came from."""
+
+    name: str
+    estimate: Estimate
+
+
+def arguments(words: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    parser.add_argument("--data", type=Path, default=Path(os.environ.get("EXCITANT_DATA", beside)))
+    parser.add_argument("--sets", nargs="*", default=["ur10", "panda"])
+    parser.add_argument("--robots", nargs="*", default=["planar_2r", "ur10", "panda"])
+    parser.add_argument("--bandwidth", nargs="+", type=float, default=[5.0, 20.0],
+                        help="of the position loops [rad/s]")  # fmt: skip
+    parser.add_argument("--seed", type=int, default=0)
+    return parser.parse_args(words)
+
+
+def simulated(name: str, seed: int) -> Case:
+    """A virtual arm, off by some per cent and with a hidden effect, on two motions."""
+    robot, rng = load_robot(name), np.random.default_rng(seed)
+    arm = virtual_arm(robot, rng)
+    runs: list[Recording] = []
+    for run in ("excitation", "holdout"):
+        table = arm.record(random_trajectory(robot, rng, 10.0, 5), 10.0, rng)
+        runs.append(recording_from_table(table, robot.nv, file=f"{run}.parquet", name=run))
+    hidden = arm.hidden[0]
+    found = identify(robot, runs[:1], validate=runs[1:])
+    return Case(f"{name}, virtual, hides {hidden.effect} at {hidden.joint}", found)
+
+
+def recorded(folder: Path) -> list[Case]:
+    """The recordings of a folder, each fitted on its first 70 %."""
+    dataset = load_dataset(folder)
+    return [
+        Case(f"{folder.name}, {recording.name}", identify(dataset.robot, [recording]))
+        for recording in dataset.recordings([])
+    ]
+
+
+def loaded(robot: Robot, gains: np.ndarray | None) -> mujoco.MjModel:
+    """The robot's MJCF in MuJoCo, with controls that nothing clamps."""
+    model = mujoco.MjModel.from_xml_string(mjcf_text(tree(robot), "model.yaml", gains))
+    model.opt.timestep = _STEP
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    return model
+
+
+def mean_inertia(model: mujoco.MjModel, segment: Segment) -> np.ndarray:
+    """Mean inertia of each joint over a motion, shape (nv,) [kg·m²]."""
+    data, inertia = mujoco.MjData(model), []
+    dense = np.zeros((model.nv, model.nv))
+    for q in segment.motion.q[:: max(1, len(segment.motion) // 50)]:
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, dense)
+        inertia.append(np.diag(dense).copy())
+    return np.asarray(np.mean(inertia, axis=0), float)
+
+
+def squared_error(
+    model: mujoco.MjModel, segment: Segment, rows: slice, stiffness: np.ndarray, omega: float
+) -> np.ndarray:
+    """Squared tracking error of one piece at every step, shape (n, nv) [rad² or m²].
+
+    The loop's damping is part of the model, where the integrator takes it implicitly: a joint
+    with little inertia does not go unstable.
+    """
+    motion, tau = segment.motion[rows], segment.tau[rows]
+    damping = 2 * stiffness / omega
+    data, own = mujoco.MjData(model), np.array(model.dof_damping)
+    model.dof_damping[:] = own + damping
+    data.qpos[:], data.qvel[:] = motion.q[0], motion.dq[0]
+    steps = np.arange(motion.t[0], motion.t[-1], _STEP)
+    sampled = (motion.q, motion.dq, tau)
+    wanted = [np.column_stack([np.interp(steps, motion.t, x) for x in y.T]) for y in sampled]
+    error, lost = np.empty((len(steps), model.nv)), False
+    for k in range(len(steps)):
+        error[k] = wanted[0][k] - data.qpos
+        lost = lost or not np.isfinite(error[k]).all() or bool(np.abs(error[k]).max() > _LOST)
+        if lost:
+            error[k] = error[k - 1]
+            continue
+        data.qfrc_applied[:] = stiffness * error[k] + damping * wanted[1][k]
+        data.ctrl[:] = wanted[2][k]
+        mujoco.mj_step(model, data)
+    model.dof_damping[:] = own
+    return np.asarray(error**2, float)
+
+
+def tracking(
+    model: mujoco.MjModel, segments: Sequence[Segment], stiffness: np.ndarray, omega: float
+) -> np.ndarray:
+    """Root mean square tracking error per joint over all pieces, shape (nv,) [rad or m]."""
+    errors = []
+    for segment in segments:
+        length, edge = int(_PIECE * segment.rate_hz), segment.keep.start
+        for start in range(edge, max(edge + 1, len(segment.motion) - edge - length // 2), length):
+            rows = slice(start, min(start + length, len(segment.motion) - edge))
+            errors.append(squared_error(model, segment, rows, stiffness, omega))
+    return np.asarray(np.sqrt(np.concatenate(errors).mean(axis=0)), float)
+
+
+def report(case: Case, bandwidths: Sequence[float]) -> None:
+    found = case.estimate
+    gains = found.gains if found.data.unit == "A" else None
+    given, identified = (loaded(robot, gains) for robot in (found.given, found.model))
+    segments = found.data.validate
+    inertia = (mean_inertia(given, segments[0]) + mean_inertia(identified, segments[0])) / 2
+    nrmse = [float(np.nansum(x.nrmse)) for x in (found.baseline, found.validate)]
+    print(f"\n{case.name}: hold-out nrmse, sum of joints, {nrmse[0]:.3g} → {nrmse[1]:.3g}")
+    torque = np.sqrt(np.mean((segments[0].tau * found.gains) ** 2, axis=0))
+    for omega in bandwidths:
+        stiffness = np.maximum(omega**2 * inertia, torque / _YIELD)
+        before, after = (tracking(m, segments, stiffness, omega) for m in (given, identified))
+        joints = " ".join(f"{b / a:7.2f}" for b, a in zip(before, after, strict=True))
+        first, second = (1e3 * float(np.sqrt((x**2).mean())) for x in (before, after))
+        print(f"  loop of {omega:4g} rad/s: rms {first:8.3f} → {second:8.3f} mrad, "
+              f"ratio {first / second:6.2f}; per joint {joints}")  # fmt: skip
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    args = arguments(words)
+    with threadpool_limits(1):
+        for name in args.robots:
+            report(simulated(name, args.seed), args.bandwidth)
+        for name in args.sets:
+            if not (args.data / name).is_dir():
+                print(f"\n{name}: no recordings in {args.data}; set EXCITANT_DATA")
+                continue
+            for case in recorded(args.data / name):
+                report(case, args.bandwidth)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,109 @@
+"""A model as MJCF, the format of MuJoCo."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+
+from excitant.identify.export.bodies import Body, Frame, Tree, central, quaternion, written
+from excitant.identify.export.notes import as_comment, not_held
+from excitant.robots.motion import Array
+
+_THIN = 1e-3  # m: shorter distances between joints are not drawn
+
+
+def mjcf_text(arm: Tree, complete: str, gains: Array | None = None) -> str:
+    """MJCF text of an arm: bodies on their joints, actuators, frames as sites; no meshes.
+
+    Viscous friction is ``damping``, Coulomb friction ``frictionloss``, rotor inertia
+    ``armature``, a torque offset the bias of the joint's actuator. A control is a torque [N·m],
+    or a current [A] where drive gains are given.
+
+    Args:
+        arm: The model.
+        complete: File that holds everything, to refer to.
+        gains: Torque per control, the ``gear`` of the actuators, shape (nv,); ones if None.
+    """
+    root = ET.Element("mujoco", model=arm.name)
+    root.append(ET.Comment(as_comment(not_held(arm, "mjcf"), complete)))
+    ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
+    ET.SubElement(root, "option", gravity=written(arm.gravity), integrator="implicitfast")
+    default = ET.SubElement(root, "default")
+    ET.SubElement(default, "geom", contype="0", conaffinity="0", group="1")
+    world = ET.SubElement(root, "worldbody")
+    _sites(world, arm.base_frames)
+    elements = [world]  # that of body i is at i + 1
+    for i, body in enumerate(arm.bodies):
+        element = _body(elements[body.parent + 1], body)
+        for child in arm.children(i):
+            _bone(element, arm.bodies[child].placement[:3, 3])
+        elements.append(element)
+    actuators = ET.SubElement(root, "actuator")
+    for body, gain in zip(arm.bodies, np.ones(len(arm.bodies)) if gains is None else gains,
+                          strict=True):  # fmt: skip
+        _actuator(actuators, body, float(gain))
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _body(parent: ET.Element, body: Body) -> ET.Element:
+    name = body.link if body.link != "world" else "world_"  # that of MuJoCo's own root
+    element = ET.SubElement(parent, "body", {"name": name, **_pose(body.placement)})
+    mass, lever, inertia = central(body.phi)
+    moments, axes = np.linalg.eigh(inertia)
+    axes[:, 0] *= np.linalg.det(axes)
+    ET.SubElement(
+        element,
+        "inertial",
+        pos=written(lever),
+        quat=written(quaternion(axes)),
+        mass=written(mass),
+        diaginertia=written(moments),
+    )
+    _joint(element, body)
+    _sites(element, body.frames)
+    return element
+
+
+def _joint(parent: ET.Element, body: Body) -> None:
+    kind = "hinge" if body.revolute else "slide"
+    joint = ET.SubElement(parent, "joint", name=body.joint, type=kind, axis=written(body.axis))
+    if np.isfinite(body.position).all():
+        joint.set("range", written(body.position))
+    for key, value in (
+        ("damping", body.viscous),
+        ("frictionloss", body.coulomb),
+        ("armature", body.rotor),
+    ):
+        if value > 0:
+            joint.set(key, written(value))
+
+
+def _actuator(parent: ET.Element, body: Body, gain: float) -> None:
+    """Force = gear (control + bias), the bias against the offset that the model needs."""
+    actuator = ET.SubElement(parent, "general", name=body.joint, joint=body.joint)
+    actuator.set("gear", written(gain))
+    if body.offset:
+        actuator.set("biastype", "affine")
+        actuator.set("biasprm", written([-body.offset / gain, 0.0, 0.0]))
+    if np.isfinite(body.torque):
+        largest = body.torque / abs(gain)
+        actuator.set("ctrlrange", written([-largest, largest]))
+
+
+def _sites(parent: ET.Element, frames: tuple[Frame, ...]) -> None:
+    for frame in frames:
+        ET.SubElement(parent, "site", {"name": frame.name, **_pose(frame.pose)})
+
+
+def _bone(parent: ET.Element, end: Array) -> None:
+    """A line to the next joint, for the eye only."""
+    length = float(np.linalg.norm(end))
+    if length > _THIN:
+        size = written(0.1 * min(length, 0.5))
+        ET.SubElement(parent, "geom", type="capsule", size=size, fromto=f"0 0 0 {written(end)}")
+
+
+def _pose(T: Array) -> dict[str, str]:
+    return {"pos": written(T[:3, 3]), "quat": written(quaternion(T[:3, :3]))}

@@ -1,0 +1,222 @@
+"""Torque against motion, in a form in which hypotheses about the recording are cheap to test.
+
+Y(q, q̇, q̈) = G(q) + D(q, q̇, q̈), and D scales with 1/c² when the time of the log runs c times too
+slow. Parameters are left free, so nothing depends on the masses given; friction, rotor inertia
+and an offset per joint are free as well. Filters are set in parts of the motion's own bandwidth,
+so that they mean the same whatever the unit of time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.interpolate
+import scipy.signal
+
+from excitant.identify.faults.log import Log
+from excitant.identify.least_squares import autocorrelation_time
+from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.regressor import regressor
+from excitant.robots.robot import Robot
+
+_BAND = 8.0  # bandwidth kept, in parts of the motion's rms frequency
+_OVERSAMPLED = 8  # rows per period of the cut-off
+_ROWS = 1200  # at most
+_NYQUIST = 0.2  # of the sampling rate: highest cut-off
+_PER_JOINT = 4  # columns of each joint's own effects
+_RANK = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Smooth:
+    """A log in its motion's own bandwidth, evenly sampled.
+
+    Attributes:
+        motion: Filtered motion, N instants.
+        tau: Torque through the same filter, shape (N, nv).
+        cutoff: Cut-off of the filters [1/time unit of the log].
+        rate: Rows per time unit of the log.
+    """
+
+    motion: Motion
+    tau: Array
+    cutoff: float
+    rate: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "tau")
+
+
+def smooth(log: Log) -> Smooth | None:
+    """Filter, differentiate and decimate; None when the log is too short for it."""
+    grid = np.arange(log.t[0], log.t[-1] + 1e-9 * log.step, log.step)
+    if len(grid) < 100 or len(grid) > 4 * len(log) or np.ptp(log.q) == 0:
+        return None
+    rate = 1 / log.step
+    least = 2 * _BAND / (grid[-1] - grid[0])
+    cutoff = min(max(_BAND * _frequency(log), least), _NYQUIST * rate)
+    q = np.column_stack([np.interp(grid, log.t, x) for x in log.q.T])
+    tau = np.column_stack([np.interp(grid, log.t, x) for x in log.tau.T])
+    q, tau = _low_pass(q, cutoff, rate), _low_pass(tau, cutoff, rate)
+    spline = scipy.interpolate.make_interp_spline(grid, q, k=5)
+    stride = max(1, int(rate / (_OVERSAMPLED * cutoff)), len(grid) // _ROWS)
+    at = grid[::stride]
+    motion = Motion(at, spline(at), spline.derivative(1)(at), spline.derivative(2)(at))
+    return Smooth(motion, tau[::stride], cutoff, rate / stride)
+
+
+def _frequency(log: Log) -> float:
+    """Largest rms frequency of a joint's motion [1/time unit]."""
+    span = np.std(log.q, axis=0)
+    moved = span > 50 * np.maximum(log.resolution, log.quantum)
+    if not moved.any():
+        return 0.0
+    speed = np.sqrt((log.travel[:, moved] ** 2).mean(axis=0)) / log.step
+    return float((speed / span[moved]).max() / (2 * np.pi))
+
+
+def _low_pass(x: Array, cutoff: float, rate: float) -> Array:
+    sections = scipy.signal.butter(4, min(cutoff, 0.45 * rate), fs=rate, output="sos")
+    length = min(len(x) - 1, int(3 * rate / cutoff))
+    return np.asarray(scipy.signal.sosfiltfilt(sections, x, axis=0, padlen=length), float)
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Filtered columns of everything that is free.
+
+    Attributes:
+        G: Columns of the links at rest, shape (N, nv, 10 nv).
+        D: What motion adds to them, same shape.
+        F: Columns of each joint's own effects, shape (N, nv, 4).
+        tau: Filtered torque, shape (N, nv).
+    """
+
+    G: Array
+    D: Array
+    F: Array
+    tau: Array
+
+    def joint(self, j: int, s: float = 1.0) -> Array:
+        """Columns of one joint's torque alone, shape (N, 10 nv + 4)."""
+        return np.hstack([self.G[:, j] + s * self.D[:, j], self.F[:, j]])
+
+
+def columns(robot: Robot, data: Smooth, sign: Array | None = None, scale: float = 1.0) -> Columns:
+    """Columns of a motion, with positions of joints negated or scaled first.
+
+    Args:
+        robot: The arm.
+        data: Motion and torque.
+        sign: Factor of each joint's position, shape (nv,).
+        scale: Factor of all positions.
+    """
+    factor = scale * (np.ones(robot.nv) if sign is None else sign)
+    m = data.motion
+    q, dq, ddq = m.q * factor, m.dq * factor, m.ddq * factor
+    still = np.zeros_like(q)
+    G = regressor(robot, Motion(m.t, q, still, still))
+    D = regressor(robot, Motion(m.t, q, dq, ddq)) - G
+    F = np.stack([dq, np.sign(dq), ddq, np.ones_like(q)], axis=2)
+    edge = round(data.rate / data.cutoff)
+    kept = slice(edge, len(q) - edge)
+    parts = (_low_pass(x, data.cutoff / 2, data.rate)[kept] for x in (G, D, F, data.tau))
+    return Columns(*parts)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Least squares of the torque on free parameters, those of the links shared by all joints.
+
+    Attributes:
+        x: Parameters of the links (those that show), then of each joint, shape (10 nv + 4 nv,).
+        power: Mean square of what is left of each joint's torque, shape (nv,).
+    """
+
+    x: Array
+    power: Array
+
+
+class Problem:
+    """Normal equations of `Columns`, assembled for any time factor and torque signs.
+
+    Args:
+        c: The columns.
+        joints: Joints whose torque is used.
+    """
+
+    def __init__(self, c: Columns, joints: list[int]) -> None:
+        self.c, self.joints, self.p = c, joints, c.G.shape[2]
+        self.rows, self.nv = c.tau.shape
+        still = [np.hstack([c.G[:, j], c.F[:, j]]) for j in joints]
+        moved = [np.hstack([c.D[:, j], 0 * c.F[:, j]]) for j in joints]
+        pairs = list(zip(still, moved, strict=True))
+        self._A = [(W.T @ W, W.T @ V + V.T @ W, V.T @ V) for W, V in pairs]
+        self._b = [
+            (W.T @ c.tau[:, j], V.T @ c.tau[:, j]) for j, (W, V) in zip(joints, pairs, strict=True)
+        ]
+        self.size: Array = np.maximum((c.tau**2).mean(axis=0), 1e-300)
+        self.sigma: Array = np.sqrt(self._alone())
+
+    def _alone(self) -> Array:
+        """Mean square error of each joint by parameters of its own, shape (nv,)."""
+        power = self.size.copy()
+        for i, j in enumerate(self.joints):
+            A, b = np.sum(self._A[i], axis=0), np.sum(self._b[i], axis=0)
+            x = _solve(A, b)
+            power[j] = self._left(j, A, b, x)
+        return power
+
+    def _left(self, j: int, A: Array, b: Array, x: Array) -> float:
+        left = self.size[j] - (2 * b - A @ x) @ x / self.rows
+        return float(max(left, 1e-10 * self.size[j]))
+
+    def fit(self, s: float = 1.0, sign: Array | None = None) -> Fit:
+        """Parameters and errors with what motion adds times s, and torques times their sign."""
+        sign = np.ones(self.nv) if sign is None else sign
+        size = self.p + _PER_JOINT * self.nv
+        A, b = np.zeros((size, size)), np.zeros(size)
+        parts = []
+        for i, j in enumerate(self.joints):
+            still, mixed, moved = self._A[i]
+            own = still + s * mixed + s**2 * moved
+            side = sign[j] * (self._b[i][0] + s * self._b[i][1])
+            rows = members(self.p, j)
+            A[np.ix_(rows, rows)] += own / self.sigma[j] ** 2
+            b[rows] += side / self.sigma[j] ** 2
+            parts.append((j, rows, own, side))
+        x = _solve(A, b)
+        power = self.size.copy()
+        for j, rows, own, side in parts:
+            power[j] = self._left(j, own, side, x[rows])
+        return Fit(x, power)
+
+    def predicted(self, fit: Fit) -> Array:
+        """Torque of a fit, shape (N, nv)."""
+        tau = np.zeros_like(self.c.tau)
+        for j in self.joints:
+            tau[:, j] = self.c.joint(j) @ fit.x[members(self.p, j)]
+        return tau
+
+    def effective(self, fit: Fit) -> Array:
+        """Independent rows of each joint's error, shape (nv,)."""
+        error = self.c.tau - self.predicted(fit)
+        return np.array(
+            [len(e) / autocorrelation_time(e) if e.any() else 1.0 for e in error.T], float
+        )
+
+
+def members(p: int, j: int) -> np.ndarray:
+    """Indices of the parameters that act on joint j, of p for the links and 4 per joint."""
+    return np.asarray(np.r_[:p, p + _PER_JOINT * j : p + _PER_JOINT * (j + 1)], np.intp)
+
+
+def _solve(A: Array, b: Array) -> Array:
+    """Least-squares solution of normal equations that may be singular."""
+    d = np.sqrt(np.diag(A))
+    d = np.where(d > 0, d, 1.0)
+    values, V = np.linalg.eigh(A / np.outer(d, d))
+    kept = values > _RANK * max(float(values[-1]), 1e-300)
+    V = V[:, kept] / d[:, None]
+    return np.asarray(V @ ((V.T @ b) / values[kept]), float)

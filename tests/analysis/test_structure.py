@@ -1,0 +1,465 @@
+"""Structural identifiability: three independent methods agree, and circumstances count."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import site
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import excitant.analysis.nullspace as nullspace_module
+from excitant.analysis.expressions import length_symbols, symbolic_expressions
+from excitant.analysis.grouping_rules import grouping, into_previous, largest_count
+from excitant.analysis.nullspace import parameter_nullspace
+from excitant.analysis.structure import HAIR, second_opinion, structure, structure_values
+from excitant.exceptions import BadInput, BadRobot, UnknownName
+from excitant.robots import (
+    DHChain,
+    Robot,
+    base_parameters,
+    builtin_robots,
+    dh_from_robot,
+    load_robot,
+    robot_from_dh,
+)
+from excitant.robots.dh import moved_parameters
+from excitant.robots.effects import standard_effects
+from excitant.robots.scale import LENGTH_POWERS, arm_length
+from excitant.robots.urdf import robot_from_urdf
+
+SEEDS = st.integers(0, 2**32 - 1)
+SAME = 1e-8  # rad: null spaces from columns known to 1e-13, gaps of 1e-4 at least
+GRAVITIES = [None, (0.0, 0.0, 0.0), (1.0, 2.0, -9.0), (0.0, -9.81, 0.0)]
+
+
+def body(rng: np.random.Generator, nv: int) -> np.ndarray:
+    """Masses at random points: consistent parameters."""
+    phi = np.zeros((nv, 10))
+    for point, mass in zip(rng.uniform(-0.3, 0.3, (8, nv, 3)), rng.uniform(0.1, 2, 8), strict=True):
+        x, y, z = point.T
+        phi += mass * np.column_stack(
+            [np.ones(nv), x, y, z, y**2 + z**2, -x * y, x**2 + z**2, -x * z, -y * z, x**2 + y**2]
+        )
+    return phi.ravel()
+
+
+def chain(seed: int, nv: int, special: bool, prismatic: float = 0.3) -> DHChain:
+    """Joints of both kinds; axes at right angles and coincident axes when special."""
+    rng = np.random.default_rng(seed)
+    angles = rng.choice([0.0, np.pi / 2, -np.pi / 2, np.pi], (2, nv))
+    alpha, theta = angles if special else rng.uniform(-3, 3, (2, nv))
+    lengths = rng.choice([0.0, 0.3, -0.4], (2, nv)) if special else rng.uniform(-0.5, 0.5, (2, nv))
+    gravity = [(0, 0, -9.81), (0, 0, 0), (3, 1, -9)][rng.integers(3)] if special else (2, -4, 8)
+    return DHChain(
+        name="chain",
+        convention="modified",
+        joints=tuple(f"j{i}" for i in range(nv)),
+        links=tuple(f"l{i}" for i in range(nv)),
+        revolute=rng.random(nv) >= prismatic,
+        a=lengths[0] * (np.arange(nv) > 0),
+        d=lengths[1],
+        alpha=alpha * (np.arange(nv) > 0),
+        theta=theta,
+        phi=body(rng, nv),
+        gravity=np.array(gravity, float),
+        base=np.eye(4),
+        tool=np.eye(4),
+    )
+
+
+def scaled(given: DHChain, length: float, mass: float, gravity: float = 1.0) -> Robot:
+    """The chain in other units."""
+    places = np.array([given.base, given.tool])
+    places[:, :3, 3] *= length
+    return robot_from_dh(
+        replace(
+            given,
+            a=given.a * length,
+            d=given.d * length,
+            phi=given.phi * np.tile(mass * length**LENGTH_POWERS, given.nv),
+            gravity=given.gravity * gravity,
+            base=places[0],
+            tool=places[1],
+            shapes=(),
+        )
+    )
+
+
+@pytest.mark.parametrize("gravity", GRAVITIES)
+@pytest.mark.parametrize("name", builtin_robots())
+def test_recursion_and_regressor_agree(name: str, gravity: tuple[float, ...] | None) -> None:
+    robot = load_robot(name)
+    robot = robot if gravity is None else robot.with_gravity(gravity)
+    found = second_opinion(robot)
+    assert found.numerical == found.recursive == sum(found.per_link)
+    assert found.angle < SAME
+
+
+@given(seed=SEEDS, nv=st.integers(1, 7), special=st.booleans())
+def test_three_methods_agree_on_random_chains(seed: int, nv: int, special: bool) -> None:
+    given_chain = chain(seed, nv, special)
+    robot = robot_from_dh(given_chain)
+    base, other = base_parameters(robot), parameter_nullspace(robot)
+    assert len(base) == len(other)
+    assert other.angle(base.null_space, arm_length(robot)) < SAME
+    if given_chain.gravity.any():
+        rules = grouping(robot)
+        assert rules.shown == other.shown
+        assert other.angle(rules.null_space, arm_length(robot)) < SAME
+
+
+@given(seed=SEEDS, nv=st.integers(2, 6), special=st.booleans(), any_pose=st.booleans())
+def test_held_joints_in_both_methods(seed: int, nv: int, special: bool, any_pose: bool) -> None:
+    robot = robot_from_dh(chain(seed, nv, special))
+    rng = np.random.default_rng(seed)
+    moving = [name for name in robot.joints if rng.random() < 0.5] or [robot.joints[-1]]
+    pose = {name: float(rng.uniform(-1, 1)) for name in robot.joints if name not in moving}
+    found = second_opinion(robot, moving=moving, held="any" if any_pose else pose)
+    assert found.angle < SAME
+
+
+@pytest.mark.parametrize(
+    ("name", "per_link"),
+    [
+        ("planar_2r", (3, 3)),
+        ("ur10", (1, 7, 7, 7, 7, 7)),
+        ("puma560", (1, 7, 7, 7, 7, 7)),
+        ("panda", (1, 7, 7, 7, 7, 7, 7)),
+        ("cylindrical", (1, 1, 3)),
+        ("cmu_dd_arm_ii", (1, 3, 7, 7, 7, 7)),
+    ],
+)
+def test_what_each_link_brings(name: str, per_link: tuple[int, ...]) -> None:
+    robot = load_robot(name)
+    assert parameter_nullspace(robot).shown == per_link
+    assert grouping(robot).shown == per_link
+    assert len(base_parameters(robot)) == sum(per_link)
+
+
+@pytest.mark.parametrize("name", ["puma560", "ur10", "panda"])
+@pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (3.0, 0.0, -9.0)])
+def test_the_count_formula(name: str, gravity: tuple[float, ...]) -> None:
+    robot = load_robot(name).with_gravity(gravity)
+    upright = gravity[0] == 0
+    assert len(grouping(robot)) == largest_count(robot.nv, 0, first_along_gravity=upright)
+
+
+@given(seed=SEEDS, nv=st.integers(1, 7), special=st.booleans())
+def test_no_chain_exceeds_the_count_formula(seed: int, nv: int, special: bool) -> None:
+    given_chain = chain(seed, nv, special)
+    revolute = int(given_chain.revolute.sum())
+    if revolute:
+        count = len(parameter_nullspace(robot_from_dh(given_chain)))
+        assert count <= largest_count(revolute, nv - revolute, first_along_gravity=False)
+
+
+def test_the_recursion_uses_no_regressor() -> None:
+    source = Path(str(nullspace_module.__file__)).read_text(encoding="utf-8")
+    tree = ast.parse(source)
+    imported = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+    forbidden = {f"excitant.robots.{m}" for m in ("regressor", "torque", "base_parameters")}
+    assert not imported & (forbidden | {"excitant.robots"})
+    assert "Regressor" not in source
+    assert "pinocchio" not in {
+        a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names
+    }
+
+
+@given(seed=SEEDS)
+def test_published_relations_move_parameters(seed: int) -> None:
+    given_chain = chain(seed, 2, seed % 2 == 0, prismatic=0.0)
+    YY, MZ, M = np.random.default_rng(seed).standard_normal(3)
+    phi = np.array([[M, 0, 0, MZ, YY, 0, YY, 0, 0, 0.0]])
+    pose = given_chain.poses(np.zeros((1, 2)))[0, 1:]
+    expected = moved_parameters(phi, pose)
+    np.testing.assert_allclose(into_previous(given_chain, 1, phi), expected, atol=1e-12)
+
+
+def test_rules_need_gravity_unless_all_axes_are_parallel(ur10: Robot, planar: Robot) -> None:
+    with pytest.raises(BadInput, match="without gravity"):
+        grouping(ur10.with_gravity((0, 0, 0)))
+    assert len(grouping(planar.with_gravity((0, 0, 0)))) == 4
+
+
+@pytest.mark.parametrize("name", builtin_robots())
+def test_categories_do_not_depend_on_units(name: str) -> None:
+    arm = dh_from_robot(load_robot(name), "modified")
+    robots = [scaled(arm, 1, 1), scaled(arm, 1e-3, 1e-3), scaled(arm, 1e3, 1, 1e3)]
+    effects = standard_effects(arm.joints)
+    for chosen in ((), effects):
+        metres, small, millimetres = (structure(robot, chosen) for robot in robots)
+        for other in (small, millimetres):
+            assert other.category == metres.category
+            assert other.base.columns == metres.base.columns
+            assert chosen or other.symbolic == metres.symbolic
+            assert not other.close
+
+
+@pytest.mark.parametrize("name", builtin_robots())
+def test_nothing_is_decided_by_a_hair_on_arms_of_exact_geometry(name: str) -> None:
+    robot = load_robot(name)
+    found = structure(robot, standard_effects(robot.joints))
+    assert found.close == ()
+    assert (found.margin == HAIR).all()
+    assert structure_values(found)["by_a_hair"] is None
+
+
+@pytest.mark.parametrize("angle", [1e-5, 1e-6, 1e-7, 1e-9, 1e-10])
+def test_a_twist_just_off_a_right_angle_is_by_a_hair(angle: float) -> None:
+    arm = dh_from_robot(load_robot("ur10"), "modified")
+    assert abs(abs(arm.alpha[4]) - np.pi / 2) < 1e-12
+    found = structure(robot_from_dh(replace(arm, alpha=arm.alpha + angle * (np.arange(6) == 4))))
+    assert found.close == ("wrist_1_link.Iyz",)
+    k = found.base.names.index("wrist_1_link.Iyz")
+    assert found.category[k] == ("combined" if angle > 1e-8 else "unique")
+    assert found.flips_at[k] == pytest.approx(angle, rel=3)  # a decision scales with the angle
+    assert "wrist_1_link.Iyz" in structure_values(found)["by_a_hair"]
+
+
+@pytest.mark.parametrize("tilt", [1e-6, 1e-9])
+def test_a_base_just_off_upright_is_by_a_hair(ur10: Robot, tilt: float) -> None:
+    found = structure(ur10.with_gravity(9.81 * np.array([tilt, 0.3 * tilt, -1.0])))
+    assert {"shoulder_link.mcx", "shoulder_link.mcy"} <= set(found.close)
+    assert len(found.base) == (38 if tilt > 1e-8 else 36)
+    assert structure(ur10.with_gravity((0.1, 0.03, -9.8))).close == ()
+
+
+def test_nearly_parallel_axes_are_by_a_hair(planar: Robot) -> None:
+    arm = dh_from_robot(planar, "modified")
+    assert structure(robot_from_dh(arm)).close == ()
+    bent = structure(robot_from_dh(replace(arm, alpha=arm.alpha + np.array([0, 1e-6]))))
+    assert {"link2.mcz", "link2.Iyz"} & set(bent.close)
+    assert bent.base.gap[0] < 1e-5
+    wide = structure(robot_from_dh(replace(arm, alpha=arm.alpha + np.array([0, 0.3]))))
+    assert wide.close == ()
+
+
+def evaluated(text: str, values: Mapping[str, float]) -> float:
+    """Value of an expression: names and letters by their values."""
+    total, sign = 0.0, 1.0
+    depth, start, parts = 0, 0, []
+    for at, letter in enumerate(text):
+        depth += (letter == "(") - (letter == ")")
+        if letter in "−+" and depth == 0 and at > 0:
+            parts.append(text[start:at])
+            start = at
+    for part in (*parts, text[start:]):
+        sign = -1.0 if part.strip().startswith("−") else 1.0
+        product = sign
+        for factor in part.strip().lstrip("−+ ").split("·"):
+            if factor.startswith("("):
+                signed = factor[1:-1].replace("− ", "−").replace("+ ", "").split()
+                product *= sum(
+                    (-1 if x[0] == "−" else 1) * power(x.lstrip("−"), values) for x in signed
+                )
+            else:
+                product *= power(factor, values)
+        total += product
+    return total
+
+
+def power(factor: str, values: Mapping[str, float]) -> float:
+    name = factor.removesuffix("²")
+    if name in values:
+        value = values[name]
+    elif "/" in name:
+        top, _, bottom = name.partition("/")
+        value = float(top) / float(bottom)
+    else:
+        value = float(name)
+    return value**2 if factor.endswith("²") else value
+
+
+@pytest.mark.parametrize("name", builtin_robots())
+def test_expressions_say_what_the_matrix_says(name: str) -> None:
+    robot = load_robot(name)
+    base, lengths = base_parameters(robot), length_symbols(robot)
+    phi = np.random.default_rng(0).uniform(0.5, 2, len(base.names))
+    values = {**dict(zip(base.names, phi, strict=True)), **lengths}
+    symbolic = symbolic_expressions(base, robot.links, lengths)
+    for row, numbers, letters in zip(base.regrouping, base.expressions, symbolic, strict=True):
+        scale = np.abs(row) @ phi
+        assert abs(evaluated(numbers, values) - row @ phi) <= 5e-5 * scale  # five digits
+        assert abs(evaluated(letters, values) - row @ phi) <= 5e-5 * scale
+
+
+def test_letters_of_the_dd_arm() -> None:
+    found = structure(load_robot("cmu_dd_arm_ii"))
+    assert "link2.mcx + a3·link3.m + a3·link4.m + a3·link5.m + a3·link6.m" in found.symbolic
+    assert "link3.Izz + link4.Iyy + d4²·link5.m + d4²·link6.m" in found.symbolic
+    assert found.lengths["a3"] == 0.2635
+    assert set(found.lengths) <= {"a2", "a3", "d3", "d4", "d6"}
+
+
+def test_equal_lengths_are_ambiguous_where_forms_differ() -> None:
+    arm = chain(0, 3, special=True, prismatic=0.0)
+    arm = replace(
+        arm,
+        a=np.array([0, 0.3, 0.4]),
+        d=np.array([0, 0.0, 0.5]),  # 0.5² = 0.3² + 0.4²
+        alpha=np.array([0, 0, np.pi / 2]),
+        gravity=np.array([0, 0, -9.81]),
+    )
+    robot = robot_from_dh(arm)
+    base = base_parameters(robot)
+    texts = symbolic_expressions(base, robot.links, length_symbols(robot))
+    assert not any("d3²" in text and "a2² + a3²" in text for text in texts)
+    assert any("a2" in text for text in texts)
+
+
+def test_one_joint_at_a_time_on_the_dd_arm() -> None:
+    """One joint moves, its own torque is read: 14 in one pose (3 + 3 + 3 + 3 + 1 + 1)."""
+    robot = load_robot("cmu_dd_arm_ii")
+    pose = dict(zip(robot.joints, (0.3, -0.7, 0.9, 0.5, -1.1, 0.4), strict=True))
+    counts = [
+        len(structure(robot, moving=[joint], measured=[joint], held=pose).base)
+        for joint in robot.joints
+    ]
+    assert counts == [1, 1, 3, 3, 3, 3]
+
+
+@pytest.mark.parametrize(("inner", "together"), [(False, 30), (True, 32)])
+def test_one_joint_at_a_time_in_many_poses(inner: bool, together: int) -> None:
+    """Six recordings, one joint moving in each: its own torque alone misses two combinations."""
+    robot = load_robot("cmu_dd_arm_ii")
+    rows = [
+        structure(
+            robot,
+            moving=[joint],
+            measured=robot.joints[: i + 1] if inner else [joint],
+            held="any",
+        ).base.regrouping
+        for i, joint in enumerate(robot.joints)
+    ]
+    assert np.linalg.matrix_rank(np.vstack(rows), tol=1e-8) == together
+
+
+def test_the_last_torque_shows_the_last_link_alone(ur10: Robot) -> None:
+    found = structure(ur10, measured=[ur10.joints[-1]])
+    shown = {
+        n for n, c in zip(found.base.names, found.category, strict=True) if c != "unidentifiable"
+    }
+    assert {name.rpartition(".")[0] for name in shown} == {ur10.links[-1]}
+    assert len(found.base) == parameter_nullspace(ur10).shown[-1]
+    assert "torque of joints" in found.circumstances[-1]
+
+
+def test_circumstances_are_said(ur10: Robot) -> None:
+    still = [joint for joint in ur10.joints if joint != "elbow_joint"]
+    found = structure(ur10, moving=["elbow_joint"], held={"wrist_1_joint": 0.5})
+    assert found.circumstances[:2] == ("the base is fixed", "gravity along −z of the base")
+    assert found.circumstances[2].startswith("joints shoulder_pan_joint at 0, ")
+    assert "wrist_1_joint at 0.5" in found.circumstances[2]
+    many = structure(ur10, moving=["elbow_joint"], held="any")
+    assert many.circumstances[2] == f"joints {', '.join(still)} at rest at many positions"
+    assert len(many.base) > len(found.base)
+    locked = structure(load_robot("ur10", lock={"elbow_joint": 1.0}).with_gravity((0, 0, 0)))
+    assert "no gravity" in locked.circumstances
+    assert "joint elbow_joint at 1 locked" in locked.circumstances
+
+
+def test_at_rest_only_gravity_speaks(ur10: Robot) -> None:
+    found = structure(ur10, moving=[], held="any")
+    shown = {
+        n for n, c in zip(found.base.names, found.category, strict=True) if c != "unidentifiable"
+    }
+    assert shown
+    assert not any(".I" in name for name in shown)
+    assert len(structure(ur10.with_gravity((0, 0, 0)), moving=[], held="any").base) == 0
+
+
+def test_fewer_joints_show_no_more(panda_like: Robot) -> None:
+    every = structure(panda_like)
+    for joint in panda_like.joints:
+        moving = [name for name in panda_like.joints if name != joint]
+        fewer = structure(panda_like, moving=moving, held="any")
+        assert len(fewer.base) <= len(every.base)
+        # what the whole motion does not show, part of it does not either
+        assert np.abs(fewer.base.regrouping @ every.base.null_space).max() < 1e-9
+
+
+@pytest.fixture(scope="module")
+def panda_like() -> Robot:
+    return load_robot("panda")
+
+
+def test_unknown_joints_are_refused(ur10: Robot) -> None:
+    with pytest.raises(UnknownName, match="elbow"):
+        structure(ur10, moving=["elbow"])
+    with pytest.raises(UnknownName, match="elbow"):
+        structure(ur10, measured=["elbow"])
+    with pytest.raises(UnknownName, match="elbow"):
+        parameter_nullspace(ur10, moving=[], held={"elbow": 1.0})
+
+
+FORK = """<robot name="fork"><link name="root"/>{links}
+  <joint name="a" type="revolute"><parent link="root"/><child link="x"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" velocity="1" effort="1"/></joint>
+  <joint name="b" type="revolute"><parent link="x"/><child link="y"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" velocity="1" effort="1"/></joint>
+  <joint name="c" type="revolute"><parent link="x"/><child link="z"/><axis xyz="1 0 0"/>
+    <limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
+
+
+def test_branches_have_numbers_but_no_letters_and_no_recursion() -> None:
+    inertial = (
+        '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+        "</inertial>"
+    )
+    links = "".join(f'<link name="{name}">{inertial}</link>' for name in "xyz")
+    robot = robot_from_urdf(FORK.format(links=links), source="fork.urdf")
+    found = structure(robot)
+    assert found.symbolic == found.base.expressions
+    with pytest.raises(BadRobot, match="branches off"):
+        parameter_nullspace(robot)
+
+
+def test_the_values_are_plain(planar: Robot) -> None:
+    found = structure(planar, standard_effects(planar.joints))
+    values = json.loads(json.dumps(structure_values(found)))
+    assert values["base_parameters"] == len(found.base) == len(values["regrouping"])
+    assert values["standard_parameters"] == len(values["parameters"]) == len(found.base.names)
+    assert {p["category"] for p in values["parameters"]} == set(found.category)
+    for entry in values["regrouping"]:
+        assert all(member in entry["expression"] for member in entry["members"])
+
+
+def installed_models() -> Path | None:
+    """Models of example-robot-data: named by the environment, or beside this Python."""
+    named = os.environ.get("EXAMPLE_ROBOT_DATA")
+    places = [Path(named)] if named else [
+        Path(packages, "cmeel.prefix", "share", "example-robot-data", "robots")
+        for packages in site.getsitepackages()
+    ]  # fmt: skip
+    return next((place for place in places if place.is_dir()), None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("file", "joints", "count"),
+    [
+        ("ur_description/urdf/ur5_robot.urdf", 6, 36),
+        ("ur_description/urdf/ur10_robot.urdf", 6, 36),
+        ("kinova_description/robots/kinova.urdf", 6, 36),
+        ("panda_description/urdf/panda.urdf", 7, 43),
+        ("xarm_description/urdf/xarm7.urdf", 7, 43),
+        ("talos_data/robots/talos_left_arm.urdf", 7, 45),
+    ],
+)
+def test_arms_of_example_robot_data(file: str, joints: int, count: int) -> None:
+    folder = installed_models()
+    if folder is None:
+        pytest.skip("example-robot-data is not installed and EXAMPLE_ROBOT_DATA names no folder")
+    text = (folder / file).read_text(encoding="utf-8")
+    names = robot_from_urdf(text, source=file).joints[:joints]
+    found = second_opinion(robot_from_urdf(text, source=file, joints=names))
+    assert found.numerical == found.recursive == count
+    assert found.angle < 1e-6

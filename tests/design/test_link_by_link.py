@@ -1,0 +1,114 @@
+"""One motion per link: limits, rest, held joints, and that row i alone shows link i."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from excitant.cli import main
+from excitant.design import LinkByLinkDesign, check, design_link_by_link, load_trajectory
+from excitant.exceptions import BadInput
+from excitant.robots import Robot, base_parameters, load_robot
+
+
+@pytest.fixture(scope="module")
+def puma() -> LinkByLinkDesign:
+    """The first joints of an arm whose inner joints carry the outer ones' weight."""
+    robot = load_robot("puma560", lock={"joint4": 0.0, "joint5": 0.3, "joint6": 0.0})
+    return design_link_by_link(
+        robot, duration=5.0, harmonics=3, columns="inertial", starts=2, jobs=1
+    )
+
+
+def row_of_link(robot: Robot, joint: int, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray):
+    """Columns of one link in its joint's own row, straight from Pinocchio, shape (n, 10)."""
+    data = robot.model.createData()
+    states = zip(q, dq, ddq, strict=True)
+    Y = [pin.computeJointTorqueRegressor(robot.model, data, *x)[joint] for x in states]
+    return np.array(Y)[:, 10 * joint : 10 * joint + 10]
+
+
+def test_one_motion_per_link_from_the_last_inward(puma: LinkByLinkDesign) -> None:
+    assert [motion.joint for motion in puma.motions] == [2, 1, 0]
+    assert [motion.name for motion in puma.motions] == ["link3", "link2", "link1"]
+    determined = sum(len(motion.design.base) for motion in puma.motions)
+    assert determined == puma.base == len(base_parameters(puma.robot))
+
+
+def test_motions_rest_at_both_ends_hold_outer_joints_and_keep_limits(
+    puma: LinkByLinkDesign,
+) -> None:
+    limits, robot = puma.robot.limits, puma.robot
+    for motion in puma.motions:
+        path = motion.design.trajectory
+        t = np.linspace(0, path.period, 1501)
+        q, dq, ddq = (path(t, order) for order in range(3))
+        for values in (dq, ddq):
+            assert np.abs(values[[0, -1]]).max() < 1e-9
+        assert np.ptp(q[:, motion.joint + 1 :], axis=0).max(initial=0.0) == 0.0
+        assert (np.ptp(q[:, : motion.joint + 1], axis=0) > 0.1).all()
+        assert (q >= limits.position[:, 0]).all()
+        assert (q <= limits.position[:, 1]).all()
+        assert (np.abs(dq) <= limits.velocity).all()
+        assert (np.abs(ddq) <= limits.acceleration).all()
+        assert check(robot, path).hold
+
+
+def test_the_condition_number_is_that_of_the_link_in_its_own_row(puma: LinkByLinkDesign) -> None:
+    for motion in puma.motions:
+        path = motion.design.trajectory
+        t = np.linspace(0, path.period, 1001)
+        own = row_of_link(puma.robot, motion.joint, *(path(t, order) for order in range(3)))
+        chosen = [c - 10 * motion.joint for c in motion.design.base.columns]
+        s = np.linalg.svd(own[:, chosen], compute_uv=False)
+        assert motion.design.condition_final == pytest.approx(s[0] / s[-1], rel=1e-6)
+        # the other parameters of the link add nothing: these are all that the row can show
+        scaled = own / np.maximum(np.linalg.norm(own, axis=0), 1e-12)
+        assert np.linalg.matrix_rank(scaled, tol=1e-7 * np.sqrt(len(t))) == len(chosen)
+
+
+def test_the_search_improves_every_motion(puma: LinkByLinkDesign) -> None:
+    for motion in puma.motions:
+        if len(motion.design.base) > 1:
+            assert motion.design.condition_final < motion.design.condition_initial
+
+
+def test_command_writes_a_file_per_link(tmp_path: Path, planar: Robot) -> None:
+    words = ["design", "planar_2r", "--link-by-link", "--duration", "4", "--starts", "1"]
+    words += ["--harmonics", "3", "--columns", "inertial"]
+    assert main([*words, "--jobs", "1", "-o", str(tmp_path)]) == 0
+    result = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    stages = result["link_by_link"]["stages"]
+    assert [stage["file"] for stage in stages] == ["link2.csv", "link1.csv"]
+    assert [len(stage["moves"]) for stage in stages] == [2, 1]
+    assert result["duration"] == sum(stage["duration"] for stage in stages) == 8.0
+    worst = max(stage["condition_number"]["final"] for stage in stages)
+    assert result["condition_number"]["final"] == worst
+    for quantity, ratio in result["limits"].items():
+        assert ratio == max(stage["limits"][quantity] for stage in stages)
+        assert ratio <= 1
+    for stem in ("link2", "link1"):
+        exact = load_trajectory(tmp_path / f"{stem}.json", planar)
+        sampled = load_trajectory(tmp_path / f"{stem}.csv", planar)
+        assert sampled.q == pytest.approx(exact(sampled.t), abs=1e-6)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "One motion per link" in page
+
+
+@pytest.mark.parametrize(
+    "words", [["--bound"], ["--noise", "1,1"], ["--from", "0,0"], ["--after", "run.csv"]]
+)
+def test_options_for_one_motion_are_refused(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["design", "planar_2r", "--link-by-link", *words]) == 1
+    assert f"leave {words[0]} out" in capsys.readouterr().err
+
+
+def test_starts_must_be_positive(planar: Robot) -> None:
+    with pytest.raises(BadInput, match="at least one"):
+        design_link_by_link(planar, starts=0)

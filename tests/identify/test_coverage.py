@@ -1,0 +1,133 @@
+"""95 % intervals hold the truth 95 times in a hundred, whatever the colour of the noise."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from excitant.identify.coloured_noise import (
+    autocovariance,
+    autoregression,
+    joint_rows,
+    score_covariances,
+)
+
+FILE = Path(__file__).resolve().parents[2] / "benchmarks" / "coverage.py"
+N, NV, R = 400, 2, 5
+
+
+@pytest.fixture(scope="module")
+def benchmark() -> Any:
+    spec = importlib.util.spec_from_file_location("benchmark_coverage", FILE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def problem(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Slow columns, one of them silent at a joint, and A⁻¹."""
+    rng = np.random.default_rng(seed)
+    t = np.linspace(0, 1, N)[:, None, None]
+    W = np.sin(2 * np.pi * rng.uniform(0, 6, (NV, R)) * t + rng.uniform(0, 6.28, (NV, R)))
+    W[:, 1, 0] = 0.0
+    A = np.einsum("njr,njs->rs", W, W)
+    return W, np.linalg.inv(A)
+
+
+def covariance(rho: float) -> np.ndarray:
+    """Γ of first-order autoregressive noise of unit variance."""
+    return np.asarray(scipy.linalg.toeplitz(rho ** np.arange(N)))
+
+
+def test_an_autoregression_is_found_from_its_own_autocovariance() -> None:
+    a, b = 1.5, -0.7  # x_i = a x_{i−1} + b x_{i−2} + ε_i
+    gamma = [1.0, a / (1 - b)]
+    for _ in range(20):
+        gamma.append(a * gamma[-1] + b * gamma[-2])
+    found, variance = autoregression(3.0 * np.array(gamma), 10_000)
+    assert found == pytest.approx([1, -a, -b], abs=1e-9)
+    assert variance == pytest.approx(3.0 * (1 - a * gamma[1] - b * gamma[2]))
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.6, 0.95])
+def test_columns_under_coloured_noise(rho: float) -> None:
+    """W_jᵀ Γ_j by way of an autoregression is that of the matrix itself."""
+    W, _ = problem()
+    for j in range(NV):
+        rows = joint_rows(W[:, j])
+        made = rows.coloured(2.0 * rho ** np.arange(26))
+        np.testing.assert_allclose(made, 2.0 * W[:, j, rows.used].T @ covariance(rho), atol=1e-7)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.6, 0.95])
+def test_what_the_fit_took_is_given_back(rho: float) -> None:
+    """Autocovariance of the residual and what the fit took make that of the noise, exactly."""
+    W, inverse = problem()
+    gammas = [covariance(rho), 2.0 * covariance(0.5 * rho)]
+    flat = W.transpose(1, 0, 2).reshape(-1, R)
+    M = np.eye(NV * N) - flat @ inverse @ flat.T
+    residual = M @ scipy.linalg.block_diag(*gammas) @ M.T
+    parts = [W[:, j].T @ gamma for j, gamma in enumerate(gammas)]
+    omega = sum(part @ W[:, j] for j, part in enumerate(parts))
+    for j, gamma in enumerate(gammas):
+        rows, block = joint_rows(W[:, j]), slice(j * N, (j + 1) * N)
+        taken = rows.taken(parts[j][rows.used], inverse, inverse @ omega @ inverse, 30)
+        for lag in range(31):
+            left, true = (np.trace(X, lag) / N for X in (residual[block, block], gamma))
+            assert left + taken[lag] == pytest.approx(true, abs=1e-10), (j, lag)
+
+
+def test_uncorrected_residuals_would_be_too_sure() -> None:
+    """Over many draws the corrected scores are right on average; those of residuals are not."""
+    W, inverse = problem()
+    rho, draws, rng = 0.9, 60, np.random.default_rng(0)
+    gamma = covariance(rho)
+    root, flat = np.linalg.cholesky(gamma), W.reshape(-1, R)
+    true = np.array([np.trace(inverse @ (W[:, j].T @ gamma @ W[:, j])) for j in range(NV)])
+    found, plain = np.zeros(NV), np.zeros(NV)
+    for _ in range(draws):
+        noise = (root @ rng.standard_normal((N, NV))).ravel()
+        residual = (noise - flat @ (inverse @ (flat.T @ noise))).reshape(N, NV)
+        scores, _ = score_covariances(W, residual, inverse)
+        found += np.einsum("rs,jsr->j", inverse, scores) / draws
+        for j, gamma_j in enumerate(autocovariance(residual, 26).T):
+            rows = joint_rows(W[:, j])
+            part = inverse[np.ix_(rows.used, rows.used)]
+            plain[j] += np.trace(part @ rows.coloured(gamma_j) @ rows.W.T) / draws
+    assert (found > 1.05 * plain).all()
+    assert found / true == pytest.approx(1.0, abs=0.2)  # √(4 (1 + ρ) / ((1 − ρ) N draws)) = 6 %
+
+
+def pooled(found: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Coverage over all parameters of each noise, and its standard deviation.
+
+    Intervals of one recording depend on each other, recordings do not.
+    """
+    each = (np.abs(found.errors) <= 1.959963984540054).mean(axis=2)
+    return each.mean(axis=0), each.std(axis=0, ddof=1) / np.sqrt(len(each))
+
+
+def test_intervals_cover_the_truth(benchmark: Any) -> None:
+    found = benchmark.coverage("planar_2r", 40, 20.0)
+    share, deviation = pooled(found)
+    for kind, value, spread in zip(benchmark.NOISES, share, deviation, strict=True):
+        assert abs(value - 0.95) <= 3 * spread + 0.01, (kind, value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("robot", "recordings"), [("planar_2r", 150), ("ur10", 30)])
+def test_intervals_cover_the_truth_on_many_recordings(
+    benchmark: Any, robot: str, recordings: int
+) -> None:
+    share, deviation = pooled(benchmark.coverage(robot, recordings, 30.0, seed=1))
+    for kind, value, spread in zip(benchmark.NOISES, share, deviation, strict=True):
+        assert 0.93 - 2 * spread <= value <= 0.97 + 2 * spread, (kind, value)

@@ -1,0 +1,152 @@
+"""Tables 2 to 4 of Khosla (1987) as a recovery experiment on the CMU DD Arm II."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from excitant.robots import base_parameters
+from excitant.robots.dh import parameter_map
+from excitant.robots.library.cmu_dd_arm_ii import (
+    dd_arm,
+    dd_arm_chain,
+    dd_arm_parameters,
+    dd_arm_tables,
+)
+from excitant.robots.parameters import pseudo_inertia, violations
+
+FILE = Path(__file__).resolve().parents[2] / "benchmarks" / "dd_arm.py"
+
+
+@pytest.fixture(scope="module")
+def benchmark() -> Any:
+    spec = importlib.util.spec_from_file_location("benchmark_dd_arm", FILE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def found(benchmark: Any) -> Any:
+    return benchmark.recovery(20.0)
+
+
+def test_the_table_entries_are_those_of_the_tables(benchmark: Any, found: Any) -> None:
+    rows = dd_arm_tables()
+    assert [e.entry for e in found.entries] == list(rows)
+    assert len(found.entries) == 46
+    for e, row in zip(found.entries, rows, strict=True):
+        assert e.initial == pytest.approx(row.initial, abs=1e-9), row.name
+        assert e.truth == pytest.approx(row.value("estimated", likely=True), abs=1e-9), row.name
+
+
+def test_gradients_of_the_entries_by_differences(benchmark: Any) -> None:
+    tables, phi = benchmark.tables(), dd_arm("initial").phi
+    step = 1e-6 * np.random.default_rng(0).standard_normal(60)
+    ahead, behind = tables.values(phi + step), tables.values(phi - step)
+    np.testing.assert_allclose(
+        tables.gradients(phi) @ step, (ahead - behind) / 2, atol=1e-9 * np.abs(step).max() * 1e3
+    )
+
+
+def test_least_squares_recovers_every_base_parameter(found: Any) -> None:
+    z = np.abs(found.beta - found.beta_true) / found.beta_std
+    assert len(z) == 32 + 12
+    assert z.max() < 4.5
+    assert (z < 1.96).sum() >= binom.ppf(1e-3, len(z), 0.95)
+
+
+def test_what_the_data_decide_is_the_truth(found: Any) -> None:
+    decided = [e for e in found.entries if e.decided_by == "data"]
+    assert len(decided) >= 8
+    for e in decided:
+        assert abs(e.value - e.truth) < 4 * e.std, e.entry.name
+
+
+def test_what_no_torque_shows_follows_the_prior(found: Any) -> None:
+    """A prior moved along the null space moves silent entries, and nothing else."""
+    assert found.base_moved < 0.01
+    for e in found.entries:
+        if e.silent < 1e-9:
+            assert e.moved < 0.01 * e.std, e.entry.name
+        else:
+            assert e.moved > 0.01 * np.sqrt(e.silent) * e.std, e.entry.name
+    silent = [e for e in found.entries if e.silent > 1e-9]
+    assert 10 < len(silent) < 46
+    assert not any(e.decided_by == "data" for e in silent if e.silent > 0.05)
+
+
+def test_masses_of_links_4_and_5_act_as_one() -> None:
+    robot = dd_arm("initial")
+    exchange = np.zeros(60)
+    exchange[30], exchange[40] = 1.0, -1.0
+    shown = base_parameters(robot).regrouping @ parameter_map(dd_arm_chain()) @ exchange
+    assert np.abs(shown).max() < 1e-9
+    assert "link4.m + link5.m" in [entry.parameter for entry in dd_arm_tables()]
+
+
+def test_link_5_as_printed_is_impossible_and_what_is_nearest(benchmark: Any) -> None:
+    bodies = {body.link: body for body in benchmark.nearest_bodies()}
+    assert set(bodies) == {"link4", "link5"}
+    lines = "\n".join(benchmark.body_lines())
+    assert "Ixx > Iyy + Izz, 0.002602 > 0.001349 + 0.001211" in lines
+    for body in bodies.values():
+        assert violations(body.printed, (body.link,))
+        assert violations(body.nearest, (body.link,)) == []
+
+
+def test_the_nearest_body_is_nearest(benchmark: Any) -> None:
+    """Kolmogorov: no consistent body lies on the printed one's side of the nearest."""
+    rng, initial = np.random.default_rng(0), dd_arm_parameters("initial").reshape(6, 10)
+    for body in benchmark.nearest_bodies():
+        L = np.linalg.cholesky(pseudo_inertia(initial[int(body.link[4:]) - 1]))
+
+        def relative(phi: np.ndarray, L: np.ndarray = L) -> np.ndarray:
+            Q = np.linalg.solve(L, np.linalg.solve(L, pseudo_inertia(phi)).T)
+            return np.asarray((Q + Q.T) / 2)
+
+        printed, nearest = relative(body.printed), relative(body.nearest)
+        assert np.linalg.norm(nearest - printed) == pytest.approx(body.distance)
+        assert np.linalg.eigvalsh(nearest)[0] == pytest.approx(benchmark.MARGIN)
+        for _ in range(200):
+            A = rng.standard_normal((4, 4)) * rng.uniform(0, 2)
+            other = A @ A.T + benchmark.MARGIN * np.eye(4)
+            assert np.sum((printed - nearest) * (other - nearest)) <= 1e-9
+
+
+def test_counts_of_the_experiments(benchmark: Any) -> None:
+    along = benchmark.counts(np.random.default_rng(0))
+    across = benchmark.counts(np.random.default_rng(0), across=True)
+    for kinds in (along, across):
+        assert kinds["cascade"] == [7, 7, 7, 7, 3, 1]
+        assert sum(kinds["literal"]) == 14
+    assert sum(along["poses"]) == 29
+    assert sum(across["poses"]) == 30
+
+
+@pytest.mark.slow
+def test_more_data_decide_more(benchmark: Any, found: Any) -> None:
+    longer = benchmark.recovery(120.0)
+    votes = [[e.decided_by for e in each.entries].count("data") for each in (found, longer)]
+    assert votes[1] > votes[0]
+    for before, after in zip(found.entries, longer.entries, strict=True):
+        assert after.kept <= before.kept * 1.1 + 0.02, after.entry.name
+
+
+@pytest.mark.slow
+def test_the_truth_as_read_cannot_be_followed(benchmark: Any) -> None:
+    """Least squares recovers what the print says; a body that can exist cannot have it."""
+    read = benchmark.recovery(20.0, likely=False)
+    assert (np.abs(read.beta - read.beta_true) / read.beta_std).max() < 4.5
+    truth = {e.entry.name: e.truth for e in read.entries}
+    assert truth["I5xx"] == 0.002602
+    assert truth["I5xx"] > truth["I5yy"] + truth["I5zz"]

@@ -1,0 +1,332 @@
+"""Damaged logs: one line that names the file, or values that were there; never anything else."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+
+from excitant.exceptions import ExcitantError
+from excitant.identify import Recording, load_column_map, read_chunks, read_recording
+from excitant.robots import Robot, load_robot
+
+N = 250
+T = np.arange(N) / 100
+_RNG = np.random.default_rng(0)
+Q, TAU = (np.cumsum(_RNG.normal(size=(N, 2)), axis=0) / 10 for _ in range(2))
+ROWS = {tuple(row) for row in np.column_stack([Q, TAU])}
+TABLE = pd.DataFrame({"t": T, "q1": Q[:, 0], "q2": Q[:, 1], "tau1": TAU[:, 0], "tau2": TAU[:, 1]})
+
+
+def _robot() -> Robot:
+    return load_robot("planar_2r")
+
+
+def _csv(separator: str = ",", decimal: str = ".", quoting: int = 0) -> bytes:
+    text = TABLE.to_csv(index=False, sep=separator, decimal=decimal, quoting=quoting)
+    return str(text).encode()
+
+
+def _parquet() -> bytes:
+    buffer = io.BytesIO()
+    TABLE.to_parquet(buffer, write_page_checksum=True)
+    return buffer.getvalue()
+
+
+def _npz() -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, t=T, q=Q, tau=TAU)
+    return buffer.getvalue()
+
+
+def _mat() -> bytes:
+    buffer = io.BytesIO()
+    scipy.io.savemat(buffer, {"t": T, "q": Q, "tau": TAU}, do_compression=True)
+    return buffer.getvalue()
+
+
+def _bag(kind: str) -> bytes:
+    robot = _robot()
+    store = get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.ROS2_HUMBLE)
+    message, header, time = (
+        store.types[name]
+        for name in ("sensor_msgs/msg/JointState", "std_msgs/msg/Header",
+                     "builtin_interfaces/msg/Time")
+    )  # fmt: skip
+    serialize = store.serialize_ros1 if kind == "bag" else store.serialize_cdr
+    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / ("a.bag" if kind == "bag" else "a")
+        writer = Writer1(path) if kind == "bag" else Writer2(path, version=9, storage_plugin=plugin)
+        with writer:
+            connection = writer.add_connection(
+                "/joint_states", "sensor_msgs/msg/JointState", typestore=store
+            )
+            for k in range(N):
+                ns = 1_700_000_000_000_000_000 + k * 10_000_000
+                more = {"seq": k} if kind == "bag" else {}
+                stamp = time(sec=ns // 10**9, nanosec=ns % 10**9)
+                state = message(header(stamp=stamp, frame_id="", **more), list(robot.joints),
+                                Q[k], Q[k], TAU[k])  # fmt: skip
+                writer.write(connection, ns, serialize(state, state.__msgtype__))
+        return (path if kind == "bag" else path / f"a.{kind}").read_bytes()
+
+
+FILES: dict[str, tuple[str, Callable[[], bytes]]] = {
+    "csv": (".csv", _csv),
+    "semicolons": (".csv", lambda: _csv(";", ",")),
+    "tabs": (".txt", lambda: _csv("\t")),
+    "quoted": (".csv", lambda: _csv(quoting=1)),
+    "parquet": (".parquet", _parquet),
+    "npz": (".npz", _npz),
+    "mat": (".mat", _mat),
+    "bag": (".bag", lambda: _bag("bag")),
+    "mcap": (".mcap", lambda: _bag("mcap")),
+    "db3": (".db3", lambda: _bag("db3")),
+}
+
+PLACES = st.floats(0, 1, exclude_max=True)
+DAMAGES = st.lists(
+    st.one_of(
+        st.tuples(st.just("flip"), PLACES, st.integers(0, 7)),
+        st.tuples(st.just("set"), PLACES, st.integers(0, 255)),
+        st.tuples(st.just("insert"), PLACES, st.integers(0, 255)),
+        st.tuples(st.just("delete"), PLACES, st.just(0)),
+        st.tuples(st.just("head"), st.floats(0, 0.02), st.integers(0, 255)),
+        st.tuples(st.just("cut"), PLACES, st.just(0)),
+    ),
+    min_size=1,
+    max_size=3,
+)
+
+
+def damaged(content: bytes, damages: Sequence[tuple[str, float, int]]) -> bytes:
+    """A file with single bytes changed, and cut."""
+    data = bytearray(content)
+    for kind, place, value in damages:
+        k = int(place * len(data))
+        if k >= len(data):
+            continue
+        if kind == "flip":
+            data[k] ^= 1 << value
+        elif kind in ("set", "head"):
+            data[k] = value
+        elif kind == "insert":
+            data.insert(k, value)
+        elif kind == "delete":
+            del data[k]
+        else:
+            del data[k:]
+    return bytes(data)
+
+
+def attempt(path: Path, *, pieces: bool = False) -> Recording | None:
+    """The recording; None when it is refused in one line that names the file."""
+    parts: list[Recording] = []
+    refusal = ""
+    try:
+        if not pieces:
+            return read_recording(path, _robot())
+        parts = list(read_chunks(path, _robot(), 60))
+    except ExcitantError as error:
+        refusal = str(error)
+    if refusal:
+        assert path.name in refusal
+        assert "\n" not in refusal
+        return None
+    t, q, tau = (np.concatenate([getattr(part, c) for part in parts]) for c in ("t", "q", "tau"))
+    return Recording(path.stem, str(path), t, q, tau, parts[0].unit)
+
+
+def assert_true(found: Recording, changes: int) -> None:
+    """At most so many rows differ from what was logged, and time goes on as it was logged."""
+    assert found.unit == "N·m"
+    assert np.isfinite(found.q).all()
+    assert np.isfinite(found.tau).all()
+    assert (np.diff(found.t) > 0).all()
+    rows = np.column_stack([found.q, found.tau])
+    strange = np.array([tuple(row) not in ROWS for row in rows])
+    assert strange.sum() <= changes
+    order = {tuple(row): k for k, row in enumerate(np.column_stack([Q, TAU]))}
+    kept = [(order[tuple(row)], t) for row, t in zip(rows, found.t, strict=True)
+            if tuple(row) in order]  # fmt: skip
+    delays = np.array([t - T[k] for k, t in kept])
+    assert (np.abs(delays - np.median(delays)) > 1e-6).sum() <= changes
+
+
+def check_bytes(name: str, damages: Sequence[tuple[str, float, int]], pieces: bool) -> None:
+    suffix, write = FILES[name]
+    content = _WRITTEN.setdefault(name, write())
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"log{suffix}"
+        path.write_bytes(damaged(content, damages))
+        found = attempt(path, pieces=pieces)
+    if found is not None:
+        assert_true(found, len(damages))
+
+
+_WRITTEN: dict[str, bytes] = {}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_an_undamaged_file_is_read(name: str, tmp_path: Path) -> None:
+    suffix, write = FILES[name]
+    (tmp_path / f"log{suffix}").write_bytes(write())
+    for pieces in (False, True):
+        found = attempt(tmp_path / f"log{suffix}", pieces=pieces)
+        assert found is not None
+        np.testing.assert_array_equal(found.q, Q)
+        np.testing.assert_array_equal(found.tau, TAU)
+        np.testing.assert_allclose(found.t, T, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", FILES)
+@given(damages=DAMAGES, pieces=st.booleans())
+@settings(max_examples=30)
+def test_damaged_bytes(name: str, damages: list[tuple[str, float, int]], pieces: bool) -> None:
+    check_bytes(name, damages, pieces)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FILES)
+@given(damages=DAMAGES, pieces=st.booleans())
+@settings(max_examples=170)
+def test_many_damaged_bytes(name: str, damages: list[tuple[str, float, int]], pieces: bool) -> None:
+    check_bytes(name, damages, pieces)
+
+
+CELLS = st.one_of(
+    st.floats(),
+    st.integers(-(10**30), 10**30),
+    st.text(max_size=6),
+    st.none(),
+    st.booleans(),
+    st.sampled_from(["1_000", "0x10", "1,5", "1.234,56", "１２", "∞", "1e400", "TRUE", " 1", "1 2",
+                     "NaN", "-inf", "2026-01-01", "65535"]),
+)  # fmt: skip
+NAMES = st.one_of(
+    st.text(min_size=1, max_size=8).filter(lambda text: not text.isspace()),
+    st.sampled_from(["q1", "Q1", "q１", "tau1", "i1", "dq1", "τ1", "target_q1", "q_ref1", "q[1]",
+                     "q1 [deg]", "position", "joint1", "名前", "time", "q1\n", "q 1 ", "1"]),
+)  # fmt: skip
+EDITS = st.one_of(
+    st.tuples(st.just("cell"), st.integers(0, N - 1), st.integers(0, 4), CELLS),
+    st.tuples(st.just("add"), NAMES),
+    st.tuples(st.just("rename"), st.integers(0, 4), NAMES),
+    st.tuples(st.just("twice"), st.integers(0, 4)),
+    st.tuples(st.just("drop"), st.integers(0, 4)),
+    st.tuples(st.just("order"), st.permutations(range(5))),
+    st.tuples(st.just("text"), st.integers(0, 4)),
+    st.tuples(st.just("keep"), st.integers(0, N)),
+)
+
+
+def edited(table: pd.DataFrame, edits: Sequence[tuple[object, ...]]) -> pd.DataFrame:
+    """The table with cells, names, order, types or shape changed."""
+    for kind, *values in edits:
+        width = table.shape[1]
+        if kind == "cell":
+            column = values[1] % width
+            cells = list(table.iloc[:, column])
+            if values[0] < len(cells):
+                cells[values[0]] = values[2]
+            table.isetitem(column, pd.Series(cells, table.index, dtype=object))
+        elif kind == "add":
+            table = pd.concat([table, pd.Series(7.5, table.index, name=values[0])], axis=1)
+        elif kind == "rename":
+            names = list(table.columns)
+            names[values[0] % width] = values[1]
+            table = table.set_axis(names, axis=1)
+        elif kind == "twice":
+            table = pd.concat([table, table.iloc[:, [values[0] % width]]], axis=1)
+        elif kind == "drop" and width > 1:
+            table = table.drop(columns=table.columns[values[0] % width])
+        elif kind == "order":
+            order = [k for k in values[0] if k < width]
+            table = table.iloc[:, [*order, *range(len(order), width)]]
+        elif kind == "text":
+            table.isetitem(values[0] % width, table.iloc[:, values[0] % width].astype(str))
+        elif kind == "keep":
+            table = table[: values[0]]
+    return table
+
+
+def check_edits(edits: Sequence[tuple[object, ...]], suffix: str) -> None:
+    table = edited(TABLE.copy(), edits)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"log{suffix}"
+        if suffix == ".csv":
+            table.to_csv(path, index=False)
+        else:
+            try:
+                table.to_parquet(path)
+            except Exception:  # a table that Parquet cannot hold
+                return
+        found = attempt(path)
+    if found is None or any(name in ("q1 [deg]",) for kind, *_, name in edits if kind == "rename"):
+        return
+    assert_true(found, sum(kind == "cell" for kind, *_ in edits))
+
+
+@given(edits=st.lists(EDITS, min_size=1, max_size=4), suffix=st.sampled_from([".csv", ".parquet"]))
+@settings(max_examples=120)
+def test_edited_tables(edits: list[tuple[object, ...]], suffix: str) -> None:
+    check_edits(edits, suffix)
+
+
+@pytest.mark.slow
+@given(edits=st.lists(EDITS, min_size=1, max_size=4), suffix=st.sampled_from([".csv", ".parquet"]))
+@settings(max_examples=400)
+def test_many_edited_tables(edits: list[tuple[object, ...]], suffix: str) -> None:
+    check_edits(edits, suffix)
+
+
+VALUES = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(-3, 10), st.floats(), st.text(max_size=6),
+              st.sampled_from(["q{1}", "tau{1}", "q", "t", "deg", "{0}", "{joint}", "{"])),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=3),
+        st.dictionaries(st.sampled_from(["q", "tau", "t", "joint1", "gain_Nm_per_A", "x"]), inner,
+                        max_size=3),
+    ),
+    max_leaves=6,
+)  # fmt: skip
+KEYS = st.sampled_from(["t", "q", "dq", "tau", "i", "units", "sign", "drive", "topic", "other"])
+
+
+@given(content=st.dictionaries(KEYS, VALUES, max_size=4))
+@settings(max_examples=60)
+def test_maps_of_any_content(content: dict[str, object]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path, log = Path(folder) / "columns.yaml", Path(folder) / "log.csv"
+        pd.Series(content, dtype=object).to_json(path, force_ascii=False)  # JSON is YAML
+        log.write_bytes(_csv())
+        found, refusal = None, ""
+        try:
+            found = read_recording(log, _robot(), mapping=load_column_map(path))
+        except ExcitantError as error:
+            refusal = str(error)
+    if found is None:
+        assert "columns.yaml" in refusal or "log.csv" in refusal
+        assert "\n" not in refusal
+    elif not set(content) & {"t", "q", "tau", "i", "units", "sign", "drive"}:
+        assert_true(found, 0)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz", ".mat", ".bag", ".mcap", ".db3"])
+def test_nothing_in_a_file_is_refused(suffix: str, tmp_path: Path) -> None:
+    for content in (b"", b"\0", b"\n", b"\n\n\n", b"\xff" * 300, b" "):
+        (tmp_path / f"log{suffix}").write_bytes(content)
+        assert attempt(tmp_path / f"log{suffix}") is None

@@ -1,0 +1,601 @@
+"""Logs of any kind become the recording they hold, or are refused with what to write."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+import yaml
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+
+from excitant.cli import main
+from excitant.exceptions import BadInput, BadRecording, ExcitantError
+from excitant.identify import (
+    ColumnMap,
+    load_column_map,
+    load_dataset,
+    raw_recording,
+    read_recording,
+    read_recordings,
+)
+from excitant.identify.importers.mapping import column_map
+from excitant.identify.importers.names import meaning
+from excitant.robots import Robot, load_robot
+
+T = np.arange(300) / 100
+_RATES = np.arange(1, 7)
+Q = np.sin(np.outer(T, _RATES))
+DQ = np.cos(np.outer(T, _RATES)) * _RATES
+TAU = 3 * Q + DQ + _RATES
+
+
+def table(
+    t: str, q: str, dq: str, tau: str, *, first: int = 0, scale: Sequence[float] = (1, 1, 1, 1)
+) -> pd.DataFrame:
+    """The motion under other names and in other units."""
+    columns: dict[str, Any] = {t: T * scale[0]}
+    for pattern, values, factor in ((q, Q, scale[1]), (dq, DQ, scale[2]), (tau, TAU, scale[3])):
+        columns |= {pattern.format(k + first): values[:, k] * factor for k in range(6)}
+    return pd.DataFrame(columns)
+
+
+def assert_read(path: Path, robot: Robot, *, tau: np.ndarray = TAU, **options: Any) -> Any:
+    recording = read_recording(path, robot, **options)
+    np.testing.assert_allclose(recording.t, T, atol=1e-6)
+    np.testing.assert_allclose(recording.q, Q, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(recording.dq, DQ, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(recording.tau, tau, rtol=1e-12, atol=1e-12)
+    return recording
+
+
+def write_yaml(path: Path, content: object) -> ColumnMap:
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return load_column_map(path)
+
+
+NAMES = {
+    "ur rtde": ("timestamp", "actual_q_{}", "actual_qd_{}", "actual_current_{}", 0, "A"),
+    "numbered": ("time", "q_{}", "qd_{}", "torque_{}", 1, "N·m"),
+    "brackets": ("Time", "position[{}]", "velocity[{}]", "effort[{}]", 0, "N·m"),
+    "joint first": ("stamp", "joint{}_pos", "joint{}_vel", "joint{}_torque", 1, "N·m"),
+    "camel case": ("timeStamp", "JointPos{}", "JointVel{}", "JointTorque{}", 1, "N·m"),
+    "axes": ("t", "Axis {} angle", "Axis {} speed", "Axis {} current", 1, "A"),
+    "dots": ("data.t", "data.q.{}", "data.qdot.{}", "data.tau.{}", 0, "N·m"),
+    "present": ("t", "current_position_{}", "current_velocity_{}", "current_torque_{}", 0, "N·m"),
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_common_names_are_understood_and_shown(name: str, ur10: Robot, tmp_path: Path) -> None:
+    t, q, dq, tau, first, unit = NAMES[name]
+    table(t, q, dq, tau, first=first).to_csv(tmp_path / "log.csv", index=False)
+    recording = assert_read(tmp_path / "log.csv", ur10)
+    assert recording.unit == unit
+    assert q.format(first) in recording.notes[0]
+
+
+def test_exact_names_need_no_note(ur10: Robot, tmp_path: Path) -> None:
+    table("t", "q{}", "dq{}", "tau{}", first=1).to_csv(tmp_path / "log.csv", index=False)
+    assert assert_read(tmp_path / "log.csv", ur10).notes == ()
+
+
+@pytest.mark.parametrize("word", ["target", "desired", "commanded", "cmd", "ref", "setpoint"])
+def test_what_was_commanded_is_never_taken_for_measured(
+    word: str, ur10: Robot, tmp_path: Path
+) -> None:
+    measured = table("time", "q_{}", "qd_{}", "tau_{}")
+    commanded = table("x", f"{word}_q_{{}}", f"{word}_qd_{{}}", f"{word}_tau_{{}}") * 2
+    both = pd.concat([commanded, measured], axis=1)
+    both.to_csv(tmp_path / "both.csv", index=False)
+    assert_read(tmp_path / "both.csv", ur10)
+    for missing in ("q_", "tau_"):
+        rest = both.drop(columns=[f"{missing}{k}" for k in range(6)])
+        rest.to_csv(tmp_path / "rest.csv", index=False)
+        with pytest.raises(BadRecording, match="--map"):
+            read_recording(tmp_path / "rest.csv", ur10)
+
+
+@pytest.mark.parametrize("extra", ["angle_{}", "actual_pos_{}"])
+def test_an_ambiguous_guess_is_refused_with_a_map_that_settles_it(
+    extra: str, ur10: Robot, tmp_path: Path
+) -> None:
+    log = table("time", "pos_{}", "vel_{}", "tau_{}")
+    for k in range(6):
+        log[extra.format(k)] = Q[:, k] + 1
+    log.to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(BadRecording, match="positions could be") as refusal:
+        read_recording(tmp_path / "log.csv", ur10)
+    text = str(refusal.value)
+    assert "\n" not in text
+    written = yaml.safe_load(text[text.index("such as") + 7 :])
+    mapping = write_yaml(tmp_path / "columns.yaml", {**written, "q": "pos_{0}"})
+    assert_read(tmp_path / "log.csv", ur10, mapping=mapping)
+    as_suggested = write_yaml(tmp_path / "columns.yaml", written)
+    assert read_recording(tmp_path / "log.csv", ur10, mapping=as_suggested).q.shape == (300, 6)
+
+
+def test_a_torque_of_another_kind_is_not_guessed(ur10: Robot, tmp_path: Path) -> None:
+    table("time", "q_{}", "qd_{}", "tau_motor_{}").to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(BadRecording, match="tau_motor_0") as refusal:
+        read_recording(tmp_path / "log.csv", ur10)
+    text = str(refusal.value)
+    (tmp_path / "columns.yaml").write_text(text[text.index("such as") + 7 :])
+    assert_read(tmp_path / "log.csv", ur10, mapping=load_column_map(tmp_path / "columns.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("form", "labels"),
+    [
+        ("{joint}.{what}", ("position", "velocity", "effort")),
+        ("/joint_states/{joint}/{what}", ("position", "velocity", "effort")),
+        ("{what}_{joint}", ("pos", "vel", "tau")),
+    ],
+)
+def test_joints_are_matched_by_name_in_any_order(
+    form: str, labels: tuple[str, str, str], ur10: Robot, tmp_path: Path
+) -> None:
+    columns: dict[str, Any] = {"time": T}
+    for k in (3, 1, 0, 5, 4, 2):
+        for what, values in zip(labels, (Q, DQ, TAU), strict=True):
+            columns[form.format(joint=ur10.joints[k], what=what)] = values[:, k]
+    columns[form.format(joint="gripper", what=labels[0])] = 7 * T
+    pd.DataFrame(columns).to_parquet(tmp_path / "log.parquet")
+    assert_read(tmp_path / "log.parquet", ur10)
+
+
+def test_numbered_columns_follow_the_names_that_stand_beside_them(
+    ur10: Robot, tmp_path: Path
+) -> None:
+    order = [3, 1, 0, 5, 4, 2]  # as ROS sorts them, not as the robot does
+    columns: dict[str, Any] = {"header.stamp.secs": 1_700_000_000 + T.astype(int)}
+    columns["header.stamp.nsecs"] = np.round(T % 1 * 1e9).astype(int)
+    for what, values in (("position", Q), ("velocity", DQ), ("effort", TAU)):
+        columns |= {f"{what}_{j}": values[:, k] for j, k in enumerate(order)}
+    columns |= {f"name_{j}": ur10.joints[k] for j, k in enumerate(order)}
+    pd.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
+    assert_read(tmp_path / "log.csv", ur10)
+    with pytest.raises(BadRecording, match="joint 'panda_joint1' of the robot is not among them"):
+        read_recording(tmp_path / "log.csv", load_robot("panda"))
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " ", "|"])
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_separators_and_decimal_signs(
+    separator: str, decimal: str, ur10: Robot, tmp_path: Path
+) -> None:
+    log = table("t", "q{}", "dq{}", "tau{}", first=1)
+    quoted = separator == decimal  # as spreadsheets write it
+    log.to_csv(
+        tmp_path / "log.csv", sep=separator, decimal=decimal, index=False, quoting=int(quoted)
+    )
+    assert_read(tmp_path / "log.csv", ur10)
+
+
+def test_comments_preambles_units_and_marks_of_encoding(ur10: Robot, tmp_path: Path) -> None:
+    lines = table("t", "q{}", "dq{}", "tau{}", first=1, scale=(1e3, 180 / np.pi, 30 / np.pi, 1e3))
+    text = lines.to_csv(index=False).splitlines(keepends=True)
+    units = "ms," + ",".join(["deg"] * 6 + ["rpm"] * 6 + ["mNm"] * 6) + "\n"
+    body = [text[0], units, *text[1:100], "# operator: pause\n", "\n", *text[100:]]
+    content = "".join(["Cell 4; robot 2\n", "# rate 100 Hz\n", *body])
+    for encoding in ("utf-8", "utf-8-sig", "utf-16", "cp1252"):
+        (tmp_path / "log.csv").write_text(content.replace("Cell", "Straße"), encoding=encoding)
+        recording = assert_read(tmp_path / "log.csv", ur10)
+        assert "[deg]" in recording.notes[0]
+
+
+def test_a_header_behind_a_comment_sign(ur10: Robot, tmp_path: Path) -> None:
+    log = table("t", "q{}", "dq{}", "tau{}", first=1)
+    np.savetxt(tmp_path / "log.txt", log, fmt="%.17g", header=" ".join(log.columns))
+    assert_read(tmp_path / "log.txt", ur10)
+
+
+def test_without_a_header_columns_are_named_by_number(ur10: Robot, tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "log.csv", table("t", "q{}", "dq{}", "tau{}"), "%.17g", ",")
+    with pytest.raises(BadRecording, match="--map"):
+        read_recording(tmp_path / "log.csv", ur10)
+    numbers = {"t": 0, "q": [*range(1, 7)], "dq": [*range(7, 13)], "tau": [*range(13, 19)]}
+    mapping = write_yaml(tmp_path / "columns.yaml", numbers)
+    assert_read(tmp_path / "log.csv", ur10, mapping=mapping)
+
+
+TIMES: dict[str, tuple[str, Callable[[pd.Series], Any]]] = {
+    "seconds": ("t", lambda t: t + 17.5),
+    "ms by name": ("time_ms", lambda t: t * 1e3),
+    "us by name": ("Time [µs]", lambda t: np.round(t * 1e6).astype(int)),
+    "ns by name": ("timestamp_ns", lambda t: np.round(t * 1e9).astype(int)),
+    "s since 1970": ("t", lambda t: t + 1.7e9),
+    "ms since 1970": ("timestamp", lambda t: 1_700_000_000_000 + np.round(t * 1e3).astype(int)),
+    "us since 1970": ("timestamp", lambda t: 1_700_000_000_000_000 + np.round(t * 1e6).astype(int)),
+    "ns since 1970": ("t", lambda t: 1_700_000_000_000_000_000 + np.round(t * 1e9).astype(int)),
+    "ISO": ("stamp", lambda t: [f"2026-03-01T10:00:{x:09.6f}Z" for x in t]),
+    "ISO of a zone": ("stamp", lambda t: [f"2026-03-01 10:00:{x:09.6f}+02:00" for x in t]),
+}
+
+
+@pytest.mark.parametrize("name", TIMES)
+def test_time_in_any_form(name: str, ur10: Robot, tmp_path: Path) -> None:
+    column, stamps = TIMES[name]
+    log = table("t", "q{}", "dq{}", "tau{}", first=1)
+    log["t"] = stamps(log["t"])
+    log = log.rename(columns={"t": column})
+    log.to_csv(tmp_path / "log.csv", index=False)
+    assert_read(tmp_path / "log.csv", ur10)
+    log.to_parquet(tmp_path / "log.parquet")
+    exact = assert_read(tmp_path / "log.parquet", ur10)
+    if "1970" in name and " s " not in f" {name}":  # integers keep every digit
+        np.testing.assert_allclose(exact.t, T, atol=1e-12)
+
+
+def test_dates_of_a_parquet_file(ur10: Robot, tmp_path: Path) -> None:
+    log = table("t", "q{}", "dq{}", "tau{}", first=1)
+    log["t"] = pd.to_datetime(1_700_000_000_000_000_000 + np.round(T * 1e9).astype(int))
+    log.to_parquet(tmp_path / "log.parquet")
+    np.testing.assert_allclose(assert_read(tmp_path / "log.parquet", ur10).t, T, atol=1e-12)
+
+
+KINDS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str | None]] = {
+    "durations": (
+        lambda x: x.assign(t=pd.to_timedelta(np.round(x["t"] * 1e9).astype(int))), None
+    ),
+    "far dates": (
+        lambda x: x.assign(t=[f"9999-01-01T00:00:{s:09.6f}Z" for s in x["t"]]), None
+    ),
+    "categories": (lambda x: x.assign(q1=x["q1"].astype(str).astype("category")), None),
+    "text": (lambda x: x.astype(str), None),
+    "nullable": (lambda x: x.astype("Float64"), None),
+    "an index": (lambda x: x.set_index("t"), None),
+    "structures": (lambda x: x.assign(q1=[{"a": v} for v in x["q1"]]), "q1"),
+    "bytes": (lambda x: x.assign(q1=[str(v).encode() for v in x["q1"]]), "q1"),
+    "dates for angles": (lambda x: x.assign(q1=pd.to_datetime(np.arange(len(x)))), "q1"),
+    "truth values": (lambda x: x.assign(tau2=x["tau2"] > 0), "tau2"),
+    "no time at all": (lambda x: x.assign(t=np.nan), "t"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_columns_of_any_kind_are_read_or_refused(name: str, ur10: Robot, tmp_path: Path) -> None:
+    change, refused = KINDS[name]
+    change(table("t", "q{}", "dq{}", "tau{}", first=1)).to_parquet(tmp_path / "log.parquet")
+    if refused is None:
+        assert_read(tmp_path / "log.parquet", ur10)
+        return
+    with pytest.raises(BadRecording, match="is not a finite number") as refusal:
+        read_recording(tmp_path / "log.parquet", ur10)
+    assert (refusal.value.row, refusal.value.column) == (0, refused)
+
+
+def test_irregular_time_is_kept(ur10: Robot, tmp_path: Path) -> None:
+    log = table("t", "q{}", "dq{}", "tau{}", first=1)
+    log["t"] = np.sort(np.random.default_rng(0).uniform(0, 3, 300))
+    log.to_parquet(tmp_path / "log.parquet")
+    read = read_recording(tmp_path / "log.parquet", ur10)
+    np.testing.assert_array_equal(read.t, log["t"] - log["t"][0])
+
+
+def test_a_map_converts_units_signs_and_currents(ur10: Robot, tmp_path: Path) -> None:
+    log = table("stamp", "p{}", "v{}", "cur_{}", scale=(1e3, 180 / np.pi, 30 / np.pi, 1e3))
+    log[["p2", "v2"]] *= -1
+    log["cur_2"] *= -1
+    log["cur_4"] *= -1
+    log.to_csv(tmp_path / "log.csv", index=False)
+    gains, ratios = np.arange(1, 7) / 10, np.full(6, 100)
+    content = {
+        "t": "stamp", "q": "p{0}", "dq": [f"v{k}" for k in range(6)], "i": "cur",
+        "units": {"t": "ms", "q": "deg", "dq": "rpm", "i": "mA"},
+        "sign": {"elbow_joint": -1, "tau": {"wrist_2_joint": -1}},
+        "drive": {"gain_Nm_per_A": gains.tolist(), "gear_ratio": ratios.tolist()},
+    }  # fmt: skip
+    mapping = write_yaml(tmp_path / "columns.yaml", content)
+    found = assert_read(tmp_path / "log.csv", ur10, mapping=mapping, tau=TAU * gains * ratios)
+    assert found.unit == "N·m"
+    del content["drive"]
+    mapping = write_yaml(tmp_path / "columns.yaml", content)
+    assert assert_read(tmp_path / "log.csv", ur10, mapping=mapping).unit == "A"
+
+
+BAD_MAPS: dict[str, tuple[object, str]] = {
+    "no entries": ([1], "expected entries"),
+    "unknown entry": ({"qq": "a"}, "did you mean 'q'"),
+    "unknown unit": ({"units": {"q": "parsec"}}, "no unit 'parsec'"),
+    "unit of another quantity": ({"units": {"q": "mA"}}, "no unit 'mA'"),
+    "unknown quantity": ({"units": {"torq": "Nm"}}, "unknown quantity"),
+    "sign": ({"sign": {"elbow_joint": 2}}, "must be 1 or -1"),
+    "unknown joint": ({"sign": {"elbow": -1}}, "unknown joint 'elbow'"),
+    "missing column": ({"t": "clock"}, "is not there"),
+    "too few columns": ({"q": ["q_0", "q_1"]}, "names 2 columns, the robot has 6"),
+    "missing pattern": ({"q": "qq_{0}"}, "'qq_0'"),
+    "both torques": ({"tau": "tau", "i": "tau"}, "keep the measured one"),
+    "twice": ({"q": "tau_{0}"}, "taken for two things"),
+    "gains": ({"i": "tau", "drive": {"gain_Nm_per_A": [1]}}, "drive has 1 gains"),
+    "no numbers": ({"drive": {"gain_Nm_per_A": ["x"]}}, "must be one number per joint"),
+    "slides": ({"units": {"q": "mm"}}, "its q is not in mm"),
+    "three times": ({"t": ["time", "time", "time"]}, "one column, or seconds and nanoseconds"),
+    "topic": ({"topic": 3}, "must be a name"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_MAPS)
+def test_a_bad_map_is_refused_by_what_is_wrong(name: str, ur10: Robot, tmp_path: Path) -> None:
+    content, why = BAD_MAPS[name]
+    table("time", "q_{}", "qd_{}", "tau_{}").to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(ExcitantError) as refusal:
+        read_recording(
+            tmp_path / "log.csv", ur10, mapping=write_yaml(tmp_path / "columns.yaml", content)
+        )
+    assert why in str(refusal.value)
+    assert "columns.yaml" in str(refusal.value) or "log.csv" in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("content", [b"{", b"\xff\xfe\xfd", b"a: [1", b"? !!python/object:x"])
+def test_a_map_that_is_no_yaml_is_refused(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "columns.yaml").write_bytes(content)
+    with pytest.raises(BadInput, match=r"columns\.yaml"):
+        load_column_map(tmp_path / "columns.yaml")
+    with pytest.raises(BadInput, match=r"nothing\.yaml"):
+        load_column_map(tmp_path / "nothing.yaml")
+
+
+def test_npz_and_mat_hold_the_same_recording(ur10: Robot, tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", time=T, q=Q, qd=DQ.T, torque=TAU, robot="ur10")
+    assert_read(tmp_path / "a.npz", ur10)
+    log = {"t": T, "q": Q, "dq": DQ, "tau": TAU, "comment": "first run", "rate": 100.0}
+    for form in ("4", "5"):
+        content: dict[str, Any] = {"log": log} if form == "5" else log
+        scipy.io.savemat(tmp_path / "a.mat", content, format=form)
+        assert_read(tmp_path / "a.mat", ur10)
+
+
+def test_arrays_that_do_not_fit_are_refused(ur10: Robot, tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", t=T, q=Q[:-1], tau=TAU)
+    with pytest.raises(BadRecording, match="is 299 × 6, but there are 300 samples"):
+        read_recording(tmp_path / "a.npz", ur10)
+    np.savez(tmp_path / "a.npz", t=T, q=np.array([{}], dtype=object))
+    with pytest.raises(BadRecording, match="cannot be read"):
+        read_recording(tmp_path / "a.npz", ur10)
+    np.savez(tmp_path / "a.npz", t=T[:6], q=Q[:6], tau=TAU[:6])
+    with pytest.raises(BadRecording, match="rows or columns could be samples"):
+        read_recording(tmp_path / "a.npz", ur10)
+
+
+def test_mat_of_version_7_3_is_refused_with_what_to_do(ur10: Robot, tmp_path: Path) -> None:
+    for start in (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n"):
+        (tmp_path / "a.mat").write_bytes(start + bytes(100))
+        with pytest.raises(BadRecording, match="save it with save"):
+            read_recording(tmp_path / "a.mat", ur10)
+
+
+def test_lists_in_parquet(ur10: Robot, tmp_path: Path) -> None:
+    log = pd.DataFrame({"stamp": T, "q": list(Q), "dq": list(DQ), "tau": list(TAU)})
+    log.to_parquet(tmp_path / "a.parquet")
+    assert_read(tmp_path / "a.parquet", ur10)
+    log.at[7, "q"] = Q[7, :5]
+    log.to_parquet(tmp_path / "a.parquet")
+    with pytest.raises(BadRecording, match="holds 5 values, the first row 6") as refusal:
+        read_recording(tmp_path / "a.parquet", ur10)
+    assert (refusal.value.row, refusal.value.column) == (7, "q")
+
+
+def write_bag(
+    path: Path, robot: Robot, kind: str, *, topics: Sequence[str] = ("/joint_states",),
+    stamped: bool = True, effort: bool = True, rows: slice = slice(None),
+) -> None:  # fmt: skip
+    """Joint states in the order of ROS, with a gripper, and messages of another node."""
+    ros1 = kind == "ros1"
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    message, header, time = (
+        store.types[f"{name}"]
+        for name in ("sensor_msgs/msg/JointState", "std_msgs/msg/Header",
+                     "builtin_interfaces/msg/Time")
+    )  # fmt: skip
+    serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+    order = sorted(range(6), key=lambda k: robot.joints[k])
+    names = ["gripper", *(robot.joints[k] for k in order)]
+    with Writer1(path) if ros1 else Writer2(path, version=9, storage_plugin=plugin) as writer:
+        connections = [
+            writer.add_connection(topic, "sensor_msgs/msg/JointState", typestore=store)
+            for topic in topics
+        ]
+        for k in range(len(T))[rows]:
+            ns = 1_700_000_000_000_000_000 + 10_000_000 * k
+            stamp = time(sec=ns // 10**9 * stamped, nanosec=ns % 10**9 * stamped)
+            more = {"seq": k} if ros1 else {}
+            values = [np.array([0.1, *x[k, order]]) for x in (Q, DQ, TAU)]
+            arm = message(header(stamp=stamp, frame_id="", **more), names, *values[:2],
+                          values[2] if effort else np.zeros(0))  # fmt: skip
+            hand = message(header(stamp=stamp, frame_id="", **more), ["finger"],
+                           *[np.array([0.2])] * 3)  # fmt: skip
+            for connection in connections:
+                writer.write(connection, ns, serialize(arm, message.__msgtype__))
+                writer.write(connection, ns + 10, serialize(hand, message.__msgtype__))
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap", "sqlite"])
+def test_bags_are_read_by_joint_name(kind: str, ur10: Robot, tmp_path: Path) -> None:
+    bag = tmp_path / ("log.bag" if kind == "ros1" else "log")
+    write_bag(bag, ur10, kind, topics=("/joint_states", "/joint_command"))
+    files = [bag] if kind == "ros1" else [bag, next(bag.glob("*.mcap" if kind == "mcap" else
+                                                            "*.db3"))]  # fmt: skip
+    for file in files:
+        recording = assert_read(file, ur10)
+        np.testing.assert_allclose(recording.t, T, atol=1e-12)
+        assert "topic: /joint_states" in recording.notes
+        assert "joints left out: finger, gripper" in recording.notes
+    current = column_map({"i": "effort", "units": {"i": "mA"}}, "columns.yaml")
+    assert assert_read(bag, ur10, mapping=current, tau=TAU * 1e-3).unit == "A"
+    with pytest.raises(BadRecording, match="joint 'panda_joint1' of the robot is not among them"):
+        read_recording(bag, load_robot("panda"))
+
+
+def test_bags_that_leave_a_choice_or_lack_something(ur10: Robot, tmp_path: Path) -> None:
+    write_bag(tmp_path / "two", ur10, "mcap", topics=("/left/joint_states", "/right/joint_states"))
+    with pytest.raises(BadRecording, match="topic: /left/joint_states"):
+        read_recording(tmp_path / "two", ur10)
+    right = ColumnMap(topic="/right/joint_states")
+    assert_read(tmp_path / "two", ur10, mapping=right)
+    with pytest.raises(BadRecording, match="no joint states on /none; topics with them: /left"):
+        read_recording(tmp_path / "two", ur10, mapping=ColumnMap(topic="/none"))
+    write_bag(tmp_path / "commands", ur10, "mcap", topics=("/joint_command",))
+    with pytest.raises(BadRecording, match="topic: /joint_command"):
+        read_recording(tmp_path / "commands", ur10)
+    write_bag(tmp_path / "weak", ur10, "mcap", effort=False)
+    with pytest.raises(BadRecording, match=r"no torque|not a finite number"):
+        read_recording(tmp_path / "weak", ur10)
+    write_bag(tmp_path / "unstamped", ur10, "mcap", stamped=False)
+    notes = assert_read(tmp_path / "unstamped", ur10).notes
+    assert any("time of recording" in note or "that of recording" in note for note in notes)
+
+
+def test_parts_of_one_recording_become_one(ur10: Robot, tmp_path: Path) -> None:
+    log = table("t", "q{}", "dq{}", "tau{}", first=1)
+    for k, rows in enumerate((slice(0, 90), slice(90, 210), slice(210, 300))):
+        log[rows].to_csv(tmp_path / f"run_{k}.csv", index=False)
+        write_bag(tmp_path / f"run_{k}.bag", ur10, "ros1", rows=rows)
+    for suffix in (".csv", ".bag"):
+        [whole] = read_recordings([tmp_path / f"run_{k}{suffix}" for k in range(3)], ur10)
+        np.testing.assert_allclose(whole.t, T, atol=1e-12)
+        np.testing.assert_array_equal(whole.q, Q)
+        np.testing.assert_array_equal(whole.dq, DQ)
+        assert "parts of one recording: run_0, run_1, run_2" in whole.notes
+
+
+def test_recordings_that_do_not_go_on_stay_apart(ur10: Robot, tmp_path: Path) -> None:
+    log = table("t", "q{}", "dq{}", "tau{}", first=1)
+    for k, start in enumerate((0.0, 0.0, 100.0, 103.0)):
+        log.assign(t=log["t"] + start).to_csv(tmp_path / f"run_{k}.csv", index=False)
+    log.assign(t=log["t"] + 106.0).to_csv(tmp_path / "other.csv", index=False)
+    paths = [tmp_path / f"{name}.csv" for name in ("run_0", "run_1", "run_2", "run_3", "other")]
+    found = read_recordings(paths, ur10)
+    assert [r.name for r in found] == ["run_0", "run_1", "run_2..run_3", "other"]
+
+
+def test_speeds_that_cannot_be_used_are_left_out_with_a_note(ur10: Robot, tmp_path: Path) -> None:
+    log = table("t", "q{}", "dq{}", "tau{}", first=1)
+    log.loc[5, "dq3"] = np.nan
+    log.to_csv(tmp_path / "log.csv", index=False)
+    recording = read_recording(tmp_path / "log.csv", ur10)
+    assert recording.dq is None
+    assert recording.notes == ("speeds left out: row 5 holds no finite number",)
+    raw = raw_recording(tmp_path / "log.csv", ur10)
+    assert raw.dq is not None
+    assert np.isnan(raw.dq[5, 2])
+
+
+def test_a_raw_recording_refuses_no_row(ur10: Robot, tmp_path: Path) -> None:
+    log = table("t", "q{}", "dq{}", "tau{}", first=1).astype(object)
+    log["temp"] = 30.0
+    log.loc[7, "t"] = log.loc[6, "t"]
+    log.loc[9, "q2"] = "abc"
+    log["tau4"] = 0.0
+    log.to_csv(tmp_path / "log.csv", index=False)
+    raw = raw_recording(tmp_path / "log.csv", ur10)
+    assert raw.t[7] == raw.t[6]
+    assert np.isnan(raw.q[9, 1])
+    assert raw.unreadable[9, "q2"] == "abc"
+    assert set(raw.channels) == {"q", "dq", "tau", "temp"}
+    assert not any(values.flags.writeable for values in raw.channels.values())
+
+
+def test_a_row_of_another_length_is_refused_by_row(ur10: Robot, tmp_path: Path) -> None:
+    lines = table("t", "q{}", "dq{}", "tau{}", first=1).to_csv(index=False).splitlines()
+    for change, cells in ((lambda x: x.rpartition(",")[0], 18), (lambda x: f"{x},1", 20)):
+        bad = [*lines[:43], change(lines[43]), *lines[44:]]
+        (tmp_path / "log.csv").write_text("\n".join(bad) + "\n")
+        with pytest.raises(BadRecording, match=f"{cells} cells where the header") as refusal:
+            read_recording(tmp_path / "log.csv", ur10)
+        assert refusal.value.row == 42
+
+
+def test_a_line_that_was_cut_is_left_out_with_a_note(ur10: Robot, tmp_path: Path) -> None:
+    text = table("t", "q{}", "dq{}", "tau{}", first=1).to_csv(index=False)
+    (tmp_path / "log.csv").write_text(text[:-3])
+    recording = read_recording(tmp_path / "log.csv", ur10)
+    np.testing.assert_array_equal(recording.tau, TAU[:-1])
+    assert any("last line left out" in note for note in recording.notes)
+
+
+def test_a_column_that_is_there_twice_is_refused(ur10: Robot, tmp_path: Path) -> None:
+    log = table("t", "q{}", "dq{}", "tau{}", first=1)
+    pd.concat([log, log[["q3"]]], axis=1).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(BadRecording) as refusal:
+        read_recording(tmp_path / "log.csv", ur10)
+    assert refusal.value.column == "q3"
+
+
+@pytest.mark.parametrize(
+    ("column", "role", "joint", "commanded"),
+    [
+        ("actual_qd_3", "dq", 3, False),
+        ("target_moment_0", "tau", 0, True),
+        ("J2 Torque [Nm]", "tau", 2, False),
+        ("torque_1 [A]", "i", 1, False),
+        ("wrist_1_joint.effort", "tau", "wrist_1_joint", False),
+        ("shoulder_pan position", "q", "shoulder_pan_joint", False),
+        ("q_ref4", "q", 4, True),
+        ("actual_current_5", "i", 5, False),
+        ("current_position_5", "q", 5, False),
+        ("ddq_logged1", "ddq", 1, False),
+        ("temperature_1", None, 1, False),
+        ("actual_TCP_speed_0", "dq", 0, False),
+    ],
+)
+def test_names_mean_what_people_mean(
+    column: str, role: str | None, joint: str | int, commanded: bool, ur10: Robot
+) -> None:
+    found = meaning(column, ur10.joints)
+    assert (found.role, found.joint, found.commanded) == (role, joint, commanded)
+
+
+def test_a_folder_brings_its_map_and_its_drives(ur10: Robot, tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(ur10.urdf, encoding="utf-8")
+    drive = {"gain_Nm_per_A": [0.1] * 6, "gear_ratio": [50] * 6}
+    robot = {"model": "arm.urdf", "drive": drive}
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(robot))
+    write_yaml(tmp_path / "columns.yaml", {"q": "wheel_{0}", "units": {"q": "deg"}})
+    log = table("time", "wheel_{}", "vel_{}", "actual_current_{}", scale=(1, 180 / np.pi, 1, 1))
+    log.to_csv(tmp_path / "log.csv", index=False)
+    [found] = load_dataset(tmp_path).recordings([])
+    np.testing.assert_allclose(found.tau, 5 * TAU)
+    np.testing.assert_allclose(found.q, Q, atol=1e-12)
+    assert found.unit == "N·m"
+    write_yaml(tmp_path / "rad.yaml", {"q": "wheel_{0}"})
+    [other] = load_dataset(tmp_path, columns=tmp_path / "rad.yaml").recordings([])
+    np.testing.assert_allclose(other.q, Q * 180 / np.pi)
+    paths = load_dataset(tmp_path / "robot.yaml", columns=tmp_path / "rad.yaml")
+    [named] = paths.recordings([str(tmp_path / "log.csv")])
+    np.testing.assert_allclose(named.tau, 5 * TAU)
+
+
+def test_the_sidecar_may_say_units_and_gains(ur10: Robot, tmp_path: Path) -> None:
+    (tmp_path / "robot.urdf").write_text(ur10.urdf, encoding="utf-8")
+    gains = [1, 2, 3, 4, 5, 6]
+    sidecar = {"torque": {"column": "i", "drive_gain_Nm_per_A": gains}, "units": {"q": "deg"}}
+    (tmp_path / "dataset.json").write_text(json.dumps(sidecar))
+    log = table("t", "q{}", "dq{}", "i{}", first=1, scale=(1, 180 / np.pi, 1, 1))
+    log.to_parquet(tmp_path / "log.parquet")
+    [found] = load_dataset(tmp_path).recordings([])
+    np.testing.assert_allclose(found.tau, TAU * gains)
+    np.testing.assert_allclose(found.q, Q, atol=1e-12)
+
+
+def test_the_command_takes_a_map_and_shows_what_it_understood(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = pd.DataFrame({"clock": T[:100], "a": Q[:100, 0], "b": Q[:100, 1]})
+    log.assign(tau_0=1.0, tau_1=TAU[:100, 1]).to_csv(tmp_path / "log.csv", index=False)
+    (tmp_path / "c.yaml").write_text("{t: clock, q: [a, b], tau: 'tau_{0}'}")
+    arguments = ["identify", "planar_2r", str(tmp_path / "log.csv")]
+    assert main(arguments) == 1
+    assert "--map" in capsys.readouterr().err
+    assert main([*arguments, "--map", str(tmp_path / "c.yaml")]) == 1
+    assert "column 'clock': too short: 100 samples" in capsys.readouterr().err
