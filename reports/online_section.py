@@ -201,7 +201,7 @@ def _chosen(history: History) -> list[int]:
     with np.errstate(divide="ignore", invalid="ignore"):
         learnt = np.log(history.std[0] / history.std[-1])
     order = np.argsort(-np.where(np.isfinite(learnt), learnt, -np.inf), kind="stable")
-    known = np.isfinite(history.value).all(axis=0) & np.isfinite(history.std).all(axis=0)
+    known = np.asarray(np.isfinite(history.value + history.std).all(axis=0))
     best: dict[str, int] = {}
     for k in order[known[order]]:
         best.setdefault(history.names[k].rpartition(".")[0], int(k))
