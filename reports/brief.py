@@ -53,6 +53,16 @@ def _identify(result: Result) -> Lines:
         ("identified", f"hold-out error, sum of joints, {number(given)} → {number(found)} {unit}, "
          f"median r² {number(r2, 4)}, {consistent}"),
         ("", text(result, "holdout")),
+        *_faults(result),
+    ]  # fmt: skip
+
+
+def _faults(result: Result) -> Lines:
+    return [
+        ("data fault", f"{text(fault, 'recording')}: {plain(text(fault, 'fault'))}"
+         f"{' at ' if words(fault, 'joints') else ''}{', '.join(words(fault, 'joints'))}: "
+         f"{text(fault, 'detail')}")
+        for fault in records(result, "faults")
     ]  # fmt: skip
 
 
@@ -72,7 +82,7 @@ def _analyze(result: Result) -> Lines:
 
 
 def _diagnose(result: Result) -> Lines:
-    return [("diagnosed", text(result, "headline"))]
+    return [("diagnosed", text(result, "headline")), *_faults(result)]
 
 
 def _check(result: Result) -> Lines:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from excitant.reports.design_section import file_list, known_facts
 from excitant.reports.evidence_figures import evidence_figure
+from excitant.reports.fault_table import fault_table
 from excitant.reports.model import (
     FAIR,
     GOOD,
@@ -65,7 +66,7 @@ def diagnose_section(result: Result, series: Series) -> Section:
     findings = records(result, "findings")
     notes = words(result, "notes")
     parts: list[tuple[str, list[Block | None]]] = [
-        ("Key figures", [_facts(result), _fault_table(result), _finding_table(result, unit)]),
+        ("Key figures", [_facts(result), fault_table(result), _finding_table(result, unit)]),
         ("Error step by step", [_waterfall(result)]),
     ]
     for k, finding in enumerate(findings):
@@ -109,15 +110,6 @@ def _facts(result: Result) -> Facts | None:
             Fact("Cut-off", quantity(at(result, "cutoff_hz"), "Hz"), "measured and model alike"),
         ]
     )
-
-
-def _fault_table(result: Result) -> Table | None:
-    rows: list[list[Cell | str]] = [
-        [Cell(plain(text(f, "fault")), POOR), listing(words(f, "joints")), text(f, "detail")]
-        for f in records(result, "faults")
-    ]
-    caption = "Faults of the data, found before any model was judged by them."
-    return table("text:Data fault | name:Joints | text:Detail", rows, caption) if rows else None
 
 
 def verdict_cell(finding: Result) -> Cell:

@@ -6,6 +6,7 @@ from collections import Counter
 
 from excitant.reports.design_section import file_list, known_facts, uncertain
 from excitant.reports.differentiator_figure import differentiator_parts
+from excitant.reports.fault_table import fault_table
 from excitant.reports.link_by_link_section import link_by_link_parts
 from excitant.reports.model import (
     GOOD,
@@ -62,6 +63,7 @@ def identify_section(result: Result, series: Series) -> Section:
         _lead(result),
         [
             ("Key figures", [_facts(result), Notes(tuple(notes)) if notes else None]),
+            ("Data faults", [fault_table(result)]),
             *link_by_link_parts(result, unit),
             *payload_parts(result),
             ("Error per joint", [_bars(result, unit), _joint_table(result, unit)]),

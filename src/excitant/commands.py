@@ -43,7 +43,7 @@ from excitant.motion_commands import sampled
 from excitant.output import finish, print_json, print_paths, run_directory
 from excitant.progress import progress_bar
 from excitant.reports import load_run, save_run
-from excitant.robots import Robot, base_parameters, builtin_robots, load_robot
+from excitant.robots import Array, Robot, base_parameters, builtin_robots, load_robot
 from excitant.robots.effects import EFFECTS, Effect, JointEffect, standard_effects
 
 
@@ -124,55 +124,59 @@ def _finite(value: float) -> float | None:
 
 def identify(args: argparse.Namespace) -> None:
     """Identify a robot from recordings."""
+    _refuse_contradictions(args)
     dataset = load_dataset(args.robot, columns=args.map)
     robot = dataset.robot
-    effects = _effects(args.effects, robot)
-    formats = _formats(args.formats)
+    effects, formats = _effects(args.effects, robot), _formats(args.formats)
+    without = [*args.validate, *args.unloaded]
+    checked = read_checked(dataset, args.recordings, without=without, repaired=args.repair)
+    recordings = checked.recordings
+    validate = dataset.recordings(args.validate) if args.validate else []
+    imported = _show_import([*recordings, *validate])
+    options = {"validate": validate, "effects": effects, "cutoff_hz": args.cutoff}
+    estimate, result, series = _identified(args, robot, recordings, options)
+    if args.payload:
+        unloaded = dataset.recordings(args.unloaded) if args.unloaded else ()
+        result["payload"] = payload_result(
+            identify_payload(robot, recordings, unloaded=unloaded, effects=effects)
+        )
+    published = publication(estimate, formats=formats, force=args.force)
+    result |= {"faults": checked.entries(), "published": published.published, "import": imported}
+    result["notes"] += [*checked.notes, *([published.note] if published.note else [])]
+    directory = run_directory(args, "identify", robot)
+    finish(args, directory, result, identify_series(estimate) | series, published.files)
+    if published.note and not args.json:
+        print(published.note)
+
+
+def _refuse_contradictions(args: argparse.Namespace) -> None:
     if args.unloaded and not args.payload:
         raise BadInput("--unloaded names what --payload is compared with; give --payload too")
     if args.forgetting is not None and not args.online:
         raise BadInput("--forgetting is for --online; give --online too")
     if args.link_by_link and args.online:
         raise BadInput("--link-by-link needs whole recordings; leave --online out")
-    without = [*args.validate, *args.unloaded]
-    checked = read_checked(dataset, args.recordings, without=without, repaired=args.repair)
-    recordings = checked.recordings
-    validate = dataset.recordings(args.validate) if args.validate else []
-    imported = _show_import([*recordings, *validate])
-    options: dict[str, Any] = {
-        "validate": validate,
-        "effects": effects,
-        "cutoff_hz": args.cutoff,
-    }
+
+
+def _identified(
+    args: argparse.Namespace,
+    robot: Robot,
+    recordings: Sequence[Recording],
+    options: dict[str, Any],
+) -> tuple[Estimate, dict[str, Any], dict[str, Array]]:
+    """The estimate, its result and its further series, in the way that was asked for."""
     if args.online:
         with progress_bar("identify") as advance:
             found = identify_online(
                 robot, recordings, **options, forgetting=args.forgetting,
                 progress=lambda fraction: advance(fraction, ""),
             )  # fmt: skip
-        estimate, result, series = found.estimate, online_result(found), online_series(found.run)
-    elif args.link_by_link:
+        return found.estimate, online_result(found), online_series(found.run)
+    if args.link_by_link:
         stages = identify_link_by_link(robot, recordings, **options)
-        estimate, result = stages.estimate, link_by_link_result(stages)
-        series = link_by_link_series(stages)
-    else:
-        estimate, series = identify_robot(robot, recordings, **options), {}
-        result = identify_result(estimate)
-    if args.payload:
-        unloaded = dataset.recordings(args.unloaded) if args.unloaded else ()
-        result["payload"] = payload_result(
-            identify_payload(robot, recordings, unloaded=unloaded, effects=effects)
-        )
-    result["faults"] = checked.entries()
-    result["notes"] += checked.notes
-    directory = run_directory(args, "identify", robot)
-    published = publication(estimate, formats=formats, force=args.force)
-    result["published"] = published.published
-    result["import"] = imported
-    result["notes"] += [published.note] if published.note else []
-    finish(args, directory, result, identify_series(estimate) | series, published.files)
-    if published.note and not args.json:
-        print(published.note)
+        return stages.estimate, link_by_link_result(stages), link_by_link_series(stages)
+    estimate = identify_robot(robot, recordings, **options)
+    return estimate, identify_result(estimate), {}
 
 
 def _show_import(recordings: Sequence[Recording]) -> dict[str, list[str]]:
