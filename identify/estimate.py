@@ -9,6 +9,8 @@ import numpy as np
 import scipy.linalg
 
 from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
+from excitant.identify.estimators import estimator_named
+from excitant.identify.estimators.of_rows import estimated
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.physical import PhysicalFit, fit_physical, prior_parameters
 from excitant.identify.recording import Recording
@@ -70,11 +72,14 @@ def identify(
     validate: Sequence[Recording] = (),
     effects: Sequence[Effect] | None = None,
     cutoff_hz: float | None = None,
+    estimator: str = "wls",
 ) -> Estimate:
     """Identify a robot from recordings.
 
     Weighted least squares on the base parameters gives noise levels and base estimates; the
-    semidefinite fit then gives physically consistent standard parameters.
+    semidefinite fit then gives physically consistent standard parameters. With any other
+    estimator, the semidefinite fit is to the torque that its base parameters predict on these
+    rows, weighted by the noise it found.
 
     Args:
         robot: The arm; its inertias are the prior.
@@ -82,22 +87,31 @@ def identify(
         validate: What to judge on; the last 30 % of each recording when empty.
         effects: Effects to estimate; friction, offset and rotor inertia when None.
         cutoff_hz: Cut-off of the torque filter [Hz].
+        estimator: One of `excitant.identify.estimators.ESTIMATORS`.
 
     Raises:
         BadRecording: Recordings that cannot be used.
         BadRobot: Links without mass, so no prior.
+        UnknownName: There is no such estimator.
         RankDeficient: Motion that leaves base parameters undetermined.
         Infeasible: The semidefinite solver failed.
     """
+    estimator_named(estimator)  # refused before anything is computed
     prior = prior_parameters(robot)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     data = split(recordings, validate, cutoff_hz)
     base = base_parameters(robot, effects)
     rows = fit_rows(robot, effects, base, data)
-    fit = weighted_least_squares(rows.W[:, :, base.columns], rows.tau, base.expressions)
-    R, z = whitened(rows.W, rows.tau, fit)
+    said = _notes(robot, prior, data, rows.gains)
+    if estimator == "wls":
+        fit = weighted_least_squares(rows.W[:, :, base.columns], rows.tau, base.expressions)
+        R, z = whitened(rows.W, rows.tau, fit)
+    else:
+        fit, notes = estimated(robot, rows, recordings, validate, estimator)
+        said, R = (*said, *notes), whitened(rows.W, rows.tau, fit)[0]
+        z = R[:, base.columns] @ fit.beta
     physical = fit_physical(R, z, prior, rows.open_prior)
-    return judged(robot, rows, fit, physical, _notes(robot, prior, data, rows.gains))
+    return judged(robot, rows, fit, physical, said)
 
 
 def judged(

@@ -242,6 +242,9 @@ def _identify(verbs: _Verbs[argparse.ArgumentParser]) -> None:
     verb.add_argument("--effects", metavar="NAME,...",
                       help="effects to estimate (default: viscous_friction,coulomb_friction,"
                       "torque_offset,rotor_inertia)")  # fmt: skip
+    verb.add_argument("--estimator", metavar="NAME",
+                      help="of the base parameters: ols, wls, irls (robust), gls (coloured noise), "
+                      "iv (noisy positions), tls (default: wls)")  # fmt: skip
     verb.add_argument("--formats", metavar="NAME,...",
                       help="files of the model beside URDF and model.yaml: mjcf, sdf, python, c "
                       "(default: mjcf,sdf)")  # fmt: skip

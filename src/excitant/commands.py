@@ -37,6 +37,7 @@ from excitant.identify import (
     publication,
 )
 from excitant.identify import identify as identify_robot
+from excitant.identify.estimators import DESCRIPTIONS, estimator_named
 from excitant.identify.export import DEFAULT_FORMATS, FORMATS
 from excitant.identify.faults import read_checked
 from excitant.motion_commands import sampled
@@ -156,6 +157,10 @@ def _refuse_contradictions(args: argparse.Namespace) -> None:
         raise BadInput("--forgetting is for --online; give --online too")
     if args.link_by_link and args.online:
         raise BadInput("--link-by-link needs whole recordings; leave --online out")
+    if args.estimator is not None:
+        estimator_named(args.estimator)
+        if args.link_by_link or args.online:
+            raise BadInput("--estimator is for all rows at once; leave the other way out")
 
 
 def _identified(
@@ -175,8 +180,14 @@ def _identified(
     if args.link_by_link:
         stages = identify_link_by_link(robot, recordings, **options)
         return stages.estimate, link_by_link_result(stages), link_by_link_series(stages)
-    estimate = identify_robot(robot, recordings, **options)
-    return estimate, identify_result(estimate), {}
+    estimator = args.estimator or "wls"
+    estimate = identify_robot(robot, recordings, **options, estimator=estimator)
+    result = identify_result(estimate)
+    if estimator != "wls":
+        result["estimator"] = (
+            f"{DESCRIPTIONS[estimator]}, then physically consistent semidefinite fit"
+        )
+    return estimate, result, {}
 
 
 def _show_import(recordings: Sequence[Recording]) -> dict[str, list[str]]:
