@@ -11,7 +11,7 @@ import numpy as np
 from excitant.design.constraints import within_limits
 from excitant.design.multistart import MultiStart
 from excitant.design.problem import DesignProblem
-from excitant.design.search import SearchState
+from excitant.design.search import SearchState, best_solutions
 from excitant.design.tasks import Effort
 from excitant.robots import Array
 
@@ -86,9 +86,8 @@ def _seeds(
     problem: DesignProblem, before: DesignProblem, searches: Sequence[SearchState]
 ) -> tuple[Array, ...]:
     """The best solutions of a search as unknowns of a problem, within its limits."""
-    ranked = sorted((s.best_value, s.index, s.best) for s in searches if s.best is not None)
     seeds = []
-    for _, _, z in ranked[:_FAMILY]:
+    for z in best_solutions(searches, _FAMILY):
         near = problem.trajectory(problem.unknowns(before.trajectory(z)))
         kept = within_limits(problem.robot, near)
         if kept is not None:

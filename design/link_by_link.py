@@ -21,14 +21,14 @@ import numpy.typing as npt
 
 from excitant.design.clearance import clearance as motion_clearance
 from excitant.design.constraints import check, within_limits
-from excitant.design.criterion import Information, condition_number, objective
+from excitant.design.criterion import Information, objective
 from excitant.design.growth import best_period, grow
 from excitant.design.held_arm import held, resting_pose, whole
 from excitant.design.multistart import MultiStart
-from excitant.design.optimal import CLEARANCE, TOP_HZ, build_design
-from excitant.design.outcome import Design, StartRecord, dense_motion
+from excitant.design.optimal import CANDIDATES, CLEARANCE, FEWEST, TOP_HZ, build_design
+from excitant.design.outcome import Design, dense_motion, outcome
 from excitant.design.problem import DesignProblem
-from excitant.design.search import SearchState
+from excitant.design.search import SearchState, best_solutions
 from excitant.design.tasks import Effort, connect
 from excitant.design.trajectory import Trajectory
 from excitant.exceptions import BadInput, Infeasible
@@ -40,8 +40,6 @@ from excitant.robots.motion import read_only
 from excitant.robots.torque_rows import last_rows
 
 _STARTS = 6  # per motion
-_FEWEST = 5  # harmonics that a search for their number begins with
-_CANDIDATES = 4  # best searches whose exact figures decide
 
 Progress = Callable[[float, str, float], None]
 """Called with the fraction done, the link, and its best condition number so far."""
@@ -136,7 +134,7 @@ def design_link_by_link(
     shortest, longest = duration if isinstance(duration, tuple) else (duration, duration)
     options: dict[str, Any] = {
         "duration": longest,
-        "harmonics": _FEWEST if harmonics is None else harmonics,
+        "harmonics": FEWEST if harmonics is None else harmonics,
         "series": series,
         "criterion": criterion,
         "columns": columns,
@@ -167,7 +165,8 @@ def design_link_by_link(
             else:
                 searches = MultiStart(problem, effort).run()
             initial = problem.random(np.random.default_rng([seed, 0]))
-            drawn = [initial, *_candidates(problem, searches)]
+            found = (problem.trajectory(z) for z in best_solutions(searches, CANDIDATES))
+            drawn = [initial, *found]
             kept = _keeping(robot, [whole(x, pose) for x in drawn], scene, clearance)
             seen = _of_link(goal, joint, last == joint)
             motions.append(LinkMotion(joint, _best(kept, seen, criterion, scene, searches)))
@@ -203,12 +202,6 @@ def _of_link(information: Information, joint: int, chosen: npt.NDArray[np.bool_]
     return Information(robot, information.columns, part, np.eye(robot.nv)[joint], blank)
 
 
-def _candidates(problem: DesignProblem, searches: Sequence[SearchState]) -> list[Trajectory]:
-    """The best motions that the searches found."""
-    ranked = sorted((s.best_value, s.index, s.best) for s in searches if s.best is not None)
-    return [problem.trajectory(z) for _, _, z in ranked[:_CANDIDATES]]
-
-
 def _keeping(
     robot: Robot, motions: Sequence[Trajectory], scene: Scene | None, clearance: float
 ) -> list[Trajectory]:
@@ -238,31 +231,9 @@ def _best(
     searches: Sequence[SearchState],
 ) -> Design:
     """The motion with the best exact figures, as a design; the first one is where it began."""
-    matrices = [seen.matrix(dense_motion(motion)) for motion in motions]
-    best = int(np.argmin([objective(M, criterion) for M in matrices]))
-    return Design(
-        robot=seen.robot,
-        initial=motions[0],
-        trajectory=motions[best],
-        information=seen,
-        criterion=criterion,
-        condition_initial=condition_number(matrices[0]),
-        condition_final=condition_number(matrices[best]),
-        eigenvalues_initial=read_only(np.linalg.eigvalsh(matrices[0])),
-        eigenvalues_final=read_only(np.linalg.eigvalsh(matrices[best])),
-        limits=check(seen.robot, motions[best]),
-        scene=scene,
-        clearance=None if scene is None else motion_clearance(scene, motions[best]),
-        starts=tuple(_record(search) for search in searches),
-        wall_s=0.0,
-    )
-
-
-def _record(search: SearchState) -> StartRecord:
-    condition = search.history[-1] if search.history else np.inf
-    return StartRecord(
-        search.index, search.parent, condition, search.status, search.iterations, search.history
-    )
+    values = [objective(seen.matrix(dense_motion(motion)), criterion) for motion in motions]
+    ends = (motions[0], motions[int(np.argmin(values))])
+    return outcome(seen, criterion, ends, scene, searches, 0.0)
 
 
 def _teller(

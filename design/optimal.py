@@ -15,16 +15,15 @@ from excitant.design.constraints import check, within_limits
 from excitant.design.criterion import CRITERIA, condition_number, information, objective
 from excitant.design.growth import best_period, grow
 from excitant.design.multistart import MultiStart
-from excitant.design.outcome import Design, StartRecord, dense_motion
+from excitant.design.outcome import Design, dense_motion, outcome
 from excitant.design.problem import DesignProblem
-from excitant.design.search import SearchState
+from excitant.design.search import SearchState, best_solutions
 from excitant.design.splines import SplineSeries
 from excitant.design.tasks import Effort, connect
 from excitant.design.trajectory import FourierSeries, Series, Trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots import Array, Motion, Robot
 from excitant.robots.geometry import Scene
-from excitant.robots.motion import read_only
 
 Progress = Callable[[int, int | None, float, float], None]
 """Called with starts done, starts in all (None: until the time limit), best condition number
@@ -34,10 +33,10 @@ SERIES = ("fourier", "spline")
 TOP_HZ = 2.5  # a quarter of the cut-off that identification filters at
 
 _STARTS = 16
-_FEWEST = 5  # harmonics that a search for their number begins with
+FEWEST = 5  # harmonics that a search for their number begins with
 CLEARANCE = 0.01  # m
 _CLEARANCE_MARGIN = 0.004  # m, for what happens between the instants of the optimiser
-_CANDIDATES = 4  # best searches whose exact figures decide
+CANDIDATES = 4  # best searches whose exact figures decide
 
 
 def build_design(
@@ -145,7 +144,7 @@ def design(
     problem = build_design(
         robot,
         duration=longest,
-        harmonics=_FEWEST if harmonics is None else harmonics,
+        harmonics=FEWEST if harmonics is None else harmonics,
         series=series,
         criterion=criterion,
         columns=columns,
@@ -168,22 +167,9 @@ def design(
         else:
             searches = MultiStart(problem, effort).run()
     trajectory = _best(problem, initial, searches)
-    before, after = (_information(problem, x) for x in (initial, trajectory))
-    return Design(
-        robot=robot,
-        initial=initial,
-        trajectory=trajectory,
-        information=problem.information,
-        criterion=criterion,
-        condition_initial=condition_number(before),
-        condition_final=condition_number(after),
-        eigenvalues_initial=read_only(np.linalg.eigvalsh(before)),
-        eigenvalues_final=read_only(np.linalg.eigvalsh(after)),
-        limits=check(robot, trajectory),
-        scene=problem.scene,
-        clearance=None if problem.scene is None else motion_clearance(problem.scene, trajectory),
-        starts=tuple(_record(state) for state in searches),
-        wall_s=time.time() - began,
+    ends = (initial, trajectory)
+    return outcome(
+        problem.information, criterion, ends, problem.scene, searches, time.time() - began
     )
 
 
@@ -191,20 +177,12 @@ def _information(problem: DesignProblem, trajectory: Trajectory) -> Array:
     return problem.information.matrix(dense_motion(trajectory))
 
 
-def _record(state: SearchState) -> StartRecord:
-    condition = state.history[-1] if state.history else np.inf
-    return StartRecord(
-        state.index, state.parent, condition, state.status, state.iterations, state.history
-    )
-
-
 def _best(
     problem: DesignProblem, initial: Trajectory, searches: Sequence[SearchState]
 ) -> Trajectory:
     """The best trajectory within all limits by its exact figures; at worst the initial one."""
-    found = sorted((s.best_value, s.index, s.best) for s in searches if s.best is not None)
     candidates = [initial]
-    for _, _, z in found[:_CANDIDATES]:
+    for z in best_solutions(searches, CANDIDATES):
         kept = within_limits(problem.robot, problem.trajectory(z))
         if kept is not None and _keeps_apart(problem, kept):
             candidates.append(kept)

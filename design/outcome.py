@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from excitant.design.clearance import Clearance
-from excitant.design.constraints import LimitReport
-from excitant.design.criterion import Information
+from excitant.design.clearance import clearance as motion_clearance
+from excitant.design.constraints import LimitReport, check
+from excitant.design.criterion import Information, condition_number
+from excitant.design.search import SearchState
 from excitant.design.trajectory import Trajectory
 from excitant.robots import Array, BaseParameters, Motion, Robot
 from excitant.robots.geometry import Scene
+from excitant.robots.motion import read_only
 
 _DENSE_HZ, _DENSE = 100.0, 1000  # samples of the figures reported: rate, and at least so many
 
@@ -101,6 +107,51 @@ class Design:
     def iterations(self) -> int:
         """Steps taken in all searches together."""
         return sum(start.iterations for start in self.starts)
+
+
+def outcome(
+    information: Information,
+    criterion: str,
+    ends: tuple[Trajectory, Trajectory],
+    scene: Scene | None,
+    searches: Sequence[SearchState],
+    wall_s: float,
+) -> Design:
+    """A design with its exact figures.
+
+    Args:
+        information: What is made visible, of which arm.
+        criterion: Name of the criterion.
+        ends: The initial trajectory and the one chosen.
+        scene: The arm's bodies and obstacles; None without.
+        searches: As they ended.
+        wall_s: Time taken [s].
+    """
+    before, after = (information.matrix(dense_motion(trajectory)) for trajectory in ends)
+    chosen = ends[1]
+    return Design(
+        robot=information.robot,
+        initial=ends[0],
+        trajectory=chosen,
+        information=information,
+        criterion=criterion,
+        condition_initial=condition_number(before),
+        condition_final=condition_number(after),
+        eigenvalues_initial=read_only(np.linalg.eigvalsh(before)),
+        eigenvalues_final=read_only(np.linalg.eigvalsh(after)),
+        limits=check(information.robot, chosen),
+        scene=scene,
+        clearance=None if scene is None else motion_clearance(scene, chosen),
+        starts=tuple(_record(search) for search in searches),
+        wall_s=wall_s,
+    )
+
+
+def _record(search: SearchState) -> StartRecord:
+    condition = search.history[-1] if search.history else np.inf
+    return StartRecord(
+        search.index, search.parent, condition, search.status, search.iterations, search.history
+    )
 
 
 def dense_motion(trajectory: Trajectory) -> Motion:

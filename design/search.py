@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -90,6 +91,12 @@ class SearchState:
     def ended(self) -> SearchState:
         """The search at a point that it cannot improve."""
         return replace(self, status="infeasible" if self.best is None else "converged")
+
+
+def best_solutions(searches: Iterable[SearchState], count: int) -> list[Array]:
+    """Unknowns of the best that searches found within all limits, best first."""
+    found = sorted((s.best_value, s.index, s.best) for s in searches if s.best is not None)
+    return [z for _, _, z in found[:count]]
 
 
 def advance(

@@ -184,6 +184,14 @@ def _relative(response: npt.NDArray[np.complex128], omega: Array, order: int) ->
     return np.asarray(np.where(omega == 0, 1.0, (response / safe).real), float)
 
 
+def low_pass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
+    """Columns, shape (n, ...), through a zero-phase Butterworth filter along time."""
+    sections = scipy.signal.butter(_BUTTERWORTH_ORDER, cutoff_hz, fs=rate_hz, output="sos")
+    padding = min(len(values) - 1, int(3 * rate_hz / cutoff_hz))
+    filtered: Array = scipy.signal.sosfiltfilt(sections, values, axis=0, padlen=padding)
+    return filtered
+
+
 @dataclass(frozen=True)
 class ZeroPhaseButterworth:
     """Butterworth filter of fourth order forward and backward, then a derivative.
@@ -243,9 +251,7 @@ class ZeroPhaseButterworth:
         _refuse_short(t, 20, self.name)
         rate = 1 / step_of(t, self.name)
         self._refuse_cutoff(rate)
-        sections = scipy.signal.butter(_BUTTERWORTH_ORDER, self.cutoff_hz, fs=rate, output="sos")
-        padding = min(len(q) - 1, int(3 * rate / self.cutoff_hz))
-        smooth = scipy.signal.sosfiltfilt(sections, q, axis=0, padlen=padding)
+        smooth = low_pass(q, self.cutoff_hz, rate)
         if self.scheme == "central":
             dq = np.gradient(smooth, 1 / rate, axis=0, edge_order=2)
             return Motion(t, smooth, dq, np.gradient(dq, 1 / rate, axis=0, edge_order=2))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
 
 from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
-from excitant.identify.estimators import estimator_named
+from excitant.identify.estimators import DESCRIPTIONS, estimator_named
 from excitant.identify.estimators.of_rows import estimated
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.physical import PhysicalFit, fit_physical, prior_parameters
@@ -41,6 +41,7 @@ class Estimate:
         predicted: Torque of the model at those rows, shape (n, nv) [torque unit].
         predicted_given: Torque of the given robot at those rows [torque unit].
         notes: What the user should know, as sentences.
+        estimator: How the base parameters were estimated, in words.
     """
 
     given: Robot
@@ -58,6 +59,7 @@ class Estimate:
     predicted: Array
     predicted_given: Array
     notes: tuple[str, ...]
+    estimator: str = DESCRIPTIONS["wls"]
 
     @property
     def phi(self) -> Array:
@@ -111,7 +113,7 @@ def identify(
         said, R = (*said, *notes), whitened(rows.W, rows.tau, fit)[0]
         z = R[:, base.columns] @ fit.beta
     physical = fit_physical(R, z, prior, rows.open_prior)
-    return judged(robot, rows, fit, physical, said)
+    return replace(judged(robot, rows, fit, physical, said), estimator=DESCRIPTIONS[estimator])
 
 
 def judged(

@@ -1,8 +1,8 @@
-"""Weighted least squares on base parameters."""
+"""Weighted least squares on base parameters, and what it shares with other estimators."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -13,6 +13,13 @@ from excitant.identify.coloured_noise import score_covariances
 from excitant.robots.motion import Array, freeze
 
 _ROUNDS = 4  # of re-estimating the noise of each joint; the weights settle in two or three
+SMALLEST = 1e-12  # torque noise taken for none
+_SILENT = 1e-10  # of the longest column
+_DEPENDENT = 1e-9  # of the largest singular value, columns of unit length
+_UNDETERMINED = (
+    "this motion does not determine these parameters (move the joints that show them, "
+    "or design an excitation)"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,29 +60,116 @@ def weighted_least_squares(W: Array, tau: Array, names: tuple[str, ...]) -> Leas
     Raises:
         RankDeficient: The motion does not show some columns.
     """
-    n, nv, r = W.shape
-    sigma = np.maximum(tau.std(axis=0), 1e-12)
+    sigma = np.maximum(tau.std(axis=0), SMALLEST)
     for _ in range(_ROUNDS):
-        used, weighted = sigma, W / sigma[:, None]
-        norms = np.linalg.norm(weighted, axis=(0, 1))
-        _refuse_silent(norms, names)
-        weighted /= norms
-        Q, R = scipy.linalg.qr(weighted.reshape(-1, r), mode="economic")
-        _refuse_rank_deficient(R, names)
-        beta = scipy.linalg.solve_triangular(R, Q.T @ (tau / sigma).ravel()) / norms
+        factor = factorised(W, sigma, names)
+        beta = factor.solve(tau)
         residual = tau - W @ beta
-        dof = n * nv / max(n * nv - r, 1)
-        sigma = np.sqrt(np.maximum((residual**2).mean(axis=0) * dof, 1e-24))
-    inverse = scipy.linalg.solve_triangular(R, np.eye(r))
-    scores, freedom = score_covariances(weighted, residual / used, inverse @ inverse.T)
-    root = inverse / norms[:, None]
+        sigma = noise_of(residual, len(beta))
+    return replace(with_covariance(factor, beta, residual, factor.weight), sigma=sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """QR factorisation of weighted columns X / σ = Q R diag(norms).
+
+    Attributes:
+        X: Weighted columns, each of unit length, shape (n, nv, r).
+        norms: Their lengths before, shape (r,).
+        Q: Shape (n nv, r).
+        R: Shape (r, r).
+        weight: Noise that rows were divided by, shape (nv,) [torque unit].
+    """
+
+    X: Array
+    norms: Array
+    Q: Array
+    R: Array
+    weight: Array
+
+    def solve(self, tau: Array) -> Array:
+        """β of least squares of torque, shape (n, nv) → (r,)."""
+        target = self.Q.T @ (tau / self.weight).ravel()
+        return np.asarray(scipy.linalg.solve_triangular(self.R, target) / self.norms, float)
+
+    def projected(self, values: Array) -> Array:
+        """Part of columns that X explains, weighted: (n, nv, k) → (n, nv, k)."""
+        flat = (values / self.weight[:, None]).reshape(len(self.Q), -1)
+        fitted = (self.Q @ (self.Q.T @ flat)).reshape(values.shape)
+        return np.asarray(fitted * self.weight[:, None], float)
+
+
+def factorised(X: Array, weight: Array, names: tuple[str, ...]) -> Factor:
+    """Factorisation of columns, rows divided by their joint's noise.
+
+    Args:
+        X: Shape (n, nv, r).
+        weight: Shape (nv,) [torque unit].
+        names: What the columns stand for.
+
+    Raises:
+        RankDeficient: Columns that are silent, or that others explain.
+    """
+    r = X.shape[2]
+    weighted = X / weight[:, None]
+    norms = np.linalg.norm(weighted, axis=(0, 1))
+    silent = norms <= _SILENT * norms.max(initial=0.0)
+    if silent.any():
+        raise RankDeficient([names[k] for k in np.flatnonzero(silent)], _UNDETERMINED)
+    weighted /= norms
+    Q, R = scipy.linalg.qr(weighted.reshape(-1, r), mode="economic")
+    _, s, Vt = np.linalg.svd(R)
+    if len(s) < r or s[-1] < _DEPENDENT * s[0]:
+        weak = np.flatnonzero(np.abs(Vt[-1]) > 0.1)
+        raise RankDeficient([names[k] for k in weak], _UNDETERMINED)
+    return Factor(weighted, norms, np.asarray(Q, float), np.asarray(R, float), weight)
+
+
+def noise_of(residual: Array, r: int) -> Array:
+    """Standard deviation of each joint's residual after r parameters, shape (nv,)."""
+    freedom = residual.size / max(residual.size - r, 1)
+    variance = (residual**2).mean(axis=0) * freedom
+    return np.asarray(np.sqrt(np.maximum(variance, SMALLEST**2)), float)
+
+
+def with_covariance(factor: Factor, beta: Array, error: Array, sigma: Array) -> LeastSquares:
+    """An estimate with its covariance A⁻¹ Ω A⁻¹, widened for what the noise is known from.
+
+    Every estimator here is, at its solution and to first order in the noise, least squares of some
+    columns X_j with an error ε_j: β̂ − β = A⁻¹ Σ_j X_jᵀ ε_j, A = Σ_j X_jᵀ X_j. The columns are W
+    itself (ordinary and weighted), W with the slope of the influence (robust), W projected on the
+    instruments, or W corrected (total).
+
+
+    Args:
+        factor: Columns X_j.
+        beta: The estimate, shape (r,).
+        error: ε_j as the residual shows it, shape (n, nv) [torque unit].
+        sigma: What to report as noise of each joint, shape (nv,) [torque unit].
+    """
+    inverse = scipy.linalg.solve_triangular(factor.R, np.eye(len(beta)))
+    scaled = error / factor.weight
+    size = max(float(np.sqrt((scaled**2).mean())), SMALLEST)  # far from underflow
+    scores, freedom = score_covariances(factor.X, scaled / size, inverse @ inverse.T)
+    scores = scores * size**2
+    root = inverse / factor.norms[:, None]
     parts = np.array([root @ (inverse.T @ each @ inverse) @ root.T for each in scores])
     widths = _widths(np.diagonal(parts, axis1=1, axis2=2), freedom)
+    effect = traces(scores, inverse)
+    plain = traces(information(factor.X), inverse) * (sigma / factor.weight) ** 2
+    inflation = np.divide(effect, plain, out=np.ones(len(sigma)), where=plain > 0)
     covariance = parts.sum(axis=0) * np.outer(widths, widths)
-    information = np.einsum("njr,njs->jrs", weighted, weighted, optimize=True)
-    effect, plain = (_traces(matrices, inverse) for matrices in (scores, information))
-    inflation = np.maximum(np.divide(effect, plain, out=np.ones(nv), where=plain > 0), 1.0)
-    return LeastSquares(beta, covariance, sigma, inflation)
+    return LeastSquares(beta, covariance, sigma, np.maximum(inflation, 1.0))
+
+
+def information(X: Array) -> Array:
+    """X_jᵀ X_j of each joint, shape (nv, r, r)."""
+    return np.asarray(np.einsum("njr,njs->jrs", X, X, optimize=True), float)
+
+
+def traces(matrices: Array, inverse: Array) -> Array:
+    """tr(A⁻¹ M_j) of each M_j, shape (nv,), with A⁻¹ = inverse · inverseᵀ."""
+    return np.asarray(np.einsum("ra,jrs,sa->j", inverse, matrices, inverse, optimize=True), float)
 
 
 def _widths(variances: Array, freedom: Array) -> Array:
@@ -95,30 +189,6 @@ def _widths(variances: Array, freedom: Array) -> Array:
 def student_width(freedom: Array | float) -> Array:
     """Student's over normal 97.5 % quantile, for degrees of freedom of any shape."""
     return np.asarray(scipy.stats.t.ppf(0.975, freedom) / scipy.stats.norm.ppf(0.975), float)
-
-
-def _traces(matrices: Array, inverse: Array) -> Array:
-    """tr(A⁻¹ M_j) of each M_j, shape (nv,), with A⁻¹ = inverse · inverseᵀ."""
-    return np.asarray(np.einsum("ra,jrs,sa->j", inverse, matrices, inverse, optimize=True), float)
-
-
-_UNDETERMINED = (
-    "this motion does not determine these parameters (move the joints that show them, "
-    "or design an excitation)"
-)
-
-
-def _refuse_silent(norms: Array, names: tuple[str, ...]) -> None:
-    silent = norms <= 1e-10 * norms.max()
-    if silent.any():
-        raise RankDeficient([names[k] for k in np.flatnonzero(silent)], _UNDETERMINED)
-
-
-def _refuse_rank_deficient(R: Array, names: tuple[str, ...]) -> None:
-    _, s, Vt = np.linalg.svd(R)
-    if len(s) < len(names) or s[-1] < 1e-9 * s[0]:
-        weak = np.flatnonzero(np.abs(Vt[-1]) > 0.1)
-        raise RankDeficient([names[k] for k in weak], _UNDETERMINED)
 
 
 def autocorrelation_time(residual: Array) -> float:

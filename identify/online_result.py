@@ -19,7 +19,7 @@ from excitant.identify.physical import fit_physical, prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.replay import OnlineRun, joined, replay
 from excitant.identify.result import identify_result
-from excitant.identify.rows import FIT_SHARE, fit_rows, split
+from excitant.identify.rows import fit_rows, fitted, split
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array
@@ -72,10 +72,9 @@ def identify_online(
     data = split(recordings, validate, cutoff_hz)
     base = base_parameters(robot, effects)
     rows = fit_rows(robot, effects, base, data)
-    fitted = recordings if validate else [r.between(0, FIT_SHARE, "first 70 %") for r in recordings]
     run = replay(
-        robot, joined(fitted), effects=effects, base=base, forgetting=forgetting,
-        gains=rows.gains, progress=progress,
+        robot, joined(fitted(recordings, validate)), effects=effects, base=base,
+        forgetting=forgetting, gains=rows.gains, progress=progress,
     )  # fmt: skip
     last, known = run.estimate, run.estimate.data
     physical = fit_physical(known.R @ base.regrouping, known.z, prior, rows.open_prior)

@@ -13,16 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import scipy.interpolate
-import scipy.signal
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth
+from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth, low_pass
 from excitant.identify.recording import MINIMUM_DURATION, Recording
 from excitant.robots.motion import Array, Motion, freeze
 
 CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
-_ORDER = 4
-_POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
+POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
 _NYQUIST_SHARE = 0.8
 _GAP_STEPS, _GAP_TIME = 3.0, 0.05  # a gap is longer than both [median steps, s]
 
@@ -57,7 +55,7 @@ class Segment:
 
     def filtered(self, values: Array) -> Array:
         """Pass columns, shape (n, ...), through the torque filter."""
-        return _low_pass(values, self.cutoff_hz, self.rate_hz)
+        return low_pass(values, self.cutoff_hz, self.rate_hz)
 
     def rows(self, columns: Callable[[Motion], Array]) -> Array:
         """Filtered and decimated columns of the motion, shape (rows, ...)."""
@@ -143,7 +141,7 @@ def _segment(
     grid, q, tau = resampled(recording, part)
     step = float(np.median(np.diff(recording.t)))
     if differentiator is None:
-        position_cutoff = min(_POSITION_RATIO * cutoff_hz, 0.5 * _NYQUIST_SHARE / step)
+        position_cutoff = min(POSITION_RATIO * cutoff_hz, 0.5 * _NYQUIST_SHARE / step)
         differentiator = ZeroPhaseButterworth(position_cutoff)
     elif differentiator.delay(1 / step) > 0:
         raise BadInput(f"{differentiator.name}: a causal one is for loops; give one without delay")
@@ -153,16 +151,8 @@ def _segment(
     return Segment(
         name=recording.name,
         motion=motion,
-        tau=_low_pass(tau, cutoff_hz, 1 / step),
+        tau=low_pass(tau, cutoff_hz, 1 / step),
         tau_raw=tau,
         cutoff_hz=cutoff_hz,
         keep=slice(edge, len(grid) - edge, stride),
     )
-
-
-def _low_pass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
-    sections = scipy.signal.butter(_ORDER, cutoff_hz, fs=rate_hz, output="sos")
-    filtered: Array = scipy.signal.sosfiltfilt(
-        sections, values, axis=0, padlen=min(len(values) - 1, int(3 * rate_hz / cutoff_hz))
-    )
-    return filtered

@@ -181,9 +181,8 @@ def replay(
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     base = base_parameters(robot, effects) if base is None else base
     t, q, tau = regular(recording)
-    steps = np.diff(t)
-    rate = 1 / float(np.median(steps))
-    longest = _longest(t, steps)
+    rate = 1 / float(np.median(np.diff(t)))
+    longest = max(uninterrupted(t), key=len)
     choice = choose_differentiator(t[longest], q[longest], causal=True)
     assert isinstance(choice.differentiator, LocalPolynomial)  # the only causal kind
     noise = position_spectrum(t[longest], q[longest]).noise
@@ -235,11 +234,3 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         tau=np.concatenate([r.tau for r in recordings]),
         unit=recordings[0].unit,
     )
-
-
-def _longest(t: Array, steps: Array) -> slice:
-    """The longest part without a gap."""
-    ends = np.flatnonzero(steps > 2.5 * np.median(steps)) + 1
-    edges = [0, *ends.tolist(), len(t)]
-    k = int(np.argmax(np.diff(edges)))
-    return slice(edges[k], edges[k + 1])

@@ -21,7 +21,7 @@ def identify_result(estimate: Estimate) -> dict[str, Any]:
     return {
         "verb": "identify",
         "robot": robot.name,
-        "estimator": "weighted least squares, then physically consistent semidefinite fit",
+        "estimator": f"{estimate.estimator}, then physically consistent semidefinite fit",
         "effects": [effect.name for effect in estimate.model.effects],
         "cutoff_hz": estimate.data.cutoff_hz,
         "unit": estimate.data.unit,

@@ -19,7 +19,7 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
 
-FIT_SHARE = 0.7  # of each recording is fitted when no hold-out is named
+_FIT_SHARE = 0.7  # of each recording is fitted when no hold-out is named
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,18 +59,25 @@ def split(
                 f"{recordings[0].file}; use recordings of one unit",
             )
     if validate:
-        parts, held = list(recordings), list(validate)
+        held = list(validate)
         sentence = f"held out: {', '.join(r.name for r in validate)}"
     else:
-        parts = [r.between(0, FIT_SHARE, "first 70 %") for r in recordings]
-        held = [r.between(FIT_SHARE, 1, "last 30 %") for r in recordings]
+        held = [r.between(_FIT_SHARE, 1, "last 30 %") for r in recordings]
         sentence = "held out: the last 30 % of each recording (no hold-out was named)"
+    parts = fitted(recordings, validate)
     if cutoff_hz is None:
         cutoff_hz = min(prepare(r)[0].cutoff_hz for r in (*parts, *held))
     train, validated = (
         tuple(s for r in group for s in prepare(r, cutoff_hz)) for group in (parts, held)
     )
     return Data(train, validated, recordings[0].unit, cutoff_hz, sentence)
+
+
+def fitted(recordings: Sequence[Recording], validate: Sequence[Recording]) -> list[Recording]:
+    """What is fitted: recordings as they are, or their first part where none is held out."""
+    if validate:
+        return list(recordings)
+    return [r.between(0, _FIT_SHARE, "first 70 %") for r in recordings]
 
 
 @dataclass(frozen=True, eq=False)

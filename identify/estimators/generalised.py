@@ -9,8 +9,13 @@ import scipy.signal
 
 from excitant.identify.coloured_noise import autocovariance, autoregression
 from excitant.identify.estimators.regression import Regression
-from excitant.identify.estimators.solution import information, noise_of, traces
-from excitant.identify.least_squares import LeastSquares, weighted_least_squares
+from excitant.identify.least_squares import (
+    LeastSquares,
+    information,
+    noise_of,
+    traces,
+    weighted_least_squares,
+)
 from excitant.robots.motion import Array
 
 _ROUNDS = 3  # of estimating the noise; the second already has residuals of an efficient fit

@@ -10,13 +10,12 @@ import scipy.interpolate
 
 from excitant.exceptions import BadInput
 from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth
-from excitant.identify.preprocessing import Segment, prepare
+from excitant.identify.preprocessing import POSITION_RATIO, Segment, prepare
 from excitant.identify.recording import Recording
 from excitant.identify.rows import FitRows, observation
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
-_POSITION_RATIO = 2.0  # as for all samples: positions keep what the torque filter will judge
 _RATE_SHARE = 0.2  # of the rate of all samples: 0.8 of what every second one can show
 
 
@@ -90,7 +89,7 @@ def _segments(recordings: Sequence[Recording], cutoff_hz: float, first: int) -> 
                 f"{recording.name}: every second sample at {rate_hz:.4g} Hz does not show motion "
                 f"up to the cut-off of {cutoff_hz:g} Hz; choose one up to {highest:.3g} Hz"
             )
-        position_cutoff = min(_POSITION_RATIO * cutoff_hz, highest)
+        position_cutoff = min(POSITION_RATIO * cutoff_hz, highest)
         half = EverySecond(first, ZeroPhaseButterworth(position_cutoff))
         found += prepare(recording, cutoff_hz, half)
     return found

@@ -8,13 +8,14 @@ import scipy.stats
 
 from excitant.exceptions import BadInput
 from excitant.identify.estimators.regression import Regression
-from excitant.identify.estimators.solution import (
+from excitant.identify.least_squares import (
     Factor,
+    LeastSquares,
     factorised,
     noise_of,
+    weighted_least_squares,
     with_covariance,
 )
-from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.robots.motion import Array
 
 _ROUNDS = 3  # of re-estimating the noise of each joint

@@ -15,7 +15,7 @@ from excitant.identify.estimators.ordinary import wls
 from excitant.identify.estimators.regression import Regression
 from excitant.identify.least_squares import LeastSquares
 from excitant.identify.recording import Recording
-from excitant.identify.rows import FIT_SHARE, FitRows
+from excitant.identify.rows import FitRows, fitted
 from excitant.robots.robot import Robot
 
 _CERTAIN = 0.01  # chance of a false alarm of the test
@@ -52,7 +52,7 @@ def estimated(
     estimator, notes = estimator_named(name), [f"base parameters by {DESCRIPTIONS[name]}"]
     problem = regression_of(rows)
     if name == "iv":
-        W, Z = half_columns(robot, rows, _fitted(recordings, validate))
+        W, Z = half_columns(robot, rows, fitted(recordings, validate))
         problem = replace(problem, W=W, instruments=Z)
         fit = estimator(problem)
         return fit, (*notes, _tested(problem, fit))
@@ -72,10 +72,3 @@ def _tested(problem: Regression, fit: LeastSquares) -> str:
         f"{statistic:.4g}, p = {p:.2g}); instruments move its base parameters by up to "
         f"{moved.max():.2g} standard deviations"
     )
-
-
-def _fitted(recordings: Sequence[Recording], validate: Sequence[Recording]) -> Sequence[Recording]:
-    """What `excitant.identify.rows.split` fits."""
-    if validate:
-        return recordings
-    return [recording.between(0, FIT_SHARE, "fitted") for recording in recordings]

@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from excitant.identify.estimators.regression import Regression
-from excitant.identify.estimators.solution import factorised, noise_of, with_covariance
-from excitant.identify.least_squares import LeastSquares, weighted_least_squares
+from excitant.identify.least_squares import (
+    LeastSquares,
+    factorised,
+    noise_of,
+    weighted_least_squares,
+    with_covariance,
+)
 
 
 def ols(problem: Regression) -> LeastSquares:

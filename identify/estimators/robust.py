@@ -11,14 +11,14 @@ import scipy.stats
 
 from excitant.exceptions import Infeasible
 from excitant.identify.estimators.regression import Regression
-from excitant.identify.estimators.solution import (
+from excitant.identify.least_squares import (
     SMALLEST,
     Factor,
+    LeastSquares,
     factorised,
     noise_of,
     with_covariance,
 )
-from excitant.identify.least_squares import LeastSquares
 from excitant.robots.motion import Array
 
 _ROUNDS = 200

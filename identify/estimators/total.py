@@ -6,8 +6,13 @@ import numpy as np
 
 from excitant.exceptions import BadInput, RankDeficient
 from excitant.identify.estimators.regression import Regression
-from excitant.identify.estimators.solution import factorised, noise_of, with_covariance
-from excitant.identify.least_squares import LeastSquares, weighted_least_squares
+from excitant.identify.least_squares import (
+    LeastSquares,
+    factorised,
+    noise_of,
+    weighted_least_squares,
+    with_covariance,
+)
 from excitant.robots.motion import Array
 
 _VERTICAL = 1e-12  # part of torque in a solution that needs none

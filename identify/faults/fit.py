@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.interpolate
-import scipy.signal
 
+from excitant.identify.differentiators import low_pass
 from excitant.identify.faults.log import Log
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.robots.motion import Array, Motion, freeze
@@ -77,9 +77,7 @@ def _frequency(log: Log) -> float:
 
 
 def _low_pass(x: Array, cutoff: float, rate: float) -> Array:
-    sections = scipy.signal.butter(4, min(cutoff, 0.45 * rate), fs=rate, output="sos")
-    length = min(len(x) - 1, int(3 * rate / cutoff))
-    return np.asarray(scipy.signal.sosfiltfilt(sections, x, axis=0, padlen=length), float)
+    return low_pass(x, min(cutoff, 0.45 * rate), rate)
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,7 @@ from excitant.identify import (
     publication,
 )
 from excitant.identify import identify as identify_robot
-from excitant.identify.estimators import DESCRIPTIONS, estimator_named
+from excitant.identify.estimators import estimator_named
 from excitant.identify.export import DEFAULT_FORMATS, FORMATS
 from excitant.identify.faults import read_checked
 from excitant.motion_commands import sampled
@@ -180,14 +180,8 @@ def _identified(
     if args.link_by_link:
         stages = identify_link_by_link(robot, recordings, **options)
         return stages.estimate, link_by_link_result(stages), link_by_link_series(stages)
-    estimator = args.estimator or "wls"
-    estimate = identify_robot(robot, recordings, **options, estimator=estimator)
-    result = identify_result(estimate)
-    if estimator != "wls":
-        result["estimator"] = (
-            f"{DESCRIPTIONS[estimator]}, then physically consistent semidefinite fit"
-        )
-    return estimate, result, {}
+    estimate = identify_robot(robot, recordings, **options, estimator=args.estimator or "wls")
+    return estimate, identify_result(estimate), {}
 
 
 def _show_import(recordings: Sequence[Recording]) -> dict[str, list[str]]:

@@ -78,21 +78,11 @@ def design(args: argparse.Namespace) -> None:
 
         found = design_trajectory(
             robot,
-            duration=args.duration,
-            harmonics=args.harmonics,
-            series=args.series,
-            top_hz=args.max_frequency,
-            criterion=args.criterion,
-            columns=args.columns,
+            **_options(args),
             noise=args.noise,
             earlier=_earlier(args, robot),
             scene=surroundings,
             clearance=least,
-            starts=args.starts,
-            jobs=args.jobs,
-            cluster=args.cluster,
-            seed=args.seed,
-            time_limit=args.time_limit,
             progress=tell,
         )
     files: dict[str, str | bytes] = {
@@ -116,6 +106,23 @@ def design(args: argparse.Namespace) -> None:
     finish(args, run_directory(args, "design", robot), result, design_series(found), files)
 
 
+def _options(args: argparse.Namespace) -> dict[str, Any]:
+    """What a design of one motion and one of a sequence are both told."""
+    return {
+        "duration": args.duration,
+        "harmonics": args.harmonics,
+        "series": args.series,
+        "top_hz": args.max_frequency,
+        "criterion": args.criterion,
+        "columns": args.columns,
+        "starts": args.starts,
+        "jobs": args.jobs,
+        "cluster": args.cluster,
+        "seed": args.seed,
+        "time_limit": args.time_limit,
+    }
+
+
 def _design_link_by_link(args: argparse.Namespace, robot: Robot) -> None:
     """One motion per link instead of one for all."""
     for option, value in (("--bound", args.bound), ("--noise", args.noise),
@@ -127,19 +134,9 @@ def _design_link_by_link(args: argparse.Namespace, robot: Robot) -> None:
     with progress_bar("design") as advance:
         found = design_link_by_link(
             robot,
-            duration=args.duration,
-            harmonics=args.harmonics,
-            series=args.series,
-            top_hz=args.max_frequency,
-            criterion=args.criterion,
-            columns=args.columns,
+            **_options(args),
             scene=surroundings,
             clearance=least,
-            starts=args.starts,
-            jobs=args.jobs,
-            cluster=args.cluster,
-            seed=args.seed,
-            time_limit=args.time_limit,
             progress=lambda share, link, best: advance(share, f"{link}, best κ {best:.4g}"),
         )
     result = link_by_link_design_result(found) | {"periods": args.repeat}

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,19 +16,12 @@ from excitant.identify.coloured_noise import (
     score_covariances,
 )
 
-FILE = Path(__file__).resolve().parents[2] / "benchmarks" / "coverage.py"
 N, NV, R = 400, 2, 5
 
 
 @pytest.fixture(scope="module")
-def benchmark() -> Any:
-    spec = importlib.util.spec_from_file_location("benchmark_coverage", FILE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+def benchmark(benchmark_module: Callable[[str], Any]) -> Any:
+    return benchmark_module("coverage")
 
 
 def problem(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,18 +19,10 @@ from excitant.robots.library.cmu_dd_arm_ii import (
 )
 from excitant.robots.parameters import pseudo_inertia, violations
 
-FILE = Path(__file__).resolve().parents[2] / "benchmarks" / "dd_arm.py"
-
 
 @pytest.fixture(scope="module")
-def benchmark() -> Any:
-    spec = importlib.util.spec_from_file_location("benchmark_dd_arm", FILE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+def benchmark(benchmark_module: Callable[[str], Any]) -> Any:
+    return benchmark_module("dd_arm")
 
 
 @pytest.fixture(scope="module")
