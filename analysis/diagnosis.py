@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from excitant.analysis.evidence import Candidate, Evidence, weigh
+from excitant.analysis.evidence import Candidate, Evidence
 from excitant.analysis.extension import Extension, contribution, extend, tolerance_metric
-from excitant.analysis.hypotheses import hypotheses
+from excitant.analysis.hypotheses import hypotheses, rests_on_model
+from excitant.analysis.residuals import Remainder, noise_floor, remainders
 from excitant.analysis.selection import Rival, rivals, select
+from excitant.analysis.sticking import sliding
 from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
-from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.physical import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.rows import Data, observation, split, torque_per_reading
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.effects import Effect, InertialParameters, JointEffect, standard_effects
+from excitant.robots.effects import Effect, InertialParameters, JointwiseEffect, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values
 
 _BLOCKS = 10  # of the hold-out, to see how much the gain varies
 _DEVIATIONS = 2.0  # standard errors by which the gain must exceed zero
+_ROUNDS = 3  # until what the data call for no longer changes what effects rest on
+_MATTERS = 0.3  # of what a cause does to the joint where it shows most
 _FLOOR = 0.05  # of a joint's squared error: dry friction is never an ideal sign function
 
 
@@ -41,6 +44,7 @@ class Finding:
         gain_error: Standard error of the relative gain in squared error, from blocks.
         rivals: Causes that the data cannot tell from it.
         torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
+        overshadowed: More is left unexplained on its joints than it explains.
     """
 
     effect: Effect
@@ -52,11 +56,12 @@ class Finding:
     gain_error: float
     rivals: tuple[Rival, ...]
     torque: Array
+    overshadowed: bool = False
 
     @property
     def verdict(self) -> str:
-        """``named``, or ``undecided`` when there are rivals."""
-        return "undecided" if self.rivals else "named"
+        """``named``, or ``undecided`` when there are rivals or most stays unexplained."""
+        return "undecided" if self.rivals or self.overshadowed else "named"
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +77,12 @@ class Diagnosis:
         extended: Accuracy of the extended model on the hold-out.
         findings: Causes in order of importance.
         series: Rows of the hold-out.
+        position: Joint positions at those rows, shape (n, nv) [rad].
         velocity: Joint velocities at those rows, shape (n, nv) [rad/s].
         acceleration: Joint accelerations at those rows, shape (n, nv) [rad/s²].
         simulated: Torque of the given model at those rows [torque unit].
         predicted: Torque of the extended model at those rows [torque unit].
-        correlation_s: How long each joint's remaining error stays correlated, shape (nv,) [s].
+        remainders: What the extended model leaves, joint by joint.
         waterfall: Error on the hold-out, relative to the given model's, as causes are added.
         notes: What the user should know, as sentences.
     """
@@ -89,11 +95,12 @@ class Diagnosis:
     extended: Accuracy
     findings: tuple[Finding, ...]
     series: Series
+    position: Array
     velocity: Array
     acceleration: Array
     simulated: Array
     predicted: Array
-    correlation_s: Array
+    remainders: tuple[Remainder, ...]
     waterfall: tuple[tuple[str, float], ...]
     notes: tuple[str, ...]
 
@@ -121,21 +128,28 @@ def diagnose(
     prior = prior_parameters(robot)
     data = split(recordings, validate, cutoff_hz)
     gains = _gains(robot, data)
-    columns = hypotheses(robot, tolerance_metric(prior), data.train)
-    rows = columns.rows(data.train, gains)
-    evidence = weigh(rows.X, rows.residual, columns.precision, columns.nuisance, columns.candidates)
-    chosen = select(evidence, robot)
     tau = series(data.train).measured * gains
     simulated = predicted_torque(robot, data.validate) / gains
-    while True:
-        extension = extend(robot, prior, evidence, chosen, data.train, tau)
-        predicted = predicted_torque(extension.model, data.validate) / gains
-        confirmed, judged = _judge(
-            robot, evidence, extension, chosen, data, gains, simulated, predicted
-        )
-        if len(confirmed) == len(chosen):
+    reference, shapes = robot, None
+    for _ in range(_ROUNDS):
+        evidence = hypotheses(robot, reference, tolerance_metric(prior), data.train, gains)
+        evidence, chosen = select(evidence, robot)
+        while True:
+            extension = extend(robot, reference, prior, evidence, chosen, data.train, tau)
+            predicted = predicted_torque(extension.model, data.validate) / gains
+            worst, judged = _judge(
+                robot, evidence, extension, chosen, data, gains, simulated, predicted
+            )
+            if worst is None:
+                break
+            chosen = [c for c in chosen if c is not worst]
+        reference, before, shapes = extension.model, shapes, {c.effect for c in chosen}
+        if shapes == before or not any(rests_on_model(c.effect) for c in chosen):
             break
-        chosen = confirmed
+    judged = [
+        replace(finding, rivals=tuple(rivals(evidence, robot, chosen, candidate)))
+        for finding, candidate in zip(judged, chosen, strict=True)
+    ]
     return _diagnosis(robot, data, gains, extension, judged, simulated, predicted)
 
 
@@ -158,12 +172,14 @@ def _judge(
     gains: Array,
     simulated: Array,
     predicted: Array,
-) -> tuple[list[Candidate], list[Finding]]:
-    """The causes that pay on the hold-out, with their findings."""
+) -> tuple[Candidate | None, list[Finding]]:
+    """The cause that pays least on the hold-out, if one does not pay; else the findings."""
     held = series(data.validate)
     error, given = held.measured - predicted, held.measured - simulated
-    weight = gains / evidence.sigma
-    confirmed, findings = [], []
+    moves = sliding(data.validate)
+    weight = moves * gains / evidence.sigma
+    floor = np.array([noise_floor(data.validate, j) for j in range(robot.nv)])
+    findings, worst, least = [], None, 0.0
     for candidate in chosen:
         torque = contribution(extension, robot, candidate.effect, data.validate) / gains
         joints = _joints(robot, candidate.effect)
@@ -172,27 +188,33 @@ def _judge(
         relative, spread = _relative_gain(
             (without * weight)[:, joints], (torque * weight)[:, joints]
         )
-        if relative < max(_FLOOR, _DEVIATIONS * spread):
-            continue
-        confirmed.append(candidate)
+        pays = relative - max(_FLOOR, _DEVIATIONS * spread)
+        if not _shows(torque * moves, floor):
+            pays = min(pays, -_FLOOR)
+        if pays < least:
+            worst, least = candidate, pays
         findings.append(
             _finding(
                 robot,
                 extension,
                 candidate,
-                tuple(rivals(evidence, robot, chosen, candidate)),
                 torque,
                 explained=float(gain.sum() / ((given * weight) ** 2).sum()),
                 errors=(without[:, joints], error[:, joints]),
                 gain_error=spread,
             )
         )
-    return confirmed, findings
+    return worst, findings
+
+
+def _shows(torque: Array, floor: Array) -> bool:
+    """Whether a cause makes more torque than noise does, on some joint."""
+    return bool((np.sqrt((torque**2).mean(axis=0)) > floor).any())
 
 
 def _joints(robot: Robot, effect: Effect) -> list[int]:
     """Joints whose torque an effect changes: its own, or all for a body."""
-    if isinstance(effect, JointEffect):
+    if isinstance(effect, JointwiseEffect):
         return [robot.joint_index(joint) for joint in effect.joints]
     return list(range(robot.nv))
 
@@ -217,7 +239,6 @@ def _finding(
     robot: Robot,
     extension: Extension,
     candidate: Candidate,
-    others: tuple[Rival, ...],
     torque: Array,
     *,
     explained: float,
@@ -245,7 +266,7 @@ def _finding(
         before,
         after,
         gain_error,
-        others,
+        (),
         torque,
     )
 
@@ -260,9 +281,10 @@ def _diagnosis(
     predicted: Array,
 ) -> Diagnosis:
     held = series(data.validate)
-    findings = sorted(findings, key=lambda f: -f.explained)
     error = held.measured - predicted
-    step = held.t[1] - held.t[0]
+    left = remainders(robot.joints, data.validate, error, held.measured - simulated, predicted)
+    doubtful = [replace(f, overshadowed=_overshadowed(f, left)) for f in findings]
+    findings = sorted(doubtful, key=lambda f: -f.explained)
     notes = [data.holdout]
     if data.unit == "A":
         notes.append(
@@ -278,14 +300,26 @@ def _diagnosis(
         extended=held.accuracy(predicted),
         findings=tuple(findings),
         series=held,
+        position=np.concatenate([s.motion.q[s.keep] for s in data.validate]),
         velocity=np.concatenate([s.motion.dq[s.keep] for s in data.validate]),
         acceleration=np.concatenate([s.motion.ddq[s.keep] for s in data.validate]),
         simulated=simulated,
         predicted=predicted,
-        correlation_s=np.array([autocorrelation_time(e) * step for e in error.T]),
+        remainders=left,
         waterfall=_waterfall(held.measured - simulated, error, findings),
         notes=tuple(notes),
     )
+
+
+def _overshadowed(finding: Finding, left: Sequence[Remainder]) -> bool:
+    """Whether what nothing explains is larger than what this cause explains, in noise."""
+    scale = np.array([r.floor for r in left])
+    if not (scale > 0).all():
+        return False
+    unknown = np.array([r.structured if r.visible else 0.0 for r in left])
+    size = np.sqrt((finding.torque**2).mean(axis=0))
+    main = size / scale > _MATTERS * (size / scale).max()
+    return bool((unknown[main] ** 2).sum() > (size[main] ** 2).sum())
 
 
 def _waterfall(

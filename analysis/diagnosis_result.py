@@ -9,30 +9,41 @@ import numpy as np
 
 from excitant.analysis.diagnosis import Diagnosis, Finding
 from excitant.analysis.experiments import experiment
-from excitant.robots.effects import InertialParameters, JointEffect, Payload
+from excitant.analysis.residuals import Remainder
+from excitant.robots.effects import GravityDirection, InertialParameters, JointwiseEffect, Payload
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
-_NOISE_LIKE_S = 0.1  # s: residuals that forget faster than this look like noise
-
-_PLAIN = {
-    "viscous_friction": "viscous friction",
-    "coulomb_friction": "Coulomb friction",
-    "stribeck_friction": "Stribeck friction",
-    "rotor_inertia": "rotor inertia",
-    "torque_offset": "torque offset",
-}
+_PLAIN = {"coulomb_friction": "Coulomb friction", "stribeck_friction": "Stribeck friction"}
 _DOMAIN = {
     "viscous_friction": "velocity",
     "coulomb_friction": "velocity",
+    "asymmetric_friction": "velocity",
     "stribeck_friction": "velocity",
+    "nonlinear_viscous_friction": "velocity",
+    "load_dependent_friction": "velocity",
+    "presliding_hysteresis": "velocity",
+    "friction_coupling": "velocity",
     "rotor_inertia": "acceleration",
+    "inertia_coupling": "acceleration",
+    "torque_ripple": "position",
+    "spring": "position",
+    "torque_gain": "torque",
 }
 _LABEL = {
     "velocity": "joint velocity [rad/s]",
     "acceleration": "joint acceleration [rad/s²]",
+    "position": "joint position [rad]",
+    "torque": "torque of the given model",
     "time": "time [s]",
 }
+_SHOWN = {"position": "position", "velocity": "velocity", "load": "torque", "time": "time"}
+_SHAPES = {"velocity": "rad/s", "distance": "rad", "order": "1/turn", "time": "s", "exponent": "1"}
+
+
+def plain(name: str) -> str:
+    """Name of an effect in a sentence."""
+    return _PLAIN.get(name, name.replace("_", " "))
 
 
 def grouped(diagnosis: Diagnosis) -> list[list[Finding]]:
@@ -41,7 +52,9 @@ def grouped(diagnosis: Diagnosis) -> list[list[Finding]]:
     for finding in diagnosis.findings:
         name = finding.effect.name
         same = [f for f in diagnosis.findings if f.effect.name == name]
-        common = isinstance(finding.effect, JointEffect) and 2 * len(same) > diagnosis.robot.nv > 2
+        common = (
+            isinstance(finding.effect, JointwiseEffect) and 2 * len(same) > diagnosis.robot.nv > 2
+        )
         key = f"{name} {finding.verdict if common else finding.effect.joints}"
         groups.setdefault(key, []).append(finding)
     return sorted(groups.values(), key=lambda group: -sum(f.explained for f in group))
@@ -59,7 +72,10 @@ def diagnose_result(diagnosis: Diagnosis) -> dict[str, Any]:
         "holdout": diagnosis.data.holdout,
         "simulation": {"joints": _joints(robot, diagnosis.simulation.entry)},
         "faults": [],
-        "findings": [_finding(diagnosis, group) for group in grouped(diagnosis)],
+        "findings": [
+            _unknown(diagnosis, item) if isinstance(item, Remainder) else _finding(diagnosis, item)
+            for item in ordered(diagnosis)
+        ],
         "unexplained": [_unexplained(diagnosis, j) for j in range(robot.nv)],
         "extended": {"joints": _joints(robot, diagnosis.extended.entry)},
         "waterfall": [{"label": label, "rms": size} for label, size in diagnosis.waterfall],
@@ -91,19 +107,28 @@ def _finding(diagnosis: Diagnosis, group: Sequence[Finding]) -> dict[str, Any]:
             )
         ]
         + [
-            {"name": f"{f.effect.joints[0]}.velocity", "value": speed, "std": None, "unit": "rad/s"}
+            {
+                "name": f"{f.effect.joints[0]}.{shape}",
+                "value": getattr(f.effect, shape),
+                "std": None,
+                "unit": unit,
+            }
             for f in group
-            if (speed := getattr(f.effect, "velocity", None)) is not None
+            for shape, unit in _SHAPES.items()
+            if hasattr(f.effect, shape)
         ],
         "explained": sum(f.explained for f in group),
         "holdout": {"rms_before": before, "rms_after": after},
-        "verdict": "undecided" if others else "named",
+        "verdict": lead.verdict if len(group) == 1 else _verdict(group),
+        "doubt": "more is left unexplained on its joints than it explains"
+        if any(f.overshadowed for f in group)
+        else "",
         "rivals": [
             {
                 "effect": name,
                 "joints": list(joints),
-                "why": f"explains this motion as well (odds {rival.odds:.3g} : 1, "
-                f"signatures alike to |cos| = {rival.cosine:.2f})",
+                "why": f"explains this motion as well (within {max(rival.deviations, 0.0):.1f} "
+                f"standard errors, signatures alike to |cos| = {rival.cosine:.2f})",
                 "experiment": experiment(lead.effect.name, name),
             }
             for (name, joints), rival in others.items()
@@ -116,20 +141,62 @@ def _finding(diagnosis: Diagnosis, group: Sequence[Finding]) -> dict[str, Any]:
     }
 
 
+def _verdict(group: Sequence[Finding]) -> str:
+    return "named" if all(f.verdict == "named" for f in group) else "undecided"
+
+
+def ordered(diagnosis: Diagnosis) -> list[list[Finding] | Remainder]:
+    """Findings, and joints where more than noise stays unexplained, by the error they stand for."""
+    found = [(sum(f.explained for f in group), group) for group in grouped(diagnosis)]
+    open_ = [(_share(diagnosis, left), left) for left in diagnosis.remainders if left.visible]
+    items: list[tuple[float, list[Finding] | Remainder]] = [*found, *open_]
+    return [item for _, item in sorted(items, key=lambda pair: -pair[0])]
+
+
+def _share(diagnosis: Diagnosis, left: Remainder) -> float:
+    """Share of the given model's squared error that one joint's structure makes up."""
+    rms = diagnosis.extended.rms
+    given = ((diagnosis.series.measured - diagnosis.simulated) / rms) ** 2
+    size = rms[diagnosis.robot.joint_index(left.joint)]
+    return float((left.structured / size) ** 2 / given.mean(axis=0).sum())
+
+
+def _unknown(diagnosis: Diagnosis, left: Remainder) -> dict[str, Any]:
+    """What no candidate explains."""
+    return {
+        "effect": "unknown",
+        "joints": [left.joint],
+        "parameters": [],
+        "explained": 0.0,
+        "share": _share(diagnosis, left),
+        "holdout": {"rms_before": left.rms, "rms_after": left.rms},
+        "verdict": "unknown",
+        "structure": left.structure,
+        "rivals": [],
+        "figure": {
+            "x_label": _LABEL[_SHOWN[left.domain]],
+            "y_label": f"torque [{diagnosis.data.unit}]",
+            "joint": left.joint,
+        },
+    }
+
+
 def _shown_joint(diagnosis: Diagnosis, finding: Finding) -> int:
     """The joint whose error the cause reduces most, relative to the given model's error."""
-    if isinstance(finding.effect, JointEffect):
+    if isinstance(finding.effect, JointwiseEffect):
         return diagnosis.robot.joint_index(finding.effect.joints[0])
     return int(np.argmax(np.sqrt((finding.torque**2).mean(axis=0)) / diagnosis.extended.rms))
 
 
 def _unexplained(diagnosis: Diagnosis, j: int) -> dict[str, Any]:
-    seconds = float(diagnosis.correlation_s[j])
-    slow = f"structured: stays correlated over {seconds:.2g} s"
+    left = diagnosis.remainders[j]
     return {
-        "joint": diagnosis.robot.joints[j],
+        "joint": left.joint,
         "share": float(np.clip(1 - diagnosis.extended.r2[j], 0, 1)),
-        "structure": "noise-like" if seconds < _NOISE_LIKE_S else slow,
+        "rms": left.rms,
+        "noise_floor": left.floor,
+        "structure": left.structure,
+        "shows": dict(left.shows),
     }
 
 
@@ -141,12 +208,24 @@ def diagnose_series(diagnosis: Diagnosis) -> dict[str, Array]:
         "simulated": diagnosis.simulated,
         "extended": diagnosis.predicted,
     }
-    domains = {"velocity": diagnosis.velocity, "acceleration": diagnosis.acceleration}
+    domains = {
+        "position": diagnosis.position,
+        "velocity": diagnosis.velocity,
+        "acceleration": diagnosis.acceleration,
+        "torque": diagnosis.simulated,
+        "time": np.repeat(diagnosis.series.t[:, None], diagnosis.robot.nv, axis=1),
+    }
     error = diagnosis.series.measured - diagnosis.predicted
-    for k, (lead, *_) in enumerate(grouped(diagnosis)):
+    for k, item in enumerate(ordered(diagnosis)):
+        if isinstance(item, Remainder):
+            j, domain = diagnosis.robot.joint_index(item.joint), _SHOWN[item.domain]
+            arrays[f"finding{k}_x"] = domains[domain][:, j]
+            arrays[f"finding{k}_residual"] = error[:, j]
+            continue
+        lead = item[0]
         j = _shown_joint(diagnosis, lead)
         domain = _DOMAIN.get(lead.effect.name, "time")
-        arrays[f"finding{k}_x"] = diagnosis.series.t if domain == "time" else domains[domain][:, j]
+        arrays[f"finding{k}_x"] = domains[domain][:, j]
         arrays[f"finding{k}_residual"] = error[:, j] + lead.torque[:, j]
         arrays[f"finding{k}_fit"] = lead.torque[:, j]
     return arrays
@@ -156,6 +235,14 @@ def headline(diagnosis: Diagnosis) -> str:
     """The most important finding in one sentence."""
     unit = diagnosis.data.unit
     groups = grouped(diagnosis)
+    order = ordered(diagnosis)
+    if order and isinstance(order[0], Remainder):
+        left = order[0]
+        return (
+            f"{left.joint}: {left.rms:.2g} {unit} stay unexplained on the hold-out, "
+            f"{left.rms / left.floor:.1f} times the noise; no known cause describes them "
+            f"({left.structure})."
+        )
     if not groups:
         return (
             "No cause stands out: what the given model misses lies within the tolerance of its "
@@ -171,8 +258,8 @@ def headline(diagnosis: Diagnosis) -> str:
     doubt = ""
     if lead.rivals:
         other = lead.rivals[0].candidate.effect
-        name = _PLAIN.get(other.name, other.name.replace("_", " "))
-        doubt = f" {name.capitalize()} at {', '.join(other.joints)} would look the same."
+        name = plain(other.name)
+        doubt = f" {name[0].upper()}{name[1:]} at {', '.join(other.joints)} would look the same."
     more = len(groups) - 1
     also = f" {more} more cause{'s' if more > 1 else ''} below." if more else ""
     return f"{_in_words(lead, joints, diagnosis)}; {gain}.{doubt}{also}"
@@ -185,7 +272,12 @@ def _in_words(finding: Finding, joints: Sequence[str], diagnosis: Diagnosis) -> 
     if isinstance(effect, InertialParameters):
         link = diagnosis.robot.links[diagnosis.robot.joint_index(joints[0])]
         return f"The inertial parameters of {link} are wrong (mass {values[0]:+.2f} kg)"
-    name = _PLAIN[effect.name]
+    if isinstance(effect, GravityDirection):
+        true = diagnosis.robot.gravity + values
+        return (
+            f"Gravity points along ({', '.join(f'{x:.2f}' for x in true)}) m/s² in the base frame"
+        )
+    name = plain(effect.name)
     if len(joints) > 1:
         return f"{name[0].upper()}{name[1:]} of {len(joints)} joints is missing or wrong"
     unit = effect.parameters(diagnosis.robot)[0].unit

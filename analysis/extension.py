@@ -9,10 +9,11 @@ import numpy as np
 
 from excitant.analysis.evidence import Candidate, Evidence
 from excitant.analysis.hypotheses import TOLERANCE, WRONG_LINK
+from excitant.analysis.sticking import sliding
 from excitant.identify.physical import EffectPrior, fit_physical
 from excitant.identify.preprocessing import Segment
 from excitant.identify.rows import implausible_size, observation
-from excitant.robots.effects import Effect, InertialParameters, Payload
+from excitant.robots.effects import Effect, InertialParameters, JointwiseEffect, Payload
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import from_pseudo_inertia, isotropic
 from excitant.robots.robot import Robot
@@ -39,6 +40,7 @@ class Extension:
 
 def extend(
     robot: Robot,
+    reference: Robot,
     prior: Array,
     evidence: Evidence,
     chosen: Sequence[Candidate],
@@ -51,16 +53,17 @@ def extend(
 
     Args:
         robot: The given robot.
-        prior: Its standard parameters as prior, shape (nv, 10).
+        reference: The robot as understood so far; effects that rest on torque take it from here.
+        prior: Standard parameters of the given robot as prior, shape (nv, 10).
         evidence: Noise levels.
         chosen: Causes found.
         segments: What to fit.
         tau: Measured torque at the rows, shape (n, nv) [N·m].
     """
     effects = _effects(robot, chosen)
-    W = observation(robot, effects, segments)
-    weight = 1 / (evidence.sigma * np.sqrt(evidence.inflation))
-    rows = (np.concatenate([W, tau[:, :, None]], axis=2) * weight[:, None]).reshape(
+    W = observation(reference, effects, segments)
+    weight = sliding(segments) / (evidence.sigma * np.sqrt(evidence.inflation))
+    rows = (np.concatenate([W, tau[:, :, None]], axis=2) * weight[:, :, None]).reshape(
         -1, W.shape[2] + 1
     )
     R = np.asarray(np.linalg.qr(rows, mode="r"), float)
@@ -99,8 +102,10 @@ def merged(effects: Sequence[Effect]) -> list[Effect]:
     """Effects of one kind and shape as one effect on several joints."""
     kinds: dict[Effect, list[str]] = {}
     for effect in effects:
-        kinds.setdefault(replace(effect, joints=(), values=None), []).extend(effect.joints)
-    return [replace(kind, joints=tuple(joints)) for kind, joints in kinds.items()]
+        if isinstance(effect, JointwiseEffect):
+            kinds.setdefault(replace(effect, joints=(), values=None), []).extend(effect.joints)
+    together: list[Effect] = [replace(kind, joints=tuple(js)) for kind, js in kinds.items()]
+    return together + [e for e in effects if not isinstance(e, JointwiseEffect)]
 
 
 def tolerance_metric(bodies: Array) -> Array:
@@ -132,6 +137,9 @@ def _effect_prior(
     parameters = [p for e in scalar for p in e.parameters(robot)]
     given = [v for e in scalar for v in (e.values or (0.0,) * len(e.parameters(robot)))]
     open_std = implausible_size(columns, tau)
+    for k, parameter in enumerate(parameters):
+        if parameter.typical is not None:
+            open_std[k] = parameter.typical
     mean = np.array(given)
     tight = np.maximum(TOLERANCE * np.abs(mean), 1e-9)
     loose = np.array([p.name in free for p in parameters], dtype=bool)
@@ -154,6 +162,7 @@ def contribution(
         fitted, given = (effect_values(owner) for owner in (extension.model, robot))
         names = [p.name for p in effect.parameters(robot)]
         values = np.array([fitted[name] - given.get(name, 0.0) for name in names])
-    W = np.concatenate([s.rows(lambda m: effect.columns(robot, m)) for s in segments])
+    model = extension.model
+    W = np.concatenate([s.rows(lambda m: effect.columns(model, m)) for s in segments])
     torque: Array = W @ values
     return torque

@@ -10,8 +10,8 @@ from excitant.analysis.chain import chain
 from excitant.analysis.directions import largest_correlations
 from excitant.analysis.entries import Entry
 from excitant.analysis.identifiability import Identifiability, UnderMotion
-from excitant.analysis.prior_influence import KINDS
 from excitant.analysis.structure import structure_values
+from excitant.identify.prior_rule import KINDS
 from excitant.robots.motion import Array
 
 

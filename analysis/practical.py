@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from excitant.exceptions import BadInput
+from excitant.identify.prior_rule import silent_columns
 from excitant.robots.base_parameters import (
     BaseParameters,
     Observation,
@@ -28,7 +28,6 @@ TORQUE_NOISE = 0.01  # of each joint's torque limit, where no recording tells th
 WELL, ROUGHLY = 0.1, 0.3  # relative standard deviation
 NOT_SHOWN = "not_shown"
 _SEEN = 1e-9  # smallest singular value of normalised columns, relative; below it is rounding
-_SILENT = 1e-11  # norm of a column relative to the largest; below it is rounding
 _TOUCHES = 1e-6  # part of a unit vector in unseen directions from which it counts
 
 
@@ -104,12 +103,6 @@ def companions(R: Array) -> tuple[tuple[int, ...], ...]:
     parallel = np.abs(directions @ directions.T) > 1 - _TOUCHES**1.5
     groups = dict.fromkeys(tuple(int(k) for k in hidden[row]) for row in parallel)
     return tuple(group for group in groups if len(group) > 1)
-
-
-def silent_columns(R: Array) -> npt.NDArray[np.bool_]:
-    """Columns that make no torque, shape (p,)."""
-    norms = np.linalg.norm(R, axis=0)
-    return np.asarray(norms <= _SILENT * norms.max(initial=0.0))
 
 
 def without_rounding(W: Array) -> Array:

@@ -4,7 +4,9 @@ Two sets of initial values that lead to the same table within a few per cent sho
 may agree where the data are silent. So the prior is moved where the data are silent, along the
 null space of the observation matrix and along what it shows worst, and in random directions as
 well, always to bodies that can exist; the physically consistent fit is repeated, and each entry
-compared with how far its prior was moved: 1, the prior alone decides; 0, the data do.
+compared with how far its prior was moved: 1, the prior alone decides; 0, the data do. When that
+makes an entry the prior's is the rule of `excitant.identify.prior_rule`, which `identify` applies
+to linear theory.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
-from excitant.analysis.practical import Sight, silent_columns
+from excitant.analysis.practical import Sight
 from excitant.identify.estimate import Estimate, whitened
 from excitant.identify.physical import (
     PRIOR_SIGMA,
@@ -24,18 +26,22 @@ from excitant.identify.physical import (
     link_coordinates,
     link_weights,
 )
+from excitant.identify.prior_rule import (
+    DOMINATED,
+    KINDS,
+    UNSEEN,
+    WEAKEST,
+    follows,
+    reached,
+    silent_columns,
+)
 from excitant.identify.rows import FitRows
 from excitant.robots.motion import Array, freeze
 
-KINDS = ("null space", "weakly seen", "random")
-DOMINATED = 0.5  # influence from which an entry counts as the prior's
 STEP = 0.2  # of a link's inertia in any direction, by which the prior is moved
-_MATERIAL = 0.25  # of an entry's uncertainty: less means a move of less than 5 % of the entry
 _NOTHING = 0.01  # of an entry's uncertainty, below which a kind says nothing of it
 _DRAWS = 8  # perturbations in the null space, and random ones
-_WEAKEST = 4  # of the directions seen
 _FLAT = 1e-3  # of the prior's second moment in some direction: the body is at its limit
-_SILENT = 1e-9  # singular value relative to the largest
 _UPPER = np.triu_indices(4)
 
 Response = Callable[[Array], Array]
@@ -141,7 +147,7 @@ class PriorInfluence:
     @property
     def overall(self) -> Array:
         """Largest ratio of the kinds that reach a material part of the entry, shape (p,)."""
-        return self._largest(self.ratio)
+        return follows(self.ratio, self.reach)
 
     @property
     def decided_by(self) -> tuple[str, ...]:
@@ -150,15 +156,11 @@ class PriorInfluence:
         Physics where the prior would decide but the body is at the limit of what can exist, and
         stays there wherever the prior is.
         """
-        free = self._largest(self.linear)
+        free = follows(self.linear, self.reach)
         return tuple(
             "prior" if bound > DOMINATED else "physics" if loose > DOMINATED else "data"
             for bound, loose in zip(self.overall, free, strict=True)
         )
-
-    def _largest(self, ratio: Array) -> Array:
-        counted = np.where((self.reach >= _MATERIAL) & np.isfinite(ratio), ratio, 0.0)
-        return np.asarray(np.clip(counted.max(axis=0), 0.0, 1.0), float)
 
 
 def prior_influence(
@@ -181,8 +183,8 @@ def prior_influence(
     """
     s, Vt = prior.directions(seen.R)
     free = _linear(prior, s, Vt)
-    silent = s <= _SILENT * s.max(initial=0.0)
-    null, weak = Vt[silent], Vt[~silent][-_WEAKEST:]
+    silent = s <= UNSEEN * s.max(initial=0.0)
+    null, weak = Vt[silent], Vt[~silent][-WEAKEST:]
     steps = {
         "null space": [rng.normal(size=len(null)) @ null for _ in range(_DRAWS) if len(null)],
         "weakly seen": list(weak),
@@ -198,7 +200,7 @@ def prior_influence(
         linear[k] = _ratio(np.array([free(delta) for delta in given]).reshape(-1, p), given, prior)
         relative = np.abs(moves @ regrouping.T) / np.where(base_std > 0, base_std, np.inf)
         base_move = np.maximum(base_move, relative.max(axis=0, initial=0.0))
-    reach[:2] = [_reach(prior, part, x) for part in (null, weak)]
+    reach[:2] = [reached(prior.L, part, x, prior.links) for part in (null, weak)]
     reach[0, silent_columns(seen.R)] = 1.0
     reach[2] = np.arange(p) < 10 * prior.links
     ratio[reach < _NOTHING] = linear[reach < _NOTHING] = np.nan
@@ -211,18 +213,6 @@ def _ratio(moves: Array, given: Array, prior: Prior) -> Array:
     got, size = (np.sqrt((values**2).sum(axis=0)) for values in (moves, given))
     unmoved = np.full(len(size), np.nan)
     return np.asarray(np.divide(got, size, out=unmoved, where=size > 1e-9 * prior.std), float)
-
-
-def _reach(prior: Prior, directions: Array, x: Array) -> Array:
-    """Share of each entry's uncertainty in some directions of w, at most 1, shape (p,).
-
-    An effect has no prior value; its estimate is what a share of it is compared with.
-    """
-    spread = np.linalg.norm(prior.L @ directions.T, axis=1)
-    size = prior.std.copy()
-    effects = slice(10 * prior.links, None)
-    size[effects] = np.minimum(size[effects], np.abs(x[effects]) + 1e-6 * size[effects])
-    return np.asarray(np.minimum(spread / size, 1.0), float)
 
 
 def _random_bodies(prior: Prior, rng: np.random.Generator) -> Array:
@@ -262,7 +252,9 @@ def refits(estimate: Estimate, rows: FitRows) -> Response:
     def moved(delta: Array) -> Array:
         other = replace(effects, mean=effects.mean + delta[links:])
         prior = phi + delta[:links].reshape(-1, 10)
-        found = fit_physical(R, z, prior, other, metric=phi)
+        found = fit_physical(
+            R, z, prior, other, metric=phi, knowledge=estimate.knowledge, links=estimate.given.links
+        )
         return np.asarray(found.x - estimate.physical.x, float)
 
     return moved

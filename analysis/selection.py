@@ -2,55 +2,111 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.stats
 
-from excitant.analysis.evidence import Candidate, Evidence
-from excitant.robots.effects import Payload
+from excitant.analysis.evidence import Candidate, Evidence, reweighed
+from excitant.robots.effects import Backlash, Effect, GravityDirection, Payload, TimeDelay
+from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values
 
 _LARGEST_SET = 60
-_ODDS = 2 * np.log(100.0)  # a rival less than 100 times less likely cannot be excluded
+_DRY = ("viscous_friction", "coulomb_friction")
+_STANDARD = (*_DRY, "torque_offset", "rotor_inertia")
+_BRINGS_MORE = 0.01  # probability that a coefficient too many seems to bring more
+_TYPICAL = 0.1  # probability of what is taken for chance when causes are ranked
 _SIGN_DEVIATIONS = 2.0  # standard deviations by which a value may lie beyond what physics allows
+_TIE = 2.0  # standard errors within which two causes explain the data alike
+_TIE_ALIKE = 3.3  # the same where their signatures are alike
+_ALIKE = 0.9  # |cos| of such signatures
+_HALF = 0.5  # of what a cause explains, at least, must a rival explain
+_LARGEST = 2.0  # of the typical size of a coefficient that has one
+_NEAR_TRIAL = (0.3, 2.5)  # of a trial delay; the grid's steps are smaller
+_GRAVITY_TOLERANCE = 0.05  # of 9.81 m/s², by which a turned gravity may differ in size
 
 
-def select(evidence: Evidence, robot: Robot) -> list[Candidate]:
-    """Causes by forward selection, then pruned backwards.
+def select(evidence: Evidence, robot: Robot) -> tuple[Evidence, list[Candidate]]:
+    """Causes by forward selection, each step pruned backwards.
 
     A candidate enters when the fall of J exceeds what the best of all candidates reaches by
-    chance, and leaves when the others have made it dispensable.
+    chance, and leaves when the others have made it dispensable. Joints that the model gives no
+    friction get that of the standard model first, so that finer kinds must bring more than it.
+
+    Returns:
+        The evidence with the noise at the end, and the causes.
     """
-    chosen: list[Candidate] = []
+    bare = _bare(robot)
+    standard = [
+        c for c in evidence.candidates if c.effect.name in _STANDARD and {*c.effect.joints} <= bare
+    ]
+    evidence, chosen = _grown(evidence, robot, [], standard)
+    return _grown(evidence, robot, chosen, evidence.candidates)
+
+
+def _grown(
+    evidence: Evidence, robot: Robot, chosen: list[Candidate], allowed: Sequence[Candidate]
+) -> tuple[Evidence, list[Candidate]]:
+    """A set with all of the allowed candidates that the evidence calls for."""
+    seen: set[frozenset[int]] = set()
     while len(chosen) < _LARGEST_SET:
-        best = _best_addition(evidence, robot, chosen)
+        evidence = reweighed(evidence, chosen)
+        best = _best_addition(evidence, robot, chosen, {c.columns.start for c in allowed})
         if best is None:
             break
-        chosen.append(best)
-        chosen = _pruned(evidence, chosen)
-        if best not in chosen:
+        chosen = _pruned(evidence, [*chosen, best])
+        state = frozenset(c.columns.start for c in chosen)
+        if state in seen:
             break
-    return chosen
+        seen.add(state)
+    return evidence, chosen
 
 
 def _best_addition(
-    evidence: Evidence, robot: Robot, chosen: Sequence[Candidate]
+    evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], allowed: set[int]
 ) -> Candidate | None:
-    now, taken = evidence.cost(chosen), {c.key for c in chosen}
-    scored = [
-        (now - evidence.cost([*chosen, c]) - evidence.threshold(c.size), k)
-        for k, c in enumerate(evidence.candidates)
-        if c.key not in taken
-    ]
-    for score, k in sorted(scored, reverse=True):
-        if score <= 0:
+    falls, taken = evidence.additions(chosen), {c.key for c in chosen}
+    scores = falls - [_chance(c) for c in evidence.candidates]
+    for k in np.argsort(-scores, kind="stable"):
+        candidate: Candidate = evidence.candidates[k]
+        if scores[k] <= 0:
             return None
-        candidate = evidence.candidates[k]
-        if plausible(evidence, robot, [*chosen, candidate], candidate):
-            return candidate
+        if candidate.key in taken or candidate.columns.start not in allowed:
+            continue
+        if _significant(evidence, chosen, candidate, float(falls[k])) and plausible(
+            evidence, robot, [*chosen, candidate], candidate
+        ):
+            return _simplest(evidence, chosen, candidate)
     return None
+
+
+def _simplest(evidence: Evidence, chosen: Sequence[Candidate], found: Candidate) -> Candidate:
+    """A special case of what was found, where its other coefficients bring nothing more."""
+    whole = evidence.cost([*chosen, found])
+    for simple in evidence.candidates:
+        special = simple.effect.name in found.effect.contains
+        if not special or simple.effect.joints != found.effect.joints or simple in chosen:
+            continue
+        more = max(found.size - simple.size, 1)
+        fall = evidence.cost([*chosen, simple]) - whole
+        if fall < evidence.dispersion(chosen, found) * scipy.stats.chi2.isf(_BRINGS_MORE, more):
+            return simple
+    return found
+
+
+def _chance(candidate: Candidate) -> float:
+    """Fall of J that the best of a candidate's shapes reaches by chance."""
+    return float(scipy.stats.chi2.isf(_TYPICAL / candidate.trials, candidate.size))
+
+
+def _significant(
+    evidence: Evidence, chosen: Sequence[Candidate], candidate: Candidate, fall: float
+) -> bool:
+    spread = evidence.dispersion(chosen, candidate)
+    return fall > spread * evidence.threshold(candidate)
 
 
 def _pruned(evidence: Evidence, chosen: list[Candidate]) -> list[Candidate]:
@@ -58,7 +114,8 @@ def _pruned(evidence: Evidence, chosen: list[Candidate]) -> list[Candidate]:
     kept = list(chosen)
     for candidate in chosen:
         rest = [c for c in kept if c is not candidate]
-        if evidence.cost(rest) - evidence.cost(kept) < evidence.threshold(candidate.size):
+        fall = evidence.cost(rest) - evidence.cost(kept)
+        if not _significant(evidence, rest, candidate, fall):
             kept = rest
     return kept
 
@@ -66,17 +123,44 @@ def _pruned(evidence: Evidence, chosen: list[Candidate]) -> list[Candidate]:
 def plausible(
     evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], candidate: Candidate
 ) -> bool:
-    """Whether a candidate's coefficients, with what is given, have signs physics allows."""
+    """Whether a candidate's coefficients, with what is given, are such as physics allows."""
     _, coordinates, covariance = evidence.solve(chosen)
     value = candidate.scale @ coordinates[candidate.columns]
     block = covariance[candidate.columns, candidate.columns]
     std = np.sqrt(np.diag(candidate.scale @ block @ candidate.scale.T))
-    if isinstance(candidate.effect, Payload):
-        return bool(value[0] > -_SIGN_DEVIATIONS * std[0])
+    special = _PLAUSIBLE.get(candidate.effect.name)
+    if special is not None:
+        return special(candidate.effect, robot, value, std)
     parameters = candidate.effect.parameters(robot)
     given = effect_values(robot)
     lower = np.array([p.lower - given.get(p.name, 0.0) for p in parameters])
-    return bool((value > lower - _SIGN_DEVIATIONS * std).all())
+    most = np.array([np.inf if p.typical is None else _LARGEST * p.typical for p in parameters])
+    return bool(((value > lower - _SIGN_DEVIATIONS * std) & (np.abs(value) < most)).all())
+
+
+def _has_mass(effect: Effect, robot: Robot, value: Array, std: Array) -> bool:
+    return bool(value[0] > -_SIGN_DEVIATIONS * std[0])
+
+
+def _is_gravity(effect: Effect, robot: Robot, value: Array, std: Array) -> bool:
+    """Whether the changed vector is still as long as gravity."""
+    size = float(np.linalg.norm(robot.gravity))
+    off = abs(float(np.linalg.norm(robot.gravity + value)) - size)
+    return off < _GRAVITY_TOLERANCE * size + _SIGN_DEVIATIONS * float(np.linalg.norm(std))
+
+
+def _is_near_trial(effect: Effect, robot: Robot, value: Array, std: Array) -> bool:
+    """Whether a delay or a gap is one that the trial's column is right for."""
+    share = float(value[0]) / float(getattr(effect, "trial"))  # noqa: B009
+    return _NEAR_TRIAL[0] < share < _NEAR_TRIAL[1]
+
+
+_PLAUSIBLE: dict[str, Callable[[Effect, Robot, Array, Array], bool]] = {
+    Payload.name: _has_mass,
+    GravityDirection.name: _is_gravity,
+    TimeDelay.name: _is_near_trial,
+    Backlash.name: _is_near_trial,
+}
 
 
 @dataclass(frozen=True)
@@ -85,12 +169,12 @@ class Rival:
 
     Attributes:
         candidate: The other cause.
-        odds: How many times less likely the data are with it in place of the one found.
+        deviations: By how many standard errors the one found explains the data better.
         cosine: Largest |cos| between both signatures.
     """
 
     candidate: Candidate
-    odds: float
+    deviations: float
     cosine: float
 
 
@@ -99,24 +183,59 @@ def rivals(
 ) -> list[Rival]:
     """Causes that could stand in place of one that was found.
 
-    A rival explains the data where the found cause is absent, and makes it dispensable: adding
-    the found cause to the rival brings less than odds of 100 : 1.
+    A rival explains at least half of what the found cause explains, and leaves it less than half
+    to explain. The two are compared by the squared error that each leaves, block by block of time
+    (Vuong 1989): within two standard errors they tie; within 3.3 where their signatures are
+    alike. On joints whose friction is all new, a rival may bring the standard model's along.
     """
-    rest = [c for c in chosen if c is not found]
-    without, taken = evidence.cost(rest), {c.key for c in chosen}
-    best: dict[tuple[str, tuple[str, ...]], tuple[float, Candidate]] = {}
-    for candidate in evidence.candidates:
-        if candidate.key in taken:
+    rest, taken = [c for c in chosen if c is not found], {c.key for c in chosen}
+    bare, falls = _bare(robot), evidence.additions(rest)
+    own, errors = falls[evidence.candidates.index(found)], _block_errors(evidence, chosen)
+    best: dict[tuple[str, tuple[str, ...]], Rival] = {}
+    for k, other in enumerate(evidence.candidates):
+        friends = _friction(evidence, other, rest) if {*other.effect.joints} <= bare else []
+        if other.key in taken or _only_more(found, other):
             continue
-        alone = evidence.cost([*rest, candidate])
-        if without - alone <= evidence.threshold(candidate.size):
+        if falls[k] <= _HALF * own and not friends:
             continue
-        advantage = alone - evidence.cost([*chosen, candidate])
-        if advantage < min(_ODDS, best.get(candidate.key, (np.inf, candidate))[0]) and plausible(
-            evidence, robot, [*rest, candidate], candidate
-        ):
-            best[candidate.key] = (advantage, candidate)
+        instead = [*rest, other, *(c for c in friends if c is not other and c is not found)]
+        left = evidence.cost(instead) - evidence.cost([*instead, found])
+        if left > _HALF * own:
+            continue
+        difference = _block_errors(evidence, instead) - errors
+        z = float(difference.sum() / max(np.sqrt(len(difference)) * difference.std(ddof=1), 1e-12))
+        cosine = evidence.cosine(found, other)
+        if z >= (_TIE_ALIKE if cosine > _ALIKE else _TIE):
+            continue
+        known = best.get(other.key)
+        if (known is None or z < known.deviations) and plausible(evidence, robot, instead, other):
+            best[other.key] = Rival(other, z, cosine)
+    return sorted(best.values(), key=lambda rival: rival.deviations)
+
+
+def _bare(robot: Robot) -> set[str]:
+    """Joints that the model gives no friction."""
+    return set(robot.joints) - {j for e in robot.effects if e.name in _DRY for j in e.joints}
+
+
+def _friction(evidence: Evidence, other: Candidate, rest: Sequence[Candidate]) -> list[Candidate]:
+    """Standard friction of a friction's joint, as far as it is not there."""
+    if "friction" not in other.effect.name:
+        return []
     return [
-        Rival(c, float(np.exp(max(advantage, 0.0) / 2)), evidence.cosine(found, c))
-        for advantage, c in sorted(best.values(), key=lambda pair: pair[0])
+        c
+        for c in evidence.candidates
+        if c.effect.name in _DRY and c.effect.joints == other.effect.joints and c not in rest
     ]
+
+
+def _only_more(found: Candidate, other: Candidate) -> bool:
+    """Whether another cause is the one found with more coefficients."""
+    special = found.effect.name in other.effect.contains and other.size > found.size
+    return special and found.effect.name not in other.effect.imitates
+
+
+def _block_errors(evidence: Evidence, chosen: Sequence[Candidate]) -> Array:
+    """Weighted squared error that a set leaves in each block, shape (blocks,)."""
+    squares = (evidence.left(chosen) ** 2 * evidence.weight).sum(axis=1)
+    return np.asarray(np.add.reduceat(squares, evidence.blocks), float)

@@ -1,7 +1,7 @@
 """What each estimator makes of a UR10 whose parameters are known.
 
-    OMP_NUM_THREADS=1 python benchmarks/estimators.py [--draws 2] [--seconds 15] [--json]
-    OMP_NUM_THREADS=1 python benchmarks/estimators.py --bias 12
+    OMP_NUM_THREADS=1 python benchmarks/estimators.py [--draws 2] [--seconds 30] [--json]
+    OMP_NUM_THREADS=1 python benchmarks/estimators.py --bias 12 [--kinds fine encoders]
 
 Torque comes from Pinocchio's recursive Newton-Euler algorithm with the friction, offset and rotor
 inertia of `coverage.py`, in no way from the regressor that is fitted. Kinds of noise:
@@ -15,8 +15,10 @@ each with good filtering (torque and columns at 10 Hz, positions at 20 Hz) and b
 Two figures per cell: rms over draws and base parameters of δβᵢ cᵢ [N·m], cᵢ the rms of column i
 over random states of the arm; and the worst joint's nrmse [%] of the torque of another motion,
 known without noise. ``iv`` fits the columns of even samples with those of odd ones for
-instruments; ``wls half`` is weighted least squares of the same columns. The last line is the
-Durbin-Wu-Hausman test on these: its median chance that least squares is not biased.
+instruments; ``wls half`` is weighted least squares of the same columns. ``oe`` simulates the model
+on the measured positions, as far as these themselves suggest; ``oe known`` on the commanded motion,
+which the arm follows exactly. ``ml`` averages the periods, of 10 s. The last line is the
+Durbin-Wu-Hausman test on ``wls half``: its median chance that least squares is not biased.
 
 ``--bias D`` keeps one motion and draws only its noise, D times: the mean error over draws of each
 parameter, divided by its own standard deviation, rms over parameters: about 1 without bias.
@@ -36,8 +38,10 @@ from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
 from excitant.identify import Data, Recording
-from excitant.identify.estimators import ESTIMATORS, errors_in_variables, half_columns, wls
+from excitant.identify.estimators import ESTIMATORS, errors_in_variables, half_columns, oe, wls
+from excitant.identify.estimators.closed_loop import Reference, closed_loop
 from excitant.identify.estimators.of_rows import regression_of
+from excitant.identify.estimators.periodic import maximum_likelihood
 from excitant.identify.least_squares import LeastSquares
 from excitant.identify.preprocessing import prepare
 from excitant.identify.rows import fit_rows
@@ -50,7 +54,7 @@ FILTERS = {"good": 10.0, "bad": 25.0}  # Hz
 KINDS = ("fine", "coloured", "outliers", "encoders")
 SHARE = 0.02  # of each joint's rms torque is noise
 BURST_S, BURST_SHARE, BURST_SIZE = 0.1, 0.03, 3.0
-METHODS = ("ols", "wls", "irls", "gls", "tls", "wls half", "iv")
+METHODS = ("ols", "wls", "irls", "gls", "tls", "wls half", "iv", "oe", "oe known", "ml")
 Array = np.ndarray
 
 
@@ -58,9 +62,10 @@ def arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--robot", default="ur10")
     parser.add_argument("--draws", type=int, default=2, help="recordings per kind of noise")
-    parser.add_argument("--seconds", type=float, default=15.0, help="of one recording")
+    parser.add_argument("--seconds", type=float, default=30.0, help="of one recording")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--bias", type=int, metavar="D", help="bias over D draws of noise")
+    parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS, help="of noise")
     parser.add_argument("--json", action="store_true", help="figures as JSON")
     return parser.parse_args(words)
 
@@ -87,8 +92,8 @@ def recorded(
     rng: np.random.Generator,
     seconds: float,
     motion: np.random.Generator | None = None,
-) -> Recording:
-    """One random motion, drawn by its own generator if given, with one kind of noise."""
+) -> tuple[Recording, Reference]:
+    """One random motion, drawn by its own generator if given, with one kind of noise; and it."""
     trajectory = random_trajectory(known.robot, rng if motion is None else motion, 10.0, HARMONICS)
     t = np.arange(0, seconds, 1 / RATE_HZ)
     q, dq, ddq = (trajectory(t, order) for order in range(3))
@@ -96,7 +101,8 @@ def recorded(
     size = np.sqrt((tau**2).mean(axis=0))
     encoder = 2e-4 if kind == "encoders" else 2e-5
     measured = q + encoder * rng.standard_normal(q.shape)
-    return Recording(kind, kind, t, measured, tau + size * torque_noise(kind, rng, *tau.shape))
+    seen = Recording(kind, kind, t, measured, tau + size * torque_noise(kind, rng, *tau.shape))
+    return seen, lambda t: Motion(t, *(trajectory(t, order) for order in range(3)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +141,7 @@ def judge(known: Truth, seed: int) -> Judge:
 
 
 def estimates(
-    known: Truth, recording: Recording, cutoff_hz: float
+    known: Truth, recording: Recording, motion: Reference, cutoff_hz: float
 ) -> tuple[dict[str, LeastSquares], float]:
     """Every estimator's, and the chance of the test."""
     segments = tuple(prepare(recording, cutoff_hz))
@@ -147,6 +153,11 @@ def estimates(
     run: dict[str, Callable[[], LeastSquares]] = {
         "wls half": lambda: wls(halves),
         "iv": lambda: ESTIMATORS["iv"](halves),
+        "oe": lambda: oe(closed_loop(known.robot, rows, [recording]).problem),
+        "oe known": lambda: oe(
+            closed_loop(known.robot, rows, [recording], references=[motion]).problem
+        ),
+        "ml": lambda: maximum_likelihood(known.robot, rows, [recording]).fit,
     }
     found = {name: run[name]() if name in run else ESTIMATORS[name](problem) for name in METHODS}
     return found, errors_in_variables(W, problem.tau, Z)[1]
@@ -164,18 +175,19 @@ class Cell:
 
 
 def cells(
-    name: str, draws: int, seconds: float, seed: int
+    name: str, draws: int, seconds: float, seed: int, kinds: Sequence[str]
 ) -> Iterator[tuple[list[Cell], str, str, float]]:
     """Cells of one kind of noise and filter at a time, with the test's median chance."""
     known = truth(name)
     held = judge(known, seed)
-    for k, kind in enumerate(KINDS):
+    for kind in kinds:
+        k = KINDS.index(kind)
         recordings = [
             recorded(known, kind, np.random.default_rng([seed, k, d]), seconds)
             for d in range(draws)
         ]
         for filtering, cutoff_hz in FILTERS.items():
-            runs = [estimates(known, recording, cutoff_hz) for recording in recordings]
+            runs = [estimates(known, *recording, cutoff_hz) for recording in recordings]
             made = []
             for method in METHODS:
                 errors = [held.errors(fits[method]) for fits, _ in runs]
@@ -185,18 +197,18 @@ def cells(
             yield made, kind, filtering, float(np.median([p for _, p in runs]))
 
 
-def biases(name: str, draws: int, seconds: float, seed: int) -> Iterator[str]:
+def biases(name: str, draws: int, seconds: float, seed: int, kinds: Sequence[str]) -> Iterator[str]:
     """Table of mean errors over their standard deviations, rms over parameters."""
     known = truth(name)
     held = judge(known, seed)
     yield f"{'':20}" + "".join(f"{method:>10}" for method in METHODS)
-    for kind in KINDS:
+    for kind in kinds:
         for filtering, cutoff_hz in FILTERS.items():
             errors: dict[str, list[Array]] = {method: [] for method in METHODS}
             for d in range(draws):
                 rng, motion = np.random.default_rng([seed, 1, d]), np.random.default_rng([seed, 2])
-                recording = recorded(known, kind, rng, seconds, motion)
-                for method, fit in estimates(known, recording, cutoff_hz)[0].items():
+                recording, command = recorded(known, kind, rng, seconds, motion)
+                for method, fit in estimates(known, recording, command, cutoff_hz)[0].items():
                     errors[method].append(held.errors(fit)[0])
             yield f"{kind + ', ' + filtering:20}" + "".join(
                 f"{_mean_over_deviation(np.array(errors[method])):10.2f}" for method in METHODS
@@ -227,10 +239,12 @@ def main(words: Sequence[str] | None = None) -> None:
     chances: dict[tuple[str, str], float] = {}
     with threadpool_limits(1):
         if args.bias is not None:
-            for line in biases(args.robot, args.bias, args.seconds, args.seed):
+            for line in biases(args.robot, args.bias, args.seconds, args.seed, args.kinds):
                 print(line, flush=True)
             return
-        for made, kind, filtering, chance in cells(args.robot, args.draws, args.seconds, args.seed):
+        for made, kind, filtering, chance in cells(
+            args.robot, args.draws, args.seconds, args.seed, args.kinds
+        ):
             found += made
             chances[kind, filtering] = chance
     if args.json:

@@ -16,13 +16,18 @@ from excitant.identify.export import Publication, model_files, publication
 from excitant.identify.importers.chunks import read_chunks
 from excitant.identify.importers.mapping import ColumnMap, load_column_map
 from excitant.identify.importers.raw import RawRecording, raw_recording
+from excitant.identify.knowledge import Knowledge, load_knowledge
+from excitant.identify.known_payload import KnownPayload
 from excitant.identify.link_by_link import LinkByLink, identify_link_by_link
 from excitant.identify.link_by_link_result import link_by_link_result, link_by_link_series
 from excitant.identify.online import OnlineEstimator
 from excitant.identify.online_estimate import OnlineEstimate
 from excitant.identify.online_result import identify_online, online_result, online_series
 from excitant.identify.payload import PayloadEstimate, estimate_payload, payload_result
+from excitant.identify.payload_gains import DriveGains
+from excitant.identify.payload_gains_run import drive_result, identify_drive_gains, in_torque
 from excitant.identify.payload_run import identify_payload
+from excitant.identify.periods import Periods, periods_of
 from excitant.identify.recording import (
     Recording,
     read_recording,
@@ -33,42 +38,53 @@ from excitant.identify.recording import (
 from excitant.identify.replay import Monitor, replay
 from excitant.identify.result import identify_result, identify_series
 from excitant.identify.rows import Data, split
+from excitant.identify.streaming import identify_streamed
 
 __all__ = [
     "ColumnMap",
     "Data",
     "Dataset",
     "Differentiator",
+    "DriveGains",
     "Estimate",
     "FourierFit",
+    "Knowledge",
+    "KnownPayload",
     "LinkByLink",
     "LocalPolynomial",
     "Monitor",
     "OnlineEstimate",
     "OnlineEstimator",
     "PayloadEstimate",
+    "Periods",
     "Persistency",
     "Publication",
     "RawRecording",
     "Recording",
     "ZeroPhaseButterworth",
     "choose_differentiator",
+    "drive_result",
     "estimate_payload",
     "five_point",
     "identify",
+    "identify_drive_gains",
     "identify_link_by_link",
     "identify_online",
     "identify_payload",
     "identify_result",
     "identify_series",
+    "identify_streamed",
+    "in_torque",
     "link_by_link_result",
     "link_by_link_series",
     "load_column_map",
     "load_dataset",
+    "load_knowledge",
     "model_files",
     "online_result",
     "online_series",
     "payload_result",
+    "periods_of",
     "persistency",
     "publication",
     "raw_recording",

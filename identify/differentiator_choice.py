@@ -27,6 +27,7 @@ from excitant.identify.differentiators import (
 )
 from excitant.robots.motion import Array, freeze
 
+FEWEST = 64  # samples of a spectrum
 _FLOOR_SHARE = 1 / 3  # of the frequency axis, its upper end, where arms do not move
 _TIME_SPAN = (0.004, 0.3)  # s: windows of polynomials that are worth a try
 _SLOWEST_CUTOFF = 1.0  # Hz
@@ -65,8 +66,10 @@ def position_spectrum(t: Array, q: Array) -> Spectrum:
     Raises:
         BadInput: Fewer than 64 samples.
     """
-    if len(t) < 64:
-        raise BadInput(f"choice of a differentiator: {len(t)} samples; at least 64 are needed")
+    if len(t) < FEWEST:
+        raise BadInput(
+            f"choice of a differentiator: {len(t)} samples; at least {FEWEST} are needed"
+        )
     grid = np.linspace(t[0], t[-1], len(t))
     regular = np.column_stack([np.interp(grid, t, column) for column in q.T])
     rate = (len(t) - 1) / (t[-1] - t[0])

@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
 
 from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
+from excitant.identify.cutoff_sensitivity import Sensitivity, sensitivity
+from excitant.identify.cutoff_study import Study, study
+from excitant.identify.estimator_choice import AUTO, EstimatorChoice, estimator_for
 from excitant.identify.estimators import DESCRIPTIONS, estimator_named
 from excitant.identify.estimators.of_rows import estimated
+from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.physical import PhysicalFit, fit_physical, prior_parameters
+from excitant.identify.prediction import PredictionInterval, prediction_interval
 from excitant.identify.recording import Recording
-from excitant.identify.rows import Data, FitRows, fit_rows, split
+from excitant.identify.rows import Data, FitRows, fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.robot import Robot
+from excitant.robots.torque import observation_columns
+
+_OF_ROWS = (AUTO, "ols", "wls", "irls", "gls", "tls")  # rows are all they see of a recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +51,9 @@ class Estimate:
         predicted_given: Torque of the given robot at those rows [torque unit].
         notes: What the user should know, as sentences.
         estimator: How the base parameters were estimated, in words.
+        knowledge: What was taken for known of the bodies.
+        study: Cut-offs and dead zone of the fit; None where not asked for.
+        contest: How estimators compared; None where one was asked for.
     """
 
     given: Robot
@@ -60,11 +72,39 @@ class Estimate:
     predicted_given: Array
     notes: tuple[str, ...]
     estimator: str = DESCRIPTIONS["wls"]
+    knowledge: Knowledge = field(default_factory=Knowledge)
+    study: Study | None = None
+    contest: EstimatorChoice | None = None
 
     @property
     def phi(self) -> Array:
         """Identified standard parameters, shape (10 nv,)."""
         return read_only(self.physical.x[: 10 * self.given.nv])
+
+    @cached_property
+    def holdout_columns(self) -> Array:
+        """Columns of the base parameters at the rows of the hold-out, shape (n, nv, r)."""
+        effects, used = self.model.effects, list(self.base.columns)
+
+        def columns(motion: Motion) -> Array:
+            return np.asarray(observation_columns(self.given, effects, motion)[:, :, used], float)
+
+        return read_only(np.concatenate([part.rows(columns) for part in self.data.validate]))
+
+    @cached_property
+    def sensitivity(self) -> Sensitivity | None:
+        """How the result depends on the cut-off; None without a study."""
+        if self.study is None:
+            return None
+        std = np.sqrt(np.diag(self.least_squares.covariance))
+        return sensitivity(self.study, self.holdout_columns, self.series, std)
+
+    @cached_property
+    def interval(self) -> PredictionInterval:
+        """95 % intervals of readings at the rows of the hold-out."""
+        predicted = predicted_torque(self.model, self.data.train) / self.gains
+        residual = series(self.data.train).measured - predicted
+        return prediction_interval(self.holdout_columns, self.least_squares, residual, self.gains)
 
 
 def identify(
@@ -75,6 +115,8 @@ def identify(
     effects: Sequence[Effect] | None = None,
     cutoff_hz: float | None = None,
     estimator: str = "wls",
+    knowledge: Knowledge | None = None,
+    tune: bool = False,
 ) -> Estimate:
     """Identify a robot from recordings.
 
@@ -89,22 +131,37 @@ def identify(
         validate: What to judge on; the last 30 % of each recording when empty.
         effects: Effects to estimate; friction, offset and rotor inertia when None.
         cutoff_hz: Cut-off of the torque filter [Hz].
-        estimator: One of `excitant.identify.estimators.ESTIMATORS`.
+        estimator: One of `excitant.identify.estimators.ESTIMATORS`, or ``"auto"``: chosen on an
+            inner hold-out (`excitant.identify.estimator_choice`).
+        tune: Choose cut-offs of joints and a velocity dead zone from the training data, and show
+            how the result depends on the cut-off (`excitant.identify.cutoff`). A cut-off
+            given is kept.
+        knowledge: What is known of the bodies beforehand, and the kind of prior.
 
     Raises:
+        BadInput: Knowledge that no body fulfils, or of links that the arm does not have.
         BadRecording: Recordings that cannot be used.
         BadRobot: Links without mass, so no prior.
         UnknownName: There is no such estimator.
         RankDeficient: Motion that leaves base parameters undetermined.
         Infeasible: The semidefinite solver failed.
     """
-    estimator_named(estimator)  # refused before anything is computed
+    if estimator != AUTO:
+        estimator_named(estimator)  # refused before anything is computed
     prior = prior_parameters(robot)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     data = split(recordings, validate, cutoff_hz)
     base = base_parameters(robot, effects)
     rows = fit_rows(robot, effects, base, data)
-    said = _notes(robot, prior, data, rows.gains)
+    said, parts = notes_on(robot, prior, data, rows.gains), fitted(recordings, validate)
+    studied = contest = None
+    if tune:
+        own = estimator not in _OF_ROWS
+        studied = study(robot, rows, parts, fixed=cutoff_hz is not None, untouched=own)
+        rows, said = studied.rows, (*said, *studied.choice.notes)
+    if estimator == AUTO:
+        contest = estimator_for(robot, rows, parts, None if studied is None else studied.judged)
+        estimator, said = contest.name, (*said, contest.sentence)
     if estimator == "wls":
         fit = weighted_least_squares(rows.W[:, :, base.columns], rows.tau, base.expressions)
         R, z = whitened(rows.W, rows.tau, fit)
@@ -112,8 +169,12 @@ def identify(
         fit, notes = estimated(robot, rows, recordings, validate, estimator)
         said, R = (*said, *notes), whitened(rows.W, rows.tau, fit)[0]
         z = R[:, base.columns] @ fit.beta
-    physical = fit_physical(R, z, prior, rows.open_prior)
-    return replace(judged(robot, rows, fit, physical, said), estimator=DESCRIPTIONS[estimator])
+    known = knowledge or Knowledge()
+    physical = fit_physical(R, z, prior, rows.open_prior, knowledge=known, links=robot.links)
+    found = judged(robot, rows, fit, physical, said)
+    return replace(
+        found, estimator=DESCRIPTIONS[estimator], knowledge=known, study=studied, contest=contest
+    )
 
 
 def judged(
@@ -142,7 +203,7 @@ def judged(
         prior=read_only(prior_parameters(robot).ravel()),
         gains=read_only(gains),
         data=data,
-        train=rows.measured.accuracy(rows.W @ physical.x / gains),
+        train=_train_accuracy(model, rows, physical.x),
         validate=unseen.accuracy(predicted),
         baseline=unseen.accuracy(predicted_given),
         series=unseen,
@@ -150,6 +211,14 @@ def judged(
         predicted_given=read_only(predicted_given),
         notes=notes,
     )
+
+
+def _train_accuracy(model: Robot, rows: FitRows, x: Array) -> Accuracy:
+    """Accuracy on the training segments at the cut-off of judging, whatever rows were fitted."""
+    data = rows.data
+    if not data.tuned:
+        return rows.measured.accuracy(rows.W @ x / rows.gains)
+    return series(data.train).accuracy(predicted_torque(model, data.train) / rows.gains)
 
 
 def whitened(W: Array, tau: Array, fit: LeastSquares) -> tuple[Array, Array]:
@@ -174,7 +243,8 @@ def identified_robot(robot: Robot, effects: Sequence[Effect], x: Array) -> Robot
     return robot.with_parameters(x[: 10 * robot.nv]).with_effects(valued)
 
 
-def _notes(robot: Robot, prior: Array, data: Data, gains: Array) -> tuple[str, ...]:
+def notes_on(robot: Robot, prior: Array, data: Data, gains: Array) -> tuple[str, ...]:
+    """What the user should know of the hold-out, the prior and the unit of torque."""
     notes = [data.holdout]
     moved = [
         link

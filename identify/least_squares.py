@@ -60,13 +60,46 @@ def weighted_least_squares(W: Array, tau: Array, names: tuple[str, ...]) -> Leas
     Raises:
         RankDeficient: The motion does not show some columns.
     """
-    sigma = np.maximum(tau.std(axis=0), SMALLEST)
+    settled = reweighted(W, tau, names, tau.std(axis=0), len(tau))
+    factor = settled.factor
+    fit = with_covariance(factor, settled.beta, settled.residual, factor.weight)
+    return replace(fit, sigma=settled.sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """Least squares whose weights have settled.
+
+    Attributes:
+        factor: Factorisation of the weighted columns.
+        beta: Estimate, shape (r,).
+        residual: Torque less what the columns explain, shape (n, nv) [torque unit].
+        sigma: Its standard deviation per joint, shape (nv,) [torque unit].
+    """
+
+    factor: Factor
+    beta: Array
+    residual: Array
+    sigma: Array
+
+
+def reweighted(W: Array, tau: Array, names: tuple[str, ...], sigma: Array, n: int) -> Settled:
+    """Least squares of rows that stand for n rows, the noise of joints estimated along the way.
+
+    Args:
+        W: Columns, shape (m, nv, r): all rows, or a triangle of each joint's.
+        tau: Torque, shape (m, nv).
+        names: What the columns stand for, for messages.
+        sigma: First guess of each joint's noise, shape (nv,) [torque unit].
+        n: Number of rows of each joint.
+    """
+    sigma = np.maximum(sigma, SMALLEST)
     for _ in range(_ROUNDS):
         factor = factorised(W, sigma, names)
         beta = factor.solve(tau)
         residual = tau - W @ beta
-        sigma = noise_of(residual, len(beta))
-    return replace(with_covariance(factor, beta, residual, factor.weight), sigma=sigma)
+        sigma = noise_of(residual, len(beta), n)
+    return Settled(factor, beta, residual, sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,10 +158,17 @@ def factorised(X: Array, weight: Array, names: tuple[str, ...]) -> Factor:
     return Factor(weighted, norms, np.asarray(Q, float), np.asarray(R, float), weight)
 
 
-def noise_of(residual: Array, r: int) -> Array:
-    """Standard deviation of each joint's residual after r parameters, shape (nv,)."""
-    freedom = residual.size / max(residual.size - r, 1)
-    variance = (residual**2).mean(axis=0) * freedom
+def noise_of(residual: Array, r: int, n: int | None = None) -> Array:
+    """Standard deviation of each joint's residual after r parameters, shape (nv,).
+
+    Args:
+        residual: Residuals, shape (m, nv).
+        r: Number of parameters.
+        n: Number of rows that they stand for; m when None.
+    """
+    n = len(residual) if n is None else n
+    size = n * residual.shape[1]
+    variance = (residual**2).sum(axis=0) / n * (size / max(size - r, 1))
     return np.asarray(np.sqrt(np.maximum(variance, SMALLEST**2)), float)
 
 
@@ -151,7 +191,22 @@ def with_covariance(factor: Factor, beta: Array, error: Array, sigma: Array) -> 
     scaled = error / factor.weight
     size = max(float(np.sqrt((scaled**2).mean())), SMALLEST)  # far from underflow
     scores, freedom = score_covariances(factor.X, scaled / size, inverse @ inverse.T)
-    scores = scores * size**2
+    return sandwiched(factor, beta, scores * size**2, freedom, sigma)
+
+
+def sandwiched(
+    factor: Factor, beta: Array, scores: Array, freedom: Array, sigma: Array
+) -> LeastSquares:
+    """An estimate with its covariance A⁻¹ Ω A⁻¹, given the covariance of its scores.
+
+    Args:
+        factor: Columns X_j.
+        beta: The estimate, shape (r,).
+        scores: Ω_j of X_jᵀ ε_j, each joint's part of Ω, shape (nv, r, r).
+        freedom: Degrees of freedom that they are known with, shape (nv,).
+        sigma: What to report as noise of each joint, shape (nv,) [torque unit].
+    """
+    inverse = scipy.linalg.solve_triangular(factor.R, np.eye(len(beta)))
     root = inverse / factor.norms[:, None]
     parts = np.array([root @ (inverse.T @ each @ inverse) @ root.T for each in scores])
     widths = _widths(np.diagonal(parts, axis1=1, axis2=2), freedom)

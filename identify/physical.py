@@ -2,51 +2,70 @@
 
 With the pseudo-inertia of link k written P_k = L_k Q_k L_kᵀ, where L_k L_kᵀ is the prior's,
 
-    minimise  ‖R x − z‖² + Σ_k ‖Q_k − 1‖² / σ_k² + Σ_i (θ_i − θ̄_i)² / s_i²
-    subject to  Q_k ⪰ ε 1,  θ ≥ bounds,
+    minimise  ‖R x − z‖² + Σ_k D(Q_k) / σ_k² + Σ_i (θ_i − θ̄_i)² / s_i² + Σ_m (m − m̄)² / s_m²
+    subject to  Q_k ⪰ ε 1,  θ ≥ bounds,  and what else is known of the bodies,
 
 where ‖R x − z‖² is the whitened data (a QR factor of it, so the size of the problem does not
 grow with the recording) and x holds the standard parameters φ and the effect coefficients θ.
-‖Q − 1‖_F is the coordinate-invariant distance to the prior (the constant pull-back of the
-affine-invariant metric: Lee, Wensing, Park 2020). Sousa and Cortesão 2014 for the fit itself.
+Distance D to the prior is one of
+
+    pullback   ‖Q − 1‖_F², coordinate-invariant (the constant pull-back of the affine-invariant
+               metric: Lee, Wensing, Park 2020),
+    entropic   2 (tr Q − log det Q − 4), the relative entropy of the bodies' densities, alike to
+               second order (Lee and Park 2018); it needs no ε,
+    euclidean  Σ_i (φ_i − φ̄_i)² / u_i², u the units by each link's mass and radius of gyration.
+
+The consistent parameters are fitted directly, never projected afterwards. Sousa and Cortesão 2014
+for the fit itself; `excitant.identify.physical_knowledge` for what is known of bodies.
 """
 
 from __future__ import annotations
 
-import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
-import cvxpy as cp
 import numpy as np
 import scipy.linalg
 
-from excitant.exceptions import BadRobot, Infeasible
-from excitant.robots.motion import Array, freeze
-from excitant.robots.parameters import (
-    from_pseudo_inertia,
-    nearest_consistent,
-    pseudo_inertia,
+from excitant.exceptions import BadInput, BadRobot
+from excitant.identify.knowledge import Knowledge
+from excitant.identify.physical_coordinates import (
+    link_coordinates,
+    link_weights,
+    matrices,
+    plain_units,
 )
+from excitant.identify.physical_entropy import local, solve_entropic
+from excitant.identify.physical_knowledge import known_rows
+from excitant.identify.physical_program import (
+    KktResiduals,
+    Program,
+    Restriction,
+    Solution,
+    contradiction,
+    kkt,
+    solve,
+)
+from excitant.identify.prior_rule import DOMINATED, linear_influence
+from excitant.robots.motion import Array, freeze, read_only
+from excitant.robots.parameters import nearest_consistent
 from excitant.robots.robot import Robot
 
+__all__ = [
+    "PRIOR_SIGMA",
+    "EffectPrior",
+    "KktResiduals",
+    "PhysicalFit",
+    "fit_physical",
+    "link_coordinates",
+    "link_weights",
+    "prior_parameters",
+]
+
 PRIOR_SIGMA = 1.0  # links are known to about ±100 %; decides only what the data leave open
+_ROUNDING = 1e-10  # of a parameter's unit, up to which it is known exactly
 _MARGIN = 1e-4  # smallest eigenvalue of Q: no link shrinks below this part of its prior
-_UPPER = np.triu_indices(4)
-
-
-@dataclass(frozen=True)
-class KktResiduals:
-    """How well the solution satisfies the optimality conditions, relative to the gradient.
-
-    Attributes:
-        stationarity: Gradient of the Lagrangian.
-        complementarity: Inner products of multipliers and slacks.
-        primal: Violation of the constraints, absolute in Q and θ.
-    """
-
-    stationarity: float
-    complementarity: float
-    primal: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,18 +89,35 @@ class PhysicalFit:
 
     Attributes:
         x: Standard parameters followed by effect coefficients, shape (p,).
-        covariance: Posterior covariance (data and prior; constraints ignored), shape (p, p).
-        prior_share: Part of each parameter's precision that comes from the prior, shape (p,).
+        covariance: Posterior covariance (data, prior and equalities; inequalities ignored),
+            shape (p, p).
+        prior_share: Part of each parameter's uncertainty that no data reduced, shape (p,).
         kkt: Residuals of the optimality conditions.
+        R: Factor of the whitened columns, shape (rows, p).
+        root: L of the prior covariance L Lᵀ at the solution, shape (p, k); k < p with equalities.
+        links: Number of links.
     """
 
     x: Array
     covariance: Array
     prior_share: Array
     kkt: KktResiduals
+    R: Array
+    root: Array
+    links: int
 
     def __post_init__(self) -> None:
-        freeze(self, "x", "covariance", "prior_share")
+        freeze(self, "x", "covariance", "prior_share", "R", "root")
+
+    @cached_property
+    def influence(self) -> Array:
+        """How far each parameter follows the prior in linear theory, 0 to 1, shape (p,)."""
+        return read_only(linear_influence(self.R, self.root, self.x, self.links))
+
+    @property
+    def prior_dominated(self) -> tuple[bool, ...]:
+        """Whether the prior rather than the data decides each parameter."""
+        return tuple(bool(each > DOMINATED) for each in self.influence)
 
 
 def prior_parameters(robot: Robot) -> Array:
@@ -110,6 +146,8 @@ def fit_physical(
     effects: EffectPrior,
     prior_sigma: float | Array = PRIOR_SIGMA,
     metric: Array | None = None,
+    knowledge: Knowledge | None = None,
+    links: Sequence[str] | None = None,
 ) -> PhysicalFit:
     """Solve the semidefinite fit.
 
@@ -119,28 +157,84 @@ def fit_physical(
         prior: Standard parameters of the prior, consistent, shape (links, 10).
         effects: Prior and bounds of the p − 10 links effect coefficients.
         prior_sigma: Relative uncertainty σ of the prior, for all links or for each.
-        metric: Bodies that σ is relative to, shape (links, 10); those of the prior if None.
+        metric: Bodies that σ is relative to, shape (links, 10); those of the prior if None. Of
+            no account to an entropic prior.
+        knowledge: What is known of the bodies beforehand, and the kind of prior.
+        links: Names of the links that knowledge is about, in order.
 
     Raises:
+        BadInput: Knowledge that no body fulfils, or about other links.
         Infeasible: The solver did not converge.
     """
-    links = len(prior)
-    unit = _effect_units(R[:, 10 * links :], effects.std)
-    T = link_coordinates(prior if metric is None else metric)
+    knowledge = knowledge or Knowledge()
+    entropic = knowledge.prior == "entropic"
+    unit = _effect_units(R[:, 10 * len(prior) :], effects.std)
+    reference = prior if metric is None or entropic else metric
+    T = link_coordinates(reference)
     scale = scipy.linalg.block_diag(T, np.diag(unit))
-    A = R @ scale
     centre = np.concatenate([np.linalg.solve(T, prior.ravel()), effects.mean / unit])
-    smallest = min(np.linalg.eigvalsh(Q)[0] for Q in _matrices(centre, links))
-    margin = min(_MARGIN, 0.5 * float(smallest))
-    weight = np.concatenate([link_weights(links, prior_sigma), unit / effects.std])
-    lower = effects.lower / unit
-    y, duals = _solve(A, z, centre, weight, lower, links, margin)
-    kkt = _kkt(A, z, centre, weight, lower, y, duals, margin)
-    precision = A.T @ A + np.diag(weight**2)
-    covariance = scale @ np.linalg.inv(precision) @ scale.T
-    prior_covariance = scale @ np.diag(weight**-2.0) @ scale.T
-    share = np.sqrt(np.diag(covariance) / np.diag(prior_covariance))
-    return PhysicalFit(scale @ y, covariance, np.clip(share, 0, 1), kkt)
+    names = links or [f"link {k + 1}" for k in range(len(prior))]
+    program = _program(
+        R @ scale, z, reference, prior_sigma, effects, centre, scale, knowledge, names
+    )
+    _refuse_contradiction(program, knowledge)
+    solution = (solve_entropic if entropic else solve)(program, centre)
+    covariance, share, root = _uncertainty(program, solution, scale)
+    return PhysicalFit(
+        scale @ solution.y, covariance, share, kkt(program, solution), R, root, len(prior)
+    )
+
+
+def _program(
+    A: Array,
+    z: Array,
+    reference: Array,
+    sigma: float | Array,
+    effects: EffectPrior,
+    centre: Array,
+    scale: Array,
+    knowledge: Knowledge,
+    names: Sequence[str],
+) -> Program:
+    """The fit in coordinates y, x = scale · y, where the prior lies at the centre."""
+    links, p, size = len(reference), len(centre), 10 * len(reference)
+    unit, T = np.diag(scale)[size:], scale[:size, :size]
+    known = known_rows(knowledge, names)
+    each = np.broadcast_to(np.asarray(sigma, float), (links,))
+    if knowledge.prior == "euclidean":
+        spread = (plain_units(reference) * each[:, None]).ravel()
+        C = T / spread[:, None]
+    else:
+        C = np.diag(link_weights(links, each))[: 0 if knowledge.prior == "entropic" else size]
+    d = C @ centre[:size]
+    weight = unit / effects.std
+    rows = scipy.linalg.block_diag(np.vstack([C, known.C @ T]), np.diag(weight))
+    bounded = np.isfinite(effects.lower)
+    signs = Restriction("nonnegative", np.eye(p)[size:][bounded], (effects.lower / unit)[bounded])
+    smallest = min(np.linalg.eigvalsh(Q)[0] for Q in matrices(centre, links))
+    return Program(
+        A=A,
+        z=z,
+        C=rows,
+        d=np.concatenate([d, known.d, weight * centre[size:]]),
+        links=links,
+        margin=min(_MARGIN, 0.5 * float(smallest)),
+        restrictions=(
+            *((signs,) if bounded.any() else ()),
+            *(_scaled(restriction, T, p) for restriction in known.restrictions),
+        ),
+        entropy=2 / each**2 if knowledge.prior == "entropic" else None,
+    )
+
+
+def _scaled(restriction: Restriction, T: Array, p: int) -> Restriction:
+    """A restriction of φ as one of y, its rows of about length one, which changes no cone."""
+    G = np.zeros((len(restriction.h), p))
+    G[:, : len(T)] = restriction.G @ T
+    norms = np.linalg.norm(G, axis=1, keepdims=True)
+    if restriction.cone == "second_order":
+        norms = np.full_like(norms, norms.max())
+    return Restriction(restriction.cone, G / norms, restriction.h / norms[:, 0], restriction.name)
 
 
 def _effect_units(R: Array, std: Array) -> Array:
@@ -149,125 +243,34 @@ def _effect_units(R: Array, std: Array) -> Array:
     return np.asarray(np.sqrt(len(R)) / norms, float)
 
 
-def _svec_weights() -> Array:
-    """Weights w with Σ (w · upper(Q))² = ‖Q‖_F²."""
-    return np.where(_UPPER[0] == _UPPER[1], 1.0, np.sqrt(2.0))
-
-
-def link_weights(links: int, sigma: float | Array) -> Array:
-    """Square roots of the prior precision of the coordinates y, shape (10 links,)."""
-    each = np.broadcast_to(np.asarray(sigma, float), (links,))
-    return np.concatenate([_svec_weights() / s for s in each])
-
-
-def link_coordinates(prior: Array) -> Array:
-    """Map T from coordinates to standard parameters, φ = T y, shape (10 links, 10 links).
-
-    The coordinates y are the upper triangles of all Q_k; the prior lies at Q = 1.
-
-    Args:
-        prior: Consistent standard parameters, shape (links, 10).
-    """
-    blocks = []
-    for values in prior:
-        L = np.linalg.cholesky(pseudo_inertia(values))
-        block = np.empty((10, 10))
-        for k, (i, j) in enumerate(zip(*_UPPER, strict=True)):
-            unit = np.zeros((4, 4))
-            unit[i, j] = unit[j, i] = 1.0
-            block[:, k] = from_pseudo_inertia(L @ unit @ L.T)
-        blocks.append(block)
-    return scipy.linalg.block_diag(*blocks)
-
-
-def _solve(
-    A: Array, z: Array, centre: Array, weight: Array, lower: Array, links: int, margin: float
-) -> tuple[Array, list[Array]]:
-    """Minimiser and multipliers.
-
-    With U a QR factor of data and prior together and y₀ the minimum without constraints, the
-    objective is ‖U (y − y₀)‖² plus a constant. It is solved for U (y − y₀), which no
-    quality of data makes ill-conditioned.
-    """
-    stacked = np.column_stack([np.vstack([A, np.diag(weight)]), np.r_[z, weight * centre]])
-    factor = np.asarray(np.linalg.qr(stacked, mode="r"), float)[: len(centre)]
-    U, free = factor[:, :-1], scipy.linalg.solve_triangular(factor[:, :-1], factor[:, -1])
-    size = max(1.0, float(np.linalg.norm(U @ (centre - free))))
-    step = size * scipy.linalg.solve_triangular(U, np.eye(len(free)))
-    v = cp.Variable(len(free))
-    bounded = np.flatnonzero(np.isfinite(lower))
-    maps = [_symmetric(10 * k, len(free)) for k in range(links)]
-    constraints = [
-        cp.reshape((M @ step) @ v + M @ free, (4, 4), order="C") >> margin * np.eye(4) for M in maps
-    ]
-    if len(bounded):
-        rows = 10 * links + bounded
-        constraints.append(step[rows] @ v + free[rows] >= lower[bounded])
-    _solve_tightly(cp.Problem(cp.Minimize(cp.sum_squares(v)), constraints))
-    multipliers = [np.asarray(c.dual_value, float) * size**2 for c in constraints]
-    if len(multipliers) == links:
-        multipliers.append(np.zeros(0))
-    return free + step @ np.asarray(v.value, float), multipliers
-
-
-def _matrices(y: Array, links: int) -> Array:
-    """The matrices Q_k of the coordinates, shape (links, 4, 4)."""
-    Q = np.zeros((links, 4, 4))
-    Q[:, *_UPPER] = y[: 10 * links].reshape(links, 10)
-    return Q + np.triu(Q, 1).transpose(0, 2, 1)
-
-
-def _symmetric(start: int, size: int) -> Array:
-    """Map from all coordinates to the 16 entries of one Q, shape (16, size)."""
-    selection = np.zeros((4, 4, size))
-    for k, (i, j) in enumerate(zip(*_UPPER, strict=True)):
-        selection[i, j, start + k] = selection[j, i, start + k] = 1.0
-    return selection.reshape(16, size)
-
-
-def _solve_tightly(problem: cp.Problem) -> None:
-    """Solve to the tightest tolerance that rounding allows."""
-    for tolerance in (1e-10, 1e-8, 1e-7):
-        names = ("tol_gap_abs", "tol_gap_rel", "tol_feas")
-        try:
-            with warnings.catch_warnings(action="ignore"):  # the status says it
-                problem.solve(solver=cp.CLARABEL, **dict.fromkeys(names, tolerance))
-        except cp.SolverError:
-            continue
-        if problem.status == cp.OPTIMAL:
-            return
-    raise Infeasible(
-        "physically consistent fit", f"the semidefinite solver ended '{problem.status}'"
+def _refuse_contradiction(program: Program, knowledge: Knowledge) -> None:
+    if not any(restriction.name for restriction in program.restrictions):
+        return
+    names = contradiction(program)
+    if not names:
+        return
+    what = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+    together = "contradict each other" if len(names) > 1 else "cannot be"
+    raise BadInput(
+        f"{knowledge.source}: {what} {together}: no body near the given one fulfils "
+        f"{'them together; correct one of them' if len(names) > 1 else 'it; correct it'}"
     )
 
 
-def _kkt(
-    A: Array,
-    z: Array,
-    centre: Array,
-    weight: Array,
-    lower: Array,
-    y: Array,
-    duals: list[Array],
-    margin: float,
-) -> KktResiduals:
-    *matrices, bounds = duals
-    gradient = 2 * A.T @ (A @ y - z) + 2 * weight**2 * (y - centre)
-    pull = np.zeros_like(y)
-    slackness, violation = [], [0.0]
-    for k, (Z, Q) in enumerate(zip(matrices, _matrices(y, len(matrices)), strict=True)):
-        pull[10 * k : 10 * k + 10] = (_svec_weights() ** 2) * ((Z + Z.T) / 2)[_UPPER]
-        slackness.append(abs(float(np.sum(Z * (Q - margin * np.eye(4))))))
-        violation.append(margin - float(np.linalg.eigvalsh(Q)[0]))
-    bounded = 10 * len(matrices) + np.flatnonzero(np.isfinite(lower))
-    if len(bounded):
-        gap = y[bounded] - lower[np.isfinite(lower)]
-        pull[bounded] = bounds
-        slackness.append(float(np.abs(bounds * gap).sum()))
-        violation.append(float(-gap.min()))
-    size = float(np.linalg.norm(2 * A.T @ z)) + 1.0
-    return KktResiduals(
-        float(np.linalg.norm(gradient - pull)) / size,
-        float(sum(slackness)) / size,
-        max(violation),
-    )
+def _uncertainty(program: Program, solution: Solution, scale: Array) -> tuple[Array, Array, Array]:
+    """Posterior covariance, the share of the prior's std that is left, root of the prior's."""
+    curved = local(program, solution.y)
+    exact = [r.G for r in program.restrictions if r.cone == "zero"]
+    N = scipy.linalg.null_space(np.vstack(exact)) if exact else np.eye(len(solution.y))
+    before = N.T @ (curved.C.T @ curved.C) @ N
+    after = N.T @ (program.A.T @ program.A) @ N + before
+    S = scale @ N
+    covariance = S @ np.linalg.inv(after) @ S.T
+    unit = np.sqrt(np.diag(before))
+    K = np.linalg.cholesky(before / np.outer(unit, unit))
+    root = scipy.linalg.solve_triangular(K, (S / unit).T, lower=True).T
+    root[np.linalg.norm(root, axis=1) <= _ROUNDING * np.linalg.norm(scale, axis=1)] = 0.0
+    prior = (root**2).sum(axis=1)
+    variance = np.diag(covariance)
+    ratio = np.divide(variance, prior, out=np.ones_like(prior), where=prior > 0)
+    return covariance, np.asarray(np.clip(np.sqrt(np.maximum(ratio, 0)), 0, 1), float), root

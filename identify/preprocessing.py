@@ -8,13 +8,14 @@ Every column of the regressor and the torque then pass one and the same zero-pha
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 import scipy.interpolate
 
 from excitant.exceptions import BadInput, BadRecording
+from excitant.identify.differentiator_choice import FEWEST, position_spectrum
 from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth, low_pass
 from excitant.identify.recording import MINIMUM_DURATION, Recording
 from excitant.robots.motion import Array, Motion, freeze
@@ -22,6 +23,11 @@ from excitant.robots.motion import Array, Motion, freeze
 CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
 POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
 _NYQUIST_SHARE = 0.8
+_AT_ONCE = 16  # columns filtered together: they fit into the processor's cache
+_SIGNS = 2.0  # standard deviations of noise that a velocity must exceed to have a sign
+_DIGITS = 9  # of a position that are not rounding
+_TIE = 1e-6  # of a stride: 1 kHz and 10 Hz give 25 whatever the rounding of time
+_SAME = 1e-5  # of a step: samples at regular time
 _GAP_STEPS, _GAP_TIME = 3.0, 0.05  # a gap is longer than both [median steps, s]
 
 
@@ -36,6 +42,10 @@ class Segment:
         tau_raw: Unfiltered torque at the same instants, shape (n, nv).
         cutoff_hz: Cut-off of the torque filter [Hz].
         keep: Instants that become rows: edges of the filter left out, decimated.
+        joint_cutoffs: Cut-offs of joints that have their own, shape (nv,) [Hz]; None where
+            `cutoff_hz` is that of all.
+        silent: Instants whose row of a joint says nothing and is set to zero, shape (n, nv); None
+            where all rows count.
     """
 
     name: str
@@ -44,9 +54,11 @@ class Segment:
     tau_raw: Array
     cutoff_hz: float
     keep: slice
+    joint_cutoffs: Array | None = None
+    silent: npt.NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
-        freeze(self, "tau", "tau_raw")
+        freeze(self, "tau", "tau_raw", *(() if self.joint_cutoffs is None else ("joint_cutoffs",)))
 
     @property
     def rate_hz(self) -> float:
@@ -54,12 +66,33 @@ class Segment:
         return float(1 / (self.motion.t[1] - self.motion.t[0]))
 
     def filtered(self, values: Array) -> Array:
-        """Pass columns, shape (n, ...), through the torque filter."""
-        return low_pass(values, self.cutoff_hz, self.rate_hz)
+        """Pass columns, shape (n, ...), through the torque filter.
+
+        Where joints have cut-offs of their own, the shape is (n, nv, ...).
+        """
+        return self._passed(values, slice(None))
 
     def rows(self, columns: Callable[[Motion], Array]) -> Array:
         """Filtered and decimated columns of the motion, shape (rows, ...)."""
-        return self.filtered(columns(self.motion))[self.keep]
+        return self._passed(columns(self.motion), self.keep)
+
+    def _passed(self, values: Array, kept: slice) -> Array:
+        """Filtered columns at some instants; those that are silent are not filtered."""
+        flat = values.reshape(len(values), -1)
+        passed = np.zeros((len(flat[kept]), flat.shape[1]))
+        live = np.flatnonzero((flat != 0).any(axis=0))
+        joint = live * values[0].shape[0] // flat.shape[1] if values.ndim > 1 else live
+        own = self.joint_cutoffs
+        hz = np.full(len(live), self.cutoff_hz) if own is None else own[joint]
+        for cutoff in np.unique(hz):
+            columns = live[hz == cutoff]
+            for some in np.array_split(columns, -(-len(columns) // _AT_ONCE)):
+                filtered = low_pass(flat[:, some], float(cutoff), self.rate_hz)
+                passed[:, some] = filtered[kept]
+        found = passed.reshape(-1, *values.shape[1:])
+        if self.silent is not None:
+            found[self.silent[kept]] = 0.0
+        return found
 
     @property
     def t(self) -> Array:
@@ -67,10 +100,28 @@ class Segment:
         return self.motion.t[self.keep]
 
 
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """How rows are fitted, where joints differ.
+
+    Attributes:
+        cutoffs_hz: Cut-off of each joint's rows, shape (nv,) [Hz].
+        slowest: Speed of each joint below which a row says nothing, shape (nv,) [rad/s]; negative
+            where all rows count.
+    """
+
+    cutoffs_hz: Array
+    slowest: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "cutoffs_hz", "slowest")
+
+
 def prepare(
     recording: Recording,
     cutoff_hz: float | None = None,
     differentiator: Differentiator | None = None,
+    tuning: Tuning | None = None,
 ) -> list[Segment]:
     """Segments of a recording, split at gaps, filtered and differentiated.
 
@@ -80,6 +131,7 @@ def prepare(
             that is lower.
         differentiator: From positions to the motion, in place of the Butterworth filter with
             a quintic spline; it must have no delay.
+        tuning: Cut-offs of joints' rows and slowest speeds that count.
 
     Raises:
         BadRecording: The cut-off is not below half the sampling rate, or no uninterrupted
@@ -96,7 +148,7 @@ def prepare(
         )
     parts = uninterrupted(recording.t)
     segments = [
-        _segment(recording, part, cutoff_hz, differentiator)
+        _segment(recording, part, cutoff_hz, differentiator, tuning)
         for part in parts
         if len(part) > 20 and recording.t[part[-1]] - recording.t[part[0]] >= MINIMUM_DURATION
     ]
@@ -108,17 +160,32 @@ def prepare(
 def uninterrupted(t: Array) -> list[npt.NDArray[np.intp]]:
     """Indices of the parts of a time series, shape (n,) [s], between its gaps."""
     steps = np.diff(t)
-    breaks = np.flatnonzero(steps > max(_GAP_STEPS * float(np.median(steps)), _GAP_TIME)) + 1
+    breaks = np.flatnonzero(steps > longest_step(float(np.median(steps)))) + 1
     return np.split(np.arange(len(t)), breaks)
+
+
+def longest_step(step: float) -> float:
+    """Longest time between two samples that is no gap, given the usual one [s]."""
+    return max(_GAP_STEPS * step, _GAP_TIME)
 
 
 def resampled(recording: Recording, part: npt.NDArray[np.intp]) -> tuple[Array, Array, Array]:
     """Time, positions and torque of a part at a regular rate, the median of the recording's."""
     t = recording.t[part]
-    grid = np.arange(t[0], t[-1] + 1e-9, float(np.median(np.diff(recording.t))))
-    q = scipy.interpolate.make_interp_spline(t, recording.q[part], k=3)(grid)
-    tau = [np.interp(grid, t, column) for column in recording.tau[part].T]
-    return grid, q, np.column_stack(tau)
+    step = float(np.median(np.diff(recording.t)))
+    grid = np.arange(t[0], t[-1] + _SAME * step, step)
+    return grid, *at_instants(t, recording.q[part], recording.tau[part], grid)
+
+
+def at_instants(t: Array, q: Array, tau: Array, grid: Array) -> tuple[Array, Array]:
+    """Positions (cubic spline) and torque (linear) of samples at instants, shape (m,) [s].
+
+    Samples at these very instants, to a hundred-thousandth of a step, are left as they are.
+    """
+    if len(t) == len(grid) and np.abs(t - grid).max() <= _SAME * (grid[1] - grid[0]):
+        return q, tau
+    q = scipy.interpolate.make_interp_spline(t, q, k=3)(grid)
+    return q, np.column_stack([np.interp(grid, t, column) for column in tau.T])
 
 
 def _too_short(recording: Recording, parts: Sequence[npt.NDArray[np.intp]]) -> str:
@@ -137,6 +204,7 @@ def _segment(
     part: npt.NDArray[np.intp],
     cutoff_hz: float,
     differentiator: Differentiator | None,
+    tuning: Tuning | None,
 ) -> Segment:
     grid, q, tau = resampled(recording, part)
     step = float(np.median(np.diff(recording.t)))
@@ -147,8 +215,8 @@ def _segment(
         raise BadInput(f"{differentiator.name}: a causal one is for loops; give one without delay")
     motion = differentiator(grid, q)
     edge = round(1 / (cutoff_hz * step))
-    stride = max(1, int(1 / (4 * cutoff_hz * step)))
-    return Segment(
+    stride = max(1, int(1 / (4 * cutoff_hz * step) + _TIE))
+    segment = Segment(
         name=recording.name,
         motion=motion,
         tau=low_pass(tau, cutoff_hz, 1 / step),
@@ -156,3 +224,51 @@ def _segment(
         cutoff_hz=cutoff_hz,
         keep=slice(edge, len(grid) - edge, stride),
     )
+    return segment if tuning is None else tuned(segment, tuning)
+
+
+def tuned(segment: Segment, tuning: Tuning) -> Segment:
+    """The segment with rows as they are to be fitted; the instants of its rows stay."""
+    cutoffs, rate = tuning.cutoffs_hz, segment.rate_hz
+    silent = unclear(np.abs(segment.motion.dq) <= tuning.slowest, cutoffs, rate)
+    other = replace(segment, joint_cutoffs=cutoffs, silent=silent if silent.any() else None)
+    return replace(other, tau=other.filtered(segment.tau_raw))
+
+
+def joint_low_pass(values: Array, cutoffs_hz: Array, rate_hz: float) -> Array:
+    """Columns of joints, shape (n, nv, ...), each through its own zero-phase filter."""
+    passed = np.empty(values.shape)
+    for cutoff in np.unique(cutoffs_hz):
+        own = cutoffs_hz == cutoff
+        passed[:, own] = low_pass(values[:, own], float(cutoff), rate_hz)
+    return passed
+
+
+def unclear(
+    slow: npt.NDArray[np.bool_], cutoffs_hz: Array, rate_hz: float
+) -> npt.NDArray[np.bool_]:
+    """Rows of joints most of whose filter's weight lies on instants of unknown sign, (n, nv)."""
+    if not slow.any():
+        return slow
+    return np.asarray(joint_low_pass(slow.astype(float), cutoffs_hz, rate_hz) > 0.5, bool)
+
+
+def slowest_known(recording: Recording, position_cutoff_hz: float) -> Array:
+    """Speed below which the sign of each joint's velocity is not known, shape (nv,) [rad/s].
+
+    Twice the standard deviation of the velocity noise: the sign of a faster one is right in 97.7 %
+    of cases. The noise of a position is the floor of its spectrum, or that of its resolution where
+    that is larger (slow motion does not spread it over all frequencies), times the noise gain of
+    the differentiator. Zero where there are too few samples for a spectrum.
+    """
+    if len(recording.t) < FEWEST:
+        return np.zeros(recording.q.shape[1])
+    rate = (len(recording.t) - 1) / recording.duration
+    floor = position_spectrum(recording.t, recording.q).noise
+    steps = (np.diff(np.unique(np.round(column, _DIGITS))) for column in recording.q.T)
+    resolution = np.array([step.min(initial=np.inf) for step in steps])
+    resolution = np.where(np.isfinite(resolution), resolution, 0.0)
+    noise = np.maximum(floor, resolution / np.sqrt(12))
+    position_cutoff_hz = min(position_cutoff_hz, 0.5 * _NYQUIST_SHARE * rate)
+    gain = ZeroPhaseButterworth(position_cutoff_hz).noise_gain(rate)
+    return np.asarray(_SIGNS * noise * gain, float)

@@ -19,7 +19,7 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
 
-_FIT_SHARE = 0.7  # of each recording is fitted when no hold-out is named
+FIT_SHARE = 0.7  # of each recording is fitted when no hold-out is named
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +32,8 @@ class Data:
         unit: Unit of the torque columns, ``"N·m"`` or ``"A"``.
         cutoff_hz: Cut-off of the torque filter [Hz].
         holdout: What was held out, as a sentence.
+        tuned: The segments to fit with rows as they are fitted, where these differ from `train`,
+            whose rows are those that are judged; empty where they do not.
     """
 
     train: tuple[Segment, ...]
@@ -39,6 +41,12 @@ class Data:
     unit: str
     cutoff_hz: float
     holdout: str
+    tuned: tuple[Segment, ...] = ()
+
+    @property
+    def to_fit(self) -> tuple[Segment, ...]:
+        """Segments whose rows are fitted."""
+        return self.tuned or self.train
 
 
 def split(
@@ -51,19 +59,9 @@ def split(
     Raises:
         BadRecording: Recordings in different units, or too short to split.
     """
-    for recording in (*recordings, *validate):
-        if recording.unit != recordings[0].unit:
-            raise BadRecording(
-                recording.file,
-                f"torque is in {recording.unit}, but in {recordings[0].unit} in "
-                f"{recordings[0].file}; use recordings of one unit",
-            )
-    if validate:
-        held = list(validate)
-        sentence = f"held out: {', '.join(r.name for r in validate)}"
-    else:
-        held = [r.between(_FIT_SHARE, 1, "last 30 %") for r in recordings]
-        sentence = "held out: the last 30 % of each recording (no hold-out was named)"
+    refuse_mixed_units((*recordings, *validate))
+    held = list(validate) or [r.between(FIT_SHARE, 1, "last 30 %") for r in recordings]
+    sentence = holdout_sentence([r.name for r in validate])
     parts = fitted(recordings, validate)
     if cutoff_hz is None:
         cutoff_hz = min(prepare(r)[0].cutoff_hz for r in (*parts, *held))
@@ -73,11 +71,29 @@ def split(
     return Data(train, validated, recordings[0].unit, cutoff_hz, sentence)
 
 
+def refuse_mixed_units(recordings: Sequence[Recording]) -> None:
+    """Refuse recordings whose torque is not in the unit of the first."""
+    for recording in recordings:
+        if recording.unit != recordings[0].unit:
+            raise BadRecording(
+                recording.file,
+                f"torque is in {recording.unit}, but in {recordings[0].unit} in "
+                f"{recordings[0].file}; use recordings of one unit",
+            )
+
+
+def holdout_sentence(names: Sequence[str]) -> str:
+    """What is held out, given the names of hold-outs, if any."""
+    if names:
+        return f"held out: {', '.join(names)}"
+    return "held out: the last 30 % of each recording (no hold-out was named)"
+
+
 def fitted(recordings: Sequence[Recording], validate: Sequence[Recording]) -> list[Recording]:
     """What is fitted: recordings as they are, or their first part where none is held out."""
     if validate:
         return list(recordings)
-    return [r.between(0, _FIT_SHARE, "first 70 %") for r in recordings]
+    return [r.between(0, FIT_SHARE, "first 70 %") for r in recordings]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,12 +128,17 @@ def fit_rows(
     robot: Robot, effects: tuple[Effect, ...], base: BaseParameters, data: Data
 ) -> FitRows:
     """The rows of the training segments."""
-    W, measured = observation(robot, effects, data.train), series(data.train)
+    W, measured = observation(robot, effects, data.to_fit), series(data.to_fit)
     gains = torque_per_reading(robot, base, W, measured, data.unit)
-    std = implausible_size(W[:, :, 10 * robot.nv :], measured.measured * gains)
+    prior = open_prior(robot, effects, W, measured.measured * gains)
+    return FitRows(effects, base, data, W, measured, gains, prior)
+
+
+def open_prior(robot: Robot, effects: Sequence[Effect], W: Array, tau: Array) -> EffectPrior:
+    """Nothing known of effects but their signs, from rows as in `FitRows`."""
+    std = implausible_size(W[:, :, 10 * robot.nv :], tau)
     lower = np.array([p.lower for e in effects for p in e.parameters(robot)])
-    open_prior = EffectPrior(np.zeros_like(std), std, lower)
-    return FitRows(effects, base, data, W, measured, gains, open_prior)
+    return EffectPrior(np.zeros_like(std), std, lower)
 
 
 def observation(robot: Robot, effects: Sequence[Effect], segments: Sequence[Segment]) -> Array:

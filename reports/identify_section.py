@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 
+from excitant.reports.cutoff_figure import cutoff_parts
 from excitant.reports.design_section import file_list, known_facts, uncertain
 from excitant.reports.differentiator_figure import differentiator_parts
 from excitant.reports.fault_table import fault_table
+from excitant.reports.interval_figure import essential_line, interval_table
 from excitant.reports.link_by_link_section import link_by_link_parts
 from excitant.reports.model import (
     GOOD,
@@ -50,7 +52,9 @@ _CURVES = Curves(
     "identified",
     "identified model",
     "Measured torque and the models' prediction over the hold-out, below it what each model "
-    "leaves: a blue residual without shape is noise, one with shape is something the model lacks.",
+    "leaves: a blue residual without shape is noise, one with shape is something the model lacks. "
+    "The band is where 95\u00a0% of readings lie if noise and parameters are all that is off.",
+    band="half_width",
 )
 
 
@@ -67,10 +71,14 @@ def identify_section(result: Result, series: Series) -> Section:
             *link_by_link_parts(result, unit),
             *payload_parts(result),
             ("Error per joint", [_bars(result, unit), _joint_table(result, unit)]),
-            (over_holdout(unit), [torque_figure(joints, series, unit, _CURVES)]),
+            (
+                over_holdout(unit),
+                [torque_figure(joints, series, unit, _CURVES), interval_table(result, unit)],
+            ),
+            *cutoff_parts(result),
             *online_parts(result, series),
             *differentiator_parts(result, series),
-            ("Base parameters", [_base_table(result)]),
+            ("Base parameters", [essential_line(result), _base_table(result)]),
             ("Standard parameters", [_parameter_table(result)]),
             ("Physical consistency", [_physical(result)]),
             ("Files", [file_list(result)]),

@@ -20,6 +20,7 @@ from excitant.reports.drawing import (
     panel,
     timeline,
 )
+from excitant.reports.interval_figure import BAND, MEANING, draw_band, half_width
 from excitant.reports.model import Figure, Key, Panel
 from excitant.reports.reading import Series, curve, times
 from excitant.reports.wording import percent, quantity, shorten
@@ -28,13 +29,17 @@ from excitant.robots.motion import Array
 
 @dataclass(frozen=True)
 class Curves:
-    """Which series are drawn against the measurement: key, legend, before and after."""
+    """Which series are drawn against the measurement: key, legend, before and after.
+
+    The band is the half width of intervals around the model after, where a run has any.
+    """
 
     before: str
     before_label: str
     after: str
     after_label: str
     caption: str
+    band: str = ""
 
 
 @dataclass(frozen=True)
@@ -66,6 +71,8 @@ def torque_figure(
         legend.append(Key("line", GIVEN, curves.before_label))
     if any(curve(series, curves.after, k) is not None for k in range(len(joints))):
         legend.append(Key("line", FITTED, curves.after_label))
+    if any(curve(series, curves.band, k) is not None for k in range(len(joints))):
+        legend.append(Key("box", BAND, MEANING))
     return Figure(present, curves.caption, tuple(legend))
 
 
@@ -78,6 +85,11 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
     draw_curve(torque, time, joins, measured, color=MEASURED, lw=1.3)
     residual.axhline(0, color="#8a8f94", lw=0.7)
     said = []
+    half, after = half_width(series, curves.band, k, len(t)), curve(series, curves.after, k)
+    if half is not None and after is not None and len(after) == len(t):
+        draw_band(torque, time, joins, after, half)
+        draw_band(residual, time, joins, np.zeros(len(t)), half)
+        said.append(f"{MEANING} ±{quantity(float(half.mean()), unit)}")
     for key, label, colour in (
         (curves.before, curves.before_label, GIVEN),
         (curves.after, curves.after_label, FITTED),

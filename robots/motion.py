@@ -11,7 +11,11 @@ Array = npt.NDArray[np.float64]
 
 
 def read_only(values: npt.ArrayLike) -> Array:
-    """Copy to a float array that refuses writing."""
+    """Float array that refuses writing: a copy, or what has been made one already."""
+    if isinstance(values, np.ndarray) and values.dtype == np.float64:
+        flags = values.flags
+        if flags.owndata and not flags.writeable:
+            return values
     array = np.array(values, dtype=float)
     array.setflags(write=False)
     return array

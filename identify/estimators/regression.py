@@ -24,6 +24,10 @@ class Regression:
         starts: First instant of every uninterrupted segment; the first is 0.
         instruments: Columns that move with the true motion, with errors independent of those of
             W, shape (n, nv, k) with k ≥ r; None where there are none.
+        simulated: The columns on the motion that the model with parameters β makes, as β → (n, nv,
+            r); None where nothing is simulated.
+        noise: Covariance of the torque of the joints at one instant, one for every segment, shape
+            (segments, nv, nv) [torque unit²]; None where only the residual shows it.
     """
 
     W: Array
@@ -31,9 +35,12 @@ class Regression:
     names: tuple[str, ...]
     starts: tuple[int, ...] = (0,)
     instruments: Array | None = None
+    simulated: Callable[[Array], Array] | None = None
+    noise: Array | None = None
 
     def __post_init__(self) -> None:
-        freeze(self, "W", "tau", *(() if self.instruments is None else ("instruments",)))
+        given = [name for name in ("instruments", "noise") if getattr(self, name) is not None]
+        freeze(self, "W", "tau", *given)
         n, nv, r = self.W.shape
         if self.tau.shape != (n, nv) or len(self.names) != r:
             raise BadInput(
@@ -49,8 +56,12 @@ class Regression:
             raise BadInput(
                 f"regression: segments start at {self.starts} of {n} instants; begin with 0, rise"
             )
-        given = (self.W, self.tau) if self.instruments is None else (self.W, self.tau, self.Z)
-        if not all(np.isfinite(values).all() for values in given):
+        if self.noise is not None and self.noise.shape != (len(self.starts), nv, nv):
+            raise BadInput(
+                f"regression: noise of shape {self.noise.shape} for {len(self.starts)} segments of "
+                f"{nv} joints; give one covariance matrix for each segment"
+            )
+        if not all(np.isfinite(getattr(self, name)).all() for name in ("W", "tau", *given)):
             raise BadInput("regression: values that are no finite numbers; remove their instants")
 
     @property
@@ -66,6 +77,19 @@ class Regression:
                 "samples whose noise is independent of that of the fitted ones"
             )
         return self.instruments
+
+    def columns_of_model(self, beta: Array) -> Array:
+        """The columns on the motion that the model with parameters β makes, shape (n, nv, r).
+
+        Raises:
+            BadInput: Nothing is simulated.
+        """
+        if self.simulated is None:
+            raise BadInput(
+                "output error needs a simulation: columns on the motion of the model for any "
+                "parameters"
+            )
+        return self.simulated(beta)
 
     @property
     def segments(self) -> tuple[slice, ...]:

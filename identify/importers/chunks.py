@@ -12,7 +12,13 @@ from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.importers.columns import resolve
 from excitant.identify.importers.groups import Joints
 from excitant.identify.importers.mapping import ColumnMap
-from excitant.identify.importers.raw import RawRecording, raw_from_frame, timed
+from excitant.identify.importers.raw import (
+    RawRecording,
+    first_of,
+    raw_from_frame,
+    seconds_of,
+    timed,
+)
 from excitant.identify.importers.sources import Source, open_source
 from excitant.identify.recording import (
     MINIMUM_DURATION,
@@ -75,6 +81,30 @@ def read_chunks(
             f"{MINIMUM_DURATION:g} s are needed", column="t",
         )  # fmt: skip
     check_alive(np.array([so_far.low, so_far.high]), so_far.last)
+
+
+def read_times(
+    paths: str | Path | Sequence[str | Path],
+    robot: Robot | int,
+    rows: int = 100_000,
+    *,
+    mapping: ColumnMap | None = None,
+    torque_column: str | None = None,
+) -> Iterator[Array]:
+    """Time of one log alone, unchecked, in pieces as those of `read_chunks`, each (n,) [s]."""
+    origin: tuple[float, float] | None = None
+    for path in [paths] if isinstance(paths, str | Path) else paths:
+        source = open_source(path, topic=mapping.topic if mapping else None)
+        columns = resolve(source, Joints.of(robot), mapping=mapping, torque_column=torque_column)
+        settled = False
+        for frame in source.frames(rows, columns.names if source.joined else columns.t):
+            if frame.empty:
+                continue
+            if not settled:
+                columns, settled = timed(columns, frame), True
+            whole, rest = seconds_of(frame, columns)
+            origin = origin or first_of(whole, rest)
+            yield (whole - origin[0]) + (rest - origin[1])
 
 
 @dataclass(frozen=True, eq=False)

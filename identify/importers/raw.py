@@ -132,9 +132,9 @@ def raw_from_frame(
         origin: Time that becomes 0, whole and remaining seconds; that of the first row when None.
     """
     texts: dict[tuple[int, str], str] = {}
-    whole, rest = _time(frame, columns)
+    whole, rest = seconds_of(frame, columns)
     _remember(texts, frame, columns.t[0], whole + rest)
-    zero = origin or _first(whole, rest)
+    zero = origin or first_of(whole, rest)
     with np.errstate(invalid="ignore", over="ignore"):
         t = (whole - zero[0]) + (rest - zero[1])
     return RawRecording(
@@ -153,7 +153,7 @@ def raw_from_frame(
     )
 
 
-def _time(frame: pd.DataFrame, columns: Columns) -> tuple[Array, Array]:
+def seconds_of(frame: pd.DataFrame, columns: Columns) -> tuple[Array, Array]:
     """Whole and remaining seconds of each row."""
     whole, rest = in_seconds(frame[columns.t[0]], columns.t_unit)
     if len(columns.t) == 2:
@@ -161,7 +161,8 @@ def _time(frame: pd.DataFrame, columns: Columns) -> tuple[Array, Array]:
     return whole, rest
 
 
-def _first(whole: Array, rest: Array) -> tuple[float, float]:
+def first_of(whole: Array, rest: Array) -> tuple[float, float]:
+    """Whole and remaining seconds of the first row that has a time; zeros where none has."""
     usable = np.flatnonzero(np.isfinite(whole + rest))
     return (float(whole[usable[0]]), float(rest[usable[0]])) if len(usable) else (0.0, 0.0)
 

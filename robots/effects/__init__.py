@@ -1,19 +1,59 @@
 """What makes torque beyond the rigid-body inertia of the given links, one file per family."""
 
-from excitant.robots.effects.base import Effect, JointEffect, Parameter, Term
+from excitant.robots.effects.base import Effect, JointEffect, JointwiseEffect, Parameter, Term
+from excitant.robots.effects.coupling import FrictionCoupling, InertiaCoupling
 from excitant.robots.effects.drive import RotorInertia, TorqueOffset
-from excitant.robots.effects.friction import CoulombFriction, StribeckFriction, ViscousFriction
+from excitant.robots.effects.friction import (
+    AsymmetricFriction,
+    CoulombFriction,
+    LoadDependentFriction,
+    NonlinearViscousFriction,
+    StribeckFriction,
+    ViscousFriction,
+)
+from excitant.robots.effects.history import PreslidingHysteresis, ThermalFrictionDrift
 from excitant.robots.effects.load import AddedInertia, InertialParameters, Payload
+from excitant.robots.effects.sensing import (
+    EncoderOffset,
+    EncoderScale,
+    GravityDirection,
+    KinematicError,
+    TimeDelay,
+    TorqueGain,
+)
 from excitant.robots.effects.serialisation import effect_entries, effects_from_entries
+from excitant.robots.effects.transmission import (
+    Backlash,
+    JointElasticity,
+    Spring,
+    TorqueRipple,
+)
 
 EFFECTS: dict[str, type[Effect]] = {
     effect.name: effect
     for effect in (
         ViscousFriction,
         CoulombFriction,
+        AsymmetricFriction,
         StribeckFriction,
+        NonlinearViscousFriction,
+        LoadDependentFriction,
+        PreslidingHysteresis,
+        FrictionCoupling,
+        ThermalFrictionDrift,
         RotorInertia,
+        InertiaCoupling,
         TorqueOffset,
+        TorqueGain,
+        TorqueRipple,
+        Spring,
+        JointElasticity,
+        Backlash,
+        TimeDelay,
+        EncoderOffset,
+        EncoderScale,
+        KinematicError,
+        GravityDirection,
         Payload,
         InertialParameters,
     )
@@ -34,16 +74,34 @@ def standard_effects(joints: tuple[str, ...]) -> tuple[Effect, ...]:
 __all__ = [
     "EFFECTS",
     "AddedInertia",
+    "AsymmetricFriction",
+    "Backlash",
     "CoulombFriction",
     "Effect",
+    "EncoderOffset",
+    "EncoderScale",
+    "FrictionCoupling",
+    "GravityDirection",
+    "InertiaCoupling",
     "InertialParameters",
     "JointEffect",
+    "JointElasticity",
+    "JointwiseEffect",
+    "KinematicError",
+    "LoadDependentFriction",
+    "NonlinearViscousFriction",
     "Parameter",
     "Payload",
+    "PreslidingHysteresis",
     "RotorInertia",
+    "Spring",
     "StribeckFriction",
     "Term",
+    "ThermalFrictionDrift",
+    "TimeDelay",
+    "TorqueGain",
     "TorqueOffset",
+    "TorqueRipple",
     "ViscousFriction",
     "effect_entries",
     "effects_from_entries",

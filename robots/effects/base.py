@@ -10,6 +10,7 @@ from typing import ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
+from excitant.exceptions import BadInput
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
@@ -22,11 +23,13 @@ class Parameter:
         name: Name, ``joint.symbol`` or ``link.symbol``.
         unit: Unit where torque is in N·m.
         lower: Smallest value physics allows.
+        typical: Size that it has when it matters; None where that depends on the arm.
     """
 
     name: str
     unit: str
     lower: float = -np.inf
+    typical: float | None = None
 
 
 @dataclass(frozen=True)
@@ -36,12 +39,31 @@ class Effect(ABC):
     Attributes:
         joints: The joints it acts on.
         values: One value per parameter; None while unknown.
+
+    Raises:
+        BadInput: It acts on another number of joints, or a field of its shape cannot be.
     """
 
     name: ClassVar[str]
+    arity: ClassVar[int] = 0  # how many joints it acts on; 0: as many as it is given
+    positive: ClassVar[tuple[str, ...]] = ()  # fields of its shape that must be
+    acts_on_torque: ClassVar[bool] = False  # its columns are made of the other effects' torque
+    contains: ClassVar[tuple[str, ...]] = ()  # what it is when some of its coefficients are zero
+    imitates: ClassVar[tuple[str, ...]] = ()  # those of them that it can really be at work for
 
     joints: tuple[str, ...]
     values: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.arity and len(self.joints) != self.arity:
+            wanted = "one joint" if self.arity == 1 else f"{self.arity} joints"
+            count = len(self.joints)
+            raise BadInput(f"effect {self.name} acts on {wanted}, not on {count}; name it or them")
+        if len(set(self.joints)) < len(self.joints):
+            raise BadInput(f"effect {self.name} names a joint twice: {', '.join(self.joints)}")
+        for field in self.positive:
+            if not getattr(self, field) > 0:
+                raise BadInput(f"effect {self.name}: {field} must be positive")
 
     @abstractmethod
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
@@ -68,21 +90,21 @@ class Effect(ABC):
 
 @dataclass(frozen=True)
 class Term:
-    """One coefficient that every joint of a `JointEffect` has: its symbol, unit, lower bound."""
+    """One coefficient that every joint of an effect has: its symbol, unit, lower bound."""
 
     symbol: str
     unit: str
     lower: float = -np.inf
 
 
-class JointEffect(Effect):
-    """Effect on each joint by that joint's own motion."""
+class JointwiseEffect(Effect):
+    """Effect with coefficients of its own on each joint, which act on that joint only."""
 
     terms: ClassVar[tuple[Term, ...]]
 
     @abstractmethod
-    def shape(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
-        """Torque per unit of each term for one joint, each of shape (n,)."""
+    def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
+        """Torque per unit of each term for joint j, each of shape (n,)."""
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Each joint's terms, joint by joint."""
@@ -94,11 +116,11 @@ class JointEffect(Effect):
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Each joint's terms in that joint's row."""
-        columns = np.zeros((len(motion), robot.nv, len(self.joints) * len(self.terms)))
+        columns = np.zeros((len(motion), robot.nv, len(self.parameters(robot))))
         column = 0
         for joint in self.joints:
             j = robot.joint_index(joint)
-            for values in self.shape(motion.q[:, j], motion.dq[:, j], motion.ddq[:, j]):
+            for values in self.at(robot, motion, j):
                 columns[:, j, column] = values
                 column += 1
         return columns
@@ -108,6 +130,18 @@ class JointEffect(Effect):
         tau, values = np.zeros((len(motion), robot.nv)), iter(self._known())
         for joint in self.joints:
             j = robot.joint_index(joint)
-            for column in self.shape(motion.q[:, j], motion.dq[:, j], motion.ddq[:, j]):
+            for column in self.at(robot, motion, j):
                 tau[:, j] += next(values) * column
         return tau
+
+
+class JointEffect(JointwiseEffect):
+    """Effect on each joint by that joint's own motion at that instant."""
+
+    @abstractmethod
+    def shape(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
+        """Torque per unit of each term for one joint, each of shape (n,)."""
+
+    def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
+        """The shape at the joint's motion."""
+        return self.shape(motion.q[:, j], motion.dq[:, j], motion.ddq[:, j])

@@ -8,8 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from excitant.robots.effects.base import JointEffect, Term
-from excitant.robots.motion import Array
+from excitant.robots.effects.base import JointEffect, JointwiseEffect, Parameter, Term
+from excitant.robots.effects.reference import rigid_torque
+from excitant.robots.motion import Array, Motion
+from excitant.robots.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class StribeckFriction(JointEffect):
     """
 
     name: ClassVar[str] = "stribeck_friction"
+    positive: ClassVar[tuple[str, ...]] = ("velocity",)
     terms: ClassVar[tuple[Term, ...]] = (Term("Fs", "N·m", 0.0),)
 
     velocity: float = 0.1
@@ -52,3 +55,65 @@ class StribeckFriction(JointEffect):
     def shape(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Bell around zero velocity with the velocity's sign."""
         return (np.sign(dq) * np.exp(-((dq / self.velocity) ** 2)),)
+
+
+@dataclass(frozen=True)
+class AsymmetricFriction(JointEffect):
+    """τ = F_c± sign(q̇) + F_v± q̇: friction that differs with the direction.
+
+    Attributes:
+        viscous: Whether viscous friction differs too.
+    """
+
+    name: ClassVar[str] = "asymmetric_friction"
+    contains: ClassVar[tuple[str, ...]] = ("torque_offset", "coulomb_friction", "viscous_friction")
+    imitates: ClassVar[tuple[str, ...]] = ("torque_offset",)
+    terms: ClassVar[tuple[Term, ...]] = (
+        Term("Fc_plus", "N·m"),
+        Term("Fc_minus", "N·m"),
+        Term("Fv_plus", "N·m·s/rad"),
+        Term("Fv_minus", "N·m·s/rad"),
+    )
+
+    viscous: bool = True
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Coulomb and, where asked for, viscous friction forward and backward."""
+        kept = [(term.symbol, term.unit) for term in self.terms[: 2 + 2 * self.viscous]]
+        return tuple(Parameter(f"{joint}.{s}", unit) for joint in self.joints for s, unit in kept)
+
+    def shape(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
+        """Sign and velocity, forward and backward."""
+        ahead, back = np.maximum(dq, 0.0), np.minimum(dq, 0.0)
+        return (np.sign(ahead), np.sign(back), ahead, back)[: 2 + 2 * self.viscous]
+
+
+@dataclass(frozen=True)
+class NonlinearViscousFriction(JointEffect):
+    """τ = F_n |q̇|^a sign(q̇), on top of viscous friction.
+
+    Attributes:
+        exponent: a, not one.
+    """
+
+    name: ClassVar[str] = "nonlinear_viscous_friction"
+    positive: ClassVar[tuple[str, ...]] = ("exponent",)
+    terms: ClassVar[tuple[Term, ...]] = (Term("Fn", "N·m·(s/rad)^a"),)
+
+    exponent: float = 2.0
+
+    def shape(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
+        """Power of the speed with the velocity's sign."""
+        return (np.sign(dq) * np.abs(dq) ** self.exponent,)
+
+
+@dataclass(frozen=True)
+class LoadDependentFriction(JointwiseEffect):
+    """τ = F_l |τ_load| sign(q̇) with the torque of the bodies as load."""
+
+    name: ClassVar[str] = "load_dependent_friction"
+    terms: ClassVar[tuple[Term, ...]] = (Term("Fl", "1", 0.0),)
+
+    def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
+        """Load with the velocity's sign."""
+        return (np.abs(rigid_torque(robot, motion)[:, j]) * np.sign(motion.dq[:, j]),)

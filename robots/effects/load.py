@@ -16,6 +16,7 @@ from excitant.robots.robot import Robot
 class AddedInertia(Effect):
     """Inertial parameters added to the link that one joint carries, about the joint frame."""
 
+    arity: ClassVar[int] = 1
     prefix: ClassVar[str] = "delta_"
 
     def _index(self, robot: Robot) -> int:

@@ -52,13 +52,19 @@ def _effect(
     name = str(entry.pop("effect", ""))
     if name not in known:
         raise BadInput(f"{source}: {UnknownName('effect', name, known)}")
-    joints = tuple(str(joint) for joint in entry.pop("joints", robot.joints))
+    joints = entry.pop("joints", robot.joints)
+    if not isinstance(joints, list | tuple):
+        raise BadInput(f"{source}: effect {name} needs 'joints: [names]', not '{joints}'")
+    joints = tuple(str(joint) for joint in joints)
     for joint in joints:
         if joint not in robot.joints:
             raise BadInput(f"{source}: {UnknownName('joint', joint, robot.joints)}")
     try:
         values = np.array(entry.pop("values"), float).ravel()
-        effect = known[name](joints=joints, **entry).with_values(values)
+        shape = {key: _shape(known[name], key, value) for key, value in entry.items()}
+        effect = known[name](joints=joints, **shape).with_values(values)
+    except BadInput as error:
+        raise BadInput(f"{source}: {error}") from None
     except (KeyError, TypeError, ValueError):
         raise BadInput(
             f"{source}: effect {name} needs 'values: [numbers]' and takes "
@@ -66,5 +72,19 @@ def _effect(
         ) from None
     expected = len(effect.parameters(robot))
     if len(values) != expected or not np.isfinite(values).all():
-        raise BadInput(f"{source}: effect {name} has {len(values)} values, expected {expected}")
+        raise BadInput(
+            f"{source}: effect {name} has {len(values)} values, expected {expected}, all finite"
+        )
     return effect
+
+
+def _shape(kind: type[Effect], name: str, value: Any) -> Any:
+    """A field of an effect's shape as its default is: yes or no, a finite number, or other."""
+    default = {field.name: field.default for field in fields(kind)}[name]
+    if isinstance(default, bool) != isinstance(value, bool):
+        raise TypeError(name)
+    if isinstance(default, float):
+        if not np.isfinite(float(value)):
+            raise ValueError(name)
+        return float(value)
+    return value

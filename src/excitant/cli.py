@@ -228,7 +228,8 @@ def _fit_options(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--validate", nargs="+", default=[], metavar="RECORDING",
                       help="hold-out (default: the last 30 %% of each recording)")  # fmt: skip
     verb.add_argument("--cutoff", type=float, metavar="HZ",
-                      help="cut-off of the torque filter (default: 10 Hz)")  # fmt: skip
+                      help="cut-off of the torque filter (default: 10 Hz, at which accuracy is "
+                      "judged; identify chooses the fit's from the data)")  # fmt: skip
     verb.add_argument("--repair", action="store_true",
                       help="repair the faults of the recordings to fit that can be repaired, and "
                       "say so; without it they are only reported")  # fmt: skip
@@ -244,7 +245,11 @@ def _identify(verbs: _Verbs[argparse.ArgumentParser]) -> None:
                       "torque_offset,rotor_inertia)")  # fmt: skip
     verb.add_argument("--estimator", metavar="NAME",
                       help="of the base parameters: ols, wls, irls (robust), gls (coloured noise), "
-                      "iv (noisy positions), tls (default: wls)")  # fmt: skip
+                      "iv and oe (noisy positions), tls, ml (periods averaged), or auto: "
+                      "chosen on an inner hold-out (default: auto)")  # fmt: skip
+    verb.add_argument("--knowledge", metavar="FILE",
+                      help="YAML with what is known of the bodies: masses, their sum, where "
+                      "centres of mass lie; and the kind of prior")  # fmt: skip
     verb.add_argument("--formats", metavar="NAME,...",
                       help="files of the model beside URDF and model.yaml: mjcf, sdf, python, c "
                       "(default: mjcf,sdf)")  # fmt: skip
@@ -265,6 +270,17 @@ def _identify(verbs: _Verbs[argparse.ArgumentParser]) -> None:
                       "model given or of --unloaded")  # fmt: skip
     verb.add_argument("--unloaded", nargs="+", default=[], metavar="RECORDING",
                       help="with --payload: the arm without load, any motion")  # fmt: skip
+    drive = verb.add_argument_group(
+        "drive gains from a known payload (where currents are recorded)"
+    )
+    drive.add_argument("--payload-recording", nargs="+", default=[], metavar="RECORDING",
+                       help="the arm with the payload, any motion")  # fmt: skip
+    drive.add_argument("--payload-mass", type=float, metavar="KG", help="its mass [kg]")
+    drive.add_argument("--payload-mass-std", type=float, default=0.0, metavar="KG",
+                       help="standard deviation of the mass [kg] (default: 0)")  # fmt: skip
+    drive.add_argument("--payload-com", type=_numbers, metavar="X,Y,Z",
+                       help="its centre of mass in the frame of the last joint [m]; write "
+                       "--payload-com=X,Y,Z where X is negative")  # fmt: skip
 
 
 def _analyze(verbs: _Verbs[argparse.ArgumentParser]) -> None:

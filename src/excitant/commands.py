@@ -20,16 +20,23 @@ from excitant.demo import Demo, run_demo
 from excitant.design import load_trajectory
 from excitant.exceptions import BadInput, RankDeficient, UnknownName
 from excitant.identify import (
+    Dataset,
+    DriveGains,
     Estimate,
+    KnownPayload,
     Recording,
+    drive_result,
+    identify_drive_gains,
     identify_link_by_link,
     identify_online,
     identify_payload,
     identify_result,
     identify_series,
+    in_torque,
     link_by_link_result,
     link_by_link_series,
     load_dataset,
+    load_knowledge,
     model_files,
     online_result,
     online_series,
@@ -37,6 +44,7 @@ from excitant.identify import (
     publication,
 )
 from excitant.identify import identify as identify_robot
+from excitant.identify.estimator_choice import AUTO
 from excitant.identify.estimators import estimator_named
 from excitant.identify.export import DEFAULT_FORMATS, FORMATS
 from excitant.identify.faults import read_checked
@@ -46,6 +54,7 @@ from excitant.progress import progress_bar
 from excitant.reports import load_run, save_run
 from excitant.robots import Array, Robot, base_parameters, builtin_robots, load_robot
 from excitant.robots.effects import EFFECTS, Effect, JointEffect, standard_effects
+from excitant.streamed import streamed
 
 
 def demo(args: argparse.Namespace) -> None:
@@ -129,23 +138,64 @@ def identify(args: argparse.Namespace) -> None:
     dataset = load_dataset(args.robot, columns=args.map)
     robot = dataset.robot
     effects, formats = _effects(args.effects, robot), _formats(args.formats)
-    without = [*args.validate, *args.unloaded]
+    if (found := streamed(args, dataset, effects)) is not None:
+        result = identify_result(found) | {"faults": [], "import": {}}
+        _publish(args, found, result, identify_series(found), formats)
+        return
+    without = [*args.validate, *args.unloaded, *args.payload_recording]
     checked = read_checked(dataset, args.recordings, without=without, repaired=args.repair)
-    recordings = checked.recordings
+    recordings: Sequence[Recording] = checked.recordings
     validate = dataset.recordings(args.validate) if args.validate else []
     imported = _show_import([*recordings, *validate])
     options = {"validate": validate, "effects": effects, "cutoff_hz": args.cutoff}
+    drive = _drive(args, dataset, recordings, options)
+    if drive is not None:
+        recordings, options["validate"] = (in_torque(r, drive) for r in (recordings, validate))
     estimate, result, series = _identified(args, robot, recordings, options)
     if args.payload:
-        unloaded = dataset.recordings(args.unloaded) if args.unloaded else ()
+        unloaded = dataset.recordings(args.unloaded) if args.unloaded else []
+        if drive is not None:
+            unloaded = in_torque(unloaded, drive)
         result["payload"] = payload_result(
             identify_payload(robot, recordings, unloaded=unloaded, effects=effects)
         )
+    result |= {"faults": checked.entries(), "import": imported}
+    result["notes"] += checked.notes
+    if drive is not None:
+        result |= drive_result(drive)
+        result["notes"].append(drive.sentence(robot.joints))
+    _publish(args, estimate, result, identify_series(estimate) | series, formats)
+
+
+def _drive(
+    args: argparse.Namespace,
+    dataset: Dataset,
+    recordings: Sequence[Recording],
+    options: dict[str, Any],
+) -> DriveGains | None:
+    """Drive gains from recordings with a known payload; None where none is given."""
+    if not args.payload_recording:
+        return None
+    centre = args.payload_com
+    payload = KnownPayload(
+        args.payload_mass, args.payload_mass_std, None if centre is None else tuple(centre)
+    )
+    loaded = dataset.recordings(args.payload_recording)
+    return identify_drive_gains(dataset.robot, recordings, loaded, payload, **options)
+
+
+def _publish(
+    args: argparse.Namespace,
+    estimate: Estimate,
+    result: dict[str, Any],
+    series: dict[str, Array],
+    formats: Sequence[str],
+) -> None:
+    """Write the run with its model, unless the given one is better."""
     published = publication(estimate, formats=formats, force=args.force)
-    result |= {"faults": checked.entries(), "published": published.published, "import": imported}
-    result["notes"] += [*checked.notes, *([published.note] if published.note else [])]
-    directory = run_directory(args, "identify", robot)
-    finish(args, directory, result, identify_series(estimate) | series, published.files)
+    result["published"] = published.published
+    result["notes"] += [published.note] if published.note else []
+    finish(args, run_directory(args, "identify", estimate.given), result, series, published.files)
     if published.note and not args.json:
         print(published.note)
 
@@ -153,14 +203,21 @@ def identify(args: argparse.Namespace) -> None:
 def _refuse_contradictions(args: argparse.Namespace) -> None:
     if args.unloaded and not args.payload:
         raise BadInput("--unloaded names what --payload is compared with; give --payload too")
+    if bool(args.payload_recording) != (args.payload_mass is not None):
+        raise BadInput("--payload-recording and --payload-mass belong together; give both")
+    if args.payload_com is not None and len(args.payload_com) != 3:
+        raise BadInput("--payload-com needs three numbers, X,Y,Z in metres")
     if args.forgetting is not None and not args.online:
         raise BadInput("--forgetting is for --online; give --online too")
     if args.link_by_link and args.online:
         raise BadInput("--link-by-link needs whole recordings; leave --online out")
     if args.estimator is not None:
-        estimator_named(args.estimator)
+        if args.estimator != AUTO:
+            estimator_named(args.estimator)
         if args.link_by_link or args.online:
             raise BadInput("--estimator is for all rows at once; leave the other way out")
+    if args.knowledge and (args.link_by_link or args.online):
+        raise BadInput("--knowledge is for all rows at once; leave the other way out")
 
 
 def _identified(
@@ -180,7 +237,11 @@ def _identified(
     if args.link_by_link:
         stages = identify_link_by_link(robot, recordings, **options)
         return stages.estimate, link_by_link_result(stages), link_by_link_series(stages)
-    estimate = identify_robot(robot, recordings, **options, estimator=args.estimator or "wls")
+    known = load_knowledge(args.knowledge, robot.links) if args.knowledge else None
+    estimate = identify_robot(
+        robot, recordings, **options,
+        estimator=args.estimator or AUTO, knowledge=known, tune=True,
+    )  # fmt: skip
     return estimate, identify_result(estimate), {}
 
 

@@ -5,18 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.signal
+import scipy.stats
 
-from excitant.analysis.evidence import FALSE_ALARM, Candidate, Evidence, weigh
-from excitant.robots.effects import TorqueOffset
+from excitant.analysis.evidence import FALSE_ALARM, Candidate, Evidence, reweighed, weigh
+from excitant.analysis.signatures import signatures
+from excitant.robots.effects import StribeckFriction, TorqueOffset
 
-N, NV, NUISANCE = 3000, 2, 6
+N, NV, NUISANCE = 1200, 2, 6
+PERIOD = 1 / 40  # s between rows behind a filter of 10 Hz
 SIZES = (1,) * 12 + (3, 10)
 
 
 def candidates() -> list[Candidate]:
+    """Some that are common, some that are not; what counts are their sizes."""
     found, start = [], NUISANCE
     for k, size in enumerate(SIZES):
-        effect = TorqueOffset((f"joint{k}",))
+        effect = (TorqueOffset if k < 3 else StribeckFriction)((f"joint{k}",))
         found.append(Candidate(effect, slice(start, start + size), np.eye(size)))
         start += size
     return found
@@ -25,10 +29,10 @@ def candidates() -> list[Candidate]:
 PRECISION = np.concatenate([np.full(NUISANCE, 400.0), np.full(sum(SIZES), 1e-4)])
 
 
-def columns(seed: int) -> np.ndarray:
+def columns(seed: int, n: int = N) -> np.ndarray:
     """Slow waves, as a motion makes them."""
     rng = np.random.default_rng(seed)
-    t = np.linspace(0, 1, N)[:, None, None]
+    t = np.linspace(0, 1, n)[:, None, None]
     shape = (NV, NUISANCE + sum(SIZES))
     frequency, phase = rng.uniform(1, 15, shape), rng.uniform(0, 6.28, shape)
     X: np.ndarray = np.sin(2 * np.pi * frequency * t + phase)
@@ -37,53 +41,95 @@ def columns(seed: int) -> np.ndarray:
 
 def residual(X: np.ndarray, rng: np.random.Generator, rho: float) -> np.ndarray:
     """Given values off within their tolerance, and noise of different size in each joint."""
-    white = rng.standard_normal((N + 300, NV)) * [0.1, 1.0]
+    white = rng.standard_normal((len(X) + 300, NV)) * [0.1, 1.0]
     noise = scipy.signal.lfilter([1.0], [1.0, -rho], white, axis=0)[300:]
     eta = rng.standard_normal(NUISANCE) / np.sqrt(PRECISION[:NUISANCE])
     r: np.ndarray = X[:, :, :NUISANCE] @ eta + noise
     return r
 
 
-def evidence(seed: int = 0, rho: float = 0.0, planted: float = 0.0) -> Evidence:
-    X, rng = columns(seed), np.random.default_rng(seed + 1)
-    r = residual(X, rng, rho) + planted * X[:, :, NUISANCE + 2]
-    return weigh(X, r, PRECISION, NUISANCE, candidates())
+def weighed(
+    X: np.ndarray,
+    r: np.ndarray,
+    counts: np.ndarray | None = None,
+    precision: np.ndarray = PRECISION,
+) -> Evidence:
+    counts = np.ones(r.shape, dtype=bool) if counts is None else counts
+    return weigh(signatures([X], counts), r, counts, precision, NUISANCE, candidates(), PERIOD)
 
 
-def alarms(rho: float, draws: int) -> int:
-    count = 0
-    for seed in range(draws):
-        e = evidence(seed, rho)
-        alone = e.cost([])
-        count += any(alone - e.cost([c]) > e.threshold(c.size) for c in e.candidates)
-    return count
+def evidence(seed: int = 0, rho: float = 0.0, planted: float = 0.0, n: int = N) -> Evidence:
+    X, rng = columns(seed, n), np.random.default_rng([seed, 1])
+    return weighed(X, residual(X, rng, rho) + planted * X[:, :, NUISANCE + 2])
+
+
+def called_for(e: Evidence) -> list[Candidate]:
+    """Candidates that the evidence calls for when nothing has been taken up yet."""
+    falls = e.additions([])
+    return [
+        c
+        for c, fall in zip(e.candidates, falls, strict=True)
+        if fall > e.dispersion([], c) * e.threshold(c)
+    ]
+
+
+SHORT = pytest.mark.xfail(
+    strict=True, reason="few blocks of time: dispersion comes out low where a set fits into them"
+)
+
+
+@pytest.mark.parametrize(
+    ("rho", "n"),
+    [
+        (0.0, 3000),
+        (0.7, 3000),
+        (0.0, 1200),
+        pytest.param(0.7, 1200, marks=SHORT),
+        pytest.param(0.0, 400, marks=SHORT),
+        pytest.param(0.7, 400, marks=SHORT),
+    ],
+)
+def test_nothing_at_work_rarely_calls_for_anything(rho: float, n: int) -> None:
+    draws = 100
+    count = sum(bool(called_for(evidence(seed, rho, n=n))) for seed in range(draws))
+    assert count <= scipy.stats.binom.isf(1e-3, draws, FALSE_ALARM)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.7])
-def test_nothing_at_work_rarely_calls_for_anything(rho: float) -> None:
-    draws = 100
-    # FALSE_ALARM per recording is a bound (Bonferroni); noise levels estimated from
-    # rows to which 31 columns were fitted are low, which makes it up to twice that
-    expected = 2 * FALSE_ALARM * draws
-    assert alarms(rho, draws) <= expected + 3 * np.sqrt(expected)
+def test_something_at_work_is_called_for(rho: float) -> None:
+    for seed in range(5):
+        e = evidence(seed, rho, planted=0.3)
+        falls = e.additions([])
+        found = e.candidates[int(np.argmax(falls[:12]))]  # of one coefficient
+        assert found is e.candidates[2]
+        assert found in called_for(e)
+        _, coordinates, covariance = e.solve([found])
+        at = found.columns.start
+        assert abs(coordinates[at] - 0.3) <= 4 * np.sqrt(covariance[at, at])
 
 
-def test_something_at_work_is_called_for() -> None:
-    e = evidence(planted=0.2)
-    falls = [e.cost([]) - e.cost([c]) - e.threshold(c.size) for c in e.candidates]
-    assert int(np.argmax(falls)) == 2
-    assert falls[2] > 0
+@pytest.mark.parametrize("rho", [0.0, pytest.param(0.7, marks=SHORT)])
+def test_by_chance_the_cost_falls_by_the_dispersion_per_coefficient(rho: float) -> None:
+    ratios = []
+    for seed in range(40):
+        e = evidence(seed, rho)
+        falls, blocks = e.additions([]), len(e.blocks)
+        ratios += [falls[k] / e.dispersion([], e.candidates[k]) for k in range(12)]
+    # 480 draws of F with 1 and blocks − 1 degrees of freedom, nearly independent
+    expected = (blocks - 1) / (blocks - 3)
+    assert np.mean(ratios) == pytest.approx(expected, abs=4 * np.sqrt(2 / len(ratios)))
 
 
 @pytest.mark.parametrize("chosen", [(), (2,), (0, 13), (12, 13, 5)])
 def test_cost_is_the_minimum_that_it_is_defined_as(chosen: tuple[int, ...]) -> None:
     X, rng = columns(0), np.random.default_rng(1)
     r = residual(X, rng, 0.0) + 0.3 * X[:, :, NUISANCE + 2]
-    e = weigh(X, r, PRECISION, NUISANCE, candidates())
+    counts = rng.random(r.shape) < 0.8
+    e = weighed(X, r, counts)
     picked = [e.candidates[k] for k in chosen]
     active = np.r_[(slice(0, NUISANCE), *(c.columns for c in picked))]
-    weight = 1 / (e.sigma * np.sqrt(e.inflation))
-    A = (X[:, :, active] * weight[:, None]).reshape(-1, len(active))
+    weight = counts / (e.sigma * np.sqrt(e.inflation))
+    A = (X[:, :, active] * weight[:, :, None]).reshape(-1, len(active))
     stacked = np.vstack([A, np.diag(np.sqrt(PRECISION[active]))])
     target = np.concatenate([(r * weight).ravel(), np.zeros(len(active))])
     solution = np.linalg.lstsq(stacked, target, rcond=None)[0]
@@ -94,6 +140,45 @@ def test_cost_is_the_minimum_that_it_is_defined_as(chosen: tuple[int, ...]) -> N
     np.testing.assert_allclose(coordinates[active], solution, rtol=1e-6, atol=1e-9)
     expected = np.linalg.inv(stacked.T @ stacked)
     np.testing.assert_allclose(covariance[np.ix_(active, active)], expected, rtol=1e-6, atol=1e-12)
+    left = (r * counts) - X[:, :, active] @ solution * counts
+    np.testing.assert_allclose(e.left(picked), left, rtol=0, atol=1e-8 * np.abs(r).max())
+
+
+@pytest.mark.parametrize("chosen", [(), (2,), (0, 13)])
+def test_additions_are_differences_of_cost(chosen: tuple[int, ...]) -> None:
+    e = evidence(2, planted=0.2)
+    picked = [e.candidates[k] for k in chosen]
+    falls, alone = e.additions(picked), e.cost(picked)
+    for k in set(range(len(SIZES))) - {*chosen}:
+        expected = alone - e.cost([*picked, e.candidates[k]])
+        assert falls[k] == pytest.approx(expected, rel=1e-6, abs=1e-9 * alone)
+        assert falls[k] >= 0
+
+
+def test_threshold_asks_more_of_more_coefficients_shapes_and_fewer_blocks() -> None:
+    e = evidence(0)
+    one, three, ten = (e.candidates[k] for k in (0, 12, 13))
+    assert e.threshold(one) < e.threshold(three) < e.threshold(ten)
+    tried = Candidate(one.effect, one.columns, one.scale, trials=100)
+    assert e.threshold(tried) > e.threshold(one)
+    assert evidence(0, n=400).threshold(one) > e.threshold(one)
+    # with blocks without end, F is χ² over its degrees of freedom
+    tail = FALSE_ALARM / len(e.candidates)
+    assert e.threshold(ten) > scipy.stats.chi2.isf(tail, 10)
+
+
+def test_a_cause_that_matters_does_not_stay_in_the_noise() -> None:
+    """What is taken up is taken off the residual; common causes are even before that."""
+    rare, plain = 8, 1
+    X, rng = columns(3), np.random.default_rng(3)
+    r = residual(X, rng, 0.0)
+    quiet = weighed(X, r)
+    loud = weighed(X, r + 3.0 * X[:, :, [NUISANCE + rare]].sum(axis=2))
+    assert (loud.sigma > 1.5 * quiet.sigma).any()
+    known = reweighed(loud, [loud.candidates[rare]])
+    np.testing.assert_allclose(known.sigma, quiet.sigma, rtol=0.01)
+    common = weighed(X, r + 3.0 * X[:, :, [NUISANCE + plain]].sum(axis=2))
+    np.testing.assert_allclose(common.sigma, quiet.sigma, rtol=0.01)
 
 
 def test_more_causes_never_explain_less() -> None:
@@ -113,7 +198,7 @@ def test_cosine_of_alike_and_of_unlike_columns() -> None:
     X[:, :, NUISANCE + 2] = np.sin(40 * t)[:, None]
     X[:, :, NUISANCE + 3] = np.cos(40 * t)[:, None]
     X[:, :, :NUISANCE] *= 1e-6  # a nuisance that takes no part
-    e = weigh(X, residual(X, np.random.default_rng(0), 0.0), PRECISION, NUISANCE, candidates())
+    e = weighed(X, residual(X, np.random.default_rng(0), 0.0))
     one, same, sine, cosine, *_ = e.candidates
     assert e.cosine(one, same) == pytest.approx(1.0, abs=1e-9)
     assert e.cosine(sine, cosine) == pytest.approx(0.0, abs=1e-9)
@@ -128,11 +213,11 @@ def test_what_the_tolerance_can_explain_does_not_make_columns_alike() -> None:
     X[:, :, NUISANCE + 1] = (np.sin(7 * t) + np.cos(40 * t))[:, None]
     r = residual(X, np.random.default_rng(0), 0.0)
     for precision, expected in ((1e-6, 0.0), (1e9, 0.5)):  # given value unknown, and known
-        e = weigh(X, r, np.r_[precision, PRECISION[1:]], NUISANCE, candidates())
+        e = weighed(X, r, precision=np.r_[precision, PRECISION[1:]])
         assert e.cosine(*e.candidates[:2]) == pytest.approx(expected, abs=1e-3)
 
 
 def test_noise_levels_are_found() -> None:
     e = evidence(5)
-    # 31 columns fitted to 3000 rows: low by up to 0.5 %, and known to √(1 / 2N)
+    # up to 9 columns fitted to 1200 rows: low by up to 0.4 %, and known to √(1 / 2N)
     np.testing.assert_allclose(e.sigma, [0.1, 1.0], rtol=0.005 + 4 * np.sqrt(1 / (2 * N)))

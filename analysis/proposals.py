@@ -1,0 +1,141 @@
+"""Causes to consider for a robot and a motion, their shapes searched over grids."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from excitant.identify.preprocessing import Segment
+from excitant.robots.effects import (
+    AsymmetricFriction,
+    Backlash,
+    CoulombFriction,
+    Effect,
+    EncoderOffset,
+    EncoderScale,
+    FrictionCoupling,
+    GravityDirection,
+    InertiaCoupling,
+    InertialParameters,
+    JointElasticity,
+    KinematicError,
+    LoadDependentFriction,
+    NonlinearViscousFriction,
+    Payload,
+    PreslidingHysteresis,
+    RotorInertia,
+    Spring,
+    StribeckFriction,
+    ThermalFrictionDrift,
+    TimeDelay,
+    TorqueGain,
+    TorqueOffset,
+    TorqueRipple,
+    ViscousFriction,
+)
+from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
+
+_STRIBECK = np.geomspace(0.01, 0.4, 8)  # of each joint's highest speed
+_EXPONENTS = (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)
+_DISTANCES = np.geomspace(3e-4, 0.1, 8)  # of each joint's range
+_DELAYS = (-0.02, -0.005, 0.002, 0.005, 0.01, 0.02, 0.04)  # s
+_GAPS = np.geomspace(3e-4, 0.1, 12)  # rad
+_WARMING = (0.15, 0.4, 1.0)  # of the recording's length
+_RATIOS = (1.0, -1.0)
+_ORDERS = 3  # of ripple at each joint, the best of all
+_MOST_ORDERS = 600
+_STILL = 1e-3  # rad/s: slower joints rest
+
+
+def proposals(
+    robot: Robot, segments: Sequence[Segment], unexplained: Array
+) -> list[tuple[Effect, int]]:
+    """Effects with the number of shapes that each was chosen from.
+
+    Args:
+        robot: The arm.
+        segments: Recording to explain.
+        unexplained: What the model so far leaves, shape (n, nv) [N·m]; ripple is looked for there.
+    """
+    speed = np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0)
+    reach = np.ptp(np.concatenate([s.motion.q for s in segments]), axis=0)
+    start = min(float(s.motion.t[0]) for s in segments)
+    length = max(float(s.motion.t[-1]) for s in segments) - start
+    found: list[tuple[Effect, int]] = []
+    for j, joint in enumerate(robot.joints):
+        found.append((TorqueOffset((joint,)), 1))
+        if speed[j] > _STILL:
+            shapes = _own((joint,), float(speed[j]), float(reach[j]), length, start)
+            found += [(effect, 1) for effect in shapes]
+            found += _ripples(joint, j, segments, unexplained[:, j])
+        found += [(kind((joint,)), 1) for kind in (InertialParameters, *_CHAIN)]
+        found += [(TimeDelay((joint,), trial=d), 1) for d in _DELAYS]
+        found += [(Backlash((joint,), trial=float(g)), 1) for g in _GAPS]
+    for pair in zip(robot.joints, robot.joints[1:], strict=False):
+        found += [(FrictionCoupling(pair, ratio=ratio), 1) for ratio in _RATIOS]
+        found.append((InertiaCoupling(pair), 1))
+    found += [(TimeDelay(robot.joints, trial=d), 1) for d in _DELAYS]
+    found += [(TorqueGain(robot.joints), 1), (GravityDirection(robot.joints), 1)]
+    found.append((Payload(robot.joints[-1:]), 1))
+    return found
+
+
+_CHAIN = (
+    TorqueGain,
+    EncoderOffset,
+    EncoderScale,
+    KinematicError,
+    JointElasticity,
+)
+
+
+def _own(
+    joint: tuple[str], speed: float, reach: float, length: float, start: float
+) -> Iterator[Effect]:
+    """Effects of one joint's own motion."""
+    yield from (ViscousFriction(joint), CoulombFriction(joint), RotorInertia(joint))
+    yield from (AsymmetricFriction(joint, viscous=False), AsymmetricFriction(joint))
+    yield LoadDependentFriction(joint)
+    yield from (Spring(joint), Spring(joint, lever=True))
+    yield from (StribeckFriction(joint, velocity=float(v * speed)) for v in _STRIBECK)
+    yield from (NonlinearViscousFriction(joint, exponent=a) for a in _EXPONENTS)
+    yield from (PreslidingHysteresis(joint, distance=float(d * reach)) for d in _DISTANCES)
+    yield from (ThermalFrictionDrift(joint, time=x * length, start=start) for x in _WARMING)
+
+
+def _ripples(
+    joint: str, j: int, segments: Sequence[Segment], unexplained: Array
+) -> list[tuple[Effect, int]]:
+    """The orders of ripple that lower one joint's error most, far enough apart to differ."""
+    q = np.concatenate([s.motion.q[s.keep, j] for s in segments])
+    speed = np.concatenate([np.abs(s.motion.dq[s.keep, j]) for s in segments])
+    step = np.pi / (2 * np.ptp(q))  # half of what the range of the joint resolves
+    first = max(1.0, 6 * step) if np.ptp(q) < 1.5 * np.pi else 1.0
+    last = 2 * np.pi * segments[0].cutoff_hz / max(float(np.median(speed)), _STILL)
+    orders = first + step * np.arange(min(_MOST_ORDERS, max(0, int((last - first) / step) + 1)))
+    if not len(orders):
+        return []
+    local = np.column_stack([np.ones_like(q), q, np.cos(q), np.sin(q)])
+    e = unexplained - local @ np.linalg.lstsq(local, unexplained, rcond=None)[0]
+    gains = np.concatenate([_gains(part, q, e) for part in np.array_split(orders, 20)])
+    found: list[tuple[Effect, int]] = []
+    for k in np.argsort(-gains):
+        if all(abs(orders[k] - effect.order) > 3 * step for effect, _ in found):  # type: ignore[attr-defined]
+            found.append((TorqueRipple((joint,), order=float(orders[k])), len(orders)))
+        if len(found) == _ORDERS:
+            break
+    return found
+
+
+def _gains(orders: Array, q: Array, e: Array) -> Array:
+    """Fall of ‖e‖² by a cosine and a sine of each order, shape (orders,)."""
+    if not len(orders):
+        return np.zeros(0)
+    angle = np.outer(q, orders)
+    c, s = np.cos(angle), np.sin(angle)
+    cc, ss, cs = (c * c).sum(axis=0), (s * s).sum(axis=0), (c * s).sum(axis=0)
+    a, b = e @ c, e @ s
+    determinant = np.maximum(cc * ss - cs**2, 1e-12)
+    return np.asarray((ss * a**2 - 2 * cs * a * b + cc * b**2) / determinant, float)

@@ -1,0 +1,230 @@
+"""Hide effects in virtual arms, diagnose the recordings, and count what was named.
+
+    python benchmarks/diagnosis.py [--draws 8] [--clean 60] [--pairs 40] [--jobs 2] [--log FILE]
+
+The plant shares no code with the effects that are fitted. Every case is drawn by its number: arm,
+kind of effect, joint, visible size (rms torque over the noise floor, 2 to 30), two motions. The
+first is fitted, the second held out. A case is *right* when the hidden effect is named at its
+joint, or is in the declared undecided set; *wrong* when a cause is named that is not there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import sys
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(threads, "1")
+
+import joblib  # noqa: E402
+import numpy as np  # noqa: E402
+
+from excitant.analysis.diagnosis import diagnose  # noqa: E402
+from excitant.analysis.diagnosis_result import diagnose_result  # noqa: E402
+from excitant.exceptions import ExcitantError  # noqa: E402
+from excitant.identify.recording import recording_from_table  # noqa: E402
+from excitant.robots import load_robot  # noqa: E402
+from excitant.robots.hidden import KINDS, draw_effect  # noqa: E402
+from excitant.robots.plant.habits import typical_trajectory  # noqa: E402
+from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors, virtual_arm  # noqa: E402
+
+ARMS = ("ur10", "panda", "puma560", "planar_2r")
+_DURATION = 15.0  # s of each motion
+_TOLERANCE = 0.03  # of the given inertias
+_WIDER = 8.0  # a wrong body must show beyond what the tolerance of all bodies does
+_CLEARLY = 3.0  # times the noise floor
+_SIZES = (2.0, 3.0, 5.0, 8.0, 13.0, 30.0)
+_PAIRED = (
+    "payload", "gravity_direction", "coulomb_friction", "viscous_friction", "stribeck_friction",
+    "torque_ripple", "time_delay", "encoder_offset", "torque_gain", "torque_offset", "spring",
+    "presliding_hysteresis", "load_dependent_friction",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Case:
+    """One virtual arm with what it hides.
+
+    Attributes:
+        number: Seed.
+        arm: Name of the nominal arm.
+        kinds: What is hidden; empty for a clean arm.
+    """
+
+    number: int
+    arm: str
+    kinds: tuple[str, ...]
+
+
+def cases(draws: int, clean: int, pairs: int, kinds: Sequence[str]) -> Iterator[Case]:
+    """All cases; arms take turns."""
+    number = 0
+    for kind in kinds:
+        for k in range(draws):
+            yield Case(number := number + 1, ARMS[k % len(ARMS)], (kind,))
+    for k in range(clean):
+        yield Case(number := number + 1, ARMS[k % len(ARMS)], ())
+    rng = np.random.default_rng(0)
+    for k in range(pairs):
+        two = rng.choice(_PAIRED, 2, replace=False)
+        yield Case(number := number + 1, ARMS[k % len(ARMS)], tuple(map(str, two)))
+
+
+def run(case: Case) -> dict[str, Any]:
+    """Draw, record and diagnose one case."""
+    rng = np.random.default_rng([2026, case.number])
+    robot, hidden, size = load_robot(case.arm), [], float("nan")
+    begun = time.perf_counter()
+    try:
+        for kind in case.kinds:
+            size = float(np.exp(rng.uniform(np.log(_SIZES[0]), np.log(_SIZES[-1]))))
+            shown = size * (_WIDER if kind == "inertial_parameters" else 1.0)
+            hidden.append(draw_effect(robot, rng, kind, shown))
+        arm = virtual_arm(
+            robot, rng, hidden=hidden, sensors=industrial_sensors(robot), tolerance=_TOLERANCE
+        )
+        train, held = (
+            recording_from_table(
+                arm.record(typical_trajectory(robot, rng, _DURATION), _DURATION, rng),
+                robot.nv, file=name, name=name,
+            )
+            for name in ("excitation", "holdout")
+        )  # fmt: skip
+    except ExcitantError as error:
+        return {"case": vars(case), "not_drawn": str(error)}
+    drawn = time.perf_counter()
+    result = diagnose_result(diagnose(robot, [train], validate=[held]))
+    found = [_brief(finding) for finding in result["findings"]]
+    return {
+        "case": vars(case),
+        "hidden": [[h.effect, list(h.acts_on), h.kind, dict(h.parameters)] for h in hidden],
+        "size": size,
+        "found": found,
+        "score": score(hidden, result["findings"]),
+        "seconds": [drawn - begun, time.perf_counter() - drawn],
+    }
+
+
+def _brief(finding: dict[str, Any]) -> list[Any]:
+    rivals = [f"{r['effect']}@{'+'.join(r['joints'][:2])}" for r in finding["rivals"]]
+    share = round(finding.get("share", finding["explained"]), 3)
+    return [finding["effect"], finding["joints"][:2], finding["verdict"], share, rivals]
+
+
+def score(hidden: Sequence[HiddenEffect], findings: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """What was right and what was wrong about a diagnosis.
+
+    Returns:
+        ``right``: how many hidden effects were named or in the set of an undecided finding;
+        ``named``: how many were named; ``wrong``: named causes that were not hidden.
+    """
+    right = named = 0
+    for effect in hidden:
+        if any(_is(f, effect) and f["verdict"] in ("named", "unknown") for f in findings):
+            named, right = named + 1, right + 1
+        elif any(_among(f, effect) for f in findings if f["verdict"] == "undecided"):
+            right += 1
+    wrong = [
+        f["effect"]
+        for f in findings
+        if f["verdict"] == "named" and not any(_is(f, effect) for effect in hidden)
+    ]
+    return {"right": right, "named": named, "wrong": wrong}
+
+
+def _is(finding: dict[str, Any], effect: HiddenEffect) -> bool:
+    if finding["effect"] != effect.effect:
+        return False
+    where = set(effect.acts_on)
+    return effect.effect == "unknown" or not where or bool(where & set(finding["joints"]))
+
+
+def _among(finding: dict[str, Any], effect: HiddenEffect) -> bool:
+    return _is(finding, effect) or any(_is(rival, effect) for rival in finding["rivals"])
+
+
+def summary(results: Sequence[dict[str, Any]]) -> str:
+    """Rates, confusion matrix and detection against size as text."""
+    done = [r for r in results if "score" in r]
+    singles = [r for r in done if len(r["hidden"]) == 1]
+    known = [r for r in singles if r["hidden"][0][0] != "unknown"]
+    clear = [r for r in known if r["size"] >= _CLEARLY]
+    unknown = [r for r in singles if r["hidden"][0][0] == "unknown"]
+    clean = [r for r in done if not r["hidden"]]
+    pairs = [r for r in done if len(r["hidden"]) == 2]
+    lines = [
+        _rate("right, effects of at least 3 x the floor", [r["score"]["right"] for r in clear]),
+        _rate("  of these named", [r["score"]["named"] for r in clear]),
+        _rate("a wrong name given", [bool(r["score"]["wrong"]) for r in clear]),
+        _rate("right, all sizes", [r["score"]["right"] for r in known]),
+        _rate("unknown said of unknown", [r["score"]["right"] for r in unknown]),
+        _rate("a name given to unknown", [bool(r["score"]["wrong"]) for r in unknown]),
+        _rate("clean, nothing named", [not r["score"]["wrong"] for r in clean]),
+        _rate("both of two found", [r["score"]["right"] == 2 for r in pairs]),
+        _rate("a wrong name beside two", [bool(r["score"]["wrong"]) for r in pairs]),
+        f"not drawn (the arm cannot show it): {len(results) - len(done)}",
+        "",
+        "size     right",
+    ]
+    for low, high in itertools.pairwise(_SIZES):
+        at = [r["score"]["right"] for r in known if low <= r["size"] < high]
+        lines.append(f"{low:3g}-{high:<3g}  " + _rate("", at))
+    return "\n".join([*lines, "", *_confusion(singles)])
+
+
+def _rate(label: str, hits: Sequence[Any]) -> str:
+    share = f"{100 * np.mean([bool(h) for h in hits]):5.1f} %" if hits else "    -  "
+    return f"{share} of {len(hits):3d}  {label}"
+
+
+def _confusion(singles: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """For each hidden effect, what came first."""
+    rows: dict[str, Counter[str]] = defaultdict(Counter)
+    for r in singles:
+        truth, found = r["hidden"][0], r["found"]
+        word = "nothing" if not found else str(found[0][0])
+        if found and word == truth[0] and truth[1] and not set(found[0][1]) & set(truth[1]):
+            word += " elsewhere"
+        rows[truth[0]][word + (" ?" if found and found[0][2] == "undecided" else "")] += 1
+    yield "hidden: what came first (? undecided)"
+    for kind, counts in sorted(rows.items()):
+        yield f"  {kind:27s} " + ", ".join(f"{n} {word}" for word, n in counts.most_common())
+
+
+def main() -> None:
+    """Run all cases and print the rates."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--draws", type=int, default=8, help="of each kind of effect")
+    parser.add_argument("--clean", type=int, default=60)
+    parser.add_argument("--pairs", type=int, default=40)
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--log", help="write every case as a line of JSON")
+    args = parser.parse_args()
+    todo = list(cases(args.draws, args.clean, args.pairs, args.kinds.split(",")))
+    begun, results = time.perf_counter(), []
+    work = joblib.Parallel(args.jobs, return_as="generator_unordered")
+    for k, result in enumerate(work(joblib.delayed(run)(case) for case in todo)):
+        results.append(result)
+        if args.log:
+            with open(args.log, "a", encoding="utf-8") as log:
+                log.write(json.dumps(result) + "\n")
+        if sys.stderr.isatty():
+            print(f"\r{k + 1} of {len(todo)}", end="", file=sys.stderr, flush=True)
+    seconds = np.array([r["seconds"] for r in results if "seconds" in r])
+    print(summary(results))
+    minutes = (time.perf_counter() - begun) / 60
+    print(f"\n{len(todo)} cases in {minutes:.1f} min; mean s to draw and record, to diagnose: "
+          f"{seconds.mean(axis=0).round(1)}")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

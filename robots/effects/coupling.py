@@ -1,0 +1,71 @@
+"""Effects between two joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from excitant.robots.effects.base import Effect, Parameter
+from excitant.robots.motion import Array, Motion
+from excitant.robots.robot import Robot
+
+
+@dataclass(frozen=True)
+class _PairEffect(Effect):
+    """Acts on two joints, ``joints = (one, other)``."""
+
+    arity: ClassVar[int] = 2
+
+    def _pair(self, robot: Robot) -> tuple[int, int]:
+        one, other = (robot.joint_index(joint) for joint in self.joints)
+        return one, other
+
+
+@dataclass(frozen=True)
+class FrictionCoupling(_PairEffect):
+    """Friction of a shaft that turns with both joints, at speed w = q̇_i + ρ q̇_k.
+
+    τ_i = F_v w + F_c sign(w), τ_k = ρ τ_i, as in wrists whose motors sit in the forearm
+    (Gautier, Janot, Vandanjon 2013, Stäubli TX40).
+
+    Attributes:
+        ratio: ρ.
+    """
+
+    name: ClassVar[str] = "friction_coupling"
+
+    ratio: float = 1.0
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Viscous and Coulomb friction of the shaft."""
+        pair = "-".join(self.joints)
+        return (Parameter(f"{pair}.Fv", "N·m·s/rad", 0.0), Parameter(f"{pair}.Fc", "N·m", 0.0))
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        """Speed and its sign in both rows."""
+        i, k = self._pair(robot)
+        speed = motion.dq[:, i] + self.ratio * motion.dq[:, k]
+        columns = np.zeros((len(motion), robot.nv, 2))
+        for row, lever in ((i, 1.0), (k, self.ratio)):
+            columns[:, row, 0], columns[:, row, 1] = lever * speed, lever * np.sign(speed)
+        return columns
+
+
+@dataclass(frozen=True)
+class InertiaCoupling(_PairEffect):
+    """τ_i = I q̈_k, τ_k = I q̈_i: a rotor that turns with both joints."""
+
+    name: ClassVar[str] = "inertia_coupling"
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Coupling inertia."""
+        return (Parameter(f"{'-'.join(self.joints)}.Ic", "kg·m²"),)
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        """Each joint's acceleration in the other's row."""
+        i, k = self._pair(robot)
+        columns = np.zeros((len(motion), robot.nv, 1))
+        columns[:, i, 0], columns[:, k, 0] = motion.ddq[:, k], motion.ddq[:, i]
+        return columns

@@ -1,0 +1,122 @@
+"""What a model leaves: how much of it is noise, and with what the rest varies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from excitant.analysis.residuals import noise_floor, remainders
+from excitant.identify.differentiators import low_pass
+from excitant.identify.preprocessing import Segment
+from excitant.robots import Motion
+
+RATE, CUTOFF, SECONDS = 200.0, 10.0, 60.0
+PASSED = np.pi / 8 / np.sin(np.pi / 8) * 7 / 8  # ∫ dx / (1 + x⁸)²: power that the filter passes
+
+
+def segment(seed: int, sigma: float, signal: float = 0.0, seconds: float = SECONDS) -> Segment:
+    """One joint that moves in two harmonics, its torque noisy."""
+    rng, t = np.random.default_rng(seed), np.arange(0, seconds, 1 / RATE)
+    w, size = np.array([1.3, 3.7]), np.array([0.8, 0.3])
+    angle = np.outer(t, w) + rng.uniform(0, 6.28, 2)
+    q, dq, ddq = (
+        (size * f).sum(axis=1)[:, None]
+        for f in (np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle))
+    )
+    tau = signal * q + sigma * rng.standard_normal(q.shape)
+    keep = slice(20, -20, 5)
+    return Segment("run", Motion(t, q, dq, ddq), low_pass(tau, CUTOFF, RATE), tau, CUTOFF, keep)
+
+
+@pytest.mark.parametrize("signal", [0.0, 50.0])
+def test_noise_floor_is_what_white_noise_leaves_behind_the_filter(signal: float) -> None:
+    sigma = 0.4
+    segments = [segment(seed, sigma, signal) for seed in range(2)]
+    band = 2 * CUTOFF / RATE  # white noise in the band below the cut-off
+    assert noise_floor(segments, 0) == pytest.approx(sigma * np.sqrt(band), rel=0.03)
+    # the filter passes a little less than that band
+    noise = np.concatenate([segment(seed, sigma).tau for seed in range(2)])
+    assert noise_floor(segments, 0) * np.sqrt(PASSED) == pytest.approx(noise.std(), rel=0.05)
+
+
+def test_noise_floor_grows_with_the_noise_and_not_with_the_signal() -> None:
+    quiet, loud = ([segment(0, sigma, 30.0)] for sigma in (0.1, 0.3))
+    assert noise_floor(loud, 0) == pytest.approx(3 * noise_floor(quiet, 0), rel=0.02)
+
+
+def test_noise_floor_is_unknown_where_the_rate_leaves_no_band() -> None:
+    s = segment(0, 0.4)
+    slow = Segment("run", s.motion[::10], s.tau[::10], s.tau_raw[::10], 8.0, slice(None))
+    assert slow.rate_hz == pytest.approx(20)
+    assert noise_floor([slow], 0) == 0.0
+
+
+def left(kind: str, size: float) -> tuple[list[Segment], np.ndarray, np.ndarray]:
+    """Error at the rows, structured in one way and as noisy as the torque; load."""
+    segments = [segment(seed, 0.2) for seed in range(2)]
+    at = [s.motion[s.keep] for s in segments]
+    q, dq = (np.concatenate([getattr(m, name) for m in at]) for name in ("q", "dq"))
+    noise = np.concatenate([s.tau[s.keep] for s in segments])
+    load = np.random.default_rng(1).uniform(2, 40, 40)[np.arange(len(q)) // 60 % 40][:, None]
+    time = np.linspace(-1, 1, len(q))[:, None]
+    structure = {
+        "position": np.cos(4 * q),
+        "velocity": np.sign(dq),
+        "load": load * np.sign(dq) / 20,
+        "time": time**3,
+        "nothing": np.zeros_like(q),
+    }[kind]
+    return segments, noise + size * structure, load
+
+
+DRIFT = pytest.param(
+    "time",
+    marks=pytest.mark.xfail(
+        strict=True, reason="chance is judged by the correlation of the drift itself"
+    ),
+)
+
+
+@pytest.mark.parametrize("kind", ["position", "velocity", "load", DRIFT])
+def test_structure_is_found_where_it_is(kind: str) -> None:
+    segments, error, load = left(kind, 1.0)
+    (found,) = remainders(("elbow",), segments, error, error, load)
+    assert found.joint == "elbow"
+    assert found.visible
+    assert found.domain == kind
+    assert found.structure.startswith("structured")
+    assert found.structure.endswith(f"vary with {kind}")
+    assert found.rms == pytest.approx(np.sqrt((error**2).mean()), rel=0.05)
+    size = np.sqrt(((error - left(kind, 0.0)[1]) ** 2).mean())
+    assert found.structured == pytest.approx(size, rel=0.1)
+    assert dict(found.shows)[kind] > 0.5
+
+
+def test_noise_alone_is_not_structure() -> None:
+    segments, error, load = left("nothing", 0.0)
+    (found,) = remainders(("elbow",), segments, error, error, load)
+    assert not found.visible
+    assert found.structure == "noise-like"
+    assert max(share for _, share in found.shows) < 0.05
+    assert found.structured < found.floor
+
+
+def test_structure_below_the_noise_is_not_visible() -> None:
+    segments, error, load = left("velocity", 0.03)
+    (found,) = remainders(("elbow",), segments, error, error, load)
+    assert not found.visible
+
+
+def test_what_a_rest_leaves_does_not_count() -> None:
+    segments, error, load = left("nothing", 0.0)
+    still = []
+    for s in segments:
+        dq = np.array(s.motion.dq)
+        dq[4000:6000] = 0.0
+        motion = Motion(s.motion.t, s.motion.q, dq, s.motion.ddq)
+        still.append(Segment(s.name, motion, s.tau, s.tau_raw, CUTOFF, s.keep))
+    stuck = np.concatenate([(s.motion.dq[s.keep] == 0) for s in still])
+    assert stuck.sum() > 700
+    (found,) = remainders(("elbow",), still, error + 9.0 * stuck, error, load)
+    assert found.rms == pytest.approx(np.sqrt((error[~stuck] ** 2).mean()), rel=0.05)
+    assert not found.visible

@@ -1,0 +1,207 @@
+"""Output error: what a simulated motion is for, by Monte Carlo and on a plant of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from excitant.design import random_trajectory
+from excitant.exceptions import BadInput, Infeasible
+from excitant.identify import Recording, identify, recording_from_table
+from excitant.identify.estimators import Regression, oe, output_error, wls
+from excitant.identify.estimators.closed_loop import ClosedLoop, closed_loop
+from excitant.identify.estimators.of_rows import regression_of
+from excitant.identify.rows import FitRows, fit_rows, split
+from excitant.robots import Motion, Robot, base_parameters
+from excitant.robots.effects import standard_effects
+from excitant.robots.simulation import Controller
+from excitant.robots.virtual_arm import ideal_sensors, virtual_arm
+
+RATE = 125.0
+FRICTION = np.array([[0.8, 0.4], [1.0, 0.5], [0.1, -0.2]])  # viscous, Coulomb, offset
+DRAWS = 12
+Z95 = 1.959963984540054
+
+
+def motion_at(t: np.ndarray) -> Motion:
+    """Sines of incommensurate frequencies, so that nothing repeats, differentiated on paper."""
+    f = np.array([[0.21, 0.34], [0.47, 0.58], [0.83, 0.71]])[:, None, :]
+    phase = np.random.default_rng(7).uniform(0, 2 * np.pi, (3, 1, 2))
+    w, size = 2 * np.pi * f, np.array([0.7, 0.5, 0.3])[:, None, None]
+    parts = (
+        (size * w**order * np.sin(w * t[:, None] + phase + order * np.pi / 2)).sum(axis=0)
+        for order in range(3)
+    )
+    return Motion(t, *parts)
+
+
+def recorded(robot: Robot, seed: int, encoder: float, noise: float = 0.02) -> Recording:
+    """Recursive Newton-Euler and friction written here."""
+    rng, t = np.random.default_rng(seed), np.arange(0, 16, 1 / RATE)
+    motion, data = motion_at(t), robot.model.createData()
+    states = zip(motion.q, motion.dq, motion.ddq, strict=True)
+    tau = np.array([pin.rnea(robot.model, data, *state) for state in states])
+    viscous, coulomb, offset = FRICTION
+    tau += viscous * motion.dq + coulomb * np.sign(motion.dq) + offset
+    tau += noise * np.sqrt((tau**2).mean(axis=0)) * rng.standard_normal(tau.shape)
+    q = motion.q + encoder * rng.standard_normal(tau.shape)
+    return Recording("run", "run.csv", t, q, tau)
+
+
+def rows_of(robot: Robot, recording: Recording, cutoff_hz: float = 10.0) -> FitRows:
+    effects = standard_effects(robot.joints)
+    data = split([recording], [recording], cutoff_hz)
+    return fit_rows(robot, effects, base_parameters(robot, effects), data)
+
+
+def truth(robot: Robot) -> np.ndarray:
+    effects = standard_effects(robot.joints)
+    values = np.concatenate([robot.phi, *FRICTION, np.zeros(2)])
+    beta: np.ndarray = base_parameters(robot, effects).regrouping @ values
+    return beta
+
+
+def loop_of(robot: Robot, recording: Recording, **given: object) -> ClosedLoop:
+    return closed_loop(robot, rows_of(robot, recording), [recording], **given)  # type: ignore[arg-type]
+
+
+def test_without_noise_it_is_the_truth(planar: Robot) -> None:
+    recording = recorded(planar, 0, encoder=0.0, noise=0.0)
+    loop = loop_of(planar, recording, references=[motion_at])
+    found = output_error(loop.problem)
+    size = np.sqrt((loop.problem.W**2).mean(axis=(0, 1)))
+    np.testing.assert_allclose(found.fit.beta * size, truth(planar) * size, atol=5e-3)
+    assert np.isinf(loop.bandwidth_hz).all()
+    assert not loop.chosen
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cutoff_hz", [10.0, 25.0])
+def test_noisy_encoders_do_not_bias_it_though_least_squares(
+    planar: Robot, cutoff_hz: float
+) -> None:
+    """One motion, draws of noise only: mean error over its standard deviation."""
+    beta, errors, plain, held = truth(planar), [], [], []
+    for seed in range(DRAWS):
+        recording = recorded(planar, seed, encoder=5e-4)
+        rows = rows_of(planar, recording, cutoff_hz)
+        fit = oe(closed_loop(planar, rows, [recording]).problem)
+        errors.append(fit.beta - beta)
+        held.append(np.abs(errors[-1]) < Z95 * np.sqrt(np.diag(fit.covariance)))
+        plain.append(wls(regression_of(rows)).beta - beta)
+    assert biased(np.array(errors)).max() < 4
+    assert np.mean(held) > 0.95 - 3 * np.sqrt(0.05 * 0.95 / DRAWS)
+    if cutoff_hz == 25.0:
+        assert biased(np.array(plain)).max() > 15
+
+
+def biased(errors: np.ndarray) -> np.ndarray:
+    return np.abs(errors.mean(axis=0)) / (errors.std(axis=0) / np.sqrt(len(errors)))
+
+
+def test_one_draw_is_better_than_least_squares_of_a_bad_filter(planar: Robot) -> None:
+    recording = recorded(planar, 0, encoder=1e-3)
+    rows = rows_of(planar, recording, 25.0)
+    loop = closed_loop(planar, rows, [recording], step=4e-3)
+    found = output_error(loop.problem)
+    size = np.sqrt((rows.W[:, :, list(rows.base.columns)] ** 2).mean(axis=(0, 1)))
+    error, plain = (
+        np.linalg.norm((fit.beta - truth(planar)) * size)
+        for fit in (found.fit, wls(regression_of(rows)))
+    )
+    assert error < 0.2 * plain
+    assert 1 <= found.iterations <= 4
+    assert loop.chosen
+    # the motion ends at 0.83 and 0.71 Hz; the reference goes 2.5 times as far, or a little more
+    assert (loop.bandwidth_hz >= 2.5 * np.array([0.83, 0.71])).all()
+    assert (loop.bandwidth_hz < 6).all()
+
+
+def test_a_given_bandwidth_is_used(planar: Robot) -> None:
+    loop = loop_of(planar, recorded(planar, 0, encoder=1e-4), bandwidth_hz=5.0)
+    np.testing.assert_allclose(loop.bandwidth_hz, 5.0)
+    assert not loop.chosen
+
+
+def test_with_reference_and_controller_nothing_of_the_positions_is_used(planar: Robot) -> None:
+    """The virtual arm under its own controller, whose errors the model makes too.
+
+    The plant shares no code with the simulation. Its friction sticks; the controller believes the
+    nominal arm, 40 rad/s; masses are off by up to 10 %, so that the arm is not where it was told.
+    """
+    rng = np.random.default_rng(5)
+    arm = virtual_arm(planar, rng, hidden=(), sensors=ideal_sensors(planar), tolerance=0.1)
+    trajectory = random_trajectory(planar, rng, 8.0, 4)
+    clean = recording_from_table(arm.record(trajectory, 8.0, rng), planar, file="r", name="r")
+    assert np.abs(clean.q - trajectory(clean.t)).max() > 2e-4
+    lost = replace(clean, q=clean.q + 0.02 * rng.standard_normal(clean.q.shape))
+    rows = rows_of(planar, lost)
+
+    def command(t: np.ndarray) -> Motion:
+        return Motion(t, *(trajectory(t, order) for order in range(3)))
+
+    known = Controller(40.0, believed=planar)
+    loop = closed_loop(planar, rows, [lost], references=[command], controller=known)
+    fit = output_error(loop.problem).fit
+    right = rows_of(planar, clean)
+    best = wls(regression_of(right)).beta
+    columns = right.W[:, :, list(right.base.columns)]
+    spread = right.tau.std(axis=0)
+    missed = (columns @ (fit.beta - best)).std(axis=0) / spread
+    assert missed.max() < 0.01
+    blind = (columns @ (wls(regression_of(rows)).beta - best)).std(axis=0) / spread
+    assert blind.max() > 5 * missed.max()
+
+
+def test_parameters_of_no_arm_still_give_a_motion(planar: Robot) -> None:
+    """Inertia below zero: what is simulated lies between the given arm and these parameters."""
+    loop = loop_of(planar, recorded(planar, 0, encoder=1e-4), step=4e-3)
+    W = loop.problem.columns_of_model(-3 * truth(planar))
+    assert np.isfinite(W).all()
+    np.testing.assert_allclose(
+        np.sqrt((W**2).mean(axis=(0, 1))),
+        np.sqrt((loop.problem.W**2).mean(axis=(0, 1))),
+        rtol=0.05,
+    )
+
+
+def test_what_does_not_converge_is_refused_in_one_line() -> None:
+    rng = np.random.default_rng(0)
+    W = rng.standard_normal((200, 1, 2))
+
+    def simulated(beta: np.ndarray) -> np.ndarray:
+        """A motion so different for every estimate that none fits its own."""
+        return W * (2.0 if abs(beta[0]) > 1.5 else 0.5)
+
+    problem = Regression(W, W @ [1.6, 1.0], ("a", "b"), simulated=simulated)
+    with pytest.raises(Infeasible, match=r"output error: parameters still move") as refusal:
+        output_error(problem)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ({"bandwidth_hz": 60.0}, "choose one up to 50 Hz"),
+        ({"bandwidth_hz": -1.0}, "choose one up to 50 Hz"),
+        ({"references": []}, "0 references for 1 recordings"),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused(
+    given: dict[str, object], why: str, planar: Robot
+) -> None:
+    with pytest.raises(BadInput, match=why):
+        loop_of(planar, recorded(planar, 0, encoder=1e-4), **given)
+
+
+def test_identify_says_how_it_simulated(planar: Robot) -> None:
+    recording = recorded(planar, 0, encoder=2e-4)
+    found = identify(planar, [recording], validate=[recording], estimator="oe")
+    said = " ".join(found.notes)
+    assert "simulated on the measured motion up to" in said
+    assert "converged after" in said
+    assert found.estimator.startswith("output error")
+    assert found.validate.nrmse.max() < 0.03

@@ -1,0 +1,265 @@
+"""Sensors, geometry and transmission against the rigid body's own torque, moved by brute force."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import scipy.interpolate
+
+from excitant.robots import Motion, Robot, rigid_body_torque, torque
+from excitant.robots.effects import (
+    Backlash,
+    CoulombFriction,
+    EncoderOffset,
+    EncoderScale,
+    GravityDirection,
+    JointElasticity,
+    KinematicError,
+    TimeDelay,
+    TorqueGain,
+    TorqueOffset,
+    ViscousFriction,
+)
+from excitant.robots.effects.reference import carried_torque
+from excitant.robots.effects.transmission import play
+from excitant.robots.urdf import robot_from_urdf
+
+States = Callable[[Robot, int, int], Motion]
+STEP = 1e-3  # s
+
+
+def smooth(robot: Robot, t: np.ndarray, seed: int = 0) -> Motion:
+    """Two harmonics per joint, with exact derivatives."""
+    rng = np.random.default_rng(seed)
+    w = np.array([[1.5], [3.1]]) + rng.uniform(-0.3, 0.3, (2, robot.nv))
+    size, phase = rng.uniform(0.2, 0.5, (2, robot.nv)), rng.uniform(0, 6.28, (2, robot.nv))
+    angle = w * t[:, None, None] + phase
+    return Motion(
+        t,
+        (size * np.sin(angle)).sum(axis=1),
+        (size * w * np.cos(angle)).sum(axis=1),
+        (-size * w**2 * np.sin(angle)).sum(axis=1),
+    )
+
+
+def moved(motion: Motion, j: int, shift: np.ndarray | float, scale: float = 1.0) -> Motion:
+    q, dq, ddq = (np.array(values) for values in (motion.q, motion.dq, motion.ddq))
+    q[:, j], dq[:, j], ddq[:, j] = scale * q[:, j] + shift, scale * dq[:, j], scale * ddq[:, j]
+    return Motion(motion.t, q, dq, ddq)
+
+
+def close(found: np.ndarray, expected: np.ndarray, relative: float) -> None:
+    assert np.abs(found - expected).max() <= relative * np.abs(expected).max()
+
+
+def test_encoder_offset_is_the_torque_at_the_true_angle(arm: Robot, random_states: States) -> None:
+    motion, d = random_states(arm, 1, 10), 1e-5
+    for j, joint in enumerate(arm.joints):
+        ahead, behind = (rigid_body_torque(arm, moved(motion, j, s * d)) for s in (1, -1))
+        column = EncoderOffset((joint,)).columns(arm, motion)[:, :, 0]
+        scale = np.abs(ahead).max()
+        assert np.abs(column - (ahead - behind) / (2 * d)).max() <= 1e-7 * scale
+
+
+def test_encoder_scale_is_the_torque_of_the_true_motion(arm: Robot) -> None:
+    motion, d = smooth(arm, np.arange(0, 1, STEP)), 1e-5
+    for j, joint in enumerate(arm.joints):
+        ahead, behind = (rigid_body_torque(arm, moved(motion, j, 0.0, 1 + s * d)) for s in (1, -1))
+        expected = ((ahead - behind) / (2 * d))[2:-2]
+        column = EncoderScale((joint,)).columns(arm, motion)[2:-2, :, 0]
+        # differences in time: (w h)² of a frequency below 3.4 rad/s; rounding over d
+        assert np.abs(column - expected).max() <= 1e-4 * np.abs(ahead).max()
+
+
+TWIST = ("twist", '<origin xyz="0.1 0 0.05" rpy="1 0 0"/>', (0.2, -0.4, 1.0))  # behind the weld
+SWING = ("swing", '<origin xyz="0 0.1 0" rpy="0 1.2 0"/>', (0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(("joint", "origin", "rpy"), [TWIST, SWING])
+def test_kinematic_error_is_the_torque_with_the_joint_moved(
+    gantry: Robot,
+    gantry_urdf: str,
+    random_states: States,
+    joint: str,
+    origin: str,
+    rpy: tuple[float, float, float],
+) -> None:
+    """Torque is quadratic in the place of a joint: half the difference is the linear part."""
+    assert gantry_urdf.count(origin) == 1
+    motion, d = random_states(gantry, 2, 20), np.array([0.03, -0.02, 0.05])
+    before = origin.split('"')[1]
+    torques = []
+    for s in (1, -1):
+        xyz = np.array([float(x) for x in before.split()]) + s * d
+        after = origin.replace(before, " ".join(repr(float(x)) for x in xyz))
+        text = gantry_urdf.replace(origin, after)
+        torques.append(rigid_body_torque(robot_from_urdf(text, source="moved"), motion))
+    shift = pin.rpy.rpyToMatrix(*rpy) @ d
+    tau = KinematicError((joint,), tuple(shift)).torque(gantry, motion)
+    assert np.abs(tau - (torques[0] - torques[1]) / 2).max() <= 1e-9 * np.abs(torques[0]).max()
+    # a cart that does not turn feels no difference
+    assert tau.any() == (joint == "twist")
+
+
+def test_kinematic_error_of_a_planar_arm_is_a_longer_link(planar: Robot) -> None:
+    """∂τ/∂a₁ of an arm in a vertical plane whose second link has its mass along the link."""
+    motion = smooth(planar, np.arange(0, 1, 0.05))
+    m, mcx, *_ = planar.phi[10:]
+    a = float(planar.model.jointPlacements[2].translation[0])
+    q, dq, ddq = motion.q, motion.dq, motion.ddq
+    reach, across = mcx * np.cos(q[:, 1]), mcx * np.sin(q[:, 1])
+    turn = dq[:, 0] + dq[:, 1]
+    first = (
+        2 * m * a * ddq[:, 0]
+        + reach * (2 * ddq[:, 0] + ddq[:, 1])
+        - across * (turn**2 - dq[:, 0] ** 2)
+        + m * 9.81 * np.cos(q[:, 0])
+    )
+    second = reach * ddq[:, 0] + across * dq[:, 0] ** 2
+    column = KinematicError(planar.joints[1:]).columns(planar, motion)[:, :, 0]
+    close(column, np.column_stack([first, second]), 1e-9)
+
+
+def test_gravity_direction_is_the_static_torque_it_changes(
+    arm: Robot, random_states: States
+) -> None:
+    motion, change = random_states(arm, 3, 10), np.array([2.0, -1.0, 0.5])
+    zero, torques = np.zeros(arm.nv), []
+    for gravity in (arm.gravity + change, arm.gravity):
+        model = arm.model.copy()
+        model.gravity.linear = gravity
+        data = model.createData()
+        torques.append(np.array([pin.rnea(model, data, q, zero, zero) for q in motion.q]))
+    tau = GravityDirection(arm.joints, tuple(change)).torque(arm, motion)
+    assert np.abs(tau - (torques[0] - torques[1])).max() <= 1e-11 * np.abs(torques).max()
+    turned = arm.with_gravity(arm.gravity + change)
+    close(rigid_body_torque(arm, motion) + tau, rigid_body_torque(turned, motion), 1e-11)
+
+
+def with_friction(robot: Robot) -> Robot:
+    n = robot.nv
+    return robot.with_effects(
+        (ViscousFriction(robot.joints, (3.0,) * n), TorqueOffset(robot.joints, (-2.0,) * n))
+    )
+
+
+@pytest.mark.parametrize("steps", [7, -7])
+def test_time_delay_of_its_trial_is_the_torque_of_then(planar: Robot, steps: int) -> None:
+    robot, t, delay = with_friction(planar), np.arange(0, 1, STEP), steps * STEP
+    effect = TimeDelay(planar.joints, (delay,), trial=delay)
+    reading = torque(robot.with_effects((*robot.effects, effect)), smooth(robot, t))
+    then = torque(robot, smooth(robot, t - delay))
+    inside = slice(10, -10)
+    close(reading[inside], then[inside], 1e-9)
+
+
+def test_time_delay_is_linear_around_its_trial(planar: Robot) -> None:
+    t, j = np.arange(0, 2, STEP), 1
+    robot = with_friction(planar)
+    motion = smooth(robot, t)
+    for delay in (4e-3, 16e-3):
+        effect = TimeDelay(planar.joints[j:], (delay,), trial=8e-3)
+        late = torque(robot, smooth(robot, t - delay)) - torque(robot, motion)
+        tau = effect.torque(robot, motion)
+        assert not tau[:, 0].any()
+        curvature = np.abs(np.gradient(np.gradient(torque(robot, motion)[:, j], t), t)).max()
+        bound = delay * abs(delay - 8e-3) * curvature / 2 * 1.01
+        assert np.abs(tau[20:-20, j] - late[20:-20, j]).max() <= bound
+
+
+def test_torque_gain_is_a_share_of_all_torque_but_its_own(planar: Robot) -> None:
+    motion, j, gain = smooth(planar, np.arange(0, 1, 0.01)), 1, 0.15
+    robot = with_friction(planar)
+    carried = torque(robot, motion)
+    effect, other = TorqueGain(robot.joints[j:], (gain,)), TorqueGain(robot.joints[:1], (0.5,))
+    for beside in ((), (effect,), (effect, other, TimeDelay(robot.joints, (0.01,)))):
+        seen = robot.with_effects((*robot.effects, *beside))
+        tau = effect.torque(seen, motion)
+        np.testing.assert_allclose(tau[:, j], gain * carried[:, j], rtol=1e-12)
+        assert not tau[:, 0].any()
+    bare = planar.with_effects(())
+    tau = effect.torque(bare, motion)[:, j]
+    np.testing.assert_allclose(tau, gain * rigid_body_torque(bare, motion)[:, j], rtol=1e-12)
+
+
+def test_carried_torque_leaves_effects_without_values_out(planar: Robot) -> None:
+    motion = smooth(planar, np.arange(0, 1, 0.1))
+    robot = planar.with_effects((CoulombFriction(planar.joints),))
+    np.testing.assert_array_equal(carried_torque(robot, motion), rigid_body_torque(planar, motion))
+    assert not carried_torque(robot, motion).flags.writeable
+
+
+def yielding(robot: Robot, motion: Motion, j: int, compliance: float) -> np.ndarray:
+    """Torque of the bodies where one link lags by c τ, derivatives from a quintic spline."""
+    q = np.array(motion.q)
+    q[:, j] -= compliance * rigid_body_torque(robot, motion)[:, j]
+    link = scipy.interpolate.make_interp_spline(motion.t, q[:, j], k=5)
+    dq, ddq = np.array(motion.dq), np.array(motion.ddq)
+    dq[:, j], ddq[:, j] = link(motion.t, 1), link(motion.t, 2)
+    return rigid_body_torque(robot, Motion(motion.t, q, dq, ddq))
+
+
+def test_joint_elasticity_is_the_torque_of_a_link_that_yields(ur10: Robot) -> None:
+    motion, c = smooth(ur10, np.arange(0, 2, STEP)), 1e-5
+    inside = slice(20, -20)
+    for j in (1, 2, 4):
+        soft, stiff = (yielding(ur10, motion, j, s * c)[inside] for s in (1, -1))
+        column = JointElasticity((ur10.joints[j],)).columns(ur10, motion)[inside, :, 0]
+        close(column, (soft - stiff) / (2 * c), 1e-3)  # (w h)², fourth derivatives of the motion
+
+
+def test_gap_that_never_opens_is_an_encoder_offset(ur10: Robot) -> None:
+    """The shoulder lift carries the stretched arm all the time: always the same flank."""
+    t, j, gap = np.arange(0, 1, STEP), 1, 2e-3
+    zero = np.zeros((len(t), 6))
+    motion = Motion(t, zero + 0.05 * np.sin(t)[:, None], zero, zero)
+    load = rigid_body_torque(ur10, motion)[:, j]
+    assert np.abs(load).min() > 1
+    joint = (ur10.joints[j],)
+    shift = -np.sign(load[0]) * gap / 2
+    expected = EncoderOffset(joint, (shift,)).torque(ur10, motion)
+    close(Backlash(joint, (gap,)).torque(ur10, motion), expected, 1e-6)
+
+
+def test_backlash_changes_flank_with_the_load(ur10: Robot) -> None:
+    t, j, gap = np.arange(0, 8, STEP), 4, 1e-3
+    motion, joint = smooth(ur10, t), (ur10.joints[4],)
+    load = rigid_body_torque(ur10, motion)[:, j]
+    crossing = np.flatnonzero(np.diff(np.sign(load)))
+    assert len(crossing) >= 4
+    far = np.min(np.abs(np.arange(len(t))[:, None] - crossing), axis=1) > 400
+    tau = Backlash(joint, (gap,), trial=gap).torque(ur10, motion)
+    flank = EncoderOffset(joint, (gap / 2,)).torque(ur10, motion)
+    expected = (-np.sign(load)[:, None] * flank)[far]
+    close(tau[far], expected, 1e-6)
+    assert np.abs(tau).max() > 3 * np.abs(expected).max()  # what lands and takes off is felt
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_play_stays_in_the_gap_and_on_the_flank_that_the_load_presses(seed: int) -> None:
+    rng, gap = np.random.default_rng(seed), 0.01
+    t = np.arange(0, 10, 2e-3)
+    a = np.sin(np.outer(t, rng.uniform(1, 6, 4)) + rng.uniform(0, 6.28, 4)) @ rng.uniform(1, 9, 4)
+    lag = play(t, a, gap)
+    assert np.abs(lag).max() <= gap / 2
+    for s in (1, -1):
+        pressed = (lag[:-1] == s * gap / 2) & (s * a[1:] >= 0)
+        np.testing.assert_array_equal(lag[1:][pressed], s * gap / 2)
+    np.testing.assert_array_equal(play(t, np.abs(a) + 1, gap), gap / 2)
+    np.testing.assert_array_equal(play(t, -np.abs(a) - 1, gap), -gap / 2)
+    flying = np.abs(lag) < gap / 2
+    jump = np.abs(np.diff(lag, 2))[~(flying[1:-1] ^ flying[2:]) & ~(flying[1:-1] ^ flying[:-2])]
+    assert jump.max() <= np.abs(a).max() * 2e-3**2 * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("gap", "slope"), [(1e-3, 5.0), (1e-2, 5.0), (1e-3, 300.0)])
+def test_flight_through_a_gap_takes_its_time(gap: float, slope: float) -> None:
+    """The lag's acceleration is a = −s t, so that the gap is crossed when s t³ / 6 = g."""
+    h, expected = 1e-4, (6 * gap / slope) ** (1 / 3)
+    t = np.arange(-0.5, 0.5, h)
+    lag = play(t, -slope * t, gap)
+    flight = t[np.argmax(lag == -gap / 2)] - t[np.argmax(t >= 0)]
+    assert flight == pytest.approx(expected, abs=3 * h)

@@ -1,0 +1,160 @@
+"""Hidden effects show as much as was wanted, judged by their own laws and by noise itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from excitant.exceptions import BadInput, UnknownName
+from excitant.robots import Robot, load_robot
+from excitant.robots.hidden import FAULTS, KINDS, draw_effect, visible_size
+from excitant.robots.parameters import violations
+from excitant.robots.plant.habits import typical_trajectory
+from excitant.robots.plant.hidden_effect import STRUCTURES
+from excitant.robots.virtual_arm import (
+    HiddenEffect,
+    VirtualArm,
+    ideal_sensors,
+    industrial_sensors,
+    virtual_arm,
+)
+
+DURATION = 3.0
+EVERY = (*KINDS[:-1], *STRUCTURES)
+
+
+def arm_with(robot: Robot, *effects: HiddenEffect, ideal: bool = False) -> VirtualArm:
+    sensors = ideal_sensors(robot) if ideal else industrial_sensors(robot)
+    rng = np.random.default_rng(0)
+    return virtual_arm(robot, rng, hidden=effects, sensors=sensors, tolerance=0.0)
+
+
+def filtered_rms(x: np.ndarray, rate_hz: float = 250.0) -> np.ndarray:
+    sections = scipy.signal.butter(4, 10.0, fs=rate_hz, output="sos")
+    inner = scipy.signal.sosfiltfilt(sections, x, axis=0)[75:-75]
+    return np.sqrt(np.mean(inner**2, axis=0))
+
+
+@pytest.fixture(scope="module")
+def planar() -> Robot:
+    return load_robot("planar_2r")
+
+
+def test_typical_motion_is_within_limits_and_starts_at_rest(builtin: Robot) -> None:
+    for seed in range(5):
+        trajectory = typical_trajectory(builtin, np.random.default_rng(seed), DURATION)
+        t = np.linspace(0.0, DURATION, 2001)
+        q, dq, ddq = (trajectory(t, order) for order in range(3))
+        limits = builtin.limits
+        assert (q >= limits.position[:, 0] - 1e-9).all()
+        assert (q <= limits.position[:, 1] + 1e-9).all()
+        assert (np.abs(dq) <= limits.velocity).all()
+        assert (np.abs(ddq) <= 1.01 * limits.acceleration).all()
+        assert np.abs(dq[[0, -1]]).max() < 1e-9
+        assert np.abs(q[0] - q[-1]).max() < 1e-9
+        np.testing.assert_allclose(np.gradient(q, t, axis=0)[1:-1], dq[1:-1], atol=2e-3)
+        np.testing.assert_allclose(np.gradient(dq, t, axis=0)[1:-1], ddq[1:-1], atol=2e-2)
+
+
+def test_what_hides_nothing_shows_nothing(builtin: Robot) -> None:
+    """Less than an eighth of what is just visible."""
+    rng = np.random.default_rng(1)
+    trajectory = typical_trajectory(builtin, rng, DURATION)
+    assert visible_size(arm_with(builtin), trajectory, DURATION, rng).size < 2.0 / 8
+
+
+def test_the_floor_is_what_the_filter_leaves_of_the_noise(builtin: Robot) -> None:
+    rng = np.random.default_rng(2)
+    trajectory = typical_trajectory(builtin, rng, DURATION)
+    floor = visible_size(arm_with(builtin), trajectory, DURATION, rng).floor
+    noise = industrial_sensors(builtin).torque_noise * rng.standard_normal((40000, builtin.nv))
+    np.testing.assert_allclose(floor, filtered_rms(noise), rtol=0.05)
+    seen = visible_size(arm_with(builtin, ideal=True), trajectory, DURATION, rng)
+    assert (seen.floor == 0).all()
+
+
+def test_a_spring_shows_by_its_own_law(planar: Robot) -> None:
+    """rms of k (q − q_0) along the recorded positions, filtered."""
+    rng, joint = np.random.default_rng(3), planar.joints[1]
+    trajectory = typical_trajectory(planar, rng, DURATION)
+    spring = HiddenEffect("spring", joint, (("stiffness", 3.0), ("rest", 0.2)))
+    arm = arm_with(planar, spring, ideal=True)
+    q = arm.record(trajectory, DURATION, rng)["q2"].to_numpy()
+    seen = visible_size(arm, trajectory, DURATION, rng)
+    assert seen.rms[1] == pytest.approx(filtered_rms(3.0 * (q - 0.2)), rel=0.01)
+    assert seen.rms[0] < 0.02 * seen.rms[1]
+    assert seen.size == np.inf
+
+
+def test_one_of_two_effects_is_measured_beside_the_other(planar: Robot) -> None:
+    rng = np.random.default_rng(4)
+    trajectory = typical_trajectory(planar, rng, DURATION)
+    offset = HiddenEffect("torque_offset", planar.joints[0], (("offset", 2.0),))
+    drag = HiddenEffect("viscous_friction", planar.joints[1], (("Fv", 1.0),))
+    arm = arm_with(planar, offset, drag)
+    seen = visible_size(arm, trajectory, DURATION, rng, [offset])
+    assert seen.rms[0] == pytest.approx(2.0, rel=0.02)
+    assert seen.rms[1] < 0.02
+    both = visible_size(arm, trajectory, DURATION, rng)
+    assert both.rms[0] == pytest.approx(2.0, rel=0.02)
+    assert both.rms[1] > 0.2
+
+
+@pytest.mark.parametrize(
+    ("kind", "size"), [("torque_ripple", 2.5), ("encoder_scale", 8.0), ("payload", 25.0)]
+)
+def test_drawn_effects_show_as_much_as_wanted(planar: Robot, kind: str, size: float) -> None:
+    assert_shows(planar, kind, size, 0)
+
+
+def assert_shows(robot: Robot, kind: str, size: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    trajectory = typical_trajectory(robot, rng, DURATION)
+    effect = draw_effect(robot, rng, kind, size, trajectory=trajectory, duration=DURATION)
+    assert effect.kind == kind
+    assert (effect.effect == "unknown") == (kind in STRUCTURES)
+    assert set(effect.acts_on) <= set(robot.joints)
+    arm = arm_with(robot, effect)
+    seen = visible_size(arm, trajectory, DURATION, np.random.default_rng(0))
+    assert seen.size == pytest.approx(size, rel=0.16)
+    phi = np.concatenate([body.toDynamicParameters() for body in list(arm.model.inertias)[1:]])
+    assert violations(phi, robot.links) == violations(robot.phi, robot.links)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ur10", "panda", "puma560", "planar_2r"])
+@pytest.mark.parametrize("kind", EVERY)
+def test_every_kind_on_every_arm_shows_as_much_as_wanted(name: str, kind: str) -> None:
+    assert_shows(load_robot(name), kind, 8.0, EVERY.index(kind))
+
+
+def test_the_same_seed_draws_the_same_effect(planar: Robot) -> None:
+    one, other, third = (
+        draw_effect(planar, np.random.default_rng(seed), "coulomb_friction", duration=1.5)
+        for seed in (5, 5, 6)
+    )
+    assert one == other != third
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_have_no_size(planar: Robot, fault: str) -> None:
+    effect = draw_effect(planar, np.random.default_rng(0), fault)
+    assert effect.effect == fault
+    rng = np.random.default_rng(1)
+    trajectory = typical_trajectory(planar, rng, 1.0)
+    tables = [
+        arm_with(planar, *e, ideal=True).record(trajectory, 1.0, rng) for e in ((), (effect,))
+    ]
+    changed = [c for c in tables[0] if not np.allclose(tables[0][c], tables[1][c])]
+    named = {name for name, _ in effect.parameters}
+    assert {name.rstrip("0123456789") for name in changed} == named
+
+
+def test_refusals(planar: Robot) -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(UnknownName, match="did you mean 'payload'"):
+        draw_effect(planar, rng, "payloads")
+    weightless = planar.with_gravity([0.0, 0.0, 0.0])
+    with pytest.raises(BadInput, match="cannot show a gravity_direction"):
+        draw_effect(weightless, rng, "gravity_direction", 5.0, duration=1.0)
