@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from excitant.analysis.diagnosis import Diagnosis, Finding
-from excitant.analysis.experiments import experiment
+from excitant.analysis.discrimination_plan import Experiment, Plan
 from excitant.analysis.residuals import Remainder
 from excitant.robots.effects import GravityDirection, InertialParameters, JointwiseEffect, Payload
 from excitant.robots.motion import Array
@@ -60,8 +60,14 @@ def grouped(diagnosis: Diagnosis) -> list[list[Finding]]:
     return sorted(groups.values(), key=lambda group: -sum(f.explained for f in group))
 
 
-def diagnose_result(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Machine-readable result of `diagnose` (keys of DESIGN.md, section 5)."""
+def diagnose_result(diagnosis: Diagnosis, plan: Plan | None = None) -> dict[str, Any]:
+    """Machine-readable result of `diagnose` (keys of DESIGN.md, section 5).
+
+    Args:
+        diagnosis: What was found.
+        plan: Experiments that settle what is undecided; general actions without one.
+    """
+    plan = plan or Plan()
     robot = diagnosis.robot
     return {
         "verb": "diagnose",
@@ -73,7 +79,9 @@ def diagnose_result(diagnosis: Diagnosis) -> dict[str, Any]:
         "simulation": {"joints": _joints(robot, diagnosis.simulation.entry)},
         "faults": [],
         "findings": [
-            _unknown(diagnosis, item) if isinstance(item, Remainder) else _finding(diagnosis, item)
+            _unknown(diagnosis, item)
+            if isinstance(item, Remainder)
+            else _finding(diagnosis, item, plan)
             for item in ordered(diagnosis)
         ],
         "unexplained": [_unexplained(diagnosis, j) for j in range(robot.nv)],
@@ -87,14 +95,16 @@ def _joints(robot: Robot, entry: Any) -> list[dict[str, Any]]:
     return [{"name": joint, **entry(j)} for j, joint in enumerate(robot.joints)]
 
 
-def _finding(diagnosis: Diagnosis, group: Sequence[Finding]) -> dict[str, Any]:
+def _finding(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[str, Any]:
     lead, robot = group[0], diagnosis.robot
     before, after = (
         float(np.sqrt(np.mean([getattr(f, name) ** 2 for f in group])))
         for name in ("rms_before", "rms_after")
     )
     others = {
-        (r.candidate.effect.name, r.candidate.effect.joints): r for f in group for r in f.rivals
+        (r.candidate.effect.name, r.candidate.effect.joints): (f, r)
+        for f in group
+        for r in f.rivals
     }
     return {
         "effect": lead.effect.name,
@@ -129,15 +139,25 @@ def _finding(diagnosis: Diagnosis, group: Sequence[Finding]) -> dict[str, Any]:
                 "joints": list(joints),
                 "why": f"explains this motion as well (within {max(rival.deviations, 0.0):.1f} "
                 f"standard errors, signatures alike to |cos| = {rival.cosine:.2f})",
-                "experiment": experiment(lead.effect.name, name),
+                **_experiment(plan.of(finding.effect, rival.candidate.effect)),
             }
-            for (name, joints), rival in others.items()
+            for (name, joints), (finding, rival) in others.items()
         ],
         "figure": {
             "x_label": _LABEL[_DOMAIN.get(lead.effect.name, "time")],
             "y_label": f"torque [{diagnosis.data.unit}]",
             "joint": robot.joints[_shown_joint(diagnosis, lead)],
         },
+    }
+
+
+def _experiment(settles: Experiment) -> dict[str, Any]:
+    """What to do about a rival, the expected difference in standard deviations, and the runs."""
+    return {
+        "experiment": settles.sentence,
+        "separation": settles.separation,
+        "repetitions": settles.repetitions,
+        "file": settles.file,
     }
 
 

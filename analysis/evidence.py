@@ -80,6 +80,7 @@ class Evidence:
         blocks: First row of each block of time.
         sigma: Noise of each joint [N·m], shape (nv,).
         inflation: Integrated autocorrelation time of each joint's noise [rows], shape (nv,).
+        tolerance: Deviation of given bodies and effects over what is taken as usual.
         gram: Xᵀ Λ X of all columns, shape (p, p).
         moment: Xᵀ Λ r, shape (p,).
         power: rᵀ Λ r.
@@ -97,6 +98,7 @@ class Evidence:
     gram: Array
     moment: Array
     power: float
+    tolerance: tuple[float, float] = (1.0, 1.0)
 
     @property
     def weight(self) -> Array:

@@ -67,13 +67,13 @@ def extend(
         -1, W.shape[2] + 1
     )
     R = np.asarray(np.linalg.qr(rows, mode="r"), float)
-    bodies, sigma = _bodies(robot, prior, chosen)
+    bodies, sigma = _bodies(robot, prior, chosen, evidence.tolerance[0])
     start = 10 * len(bodies)
     fit = fit_physical(
         R[:, :-1],
         R[:, -1],
         bodies,
-        _effect_prior(robot, effects, chosen, W[:, :, start:], tau),
+        _effect_prior(robot, effects, chosen, W[:, :, start:], tau, evidence.tolerance[1]),
         sigma,
         tolerance_metric(bodies),
     )
@@ -113,10 +113,12 @@ def tolerance_metric(bodies: Array) -> Array:
     return np.array([isotropic(phi) for phi in bodies])
 
 
-def _bodies(robot: Robot, prior: Array, chosen: Sequence[Candidate]) -> tuple[Array, Array]:
+def _bodies(
+    robot: Robot, prior: Array, chosen: Sequence[Candidate], tolerance: float
+) -> tuple[Array, Array]:
     """Prior and its relative uncertainty for every link, and for a payload when there is one."""
     wrong = {c.effect.joints[0] for c in chosen if isinstance(c.effect, InertialParameters)}
-    sigma = [WRONG_LINK if joint in wrong else TOLERANCE for joint in robot.joints]
+    sigma = [WRONG_LINK if joint in wrong else tolerance * TOLERANCE for joint in robot.joints]
     if not any(isinstance(c.effect, Payload) for c in chosen):
         return prior, np.array(sigma)
     mass = _PAYLOAD_SHARE * prior[:, 0].sum()
@@ -130,6 +132,7 @@ def _effect_prior(
     chosen: Sequence[Candidate],
     columns: Array,
     tau: Array,
+    tolerance: float,
 ) -> EffectPrior:
     """Given coefficients within tolerance; those found, free."""
     free = {p.name for c in chosen for p in c.effect.parameters(robot)}
@@ -141,7 +144,7 @@ def _effect_prior(
         if parameter.typical is not None:
             open_std[k] = parameter.typical
     mean = np.array(given)
-    tight = np.maximum(TOLERANCE * np.abs(mean), 1e-9)
+    tight = np.maximum(tolerance * TOLERANCE * np.abs(mean), 1e-9)
     loose = np.array([p.name in free for p in parameters], dtype=bool)
     return EffectPrior(
         mean=mean,

@@ -10,6 +10,7 @@ from excitant.analysis.evidence import Candidate, Evidence, weigh
 from excitant.analysis.proposals import proposals
 from excitant.analysis.signatures import signatures
 from excitant.analysis.sticking import sliding
+from excitant.analysis.tolerance import calibrated
 from excitant.identify.accuracy import predicted_torque, series
 from excitant.identify.physical import link_coordinates, link_weights
 from excitant.identify.preprocessing import Segment
@@ -77,7 +78,8 @@ def hypotheses(
     residual = measured - predicted_torque(robot, segments)
     counts = sliding(segments)
     columns = signatures(blocks, counts)
-    return weigh(columns, residual, counts, np.concatenate(weights), nuisance, candidates, step)
+    evidence = weigh(columns, residual, counts, np.concatenate(weights), nuisance, candidates, step)
+    return calibrated(evidence, 10 * robot.nv)
 
 
 def rests_on_model(effect: Effect) -> bool:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
 
 from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
 from excitant.identify.cutoff_sensitivity import Sensitivity, sensitivity
@@ -20,12 +19,15 @@ from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.physical import PhysicalFit, fit_physical, prior_parameters
 from excitant.identify.prediction import PredictionInterval, prediction_interval
 from excitant.identify.recording import Recording
+from excitant.identify.resting import identified_robot, resting, whitened
 from excitant.identify.rows import Data, FitRows, fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
+
+__all__ = ["Estimate", "identified_robot", "identify", "judged", "notes_on", "whitened"]
 
 _OF_ROWS = (AUTO, "ols", "wls", "irls", "gls", "tls")  # rows are all they see of a recording
 
@@ -87,7 +89,7 @@ class Estimate:
         effects, used = self.model.effects, list(self.base.columns)
 
         def columns(motion: Motion) -> Array:
-            return np.asarray(observation_columns(self.given, effects, motion)[:, :, used], float)
+            return np.asarray(observation_columns(self.model, effects, motion)[:, :, used], float)
 
         return read_only(np.concatenate([part.rows(columns) for part in self.data.validate]))
 
@@ -152,24 +154,25 @@ def identify(
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     data = split(recordings, validate, cutoff_hz)
     base = base_parameters(robot, effects)
-    rows = fit_rows(robot, effects, base, data)
+    known = knowledge or Knowledge()
+    reference, rows = resting(robot, fit_rows(robot, effects, base, data), prior, known)
     said, parts = notes_on(robot, prior, data, rows.gains), fitted(recordings, validate)
     studied = contest = None
     if tune:
         own = estimator not in _OF_ROWS
-        studied = study(robot, rows, parts, fixed=cutoff_hz is not None, untouched=own)
+        studied = study(reference, rows, parts, fixed=cutoff_hz is not None, untouched=own)
         rows, said = studied.rows, (*said, *studied.choice.notes)
     if estimator == AUTO:
-        contest = estimator_for(robot, rows, parts, None if studied is None else studied.judged)
+        judged_rows = None if studied is None else studied.judged
+        contest = estimator_for(reference, rows, parts, judged_rows)
         estimator, said = contest.name, (*said, contest.sentence)
     if estimator == "wls":
         fit = weighted_least_squares(rows.W[:, :, base.columns], rows.tau, base.expressions)
         R, z = whitened(rows.W, rows.tau, fit)
     else:
-        fit, notes = estimated(robot, rows, recordings, validate, estimator)
+        fit, notes = estimated(reference, rows, recordings, validate, estimator)
         said, R = (*said, *notes), whitened(rows.W, rows.tau, fit)[0]
         z = R[:, base.columns] @ fit.beta
-    known = knowledge or Knowledge()
     physical = fit_physical(R, z, prior, rows.open_prior, knowledge=known, links=robot.links)
     found = judged(robot, rows, fit, physical, said)
     return replace(
@@ -219,28 +222,6 @@ def _train_accuracy(model: Robot, rows: FitRows, x: Array) -> Accuracy:
     if not data.tuned:
         return rows.measured.accuracy(rows.W @ x / rows.gains)
     return series(data.train).accuracy(predicted_torque(model, data.train) / rows.gains)
-
-
-def whitened(W: Array, tau: Array, fit: LeastSquares) -> tuple[Array, Array]:
-    """QR factor (R, z) of the weighted problem, so that ‖R x − z‖² is −2 log-likelihood.
-
-    Autocorrelated residuals count by their number of independent samples.
-    """
-    weight = 1 / (fit.sigma * np.sqrt(fit.inflation))
-    rows = np.concatenate([W, tau[:, :, None]], axis=2) * weight[:, None]
-    flat = rows.reshape(-1, rows.shape[2])
-    R = np.asarray(scipy.linalg.qr(flat, mode="r")[0], float)[: rows.shape[2]]
-    return R[:, :-1], R[:, -1]
-
-
-def identified_robot(robot: Robot, effects: Sequence[Effect], x: Array) -> Robot:
-    """The robot with identified inertias and effects; x as in `PhysicalFit`."""
-    valued, start = [], 10 * robot.nv
-    for effect in effects:
-        count = len(effect.parameters(robot))
-        valued.append(effect.with_values(x[start : start + count]))
-        start += count
-    return robot.with_parameters(x[: 10 * robot.nv]).with_effects(valued)
 
 
 def notes_on(robot: Robot, prior: Array, data: Data, gains: Array) -> tuple[str, ...]:

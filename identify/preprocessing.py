@@ -127,8 +127,8 @@ def prepare(
 
     Args:
         recording: What was logged.
-        cutoff_hz: Cut-off of the torque filter; 10 Hz, or 0.4 times the sampling rate when
-            that is lower.
+        cutoff_hz: Cut-off of the torque filter; 10 Hz, or 0.2 times the sampling rate when that
+            is lower, so that the filter of positions, twice as high, still filters.
         differentiator: From positions to the motion, in place of the Butterworth filter with
             a quintic spline; it must have no delay.
         tuning: Cut-offs of joints' rows and slowest speeds that count.
@@ -139,7 +139,7 @@ def prepare(
     """
     step = float(np.median(np.diff(recording.t)))
     if cutoff_hz is None:
-        cutoff_hz = min(CUTOFF_HZ, 0.5 * _NYQUIST_SHARE / step)
+        cutoff_hz = min(CUTOFF_HZ, 0.5 * _NYQUIST_SHARE / (POSITION_RATIO * step))
     if not 0 < cutoff_hz <= 0.5 * _NYQUIST_SHARE / step * (1 + 1e-9):
         raise BadRecording(
             recording.file,

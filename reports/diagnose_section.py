@@ -192,13 +192,18 @@ def _rivals(finding: Result) -> Table | None:
             listing(words(rival, "joints")),
             text(rival, "why") or NONE,
             text(rival, "experiment") or NONE,
+            number(at(rival, "separation")),
+            number(at(rival, "repetitions")),
         ]
         for rival in records(finding, "rivals")
     ]
-    caption = "Other effects that look alike in these data, and the experiment that separates them."
+    caption = (
+        "Other effects that look alike in these data, and the experiment that separates them, by "
+        "how many standard deviations of the noise, and in how many runs."
+    )
     columns = (
         "text:Rival | name:Joints | text:Why it cannot be excluded | "
-        "text:Experiment that settles it"
+        "text:Experiment that settles it | number:Separation [σ] | number:Runs"
     )
     return table(columns, rows, caption) if rows else None
 

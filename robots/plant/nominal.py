@@ -2,39 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Protocol, cast
-
 import numpy as np
 import pinocchio as pin
 
-from excitant.exceptions import BadRobot, UnknownName
 from excitant.robots.motion import Array, read_only
-from excitant.robots.parameters import STANDARD
 from excitant.robots.plant.friction import Drives
-from excitant.robots.plant.hidden_effect import HiddenEffect
+from excitant.robots.plant.known import described
 from excitant.robots.plant.planting import plant
 from excitant.robots.plant.sensors import Sensors
 from excitant.robots.plant.truth import Truth, rigid_truth
 from excitant.robots.robot import Robot
-
-_SYMBOLS = {
-    "viscous_friction": ("Fv",),
-    "coulomb_friction": ("Fc",),
-    "stribeck_friction": ("Fs",),
-    "rotor_inertia": ("Ia",),
-    "torque_offset": ("offset",),
-    "payload": STANDARD,
-    "inertial_parameters": STANDARD,
-}
-"""Values per joint of the effects that a nominal arm may have here."""
-
-
-class _Known(Protocol):
-    """What a robot's effects offer here: a name, joints, and one value per parameter."""
-
-    name: str
-    joints: tuple[str, ...]
-    values: tuple[float, ...] | None
 
 
 def nominal_truth(robot: Robot) -> Truth:
@@ -44,18 +21,7 @@ def nominal_truth(robot: Robot) -> Truth:
         BadRobot: An effect without values.
         UnknownName: An effect that the virtual arm does not have.
     """
-    known: list[HiddenEffect] = []
-    for effect in (cast(_Known, e) for e in robot.effects):
-        if effect.values is None:
-            raise BadRobot(robot.source, f"effect {effect.name} has no values; give them")
-        if effect.name not in _SYMBOLS:
-            raise UnknownName("effect of a nominal virtual arm", effect.name, _SYMBOLS)
-        symbols = _SYMBOLS[effect.name]
-        values = np.reshape(effect.values, (len(effect.joints), len(symbols)))
-        extra = [("velocity", effect.velocity)] if hasattr(effect, "velocity") else []
-        for joint, row in zip(effect.joints, values.tolist(), strict=True):
-            numbers = (*zip(symbols, row, strict=True), *extra)
-            known.append(HiddenEffect(effect.name, joint, numbers))
+    known = [hidden for effect in robot.effects for hidden in described(robot, effect)]
     zeros = np.zeros(robot.nv)
     still = Drives(zeros, zeros, zeros, np.full(robot.nv, 0.1), zeros, zeros)
     return plant(rigid_truth(robot.model.copy(), still, robot.tip), robot.joints, known)

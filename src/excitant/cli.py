@@ -242,7 +242,8 @@ def _identify(verbs: _Verbs[argparse.ArgumentParser]) -> None:
     _fit_options(verb)
     verb.add_argument("--effects", metavar="NAME,...",
                       help="effects to estimate (default: viscous_friction,coulomb_friction,"
-                      "torque_offset,rotor_inertia)")  # fmt: skip
+                      "torque_offset,rotor_inertia), or auto: these and what an inner hold-out "
+                      "calls for")  # fmt: skip
     verb.add_argument("--estimator", metavar="NAME",
                       help="of the base parameters: ols, wls, irls (robust), gls (coloured noise), "
                       "iv and oe (noisy positions), tls, ml (periods averaged), or auto: "
@@ -306,6 +307,10 @@ def _diagnose(verbs: _Verbs[argparse.ArgumentParser]) -> None:
     verb = _verb(verbs, "diagnose", "what the given model gets wrong, by cause",
                  "excitant diagnose ur10 run1.parquet --validate run2.parquet")  # fmt: skip
     _fit_options(verb)
+    verb.add_argument("--no-experiments", action="store_true",
+                      help="look for no motion that would settle what is undecided")  # fmt: skip
+    verb.add_argument("--experiment-time", type=float, default=15.0, metavar="S",
+                      help="time to look for such motions (default: 15)")  # fmt: skip
 
 
 def _report(verbs: _Verbs[argparse.ArgumentParser]) -> None:

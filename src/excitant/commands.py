@@ -12,12 +12,14 @@ import numpy as np
 from excitant.analysis import (
     diagnosis,
     diagnosis_result,
+    discrimination_plan,
     identifiability,
     identifiability_result,
     identify_shown,
 )
+from excitant.analysis.enrichment import Enrichment, enrichment
 from excitant.demo import Demo, run_demo
-from excitant.design import load_trajectory
+from excitant.design import load_trajectory, trajectory_csv, trajectory_json
 from excitant.exceptions import BadInput, RankDeficient, UnknownName
 from excitant.identify import (
     Dataset,
@@ -48,6 +50,7 @@ from excitant.identify.estimator_choice import AUTO
 from excitant.identify.estimators import estimator_named
 from excitant.identify.export import DEFAULT_FORMATS, FORMATS
 from excitant.identify.faults import read_checked
+from excitant.identify.rows import fitted
 from excitant.motion_commands import sampled
 from excitant.output import finish, print_json, print_paths, run_directory
 from excitant.progress import progress_bar
@@ -137,7 +140,9 @@ def identify(args: argparse.Namespace) -> None:
     _refuse_contradictions(args)
     dataset = load_dataset(args.robot, columns=args.map)
     robot = dataset.robot
-    effects, formats = _effects(args.effects, robot), _formats(args.formats)
+    chosen = args.effects == AUTO
+    effects = None if chosen else _effects(args.effects, robot)
+    formats = _formats(args.formats)
     if (found := streamed(args, dataset, effects)) is not None:
         result = identify_result(found) | {"faults": [], "import": {}}
         _publish(args, found, result, identify_series(found), formats)
@@ -151,6 +156,9 @@ def identify(args: argparse.Namespace) -> None:
     drive = _drive(args, dataset, recordings, options)
     if drive is not None:
         recordings, options["validate"] = (in_torque(r, drive) for r in (recordings, validate))
+    further = _further(args, robot, recordings, validate) if chosen else None
+    if further is not None:
+        effects = options["effects"] = further.effects
     estimate, result, series = _identified(args, robot, recordings, options)
     if args.payload:
         unloaded = dataset.recordings(args.unloaded) if args.unloaded else []
@@ -160,11 +168,24 @@ def identify(args: argparse.Namespace) -> None:
             identify_payload(robot, recordings, unloaded=unloaded, effects=effects)
         )
     result |= {"faults": checked.entries(), "import": imported}
-    result["notes"] += checked.notes
+    result["notes"] += [*checked.notes, *(further.notes if further is not None else ())]
     if drive is not None:
         result |= drive_result(drive)
         result["notes"].append(drive.sentence(robot.joints))
     _publish(args, estimate, result, identify_series(estimate) | series, formats)
+
+
+def _further(
+    args: argparse.Namespace,
+    robot: Robot,
+    recordings: Sequence[Recording],
+    validate: Sequence[Recording],
+) -> Enrichment:
+    """Effects that the training data call for."""
+    with progress_bar("effects") as advance:
+        return enrichment(
+            robot, fitted(recordings, validate), cutoff_hz=args.cutoff, progress=advance
+        )
 
 
 def _drive(
@@ -201,6 +222,11 @@ def _publish(
 
 
 def _refuse_contradictions(args: argparse.Namespace) -> None:
+    if args.effects == AUTO and (args.online or args.link_by_link or args.payload):
+        raise BadInput(
+            "--effects auto needs all rows at once and the arm alone; name effects, or leave "
+            "--online, --link-by-link and --payload out"
+        )
     if args.unloaded and not args.payload:
         raise BadInput("--unloaded names what --payload is compared with; give --payload too")
     if bool(args.payload_recording) != (args.payload_mass is not None):
@@ -315,11 +341,24 @@ def diagnose(args: argparse.Namespace) -> None:
     found = diagnosis.diagnose(dataset.robot, recordings, validate=validate, cutoff_hz=args.cutoff)
     directory = run_directory(args, "diagnose", dataset.robot)
     files = model_files(found.extension.model, "extended", "extended.yaml")
-    result = diagnosis_result.diagnose_result(found) | {"import": imported}
+    plan = _plan(args, found)
+    result = diagnosis_result.diagnose_result(found, plan) | {"import": imported}
     result["faults"] = checked.entries()
     result["notes"] += checked.notes
     result["extended"]["files"] = [str(directory / name) for name in files]
+    for k, motion in enumerate(plan.motions, start=1):
+        files[f"separate-{k}.csv"] = trajectory_csv(motion)
+        files[f"separate-{k}.json"] = trajectory_json(motion, dataset.robot)
     finish(args, directory, result, diagnosis_result.diagnose_series(found), files)
+
+
+def _plan(args: argparse.Namespace, found: diagnosis.Diagnosis) -> discrimination_plan.Plan:
+    """Experiments that settle what is undecided, unless none are wanted."""
+    if args.no_experiments:
+        return discrimination_plan.Plan()
+    return discrimination_plan.plan(
+        found, np.random.default_rng(0), time_limit=args.experiment_time
+    )
 
 
 def report(args: argparse.Namespace) -> None:

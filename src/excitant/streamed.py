@@ -48,6 +48,8 @@ def _refuse(args: argparse.Namespace) -> None:
     ]
     if args.estimator not in _ESTIMATORS:
         given.append(f"--estimator {args.estimator}")
+    if args.effects == AUTO:
+        given.append("--effects auto")
     if given:
         raise BadInput(
             f"{', '.join(given)}: not for recordings that are larger than memory, which are read "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -131,7 +132,7 @@ def test_load_dependent_friction_grows_with_the_torque_of_the_bodies(
 
 def test_bristles_follow_the_closed_form_between_reversals() -> None:
     turns, distance = np.array([0.0, 0.4, -0.3, 0.05, -1.0]), 0.1
-    legs = [np.linspace(a, b, 300) for a, b in zip(turns, turns[1:], strict=False)]
+    legs = [np.linspace(a, b, 300) for a, b in itertools.pairwise(turns)]
     q = np.concatenate([legs[0], *(leg[1:] for leg in legs[1:])])
     expected, state = [np.zeros(1)], 0.0
     for leg in legs:
@@ -250,7 +251,7 @@ def test_a_rotor_that_turns_with_two_joints_keeps_its_energy(planar: Robot) -> N
     """Power into T = ½ J (a q̇₁ + b q̇₂)² is its rate; rotor inertias and coupling make it up."""
     J, a, b = 0.2, 3.0, -5.0
     t = np.linspace(0, 2, 4001)
-    phase = np.outer(t, [3.0, 5.0]) + [0.2, 1.0]
+    phase = np.outer(t, [3.0, 5.0]) + np.array([0.2, 1.0])
     motion = Motion(t, np.sin(phase), np.cos(phase) * [3, 5], -np.sin(phase) * [9, 25])
     effects = (
         RotorInertia(planar.joints, (J * a**2, J * b**2)),

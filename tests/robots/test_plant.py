@@ -19,7 +19,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots import Robot, load_robot
+from excitant.robots import Motion, Robot, load_robot, torque
+from excitant.robots.effects import EFFECTS
 from excitant.robots.plant.friction import Bristles
 from excitant.robots.plant.hidden_effect import OPTIONAL, PARAMETERS, STRUCTURES
 from excitant.robots.plant.planting import PLANTERS
@@ -103,7 +104,7 @@ class Recorded:
 
     def drives(self) -> np.ndarray:
         """Torque of the nominal friction and rotors."""
-        known = {e.name: np.array(e.values) for e in self.robot.effects}
+        known = {e.name: np.array(e.values) for e in self.robot.effects[:3]}
         return (
             known["viscous_friction"] * self.dq
             + known["coulomb_friction"] * np.sign(self.dq)
@@ -436,10 +437,10 @@ def test_elastic_joint_is_mujocos_two_bodies(pendulum: Robot) -> None:
     data, angles = mujoco.MjData(model), []
     table = run.table
     tau = np.interp(np.arange(0, 3.0, 1e-4), table["t"], table["tau1"])
-    for k, torque in enumerate(tau):
+    for k, drive in enumerate(tau):
         if k % 10 == 0:
             angles.append(data.qpos[0])
-        data.qfrc_applied[0] = torque
+        data.qfrc_applied[0] = drive
         mujoco.mj_step(model, data)
     q = table["q1"].to_numpy()[:-1]
     assert np.abs(np.array(angles) - q).max() <= 5e-3 * np.abs(q).max()
@@ -514,8 +515,8 @@ def test_a_gear_with_play_never_pulls() -> None:
     assert gear.torque(0.005, 3.0) == (0.0, 0.0, 0.0)
     assert gear.torque(0.011, -3.0) == (0.0, 0.0, 0.0)
     assert gear.torque(-0.02, 0.0)[0] == pytest.approx(-10.0)
-    for torque in (-3.0, 0.0, 3.0):
-        assert gear.torque(gear.deflection(torque), 0.0)[0] == pytest.approx(torque)
+    for load in (-3.0, 0.0, 3.0):
+        assert gear.torque(gear.deflection(load), 0.0)[0] == pytest.approx(load)
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 6), shafts=st.integers(0, 2))
@@ -571,6 +572,38 @@ def test_every_effect_has_a_planter_and_refuses_wrong_parameters(robot: Robot) -
     gear = hidden("joint_elasticity", robot.joints[0], stiffness=1e3, motor=0.1)
     with pytest.raises(BadInput, match="two elastic gears"):
         Recorded(robot, gear, gear)
+
+
+@pytest.mark.parametrize(
+    ("name", "joints", "shape", "values"),
+    [
+        ("asymmetric_friction", 1, {"viscous": True}, [2.0, 0.5, 1.0, 0.3]),
+        ("nonlinear_viscous_friction", 1, {"exponent": 1.7}, [2.0]),
+        ("load_dependent_friction", 1, {}, [0.3]),
+        ("presliding_hysteresis", 1, {"distance": 0.02}, [2.0]),
+        ("thermal_friction_drift", 1, {"time": 1.5}, [1.0, 2.0]),
+        ("torque_ripple", 1, {"order": 8.0}, [1.0, -0.5]),
+        ("spring", 1, {}, [4.0, -1.0]),
+        ("spring", 1, {"lever": True}, [1.0, -2.0]),
+        ("friction_coupling", 2, {"ratio": -1.0}, [0.3, 0.5]),
+        ("inertia_coupling", 2, {}, [0.03]),
+        ("torque_gain", 2, {}, [0.1]),
+    ],
+)
+def test_a_known_effect_is_the_one_that_is_fitted(
+    ur10: Robot, name: str, joints: int, shape: dict[str, float], values: list[float]
+) -> None:
+    """A nominal arm with the effect records the torque that the effect's own formula gives."""
+    effect = EFFECTS[name](ur10.joints[4 : 4 + joints], **shape).with_values(values)
+    known = ur10.with_effects((*ur10.effects, effect))
+    run = Recorded(known)
+    shaft = run.dq[:, 4] - run.dq[:, 5]  # that of the coupling, which may stick
+    rows = run.sliding & away_from_changes(np.sign(shaft)) & (np.abs(shaft) > 1e-3)
+    motion = Motion(run.t, run.q, run.dq, run.ddq)
+    expected = torque(known, motion)
+    assert np.abs(expected - torque(ur10, motion))[rows].max() > 0.1
+    tolerance = 0.01 * np.abs(expected[rows]).max(axis=0)
+    assert (np.abs(run.tau - expected)[rows].max(axis=0) <= tolerance).all()
 
 
 def test_a_drive_filters_and_an_encoder_is_differentiated(robot: Robot) -> None:

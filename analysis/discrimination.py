@@ -1,0 +1,302 @@
+"""How far a motion drives two rival causes apart.
+
+Two causes A and B explain a recording alike. If A is at work as it was found, a further motion
+adds a torque s_A that B, with the coefficients and the shape that suit it best, must follow as
+well as the recording:
+
+    Δ = min over η, θ_B of ‖s_A − N η − C_B θ_B‖²_Λ + ‖η‖²_prior,
+
+summed over the rows of the recording and of the motion. N are the given values within their
+tolerance and the other causes, Λ the noise of the recording with its autocorrelation: Δ is
+‖s_A⊥‖² (1 − cos²(s_A⊥, s_B⊥)) in noise units (T-optimality: Atkinson and Fedorov 1975). It is
+asked both ways round, and the smaller counts: whichever of the two is true shall come out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+import scipy.stats
+
+from excitant.analysis.hypotheses import TOLERANCE
+from excitant.analysis.signatures import Signatures, signatures
+from excitant.analysis.sticking import sliding
+from excitant.identify.physical import link_coordinates, link_weights
+from excitant.identify.preprocessing import Segment
+from excitant.robots.effects import (
+    Effect,
+    InertialParameters,
+    NonlinearViscousFriction,
+    Payload,
+    TorqueGain,
+)
+from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.regressor import regressor
+from excitant.robots.robot import Robot
+
+POWER, LEVEL = 0.9, 0.05
+_RATE = 10.0  # samples of a motion per period of the filter's cut-off
+_ROWS = 4.0  # rows per period of the cut-off, as many as recordings are decimated to
+_LOOSE = 1e-9  # prior precision of what only the data decide, of its own information
+_NEAR = (0.25, 0.5, 1.0, 2.0, 4.0)  # times the shape that was found
+_EXPONENTS = (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)
+_SHAPES = ("velocity", "distance", "time", "trial")
+
+
+@dataclass(frozen=True)
+class Separation:
+    """How far a motion drives two causes apart.
+
+    Attributes:
+        delta: Δ in squared standard deviations of the noise.
+        cosine: Between the one cause's torque and the best that the other makes of it.
+    """
+
+    delta: float
+    cosine: float
+
+    @property
+    def deviations(self) -> float:
+        """√Δ: by how many standard deviations the two differ."""
+        return float(np.sqrt(max(self.delta, 0.0)))
+
+    @property
+    def repetitions(self) -> int:
+        """Runs after which `diagnose` decides, with probability `POWER` at level `LEVEL`."""
+        return repetitions(self.delta)
+
+
+def repetitions(delta: float, power: float = POWER, level: float = LEVEL) -> int:
+    """Runs that tell two causes apart with this probability at this level.
+
+    Both are compared by the squared error that each leaves (Vuong 1989). The difference has mean
+    N Δ and standard deviation 2 √(N Δ), so N = 4 (z_{level/2} + z_{1−power})² / Δ.
+    """
+    return max(1, int(np.ceil(needed(power, level) / max(delta, 1e-9) - 1e-9)))
+
+
+def needed(power: float = POWER, level: float = LEVEL) -> float:
+    """Δ at which one run is enough."""
+    z = scipy.stats.norm.isf(level / 2) + scipy.stats.norm.isf(1 - power)
+    return float(4 * z**2)
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two causes of which either explains a recording.
+
+    Attributes:
+        found: One, with the values that it adds to what is given.
+        rival: The other; its values do not count.
+        beside: Further causes, whose coefficients the data decide.
+    """
+
+    found: Effect
+    rival: Effect
+    beside: tuple[Effect, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """What a recording's torque leaves unexplained.
+
+    Attributes:
+        sigma: Standard deviation per joint, shape (nv,) [N·m].
+        inflation: Integrated autocorrelation time per joint [rows], shape (nv,).
+        cutoff_hz: Cut-off of the filter that torque and columns pass [Hz].
+    """
+
+    sigma: Array
+    inflation: Array
+    cutoff_hz: float = 10.0
+
+    def __post_init__(self) -> None:
+        freeze(self, "sigma", "inflation")
+
+    @property
+    def weight(self) -> Array:
+        """Λ of each joint's rows, shape (nv,)."""
+        return np.asarray(1 / (self.sigma**2 * self.inflation), float)
+
+
+@dataclass(frozen=True, eq=False)
+class Contest:
+    """Pairs of rival causes at one arm, to be told apart by one more motion.
+
+    Attributes:
+        robot: The arm as given, its values right within their tolerance.
+        model: The arm as understood so far; causes that rest on torque take it from here.
+        metric: Bodies that tolerances are relative to, shape (nv, 10).
+        noise: Of the torque.
+        pairs: The rivals.
+        recorded: What was recorded so far, which both causes explain.
+        tolerance: Relative standard deviation of the given values.
+    """
+
+    robot: Robot
+    model: Robot
+    metric: Array
+    noise: Noise
+    pairs: tuple[Pair, ...]
+    recorded: tuple[Segment, ...] = ()
+    tolerance: float = TOLERANCE
+
+    @cached_property
+    def causes(self) -> dict[Effect, slice]:
+        """Columns of all causes in all their shapes, after those of the given values."""
+        start = 10 * self.robot.nv + sum(len(e.values or ()) for e in self.robot.effects)
+        places: dict[Effect, slice] = {}
+        for pair in self.pairs:
+            for effect in (*shapes(pair.found), *shapes(pair.rival), *map(_bare, pair.beside)):
+                if effect not in places:
+                    size = len(effect.parameters(self.robot))
+                    places[effect] = slice(start, start + size)
+                    start += size
+        return places
+
+    @cached_property
+    def precision(self) -> Array:
+        """Prior precision of the given values, shape (p,)."""
+        count = sum(len(e.values or ()) for e in self.robot.effects)
+        links = link_weights(self.robot.nv, self.tolerance) ** 2
+        return np.concatenate([links, np.ones(count)])
+
+    @cached_property
+    def known(self) -> Array:
+        """Information of what was recorded, shape (columns, columns)."""
+        if not self.recorded:
+            size = max(at.stop for at in self.causes.values())
+            return np.zeros((size, size))
+        return self._columns(self.recorded).gram(self.noise.weight)
+
+    @cached_property
+    def imitations(self) -> tuple[Array, ...]:
+        """Coefficients with which each rival explains the recording as the one found does."""
+        R, floor = _without_given(self.known, self.precision)
+        found = []
+        for pair in self.pairs:
+            at, rival = self._places(pair.found), self._places(_bare(pair.rival))
+            beside = self._beside(pair)
+            b = R[:, at] @ np.array(pair.found.values)
+            both = [*beside, *rival]
+            found.append(_solve(R, floor, both, b)[len(beside) :])
+        return tuple(found)
+
+    def information(self, motion: Motion) -> Array:
+        """Information of a motion, shape (columns, columns)."""
+        segment = along(motion, self.noise.cutoff_hz)
+        return self._columns((segment,), self.recorded).gram(self.noise.weight)
+
+    def separations(self, information: Array) -> list[Separation]:
+        """Separation of every pair by what was recorded and a motion of this information."""
+        R, floor = _without_given(self.known + information, self.precision)
+        found = []
+        for pair, imitation in zip(self.pairs, self.imitations, strict=True):
+            beside = self._beside(pair)
+            ways = [(pair.found, np.array(pair.found.values), pair.rival)]
+            if imitation.any():
+                ways.append((pair.rival, imitation, pair.found))
+            each = [self._apart(R, floor, beside, *way) for way in ways]
+            found.append(min(each, key=lambda s: s.delta))
+        return found
+
+    def _apart(
+        self, R: Array, floor: Array, beside: list[int], true: Effect, value: Array, other: Effect
+    ) -> Separation:
+        at = self._places(_bare(true))
+        b = R[:, at] @ value
+        whole = float(value @ b[at])
+        whole -= float(b[beside] @ _solve(R, floor, beside, b)) if beside else 0.0
+        left = whole
+        for shape in shapes(other):
+            columns = [*beside, *self._places(shape)]
+            explained = float(b[columns] @ _solve(R, floor, columns, b))
+            left = min(left, float(value @ b[at]) - explained)
+        left = float(np.clip(left, 0.0, max(whole, 0.0)))
+        return Separation(left, float(np.sqrt(1 - left / whole)) if whole > 0 else 1.0)
+
+    def _places(self, effect: Effect) -> list[int]:
+        """Columns of a cause, among those after the given values'."""
+        at, skip = self.causes[_bare(effect)], len(self.precision)
+        return list(range(at.start - skip, at.stop - skip))
+
+    def _beside(self, pair: Pair) -> list[int]:
+        return [column for effect in pair.beside for column in self._places(effect)]
+
+    def _columns(self, segments: Sequence[Segment], company: Sequence[Segment] = ()) -> Signatures:
+        """All columns at the rows of segments, with the rows at rest left out."""
+        rows = sum(len(s.t) for s in segments)
+        counts = sliding((*segments, *company))[:rows]
+        return signatures(list(self._blocks(segments)), counts)
+
+    def _blocks(self, segments: Sequence[Segment]) -> Iterator[Array]:
+        Y = np.concatenate([s.rows(lambda m: regressor(self.robot, m)) for s in segments])
+        yield Y @ link_coordinates(self.metric)
+        for effect in self.robot.effects:
+            given = np.abs(np.array(effect.values or ()))
+            yield self._rows(effect, segments) * self.tolerance * np.maximum(given, 1e-9)
+        for effect in self.causes:
+            if isinstance(effect, InertialParameters | Payload):
+                j = self.robot.joint_index(effect.joints[0])
+                yield Y[:, :, 10 * j : 10 * j + 10]
+            else:
+                yield self._rows(effect, segments)
+
+    def _rows(self, effect: Effect, segments: Sequence[Segment]) -> Array:
+        owner = self.robot if isinstance(effect, TorqueGain) else self.model
+        return np.concatenate([s.rows(lambda m: effect.columns(owner, m)) for s in segments])
+
+
+def separation(contest: Contest, motion: Motion, pair: int = 0) -> Separation:
+    """How far a motion drives one of a contest's pairs apart."""
+    return contest.separations(contest.information(motion))[pair]
+
+
+def along(motion: Motion, cutoff_hz: float) -> Segment:
+    """A motion as it would be prepared were it recorded; its torque is not known."""
+    step, still = float(motion.t[1] - motion.t[0]), np.zeros_like(motion.q)
+    edge, stride = round(1 / (cutoff_hz * step)), max(1, int(1 / (_ROWS * cutoff_hz * step)))
+    keep = slice(edge, len(motion) - edge, stride)
+    return Segment("motion", motion, still, still, cutoff_hz, keep)
+
+
+def rate(noise: Noise) -> float:
+    """Sampling rate at which motions are judged [Hz]."""
+    return _RATE * noise.cutoff_hz
+
+
+def shapes(effect: Effect) -> list[Effect]:
+    """An effect without values in its own shape and in those that it may also have."""
+    own = _bare(effect)
+    for name in _SHAPES:
+        if hasattr(own, name):
+            value = getattr(own, name)
+            return [replace(own, **{name: factor * value}) for factor in _NEAR]
+    if isinstance(own, NonlinearViscousFriction):
+        return [own, *(replace(own, exponent=a) for a in _EXPONENTS if a != own.exponent)]
+    return [own]
+
+
+def _bare(effect: Effect) -> Effect:
+    return replace(effect, values=None)
+
+
+def _without_given(information: Array, precision: Array) -> tuple[Array, Array]:
+    """Information on causes once the given values may take what they can, and its rounding."""
+    p = len(precision)
+    A = information[:p, :p] + np.diag(precision)
+    half = scipy.linalg.solve_triangular(np.linalg.cholesky(A), information[:p, p:], lower=True)
+    floor = 1e-10 * np.maximum(np.diag(information)[p:], 1e-12)
+    return information[p:, p:] - half.T @ half, floor
+
+
+def _solve(R: Array, floor: Array, columns: Sequence[int], b: Array) -> Array:
+    """Coefficients of columns that explain most of a torque with inner products b."""
+    at = list(columns)
+    scale = np.sqrt(np.maximum(np.diag(R)[at], floor[at]))
+    A = R[np.ix_(at, at)] / np.outer(scale, scale) + _LOOSE * np.eye(len(at))
+    return np.asarray(np.linalg.lstsq(A, b[at] / scale, rcond=1e-11)[0] / scale, float)

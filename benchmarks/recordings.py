@@ -1,0 +1,317 @@
+"""Accuracy on recordings of real arms: what `identify` reaches on data that it has not seen.
+
+Every set and split of the recordings' own README (EXCITANT_DATA or ../shared/data), joint by joint:
+
+* ``readme``: the quick baseline that the README gives (weighted least squares of base parameters,
+  rotor inertia, viscous and Coulomb friction, offset), as printed there. Its filter is not stated;
+  all other rows share one cut-off of judging, which stands in the title, so the comparison is
+  between figures of like meaning, not of identical ones;
+* ``ols``: the same kind of fit made here, at the cut-off of the rows below: what a filter and a
+  constraint change shows against it;
+* ``standard``: `identify` with standard effects, physically consistent;
+* ``chosen``: the same with effects chosen on an inner hold-out (`excitant.analysis.enrichment`);
+* ``given``: the model as it comes.
+
+``<`` marks a joint whose r2 is below the README's when both are rounded as there; the sum is that
+of nrmse over joints, and its ratio is to the README's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from threadpoolctl import threadpool_limits
+
+from excitant.analysis.enrichment import enrichment
+from excitant.exceptions import ExcitantError
+from excitant.identify import Estimate, Recording, identify, load_dataset
+from excitant.identify.accuracy import Accuracy, series
+from excitant.identify.rows import observation
+from excitant.robots import Robot
+from excitant.robots.loading import load_robot
+from excitant.robots.parameters import violations
+
+DIGITS = 3
+FULL_DUTY = 885.0  # counts of the servo's pulse width
+SHARES = {0.6: "first 60 % → last 40 %", 0.7: "first 70 % → last 30 %"}
+
+Row = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Split:
+    """What is fitted, what is judged, and what the README reaches there.
+
+    Attributes:
+        dataset: Folder.
+        fit: Recordings to fit.
+        judge: Recordings to judge; the rest of those fitted where a share is given.
+        share: Part of each recording that is fitted.
+        readme: r2 of the quick baseline per joint; empty where the README gives none.
+        published_rms: Error of the published model on the same part [N·m].
+        note: What else is known of it.
+    """
+
+    dataset: str
+    fit: tuple[str, ...]
+    judge: tuple[str, ...] = ()
+    share: float | None = None
+    readme: Row = ()
+    published_rms: Row = ()
+    note: str = ""
+
+    @property
+    def title(self) -> str:
+        """The split in words."""
+        names = " + ".join(self.fit)
+        if self.share is not None:
+            return f"{self.dataset} {names}: {SHARES[self.share]}"
+        return f"{self.dataset}: {names} → {' + '.join(self.judge)}"
+
+
+UR10E = ("id_12harm_30s", "id_12harm_40s", "id_8harm_20s")
+SPLITS = (
+    Split("ur10", ("unisa_exciting",), share=0.6, readme=(0.978, 0.992, 0.996, 0.983, 0.984, 0.882)),
+    Split(
+        "ur10", ("unisa_exciting",), share=0.7,
+        published_rms=(4.06, 3.18, 1.71, 0.48, 0.63, 0.99),
+    ),
+    Split(
+        "panda", ("gaz_traj1",), share=0.6,
+        readme=(0.992, 1.0, 0.999, 0.998, 0.994, 0.999, 0.966),
+    ),
+    Split(
+        "panda", ("gaz_traj1",), ("unisa_exciting",),
+        readme=(-0.02, 0.998, 0.991, 0.962, 0.919, 0.882, 0.949), note="another lab's robot",
+    ),
+    Split(
+        "ur10e", UR10E, ("id_12harm_50s",), readme=(0.992, 0.987, 0.997, 0.986, 0.972, 0.988),
+        note="the README does not say which three runs",
+    ),
+    Split(
+        "ur10e", UR10E, ("val_ptp_10_points",),
+        readme=(0.943, 0.987, 0.996, 0.962, 0.883, 0.728),
+    ),
+    Split("rokae_xmate3", ("rec01",), share=0.6, note="README: .39 to 1.00"),
+    Split("rokae_xmate3", ("rec02",), share=0.6, note="README: .39 to 1.00"),
+    Split("rokae_xmate3", ("rec02",), ("rec01",), note="another robot; README: -.89 at joint 1"),
+    Split(
+        "dualarm_v2", ("exc_13p5", "exc_15p7"), ("exc_52p2",),
+        readme=(0.958, 0.924, 0.987, 0.972, 0.983, 0.986, 0.986),
+    ),
+    Split(
+        "bam_xl330", ("rec01", "rec03", "rec04", "rec05", "rec07", "rec08"),
+        ("rec13", "rec15", "rec16"), note="no baseline; voltage of the motor, controller gain x 4",
+    ),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What was reached on one split.
+
+    Attributes:
+        split: The split.
+        accuracy: By row of the table.
+        consistent: Whether the models are physically consistent, by row.
+        seconds: Time that each row took.
+        effects: What was chosen beyond the standard model, in words.
+        cutoff_hz: Cut-off of judging [Hz].
+        unit: Unit of torque.
+        joints: Names.
+    """
+
+    split: Split
+    accuracy: dict[str, Accuracy]
+    consistent: dict[str, bool]
+    seconds: dict[str, float]
+    effects: tuple[str, ...]
+    cutoff_hz: float
+    unit: str
+    joints: tuple[str, ...]
+    failed: dict[str, str] = field(default_factory=dict)
+
+    def below(self, row: str) -> list[bool]:
+        """Joints at which a row is below the README's figure, rounded as there."""
+        r2 = np.round(self.accuracy[row].r2, DIGITS)
+        return [bool(ours < theirs) for ours, theirs in zip(r2, self.split.readme, strict=False)]
+
+
+def data_folder() -> Path:
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    return Path(os.environ.get("EXCITANT_DATA", beside))
+
+
+def loaded(split: Split, folder: Path) -> tuple[Robot, list[Recording], list[Recording]]:
+    """The arm, what to fit and what to judge."""
+    if split.dataset == "bam_xl330":
+        robot, read = pendulum(folder / split.dataset)
+    else:
+        dataset = load_dataset(folder / split.dataset)
+        robot, read = dataset.robot, dataset.recordings
+    fit = read(list(split.fit))
+    if split.share is None:
+        return robot, fit, read(list(split.judge))
+    first, rest = SHARES[split.share].split(" → ")
+    parts = [r.between(0, split.share, first) for r in fit]
+    return robot, parts, [r.between(split.share, 1, rest) for r in fit]
+
+
+def pendulum(folder: Path) -> tuple[Robot, Any]:
+    """The pendulum of the sidecar as a robot, and its recordings by name.
+
+    Its mass is taken for a point at the end of a massless rod. What is logged is the pulse width;
+    times the supply it is the motor's voltage, which stands in the place of a current: torque is
+    proportional to it less what the speed induces, which is viscous friction to a model.
+    """
+    described = {r["name"]: r for r in json.loads((folder / "dataset.json").read_text())["recordings"]}
+    first = next(iter(described.values()))
+    robot = robot_of_pendulum(first["mass_kg"], first["length_m"])
+
+    def read(names: list[str]) -> list[Recording]:
+        found = []
+        for name in names:
+            table = pd.read_parquet(folder / described[name]["file"])
+            table = table[table["enable"] > 0]
+            voltage = table["pwm1"] / FULL_DUTY * table["volt"]
+            found.append(
+                Recording(
+                    name, str(folder / described[name]["file"]), table["t"].to_numpy(float),
+                    table[["q1"]].to_numpy(float), voltage.to_numpy(float)[:, None], "A",
+                )
+            )  # fmt: skip
+        return found
+
+    return robot, read
+
+
+def robot_of_pendulum(mass: float, length: float) -> Robot:
+    """A point mass on a rod that hangs down at q = 0."""
+    spread = 1e-3 * length  # no body is a point
+    tensor = " ".join(f'{name}="{mass * spread**2:.3g}"' for name in ("ixx", "iyy", "izz"))
+    text = f"""<robot name="pendulum"><link name="base"/><link name="rod"><inertial>
+    <origin xyz="0 0 {-length}"/><mass value="{mass}"/>
+    <inertia {tensor} ixy="0" ixz="0" iyz="0"/></inertial></link>
+    <joint name="joint1" type="revolute"><parent link="base"/><child link="rod"/>
+    <axis xyz="0 1 0"/><limit lower="-3.2" upper="3.2" velocity="15" effort="1"/></joint></robot>"""
+    path = Path(os.environ.get("TMPDIR", "/tmp")) / f"pendulum-{os.getpid()}.urdf"
+    path.write_text(text)
+    try:
+        return load_robot(path)
+    finally:
+        path.unlink()
+
+
+def outcome_of(split: Split, folder: Path, chosen: bool, *, asked: bool) -> Outcome:
+    """All rows of one split; with ``asked``, as the command does it: estimator and cut-offs too."""
+    robot, fit, judge = loaded(split, folder)
+    options: dict[str, Any] = {"estimator": "auto", "tune": True} if asked else {}
+    accuracy: dict[str, Accuracy] = {}
+    consistent: dict[str, bool] = {}
+    seconds: dict[str, float] = {}
+    failed: dict[str, str] = {}
+    start = time.perf_counter()
+    standard = identify(robot, fit, validate=judge, **options)
+    seconds["standard"] = time.perf_counter() - start
+    accuracy |= {"given": standard.baseline, "ols": unconstrained(standard), "standard": standard.validate}
+    consistent["standard"] = possible(standard)
+    found: tuple[str, ...] = ()
+    if chosen:
+        start = time.perf_counter()
+        try:
+            study = enrichment(robot, fit)
+            best = identify(robot, fit, validate=judge, effects=study.effects, **options)
+        except ExcitantError as error:
+            failed["chosen"] = str(error)
+        else:
+            seconds["chosen"] = time.perf_counter() - start
+            accuracy["chosen"], consistent["chosen"] = best.validate, possible(best)
+            found = tuple(step.sentence for step in study.steps)
+    return Outcome(
+        split, accuracy, consistent, seconds, found, standard.data.cutoff_hz,
+        standard.data.unit, robot.joints, failed,
+    )  # fmt: skip
+
+
+def unconstrained(estimate: Estimate) -> Accuracy:
+    """Accuracy of the base parameters of weighted least squares, nothing constrained."""
+    data = estimate.data
+    W = observation(estimate.model, estimate.model.effects, data.validate)
+    predicted = W[:, :, list(estimate.base.columns)] @ estimate.least_squares.beta
+    return series(data.validate).accuracy(predicted / estimate.gains)
+
+
+def possible(estimate: Estimate) -> bool:
+    """Whether every link is a body that can be, and every coefficient within its bounds."""
+    effects = [p.lower for e in estimate.model.effects for p in e.parameters(estimate.given)]
+    values = [v for e in estimate.model.effects for v in e.values or ()]
+    signs = all(v >= low - 1e-7 for v, low in zip(values, effects, strict=True))
+    return signs and not violations(estimate.phi, estimate.given.links)
+
+
+def report(outcome: Outcome) -> None:
+    split = outcome.split
+    print(f"\n{split.title}  [judged at {outcome.cutoff_hz:.3g} Hz, {outcome.unit}]", flush=True)
+    if split.note:
+        print(f"  {split.note}")
+    if split.readme:
+        nrmse = np.sqrt(1 - np.minimum(split.readme, 1 - 0.5 * 10.0**-DIGITS))
+        _line("readme", np.array(split.readme), nrmse, [False] * len(split.readme), "")
+    total = float(np.sqrt(1 - np.minimum(split.readme or [1], 0.9995)).sum())
+    for row, a in outcome.accuracy.items():
+        extra = f"  ratio {a.nrmse.sum() / total:.3f}" if split.readme else ""
+        if row in outcome.consistent:
+            extra += f"  consistent: {'yes' if outcome.consistent[row] else 'NO'}"
+        if row in outcome.seconds:
+            extra += f"  {outcome.seconds[row]:.0f} s"
+        below = outcome.below(row) if split.readme else [False] * len(a.r2)
+        _line(row, a.r2, a.nrmse, below, extra)
+    for row, why in outcome.failed.items():
+        print(f"  {row:<9} failed: {why}")
+    for sentence in outcome.effects:
+        print(f"    + {sentence}")
+    if split.published_rms:
+        _published(outcome)
+
+
+def _line(row: str, r2: np.ndarray, nrmse: np.ndarray, below: Sequence[bool], extra: str) -> None:
+    cells = " ".join(f"{v:7.4f}{'<' if b else ' '}" for v, b in zip(r2, below, strict=True))
+    print(f"  {row:<9}{cells}  Σ nrmse {nrmse.sum():.3f}{extra}", flush=True)
+
+
+def _published(outcome: Outcome) -> None:
+    published = np.array(outcome.split.published_rms)
+    spread = outcome.accuracy["standard"].rms / outcome.accuracy["standard"].nrmse
+    rows = {"published": published, **{k: a.rms for k, a in outcome.accuracy.items()}}
+    for row, rms in rows.items():
+        cells = " ".join(f"{v:7.3f} " for v in rms)
+        print(f"  rms {row:<9}{cells}  Σ nrmse {(rms / spread).sum():.3f}", flush=True)
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sets", nargs="+", help="data sets (default: all)")
+    parser.add_argument("--standard-only", action="store_true", help="choose no effects")
+    parser.add_argument(
+        "--plain", action="store_true",
+        help="weighted least squares at default cut-offs, without what the command chooses itself",
+    )  # fmt: skip
+    args = parser.parse_args(words)
+    with threadpool_limits(1):
+        for split in SPLITS:
+            if args.sets and split.dataset not in args.sets:
+                continue
+            report(outcome_of(split, data_folder(), not args.standard_only, asked=not args.plain))
+
+
+if __name__ == "__main__":
+    main()

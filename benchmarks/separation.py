@@ -1,0 +1,228 @@
+"""Whether the experiment that a diagnosis proposes settles what it leaves undecided.
+
+A virtual arm hides one effect and makes a poor motion: slow, within a third of its range. Where
+its diagnosis is undecided, the proposed motions are run on the same arm as often as is said, and
+all recordings are diagnosed together. A pair is settled when the rival is no longer in question
+and the hidden effect is named.
+
+    python benchmarks/separation.py --draws 2 --arms planar_2r,ur10
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(threads, "1")
+
+import numpy as np  # noqa: E402
+
+from excitant.analysis.diagnosis import Diagnosis, Finding, diagnose  # noqa: E402
+from excitant.analysis.discrimination_plan import Plan, key, plan  # noqa: E402
+from excitant.design import Trajectory  # noqa: E402
+from excitant.exceptions import ExcitantError  # noqa: E402
+from excitant.identify.recording import Recording, recording_from_table  # noqa: E402
+from excitant.robots import Robot, load_robot  # noqa: E402
+from excitant.robots.hidden import draw_effect  # noqa: E402
+from excitant.robots.plant.habits import typical_trajectory  # noqa: E402
+from excitant.robots.virtual_arm import (  # noqa: E402
+    HiddenEffect,
+    VirtualArm,
+    industrial_sensors,
+    virtual_arm,
+)
+
+KINDS = (
+    "viscous_friction", "coulomb_friction", "asymmetric_friction", "stribeck_friction",
+    "nonlinear_viscous_friction", "load_dependent_friction", "presliding_hysteresis",
+    "friction_coupling", "rotor_inertia", "inertia_coupling", "torque_offset", "torque_gain",
+    "torque_ripple", "spring", "joint_elasticity", "backlash", "time_delay", "encoder_offset",
+    "encoder_scale", "kinematic_error", "gravity_direction", "payload",
+)  # fmt: skip
+_DURATION = 15.0  # s of each poor motion
+_RANGE, _SPEED = 0.3, 0.4  # of the limits: what makes a motion poor
+_TOLERANCE = 0.03  # of the given inertias
+_SIZES = (4.0, 15.0)  # visible sizes
+_MOST_RUNS = 10
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one undecided pair.
+
+    Attributes:
+        hidden: The effect at work.
+        found: The cause found, or of the pair, that was named before.
+        rival: The other.
+        how: ``motion`` or ``action``.
+        separation: Expected standard deviations.
+        runs: How often the motion was run.
+        settled: Whether the rival is out and the hidden effect is named.
+        true: Whether the hidden effect is one of the pair.
+    """
+
+    hidden: str
+    found: str
+    rival: str
+    how: str
+    separation: float | None
+    runs: int
+    settled: bool
+    true: bool
+
+
+def poor(robot: Robot, rng: np.random.Generator) -> Trajectory:
+    """A slow motion within a part of the range."""
+    limits = robot.limits
+    low, high = np.clip(limits.position, -np.pi, np.pi).T
+    width = _RANGE * (high - low)
+    start = rng.uniform(low, high - width)
+    narrow = replace(
+        limits,
+        position=np.column_stack([start, start + width]),
+        velocity=_SPEED * np.minimum(limits.velocity, 3.0),
+    )
+    return typical_trajectory(robot.with_limits(narrow), rng, _DURATION)
+
+
+def recorded(
+    arm: VirtualArm, motion: Trajectory, duration: float, rng: np.random.Generator, name: str
+) -> Recording:
+    """A run of a virtual arm as a recording."""
+    table = arm.record(motion, duration, rng)
+    return recording_from_table(table, arm.nominal.nv, file=name, name=name)
+
+
+def is_true(finding: Finding, hidden: HiddenEffect) -> bool:
+    """Whether a finding is the hidden effect."""
+    where = set(hidden.acts_on)
+    same = finding.effect.name == hidden.effect
+    return same and (not where or bool(where & set(finding.effect.joints)))
+
+
+def settled(after: Diagnosis, hidden: HiddenEffect, pair: Sequence[str]) -> bool:
+    """Whether the hidden effect is named, and neither of a pair left beside it."""
+    return any(is_true(f, hidden) and not f.rivals for f in after.findings)
+
+
+def run_case(
+    name: str, kind: str, number: int, time_limit: float
+) -> tuple[list[Outcome], dict[str, Any]]:
+    """Record, diagnose, plan, record, diagnose again."""
+    robot, rng = load_robot(name), np.random.default_rng([77, number])
+    size = float(np.exp(rng.uniform(*np.log(_SIZES))))
+    hidden = draw_effect(robot, rng, kind, size)
+    arm = virtual_arm(
+        robot, rng, hidden=[hidden], sensors=industrial_sensors(robot), tolerance=_TOLERANCE
+    )
+    first, held = (recorded(arm, poor(robot, rng), _DURATION, rng, n) for n in ("first", "held"))
+    before = diagnose(robot, [first], validate=[held])
+    begun = time.perf_counter()
+    proposed = plan(before, np.random.default_rng(0), time_limit=time_limit)
+    seconds = time.perf_counter() - begun
+    log: dict[str, Any] = {
+        "arm": name, "hidden": [kind, hidden.acts_on, dict(hidden.parameters)],
+        "before": _brief(before), "planned_s": round(seconds, 1),
+    }  # fmt: skip
+    if not proposed.experiments:
+        return [], log
+    runs = list(_runs(arm, proposed, rng))
+    after = diagnose(robot, [first, *runs], validate=[held]) if runs else before
+    log |= {
+        "after": _brief(after),
+        "experiments": [[*k, e.sentence] for k, e in proposed.experiments.items()],
+    }
+    return list(_outcomes(before, after, proposed, hidden)), log
+
+
+def _runs(arm: VirtualArm, proposed: Plan, rng: np.random.Generator) -> Iterator[Recording]:
+    """Every motion as often as the pairs that it serves need it."""
+    for k, motion in enumerate(proposed.motions, start=1):
+        served = [e for e in proposed.experiments.values() if e.file == f"separate-{k}.csv"]
+        count = min(max((e.repetitions or 1 for e in served), default=0), _MOST_RUNS)
+        for repeat in range(count):
+            yield recorded(arm, motion, motion.period, rng, f"separate-{k}-{repeat + 1}")
+
+
+def _outcomes(
+    before: Diagnosis, after: Diagnosis, proposed: Plan, hidden: HiddenEffect
+) -> Iterator[Outcome]:
+    for finding in before.findings:
+        for rival in finding.rivals:
+            other = rival.candidate.effect
+            experiment = proposed.experiments.get(key(finding.effect, other))
+            if experiment is None:
+                continue
+            pair = (finding.effect.name, other.name)
+            names = {(e.name, bool(set(e.joints) & set(hidden.acts_on)) or not hidden.acts_on)
+                     for e in (finding.effect, other)}  # fmt: skip
+            yield Outcome(
+                hidden.effect,
+                *pair,
+                "action" if experiment.file is None else "motion",
+                experiment.separation,
+                experiment.repetitions or 0,
+                settled(after, hidden, pair),
+                (hidden.effect, True) in names,
+            )
+
+
+def _brief(diagnosis: Diagnosis) -> list[Any]:
+    return [
+        [f.effect.name, f.effect.joints, f.verdict, round(f.explained, 3),
+         [(r.candidate.effect.name, r.candidate.effect.joints, round(r.deviations, 1))
+          for r in f.rivals]]
+        for f in diagnosis.findings
+    ]  # fmt: skip
+
+
+def summary(outcomes: Sequence[Outcome]) -> str:
+    """Rates as text: of pairs in which the hidden effect is, and of all."""
+    lines = []
+    for label, chosen in (
+        ("pairs with the hidden effect, by motion",
+         [o for o in outcomes if o.how == "motion" and o.true]),
+        ("all pairs, by motion", [o for o in outcomes if o.how == "motion"]),
+    ):  # fmt: skip
+        hits = sum(o.settled for o in chosen)
+        share = f"{100 * hits / len(chosen):5.1f} %" if chosen else "    -  "
+        lines.append(f"{share} of {len(chosen):3d} settled: {label}")
+    actions = [o for o in outcomes if o.how == "action"]
+    lines.append(f"{len(actions)} pairs need an action: no motion tells them apart")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run all cases and print the rates."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--draws", type=int, default=2, help="of each kind and arm")
+    parser.add_argument("--arms", default="planar_2r,ur10")
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--first", type=int, default=0, help="number of the first draw")
+    parser.add_argument("--time-limit", type=float, default=15.0)
+    parser.add_argument("--log", help="write every case as a line of JSON")
+    args = parser.parse_args()
+    outcomes: list[Outcome] = []
+    for name in args.arms.split(","):
+        for kind in args.kinds.split(","):
+            for number in range(args.first, args.first + args.draws):
+                try:
+                    found, log = run_case(name, kind, number, args.time_limit)
+                except ExcitantError as error:
+                    found, log = [], {"arm": name, "hidden": kind, "error": str(error)}
+                outcomes += found
+                log["outcomes"] = [asdict(o) for o in found]
+                if args.log:
+                    with open(args.log, "a", encoding="utf-8") as file:
+                        file.write(json.dumps(log) + "\n")
+    print(summary(outcomes))
+
+
+if __name__ == "__main__":
+    main()
