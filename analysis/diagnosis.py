@@ -146,11 +146,22 @@ def diagnose(
         reference, before, shapes = extension.model, shapes, {c.effect for c in chosen}
         if shapes == before or not any(rests_on_model(c.effect) for c in chosen):
             break
+    if _worse(predicted, simulated, data):
+        extension, chosen, judged = Extension(robot, {}, np.zeros(10 * robot.nv)), [], []
+        predicted = simulated
     judged = [
         replace(finding, rivals=tuple(rivals(evidence, robot, chosen, candidate)))
         for finding, candidate in zip(judged, chosen, strict=True)
     ]
     return _diagnosis(robot, data, gains, extension, judged, simulated, predicted)
+
+
+def _worse(predicted: Array, simulated: Array, data: Data) -> bool:
+    """Whether the extended model predicts the hold-out worse than the given one."""
+    measured = series(data.validate).measured
+    scale = measured.std(axis=0)
+    errors = [float((((measured - tau) / scale) ** 2).sum()) for tau in (predicted, simulated)]
+    return errors[0] > errors[1]
 
 
 def _gains(robot: Robot, data: Data) -> Array:

@@ -25,6 +25,7 @@ import scipy.stats
 from excitant.analysis.hypotheses import TOLERANCE
 from excitant.analysis.signatures import Signatures, signatures
 from excitant.analysis.sticking import sliding
+from excitant.design import Trajectory
 from excitant.identify.physical import link_coordinates, link_weights
 from excitant.identify.preprocessing import Segment
 from excitant.robots.effects import (
@@ -39,7 +40,7 @@ from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
 POWER, LEVEL = 0.9, 0.05
-_RATE = 10.0  # samples of a motion per period of the filter's cut-off
+_SAMPLES = 2.0  # of a motion per row
 _ROWS = 4.0  # rows per period of the cut-off, as many as recordings are decimated to
 _LOOSE = 1e-9  # prior precision of what only the data decide, of its own information
 _NEAR = (0.25, 0.5, 1.0, 2.0, 4.0)  # times the shape that was found
@@ -186,9 +187,21 @@ class Contest:
             found.append(_solve(R, floor, both, b)[len(beside) :])
         return tuple(found)
 
+    @property
+    def rows_hz(self) -> float:
+        """Rows per second, of a further motion as of the recording [Hz]."""
+        if not self.recorded:
+            return _ROWS * self.noise.cutoff_hz
+        t = self.recorded[0].t
+        return float(1 / (t[1] - t[0]))
+
+    def sampled(self, trajectory: Trajectory) -> Motion:
+        """A trajectory at the instants at which it is judged."""
+        return trajectory.motion(_SAMPLES * self.rows_hz)
+
     def information(self, motion: Motion) -> Array:
         """Information of a motion, shape (columns, columns)."""
-        segment = along(motion, self.noise.cutoff_hz)
+        segment = along(motion, self.noise.cutoff_hz, self.rows_hz)
         return self._columns((segment,), self.recorded).gram(self.noise.weight)
 
     def separations(self, information: Array) -> list[Separation]:
@@ -256,17 +269,19 @@ def separation(contest: Contest, motion: Motion, pair: int = 0) -> Separation:
     return contest.separations(contest.information(motion))[pair]
 
 
-def along(motion: Motion, cutoff_hz: float) -> Segment:
-    """A motion as it would be prepared were it recorded; its torque is not known."""
+def along(motion: Motion, cutoff_hz: float, rows_hz: float | None = None) -> Segment:
+    """A motion as it would be prepared were it recorded; its torque is not known.
+
+    Args:
+        motion: The motion, its instants equidistant.
+        cutoff_hz: Cut-off of the filter [Hz].
+        rows_hz: Rows per second; four times the cut-off by default [Hz].
+    """
     step, still = float(motion.t[1] - motion.t[0]), np.zeros_like(motion.q)
-    edge, stride = round(1 / (cutoff_hz * step)), max(1, int(1 / (_ROWS * cutoff_hz * step)))
+    edge = round(1 / (cutoff_hz * step))
+    stride = max(1, round(1 / ((rows_hz or _ROWS * cutoff_hz) * step)))
     keep = slice(edge, len(motion) - edge, stride)
     return Segment("motion", motion, still, still, cutoff_hz, keep)
-
-
-def rate(noise: Noise) -> float:
-    """Sampling rate at which motions are judged [Hz]."""
-    return _RATE * noise.cutoff_hz
 
 
 def shapes(effect: Effect) -> list[Effect]:

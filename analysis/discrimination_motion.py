@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from excitant.analysis.discrimination import Contest, Separation, needed, rate
+from excitant.analysis.discrimination import Contest, Separation, needed
 from excitant.design import CLEARANCE, FourierTrajectory, clearance, random_trajectory
 from excitant.design.constraints import kinematic_limits, position_range, within_limits
 from excitant.design.feasible import torque_use
@@ -125,7 +125,7 @@ class _Search:
 
     def judged(self, trajectory: FourierTrajectory) -> Discriminating:
         """A motion with its separations."""
-        information = self.contest.information(trajectory.motion(rate(self.contest.noise)))
+        information = self.contest.information(self.contest.sampled(trajectory))
         return Discriminating(trajectory, tuple(self.contest.separations(information)))
 
     def best(self, pool: list[Discriminating], open_: Array) -> Discriminating | None:

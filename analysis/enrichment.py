@@ -20,6 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.stats
 
 from excitant.analysis.enrichment_rows import Candidate, Errors, Trial, trial_of
 from excitant.exceptions import Infeasible
@@ -156,9 +157,7 @@ def _grown(trial: Trial, errors: Errors, progress: Progress) -> tuple[list[Candi
 def _best(trial: Trial, chosen: Sequence[Candidate], failed: set[int]) -> Candidate | None:
     """The candidate that lowers the inner hold-out's error most, beyond chance."""
     taken = {c.key for c in chosen}
-    allowed = [
-        c for c in trial.candidates if c.columns.start not in failed and c.key not in taken
-    ]
+    allowed = [c for c in trial.candidates if c.columns.start not in failed and c.key not in taken]
     ranked = trial.ranked(chosen, allowed)[:_LOOKED_AT]
     before, after = trial.linear(chosen, ranked)
     best, most = None, 0.0
@@ -178,7 +177,7 @@ def _reshaped(
     for candidate in list(chosen):
         rest = [c for c in chosen if c is not candidate]
         shapes = trial.ranked(rest, [c for c in trial.candidates if c.key == candidate.key])
-        if len(shapes) < 2:  # noqa: PLR2004
+        if len(shapes) < 2:
             continue
         _, after = trial.weighed(errors).linear(rest, shapes)
         best = shapes[int(np.argmin([trial.relative(e, errors) for e in after]))]
@@ -212,4 +211,10 @@ def _consistent(trial: Trial, chosen: Sequence[Candidate]) -> Errors | None:
 
 def _pays(trial: Trial, candidate: Candidate, before: Errors, after: Errors) -> bool:
     fall, error = trial.fall(candidate, before, after)
-    return fall > max(FLOOR, DEVIATIONS * error)
+    return fall > max(FLOOR, _deviations(candidate) * error)
+
+
+def _deviations(candidate: Candidate) -> float:
+    """Standard errors that a fall must exceed; more where a shape was searched on all rows."""
+    chance = scipy.stats.norm.sf(DEVIATIONS) / candidate.trials
+    return float(scipy.stats.norm.isf(chance))

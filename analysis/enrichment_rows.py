@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -59,11 +60,20 @@ KINDS = (
 )
 """What a model may get beyond the standard one; the rest is in the bodies' own parameters."""
 
+SHARED = (
+    StribeckFriction,
+    NonlinearViscousFriction,
+    LoadDependentFriction,
+    PreslidingHysteresis,
+)
+"""What is also tried at all joints at once."""
+
 _FOLDS = 5  # parts of all recordings together
-_BLOCK_S, _BLOCKS = 1.0, (12, 40)  # s, and how many, to see how much a gain varies
+_BLOCK_S, _BLOCKS = 0.5, (20, 60)  # s, and how many, to see how much a gain varies
 _INSTANTS = 3000  # at most, evenly taken
 _GUARD = 4  # rows beside a part left out: a period of the cut-off
 _NEAR_TRIAL = (0.3, 2.5)  # of a trial delay or gap, for which its column is right
+_BEYOND = 0.5  # of several coefficients may be such as the consistent fit then sets to zero
 _LARGEST = 2.0  # of the typical size of a coefficient that has one
 _RIDGE = 1e-10
 
@@ -76,11 +86,13 @@ class Candidate:
         effect: The effect, its shape fixed.
         columns: Where its columns are.
         joints: Indices of the joints whose torque it changes.
+        trials: Number of shapes that it is the best of, on all rows.
     """
 
     effect: Effect
     columns: slice
     joints: tuple[int, ...]
+    trials: int = 1
 
     @property
     def key(self) -> tuple[str, tuple[str, ...]]:
@@ -150,13 +162,15 @@ class Trial:
 
         Returns:
             The mean over these joints, and its standard error from the spread between blocks.
-            Minus one and zero where the errors of all joints together rise.
+            Minus one and zero where the errors of all joints together rise, or those of these
+            joints in more than one part.
         """
         size = np.maximum(before.joints, 1e-24)
         falls = (before.blocks - after.blocks) / (before.rows * size)
-        if falls.sum() <= 0:
-            return -1.0, 0.0
         own = falls[:, candidate.joints].mean(axis=1)
+        parts = np.bincount(self._fold_of_block, own)
+        if falls.sum() <= 0 or (parts <= 0).sum() > 1:
+            return -1.0, 0.0
         return float(own.sum()), float(np.sqrt(len(own)) * own.std(ddof=1))
 
     def relative(self, errors: Errors, scale: Errors) -> float:
@@ -230,6 +244,13 @@ class Trial:
         links = link_weights(self.robot.nv, PRIOR_SIGMA) ** 2
         return np.concatenate([links, self.coefficients.std**-2.0])
 
+    @cached_property
+    def _fold_of_block(self) -> Index:
+        """Part that each block belongs to, shape (blocks,)."""
+        found = np.zeros(int(self.blocks.max()) + 1, np.intp)
+        found[self.blocks] = self.folds
+        return found
+
     @property
     def _coordinates(self) -> Array:
         return link_coordinates(self.prior)
@@ -252,7 +273,8 @@ class Trial:
         """Whether coefficients are such as physics allows."""
         start = 10 * self.robot.nv
         part = slice(candidate.columns.start - start, candidate.columns.stop - start)
-        if (value < self.coefficients.lower[part]).any():
+        beyond = float((value < self.coefficients.lower[part]).mean())
+        if beyond > (_BEYOND if len(candidate.joints) > 1 else 0.0):
             return False
         trial = getattr(candidate.effect, "trial", None)
         if trial is not None:
@@ -311,7 +333,8 @@ def trial_of(robot: Robot, standard: Estimate) -> Trial:
     segments, model = standard.data.train, standard.model
     measured = series(segments).measured * standard.gains
     left = measured - predicted_torque(model, segments)
-    proposed = [e for e, _ in proposals(model, segments, left) if isinstance(e, KINDS)]
+    proposed = [pair for pair in proposals(model, segments, left) if isinstance(pair[0], KINDS)]
+    proposed += [(effect, 1) for effect in _shared([e for e, _ in proposed], robot.joints)]
     stride = -(-len(measured) // _INSTANTS)
     rows = slice(None, None, stride)
     always = observation(model, model.effects, segments)[rows]
@@ -320,11 +343,11 @@ def trial_of(robot: Robot, standard: Estimate) -> Trial:
     tau = measured[rows] - always[:, :, :size] @ prior.ravel()
     always[:, :, :size] = always[:, :, :size] @ link_coordinates(prior)
     parts, candidates, at = [always], [], always.shape[2]
-    for effect in proposed:
+    for effect, trials in proposed:
         block = np.concatenate([s.rows(lambda m: effect.columns(model, m)) for s in segments])[rows]  # noqa: B023
         if block.any() and np.isfinite(block).all():
             own = tuple(robot.joint_index(joint) for joint in effect.joints)
-            candidates.append(Candidate(effect, slice(at, at + block.shape[2]), own))
+            candidates.append(Candidate(effect, slice(at, at + block.shape[2]), own, trials))
             parts.append(block)
             at += block.shape[2]
     columns = signatures(parts, np.ones(tau.shape, bool))
@@ -337,6 +360,30 @@ def trial_of(robot: Robot, standard: Estimate) -> Trial:
         robot, columns, tau, prior, always.shape[2], coefficients, typical, tuple(candidates),
         folds, blocks, 1 / (sigma2 * inflation), inflation, _grams(columns, tau, folds),
     )  # fmt: skip
+
+
+def _shared(single: Sequence[Effect], joints: tuple[str, ...]) -> list[Effect]:
+    """The kinds of friction that all drives of an arm have in common, of one shape at all joints.
+
+    Shapes are those proposed for the joint in the middle of the order of their sizes.
+    """
+    if len(joints) < 2:
+        return []
+    found: list[Effect] = []
+    for kind in SHARED:
+        own = [[e for e in single if type(e) is kind and e.joints == (j,)] for j in joints]
+        moving = [effects for effects in own if effects]
+        if not moving:
+            continue
+        names = tuple(effects[0].joints[0] for effects in moving)
+        size = [next(iter(_shape(effects[0]).values()), 0.0) for effects in moving]
+        middle = moving[int(np.argsort(size)[len(size) // 2])]
+        found += [replace(effect, joints=names) for effect in middle] if len(names) > 1 else []
+    return found
+
+
+def _shape(effect: Effect) -> dict[str, float]:
+    return {k: v for k, v in vars(effect).items() if k not in ("joints", "values")}
 
 
 def _knowledge(
@@ -368,7 +415,9 @@ def _parts(segments: Sequence[Segment], stride: int) -> tuple[Index, Index]:
         blocks.append(block + within * each + inner)
         fold, block = fold + parts, block + parts * each
     rows = slice(None, None, stride)
-    return np.concatenate(folds)[rows], np.unique(np.concatenate(blocks)[rows], return_inverse=True)[1]
+    return np.concatenate(folds)[rows], np.unique(
+        np.concatenate(blocks)[rows], return_inverse=True
+    )[1]
 
 
 def _grams(columns: Signatures, tau: Array, folds: Index) -> tuple[tuple[Array, ...], ...]:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -30,13 +31,14 @@ from excitant.robots.motion import Array, read_only
 
 FALSE_ALARM = 0.01  # probability that any candidate at all is taken up when none is at work
 _ROUNDS = 3  # of estimating the noise
-_LEAST = 0.5  # λ of a candidate that acts in few blocks only, which its fit leaves empty
+_RIDGE = 1e-9  # of the mean information, where a candidate acts in a single block
+_LEAST = 0.5  # λ: noise whose correlation helps a candidate is not relied on further
 _LOOSE = 0.01  # of the prior precision, where only the noise is asked for
 _COMMON = frozenset(
     ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia", "spring")
 )
 _BLOCK_S = 0.5  # s at least: longer than noise that passed the torque filter stays correlated
-_BLOCKS = (16, 80)  # at least, at most
+_BLOCKS = (16, 40)  # at least, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +102,11 @@ class Evidence:
     power: float
     tolerance: tuple[float, float] = (1.0, 1.0)
 
+    @cached_property
+    def moments(self) -> Array:
+        """Inner products of all columns with the residual, joint by joint, shape (nv, p)."""
+        return self.signatures.moments(self.residual)
+
     @property
     def weight(self) -> Array:
         """Λ of each joint's rows, shape (nv,)."""
@@ -161,10 +168,14 @@ class Evidence:
         """
         tail = FALSE_ALARM / (len(self.candidates) * candidate.trials)
         size, blocks = candidate.size, len(self.blocks)
-        return float(size * scipy.stats.f.isf(tail, size, size * (blocks - 1)))
+        return size * _beyond(tail, size, size * (blocks - 1))
 
     def dispersion(self, chosen: Sequence[Candidate], candidate: Candidate) -> float:
-        """λ of a candidate added to a set: variance of its score over that of white noise."""
+        """λ of a candidate added to a set: variance of its score over that of white noise.
+
+        Each block's score is that of the candidate's coefficients fitted to all other blocks (Bell
+        and McCaffrey 2002), because those fitted to all would leave the blocks too empty.
+        """
         active = self.active(chosen)
         at = np.arange(candidate.columns.start, candidate.columns.stop)
         B = scipy.linalg.solve(
@@ -173,11 +184,15 @@ class Evidence:
         coordinates = np.zeros((len(self.moment), len(at)))
         coordinates[at], coordinates[active] = np.eye(len(at)), -B
         S, e = self.signatures.torque(coordinates), self.left([*chosen, candidate])
-        scores = np.add.reduceat((S * (e * self.weight)[:, :, None]).sum(axis=1), self.blocks)
-        G = np.einsum("njk,j,njl->kl", S, self.weight, S, optimize=True)
-        count = len(self.blocks)
-        spread = np.linalg.lstsq(G, scores.T @ scores, rcond=1e-9)[0]
-        return max(_LEAST, float(np.trace(spread)) / len(at) * count / (count - 1))
+        weighted = S * self.weight[:, None]
+        scores = np.add.reduceat(np.einsum("njk,nj->nk", weighted, e), self.blocks)
+        grams = np.add.reduceat(np.einsum("njk,njl->nkl", weighted, S), self.blocks)
+        G = grams.sum(axis=0)
+        count, k = len(self.blocks), len(at)
+        ridge = _RIDGE * np.trace(G) / k * np.eye(k)
+        left_out = np.linalg.solve(G - grams + ridge, scores[:, :, None])[:, :, 0] @ G
+        spread = np.linalg.lstsq(G, left_out.T @ left_out, rcond=1e-9)[0]
+        return max(_LEAST, float(np.trace(spread)) / k * (count - 1) / count)
 
     def cosine(self, one: Candidate, other: Candidate) -> float:
         """Largest |cos| between two candidates' columns, the nuisance projected out."""
@@ -199,6 +214,12 @@ class Evidence:
 
     def _precision(self, active: Index) -> Array:
         return self.gram[np.ix_(active, active)] + np.diag(self.precision[active])
+
+
+@lru_cache(maxsize=4096)
+def _beyond(tail: float, size: int, freedom: int) -> float:
+    """Quantile of Fisher's F."""
+    return float(scipy.stats.f.isf(tail, size, freedom))
 
 
 def _inverse_root(G: Array) -> Array:
@@ -267,11 +288,13 @@ def _with_noise(evidence: Evidence, e: Array) -> Evidence:
     sigma = np.maximum(np.sqrt((e**2).sum(axis=0) / evidence.counted), 1e-9)
     inflation = np.array([autocorrelation_time(column) for column in e.T])
     weight, r = 1 / (sigma**2 * inflation), evidence.residual
-    return replace(
+    renewed = replace(
         evidence,
         sigma=read_only(sigma),
         inflation=read_only(inflation),
         gram=read_only(evidence.signatures.gram(weight)),
-        moment=read_only(weight @ evidence.signatures.moments(r)),
+        moment=read_only(weight @ evidence.moments),
         power=float((weight * r**2).sum()),
     )
+    renewed.__dict__["moments"] = evidence.moments  # the same for every noise
+    return renewed

@@ -91,10 +91,14 @@ def extend(
 
 def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
     """A payload first, then the given effects, then those found on joints that had none."""
-    has = {(e.name, joint) for e in robot.effects for joint in e.joints}
+    has = {p.name for e in robot.effects for p in e.parameters(robot)}
     found = [c.effect for c in chosen if not isinstance(c.effect, InertialParameters)]
     payloads: list[Effect] = [e for e in found if isinstance(e, Payload)]
-    added = [e for e in found if not isinstance(e, Payload) and (e.name, e.joints[0]) not in has]
+    added = [
+        e
+        for e in found
+        if not isinstance(e, Payload) and not {p.name for p in e.parameters(robot)} <= has
+    ]
     return [*payloads, *robot.effects, *merged(added)]
 
 

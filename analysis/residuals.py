@@ -17,6 +17,7 @@ VISIBLE = 2.0  # times the noise floor: from here on an effect can be seen
 _SHARE = 0.1  # of the given model's squared error
 _BINS = 24
 _BAND = 1.5  # times the cut-off: where nothing of the motion is left
+_PASSED = 0.898  # of white noise below the cut-off: ∫ dx / (1 + x⁸)²
 _NEAR = (0.6, 0.95)  # of the cut-off
 _LONGEST = 512  # samples of a periodogram's stretch
 _FORGETS = 0.1  # s: residuals that forget faster than this look like noise
@@ -121,7 +122,7 @@ def noise_floor(segments: Sequence[Segment], j: int) -> float:
         f, density = scipy.signal.welch(s.tau_raw[:, j], s.rate_hz, nperseg=min(_LONGEST, n))
         above = density[f > _BAND * s.cutoff_hz]
         if len(above):
-            power += n * float(np.median(above)) * s.cutoff_hz
+            power += n * float(np.median(above)) * _PASSED * s.cutoff_hz
             weight += n
     return float(np.sqrt(power / weight)) if weight else 0.0
 
@@ -130,7 +131,7 @@ def _fast(e: Array, rate_hz: float, cutoff_hz: float) -> float:
     """Rms that an error would have if its density below the cut-off were that close to it."""
     f, density = scipy.signal.welch(e, rate_hz, nperseg=min(_LONGEST // 4, len(e)))
     near = density[(f > _NEAR[0] * cutoff_hz) & (f < _NEAR[1] * cutoff_hz)]
-    return float(np.sqrt(np.median(near) * cutoff_hz)) if len(near) else 0.0
+    return float(np.sqrt(np.median(near) * _PASSED * cutoff_hz)) if len(near) else 0.0
 
 
 def _varies(e: Array, x: Array) -> float:
@@ -140,5 +141,6 @@ def _varies(e: Array, x: Array) -> float:
     count = np.bincount(bins, minlength=_BINS)
     mean = np.bincount(bins, e, minlength=_BINS) / np.maximum(count, 1)
     held = float((count * mean**2).sum()) / max(float((e**2).sum()), 1e-300)
-    independent = len(e) / autocorrelation_time(e)
-    return float(np.clip(held - _BINS / independent, 0.0, 1.0))
+    independent = len(e) / autocorrelation_time(e - mean[bins])
+    chance = (1 - held) * _BINS / independent
+    return float(np.clip(held - chance, 0.0, 1.0))

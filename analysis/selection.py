@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.stats
@@ -23,6 +24,7 @@ _SIGN_DEVIATIONS = 2.0  # standard deviations by which a value may lie beyond wh
 _TIE = 2.0  # standard errors within which two causes explain the data alike
 _TIE_ALIKE = 3.3  # the same where their signatures are alike
 _ALIKE = 0.9  # |cos| of such signatures
+_SAME = 0.999  # |cos| of a cause that is part of another
 _HALF = 0.5  # of what a cause explains, at least, must a rival explain
 _LARGEST = 2.0  # of the typical size of a coefficient that has one
 _NEAR_TRIAL = (0.3, 2.5)  # of a trial delay; the grid's steps are smaller
@@ -52,12 +54,13 @@ def _grown(
 ) -> tuple[Evidence, list[Candidate]]:
     """A set with all of the allowed candidates that the evidence calls for."""
     seen: set[frozenset[int]] = set()
+    falls: dict[int, float] = {}
     while len(chosen) < _LARGEST_SET:
         evidence = reweighed(evidence, chosen)
         best = _best_addition(evidence, robot, chosen, {c.columns.start for c in allowed})
         if best is None:
             break
-        chosen = _pruned(evidence, [*chosen, best])
+        chosen = _pruned(evidence, [*chosen, best], falls)
         state = frozenset(c.columns.start for c in chosen)
         if state in seen:
             break
@@ -99,7 +102,12 @@ def _simplest(evidence: Evidence, chosen: Sequence[Candidate], found: Candidate)
 
 def _chance(candidate: Candidate) -> float:
     """Fall of J that the best of a candidate's shapes reaches by chance."""
-    return float(scipy.stats.chi2.isf(_TYPICAL / candidate.trials, candidate.size))
+    return _reached(candidate.trials, candidate.size)
+
+
+@lru_cache(maxsize=4096)
+def _reached(trials: int, size: int) -> float:
+    return float(scipy.stats.chi2.isf(_TYPICAL / trials, size))
 
 
 def _significant(
@@ -109,13 +117,25 @@ def _significant(
     return fall > spread * evidence.threshold(candidate)
 
 
-def _pruned(evidence: Evidence, chosen: list[Candidate]) -> list[Candidate]:
-    """The set without those whose removal costs less than chance would."""
+def _pruned(
+    evidence: Evidence, chosen: list[Candidate], falls: dict[int, float]
+) -> list[Candidate]:
+    """The set without those whose removal costs less than chance would.
+
+    Args:
+        evidence: Evidence.
+        chosen: The set.
+        falls: What each brought when last looked at; looked at again when much has gone since.
+    """
     kept = list(chosen)
     for candidate in chosen:
         rest = [c for c in kept if c is not candidate]
         fall = evidence.cost(rest) - evidence.cost(kept)
-        if not _significant(evidence, rest, candidate, fall):
+        if fall > _HALF * falls.get(candidate.columns.start, np.inf):
+            continue
+        if _significant(evidence, rest, candidate, fall):
+            falls[candidate.columns.start] = fall
+        else:
             kept = rest
     return kept
 
@@ -194,7 +214,7 @@ def rivals(
     best: dict[tuple[str, tuple[str, ...]], Rival] = {}
     for k, other in enumerate(evidence.candidates):
         friends = _friction(evidence, other, rest) if {*other.effect.joints} <= bare else []
-        if other.key in taken or _only_more(found, other):
+        if other.key in taken or _only_more(evidence, found, other):
             continue
         if falls[k] <= _HALF * own and not friends:
             continue
@@ -229,10 +249,11 @@ def _friction(evidence: Evidence, other: Candidate, rest: Sequence[Candidate]) -
     ]
 
 
-def _only_more(found: Candidate, other: Candidate) -> bool:
+def _only_more(evidence: Evidence, found: Candidate, other: Candidate) -> bool:
     """Whether another cause is the one found with more coefficients."""
     special = found.effect.name in other.effect.contains and other.size > found.size
-    return special and found.effect.name not in other.effect.imitates
+    real = found.effect.name in other.effect.imitates
+    return special and not real and evidence.cosine(found, other) > _SAME
 
 
 def _block_errors(evidence: Evidence, chosen: Sequence[Candidate]) -> Array:

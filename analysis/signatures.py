@@ -57,7 +57,11 @@ class Signatures:
 
     def torque(self, coordinates: Array) -> Array:
         """All columns times coordinates, (p, ...) → (n, nv, ...)."""
-        parts = [X @ coordinates[at] for at, X in zip(self.index, self.rows, strict=True)]
+        used = np.asarray(coordinates.reshape(self.size, -1).any(axis=1))
+        parts = []
+        for at, X in zip(self.index, self.rows, strict=True):
+            here = np.flatnonzero(used[at])
+            parts.append(X[:, here] @ coordinates[at[here]])
         return np.stack(parts, axis=1)
 
 
@@ -69,5 +73,5 @@ def signatures(columns: Sequence[Array], counts: npt.NDArray[np.bool_]) -> Signa
         whole = np.concatenate([block[:, j] for block in columns], axis=1)
         at = np.flatnonzero(whole.any(axis=0))
         index.append(at)
-        rows.append(read_only(whole[:, at] * counts[:, [j]]))
+        rows.append(read_only(np.asfortranarray(whole[:, at] * counts[:, [j]])))
     return Signatures(size, tuple(index), tuple(rows))

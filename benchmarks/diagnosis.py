@@ -42,6 +42,7 @@ _TOLERANCE = 0.03  # of the given inertias
 _WIDER = 8.0  # a wrong body must show beyond what the tolerance of all bodies does
 _CLEARLY = 3.0  # times the noise floor
 _SIZES = (2.0, 3.0, 5.0, 8.0, 13.0, 30.0)
+_BODIES = ("inertial_parameters", "payload")
 _PAIRED = (
     "payload", "gravity_direction", "coulomb_friction", "viscous_friction", "stribeck_friction",
     "torque_ripple", "time_delay", "encoder_offset", "torque_gain", "torque_offset", "spring",
@@ -86,7 +87,7 @@ def run(case: Case) -> dict[str, Any]:
     try:
         for kind in case.kinds:
             size = float(np.exp(rng.uniform(np.log(_SIZES[0]), np.log(_SIZES[-1]))))
-            shown = size * (_WIDER if kind == "inertial_parameters" else 1.0)
+            shown = size * (_WIDER if kind in _BODIES else 1.0)
             hidden.append(draw_effect(robot, rng, kind, shown))
         arm = virtual_arm(
             robot, rng, hidden=hidden, sensors=industrial_sensors(robot), tolerance=_TOLERANCE

@@ -29,6 +29,7 @@ from excitant.design import Trajectory  # noqa: E402
 from excitant.exceptions import ExcitantError  # noqa: E402
 from excitant.identify.recording import Recording, recording_from_table  # noqa: E402
 from excitant.robots import Robot, load_robot  # noqa: E402
+from excitant.robots.effects import Effect  # noqa: E402
 from excitant.robots.hidden import draw_effect  # noqa: E402
 from excitant.robots.plant.habits import typical_trajectory  # noqa: E402
 from excitant.robots.virtual_arm import (  # noqa: E402
@@ -106,9 +107,13 @@ def is_true(finding: Finding, hidden: HiddenEffect) -> bool:
     return same and (not where or bool(where & set(finding.effect.joints)))
 
 
-def settled(after: Diagnosis, hidden: HiddenEffect, pair: Sequence[str]) -> bool:
-    """Whether the hidden effect is named, and neither of a pair left beside it."""
-    return any(is_true(f, hidden) and not f.rivals for f in after.findings)
+def settled(after: Diagnosis, hidden: HiddenEffect, pair: Sequence[Effect]) -> bool:
+    """Whether the hidden effect is named and no other cause of a pair stands beside it."""
+    others = {(e.name, e.joints) for e in pair}
+    true = [f for f in after.findings if is_true(f, hidden)]
+    false = [f for f in after.findings if f not in true]
+    left = any((f.effect.name, f.effect.joints) in others for f in false)
+    return any(not f.rivals for f in true) and not left
 
 
 def run_case(
@@ -159,12 +164,13 @@ def _outcomes(
             experiment = proposed.experiments.get(key(finding.effect, other))
             if experiment is None:
                 continue
-            pair = (finding.effect.name, other.name)
+            pair = (finding.effect, other)
             names = {(e.name, bool(set(e.joints) & set(hidden.acts_on)) or not hidden.acts_on)
-                     for e in (finding.effect, other)}  # fmt: skip
+                     for e in pair}  # fmt: skip
             yield Outcome(
                 hidden.effect,
-                *pair,
+                finding.effect.name,
+                other.name,
                 "action" if experiment.file is None else "motion",
                 experiment.separation,
                 experiment.repetitions or 0,

@@ -19,6 +19,7 @@ FAULTS = (
     "corrupt_rows",
     "saturation",
     "not_measured",
+    "wrong_frame",
     "poor_excitation",
 )
 """The vocabulary, the same in results, interface and documentation."""

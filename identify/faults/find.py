@@ -11,6 +11,7 @@ from excitant.identify.faults.channels import dead_channels, saturation
 from excitant.identify.faults.excitation import poor_excitation
 from excitant.identify.faults.fault import Fault
 from excitant.identify.faults.fit import smooth
+from excitant.identify.faults.frames import wrong_frame
 from excitant.identify.faults.log import Log, Raw, log_of
 from excitant.identify.faults.modelled import not_measured
 from excitant.identify.faults.outliers import missing_values, outliers, wrapped_counters
@@ -117,6 +118,6 @@ def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault
             log, _ = repair(log, found)
             data = smooth(log) or data
         else:
-            found = not_measured(case)
+            found = [*not_measured(case), *wrong_frame(case)]
     poor = poor_excitation(robot, log, data)
     return [*found, *([poor] if poor is not None else [])]

@@ -9,6 +9,8 @@ but it is the noise of the differentiated positions, which a sensor knows nothin
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
+import scipy.ndimage
 from scipy.special import comb
 
 from excitant.identify.faults.fault import Fault
@@ -21,6 +23,7 @@ _ORDERS = (4, 6, 8)
 _IDEAL = 0.01  # of the torque's spread: no drive is known better
 _HALF = 0.5  # of the joints: one that bears mainly weight proves nothing
 _EXPLAINED = 0.5  # of the noise's variance: most of it
+_GAP, _REACH = 1.5, 6  # median steps; rows that two gradients and four differences reach
 
 
 def not_measured(case: Torques) -> list[Fault]:
@@ -82,11 +85,15 @@ def _derived(log: Log, joints: list[int]) -> dict[int, float]:
     speed = [] if log.dq is None else [np.gradient(log.dq, log.t, axis=0)]
     by_position = np.gradient(np.gradient(log.q, log.t, axis=0), log.t, axis=0)
     rough = np.diff(np.column_stack([by_position, *speed]), 4, axis=0)
+    regular = _regular(log)
+    rough = rough[regular]
+    if not len(rough):
+        return {}
     size = np.sqrt((rough**2).mean(axis=0))
     rough = rough[:, size > 0] / size[size > 0]
     found = {}
     for j in joints:
-        y = np.diff(log.tau[:, j], 4)
+        y = np.diff(log.tau[:, j], 4)[regular]
         if len(y) < 20 * rough.shape[1] or not y.any():
             continue
         left = y - rough @ np.linalg.lstsq(rough, y, rcond=None)[0]
@@ -94,3 +101,10 @@ def _derived(log: Log, joints: list[int]) -> dict[int, float]:
         if share > _EXPLAINED:
             found[j] = share
     return found
+
+
+def _regular(log: Log) -> npt.NDArray[np.bool_]:
+    """Fourth differences that reach over no gap: there those of all channels are large at once."""
+    gaps = np.append(np.diff(log.t) > _GAP * log.step, False)
+    near = scipy.ndimage.binary_dilation(gaps, np.ones(2 * _REACH + 1, bool))
+    return np.asarray(~near[2 : len(log.t) - 2], bool)

@@ -23,6 +23,7 @@ _CLEAR = 20.0  # resolutions: what counts as moving
 _FOLLOWS = 0.9  # correlation from which on one channel is the other's integral
 _MARGIN = 0.05  # a scale that is off by less changes inertial torque by less than a tenth
 _NEAR = 0.03  # of a named factor
+_FALLS = 0.1  # of what one rate leaves, two leave at most
 UNITS = (
     (180 / np.pi, "degrees per second"),
     (30 / np.pi, "revolutions per minute"),
@@ -61,15 +62,20 @@ class Slopes:
         return middle if (np.abs(b / middle - 1) < _MARGIN).all() else None
 
 
+def _windows(log: Log, dq: Array) -> tuple[int, Array, Array]:
+    """Rows of a window, Δq and ∫q̇ dt over windows, each of shape (windows, nv)."""
+    w = min(max(_WINDOW_ROWS, round(_WINDOW_S / log.step)), len(log) // 20)
+    rate = (dq[1:] + dq[:-1]) / 2 * np.diff(log.t)[:, None]
+    way = np.concatenate([np.zeros((1, log.nv)), np.cumsum(rate, axis=0)])
+    return w, np.diff(log.q[::w], axis=0), np.diff(way[::w], axis=0)
+
+
 def slopes(log: Log) -> Slopes:
     """Regression of ∫q̇ dt on Δq, joint by joint."""
     nan = np.full(log.nv, np.nan)
     if log.dq is None or len(log) < 5 * _WINDOW_ROWS:
         return Slopes(nan, nan, (), ())
-    w = min(max(_WINDOW_ROWS, round(_WINDOW_S / log.step)), len(log) // 20)
-    rate = (log.dq[1:] + log.dq[:-1]) / 2 * np.diff(log.t)[:, None]
-    way = np.concatenate([np.zeros((1, log.nv)), np.cumsum(rate, axis=0)])
-    dq, dv = (np.diff(x[::w], axis=0) for x in (log.q, way))
+    _, dq, dv = _windows(log, log.dq)
     b, error, follows = nan.copy(), nan.copy(), []
     for j in range(log.nv):
         clear = np.abs(dq[:, j]) > _CLEAR * max(log.resolution[j], log.quantum[j])
@@ -91,9 +97,39 @@ def velocity_faults(log: Log) -> list[Fault]:
     common = found.common
     if counted(log):
         return [_counted(log, common)]
+    if found.wrong and (change := _rate_change(log)) is not None:
+        return [change]
     if common is not None and common > 0 and _named(common, UNITS + _inverse()) is None:
         return [_rate(log, common, found)]
     return [_of_joint(log, j, found) for j in found.wrong]
+
+
+def _rate_change(log: Log) -> Fault | None:
+    """A rate that changes once, all joints alike, while the stamps run on as before."""
+    w, x, y = _windows(log, np.asarray(log.dq))
+    unit = np.maximum(np.abs(x).max(axis=0), 1e-12)
+    x, y = x / unit, y / unit
+    xx, xy, yy = ((a * b).sum(axis=1).cumsum() for a, b in ((x, x), (x, y), (y, y)))
+    k = np.arange(_ENOUGH, len(x) - _ENOUGH)
+    if not len(k) or (xx[k] <= 0).any() or (xx[-1] - xx[k] <= 0).any():
+        return None
+    first, second = xy[k] / xx[k], (xy[-1] - xy[k]) / (xx[-1] - xx[k])
+    left = yy[-1] - first * xy[k] - second * (xy[-1] - xy[k])
+    best = int(np.argmin(left))
+    ratio = float(second[best] / first[best])
+    near = [r for r in RATES if abs(ratio / r - 1) < _MARGIN]
+    alone = yy[-1] - xy[-1] ** 2 / xx[-1]
+    if not near or left[best] > _FALLS * alone:
+        return None
+    at = float(log.t[(int(k[best]) + 1) * w])
+    return Fault(
+        "wrong_sample_rate",
+        log.joints,
+        f"the sample rate changes near t = {at:.4g} s though the stamps run on: ∫dq dt is "
+        f"{first[best]:.4g} times the change of q before and {second[best]:.4g} times after, at "
+        f"all moving joints alike; cut the recording there and stretch the time of one part",
+        {"at": at, "before": float(first[best]), "after": float(second[best])},
+    )
 
 
 def _inverse() -> tuple[tuple[float, str], ...]:

@@ -30,6 +30,11 @@ class TorqueRipple(JointEffect):
 
     order: float = 1.0
 
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Amplitudes, named after the order."""
+        symbols = (f"ripple_cos{self.order:.4g}", f"ripple_sin{self.order:.4g}")
+        return tuple(Parameter(f"{j}.{symbol}", "N·m") for j in self.joints for symbol in symbols)
+
     def shape(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Cosine and sine of the angle's multiple."""
         return np.cos(self.order * q), np.sin(self.order * q)

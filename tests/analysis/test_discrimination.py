@@ -1,0 +1,273 @@
+"""The experiment that settles an undecided diagnosis: how far it separates, and its limits."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from excitant.analysis.diagnosis import Diagnosis, diagnose
+from excitant.analysis.diagnosis_result import diagnose_result
+from excitant.analysis.discrimination import (
+    Contest,
+    Noise,
+    Pair,
+    along,
+    needed,
+    repetitions,
+    separation,
+)
+from excitant.analysis.discrimination_motion import HOPELESS, discriminating_motions
+from excitant.analysis.discrimination_plan import Plan, described, key, plan
+from excitant.analysis.experiments import experiment
+from excitant.analysis.extension import tolerance_metric
+from excitant.design import FourierTrajectory, check
+from excitant.identify import Recording
+from excitant.identify.physical import prior_parameters
+from excitant.robots import Motion, Robot
+from excitant.robots.effects import (
+    EFFECTS,
+    AsymmetricFriction,
+    CoulombFriction,
+    Effect,
+    InertialParameters,
+    NonlinearViscousFriction,
+    Payload,
+    PreslidingHysteresis,
+    StribeckFriction,
+    TimeDelay,
+    TorqueOffset,
+    ViscousFriction,
+)
+from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
+
+SIGMA, INFLATION = 0.05, 2.0
+LINK = (0.3, 0.1, 0.0, 0.0, 0.03, 0.0, 0.03, 0.0, 0.0, 0.03)
+Runs = Callable[..., list[Recording]]
+
+
+def contest(
+    robot: Robot, found: Effect, rival: Effect, *recorded: Motion, tolerance: float = 0.05
+) -> Contest:
+    return Contest(
+        robot=robot,
+        model=robot,
+        metric=tolerance_metric(prior_parameters(robot)),
+        noise=Noise(np.full(robot.nv, SIGMA), np.full(robot.nv, INFLATION)),
+        pairs=(Pair(found, rival),),
+        recorded=tuple(along(motion, 10.0) for motion in recorded),
+        tolerance=tolerance,
+    )
+
+
+def swing(robot: Robot, amplitude: float = 0.5, hz: float = 0.25, seconds: float = 20.2) -> Motion:
+    """Every joint on a sine at 100 Hz; the edges that preparing cuts off make whole periods."""
+    t = np.arange(0, seconds, 0.01)
+    angle = 2 * np.pi * hz * (t - 0.1)
+    q, dq, ddq = (
+        np.repeat((amplitude * (2 * np.pi * hz) ** k * f)[:, None], robot.nv, axis=1)
+        for k, f in enumerate((np.sin(angle), np.cos(angle), -np.sin(angle)))
+    )
+    return Motion(t, q, dq, ddq)
+
+
+@pytest.fixture
+def bare(planar: Robot) -> Robot:
+    return planar.with_effects(())
+
+
+def test_what_is_orthogonal_separates_by_all_of_it(bare: Robot) -> None:
+    joint, offset = bare.joints[-1], 0.2
+    motion = swing(bare)
+    pair = contest(
+        bare, TorqueOffset((joint,), (offset,)), ViscousFriction((joint,)), tolerance=1e-9
+    )
+    rows = len(along(motion, 10.0).t)
+    whole = rows * offset**2 / (SIGMA**2 * INFLATION)
+    assert separation(pair, motion).delta == pytest.approx(whole, rel=1e-3)
+
+
+def test_coulomb_against_viscous_on_a_sine_is_one_minus_eight_over_pi_squared(bare: Robot) -> None:
+    """⟨sign q̇, q̇⟩² / (‖sign q̇‖² ‖q̇‖²) is 8 / π² on a sine."""
+    joint, level = bare.joints[-1], 0.2
+    motion = swing(bare)
+    pair = contest(
+        bare, CoulombFriction((joint,), (level,)), ViscousFriction((joint,)), tolerance=1e-9
+    )
+    whole = len(along(motion, 10.0).t) * level**2 / (SIGMA**2 * INFLATION)
+    found = separation(pair, motion)
+    assert found.delta == pytest.approx((1 - 8 / np.pi**2) * whole, rel=0.08)
+    assert found.cosine == pytest.approx(np.sqrt(8) / np.pi, rel=0.02)
+
+
+def test_a_given_value_within_its_tolerance_costs_no_more_than_its_prior(planar: Robot) -> None:
+    """Whatever the motion, η = added / tolerance explains the found cause at the price ‖η‖²."""
+    joint = planar.joints[-1]
+    given = next(e for e in planar.effects if e.name == "coulomb_friction").values or ()
+    added, tolerance = 0.1, 0.05
+    pair = contest(
+        planar, CoulombFriction((joint,), (added,)), TimeDelay((joint,), trial=0.005),
+        tolerance=tolerance,
+    )  # fmt: skip
+    price = (added / (tolerance * given[-1])) ** 2
+    assert 0 < separation(pair, swing(planar)).delta <= price * (1 + 1e-6)
+
+
+def test_noise_and_length_scale_the_separation(bare: Robot) -> None:
+    joint = bare.joints[-1]
+    pair = contest(
+        bare, CoulombFriction((joint,), (0.2,)), ViscousFriction((joint,)), tolerance=1e-9
+    )
+    once, twice = (separation(pair, swing(bare, seconds=s)).delta for s in (20.2, 40.2))
+    assert twice == pytest.approx(2 * once, rel=0.01)
+
+
+@pytest.mark.parametrize("rival", ["time_delay", "stribeck_friction"])
+def test_a_further_motion_never_brings_rivals_together(planar: Robot, rival: str) -> None:
+    joint = planar.joints[-1]
+    pair = contest(
+        planar, ViscousFriction((joint,), (0.2,)), EFFECTS[rival]((joint,)), swing(planar)
+    )
+    [before] = pair.separations(np.zeros_like(pair.known))
+    [after] = pair.separations(pair.information(swing(planar, 0.3, 1.0)))
+    assert after.delta >= before.delta * (1 - 1e-6)
+
+
+def test_runs_decide_with_the_power_that_is_promised() -> None:
+    """The difference of squared errors, over its standard deviation, exceeds two-sided 5 %."""
+    rng = np.random.default_rng(0)
+    for delta in (3.0, 12.0, needed()):
+        runs = repetitions(delta)
+        s = rng.normal(size=200)
+        s *= np.sqrt(runs * delta) / np.linalg.norm(s)
+        y = s + rng.normal(size=(4000, 200))
+        difference = (y**2).sum(axis=1) - ((y - s) ** 2).sum(axis=1)
+        decided = difference / (2 * np.linalg.norm(s)) > 1.96
+        assert decided.mean() > 0.88
+    assert repetitions(needed()) == 1
+    assert repetitions(needed() / 2.5) == 3
+
+
+SEPARABLE = [
+    (ViscousFriction, (0.3,), TimeDelay, {"trial": 0.005}, (0.2, 0.2)),
+    (PreslidingHysteresis, (0.2,), CoulombFriction, {}, (0.9, 0.1)),
+    (StribeckFriction, (0.2,), CoulombFriction, {}, (0.9, 0.4)),
+]
+
+
+@pytest.mark.parametrize(("found", "value", "rival", "shape", "sine"), SEPARABLE)
+def test_the_motion_separates_what_a_poor_one_does_not(
+    planar: Robot,
+    found: Any,
+    value: tuple[float, ...],
+    rival: Any,
+    shape: dict[str, float],
+    sine: tuple[float, float],
+) -> None:
+    joint = planar.joints[-1]
+    poor = swing(planar, *sine)
+    pair = contest(planar, found((joint,), value), rival((joint,), **shape))
+    motions, highest = discriminating_motions(pair, np.random.default_rng(0), time_limit=5.0)
+    [best] = motions
+    again = separation(pair, poor).delta
+    assert best.deltas[0] > max(2 * again, HOPELESS)
+    assert highest[0] >= best.deltas[0]
+    report = check(planar, best.trajectory)
+    assert report.hold, report.worst
+    assert best.trajectory.at_rest
+    assert separation(pair, pair.sampled(best.trajectory)).delta == pytest.approx(best.deltas[0])
+
+
+@pytest.mark.parametrize(
+    ("found", "rival"),
+    [
+        (lambda j: TorqueOffset((j,), (0.3,)), lambda j: AsymmetricFriction((j,), viscous=False)),
+        (lambda j: Payload((j,), LINK), lambda j: InertialParameters((j,))),
+    ],
+)
+def test_no_motion_separates_what_is_the_same(planar: Robot, found: Any, rival: Any) -> None:
+    joint = planar.joints[-1]
+    pair = contest(planar, found(joint), rival(joint), swing(planar))
+    motions, highest = discriminating_motions(pair, np.random.default_rng(0), time_limit=3.0)
+    assert motions == []
+    assert highest[0] < HOPELESS
+
+
+def test_unstated_limits_are_those_of_the_recording(planar: Robot) -> None:
+    none = np.full(planar.nv, np.inf)
+    limits = type(planar.limits)(np.column_stack([-none, none]), none, none, planar.limits.torque)
+    free, joint, shown = planar.with_limits(limits), planar.joints[-1], swing(planar, 0.6, 0.4)
+    found, rival = (
+        ViscousFriction((joint,), (0.3,)),
+        NonlinearViscousFriction((joint,), exponent=0.7),
+    )
+    pair = contest(free, found, rival, shown)
+    [best, *_], _ = discriminating_motions(pair, np.random.default_rng(0), time_limit=2.0)
+    for order, reached in enumerate((shown.q, shown.dq, shown.ddq)):
+        low, high = best.trajectory.extrema(order)
+        assert (np.maximum(-low, high) <= np.abs(reached).max(axis=0) * (1 + 1e-6)).all()
+
+
+def test_every_pair_of_effects_has_an_action() -> None:
+    general = experiment("no effect", "none either")
+    for one, other in itertools.combinations(EFFECTS, 2):
+        assert experiment(one, other) == experiment(other, one)
+        assert experiment(one, other) != general, (one, other)
+    assert "without the load" in experiment("payload", "inertial_parameters")
+
+
+@pytest.fixture(scope="module")
+def undecided(planar: Robot, runs: Runs) -> Diagnosis:
+    """A payload, which on a planar arm is a change of the last link."""
+    mass, lever = 0.6, 0.3
+    body = (mass, mass * lever, 0.0, 0.0, 0.0, 0.0, mass * lever**2, 0.0, 0.0, mass * lever**2)
+    names = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+    hidden = HiddenEffect("payload", planar.joints[-1], tuple(zip(names, body, strict=True)))
+    first, held = runs(planar, 2, (hidden,), industrial_sensors(planar), 0.03)
+    return diagnose(planar, [first], validate=[held])
+
+
+def test_an_action_is_named_where_no_motion_helps(undecided: Diagnosis) -> None:
+    [lead, *_] = undecided.findings
+    alike = {"payload", "inertial_parameters"}
+    rival = next(r.candidate.effect for r in lead.rivals if r.candidate.effect.name in alike)
+    assert lead.effect.name in alike
+    found = plan(undecided, np.random.default_rng(0), time_limit=3.0)
+    settles = found.experiments[key(lead.effect, rival)]
+    assert settles.file is None
+    assert "without the load" in settles.sentence
+    entries = diagnose_result(undecided, found)["findings"][0]["rivals"]
+    entry = next(e for e in entries if e["effect"] == rival.name)
+    assert entry["experiment"] == settles.sentence
+    assert (entry["separation"], entry["repetitions"], entry["file"]) == (None, None, None)
+
+
+def test_without_a_plan_actions_stand(undecided: Diagnosis) -> None:
+    [entry, *_] = diagnose_result(undecided)["findings"]
+    for rival in entry["rivals"]:
+        assert rival["experiment"] == experiment(entry["effect"], rival["effect"])
+        assert rival["file"] is None
+    assert Plan().motions == ()
+
+
+def test_a_motion_is_described_by_what_moves(ur10: Robot) -> None:
+    sine = np.zeros((3, ur10.nv))
+    sine[:, 4] = (0.05, 0.05, -0.05)
+    motion = FourierTrajectory(np.zeros(ur10.nv), np.zeros_like(sine), sine, 20.0)
+    words = described(motion, ur10)
+    assert "wrist_2_joint reverses" in words
+    assert "the other joints held" in words
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["viscous_friction", "nonlinear_viscous_friction"])
+def test_the_proposed_motion_settles_the_diagnosis(
+    benchmark_module: Callable[[str], Any], kind: str
+) -> None:
+    outcomes, log = benchmark_module("separation").run_case("planar_2r", kind, 0, 15.0)
+    by_motion = [o for o in outcomes if o.how == "motion" and o.true]
+    assert by_motion, log
+    assert all(outcome.settled for outcome in by_motion), log
