@@ -9,7 +9,8 @@ well as the recording:
 summed over the rows of the recording and of the motion. N are the given values within their
 tolerance and the other causes, Λ the noise of the recording with its autocorrelation: Δ is
 ‖s_A⊥‖² (1 − cos²(s_A⊥, s_B⊥)) in noise units (T-optimality: Atkinson and Fedorov 1975). It is
-asked both ways round, and the smaller counts: whichever of the two is true shall come out.
+asked both ways round, and the smaller counts: whichever of the two is true shall come out. Where
+one is a special case of the other, only the general one can show that it is more.
 """
 
 from __future__ import annotations
@@ -19,19 +20,18 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
 import scipy.stats
 
+from excitant.analysis.discrimination_projection import explaining, without_given
+from excitant.analysis.discrimination_shapes import bare, shapes
 from excitant.analysis.hypotheses import TOLERANCE
 from excitant.analysis.signatures import Signatures, signatures
 from excitant.analysis.sticking import sliding
-from excitant.design import Trajectory
 from excitant.identify.physical import link_coordinates, link_weights
 from excitant.identify.preprocessing import Segment
 from excitant.robots.effects import (
     Effect,
     InertialParameters,
-    NonlinearViscousFriction,
     Payload,
     TorqueGain,
 )
@@ -40,12 +40,9 @@ from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
 POWER, LEVEL = 0.9, 0.05
+MOST_RUNS = 10
 _SAMPLES = 2.0  # of a motion per row
 _ROWS = 4.0  # rows per period of the cut-off, as many as recordings are decimated to
-_LOOSE = 1e-9  # prior precision of what only the data decide, of its own information
-_NEAR = (0.25, 0.5, 1.0, 2.0, 4.0)  # times the shape that was found
-_EXPONENTS = (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)
-_SHAPES = ("velocity", "distance", "time", "trial")
 
 
 @dataclass(frozen=True)
@@ -55,20 +52,18 @@ class Separation:
     Attributes:
         delta: Δ in squared standard deviations of the noise.
         cosine: Between the one cause's torque and the best that the other makes of it.
+        repetitions: Runs after which `diagnose` decides, with probability `POWER` at level
+            `LEVEL`; None where no number of runs is enough.
     """
 
     delta: float
     cosine: float
+    repetitions: int | None
 
     @property
     def deviations(self) -> float:
         """√Δ: by how many standard deviations the two differ."""
         return float(np.sqrt(max(self.delta, 0.0)))
-
-    @property
-    def repetitions(self) -> int:
-        """Runs after which `diagnose` decides, with probability `POWER` at level `LEVEL`."""
-        return repetitions(self.delta)
 
 
 def repetitions(delta: float, power: float = POWER, level: float = LEVEL) -> int:
@@ -152,7 +147,11 @@ class Contest:
         start = 10 * self.robot.nv + sum(len(e.values or ()) for e in self.robot.effects)
         places: dict[Effect, slice] = {}
         for pair in self.pairs:
-            for effect in (*shapes(pair.found), *shapes(pair.rival), *map(_bare, pair.beside)):
+            for effect in (
+                *self.shapes(pair.found),
+                *self.shapes(pair.rival),
+                *map(_bare, pair.beside),
+            ):
                 if effect not in places:
                     size = len(effect.parameters(self.robot))
                     places[effect] = slice(start, start + size)
@@ -177,14 +176,14 @@ class Contest:
     @cached_property
     def imitations(self) -> tuple[Array, ...]:
         """Coefficients with which each rival explains the recording as the one found does."""
-        R, floor = _without_given(self.known, self.precision)
+        R, floor = without_given(self.known, self.precision)
         found = []
         for pair in self.pairs:
-            at, rival = self._places(pair.found), self._places(_bare(pair.rival))
+            at, rival = self._places(pair.found), self._places(bare(pair.rival))
             beside = self._beside(pair)
             b = R[:, at] @ np.array(pair.found.values)
             both = [*beside, *rival]
-            found.append(_solve(R, floor, both, b)[len(beside) :])
+            found.append(explaining(R, floor, both, b)[len(beside) :])
         return tuple(found)
 
     @property
@@ -195,9 +194,9 @@ class Contest:
         t = self.recorded[0].t
         return float(1 / (t[1] - t[0]))
 
-    def sampled(self, trajectory: Trajectory) -> Motion:
-        """A trajectory at the instants at which it is judged."""
-        return trajectory.motion(_SAMPLES * self.rows_hz)
+    def instants(self, period: float) -> Array:
+        """When a motion is judged [s]: evenly, first and last included."""
+        return np.linspace(0.0, period, round(period * _SAMPLES * self.rows_hz) + 1)
 
     def information(self, motion: Motion) -> Array:
         """Information of a motion, shape (columns, columns)."""
@@ -206,35 +205,55 @@ class Contest:
 
     def separations(self, information: Array) -> list[Separation]:
         """Separation of every pair by what was recorded and a motion of this information."""
-        R, floor = _without_given(self.known + information, self.precision)
+        R, floor = without_given(self.known + information, self.precision)
         found = []
         for pair, imitation in zip(self.pairs, self.imitations, strict=True):
             beside = self._beside(pair)
-            ways = [(pair.found, np.array(pair.found.values), pair.rival)]
-            if imitation.any():
+            ways = []
+            if pair.found.name not in pair.rival.contains or not imitation.any():
+                ways.append((pair.found, np.array(pair.found.values), pair.rival))
+            if pair.rival.name not in pair.found.contains and imitation.any():
                 ways.append((pair.rival, imitation, pair.found))
             each = [self._apart(R, floor, beside, *way) for way in ways]
             found.append(min(each, key=lambda s: s.delta))
         return found
 
+    def counted(self, information: Array) -> list[Separation]:
+        """Separation of every pair, the runs counted with what the given values' prior allows.
+
+        The price of given values that are off does not grow with the number of runs, so more of
+        them may not help.
+        """
+        once = self.separations(information)
+        runs: list[int | None] = [None] * len(once)
+        for n in range(MOST_RUNS, 0, -1):
+            for k, several in enumerate(self.separations(n * information)):
+                if several.delta >= needed():
+                    runs[k] = n
+        return [replace(s, repetitions=n) for s, n in zip(once, runs, strict=True)]
+
     def _apart(
         self, R: Array, floor: Array, beside: list[int], true: Effect, value: Array, other: Effect
     ) -> Separation:
-        at = self._places(_bare(true))
+        at = self._places(bare(true))
         b = R[:, at] @ value
         whole = float(value @ b[at])
-        whole -= float(b[beside] @ _solve(R, floor, beside, b)) if beside else 0.0
+        whole -= float(b[beside] @ explaining(R, floor, beside, b)) if beside else 0.0
         left = whole
-        for shape in shapes(other):
+        for shape in self._shapes(other):
             columns = [*beside, *self._places(shape)]
-            explained = float(b[columns] @ _solve(R, floor, columns, b))
+            explained = float(b[columns] @ explaining(R, floor, columns, b))
             left = min(left, float(value @ b[at]) - explained)
         left = float(np.clip(left, 0.0, max(whole, 0.0)))
-        return Separation(left, float(np.sqrt(1 - left / whole)) if whole > 0 else 1.0)
+        cosine = float(np.sqrt(1 - left / whole)) if whole > 0 else 1.0
+        return Separation(left, cosine, repetitions(left))
+
+    def _shapes(self, effect: Effect) -> list[Effect]:
+        return shapes(effect, self.robot, [segment.motion for segment in self.recorded])
 
     def _places(self, effect: Effect) -> list[int]:
         """Columns of a cause, among those after the given values'."""
-        at, skip = self.causes[_bare(effect)], len(self.precision)
+        at, skip = self.causes[bare(effect)], len(self.precision)
         return list(range(at.start - skip, at.stop - skip))
 
     def _beside(self, pair: Pair) -> list[int]:
@@ -247,7 +266,7 @@ class Contest:
         return signatures(list(self._blocks(segments)), counts)
 
     def _blocks(self, segments: Sequence[Segment]) -> Iterator[Array]:
-        Y = np.concatenate([s.rows(lambda m: regressor(self.robot, m)) for s in segments])
+        Y = np.concatenate([self._links(s) for s in segments])
         yield Y @ link_coordinates(self.metric)
         for effect in self.robot.effects:
             given = np.abs(np.array(effect.values or ()))
@@ -258,6 +277,12 @@ class Contest:
                 yield Y[:, :, 10 * j : 10 * j + 10]
             else:
                 yield self._rows(effect, segments)
+
+    def _links(self, segment: Segment) -> Array:
+        """Regressor at the rows; that of a motion yet to be run has little for the filter."""
+        if segment in self.recorded:
+            return segment.rows(lambda m: regressor(self.robot, m))
+        return regressor(self.robot, segment.motion[segment.keep])
 
     def _rows(self, effect: Effect, segments: Sequence[Segment]) -> Array:
         owner = self.robot if isinstance(effect, TorqueGain) else self.model
@@ -282,36 +307,3 @@ def along(motion: Motion, cutoff_hz: float, rows_hz: float | None = None) -> Seg
     stride = max(1, round(1 / ((rows_hz or _ROWS * cutoff_hz) * step)))
     keep = slice(edge, len(motion) - edge, stride)
     return Segment("motion", motion, still, still, cutoff_hz, keep)
-
-
-def shapes(effect: Effect) -> list[Effect]:
-    """An effect without values in its own shape and in those that it may also have."""
-    own = _bare(effect)
-    for name in _SHAPES:
-        if hasattr(own, name):
-            value = getattr(own, name)
-            return [replace(own, **{name: factor * value}) for factor in _NEAR]
-    if isinstance(own, NonlinearViscousFriction):
-        return [own, *(replace(own, exponent=a) for a in _EXPONENTS if a != own.exponent)]
-    return [own]
-
-
-def _bare(effect: Effect) -> Effect:
-    return replace(effect, values=None)
-
-
-def _without_given(information: Array, precision: Array) -> tuple[Array, Array]:
-    """Information on causes once the given values may take what they can, and its rounding."""
-    p = len(precision)
-    A = information[:p, :p] + np.diag(precision)
-    half = scipy.linalg.solve_triangular(np.linalg.cholesky(A), information[:p, p:], lower=True)
-    floor = 1e-10 * np.maximum(np.diag(information)[p:], 1e-12)
-    return information[p:, p:] - half.T @ half, floor
-
-
-def _solve(R: Array, floor: Array, columns: Sequence[int], b: Array) -> Array:
-    """Coefficients of columns that explain most of a torque with inner products b."""
-    at = list(columns)
-    scale = np.sqrt(np.maximum(np.diag(R)[at], floor[at]))
-    A = R[np.ix_(at, at)] / np.outer(scale, scale) + _LOOSE * np.eye(len(at))
-    return np.asarray(np.linalg.lstsq(A, b[at] / scale, rcond=1e-11)[0] / scale, float)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from excitant.design.feasible import torque_use
 from excitant.design.trajectory import FourierSeries, from_coefficients
 from excitant.exceptions import Infeasible
 from excitant.robots.geometry import Scene
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Limits, Robot
 
 HOPELESS = 4.0  # Δ below which no motion is worth running
@@ -79,11 +80,11 @@ def discriminating_motions(
     """
     deadline = time.monotonic() + time_limit
     screened = time.monotonic() + 0.5 * time_limit
-    search = _Search(contest, _within_recording(contest), duration, scene, rng)
+    series = FourierSeries(duration, max(max(_WAVES), round(_TOP_HZ * duration)))
+    search = _Search(contest, _within_recording(contest), series, scene, rng)
     pool = []
     for trajectory in search.drawn(_SCREENED):
-        if (judged := search.judged(trajectory)) is not None:
-            pool.append(judged)
+        pool.append(search.judged(trajectory))
         if time.monotonic() > screened:
             break
     if not pool:
@@ -97,7 +98,7 @@ def discriminating_motions(
             break
         left = deadline - time.monotonic()
         best = search.improved(best, served, time.monotonic() + left / (most - len(motions)))
-        motions.append(best)
+        motions.append(search.counted(best))
         open_ &= (best.deltas < needed()) & (highest > _MUCH_BETTER * best.deltas)
         highest = np.maximum(highest, best.deltas)
     return motions, highest
@@ -107,9 +108,21 @@ def discriminating_motions(
 class _Search:
     contest: Contest
     robot: Robot
-    duration: float
+    series: FourierSeries
     scene: Scene | None
     rng: np.random.Generator
+
+    @cached_property
+    def instants(self) -> tuple[Array, list[Array]]:
+        """When motions are judged, and the basis of q, q̇ and q̈ then."""
+        t = self.contest.instants(self.series.period)
+        return t, [self.series.basis(t, order) for order in range(3)]
+
+    @cached_property
+    def samples(self) -> tuple[Array, list[Array]]:
+        """When limits are looked at, and the basis of q and its derivatives then."""
+        t = np.linspace(0.0, self.series.period, 8 * self.series.harmonics + 1)
+        return t, [self.series.basis(t, order) for order in range(4)]
 
     def drawn(self, count: int) -> Iterator[FourierTrajectory]:
         """Motions of all kinds, in turn; those that find no way into the limits left out."""
@@ -117,7 +130,9 @@ class _Search:
             if k % 4 == 0:
                 try:
                     harmonics = _WAVES[(k // 4) % len(_WAVES)]
-                    yield random_trajectory(self.robot, self.rng, self.duration, harmonics)
+                    period = self.series.period
+                    wave = random_trajectory(self.robot, self.rng, period, harmonics)
+                    yield from_coefficients(self._padded(wave), period)
                 except Infeasible:
                     continue
             elif (found := self._sweep()) is not None:
@@ -125,45 +140,66 @@ class _Search:
 
     def judged(self, trajectory: FourierTrajectory) -> Discriminating:
         """A motion with its separations."""
-        information = self.contest.information(self.contest.sampled(trajectory))
+        information = self.contest.information(self._motion(trajectory))
         return Discriminating(trajectory, tuple(self.contest.separations(information)))
+
+    def counted(self, motion: Discriminating) -> Discriminating:
+        """The same motion with the runs that each pair needs."""
+        information = self.contest.information(self._motion(motion.trajectory))
+        return replace(motion, separations=tuple(self.contest.counted(information)))
+
+    def _motion(self, trajectory: FourierTrajectory) -> Motion:
+        t, bases = self.instants
+        return Motion(t, *(basis @ trajectory.coefficients for basis in bases))
 
     def best(self, pool: list[Discriminating], open_: Array) -> Discriminating | None:
         """The motion of a pool that tells most of what is open, of those that keep the limits."""
         for motion in sorted(pool, key=lambda m: -_worth(m.deltas[open_])):
-            if self._kept(motion.trajectory) is not None:
+            if self._clear(motion.trajectory) and self._kept(motion.trajectory) is not None:
                 return motion
         return None
 
     def improved(self, motion: Discriminating, served: Array, until: float) -> Discriminating:
         """A motion whose smallest Δ among the pairs it serves is larger, by random changes."""
-        step = 0.5
+        step, steps = 0.5, [motion]
         for _ in range(_REFINED):
             least = motion.deltas[served].min()
             if least > _PLENTY * needed() or time.monotonic() > until:
                 break
             changed = self._changed(motion.trajectory, step)
             other = None if changed is None else self.judged(changed)
-            better = other is not None and other.deltas[served].min() > least
-            if better and other is not None and self._kept(other.trajectory) is not None:
+            if other is not None and other.deltas[served].min() > least:
                 motion, step = other, min(1.5 * step, 1.0)
+                steps.append(motion)
             else:
                 step = max(0.85 * step, 0.05)
-        kept = self._kept(motion.trajectory)
-        return motion if kept is None or kept is motion.trajectory else self.judged(kept)
+        for motion in reversed(steps):
+            if (kept := self._kept(motion.trajectory)) is not None:
+                return motion if kept is motion.trajectory else self.judged(kept)
+        return steps[0]
 
     def _kept(self, trajectory: FourierTrajectory) -> FourierTrajectory | None:
         """The trajectory within all limits, certified; None where that fails."""
         kept = within_limits(self.robot, trajectory)
         if kept is None or not isinstance(kept, FourierTrajectory):
             return None
-        if self.scene is not None:
-            poses = kept(np.linspace(0.0, self.duration, _POSES))
-            if self.scene.distances(poses).min() < CLEARANCE:
-                return None
-            if clearance(self.scene, kept).certified < CLEARANCE:
-                return None
-        return kept
+        apart = self.scene is None or clearance(self.scene, kept).certified >= CLEARANCE
+        return kept if apart else None
+
+    def _clear(self, trajectory: FourierTrajectory) -> bool:
+        """Whether poses along a trajectory keep their distance."""
+        if self.scene is None:
+            return True
+        poses = trajectory(np.linspace(0.0, trajectory.period, _POSES))
+        return bool(self.scene.distances(poses).min() > CLEARANCE)
+
+    def _padded(self, trajectory: FourierTrajectory) -> Array:
+        """Coefficients of a trajectory of fewer harmonics in the series, shape (c, nv)."""
+        X, H = np.zeros((self.series.size, trajectory.nv)), self.series.harmonics
+        X[0] = trajectory.offset
+        X[1 : 1 + trajectory.harmonics] = trajectory.cosine
+        X[1 + H : 1 + H + trajectory.harmonics] = trajectory.sine
+        return X
 
     @property
     def _interest(self) -> set[int]:
@@ -177,7 +213,7 @@ class _Search:
 
     def _sweep(self) -> FourierTrajectory | None:
         """Joints of interest reverse within a swelling envelope; the others rest or wave."""
-        series = FourierSeries(self.duration, max(3, round(_TOP_HZ * self.duration)))
+        series = self.series
         middle, half = position_range(self.robot.limits)
         for _ in range(_DRAWS):
             X = np.zeros((series.size, self.robot.nv))
@@ -190,13 +226,13 @@ class _Search:
                     X[:, j] = _wave(series, self.rng)
                     share[j] = self.rng.uniform(0.3, 1.0)
             pose = middle + self.rng.uniform(-0.8, 0.8, self.robot.nv) * half
-            if (found := self._fitted(series, X, pose, share)) is not None:
+            if (found := self._fitted(X, pose, share)) is not None:
                 return found
         return None
 
     def _changed(self, trajectory: FourierTrajectory, step: float) -> FourierTrajectory | None:
         """A motion nearby: another pose, larger or smaller movements, other waves."""
-        series, rng = trajectory.series, self.rng
+        series, rng = self.series, self.rng
         X, half = trajectory.coefficients.copy(), position_range(self.robot.limits)[1]
         pose = X[0] + step * 0.3 * half * rng.normal(size=self.robot.nv) * (rng.uniform() < 0.5)
         X[0] = 0.0
@@ -206,27 +242,28 @@ class _Search:
             if rng.uniform() < 0.3:
                 fresh = _envelope(series, rng) if rng.uniform() < 0.5 else _wave(series, rng)
                 X[:, j] += step * rng.uniform() * np.linalg.norm(X[:, j]) * fresh
-        return self._fitted(series, X, pose, None)
+        return self._fitted(X, pose)
 
     def _fitted(
-        self, series: FourierSeries, X: Array, pose: Array, share: Array | None
+        self, X: Array, pose: Array, share: Array | None = None
     ) -> FourierTrajectory | None:
         """A movement about a pose, made as large as a share of the limits, or to keep them."""
-        t = np.linspace(0.0, self.duration, 8 * series.harmonics + 1)
+        t, bases = self.samples
         middle, half = position_range(self.robot.limits)
         bound = kinematic_limits(self.robot.limits)[1].copy()
         bound[0] = np.maximum(half - np.abs(pose - middle), 0.02 * half)
         pose = np.clip(pose, middle - half + bound[0], middle + half - bound[0])
-        reach = np.array([np.abs(series.basis(t, k) @ X).max(axis=0) for k in range(len(bound))])
+        reach = np.array([np.abs(basis @ X).max(axis=0) for basis in bases])
         with np.errstate(divide="ignore", invalid="ignore"):
             room = np.where(reach > 0, bound / reach, np.inf).min(axis=0)
         room = np.where(np.isfinite(room), _ROOM * room, 0.0)
         X = X * (np.minimum(room, 1.0) if share is None else share * room)
         for _ in range(_SHRINKS):
-            trajectory = from_coefficients(X + series.constant(pose), self.duration)
-            use = torque_use(self.robot, trajectory.at(t))
+            whole = X + self.series.constant(pose)
+            use = torque_use(self.robot, Motion(t, *(basis @ whole for basis in bases[:3])))
             if use.max() <= _TORQUE_SHARE:
-                return trajectory
+                found = from_coefficients(whole, self.series.period)
+                return found if self._clear(found) else None
             X = X * 0.7
         return None
 

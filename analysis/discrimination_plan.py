@@ -9,11 +9,7 @@ import numpy as np
 
 from excitant.analysis.diagnosis import Diagnosis, Finding
 from excitant.analysis.discrimination import Contest, Noise, Pair
-from excitant.analysis.discrimination_motion import (
-    HOPELESS,
-    Discriminating,
-    discriminating_motions,
-)
+from excitant.analysis.discrimination_motion import Discriminating, discriminating_motions
 from excitant.analysis.experiments import experiment
 from excitant.analysis.extension import tolerance_metric
 from excitant.analysis.sticking import sliding
@@ -177,15 +173,14 @@ def _experiment(
     robot: Robot, pair: Pair, index: int, motions: Sequence[Discriminating]
 ) -> Experiment:
     """The motion that separates a pair best, or the action where none does."""
-    deltas = [motion.separations[index].delta for motion in motions]
+    able = [k for k, motion in enumerate(motions) if motion.separations[index].repetitions]
     action = experiment(pair.found.name, pair.rival.name)
-    if not deltas or max(deltas) <= HOPELESS:
-        reason = "no motion within the limits tells them apart: " if motions or deltas else ""
-        return Experiment(f"{reason}{action}")
-    k = int(np.argmax(deltas))
+    if not able:
+        return Experiment(f"no motion within the limits was found to tell them apart: {action}")
+    k = max(able, key=lambda k: motions[k].separations[index].delta)
     separated = motions[k].separations[index]
     file, runs = f"separate-{k + 1}.csv", separated.repetitions
-    often = "one run is enough" if runs == 1 else f"{runs} runs are needed"
+    often = "one run is enough" if runs == 1 else f"{runs} runs are needed, or else: {action}"
     does = described(motions[k].trajectory, robot)
     apart = f"separates by {separated.deviations:.3g} standard deviations"
     return Experiment(f"run {file} ({does}): {apart}; {often}", separated.deviations, runs, file)

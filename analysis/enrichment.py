@@ -10,8 +10,8 @@ others. A candidate enters when
 
 Candidates are ranked by linear fits with the same prior but without its inequalities, which costs
 little; at the end shapes are chosen again beside all other effects, and effects that others have
-made dispensable are taken out. The user's hold-out is never
-touched, and where nothing earns its place the standard model remains.
+made dispensable, so that they bring less than 2.5 standard errors beside the others, are taken out.
+The user's hold-out is never touched, and where nothing earns its place the standard model remains.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.stats
 
-from excitant.analysis.enrichment_rows import Candidate, Errors, Trial, trial_of
+from excitant.analysis.enrichment_rows import Candidate, Errors, Trial
+from excitant.analysis.enrichment_trial import trial_of
 from excitant.exceptions import Infeasible
 from excitant.identify.estimate import identify
 from excitant.identify.recording import Recording
@@ -30,7 +31,8 @@ from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
-DEVIATIONS = 2.0  # standard errors by which the inner hold-out's error must fall
+DEVIATIONS = 2.0  # standard errors by which the inner hold-out's error must fall to enter
+STAYS = 2.5  # the same to stay, beside all the others
 FLOOR = 0.05  # of a joint's squared error: dry friction is never an ideal sign function
 _LARGEST_SET = 40
 _PATIENCE = 4  # candidates in a row that fail as physically consistent fits
@@ -128,13 +130,9 @@ def enrichment(
     start = trial.physical([])
     chosen, errors = _grown(trial, start, progress or (lambda fraction, words: None))
     chosen, errors = _reshaped(trial, chosen, errors)
-    chosen, errors = _pruned(trial, chosen, errors)
-    steps = []
-    for candidate in chosen:
-        without = _consistent(trial, [c for c in chosen if c is not candidate]) or start
-        steps.append(Step(candidate.effect, *trial.fall(candidate, without, errors)))
+    chosen, errors, steps = _pruned(trial, chosen, errors)
     effects = (*standard, *(c.effect for c in chosen))
-    return Enrichment(effects, tuple(steps), start.joints, errors.joints)
+    return Enrichment(effects, steps, start.joints, errors.joints)
 
 
 def _grown(trial: Trial, errors: Errors, progress: Progress) -> tuple[list[Candidate], Errors]:
@@ -191,14 +189,25 @@ def _reshaped(
 
 def _pruned(
     trial: Trial, chosen: list[Candidate], errors: Errors
-) -> tuple[list[Candidate], Errors]:
-    """The set without what has become dispensable."""
-    for candidate in list(chosen):
-        rest = [c for c in chosen if c is not candidate]
-        without = _consistent(trial, rest)
-        if without is not None and not _pays(trial, candidate, without, errors):
-            chosen, errors = rest, without
-    return chosen, errors
+) -> tuple[list[Candidate], Errors, tuple[Step, ...]]:
+    """The set without what has become dispensable, the least needed first."""
+    while True:
+        others = [_consistent(trial, [c for c in chosen if c is not each]) for each in chosen]
+        falls = [
+            (np.inf, 0.0) if without is None else trial.fall(each, without, errors)
+            for each, without in zip(chosen, others, strict=True)
+        ]
+        dispensable = [
+            k
+            for k, (each, without) in enumerate(zip(chosen, others, strict=True))
+            if without is not None and not _pays(trial, each, without, errors, STAYS)
+        ]
+        if not dispensable:
+            steps = (Step(c.effect, *fall) for c, fall in zip(chosen, falls, strict=True))
+            return chosen, errors, tuple(steps)
+        least = min(dispensable, key=lambda k: falls[k][0])
+        errors = others[least] or errors
+        chosen = [c for k, c in enumerate(chosen) if k != least]
 
 
 def _consistent(trial: Trial, chosen: Sequence[Candidate]) -> Errors | None:
@@ -209,12 +218,14 @@ def _consistent(trial: Trial, chosen: Sequence[Candidate]) -> Errors | None:
         return None
 
 
-def _pays(trial: Trial, candidate: Candidate, before: Errors, after: Errors) -> bool:
+def _pays(
+    trial: Trial,
+    candidate: Candidate,
+    before: Errors,
+    after: Errors,
+    deviations: float = DEVIATIONS,
+) -> bool:
+    """Whether a fall exceeds the floor and chance, more where a shape was searched on all rows."""
     fall, error = trial.fall(candidate, before, after)
-    return fall > max(FLOOR, _deviations(candidate) * error)
-
-
-def _deviations(candidate: Candidate) -> float:
-    """Standard errors that a fall must exceed; more where a shape was searched on all rows."""
-    chance = scipy.stats.norm.sf(DEVIATIONS) / candidate.trials
-    return float(scipy.stats.norm.isf(chance))
+    chance = scipy.stats.norm.sf(deviations) / candidate.trials
+    return bool(fall > max(FLOOR, float(scipy.stats.norm.isf(chance)) * error))

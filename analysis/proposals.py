@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from excitant.identify.preprocessing import Segment
 from excitant.robots.effects import (
-    AsymmetricFriction,
+    EFFECTS,
     Backlash,
-    CoulombFriction,
     Effect,
     EncoderOffset,
     EncoderScale,
@@ -19,30 +18,20 @@ from excitant.robots.effects import (
     InertiaCoupling,
     InertialParameters,
     JointElasticity,
+    JointFacts,
+    JointwiseEffect,
     KinematicError,
-    LoadDependentFriction,
-    NonlinearViscousFriction,
     Payload,
-    PreslidingHysteresis,
-    RotorInertia,
-    Spring,
-    StribeckFriction,
-    ThermalFrictionDrift,
     TimeDelay,
     TorqueGain,
     TorqueOffset,
     TorqueRipple,
-    ViscousFriction,
 )
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
-_STRIBECK = np.geomspace(0.01, 0.4, 8)  # of each joint's highest speed
-_EXPONENTS = (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)
-_DISTANCES = np.geomspace(3e-4, 0.1, 8)  # of each joint's range
 _DELAYS = (-0.02, -0.005, 0.002, 0.005, 0.01, 0.02, 0.04)  # s
 _GAPS = np.geomspace(3e-4, 0.1, 12)  # rad
-_WARMING = (0.15, 0.4, 1.0)  # of the recording's length
 _RATIOS = (1.0, -1.0)
 _ORDERS = 3  # of ripple at each joint, the best of all
 _MOST_ORDERS = 600
@@ -53,6 +42,9 @@ def proposals(
     robot: Robot, segments: Sequence[Segment], unexplained: Array
 ) -> list[tuple[Effect, int]]:
     """Effects with the number of shapes that each was chosen from.
+
+    Those of single joints come from the effects themselves, so an effect of the user's own that is
+    in `EFFECTS` is considered too.
 
     Args:
         robot: The arm.
@@ -67,7 +59,9 @@ def proposals(
     for j, joint in enumerate(robot.joints):
         found.append((TorqueOffset((joint,)), 1))
         if speed[j] > _STILL:
-            shapes = _own((joint,), float(speed[j]), float(reach[j]), length, start)
+            facts = JointFacts(float(speed[j]), float(reach[j]), start, length)
+            kinds = [k for k in EFFECTS.values() if issubclass(k, JointwiseEffect)]
+            shapes = [e for k in kinds if k is not TorqueOffset for e in k.candidates(joint, facts)]
             found += [(effect, 1) for effect in shapes]
             found += _ripples(joint, j, segments, unexplained[:, j])
         found += [(kind((joint,)), 1) for kind in (InertialParameters, *_CHAIN)]
@@ -89,20 +83,6 @@ _CHAIN = (
     KinematicError,
     JointElasticity,
 )
-
-
-def _own(
-    joint: tuple[str], speed: float, reach: float, length: float, start: float
-) -> Iterator[Effect]:
-    """Effects of one joint's own motion."""
-    yield from (ViscousFriction(joint), CoulombFriction(joint), RotorInertia(joint))
-    yield from (AsymmetricFriction(joint, viscous=False), AsymmetricFriction(joint))
-    yield LoadDependentFriction(joint)
-    yield from (Spring(joint), Spring(joint, lever=True))
-    yield from (StribeckFriction(joint, velocity=float(v * speed)) for v in _STRIBECK)
-    yield from (NonlinearViscousFriction(joint, exponent=a) for a in _EXPONENTS)
-    yield from (PreslidingHysteresis(joint, distance=float(d * reach)) for d in _DISTANCES)
-    yield from (ThermalFrictionDrift(joint, time=x * length, start=start) for x in _WARMING)
 
 
 def _ripples(

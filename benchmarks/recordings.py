@@ -82,7 +82,10 @@ class Split:
 
 UR10E = ("id_12harm_30s", "id_12harm_40s", "id_8harm_20s")
 SPLITS = (
-    Split("ur10", ("unisa_exciting",), share=0.6, readme=(0.978, 0.992, 0.996, 0.983, 0.984, 0.882)),
+    Split(
+        "ur10", ("unisa_exciting",), share=0.6,
+        readme=(0.978, 0.992, 0.996, 0.983, 0.984, 0.882),
+    ),
     Split(
         "ur10", ("unisa_exciting",), share=0.7,
         published_rms=(4.06, 3.18, 1.71, 0.48, 0.63, 0.99),

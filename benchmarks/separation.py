@@ -2,8 +2,8 @@
 
 A virtual arm hides one effect and makes a poor motion: slow, within a third of its range. Where
 its diagnosis is undecided, the proposed motions are run on the same arm as often as is said, and
-all recordings are diagnosed together. A pair is settled when the rival is no longer in question
-and the hidden effect is named.
+all recordings are diagnosed together. A pair is settled when the hidden effect is found and
+whatever else is in the pair is neither found nor a rival of it.
 
     python benchmarks/separation.py --draws 2 --arms planar_2r,ur10
 """
@@ -108,12 +108,12 @@ def is_true(finding: Finding, hidden: HiddenEffect) -> bool:
 
 
 def settled(after: Diagnosis, hidden: HiddenEffect, pair: Sequence[Effect]) -> bool:
-    """Whether the hidden effect is named and no other cause of a pair stands beside it."""
-    others = {(e.name, e.joints) for e in pair}
+    """Whether the hidden effect is found and nothing else of a pair stands beside it, or for it."""
     true = [f for f in after.findings if is_true(f, hidden)]
-    false = [f for f in after.findings if f not in true]
-    left = any((f.effect.name, f.effect.joints) in others for f in false)
-    return any(not f.rivals for f in true) and not left
+    false = [f.effect for f in after.findings if f not in true]
+    false += [r.candidate.effect for f in true for r in f.rivals]
+    wrong = {(e.name, e.joints) for e in false}
+    return bool(true) and not any((e.name, e.joints) in wrong for e in pair)
 
 
 def run_case(

@@ -9,12 +9,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from excitant.analysis import diagnose, proposals
+from excitant.analysis import diagnose
 from excitant.analysis.diagnosis_result import diagnose_result
-from excitant.robots.effects import EFFECTS, Effect
+from excitant.robots.effects import EFFECTS
 
 PAGE = Path(__file__).parents[1] / "docs" / "add-an-effect.md"
 
@@ -52,16 +51,7 @@ def test_effect_of_the_page_is_identified(page: dict[str, Any]) -> None:
     )
 
 
-def test_effect_of_the_page_is_named_once_it_is_proposed(
-    page: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    own, hose = proposals._own, page["TautHose"]
-
-    def with_hose(joint: tuple[str], *motion: float) -> Iterator[Effect]:
-        yield from own(joint, *motion)
-        yield from (hose(joint, angle=float(a)) for a in np.linspace(-1.0, 1.0, 11))
-
-    monkeypatch.setattr(proposals, "_own", with_hose)
+def test_effect_of_the_page_is_diagnosed(page: dict[str, Any]) -> None:
     diagnosis = diagnose(page["given"], page["runs"][:1], validate=page["runs"][1:])
     lead = diagnosis.findings[0].effect
     assert (lead.name, lead.joints) == ("taut_hose", ("joint2",))

@@ -1,6 +1,13 @@
 """What makes torque beyond the rigid-body inertia of the given links, one file per family."""
 
-from excitant.robots.effects.base import Effect, JointEffect, JointwiseEffect, Parameter, Term
+from excitant.robots.effects.base import (
+    Effect,
+    JointEffect,
+    JointFacts,
+    JointwiseEffect,
+    Parameter,
+    Term,
+)
 from excitant.robots.effects.coupling import FrictionCoupling, InertiaCoupling
 from excitant.robots.effects.drive import RotorInertia, TorqueOffset
 from excitant.robots.effects.friction import (
@@ -86,6 +93,7 @@ __all__ = [
     "InertialParameters",
     "JointEffect",
     "JointElasticity",
+    "JointFacts",
     "JointwiseEffect",
     "KinematicError",
     "LoadDependentFriction",

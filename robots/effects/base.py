@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
@@ -97,10 +97,32 @@ class Term:
     lower: float = -np.inf
 
 
+@dataclass(frozen=True)
+class JointFacts:
+    """What a recording shows of one joint's motion, to scale the shapes of effects by.
+
+    Attributes:
+        speed: Highest speed [rad/s or m/s].
+        reach: Range of positions [rad or m].
+        start: First instant [s].
+        duration: Length of the longest recording [s].
+    """
+
+    speed: float
+    reach: float
+    start: float
+    duration: float
+
+
 class JointwiseEffect(Effect):
     """Effect with coefficients of its own on each joint, which act on that joint only."""
 
     terms: ClassVar[tuple[Term, ...]]
+
+    @classmethod
+    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
+        """Shapes of the effect that a diagnosis shall consider at a joint; the usual one."""
+        return (cls((joint,)),)
 
     @abstractmethod
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
-from excitant.robots.effects.base import JointEffect, JointwiseEffect, Parameter, Term
+from excitant.robots.effects.base import JointEffect, JointFacts, JointwiseEffect, Parameter, Term
 from excitant.robots.effects.reference import rigid_torque
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -52,6 +52,12 @@ class StribeckFriction(JointEffect):
 
     velocity: float = 0.1
 
+    @classmethod
+    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
+        """Stribeck speeds of 1 to 40 % of the highest speed."""
+        speeds = facts.speed * np.geomspace(0.01, 0.4, 8)
+        return [cls((joint,), velocity=float(speed)) for speed in speeds]
+
     def shape(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Bell around zero velocity with the velocity's sign."""
         return (np.sign(dq) * np.exp(-((dq / self.velocity) ** 2)),)
@@ -77,6 +83,11 @@ class AsymmetricFriction(JointEffect):
 
     viscous: bool = True
 
+    @classmethod
+    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
+        """Coulomb friction alone, or both."""
+        return cls((joint,), viscous=False), cls((joint,))
+
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Coulomb and, where asked for, viscous friction forward and backward."""
         kept = [(term.symbol, term.unit) for term in self.terms[: 2 + 2 * self.viscous]]
@@ -101,6 +112,11 @@ class NonlinearViscousFriction(JointEffect):
     terms: ClassVar[tuple[Term, ...]] = (Term("Fn", "N·m·(s/rad)^a"),)
 
     exponent: float = 2.0
+
+    @classmethod
+    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
+        """Roots and powers."""
+        return [cls((joint,), exponent=a) for a in (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)]
 
     def shape(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Power of the speed with the velocity's sign."""

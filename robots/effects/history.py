@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
-from excitant.robots.effects.base import JointwiseEffect, Term
+from excitant.robots.effects.base import JointFacts, JointwiseEffect, Term
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
@@ -29,6 +29,12 @@ class PreslidingHysteresis(JointwiseEffect):
     terms: ClassVar[tuple[Term, ...]] = (Term("Fh", "N·m", 0.0),)
 
     distance: float = 0.01
+
+    @classmethod
+    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
+        """Distances of 0.03 to 10 % of the range."""
+        distances = facts.reach * np.geomspace(3e-4, 0.1, 8)
+        return [cls((joint,), distance=float(distance)) for distance in distances]
 
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         """State of the bristles less the velocity's sign."""
@@ -65,6 +71,12 @@ class ThermalFrictionDrift(JointwiseEffect):
 
     time: float = 60.0
     start: float = 0.0
+
+    @classmethod
+    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
+        """Time constants up to the recording's length; longer ones look like a ramp."""
+        times = facts.duration * np.array([0.15, 0.4, 1.0])
+        return [cls((joint,), time=float(time), start=facts.start) for time in times]
 
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         """Velocity and its sign, fading: of the cold joint beyond those of the warm one."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
-from excitant.robots.effects.base import Effect, JointEffect, Parameter, Term
+from excitant.robots.effects.base import Effect, JointEffect, JointFacts, Parameter, Term
 from excitant.robots.effects.reference import rigid_torque, torque_along, torque_derivatives
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -29,6 +29,11 @@ class TorqueRipple(JointEffect):
     )
 
     order: float = 1.0
+
+    @classmethod
+    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
+        """None: orders are looked for in the error."""
+        return ()
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Amplitudes, named after the order."""
@@ -53,6 +58,11 @@ class Spring(JointEffect):
     terms: ClassVar[tuple[Term, ...]] = (Term("k", "N·m/rad"), Term("moment", "N·m"))
 
     lever: bool = False
+
+    @classmethod
+    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
+        """Both forms."""
+        return cls((joint,)), cls((joint,), lever=True)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Stiffness and moment at zero, or amplitudes of cosine and sine."""

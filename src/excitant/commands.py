@@ -141,7 +141,7 @@ def identify(args: argparse.Namespace) -> None:
     dataset = load_dataset(args.robot, columns=args.map)
     robot = dataset.robot
     chosen = args.effects == AUTO
-    effects = None if chosen else _effects(args.effects, robot)
+    effects: Sequence[Effect] | None = None if chosen else _effects(args.effects, robot)
     formats = _formats(args.formats)
     if (found := streamed(args, dataset, effects)) is not None:
         result = identify_result(found) | {"faults": [], "import": {}}

@@ -1,0 +1,120 @@
+"""The rows of a standard identification, made ready to try further effects on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from excitant.analysis.enrichment_candidates import further_effects
+from excitant.analysis.enrichment_rows import Candidate, Trial
+from excitant.analysis.signatures import Index, Signatures, signatures
+from excitant.identify.accuracy import predicted_torque, series
+from excitant.identify.estimate import Estimate
+from excitant.identify.least_squares import autocorrelation_time
+from excitant.identify.physical import EffectPrior, link_coordinates
+from excitant.identify.preprocessing import Segment
+from excitant.identify.rows import implausible_size, observation
+from excitant.robots.effects import Effect
+from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
+
+_FOLDS = 5  # parts of all recordings together
+_BLOCK_S, _BLOCKS = 0.5, (20, 60)  # s, and how many, to see how much a gain varies
+_INSTANTS = 3000  # at most, evenly taken
+_GUARD = 4  # rows beside a part left out: a period of the cut-off
+_LARGEST = 2.0  # of the typical size of a coefficient that has one
+
+
+def trial_of(robot: Robot, standard: Estimate) -> Trial:
+    """Rows of what was fitted, with candidates from what the standard model leaves.
+
+    Args:
+        robot: The arm as given.
+        standard: Its standard identification; effects that rest on torque take it from there.
+    """
+    segments, model = standard.data.train, standard.model
+    measured = series(segments).measured * standard.gains
+    left = measured - predicted_torque(model, segments)
+    stride = -(-len(measured) // _INSTANTS)
+    rows = slice(None, None, stride)
+    always = observation(model, model.effects, segments)[rows]
+    prior = standard.prior.reshape(-1, 10)
+    size = 10 * robot.nv
+    tau = measured[rows] - always[:, :, :size] @ prior.ravel()
+    always[:, :, :size] = always[:, :, :size] @ link_coordinates(prior)
+    parts, candidates, at = [always], [], always.shape[2]
+    for effect, trials in further_effects(model, segments, left):
+        block = np.concatenate([s.rows(lambda m: effect.columns(model, m)) for s in segments])[rows]  # noqa: B023
+        if block.any() and np.isfinite(block).all():
+            own = tuple(robot.joint_index(joint) for joint in effect.joints)
+            candidates.append(Candidate(effect, slice(at, at + block.shape[2]), own, trials))
+            parts.append(block)
+            at += block.shape[2]
+    columns = signatures(parts, np.ones(tau.shape, bool))
+    kept = [*model.effects, *(c.effect for c in candidates)]
+    coefficients, typical = _knowledge(robot, kept, parts, size, measured[rows])
+    folds, blocks = _parts(segments, stride)
+    inflation = np.array([autocorrelation_time(e) for e in left[rows].T])
+    sigma2 = np.maximum((left[rows] ** 2).mean(axis=0), 1e-24)
+    return Trial(
+        robot, columns, tau, prior, always.shape[2], coefficients, typical, tuple(candidates),
+        folds, blocks, 1 / (sigma2 * inflation), inflation, _grams(columns, tau, folds),
+    )  # fmt: skip
+
+
+def _knowledge(
+    robot: Robot, effects: Sequence[Effect], parts: Sequence[Array], links: int, tau: Array
+) -> tuple[EffectPrior, Array]:
+    """Nothing known of coefficients but their signs; how large they may be, where known."""
+    known = [p for e in effects for p in e.parameters(robot)]
+    blocks = [parts[0][:, :, links:], *parts[1:]]
+    std = np.concatenate([implausible_size(block, tau) for block in blocks])
+    typical = np.array([np.inf if p.typical is None else _LARGEST * p.typical for p in known])
+    return EffectPrior(np.zeros_like(std), std, np.array([p.lower for p in known])), typical
+
+
+def _parts(segments: Sequence[Segment], stride: int) -> tuple[Index, Index]:
+    """Part and block of every row: contiguous, none over the border of a segment."""
+    counts = np.array([len(s.t) for s in segments])
+    seconds = float(sum(s.t[-1] - s.t[0] for s in segments))
+    count = int(np.clip(seconds / _BLOCK_S, *_BLOCKS))
+    folds, blocks, fold, block = [], [], 0, 0
+    for n in counts:
+        parts = max(1, round(_FOLDS * n / counts.sum()))
+        parts = max(parts, 2 if len(counts) < 3 else 1)
+        within = np.minimum(np.arange(n) * parts // n, parts - 1)
+        each = max(1, round(count * n / counts.sum() / parts))
+        inner = np.concatenate(
+            [np.arange(m) * each // m for m in np.bincount(within, minlength=parts)]
+        )
+        folds.append(fold + within)
+        blocks.append(block + within * each + inner)
+        fold, block = fold + parts, block + parts * each
+    rows = slice(None, None, stride)
+    return np.concatenate(folds)[rows], np.unique(
+        np.concatenate(blocks)[rows], return_inverse=True
+    )[1]
+
+
+def _grams(columns: Signatures, tau: Array, folds: Index) -> tuple[tuple[Array, ...], ...]:
+    """Products of each joint's columns and torque over the rows outside each part."""
+    found = []
+    for k in range(int(folds.max()) + 1):
+        others = _outside(folds, k)
+        found.append(
+            tuple(
+                (Z := np.column_stack([X[others], tau[others, j]])).T @ Z
+                for j, X in enumerate(columns.rows)
+            )
+        )
+    return tuple(found)
+
+
+def _outside(folds: Index, k: int) -> npt.NDArray[np.bool_]:
+    """Rows that are not in a part, nor beside it."""
+    inside = np.flatnonzero(folds == k)
+    outside = np.ones(len(folds), bool)
+    outside[max(0, inside[0] - _GUARD) : inside[-1] + 1 + _GUARD] = False
+    return outside
