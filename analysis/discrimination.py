@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.stats
 
+from excitant.analysis.discrimination_power import MOST_RUNS, Separation, repetitions
 from excitant.analysis.discrimination_projection import explaining, without_given
 from excitant.analysis.discrimination_shapes import bare, shapes
 from excitant.analysis.hypotheses import TOLERANCE
@@ -39,46 +39,8 @@ from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
-POWER, LEVEL = 0.9, 0.05
-MOST_RUNS = 10
 _SAMPLES = 2.0  # of a motion per row
 _ROWS = 4.0  # rows per period of the cut-off, as many as recordings are decimated to
-
-
-@dataclass(frozen=True)
-class Separation:
-    """How far a motion drives two causes apart.
-
-    Attributes:
-        delta: Δ in squared standard deviations of the noise.
-        cosine: Between the one cause's torque and the best that the other makes of it.
-        repetitions: Runs after which `diagnose` decides, with probability `POWER` at level
-            `LEVEL`; None where no number of runs is enough.
-    """
-
-    delta: float
-    cosine: float
-    repetitions: int | None
-
-    @property
-    def deviations(self) -> float:
-        """√Δ: by how many standard deviations the two differ."""
-        return float(np.sqrt(max(self.delta, 0.0)))
-
-
-def repetitions(delta: float, power: float = POWER, level: float = LEVEL) -> int:
-    """Runs that tell two causes apart with this probability at this level.
-
-    Both are compared by the squared error that each leaves (Vuong 1989). The difference has mean
-    N Δ and standard deviation 2 √(N Δ), so N = 4 (z_{level/2} + z_{1−power})² / Δ.
-    """
-    return max(1, int(np.ceil(needed(power, level) / max(delta, 1e-9) - 1e-9)))
-
-
-def needed(power: float = POWER, level: float = LEVEL) -> float:
-    """Δ at which one run is enough."""
-    z = scipy.stats.norm.isf(level / 2) + scipy.stats.norm.isf(1 - power)
-    return float(4 * z**2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,9 +110,9 @@ class Contest:
         places: dict[Effect, slice] = {}
         for pair in self.pairs:
             for effect in (
-                *self.shapes(pair.found),
-                *self.shapes(pair.rival),
-                *map(_bare, pair.beside),
+                *self._shapes(pair.found),
+                *self._shapes(pair.rival),
+                *map(bare, pair.beside),
             ):
                 if effect not in places:
                     size = len(effect.parameters(self.robot))
@@ -186,6 +148,17 @@ class Contest:
             found.append(explaining(R, floor, both, b)[len(beside) :])
         return tuple(found)
 
+    @cached_property
+    def _fastest(self) -> tuple[Segment, ...]:
+        """Each joint as fast as it was recorded, which says what counts as rest."""
+        if not self.recorded:
+            return ()
+        speed = np.max([np.abs(s.motion.dq).max(axis=0) for s in self.recorded], axis=0)
+        dq = np.stack([speed, speed])
+        still = np.zeros_like(dq)
+        motion = Motion(np.array([0.0, 1.0]), still, dq, still)
+        return (Segment("fastest", motion, still, still, self.noise.cutoff_hz, slice(0, 0)),)
+
     @property
     def rows_hz(self) -> float:
         """Rows per second, of a further motion as of the recording [Hz]."""
@@ -201,7 +174,7 @@ class Contest:
     def information(self, motion: Motion) -> Array:
         """Information of a motion, shape (columns, columns)."""
         segment = along(motion, self.noise.cutoff_hz, self.rows_hz)
-        return self._columns((segment,), self.recorded).gram(self.noise.weight)
+        return self._columns((segment,), self._fastest).gram(self.noise.weight)
 
     def separations(self, information: Array) -> list[Separation]:
         """Separation of every pair by what was recorded and a motion of this information."""
@@ -228,7 +201,7 @@ class Contest:
         runs: list[int | None] = [None] * len(once)
         for n in range(MOST_RUNS, 0, -1):
             for k, several in enumerate(self.separations(n * information)):
-                if several.delta >= needed():
+                if several.enough:
                     runs[k] = n
         return [replace(s, repetitions=n) for s, n in zip(once, runs, strict=True)]
 

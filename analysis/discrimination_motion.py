@@ -9,7 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
-from excitant.analysis.discrimination import Contest, Separation, needed
+from excitant.analysis.discrimination import Contest
+from excitant.analysis.discrimination_power import Separation, needed
+from excitant.analysis.discrimination_waves import envelope, wave, within_recording
 from excitant.design import CLEARANCE, FourierTrajectory, clearance, random_trajectory
 from excitant.design.constraints import kinematic_limits, position_range, within_limits
 from excitant.design.feasible import torque_use
@@ -17,10 +19,11 @@ from excitant.design.trajectory import FourierSeries, from_coefficients
 from excitant.exceptions import Infeasible
 from excitant.robots.geometry import Scene
 from excitant.robots.motion import Array, Motion
-from excitant.robots.robot import Limits, Robot
+from excitant.robots.robot import Robot
 
 HOPELESS = 4.0  # Δ below which no motion is worth running
 _SCREENED, _REFINED = 48, 48  # motions judged, at most
+_SCREENING = 0.5  # of the time, at most
 _PLENTY = 6.0  # times the Δ that is needed: more is of no use
 _MUCH_BETTER = 1.5  # times the Δ of a motion must another promise to be run too
 _TOP_HZ = 2.5  # fastest reversals
@@ -79,25 +82,20 @@ def discriminating_motions(
         The motions, and for each pair the largest Δ of all motions judged, shape (pairs,).
     """
     deadline = time.monotonic() + time_limit
-    screened = time.monotonic() + 0.5 * time_limit
     series = FourierSeries(duration, max(max(_WAVES), round(_TOP_HZ * duration)))
-    search = _Search(contest, _within_recording(contest), series, scene, rng)
-    pool = []
-    for trajectory in search.drawn(_SCREENED):
-        pool.append(search.judged(trajectory))
-        if time.monotonic() > screened:
-            break
-    if not pool:
-        return [], np.zeros(len(contest.pairs))
-    highest = np.max([motion.deltas for motion in pool], axis=0)
+    robot = within_recording(contest.robot, [segment.motion for segment in contest.recorded])
+    search = _Search(contest, robot, series, scene, rng)
+    pool = search.screened(time.monotonic() + _SCREENING * time_limit)
+    highest = np.max([np.zeros(len(contest.pairs)), *(m.deltas for m in pool)], axis=0)
     open_, motions = highest > HOPELESS, list[Discriminating]()
     while open_.any() and len(motions) < most:
         best = search.best(pool, open_)
         served = open_ & (best.deltas > HOPELESS) if best is not None else open_ & False
         if best is None or not served.any():
             break
-        left = deadline - time.monotonic()
-        best = search.improved(best, served, time.monotonic() + left / (most - len(motions)))
+        shares = most - len(motions) if (open_ & ~served).any() else 1
+        left = max(deadline - time.monotonic(), 0.0)
+        best = search.improved(best, served, time.monotonic() + left / shares)
         motions.append(search.counted(best))
         open_ &= (best.deltas < needed()) & (highest > _MUCH_BETTER * best.deltas)
         highest = np.maximum(highest, best.deltas)
@@ -123,6 +121,15 @@ class _Search:
         """When limits are looked at, and the basis of q and its derivatives then."""
         t = np.linspace(0.0, self.series.period, 8 * self.series.harmonics + 1)
         return t, [self.series.basis(t, order) for order in range(4)]
+
+    def screened(self, until: float) -> list[Discriminating]:
+        """Motions of all kinds, judged; at least one where there is any."""
+        pool: list[Discriminating] = []
+        for trajectory in self.drawn(_SCREENED):
+            pool.append(self.judged(trajectory))
+            if time.monotonic() > until:
+                break
+        return pool
 
     def drawn(self, count: int) -> Iterator[FourierTrajectory]:
         """Motions of all kinds, in turn; those that find no way into the limits left out."""
@@ -220,10 +227,10 @@ class _Search:
             share = np.zeros(self.robot.nv)
             for j in range(self.robot.nv):
                 if j in self._interest:
-                    X[:, j] = _envelope(series, self.rng)
+                    X[:, j] = envelope(series, self.rng)
                     share[j] = np.exp(self.rng.uniform(np.log(_SMALLEST), 0.0))
                 elif self.rng.uniform() > _HELD:
-                    X[:, j] = _wave(series, self.rng)
+                    X[:, j] = wave(series, self.rng)
                     share[j] = self.rng.uniform(0.3, 1.0)
             pose = middle + self.rng.uniform(-0.8, 0.8, self.robot.nv) * half
             if (found := self._fitted(X, pose, share)) is not None:
@@ -240,7 +247,7 @@ class _Search:
             if rng.uniform() < 0.5:
                 X[:, j] *= np.exp(step * rng.normal())
             if rng.uniform() < 0.3:
-                fresh = _envelope(series, rng) if rng.uniform() < 0.5 else _wave(series, rng)
+                fresh = envelope(series, rng) if rng.uniform() < 0.5 else wave(series, rng)
                 X[:, j] += step * rng.uniform() * np.linalg.norm(X[:, j]) * fresh
         return self._fitted(X, pose)
 
@@ -273,55 +280,3 @@ def _worth(deltas: Array) -> float:
     if not len(deltas):
         return -np.inf
     return float(np.log(np.clip(deltas, 0.1, _PLENTY * needed())).sum())
-
-
-def _envelope(series: FourierSeries, rng: np.random.Generator) -> Array:
-    """((1 − cos ωt) / 2)^p cos(kωt + φ): reversals that swell and fade, shape (c,), norm 1.
-
-    With p ≥ 2 it is at rest at both ends; its peak speeds range from nothing to the highest.
-    """
-    p = int(rng.integers(2, 5))
-    top = max(series.harmonics - p, 1)
-    k = min(round(float(np.exp(rng.uniform(np.log(2), np.log(max(top, 3)))))), top)
-    n = 4 * series.harmonics + 4
-    angle = 2 * np.pi * np.arange(n) / n
-    values = ((1 - np.cos(angle)) / 2) ** p * np.cos(k * angle + rng.uniform(0, 2 * np.pi))
-    spectrum = np.fft.rfft(values)[1 : series.harmonics + 1] * 2 / n
-    return _at_rest(series, np.concatenate([[0.0], spectrum.real, -spectrum.imag]))
-
-
-def _wave(series: FourierSeries, rng: np.random.Generator) -> Array:
-    """A few random harmonics, low ones mostly, shape (c,), norm 1."""
-    h = np.arange(1, series.harmonics + 1)
-    top = np.exp(rng.uniform(np.log(2), np.log(series.harmonics)))
-    size = np.where(h <= max(top, 3), 1 / h ** rng.uniform(0, 2), 0.0)
-    x = rng.normal(size=2 * series.harmonics) * np.concatenate([size, size])
-    return _at_rest(series, np.concatenate([[0.0], x]))
-
-
-def _at_rest(series: FourierSeries, x: Array) -> Array:
-    x = series.rest @ (series.rest.T @ x)
-    x[0] = 0.0
-    norm = np.linalg.norm(x)
-    return np.asarray(x / norm if norm > 0 else x, float)
-
-
-def _within_recording(contest: Contest) -> Robot:
-    """The arm, limits that it does not state set to what the recording reached."""
-    robot, limits = contest.robot, contest.robot.limits
-    if not contest.recorded:
-        return robot
-    q = np.concatenate([s.motion.q for s in contest.recorded])
-    speed, push = (
-        np.max([np.abs(getattr(s.motion, name)).max(axis=0) for s in contest.recorded], axis=0)
-        for name in ("dq", "ddq")
-    )
-    reached = np.column_stack([q.min(axis=0), q.max(axis=0)])
-    unbounded = ~np.isfinite(limits.position).all(axis=1, keepdims=True)
-    known: Limits = replace(
-        limits,
-        position=np.where(unbounded, reached, limits.position),
-        velocity=np.where(np.isfinite(limits.velocity), limits.velocity, speed),
-        acceleration=np.where(np.isfinite(limits.acceleration), limits.acceleration, push),
-    )
-    return robot.with_limits(known)

@@ -104,11 +104,13 @@ def plan(
         )
     except Infeasible:
         motions = []
+    chosen = [_best(motions, index) for index in range(len(contest.pairs))]
+    used = sorted((m for m in motions if m in chosen), key=lambda m: -chosen.count(m))
     found = {
-        key(pair.found, pair.rival): _experiment(diagnosis.robot, pair, k, motions)
-        for k, pair in enumerate(contest.pairs)
+        key(pair.found, pair.rival): _experiment(diagnosis.robot, pair, index, best, used)
+        for index, (pair, best) in enumerate(zip(contest.pairs, chosen, strict=True))
     }
-    return Plan(found, tuple(motion.trajectory for motion in motions))
+    return Plan(found, tuple(motion.trajectory for motion in used))
 
 
 def contest_of(diagnosis: Diagnosis) -> Contest:
@@ -169,19 +171,27 @@ def _surroundings(diagnosis: Diagnosis) -> Scene | None:
     return found if found.distances(poses).min() > _NEAREST else None
 
 
+def _best(motions: Sequence[Discriminating], index: int) -> Discriminating | None:
+    """The motion that separates a pair best, if any does in a number of runs."""
+    able = [motion for motion in motions if motion.separations[index].repetitions]
+    return max(able, key=lambda m: m.separations[index].delta, default=None)
+
+
 def _experiment(
-    robot: Robot, pair: Pair, index: int, motions: Sequence[Discriminating]
+    robot: Robot,
+    pair: Pair,
+    index: int,
+    best: Discriminating | None,
+    motions: Sequence[Discriminating],
 ) -> Experiment:
-    """The motion that separates a pair best, or the action where none does."""
-    able = [k for k, motion in enumerate(motions) if motion.separations[index].repetitions]
+    """The motion to run for a pair, or the action where none helps."""
     action = experiment(pair.found.name, pair.rival.name)
-    if not able:
+    if best is None:
         return Experiment(f"no motion within the limits was found to tell them apart: {action}")
-    k = max(able, key=lambda k: motions[k].separations[index].delta)
-    separated = motions[k].separations[index]
-    file, runs = f"separate-{k + 1}.csv", separated.repetitions
+    separated, runs = best.separations[index], best.separations[index].repetitions
+    file = f"separate-{motions.index(best) + 1}.csv"
     often = "one run is enough" if runs == 1 else f"{runs} runs are needed, or else: {action}"
-    does = described(motions[k].trajectory, robot)
+    does = described(best.trajectory, robot)
     apart = f"separates by {separated.deviations:.3g} standard deviations"
     return Experiment(f"run {file} ({does}): {apart}; {often}", separated.deviations, runs, file)
 

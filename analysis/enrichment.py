@@ -9,9 +9,10 @@ others. A candidate enters when
 * the same holds for physically consistent fits, everything identified again with it.
 
 Candidates are ranked by linear fits with the same prior but without its inequalities, which costs
-little; at the end shapes are chosen again beside all other effects, and effects that others have
-made dispensable, so that they bring less than 2.5 standard errors beside the others, are taken out.
-The user's hold-out is never touched, and where nothing earns its place the standard model remains.
+little. At the end shapes are chosen again beside all other effects, and effects that others have
+made dispensable are taken out: what stays must pay beyond two standard errors with the choice of
+its joint accounted for. The user's hold-out is never touched, and where nothing earns its place the
+standard model remains.
 """
 
 from __future__ import annotations
@@ -31,8 +32,7 @@ from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
-DEVIATIONS = 2.0  # standard errors by which the inner hold-out's error must fall to enter
-STAYS = 2.5  # the same to stay, beside all the others
+DEVIATIONS = 2.0  # standard errors by which the inner hold-out's error must fall
 FLOOR = 0.05  # of a joint's squared error: dry friction is never an ideal sign function
 _LARGEST_SET = 40
 _PATIENCE = 4  # candidates in a row that fail as physically consistent fits
@@ -200,7 +200,7 @@ def _pruned(
         dispensable = [
             k
             for k, (each, without) in enumerate(zip(chosen, others, strict=True))
-            if without is not None and not _pays(trial, each, without, errors, STAYS)
+            if without is not None and not _pays(trial, each, without, errors, _places(trial, each))
         ]
         if not dispensable:
             steps = (Step(c.effect, *fall) for c, fall in zip(chosen, falls, strict=True))
@@ -208,6 +208,11 @@ def _pruned(
         least = min(dispensable, key=lambda k: falls[k][0])
         errors = others[least] or errors
         chosen = [c for k, c in enumerate(chosen) if k != least]
+
+
+def _places(trial: Trial, candidate: Candidate) -> float:
+    """At how many places of the arm a candidate could have been."""
+    return trial.robot.nv / len(candidate.joints)
 
 
 def _consistent(trial: Trial, chosen: Sequence[Candidate]) -> Errors | None:
@@ -219,13 +224,13 @@ def _consistent(trial: Trial, chosen: Sequence[Candidate]) -> Errors | None:
 
 
 def _pays(
-    trial: Trial,
-    candidate: Candidate,
-    before: Errors,
-    after: Errors,
-    deviations: float = DEVIATIONS,
+    trial: Trial, candidate: Candidate, before: Errors, after: Errors, choices: float = 1.0
 ) -> bool:
-    """Whether a fall exceeds the floor and chance, more where a shape was searched on all rows."""
+    """Whether a fall exceeds the floor and chance, given from how many it was chosen."""
     fall, error = trial.fall(candidate, before, after)
-    chance = scipy.stats.norm.sf(deviations) / candidate.trials
-    return bool(fall > max(FLOOR, float(scipy.stats.norm.isf(chance)) * error))
+    return bool(fall > max(FLOOR, beyond_chance(candidate.trials * choices) * error))
+
+
+def beyond_chance(choices: float) -> float:
+    """Standard errors that the best of many must exceed, as two are for one (Bonferroni)."""
+    return float(scipy.stats.norm.isf(scipy.stats.norm.sf(DEVIATIONS) / choices))

@@ -22,6 +22,7 @@ from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
 _NEAR_TRIAL = (0.3, 2.5)  # of a trial delay or gap, for which its column is right
+_PRIOR = ("mean", "std", "lower")
 _BEYOND = 0.5  # of several coefficients may be such as the consistent fit then sets to zero
 
 
@@ -71,8 +72,8 @@ class Trial:
 
     Attributes:
         robot: The arm as given.
-        columns: Standard parameters, standard effects, candidates.
-        tau: Torque, shape (n, nv) [N·m].
+        columns: Coordinates of the bodies from the prior on, standard effects, candidates.
+        tau: Torque less that of the prior's bodies, shape (n, nv) [N·m].
         prior: Standard parameters of the prior, shape (nv, 10).
         always: Number of leading columns that every model has.
         coefficients: Prior of the coefficients of effects, those of candidates included.
@@ -151,7 +152,7 @@ class Trial:
             starts, at = _starts(self.blocks[held])
             for j, (index, X) in enumerate(zip(self.columns.index, self.columns.rows, strict=True)):
                 Xh = X[held]
-                error = self._target[held, j] - Xh @ system.solution[index]
+                error = self.tau[held, j] - Xh @ system.solution[index]
                 before[at, j] += np.add.reduceat(error**2, starts)
                 if len(added):
                     new = error[:, None] - Xh @ change[index]
@@ -177,7 +178,7 @@ class Trial:
             held = self.folds == k
             starts, at = _starts(self.blocks[held])
             for j, (index, X) in enumerate(zip(self.columns.index, self.columns.rows, strict=True)):
-                error = self._target[held, j] - X[held] @ x[index]
+                error = self.tau[held, j] - X[held] @ x[index]
                 found[at, j] += np.add.reduceat(error**2, starts)
         return Errors(found, len(self.tau))
 
@@ -204,11 +205,6 @@ class Trial:
     def _coordinates(self) -> Array:
         return link_coordinates(self.prior)
 
-    @property
-    def _target(self) -> Array:
-        """Torque less that of the prior, shape (n, nv)."""
-        return self.tau
-
     def _gram(self, k: int) -> Array:
         """Weighted products of all columns and, last, the torque, without part k."""
         size = self.columns.size
@@ -230,9 +226,6 @@ class Trial:
             share = float(value[0]) / float(trial)
             return _NEAR_TRIAL[0] < share < _NEAR_TRIAL[1]
         return bool((np.abs(value) < self.typical[part]).all())
-
-
-_PRIOR = ("mean", "std", "lower")
 
 
 def _starts(blocks: Index) -> tuple[Index, Index]:

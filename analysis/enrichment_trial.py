@@ -76,26 +76,32 @@ def _knowledge(
 
 
 def _parts(segments: Sequence[Segment], stride: int) -> tuple[Index, Index]:
-    """Part and block of every row: contiguous, none over the border of a segment."""
+    """Part and block of every row: contiguous, none over the border of a block.
+
+    Whole recordings are parts where there are several; of many short pieces, some are one part.
+    """
     counts = np.array([len(s.t) for s in segments])
     seconds = float(sum(s.t[-1] - s.t[0] for s in segments))
-    count = int(np.clip(seconds / _BLOCK_S, *_BLOCKS))
-    folds, blocks, fold, block = [], [], 0, 0
-    for n in counts:
-        parts = max(1, round(_FOLDS * n / counts.sum()))
-        parts = max(parts, 2 if len(counts) < 3 else 1)
-        within = np.minimum(np.arange(n) * parts // n, parts - 1)
-        each = max(1, round(count * n / counts.sum() / parts))
-        inner = np.concatenate(
-            [np.arange(m) * each // m for m in np.bincount(within, minlength=parts)]
+    count, total = int(np.clip(seconds / _BLOCK_S, *_BLOCKS)), counts.sum()
+    own = [max(1 if len(counts) > 2 else 2, round(_FOLDS * n / total)) for n in counts]
+    if sum(own) > _FOLDS + 1:
+        each = np.arange(total) * count // total
+        folds, blocks = each * _FOLDS // count, each
+    else:
+        first = np.cumsum([0, *own[:-1]])
+        folds = np.concatenate(
+            [k + _evenly(n, m) for k, n, m in zip(first, counts, own, strict=True)]
         )
-        folds.append(fold + within)
-        blocks.append(block + within * each + inner)
-        fold, block = fold + parts, block + parts * each
-    rows = slice(None, None, stride)
-    return np.concatenate(folds)[rows], np.unique(
-        np.concatenate(blocks)[rows], return_inverse=True
-    )[1]
+        sizes = np.bincount(folds)
+        inner = [_evenly(n, max(1, round(count * n / total))) for n in sizes]
+        blocks = np.concatenate([1000 * k + part for k, part in enumerate(inner)])
+    thinned = (np.unique(x[::stride], return_inverse=True)[1] for x in (folds, blocks))
+    return next(thinned), next(thinned)
+
+
+def _evenly(rows: int, parts: int) -> Index:
+    """Part of each of some rows, as equal as can be, shape (rows,)."""
+    return np.arange(rows) * parts // rows
 
 
 def _grams(columns: Signatures, tau: Array, folds: Index) -> tuple[tuple[Array, ...], ...]:

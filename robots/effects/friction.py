@@ -108,6 +108,7 @@ class NonlinearViscousFriction(JointEffect):
     """
 
     name: ClassVar[str] = "nonlinear_viscous_friction"
+    contains: ClassVar[tuple[str, ...]] = ("viscous_friction",)  # exponent one
     positive: ClassVar[tuple[str, ...]] = ("exponent",)
     terms: ClassVar[tuple[Term, ...]] = (Term("Fn", "N·m·(s/rad)^a"),)
 

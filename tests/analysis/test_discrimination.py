@@ -16,12 +16,11 @@ from excitant.analysis.discrimination import (
     Noise,
     Pair,
     along,
-    needed,
-    repetitions,
     separation,
 )
 from excitant.analysis.discrimination_motion import HOPELESS, discriminating_motions
 from excitant.analysis.discrimination_plan import Plan, described, key, plan
+from excitant.analysis.discrimination_power import needed, repetitions
 from excitant.analysis.experiments import experiment
 from excitant.analysis.extension import tolerance_metric
 from excitant.design import FourierTrajectory, check
@@ -114,6 +113,25 @@ def test_a_given_value_within_its_tolerance_costs_no_more_than_its_prior(planar:
     )  # fmt: skip
     price = (added / (tolerance * given[-1])) ** 2
     assert 0 < separation(pair, swing(planar)).delta <= price * (1 + 1e-6)
+
+
+def test_runs_that_the_prior_makes_useless_are_not_asked_for(planar: Robot) -> None:
+    """Where given values within their tolerance explain the found cause, no repetition helps."""
+    joint, motion = planar.joints[-1], swing(planar)
+    for added, enough in ((0.1, False), (0.4, True)):
+        found = CoulombFriction((joint,), (added,))
+        pair = contest(planar, found, TimeDelay((joint,), trial=0.005))
+        [counted] = pair.counted(pair.information(motion))
+        assert (counted.repetitions is not None) == enough
+    shorter = [share * pair.information(motion) for share in np.geomspace(1.0, 1e-4, 15)]
+    asked = [(part, counted.repetitions) for part in shorter for counted in pair.counted(part)]
+    several = [(part, n) for part, n in asked if n is not None and n > 1]
+    assert several
+    for part, n in several:
+        [enough], [less] = (pair.separations(k * part) for k in (n, n - 1))
+        assert enough.enough
+        assert not less.enough
+        assert enough.delta > needed()
 
 
 def test_noise_and_length_scale_the_separation(bare: Robot) -> None:

@@ -6,12 +6,14 @@ The virtual arm shares no code with the effects that are fitted.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from excitant.analysis.enrichment import FLOOR, STAYS, Enrichment, enriched, enrichment
+from excitant.analysis.enrichment import FLOOR, Enrichment, beyond_chance, enriched, enrichment
+from excitant.analysis.enrichment_trial import trial_of
 from excitant.cli import main
 from excitant.design import random_trajectory
 from excitant.identify import Recording, identify, load_dataset, recording_from_table
@@ -82,7 +84,8 @@ def test_planted_effects_are_added_where_they_are(found: Enrichment) -> None:
 def test_each_addition_pays_beyond_chance_and_floor(found: Enrichment) -> None:
     assert len(found.steps) >= 2
     for step in found.steps:
-        assert step.fall > max(FLOOR, STAYS * step.error)
+        places = 2 / len(step.effect.joints)
+        assert step.fall > max(FLOOR, beyond_chance(places) * step.error)
         assert step.effect.name.replace("_", " ") in step.sentence
     assert (found.after < 0.8 * found.before).all()
 
@@ -101,6 +104,20 @@ def test_what_was_added_predicts_an_unseen_motion_better(
 def test_a_plain_arm_gets_the_standard_model(planar: Robot, seed: int) -> None:
     fit = recorded(planar, 10 + seed)
     assert enriched(planar, fit) == standard_effects(planar.joints)
+
+
+def test_a_recording_in_pieces_is_left_out_in_few_parts(planar: Robot) -> None:
+    """However many gaps it has, and with every row in one part and one block."""
+    (whole,) = recorded(planar, 10)
+    kept = (whole.t - whole.t[0]) % 2.5 > 0.1
+    pieces = replace(whole, t=whole.t[kept], q=whole.q[kept], tau=whole.tau[kept], dq=None)
+    fit = identify(planar, [pieces], validate=[pieces])
+    assert len(fit.data.train) == 8
+    trial = trial_of(planar, fit)
+    assert set(trial.folds) == set(range(5))
+    assert set(trial.blocks) == set(range(max(trial.blocks) + 1))
+    for block in set(trial.blocks):
+        assert len(set(trial.folds[trial.blocks == block])) == 1
 
 
 def test_where_nothing_is_added_it_is_said(planar: Robot) -> None:

@@ -112,7 +112,11 @@ def test_a_cutoff_that_does_not_fit_is_refused(cutoff: float) -> None:
 def test_a_slow_recording_gets_a_cutoff_that_fits() -> None:
     t = np.arange(0, 20, 0.1)
     wave = np.sin(t)[:, None]
-    assert prepare(Recording("n", "f", t, wave, wave))[0].cutoff_hz == pytest.approx(4.0)
+    recording = Recording("n", "f", t, wave, wave)
+    assert prepare(recording)[0].cutoff_hz == pytest.approx(2.0)  # positions: 4 of 5 Hz
+    assert prepare(recording, 4.0)[0].cutoff_hz == pytest.approx(4.0)
+    with pytest.raises(BadRecording, match="choose one up to 4 Hz"):
+        prepare(recording, 4.1)
 
 
 def test_columns_and_torque_pass_the_same_filter(
