@@ -16,6 +16,7 @@ from excitant.robots.motion import Array
 _POINTS = 2500
 _MEDIANS = 24
 _CURVE = 90
+_GAP = 4.0  # usual distances between the curve's points
 
 
 def evidence_figure(
@@ -36,7 +37,7 @@ def evidence_figure(
     _scatter(ax, x, residual)
     legend = [Key("dot", LIGHT, "residual before"), Key("dot", MEASURED, "median in bins")]
     if fit is not None:
-        ax.plot(*_along(x, fit[order], _CURVE), color=FITTED, lw=1.8)
+        ax.plot(*_with_gaps(*_along(x, fit[order], _CURVE)), color=FITTED, lw=1.8)
         legend.append(Key("line", FITTED, "fitted effect"))
     if len(x) >= 4 * _MEDIANS:
         centres, medians = _along(x, residual, _MEDIANS)
@@ -80,6 +81,13 @@ def _along(x: Array, y: Array, bins: int) -> tuple[Array, Array]:
     ]
     centres, medians = np.array(pairs, dtype=float).reshape(-1, 2).T
     return centres, medians
+
+
+def _with_gaps(x: Array, y: Array) -> tuple[Array, Array]:
+    """A curve that is not drawn across what was not measured."""
+    steps = np.diff(x)
+    gaps = np.flatnonzero(steps > _GAP * np.median(steps)) + 1 if len(steps) else []
+    return np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan)
 
 
 def _limits(ax: Axes, x: Array, y: Array) -> None:
