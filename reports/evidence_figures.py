@@ -85,8 +85,8 @@ def _along(x: Array, y: Array, bins: int) -> tuple[Array, Array]:
 
 def _with_gaps(x: Array, y: Array) -> tuple[Array, Array]:
     """A curve that is not drawn across what was not measured."""
-    steps = np.diff(x)
-    gaps = np.flatnonzero(steps > _GAP * np.median(steps)) + 1 if len(steps) else []
+    steps = np.diff(x, prepend=x[:1])
+    gaps = np.flatnonzero(steps > _GAP * np.median(steps))
     return np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan)
 
 
