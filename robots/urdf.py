@@ -144,6 +144,8 @@ def _check(root: ET.Element, source: str) -> None:
                         number(word, key, owner, source)
 
 
+_LARGEST = 1e9  # kg, m, rad, kg·m² of anything that is part of an arm
+_LIMIT_KEYS = ("lower", "upper", "effort", "velocity")  # large numbers that mean no limit
 _NUMERIC = ("mass", "inertia", "origin", "limit", "axis")
 
 
@@ -156,6 +158,10 @@ def number(text: str, key: str, owner: ET.Element, source: str) -> float:
     if not np.isfinite(value):
         raise BadRobot(
             source, f"{owner.tag} '{owner.get('name')}': {key}=\"{text}\" is not a number"
+        )
+    if abs(value) > _LARGEST and key not in _LIMIT_KEYS:
+        raise BadRobot(
+            source, f"{owner.tag} '{owner.get('name')}': {key}=\"{text}\" is beyond any arm's size"
         )
     return value
 
