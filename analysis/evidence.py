@@ -29,9 +29,9 @@ from excitant.identify.least_squares import autocorrelation_time
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, read_only
 
-FALSE_ALARM = 0.01  # probability that any candidate at all is taken up when none is at work
+FALSE_ALARM = 0.05  # that any candidate enters when none is at work; the hold-out confirms it
 _ROUNDS = 3  # of estimating the noise
-_RIDGE = 1e-9  # of the mean information, where a candidate acts in a single block
+_RIDGE = 1e-3  # of a candidate's information that other blocks hold, at least
 _LEAST = 0.5  # λ: noise whose correlation helps a candidate is not relied on further
 _LOOSE = 0.01  # of the prior precision, where only the noise is asked for
 _COMMON = frozenset(
@@ -164,17 +164,18 @@ class Evidence:
     def threshold(self, candidate: Candidate) -> float:
         """Fall of J over λ that a candidate must exceed, the search accounted for.
 
-        The noise behind λ is known from as many blocks as there are.
+        The noise behind λ is known from as many blocks as there are, and half from theory.
         """
         tail = FALSE_ALARM / (len(self.candidates) * candidate.trials)
         size, blocks = candidate.size, len(self.blocks)
-        return size * _beyond(tail, size, size * (blocks - 1))
+        return size * _beyond(tail, size, 2 * size * (blocks - 1))
 
     def dispersion(self, chosen: Sequence[Candidate], candidate: Candidate) -> float:
         """λ of a candidate added to a set: variance of its score over that of white noise.
 
-        Each block's score is that of the candidate's coefficients fitted to all other blocks (Bell
-        and McCaffrey 2002), because those fitted to all would leave the blocks too empty.
+        A fit leaves every block's score smaller by the block's share in it; the scores are scaled
+        up so that white noise gives 1 (Bell and McCaffrey 2002). Few blocks know λ badly, so it is
+        shrunk half-way to 1.
         """
         active = self.active(chosen)
         at = np.arange(candidate.columns.start, candidate.columns.stop)
@@ -187,12 +188,14 @@ class Evidence:
         weighted = S * self.weight[:, None]
         scores = np.add.reduceat(np.einsum("njk,nj->nk", weighted, e), self.blocks)
         grams = np.add.reduceat(np.einsum("njk,njl->nkl", weighted, S), self.blocks)
-        G = grams.sum(axis=0)
-        count, k = len(self.blocks), len(at)
-        ridge = _RIDGE * np.trace(G) / k * np.eye(k)
-        left_out = np.linalg.solve(G - grams + ridge, scores[:, :, None])[:, :, 0] @ G
-        spread = np.linalg.lstsq(G, left_out.T @ left_out, rcond=1e-9)[0]
-        return max(_LEAST, float(np.trace(spread)) / k * (count - 1) / count)
+        unit = _inverse_root(grams.sum(axis=0))
+        if not len(unit):
+            return _LEAST
+        share, modes = np.linalg.eigh(unit @ grams @ unit.T)
+        left = 1 / np.sqrt(np.maximum(1 - share, _RIDGE))
+        adjusted = left * np.einsum("bmi,bm->bi", modes, scores @ unit.T)
+        measured = float((adjusted**2).sum()) / len(unit)
+        return max(_LEAST, (measured + 1) / 2)
 
     def cosine(self, one: Candidate, other: Candidate) -> float:
         """Largest |cos| between two candidates' columns, the nuisance projected out."""

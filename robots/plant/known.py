@@ -41,7 +41,10 @@ def _same(*names: str) -> Callable[[Numbers], dict[str, float]]:
 
 def _ripple(x: Numbers) -> dict[str, float]:
     """A cos(n q) + B sin(n q) as one sine."""
-    cosine, sine = x["ripple_cos"], x["ripple_sin"]
+    cosine, sine = (
+        next(value for name, value in x.items() if name.startswith(f"ripple_{part}"))
+        for part in ("cos", "sin")
+    )
     amplitude, phase = math.hypot(cosine, sine), math.atan2(cosine, sine)
     return {"amplitude": amplitude, "order": x["order"], "phase": phase}
 
