@@ -12,9 +12,10 @@ from excitant.analysis.extension import Extension, contribution, extend, toleran
 from excitant.analysis.hypotheses import hypotheses, rests_on_model
 from excitant.analysis.residuals import Remainder, noise_floor, remainders
 from excitant.analysis.selection import Rival, rivals, select
-from excitant.analysis.sticking import sliding
+from excitant.analysis.sticking import Mask, sliding
 from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
 from excitant.identify.physical import prior_parameters
+from excitant.identify.preprocessing import Segment
 from excitant.identify.recording import Recording
 from excitant.identify.rows import Data, observation, split, torque_per_reading
 from excitant.robots.base_parameters import base_parameters
@@ -129,7 +130,7 @@ def diagnose(
     data = split(recordings, validate, cutoff_hz)
     gains = _gains(robot, data)
     tau = series(data.train).measured * gains
-    simulated = predicted_torque(robot, data.validate) / gains
+    held = _held_out(robot, data, gains)
     reference, shapes = robot, None
     for _ in range(_ROUNDS):
         evidence = hypotheses(robot, reference, tolerance_metric(prior), data.train, gains)
@@ -137,31 +138,66 @@ def diagnose(
         while True:
             extension = extend(robot, reference, prior, evidence, chosen, data.train, tau)
             predicted = predicted_torque(extension.model, data.validate) / gains
-            worst, judged = _judge(
-                robot, evidence, extension, chosen, data, gains, simulated, predicted
-            )
+            worst, judged = _judge(robot, evidence, extension, chosen, held, predicted)
             if worst is None:
                 break
             chosen = [c for c in chosen if c is not worst]
         reference, before, shapes = extension.model, shapes, {c.effect for c in chosen}
         if shapes == before or not any(rests_on_model(c.effect) for c in chosen):
             break
-    if _worse(predicted, simulated, data):
+    if held.worse(predicted):
         extension, chosen, judged = Extension(robot, {}, np.zeros(10 * robot.nv)), [], []
-        predicted = simulated
+        predicted = held.simulated
     judged = [
         replace(finding, rivals=tuple(rivals(evidence, robot, chosen, candidate)))
         for finding, candidate in zip(judged, chosen, strict=True)
     ]
-    return _diagnosis(robot, data, gains, extension, judged, simulated, predicted)
+    return _diagnosis(robot, data, held, extension, judged, predicted)
 
 
-def _worse(predicted: Array, simulated: Array, data: Data) -> bool:
-    """Whether the extended model predicts the hold-out worse than the given one."""
-    measured = series(data.validate).measured
-    scale = measured.std(axis=0)
-    errors = [float((((measured - tau) / scale) ** 2).sum()) for tau in (predicted, simulated)]
-    return errors[0] > errors[1]
+@dataclass(frozen=True, eq=False)
+class _HeldOut:
+    """The hold-out as every model is judged by it.
+
+    Attributes:
+        segments: The hold-out.
+        gains: Torque per reading, shape (nv,).
+        series: Its rows.
+        simulated: Torque of the given model at the rows, shape (n, nv) [torque unit].
+        moves: Rows at which each joint moves, shape (n, nv).
+        floor: What noise leaves of each joint's torque, shape (nv,) [torque unit].
+    """
+
+    segments: tuple[Segment, ...]
+    gains: Array
+    series: Series
+    simulated: Array
+    moves: Mask
+    floor: Array
+
+    @property
+    def given(self) -> Array:
+        """What the given model leaves, shape (n, nv) [torque unit]."""
+        return self.series.measured - self.simulated
+
+    def worse(self, predicted: Array) -> bool:
+        """Whether a model predicts worse than the given one."""
+        measured, scale = self.series.measured, self.series.measured.std(axis=0)
+        models = predicted, self.simulated
+        errors = [float((((measured - tau) / scale) ** 2).sum()) for tau in models]
+        return errors[0] > errors[1]
+
+
+def _held_out(robot: Robot, data: Data, gains: Array) -> _HeldOut:
+    segments = data.validate
+    return _HeldOut(
+        segments,
+        gains,
+        series(segments),
+        predicted_torque(robot, segments) / gains,
+        sliding(segments),
+        np.array([noise_floor(segments, j) for j in range(robot.nv)]),
+    )
 
 
 def _gains(robot: Robot, data: Data) -> Array:
@@ -179,20 +215,15 @@ def _judge(
     evidence: Evidence,
     extension: Extension,
     chosen: Sequence[Candidate],
-    data: Data,
-    gains: Array,
-    simulated: Array,
+    held: _HeldOut,
     predicted: Array,
 ) -> tuple[Candidate | None, list[Finding]]:
     """The cause that pays least on the hold-out, if one does not pay; else the findings."""
-    held = series(data.validate)
-    error, given = held.measured - predicted, held.measured - simulated
-    moves = sliding(data.validate)
-    weight = moves * gains / evidence.sigma
-    floor = np.array([noise_floor(data.validate, j) for j in range(robot.nv)])
+    error, weight = held.series.measured - predicted, held.moves * held.gains / evidence.sigma
+    power = float(((held.given * weight) ** 2).sum())
     findings, worst, least = [], None, 0.0
     for candidate in chosen:
-        torque = contribution(extension, robot, candidate.effect, data.validate) / gains
+        torque = contribution(extension, robot, candidate.effect, held.segments) / held.gains
         joints = _joints(robot, candidate.effect)
         without = error + torque
         gain = ((without**2 - error**2) * weight**2)[:, joints]
@@ -200,7 +231,7 @@ def _judge(
             (without * weight)[:, joints], (torque * weight)[:, joints]
         )
         pays = relative - max(_FLOOR, _DEVIATIONS * spread)
-        if not _shows(torque * moves, floor):
+        if not _shows(torque * held.moves, held.floor):
             pays = min(pays, -_FLOOR)
         if pays < least:
             worst, least = candidate, pays
@@ -210,7 +241,7 @@ def _judge(
                 extension,
                 candidate,
                 torque,
-                explained=float(gain.sum() / ((given * weight) ** 2).sum()),
+                explained=float(gain.sum()) / power,
                 errors=(without[:, joints], error[:, joints]),
                 gain_error=spread,
             )
@@ -285,15 +316,13 @@ def _finding(
 def _diagnosis(
     robot: Robot,
     data: Data,
-    gains: Array,
+    held: _HeldOut,
     extension: Extension,
     findings: list[Finding],
-    simulated: Array,
     predicted: Array,
 ) -> Diagnosis:
-    held = series(data.validate)
-    error = held.measured - predicted
-    left = remainders(robot.joints, data.validate, error, held.measured - simulated, predicted)
+    error = held.series.measured - predicted
+    left = remainders(robot.joints, data.validate, error, held.given, predicted)
     doubtful = [replace(f, overshadowed=_overshadowed(f, left)) for f in findings]
     findings = sorted(doubtful, key=lambda f: -f.explained)
     notes = [data.holdout]
@@ -305,19 +334,19 @@ def _diagnosis(
     return Diagnosis(
         robot=robot,
         data=data,
-        gains=gains,
+        gains=held.gains,
         extension=extension,
-        simulation=held.accuracy(simulated),
-        extended=held.accuracy(predicted),
+        simulation=held.series.accuracy(held.simulated),
+        extended=held.series.accuracy(predicted),
         findings=tuple(findings),
-        series=held,
+        series=held.series,
         position=np.concatenate([s.motion.q[s.keep] for s in data.validate]),
         velocity=np.concatenate([s.motion.dq[s.keep] for s in data.validate]),
         acceleration=np.concatenate([s.motion.ddq[s.keep] for s in data.validate]),
-        simulated=simulated,
+        simulated=held.simulated,
         predicted=predicted,
         remainders=left,
-        waterfall=_waterfall(held.measured - simulated, error, findings),
+        waterfall=_waterfall(held.given, error, findings),
         notes=tuple(notes),
     )
 

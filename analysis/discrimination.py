@@ -24,17 +24,12 @@ import numpy as np
 from excitant.analysis.discrimination_power import MOST_RUNS, Separation, repetitions
 from excitant.analysis.discrimination_projection import explaining, without_given
 from excitant.analysis.discrimination_shapes import bare, shapes
-from excitant.analysis.hypotheses import TOLERANCE
+from excitant.analysis.hypotheses import TOLERANCE, believed_columns, cause_columns
 from excitant.analysis.signatures import Signatures, signatures
 from excitant.analysis.sticking import sliding
 from excitant.identify.physical import link_coordinates, link_weights
 from excitant.identify.preprocessing import Segment
-from excitant.robots.effects import (
-    Effect,
-    InertialParameters,
-    Payload,
-    TorqueGain,
-)
+from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
@@ -243,23 +238,16 @@ class Contest:
         yield Y @ link_coordinates(self.metric)
         for effect in self.robot.effects:
             given = np.abs(np.array(effect.values or ()))
-            yield self._rows(effect, segments) * self.tolerance * np.maximum(given, 1e-9)
+            known = believed_columns(effect, self.robot, self.model, segments)
+            yield known * self.tolerance * np.maximum(given, 1e-9)
         for effect in self.causes:
-            if isinstance(effect, InertialParameters | Payload):
-                j = self.robot.joint_index(effect.joints[0])
-                yield Y[:, :, 10 * j : 10 * j + 10]
-            else:
-                yield self._rows(effect, segments)
+            yield cause_columns(effect, self.robot, self.model, segments, Y)
 
     def _links(self, segment: Segment) -> Array:
         """Regressor at the rows; that of a motion yet to be run has little for the filter."""
         if segment in self.recorded:
             return segment.rows(lambda m: regressor(self.robot, m))
         return regressor(self.robot, segment.motion[segment.keep])
-
-    def _rows(self, effect: Effect, segments: Sequence[Segment]) -> Array:
-        owner = self.robot if isinstance(effect, TorqueGain) else self.model
-        return np.concatenate([s.rows(lambda m: effect.columns(owner, m)) for s in segments])
 
 
 def separation(contest: Contest, motion: Motion, pair: int = 0) -> Separation:

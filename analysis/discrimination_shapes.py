@@ -12,7 +12,6 @@ from excitant.robots.motion import Motion
 from excitant.robots.robot import Robot
 
 _NEAR = (0.25, 0.5, 1.0, 2.0, 4.0)  # times the shape that was found
-_EXPONENTS = (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)
 _SHAPES = ("velocity", "distance", "time", "trial")
 _SLOW = 0.4  # of a joint's highest speed: a Stribeck velocity beyond it is Coulomb friction
 _SHORT = 0.1  # of a joint's range: friction that builds up over more is a spring
@@ -29,7 +28,7 @@ def shapes(effect: Effect, robot: Robot, recorded: Sequence[Motion]) -> list[Eff
     """
     own = bare(effect)
     if isinstance(own, NonlinearViscousFriction):
-        return [own, *(replace(own, exponent=a) for a in _EXPONENTS if a != own.exponent)]
+        return [own, *(replace(own, exponent=a) for a in own.exponents if a != own.exponent)]
     for name in _SHAPES:
         if hasattr(own, name):
             value, most = getattr(own, name), _largest(own, name, robot, recorded)

@@ -21,7 +21,6 @@ from excitant.robots.effects import Effect
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
-_NEAR_TRIAL = (0.3, 2.5)  # of a trial delay or gap, for which its column is right
 _PRIOR = ("mean", "std", "lower")
 _BEYOND = 0.5  # of several coefficients may be such as the consistent fit then sets to zero
 
@@ -77,7 +76,6 @@ class Trial:
         prior: Standard parameters of the prior, shape (nv, 10).
         always: Number of leading columns that every model has.
         coefficients: Prior of the coefficients of effects, those of candidates included.
-        typical: Size beyond which a coefficient is no longer what its effect says, shape (e,).
         candidates: What may be added.
         folds: Part of each row, shape (n,).
         blocks: Block of each row, shape (n,).
@@ -92,7 +90,6 @@ class Trial:
     prior: Array
     always: int
     coefficients: EffectPrior
-    typical: Array
     candidates: tuple[Candidate, ...]
     folds: Index
     blocks: Index
@@ -221,11 +218,7 @@ class Trial:
         beyond = float((value < self.coefficients.lower[part]).mean())
         if beyond > (_BEYOND if len(candidate.joints) > 1 else 0.0):
             return False
-        trial = getattr(candidate.effect, "trial", None)
-        if trial is not None:
-            share = float(value[0]) / float(trial)
-            return _NEAR_TRIAL[0] < share < _NEAR_TRIAL[1]
-        return bool((np.abs(value) < self.typical[part]).all())
+        return candidate.effect.credible(self.robot, value)
 
 
 def _starts(blocks: Index) -> tuple[Index, Index]:

@@ -24,7 +24,6 @@ _FOLDS = 5  # parts of all recordings together
 _BLOCK_S, _BLOCKS = 0.5, (20, 60)  # s, and how many, to see how much a gain varies
 _INSTANTS = 3000  # at most, evenly taken
 _GUARD = 4  # rows beside a part left out: a period of the cut-off
-_LARGEST = 2.0  # of the typical size of a coefficient that has one
 
 
 def trial_of(robot: Robot, standard: Estimate) -> Trial:
@@ -54,25 +53,24 @@ def trial_of(robot: Robot, standard: Estimate) -> Trial:
             at += block.shape[2]
     columns = signatures(parts, np.ones(tau.shape, bool))
     kept = [*model.effects, *(c.effect for c in candidates)]
-    coefficients, typical = _knowledge(robot, kept, parts, size, measured[rows])
+    coefficients = _knowledge(robot, kept, parts, size, measured[rows])
     folds, blocks = _parts(segments, stride)
     inflation = np.array([autocorrelation_time(e) for e in left[rows].T])
     sigma2 = np.maximum((left[rows] ** 2).mean(axis=0), 1e-24)
     return Trial(
-        robot, columns, tau, prior, always.shape[2], coefficients, typical, tuple(candidates),
+        robot, columns, tau, prior, always.shape[2], coefficients, tuple(candidates),
         folds, blocks, 1 / (sigma2 * inflation), inflation, _grams(columns, tau, folds),
     )  # fmt: skip
 
 
 def _knowledge(
     robot: Robot, effects: Sequence[Effect], parts: Sequence[Array], links: int, tau: Array
-) -> tuple[EffectPrior, Array]:
-    """Nothing known of coefficients but their signs; how large they may be, where known."""
+) -> EffectPrior:
+    """Nothing known of coefficients but their signs."""
     known = [p for e in effects for p in e.parameters(robot)]
     blocks = [parts[0][:, :, links:], *parts[1:]]
     std = np.concatenate([implausible_size(block, tau) for block in blocks])
-    typical = np.array([np.inf if p.typical is None else _LARGEST * p.typical for p in known])
-    return EffectPrior(np.zeros_like(std), std, np.array([p.lower for p in known])), typical
+    return EffectPrior(np.zeros_like(std), std, np.array([p.lower for p in known]))
 
 
 def _parts(segments: Sequence[Segment], stride: int) -> tuple[Index, Index]:

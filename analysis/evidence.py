@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -76,6 +76,7 @@ class Evidence:
         signatures: All columns, nuisance first.
         residual: Residual of the given model, zero where rows do not count, shape (n, nv) [N·m].
         counted: Number of rows that count, shape (nv,).
+        moments: Inner products of all columns with it, joint by joint, shape (nv, p).
         precision: Prior precision of each coordinate, shape (p,).
         nuisance: Number of leading columns that belong to the nuisance.
         candidates: What may be at work.
@@ -91,6 +92,7 @@ class Evidence:
     signatures: Signatures
     residual: Array
     counted: Array
+    moments: Array
     precision: Array
     nuisance: int
     candidates: tuple[Candidate, ...]
@@ -101,11 +103,6 @@ class Evidence:
     moment: Array
     power: float
     tolerance: tuple[float, float] = (1.0, 1.0)
-
-    @cached_property
-    def moments(self) -> Array:
-        """Inner products of all columns with the residual, joint by joint, shape (nv, p)."""
-        return self.signatures.moments(self.residual)
 
     @property
     def weight(self) -> Array:
@@ -156,7 +153,7 @@ class Evidence:
         )
         falls = np.empty(len(self.candidates))
         for k, c in enumerate(self.candidates):
-            part, at = half[:, c.columns], slice(c.columns.start, c.columns.stop)
+            part, at = half[:, c.columns], c.columns
             G = self.gram[at, at] + np.diag(self.precision[at]) - part.T @ part
             falls[k] = rest[at] @ np.linalg.lstsq(G, rest[at], rcond=1e-10)[0]
         return falls
@@ -258,6 +255,7 @@ def weigh(
         signatures=columns,
         residual=residual,
         counted=read_only(np.maximum(counts.sum(axis=0), 1)),
+        moments=read_only(columns.moments(residual)),
         precision=read_only(precision),
         nuisance=nuisance,
         candidates=tuple(candidates),
@@ -291,7 +289,7 @@ def _with_noise(evidence: Evidence, e: Array) -> Evidence:
     sigma = np.maximum(np.sqrt((e**2).sum(axis=0) / evidence.counted), 1e-9)
     inflation = np.array([autocorrelation_time(column) for column in e.T])
     weight, r = 1 / (sigma**2 * inflation), evidence.residual
-    renewed = replace(
+    return replace(
         evidence,
         sigma=read_only(sigma),
         inflation=read_only(inflation),
@@ -299,5 +297,3 @@ def _with_noise(evidence: Evidence, e: Array) -> Evidence:
         moment=read_only(weight @ evidence.moments),
         power=float((weight * r**2).sum()),
     )
-    renewed.__dict__["moments"] = evidence.moments  # the same for every noise
-    return renewed

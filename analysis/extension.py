@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from excitant.analysis.evidence import Candidate, Evidence
-from excitant.analysis.hypotheses import TOLERANCE, WRONG_LINK
+from excitant.analysis.hypotheses import TOLERANCE, WRONG_LINK, coefficient_sizes
 from excitant.analysis.sticking import sliding
 from excitant.identify.physical import EffectPrior, fit_physical
 from excitant.identify.preprocessing import Segment
-from excitant.identify.rows import implausible_size, observation
+from excitant.identify.resting import identified_robot
+from excitant.identify.rows import observation
 from excitant.robots.effects import Effect, InertialParameters, JointwiseEffect, Payload
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import from_pseudo_inertia, isotropic
@@ -78,15 +79,10 @@ def extend(
         tolerance_metric(bodies),
     )
     std = np.sqrt(np.diag(fit.covariance))
-    valued, deviations, at = [], {}, 10 * robot.nv
-    for effect in effects:
-        parameters = effect.parameters(robot)
-        part = slice(at, at + len(parameters))
-        valued.append(effect.with_values(fit.x[part]))
-        deviations.update({p.name: float(s) for p, s in zip(parameters, std[part], strict=True)})
-        at = part.stop
-    model = robot.with_parameters(fit.x[: 10 * robot.nv]).with_effects(valued)
-    return Extension(model, deviations, read_only(std[: 10 * robot.nv]))
+    links, names = 10 * robot.nv, [p.name for e in effects for p in e.parameters(robot)]
+    deviations = dict(zip(names, std[links:].tolist(), strict=True))
+    model = identified_robot(robot, effects, fit.x)
+    return Extension(model, deviations, read_only(std[:links]))
 
 
 def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
@@ -143,10 +139,7 @@ def _effect_prior(
     scalar = [e for e in effects if not isinstance(e, Payload)]
     parameters = [p for e in scalar for p in e.parameters(robot)]
     given = [v for e in scalar for v in (e.values or (0.0,) * len(e.parameters(robot)))]
-    open_std = implausible_size(columns, tau)
-    for k, parameter in enumerate(parameters):
-        if parameter.typical is not None:
-            open_std[k] = parameter.typical
+    open_std = coefficient_sizes(parameters, columns, tau)
     mean = np.array(given)
     tight = np.maximum(tolerance * TOLERANCE * np.abs(mean), 1e-9)
     loose = np.array([p.name in free for p in parameters], dtype=bool)

@@ -15,7 +15,14 @@ from excitant.identify.accuracy import predicted_torque, series
 from excitant.identify.physical import link_coordinates, link_weights
 from excitant.identify.preprocessing import Segment
 from excitant.identify.rows import implausible_size
-from excitant.robots.effects import Effect, InertialParameters, JointEffect, Payload, TorqueGain
+from excitant.robots.effects import (
+    Effect,
+    InertialParameters,
+    JointEffect,
+    Parameter,
+    Payload,
+    TorqueGain,
+)
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
@@ -34,8 +41,6 @@ def hypotheses(
     tolerance: float = TOLERANCE,
 ) -> Evidence:
     """Evidence for all that may be wrong with a robot.
-
-    A gain is one of the given torque: one of what was found since would imitate each of its parts.
 
     Args:
         robot: The given robot with its effects.
@@ -60,12 +65,7 @@ def hypotheses(
     candidates = []
     unexplained = measured - predicted_torque(reference, segments)
     for effect, trials in proposals(robot, segments, unexplained):
-        if isinstance(effect, InertialParameters | Payload):
-            j = robot.joint_index(effect.joints[0])
-            block = Y[:, :, 10 * j : 10 * j + 10]
-        else:
-            believed = robot if isinstance(effect, TorqueGain) else reference
-            block = _columns(effect, believed, segments)
+        block = cause_columns(effect, robot, reference, segments, Y)
         if not block.any():
             continue
         scale, weight = _coordinates(robot, effect, metric, block, measured)
@@ -87,6 +87,49 @@ def rests_on_model(effect: Effect) -> bool:
     return not isinstance(effect, JointEffect | InertialParameters | Payload)
 
 
+def cause_columns(
+    effect: Effect, robot: Robot, reference: Robot, segments: Sequence[Segment], Y: Array
+) -> Array:
+    """Columns of a cause at the rows, shape (n, nv, k); bodies take theirs from the regressor.
+
+    Args:
+        effect: The cause.
+        robot: The given robot.
+        reference: The robot as understood so far.
+        segments: Where.
+        Y: Regressor at their rows, shape (n, nv, 10 nv).
+    """
+    if isinstance(effect, InertialParameters | Payload):
+        j = robot.joint_index(effect.joints[0])
+        return Y[:, :, 10 * j : 10 * j + 10]
+    return believed_columns(effect, robot, reference, segments)
+
+
+def believed_columns(
+    effect: Effect, robot: Robot, reference: Robot, segments: Sequence[Segment]
+) -> Array:
+    """Columns of an effect that takes torque from the robot as understood so far.
+
+    A gain is one of the given torque: one of what was found since would imitate each of its parts.
+    """
+    return _columns(effect, robot if isinstance(effect, TorqueGain) else reference, segments)
+
+
+def coefficient_sizes(parameters: Sequence[Parameter], columns: Array, torque: Array) -> Array:
+    """What coefficients are small against when only data decide, shape (e,).
+
+    Args:
+        parameters: The coefficients.
+        columns: Their columns, shape (n, joints, e).
+        torque: Torque of these joints, shape (n, joints).
+    """
+    size = implausible_size(columns, torque)
+    for k, parameter in enumerate(parameters):
+        if parameter.typical is not None:
+            size[k] = parameter.typical
+    return size
+
+
 def _rows(segments: Sequence[Segment], columns: Callable[[Motion], Array]) -> Array:
     return np.concatenate([s.rows(columns) for s in segments])
 
@@ -105,10 +148,7 @@ def _coordinates(
     if isinstance(effect, Payload):
         return _payload_scale(metric), np.ones(10)
     acts = columns.any(axis=(0, 2))
-    size = implausible_size(columns[:, acts], torque[:, acts])
-    for k, parameter in enumerate(effect.parameters(robot)):
-        if parameter.typical is not None:
-            size[k] = parameter.typical
+    size = coefficient_sizes(effect.parameters(robot), columns[:, acts], torque[:, acts])
     return np.diag(size), np.ones(len(size))
 
 

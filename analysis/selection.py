@@ -10,7 +10,7 @@ import numpy as np
 import scipy.stats
 
 from excitant.analysis.evidence import Candidate, Evidence, reweighed
-from excitant.robots.effects import Backlash, Effect, GravityDirection, Payload, TimeDelay
+from excitant.robots.effects import GravityDirection, Payload
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values
@@ -26,8 +26,6 @@ _TIE_ALIKE = 3.3  # the same where their signatures are alike
 _ALIKE = 0.9  # |cos| of such signatures
 _SAME = 0.999  # |cos| of a cause that is part of another
 _HALF = 0.5  # of what a cause explains, at least, must a rival explain
-_LARGEST = 2.0  # of the typical size of a coefficient that has one
-_NEAR_TRIAL = (0.3, 2.5)  # of a trial delay; the grid's steps are smaller
 _GRAVITY_TOLERANCE = 0.05  # of 9.81 m/s², by which a turned gravity may differ in size
 
 
@@ -150,36 +148,28 @@ def plausible(
     std = np.sqrt(np.diag(candidate.scale @ block @ candidate.scale.T))
     special = _PLAUSIBLE.get(candidate.effect.name)
     if special is not None:
-        return special(candidate.effect, robot, value, std)
+        return special(robot, value, std)
     parameters = candidate.effect.parameters(robot)
     given = effect_values(robot)
     lower = np.array([p.lower - given.get(p.name, 0.0) for p in parameters])
-    most = np.array([np.inf if p.typical is None else _LARGEST * p.typical for p in parameters])
-    return bool(((value > lower - _SIGN_DEVIATIONS * std) & (np.abs(value) < most)).all())
+    signs = bool((value > lower - _SIGN_DEVIATIONS * std).all())
+    return signs and candidate.effect.credible(robot, value)
 
 
-def _has_mass(effect: Effect, robot: Robot, value: Array, std: Array) -> bool:
+def _has_mass(robot: Robot, value: Array, std: Array) -> bool:
     return bool(value[0] > -_SIGN_DEVIATIONS * std[0])
 
 
-def _is_gravity(effect: Effect, robot: Robot, value: Array, std: Array) -> bool:
+def _is_gravity(robot: Robot, value: Array, std: Array) -> bool:
     """Whether the changed vector is still as long as gravity."""
     size = float(np.linalg.norm(robot.gravity))
     off = abs(float(np.linalg.norm(robot.gravity + value)) - size)
     return off < _GRAVITY_TOLERANCE * size + _SIGN_DEVIATIONS * float(np.linalg.norm(std))
 
 
-def _is_near_trial(effect: Effect, robot: Robot, value: Array, std: Array) -> bool:
-    """Whether a delay or a gap is one that the trial's column is right for."""
-    share = float(value[0]) / float(getattr(effect, "trial"))  # noqa: B009
-    return _NEAR_TRIAL[0] < share < _NEAR_TRIAL[1]
-
-
-_PLAUSIBLE: dict[str, Callable[[Effect, Robot, Array, Array], bool]] = {
+_PLAUSIBLE: dict[str, Callable[[Robot, Array, Array], bool]] = {
     Payload.name: _has_mass,
     GravityDirection.name: _is_gravity,
-    TimeDelay.name: _is_near_trial,
-    Backlash.name: _is_near_trial,
 }
 
 
@@ -213,9 +203,9 @@ def rivals(
     own, errors = falls[evidence.candidates.index(found)], _block_errors(evidence, chosen)
     best: dict[tuple[str, tuple[str, ...]], Rival] = {}
     for k, other in enumerate(evidence.candidates):
-        friends = _friction(evidence, other, rest) if {*other.effect.joints} <= bare else []
         if other.key in taken or _only_more(evidence, found, other):
             continue
+        friends = _friction(evidence, other, rest) if {*other.effect.joints} <= bare else []
         if falls[k] <= _HALF * own and not friends:
             continue
         instead = [*rest, other, *(c for c in friends if c is not other and c is not found)]

@@ -186,10 +186,17 @@ def _relative(response: npt.NDArray[np.complex128], omega: Array, order: int) ->
 
 def low_pass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
     """Columns, shape (n, ...), through a zero-phase Butterworth filter along time."""
-    sections = scipy.signal.butter(_BUTTERWORTH_ORDER, cutoff_hz, fs=rate_hz, output="sos")
+    sections = _butterworth(cutoff_hz, rate_hz)
     padding = min(len(values) - 1, int(3 * rate_hz / cutoff_hz))
     filtered: Array = scipy.signal.sosfiltfilt(sections, values, axis=0, padlen=padding)
     return filtered
+
+
+@lru_cache(maxsize=64)
+def _butterworth(cutoff_hz: float, rate_hz: float) -> Array:
+    """Sections of the filter; the design costs more than filtering a short recording."""
+    sections = scipy.signal.butter(_BUTTERWORTH_ORDER, cutoff_hz, fs=rate_hz, output="sos")
+    return np.asarray(sections, float)
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from excitant.exceptions import BadInput, UnknownName
+from excitant.identify.yaml_file import yaml_content
 
 PRIORS = ("pullback", "entropic", "euclidean")
 _KEYS = ("prior", "total_mass", "links")
@@ -146,14 +145,7 @@ def load_knowledge(path: str | Path, links: Sequence[str]) -> Knowledge:
     Raises:
         BadInput: Unreadable, unknown entries or links, or values that nothing can have.
     """
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8"
-        raise BadInput(f"{path}: cannot be read ({reason})") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise BadInput(f"{path}: not valid YAML ({str(error).splitlines()[0]})") from None
-    return knowledge_of(content, links, str(path))
+    return knowledge_of(yaml_content(path), links, str(path))
 
 
 def knowledge_of(content: object, links: Sequence[str], source: str) -> Knowledge:

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify.importers.units import spelled, units_of
+from excitant.identify.yaml_file import yaml_content
 from excitant.robots.motion import Array
 
 ROLES = ("t", "q", "dq", "tau", "i")
@@ -77,14 +77,7 @@ def load_column_map(path: str | Path) -> ColumnMap:
     Raises:
         BadInput: Unreadable, unknown entries or units, with the nearest that exists.
     """
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8"
-        raise BadInput(f"{path}: cannot be read ({reason})") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise BadInput(f"{path}: not valid YAML ({str(error).splitlines()[0]})") from None
-    return column_map(content, str(path))
+    return column_map(yaml_content(path), str(path))
 
 
 def column_map(content: object, source: str) -> ColumnMap:

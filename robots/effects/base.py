@@ -14,6 +14,14 @@ from excitant.exceptions import BadInput
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
+_LARGEST = 2.0  # of the typical size of a coefficient that has one
+_NEAR = (0.3, 2.5)  # of a trial value, for which the columns are right
+
+
+def near_trial(value: float, trial: float) -> bool:
+    """Whether a coefficient is one that columns computed for a trial value are right for."""
+    return _NEAR[0] < value / trial < _NEAR[1]
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -82,6 +90,12 @@ class Effect(ABC):
         if self.values is None:
             raise ValueError(f"{self.name} has no values yet")
         return self.values
+
+    def credible(self, robot: Robot, values: Array) -> bool:
+        """Whether coefficients are of a size at which they mean what the effect says."""
+        typical = [p.typical for p in self.parameters(robot)]
+        most = np.array([np.inf if size is None else _LARGEST * size for size in typical])
+        return bool((np.abs(values) < most).all())
 
     def with_values(self, values: npt.ArrayLike) -> Self:
         """The same effect with these coefficients."""

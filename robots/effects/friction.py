@@ -109,6 +109,7 @@ class NonlinearViscousFriction(JointEffect):
 
     name: ClassVar[str] = "nonlinear_viscous_friction"
     contains: ClassVar[tuple[str, ...]] = ("viscous_friction",)  # exponent one
+    exponents: ClassVar[tuple[float, ...]] = (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)  # to try
     positive: ClassVar[tuple[str, ...]] = ("exponent",)
     terms: ClassVar[tuple[Term, ...]] = (Term("Fn", "N·m·(s/rad)^a"),)
 
@@ -117,7 +118,7 @@ class NonlinearViscousFriction(JointEffect):
     @classmethod
     def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
         """Roots and powers."""
-        return [cls((joint,), exponent=a) for a in (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)]
+        return [cls((joint,), exponent=a) for a in cls.exponents]
 
     def shape(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Power of the speed with the velocity's sign."""

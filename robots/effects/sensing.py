@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from excitant.exceptions import BadInput
-from excitant.robots.effects.base import Effect, Parameter
+from excitant.robots.effects.base import Effect, Parameter, near_trial
 from excitant.robots.effects.reference import (
     carried_torque,
     gravity_torque,
@@ -81,6 +81,10 @@ class TimeDelay(_SharedEffect):
         super().__post_init__()
         if not self.trial:
             raise BadInput(f"effect {self.name}: trial must not be zero")
+
+    def credible(self, robot: Robot, values: Array) -> bool:
+        """Whether the delay is one that the trial delay's column is right for."""
+        return near_trial(float(values[0]), self.trial)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """(τ(t − d₀) − τ(t)) / d₀ at these joints."""

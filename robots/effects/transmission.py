@@ -8,7 +8,14 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from excitant.robots.effects.base import Effect, JointEffect, JointFacts, Parameter, Term
+from excitant.robots.effects.base import (
+    Effect,
+    JointEffect,
+    JointFacts,
+    Parameter,
+    Term,
+    near_trial,
+)
 from excitant.robots.effects.reference import rigid_torque, torque_along, torque_derivatives
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -124,6 +131,10 @@ class Backlash(_Lag):
     unit: ClassVar[str] = "rad"
 
     trial: float = 3e-3
+
+    def credible(self, robot: Robot, values: Array) -> bool:
+        """Whether the gap is one that the trial gap's flights are right for."""
+        return near_trial(float(values[0]), self.trial)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Change of the torque by the lag, per gap."""
