@@ -1,6 +1,7 @@
 """What can be known, how well, and what the model gets wrong."""
 
-from excitant.analysis.diagnosis import Diagnosis, Finding, diagnose
+from excitant.analysis.confirmation import Finding
+from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series, headline
 from excitant.analysis.identifiability import Identifiability, analyze
 from excitant.analysis.identifiability_result import analyze_result, analyze_series

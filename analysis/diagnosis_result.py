@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from excitant.analysis.diagnosis import Diagnosis, Finding
+from excitant.analysis.confirmation import Finding
+from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.discrimination_plan import Experiment, Plan
 from excitant.analysis.residuals import Remainder
 from excitant.robots.effects import GravityDirection, InertialParameters, JointwiseEffect, Payload

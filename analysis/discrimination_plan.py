@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from excitant.analysis.diagnosis import Diagnosis, Finding
+from excitant.analysis.confirmation import Finding
+from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.discrimination import Contest, Noise, Pair
 from excitant.analysis.discrimination_motion import Discriminating, discriminating_motions
 from excitant.analysis.experiments import experiment

@@ -1,0 +1,253 @@
+"""Which causes pay on data that were not fitted, each with what it brings there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from excitant.analysis.evidence import Candidate, Evidence
+from excitant.analysis.extension import Extension, contribution
+from excitant.analysis.residuals import noise_floor
+from excitant.analysis.selection import Rival
+from excitant.analysis.sticking import Mask, sliding
+from excitant.identify.accuracy import Series, predicted_torque, series
+from excitant.identify.preprocessing import Segment
+from excitant.robots.effects import Effect, InertialParameters, JointwiseEffect
+from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
+from excitant.robots.torque import effect_values
+
+_BLOCKS = 10  # of the hold-out, to see how much the gain varies
+_DEVIATIONS = 2.0  # standard errors by which the gain must exceed zero
+FLOOR = 0.05  # of a joint's squared error: dry friction is never an ideal sign function
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """One cause that the data call for.
+
+    Attributes:
+        effect: The cause, on one joint, with the value that the extended model has.
+        given: The value that the given model has for each coefficient.
+        std: Standard deviation of each coefficient.
+        explained: Share of the given model's squared error on the hold-out that it removes.
+        rms_before: Error on the hold-out without it, all other causes kept [N·m or A].
+        rms_after: Error on the hold-out of the extended model [N·m or A].
+        gain_error: Standard error of the relative gain in squared error, from blocks.
+        rivals: Causes that the data cannot tell from it.
+        torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
+        overshadowed: More is left unexplained on its joints than it explains.
+    """
+
+    effect: Effect
+    given: tuple[float, ...]
+    std: tuple[float, ...]
+    explained: float
+    rms_before: float
+    rms_after: float
+    gain_error: float
+    rivals: tuple[Rival, ...]
+    torque: Array
+    overshadowed: bool = False
+
+    @property
+    def verdict(self) -> str:
+        """``named``, or ``undecided`` when there are rivals or most stays unexplained."""
+        return "undecided" if self.rivals or self.overshadowed else "named"
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """The hold-out as every model is judged by it.
+
+    Attributes:
+        segments: The hold-out.
+        gains: Torque per reading, shape (nv,).
+        series: Its rows.
+        simulated: Torque of the given model at the rows, shape (n, nv) [torque unit].
+        moves: Rows at which each joint moves, shape (n, nv).
+        floor: What noise leaves of each joint's torque, shape (nv,) [torque unit].
+    """
+
+    segments: tuple[Segment, ...]
+    gains: Array
+    series: Series
+    simulated: Array
+    moves: Mask
+    floor: Array
+
+    @property
+    def given(self) -> Array:
+        """What the given model leaves, shape (n, nv) [torque unit]."""
+        return self.series.measured - self.simulated
+
+    def worse(self, predicted: Array, than: Array, share: float = 0.0) -> bool:
+        """Whether one prediction leaves more squared error than another, by a share of it."""
+        measured, scale = self.series.measured, self.series.measured.std(axis=0)
+        errors = [float((((measured - tau) / scale) ** 2).sum()) for tau in (predicted, than)]
+        return errors[0] > (1 + share) * errors[1]
+
+
+def held_out(robot: Robot, segments: tuple[Segment, ...], gains: Array) -> HeldOut:
+    """The hold-out of a given robot.
+
+    Args:
+        robot: The given robot.
+        segments: The hold-out.
+        gains: Torque per reading, shape (nv,).
+    """
+    return HeldOut(
+        segments,
+        gains,
+        series(segments),
+        predicted_torque(robot, segments) / gains,
+        sliding(segments),
+        np.array([noise_floor(segments, j) for j in range(robot.nv)]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A set of causes with the model they were fitted in.
+
+    Attributes:
+        evidence: What the causes were chosen by.
+        chosen: The causes.
+        extension: The extended model.
+        predicted: Its torque at the rows of the hold-out, shape (n, nv) [torque unit].
+    """
+
+    evidence: Evidence
+    chosen: tuple[Candidate, ...]
+    extension: Extension
+    predicted: Array
+
+
+def confirmed(
+    robot: Robot, held: HeldOut, fit: Fit, fitted: Callable[[Sequence[Candidate]], Fit]
+) -> tuple[Fit, list[Finding]]:
+    """The causes that pay on the hold-out.
+
+    The one that pays least goes first, and all others are fitted anew. What others lean on stays:
+    a cause without which the new fit is clearly worse.
+
+    Args:
+        robot: The given robot.
+        held: The hold-out.
+        fit: Causes that the evidence calls for.
+        fitted: Fits fewer of them.
+
+    Returns:
+        The fit with those that pay, and a finding for each.
+    """
+    needed: set[Candidate] = set()
+    while True:
+        worst, findings = _judge(robot, fit, held, needed)
+        if worst is None:
+            return fit, findings
+        fewer = fitted([c for c in fit.chosen if c is not worst])
+        if held.worse(fewer.predicted, fit.predicted, FLOOR):
+            needed.add(worst)
+        else:
+            fit = fewer
+
+
+def _judge(
+    robot: Robot, fit: Fit, held: HeldOut, needed: set[Candidate]
+) -> tuple[Candidate | None, list[Finding]]:
+    """The cause that pays least on the hold-out, if one does not pay; and the findings."""
+    extension, sigma = fit.extension, fit.evidence.sigma
+    error, weight = held.series.measured - fit.predicted, held.moves * held.gains / sigma
+    power = float(((held.given * weight) ** 2).sum())
+    findings, worst, least = [], None, 0.0
+    for candidate in fit.chosen:
+        torque = contribution(extension, robot, candidate.effect, held.segments) / held.gains
+        joints = _joints(robot, candidate.effect)
+        without = error + torque
+        gain = ((without**2 - error**2) * weight**2)[:, joints]
+        relative, spread = _relative_gain(
+            (without * weight)[:, joints], (torque * weight)[:, joints]
+        )
+        pays = relative - max(FLOOR, _DEVIATIONS * spread)
+        if not _shows(torque * held.moves, held.floor):
+            pays = min(pays, -FLOOR)
+        if pays < least and candidate not in needed:
+            worst, least = candidate, pays
+        findings.append(
+            _finding(
+                robot,
+                extension,
+                candidate,
+                torque,
+                explained=float(gain.sum()) / power,
+                errors=(without[:, joints], error[:, joints]),
+                gain_error=spread,
+            )
+        )
+    return worst, findings
+
+
+def _shows(torque: Array, floor: Array) -> bool:
+    """Whether a cause makes more torque than noise does, on some joint."""
+    return bool((np.sqrt((torque**2).mean(axis=0)) > floor).any())
+
+
+def _joints(robot: Robot, effect: Effect) -> list[int]:
+    """Joints whose torque an effect changes: its own, or all for a body."""
+    if isinstance(effect, JointwiseEffect):
+        return [robot.joint_index(joint) for joint in effect.joints]
+    return list(range(robot.nv))
+
+
+def _relative_gain(error: Array, torque: Array) -> tuple[float, float]:
+    """Fall of the squared error, relative to it, when a cause's torque is taken off it.
+
+    The gain is (2a − 1)‖f‖² with the slope a of the error on the torque f. Its standard error
+    is that of the slope, robust to autocorrelation by blocks of time.
+    """
+    power = (torque**2).sum()
+    if power <= 0:
+        return 0.0, 0.0
+    slope = (error * torque).sum() / power
+    scores = torque * (error - slope * torque)
+    blocks = np.array([part.sum() for part in np.array_split(scores, _BLOCKS)])
+    unit = power / (error**2).sum()
+    return float((2 * slope - 1) * unit), float(2 * np.linalg.norm(blocks) / power * unit)
+
+
+def _finding(
+    robot: Robot,
+    extension: Extension,
+    candidate: Candidate,
+    torque: Array,
+    *,
+    explained: float,
+    errors: tuple[Array, Array],
+    gain_error: float,
+) -> Finding:
+    effect = candidate.effect
+    names = [p.name for p in effect.parameters(robot)]
+    if isinstance(effect, InertialParameters):
+        j = robot.joint_index(effect.joints[0])
+        part = slice(10 * j, 10 * j + 10)
+        values = list(extension.model.phi[part] - robot.phi[part])
+        given, std = [0.0] * 10, list(extension.link_std[part])
+    else:
+        fitted, known = effect_values(extension.model), effect_values(robot)
+        values = [fitted[name] for name in names]
+        given = [known.get(name, 0.0) for name in names]
+        std = [extension.std[name] for name in names]
+    before, after = (float(np.sqrt((e**2).mean())) for e in errors)
+    return Finding(
+        effect.with_values(values),
+        tuple(given),
+        tuple(float(s) for s in std),
+        explained,
+        before,
+        after,
+        gain_error,
+        (),
+        torque,
+    )
