@@ -84,9 +84,12 @@ class HeldOut:
         return self.series.measured - self.simulated
 
     def worse(self, predicted: Array, than: Array, share: float = 0.0) -> bool:
-        """Whether one prediction leaves more squared error than another, by a share of it."""
-        measured, scale = self.series.measured, self.series.measured.std(axis=0)
-        errors = [float((((measured - tau) / scale) ** 2).sum()) for tau in (predicted, than)]
+        """Whether a prediction leaves more squared error than another, by a share of it.
+
+        Rows at which a joint rests do not count for it.
+        """
+        measured, weight = self.series.measured, self.moves / self.series.measured.std(axis=0)
+        errors = [float((((measured - tau) * weight) ** 2).sum()) for tau in (predicted, than)]
         return errors[0] > (1 + share) * errors[1]
 
 
