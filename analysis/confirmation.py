@@ -10,7 +10,7 @@ import numpy as np
 from excitant.analysis.evidence import Candidate, Evidence
 from excitant.analysis.extension import Extension, contribution
 from excitant.analysis.residuals import noise_floor
-from excitant.analysis.selection import Rival
+from excitant.analysis.selection import Rival, underlies
 from excitant.analysis.sticking import Mask, sliding
 from excitant.identify.accuracy import Series, predicted_torque, series
 from excitant.identify.preprocessing import Segment
@@ -38,6 +38,7 @@ class Finding:
         gain_error: Standard error of the relative gain in squared error, from blocks.
         rivals: Causes that the data cannot tell from it.
         torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
+        pays: What it explains is beyond chance and noise; else others rest on it.
         overshadowed: More is left unexplained on its joints than it explains.
     """
 
@@ -50,6 +51,7 @@ class Finding:
     gain_error: float
     rivals: tuple[Rival, ...]
     torque: Array
+    pays: bool = True
     overshadowed: bool = False
 
     @property
@@ -133,8 +135,8 @@ def confirmed(
 ) -> tuple[Fit, list[Finding]]:
     """The causes that pay on the hold-out.
 
-    The one that pays least goes first, and all others are fitted anew. What others lean on stays:
-    a cause without which the new fit is clearly worse.
+    The one that pays least goes first, and all others are fitted anew. What others rest on stays:
+    plain friction below finer friction, and a cause without which the new fit is clearly worse.
 
     Args:
         robot: The given robot.
@@ -143,7 +145,7 @@ def confirmed(
         fitted: Fits fewer of them.
 
     Returns:
-        The fit with those that pay, and a finding for each.
+        The fit with those that pay or that others rest on, and a finding for each.
     """
     needed: set[Candidate] = set()
     while True:
@@ -176,7 +178,8 @@ def _judge(
         pays = relative - max(FLOOR, _DEVIATIONS * spread)
         if not _shows(torque * held.moves, held.floor):
             pays = min(pays, -FLOOR)
-        if pays < least and candidate not in needed:
+        rest = [c for c in fit.chosen if c is not candidate]
+        if pays < least and candidate not in needed and not underlies(robot, rest, candidate):
             worst, least = candidate, pays
         findings.append(
             _finding(
@@ -187,6 +190,7 @@ def _judge(
                 explained=float(gain.sum()) / power,
                 errors=(without[:, joints], error[:, joints]),
                 gain_error=spread,
+                pays=pays >= 0,
             )
         )
     return worst, findings
@@ -229,6 +233,7 @@ def _finding(
     explained: float,
     errors: tuple[Array, Array],
     gain_error: float,
+    pays: bool,
 ) -> Finding:
     effect = candidate.effect
     names = [p.name for p in effect.parameters(robot)]
@@ -253,4 +258,5 @@ def _finding(
         gain_error,
         (),
         torque,
+        pays,
     )

@@ -12,6 +12,7 @@ from excitant.analysis.confirmation import FLOOR, Finding, Fit, HeldOut, confirm
 from excitant.analysis.evidence import Candidate, Evidence
 from excitant.analysis.extension import Extension, extend, tolerance_metric
 from excitant.analysis.hypotheses import hypotheses, rests_on_model
+from excitant.analysis.proposals import has_shape
 from excitant.analysis.residuals import Remainder, remainders
 from excitant.analysis.selection import rivals, select
 from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
@@ -98,6 +99,7 @@ def diagnose(
     findings = [
         replace(finding, rivals=tuple(rivals(fit.evidence, robot, fit.chosen, candidate)))
         for finding, candidate in zip(findings, fit.chosen, strict=True)
+        if finding.pays
     ]
     return _diagnosis(robot, data, held, fit, findings)
 
@@ -105,14 +107,18 @@ def diagnose(
 def _understood(robot: Robot, data: Data, held: HeldOut) -> tuple[Fit, list[Finding]]:
     """Causes that the data call for and the hold-out confirms, and the model with them.
 
-    Effects that rest on torque take it from the model as understood so far, so the causes are
-    looked for again when they may have changed it, for as long as the hold-out gains.
+    Effects that rest on torque take it from the model as understood so far, and shapes are first
+    searched over coarse grids, then between their points. So the causes are looked for again where
+    that may change them, for as long as the hold-out does not lose.
     """
     prior, tau = prior_parameters(robot), series(data.train).measured * held.gains
     rounds: list[tuple[Fit, list[Finding]]] = []
     reference, shapes = robot, None
     for _ in range(_ROUNDS):
-        evidence = hypotheses(robot, reference, tolerance_metric(prior), data.train, held.gains)
+        believed = rounds[-1][0].chosen if rounds else ()
+        evidence = hypotheses(
+            robot, reference, tolerance_metric(prior), data.train, held.gains, believed
+        )
         evidence, chosen = select(evidence, robot)
         fitted = partial(_fit, robot, reference, prior, data, tau, held.gains, evidence)
         fit, findings = confirmed(robot, held, fitted(chosen), fitted)
@@ -121,7 +127,7 @@ def _understood(robot: Robot, data: Data, held: HeldOut) -> tuple[Fit, list[Find
         rounds.append((fit, findings))
         reference, before = fit.extension.model, shapes
         shapes = {c.effect for c in fit.chosen}
-        if shapes == before or not any(rests_on_model(c.effect) for c in fit.chosen):
+        if shapes == before or not any(rests_on_model(e) or has_shape(e) for e in shapes):
             break
     return rounds[-1]
 

@@ -38,6 +38,7 @@ def hypotheses(
     metric: Array,
     segments: Sequence[Segment],
     gains: Array,
+    believed: Sequence[Candidate] = (),
     tolerance: float = TOLERANCE,
 ) -> Evidence:
     """Evidence for all that may be wrong with a robot.
@@ -48,6 +49,7 @@ def hypotheses(
         metric: Bodies that tolerances are relative to, shape (nv, 10).
         segments: Recording the candidates are to explain.
         gains: Torque per reading, shape (nv,).
+        believed: Causes in the robot as understood so far.
         tolerance: Relative standard deviation of the given inertias and effects.
     """
     measured = series(segments).measured * gains
@@ -64,7 +66,8 @@ def hypotheses(
     nuisance = start = 10 * robot.nv + len(given)
     candidates = []
     unexplained = measured - predicted_torque(reference, segments)
-    for effect, trials in proposals(robot, segments, unexplained):
+    again = [(c.effect, c.trials) for c in believed]
+    for effect, trials in proposals(robot, segments, unexplained, again):
         block = cause_columns(effect, robot, reference, segments, Y)
         if not block.any():
             continue

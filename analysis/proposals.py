@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields, replace
 
 import numpy as np
 
@@ -39,7 +40,10 @@ _STILL = 1e-3  # rad/s: slower joints rest
 
 
 def proposals(
-    robot: Robot, segments: Sequence[Segment], unexplained: Array
+    robot: Robot,
+    segments: Sequence[Segment],
+    unexplained: Array,
+    believed: Sequence[tuple[Effect, int]] = (),
 ) -> list[tuple[Effect, int]]:
     """Effects with the number of shapes that each was chosen from.
 
@@ -50,6 +54,8 @@ def proposals(
         robot: The arm.
         segments: Recording to explain.
         unexplained: What the model so far leaves, shape (n, nv) [N·m]; ripple is looked for there.
+        believed: Effects of the model so far, each with the number of shapes it was chosen from.
+            They are considered again, and with them shapes close to theirs.
     """
     speed = np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0)
     reach = np.ptp(np.concatenate([s.motion.q for s in segments]), axis=0)
@@ -73,7 +79,40 @@ def proposals(
     found += [(TimeDelay(robot.joints, trial=d), 1) for d in _DELAYS]
     found += [(TorqueGain(robot.joints), 1), (GravityDirection(robot.joints), 1)]
     found.append((Payload(robot.joints[-1:]), 1))
-    return found
+    known, again = {effect for effect, _ in found}, dict[Effect, int]()
+    for effect, trials in believed:
+        beside = [e for e in known if type(e) is type(effect) and e.joints == effect.joints]
+        if isinstance(effect, TorqueRipple):
+            step = _step(segments, robot.joint_index(effect.joints[0]))
+            beside = [replace(effect, order=effect.order + s) for s in (-step, step)]
+        again |= dict.fromkeys((effect, *between(effect, beside)), trials)
+    return found + [pair for pair in again.items() if pair[0] not in known]
+
+
+def has_shape(effect: Effect) -> bool:
+    """Whether a number shapes the effect's columns."""
+    return any(isinstance(getattr(effect, field.name), float) for field in fields(effect))
+
+
+def between(effect: Effect, beside: Sequence[Effect]) -> list[Effect]:
+    """An effect with shapes at thirds of the way to the nearest ones beside it.
+
+    Args:
+        effect: The effect; a field with a number is what shapes it.
+        beside: The same kind of effect with other shapes.
+    """
+    near: list[Effect] = []
+    for field in fields(effect):
+        own = getattr(effect, field.name)
+        if not isinstance(own, float):
+            continue
+        others = {getattr(e, field.name) for e in beside}
+        lower, upper = [v for v in others if v < own], [v for v in others if v > own]
+        for end in (max(lower, default=own), min(upper, default=own)):
+            if end != own:
+                steps = np.geomspace if end * own > 0 else np.linspace
+                near += [replace(effect, **{field.name: float(v)}) for v in steps(own, end, 4)[1:3]]
+    return near
 
 
 _CHAIN = (
@@ -91,7 +130,7 @@ def _ripples(
     """The orders of ripple that lower one joint's error most, far enough apart to differ."""
     q = np.concatenate([s.motion.q[s.keep, j] for s in segments])
     speed = np.concatenate([np.abs(s.motion.dq[s.keep, j]) for s in segments])
-    step = np.pi / (2 * np.ptp(q))  # half of what the range of the joint resolves
+    step = _step(segments, j)
     first = max(1.0, 6 * step) if np.ptp(q) < 1.5 * np.pi else 1.0
     last = 2 * np.pi * segments[0].cutoff_hz / max(float(np.median(speed)), _STILL)
     orders = first + step * np.arange(min(_MOST_ORDERS, max(0, int((last - first) / step) + 1)))
@@ -107,6 +146,12 @@ def _ripples(
         if len(found) == _ORDERS:
             break
     return found
+
+
+def _step(segments: Sequence[Segment], j: int) -> float:
+    """Half of the difference in order that the range of a joint resolves."""
+    reach = np.ptp(np.concatenate([s.motion.q[s.keep, j] for s in segments]))
+    return float(np.pi / (2 * max(reach, 1e-9)))
 
 
 def _gains(orders: Array, q: Array, e: Array) -> Array:

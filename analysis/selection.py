@@ -10,7 +10,7 @@ import numpy as np
 import scipy.stats
 
 from excitant.analysis.evidence import Candidate, Evidence, reweighed
-from excitant.robots.effects import GravityDirection, Payload
+from excitant.robots.effects import Effect, GravityDirection, Payload, PreslidingHysteresis
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values
@@ -58,7 +58,7 @@ def _grown(
         best = _best_addition(evidence, robot, chosen, {c.columns.start for c in allowed})
         if best is None:
             break
-        chosen = _pruned(evidence, [*chosen, best], falls)
+        chosen = _pruned(evidence, robot, [*chosen, best], falls)
         state = frozenset(c.columns.start for c in chosen)
         if state in seen:
             break
@@ -116,18 +116,21 @@ def _significant(
 
 
 def _pruned(
-    evidence: Evidence, chosen: list[Candidate], falls: dict[int, float]
+    evidence: Evidence, robot: Robot, chosen: list[Candidate], falls: dict[int, float]
 ) -> list[Candidate]:
     """The set without those whose removal costs less than chance would.
 
     Args:
         evidence: Evidence.
+        robot: The given robot.
         chosen: The set.
         falls: What each brought when last looked at; looked at again when much has gone since.
     """
     kept = list(chosen)
     for candidate in chosen:
         rest = [c for c in kept if c is not candidate]
+        if underlies(robot, rest, candidate):
+            continue
         fall = evidence.cost(rest) - evidence.cost(kept)
         if fall > _HALF * falls.get(candidate.columns.start, np.inf):
             continue
@@ -136,6 +139,23 @@ def _pruned(
         else:
             kept = rest
     return kept
+
+
+def underlies(robot: Robot, rest: Sequence[Candidate], candidate: Candidate) -> bool:
+    """Whether finer friction that was found stands on this plain one.
+
+    A joint that rubs has Coulomb and viscous friction; what is finer than both comes on top of
+    them, where the given model has none (heredity of main effects: Hamada and Wu 1992).
+    """
+    effect = candidate.effect
+    if effect.name not in _DRY or not {*effect.joints} <= _bare(robot):
+        return False
+    finer = (c.effect for c in rest if _rubs(c.effect) and c.effect.name not in _DRY)
+    return any(other.joints == effect.joints for other in finer)
+
+
+def _rubs(effect: Effect) -> bool:
+    return "friction" in effect.name or isinstance(effect, PreslidingHysteresis)
 
 
 def plausible(
@@ -230,7 +250,7 @@ def _bare(robot: Robot) -> set[str]:
 
 def _friction(evidence: Evidence, other: Candidate, rest: Sequence[Candidate]) -> list[Candidate]:
     """Standard friction of a friction's joint, as far as it is not there."""
-    if "friction" not in other.effect.name:
+    if not _rubs(other.effect):
         return []
     return [
         c
