@@ -21,6 +21,7 @@ from excitant.robots.torque import effect_values
 
 _BLOCKS = 10  # of the hold-out, to see how much the gain varies
 _DEVIATIONS = 2.0  # standard errors by which the gain must exceed zero
+_PLAIN = 0.1  # of a joint's squared error: what brings as much matters below the noise too
 FLOOR = 0.05  # of a joint's squared error: dry friction is never an ideal sign function
 
 
@@ -176,7 +177,7 @@ def _judge(
             (without * weight)[:, joints], (torque * weight)[:, joints]
         )
         pays = relative - max(FLOOR, _DEVIATIONS * spread)
-        if not _shows(torque * held.moves, held.floor):
+        if relative < _PLAIN and not _shows(torque * held.moves, held.floor):
             pays = min(pays, -FLOOR)
         rest = [c for c in fit.chosen if c is not candidate]
         if pays < least and candidate not in needed and not underlies(robot, rest, candidate):

@@ -31,7 +31,7 @@ from excitant.robots.effects import (
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
-_DELAYS = (-0.02, -0.005, 0.002, 0.005, 0.01, 0.02, 0.04)  # s
+_DELAYS = (-0.05, -0.02, -0.005, 0.002, 0.005, 0.01, 0.02, 0.04, 0.08)  # s
 _GAPS = np.geomspace(3e-4, 0.1, 12)  # rad
 _RATIOS = (1.0, -1.0)
 _ORDERS = 3  # of ripple at each joint, the best of all
