@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from excitant.analysis.evidence import Candidate, Evidence
 from excitant.analysis.extension import Extension, contribution
 from excitant.analysis.residuals import noise_floor
-from excitant.analysis.selection import Rival, underlies
+from excitant.analysis.selection import Key, Rival, underlies
 from excitant.analysis.sticking import Mask, sliding
 from excitant.identify.accuracy import Series, predicted_torque, series
 from excitant.identify.preprocessing import Segment
@@ -36,11 +36,13 @@ class Finding:
         explained: Share of the given model's squared error on the hold-out that it removes.
         rms_before: Error on the hold-out without it, all other causes kept [N·m or A].
         rms_after: Error on the hold-out of the extended model [N·m or A].
-        gain_error: Standard error of the relative gain in squared error, from blocks.
+        gain: Fall of the squared error of its joints with it, relative to that error.
+        gain_error: Standard error of the gain, from blocks.
         rivals: Causes that the data cannot tell from it.
         torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
         pays: What it explains is beyond chance and noise; else others rest on it.
         overshadowed: More is left unexplained on its joints than it explains.
+        beside: A far larger cause on its joint, whose shape may miss what this one explains.
     """
 
     effect: Effect
@@ -49,16 +51,23 @@ class Finding:
     explained: float
     rms_before: float
     rms_after: float
+    gain: float
     gain_error: float
     rivals: tuple[Rival, ...]
     torque: Array
     pays: bool = True
     overshadowed: bool = False
+    beside: Effect | None = None
+
+    @property
+    def refuted(self) -> bool:
+        """Whether the hold-out is plainly worse with it."""
+        return self.gain + _DEVIATIONS * self.gain_error < -FLOOR
 
     @property
     def verdict(self) -> str:
-        """``named``, or ``undecided`` when there are rivals or most stays unexplained."""
-        return "undecided" if self.rivals or self.overshadowed else "named"
+        """``named``, or ``undecided`` when there are rivals or other reasons to doubt it."""
+        return "undecided" if self.rivals or self.overshadowed or self.beside else "named"
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,12 +132,14 @@ class Fit:
         chosen: The causes.
         extension: The extended model.
         predicted: Its torque at the rows of the hold-out, shape (n, nv) [torque unit].
+        refuted: Causes that the evidence called for and that make the hold-out plainly worse.
     """
 
     evidence: Evidence
     chosen: tuple[Candidate, ...]
     extension: Extension
     predicted: Array
+    refuted: frozenset[Key] = frozenset()
 
 
 def confirmed(
@@ -148,11 +159,13 @@ def confirmed(
     Returns:
         The fit with those that pay or that others rest on, and a finding for each.
     """
-    needed: set[Candidate] = set()
+    needed, refuted = set[Candidate](), set[Key]()
     while True:
         worst, findings = _judge(robot, fit, held, needed)
         if worst is None:
-            return fit, findings
+            return replace(fit, refuted=frozenset(refuted)), findings
+        if findings[fit.chosen.index(worst)].refuted:
+            refuted.add(worst.key)
         fewer = fitted([c for c in fit.chosen if c is not worst])
         if held.worse(fewer.predicted, fit.predicted, FLOOR):
             needed.add(worst)
@@ -172,7 +185,7 @@ def _judge(
         torque = contribution(extension, robot, candidate.effect, held.segments) / held.gains
         joints = _joints(robot, candidate.effect)
         without = error + torque
-        gain = ((without**2 - error**2) * weight**2)[:, joints]
+        fall = ((without**2 - error**2) * weight**2)[:, joints]
         relative, spread = _relative_gain(
             (without * weight)[:, joints], (torque * weight)[:, joints]
         )
@@ -188,9 +201,9 @@ def _judge(
                 extension,
                 candidate,
                 torque,
-                explained=float(gain.sum()) / power,
+                explained=float(fall.sum()) / power,
                 errors=(without[:, joints], error[:, joints]),
-                gain_error=spread,
+                gain=(relative, spread),
                 pays=pays >= 0,
             )
         )
@@ -233,7 +246,7 @@ def _finding(
     *,
     explained: float,
     errors: tuple[Array, Array],
-    gain_error: float,
+    gain: tuple[float, float],
     pays: bool,
 ) -> Finding:
     effect = candidate.effect
@@ -256,7 +269,7 @@ def _finding(
         explained,
         before,
         after,
-        gain_error,
+        *gain,
         (),
         torque,
         pays,

@@ -14,17 +14,20 @@ from excitant.analysis.extension import Extension, extend, tolerance_metric
 from excitant.analysis.hypotheses import hypotheses, rests_on_model
 from excitant.analysis.proposals import has_shape
 from excitant.analysis.residuals import Remainder, remainders
-from excitant.analysis.selection import rivals, select
+from excitant.analysis.selection import Key, rivals, select
 from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
 from excitant.identify.physical import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.rows import Data, observation, split, torque_per_reading
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.effects import standard_effects
+from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
-_ROUNDS = 3  # until what the data call for no longer changes what effects rest on
+_ROUNDS = 4  # until what the data call for no longer changes what effects rest on
+_SMALL = 0.1  # of what a cause explains whose shape is known roughly
+_LITTLE = 0.05  # of the squared torque of a cause that is common to all joints
 _MATTERS = 0.3  # of what a cause does to the joint where it shows most
 
 
@@ -68,6 +71,14 @@ class Diagnosis:
     waterfall: tuple[tuple[str, float], ...]
     notes: tuple[str, ...]
 
+    def _repr_html_(self) -> str:
+        rows = [
+            (f.effect.name, ", ".join(f.effect.joints), f.verdict, f.rms_before, f.rms_after)
+            for f in self.findings
+        ]
+        heads = ("cause", "joints", "verdict", "rms error without it", "with it")
+        return html_table(f"What the model of {self.robot.name} gets wrong", heads, rows)
+
 
 def diagnose(
     robot: Robot,
@@ -109,17 +120,18 @@ def _understood(robot: Robot, data: Data, held: HeldOut) -> tuple[Fit, list[Find
 
     Effects that rest on torque take it from the model as understood so far, and shapes are first
     searched over coarse grids, then between their points. So the causes are looked for again where
-    that may change them, for as long as the hold-out does not lose.
+    that may change them, and without those that the hold-out speaks against, for as long as it
+    does not lose.
     """
     prior, tau = prior_parameters(robot), series(data.train).measured * held.gains
     rounds: list[tuple[Fit, list[Finding]]] = []
-    reference, shapes = robot, None
+    reference, shapes, refuted = robot, None, frozenset[Key]()
     for _ in range(_ROUNDS):
         believed = rounds[-1][0].chosen if rounds else ()
         evidence = hypotheses(
             robot, reference, tolerance_metric(prior), data.train, held.gains, believed
         )
-        evidence, chosen = select(evidence, robot)
+        evidence, chosen = select(evidence, robot, refuted)
         fitted = partial(_fit, robot, reference, prior, data, tau, held.gains, evidence)
         fit, findings = confirmed(robot, held, fitted(chosen), fitted)
         if rounds and held.worse(fit.predicted, rounds[-1][0].predicted, FLOOR):
@@ -127,6 +139,9 @@ def _understood(robot: Robot, data: Data, held: HeldOut) -> tuple[Fit, list[Find
         rounds.append((fit, findings))
         reference, before = fit.extension.model, shapes
         shapes = {c.effect for c in fit.chosen}
+        if fit.refuted:
+            refuted |= fit.refuted
+            continue
         if shapes == before or not any(rests_on_model(e) or has_shape(e) for e in shapes):
             break
     return rounds[-1]
@@ -167,7 +182,10 @@ def _diagnosis(
     predicted = fit.predicted
     error = held.series.measured - predicted
     left = remainders(robot.joints, data.validate, error, held.given, predicted)
-    doubtful = [replace(f, overshadowed=_overshadowed(f, left)) for f in findings]
+    doubtful = [
+        replace(f, overshadowed=_overshadowed(robot, f, left), beside=_beside(f, findings))
+        for f in findings
+    ]
     findings = sorted(doubtful, key=lambda f: -f.explained)
     notes = [data.holdout]
     if data.unit == "A":
@@ -195,15 +213,31 @@ def _diagnosis(
     )
 
 
-def _overshadowed(finding: Finding, left: Sequence[Remainder]) -> bool:
-    """Whether what nothing explains is larger than what this cause explains, in noise."""
+def _overshadowed(robot: Robot, finding: Finding, left: Sequence[Remainder]) -> bool:
+    """Whether what nothing explains is larger than what this cause explains, in noise.
+
+    A cause that is common to all joints has to explain them all: little that it leaves is enough.
+    """
     scale = np.array([r.floor for r in left])
     if not (scale > 0).all():
         return False
-    unknown = np.array([r.structured if r.visible else 0.0 for r in left])
-    size = np.sqrt((finding.torque**2).mean(axis=0))
-    main = size / scale > _MATTERS * (size / scale).max()
-    return bool((unknown[main] ** 2).sum() > (size[main] ** 2).sum())
+    unknown = np.array([r.structured if r.visible else 0.0 for r in left]) / scale
+    size = np.sqrt((finding.torque**2).mean(axis=0)) / scale
+    common = {*finding.effect.joints} == {*robot.joints} and robot.nv > 1
+    main = size > (0.0 if common else _MATTERS * size.max())
+    return bool((unknown[main] ** 2).sum() > (_LITTLE if common else 1.0) * (size[main] ** 2).sum())
+
+
+def _beside(finding: Finding, findings: Sequence[Finding]) -> Effect | None:
+    """A cause on the same joint that explains far more, if its shape was searched for.
+
+    What a shape misses of a large cause looks like a small one.
+    """
+    for other in findings:
+        same = {*finding.effect.joints} <= {*other.effect.joints}
+        if same and has_shape(other.effect) and finding.explained < _SMALL * other.explained:
+            return other.effect
+    return None
 
 
 def _waterfall(

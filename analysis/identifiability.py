@@ -28,6 +28,7 @@ from excitant.identify.base_prior import base_prior
 from excitant.identify.estimate import Estimate
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
+from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, freeze, read_only
 from excitant.robots.robot import Robot
 
@@ -110,6 +111,14 @@ class Identifiability:
     def condition_number(self) -> float | None:
         """Of the unscaled base columns under the motion, cond₂(W); None without one."""
         return self.motion.condition_number if self.motion else None
+
+    def _repr_html_(self) -> str:
+        title = f"Identifiability of {self.robot.name}: {len(self.base)} base parameters"
+        if self.motion is None:
+            rows = [(name, kind) for name, kind in zip(self.base.names, self.category, strict=True)]
+            return html_table(title, ("parameter", "identifiable"), rows)
+        shown = [(p.expression, p.value, p.std, p.verdict) for p in self.practical]
+        return html_table(title, ("base parameter", "value", "std", "shown by the motion"), shown)
 
 
 def analyze(

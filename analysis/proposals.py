@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -111,7 +112,8 @@ def between(effect: Effect, beside: Sequence[Effect]) -> list[Effect]:
         for end in (max(lower, default=own), min(upper, default=own)):
             if end != own:
                 steps = np.geomspace if end * own > 0 else np.linspace
-                near += [replace(effect, **{field.name: float(v)}) for v in steps(own, end, 4)[1:3]]
+                values: list[dict[str, Any]] = [{field.name: float(v)} for v in steps(own, end, 4)]
+                near += [replace(effect, **value) for value in values[1:3]]
     return near
 
 

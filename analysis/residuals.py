@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.signal
 
+from excitant.analysis.domains import band_shares, places, shares, telling
 from excitant.analysis.sticking import sliding
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.preprocessing import Segment
@@ -15,12 +16,22 @@ from excitant.robots.motion import Array
 
 VISIBLE = 2.0  # times the noise floor: from here on an effect can be seen
 _SHARE = 0.1  # of the given model's squared error
-_BINS = 24
 _BAND = 1.5  # times the cut-off: where nothing of the motion is left
 _PASSED = 0.898  # of white noise below the cut-off: ∫ dx / (1 + x⁸)²
 _NEAR = (0.6, 0.95)  # of the cut-off
 _LONGEST = 512  # samples of a periodogram's stretch
 _FORGETS = 0.1  # s: residuals that forget faster than this look like noise
+_MEASURABLE = 1e-3  # of the error: less noise than this is not what a sensor has, but a filter
+_SAID = 100.0  # times the noise: beyond, the number says nothing more
+WORDS = {
+    "constant": "{} are a constant offset",
+    "direction": "{} vary with the direction of motion",
+    "velocity": "{} vary with velocity",
+    "position": "{} vary with position",
+    "load": "{} vary with load",
+    "reversal": "{} vary with the distance since the last reversal",
+    "time": "{} drift with time",
+}
 
 
 @dataclass(frozen=True)
@@ -33,7 +44,8 @@ class Remainder:
         floor: What noise alone would leave [torque unit].
         given: Error of the given model [torque unit].
         correlation_s: How long the error stays correlated [s].
-        shows: Share of the error's power that varies with position, velocity, load and time.
+        shows: Share of the error's power that each of `domains.DOMAINS` explains.
+        bands: Share of the error's power in each of `domains.BANDS`.
     """
 
     joint: str
@@ -42,6 +54,7 @@ class Remainder:
     given: float
     correlation_s: float
     shows: tuple[tuple[str, float], ...]
+    bands: tuple[tuple[str, float], ...] = ()
 
     @property
     def structured(self) -> float:
@@ -57,8 +70,8 @@ class Remainder:
 
     @property
     def domain(self) -> str:
-        """What the error varies with most."""
-        return max(self.shows, key=lambda pair: pair[1])[0]
+        """What tells the error best, empty where nothing alone does."""
+        return telling(dict(self.shows))
 
     @property
     def structure(self) -> str:
@@ -66,8 +79,20 @@ class Remainder:
         if not self.visible and self.correlation_s < _FORGETS:
             return "noise-like"
         words = f"structured: stays correlated over {self.correlation_s:.2g} s"
+        if not self.domain:
+            return words
         share = dict(self.shows)[self.domain]
-        return f"{words}; {100 * share:.0f} % vary with {self.domain}" if share > 0.1 else words
+        return f"{words}; {WORDS[self.domain].format(f'{100 * share:.0f} %')}"
+
+    @property
+    def against_noise(self) -> str:
+        """How many times the noise the error is, in words; what hides the noise otherwise."""
+        if self.floor <= _MEASURABLE * max(self.rms, 1e-300):
+            return "no noise is seen in the recorded torque, which was smoothed or computed"
+        ratio = self.rms / self.floor
+        if ratio > _SAID:
+            return f"over {_SAID:.0f} times the noise"
+        return f"{ratio:.2g} times the noise"
 
 
 def remainders(
@@ -82,21 +107,12 @@ def remainders(
         given: What the given model leaves there, shape (n, nv) [torque unit].
         load: Torque of the model at its rows, shape (n, nv) [torque unit].
     """
-    q, dq = (
-        np.concatenate([getattr(s.motion, name)[s.keep] for s in segments]) for name in ("q", "dq")
-    )
-    step = float(segments[0].t[1] - segments[0].t[0])
-    cutoff = segments[0].cutoff_hz
-    time, found, moves = np.arange(len(error), dtype=float), [], sliding(segments)
+    where, moves = places(segments, load), sliding(segments)
+    step, cutoff = where.steps[0], segments[0].cutoff_hz
+    found = []
     for j, joint in enumerate(joints):
         at = moves[:, j] if moves[:, j].any() else ~moves[:, j]
         e = error[at, j]
-        domains = {
-            "position": q[:, j],
-            "velocity": dq[:, j],
-            "load": load[:, j] * np.sign(dq[:, j]),
-            "time": time,
-        }
         found.append(
             Remainder(
                 joint,
@@ -104,7 +120,8 @@ def remainders(
                 max(noise_floor(segments, j), _fast(error[:, j], 1 / step, cutoff)),
                 float(np.sqrt((given[at, j] ** 2).mean())),
                 float(autocorrelation_time(e) * step),
-                tuple((name, _varies(e, x[at])) for name, x in domains.items()),
+                tuple(shares(error[:, j], where, j, at).items()),
+                tuple(band_shares(error[:, j], where, j).items()),
             )
         )
     return tuple(found)
@@ -132,15 +149,3 @@ def _fast(e: Array, rate_hz: float, cutoff_hz: float) -> float:
     f, density = scipy.signal.welch(e, rate_hz, nperseg=min(_LONGEST // 4, len(e)))
     near = density[(f > _NEAR[0] * cutoff_hz) & (f < _NEAR[1] * cutoff_hz)]
     return float(np.sqrt(np.median(near) * _PASSED * cutoff_hz)) if len(near) else 0.0
-
-
-def _varies(e: Array, x: Array) -> float:
-    """Share of the power of e that its means over bins of x hold, less what chance would."""
-    edges = np.quantile(x, np.linspace(0, 1, _BINS + 1)[1:-1])
-    bins = np.searchsorted(edges, x)
-    count = np.bincount(bins, minlength=_BINS)
-    mean = np.bincount(bins, e, minlength=_BINS) / np.maximum(count, 1)
-    held = float((count * mean**2).sum()) / max(float((e**2).sum()), 1e-300)
-    independent = len(e) / autocorrelation_time(e - mean[bins])
-    chance = (1 - held) * _BINS / independent
-    return float(np.clip(held - chance, 0.0, 1.0))

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import scipy.stats
 
+from excitant.analysis.agreement import agrees
 from excitant.analysis.evidence import Candidate, Evidence, reweighed
-from excitant.robots.effects import Effect, GravityDirection, Payload, PreslidingHysteresis
+from excitant.analysis.proposals import has_shape
+from excitant.robots.effects import (
+    AsymmetricFriction,
+    Effect,
+    GravityDirection,
+    Payload,
+    PreslidingHysteresis,
+)
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values
@@ -24,27 +32,38 @@ _SIGN_DEVIATIONS = 2.0  # standard deviations by which a value may lie beyond wh
 _TIE = 2.0  # standard errors within which two causes explain the data alike
 _TIE_ALIKE = 3.3  # the same where their signatures are alike
 _ALIKE = 0.9  # |cos| of such signatures
+_IDENTICAL = 0.9999  # |cos| of two causes that are one on this motion
 _SAME = 0.999  # |cos| of a cause that is part of another
 _HALF = 0.5  # of what a cause explains, at least, must a rival explain
+_CANCELLED = 2.0  # times the squared error on its joints: a cause that others must take back
 _GRAVITY_TOLERANCE = 0.05  # of 9.81 m/s², by which a turned gravity may differ in size
 
 
-def select(evidence: Evidence, robot: Robot) -> tuple[Evidence, list[Candidate]]:
+Key = tuple[str, tuple[str, ...]]
+
+
+def select(
+    evidence: Evidence, robot: Robot, refuted: Set[Key] = frozenset()
+) -> tuple[Evidence, list[Candidate]]:
     """Causes by forward selection, each step pruned backwards.
 
     A candidate enters when the fall of J exceeds what the best of all candidates reaches by
     chance, and leaves when the others have made it dispensable. Joints that the model gives no
     friction get that of the standard model first, so that finer kinds must bring more than it.
 
+    Args:
+        evidence: Evidence.
+        robot: The given robot.
+        refuted: Causes that a hold-out speaks against.
+
     Returns:
         The evidence with the noise at the end, and the causes.
     """
     bare = _bare(robot)
-    standard = [
-        c for c in evidence.candidates if c.effect.name in _STANDARD and {*c.effect.joints} <= bare
-    ]
+    allowed = [c for c in evidence.candidates if c.key not in refuted]
+    standard = [c for c in allowed if c.effect.name in _STANDARD and {*c.effect.joints} <= bare]
     evidence, chosen = _grown(evidence, robot, [], standard)
-    return _grown(evidence, robot, chosen, evidence.candidates)
+    return _grown(evidence, robot, chosen, allowed)
 
 
 def _grown(
@@ -85,7 +104,15 @@ def _best_addition(
 
 
 def _simplest(evidence: Evidence, chosen: Sequence[Candidate], found: Candidate) -> Candidate:
-    """A special case of what was found, where its other coefficients bring nothing more."""
+    """A special case of what was found, where its other coefficients bring nothing more.
+
+    A shape that this motion does not show is one as well: play that is never crossed is an offset.
+    """
+    if has_shape(found.effect):
+        for plain in evidence.candidates:
+            same = plain.size == found.size and {*plain.effect.joints} == {*found.effect.joints}
+            if same and not has_shape(plain.effect) and evidence.cosine(plain, found) > _IDENTICAL:
+                return plain
     whole = evidence.cost([*chosen, found])
     for simple in evidence.candidates:
         special = simple.effect.name in found.effect.contains
@@ -151,7 +178,7 @@ def underlies(robot: Robot, rest: Sequence[Candidate], candidate: Candidate) -> 
     if effect.name not in _DRY or not {*effect.joints} <= _bare(robot):
         return False
     finer = (c.effect for c in rest if _rubs(c.effect) and c.effect.name not in _DRY)
-    return any(other.joints == effect.joints for other in finer)
+    return any(e.joints == effect.joints and effect.name not in e.contains for e in finer)
 
 
 def _rubs(effect: Effect) -> bool:
@@ -161,11 +188,21 @@ def _rubs(effect: Effect) -> bool:
 def plausible(
     evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], candidate: Candidate
 ) -> bool:
-    """Whether a candidate's coefficients, with what is given, are such as physics allows."""
+    """Whether a candidate's coefficients, with what is given, are such as physics allows.
+
+    Those of a cause that is common to all joints must be the same for all.
+    """
+    common = {*candidate.effect.joints} == {*robot.joints} or candidate.effect.name == Payload.name
+    if common and not agrees(evidence, chosen, candidate):
+        return False
     _, coordinates, covariance = evidence.solve(chosen)
+    if any(_cancelled(evidence, cause, coordinates) for cause in chosen):
+        return False
     value = candidate.scale @ coordinates[candidate.columns]
     block = covariance[candidate.columns, candidate.columns]
     std = np.sqrt(np.diag(candidate.scale @ block @ candidate.scale.T))
+    if isinstance(candidate.effect, AsymmetricFriction):
+        return _brakes(robot, candidate.effect.joints[0], value, std)
     special = _PLAUSIBLE.get(candidate.effect.name)
     if special is not None:
         return special(robot, value, std)
@@ -176,6 +213,18 @@ def plausible(
     return signs and candidate.effect.credible(robot, value)
 
 
+def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool:
+    """Whether a cause makes far more torque than there is to explain, which others take back."""
+    made = there = 0.0
+    for j, at in enumerate(evidence.signatures.index):
+        here = np.flatnonzero((at >= cause.columns.start) & (at < cause.columns.stop))
+        if len(here):
+            x, G = coordinates[at[here]], evidence.signatures.grams[j][np.ix_(here, here)]
+            made += float(evidence.weight[j] * (x @ G @ x))
+            there += float(evidence.weight[j] * (evidence.residual[:, j] ** 2).sum())
+    return made > _CANCELLED * there
+
+
 def _has_mass(robot: Robot, value: Array, std: Array) -> bool:
     return bool(value[0] > -_SIGN_DEVIATIONS * std[0])
 
@@ -184,7 +233,15 @@ def _is_gravity(robot: Robot, value: Array, std: Array) -> bool:
     """Whether the changed vector is still as long as gravity."""
     size = float(np.linalg.norm(robot.gravity))
     off = abs(float(np.linalg.norm(robot.gravity + value)) - size)
-    return off < _GRAVITY_TOLERANCE * size + _SIGN_DEVIATIONS * float(np.linalg.norm(std))
+    doubt = _SIGN_DEVIATIONS * float(np.linalg.norm(std))
+    return off < _GRAVITY_TOLERANCE * size + min(doubt, _GRAVITY_TOLERANCE * size)
+
+
+def _brakes(robot: Robot, joint: str, value: Array, std: Array) -> bool:
+    """Whether friction that differs by direction, with what is given, still brakes in both."""
+    given = effect_values(robot)
+    plain = np.repeat([given.get(f"{joint}.{symbol}", 0.0) for symbol in ("Fc", "Fv")], 2)
+    return bool((value + plain[: len(value)] > -_SIGN_DEVIATIONS * std).all())
 
 
 _PLAUSIBLE: dict[str, Callable[[Robot, Array, Array], bool]] = {

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pickle
 import signal
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -104,10 +105,27 @@ def results(problem: DesignProblem, tasks: Sequence[Task], effort: Effort) -> It
         parallel = joblib.Parallel(n_jobs=effort.jobs, return_as="generator_unordered")
         apart = joblib.delayed(_perform_apart)
         try:
-            yield from parallel(apart(packed, task, effort.seed, effort.deadline) for task in tasks)
+            with _deaf_to_interrupts():  # here the processes start
+                found = parallel(
+                    apart(packed, task, effort.seed, effort.deadline) for task in tasks
+                )
+            yield from found
         except KeyboardInterrupt:
             get_reusable_executor().shutdown(wait=False, kill_workers=True)
             raise
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Processes started meanwhile never hear Ctrl-C, not even before their first task."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
 
 
 def _over_cluster(

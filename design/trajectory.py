@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
+from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, freeze, read_only
 
 _REST = 1e-9  # of the largest possible speed or acceleration of the series
@@ -168,6 +169,16 @@ class Trajectory(ABC):
         basis = self.series.basis(times.ravel(), order).reshape(n, nv, -1)
         values: Array = np.einsum("njc,cj->nj", basis, self.coefficients, optimize=True)
         return values
+
+    def _repr_html_(self) -> str:
+        low, high = self.extrema()
+        speed, acceleration = (np.abs(self.extrema(order)).max(axis=0) for order in (1, 2))
+        rows = zip(
+            range(1, len(low) + 1), low.tolist(), high.tolist(), speed.tolist(),
+            acceleration.tolist(), strict=True,
+        )  # fmt: skip
+        heads = ("joint", "from", "to", "top speed", "top acceleration")
+        return html_table(f"{type(self).__name__} of {self.period:.4g} s, SI units", heads, rows)
 
 
 @dataclass(frozen=True, eq=False)

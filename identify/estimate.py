@@ -23,6 +23,7 @@ from excitant.identify.resting import identified_robot, resting, whitened
 from excitant.identify.rows import Data, FitRows, fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
@@ -107,6 +108,13 @@ class Estimate:
         predicted = predicted_torque(self.model, self.data.train) / self.gains
         residual = series(self.data.train).measured - predicted
         return prediction_interval(self.holdout_columns, self.least_squares, residual, self.gains)
+
+    def _repr_html_(self) -> str:
+        columns = (self.baseline.rms, self.validate.rms, self.validate.nrmse, self.validate.r2)
+        rows = zip(self.given.joints, *(column.tolist() for column in columns), strict=True)
+        heads = ("joint", "rms error as given", "identified", "nrmse", "r²")
+        title = f"Estimate of {self.given.name} ({self.estimator}), on the hold-out"
+        return html_table(title, heads, rows)
 
 
 def identify(

@@ -14,6 +14,7 @@ from excitant.identify.importers.mapping import ColumnMap
 from excitant.identify.importers.parts import put_together, runs_of_parts
 from excitant.identify.importers.raw import RawRecording, raw_from_source, raw_recording
 from excitant.identify.importers.sources import of_frame
+from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
 
@@ -64,6 +65,20 @@ class Recording:
             tau=self.tau[rows],
             dq=None if self.dq is None else self.dq[rows],
         )
+
+    def _repr_html_(self) -> str:
+        columns = (
+            self.q.min(axis=0),
+            self.q.max(axis=0),
+            self.tau.min(axis=0),
+            self.tau.max(axis=0),
+        )
+        rows = zip(
+            range(1, self.q.shape[1] + 1), *(column.tolist() for column in columns), strict=True
+        )
+        heads = ("joint", "q from", "q to", f"torque from [{self.unit}]", "torque to")
+        title = f"Recording {self.name}: {len(self.t)} samples over {self.duration:.4g} s"
+        return html_table(title, heads, rows)
 
 
 def read_recording(

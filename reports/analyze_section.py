@@ -26,7 +26,7 @@ from excitant.reports.model import (
     table,
 )
 from excitant.reports.reading import Result, Series, at, real, records, text, words
-from excitant.reports.wording import NONE, listing, number, percent, plain, value_and_std
+from excitant.reports.wording import NONE, listing, number, percent, plain, sentence, value_and_std
 from excitant.robots.parameters import STANDARD
 
 
@@ -81,23 +81,19 @@ def _notes(result: Result) -> Notes | None:
     holds = words(result, "structure", "circumstances")
     found = [
         *([f"Holds for: {'; '.join(holds)}."] if holds else []),
-        *([_sentence(hair)] if hair else []),
+        *([sentence(hair)] if hair else []),
         *([f"Standard deviations are {basis}."] if basis else []),
-        *(_sentence(note) for note in words(result, "notes") if note),
+        *(sentence(note) for note in words(result, "notes") if note),
     ]
     return Notes(tuple(found)) if found else None
 
 
-def _sentence(words: str) -> str:
-    return words[0].upper() + words[1:] + "." * (words[-1] != ".")
-
-
 def _excitation(result: Result) -> Notes | None:
-    sentence = text(result, "persistency", "sentence")
-    if not sentence:
+    said = text(result, "persistency", "sentence")
+    if not said:
         return None
     verdict = isinstance(at(result, "persistency", "persistent"), bool)
-    return Notes((_sentence(f"this motion is {sentence}" if verdict else sentence),))
+    return Notes((sentence(f"this motion is {said}" if verdict else said),))
 
 
 def _lead(result: Result) -> str:

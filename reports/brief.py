@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from excitant.reports.comparison_section import comparison_lead
 from excitant.reports.reading import Result, at, middle, real, records, text, words
+from excitant.reports.rehearse_section import rehearse_brief
+from excitant.reports.robot_section import robot_brief
 from excitant.reports.wording import number, percent, plain
 
 
@@ -93,6 +96,17 @@ def _check(result: Result) -> Lines:
     ]
 
 
+def _compare(result: Result) -> Lines:
+    runs = [text(run, "name") for run in records(result, "runs")]
+    sections = at(result, "sections")
+    parts = sections if isinstance(sections, dict) else {text(result, "of"): result}
+    lines = [("compared", " and ".join(f"{s} {run}" for s, run in zip("AB", runs, strict=False)))]
+    for verb, content in parts.items():
+        lines.append((str(verb), comparison_lead(content)))
+        lines += [("", remark) for remark in words(content, "remarks")]
+    return lines
+
+
 _VERBS: dict[str, Callable[[Result], Lines]] = {
     "demo": _demo,
     "design": _design,
@@ -100,4 +114,7 @@ _VERBS: dict[str, Callable[[Result], Lines]] = {
     "analyze": _analyze,
     "diagnose": _diagnose,
     "check": _check,
+    "robots": robot_brief,
+    "rehearse": rehearse_brief,
+    "compare": _compare,
 }

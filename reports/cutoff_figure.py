@@ -137,6 +137,8 @@ def _factor_axis(ax: Axes, factors: Array) -> None:
 
 
 def _joint_table(result: Result) -> Table | None:
+    reasons = {text(row, "reason") for row in records(result, "cutoff_hz_per_joint")}
+    alike = len(reasons) == 1
     zones = {text(row, "name"): row for row in records(result, "dead_zone", "joints")}
     chosen = items(result, "cutoff_hz_per_joint")
     rows: list[list[Cell | str]] = []
@@ -150,20 +152,22 @@ def _joint_table(result: Result) -> Table | None:
                 quantity(at(row, "residual_densest_at_hz"), "Hz", 2),
                 number(at(zone, "slower_than"), 2),
                 percent(at(zone, "share")),
-                text(row, "reason") or NONE,
+                *([] if alike else [text(row, "reason") or NONE]),
             ]
         )
     if not rows or len(rows) != len(chosen):
         return None
+    why = f": {reasons.pop()}" if alike and any(reasons) else ""
     left = at(result, "dead_zone", "left_out") is True
     did = "is left out of the fit" if left else "stays in the fit"
     return table(
         "name:Joint | number:Cut-off | number:Explained up to | number:Residual densest at | "
-        "number:Sign known above [rad/s] | number:Rows slower | text:Why this cut-off",
+        "number:Sign known above [rad/s] | number:Rows slower"
+        + ("" if alike else " | text:Why this cut-off"),
         rows,
-        "Chosen from the training data. Explained up to: the highest frequency at which the model "
-        "explains more of the torque than it leaves. A row during which the joint is slower than "
-        f"the speed from which the sign of its velocity is known {did}.",
+        f"Chosen from the training data{why}. Explained up to: the highest frequency at which the "
+        "model explains more of the torque than it leaves. A row during which the joint is slower "
+        f"than the speed from which the sign of its velocity is known {did}.",
     )
 
 
@@ -183,7 +187,7 @@ def _contest(result: Result) -> Table | None:
     if not rows:
         return None
     return table(
-        "name:Estimator | text: | number:Inner hold-out, nrmse | number:Mean square error",
+        "name:Estimator | text:Choice | number:Inner hold-out, nrmse | number:Mean square error",
         rows,
         "Errors on blocks of the training data left out in turn; the change of the mean square "
         "error against the first estimator, with its standard error from the same blocks. Another "

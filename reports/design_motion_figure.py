@@ -18,6 +18,7 @@ from excitant.reports.drawing import (
     SKY,
     axes,
     draw_curve,
+    ink,
     panel,
     timeline,
 )
@@ -145,7 +146,9 @@ def _panel(
     slides = k < len(turns) and turns[k] is False
     said = []
     for ax, (name, key, colour, units) in zip(stack, rows, strict=True):
-        ax.set_title(f"{name} [{units[slides]}]", loc="left", fontsize=8.5, pad=2.5, color=colour)
+        ax.set_title(
+            f"{name} [{units[slides]}]", loc="left", fontsize=8.5, pad=2.5, color=ink(colour)
+        )
         values = curve(series, key, k) if _has(series, key, k) else None
         if values is None:
             ax.set_yticks([])

@@ -35,7 +35,7 @@ from excitant.reports.reading import (
     words,
     worst_points,
 )
-from excitant.reports.wording import NONE, number, percent, plain, quantity, value_and_std
+from excitant.reports.wording import NONE, number, percent, plain, quantity, sentence, value_and_std
 
 _CRITERIA = {
     "condition": "least ratio of singular values of W",
@@ -221,7 +221,7 @@ def check_section(result: Result, series: Series) -> Section:
     lead = f"{name} was checked."
     if isinstance(holds, bool):
         lead = f"{name} {'keeps all' if holds else 'does not keep the'} limits of {arm}."
-    verdicts = words(result, "verdicts")
+    verdicts = [sentence(verdict) for verdict in words(result, "verdicts")]
     tone = PLAIN if not isinstance(holds, bool) else (GOOD if holds else POOR)
     facts = [
         Fact("Limits", {GOOD: "hold", POOR: "exceeded"}.get(tone, NONE), "", tone),

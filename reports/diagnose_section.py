@@ -5,6 +5,7 @@ from __future__ import annotations
 from excitant.reports.design_section import file_list, known_facts
 from excitant.reports.evidence_figures import evidence_figure
 from excitant.reports.fault_table import fault_table
+from excitant.reports.given_error_figures import given_error_blocks, step_figure
 from excitant.reports.model import (
     FAIR,
     GOOD,
@@ -37,7 +38,6 @@ from excitant.reports.torque_figures import (
     error_bars,
     over_holdout,
     torque_figure,
-    waterfall,
 )
 from excitant.reports.wording import (
     NONE,
@@ -48,6 +48,8 @@ from excitant.reports.wording import (
     quantity,
     value_and_std,
 )
+
+_LEADING, _SMALL = 3, 0.01  # findings that always have a part of their own; share of others
 
 _CURVES = Curves(
     "simulated",
@@ -67,13 +69,18 @@ def diagnose_section(result: Result, series: Series) -> Section:
     notes = words(result, "notes")
     parts: list[tuple[str, list[Block | None]]] = [
         ("Key figures", [_facts(result), fault_table(result), _finding_table(result, unit)]),
-        ("Error step by step", [_waterfall(result)]),
+        ("What is wrong with the given model", given_error_blocks(result, unit)),
+        ("Error step by step", [step_figure(result)]),
     ]
+    small: list[Block | None] = []
     for k, finding in enumerate(findings):
-        title = f"Finding {k + 1}: {plain(text(finding, 'effect'))}"
-        if names := words(finding, "joints"):
-            title += f" at {listing(names)}"
-        parts.append((title, _finding(k, finding, series, unit)))
+        title, blocks = _title(k, finding), _finding(k, finding, series, unit)
+        share = real(finding, "explained")
+        if k < _LEADING or _unknown(finding) or share is None or share > _SMALL:
+            parts.append((title, blocks))
+        else:
+            small += [Notes((f"{title}.",)), *blocks]
+    parts.append((f"Findings of less than {percent(_SMALL)} of the error each", small))
     parts += [
         ("Error per joint", [_bars(result, unit), _joint_table(result, unit)]),
         (over_holdout(unit), [torque_figure(joints, series, unit, _CURVES)]),
@@ -82,6 +89,16 @@ def diagnose_section(result: Result, series: Series) -> Section:
         ("Files", [file_list(result, "extended")]),
     ]
     return section("Diagnosis", text(result, "headline") or _headline(findings), parts)
+
+
+def _unknown(finding: Result) -> bool:
+    return text(finding, "effect") == "unknown"
+
+
+def _title(index: int, finding: Result) -> str:
+    names = words(finding, "joints")
+    at_ = f" at {listing(names)}" if names else ""
+    return f"Finding {index + 1}: {plain(text(finding, 'effect'))}{at_}"
 
 
 def _headline(findings: list[Result]) -> str:
@@ -93,7 +110,8 @@ def _headline(findings: list[Result]) -> str:
 
 def _facts(result: Result) -> Facts | None:
     findings, faults = records(result, "findings"), records(result, "faults")
-    named = sum(text(finding, "verdict") == "named" for finding in findings)
+    verdicts = [text(finding, "verdict") for finding in findings]
+    counts = [f"{n} {word}" for word in dict.fromkeys(verdicts) if (n := verdicts.count(word))]
     before, after = (
         middle(records(result, m, "joints"), "nrmse") for m in ("simulation", "extended")
     )
@@ -103,9 +121,7 @@ def _facts(result: Result) -> Facts | None:
     return known_facts(
         [
             Fact("Hold-out error", change, "nrmse, median over joints"),
-            Fact(
-                "Findings", str(len(findings)), f"{named} named, {len(findings) - named} undecided"
-            ),
+            Fact("Findings", str(len(findings)), ", ".join(counts)),
             Fact("Data faults", str(len(faults)), "", POOR if faults else GOOD),
             Fact("Cut-off", quantity(at(result, "cutoff_hz"), "Hz"), "measured and model alike"),
         ]
@@ -137,7 +153,8 @@ def _finding_table(result: Result, unit: str) -> Table | None:
         f"number:# | text:Effect | name:Joints | number:Explains | number:rms before [{unit}] | "
         f"number:rms after [{unit}] | text:Verdict",
         rows,
-        "What the model lacks, most important first; error on data that were held out.",
+        "What the model lacks, most important first; error on data that were held out, while the "
+        "joints move (at rest, dry friction takes any value).",
     )
 
 
@@ -152,19 +169,24 @@ def _finding(index: int, finding: Result, series: Series, unit: str) -> list[Blo
 
 
 def _sentence(finding: Result, unit: str) -> str:
-    if text(finding, "effect") == "unknown":
-        return "Structure is left over that no candidate explains."
-    pieces = []
-    if real(finding, "explained") is not None:
-        pieces.append(f"explains {percent(at(finding, 'explained'))} of what the model left")
+    if _unknown(finding):
+        structure = text(finding, "structure")
+        said = "Structure is left over that no candidate explains"
+        return f"{said}: {structure}." if structure else f"{said}."
     before, after = (real(finding, "holdout", key) for key in ("rms_before", "rms_after"))
+    effect, share = plain(text(finding, "effect")), real(finding, "explained")
+    sentence = f"{effect[:1].upper()}{effect[1:]} was found."
     if before is not None and after is not None:
-        pieces.append(
-            f"brings the rms on the hold-out from {number(before)} to {quantity(after, unit)}"
+        sentence = (
+            f"With {effect}, and all else that was found, the rms on the hold-out is "
+            f"{quantity(after, unit)} at these joints; without it, {quantity(before, unit)}."
         )
-    effect = plain(text(finding, "effect"))
-    sentence = f"{effect[:1].upper()}{effect[1:]} {' and '.join(pieces) or 'was found'}."
-    if text(finding, "verdict") == "undecided":
+    if share is not None:
+        sentence += f" That is {percent(share)} of the squared error that the given model leaves"
+        sentence += ": other findings rest on it." if share > 1 else "."
+    if doubt := text(finding, "doubt"):
+        sentence += f" It is not decided: {doubt}."
+    elif text(finding, "verdict") == "undecided":
         sentence += " It is not decided: the effects below explain these data as well."
     return sentence
 
@@ -206,19 +228,6 @@ def _rivals(finding: Result) -> Table | None:
         "text:Experiment that settles it | number:Separation [σ] | number:Runs"
     )
     return table(columns, rows, caption) if rows else None
-
-
-def _waterfall(result: Result) -> Block | None:
-    steps = [
-        (text(row, "label"), rms)
-        for row in records(result, "waterfall")
-        if (rms := real(row, "rms")) is not None
-    ]
-    return waterfall(
-        steps,
-        "Error on the hold-out after each effect that was added, every joint relative to the "
-        "model as given: long grey pieces are effects that matter.",
-    )
 
 
 def _pairs(result: Result) -> list[tuple[str, Result, Result]]:
@@ -265,9 +274,17 @@ def _joint_table(result: Result, unit: str) -> Table | None:
 
 def _unexplained(result: Result) -> Table | None:
     rows: list[list[Cell | str]] = [
-        [text(row, "joint"), percent(at(row, "share")), text(row, "structure") or NONE]
+        [
+            text(row, "joint"),
+            percent(at(row, "share")),
+            text(row, "against_noise") or NONE,
+            text(row, "structure") or NONE,
+        ]
         for row in records(result, "unexplained")
     ]
-    caption = "Structure left in the residual that no candidate explains."
-    columns = "name:Joint | number:Share | text:Structure"
+    caption = (
+        "What everything found leaves: share of the measured torque's variance, its size against "
+        "the noise while the joint moves, and what it varies with."
+    )
+    columns = "name:Joint | number:Share | text:Against the noise | text:Structure"
     return table(columns, rows, caption) if rows else None

@@ -124,8 +124,8 @@ def _spectrum_panel(found: Result, series: Series) -> Panel | None:
         floor = noise * np.sqrt(2 / rate)
         ax.axhline(floor, color=LIGHT, lw=1.6)
         ax.annotate(
-            f"noise, std {quantity(noise, 'rad')}", (1, floor), (-2, 3),
-            xycoords=("axes fraction", "data"), textcoords="offset points", ha="right", fontsize=8,
+            f"noise, std {quantity(noise, 'rad')}", (0, floor), (3, 3),
+            xycoords=("axes fraction", "data"), textcoords="offset points", ha="left", fontsize=8,
         )  # fmt: skip
         said += f", noise of standard deviation {quantity(noise, 'rad')}"
     ax.set_xlim(f[0], f[-1])
@@ -156,7 +156,7 @@ def _table(found: Result) -> Table | None:
         return None
     joint = number(at(found, "joint"), 1)
     return table(
-        "text:Differentiator | text: | number:Delay [ms] | number:Noise gain, velocity [1/s] | "
+        "text:Differentiator | text:Use | number:Delay [ms] | number:Noise gain, velocity [1/s] | "
         "number:Noise gain, acceleration [1/s²] | number:Signal lost [rad/s²] | "
         "number:Noise let in [rad/s²] | number:Acceleration error [rad/s²]",
         rows,

@@ -5,18 +5,19 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from excitant.reports.drawing import FITTED, LIGHT, MEASURED, axes, label_y, panel
+from excitant.reports.drawing import FITTED, LIGHT, MEASURED, PURPLE, axes, label_y, panel
 from excitant.reports.model import Figure, Key
-from excitant.reports.reading import Result, Series, curve, text
+from excitant.reports.reading import Result, Series, curve, records, text
 from excitant.reports.wording import listing, number, plain
 from excitant.robots.motion import Array
 
 _POINTS = 2500
 _MEDIANS = 24
-_CURVE = 90
-_GAP = 4.0  # usual distances between the curve's points
+_CURVE = 60
+_GAP = 0.08  # of the abscissa: across wider stretches without data no curve is drawn
 
 
 def evidence_figure(
@@ -37,8 +38,12 @@ def evidence_figure(
     _scatter(ax, x, residual)
     legend = [Key("dot", LIGHT, "residual before"), Key("dot", MEASURED, "median in bins")]
     if fit is not None:
-        ax.plot(*_with_gaps(*_along(x, fit[order], _CURVE)), color=FITTED, lw=1.8)
+        ax.plot(*_with_gaps(*_along(x, fit[order], _CURVE, 1)), color=FITTED, lw=1.8)
         legend.append(Key("line", FITTED, "fitted effect"))
+    rival = _rival(index, finding, series, order)
+    if rival is not None:
+        ax.plot(*_with_gaps(*_along(x, rival[0], _CURVE, 1)), color=PURPLE, lw=1.5, ls=(0, (3, 2)))
+        legend.append(Key("dash", PURPLE, f"{rival[1]} instead, fitted to these points"))
     if len(x) >= 4 * _MEDIANS:
         centres, medians = _along(x, residual, _MEDIANS)
         ax.plot(centres, medians, "o", ms=4, color=MEASURED, mec="white", mew=0.7)
@@ -52,11 +57,30 @@ def evidence_figure(
     joint = text(finding, "figure", "joint") or listing(joints, "all joints")
     rms = number(np.sqrt(np.mean(residual**2)))
     label = f"{joint}: residual (rms {rms} {unit}) against {x_label}, with the fitted {effect}"
-    caption = (
-        f"What the model leaves at {joint} before {effect} is added, against {x_label}: the blue "
-        f"curve is the fitted effect, and it should run through the medians."
+    caption = f"What is left at {joint} without {effect}, all else that was found kept, against "
+    caption += (
+        f"{x_label}: the blue curve is the fitted effect, and should run through the medians."
     )
+    if rival is not None:
+        caption += (
+            f" Where the dashed curve of {rival[1]} runs there too, these data cannot decide."
+        )
+    if fit is None:
+        caption = (
+            f"What everything found leaves at {joint}, against {x_label}: medians that bend away "
+            "from zero are what no candidate describes."
+        )
     return Figure((panel(ax, label, joint),), caption, tuple(legend))
+
+
+def _rival(
+    index: int, finding: Result, series: Series, order: npt.NDArray[np.intp]
+) -> tuple[Array, str] | None:
+    """Torque of the first rival at the points shown, and its name."""
+    values, rivals = curve(series, f"finding{index}_rival"), records(finding, "rivals")
+    if values is None or not rivals or len(values) <= order.max():
+        return None
+    return values[order], plain(text(rivals[0], "effect"))
 
 
 def _scatter(ax: Axes, x: Array, y: Array) -> None:
@@ -65,15 +89,18 @@ def _scatter(ax: Axes, x: Array, y: Array) -> None:
     ax.scatter(x[::step], y[::step], s=5, c="#9aa0a6", alpha=0.35, lw=0, rasterized=True)
 
 
-def _along(x: Array, y: Array, bins: int) -> tuple[Array, Array]:
-    """Median of y in equal bins of the sorted abscissa; the points themselves when few."""
+def _along(x: Array, y: Array, bins: int, fewest: int | None = None) -> tuple[Array, Array]:
+    """Median of y in equal bins of the sorted abscissa; the points themselves when few.
+
+    Bins with fewer points than ``fewest`` are left out; by default, than make a steady median.
+    """
     if len(x) <= 2 * bins or x[-1] <= x[0]:
         return x, y
     lower, upper = np.quantile(x, [0.002, 0.998])
     if upper <= lower:
         lower, upper = x[0], x[-1]
     edges = np.searchsorted(x, np.linspace(lower, upper, bins + 1))
-    least = max(3, len(x) // (40 * bins))
+    least = max(3, len(x) // (40 * bins)) if fewest is None else fewest
     pairs = [
         (np.median(x[first:last]), np.nanmedian(y[first:last]))
         for first, last in pairwise(edges)
@@ -86,7 +113,7 @@ def _along(x: Array, y: Array, bins: int) -> tuple[Array, Array]:
 def _with_gaps(x: Array, y: Array) -> tuple[Array, Array]:
     """A curve that is not drawn across what was not measured."""
     steps = np.diff(x, prepend=x[:1])
-    gaps = np.flatnonzero(steps > _GAP * np.median(steps))
+    gaps = np.flatnonzero(steps > _GAP * np.ptp(x))
     return np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan)
 
 

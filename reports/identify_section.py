@@ -44,7 +44,15 @@ from excitant.reports.torque_figures import (
     over_holdout,
     torque_figure,
 )
-from excitant.reports.wording import NONE, listing, number, percent, plain, quantity
+from excitant.reports.wording import (
+    NONE,
+    listing,
+    number,
+    percent,
+    plain,
+    quantity,
+    sentence,
+)
 
 _CURVES = Curves(
     "given",
@@ -61,7 +69,7 @@ _CURVES = Curves(
 def identify_section(result: Result, series: Series) -> Section:
     """The identified model: errors before and after, and each parameter with its uncertainty."""
     joints, unit = joint_names(result), text(result, "unit") or "N·m"
-    notes = words(result, "notes")
+    notes = [sentence(note) for note in words(result, "notes") if note]
     return section(
         "Identification",
         _lead(result),
@@ -120,10 +128,10 @@ def _lead(result: Result) -> str:
     if after is None:
         return f"{subject} is described below."
     change = "" if before is None else f" instead of {percent(before)} with the model as given"
-    held = text(result, "holdout").rstrip(".")
+    held = sentence(text(result, "holdout"))
     return (
         f"{subject} misses {percent(after)} of the measured torque {where}{change} "
-        f"(rms over standard deviation, median over joints).{f' {held}.' if held else ''}"
+        f"(rms over standard deviation, median over joints).{f' {held}' if held else ''}"
     )
 
 

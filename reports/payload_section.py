@@ -113,7 +113,8 @@ def _phi(payload: Result) -> Array | None:
 
 def _drawing(payload: Result) -> Figure | None:
     phi, std = _phi(payload), reals(payload, "centre_of_mass", "std")
-    if phi is None or std.shape != (3,) or not np.isfinite(std).all():
+    mass, spread = (real(payload, "mass", key) or 0.0 for key in ("value", "std"))
+    if phi is None or std.shape != (3,) or not np.isfinite(std).all() or mass < _BAND * spread:
         return None
     panels = tuple(_view(phi, std, across, up) for across, up in _VIEWS)
     caption = (
@@ -139,7 +140,7 @@ def _view(phi: Array, std: Array, across: int, up: int) -> Panel:
     reach = np.array([np.sqrt(_UNIFORM * max(S[k, k], 0)) for k in range(2)])
     low, high = (np.minimum(0, c - np.maximum(reach, s)), np.maximum(0, c + np.maximum(reach, s)))
     size = max(float((high - low).max()), 0.02)
-    low = low - _ROOM * size
+    low, high = low - _ROOM * size, np.maximum(high, 1.2 * _FRAME * size)
     (ax,) = axes(3.0)
     angle = float(np.degrees(np.arctan2(turn[1, 1], turn[0, 1])))
     ax.add_patch(
@@ -152,10 +153,10 @@ def _view(phi: Array, std: Array, across: int, up: int) -> Panel:
         ax.text(1.1 * tip[0], 1.1 * tip[1], name, ha="center", va="center", color=MEASURED)
     ax.errorbar(c[0], c[1], xerr=s[0], yerr=s[1], fmt="o", ms=4, color=GIVEN, lw=1.2, capsize=2)
     middle = (low + high) / 2
-    half = (0.5 + _ROOM) * size
-    ax.set_xlim(middle[0] - half, middle[0] + half)
-    ax.set_ylim(middle[1] - half, middle[1] + half)
-    ax.set_aspect("equal", adjustable="datalim")
+    box = ax.get_window_extent()
+    scale = 1.06 * float(max((high - low) / (box.width, box.height)))
+    ax.set_xlim(middle[0] - scale * box.width / 2, middle[0] + scale * box.width / 2)
+    ax.set_ylim(middle[1] - scale * box.height / 2, middle[1] + scale * box.height / 2)
     ax.set_xlabel(f"{'xyz'[across]} [m]")
     label_y(ax, f"{'xyz'[up]} [m]")
     said = ", ".join(

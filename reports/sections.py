@@ -6,11 +6,15 @@ from collections.abc import Callable
 
 from excitant.exceptions import BadInput
 from excitant.reports.analyze_section import analyze_section
+from excitant.reports.comparison import VERB as COMPARE
+from excitant.reports.comparison_section import comparison_section, run_table
 from excitant.reports.design_section import check_section, design_section, known_facts
 from excitant.reports.diagnose_section import diagnose_section
 from excitant.reports.identify_section import identify_section
 from excitant.reports.model import GOOD, POOR, Block, Fact, Notes, Page, Section
 from excitant.reports.reading import Result, Series, at, middle, part, real, records, text, words
+from excitant.reports.rehearse_section import rehearse_section
+from excitant.reports.robot_section import robot_section
 from excitant.reports.wording import NONE, listing, number, percent, plain, quantity
 
 SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
@@ -19,8 +23,10 @@ SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
     "identify": identify_section,
     "analyze": analyze_section,
     "diagnose": diagnose_section,
+    "robots": robot_section,
+    "rehearse": rehearse_section,
 }
-VERBS = (*SECTIONS, "demo")
+VERBS = (*SECTIONS, "demo", COMPARE)
 
 
 def build_page(result: Result, series: Series) -> Page:
@@ -35,6 +41,8 @@ def build_page(result: Result, series: Series) -> Page:
     robot = text(result, "robot")
     if verb == "demo":
         return _demo_page(result, series, robot)
+    if verb == COMPARE:
+        return _comparison_page(result, series, robot)
     only = SECTIONS[verb](result, series)
     return Page(f"{only.title}: {robot}" if robot else only.title, only.lead, (), (only,))
 
@@ -53,6 +61,25 @@ def _demo_page(result: Result, series: Series, robot: str) -> Page:
         "diagnosed" + (f" (seed {seed})." if seed else "."),
         tuple(_demo_summary(result)),
         sections,
+    )
+
+
+def _comparison_page(result: Result, series: Series, robot: str) -> Page:
+    of, parts = text(result, "of"), at(result, "sections")
+    if of in SECTIONS:
+        sections = [comparison_section(of, result, series)]
+    else:
+        sections = [
+            comparison_section(verb, content, part(series, verb))
+            for verb, content in (parts.items() if isinstance(parts, dict) else ())
+            if verb in SECTIONS and isinstance(content, dict)
+        ]
+    runs = run_table(result)
+    return Page(
+        f"Comparison of two runs: {robot}" if robot else "Comparison of two runs",
+        sections[0].lead if len(sections) == 1 else "What each step came to in both runs.",
+        () if runs is None else (runs,),
+        tuple(sections),
     )
 
 

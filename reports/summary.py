@@ -6,23 +6,33 @@ the computation nor paths are written: a line changes only when what it says has
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
+from excitant.reports.comparison_summary import comparison_lines
+from excitant.reports.plain_text import (
+    FIGURE,
+    Cells,
+    fields,
+    figure,
+    numbers_first,
+    one_line,
+    sentences,
+    table,
+)
 from excitant.reports.reading import Result, at, real, records, text, words, worst_points
+from excitant.reports.rehearse_section import rehearse_lines
+from excitant.reports.robot_section import robot_lines
 from excitant.reports.wording import combination
-
-_FIGURE = 12  # characters of a number
-Cells = Sequence[str | float | None]
 
 
 def summarize(result: Result) -> str:
     """Summary of a result as text with a final newline; null and missing values are ``-``."""
     verb = text(result, "verb")
-    lines = _fields(f"excitant {verb}".rstrip(), result, ("robot",))
+    lines = fields(f"excitant {verb}".rstrip(), result, ("robot",))
     if verb == "demo":
-        lines += _fields("hidden", at(result, "truth"), ("effect", "joint"))
+        lines += fields("hidden", at(result, "truth"), ("effect", "joint"))
         lines += _parameters(at(result, "truth", "parameters"))
-        lines += _fields("verdict", at(result, "verdict"), ("effect", "joints", "correct"))
+        lines += fields("verdict", at(result, "verdict"), ("effect", "joints", "correct"))
         for name, write in _WRITERS.items():
             if at(result, name) is not None:
                 lines += ["", f"[[{name}]]", *write(at(result, name))]
@@ -31,62 +41,17 @@ def summarize(result: Result) -> str:
     return "\n".join(line.rstrip() for line in lines) + "\n"
 
 
-def _fields(title: str, value: object, keys: Sequence[str]) -> list[str]:
-    lines = [f"[[{title}]]"] if title else []
-    for key in keys:
-        found = at(value, *key.split("."))
-        if found is None:
-            written = "-"
-        elif isinstance(found, list):
-            written = ", ".join(map(str, found)) or "none"
-        elif isinstance(found, bool):
-            written = "yes" if found else "no"
-        else:
-            written = str(found) if real(found) is None else f"{real(found):.6g}"
-        lines.append(f"    {key.replace('.', ' '):<32} = {_line(written)}")
-    return lines
-
-
-def _line(words: str) -> str:
-    return " ".join(words.split())
-
-
-def _figure(value: float | None) -> str:
-    return "-" if value is None else f"{value:.5g}"
-
-
-def _table(title: str, heads: Sequence[str], rows: Sequence[Cells]) -> list[str]:
-    """A titled table: names on the left at their own width, the rest in columns of fixed width."""
-    if not rows:
-        return []
-    wide = max(20, *(len(_line(str(row[0]))) for row in rows))
-    words_in = [any(isinstance(row[k], str) for row in rows) for k in range(len(heads))]
-    lines = [f"[[{title}]]"]
-    for row in (heads, *rows):
-        line = f"    {_line(str(row[0])):<{wide}}"
-        for cell, left in list(zip(row, words_in, strict=True))[1:]:
-            written = _line(cell) if isinstance(cell, str) else _figure(cell)
-            line += f"  {written:<{_FIGURE}}" if left else f"  {written:>{_FIGURE}}"
-        lines.append(line)
-    return lines
-
-
-def _sentences(title: str, sentences: Sequence[str]) -> list[str]:
-    lines = [f"    {_line(sentence)}" for sentence in sentences]
-    return [f"[[{title}]]", *lines] if lines else []
-
-
 def _parameters(values: object) -> list[str]:
     if not isinstance(values, dict):
         return []
-    return _fields("", values, tuple(map(str, values)))
+    return fields("", values, tuple(map(str, values)))
 
 
 def _limits(result: Result) -> list[str]:
     rows: list[Cells] = [
         (point.quantity, point.ratio, point.t, point.joint or "-") for point in worst_points(result)
     ]
-    return _table("limits: worst ratio", ("quantity", "ratio", "t [s]", "joint"), rows)
+    return table("limits: worst ratio", ("quantity", "ratio", "t [s]", "joint"), rows)
 
 
 def _design(result: Result) -> list[str]:
@@ -114,10 +79,10 @@ def _design(result: Result) -> list[str]:
         for k, s in enumerate(records(result, "starts"))
     ]
     return [
-        *_fields("", result, keys),
+        *fields("", result, keys),
         *_limits(result),
         *_weakest(result),
-        *_table("starts", ("start", "condition", "iterations", "status"), starts),
+        *table("starts", ("start", "condition", "iterations", "status"), starts),
     ]
 
 
@@ -133,21 +98,21 @@ def _weakest(result: Result) -> list[str]:
         for row in records(result, "weak_directions", "final")
     ]
     return [
-        *_numbers_first("weakest base parameters: torque per unit [N.m]", heads, parameters),
-        *_numbers_first("weakest directions: torque per unit [N.m]", heads, directions),
+        *numbers_first("weakest base parameters: torque per unit [N.m]", heads, parameters),
+        *numbers_first("weakest directions: torque per unit [N.m]", heads, directions),
     ]
 
 
 def _check(result: Result) -> list[str]:
     return [
-        *_fields("", result, ("trajectory", "holds", "condition_number", "clearance_m")),
+        *fields("", result, ("trajectory", "holds", "condition_number", "clearance_m")),
         *_limits(result),
-        *_sentences("verdicts", words(result, "verdicts")),
+        *sentences("verdicts", words(result, "verdicts")),
     ]
 
 
 def _identify(result: Result) -> list[str]:
-    lines = _fields("", result, ("estimator", "effects", "cutoff_hz", "unit", "holdout"))
+    lines = fields("", result, ("estimator", "effects", "cutoff_hz", "unit", "holdout"))
     rows = records(result, "joints")
     for name, title in (
         ("baseline", "model as given"),
@@ -162,13 +127,13 @@ def _identify(result: Result) -> list[str]:
             for row in rows
             if at(row, name) is not None
         ]
-        lines += _table(f"error: {title}", ("joint", "rms", "rms_raw", "nrmse", "r2"), accuracy)
+        lines += table(f"error: {title}", ("joint", "rms", "rms_raw", "nrmse", "r2"), accuracy)
     base: list[Cells] = [
         (text(row, "expression"), *(real(row, key) for key in ("value", "std", "rel_std")))
         for row in records(result, "base_parameters")
     ]
     # expressions are long: numbers come first, so that columns stay put
-    lines += _numbers_first("base parameters", ("value", "std", "rel_std"), base)
+    lines += numbers_first("base parameters", ("value", "std", "rel_std"), base)
     parameters: list[Cells] = [
         (
             text(row, "name"),
@@ -181,35 +146,21 @@ def _identify(result: Result) -> list[str]:
         for row in records(result, "parameters")
     ]
     heads = ("parameter", "value", "std", "unit", "category", "from")
-    lines += _table("parameters", heads, parameters)
-    lines += _fields("physical consistency", at(result, "physical"), ("consistent",))
-    lines += [f"    {_line(each)}" for each in words(result, "physical", "violations")]
-    return lines + _sentences("notes", words(result, "notes"))
-
-
-def _numbers_first(title: str, heads: Sequence[str], rows: Sequence[Cells]) -> list[str]:
-    if not rows:
-        return []
-    lines = [
-        f"[[{title}]]",
-        "   " + "".join(f" {head:>{_FIGURE}}" for head in heads) + "  expression",
-    ]
-    for row in rows:
-        cells = [c if isinstance(c, str) else _figure(c) for c in row[1:]]
-        lines.append(
-            "   " + "".join(f" {cell:>{_FIGURE}}" for cell in cells) + f"  {_line(str(row[0]))}"
-        )
-    return lines
+    lines += table("parameters", heads, parameters)
+    lines += fields("physical consistency", at(result, "physical"), ("consistent",))
+    lines += [f"    {one_line(each)}" for each in words(result, "physical", "violations")]
+    return lines + sentences("notes", words(result, "notes"))
 
 
 def _analyze(result: Result) -> list[str]:
-    lines = _fields("", result, ("standard_parameters", "base_parameters", "condition_number"))
+    lines = fields("", result, ("standard_parameters", "base_parameters", "condition_number"))
     for link in records(result, "links"):
         title = text(link, "link") + (f" ({text(link, 'joint')})" if text(link, "joint") else "")
-        lines.append(f"[[{_line(title)}]]")
+        lines.append(f"[[{one_line(title)}]]")
         lines += [f"    unique          {name}" for name in words(link, "unique")]
         lines += [
-            f"    combined        {_line(text(c, 'expression'))}" for c in records(link, "combined")
+            f"    combined        {one_line(text(c, 'expression'))}"
+            for c in records(link, "combined")
         ]
         lines += [f"    unidentifiable  {name}" for name in words(link, "unidentifiable")]
     practical: list[Cells] = [
@@ -217,53 +168,53 @@ def _analyze(result: Result) -> list[str]:
         for row in records(result, "practical")
     ]
     heads = ("std", "rel_std", "verdict")
-    lines += _numbers_first("with the given motion", heads, practical)
-    return lines + _sentences("notes", words(result, "notes"))
+    lines += numbers_first("with the given motion", heads, practical)
+    return lines + sentences("notes", words(result, "notes"))
 
 
 def _diagnose(result: Result) -> list[str]:
-    lines = _fields("", result, ("headline", "unit", "cutoff_hz"))
+    lines = fields("", result, ("headline", "unit", "cutoff_hz"))
     faults: list[Cells] = [
         (f"{text(f, 'fault')} at {', '.join(words(f, 'joints')) or '-'}: {text(f, 'detail')}",)
         for f in records(result, "faults")
     ]
-    lines += _table("data faults", ("fault",), faults)
+    lines += table("data faults", ("fault",), faults)
     for name, title in (("simulation", "model as given"), ("extended", "extended model")):
         accuracy: list[Cells] = [
             (text(row, "name"), *(real(row, key) for key in ("rms", "nrmse", "r2")))
             for row in records(result, name, "joints")
         ]
-        lines += _table(f"hold-out error: {title}", ("joint", "rms", "nrmse", "r2"), accuracy)
+        lines += table(f"hold-out error: {title}", ("joint", "rms", "nrmse", "r2"), accuracy)
     for k, finding in enumerate(records(result, "findings")):
         lines += _finding(k, finding)
     rest: list[Cells] = [
         (text(row, "joint"), real(row, "share"), text(row, "structure") or "-")
         for row in records(result, "unexplained")
     ]
-    lines += _table("not explained", ("joint", "share", "structure"), rest)
+    lines += table("not explained", ("joint", "share", "structure"), rest)
     steps: list[Cells] = [
         (text(row, "label"), real(row, "rms")) for row in records(result, "waterfall")
     ]
-    lines += _table("hold-out error step by step", ("model", "rms"), steps)
-    return lines + _sentences("notes", words(result, "notes"))
+    lines += table("hold-out error step by step", ("model", "rms"), steps)
+    return lines + sentences("notes", words(result, "notes"))
 
 
 def _finding(index: int, finding: Result) -> list[str]:
     keys = ("joints", "verdict", "explained", "holdout.rms_before", "holdout.rms_after")
-    lines = _fields(f"finding {index + 1}: {_line(text(finding, 'effect'))}", finding, keys)
+    lines = fields(f"finding {index + 1}: {one_line(text(finding, 'effect'))}", finding, keys)
     rows = records(finding, "parameters")
     wide = max(32, *(len(text(row, "name")) for row in rows), 0)
     for row in rows:
-        value, std = _figure(real(row, "value")), _figure(real(row, "std"))
-        name = _line(text(row, "name"))
+        value, std = figure(real(row, "value")), figure(real(row, "std"))
+        name = one_line(text(row, "name"))
         lines.append(
-            f"    {name:<{wide}} = {value:>{_FIGURE}} +/- {std:>{_FIGURE}} {text(row, 'unit')}"
+            f"    {name:<{wide}} = {value:>{FIGURE}} +/- {std:>{FIGURE}} {text(row, 'unit')}"
         )
     for rival in records(finding, "rivals"):
         what = f"{text(rival, 'effect')} at {', '.join(words(rival, 'joints')) or '-'}"
-        lines.append(f"    rival: {_line(what)}: {_line(text(rival, 'why'))}")
+        lines.append(f"    rival: {one_line(what)}: {one_line(text(rival, 'why'))}")
         if text(rival, "experiment"):
-            lines.append(f"        experiment: {_line(text(rival, 'experiment'))}")
+            lines.append(f"        experiment: {one_line(text(rival, 'experiment'))}")
     return lines
 
 
@@ -273,4 +224,7 @@ _WRITERS: dict[str, Callable[[Result], list[str]]] = {
     "identify": _identify,
     "analyze": _analyze,
     "diagnose": _diagnose,
+    "robots": robot_lines,
+    "rehearse": rehearse_lines,
+    "compare": comparison_lines,
 }

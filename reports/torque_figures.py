@@ -59,24 +59,37 @@ def over_holdout(unit: str) -> str:
 
 
 def torque_figure(
-    joints: Sequence[str], series: Series, unit: str, curves: Curves
+    joints: Sequence[str],
+    series: Series,
+    unit: str,
+    curves: Curves,
+    colours: tuple[str, str] = (GIVEN, FITTED),
 ) -> Figure | None:
     """Measured torque against the model before and after, the residual below, per joint."""
-    panels = [_torque_panel(k, joint, series, unit, curves) for k, joint in enumerate(joints)]
+    panels = [
+        _torque_panel(k, joint, series, unit, curves, colours) for k, joint in enumerate(joints)
+    ]
     present = tuple(each for each in panels if each is not None)
     if not present:
         return None
     legend = [Key("line", MEASURED, "measured")]
     if any(curve(series, curves.before, k) is not None for k in range(len(joints))):
-        legend.append(Key("line", GIVEN, curves.before_label))
+        legend.append(Key("line", colours[0], curves.before_label))
     if any(curve(series, curves.after, k) is not None for k in range(len(joints))):
-        legend.append(Key("line", FITTED, curves.after_label))
+        legend.append(Key("line", colours[1], curves.after_label))
     if any(curve(series, curves.band, k) is not None for k in range(len(joints))):
         legend.append(Key("box", BAND, MEANING))
     return Figure(present, curves.caption, tuple(legend))
 
 
-def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves) -> Panel | None:
+def _torque_panel(
+    k: int,
+    joint: str,
+    series: Series,
+    unit: str,
+    curves: Curves,
+    colours: tuple[str, str],
+) -> Panel | None:
     t, measured = times(series), curve(series, "measured", k)
     if t is None or measured is None or len(t) != len(measured):
         return None
@@ -91,8 +104,8 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
         draw_band(residual, time, joins, np.zeros(len(t)), half)
         said.append(f"{MEANING} ±{quantity(float(half.mean()), unit)}")
     for key, label, colour in (
-        (curves.before, curves.before_label, GIVEN),
-        (curves.after, curves.after_label, FITTED),
+        (curves.before, curves.before_label, colours[0]),
+        (curves.after, curves.after_label, colours[1]),
     ):
         model = curve(series, key, k)
         if model is None or len(model) != len(t):
@@ -113,7 +126,11 @@ def _rms(values: Array) -> float | None:
 
 
 def error_bars(
-    changes: Sequence[Change], unit: str, labels: tuple[str, str], caption: str
+    changes: Sequence[Change],
+    unit: str,
+    labels: tuple[str, str],
+    caption: str,
+    colours: tuple[str, str] = (GIVEN, FITTED),
 ) -> Figure | None:
     """Error per joint before and after as bars, the rms written beside each.
 
@@ -130,8 +147,8 @@ def error_bars(
     (ax,) = axes(0.5 * len(changes) + 0.52, left=0.14)
     for row, (change, (before, after)) in enumerate(zip(changes, lengths, strict=True)):
         ax.text(0, row - 0.36, shorten(change.joint, 40), va="center", ha="left")
-        _bar(ax, row - 0.08, before, change.before, top, unit, GIVEN)
-        _bar(ax, row + 0.17, after, change.after, top, unit, FITTED)
+        _bar(ax, row - 0.08, before, change.before, top, unit, colours[0])
+        _bar(ax, row + 0.17, after, change.after, top, unit, colours[1])
     _bar_axes(ax, len(changes) - 0.6, 1.38 * top)
     if shares:
         ax.xaxis.set_major_formatter(lambda value, _: percent(value) if value else "0")
@@ -142,9 +159,9 @@ def error_bars(
     )
     legend = []
     if any(c.before is not None for c in changes):
-        legend.append(Key("box", GIVEN, labels[0]))
+        legend.append(Key("box", colours[0], labels[0]))
     if any(c.after is not None for c in changes):
-        legend.append(Key("box", FITTED, labels[1]))
+        legend.append(Key("box", colours[1], labels[1]))
     drawing = panel(ax, f"rms per joint, {labels[0]} to {labels[1]}: {said}")
     return Figure((drawing,), caption, tuple(legend))
 

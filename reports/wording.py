@@ -89,6 +89,11 @@ def listing(names: list[str], none: str = NONE) -> str:
     return ", ".join(names) if names else none
 
 
+def sentence(words: str) -> str:
+    """Words as a sentence, with a capital and a full stop."""
+    return words and words[0].upper() + words[1:] + "." * (words[-1] not in ".!?")
+
+
 def shorten(name: str, length: int) -> str:
     """A name that fits a figure: its middle gives way to an ellipsis."""
     name = " ".join(name.split())

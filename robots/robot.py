@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, freeze, read_only
 from excitant.robots.parameters import STANDARD
 
@@ -64,6 +65,8 @@ class Robot:
         locked: Positions of the joints that are held.
         effects: What makes torque beyond rigid-body inertia, with values.
         source: File or name the arm was loaded from.
+        tool: Link of the tool, where one was named.
+        notes: What loading it decided that nobody asked for, one sentence each.
     """
 
     name: str
@@ -75,6 +78,8 @@ class Robot:
     locked: tuple[tuple[str, float], ...] = ()
     effects: tuple[Effect, ...] = ()
     source: str = ""
+    tool: str = ""
+    notes: tuple[str, ...] = ()
 
     @property
     def nv(self) -> int:
@@ -104,9 +109,14 @@ class Robot:
 
     @property
     def tip(self) -> int:
-        """Pinocchio's frame of the tool: the last body of the chain."""
-        frames = list(self.model.frames)
-        return max(k for k, frame in enumerate(frames) if frame.type == pin.FrameType.BODY)
+        """Pinocchio's frame of the tool: the link named so, or the last that the last joint has."""
+        bodies = [
+            (k, frame)
+            for k, frame in enumerate(list(self.model.frames))
+            if frame.type == pin.FrameType.BODY
+        ]
+        named = [k for k, frame in bodies if frame.name == self.tool]
+        return named[0] if named else max(k for k, f in bodies if f.parentJoint == self.nv)
 
     def joint_index(self, joint: str) -> int:
         """Position of a joint in the order of this robot."""
@@ -151,3 +161,12 @@ class Robot:
             rng.uniform(-speed, speed, shape),
             rng.uniform(-acceleration, acceleration, shape),
         )
+
+    def _repr_html_(self) -> str:
+        low, high = self.limits.position.T
+        rows = zip(
+            self.joints, self.links, low.tolist(), high.tolist(), self.limits.velocity.tolist(),
+            self.limits.torque.tolist(), self.phi[::10].tolist(), strict=True,
+        )  # fmt: skip
+        heads = ("joint", "link", "from", "to", "speed", "torque", "mass [kg]")
+        return html_table(f"Robot {self.name}: {self.nv} joints, SI units", heads, rows)

@@ -13,11 +13,14 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from excitant.exceptions import BadRobot, UnknownName
+from excitant.exceptions import BadRobot
+from excitant.robots.chains import Choice, chain, tree
 from excitant.robots.motion import Array
 from excitant.robots.robot import Limits, Robot
+from excitant.robots.urdf_elements import inertial_element
 
 _UNLIMITED = 1e9
+_ENDS = ("parent", "child")
 
 
 def robot_from_urdf(
@@ -26,7 +29,10 @@ def robot_from_urdf(
     source: str,
     name: str | None = None,
     joints: Sequence[str] | None = None,
+    base: str | None = None,
+    tip: str | None = None,
     lock: Mapping[str, float] | None = None,
+    loops: Sequence[tuple[str, str]] = (),
     gravity: npt.ArrayLike = (0.0, 0.0, -9.81),
 ) -> Robot:
     """Robot from the text of a URDF.
@@ -35,44 +41,42 @@ def robot_from_urdf(
         text: The URDF.
         source: Where it came from, for messages.
         name: Name of the arm; the URDF's own when not given.
-        joints: Joints to keep; all others are locked. All joints when not given.
-        lock: Joints to lock and their positions [rad or m]; neutral (0) for those that
-            ``joints`` leaves out.
+        joints: Joints to keep; all others are held. All joints when not given.
+        base: Keep only the joints that this link carries.
+        tip: Keep only the joints on the way to this link; what it carries goes along.
+        lock: Joints to hold and their positions [rad or m]; those that are not kept are held at
+            zero, or where the joint puts them that they follow.
+        loops: Pairs of links that are tied together outside the tree.
         gravity: Gravity in the base frame [m/s²].
 
     Raises:
-        BadRobot: Not XML, not a URDF, no joints, joints of several degrees of freedom,
-            inertias or limits that are not numbers.
-        UnknownName: A joint to keep or lock that the URDF does not have.
+        BadRobot: Not XML, not a URDF, no joints, joints of several degrees of freedom or that
+            follow others among those kept, inertias or limits that are not numbers.
+        UnknownName: A joint or link that the URDF does not have.
     """
     root = _parse(text, source)
     _check(root, source)
-    _bound_continuous_joints(root)
-    model = _build(ET.tostring(root, encoding="unicode"), source)
-    locked = _locked(model, joints, dict(lock or {}))
-    if locked:
-        model = _reduced(model, locked, source)
+    named = tree(root, source)
+    chosen = chain(named, Choice(joints, base, tip, lock, tuple(loops)))
+    title = name or root.get("name") or Path(source).stem
+    model = _build(_prepared(root), source)
+    if chosen.held:
+        model = _reduced(model, chosen.held, source)
     if model.nv == 0:
         raise BadRobot(source, "it has no moving joints; name a URDF of an arm")
-    for joint, name_of in zip(list(model.joints)[1:], list(model.names)[1:], strict=True):
-        if joint.nq != 1 or joint.nv != 1:
-            raise BadRobot(
-                source,
-                f"joint '{name_of}' has {joint.nv} degrees of freedom; only revolute, continuous "
-                "and prismatic joints are supported",
-            )
     model.gravity.linear = np.asarray(gravity, float)
     names = [str(joint) for joint in list(model.names)[1:]]
-    elements = {str(e.get("name")): e for e in root.findall("joint")}
     return Robot(
-        name=name or root.get("name") or Path(source).stem,
+        name=title,
         model=model,
-        links=tuple(_child(elements[joint]) for joint in names),
-        revolute=np.array([elements[joint].get("type") != "prismatic" for joint in names]),
+        links=tuple(named.joints[joint].child for joint in names),
+        revolute=np.array([named.joints[joint].kind != "prismatic" for joint in names]),
         limits=_limits(model),
         urdf=text,
-        locked=tuple(sorted(locked.items())),
+        locked=tuple(sorted((joint, value or 0.0) for joint, value in chosen.held.items())),
         source=source,
+        tool=tip or "",
+        notes=chosen.notes,
     )
 
 
@@ -86,28 +90,26 @@ def full_model(root: ET.Element, robot: Robot) -> tuple[pin.Model, Array, list[i
     Returns:
         The model, a configuration with the locked joints in place, and their indices.
     """
-    _bound_continuous_joints(root)
-    model = _build(ET.tostring(root, encoding="unicode"), robot.source)
+    model = _build(_prepared(root), robot.source)
     joints, reference = _lock(model, dict(robot.locked))
     return model, reference, joints
 
 
-def _reduced(model: pin.Model, locked: Mapping[str, float], source: str) -> pin.Model:
+def _reduced(model: pin.Model, held: Mapping[str, float | None], source: str) -> pin.Model:
     try:
-        return pin.buildReducedModel(model, *_lock(model, locked))
-    except ValueError as error:  # two frames of one name
-        raise BadRobot(
-            source,
-            f"Pinocchio cannot hold joints of it: {error}; give links and joints other names",
-        ) from None
+        return pin.buildReducedModel(model, *_lock(model, held))
+    except ValueError as error:
+        raise BadRobot(source, f"Pinocchio cannot hold joints of it: {error}") from None
 
 
-def _lock(model: pin.Model, locked: Mapping[str, float]) -> tuple[list[int], Array]:
-    """Indices of locked joints, and a configuration that has them in place."""
+def _lock(model: pin.Model, held: Mapping[str, float | None]) -> tuple[list[int], Array]:
+    """Indices of held joints, and a configuration that has them in place."""
     reference: Array = pin.neutral(model)
-    for joint, value in locked.items():
-        reference[model.joints[model.getJointId(joint)].idx_q] = value
-    return [model.getJointId(joint) for joint in locked], reference
+    for name, value in held.items():
+        joint = model.joints[model.getJointId(name)]
+        if joint.nq == 1:
+            reference[joint.idx_q] = value
+    return [model.getJointId(name) for name in held], reference
 
 
 def _parse(text: str, source: str) -> ET.Element:
@@ -123,6 +125,8 @@ def _parse(text: str, source: str) -> ET.Element:
 def _check(root: ET.Element, source: str) -> None:
     """Refuse what Pinocchio would accept in silence or crash on."""
     links = [str(link.get("name")) for link in root.findall("link")]
+    if not links:
+        raise BadRobot(source, "it has no <link>; give the URDF of an arm")
     for kind, names in (
         ("link", links),
         ("joint", [str(joint.get("name")) for joint in root.findall("joint")]),
@@ -130,11 +134,20 @@ def _check(root: ET.Element, source: str) -> None:
         double = {name for name in names if names.count(name) > 1}
         if double:
             raise BadRobot(source, f"{kind} '{min(double)}' is defined twice; rename one")
+    carried: dict[str, str] = {}
     for joint in root.findall("joint"):
-        for end in ("parent", "child"):
+        for end in _ENDS:
             element = joint.find(end)
             if element is None or element.get("link") not in links:
                 raise BadRobot(source, f"joint '{joint.get('name')}' has no known {end} link")
+        child, name = _child(joint), str(joint.get("name"))
+        if child in carried:
+            raise BadRobot(
+                source,
+                f"link '{child}' hangs from two joints, '{carried[child]}' and '{name}': a closed "
+                "loop, which a URDF cannot hold; remove one",
+            )
+        carried[child] = name
     for owner in root:
         for element in owner.iter():
             for key in ("value", "xyz", "rpy", "ixx", "ixy", "ixz", "iyy", "iyz", "izz",
@@ -166,6 +179,14 @@ def number(text: str, key: str, owner: ET.Element, source: str) -> float:
     return value
 
 
+def _prepared(root: ET.Element) -> str:
+    """The URDF as Pinocchio can take it; ``root`` changes with it."""
+    root.set("name", root.get("name") or "robot")
+    _bound_continuous_joints(root)
+    _rename_links_called_as_joints(root)
+    return ET.tostring(root, encoding="unicode")
+
+
 def _bound_continuous_joints(root: ET.Element) -> None:
     """Make continuous joints revolute with no limits, so that q and q̇ have the same size."""
     for joint in root.findall("joint"):
@@ -179,6 +200,23 @@ def _bound_continuous_joints(root: ET.Element) -> None:
             limit.set(key, str(value))
         for key in ("effort", "velocity"):
             limit.set(key, limit.get(key) or str(_UNLIMITED))
+
+
+def _rename_links_called_as_joints(root: ET.Element) -> None:
+    """Give links that share a joint's name another one: Pinocchio cannot hold such joints."""
+    taken = {str(element.get("name")) for element in root}
+    joints = {str(joint.get("name")) for joint in root.findall("joint")}
+    links = {str(link.get("name")) for link in root.findall("link")}
+    new = {}
+    for name in sorted(joints & links):
+        new[name] = f"{name}_link"
+        while new[name] in taken:
+            new[name] += "_"
+        taken.add(new[name])
+    for link in root.findall("link"):
+        link.set("name", new.get(str(link.get("name")), str(link.get("name"))))
+    for end in (e for joint in root.findall("joint") for e in joint if e.tag in _ENDS):
+        end.set("link", new.get(str(end.get("link")), str(end.get("link"))))
 
 
 def _build(text: str, source: str) -> pin.Model:
@@ -206,18 +244,6 @@ def _captured_stderr() -> Iterator[Callable[[], list[str]]]:
         finally:
             os.dup2(saved, 2)
             os.close(saved)
-
-
-def _locked(
-    model: pin.Model, joints: Sequence[str] | None, lock: dict[str, float]
-) -> dict[str, float]:
-    names = [str(joint) for joint in list(model.names)[1:]]
-    for joint in (*lock, *(joints or ())):
-        if joint not in names:
-            raise UnknownName("joint", joint, names)
-    if joints is not None:
-        lock = {joint: lock.get(joint, 0.0) for joint in names if joint not in joints}
-    return lock
 
 
 def _child(joint: ET.Element) -> str:
@@ -270,7 +296,7 @@ def urdf_with_parameters(
         for inertial in link.findall("inertial"):
             link.remove(inertial)
         if name in values:
-            link.insert(0, _inertial(values[name]))
+            link.insert(0, inertial_element(values[name]))
     for joint in root.findall("joint"):
         _set_friction(joint, friction or {})
     ET.indent(root)
@@ -302,18 +328,3 @@ def _carriers(root: ET.Element, robot: Robot) -> dict[str, str | None]:
         return link
 
     return {str(e.get("name")): carrier(str(e.get("name"))) for e in root.findall("link")}
-
-
-def _inertial(phi: Array) -> ET.Element:
-    mass = phi[0]
-    lever = phi[1:4] / mass if mass else np.zeros(3)
-    xx, xy, yy, xz, yz, zz = phi[4:] - mass * (
-        lever @ lever * np.array([1.0, 0, 1, 0, 0, 1])
-        - np.outer(lever, lever)[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-    )
-    element = ET.Element("inertial")
-    ET.SubElement(element, "origin", xyz=" ".join(repr(float(x)) for x in lever), rpy="0 0 0")
-    ET.SubElement(element, "mass", value=repr(float(mass)))
-    tensor = {"ixx": xx, "ixy": xy, "ixz": xz, "iyy": yy, "iyz": yz, "izz": zz}
-    ET.SubElement(element, "inertia", {key: repr(float(x)) for key, x in tensor.items()})
-    return element

@@ -16,20 +16,10 @@ import pytest
 from excitant import __version__
 from excitant.cli import main
 from excitant.design import random_trajectory, trajectory_csv
+from excitant.exceptions import UnknownName
 from excitant.robots import load_robot
 from excitant.robots.virtual_arm import industrial_sensors, virtual_arm
 
-VERBS = (
-    "demo",
-    "robots",
-    "design",
-    "check",
-    "simulate",
-    "identify",
-    "analyze",
-    "diagnose",
-    "report",
-)
 REPORT = {"result.json", "summary.txt", "report.html"}
 
 
@@ -261,14 +251,6 @@ def test_wrong_usage_exits_with_two(
     assert sorted(here.rglob("*")) == before
 
 
-@pytest.mark.parametrize("verb", VERBS)
-def test_help_has_an_example(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as end:
-        main([verb, "--help"])
-    assert end.value.code == 0
-    assert f"example:\n  excitant {verb}" in capsys.readouterr().out
-
-
 def test_version_names_the_solvers(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main(["--version"])
@@ -278,9 +260,25 @@ def test_version_names_the_solvers(capsys: pytest.CaptureFixture[str]) -> None:
     assert "clarabel" in out
 
 
-def test_debug_shows_the_traceback(here: Path) -> None:
-    with pytest.raises(Exception, match="did you mean"):
-        main(["analyze", "planar_3r", "--debug"])
+@pytest.mark.parametrize("words", ["analyze planar_3r --debug", "--debug analyze planar_3r"])
+def test_debug_shows_the_traceback(words: str, here: Path) -> None:
+    with pytest.raises(UnknownName, match="did you mean"):
+        main(words.split())
+
+
+def test_a_bug_is_owned_in_one_line(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise IndexError("list index\nout of range")
+
+    monkeypatch.setattr("excitant.commands.identify_robot", broken)
+    words = ["identify", "planar_2r", "one.csv", "-o", "out"]
+    line = refused(words, here, capsys)
+    assert "bug (IndexError: list index out of range)" in line
+    assert "--debug" in line
+    with pytest.raises(IndexError):
+        main(["--debug", *words])
 
 
 def test_an_interrupt_ends_with_one_line(
@@ -288,6 +286,19 @@ def test_an_interrupt_ends_with_one_line(
 ) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
+
+    monkeypatch.setattr("excitant.commands.identify_robot", interrupted)
+    assert "interrupted" in refused(["identify", "planar_2r", "one.csv", "-o", "out"], here, capsys)
+
+
+def test_an_interrupt_that_a_library_wraps_is_one_still(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            raise ImportError("numpy failed to import") from error
 
     monkeypatch.setattr("excitant.commands.identify_robot", interrupted)
     assert "interrupted" in refused(["identify", "planar_2r", "one.csv", "-o", "out"], here, capsys)

@@ -1,11 +1,23 @@
-"""The page on effects of one's own runs as printed, and its effect is diagnosed."""
+"""Every page does what it says: its code runs as printed, its links lead somewhere, it builds.
+
+A page is followed from top to bottom in an empty folder of its own, whose Python blocks share one
+namespace. ``console`` blocks hold commands after ``$`` and what they print, ``text`` blocks what the
+block before them prints; lines may be left out, ``...`` stands for anything, and numbers hold to
+10 %. Blocks with a ``title`` are files. ``bash`` blocks are for other machines and do not run.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import io
+import math
 import re
+import shlex
+import subprocess
+import sys
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +25,139 @@ import pytest
 
 from excitant.analysis import diagnose
 from excitant.analysis.diagnosis_result import diagnose_result
+from excitant.cli import main
 from excitant.robots.effects import EFFECTS
 
-PAGE = Path(__file__).parents[1] / "docs" / "add-an-effect.md"
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGE = DOCS / "add-an-effect.md"
+SLOW = ("tutorial.md", "how-to/next-experiment.md", "how-to/wrong-data.md", "how-to/rehearse.md")
+
+BLOCK = re.compile(r"^```(\w+)(?: title=\"(.*?)\")?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+COMMAND = re.compile(r"^\$ excitant ((?:.*\\\n)*.*)\n((?:(?!\$ ).*\n)*)", re.MULTILINE)
+NUMBER = re.compile(r"(-?[0-9]+(?:\.[0-9]+)?(?:e[-+]?[0-9]+)?)")
+LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)")
+
+
+def pages() -> list[str]:
+    return sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
+
+
+def followed() -> list[Any]:
+    """Pages with something to run; the one with fixtures of its own is followed below."""
+    found = [p for p in pages() if DOCS / p != PAGE and BLOCK.search((DOCS / p).read_text("utf-8"))]
+    return [pytest.param(p, marks=pytest.mark.slow) if p in SLOW else p for p in found]
+
+
+def says(shown: str, line: str) -> bool:
+    """Whether a line says what a page shows: the same words, and numbers to 10 %."""
+    parts = [NUMBER.split(part) for part in shown.strip().split("...")]
+    pattern = ".*".join(
+        "".join(NUMBER.pattern if k % 2 else re.escape(text) for k, text in enumerate(part))
+        for part in parts
+    )
+    found = re.fullmatch(pattern, line.strip())
+    numbers = [float(text) for part in parts for text in part[1::2]]
+    return found is not None and all(
+        math.isclose(float(text), number, rel_tol=0.1, abs_tol=1e-12)
+        for text, number in zip(found.groups(), numbers, strict=True)
+    )
+
+
+def assert_shown(shown: str, printed: str, where: str) -> None:
+    """Refuse a page that shows what is not printed, or not in this order."""
+    lines = iter(printed.splitlines())
+    for expected in shown.splitlines():
+        if expected.strip() and not any(says(expected, line) for line in lines):
+            pytest.fail(f"{where}: not printed after the lines before it: {expected}\n{printed}")
+
+
+@dataclass
+class Reader:
+    """Someone who does what a page says."""
+
+    page: str
+    names: dict[str, Any] = field(default_factory=lambda: {"__name__": "page"})
+    printed: str = ""
+
+    def follow(self) -> None:
+        for kind, title, text in BLOCK.findall((DOCS / self.page).read_text(encoding="utf-8")):
+            if title:
+                Path(title).write_text(text, encoding="utf-8")
+            elif kind == "python":
+                self.printed = self._output(lambda code=text: self._execute(code))
+            elif kind == "text":
+                assert_shown(text, self.printed, self.page)
+            elif kind == "console":
+                self._commands(text)
+            elif kind == "sh":
+                pytest.fail(f"{self.page}: write commands as console, with $ before each")
+
+    def _execute(self, code: str) -> None:
+        exec(compile(code, self.page, "exec", dont_inherit=True), self.names)
+
+    def _commands(self, text: str) -> None:
+        commands = COMMAND.findall(text)
+        assert len(commands) == len(re.findall(r"^\$", text, re.MULTILINE)) > 0, text
+        for words, shown in commands:
+            status: list[int] = []
+            call = shlex.split(words.replace("\\\n", " "))
+            self.printed = self._output(lambda call=call, to=status: to.append(main(call)))
+            unmet = re.search(r"^(excitant: |failed )", shown, re.MULTILINE)
+            assert status == [1 if unmet else 0], f"{self.page}: {words}\n{self.printed}"
+            assert_shown(shown, self.printed, f"{self.page}: excitant {words}")
+
+    @staticmethod
+    def _output(act: Any) -> str:
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+            act()
+        return printed.getvalue()
+
+
+@pytest.mark.parametrize("page", followed())
+def test_a_page_does_what_it_says(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Reader(page).follow()
+
+
+def test_wrong_pages_are_seen() -> None:
+    assert says("error 0.52 at joint2, r² ...", "  error 0.51 at joint2, r² 0.99")
+    assert not says("error 0.52 at joint2", "error 0.6 at joint2")
+    assert not says("error 0.52 at joint2", "error 0.52 at joint1")
+    with pytest.raises(pytest.fail.Exception, match="second"):
+        assert_shown("first\nsecond", "second\nfirst", "page")
+
+
+@pytest.mark.parametrize("page", [*pages(), "../README.md"])
+def test_links_lead_to_files(page: str) -> None:
+    path = DOCS / page
+    targets = LINK.findall(path.read_text(encoding="utf-8"))
+    missing = [target for target in targets if not (path.parent / target).exists()]
+    assert not missing, f"{page} links to what is not there: {missing}"
+
+
+def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+    missing = [m for m in ("mkdocs", "material", "mkdocstrings") if not importlib.util.find_spec(m)]
+    if missing:
+        pytest.skip(f"{', '.join(missing)} not installed: pip install 'excitant[docs]'")
+    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir"]
+    built = subprocess.run([*words, tmp_path], cwd=ROOT, capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    reference = (tmp_path / "reference" / "design.html").read_text(encoding="utf-8")
+    assert 'id="excitant.design.FourierTrajectory"' in reference
+    assert "--mass-uncertainty PERCENT" in (tmp_path / "reference" / "cli.html").read_text("utf-8")
+    for page in tmp_path.rglob("*.html"):
+        loaded = r"""<(?:script|link|img)[^>]*(?:src|href)=["']?https?:"""
+        outside = re.findall(loaded, page.read_text(encoding="utf-8"))
+        assert not outside, f"{page} needs the network: {outside}"
 
 
 @pytest.fixture(scope="module")
 def page() -> Iterator[dict[str, Any]]:
-    """What the page's examples leave, in one namespace."""
+    """What the examples of the page on effects leave, in one namespace."""
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     assert len(blocks) == 3
     known, names, printed = dict(EFFECTS), {"__name__": "page"}, io.StringIO()

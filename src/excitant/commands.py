@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,7 +39,6 @@ from excitant.identify import (
     in_torque,
     link_by_link_result,
     link_by_link_series,
-    load_dataset,
     load_knowledge,
     model_files,
     online_result,
@@ -54,91 +55,26 @@ from excitant.identify.rows import fitted
 from excitant.motion_commands import sampled
 from excitant.output import finish, print_json, print_paths, run_directory
 from excitant.progress import progress_bar
-from excitant.reports import load_run, save_run
-from excitant.robots import Array, Robot, base_parameters, builtin_robots, load_robot
+from excitant.reports import SavedRun, compare, load_run, save_run
+from excitant.robot_arguments import dataset_of, robot_of
+from excitant.robots import Array, Robot
 from excitant.robots.effects import EFFECTS, Effect, JointEffect, standard_effects
 from excitant.streamed import streamed
 
 
 def demo(args: argparse.Namespace) -> None:
     """Run the main job on a virtual arm."""
-    robot = load_robot(args.robot)
+    robot = robot_of(args)
     with progress_bar("demo") as advance:
         outcome: Demo = run_demo(robot, args.seed, advance)
     directory = run_directory(args, "demo", robot)
     finish(args, directory, outcome.result, outcome.series, outcome.files)
 
 
-def robots(args: argparse.Namespace) -> None:
-    """List built-in arms, or show one."""
-    if args.name is None:
-        entries = [_robot_line(load_robot(name)) for name in builtin_robots()]
-        if args.json:
-            print_json({"verb": "robots", "robots": entries})
-            return
-        for entry in entries:
-            print(f"{entry['name']:<14} {entry['joints']} joints  {entry['mass']:6.1f} kg")
-        return
-    robot = load_robot(args.name)
-    content = _robot_content(robot)
-    if args.json:
-        print_json(content)
-        return
-    print(f"{robot.name}: {robot.nv} joints, {content['base_parameters']} base parameters")
-    print(f"{'joint':<24} {'link':<20} {'position':>17} {'speed':>7} {'accel.':>7} {'torque':>7}")
-    for entry in content["joints"]:
-        low, high = entry["position"]
-        print(
-            f"{entry['name']:<24} {entry['link']:<20} {_short(low):>8} {_short(high):>8} "
-            f"{_short(entry['velocity']):>7} {_short(entry['acceleration']):>7} "
-            f"{_short(entry['torque']):>7}"
-        )
-    for entry in content["joints"]:
-        print(f"{entry['link']:<24} mass {entry['mass']:.4g} kg")
-
-
-def _short(value: float | None) -> str:
-    return "none" if value is None else f"{value:.4g}"
-
-
-def _robot_line(robot: Robot) -> dict[str, Any]:
-    return {"name": robot.name, "joints": robot.nv, "mass": float(robot.phi[::10].sum())}
-
-
-def _robot_content(robot: Robot) -> dict[str, Any]:
-    limits = robot.limits
-    joints = [
-        {
-            "name": joint,
-            "link": robot.links[j],
-            "position": [_finite(x) for x in limits.position[j]],
-            **{
-                name: _finite(getattr(limits, name)[j])
-                for name in ("velocity", "acceleration", "torque")
-            },
-            "mass": float(robot.phi[10 * j]),
-        }
-        for j, joint in enumerate(robot.joints)
-    ]
-    return {
-        "verb": "robots",
-        **_robot_line(robot),
-        "joints": joints,
-        "gravity": robot.gravity.tolist(),
-        "effects": [effect.name for effect in robot.effects],
-        "base_parameters": len(base_parameters(robot)),
-        "parameters": dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True)),
-    }
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def identify(args: argparse.Namespace) -> None:
     """Identify a robot from recordings."""
     _refuse_contradictions(args)
-    dataset = load_dataset(args.robot, columns=args.map)
+    dataset = dataset_of(args)
     robot = dataset.robot
     chosen = args.effects == AUTO
     effects: Sequence[Effect] | None = None if chosen else _effects(args.effects, robot)
@@ -264,10 +200,11 @@ def _identified(
         stages = identify_link_by_link(robot, recordings, **options)
         return stages.estimate, link_by_link_result(stages), link_by_link_series(stages)
     known = load_knowledge(args.knowledge, robot.links) if args.knowledge else None
-    estimate = identify_robot(
-        robot, recordings, **options,
-        estimator=args.estimator or AUTO, knowledge=known, tune=True,
-    )  # fmt: skip
+    with progress_bar("identify"):
+        estimate = identify_robot(
+            robot, recordings, **options,
+            estimator=args.estimator or AUTO, knowledge=known, tune=True,
+        )  # fmt: skip
     return estimate, identify_result(estimate), {}
 
 
@@ -303,7 +240,7 @@ def _effects(names: str | None, robot: Robot) -> list[JointEffect] | None:
 
 def analyze(args: argparse.Namespace) -> None:
     """Say what can be known of an arm's parameters."""
-    dataset = load_dataset(args.robot, columns=args.map)
+    dataset = dataset_of(args)
     robot = dataset.robot
     effects = standard_effects(robot.joints) if args.columns == "friction" else ()
     given: dict[str, Any] = {}
@@ -333,12 +270,15 @@ def _as_far_as_shown(
 
 def diagnose(args: argparse.Namespace) -> None:
     """Name what the given model gets wrong."""
-    dataset = load_dataset(args.robot, columns=args.map)
+    dataset = dataset_of(args)
     checked = read_checked(dataset, args.recordings, without=args.validate, repaired=args.repair)
     recordings = checked.recordings
     validate = dataset.recordings(args.validate) if args.validate else []
     imported = _show_import([*recordings, *validate])
-    found = diagnosis.diagnose(dataset.robot, recordings, validate=validate, cutoff_hz=args.cutoff)
+    with progress_bar("diagnose"):
+        found = diagnosis.diagnose(
+            dataset.robot, recordings, validate=validate, cutoff_hz=args.cutoff
+        )
     directory = run_directory(args, "diagnose", dataset.robot)
     files = model_files(found.extension.model, "extended", "extended.yaml")
     plan = _plan(args, found)
@@ -362,10 +302,23 @@ def _plan(args: argparse.Namespace, found: diagnosis.Diagnosis) -> discriminatio
 
 
 def report(args: argparse.Namespace) -> None:
-    """Render a run's report again."""
+    """Render a run's report again, or compare it with another run."""
     result, series = load_run(args.directory)
+    if args.other is not None:
+        _compare(args, SavedRun(args.directory, result, series))
+        return
+    if args.output is not None:
+        raise BadInput("-o is where two runs are compared; name a second run, or leave -o out")
     paths = save_run(args.directory, result, series)
     if args.json:
         print_json(result)
     else:
         print_paths(paths)
+
+
+def _compare(args: argparse.Namespace, first: SavedRun) -> None:
+    """Write one run with what two have in common and where they differ."""
+    result, series = compare(first, SavedRun(args.other, *load_run(args.other)))
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    directory = Path(args.output or f"runs/compare-{result['of']}-{stamp}")
+    finish(args, directory, result, series, {})

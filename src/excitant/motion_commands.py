@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -40,8 +41,10 @@ from excitant.design.result import certified
 from excitant.exceptions import BadInput, Infeasible
 from excitant.output import finish, print_json, run_directory, table_bytes, write_atomically
 from excitant.progress import progress_bar
-from excitant.robots import Array, Motion, Robot, load_limits, load_robot, torque
+from excitant.robot_arguments import robot_of
+from excitant.robots import Array, Motion, Robot, load_limits, torque
 from excitant.robots.geometry import Scene, scene
+from excitant.robots.limits_file import require_limits
 from excitant.robots.obstacles import load_obstacles
 from excitant.robots.virtual_arm import virtual_arm
 
@@ -279,7 +282,7 @@ def check(args: argparse.Namespace) -> None:
 
 def simulate(args: argparse.Namespace) -> None:
     """Record a trajectory on a virtual arm."""
-    robot = load_robot(args.robot)
+    robot = robot_of(args)
     target = Path(args.output)
     if target.suffix not in (".csv", ".parquet"):
         raise BadInput(f"{target}: name a .csv or .parquet file")
@@ -311,11 +314,14 @@ def simulate(args: argparse.Namespace) -> None:
 
 
 def _limited(args: argparse.Namespace) -> Robot:
-    robot = load_robot(args.robot)
-    limits = load_limits(args.limits, robot) if args.limits else robot.limits
+    robot = robot_of(args)
+    if args.limits:
+        robot = robot.with_limits(load_limits(args.limits, robot))
+    if args.verb == "design" and (note := require_limits(robot)):
+        print(note, file=sys.stderr)
     if not 0 <= args.mass_uncertainty < 100:
         raise BadInput(f"--mass-uncertainty {args.mass_uncertainty:g}: give 0 to 100 [%]")
-    return robot.with_limits(replace(limits, mass_uncertainty=args.mass_uncertainty / 100))
+    return robot.with_limits(replace(robot.limits, mass_uncertainty=args.mass_uncertainty / 100))
 
 
 def sampled(trajectory: Trajectory | Motion) -> Motion:

@@ -8,13 +8,18 @@ from contextlib import contextmanager
 import rich.console
 import rich.progress
 
+_LONGEST = 36_000.0  # s over which speed is averaged: all of the work so far
+
 Advance = Callable[[float, str], None]
 """Called with the fraction done and a few words on how it stands."""
 
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Advance]:
-    """Show a bar on the error stream while the block runs, when that is a terminal."""
+    """Show a bar with the time left on the error stream while the block runs, on a terminal.
+
+    Until the first call it only shows that work goes on.
+    """
     console = rich.console.Console(stderr=True)
     if not console.is_terminal:
         yield lambda fraction, words: None
@@ -23,8 +28,13 @@ def progress_bar(label: str) -> Iterator[Advance]:
         rich.progress.TextColumn("{task.description}"),
         rich.progress.BarColumn(),
         rich.progress.TimeElapsedColumn(),
+        rich.progress.TextColumn("left"),
+        rich.progress.TimeRemainingColumn(),
         rich.progress.TextColumn("{task.fields[words]}"),
     )
-    with rich.progress.Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(label, total=1.0, words="")
-        yield lambda fraction, words: bar.update(task, completed=fraction, words=words)
+    bar = rich.progress.Progress(
+        *columns, console=console, transient=True, speed_estimate_period=_LONGEST
+    )
+    with bar:
+        task = bar.add_task(label, total=None, words="")
+        yield lambda fraction, words: bar.update(task, total=1.0, completed=fraction, words=words)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from excitant.analysis.residuals import noise_floor, remainders
+from excitant.analysis.residuals import WORDS, noise_floor, remainders
 from excitant.identify.differentiators import low_pass
 from excitant.identify.preprocessing import Segment
 from excitant.robots import Motion
@@ -61,7 +63,8 @@ def left(kind: str, size: float) -> tuple[list[Segment], np.ndarray, np.ndarray]
     time = np.linspace(-1, 1, len(q))[:, None]
     structure = {
         "position": np.cos(4 * q),
-        "velocity": np.sign(dq),
+        "direction": np.sign(dq),
+        "velocity": np.sign(dq) * np.abs(dq) ** 2,
         "load": load * np.sign(dq) / 20,
         "time": time**3,
         "nothing": np.zeros_like(q),
@@ -69,7 +72,7 @@ def left(kind: str, size: float) -> tuple[list[Segment], np.ndarray, np.ndarray]
     return segments, noise + size * structure, load
 
 
-@pytest.mark.parametrize("kind", ["position", "velocity", "load", "time"])
+@pytest.mark.parametrize("kind", ["position", "direction", "velocity", "load", "time"])
 def test_structure_is_found_where_it_is(kind: str) -> None:
     segments, error, load = left(kind, 1.0)
     (found,) = remainders(("elbow",), segments, error, error, load)
@@ -77,7 +80,7 @@ def test_structure_is_found_where_it_is(kind: str) -> None:
     assert found.visible
     assert found.domain == kind
     assert found.structure.startswith("structured")
-    assert found.structure.endswith(f"vary with {kind}")
+    assert found.structure.endswith(WORDS[kind].removeprefix("{} "))
     assert found.rms == pytest.approx(np.sqrt((error**2).mean()), rel=0.05)
     size = np.sqrt(((error - left(kind, 0.0)[1]) ** 2).mean())
     assert found.structured == pytest.approx(size, rel=0.1)
@@ -112,3 +115,14 @@ def test_what_a_rest_leaves_does_not_count() -> None:
     (found,) = remainders(("elbow",), still, error + 9.0 * stuck, error, load)
     assert found.rms == pytest.approx(np.sqrt((error[~stuck] ** 2).mean()), rel=0.05)
     assert not found.visible
+
+
+def test_an_error_against_noise_in_words() -> None:
+    segments, error, load = left("direction", 1.0)
+    (found,) = remainders(("elbow",), segments, error, error, load)
+    times = float(found.against_noise.removesuffix(" times the noise"))
+    assert times == pytest.approx(found.rms / found.floor, rel=0.1)
+    (loud,) = remainders(("elbow",), segments, 300 * error / found.floor, error, load)
+    assert replace(loud, floor=loud.rms / 250).against_noise == "over 100 times the noise"
+    assert "smoothed or computed" in replace(found, floor=0.0).against_noise
+    assert "smoothed or computed" in replace(found, floor=found.rms / 28957.9).against_noise

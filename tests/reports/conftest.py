@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from excitant.reports import render
+from excitant.reports import SavedRun, compare, render
 
 JOINTS = [
     "shoulder_pan_joint",
@@ -443,6 +444,31 @@ def demo_run() -> Run:
     return result, series
 
 
+def compare_run() -> Run:
+    """Two demonstrations of the same arm, the second of a worse motion and fit."""
+    first, second = demo_run(), demo_run()
+    result, series = second
+    result["seed"] = 8
+    result["design"]["condition_number"]["final"] *= 1.7
+    identified = result["identify"]
+    identified["effects"] = identified["effects"][:2]
+    identified["base_parameters"] = identified["base_parameters"][3:]
+    for row in (*identified["base_parameters"][::4], *identified["parameters"][::9]):
+        row["value"] += 3 * (row["std"] or 1.0)
+    for row in identified["joints"]:
+        for errors in filter(None, (row["train"], row["validate"])):
+            errors |= {"rms": 1.4 * errors["rms"], "nrmse": 1.4 * errors["nrmse"]}
+    result["analyze"]["links"][2]["unique"] = []
+    for row in result["analyze"]["practical"]:
+        row["std"] *= 1.5
+    findings = result["diagnose"]["findings"]
+    findings[0]["joints"] = ["elbow_joint", "wrist_roll_joint"]
+    findings[2]["effect"] = "backlash"
+    for key in ("identify/identified", "diagnose/extended", "design/q", "design/dq"):
+        series[key] = 0.9 * series[key]
+    return compare(SavedRun("runs/one", *first), SavedRun("runs/two", result, series))
+
+
 BUILDERS: dict[str, Callable[[], Run]] = {
     "design": design_run,
     "check": check_run,
@@ -450,6 +476,7 @@ BUILDERS: dict[str, Callable[[], Run]] = {
     "analyze": analyze_run,
     "diagnose": diagnose_run,
     "demo": demo_run,
+    "compare": compare_run,
 }
 
 
@@ -468,6 +495,14 @@ def _page(verb: str) -> str:
 def page(request: pytest.FixtureRequest) -> str:
     """The page of each verb."""
     return _page(request.param)
+
+
+@pytest.fixture(scope="session", params=list(BUILDERS))
+def file(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of each verb as a file."""
+    path = tmp_path_factory.mktemp(request.param) / "report.html"
+    path.write_text(_page(request.param), "utf-8")
+    return path
 
 
 @pytest.fixture

@@ -43,7 +43,7 @@ REFUSED: dict[str, tuple[str, str]] = {
     "words": ("velocity: fast\n", "velocity"),
     "word among numbers": ("torque: [1, two]\n", "torque"),
     "nested too deep": ("velocity: [[[1]]]\n", "velocity"),
-    "mapping": ("velocity: {joint1: 1}\n", "velocity"),
+    "mapping of none": ("velocity: {no_joint: 1}\n", "velocity limits: unknown joint"),
     "unknown name": ("velocities: 1\n", "did you mean 'velocity'"),
     "lower above upper": ("position: [1, -1]\n", "lower must be below upper"),
     "lower equal to upper": ("position: [1, 1]\n", "lower must be below upper"),

@@ -25,6 +25,13 @@ LOCKS = {
     "cylindrical": {"lift": 0.4},
     "puma560": {"joint1": 0.3, "joint4": 1.1},
     "gantry": {"swing": 0.7},
+    "gen3": {"joint_3": -0.6, "joint_6": 1.2},
+    "iiwa14": {"joint_3": 0.7, "joint_7": -1.4},
+    "scara": {"elbow": 0.8, "roll": -0.5},
+    "so100": {"elbow": 1.1},
+    "tx40": {"joint_4": -0.9, "joint_6": 0.4},
+    "ur3e": {"wrist_1_joint": 0.4, "elbow_joint": -0.8},
+    "ur5e": {"wrist_2_joint": 0.9, "elbow_joint": 0.6},
 }
 
 

@@ -1,0 +1,162 @@
+"""What shows a cause: the error without it against the quantity that tells it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from excitant.analysis.confirmation import Finding
+from excitant.analysis.diagnosis import Diagnosis
+from excitant.analysis.domains import places
+from excitant.analysis.residuals import Remainder
+from excitant.analysis.sticking import sliding
+from excitant.robots.effects import JointwiseEffect, TorqueOffset, ViscousFriction
+from excitant.robots.motion import Array
+
+_TELLS = {
+    "viscous_friction": "velocity",
+    "coulomb_friction": "velocity",
+    "asymmetric_friction": "velocity",
+    "stribeck_friction": "velocity",
+    "nonlinear_viscous_friction": "velocity",
+    "load_dependent_friction": "load",
+    "presliding_hysteresis": "reversal",
+    "friction_coupling": "other velocity",
+    "rotor_inertia": "acceleration",
+    "inertia_coupling": "other acceleration",
+    "torque_ripple": "angle",
+    "spring": "position",
+    "torque_gain": "torque",
+    "time_delay": "torque rate",
+    "thermal_friction_drift": "time",
+    "torque_offset": "time",
+}
+_REMAINS = {
+    "": "time",
+    "constant": "time",
+    "direction": "velocity",
+    "velocity": "velocity",
+    "position": "position",
+    "load": "load",
+    "reversal": "reversal",
+    "time": "time",
+}
+_REACH = 8.0  # break-away distances from a reversal that show hysteresis
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One figure of evidence.
+
+    Attributes:
+        joint: Index of the joint that is shown.
+        x_label: What the abscissa is.
+        x: Abscissa at the rows of the hold-out, NaN where not to be shown, shape (n,).
+        residual: What is left there without the cause, shape (n,) [torque unit].
+        fit: Torque of the cause, shape (n,) [torque unit]; None where there is none.
+        rival: Torque of its closest rival, fitted to the residual shown; None without one.
+    """
+
+    joint: int
+    x_label: str
+    x: Array
+    residual: Array
+    fit: Array | None = None
+    rival: Array | None = None
+
+
+def curve_of(diagnosis: Diagnosis, item: Finding | Remainder) -> Curve:
+    """The figure that shows a finding, or what is left unexplained."""
+    moves = sliding(diagnosis.data.validate)
+    if isinstance(item, Remainder):
+        j = diagnosis.robot.joint_index(item.joint)
+        label, x = _abscissa(diagnosis, _REMAINS[item.domain], j)
+        return Curve(j, label, np.where(moves[:, j], x, np.nan), _left(diagnosis)[:, j])
+    j, other = _shown(diagnosis, item)
+    torque = item.torque[:, j]
+    domain = _TELLS.get(item.effect.name, "own torque")
+    if domain == "own torque":
+        label = f"torque of the fitted {item.effect.name.replace('_', ' ')} [{diagnosis.data.unit}]"
+        x = torque
+    else:
+        label, x = _abscissa(diagnosis, domain, j, other)
+    if domain == "reversal":
+        far = np.abs(x) > _REACH * getattr(item.effect, "distance", np.inf)
+        x = np.where(far & (far.mean() < 1), np.nan, x)
+    if domain == "angle":
+        period = 2 * np.pi / getattr(item.effect, "order", 1.0)
+        label, x = "joint position within one period of the ripple [rad]", np.mod(x, period)
+    x, residual = np.where(moves[:, j], x, np.nan), _left(diagnosis)[:, j] + torque
+    return Curve(j, label, x, residual, torque, _rival(diagnosis, item, j, residual))
+
+
+def _rival(diagnosis: Diagnosis, finding: Finding, j: int, residual: Array) -> Array | None:
+    """Torque of the first rival, with the coefficients that fit the residual of a joint best.
+
+    Only for friction against friction of one joint, with viscous friction and offset of that joint
+    free too: where bodies are in play, they change along with a rival, and a curve of it alone
+    would say nothing.
+    """
+    effects = [finding.effect, *(r.candidate.effect for r in finding.rivals[:1])]
+    alike = all(isinstance(e, JointwiseEffect) and "friction" in e.name for e in effects)
+    if len(effects) < 2 or not alike:
+        return None
+    model, segments = diagnosis.extension.model, diagnosis.data.validate
+    joint = (diagnosis.robot.joints[j],)
+    columns = np.concatenate(
+        [
+            np.concatenate([s.rows(partial(e.columns, model))[:, j] for s in segments])
+            for e in (effects[1], ViscousFriction(joint), TorqueOffset(joint))
+        ],
+        axis=1,
+    )
+    rows = sliding(segments)[:, j]
+    sizes = np.sqrt((columns[rows] ** 2).sum(axis=0))
+    live = columns[:, sizes > 0] / sizes[sizes > 0]
+    if not live.shape[1]:
+        return None
+    fitted: Array = live @ np.linalg.lstsq(live[rows], residual[rows], rcond=1e-8)[0]
+    return fitted
+
+
+def _left(diagnosis: Diagnosis) -> Array:
+    return np.asarray(diagnosis.series.measured - diagnosis.predicted, float)
+
+
+def _shown(diagnosis: Diagnosis, finding: Finding) -> tuple[int, int]:
+    """The joint where a cause shows most against what is left, and the other of a pair."""
+    joints = [diagnosis.robot.joint_index(joint) for joint in finding.effect.joints]
+    if isinstance(finding.effect, JointwiseEffect):
+        return joints[0], joints[0]
+    size = np.sqrt((finding.torque**2).mean(axis=0)) / diagnosis.extended.rms
+    shown = int(np.argmax(size))
+    return shown, next((j for j in joints if j != shown), shown)
+
+
+def _abscissa(diagnosis: Diagnosis, domain: str, j: int, other: int = 0) -> tuple[str, Array]:
+    """Label and values of a quantity at the rows of the hold-out."""
+    unit, name = diagnosis.data.unit, diagnosis.robot.joints[other]
+    way_unit, far_unit = ("rad" if diagnosis.robot.revolute[k] else "m" for k in (j, other))
+    t, torque = diagnosis.series.t, diagnosis.predicted[:, j]
+    way = np.sign(diagnosis.velocity[:, j])
+    if domain == "reversal":
+        where = places(diagnosis.data.validate, diagnosis.predicted)
+        label = f"distance since the last reversal, signed by direction [{way_unit}]"
+        return label, where.reversal[:, j]
+    return {
+        "velocity": (f"joint velocity [{way_unit}/s]", diagnosis.velocity[:, j]),
+        "other velocity": (f"velocity of {name} [{far_unit}/s]", diagnosis.velocity[:, other]),
+        "acceleration": (f"joint acceleration [{way_unit}/s²]", diagnosis.acceleration[:, j]),
+        "other acceleration": (
+            f"acceleration of {name} [{far_unit}/s²]",
+            diagnosis.acceleration[:, other],
+        ),
+        "position": (f"joint position [{way_unit}]", diagnosis.position[:, j]),
+        "angle": (f"joint position [{way_unit}]", diagnosis.position[:, j]),
+        "torque": (f"torque of the given model [{unit}]", diagnosis.simulated[:, j]),
+        "torque rate": (f"rate of torque [{unit}/s]", np.gradient(torque, t)),
+        "load": (f"size of the joint's torque, signed by direction [{unit}]", abs(torque) * way),
+        "time": ("time [s]", t),
+    }[domain]

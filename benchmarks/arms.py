@@ -1,0 +1,249 @@
+"""Whether any serial arm loads, gets a motion within its limits, and shows its parameters by it.
+
+    python benchmarks/arms.py [--data FOLDER] [--also FILE[@[BASE:]TIP] ...] [-o FILE]
+
+Arms and arms of larger robots of ``example-robot-data``, and any other URDF, xacro or MJCF file
+named with ``--also``. For each: load it, design for ``--time-limit`` seconds from one start, check
+every limit over the continuous motion, and see what the motion shows. Where a model has no limits,
+those of `ASSUMED` are put in and named. Rows are kept in FILE as they come; a run that is started
+again goes on from there. ``thin`` counts parameters that are told apart by a hair, as where a model
+rounds right angles: its condition number says more about the rounding than about the motion.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from base_counts import data_folder
+
+from excitant.analysis.identifiability import analyze
+from excitant.analysis.practical import NOT_SHOWN
+from excitant.design import design
+from excitant.exceptions import ExcitantError, Infeasible
+from excitant.robots import Robot, load_robot, torque
+from excitant.robots.effects import standard_effects
+from excitant.robots.geometry import scene
+
+ASSUMED = {"velocity": 1.5, "acceleration": 10.0}  # rad/s or m/s, rad/s² or m/s²
+NOISE = 0.01  # of each joint's largest torque in the motion
+
+
+@dataclass(frozen=True)
+class Case:
+    """One arm: a file, and the chain in it (all joints where no end is named)."""
+
+    file: str
+    tip: str | None = None
+    base: str | None = None
+    joints: tuple[str, ...] | None = None
+
+    @property
+    def name(self) -> str:
+        """The file, and the chain's ends."""
+        part = "+".join(self.joints[:1] + self.joints[-1:]) if self.joints else ""
+        ends = "..".join(filter(None, (self.base, self.tip))) or part
+        path = Path(self.file)
+        name = path.stem if path.stem != "robot" else f"{path.parent.name}/robot"
+        return name + (f" {ends}" if ends else "")
+
+
+_SIDES = ("left", "right")
+DUAL = tuple(
+    f"{side}_{joint}" for side in _SIDES for joint in ("s0", "s1", "e0", "e1", "w0", "w1", "w2")
+)
+ARMS = (
+    Case("panda_description/urdf/panda.urdf", "panda_hand"),
+    Case("panda_description/urdf/panda_collision.urdf", "panda_link8"),
+    Case("ur_description/urdf/ur3_robot.urdf"),
+    Case("ur_description/urdf/ur3_joint_limited_robot.urdf"),
+    Case("ur_description/urdf/ur3_gripper.urdf"),
+    Case("ur_description/urdf/ur5_robot.urdf"),
+    Case("ur_description/urdf/ur5_joint_limited_robot.urdf"),
+    Case("ur_description/urdf/ur5_gripper.urdf"),
+    Case("ur_description/urdf/ur10_robot.urdf"),
+    Case("ur_description/urdf/ur10_joint_limited_robot.urdf"),
+    Case("ur_description/urdf/ur3.urdf"),
+    Case("kinova_description/robots/kinova.urdf"),
+    Case("xarm_description/urdf/xarm7.urdf"),
+    Case("z1_description/urdf/z1.urdf"),
+    Case("z1_description/urdf/z1.urdf", "link06"),
+    Case("so_arm_description/urdf/so100.urdf"),
+    Case("so_arm_description/urdf/so101.urdf"),
+    Case("double_pendulum_description/urdf/double_pendulum.urdf"),
+    Case("double_pendulum_description/urdf/double_pendulum_continuous.urdf"),
+    Case("double_pendulum_description/urdf/double_pendulum_simple.urdf"),
+    Case("asr_twodof_description/urdf/TwoDofs.urdf"),
+    Case("finger_edu_description/robots/finger_edu.urdf"),
+    Case("borinot_description/urdf/borinot_flying_arm_2.urdf"),
+    Case("hextilt_description/urdf/hextilt_flying_arm_5.urdf"),
+    Case("anymal_b_simple_description/robots/anymal-kinova.urdf", "j2s6s200_end_effector"),
+    Case("b1_description/urdf/b1-z1.urdf", "gripperMover"),
+    Case("tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"),
+    Case("tiago_description/robots/tiago.urdf", "wrist_ft_tool_link", "torso_lift_link"),
+    *(Case("tiago_description/robots/tiago_dual.urdf", f"hand_{side}_tool_link", "torso_lift_link")
+      for side in _SIDES),
+    *(Case("tiago_pro_description/robots/tiago_pro.urdf", f"arm_{side}_7_link", "torso_lift_link")
+      for side in _SIDES),
+    Case("talos_data/robots/talos_left_arm.urdf"),
+    *(Case("talos_data/robots/talos_reduced.urdf", f"arm_{side}_7_link", "torso_2_link")
+      for side in _SIDES),
+    Case("talos_data/robots/talos_full_v2.urdf", "arm_left_7_link"),
+    *(Case("baxter_description/urdf/baxter.urdf", f"{side}_gripper_base_link") for side in _SIDES),
+    Case("baxter_description/urdf/baxter.urdf", joints=DUAL),
+    *(Case("pr2_description/urdf/pr2.urdf", f"{side[0]}_gripper_palm_link", "torso_lift_link")
+      for side in _SIDES),
+    Case("pr2_description/urdf/pr2.urdf", "r_gripper_led_frame"),
+    *(Case("romeo_description/urdf/romeo_small.urdf", f"{side[0]}_gripper") for side in _SIDES),
+    *(Case("icub_description/robots/icub.urdf", f"{side[0]}_gripper", "chest") for side in _SIDES),
+    *(Case("centauro_description/urdf/centauro.urdf", f"ball{k}_tip") for k in (1, 2)),
+    *(Case("g1_description/urdf/g1_29dof_rev_1_0.urdf", f"{side}_rubber_hand", "torso_link")
+      for side in _SIDES),
+    *(Case("simple_humanoid_description/urdf/simple_humanoid.urdf", f"{side[0]}_wrist")
+      for side in _SIDES),
+    Case("human_description/robots/human.urdf", "right_hand"),
+    *(Case("alex_description/urdf/alex_nub_hands.urdf", f"{side}Nub") for side in _SIDES),
+    Case("alex_description/urdf/alex_psyonic_hands.urdf", "LeftGripperYawLink"),
+    Case("alex_description/urdf/alex_sake_hands.urdf", "RightSakeFingerTip1"),
+    Case("allegro_hand_description/urdf/allegro_right_hand.urdf", "link_3.0_tip"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Row:
+    """How one arm fared; ``verdict`` is ``ok`` or says why not."""
+
+    name: str
+    joints: str = ""
+    load_s: float = float("nan")
+    condition: float = float("nan")
+    base_parameters: int = 0
+    thin: int = 0
+    unseen: int = 0
+    assumed: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    verdict: str = ""
+
+
+def with_assumed_limits(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
+    """The robot with `ASSUMED` limits where nothing else bounds its motion."""
+    limits, assumed = robot.limits, []
+    slides = ~robot.revolute & ~np.isfinite(limits.position).all(axis=1)
+    if slides.any():
+        position = np.where(slides[:, None], [-0.5, 0.5], limits.position)
+        limits, assumed = replace(limits, position=position), ["range"]
+    for name, value in ASSUMED.items():
+        missing = np.isinf(getattr(limits, name))
+        if name == "acceleration":
+            missing &= np.isinf(limits.torque)
+        if missing.any():
+            limits = replace(limits, **{name: np.where(missing, value, getattr(limits, name))})
+            assumed.append(name)
+    return robot.with_limits(limits), tuple(assumed)
+
+
+def attempt(case: Case, path: Path, time_limit: float) -> Row:
+    """Load, design, check, analyze."""
+    start = time.perf_counter()
+    row = Row(case.name)
+    try:
+        robot = load_robot(path, joints=case.joints, base=case.base, tip=case.tip)
+        kinds = "".join("R" if turns else "P" for turns in robot.revolute)
+        row = replace(row, joints=kinds, load_s=time.perf_counter() - start, notes=robot.notes)
+        robot, assumed = with_assumed_limits(robot)
+        row = replace(row, assumed=assumed)
+        return designed(robot, row, time_limit)
+    except ExcitantError as error:
+        return replace(row, verdict=str(error).replace(f"{path.parent}/", ""))
+
+
+def designed(robot: Robot, row: Row, time_limit: float) -> Row:
+    options = {"starts": 1, "jobs": 1, "time_limit": time_limit}
+    try:
+        found = design(robot, scene=scene(robot), **options)
+    except Infeasible as error:
+        found = design(robot, scene=None, **options)
+        row = replace(row, notes=(*row.notes, f"designed without clearance: {error}"))
+    motion = found.trajectory.motion(50.0)
+    tau = torque(robot, motion)
+    noise = np.maximum(NOISE * np.abs(tau).max(axis=0), 1e-6)
+    shown = analyze(
+        robot, effects=standard_effects(robot.joints), motion=motion, noise=noise.tolist()
+    )
+    unseen = sum(p.verdict == NOT_SHOWN for p in shown.practical)
+    held = found.limits.hold
+    verdict = "a limit is exceeded" if not held else "not all shown" if unseen else "ok"
+    return replace(
+        row, condition=found.condition_final,
+        base_parameters=len(found.base), thin=len(shown.structure.close),
+        unseen=unseen,
+        verdict=verdict,
+    )  # fmt: skip
+
+
+def cases(folder: Path | None, also: list[str], only: list[str]) -> Iterator[tuple[Case, Path]]:
+    """Cases with the file of each."""
+    for case in ARMS if folder else ():
+        if not only or any(word in case.name for word in only):
+            yield case, Path(str(folder)) / case.file
+    for word in also:
+        file, _, ends = word.partition("@")
+        base, _, tip = ends.rpartition(":")
+        yield Case(file, tip or None, base or None), Path(file)
+
+
+HEADER = (
+    f"{'arm':46} {'joints':10} {'load s':>6} {'κ':>8} {'base':>4} {'thin':>4} {'unseen':>6}"
+    "  verdict"
+)
+
+
+def line(row: Row) -> str:
+    extra = f" (assumed: {', '.join(row.assumed)})" if row.assumed else ""
+    return (
+        f"{row.name[:46]:46} {row.joints:10} {row.load_s:6.2f} {row.condition:8.3g} "
+        f"{row.base_parameters:4d} {row.thin:4d} {row.unseen:6d}  {row.verdict}{extra}"
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--data", help="folder of example-robot-data's robots")
+    parser.add_argument(
+        "--also", nargs="*", default=[], metavar="FILE[@[BASE:]TIP]", help="other arms"
+    )
+    parser.add_argument("--only", nargs="*", default=[], help="parts of names")
+    parser.add_argument("--time-limit", type=float, default=5.0, help="for each design [s]")
+    parser.add_argument("-o", "--output", type=Path, help="file of rows, one JSON object a line")
+    given = parser.parse_args()
+    folder = data_folder(given.data)
+    if folder is None:
+        print("no example-robot-data: install it, or name its folder with --data")
+    done: dict[str, Row] = {}
+    if given.output and given.output.is_file():
+        rows = map(json.loads, given.output.read_text().splitlines())
+        done = {entry["name"]: Row(**entry) for entry in rows}
+    print(HEADER)
+    for case, path in cases(folder, given.also, given.only):
+        if case.name not in done:
+            done[case.name] = attempt(case, path, given.time_limit)
+            if given.output:
+                with given.output.open("a") as file:
+                    file.write(json.dumps(asdict(done[case.name])) + "\n")
+        print(line(done[case.name]), flush=True)
+    failed = [row for row in done.values() if row.verdict != "ok"]
+    print(f"{len(done)} arms, {len(done) - len(failed)} ok, {len(failed)} not")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

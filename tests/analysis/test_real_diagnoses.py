@@ -1,0 +1,202 @@
+"""Diagnoses of real arms: the extended model predicts better, and what is known of them is seen.
+
+Expectations are loose: they are what a change for the worse would break, not records.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from excitant.analysis.diagnosis import Diagnosis, diagnose
+from excitant.analysis.refit import refit
+from excitant.analysis.sticking import sliding
+from excitant.identify import Recording, load_dataset, recording_from_table
+from excitant.robots import Array, Robot, load_robot
+from excitant.robots.parameters import violations
+
+SAME = 1.02  # a joint may be this much worse, where nothing was found for it
+FRICTION = {
+    "viscous_friction",
+    "coulomb_friction",
+    "asymmetric_friction",
+    "stribeck_friction",
+    "nonlinear_viscous_friction",
+    "load_dependent_friction",
+    "presliding_hysteresis",
+}
+
+
+def diagnosed(
+    folder: Path, name: str, fitted: Sequence[str], held: Sequence[str] = ()
+) -> Diagnosis:
+    dataset = load_dataset(str(folder / name))
+    recordings = dataset.recordings(list(fitted))
+    return diagnose(
+        dataset.robot, recordings, validate=dataset.recordings(list(held)) if held else []
+    )
+
+
+def errors(diagnosis: Diagnosis) -> tuple[Array, Array]:
+    """Error of the given and of the extended model while joints move, shape (nv,)."""
+    moves = sliding(diagnosis.data.validate)
+    given, extended = (
+        np.array([np.sqrt((e[rows] ** 2).mean()) for e, rows in zip(error.T, moves.T, strict=True)])
+        for error in (
+            diagnosis.series.measured - diagnosis.simulated,
+            diagnosis.series.measured - diagnosis.predicted,
+        )
+    )
+    return given, extended
+
+
+def better(diagnosis: Diagnosis, factor: float) -> None:
+    """Better on every joint, by a factor over all of them, and with bodies that can be."""
+    given, extended = errors(diagnosis)
+    assert (extended < SAME * given).all(), dict(
+        zip(diagnosis.robot.joints, extended / given, strict=True)
+    )
+    size = diagnosis.series.measured.std(axis=0)
+    total = [float(np.sqrt(((e / size) ** 2).sum())) for e in (given, extended)]
+    assert total[1] * factor < total[0], total
+    model = diagnosis.extension.model
+    assert violations(model.phi, model.links) == []
+
+
+def seen(diagnosis: Diagnosis, kinds: set[str], joint: str) -> bool:
+    """Whether one of these effects is found at a joint, or a rival of what is found there."""
+    effects = [f.effect for f in diagnosis.findings]
+    effects += [r.candidate.effect for f in diagnosis.findings for r in f.rivals]
+    return any(e.name in kinds and joint in e.joints for e in effects)
+
+
+@pytest.fixture(scope="module")
+def ur10_arm(data_folder: Path) -> Diagnosis:
+    return diagnosed(data_folder, "ur10", ["unisa_exciting"])
+
+
+def test_ur10_is_predicted_better_than_its_description(ur10_arm: Diagnosis) -> None:
+    better(ur10_arm, 4)
+
+
+def test_ur10_first_joint_has_more_than_viscous_and_coulomb_friction(ur10_arm: Diagnosis) -> None:
+    finer = FRICTION - {"viscous_friction", "coulomb_friction"}
+    assert seen(ur10_arm, finer, "shoulder_pan_joint")
+
+
+def test_ur10_has_friction_at_every_joint(ur10_arm: Diagnosis) -> None:
+    for joint in ur10_arm.robot.joints:
+        assert seen(ur10_arm, FRICTION, joint), joint
+
+
+def test_ur10_inertias_alone_do_not_explain_it(ur10_arm: Diagnosis) -> None:
+    found = refit(ur10_arm)
+    left, given = (((e / found.spread) ** 2).sum() for e in (found.free, found.given))
+    assert left > 0.5 * given
+
+
+@pytest.mark.slow
+def test_panda_lacks_the_hand_that_its_description_has(data_folder: Path) -> None:
+    """The description holds a hand of 0.73 kg, which the recorded robot does not show."""
+    diagnosis = diagnosed(data_folder, "panda", ["gaz_traj1"])
+    better(diagnosis, 5)
+    last = diagnosis.robot.joints[-1]
+    lighter = [
+        (f.effect.values or (0.0,))[0]
+        for f in diagnosis.findings
+        if f.effect.name in ("inertial_parameters", "payload") and f.effect.joints == (last,)
+    ]
+    assert len(lighter) == 1
+    assert -1.1 < lighter[0] < -0.4
+    slow = {"presliding_hysteresis", "time_delay"}
+    joints = diagnosis.robot.joints[3:]
+    assert sum(seen(diagnosis, slow, joint) for joint in joints) >= 3
+
+
+@pytest.mark.slow
+def test_ur10e_on_another_excitation(data_folder: Path) -> None:
+    fitted, held = ["id_12harm_30s", "id_10harm_20s"], ["id_12harm_50s"]
+    diagnosis = diagnosed(data_folder, "ur10e", fitted, held)
+    better(diagnosis, 4)
+    for joint in diagnosis.robot.joints:
+        assert seen(diagnosis, FRICTION, joint), joint
+    assert any(seen(diagnosis, {"time_delay"}, joint) for joint in diagnosis.robot.joints)
+
+
+@pytest.mark.slow
+def test_ur10e_from_point_to_point(data_folder: Path) -> None:
+    fitted, held = ["id_12harm_30s", "id_10harm_20s"], ["val_ptp_10_points"]
+    better(diagnosed(data_folder, "ur10e", fitted, held), 3)
+
+
+@pytest.mark.slow
+def test_dual_arm_on_a_third_motion(data_folder: Path) -> None:
+    diagnosis = diagnosed(data_folder, "dualarm_v2", ["exc_13p5", "exc_15p7"], ["exc_52p2"])
+    better(diagnosis, 4)
+    for joint in diagnosis.robot.joints:
+        assert seen(diagnosis, FRICTION, joint), joint
+    slow = {"presliding_hysteresis", "time_delay"}
+    assert any(seen(diagnosis, slow, joint) for joint in diagnosis.robot.joints)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["rec01", "rec02"])
+def test_xmate_from_placeholder_inertias(data_folder: Path, name: str) -> None:
+    """Friction at the sensors, and in the second robot offsets where transfer fails."""
+    diagnosis = diagnosed(data_folder, "rokae_xmate3", [name])
+    better(diagnosis, 2)
+    if name == "rec02":
+        offset = {"torque_offset", "asymmetric_friction", "spring"}
+        for joint in ("joint1", "joint6"):
+            assert seen(diagnosis, offset, joint)
+
+
+PENDULUM = """<robot name="pendulum"><link name="base"/><link name="arm"><inertial>
+<origin xyz="0 0 {height}"/><mass value="{mass}"/>
+<inertia ixx="2e-4" iyy="2e-4" izz="2e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="servo" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+<limit lower="-4" upper="4" velocity="20" effort="2"/></joint></robot>"""
+MOTIONS = ("sin_sin", "sin_time_square", "up_and_down")  # powered all along
+
+
+@pytest.fixture(scope="module")
+def servo(data_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    """Two position gains fitted, a third held out; torque by the published motor constants."""
+    folder = data_folder / "bam_xl330"
+    runs = json.loads((folder / "dataset.json").read_text(encoding="utf-8"))["recordings"]
+    known = json.loads((folder / "known.json").read_text(encoding="utf-8"))
+    motor = known["published_parameters"]["m6"]
+    description = tmp_path_factory.mktemp("servo") / "pendulum.urdf"
+    mass, length = runs[0]["mass_kg"], runs[0]["length_m"]
+    description.write_text(PENDULUM.format(mass=mass, height=-length), encoding="utf-8")
+    robot: Robot = load_robot(description)
+
+    def recording(run: dict[str, str]) -> Recording:
+        table = pd.read_parquet(folder / run["file"])
+        voltage = table["pwm1"] / 885 * table["volt"]
+        table["tau1"] = motor["kt"] * (voltage - motor["kt"] * table["dq1"]) / motor["R"]
+        columns = table[["t", "q1", "dq1", "tau1"]]
+        return recording_from_table(columns, 1, file=run["file"], name=run["name"])
+
+    chosen = [run for run in runs if run["trajectory"] in MOTIONS]
+    fitted = [recording(run) for run in chosen if run["kp"] != 200]
+    held = [recording(run) for run in chosen if run["kp"] == 200]
+    return diagnose(robot, fitted, validate=held)
+
+
+@pytest.mark.slow
+def test_servo_has_friction_that_grows_with_load(servo: Diagnosis) -> None:
+    better(servo, 3)
+    assert seen(servo, {"load_dependent_friction"}, "servo")
+
+
+@pytest.mark.slow
+def test_servo_rotor_is_as_heavy_as_published(servo: Diagnosis) -> None:
+    values = [f.effect.values for f in servo.findings if f.effect.name == "rotor_inertia"]
+    assert len(values) == 1
+    assert (values[0] or (0.0,))[0] == pytest.approx(1.81e-3, rel=0.4)

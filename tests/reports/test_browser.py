@@ -1,0 +1,281 @@
+"""Every page in a real browser: wide and narrow, light and dark, by mouse and by keyboard."""
+
+import io
+import shutil
+from collections.abc import Iterator
+from itertools import pairwise, product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+driver = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the PATH")
+
+WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
+MOST_BYTES = 5_000_000
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator["driver.Browser"]:
+    with driver.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM)
+        yield chromium
+        chromium.close()
+
+
+class Opened:
+    """A page in the browser, with what it asked for and complained about."""
+
+    def __init__(self, browser, file: Path, width: int, scheme: str) -> None:
+        self.context = browser.new_context(
+            viewport={"width": width, "height": 900},
+            color_scheme=scheme,
+            reduced_motion="reduce",
+            offline=True,
+        )
+        self.page = self.context.new_page()
+        self.said: list[str] = []
+        self.asked: list[str] = []
+        self.page.on("console", lambda message: self.said.append(message.text))
+        self.page.on("pageerror", lambda error: self.said.append(str(error)))
+        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.goto(file.as_uri())
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.context.close()
+
+    def unfold(self) -> None:
+        self.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true })")
+
+
+@pytest.fixture(
+    scope="module", params=list(product(WIDTHS, SCHEMES)), ids=lambda p: f"{p[0]}-{p[1]}"
+)
+def opened(request: pytest.FixtureRequest, browser, file: Path) -> Iterator[Opened]:
+    with Opened(browser, file, *request.param) as page:
+        yield page
+
+
+@pytest.fixture(scope="module", params=WIDTHS)
+def light(request: pytest.FixtureRequest, browser, file: Path) -> Iterator[Opened]:
+    with Opened(browser, file, request.param, "light") as page:
+        yield page
+
+
+def test_page_opens_alone_and_without_complaint(opened, file):
+    assert file.stat().st_size < MOST_BYTES
+    opened.unfold()
+    opened.page.wait_for_load_state("networkidle")
+    assert [url for url in opened.asked if not url.startswith("data:")] == [file.as_uri()]
+    assert opened.said == []
+
+
+def test_page_is_no_wider_than_the_window(opened):
+    opened.unfold()
+    wide, window = opened.page.evaluate(
+        "[document.documentElement.scrollWidth, document.documentElement.clientWidth]"
+    )
+    assert wide <= window
+    outside = opened.page.evaluate(
+        """() => [...document.querySelectorAll("h1, h2, h3, p, li, figure, .panel, .scroll, dl")]
+          .filter((e) => e.checkVisibility() && !e.closest(".skip, .hidden"))
+          .map((e) => [e.getBoundingClientRect(), e.outerHTML.slice(0, 80)])
+          .filter(([box]) => box.left < -1 || box.right > innerWidth + 1)"""
+    )
+    assert outside == []
+
+
+CONTRAST = """() => {
+  const parse = (text) => {
+    const [r, g, b, a = 1] = text.match(/[\\d.]+/g).map(Number);
+    return { c: [r, g, b], a };
+  };
+  const over = (top, under) => top.c.map((x, k) => top.a * x + (1 - top.a) * under[k]);
+  const shade = (c) => c.map((x) => x / 255)
+    .map((x) => (x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4))
+    .reduce((sum, x, k) => sum + x * [0.2126, 0.7152, 0.0722][k], 0);
+  const ground = (element) => {
+    const layers = [];
+    for (let e = element; e; e = e.parentElement) {
+      const colour = parse(getComputedStyle(e).backgroundColor);
+      layers.push(colour);
+      if (colour.a === 1) break;
+    }
+    return layers.reverse().reduce((under, top) => over(top, under), [255, 255, 255]);
+  };
+  const poor = new Map();
+  let seen = 0;
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) {
+    const text = walker.currentNode.data.trim(), element = walker.currentNode.parentElement;
+    if (!text || !element.checkVisibility({ visibilityProperty: true }) ||
+        element.closest("script, style")) continue;
+    seen += 1;
+    const style = getComputedStyle(element), drawn = element instanceof SVGElement;
+    const under = ground(drawn ? element.closest("svg").parentElement : element);
+    const ink = over(parse(drawn ? style.fill : style.color), under);
+    const [low, high] = [shade(ink), shade(under)].sort((x, y) => x - y);
+    const ratio = (high + 0.05) / (low + 0.05);
+    const pair = `${element.tagName} ${ink.map(Math.round)} on ${under.map(Math.round)}`;
+    if (ratio < 4.5) poor.set(pair, `${ratio.toFixed(2)}: ${text.slice(0, 40)}`);
+  }
+  return [seen, Object.fromEntries(poor)];
+}"""
+
+
+def test_text_stands_out_from_its_ground(opened):
+    opened.unfold()
+    seen, poor = opened.page.evaluate(CONTRAST)
+    assert seen > 20
+    assert poor == {}
+
+
+def test_text_that_does_not_stand_out_is_caught(browser, tmp_path):
+    path = tmp_path / "poor.html"
+    path.write_text("<p style='color: #888; background: #999'>grey on grey</p><p>black</p>")
+    with Opened(browser, path, 400, "light") as opened:
+        seen, poor = opened.page.evaluate(CONTRAST)
+    assert seen == 2
+    assert list(poor) == ["P 136,136,136 on 153,153,153"]
+
+
+def test_contents_lead_to_their_sections(light):
+    links = light.page.locator("nav a")
+    assert links.count() > 0
+    for k in range(links.count()):
+        link = links.nth(k)
+        name = link.get_attribute("href").removeprefix("#")
+        link.click()
+        assert light.page.evaluate("location.hash") == f"#{name}"
+        heading = light.page.evaluate(
+            """(id) => { const h = document.getElementById(id), r = h.getBoundingClientRect();
+            const end = innerHeight + scrollY >= document.documentElement.scrollHeight - 2;
+            return { level: h.tagName, text: h.textContent, top: r.top, end }; }""",
+            name,
+        )
+        assert heading["level"] in ("H2", "H3")
+        assert heading["text"].strip() == link.text_content().strip()
+        assert -2 <= heading["top"] < (900 if heading["end"] else 60), heading
+
+
+def test_every_figure_shows_a_picture(light):
+    light.unfold()
+    boxes = light.page.evaluate(
+        """async () => {
+          for (const image of document.querySelectorAll("svg image")) {
+            const picture = new Image();
+            picture.src = image.getAttribute("href");
+            await picture.decode();
+          }
+          return [...document.querySelectorAll("svg[role=img]")].map((e) => {
+            const r = e.getBoundingClientRect(), label = e.getAttribute("aria-label");
+            return [r.left + scrollX, r.top + scrollY, r.width, r.height, label];
+          });
+        }"""
+    )
+    if not boxes:
+        pytest.skip("this page has no drawings")
+    shot = Image.open(io.BytesIO(light.page.screenshot(full_page=True))).convert("L")
+    pixels = np.asarray(shot, dtype=float)
+    for left, top, width, height, label in boxes:
+        assert width > 150, label
+        assert height > 50, label
+        part = pixels[int(top) : int(top + height), int(left) : int(left + width)]
+        assert np.mean(np.abs(part - np.median(part)) > 40) > 0.002, label
+
+
+def test_drawing_opens_and_closes_by_mouse(light):
+    drawings = light.page.locator(".panel > svg")
+    if not drawings.count():
+        pytest.skip("this page has no drawings")
+    small = drawings.first.bounding_box()["width"]
+    label = drawings.first.get_attribute("aria-label")
+    drawings.first.click()
+    large = light.page.locator("dialog[open] svg[role=img]")
+    assert large.get_attribute("aria-label") == label
+    assert large.bounding_box()["width"] > 1.3 * small
+    assert light.page.locator("dialog .caption").text_content()
+    light.page.get_by_role("button", name="Close").click()
+    driver.expect(light.page.locator("dialog svg[role=img]")).to_have_count(0)
+    assert light.page.locator("dialog[open]").count() == 0
+    assert drawings.first.get_attribute("aria-label") == label
+    assert drawings.first.bounding_box()["width"] == pytest.approx(small)
+    assert light.said == []
+
+
+def test_drawing_opens_and_closes_by_keyboard(light):
+    buttons = light.page.locator(".enlarge")
+    if not buttons.count():
+        pytest.skip("this page has no drawings")
+    labels = [d.get_attribute("aria-label") for d in light.page.locator(".panel > svg").all()]
+    buttons.first.focus()
+    light.page.keyboard.press("Enter")
+    shown = light.page.locator("dialog[open] svg[role=img]")
+    assert shown.get_attribute("aria-label") == labels[0]
+    light.page.keyboard.press("ArrowRight")
+    assert shown.get_attribute("aria-label") == labels[1 % len(labels)]
+    light.page.keyboard.press("ArrowLeft")
+    assert shown.get_attribute("aria-label") == labels[0]
+    for _ in range(6):
+        light.page.keyboard.press("Tab")
+        assert light.page.evaluate(
+            "document.activeElement === document.body || !!document.activeElement.closest('dialog')"
+        )
+    light.page.keyboard.press("Escape")
+    driver.expect(light.page.locator("dialog svg[role=img]")).to_have_count(0)
+    assert light.page.locator("dialog[open]").count() == 0
+    assert light.page.evaluate("document.activeElement.className") == "enlarge"
+    assert [
+        d.get_attribute("aria-label") for d in light.page.locator(".panel > svg").all()
+    ] == labels
+
+
+def test_pictures_have_names_and_tables_headings(light):
+    nameless = light.page.evaluate(
+        """() => [...document.querySelectorAll("img, svg")].filter((e) =>
+          e.getAttribute("aria-hidden") !== "true" &&
+          !(e.getAttribute("aria-label") || e.getAttribute("alt") || "").trim()).length"""
+    )
+    assert nameless == 0
+    for headings, scopes in light.page.evaluate(
+        """() => [...document.querySelectorAll("table")].map((t) => [
+          [...t.querySelectorAll("thead th")].map((h) => h.textContent.trim()),
+          [...t.querySelectorAll("th")].map((h) => h.getAttribute("scope"))])"""
+    ):
+        assert headings
+        assert all(headings)
+        assert set(scopes) <= {"col", "row"}
+    levels = light.page.evaluate(
+        "[...document.querySelectorAll('h1,h2,h3,h4,h5,h6')].map((h) => +h.tagName[1])"
+    )
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(after <= before + 1 for before, after in pairwise(levels))
+
+
+def test_paper_shows_all_in_light_colours(browser, file):
+    with Opened(browser, file, 690, "dark") as opened:  # A4 within its margins
+        opened.page.emulate_media(media="print", color_scheme="dark")
+        opened.page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        wide, window = opened.page.evaluate(
+            "[document.documentElement.scrollWidth, document.documentElement.clientWidth]"
+        )
+        assert wide <= window
+        assert opened.page.evaluate(
+            "getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"  # fmt: skip
+        assert opened.page.locator(".enlarge:visible").count() == 0
+        for table in opened.page.locator("table").all():
+            assert table.bounding_box()["height"] > 20
+        _, poor = opened.page.evaluate(CONTRAST)
+        assert poor == {}
+        opened.page.evaluate("dispatchEvent(new Event('afterprint'))")
+        assert opened.page.locator("details[open]").count() == 0

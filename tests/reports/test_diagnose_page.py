@@ -1,0 +1,145 @@
+"""The page of a diagnosis: what is wrong with the given model, and findings large and small."""
+
+import copy
+import re
+
+import pytest
+
+from excitant.reports import render
+from excitant.reports.diagnose_section import diagnose_section
+from excitant.reports.drawing import style
+from excitant.reports.given_error_figures import forward_blocks, share_figure
+from excitant.reports.model import Notes, Table
+
+SHARES = {"constant": 0.02, "direction": 0.81, "velocity": 0.83, "position": 0.0, "load": 0.8,
+          "reversal": 0.82}  # fmt: skip
+BANDS = {"slower": 0.0, "motion": 0.9, "faster": 0.1}
+
+
+def shape(rms):
+    return {"rms": rms, "shares": SHARES, "bands": BANDS, "telling": "direction"}
+
+
+@pytest.fixture
+def run(make):
+    result, series = make["diagnose"]()
+    names = [row["name"] for row in result["simulation"]["joints"]]
+    velocity = {"given": 0.2, "extended": 0.02, "unit": "rad/s"}
+    result |= {
+        "error": {"joints": [{"name": n, **shape(4.0), "left": shape(1.0)} for n in names]},
+        "refit": {
+            "sentence": "Re-fitting the inertias alone would hardly help.",
+            "joints": [
+                {"name": n, "given": 4.0, "inertias": 3.9, "bodies": 3.95, "extended": 1.0}
+                for n in names
+            ],
+            "links": [
+                {
+                    "link": "forearm",
+                    "mass_kg": 0.2,
+                    "centre_mm": 31.0,
+                    "inertia": 0.1,
+                    "deviations": {"mass": 1.0, "centre": 9.0, "inertia": None},
+                }
+            ],
+        },
+        "forward": {
+            "joints": [
+                {"name": n, "given": 0.05, "extended": 0.002, "unit": "rad", "velocity": velocity}
+                for n in names
+            ],
+            "windows": 4,
+            "window_s": 0.6,
+            "bandwidth_hz": 4.0,
+            "notes": [],
+        },
+    }
+    return result, series
+
+
+def titles(result, series):
+    with style():
+        return [part.title for part in diagnose_section(result, series).parts]
+
+
+def test_page_says_what_is_wrong_with_the_given_model(run):
+    page = render(*run)
+    words = re.sub(r"<[^>]*>", " ", page)
+    assert "What is wrong with the given model" in words
+    assert "Re-fitting the inertias alone would hardly help." in words
+    assert "31" in words
+    assert titles(*run)[1] == "What is wrong with the given model"
+
+
+def test_shares_are_drawn_for_both_models(run):
+    result, _ = run
+    with style():
+        figure = share_figure(result, "N·m")
+    given, left = figure.panels
+    for panel in (given, left):
+        assert panel.svg.count(">81</text>") == len(result["error"]["joints"])
+        assert "by direction" in panel.label
+    assert "25" in left.svg  # percent of the given model's error
+
+
+def test_what_was_not_judged_is_a_dash(run):
+    result, _ = run
+    with style():
+        figure = share_figure(result, "N·m")
+    assert figure.panels[0].svg.count(">–</text>") == len(result["error"]["joints"])
+
+
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_any_number_of_joints_can_be_drawn(run, count):
+    result, _ = copy.deepcopy(run)
+    result["error"]["joints"] = result["error"]["joints"][:count]
+    with style():
+        assert len(share_figure(result, "A").panels) == 2
+
+
+def test_divergence_is_said(run):
+    result, _ = copy.deepcopy(run)
+    result["forward"]["joints"][0]["given"] = None
+    result["forward"]["notes"] = ["The given model leaves the motion for good."]
+    table, notes = forward_blocks(result)
+    assert isinstance(table, Table)
+    assert table.rows[0][1].text == "diverges"
+    assert table.rows[0][2].text == "2.00"
+    assert isinstance(notes, Notes)
+
+
+def test_joints_where_the_extended_model_is_no_closer_are_named(run):
+    result, _ = copy.deepcopy(run)
+    assert "closer on every joint" in forward_blocks(result)[0].caption
+    result["forward"]["joints"][1]["extended"] = 0.06
+    caption = forward_blocks(result)[0].caption
+    assert f"no closer at {result['forward']['joints'][1]['name']}" in caption
+
+
+@pytest.mark.parametrize("key", ["error", "refit", "forward"])
+def test_page_does_without(run, key):
+    result, series = copy.deepcopy(run)
+    for nothing in ({}, None):
+        result[key] = nothing
+        assert "Error step by step" in titles(result, series)
+    del result[key]
+    assert "Error step by step" in titles(result, series)
+
+
+def test_small_findings_share_a_part(run):
+    result, series = copy.deepcopy(run)
+    lead = result["findings"][0]
+    result["findings"] = [{**lead, "explained": share} for share in (0.7, 0.2, 0.1, 0.05, 0.004)]
+    found = titles(result, series)
+    assert sum(title.startswith("Finding ") for title in found) == 4
+    assert sum(title.startswith("Findings of less than") for title in found) == 1
+
+
+def test_long_waterfalls_are_cut(run):
+    result, series = copy.deepcopy(run)
+    steps = [{"label": f"+ spring at joint{k}", "rms": 1 - k / 40} for k in range(30)]
+    result["waterfall"] = steps
+    page = render(result, series)
+    assert "smaller causes" in page
+    assert "joint29" in page
+    assert "joint20" not in page

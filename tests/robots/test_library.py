@@ -1,0 +1,120 @@
+"""Every built-in arm is complete, sound, and good for each command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from excitant.analysis import identifiability
+from excitant.design import random_trajectory
+from excitant.robots import Robot, builtin_robots, load_robot
+from excitant.robots.geometry import scene
+from excitant.robots.library.catalogue import arm_entry, catalogue, catalogue_page
+from excitant.robots.model_check_bodies import bodies
+from excitant.robots.model_check_sketch import bent_pose, sketch, zero_pose
+from excitant.robots.parameters import violations
+from excitant.robots.virtual_arm import virtual_arm
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_there_are_arms_of_many_kinds() -> None:
+    arms = {arm.name: arm for arm in catalogue()}
+    assert len(arms) >= 13
+    assert {arm.joints for arm in arms.values()} >= {2, 3, 4, 5, 6, 7}
+    assert {arms[name].prismatic for name in ("scara", "cylindrical", "ur5e")} == {0, 1, 2}
+    kinds = " ".join(arm.kind for arm in arms.values())
+    for kind in ("collaborative", "industrial", "SCARA", "servo", "torque sensors"):
+        assert kind in kinds
+
+
+def test_the_page_of_arms_is_current() -> None:
+    written = (ROOT / "docs" / "arms.md").read_text("utf-8")
+    assert written == catalogue_page()
+    for name in builtin_robots():
+        assert f"| `{name}` |" in written
+
+
+def test_every_arm_is_complete(builtin: Robot) -> None:
+    limits = builtin.limits
+    for name in ("velocity", "acceleration", "torque"):
+        assert np.isfinite(getattr(limits, name)).all(), name
+    assert np.isfinite(limits.position).all()
+    assert {"viscous_friction", "coulomb_friction", "rotor_inertia"} <= {
+        effect.name for effect in builtin.effects
+    }
+    assert violations(builtin.phi, builtin.links) == []
+    entry = arm_entry(builtin.name)
+    assert len(entry.sources) > 20
+    assert entry.moving_mass == pytest.approx(builtin.phi[::10].sum())
+    if entry.weight is not None:
+        assert 0.6 * entry.weight < entry.moving_mass < entry.weight
+
+
+def test_every_arm_has_bodies_that_keep_apart_in_most_poses(builtin: Robot) -> None:
+    shaped = {body.link for body in bodies(builtin) if body.shapes}
+    assert len(shaped & set(builtin.links)) >= builtin.nv - 1
+    found = scene(builtin)
+    if found is None:
+        assert builtin.nv <= 2
+        return
+    rng = np.random.default_rng(0)
+    q, _, _ = builtin.random_motion(rng, 300)
+    apart = (found.distances(q) > 0.01).all(axis=1)
+    assert apart.mean() > 0.5
+    assert (found.distances(zero_pose(builtin)[None]) > 0.0).all()
+
+
+def test_every_arm_can_be_analysed(builtin: Robot) -> None:
+    result = identifiability.analyze(builtin)
+    assert len(result.base.names) >= builtin.nv
+
+
+def test_every_arm_can_be_simulated(builtin: Robot) -> None:
+    rng = np.random.default_rng(1)
+    arm = virtual_arm(builtin, rng, hidden=())
+    table = arm.record(random_trajectory(builtin, rng, 4.0, 3), 4.0, rng)
+    tau = table[[f"tau{j + 1}" for j in range(builtin.nv)]].to_numpy()
+    assert np.isfinite(tau).all()
+    assert (np.abs(tau).max(axis=0) <= 1.5 * builtin.limits.torque).all()
+
+
+def test_a_picture_shows_the_arm_where_it_is(builtin: Robot) -> None:
+    model, data = builtin.model, builtin.model.createData()
+    for q in (zero_pose(builtin), bent_pose(builtin)):
+        low, high = builtin.limits.position.T
+        assert ((low <= q) & (q <= high)).all()
+        drawn = sketch(builtin, q)
+        pin.framesForwardKinematics(model, data, q)
+        assert drawn.points[-1] == pytest.approx(data.oMf[builtin.tip].translation)
+        assert np.linalg.norm(drawn.axes, axis=1) == pytest.approx(np.ones(builtin.nv))
+        assert drawn.solids.shape[1] == 8
+        for joint, *_, radius in drawn.solids:
+            assert 0 <= joint <= builtin.nv
+            assert radius > 0
+
+
+def test_scara_falls_by_its_spindle_only() -> None:
+    """Its arms turn in the plane: gravity acts on the slide alone, with all that it carries."""
+    scara = load_robot("scara")
+    model = scara.model
+    for q in scara.random_motion(np.random.default_rng(2), 20)[0]:
+        tau = pin.computeGeneralizedGravity(model, model.createData(), q)
+        assert tau == pytest.approx([0, 0, -9.81 * (0.9 + 0.35), 0], abs=1e-9)
+
+
+def test_known_reach_and_weight() -> None:
+    """Numbers of data sheets that the kinematics and masses must add up to."""
+    for name, length in {"ur5e": 0.425 + 0.3922, "ur3e": 0.24355 + 0.2132}.items():
+        places = [p.translation for p in list(load_robot(name).model.jointPlacements)[1:]]
+        assert abs(places[2][0]) + abs(places[3][0]) == pytest.approx(length)
+    iiwa = sketch(load_robot("iiwa14"), np.zeros(7)).points[-1]
+    assert iiwa == pytest.approx([0, 0, 0.36 + 0.42 + 0.4 + 0.126], abs=1e-9)  # to its flange
+    gen3 = sketch(load_robot("gen3"), np.zeros(7)).points[-1]
+    assert gen3[2] == pytest.approx(1.1873, abs=1e-3)
+    tx40 = load_robot("tx40")
+    upright = sketch(tx40, np.array([0, -np.pi / 2, np.pi / 2, 0, 0, 0])).points
+    assert upright[-1][2] == pytest.approx(0.32 + 0.225 + 0.225 + 0.065)

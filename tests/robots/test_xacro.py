@@ -1,0 +1,147 @@
+"""Xacro files without ROS: arguments, packages, and one line where something is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from excitant.exceptions import BadRobot, ExcitantError
+from excitant.robots import Robot, load_robot
+from excitant.robots.robot_spec import RobotSpec
+
+LINKS = """<?xml version="1.0"?>
+<robot xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <xacro:macro name="bar" params="name parent length mass axis:='0 1 0' kind:=revolute">
+    <link name="${name}"><inertial><origin xyz="0 0 ${length / 2}"/><mass value="${mass}"/>
+      <inertia ixx="${mass * length**2 / 12}" iyy="${mass * length**2 / 12}" izz="0.001"
+        ixy="0" ixz="0" iyz="0"/></inertial></link>
+    <joint name="${name}_joint" type="${kind}"><parent link="${parent}"/><child link="${name}"/>
+      <axis xyz="${axis}"/><limit lower="-2" upper="2" velocity="2" effort="50"/></joint>
+  </xacro:macro>
+</robot>
+"""
+ARM = """<?xml version="1.0"?>
+<robot name="bars" xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <xacro:arg name="length" default="0.5"/>
+  <xacro:arg name="tool" default="false"/>
+  <xacro:include filename="$(find parts)/links.xacro"/>
+  <link name="base"/>
+  <xacro:bar name="upper" parent="base" length="$(arg length)" mass="3" axis="0 0 1"/>
+  <xacro:bar name="fore" parent="upper" length="0.3" mass="2"/>
+  <xacro:if value="$(arg tool)">
+    <xacro:bar name="slider" parent="fore" length="0.1" mass="0.5" kind="prismatic"/>
+  </xacro:if>
+</robot>
+"""
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Path:
+    """An arm whose macros lie in a package somewhere else."""
+    (tmp_path / "elsewhere" / "parts").mkdir(parents=True)
+    (tmp_path / "elsewhere" / "parts" / "links.xacro").write_text(LINKS)
+    (tmp_path / "arm").mkdir()
+    path = tmp_path / "arm" / "bars.urdf.xacro"
+    path.write_text(ARM)
+    return path
+
+
+def centre(robot: Robot, link: str) -> float:
+    """Height of a link's centre of mass in its frame [m]."""
+    k = 10 * robot.links.index(link)
+    return float(robot.phi[k + 3] / robot.phi[k])
+
+
+@pytest.mark.parametrize("folder", ["elsewhere", "elsewhere/parts"])
+def test_arguments_decide_what_is_built(arm: Path, folder: str) -> None:
+    packages = [arm.parent.parent / folder]
+    plain = load_robot(arm, packages=packages)
+    assert plain.joints == ("upper_joint", "fore_joint")
+    assert centre(plain, "upper") == pytest.approx(0.25)
+    given = {"length": "0.8", "tool": "true"}
+    other = load_robot(RobotSpec(arm, xacro_args=given, packages=tuple(packages)))
+    assert other.joints == ("upper_joint", "fore_joint", "slider_joint")
+    assert centre(other, "upper") == pytest.approx(0.4)
+    assert other.revolute.tolist() == [True, True, False]
+
+
+def test_packages_around_the_file_are_found(arm: Path) -> None:
+    (arm.parent.parent / "elsewhere" / "parts").rename(arm.parent.parent / "parts")
+    assert load_robot(arm).nv == 2
+
+
+def test_a_package_is_known_by_its_manifest(arm: Path) -> None:
+    folder = arm.parent.parent / "elsewhere" / "parts"
+    (folder / "package.xml").write_text("<package><name>parts</name></package>")
+    other = folder.rename(folder.parent / "downloaded-parts-1.2")
+    assert load_robot(arm, packages=[other]).nv == 2
+
+
+def test_robot_yaml_over_a_xacro(arm: Path) -> None:
+    path = arm.parent / "robot.yaml"
+    path.write_text(
+        "model: bars.urdf.xacro\nxacro_args: {length: 0.8, tool: true}\n"
+        "packages: [../elsewhere]\nlock: {slider_joint: 0.1}\nlimits: {acceleration: [4, 5]}\n"
+    )
+    robot = load_robot(path)
+    assert robot.joints == ("upper_joint", "fore_joint")
+    assert robot.limits.acceleration.tolist() == [4, 5]
+    assert centre(robot, "upper") == pytest.approx(0.4)
+    assert robot.phi[10] == pytest.approx(2.5)
+    assert centre(load_robot(path, xacro_args={"length": "1"}), "upper") == pytest.approx(0.5)
+
+
+def test_written_out_it_is_the_same_arm(arm: Path, tmp_path: Path) -> None:
+    robot = load_robot(arm, packages=[arm.parent.parent / "elsewhere"])
+    plain = tmp_path / "plain.urdf"
+    plain.write_text(robot.urdf)
+    assert np.array_equal(load_robot(plain).phi, robot.phi)
+
+
+WRONG = {
+    "package that is not there": (ARM, {}, [], r"no package 'parts'.*--package /path/to/parts"),
+    "argument of another name": (ARM, {"lenght": "1"}, ["elsewhere"], "did you mean 'length'"),
+    "argument without a value": (
+        ARM.replace("$(arg length)", "$(arg reach)"), {}, ["elsewhere"], "--xacro-arg NAME:=VALUE"),
+    "argument without a default": (
+        ARM.replace(' default="0.5"', ""), {"length": "1"}, ["elsewhere"], "default"),
+    "value that is no number": (ARM, {"length": "long"}, ["elsewhere"], "length / 2"),
+    "not XML": (ARM.replace("</robot>", ""), {}, ["elsewhere"], "cannot read"),
+    "macro that is not there": (ARM.replace("xacro:bar name", "xacro:rod name"), {}, ["elsewhere"],
+                                "xacro:rod"),
+    "file that is not there": (ARM.replace("links.xacro", "limbs.xacro"), {}, ["elsewhere"],
+                               "limbs.xacro"),
+    "macros alone": (LINKS, {}, [], "only defines macros"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", WRONG)
+def test_what_is_missing_is_said_in_one_line(
+    arm: Path, kind: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    text, arguments, folders, expected = WRONG[kind]
+    arm.write_text(text)
+    packages = [arm.parent.parent / folder for folder in folders]
+    with pytest.raises(ExcitantError, match=expected) as refused:
+        load_robot(arm, xacro_args=arguments, packages=packages)
+    assert "bars.urdf.xacro" in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_plain_urdf_takes_no_arguments(tmp_path: Path, gantry_urdf: str) -> None:
+    path = tmp_path / "gantry.urdf"
+    path.write_text(gantry_urdf)
+    with pytest.raises(BadRobot, match="no xacro arguments"):
+        load_robot(path, xacro_args={"length": "1"})
+
+
+def test_finding_packages_leaves_xacro_as_it_was(arm: Path) -> None:
+    from xacro import substitution_args
+
+    before = substitution_args._eval_find
+    with pytest.raises(BadRobot):
+        load_robot(arm)
+    assert substitution_args._eval_find is before
