@@ -7,12 +7,13 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: help demo test lint lock clean
+.PHONY: help demo test lint docs lock clean
 
 help:
 	@echo "make demo   the whole workflow on a virtual arm: design, run, identify, diagnose, report"
 	@echo "make test   the test suite without the slow statistical tests"
 	@echo "make lint   ruff, mypy and the import rules"
+	@echo "make docs   the documentation as a site, in build/docs"
 	@echo "make lock   resolve pyproject.toml anew into requirements.lock"
 	@echo "make clean  remove the virtual environment, caches and build products (keeps runs/)"
 	@echo
@@ -29,6 +30,11 @@ lint: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+docs: $(INSTALLED)
+	$(PIP) install --editable ".[docs]"
+	$(BIN)/python -m mkdocs build --strict
+	@echo "build/docs/index.html"
 
 # The stamp goes first and comes back last: an interrupted install is started over, not trusted.
 $(INSTALLED): requirements.lock pyproject.toml

@@ -43,6 +43,16 @@ def wait(until: Callable[[], bool], what: str) -> None:
         time.sleep(0.05)
 
 
+def settle(loaded: Path) -> None:
+    """Wait until imports are over: no library has been loaded for a while."""
+    known, since = set[str](), time.monotonic()
+    while time.monotonic() - since < 1.5:
+        libraries = {line.split()[-1] for line in loaded.read_text().splitlines() if ".so" in line}
+        if libraries - known:
+            known, since = libraries, time.monotonic()
+        time.sleep(0.1)
+
+
 def _heed() -> None:
     """Shells start what runs in the background deaf to Ctrl-C; not so here."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -58,7 +68,7 @@ def interrupted(words: list[str], folder: Path, processes: int, group: bool) -> 
     try:
         wait(lambda: "pinocchio" in loaded.read_text(), "the command at work")
         wait(lambda: len(members(started.pid)) >= processes, "its processes")
-        time.sleep(1.0)
+        settle(loaded)
         assert started.poll() is None
         os.killpg(started.pid, signal.SIGINT) if group else started.send_signal(signal.SIGINT)
         _, err = started.communicate(timeout=PATIENCE)

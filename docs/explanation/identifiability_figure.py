@@ -5,10 +5,12 @@ python docs/explanation/identifiability_figure.py
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from PIL import Image
 
 import excitant as ex
 from excitant.robots import Array, Motion, Robot, regressor
@@ -56,12 +58,12 @@ def draw_torques(axes: plt.Axes, robot: Robot) -> None:
     axes.plot(t, (Y @ heavier)[:, 0], ":", color="0.35", lw=1.5)
     for mass, colour, width, style in zip(MOVED, ARMS, WIDTHS, STYLES, strict=True):
         axes.plot(t, Y @ moved(robot, mass), style, color=colour, lw=width)
-    top = int(np.argmax((Y @ heavier)[:, 0]))
-    axes.annotate("arm D, joint 1", (t[top], (Y @ heavier)[top, 0]), (6, 2),
-                  textcoords="offset points", fontsize=9, color="0.35")  # fmt: skip
-    for j, place in enumerate((top, 125)):
-        axes.annotate(f"arms A, B, C, joint {j + 1}", (t[place], (Y @ robot.phi)[place, j]),
-                      (6, -16 if j == 0 else 8), textcoords="offset points", fontsize=9)  # fmt: skip
+    for text, place, colour in (
+        ("arm D, joint 1", (3.8, 42.0), "0.35"),
+        ("arms A, B, C, joint 1", (4.05, 24.0), "black"),
+        ("arms A, B, C, joint 2", (2.75, 10.0), "black"),
+    ):
+        axes.annotate(text, place, fontsize=9, color=colour)
     axes.set(xlabel="time [s]", ylabel="torque [N·m]", xlim=(0, 5))
     axes.spines[["top", "right"]].set_visible(False)
 
@@ -75,7 +77,10 @@ def main() -> None:
         draw_arm(axes[name], moved(robot, mass))
         axes[name].set_title(f"arm {name}", fontsize=10)
     draw_torques(axes["tau"], robot)
-    figure.savefig(Path(__file__).with_name("identifiability.png"), dpi=100)
+    drawn = io.BytesIO()
+    figure.savefig(drawn, dpi=100)
+    target = Path(__file__).with_name("identifiability.png")
+    Image.open(drawn).convert("RGB").quantize(64).save(target, optimize=True)
 
 
 if __name__ == "__main__":
