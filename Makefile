@@ -32,7 +32,7 @@ lint: $(INSTALLED)
 	$(BIN)/lint-imports
 
 docs: $(INSTALLED)
-	$(PIP) install --editable ".[docs]"
+	$(PIP) install --no-build-isolation --editable ".[docs]"
 	$(BIN)/python -m mkdocs build --strict
 	@echo "build/docs/index.html"
 

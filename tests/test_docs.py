@@ -18,6 +18,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -144,11 +145,14 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     missing = [m for m in ("mkdocs", "material", "mkdocstrings") if not importlib.util.find_spec(m)]
     if missing:
         pytest.skip(f"{', '.join(missing)} not installed: pip install 'excitant[docs]'")
-    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir"]
+    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir"]
     built = subprocess.run([*words, tmp_path], cwd=ROOT, capture_output=True, text=True)
-    assert built.returncode == 0, built.stderr
-    reference = (tmp_path / "reference" / "design.html").read_text(encoding="utf-8")
-    assert 'id="excitant.design.FourierTrajectory"' in reference
+    assert built.returncode == 0, built.stderr  # --quiet would hide warnings from --strict, too
+    for name in ("robots", "robots.effects", "design", "identify", "analysis", "reports"):
+        page = tmp_path / "reference" / f"{name.rpartition('.')[2]}.html"
+        shown = re.findall(r'id="(excitant\.[\w.]+)"', page.read_text(encoding="utf-8"))
+        public = set(import_module(f"excitant.{name}").__all__)
+        assert public <= {identifier.rpartition(".")[2] for identifier in shown}
     assert "--mass-uncertainty PERCENT" in (tmp_path / "reference" / "cli.html").read_text("utf-8")
     for page in tmp_path.rglob("*.html"):
         loaded = r"""<(?:script|link|img)[^>]*(?:src|href)=["']?https?:"""

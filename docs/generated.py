@@ -1,0 +1,45 @@
+"""Hook of the site: what the code says itself, in the place of a mark on a page."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+from importlib import import_module
+from importlib.util import find_spec
+from types import ModuleType
+from typing import Any
+
+_MARK = re.compile(r"<!-- (commands|names) of (\S+) -->")
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """The page with help or docstrings where its marks are."""
+    return _MARK.sub(lambda m: {"commands": commands, "names": names}[m[1]](m[2]), markdown)
+
+
+def commands(program: str) -> str:
+    """Help of every command of a program, a section each."""
+    from excitant.cli import parser
+
+    os.environ["COLUMNS"] = "96"  # the same in every terminal
+    top = parser()
+    [verbs] = [a for a in top._actions if isinstance(a, argparse._SubParsersAction)]
+    pages = {program: top, **{f"{program} {name}": verb for name, verb in verbs.choices.items()}}
+    return "\n".join(
+        f"## {name}\n\n```text\n{page.format_help()}```\n" for name, page in pages.items()
+    )
+
+
+def names(package: str) -> str:
+    """Everything that a package or module offers, for mkdocstrings."""
+    module = import_module(package)
+    public = sorted(module.__all__, key=lambda name: (name.lower(), name))
+    return "\n".join(f"::: {_place(module, name)}\n" for name in public)
+
+
+def _place(package: ModuleType, name: str) -> str:
+    """Where a name is defined, if a module of the package has the same name."""
+    if hasattr(package, "__path__") and find_spec(f"{package.__name__}.{name}"):
+        return f"{getattr(package, name).__module__}.{name}"
+    return f"{package.__name__}.{name}"
