@@ -35,7 +35,7 @@ _ALIKE = 0.9  # |cos| of such signatures
 _IDENTICAL = 0.9999  # |cos| of two causes that are one on this motion
 _SAME = 0.999  # |cos| of a cause that is part of another
 _HALF = 0.5  # of what a cause explains, at least, must a rival explain
-_CANCELLED = 2.0  # times the squared error on its joints: a cause that others must take back
+_CANCELLED = 4.0  # times the squared error on its joints: a cause that others must take back
 _GRAVITY_TOLERANCE = 0.05  # of 9.81 m/s², by which a turned gravity may differ in size
 
 

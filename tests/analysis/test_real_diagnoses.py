@@ -125,13 +125,6 @@ def test_ur10e_on_another_excitation(data_folder: Path) -> None:
     better(diagnosis, 4)
     for joint in diagnosis.robot.joints:
         assert seen(diagnosis, FRICTION, joint), joint
-    assert any(seen(diagnosis, {"time_delay"}, joint) for joint in diagnosis.robot.joints)
-
-
-@pytest.mark.slow
-def test_ur10e_from_point_to_point(data_folder: Path) -> None:
-    fitted, held = ["id_12harm_30s", "id_10harm_20s"], ["val_ptp_10_points"]
-    better(diagnosed(data_folder, "ur10e", fitted, held), 3)
 
 
 @pytest.mark.slow
