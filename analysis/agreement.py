@@ -9,9 +9,16 @@ import scipy.linalg
 import scipy.stats
 
 from excitant.analysis.evidence import Candidate, Evidence
+from excitant.robots.effects import Effect
+from excitant.robots.robot import Robot
 
 _SHARE = 0.05  # of what a cause explains, at least, that joints on their own explain more
 _BY_CHANCE = 1e-3  # probability of as much when all joints agree
+
+
+def is_common(robot: Robot, effect: Effect) -> bool:
+    """Whether an effect acts on all joints of an arm by the same coefficients."""
+    return robot.nv > 1 and {*effect.joints} == {*robot.joints}
 
 
 def agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) -> bool:
@@ -36,13 +43,10 @@ def agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) ->
 
 def _apart(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) -> tuple[float, int]:
     """Fall of J when each joint has its own coefficients, and how many more these are."""
-    own, active = np.arange(cause.columns.start, cause.columns.stop), evidence.active(chosen)
+    active, signatures = evidence.active(chosen), evidence.signatures
     grams, crosses, moments, used = [], [], [], set[int]()
-    for j, at in enumerate(evidence.signatures.index):
-        here = np.flatnonzero(np.isin(at, own))
-        if not len(here):
-            continue
-        G, weight = evidence.signatures.grams[j], evidence.weight[j]
+    for j, here in signatures.acting(cause.columns):
+        at, G, weight = signatures.index[j], signatures.grams[j], evidence.weight[j]
         cross = np.zeros((len(evidence.moment), len(here)))
         cross[at] = weight * G[:, here]
         grams.append(weight * G[np.ix_(here, here)] + np.diag(evidence.precision[at[here]]))

@@ -40,7 +40,7 @@ class Finding:
         gain_error: Standard error of the gain, from blocks.
         rivals: Causes that the data cannot tell from it.
         torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
-        pays: What it explains is beyond chance and noise; else others rest on it.
+        margin: Gain beyond what a cause must bring to pay.
         overshadowed: More is left unexplained on its joints than it explains.
         beside: A far larger cause on its joint, whose shape may miss what this one explains.
     """
@@ -55,9 +55,14 @@ class Finding:
     gain_error: float
     rivals: tuple[Rival, ...]
     torque: Array
-    pays: bool = True
+    margin: float = 0.0
     overshadowed: bool = False
     beside: Effect | None = None
+
+    @property
+    def pays(self) -> bool:
+        """Whether what it explains is beyond chance and noise; else others rest on it."""
+        return self.margin >= 0
 
     @property
     def refuted(self) -> bool:
@@ -160,41 +165,49 @@ def confirmed(
         The fit with those that pay or that others rest on, and a finding for each.
     """
     needed, refuted = set[Candidate](), set[Key]()
-    while True:
-        worst, findings = _judge(robot, fit, held, needed)
-        if worst is None:
-            return replace(fit, refuted=frozenset(refuted)), findings
+    findings = _findings(robot, fit, held)
+    while (worst := _least(robot, fit, findings, needed)) is not None:
         if findings[fit.chosen.index(worst)].refuted:
             refuted.add(worst.key)
         fewer = fitted([c for c in fit.chosen if c is not worst])
         if held.worse(fewer.predicted, fit.predicted, FLOOR):
             needed.add(worst)
         else:
-            fit = fewer
+            fit, findings = fewer, _findings(robot, fewer, held)
+    return replace(fit, refuted=frozenset(refuted)), findings
 
 
-def _judge(
-    robot: Robot, fit: Fit, held: HeldOut, needed: set[Candidate]
-) -> tuple[Candidate | None, list[Finding]]:
-    """The cause that pays least on the hold-out, if one does not pay; and the findings."""
+def _least(
+    robot: Robot, fit: Fit, findings: Sequence[Finding], needed: set[Candidate]
+) -> Candidate | None:
+    """The cause that pays least, if one does not pay and nothing rests on it."""
+    for k in np.argsort([finding.margin for finding in findings], kind="stable"):
+        candidate: Candidate = fit.chosen[k]
+        if findings[k].pays:
+            return None
+        rest = [c for c in fit.chosen if c is not candidate]
+        if candidate not in needed and not underlies(robot, rest, candidate):
+            return candidate
+    return None
+
+
+def _findings(robot: Robot, fit: Fit, held: HeldOut) -> list[Finding]:
+    """What each cause of a fit brings on the hold-out."""
     extension, sigma = fit.extension, fit.evidence.sigma
     error, weight = held.series.measured - fit.predicted, held.moves * held.gains / sigma
     power = float(((held.given * weight) ** 2).sum())
-    findings, worst, least = [], None, 0.0
+    findings = []
     for candidate in fit.chosen:
         torque = contribution(extension, robot, candidate.effect, held.segments) / held.gains
-        joints = _joints(robot, candidate.effect)
+        joints = affected(robot, candidate.effect)
         without = error + torque
         fall = ((without**2 - error**2) * weight**2)[:, joints]
         relative, spread = _relative_gain(
             (without * weight)[:, joints], (torque * weight)[:, joints]
         )
-        pays = relative - max(FLOOR, _DEVIATIONS * spread)
+        margin = relative - max(FLOOR, _DEVIATIONS * spread)
         if relative < _PLAIN and not _shows(torque * held.moves, held.floor):
-            pays = min(pays, -FLOOR)
-        rest = [c for c in fit.chosen if c is not candidate]
-        if pays < least and candidate not in needed and not underlies(robot, rest, candidate):
-            worst, least = candidate, pays
+            margin = min(margin, -FLOOR)
         findings.append(
             _finding(
                 robot,
@@ -204,10 +217,10 @@ def _judge(
                 explained=float(fall.sum()) / power,
                 errors=(without[:, joints], error[:, joints]),
                 gain=(relative, spread),
-                pays=pays >= 0,
+                margin=margin,
             )
         )
-    return worst, findings
+    return findings
 
 
 def _shows(torque: Array, floor: Array) -> bool:
@@ -215,7 +228,7 @@ def _shows(torque: Array, floor: Array) -> bool:
     return bool((np.sqrt((torque**2).mean(axis=0)) > floor).any())
 
 
-def _joints(robot: Robot, effect: Effect) -> list[int]:
+def affected(robot: Robot, effect: Effect) -> list[int]:
     """Joints whose torque an effect changes: its own, or all for a body."""
     if isinstance(effect, JointwiseEffect):
         return [robot.joint_index(joint) for joint in effect.joints]
@@ -247,7 +260,7 @@ def _finding(
     explained: float,
     errors: tuple[Array, Array],
     gain: tuple[float, float],
-    pays: bool,
+    margin: float,
 ) -> Finding:
     effect = candidate.effect
     names = [p.name for p in effect.parameters(robot)]
@@ -272,5 +285,5 @@ def _finding(
         *gain,
         (),
         torque,
-        pays,
+        margin,
     )

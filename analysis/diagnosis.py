@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from excitant.analysis.agreement import is_common
 from excitant.analysis.confirmation import FLOOR, Finding, Fit, HeldOut, confirmed, held_out
 from excitant.analysis.evidence import Candidate, Evidence
 from excitant.analysis.extension import Extension, extend, tolerance_metric
@@ -103,9 +104,11 @@ def diagnose(
     data = split(recordings, validate, cutoff_hz)
     gains = _gains(robot, data)
     held = held_out(robot, data.validate, gains)
-    fit, findings = _understood(robot, data, held)
+    prior = prior_parameters(robot)
+    evidence = hypotheses(robot, robot, tolerance_metric(prior), data.train, gains)
+    fit, findings = _understood(robot, prior, data, held, evidence)
     if fit.refuted:
-        again = _understood(robot, data, held, fit.refuted)
+        again = _understood(robot, prior, data, held, evidence, fit.refuted)
         if held.worse(fit.predicted, again[0].predicted, FLOOR):
             fit, findings = again
     if held.worse(fit.predicted, held.simulated):
@@ -120,7 +123,12 @@ def diagnose(
 
 
 def _understood(
-    robot: Robot, data: Data, held: HeldOut, refuted: frozenset[Key] = frozenset()
+    robot: Robot,
+    prior: Array,
+    data: Data,
+    held: HeldOut,
+    evidence: Evidence,
+    refuted: frozenset[Key] = frozenset(),
 ) -> tuple[Fit, list[Finding]]:
     """Causes that the data call for and the hold-out confirms, and the model with them.
 
@@ -130,18 +138,25 @@ def _understood(
 
     Args:
         robot: The given robot.
+        prior: Its standard parameters as prior, shape (nv, 10).
         data: What to explain, and what to judge on.
         held: The hold-out.
+        evidence: Of all causes, by the given robot.
         refuted: Causes left out, for the hold-out speaks against them.
     """
-    prior, tau = prior_parameters(robot), series(data.train).measured * held.gains
+    tau = series(data.train).measured * held.gains
     rounds: list[tuple[Fit, list[Finding]]] = []
     reference, shapes = robot, None
     for _ in range(_ROUNDS):
-        believed = rounds[-1][0].chosen if rounds else ()
-        evidence = hypotheses(
-            robot, reference, tolerance_metric(prior), data.train, held.gains, believed
-        )
+        if rounds:
+            evidence = hypotheses(
+                robot,
+                reference,
+                tolerance_metric(prior),
+                data.train,
+                held.gains,
+                rounds[-1][0].chosen,
+            )
         evidence, chosen = select(evidence, robot, refuted)
         fitted = partial(_fit, robot, reference, prior, data, tau, held.gains, evidence)
         fit, findings = confirmed(robot, held, fitted(chosen), fitted)
@@ -231,7 +246,7 @@ def _overshadowed(robot: Robot, finding: Finding, left: Sequence[Remainder]) -> 
         return False
     unknown = np.array([r.structured if r.visible else 0.0 for r in left]) / scale
     size = np.sqrt((finding.torque**2).mean(axis=0)) / scale
-    common = {*finding.effect.joints} == {*robot.joints} and robot.nv > 1
+    common = is_common(robot, finding.effect)
     main = size > (0.0 if common else _MATTERS * size.max())
     return bool((unknown[main] ** 2).sum() > (_LITTLE if common else 1.0) * (size[main] ** 2).sum())
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from excitant.analysis.confirmation import Finding
+from excitant.analysis.confirmation import Finding, affected
 from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.residuals import Remainder
 from excitant.analysis.sticking import sliding
@@ -70,9 +70,7 @@ def before_and_after(diagnosis: Diagnosis, group: Sequence[Finding]) -> tuple[fl
     left = diagnosis.series.measured - diagnosis.predicted
     squares = []
     for finding in group:
-        joints = [diagnosis.robot.joint_index(joint) for joint in finding.effect.joints]
-        if not isinstance(finding.effect, JointwiseEffect):
-            joints = list(range(diagnosis.robot.nv))
+        joints = affected(diagnosis.robot, finding.effect)
         counts = (
             moves[:, joints] if moves[:, joints].any() else np.full_like(moves[:, joints], True)
         )

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import scipy.stats
 
-from excitant.analysis.agreement import agrees
+from excitant.analysis.agreement import agrees, is_common
 from excitant.analysis.evidence import Candidate, Evidence, reweighed
 from excitant.analysis.proposals import has_shape
 from excitant.robots.effects import (
@@ -192,7 +192,7 @@ def plausible(
 
     Those of a cause that is common to all joints must be the same for all.
     """
-    common = {*candidate.effect.joints} == {*robot.joints} or candidate.effect.name == Payload.name
+    common = is_common(robot, candidate.effect) or isinstance(candidate.effect, Payload)
     if common and not agrees(evidence, chosen, candidate):
         return False
     _, coordinates, covariance = evidence.solve(chosen)
@@ -201,11 +201,9 @@ def plausible(
     value = candidate.scale @ coordinates[candidate.columns]
     block = covariance[candidate.columns, candidate.columns]
     std = np.sqrt(np.diag(candidate.scale @ block @ candidate.scale.T))
-    if isinstance(candidate.effect, AsymmetricFriction):
-        return _brakes(robot, candidate.effect.joints[0], value, std)
     special = _PLAUSIBLE.get(candidate.effect.name)
     if special is not None:
-        return special(robot, value, std)
+        return special(robot, candidate.effect, value, std)
     parameters = candidate.effect.parameters(robot)
     given = effect_values(robot)
     lower = np.array([p.lower - given.get(p.name, 0.0) for p in parameters])
@@ -216,20 +214,19 @@ def plausible(
 def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool:
     """Whether a cause makes far more torque than there is to explain, which others take back."""
     made = there = 0.0
-    for j, at in enumerate(evidence.signatures.index):
-        here = np.flatnonzero((at >= cause.columns.start) & (at < cause.columns.stop))
-        if len(here):
-            x, G = coordinates[at[here]], evidence.signatures.grams[j][np.ix_(here, here)]
-            made += float(evidence.weight[j] * (x @ G @ x))
-            there += float(evidence.weight[j] * (evidence.residual[:, j] ** 2).sum())
+    for j, here in evidence.signatures.acting(cause.columns):
+        x = coordinates[evidence.signatures.index[j][here]]
+        G = evidence.signatures.grams[j][np.ix_(here, here)]
+        made += float(evidence.weight[j] * (x @ G @ x))
+        there += float(evidence.weight[j] * (evidence.residual[:, j] ** 2).sum())
     return made > _CANCELLED * there
 
 
-def _has_mass(robot: Robot, value: Array, std: Array) -> bool:
+def _has_mass(robot: Robot, effect: Effect, value: Array, std: Array) -> bool:
     return bool(value[0] > -_SIGN_DEVIATIONS * std[0])
 
 
-def _is_gravity(robot: Robot, value: Array, std: Array) -> bool:
+def _is_gravity(robot: Robot, effect: Effect, value: Array, std: Array) -> bool:
     """Whether the changed vector is still as long as gravity."""
     size = float(np.linalg.norm(robot.gravity))
     off = abs(float(np.linalg.norm(robot.gravity + value)) - size)
@@ -237,16 +234,19 @@ def _is_gravity(robot: Robot, value: Array, std: Array) -> bool:
     return off < _GRAVITY_TOLERANCE * size + min(doubt, _GRAVITY_TOLERANCE * size)
 
 
-def _brakes(robot: Robot, joint: str, value: Array, std: Array) -> bool:
+def _brakes(robot: Robot, effect: Effect, value: Array, std: Array) -> bool:
     """Whether friction that differs by direction, with what is given, still brakes in both."""
     given = effect_values(robot)
-    plain = np.repeat([given.get(f"{joint}.{symbol}", 0.0) for symbol in ("Fc", "Fv")], 2)
+    plain = np.repeat(
+        [given.get(f"{effect.joints[0]}.{symbol}", 0.0) for symbol in ("Fc", "Fv")], 2
+    )
     return bool((value + plain[: len(value)] > -_SIGN_DEVIATIONS * std).all())
 
 
-_PLAUSIBLE: dict[str, Callable[[Robot, Array, Array], bool]] = {
+_PLAUSIBLE: dict[str, Callable[[Robot, Effect, Array, Array], bool]] = {
     Payload.name: _has_mass,
     GravityDirection.name: _is_gravity,
+    AsymmetricFriction.name: _brakes,
 }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -40,6 +40,13 @@ class Signatures:
     def grams(self) -> tuple[Array, ...]:
         """Inner products of each joint's columns, shape (len(index), len(index))."""
         return tuple(read_only(X.T @ X) for X in self.rows)
+
+    def acting(self, columns: slice) -> Iterator[tuple[int, Index]]:
+        """Joints that some columns act on, each with where these are among its own."""
+        for j, at in enumerate(self.index):
+            here = np.flatnonzero((at >= columns.start) & (at < columns.stop))
+            if len(here):
+                yield j, here
 
     def moments(self, r: Array) -> Array:
         """Inner products of all columns with torque (n, nv), joint by joint: (nv, p)."""
