@@ -41,8 +41,7 @@ class Finding:
         rivals: Causes that the data cannot tell from it.
         torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
         margin: Gain beyond what a cause must bring to pay.
-        overshadowed: More is left unexplained on its joints than it explains.
-        beside: A far larger cause on its joint, whose shape may miss what this one explains.
+        doubt: Why it may be another cause although nothing rivals it; empty without a reason.
     """
 
     effect: Effect
@@ -56,8 +55,7 @@ class Finding:
     rivals: tuple[Rival, ...]
     torque: Array
     margin: float = 0.0
-    overshadowed: bool = False
-    beside: Effect | None = None
+    doubt: str = ""
 
     @property
     def pays(self) -> bool:
@@ -71,8 +69,8 @@ class Finding:
 
     @property
     def verdict(self) -> str:
-        """``named``, or ``undecided`` when there are rivals or other reasons to doubt it."""
-        return "undecided" if self.rivals or self.overshadowed or self.beside else "named"
+        """``named``, or ``undecided`` when there are rivals or reasons to doubt it."""
+        return "undecided" if self.rivals or self.doubt else "named"
 
 
 @dataclass(frozen=True, eq=False)

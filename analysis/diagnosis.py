@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from excitant.analysis.agreement import is_common
 from excitant.analysis.confirmation import FLOOR, Finding, Fit, HeldOut, confirmed, held_out
+from excitant.analysis.doubt import doubt
 from excitant.analysis.evidence import Candidate, Evidence
 from excitant.analysis.extension import Extension, extend, tolerance_metric
 from excitant.analysis.hypotheses import hypotheses, rests_on_model
@@ -21,15 +21,12 @@ from excitant.identify.physical import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.rows import Data, observation, split, torque_per_reading
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.effects import standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
 _ROUNDS = 3  # until what the data call for no longer changes what effects rest on
-_SMALL = 0.1  # of what a cause explains whose shape is known roughly
-_LITTLE = 0.05  # of the squared torque of a cause that is common to all joints
-_MATTERS = 0.3  # of what a cause does to the joint where it shows most
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,10 +202,7 @@ def _diagnosis(
     predicted = fit.predicted
     error = held.series.measured - predicted
     left = remainders(robot.joints, data.validate, error, held.given, predicted)
-    doubtful = [
-        replace(f, overshadowed=_overshadowed(robot, f, left), beside=_beside(f, findings))
-        for f in findings
-    ]
+    doubtful = [replace(f, doubt=doubt(robot, f, findings, left)) for f in findings]
     findings = sorted(doubtful, key=lambda f: -f.explained)
     notes = [data.holdout]
     if data.unit == "A":
@@ -234,33 +228,6 @@ def _diagnosis(
         waterfall=_waterfall(held.given, error, findings),
         notes=tuple(notes),
     )
-
-
-def _overshadowed(robot: Robot, finding: Finding, left: Sequence[Remainder]) -> bool:
-    """Whether what nothing explains is larger than what this cause explains, in noise.
-
-    A cause that is common to all joints has to explain them all: little that it leaves is enough.
-    """
-    scale = np.array([r.floor for r in left])
-    if not (scale > 0).all():
-        return False
-    unknown = np.array([r.structured if r.visible else 0.0 for r in left]) / scale
-    size = np.sqrt((finding.torque**2).mean(axis=0)) / scale
-    common = is_common(robot, finding.effect)
-    main = size > (0.0 if common else _MATTERS * size.max())
-    return bool((unknown[main] ** 2).sum() > (_LITTLE if common else 1.0) * (size[main] ** 2).sum())
-
-
-def _beside(finding: Finding, findings: Sequence[Finding]) -> Effect | None:
-    """A cause on the same joint that explains far more, if its shape was searched for.
-
-    What a shape misses of a large cause looks like a small one.
-    """
-    for other in findings:
-        same = {*finding.effect.joints} <= {*other.effect.joints}
-        if same and has_shape(other.effect) and finding.explained < _SMALL * other.explained:
-            return other.effect
-    return None
 
 
 def _waterfall(

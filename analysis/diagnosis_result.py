@@ -10,6 +10,7 @@ import numpy as np
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.diagnosis_words import (
+    at_rest,
     before_and_after,
     grouped,
     headline,
@@ -59,7 +60,10 @@ def diagnose_result(diagnosis: Diagnosis, plan: Plan | None = None) -> dict[str,
         "extended": {"joints": _joints(robot, diagnosis.extended.entry)},
         **given_error_result(diagnosis),
         "waterfall": [{"label": label, "rms": size} for label, size in diagnosis.waterfall],
-        "notes": [*diagnosis.notes, *filter(None, [placeholders(diagnosis)])],
+        "notes": [
+            *diagnosis.notes,
+            *filter(None, [placeholders(diagnosis), at_rest(diagnosis)]),
+        ],
     }
 
 
@@ -99,9 +103,7 @@ def _finding(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict
         "explained": sum(f.explained for f in group),
         "holdout": {"rms_before": before, "rms_after": after},
         "verdict": lead.verdict if len(group) == 1 else _verdict(group),
-        "doubt": "more is left unexplained on its joints than it explains"
-        if any(f.overshadowed for f in group)
-        else "",
+        "doubt": "; ".join(dict.fromkeys(f.doubt for f in group if f.doubt)),
         "rivals": [
             {
                 "effect": name,

@@ -19,16 +19,12 @@ from excitant.robots.effects import (
     Payload,
     TimeDelay,
     TorqueGain,
+    plain,
 )
 
-_PLAIN = {"coulomb_friction": "Coulomb friction", "stribeck_friction": "Stribeck friction"}
 _FRICTION = ("friction", "hysteresis")
-_MOSTLY = 0.5  # of what findings explain
-
-
-def plain(name: str) -> str:
-    """Name of an effect in a sentence."""
-    return _PLAIN.get(name, name.replace("_", " "))
+_MOSTLY = 0.5  # of what findings explain, or of a joint's squared error
+_PLAINLY = 3.0  # times the noise
 
 
 def grouped(diagnosis: Diagnosis) -> list[list[Finding]]:
@@ -92,13 +88,40 @@ def placeholders(diagnosis: Diagnosis) -> str:
     )
 
 
+def at_rest(diagnosis: Diagnosis) -> str:
+    """Joints whose error lies mostly where they rest, which no finding rests on; else empty."""
+    rests = ~sliding(diagnosis.data.validate)
+    squares = (diagnosis.series.measured - diagnosis.predicted) ** 2
+    said = []
+    for j, left in enumerate(diagnosis.remainders):
+        there = rests[:, j]
+        share = squares[there, j].sum() / max(squares[:, j].sum(), np.finfo(float).tiny)
+        if share <= _MOSTLY:
+            continue
+        rms = float(np.sqrt(squares[there, j].mean()))
+        if rms > _PLAINLY * left.floor:
+            said.append(f"{left.joint} errs by {rms:.2g} {diagnosis.data.unit} where it rests")
+    if not said:
+        return ""
+    return (
+        f"{'; '.join(said)}: friction at rest takes any value up to its limit, so these rows are "
+        "not judged. A slow motion with many reversals would show what holds the joint."
+    )
+
+
 def headline(diagnosis: Diagnosis) -> str:
     """The most important finding in one sentence, what is doubtful about it, and what else."""
     order = ordered(diagnosis)
     if not order:
-        return (
-            "No cause stands out: what the given model misses lies within the tolerance of its "
-            "own values or within the noise."
+        return " ".join(
+            filter(
+                None,
+                (
+                    "No cause stands out: what the given model misses lies within the tolerance "
+                    "of its own values or within the noise.",
+                    at_rest(diagnosis),
+                ),
+            )
         )
     if isinstance(order[0], Remainder):
         return _open(diagnosis, order[0])
@@ -125,7 +148,8 @@ def _doubt(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     """What else the first cause of a group may be; what a group's joints may each be is below."""
     rivals = {r.candidate.effect.name for f in group for r in f.rivals}
     if not rivals:
-        return ""
+        reasons = dict.fromkeys(f.doubt for f in group if f.doubt)
+        return "".join(f" This is not decided: {reason}." for reason in reasons)
     if len(group) == 1:
         other = _name_of(group[0].rivals[0].candidate.effect, diagnosis)
         return f" {other[0].upper()}{other[1:]} would look the same."

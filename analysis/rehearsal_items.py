@@ -12,7 +12,7 @@ from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.evidence import Candidate
 from excitant.exceptions import RankDeficient
 from excitant.identify import Estimate
-from excitant.robots.effects import standard_effects
+from excitant.robots.effects import plain, standard_effects
 from excitant.robots.motion import Array, Motion
 from excitant.robots.plant.nominal import typical_motion
 from excitant.robots.plant.sensors import Run
@@ -129,7 +129,7 @@ def friction_items(situation: Situation, estimate: Estimate, beta: Array) -> tup
             lack = max(abs(value - true), 1.96 * s) / (_KNOWN * abs(true))
             found.append(
                 Item(
-                    effect.name.replace("_", " "), joint, bool(lack <= 1),
+                    plain(effect.name), joint, bool(lack <= 1),
                     f"planted {true:.4g}, recovered {value:.4g} ± {s:.2g} {parameter.unit}",
                     "" if lack <= 1 else situation.faster(joint, lack),
                     float(true), float(value), float(s), parameter.unit,
@@ -206,7 +206,7 @@ def diagnosis_item(situation: Situation, found: Diagnosis, change: HiddenEffect)
 
     A payload is inertia by another name: that other inertia explains it as well is no fault.
     """
-    planted = f"{change.effect.replace('_', ' ')} on {change.joint}"
+    planted = f"{plain(change.effect)} on {change.joint}"
     if not found.findings:
         return Item("diagnosis", change.joint, False, f"{planted}: nothing was named",
                     situation.faster(change.joint))  # fmt: skip
@@ -217,7 +217,7 @@ def diagnosis_item(situation: Situation, found: Diagnosis, change: HiddenEffect)
     right = lead.effect.name == change.effect and change.joint in lead.effect.joints
     others = {rival.candidate.effect.name for rival in lead.rivals}
     alike = _MASSES if change.effect in _MASSES else set()
-    passed = right and not lead.overshadowed and others <= alike
+    passed = right and not lead.doubt and others <= alike
     item = Item(
         "diagnosis", change.joint, passed, f"{planted}: {named}",
         "" if passed else situation.faster(change.joint),
@@ -234,4 +234,4 @@ def diagnosis_item(situation: Situation, found: Diagnosis, change: HiddenEffect)
 
 
 def _cause(found: Finding | Candidate) -> str:
-    return f"{found.effect.name.replace('_', ' ')} on {', '.join(found.effect.joints)}"
+    return f"{plain(found.effect.name)} on {', '.join(found.effect.joints)}"

@@ -1,6 +1,7 @@
 """Hide effects in virtual arms, diagnose the recordings, and count what was named.
 
     python benchmarks/diagnosis.py [--draws 8] [--clean 60] [--pairs 40] [--jobs 2] [--log FILE]
+        [--arms ur10,panda,puma560,planar_2r] [--seed 2026]
 
 The plant shares no code with the effects that are fitted. Every case is drawn by its number: arm,
 kind of effect, joint, visible size (rms torque over the noise floor, 2 to 30), two motions. The
@@ -55,33 +56,35 @@ class Case:
     """One virtual arm with what it hides.
 
     Attributes:
-        number: Seed.
+        number: Its seed, beside that of the suite.
+        seed: Of the suite.
         arm: Name of the nominal arm.
         kinds: What is hidden; empty for a clean arm.
     """
 
     number: int
+    seed: int
     arm: str
     kinds: tuple[str, ...]
 
 
-def cases(draws: int, clean: int, pairs: int, kinds: Sequence[str]) -> Iterator[Case]:
+def cases(args: argparse.Namespace) -> list[Case]:
     """All cases; arms take turns."""
-    number = 0
-    for kind in kinds:
-        for k in range(draws):
-            yield Case(number := number + 1, ARMS[k % len(ARMS)], (kind,))
-    for k in range(clean):
-        yield Case(number := number + 1, ARMS[k % len(ARMS)], ())
     rng = np.random.default_rng(0)
-    for k in range(pairs):
-        two = rng.choice(_PAIRED, 2, replace=False)
-        yield Case(number := number + 1, ARMS[k % len(ARMS)], tuple(map(str, two)))
+    single = [(kind,) for kind in args.kinds.split(",")]
+    pairs = [tuple(map(str, rng.choice(_PAIRED, 2, replace=False))) for _ in range(args.pairs)]
+    groups = [*([kinds] * args.draws for kinds in single), [()] * args.clean, pairs]
+    hidden = [
+        (arm, kinds)
+        for group in groups
+        for arm, kinds in zip(itertools.cycle(args.arms.split(",")), group, strict=False)
+    ]
+    return [Case(k, args.seed, *each) for k, each in enumerate(hidden, start=1)]
 
 
 def run(case: Case) -> dict[str, Any]:
     """Draw, record and diagnose one case."""
-    rng = np.random.default_rng([2026, case.number])
+    rng = np.random.default_rng([case.seed, case.number])
     robot, hidden, size = load_robot(case.arm), [], float("nan")
     begun = time.perf_counter()
     try:
@@ -207,10 +210,12 @@ def main() -> None:
     parser.add_argument("--clean", type=int, default=60)
     parser.add_argument("--pairs", type=int, default=40)
     parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--arms", default=",".join(ARMS), help="built-in arms, in turn")
+    parser.add_argument("--seed", type=int, default=2026)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--log", help="write every case as a line of JSON")
     args = parser.parse_args()
-    todo = list(cases(args.draws, args.clean, args.pairs, args.kinds.split(",")))
+    todo = cases(args)
     begun, results = time.perf_counter(), []
     work = joblib.Parallel(args.jobs, return_as="generator_unordered")
     for k, result in enumerate(work(joblib.delayed(run)(case) for case in todo)):
