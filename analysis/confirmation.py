@@ -9,10 +9,11 @@ import numpy as np
 
 from excitant.analysis.evidence import Candidate, Evidence
 from excitant.analysis.extension import Extension, contribution
+from excitant.analysis.observed import Observed, observed
 from excitant.analysis.residuals import noise_floor
 from excitant.analysis.selection import Key, Rival, underlies
 from excitant.analysis.sticking import Mask, sliding
-from excitant.identify.accuracy import Series, predicted_torque, series
+from excitant.identify.accuracy import Series, series
 from excitant.identify.preprocessing import Segment
 from excitant.robots.effects import Effect, InertialParameters, JointwiseEffect
 from excitant.robots.motion import Array
@@ -78,7 +79,7 @@ class HeldOut:
     """The hold-out as every model is judged by it.
 
     Attributes:
-        segments: The hold-out.
+        observed: The hold-out.
         gains: Torque per reading, shape (nv,).
         series: Its rows.
         simulated: Torque of the given model at the rows, shape (n, nv) [torque unit].
@@ -86,7 +87,7 @@ class HeldOut:
         floor: What noise leaves of each joint's torque, shape (nv,) [torque unit].
     """
 
-    segments: tuple[Segment, ...]
+    observed: Observed
     gains: Array
     series: Series
     simulated: Array
@@ -116,11 +117,12 @@ def held_out(robot: Robot, segments: tuple[Segment, ...], gains: Array) -> HeldO
         segments: The hold-out.
         gains: Torque per reading, shape (nv,).
     """
+    found = observed(robot, segments)
     return HeldOut(
-        segments,
+        found,
         gains,
         series(segments),
-        predicted_torque(robot, segments) / gains,
+        found.torque() / gains,
         sliding(segments),
         np.array([noise_floor(segments, j) for j in range(robot.nv)]),
     )
@@ -134,13 +136,15 @@ class Fit:
         evidence: What the causes were chosen by.
         chosen: The causes.
         extension: The extended model.
-        predicted: Its torque at the rows of the hold-out, shape (n, nv) [torque unit].
+        extended: The rows of the hold-out by that model.
+        predicted: Its torque at them, shape (n, nv) [torque unit].
         refuted: Causes that the evidence called for and that make the hold-out plainly worse.
     """
 
     evidence: Evidence
     chosen: tuple[Candidate, ...]
     extension: Extension
+    extended: Observed
     predicted: Array
     refuted: frozenset[Key] = frozenset()
 
@@ -196,7 +200,7 @@ def _findings(robot: Robot, fit: Fit, held: HeldOut) -> list[Finding]:
     power = float(((held.given * weight) ** 2).sum())
     findings = []
     for candidate in fit.chosen:
-        torque = contribution(extension, robot, candidate.effect, held.segments) / held.gains
+        torque = contribution(robot, candidate.effect, fit.extended) / held.gains
         joints = affected(robot, candidate.effect)
         without = error + torque
         fall = ((without**2 - error**2) * weight**2)[:, joints]

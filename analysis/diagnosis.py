@@ -12,11 +12,12 @@ from excitant.analysis.confirmation import FLOOR, Finding, Fit, HeldOut, confirm
 from excitant.analysis.doubt import doubt
 from excitant.analysis.evidence import Candidate, Evidence
 from excitant.analysis.extension import Extension, extend, tolerance_metric
-from excitant.analysis.hypotheses import hypotheses, rests_on_model
+from excitant.analysis.hypotheses import hypotheses
+from excitant.analysis.observed import Observed, observed, rests_on_model
 from excitant.analysis.proposals import has_shape
 from excitant.analysis.residuals import Remainder, remainders
 from excitant.analysis.selection import Key, rivals, select
-from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
+from excitant.identify.accuracy import Accuracy, Series, series
 from excitant.identify.physical import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.rows import Data, observation, split, torque_per_reading
@@ -102,15 +103,16 @@ def diagnose(
     gains = _gains(robot, data)
     held = held_out(robot, data.validate, gains)
     prior = prior_parameters(robot)
-    evidence = hypotheses(robot, robot, tolerance_metric(prior), data.train, gains)
-    fit, findings = _understood(robot, prior, data, held, evidence)
+    train = observed(robot, data.train)
+    evidence = hypotheses(robot, train, tolerance_metric(prior), gains)
+    fit, findings = _understood(prior, train, held, evidence)
     if fit.refuted:
-        again = _understood(robot, prior, data, held, evidence, fit.refuted)
+        again = _understood(prior, train, held, evidence, fit.refuted)
         if held.worse(fit.predicted, again[0].predicted, FLOOR):
             fit, findings = again
     if held.worse(fit.predicted, held.simulated):
         given = Extension(robot, {}, np.zeros(10 * robot.nv))
-        fit, findings = Fit(fit.evidence, (), given, held.simulated), []
+        fit, findings = Fit(fit.evidence, (), given, held.observed, held.simulated), []
     findings = [
         replace(finding, rivals=tuple(rivals(fit.evidence, robot, fit.chosen, candidate)))
         for finding, candidate in zip(findings, fit.chosen, strict=True)
@@ -120,9 +122,8 @@ def diagnose(
 
 
 def _understood(
-    robot: Robot,
     prior: Array,
-    data: Data,
+    train: Observed,
     held: HeldOut,
     evidence: Evidence,
     refuted: frozenset[Key] = frozenset(),
@@ -134,34 +135,27 @@ def _understood(
     that may change them, for as long as the hold-out does not lose.
 
     Args:
-        robot: The given robot.
-        prior: Its standard parameters as prior, shape (nv, 10).
-        data: What to explain, and what to judge on.
+        prior: Standard parameters of the given robot as prior, shape (nv, 10).
+        train: What to explain, of the given robot.
         held: The hold-out.
         evidence: Of all causes, by the given robot.
         refuted: Causes left out, for the hold-out speaks against them.
     """
-    tau = series(data.train).measured * held.gains
+    robot, tau = train.robot, series(train.segments).measured * held.gains
     rounds: list[tuple[Fit, list[Finding]]] = []
-    reference, shapes = robot, None
+    shapes = None
     for _ in range(_ROUNDS):
         if rounds:
-            evidence = hypotheses(
-                robot,
-                reference,
-                tolerance_metric(prior),
-                data.train,
-                held.gains,
-                rounds[-1][0].chosen,
-            )
+            last = rounds[-1][0]
+            train = train.by(last.extension.model)
+            evidence = hypotheses(robot, train, tolerance_metric(prior), held.gains, last.chosen)
         evidence, chosen = select(evidence, robot, refuted)
-        fitted = partial(_fit, robot, reference, prior, data, tau, held.gains, evidence)
+        fitted = partial(_fit, robot, prior, train, tau, held, evidence)
         fit, findings = confirmed(robot, held, fitted(chosen), fitted)
         if rounds and held.worse(fit.predicted, rounds[-1][0].predicted, FLOOR):
             break
         rounds.append((fit, findings))
-        reference, before = fit.extension.model, shapes
-        shapes = {c.effect for c in fit.chosen}
+        before, shapes = shapes, {c.effect for c in fit.chosen}
         if shapes == before or not any(rests_on_model(e) or has_shape(e) for e in shapes):
             break
     return rounds[-1]
@@ -169,17 +163,16 @@ def _understood(
 
 def _fit(
     robot: Robot,
-    reference: Robot,
     prior: Array,
-    data: Data,
+    train: Observed,
     tau: Array,
-    gains: Array,
+    held: HeldOut,
     evidence: Evidence,
     causes: Sequence[Candidate],
 ) -> Fit:
-    extension = extend(robot, reference, prior, evidence, causes, data.train, tau)
-    predicted = predicted_torque(extension.model, data.validate) / gains
-    return Fit(evidence, tuple(causes), extension, predicted)
+    extension = extend(robot, prior, evidence, causes, train, tau)
+    extended = held.observed.by(extension.model)
+    return Fit(evidence, tuple(causes), extension, extended, extended.torque() / held.gains)
 
 
 def _gains(robot: Robot, data: Data) -> Array:

@@ -9,11 +9,10 @@ import numpy as np
 
 from excitant.analysis.evidence import Candidate, Evidence
 from excitant.analysis.hypotheses import TOLERANCE, WRONG_LINK, coefficient_sizes
+from excitant.analysis.observed import Observed
 from excitant.analysis.sticking import sliding
 from excitant.identify.physical import EffectPrior, fit_physical
-from excitant.identify.preprocessing import Segment
 from excitant.identify.resting import identified_robot
-from excitant.identify.rows import observation
 from excitant.robots.effects import Effect, InertialParameters, JointwiseEffect, Payload
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import from_pseudo_inertia, isotropic
@@ -41,11 +40,10 @@ class Extension:
 
 def extend(
     robot: Robot,
-    reference: Robot,
     prior: Array,
     evidence: Evidence,
     chosen: Sequence[Candidate],
-    segments: Sequence[Segment],
+    train: Observed,
     tau: Array,
 ) -> Extension:
     """Fit the given robot plus the chosen causes to a recording.
@@ -54,16 +52,15 @@ def extend(
 
     Args:
         robot: The given robot.
-        reference: The robot as understood so far; effects that rest on torque take it from here.
         prior: Standard parameters of the given robot as prior, shape (nv, 10).
         evidence: Noise levels.
         chosen: Causes found.
-        segments: What to fit.
+        train: What to fit, of the robot as understood so far.
         tau: Measured torque at the rows, shape (n, nv) [N·m].
     """
     effects = _effects(robot, chosen)
-    W = observation(reference, effects, segments)
-    weight = sliding(segments) / (evidence.sigma * np.sqrt(evidence.inflation))
+    W = train.matrix(effects)
+    weight = sliding(train.segments) / (evidence.sigma * np.sqrt(evidence.inflation))
     rows = (np.concatenate([W, tau[:, :, None]], axis=2) * weight[:, :, None]).reshape(
         -1, W.shape[2] + 1
     )
@@ -150,19 +147,22 @@ def _effect_prior(
     )
 
 
-def contribution(
-    extension: Extension, robot: Robot, effect: Effect, segments: Sequence[Segment]
-) -> Array:
-    """Torque that one cause adds to the given model at the rows, shape (n, nv) [N·m]."""
+def contribution(robot: Robot, effect: Effect, extended: Observed) -> Array:
+    """Torque that one cause adds to the given model at the rows, shape (n, nv) [N·m].
+
+    Args:
+        robot: The given robot.
+        effect: The cause.
+        extended: Rows of the extended model.
+    """
+    model = extended.robot
     if isinstance(effect, InertialParameters):
         j = robot.joint_index(effect.joints[0])
         part = slice(10 * j, 10 * j + 10)
-        values = extension.model.phi[part] - robot.phi[part]
+        values = model.phi[part] - robot.phi[part]
     else:
-        fitted, given = (effect_values(owner) for owner in (extension.model, robot))
+        fitted, given = (effect_values(owner) for owner in (model, robot))
         names = [p.name for p in effect.parameters(robot)]
         values = np.array([fitted[name] - given.get(name, 0.0) for name in names])
-    model = extension.model
-    W = np.concatenate([s.rows(lambda m: effect.columns(model, m)) for s in segments])
-    torque: Array = W @ values
+    torque: Array = extended.columns(effect) @ values
     return torque

@@ -7,24 +7,23 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from excitant.analysis.evidence import Candidate, Evidence, weigh
+from excitant.analysis.observed import Observed
 from excitant.analysis.proposals import proposals
 from excitant.analysis.signatures import signatures
 from excitant.analysis.sticking import sliding
 from excitant.analysis.tolerance import calibrated
-from excitant.identify.accuracy import predicted_torque, series
+from excitant.identify.accuracy import series
 from excitant.identify.physical import link_coordinates, link_weights
 from excitant.identify.preprocessing import Segment
 from excitant.identify.rows import implausible_size
 from excitant.robots.effects import (
     Effect,
     InertialParameters,
-    JointEffect,
     Parameter,
     Payload,
     TorqueGain,
 )
 from excitant.robots.motion import Array, Motion
-from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
 TOLERANCE = 0.05  # relative standard deviation of the given values: right to ±10 %
@@ -34,9 +33,8 @@ _REACH = 0.3  # m: scale of a payload's lever, decides nothing but the units of 
 
 def hypotheses(
     robot: Robot,
-    reference: Robot,
+    train: Observed,
     metric: Array,
-    segments: Sequence[Segment],
     gains: Array,
     believed: Sequence[Candidate] = (),
     tolerance: float = TOLERANCE,
@@ -45,27 +43,27 @@ def hypotheses(
 
     Args:
         robot: The given robot with its effects.
-        reference: The robot as understood so far; effects that rest on torque take it from here.
+        train: What the candidates are to explain, of the robot as understood so far; effects that
+            rest on torque take it from there.
         metric: Bodies that tolerances are relative to, shape (nv, 10).
-        segments: Recording the candidates are to explain.
         gains: Torque per reading, shape (nv,).
         believed: Causes in the robot as understood so far.
         tolerance: Relative standard deviation of the given inertias and effects.
     """
+    segments, reference, Y = train.segments, train.robot, train.links
     measured = series(segments).measured * gains
     given = np.concatenate([np.abs(e.values or ()) for e in robot.effects] or [np.zeros(0)])
     given_scale = tolerance * np.where(given > 0, given, 1e-9)
-    Y = _rows(segments, lambda motion: regressor(robot, motion))
     blocks = [Y @ link_coordinates(metric)]
     for effect in robot.effects:
-        blocks.append(_columns(effect, reference, segments))
+        blocks.append(train.columns(effect))
     if robot.effects:
         known = np.concatenate(blocks[1:], axis=2) * given_scale
         blocks = [blocks[0], known]
     weights = [link_weights(robot.nv, tolerance) ** 2, np.ones(len(given))]
     nuisance = start = 10 * robot.nv + len(given)
     candidates = []
-    unexplained = measured - predicted_torque(reference, segments)
+    unexplained = measured - train.torque()
     again = [(c.effect, c.trials) for c in believed]
     for effect, trials in proposals(robot, segments, unexplained, again):
         block = cause_columns(effect, robot, reference, segments, Y)
@@ -78,16 +76,11 @@ def hypotheses(
         weights.append(weight)
         start = stop
     step = segments[0].t[1] - segments[0].t[0]
-    residual = measured - predicted_torque(robot, segments)
+    residual = measured - train.by(robot).torque()
     counts = sliding(segments)
     columns = signatures(blocks, counts)
     evidence = weigh(columns, residual, counts, np.concatenate(weights), nuisance, candidates, step)
     return calibrated(evidence, 10 * robot.nv)
-
-
-def rests_on_model(effect: Effect) -> bool:
-    """Whether an effect's columns depend on what else is believed of the robot."""
-    return not isinstance(effect, JointEffect | InertialParameters | Payload)
 
 
 def cause_columns(

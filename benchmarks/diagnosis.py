@@ -32,9 +32,10 @@ from excitant.analysis.diagnosis import diagnose  # noqa: E402
 from excitant.analysis.diagnosis_result import diagnose_result  # noqa: E402
 from excitant.exceptions import ExcitantError  # noqa: E402
 from excitant.identify.recording import recording_from_table  # noqa: E402
-from excitant.robots import load_robot  # noqa: E402
+from excitant.robots import Robot, load_robot  # noqa: E402
 from excitant.robots.hidden import KINDS, draw_effect  # noqa: E402
 from excitant.robots.plant.habits import typical_trajectory  # noqa: E402
+from excitant.robots.torque import effect_values  # noqa: E402
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors, virtual_arm  # noqa: E402
 
 ARMS = ("ur10", "panda", "puma560", "planar_2r")
@@ -112,7 +113,7 @@ def run(case: Case) -> dict[str, Any]:
         "hidden": [[h.effect, list(h.acts_on), h.kind, dict(h.parameters)] for h in hidden],
         "size": size,
         "found": found,
-        "score": score(hidden, result["findings"]),
+        "score": score(robot, hidden, result["findings"]),
         "seconds": [drawn - begun, time.perf_counter() - drawn],
     }
 
@@ -123,8 +124,10 @@ def _brief(finding: dict[str, Any]) -> list[Any]:
     return [finding["effect"], finding["joints"][:2], finding["verdict"], share, rivals]
 
 
-def score(hidden: Sequence[HiddenEffect], findings: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """What was right and what was wrong about a diagnosis.
+def score(
+    robot: Robot, hidden: Sequence[HiddenEffect], findings: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
+    """What was right and what was wrong about a diagnosis of the nominal robot.
 
     Returns:
         ``right``: how many hidden effects were named or in the set of an undecided finding;
@@ -139,7 +142,8 @@ def score(hidden: Sequence[HiddenEffect], findings: Sequence[dict[str, Any]]) ->
     wrong = [
         f["effect"]
         for f in findings
-        if f["verdict"] == "named" and not any(_is(f, effect) for effect in hidden)
+        if f["verdict"] == "named"
+        and not any(_is(f, effect) or _more_friction(robot, f, effect) for effect in hidden)
     ]
     return {"right": right, "named": named, "wrong": wrong}
 
@@ -149,6 +153,14 @@ def _is(finding: dict[str, Any], effect: HiddenEffect) -> bool:
         return False
     where = set(effect.acts_on)
     return effect.effect == "unknown" or not where or bool(where & set(finding["joints"]))
+
+
+def _more_friction(robot: Robot, finding: dict[str, Any], effect: HiddenEffect) -> bool:
+    """Whether bristles that were hidden carry more than the joint's given Coulomb friction."""
+    if (effect.effect, finding["effect"]) != ("presliding_hysteresis", "coulomb_friction"):
+        return False
+    joint, given = finding["joints"][0], effect_values(robot)
+    return joint in effect.acts_on and dict(effect.parameters)["Fh"] > given.get(f"{joint}.Fc", 0.0)
 
 
 def _among(finding: dict[str, Any], effect: HiddenEffect) -> bool:

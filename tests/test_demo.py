@@ -80,10 +80,10 @@ def test_the_written_recordings_give_the_same_diagnosis(
 
 
 @pytest.mark.slow
-def test_five_seeds_are_named_right(result: dict[str, Any]) -> None:
+def test_three_seeds_are_named_right(result: dict[str, Any]) -> None:
     silent: Callable[[float, str], None] = lambda fraction, words: None  # noqa: E731
     robot = load_robot("ur10")
-    others = [run_demo(robot, seed, silent).result for seed in range(5) if seed != SEED]
+    others = [run_demo(robot, seed, silent).result for seed in range(2)]
     verdicts = [(v["seed"], v["truth"]["effect"], v["verdict"]) for v in (result, *others)]
-    assert len(verdicts) == 5
+    assert len(verdicts) == 3
     assert all(verdict["correct"] for *_, verdict in verdicts), verdicts

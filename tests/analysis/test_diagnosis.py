@@ -29,7 +29,7 @@ KINDS = (
     "torque_offset",
 )
 TOLERANCE = 0.03
-SEEDS = 20
+SEEDS = 10
 
 
 def drawn(robot: Robot, kind: str, seed: int) -> HiddenEffect:

@@ -20,7 +20,7 @@ from excitant.analysis.expressions import length_symbols, symbolic_expressions
 from excitant.analysis.grouping_rules import grouping, into_previous, largest_count
 from excitant.analysis.nullspace import parameter_nullspace
 from excitant.analysis.structure import HAIR, second_opinion, structure, structure_values
-from excitant.exceptions import BadInput, BadRobot, UnknownName
+from excitant.exceptions import BadInput, UnknownName
 from excitant.robots import (
     DHChain,
     Robot,
@@ -125,6 +125,41 @@ def test_held_joints_in_both_methods(seed: int, nv: int, special: bool, any_pose
     moving = [name for name in robot.joints if rng.random() < 0.5] or [robot.joints[-1]]
     pose = {name: float(rng.uniform(-1, 1)) for name in robot.joints if name not in moving}
     found = second_opinion(robot, moving=moving, held="any" if any_pose else pose)
+    assert found.angle < SAME
+
+
+def branched(seed: int, nv: int) -> Robot:
+    """An arm whose joints hang from any one before them, or from the base."""
+    rng = np.random.default_rng(seed)
+    links, joints = ['<link name="base"/>'], []
+    for k in range(nv):
+        parent, kind = int(rng.integers(-1, k)), rng.choice(["revolute", "revolute", "prismatic"])
+        axis = np.eye(3)[rng.integers(3)] if rng.random() < 0.6 else rng.normal(size=3)
+        xyz, rpy = rng.choice([0.0, 0.3, -0.2], 3), rng.choice([0.0, np.pi / 2, 0.7], 3)
+        links.append(
+            f'<link name="l{k}"><inertial><origin xyz="0.1 0.05 0.1"/><mass value="2"/>'
+            '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        )
+        joints.append(
+            f'<joint name="j{k}" type="{kind}"><child link="l{k}"/>'
+            f'<parent link="{"base" if parent < 0 else f"l{parent}"}"/>'
+            f'<origin xyz="{" ".join(map(str, xyz))}" rpy="{" ".join(map(str, rpy))}"/>'
+            f'<axis xyz="{" ".join(map(str, axis / np.linalg.norm(axis)))}"/>'
+            '<limit lower="-2" upper="2" velocity="1" effort="1"/></joint>'
+        )
+    text = f'<robot name="tree">{"".join((*links, *joints))}</robot>'
+    return robot_from_urdf(text, source="tree.urdf", gravity=(0, 0, -9.81 * (seed % 3 > 0)))
+
+
+@given(seed=SEEDS, nv=st.integers(2, 6), held=st.sampled_from([None, "any", "pose"]))
+def test_branched_arms_in_both_methods(seed: int, nv: int, held: str | None) -> None:
+    robot, rng = branched(seed, nv), np.random.default_rng(seed)
+    moving = [name for name in robot.joints if rng.random() < 0.5] or [robot.joints[-1]]
+    pose = {name: float(rng.uniform(-1, 1)) for name in robot.joints if name not in moving}
+    found = second_opinion(
+        robot, moving=moving if held else None, held=pose if held == "pose" else held
+    )
+    assert found.numerical == found.recursive
     assert found.angle < SAME
 
 
@@ -411,7 +446,7 @@ FORK = """<robot name="fork"><link name="root"/>{links}
     <limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
 
 
-def test_branches_have_numbers_but_no_letters_and_no_recursion() -> None:
+def test_branches_have_numbers_but_no_letters() -> None:
     inertial = (
         '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
         "</inertial>"
@@ -420,8 +455,7 @@ def test_branches_have_numbers_but_no_letters_and_no_recursion() -> None:
     robot = robot_from_urdf(FORK.format(links=links), source="fork.urdf")
     found = structure(robot)
     assert found.symbolic == found.base.expressions
-    with pytest.raises(BadRobot, match="branches off"):
-        parameter_nullspace(robot)
+    assert parameter_nullspace(robot).shown == (1, 7, 7)
 
 
 def test_the_values_are_plain(planar: Robot) -> None:

@@ -201,7 +201,7 @@ def test_certificate_of_a_six_joint_arm(ur10: Robot, limited: Limited) -> None:
 @pytest.mark.slow
 def test_bound_of_a_six_joint_arm_is_far_above_one(ur10: Robot, limited: Limited) -> None:
     robot = limited(ur10, position=[-np.pi, np.pi], acceleration=10.0)
-    bound = lower_bound(robot, time_limit=90.0)
+    bound = lower_bound(robot, time_limit=60.0)
     assert bound.value > 7.6 / 4
     assert_certificate_holds(bound)
 
