@@ -22,7 +22,7 @@ from excitant.identify.physical import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.rows import Data, observation, split, torque_per_reading
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.effects import standard_effects
+from excitant.robots.effects import plain, standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -195,7 +195,7 @@ def _diagnosis(
     predicted = fit.predicted
     error = held.series.measured - predicted
     left = remainders(robot.joints, data.validate, error, held.given, predicted)
-    doubtful = [replace(f, doubt=doubt(robot, f, findings, left)) for f in findings]
+    doubtful = [replace(f, doubt=doubt(f, findings, left)) for f in findings]
     findings = sorted(doubtful, key=lambda f: -f.explained)
     notes = [data.holdout]
     if data.unit == "A":
@@ -231,8 +231,7 @@ def _waterfall(
     steps, error = [("given model", 1.0)], given
     for finding in findings:
         error = error - finding.torque
-        name = finding.effect.name.replace("_", " ")
-        label = f"+ {name} at {', '.join(finding.effect.joints)}"
+        label = f"+ {plain(finding.effect.name)} at {', '.join(finding.effect.joints)}"
         steps.append((label, _relative(error, size)))
     return (*steps, ("all re-identified", _relative(extended, size)))
 

@@ -10,6 +10,7 @@ from excitant.analysis.confirmation import Finding, affected
 from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.residuals import Remainder
 from excitant.analysis.sticking import sliding
+from excitant.analysis.tolerance import are_placeholders
 from excitant.robots.effects import (
     Effect,
     GravityDirection,
@@ -77,14 +78,13 @@ def before_and_after(diagnosis: Diagnosis, group: Sequence[Finding]) -> tuple[fl
 
 
 def placeholders(diagnosis: Diagnosis) -> str:
-    """A warning where all links of the given model are one and the same body; else empty."""
-    phi = diagnosis.robot.phi.reshape(-1, 10)
-    if len(phi) < 2 or not np.allclose(phi[:, 0], phi[0, 0], rtol=1e-6):
+    """What is done where all links of the given model weigh the same; else empty."""
+    if not are_placeholders(diagnosis.robot):
         return ""
     return (
-        f"All links of the given model weigh {phi[0, 0]:.3g} kg: these look like placeholders. "
-        "Identify the arm first and diagnose the identified model; causes found here make up for "
-        "inertias that nobody gave."
+        f"All links of the given model weigh {diagnosis.robot.phi[0]:.3g} kg, which looks like "
+        "placeholders: their inertias are fitted together with the causes. A payload or a wrong "
+        "link cannot be told from them."
     )
 
 
@@ -180,8 +180,9 @@ def _no_inertias(diagnosis: Diagnosis) -> str:
     before, after = _errors(diagnosis)
     return (
         f"{placeholders(diagnosis).partition('. ')[0]}. With everything found, the hold-out error "
-        f"falls from {before} to {after} % of the torque's variation (median over joints); "
-        f"identify the arm before its model is diagnosed.{_more(len(ordered(diagnosis)))}"
+        f"falls from {before} to {after} % of the torque's variation (median over joints)."
+        f"{_apart_from('inertias', grouped(diagnosis), diagnosis)}"
+        f"{_more(len(ordered(diagnosis)) - 1)}"
     )
 
 
@@ -210,12 +211,17 @@ def _no_friction(diagnosis: Diagnosis) -> str:
         "the torque's variation (median over joints)."
     )
     others = [g for g in groups if not _is_friction(g[0].effect.name) and g[0].explained > 0]
-    if others:
-        lead = others[0]
-        words = _in_words(lead[0], [j for f in lead for j in f.effect.joints], diagnosis)
-        verdict = "" if all(f.verdict == "named" for f in lead) else " (undecided)"
-        said += f" Beside friction: {_inside(words)}{verdict}."
-    return said
+    return said + _apart_from("friction", others, diagnosis)
+
+
+def _apart_from(known: str, groups: Sequence[Sequence[Finding]], diagnosis: Diagnosis) -> str:
+    """The first of some causes, said after what makes up most."""
+    if not groups:
+        return ""
+    lead = groups[0]
+    words = _in_words(lead[0], [j for f in lead for j in f.effect.joints], diagnosis)
+    verdict = "" if all(f.verdict == "named" for f in lead) else " (undecided)"
+    return f" Beside {known}: {_inside(words)}{verdict}."
 
 
 def _inside(words: str) -> str:

@@ -27,6 +27,7 @@ from excitant.analysis.discrimination_shapes import bare, shapes
 from excitant.analysis.hypotheses import TOLERANCE, believed_columns, cause_columns
 from excitant.analysis.signatures import Signatures, signatures
 from excitant.analysis.sticking import sliding
+from excitant.analysis.tolerance import widened
 from excitant.identify.physical import link_coordinates, link_weights
 from excitant.identify.preprocessing import Segment
 from excitant.robots.effects import Effect
@@ -119,7 +120,7 @@ class Contest:
     def precision(self) -> Array:
         """Prior precision of the given values, shape (p,)."""
         count = sum(len(e.values or ()) for e in self.robot.effects)
-        links = link_weights(self.robot.nv, self.tolerance) ** 2
+        links = link_weights(self.robot.nv, self.tolerance * widened(self.robot)) ** 2
         return np.concatenate([links, np.ones(count)])
 
     @cached_property

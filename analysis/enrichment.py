@@ -28,7 +28,7 @@ from excitant.analysis.enrichment_trial import trial_of
 from excitant.exceptions import Infeasible
 from excitant.identify.estimate import identify
 from excitant.identify.recording import Recording
-from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.effects import Effect, plain, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -148,7 +148,7 @@ def _grown(trial: Trial, errors: Errors, progress: Progress) -> tuple[list[Candi
             failed.add(found.columns.start)
             continue
         chosen, errors, failed = [*chosen, found], better, set()
-        progress(1 - 0.8 ** len(chosen), found.effect.name.replace("_", " "))
+        progress(1 - 0.8 ** len(chosen), plain(found.effect.name))
     return chosen, errors
 
 

@@ -140,7 +140,11 @@ class Evidence:
         active = self.active(chosen)
         A = self.gram[np.ix_(active, active)] + prior * np.diag(self.precision[active])
         coordinates = np.zeros(len(self.moment))
-        coordinates[active] = scipy.linalg.solve(A, self.moment[active], assume_a="pos")
+        unit = 1 / np.sqrt(np.diag(A))
+        scaled = scipy.linalg.solve(
+            unit[:, None] * A * unit, unit * self.moment[active], assume_a="pos"
+        )
+        coordinates[active] = unit * scaled
         return self.residual - self.signatures.torque(coordinates)
 
     def additions(self, chosen: Sequence[Candidate]) -> Array:

@@ -12,7 +12,7 @@ from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.domains import places
 from excitant.analysis.residuals import Remainder
 from excitant.analysis.sticking import sliding
-from excitant.robots.effects import JointwiseEffect, TorqueOffset, ViscousFriction
+from excitant.robots.effects import JointwiseEffect, TorqueOffset, ViscousFriction, plain
 from excitant.robots.motion import Array
 
 _TELLS = {
@@ -78,7 +78,7 @@ def curve_of(diagnosis: Diagnosis, item: Finding | Remainder) -> Curve:
     torque = item.torque[:, j]
     domain = _TELLS.get(item.effect.name, "own torque")
     if domain == "own torque":
-        label = f"torque of the fitted {item.effect.name.replace('_', ' ')} [{diagnosis.data.unit}]"
+        label = f"torque of the fitted {plain(item.effect.name)} [{diagnosis.data.unit}]"
         x = torque
     else:
         label, x = _abscissa(diagnosis, domain, j, other)

@@ -80,7 +80,7 @@ def hypotheses(
     counts = sliding(segments)
     columns = signatures(blocks, counts)
     evidence = weigh(columns, residual, counts, np.concatenate(weights), nuisance, candidates, step)
-    return calibrated(evidence, 10 * robot.nv)
+    return calibrated(evidence, robot)
 
 
 def cause_columns(

@@ -9,9 +9,10 @@ No torque shows a change δπ of the parameters exactly when it changes no kinet
 Σᵢ vᵢᵀ I(δπᵢ) vᵢ = 0 for all positions and velocities, and no potential energy. Gravity needs no
 case of its own: it is a base that may slide along g, of which only the coupling with the joints
 counts. Write vᵀ I(π) v = y(v)ᵀ π. The last link's velocity is v = X(q)(w + …) of its parent's w,
-so its term must not depend on its own q and q̇; then it is a term of the parent, and
+so its term must not depend on its own q and q̇; then it is a term of the parent, and so on inward.
+Where the arm branches this holds for the last link of each branch: no other term has its q. So
 
-    N = ⊕ᵢ { u at link i, −Tᵢ u at link i − 1 : u ∈ Uᵢ },
+    N = ⊕ᵢ { u at link i, −Tᵢ u at its parent : u ∈ Uᵢ },
     Uᵢ = { u : y(s, v)ᵀ u = 0 for v ∈ Vᵢ,  d/dq y(X(q) w)ᵀ u = 0 for w attainable },
 
 where Tᵢ moves parameters to the parent's frame, s is the joint's axis, and Vᵢ the velocities
@@ -28,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from excitant.exceptions import BadRobot, UnknownName
+from excitant.exceptions import UnknownName
 from excitant.robots.motion import Array, freeze
 from excitant.robots.parameters import PSEUDO_INERTIA_BASIS, from_pseudo_inertia
 from excitant.robots.robot import Robot
@@ -84,6 +85,7 @@ class ParameterNullspace:
 class _Joint:
     """One joint: where it sits, how it moves; lengths in units of the arm's."""
 
+    parent: int  # index of the joint that carries it, −1 on the base
     place: Array  # (4, 4), of the joint frame in the parent's
     axis: Array  # (6,), linear and angular
     turns: bool
@@ -114,26 +116,26 @@ def parameter_nullspace(
     """Null space of the standard parameters by recursion from base to tip.
 
     Args:
-        robot: A serial arm; gravity and locked joints count.
+        robot: The arm, which may branch; gravity and locked joints count.
         moving: Joints that move, and whose torques are known; all when None.
         held: Positions of the others [rad or m], 0 for those left out; ``"any"`` when they are
             at rest at many positions.
 
     Raises:
-        BadRobot: Joints that branch.
         UnknownName: A joint that the arm does not have.
     """
     length = arm_length(robot)
     ranks, blocks, shown = _Ranks(), [], []
-    V, K = _gravity(robot)
+    attained = {-1: _gravity(robot)}
     for i, joint in enumerate(_joints(robot, moving, {} if held is None else held, length)):
-        to_parent = _moved(joint.place)
+        (V, K), to_parent = attained[joint.parent], _moved(joint.place)
         V, K, conditions = _step(joint, _velocity_map(joint.place) @ V, to_parent.T @ K, ranks)
+        attained[i] = V, K
         U = scipy.linalg.null_space(conditions.T, rcond=0.5) if conditions.size else np.eye(10)
         block = np.zeros((10 * robot.nv, U.shape[1]))
         block[10 * i : 10 * i + 10] = U
-        if i > 0:
-            block[10 * i - 10 : 10 * i] = -to_parent @ U
+        if joint.parent >= 0:
+            block[10 * joint.parent : 10 * joint.parent + 10] = -to_parent @ U
         blocks.append(block)
         shown.append(10 - U.shape[1])
     N = np.hstack(blocks) * np.tile(length**LENGTH_POWERS, robot.nv)[:, None]
@@ -158,8 +160,6 @@ def _joints(robot: Robot, moving: Sequence[str] | None, held: Held, length: floa
             raise UnknownName("joint", name, robot.joints)
     found, model = [], robot.model
     for j, name in enumerate(robot.joints):
-        if model.parents[j + 1] != j:
-            raise BadRobot(robot.source, f"joint '{name}' branches off; keep one serial arm")
         still = moving is not None and name not in moving
         axis = np.array(model.joints[j + 1].createData().S).reshape(6)
         place = model.jointPlacements[j + 1].homogeneous
@@ -168,7 +168,7 @@ def _joints(robot: Robot, moving: Sequence[str] | None, held: Held, length: floa
             place = place @ scipy.linalg.expm(at * _twist(axis))
         place[:3, 3] /= length
         kind: Any = "moving" if not still else "any" if held == "any" else "fixed"
-        found.append(_Joint(place, axis, bool(robot.revolute[j]), kind))
+        found.append(_Joint(model.parents[j + 1] - 1, place, axis, bool(robot.revolute[j]), kind))
     return found
 
 

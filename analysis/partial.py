@@ -17,7 +17,11 @@ from excitant.robots.torque import column_names
 
 
 def identify_shown(
-    robot: Robot, recordings: Sequence[Recording], effects: Sequence[Effect] | None = None
+    robot: Robot,
+    recordings: Sequence[Recording],
+    effects: Sequence[Effect] | None = None,
+    *,
+    validate: Sequence[Recording] = (),
 ) -> Estimate:
     """Identify the base parameters that a recording's own motion has, be they few.
 
@@ -26,8 +30,9 @@ def identify_shown(
 
     Args:
         robot: The arm; its inertias are the prior.
-        recordings: What to fit, the last 30 % of each held out.
+        recordings: What to fit.
         effects: Effects to estimate; friction, offset and rotor inertia when None.
+        validate: What to judge on; the last 30 % of each recording when empty.
 
     Raises:
         BadRecording: Recordings that cannot be used.
@@ -36,7 +41,7 @@ def identify_shown(
     """
     prior = prior_parameters(robot)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
-    data = split(recordings)
+    data = split(recordings, validate)
     W = without_rounding(observation(robot, effects, data.train))
     rows = clean_rows(fit_rows(robot, effects, shown_base(column_names(robot, effects), W), data))
     base = rows.base

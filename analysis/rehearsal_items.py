@@ -93,11 +93,11 @@ class Situation:
 def limit_items(situation: Situation) -> tuple[Item, ...]:
     """Limits kept by what the arm does, friction and tracking errors included."""
     limits, run = situation.robot.limits, situation.run
-    middle, half = limits.position.mean(axis=1), np.ptp(limits.position, axis=1) / 2
-    bounded = np.isfinite(half)
-    position = np.abs(run.q - np.where(bounded, middle, 0.0))
+    bounded = np.isfinite(limits.position).all(axis=1)
+    low, high = np.where(bounded, limits.position.T, 0.0)
+    half = np.where(bounded, (high - low) / 2, np.inf)
     shares = {
-        "position": position.max(axis=0) / np.where(bounded, half, np.inf),
+        "position": np.abs(run.q - (low + high) / 2).max(axis=0) / half,
         "velocity": np.abs(run.dq).max(axis=0) / limits.velocity,
         "torque": np.abs(run.tau).max(axis=0) / limits.torque,
     }

@@ -219,12 +219,11 @@ def second_opinion(
     """Compare the null space of the regressor with that of the recursion, torques of all that move.
 
     Args:
-        robot: A serial arm.
+        robot: The arm.
         moving: Joints that move and whose torques are known; all when None.
         held: Positions of the others, as for `structure`.
 
     Raises:
-        BadRobot: Joints that branch.
         UnknownName: A joint that the arm does not have.
     """
     base = structure(robot, moving=moving, measured=moving, held=held).base

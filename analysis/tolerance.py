@@ -2,7 +2,7 @@
 
 Given values are taken as right to ±10 %, and to less where the data show that most of them are:
 their deviations, in the directions that the data determine, have a median size that a few wrong
-ones do not move (empirical Bayes with a robust scale).
+ones do not move (empirical Bayes with a robust scale). Placeholders say nothing of the links.
 """
 
 from __future__ import annotations
@@ -15,22 +15,39 @@ import scipy.linalg
 from excitant.analysis.evidence import Evidence, reweighed
 from excitant.analysis.signatures import Index
 from excitant.robots.motion import Array, read_only
+from excitant.robots.robot import Robot
 
 _DETERMINED = 25.0  # data over prior information of a direction that counts
 _FEWEST = 8  # such directions, to judge by
 _MEDIAN = 0.4549  # of χ² with one degree of freedom
 _RANGE = (0.02, 1.0)  # of the tolerance
+_UNKNOWN = 400.0  # tolerances: a link may be twenty times as heavy as a placeholder
 
 
-def calibrated(evidence: Evidence, links: int) -> Evidence:
+def are_placeholders(robot: Robot) -> bool:
+    """Whether all links weigh the same, as those of no arm of three joints or more do."""
+    mass = robot.phi[::10]
+    return len(mass) > 2 and bool(np.allclose(mass, mass[0], rtol=1e-6))
+
+
+def widened(robot: Robot) -> float:
+    """Factor on the tolerance of a robot's links before data are seen."""
+    return _UNKNOWN if are_placeholders(robot) else 1.0
+
+
+def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
     """The same evidence with the tolerance of given values that the data support.
 
     Args:
-        evidence: Evidence with the prior of ±10 %.
-        links: Number of leading columns that stand for bodies; the rest are effects.
+        evidence: Evidence with the prior of ±10 %; its leading columns stand for the links, those
+            up to `Evidence.nuisance` for the effects.
+        robot: The given robot.
     """
+    links = 10 * robot.nv
     parts = np.arange(links), np.arange(links, evidence.nuisance)
-    factors = tuple(_size(evidence, part) for part in parts)
+    factors = [_size(evidence, part) for part in parts]
+    if are_placeholders(robot):
+        factors[0] = widened(robot)
     precision = np.array(evidence.precision)
     for part, factor in zip(parts, factors, strict=True):
         precision[part] /= factor**2
