@@ -32,9 +32,8 @@ lint: $(INSTALLED)
 	$(BIN)/lint-imports
 
 docs: $(INSTALLED)
-	$(PIP) install --no-build-isolation --editable ".[docs]"
-	$(BIN)/python -m mkdocs build --strict
-	@echo "build/docs/index.html"
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+	@echo "build/docs/index.html; with search: $(BIN)/python -m http.server -d build/docs"
 
 # The stamp goes first and comes back last: an interrupted install is started over, not trusted.
 $(INSTALLED): requirements.lock pyproject.toml
@@ -45,17 +44,18 @@ $(INSTALLED): requirements.lock pyproject.toml
 	@test -e $@ || { echo "Creating $(VENV) with $$($(PYTHON) --version)"; \
 	  $(PYTHON) -m venv --clear $(VENV); }
 	@rm -f $@
-	@echo "Installing the packages pinned in requirements.lock (about 1.4 GB, a minute or more)"
+	@echo "Installing the packages pinned in requirements.lock (about 1.7 GB, some minutes)"
 	@$(PIP) install --requirement requirements.lock
 	@echo "Installing excitant from this folder"
 	@$(PIP) install --no-deps --no-build-isolation --editable .
 	@touch $@
 
-# Resolved with the oldest supported Python, so that every pin exists for the newer ones too.
+# Resolved for the first release of the oldest Python, so that every pin exists for newer ones too.
 lock:
 	$(PYTHON) -m venv --clear build/lock
+	build/lock/bin/python -m pip install --quiet --upgrade pip
 	build/lock/bin/python -m pip install --quiet --dry-run --ignore-installed \
-	  --report build/lock/report.json ".[dev]" "setuptools>=77"
+	  --python-version 3.11.0 --only-binary :all: --report build/lock/report.json ".[dev]" "setuptools>=77"
 	build/lock/bin/python -c 'import json; \
 	  packages = [p["metadata"] for p in json.load(open("build/lock/report.json"))["install"]]; \
 	  pins = {p["name"].lower() + "==" + p["version"] for p in packages if p["name"] != "excitant"}; \

@@ -22,7 +22,7 @@ def commands(program: str) -> str:
     """Help of every command of a program, a section each."""
     from excitant.cli import parser
 
-    os.environ["COLUMNS"] = "96"  # the same in every terminal
+    os.environ["COLUMNS"] = "82"  # the same in every terminal
     top = parser()
     [verbs] = [a for a in top._actions if isinstance(a, argparse._SubParsersAction)]
     pages = {program: top, **{f"{program} {name}": verb for name, verb in verbs.choices.items()}}

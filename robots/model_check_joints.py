@@ -17,10 +17,11 @@ _STEPS = 24  # positions that it tries of each joint in turn
 _ROUNDS = 2
 _UNIT = 1e-3  # deviation of an axis from length one that digits left out explain
 _LEVEL = 1e-9  # N·m: no gravity torque
+_EXACT = 1e-8  # rad: too little for a decision on what torque shows
 
 
 def axis_warnings(robot: Robot) -> Iterator[ModelWarning]:
-    """Axes that are no directions; mirrored meshes; neighbours of opposite axes."""
+    """Axes that are no directions; rounded angles; mirrored meshes; neighbours of opposite axes."""
     root = ET.fromstring(robot.urdf)
     elements = {str(joint.get("name")): joint for joint in root.findall("joint")}
     for joint in robot.joints:
@@ -34,6 +35,7 @@ def axis_warnings(robot: Robot) -> Iterator[ModelWarning]:
                 "joint_axis", (joint,),
                 f'its axis "{text}" has length {length:.4g}; write a unit vector',
             )  # fmt: skip
+    yield from _rounded(root)
     for link in root.findall("link"):
         for mesh in link.iter("mesh"):
             scale = [float(x) for x in mesh.get("scale", "1 1 1").split()]
@@ -46,6 +48,26 @@ def axis_warnings(robot: Robot) -> Iterator[ModelWarning]:
                 )  # fmt: skip
                 break
     yield from _opposite(robot)
+
+
+def _rounded(root: ET.Element) -> Iterator[ModelWarning]:
+    """Multiples of 45° between joints that are written with few digits."""
+    found: dict[str, tuple[str, float]] = {}
+    for joint in root.findall("joint"):
+        origin = joint.find("origin")
+        for text in ("" if origin is None else origin.get("rpy", "")).split():
+            meant = round(4 * float(text) / np.pi) * np.pi / 4
+            digits = len(text.partition(".")[2])
+            if digits > 1 and meant and _EXACT < abs(float(text) - meant) < 10.0**-digits:
+                found.setdefault(str(joint.get("name")), (text, meant))
+    if found:
+        text, meant = next(iter(found.values()))
+        yield ModelWarning(
+            "rounded_angles", tuple(found),
+            f"angles such as {text} are rounded; torque then depends, by a hair, on what the exact "
+            f"one hides, and condition numbers grow beyond reason; write {meant!r}",
+            hint=True,
+        )  # fmt: skip
 
 
 def _opposite(robot: Robot) -> Iterator[ModelWarning]:

@@ -1,9 +1,14 @@
-"""What is shipped is complete, says one version, and works away from the checkout."""
+"""What is shipped is complete, says one version, and works away from the checkout.
+
+It is tried in an environment that holds what pyproject.toml declares and nothing else, so that
+neither the checkout nor what only developers have installed can stand in.
+"""
 
 from __future__ import annotations
 
 import importlib.metadata
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -15,6 +20,7 @@ from typing import Any
 import pytest
 import yaml
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
 import excitant
@@ -22,12 +28,13 @@ import excitant
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("analysis", "design", "identify", "reports", "robots")
 MAX_WHEEL_BYTES = 5_000_000
+LINK = re.compile(r"\]\(([^)#\s]+)")
 
 IMPORT_EVERYTHING = """
 import importlib, pathlib, pkgutil, sys
 import excitant
 home = pathlib.Path(excitant.__file__).resolve().parent
-assert home.is_relative_to(pathlib.Path(sys.argv[1]).resolve()), home
+assert home.is_relative_to(pathlib.Path(sys.prefix).resolve()), home
 names = [m.name for m in pkgutil.walk_packages(excitant.__path__, "excitant.")]
 for name in names:
     if not name.endswith("__main__"):
@@ -93,6 +100,43 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build("wheel", clean_copy(work / "checkout"), work / "dist")
 
 
+def declared_distributions() -> list[importlib.metadata.Distribution]:
+    """What pyproject.toml requires, and what that requires, as far as markers call for it."""
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    found, wanted = {}, [Requirement(line) for line in table["dependencies"]]
+    while wanted:
+        name = canonicalize_name(wanted.pop().name)
+        if name in found:
+            continue
+        found[name] = importlib.metadata.distribution(name)
+        further = map(Requirement, found[name].requires or ())
+        wanted += [r for r in further if r.marker is None or r.marker.evaluate({"extra": ""})]
+    return list(found.values())
+
+
+@pytest.fixture(scope="module")
+def excitant_alone(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Programs of an environment that holds the wheel and what it declares, nothing else."""
+    home = tmp_path_factory.mktemp("empty")
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", home], check=True)
+    [site] = home.glob("lib/python*/site-packages")
+    for distribution in declared_distributions():
+        for top in {file.parts[0] for file in distribution.files or ()} - {".."}:
+            if not (site / top).exists():
+                (site / top).symlink_to(Path(distribution.locate_file(top)))
+    pip = [sys.executable, "-m", "pip", "--python", str(home / "bin/python"), "install", "--quiet"]
+    subprocess.run([*pip, "--no-deps", "--no-index", wheel], check=True)
+    return home / "bin"
+
+
+def run(*words: str | Path, cwd: Path) -> str:
+    """What a program prints, away from the checkout and its environment."""
+    env = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    done = subprocess.run(words, cwd=cwd, env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 def test_one_version(project: dict[str, Any]) -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert project["project"]["version"] == excitant.__version__
@@ -134,6 +178,20 @@ def test_lock_pins_every_requirement_and_names_no_place(project: dict[str, Any])
         assert requirement.specifier.contains(version), f"{requirement}: locked {version}"
 
 
+def test_lock_suits_the_oldest_python(project: dict[str, Any]) -> None:
+    """An early 3.11 is what some systems still ship, and what pip there must find."""
+    oldest = project["project"]["requires-python"].removeprefix(">=") + ".0"
+    for line in (ROOT / "requirements.lock").read_text().splitlines():
+        name, _, version = line.partition("==")
+        try:
+            installed = importlib.metadata.metadata(name)
+        except (importlib.metadata.PackageNotFoundError, ValueError):
+            continue
+        if installed["Version"] == version:
+            suits = SpecifierSet(installed["Requires-Python"] or "")
+            assert suits.contains(oldest), f"{line} needs Python {suits}; run make lock"
+
+
 def test_installed_requirements_agree(project: dict[str, Any]) -> None:
     for requirement in map(Requirement, project["project"]["dependencies"]):
         version = importlib.metadata.version(requirement.name)
@@ -163,19 +221,45 @@ def test_wheel_says_its_licence_and_command(wheel: Path) -> None:
     assert "Version 2.0, January 2004" in licence
 
 
-def test_installed_wheel_imports_outside_the_checkout(wheel: Path, tmp_path: Path) -> None:
-    site = tmp_path / "site"
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
-    subprocess.run([*pip, "--no-deps", "--no-index", "--target", str(site), wheel], check=True)
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", IMPORT_EVERYTHING, str(site)],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(site)},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    assert {f"excitant.{folder}" for folder in FOLDERS} <= set(done.stdout.split())
+def test_links_of_the_description_lead_to_files_from_anywhere(
+    wheel: Path, project: dict[str, Any]
+) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        [name] = [n for n in archive.namelist() if n.endswith(".dist-info/METADATA")]
+        shown = LINK.findall(archive.read(name).decode())
+    home = re.escape(project["project"]["urls"]["Source"])
+    files = [re.fullmatch(rf"{home}/(?:blob|raw)/HEAD/(.+)", link) for link in shown]
+    assert len(files) >= 20
+    assert [link for link, file in zip(shown, files, strict=True) if file is None] == []
+    assert [file[1] for file in files if file and not (ROOT / file[1]).exists()] == []
+
+
+def test_wheel_imports_with_nothing_else_installed(excitant_alone: Path, tmp_path: Path) -> None:
+    names = run(excitant_alone / "python", "-c", IMPORT_EVERYTHING, cwd=tmp_path).split()
+    assert {f"excitant.{folder}" for folder in FOLDERS} <= set(names)
+    printed = run(excitant_alone / "excitant", "robots", "ur10", cwd=tmp_path)
+    assert printed.startswith("ur10: 6 joints")
+
+
+@pytest.mark.slow
+def test_demo_runs_with_nothing_else_installed(excitant_alone: Path, tmp_path: Path) -> None:
+    printed = run(excitant_alone / "excitant", "demo", "-o", "runs/demo", cwd=tmp_path)
+    assert re.search(r"^hidden .*: named$", printed, re.MULTILINE)
+    assert "<svg" in (tmp_path / "runs/demo/report.html").read_text(encoding="utf-8")
+
+
+def test_git_keeps_the_links(tmp_path: Path) -> None:
+    """A clone or an archive holds the folders once, and links to them."""
+    if not (ROOT / ".git").exists():
+        pytest.skip("not a git repository")
+    git = ["git", "-c", f"safe.directory={ROOT}", "-C", str(ROOT)]
+    subprocess.run([*git, "archive", "-o", tmp_path / "head.tar", "HEAD"], check=True)
+    shutil.unpack_archive(tmp_path / "head.tar", tmp_path / "head", filter="data")
+    for folder in FOLDERS:
+        link = tmp_path / "head/src/excitant" / folder
+        assert link.is_symlink()
+        assert link.resolve() == (tmp_path / "head" / folder).resolve()
+        assert (link / "__init__.py").is_file()
 
 
 @pytest.mark.slow
@@ -184,3 +268,8 @@ def test_wheel_from_sdist_is_the_wheel_from_the_checkout(wheel: Path, tmp_path: 
     shutil.unpack_archive(sdist, tmp_path, filter="data")
     unpacked = tmp_path / sdist.name.removesuffix(".tar.gz")
     assert contents(build("wheel", unpacked, tmp_path / "dist")) == contents(wheel)
+
+    pages = [unpacked / "README.md", *(unpacked / "docs").rglob("*.md")]
+    links = [(p, t) for p in pages for t in LINK.findall(p.read_text("utf-8")) if ":" not in t]
+    assert len(links) > 50
+    assert [(p.name, target) for p, target in links if not (p.parent / target).exists()] == []

@@ -7,6 +7,7 @@ from excitant.robots.effects.base import (
     JointwiseEffect,
     Parameter,
     Term,
+    plain,
 )
 from excitant.robots.effects.coupling import FrictionCoupling, InertiaCoupling
 from excitant.robots.effects.drive import RotorInertia, TorqueOffset
@@ -113,5 +114,6 @@ __all__ = [
     "ViscousFriction",
     "effect_entries",
     "effects_from_entries",
+    "plain",
     "standard_effects",
 ]

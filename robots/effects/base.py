@@ -15,12 +15,21 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
 _LARGEST = 2.0  # of the typical size of a coefficient that has one
+_PERSONS = ("coulomb", "stribeck")
 _NEAR = (0.3, 2.5)  # of a trial value, for which the columns are right
 
 
 def near_trial(value: float, trial: float) -> bool:
     """Whether a coefficient is one that columns computed for a trial value are right for."""
     return _NEAR[0] < value / trial < _NEAR[1]
+
+
+def plain(name: object) -> str:
+    """A word of the vocabulary as it stands in a sentence, such as ``Coulomb friction``."""
+    words = str(name).replace("_", " ")
+    for person in _PERSONS:
+        words = words.replace(person, person.capitalize())
+    return words
 
 
 @dataclass(frozen=True)

@@ -298,6 +298,19 @@ def test_opposite_axes_of_equal_links_are_a_hint() -> None:
     assert "opposite_axes" not in {c for c, _ in found(load_robot("ur10"), hint=True)}
 
 
+@pytest.mark.parametrize(
+    ("text", "rounded"),
+    [("1.5708", True), ("-1.57", True), ("3.14159", True), ("0.7853", True),
+     ("1.5707963267948966", False), ("-1.570796327", False), ("1.5712", False), ("0.00", False)],
+)  # fmt: skip
+def test_a_right_angle_with_few_digits_is_a_hint(text: str, rounded: bool) -> None:
+    def plant(root: ET.Element) -> None:
+        child(root, "joint[@name='joint2']/origin").set("rpy", f"0 {text} 0")
+
+    hints = found(planted("planar_2r", plant), hint=True)
+    assert (("rounded_angles", "joint2") in hints) == rounded
+
+
 def test_a_mirrored_mesh_is_a_hint() -> None:
     def plant(root: ET.Element) -> None:
         visual = ET.SubElement(child(root, "link[@name='link2']"), "visual")
