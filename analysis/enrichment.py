@@ -66,7 +66,7 @@ class Step:
         }
         said = ", ".join(f"{name} {value:.3g}" for name, value in shape.items())
         return (
-            f"{self.effect.name.replace('_', ' ')} at {', '.join(self.effect.joints)}"
+            f"{plain(self.effect.name)} at {', '.join(self.effect.joints)}"
             f"{f' ({said})' if said else ''}: squared error there {100 * self.fall:.1f} "
             f"± {100 * self.error:.1f} % lower on an inner hold-out"
         )

@@ -32,6 +32,7 @@ from excitant.robots.motion import Array, read_only
 FALSE_ALARM = 0.05  # that any candidate enters when none is at work; the hold-out confirms it
 _ROUNDS = 3  # of estimating the noise
 _RIDGE = 1e-3  # of a candidate's information that other blocks hold, at least
+_ROUNDING = 1e-12  # of a column, below which it cannot be told from those before
 _LEAST = 0.5  # λ: noise whose correlation helps a candidate is not relied on further
 _LOOSE = 0.01  # of the prior precision, where only the noise is asked for
 _COMMON = frozenset(
@@ -142,7 +143,9 @@ class Evidence:
         coordinates = np.zeros(len(self.moment))
         unit = 1 / np.sqrt(np.diag(A))
         scaled = scipy.linalg.solve(
-            unit[:, None] * A * unit, unit * self.moment[active], assume_a="pos"
+            unit[:, None] * A * unit + _ROUNDING * np.eye(len(A)),
+            unit * self.moment[active],
+            assume_a="pos",
         )
         coordinates[active] = unit * scaled
         return self.residual - self.signatures.torque(coordinates)

@@ -13,7 +13,7 @@ from excitant.analysis.forward import Forward, Simulated, forward
 from excitant.analysis.refit import LIKELY, Move, Refit, refit
 from excitant.analysis.sticking import Mask, sliding
 from excitant.exceptions import ExcitantError
-from excitant.robots.effects import InertialParameters, Payload
+from excitant.robots.effects import InertialParameters, Payload, plain
 from excitant.robots.motion import Array
 
 _HARDLY = 0.1  # of the squared error: less is no explanation
@@ -186,6 +186,6 @@ def _notes(which: str, simulated: Simulated) -> Sequence[str]:
     if simulated.diverged:
         return (f"The {which} model leaves the motion for good: {simulated.diverged}.",)
     if simulated.along:
-        names = ", ".join(name.replace("_", " ") for name in simulated.along)
+        names = ", ".join(plain(name) for name in simulated.along)
         return (f"In the {which} model, torque of {names} was taken along the recorded motion.",)
     return ()

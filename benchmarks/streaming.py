@@ -111,7 +111,7 @@ def identified(name: str, path: Path) -> dict[str, Any]:
     robot = load_robot(name)
     with threadpool_limits(1):
         clock, start = time.perf_counter(), time.process_time()
-        estimate = identify_streamed(robot, [path])
+        estimate = identify_streamed(robot, [path], tune=True)
         seconds, clock = time.process_time() - start, time.perf_counter() - clock
     status = Path("/proc/self/status")
     peak = [x.split()[1] for x in status.read_text().splitlines() if "VmHWM" in x]

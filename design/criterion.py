@@ -25,6 +25,7 @@ COLUMNS = ("friction", "inertial")
 CRITERIA = ("condition", "d", "a", "e")
 
 _SIGN_WIDTH = 0.02  # of the speed scale: where the smooth sign of the derivatives turns
+_ROUNDED = 1e-5  # of the longest column: less is shown by a right angle written as 1.5708
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +116,7 @@ def information(
     if columns not in COLUMNS:
         raise UnknownName("columns", columns, COLUMNS)
     effects = standard_effects(robot.joints) if columns == "friction" else ()
-    base = base_parameters(robot, effects)
+    base = base_parameters(robot, effects, tolerance=_ROUNDED)
     blank = np.zeros((len(base), len(base)))
     new = Information(robot, columns, base, _weights(robot, noise), blank)
     for motion in earlier:

@@ -7,9 +7,11 @@ Two opinions, both on training data alone and judged at one common cut-off:
 * Spectra (`excitant.identify.cutoff_spectra`), joint by joint: what a filter does to the
   uncertainty of the predicted torque, given the noise at each frequency. Cross-validation may veto.
 
-Another cut-off is taken only where it is better by more than chance allows, with all that were
-tried accounted for; among those no worse than one standard error, the one nearest the default. Rows
-at which noise decides the sign of a velocity are left out by the same test.
+Where the motion's harmonics are known (`excitant.identify.cutoff_harmonics`), no cut-off that would
+take their torque away is tried. Another cut-off is taken only where it is better by more than
+chance allows, with all that were tried accounted for; among those no worse than one standard error,
+the one nearest the default. Rows at which noise decides the sign of a velocity are left out by the
+same test.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.stats
 
+from excitant.identify.cutoff_harmonics import Harmonics
 from excitant.identify.cutoff_rows import Bank, squared_errors, weighted_fit
 from excitant.identify.cutoff_spectra import ColumnSpectra, column_spectra
 from excitant.identify.preprocessing import Tuning
@@ -45,6 +48,7 @@ class CutoffChoice:
         left_out: Share of each joint's rows that lies below it, shape (nv,).
         dead_zone: Whether those rows are left out of the fit.
         notes: What the user should know, as sentences.
+        harmonics: Those of the motion where they are known.
     """
 
     cutoffs_hz: Array
@@ -55,6 +59,7 @@ class CutoffChoice:
     left_out: Array
     dead_zone: bool
     notes: tuple[str, ...]
+    harmonics: Harmonics | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "cutoffs_hz", "explained_hz", "noise_hz", "slowest", "left_out")
@@ -68,7 +73,12 @@ class CutoffChoice:
 
 
 def choose_cutoffs(
-    rows: Bank, joints: tuple[str, ...], slowest: Array, *, kept: str = ""
+    rows: Bank,
+    joints: tuple[str, ...],
+    slowest: Array,
+    *,
+    kept: str = "",
+    harmonics: Harmonics | None = None,
 ) -> CutoffChoice:
     """Cut-offs and dead zone for the rows of a fit.
 
@@ -77,13 +87,15 @@ def choose_cutoffs(
         joints: Names of the joints.
         slowest: Speed below which a velocity's sign is noise, shape (nv,) [rad/s].
         kept: Why the default cut-off is kept, if it is; only the dead zone is chosen then.
+        harmonics: Those of the motion where they are known; what they need is not filtered away.
     """
     spectra, hz = column_spectra(rows), np.full(rows.nv, rows.judge_hz)
+    least = np.zeros(rows.nv) if harmonics is None else harmonics.torque_hz
     common, own = kept, dict[int, str]()
     if not kept:
         grid = rows.judge_hz * 2.0 ** (-np.arange(_STEPS) / 2)
-        hz, common = _common(rows, grid)
-        hz, own = _per_joint(rows, spectra, grid, hz)
+        hz, common = _common(rows, grid, least)
+        hz, own = _per_joint(rows, spectra, grid, hz, least)
     dead, said = _dead_zone(rows, hz)
     peaks = np.array([spectra.peak_hz(j) for j in range(rows.nv)])
     explained = np.array([spectra.explained_hz(j) for j in range(rows.nv)])
@@ -94,7 +106,8 @@ def choose_cutoffs(
     left_out = np.array([rows.left_out(j, float(hz[j])) for j in range(rows.nv)])
     return CutoffChoice(
         hz, reasons, explained, peaks, slowest, left_out, dead,
-        (*(() if kept else (_note(joints, hz, rows.judge_hz, reasons),)), *said),
+        (*(() if kept else _notes(joints, hz, rows.judge_hz, reasons, harmonics)), *said),
+        harmonics,
     )  # fmt: skip
 
 
@@ -118,14 +131,15 @@ def block_errors(rows: Bank, hz: Array, moving: bool = False, judged: Array | No
     return np.array(errors)
 
 
-def paired(before: Array, after: Array) -> tuple[float, float]:
+def paired(before: Array, after: Array, unit: Array | None = None) -> tuple[float, float]:
     """Mean relative fall of errors, and its standard error from the spread between blocks.
 
     Args:
         before: Mean square errors of blocks and joints, shape (blocks, nv).
         after: The same in another way.
+        unit: What falls are relative to, shape (nv,); the mean of `before` when None.
     """
-    size = np.maximum(before.mean(axis=0), np.finfo(float).tiny)
+    size = np.maximum(before.mean(axis=0) if unit is None else unit, np.finfo(float).tiny)
     fall = ((before - after) / size).mean(axis=1)
     if len(fall) < _FEWEST:
         return 0.0, np.inf
@@ -145,22 +159,31 @@ def beyond_chance(fall: float, error: float, tried: int, blocks: int) -> bool:
     return fall > float(scipy.stats.t.isf(_CHANCE / tried, max(blocks - 1, 1))) * error
 
 
-def _common(rows: Bank, grid: Array) -> tuple[Array, str]:
-    """One cut-off for all joints by cross-validation, and why; no words for the default."""
-    ones = np.ones(rows.nv)
-    errors = [block_errors(rows, f * ones) for f in grid]
+def _common(rows: Bank, grid: Array, least: Array) -> tuple[Array, str]:
+    """One cut-off for all joints by cross-validation, and why; no words for the default.
+
+    Joints whose known harmonics go further keep the lowest of the grid that passes these.
+    """
+    trials = [_passing(np.full(rows.nv, f), grid, least) for f in grid]
+    errors = [block_errors(rows, hz) for hz in trials]
     falls, blocks = [paired(errors[0], e) for e in errors], len(errors[0])
     sure = [k for k in range(1, len(grid)) if beyond_chance(*falls[k], len(grid) - 1, blocks)]
     if not sure:
-        return grid[0] * ones, ""
+        return trials[0], ""
     best = max(sure, key=lambda k: falls[k][0])
     near = (k for k in sure if _no_worse(errors[best], errors[k]))
     chosen = min(near)
     fall, error = falls[chosen]
-    return grid[chosen] * ones, (
+    return trials[chosen], (
         f"cross-validation: errors (mean square) lower by {in_percent(fall, error)} "
         f"than with {grid[0]:.3g} Hz for all joints"
     )
+
+
+def _passing(hz: Array, grid: Array, least: Array) -> Array:
+    """Cut-offs of joints, none below what harmonics need if a higher one of the grid is not."""
+    enough = [min((f for f in grid if f >= own), default=grid[0]) for own in least]
+    return np.maximum(hz, enough)
 
 
 def _no_worse(best: Array, other: Array) -> bool:
@@ -170,12 +193,13 @@ def _no_worse(best: Array, other: Array) -> bool:
 
 
 def _per_joint(
-    rows: Bank, spectra: ColumnSpectra, grid: Array, start: Array
+    rows: Bank, spectra: ColumnSpectra, grid: Array, start: Array, least: Array
 ) -> tuple[Array, dict[int, str]]:
     """Cut-offs lowered joint by joint where spectra and cross-validation agree, and why."""
     hz, said = start.copy(), {}
     for j in range(rows.nv):
-        trials = [np.where(np.arange(rows.nv) == j, f, hz) for f in grid if f < hz[j] * (1 - 1e-9)]
+        lower = [f for f in grid if least[j] <= f < hz[j] * (1 - 1e-9)]
+        trials = [np.where(np.arange(rows.nv) == j, f, hz) for f in lower]
         found = _lowered(spectra, hz, trials, rows.nv * (len(grid) - 1)) if trials else None
         if found is None:
             continue
@@ -226,6 +250,17 @@ def _dead_zone(rows: Bank, hz: Array) -> tuple[bool, tuple[str, ...]]:
         f"{100 * share.max():.2g} % of a joint's rows; they are {did}: without them, errors of the "
         f"other rows (mean square) in cross-validation change by {in_percent(-fall, error, '+')}",
     )
+
+
+def _notes(
+    joints: tuple[str, ...],
+    hz: Array,
+    default: float,
+    reasons: tuple[str, ...],
+    harmonics: Harmonics | None,
+) -> tuple[str, ...]:
+    note = _note(joints, hz, default, reasons)
+    return (note,) if harmonics is None else (note, harmonics.sentence(joints, default))
 
 
 def _note(joints: tuple[str, ...], hz: Array, default: float, reasons: tuple[str, ...]) -> str:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+from excitant.identify.cutoff import CutoffChoice
 from excitant.identify.cutoff_sensitivity import Sensitivity
 from excitant.identify.cutoff_study import Study
 from excitant.identify.estimator_choice import EstimatorChoice
+from excitant.identify.shapes import Shapes
 
 
 def study_entries(
     study: Study | None, found: Sensitivity | None, joints: tuple[str, ...]
 ) -> dict[str, Any]:
-    """Entries ``cutoff_hz_per_joint``, ``dead_zone`` and ``sensitivity``; none without a study."""
+    """Entries of the study, ``cutoff_hz_per_joint`` and more; none without one."""
     if study is None or found is None:
         return {}
     choice = study.choice
@@ -24,6 +26,7 @@ def study_entries(
                 "reason": choice.reasons[j],
                 "explained_up_to_hz": float(choice.explained_hz[j]),
                 "residual_densest_at_hz": float(choice.noise_hz[j]),
+                "highest_harmonic_hz": _harmonic(choice, j),
             }
             for j, joint in enumerate(joints)
         ],
@@ -39,6 +42,25 @@ def study_entries(
             ],
         },
         "sensitivity": _sensitivity(found, choice.cutoffs_hz.tolist(), joints),
+        **_shape_entries(study.shapes),
+    }
+
+
+def _harmonic(choice: CutoffChoice, joint: int) -> float | None:
+    """The highest harmonic of a joint's motion where it is known."""
+    return None if choice.harmonics is None else float(choice.harmonics.highest_hz[joint])
+
+
+def _shape_entries(shapes: Shapes | None) -> dict[str, Any]:
+    """Entry ``shapes``: each with its standard deviation; none where no effect has any."""
+    if shapes is None:
+        return {}
+    return {
+        "shapes": {
+            "refined": shapes.better,
+            "objective": {"given": shapes.before, "refined": shapes.after},
+            "effects": [each.entry for each in shapes.found],
+        }
     }
 
 
@@ -67,10 +89,11 @@ def _sensitivity(
 
 
 def contest_entries(contest: EstimatorChoice | None) -> dict[str, Any]:
-    """Entry ``estimators``: how they predicted the inner hold-out; none without a contest."""
+    """Entries ``estimators`` and ``estimators_not_compared``; none without a contest."""
     if contest is None:
         return {}
     return {
+        "estimators_not_compared": [{"name": name, "why": why} for name, why in contest.absent],
         "estimators": [
             {
                 "name": each.name,
@@ -80,5 +103,5 @@ def contest_entries(contest: EstimatorChoice | None) -> dict[str, Any]:
                 "lower_by_std": each.error,
             }
             for each in contest.contestants
-        ]
+        ],
     }

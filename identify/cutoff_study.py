@@ -10,6 +10,7 @@ import numpy as np
 from excitant.exceptions import BadRecording
 from excitant.identify.accuracy import series
 from excitant.identify.cutoff import LOWEST, CutoffChoice, choose_cutoffs
+from excitant.identify.cutoff_harmonics import Harmonics, recorded_harmonics
 from excitant.identify.cutoff_rows import Bank, bank
 from excitant.identify.preprocessing import (
     POSITION_RATIO,
@@ -21,6 +22,7 @@ from excitant.identify.preprocessing import (
 )
 from excitant.identify.recording import Recording
 from excitant.identify.rows import FitRows, observation
+from excitant.identify.shapes import Shapes
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -40,12 +42,14 @@ class Study:
         judged: The same instants at the cut-off of judging.
         choice: Cut-offs and dead zone, with reasons.
         banks: Rows at any cut-off.
+        shapes: Shapes of effects, as far as these were refined before; None where there are none.
     """
 
     rows: FitRows
     judged: FitRows
     choice: CutoffChoice
     banks: tuple[Bank, ...]
+    shapes: Shapes | None = None
 
 
 def study(
@@ -55,6 +59,7 @@ def study(
     *,
     fixed: bool = False,
     untouched: bool = False,
+    harmonics: Harmonics | None = None,
 ) -> Study:
     """Choose cut-offs and dead zone for rows that were made with the default ones.
 
@@ -64,6 +69,7 @@ def study(
         recordings: Behind these rows, in order.
         fixed: Keep that cut-off, because the user gave it.
         untouched: Keep the rows altogether, because the estimator looks at the recordings too.
+        harmonics: Those of the motion as planned; looked for in the recordings when None.
     """
     data = rows.data
     judge = data.cutoff_hz
@@ -72,7 +78,9 @@ def study(
     if untouched:
         slowest = np.full_like(slowest, -1.0)
     narrow = _bank(robot, rows, data.train, judge, slowest)
-    choice = choose_cutoffs(narrow, robot.joints, slowest, kept=kept)
+    if harmonics is None and not kept:
+        harmonics = recorded_harmonics(data.train, recordings)
+    choice = choose_cutoffs(narrow, robot.joints, slowest, kept=kept, harmonics=harmonics)
     tuning = choice.tuning(judge)
     wide = _wide(robot, rows, recordings, slowest)
     to_fit = rows if tuning is None else _refiltered(robot, rows, tuning)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import yaml
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify.importers.mapping import (
@@ -22,6 +19,7 @@ from excitant.identify.importers.sources import SUFFIXES
 from excitant.identify.recording import Recording, read_recordings
 from excitant.robots.loading import load_robot
 from excitant.robots.robot import Robot
+from excitant.robots.yaml_entries import entries_of, yaml_content
 
 _USUAL = (".parquet", ".csv")
 
@@ -145,8 +143,7 @@ def _drive(model: Path) -> Drive | None:
     """Drive constants of a robot.yaml, which `load_robot` has read without complaint."""
     if model.suffix not in (".yaml", ".yml") or not model.is_file():
         return None
-    content = yaml.safe_load(model.read_text(encoding="utf-8"))
-    return drive_from_entry(content.get("drive"), str(model))
+    return drive_from_entry(entries_of(model, "a robot").get("drive"), str(model))
 
 
 def _mapping(
@@ -171,10 +168,7 @@ def _entries(content: dict[str, Any], name: str, sidecar: Path) -> dict[str, Any
 def _sidecar(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise BadInput(f"{path}: not valid JSON ({error})") from None
+    content = yaml_content(path, "a data set")
     if not isinstance(content, dict):
         raise BadInput(f"{path}: expected an object with 'kinematics' and 'torque'")
     return content

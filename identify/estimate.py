@@ -9,11 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
+from excitant.identify.cutoff_harmonics import planned_harmonics
 from excitant.identify.cutoff_sensitivity import Sensitivity, sensitivity
-from excitant.identify.cutoff_study import Study, study
-from excitant.identify.estimator_choice import AUTO, EstimatorChoice, estimator_for
+from excitant.identify.cutoff_study import Study
+from excitant.identify.estimator_choice import AUTO, EstimatorChoice
 from excitant.identify.estimators import DESCRIPTIONS, estimator_named
 from excitant.identify.estimators.of_rows import estimated
+from excitant.identify.fit_choices import plain_choices, tuned_choices
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.physical import PhysicalFit, fit_physical, prior_parameters
@@ -29,8 +31,6 @@ from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
 
 __all__ = ["Estimate", "identified_robot", "identify", "judged", "notes_on", "whitened"]
-
-_OF_ROWS = (AUTO, "ols", "wls", "irls", "gls", "tls")  # rows are all they see of a recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +127,7 @@ def identify(
     estimator: str = "wls",
     knowledge: Knowledge | None = None,
     tune: bool = False,
+    harmonics_hz: float | Array | None = None,
 ) -> Estimate:
     """Identify a robot from recordings.
 
@@ -145,11 +146,15 @@ def identify(
             inner hold-out (`excitant.identify.estimator_choice`).
         tune: Choose cut-offs of joints and a velocity dead zone from the training data, and show
             how the result depends on the cut-off (`excitant.identify.cutoff`). A cut-off
-            given is kept.
+            given is kept. Shapes of effects are refined (`excitant.identify.shapes`).
         knowledge: What is known of the bodies beforehand, and the kind of prior.
+        harmonics_hz: Highest harmonic of the motion as planned, for all joints or each [Hz]; with
+            `tune`, no cut-off below what it needs is chosen. Where None, it is looked for in
+            recordings that repeat.
 
     Raises:
-        BadInput: Knowledge that no body fulfils, or of links that the arm does not have.
+        BadInput: Knowledge that no body fulfils, or of links that the arm does not have;
+            frequencies that cannot be.
         BadRecording: Recordings that cannot be used.
         BadRobot: Links without mass, so no prior.
         UnknownName: There is no such estimator.
@@ -165,26 +170,27 @@ def identify(
     known = knowledge or Knowledge()
     reference, rows = resting(robot, fit_rows(robot, effects, base, data), prior, known)
     said, parts = notes_on(robot, prior, data, rows.gains), fitted(recordings, validate)
-    studied = contest = None
     if tune:
-        own = estimator not in _OF_ROWS
-        studied = study(reference, rows, parts, fixed=cutoff_hz is not None, untouched=own)
-        rows, said = studied.rows, (*said, *studied.choice.notes)
-    if estimator == AUTO:
-        judged_rows = None if studied is None else studied.judged
-        contest = estimator_for(reference, rows, parts, judged_rows)
-        estimator, said = contest.name, (*said, contest.sentence)
-    if estimator == "wls":
+        planned = None if harmonics_hz is None else planned_harmonics(harmonics_hz, robot.nv)
+        chosen = tuned_choices(
+            reference, rows, parts, estimator, prior, known,
+            fixed=cutoff_hz is not None, harmonics=planned,
+        )  # fmt: skip
+    else:
+        chosen = plain_choices(reference, rows, parts, estimator)
+    rows, base, said = chosen.rows, chosen.rows.base, (*said, *chosen.notes)
+    if chosen.estimator == "wls":
         fit = weighted_least_squares(rows.W[:, :, base.columns], rows.tau, base.expressions)
         R, z = whitened(rows.W, rows.tau, fit)
     else:
-        fit, notes = estimated(reference, rows, recordings, validate, estimator)
+        fit, notes = estimated(reference, rows, recordings, validate, chosen.estimator)
         said, R = (*said, *notes), whitened(rows.W, rows.tau, fit)[0]
         z = R[:, base.columns] @ fit.beta
     physical = fit_physical(R, z, prior, rows.open_prior, knowledge=known, links=robot.links)
-    found = judged(robot, rows, fit, physical, said)
+    found = judged(robot, rows, *chosen.widened(fit, physical), said)
+    words = DESCRIPTIONS[chosen.estimator]
     return replace(
-        found, estimator=DESCRIPTIONS[estimator], knowledge=known, study=studied, contest=contest
+        found, estimator=words, knowledge=known, study=chosen.study, contest=chosen.contest
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.identify.yaml_file import yaml_content
+from excitant.robots.yaml_entries import yaml_content
 
 PRIORS = ("pullback", "entropic", "euclidean")
 _KEYS = ("prior", "total_mass", "links")
@@ -145,7 +145,7 @@ def load_knowledge(path: str | Path, links: Sequence[str]) -> Knowledge:
     Raises:
         BadInput: Unreadable, unknown entries or links, or values that nothing can have.
     """
-    return knowledge_of(yaml_content(path), links, str(path))
+    return knowledge_of(yaml_content(path, "what is known"), links, str(path))
 
 
 def knowledge_of(content: object, links: Sequence[str], source: str) -> Knowledge:

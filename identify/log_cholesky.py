@@ -25,14 +25,14 @@ import scipy.linalg
 import scipy.optimize
 
 from excitant.exceptions import BadInput, Infeasible
+from excitant.identify.log_cholesky_numbers import from_log_cholesky, to_log_cholesky
 from excitant.identify.physical import PRIOR_SIGMA, EffectPrior, KktResiduals, PhysicalFit
 from excitant.identify.physical_coordinates import link_coordinates, link_weights, plain_units
 from excitant.robots.motion import Array, freeze
-from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
 
-_OFF = ((0, 1), (1, 2), (0, 2))  # s₁₂, s₂₃, s₁₃, the order of Rucker and Wensing
 _EVALUATIONS = 500
 _TOLERANCE = 1e-15
+_FEW, _REFINED = 60, 1e-5  # where no minimum is demanded
 _OPTIMAL = 1e-6  # of the gradient at the prior, above which it did not converge
 
 TorqueModel = Callable[[Array], tuple[Array, Array]]
@@ -47,60 +47,17 @@ class NonlinearEffects:
         torque: Their torque at every row, divided by its noise, and its Jacobian.
         prior: What is known of θ beforehand, and its bounds.
         start: Where to begin, shape (k,); the prior's mean where None.
+        alone: The torque without its Jacobian, where that is cheaper; as `torque` gives it if None.
     """
 
     torque: TorqueModel
     prior: EffectPrior
     start: Array | None = None
+    alone: Callable[[Array], Array] | None = None
 
     def __post_init__(self) -> None:
         if self.start is not None:
             freeze(self, "start")
-
-
-def _root(numbers: Array) -> Array:
-    """U of ten numbers (α, d₁, d₂, d₃, s₁₂, s₂₃, s₁₃, t₁, t₂, t₃) without its factor e^α."""
-    U = np.diag(np.append(np.exp(numbers[1:4]), 1.0))
-    for value, (i, j) in zip(numbers[4:7], _OFF, strict=True):
-        U[i, j] = value
-    U[:3, 3] = numbers[7:]
-    return U
-
-
-def from_log_cholesky(numbers: Array) -> tuple[Array, Array]:
-    """Standard parameters of ten numbers, shape (10,), and their exact Jacobian, shape (10, 10)."""
-    U, size = _root(numbers), np.exp(2 * numbers[0])
-    P = size * U @ U.T
-    slopes = [2 * P]
-    changes = np.zeros((9, 4, 4))
-    for k in range(3):
-        changes[k, k, k] = U[k, k]
-        changes[3 + k][_OFF[k]] = 1.0
-        changes[6 + k, k, 3] = 1.0
-    for dU in changes:
-        half = size * dU @ U.T
-        slopes.append(half + half.T)
-    return from_pseudo_inertia(P), from_pseudo_inertia(np.array(slopes)).T
-
-
-def to_log_cholesky(phi: Array) -> Array:
-    """The ten numbers of a consistent body.
-
-    Args:
-        phi: Standard parameters of one link, shape (10,).
-
-    Raises:
-        BadInput: No body of positive density has them.
-    """
-    flip = pseudo_inertia(phi)[::-1, ::-1]
-    try:
-        U = np.linalg.cholesky(flip)[::-1, ::-1]  # upper triangular with U Uᵀ = P
-    except np.linalg.LinAlgError:
-        raise BadInput("log-Cholesky: parameters that no body of positive density has") from None
-    unit = U / U[3, 3]
-    return np.array(
-        [np.log(U[3, 3]), *np.log(np.diag(unit)[:3]), *(unit[k] for k in _OFF), *unit[:3, 3]]
-    )
 
 
 def fit_log_cholesky(
@@ -130,25 +87,57 @@ def fit_log_cholesky(
         Infeasible: The solver did not reach a minimum.
     """
     problem = _Problem(R, z, prior, effects, prior_sigma, distance)
-    found = scipy.optimize.least_squares(
-        problem.residual,
-        problem.start,
-        problem.jacobian,
-        bounds=(problem.lower, np.inf),
-        x_scale="jac",
-        ftol=_TOLERANCE,
-        xtol=_TOLERANCE,
-        gtol=_TOLERANCE,
-        max_nfev=_EVALUATIONS,
-    )
-    quality = problem.optimality(np.asarray(found.x, float))
+    numbers = problem.descended(problem.start(prior), _TOLERANCE, _EVALUATIONS)
+    quality = problem.optimality(numbers)
     if quality.stationarity > _OPTIMAL:
         raise Infeasible(
             "log-Cholesky fit",
-            f"no minimum after {found.nfev} evaluations; the data may call for a body that cannot "
-            "be, for which the semidefinite fit is made",
+            f"no minimum after {_EVALUATIONS} evaluations; the data may call for a body that "
+            "cannot be, for which the semidefinite fit is made",
         )
-    return problem.fit(np.asarray(found.x, float), quality)
+    return problem.fit(numbers, quality)
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """A point from which the objective falls no further, or hardly.
+
+    Attributes:
+        fit: Standard parameters and θ there; its ``kkt`` says how close to a minimum that is.
+        objective: The objective at standard parameters and θ, shape (10 links + k,).
+    """
+
+    fit: PhysicalFit
+    objective: Callable[[Array], float]
+
+
+def refine_log_cholesky(
+    R: Array,
+    z: Array,
+    prior: Array,
+    effects: NonlinearEffects,
+    bodies: Array,
+    prior_sigma: float | Array = PRIOR_SIGMA,
+) -> Refinement:
+    """Descend from a consistent point, such as a semidefinite fit, as far as it pays.
+
+    Where data call for a body that cannot be, its numbers run away while the objective and θ
+    settle: no minimum is demanded, and bodies are those of a fit with a margin, made for that θ.
+
+    Args:
+        R: Whitened columns of the links, shape (m, 10 links).
+        z: Whitened torque, shape (m,).
+        prior: Standard parameters of the prior, consistent, shape (links, 10).
+        effects: Torque beside the links', with θ to start from.
+        bodies: Standard parameters to start from, consistent, shape (links, 10).
+        prior_sigma: Relative uncertainty σ of the prior, for all links or for each.
+
+    Raises:
+        BadInput: Columns, torque and prior that do not fit each other, or impossible bodies.
+    """
+    problem = _Problem(R, z, prior, effects, prior_sigma, "pullback")
+    numbers = problem.descended(problem.start(bodies), _REFINED, _FEW)
+    return Refinement(problem.fit(numbers, problem.optimality(numbers)), problem.objective)
 
 
 class _Problem:
@@ -173,13 +162,34 @@ class _Problem:
         self.known = effects.prior if effects else EffectPrior(*(np.zeros(0),) * 3)
         self.C = _prior_rows(prior, sigma, distance)
         self.target = self.C @ prior.ravel()
-        theta = self.known.mean if effects is None or effects.start is None else effects.start
-        # the bounded method starts inside its bounds
-        theta = np.where(
-            theta > self.known.lower, theta, self.known.lower + 1e-3 * np.abs(self.known.std)
-        )
-        self.start = np.concatenate([*(to_log_cholesky(values) for values in prior), theta])
         self.lower = np.concatenate([np.full(size, -np.inf), self.known.lower])
+
+    def start(self, bodies: Array) -> Array:
+        """Numbers of bodies, shape (links, 10), and θ to start from, inside their bounds."""
+        effects, lower = self.effects, self.known.lower
+        theta = self.known.mean if effects is None or effects.start is None else effects.start
+        theta = np.where(theta > lower, theta, lower + 1e-3 * np.abs(self.known.std))
+        return np.concatenate([*(to_log_cholesky(values) for values in bodies), theta])
+
+    def descended(self, numbers: Array, tolerance: float, evaluations: int) -> Array:
+        """Where the objective is lowest, from some numbers on."""
+        with np.errstate(over="ignore", invalid="ignore"):  # steps too long are taken back
+            found = scipy.optimize.least_squares(
+                self.residual,
+                numbers,
+                self.jacobian,
+                bounds=(self.lower, np.inf),
+                x_scale="jac",
+                ftol=tolerance,
+                xtol=tolerance,
+                gtol=tolerance,
+                max_nfev=evaluations,
+            )
+        return np.asarray(found.x, float)
+
+    def objective(self, x: Array) -> float:
+        """What is minimised, at standard parameters and θ."""
+        return float((self.misfit(x[: self.size], x[self.size :]) ** 2).sum())
 
     def bodies(self, numbers: Array) -> tuple[Array, Array]:
         """φ, shape (10 links,), and its Jacobian by the numbers, shape (10 links, 10 links)."""
@@ -193,12 +203,22 @@ class _Problem:
             return np.zeros(len(self.z)), np.zeros((len(self.z), 0))
         return self.effects.torque(theta)
 
+    def alone(self, theta: Array) -> Array:
+        """Whitened torque of the effects."""
+        effects = self.effects
+        if effects is None or effects.alone is None:
+            return self.torque(theta)[0]
+        return effects.alone(theta)
+
     def residual(self, numbers: Array) -> Array:
         """Data, prior of the links, prior of the effects."""
-        phi, theta = self.bodies(numbers)[0], numbers[self.size :]
+        return self.misfit(self.bodies(numbers)[0], numbers[self.size :])
+
+    def misfit(self, phi: Array, theta: Array) -> Array:
+        """The same of standard parameters."""
         return np.concatenate(
             [
-                self.R @ phi + self.torque(theta)[0] - self.z,
+                self.R @ phi + self.alone(theta) - self.z,
                 self.C @ phi - self.target,
                 (theta - self.known.mean) / self.known.std,
             ]
@@ -225,7 +245,8 @@ class _Problem:
         J = self.jacobian(numbers)
         gradient, scale = 2 * J.T @ self.residual(numbers), np.linalg.norm(J, axis=0)
         room = numbers - self.lower
-        bound = (gradient > 0) & (room * scale < 1e-6 * np.linalg.norm(self.z))
+        with np.errstate(invalid="ignore"):  # without bound and without slope
+            bound = (gradient > 0) & (room * scale < 1e-6 * np.linalg.norm(self.z))
         free = np.where(bound, 0.0, gradient) / np.where(scale > 0, scale, 1.0)
         size = float(np.linalg.norm(self.z)) + 1.0
         slack = float(np.sum(gradient[bound] * room[bound])) / size**2

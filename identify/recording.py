@@ -152,8 +152,8 @@ def recording_from_raw(raw: RawRecording) -> Recording:
             signal, or less than `MINIMUM_DURATION`.
     """
     check_finite(raw)
-    _check_duration(raw)
     check_time(raw)
+    _check_duration(raw)
     check_alive(raw.tau, raw)
     dq, notes = raw.dq, raw.notes
     if dq is not None and not np.isfinite(dq).all():
@@ -211,7 +211,8 @@ def check_time(raw: RawRecording, first_row: int = 0, before: float | None = Non
     what = "repeats" if steps[k] == 0 else "goes back"
     raise BadRecording(
         raw.file,
-        f"time {what} ({t[k + 1]:.6g} after {t[k]:.6g} s); sort or remove those rows",
+        f"time {what} ({t[k + 1]:.6g} after {t[k]:.6g} s); sort or remove those rows, which "
+        "--repair does where they fit",
         row=k + first_row + (before is None),
         column=raw.columns.t[0],
     )

@@ -60,7 +60,7 @@ def split(
         BadRecording: Recordings in different units, or too short to split.
     """
     refuse_mixed_units((*recordings, *validate))
-    held = list(validate) or [r.between(FIT_SHARE, 1, "last 30 %") for r in recordings]
+    held = list(validate) or [held_out(r) for r in recordings]
     sentence = holdout_sentence([r.name for r in validate])
     parts = fitted(recordings, validate)
     if cutoff_hz is None:
@@ -94,6 +94,11 @@ def fitted(recordings: Sequence[Recording], validate: Sequence[Recording]) -> li
     if validate:
         return list(recordings)
     return [r.between(0, FIT_SHARE, "first 70 %") for r in recordings]
+
+
+def held_out(recording: Recording) -> Recording:
+    """What is held out of a recording where no hold-out is named."""
+    return recording.between(FIT_SHARE, 1, "last 30 %")
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,8 @@ _EDGES = ("#7fb0cf", "#aab2b8")
 _BASE = "#8a9299"
 _ROUND = np.linspace(0, 2 * np.pi, 33)
 _AXIS = 0.13  # of the picture: length of a joint's axis
-_TOGETHER = 0.05  # of the picture: joints nearer than this share a label
+_PAPER = {"boxstyle": "square,pad=0.08", "fc": "white", "ec": "none", "alpha": 0.75}
+_TOGETHER = 0.09  # of the picture: joints nearer than this share a label
 _HEIGHT = 3.3  # inch
 
 
@@ -179,7 +180,7 @@ def _draw_chain(ax: Any, arm: _Arm, view: _View, size: float) -> None:
         x, y = flat[1:-1][members].mean(axis=0)
         label = ",".join(str(k + 1) for k in members)
         ax.annotate(label, (x, y), (6, 6), textcoords="offset points", fontsize=8.5,
-                    color="#111111", zorder=6)  # fmt: skip
+                    color="#111111", zorder=6, bbox=_PAPER)  # fmt: skip
 
 
 def _draw_axis(ax: Any, centre: Array, axis: Array, size: float) -> None:
@@ -210,4 +211,4 @@ def _clusters(points: Array, near: float) -> list[list[int]]:
 
 def joint_labels(names: Sequence[str]) -> list[str]:
     """Names with the numbers that the picture shows."""
-    return [f"{k}. {name}" for k, name in enumerate(names, start=1)]
+    return [f"{k}.\u00a0{name}" for k, name in enumerate(names, start=1)]

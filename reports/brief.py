@@ -79,8 +79,11 @@ def _analyze(result: Result) -> Lines:
     ]  # fmt: skip
     practical = records(result, "practical")
     if practical:
-        weak = sum(row.get("verdict") == "hardly" for row in practical)
-        lines.append(("", f"this motion hardly shows {weak} of {len(practical)} combinations"))
+        verdicts = [row.get("verdict") for row in practical]
+        if weak := verdicts.count("hardly"):
+            lines.append(("", f"this motion hardly shows {weak} of {len(verdicts)} combinations"))
+        elif "not_shown" not in verdicts:
+            lines.append(("", f"this motion shows all {len(verdicts)} combinations"))
     return [*lines, *(("", note) for note in words(result, "notes"))]
 
 

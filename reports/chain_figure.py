@@ -56,11 +56,11 @@ def chain_figure(series: Series, index: int, name: str, caption: str) -> Figure 
     ax.plot(*own.T, color=FITTED, lw=5.5, zorder=3)
     ax.plot(*own[0], "o", ms=6.5, mec="white", mfc=FITTED, mew=1.0, zorder=4)
     _ground(ax, points)
-    return Figure(
-        (panel(ax, f"{name} in the chain, {view}"),),
-        caption,
-        (Key("line", FITTED, "this link"), Key("dot", FITTED, "its joint")),
-    )
+    legend = [Key("line", FITTED, "this link"), Key("dot", FITTED, "its joint")]
+    if np.ptp(own, axis=0).max() < 0.01 * np.ptp(points, axis=0).max():
+        caption += " It has no length in this view: the next joint lies at the same place."
+        legend = legend[1:]
+    return Figure((panel(ax, f"{name} in the chain, {view}"),), caption, tuple(legend))
 
 
 def _ground(ax: Any, points: Array) -> None:

@@ -16,6 +16,7 @@ from excitant.reports.comparison_rows import (
     compared_findings,
     compared_joints,
     compared_limits,
+    compared_models,
     compared_parameters,
     compared_precision,
 )
@@ -40,6 +41,7 @@ _DRAWN: Mapping[str, tuple[str, ...]] = {
     "identify": ("t", "measured", "given", "identified"),
     "analyze": ("singular_values",),
     "diagnose": ("t", "measured", "simulated", "extended"),
+    "robots": (),
 }
 
 
@@ -97,7 +99,8 @@ def _refuse_unlike(a: SavedRun, b: SavedRun) -> None:
             "compare two runs of one command"
         )
     if verb not in (*MEASURES, "demo"):
-        raise BadInput(f"{a.folder}: runs of '{verb}' cannot be compared; give the runs themselves")
+        known = ", ".join((*MEASURES, "demo"))
+        raise BadInput(f"{a.folder}: runs of '{verb}' cannot be compared, only those of {known}")
 
 
 def _section_of(run: SavedRun, name: str) -> SavedRun:
@@ -144,6 +147,7 @@ _ROWS: Mapping[str, Mapping[str, Callable[[Result, Result], Any]]] = {
         "findings": lambda a, b: compared_findings(a, b, "findings", "effect"),
         "faults": lambda a, b: compared_findings(a, b, "faults", "fault"),
     },
+    "robots": {"models": compared_models},
 }
 
 

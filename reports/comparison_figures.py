@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from excitant.reports.comparison import drawn
 from excitant.reports.comparison_rows import APART
@@ -160,21 +161,29 @@ def _spectrum(series: Series, side: str) -> Array | None:
     return (np.sqrt(kept) if squares is not None else kept) if len(kept) else None
 
 
+def _stems(
+    rows: Sequence[Mapping[str, Any]], key: str, alike: float, colour: Callable[[float], str]
+) -> Axes:
+    """A named line per row, from the value of runs that agree to its own, ending in a dot."""
+    (ax,) = axes(0.62 + 0.22 * len(rows), left=1.75)
+    for k, row in enumerate(rows):
+        x = float(row[key])
+        ax.plot([alike, x], [k, k], color=LIGHT, lw=1.4, zorder=1)
+        ax.plot(x, k, "o", ms=5, color=colour(x))
+    ax.set_ylim(len(rows) - 0.4, -0.6)
+    names = [shorten(leader(text(row, "name")), 24) for row in rows]
+    ax.set_yticks(range(len(rows)), names, fontsize=8)
+    return ax
+
+
 def deviation_figure(rows: Sequence[Mapping[str, Any]]) -> Figure | None:
     """How many standard deviations the estimates of two runs lie apart, the furthest first."""
     shown = [row for row in rows if real(row, "deviations") is not None][:_MOST]
     if not shown:
         return None
-    (ax,) = axes(0.62 + 0.22 * len(shown), left=1.75)
+    ax = _stems(shown, "deviations", 0.0, lambda z: GREEN if z > APART else LIGHT)
     ax.axvspan(0, APART, color="#eceff1", lw=0, zorder=0)
-    for k, row in enumerate(shown):
-        z = real(row, "deviations") or 0.0
-        ax.plot([0, z], [k, k], color=LIGHT, lw=1.4, zorder=1)
-        ax.plot(z, k, "o", ms=5, color=GREEN if z > APART else LIGHT)
     ax.set_xlim(0, max(1.6 * APART, 1.08 * max(float(row["deviations"]) for row in shown)))
-    ax.set_ylim(len(shown) - 0.4, -0.6)
-    names = [shorten(leader(text(row, "name")), 27) for row in shown]
-    ax.set_yticks(range(len(shown)), names, fontsize=8)
     ax.set_xlabel("difference [standard deviations]", x=0.3)
     said = ", ".join(f"{leader(text(r, 'name'))} {number(r['deviations'], 2)}" for r in shown[:3])
     caption = (
@@ -191,15 +200,9 @@ def precision_figure(rows: Sequence[Mapping[str, Any]]) -> Figure | None:
     shown = [row for row in rows if abs((real(row, "ratio") or 1.0) - 1.0) > _ALIKE][:_MOST]
     if not shown:
         return None
-    (ax,) = axes(0.62 + 0.22 * len(shown), left=1.75)
-    for k, row in enumerate(shown):
-        ax.plot([1, row["ratio"]], [k, k], color=LIGHT, lw=1.4, zorder=1)
-        ax.plot(row["ratio"], k, "o", ms=5, color=GREEN if row["ratio"] < 1 else PURPLE)
+    ax = _stems(shown, "ratio", 1.0, lambda ratio: GREEN if ratio < 1 else PURPLE)
     ax.axvline(1, color="#8a8f94", lw=0.7)
     log_x(ax)
-    ax.set_ylim(len(shown) - 0.4, -0.6)
-    names = [shorten(leader(text(row, "name")), 27) for row in shown]
-    ax.set_yticks(range(len(shown)), names, fontsize=8)
     ax.set_xlabel("std of B over std of A [–]", x=0.3)
     said = ", ".join(f"{leader(text(r, 'name'))} {percent(r['ratio'])}" for r in shown[:3])
     caption = (

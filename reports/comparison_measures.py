@@ -140,4 +140,12 @@ MEASURES: Mapping[str, tuple[Measure, ...]] = {
         Measure("Cut-off", _number("cutoff_hz"), "Hz"),
         Measure("Headline", lambda result: text(result, "headline") or None),
     ),
+    "robots": (
+        Measure("Joints", _count("joints")),
+        Measure("Moving mass", _number("mass"), "kg"),
+        Measure("Mass with the base", _number("total_mass"), "kg"),
+        Measure("Base parameters", _number("base_parameters")),
+        Measure("Effects", _effects),
+        Measure("Warnings and hints", _count("warnings")),
+    ),
 }  # fmt: skip

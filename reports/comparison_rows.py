@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from excitant.reports.reading import Result, at, real, records, text, words, worst_points
+from excitant.reports.reading import (
+    Result,
+    at,
+    real,
+    reals,
+    records,
+    text,
+    words,
+    worst_points,
+)
+from excitant.robots.parameters import STANDARD, UNITS
 
 Row = dict[str, Any]
 APART = 2.0  # standard deviations: 1 in 20 of equal values lies further apart by chance
+_ROUNDING = 1e-9  # relative difference of equal values
 _ERRORS = ("rms", "nrmse", "r2")
 
 
@@ -173,4 +184,62 @@ def compared_precision(a: Result, b: Result) -> dict[str, Any]:
         "rows": rows,
         "only_a": [n for n in first if n not in second],
         "only_b": [n for n in second if n not in first],
+    }
+
+
+def compared_models(a: Result, b: Result) -> dict[str, Any]:
+    """Numbers of two models that differ: joints' limits and loads, then parameters.
+
+    Returns:
+        ``rows`` of what differs, how many values were ``compared``, and the names that ``only_a``
+        or ``only_b`` has.
+    """
+    first, second = ({**_joint_values(r), **_parameter_values(r)} for r in (a, b))
+    common = [name for name in first if name in second]
+    rows: list[Row] = [
+        {"name": name, "unit": first[name][1], "a": first[name][0], "b": second[name][0]}
+        for name in common
+        if not _equal(first[name][0], second[name][0])
+    ]
+    return {
+        "rows": rows,
+        "compared": len(common),
+        "only_a": [n for n in first if n not in second],
+        "only_b": [n for n in second if n not in first],
+    }
+
+
+def _equal(a: float | None, b: float | None) -> bool:
+    return a == b if a is None or b is None else math.isclose(a, b, rel_tol=_ROUNDING)
+
+
+def _joint_values(result: Result) -> dict[str, tuple[float | None, str]]:
+    """Limits and greatest torque of gravity of every joint, None where there is no limit."""
+    found: dict[str, tuple[float | None, str]] = {}
+    for joint in records(result, "joints"):
+        way, force = ("m", "N") if text(joint, "kind") == "prismatic" else ("rad", "N·m")
+        lower, upper = [*reals(joint, "position"), math.nan, math.nan][:2]
+        values = {
+            "lower limit": (lower, way),
+            "upper limit": (upper, way),
+            "velocity limit": (at(joint, "velocity"), f"{way}/s"),
+            "acceleration limit": (at(joint, "acceleration"), f"{way}/s²"),
+            "torque limit": (at(joint, "torque"), force),
+            "greatest torque of gravity": (at(joint, "gravity_torque"), force),
+        }
+        for what, (value, unit) in values.items():
+            found[f"{text(joint, 'name')}: {what}"] = (real(value), unit)
+    return found
+
+
+def _parameter_values(result: Result) -> dict[str, tuple[float | None, str]]:
+    """Standard parameters of all links, and coefficients of effects."""
+    phi, units = at(result, "parameters"), dict(zip(STANDARD, UNITS, strict=True))
+    found = {
+        name: (real(value), units.get(name.rpartition(".")[2], ""))
+        for name, value in (phi if isinstance(phi, Mapping) else {}).items()
+    }
+    return found | {
+        text(row, "name"): (real(row, "value"), text(row, "unit"))
+        for row in records(result, "effect_values")
     }

@@ -20,6 +20,7 @@ from excitant.reports.comparison_tables import (
     finding_table,
     finding_values,
     limit_table,
+    model_table,
     precision_table,
     unmatched,
 )
@@ -37,7 +38,7 @@ from excitant.reports.model import (
 )
 from excitant.reports.model import section as section_of
 from excitant.reports.reading import Result, Series, at, real, records, text, words
-from excitant.reports.wording import NONE, number
+from excitant.reports.wording import NONE, number, plain
 
 Parts = list[tuple[str, list[Block | None]]]
 _TITLES = {
@@ -46,6 +47,7 @@ _TITLES = {
     "identify": "Identifications",
     "analyze": "Identifiability",
     "diagnose": "Diagnoses",
+    "robots": "Models",
 }
 
 
@@ -63,7 +65,12 @@ def comparison_section(verb: str, result: Result, series: Series) -> Section:
 
 
 def comparison_lead(result: Result) -> str:
-    """Which run is better in what, in one sentence."""
+    """Which run is better in what, or how much of two models differs, in one sentence."""
+    if (compared := real(result, "models", "compared")) is not None:
+        if not compared:
+            return "The two models share no name of a joint or link: only whole figures compare."
+        count = len(records(result, "models", "rows"))
+        return f"{count} of {compared:.0f} values that both models give differ."
     if words(result, "remarks"):
         return "The two runs do not compare one to one; the remarks say why."
     rows = records(result, "key_figures")
@@ -83,11 +90,14 @@ def _advantage(row: Result, side: str) -> str:
 
 def run_table(result: Result) -> Table | None:
     """Which two runs are compared."""
+    runs = records(result, "runs")[:2]
+    elsewhere = any(text(run, "name") != text(run, "folder") for run in runs)
     rows: list[list[Cell | str]] = [
-        [side, text(run, "name"), text(run, "folder")]
-        for side, run in zip("AB", records(result, "runs"), strict=False)
+        [side, text(run, "name"), *([text(run, "folder")] if elsewhere else [])]
+        for side, run in zip("AB", runs, strict=False)
     ]
-    return table("name:Run | name:Name | text:Folder", rows) if rows else None
+    heads = "name:Run | name:Name" + (" | text:Folder" if elsewhere else "")
+    return table(heads, rows) if rows else None
 
 
 def _figures(result: Result) -> Table | None:
@@ -99,6 +109,7 @@ def _figures(result: Result) -> Table | None:
         better, difference = text(row, "better"), real(row, "difference")
         tone = {"b": GOOD, "a": POOR}.get(better, PLAIN)
         change = NONE if difference is None else _signed(difference, text(row, "unit"))
+        change = "0" if difference is not None and values[0] == values[1] else change
         rows.append([text(row, "figure"), *values, Cell(change, tone)])
     if not rows:
         return None
@@ -114,8 +125,14 @@ def _figures(result: Result) -> Table | None:
 def _value(value: object, unit: str) -> str:
     x = real(value)
     if x is None:
-        return str(value) if isinstance(value, str) else NONE
+        return plain(value) if isinstance(value, str) else NONE
+    x, unit = _handy(x, unit)
     return _written(x, 4) + (f"\u00a0{unit}" if unit else "")
+
+
+def _handy(value: float, unit: str) -> tuple[float, str]:
+    """Distances in millimetres."""
+    return (1e3 * value, "mm") if unit == "m" else (value, unit)
 
 
 def _written(value: float, digits: int) -> str:
@@ -127,6 +144,7 @@ def _written(value: float, digits: int) -> str:
 def _signed(value: float, unit: str) -> str:
     if value == 0:
         return "0"
+    value, unit = _handy(value, unit)
     what = "points" if unit == "%" else unit
     return f"{'+' if value > 0 else ''}{_written(value, 3)}" + (f"\u00a0{what}" if what else "")
 
@@ -184,10 +202,17 @@ def _analyze(result: Result, series: Series) -> Parts:
     ]
 
 
+def _robots(result: Result, series: Series) -> Parts:
+    return [
+        ("Limits and parameters that differ", [model_table(result), unmatched(result, "models")])
+    ]
+
+
 _PARTS: Mapping[str, Callable[[Result, Series], Parts]] = {
     "design": _motion,
     "check": _motion,
     "identify": _identify,
     "analyze": _analyze,
     "diagnose": _diagnose,
+    "robots": _robots,
 }

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 
 from excitant.reports.plain_text import Cells, fields, numbers_first, one_line, sentences, table
 from excitant.reports.reading import Result, at, items, real, records, text, words
+from excitant.reports.wording import plain
 
 
 def comparison_lines(result: Result) -> list[str]:
@@ -69,7 +70,7 @@ def _errors(result: Result) -> list[str]:
 
 
 def _estimates(key: str) -> Callable[[Result], list[str]]:
-    title = key.replace("_", " ")
+    title = plain(key)
 
     def write(result: Result) -> list[str]:
         rows: list[Cells] = [
@@ -140,6 +141,14 @@ def _precision(result: Result) -> list[str]:
     return numbers_first("standard deviations", ("std A", "std B", "B / A"), rows)
 
 
+def _models(result: Result) -> list[str]:
+    rows: list[Cells] = [
+        (text(row, "name"), real(row, "a"), real(row, "b"), text(row, "unit") or "-")
+        for row in records(result, "models", "rows")
+    ]
+    return table("values that differ", ("value", "A", "B", "unit"), rows)
+
+
 _WRITERS: Mapping[str, Callable[[Result], list[str]]] = {
     "errors": _errors,
     "base_parameters": _estimates("base_parameters"),
@@ -149,4 +158,5 @@ _WRITERS: Mapping[str, Callable[[Result], list[str]]] = {
     "faults": _listed("faults", "fault"),
     "categories": _categories,
     "precision": _precision,
+    "models": _models,
 }

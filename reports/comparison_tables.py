@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from excitant.reports.comparison_figures import deviation_figure, leader
 from excitant.reports.design_motion_figure import share_of_limit
+from excitant.reports.finding_section import cause
 from excitant.reports.model import (
     FAIR,
     GOOD,
@@ -22,6 +23,7 @@ from excitant.reports.wording import NONE, listing, number, percent, plain, valu
 
 _FLAT = 0.05  # relative change of an error that is called none
 _NAMED = 12  # names in a sentence
+_SHOWN = 40  # rows without opening a fold
 
 
 def error_table(result: Result, before: str, after: str, title: str) -> Table | None:
@@ -135,12 +137,12 @@ def finding_table(result: Result) -> Table | None:
         "text:Found by | text:Effect | name:Joints | number:Explains, A | number:Explains, B | "
         "text:Verdict A | text:Verdict B",
         rows,
-        "What both diagnoses name first, then what only one does: the first to doubt.",
+        "What both diagnoses name comes first; what only one names is to be doubted.",
     )
 
 
 def _finding_row(by: str, a: Result, b: Result, where: str) -> list[Cell | str]:
-    effect = plain(text(a, "effect") or text(b, "effect"))
+    effect = cause(a if text(a, "effect") else b)
     shares = [percent(at(each, "explained")) for each in (a, b)]
     verdicts: list[Cell | str] = [
         Cell(v or NONE, {"named": GOOD, "undecided": FAIR}.get(v, PLAIN))
@@ -236,3 +238,22 @@ def precision_table(result: Result) -> Table | None:
         "Standard deviation with both motions, the greatest difference first.",
         f"All {len(rows)} base parameters that both runs have" if len(rows) > 8 else "",
     ) if rows else None  # fmt: skip
+
+
+def model_table(result: Result) -> Block | None:
+    """Limits, loads and parameters that the models give differently; None if they share none."""
+    rows: list[list[Cell | str]] = []
+    for row in records(result, "models", "rows"):
+        a, b = (real(row, side) for side in "ab")
+        change = NONE if not a or b is None else _change(b / a - 1)
+        rows.append([text(row, "name"), number(a, 4), number(b, 4), text(row, "unit"), change])
+    if not real(result, "models", "compared"):
+        return None
+    if not rows:
+        return Notes(("Both models give all that they share alike.",))
+    return table(
+        "name:Value | number:A | number:B | name:Unit | number:B against A",
+        rows,
+        "Limits and loads of joints, then parameters of links and effects; a dash is no limit.",
+        f"All {len(rows)} values that differ" if len(rows) > _SHOWN else "",
+    )

@@ -6,10 +6,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
+from excitant.identify.estimators import DESCRIPTIONS
 from excitant.reports.drawing import FITTED, LIGHT, axes, label_y, panel
 from excitant.reports.model import GOOD, Block, Cell, Figure, Key, Notes, Panel, Table, table
 from excitant.reports.reading import Result, at, items, real, records, text
-from excitant.reports.wording import NONE, number, percent, quantity, shorten
+from excitant.reports.wording import NONE, number, percent, quantity, shorten, value_and_std
 from excitant.robots.motion import Array
 
 _FLAT = 0.05  # relative change of an error that is called none
@@ -109,7 +110,7 @@ def _error_panel(factors: Array, errors: Array) -> Panel:
     middle = np.median(errors, axis=1)
     ax.plot(factors, middle, "o-", color=FITTED, ms=4, lw=1.8)
     _factor_axis(ax, factors)
-    label_y(ax, "error over that chosen [–]")
+    label_y(ax, "error / chosen's [–]")
     said = ", ".join(f"{f:.2g}: {e:.3f}" for f, e in zip(factors, middle, strict=True))
     return panel(ax, f"hold-out error over cut-off factor, median: {said}", "error on the hold-out")
 
@@ -142,16 +143,17 @@ def _joint_table(result: Result) -> Table | None:
     zones = {text(row, "name"): row for row in records(result, "dead_zone", "joints")}
     chosen = items(result, "cutoff_hz_per_joint")
     rows: list[list[Cell | str]] = []
+    still = any((real(zone, "share") or 0.0) > 0 for zone in zones.values())
     for row in records(result, "cutoff_hz_per_joint"):
         zone = zones.get(text(row, "name"))
+        slow = [number(at(zone, "slower_than"), 2), percent(at(zone, "share"))] if still else []
         rows.append(
             [
                 text(row, "name"),
                 quantity(at(row, "cutoff_hz"), "Hz"),
                 quantity(at(row, "explained_up_to_hz"), "Hz", 2),
                 quantity(at(row, "residual_densest_at_hz"), "Hz", 2),
-                number(at(zone, "slower_than"), 2),
-                percent(at(zone, "share")),
+                *slow,
                 *([] if alike else [text(row, "reason") or NONE]),
             ]
         )
@@ -161,13 +163,19 @@ def _joint_table(result: Result) -> Table | None:
     left = at(result, "dead_zone", "left_out") is True
     did = "is left out of the fit" if left else "stays in the fit"
     return table(
-        "name:Joint | number:Cut-off | number:Explained up to | number:Residual densest at | "
-        "number:Sign known above [rad/s] | number:Rows slower"
+        "name:Joint | number:Cut-off | number:Explained up to | number:Residual densest at"
+        + (" | number:Sign known above [rad/s] | number:Rows slower" if still else "")
         + ("" if alike else " | text:Why this cut-off"),
         rows,
         f"Chosen from the training data{why}. Explained up to: the highest frequency at which the "
-        "model explains more of the torque than it leaves. A row during which the joint is slower "
-        f"than the speed from which the sign of its velocity is known {did}.",
+        "model explains more of the torque than it leaves. Residual densest at: the frequency at "
+        "which most of the residual lies."
+        + (
+            " A row during which the joint is slower than the speed from which the sign of its "
+            f"velocity is known {did}."
+            if still
+            else ""
+        ),
     )
 
 
@@ -178,18 +186,25 @@ def _contest(result: Result) -> Table | None:
         compared = fall is not None and error is not None and error > 0
         rows.append(
             [
-                text(row, "name"),
+                DESCRIPTIONS.get(text(row, "name"), text(row, "name")),
                 Cell("chosen", GOOD) if at(row, "chosen") is True else "",
                 percent(at(row, "nrmse"), 3),
-                f"{percent(-(fall or 0.0))} ± {percent(error, 1)}" if compared else NONE,
+                _change_of(-(fall or 0.0), error) if compared else NONE,
             ]
         )
     if not rows:
         return None
     return table(
-        "name:Estimator | text:Choice | number:Inner hold-out, nrmse | number:Mean square error",
+        "name:Estimator | text:Choice | number:Inner hold-out, nrmse | "
+        "number:Mean square error, change",
         rows,
         "Errors on blocks of the training data left out in turn; the change of the mean square "
         "error against the first estimator, with its standard error from the same blocks. Another "
         "one is chosen only where it is better beyond chance.",
     )
+
+
+def _change_of(share: float, std: float | None) -> str:
+    """A change with its standard error, both to the decimals of the latter."""
+    value, error = value_and_std(100 * share, None if std is None else 100 * std)
+    return f"{value} ± {error}\u00a0%"

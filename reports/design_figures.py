@@ -20,7 +20,7 @@ from excitant.reports.drawing import (
     whole_ticks,
 )
 from excitant.reports.model import Figure, Key
-from excitant.reports.reading import Series, curve, real, reals, records
+from excitant.reports.reading import Series, curve, real, reals, records, text
 from excitant.reports.wording import number
 from excitant.robots.motion import Array
 
@@ -99,8 +99,11 @@ def convergence_figure(result: Mapping[str, Any]) -> Figure | None:
     )
     caption = (
         "Each start of the optimisation, a dot where it ended: several that end at the same height "
-        "suggest that no much better motion exists."
+        "suggest that a much better motion does not exist."
     )
+    cut = sum(text(row, "status").replace("_", " ") == "time limit" for row, _ in starts)
+    if cut:
+        caption += f" The time limit ended {cut} of these {len(starts)}: more time may find better."
     return Figure((panel(ax, label),), caption, tuple(legend))
 
 

@@ -8,6 +8,7 @@ from excitant.reports.design_figures import convergence_figure, spectrum_figure
 from excitant.reports.design_motion_figure import envelope_of, motion_figure, share_of_limit
 from excitant.reports.design_space_figure import space_figure
 from excitant.reports.design_weakness import direction_table, weakest_figure, weakest_table
+from excitant.reports.file_list import file_list
 from excitant.reports.link_by_link_section import link_motion_parts
 from excitant.reports.model import (
     FAIR,
@@ -38,11 +39,17 @@ from excitant.reports.reading import (
 from excitant.reports.wording import NONE, number, percent, plain, quantity, sentence, value_and_std
 
 _CRITERIA = {
-    "condition": "least ratio of singular values of W",
-    "d": "greatest determinant of WᵀW",
-    "a": "least trace of (WᵀW)⁻¹",
-    "e": "greatest weakest singular value of W",
+    "condition": "best seen against worst seen: least ratio of singular values of W",
+    "d": "least volume of uncertainty: greatest determinant of WᵀW",
+    "a": "least mean variance: least trace of (WᵀW)⁻¹",
+    "e": "worst seen direction: greatest least singular value of W",
 }
+_NAMES = {"condition": "condition number", "d": "D-optimal", "a": "A-optimal", "e": "E-optimal"}
+_COLUMNS = {
+    "friction": "of links, friction, offsets and rotors",
+    "inertial": "of the links only",
+}
+CUTOFF_REMARK = "accuracy is judged below it; measured and model filtered alike"
 
 
 def design_section(result: Result, series: Series) -> Section:
@@ -75,24 +82,35 @@ def _design_lead(result: Result) -> str:
     motion = "The motion"
     if (duration := real(result, "duration")) is not None:
         motion = f"A motion of {quantity(duration, 's')}"
+    stages = records(result, "link_by_link", "stages")
     if final is None:
         return f"{motion} was designed for {text(result, 'robot') or 'the arm'}."
     before = "" if initial is None else f", {number(initial)} at the start of the search"
+    if stages:
+        motion, before = f"{len(stages)} motions, one per link, of {quantity(duration, 's')}", ""
     holds = ""
     points = [point for point in worst_points(result) if point.ratio is not None]
     if points:
         all_hold = all(point.holds for point in points)
         holds = " All limits hold." if all_hold else " Not all limits hold: see below."
-    return f"{motion} reaches a condition number of {number(final)}{before}.{holds}"
+    reached = f"a condition number of {number(final)}{before}"
+    if stages:
+        return f"{motion} in all, reach {reached} or less each (1 would be best).{holds}"
+    return f"{motion} reaches {reached} (1 would be best).{holds}"
 
 
 def _design_facts(result: Result) -> Facts | None:
     bound = real(result, "condition_number", "lower_bound")
+    stages = records(result, "link_by_link", "stages")
     facts = [
         Fact(
             "Condition number",
             number(at(result, "condition_number", "final")),
-            f"from {number(at(result, 'condition_number', 'initial'))}"
+            (
+                f"the worst of {len(stages)} links"
+                if stages
+                else f"from {number(at(result, 'condition_number', 'initial'))}"
+            )
             + ("" if bound is None else f"; no motion below {number(bound)}"),
         ),
         _scaled(result),
@@ -100,13 +118,20 @@ def _design_facts(result: Result) -> Facts | None:
         Fact("Base parameters", text(result, "base_parameters") or NONE, _columns(result)),
         Fact(
             "Criterion",
-            plain(text(result, "criterion")) or NONE,
+            _NAMES.get(text(result, "criterion"), plain(text(result, "criterion"))) or NONE,
             _CRITERIA.get(text(result, "criterion"), ""),
         ),
-        Fact("Clearance", quantity(at(result, "clearance_m"), "m"), "to obstacles and itself"),
+        _clearance(result),
         Fact("Search", quantity(at(result, "wall_s"), "s"), _effort(result)),
     ]
     return known_facts(facts)
+
+
+def _clearance(result: Result) -> Fact:
+    """Least distance, which holds between samples too."""
+    distance = real(result, "clearance_m")
+    at_least = NONE if distance is None else f"≥ {quantity(1e3 * distance, 'mm')}"
+    return Fact("Clearance", at_least, "to obstacles and itself, between samples too")
 
 
 def _scaled(result: Result) -> Fact:
@@ -133,7 +158,8 @@ def _harmonics(result: Result) -> str:
 
 
 def _columns(result: Result) -> str:
-    return f"columns: {plain(text(result, 'columns'))}" if text(result, "columns") else ""
+    columns = text(result, "columns")
+    return _COLUMNS.get(columns, f"columns: {plain(columns)}" if columns else "")
 
 
 def _effort(result: Result) -> str:
@@ -204,15 +230,6 @@ def _starts(result: Result) -> Table | None:
     )
 
 
-def file_list(result: Result, *keys: str) -> Notes | None:
-    """The artefact files of a run."""
-    found = at(result, *keys, "files") if keys else at(result, "files")
-    files = [str(f) for f in found.values()] if isinstance(found, dict) else words(found)
-    if isinstance(found, list):
-        files = [str(f) for f in found if f is not None]
-    return Notes(tuple(files)) if files else None
-
-
 def check_section(result: Result, series: Series) -> Section:
     """Whether somebody's trajectory keeps the limits, and how well it excites."""
     holds = at(result, "holds")
@@ -226,7 +243,7 @@ def check_section(result: Result, series: Series) -> Section:
     facts = [
         Fact("Limits", {GOOD: "hold", POOR: "exceeded"}.get(tone, NONE), "", tone),
         Fact("Condition number", number(at(result, "condition_number"))),
-        Fact("Clearance", quantity(at(result, "clearance_m"), "m"), "to obstacles and itself"),
+        _clearance(result),
         Fact("Duration", quantity(at(result, "duration"), "s")),
     ]
     return section(

@@ -117,7 +117,7 @@ def _caption(result: Result, cell: _Cell, hidden: Sequence[str]) -> str:
         sentence += (
             f"; the closest bodies are {bodies[0]} and {bodies[1]}, "
             f"{quantity(1000 * distance, 'mm')} apart "
-            f"at {quantity(at(result, 'closest', 't'), 's')}"
+            f"in the sampled pose at {quantity(at(result, 'closest', 't'), 's')}"
         )
     outside = f" Not in the picture, farther away: {listing(list(hidden))}." if hidden else ""
     return f"{sentence}.{outside}"
@@ -263,7 +263,7 @@ def _perspective(cell: _Cell, label: str) -> Panel:
         fill_3d(ax, solid.faces, facecolor=AMBER, alpha=0.13, lw=0)
     _draw(ax, cell, (0, 1, 2))
     for name in "xyz":
-        getattr(ax, f"set_{name}label")(f"{name} [m]", labelpad=-5)
+        getattr(ax, f"set_{name}label")(f"{name} [m]", labelpad=0 if name == "z" else -3)
     return panel(ax, f"in perspective: {label}", "in perspective")
 
 

@@ -37,7 +37,8 @@ def weakest_figure(result: Result) -> Figure | None:
     caption = (
         f"The {len(rows)} base parameters that the designed motion shows worst, each by the torque "
         "per unit that no other parameter can imitate (root mean square over the motion): "
-        "far left means an uncertain estimate."
+        "far left means an uncertain estimate. Fv is viscous and Fc Coulomb friction, Ia the "
+        "rotor's inertia."
     )
     label = f"torque that only one parameter explains; least: {', '.join(worst)}"
     return Figure((panel(ax, label),), caption, tuple(legend))
@@ -81,6 +82,6 @@ def direction_table(result: Result) -> Table | None:
         "text:Worst seen by the | expression:Combination of base parameters | "
         "number:Torque at start [N·m] | number:Torque designed [N·m]",
         rows,
-        "The weakest right singular vectors of W and the torque by which each shows: members "
-        "weaker than 0.3 are behind the dots.",
+        "Combinations by which torque changes least (the weakest right singular vectors of W), and "
+        "by how much: members with a weight below 0.3 are behind the dots.",
     )

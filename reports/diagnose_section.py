@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from excitant.reports.design_section import file_list, known_facts
-from excitant.reports.evidence_figures import evidence_figure
+from dataclasses import replace
+
+from excitant.reports.design_section import CUTOFF_REMARK, known_facts
 from excitant.reports.fault_table import fault_table
+from excitant.reports.file_list import file_list
+from excitant.reports.finding_section import cause, finding_parts, finding_table
 from excitant.reports.given_error_figures import given_error_blocks, step_figure
 from excitant.reports.model import (
-    FAIR,
     GOOD,
-    PLAIN,
     POOR,
     Block,
     Cell,
     Fact,
     Facts,
+    Figure,
     Notes,
     Section,
     Table,
@@ -44,13 +46,16 @@ from excitant.reports.wording import (
     listing,
     number,
     percent,
-    plain,
     quantity,
-    value_and_std,
+    sentence,
 )
 
-_LEADING, _SMALL = 3, 0.01  # findings that always have a part of their own; share of others
-
+_GIVEN_TITLE = {True: "What is wrong with the given model", False: "Error of the given model"}
+_NOISE = "noise-like"  # what a diagnosis calls a residual without structure
+_ONE_MODEL = (
+    "Measured torque and the given model's prediction over the hold-out, below it what the model "
+    "leaves: a residual without shape is noise, one with shape is something the model lacks."
+)
 _CURVES = Curves(
     "simulated",
     "model as given",
@@ -65,46 +70,42 @@ def diagnose_section(result: Result, series: Series) -> Section:
     """The diagnosis: faults, findings in order of importance with evidence, what stays open."""
     unit = text(result, "unit") or "N·m"
     joints = joint_names(result, "simulation.joints", "extended.joints")
-    findings = records(result, "findings")
-    notes = words(result, "notes")
+    findings, changed = records(result, "findings"), _changed(result)
+    lead = text(result, "headline") or _headline(findings)
+    notes = [sentence(note) for note in words(result, "notes") if note and note not in lead]
     parts: list[tuple[str, list[Block | None]]] = [
-        ("Key figures", [_facts(result), fault_table(result), _finding_table(result, unit)]),
-        ("What is wrong with the given model", given_error_blocks(result, unit)),
-        ("Error step by step", [step_figure(result)]),
+        ("Key figures", [_facts(result), fault_table(result), finding_table(result, unit)]),
+        (_GIVEN_TITLE[bool(findings)], given_error_blocks(result, unit, changed)),
+        ("Error step by step", [step_figure(result) if changed else None]),
     ]
-    small: list[Block | None] = []
-    for k, finding in enumerate(findings):
-        title, blocks = _title(k, finding), _finding(k, finding, series, unit)
-        share = real(finding, "explained")
-        if k < _LEADING or _unknown(finding) or share is None or share > _SMALL:
-            parts.append((title, blocks))
-        else:
-            small += [Notes((f"{title}.",)), *blocks]
-    parts.append((f"Findings of less than {percent(_SMALL)} of the error each", small))
+    parts += finding_parts(findings, series, unit)
     parts += [
-        ("Error per joint", [_bars(result, unit), _joint_table(result, unit)]),
-        (over_holdout(unit), [torque_figure(joints, series, unit, _CURVES)]),
-        ("Not explained", [_unexplained(result)]),
+        ("Error per joint", [_bars(result, unit, changed), _joint_table(result, unit, changed)]),
+        (over_holdout(unit), [_torque(joints, series, unit, changed)]),
+        ("Not explained", _unexplained(result)),
         ("Notes", [Notes(tuple(notes)) if notes else None]),
         ("Files", [file_list(result, "extended")]),
     ]
-    return section("Diagnosis", text(result, "headline") or _headline(findings), parts)
+    return section("Diagnosis", lead, parts)
 
 
-def _unknown(finding: Result) -> bool:
-    return text(finding, "effect") == "unknown"
+def _changed(result: Result) -> bool:
+    """Whether the extended model predicts otherwise than the given one; not if nothing is named."""
+    pairs = [(real(b, "rms"), real(a, "rms")) for _, b, a in _pairs(result)]
+    return any(a is not None and a != b for b, a in pairs)
 
 
-def _title(index: int, finding: Result) -> str:
-    names = words(finding, "joints")
-    at_ = f" at {listing(names)}" if names else ""
-    return f"Finding {index + 1}: {plain(text(finding, 'effect'))}{at_}"
+def _torque(joints: list[str], series: Series, unit: str, changed: bool) -> Figure | None:
+    if changed:
+        return torque_figure(joints, series, unit, _CURVES)
+    given = {key: value for key, value in series.items() if key != _CURVES.after}
+    return torque_figure(joints, given, unit, replace(_CURVES, caption=_ONE_MODEL))
 
 
 def _headline(findings: list[Result]) -> str:
     if not findings:
         return "No effect beyond the model was found."
-    effects = [plain(text(finding, "effect")) for finding in findings]
+    effects = [cause(finding) for finding in findings]
     return f"The model lacks: {listing(effects)}."
 
 
@@ -116,118 +117,16 @@ def _facts(result: Result) -> Facts | None:
         middle(records(result, m, "joints"), "nrmse") for m in ("simulation", "extended")
     )
     change = NONE if before is None else percent(before)
-    if before is not None and after is not None:
+    if before is not None and after is not None and _changed(result):
         change = f"{percent(before)} → {percent(after)}"
     return known_facts(
         [
             Fact("Hold-out error", change, "nrmse, median over joints"),
-            Fact("Findings", str(len(findings)), ", ".join(counts)),
+            Fact("Findings", str(len(findings)), ", ".join(counts) or "nothing stands out"),
             Fact("Data faults", str(len(faults)), "", POOR if faults else GOOD),
-            Fact("Cut-off", quantity(at(result, "cutoff_hz"), "Hz"), "measured and model alike"),
+            Fact("Cut-off", quantity(at(result, "cutoff_hz"), "Hz"), CUTOFF_REMARK),
         ]
     )
-
-
-def verdict_cell(finding: Result) -> Cell:
-    """The verdict on a finding with its tone."""
-    verdict = text(finding, "verdict")
-    return Cell(verdict or NONE, {"named": GOOD, "undecided": FAIR}.get(verdict, PLAIN))
-
-
-def _finding_table(result: Result, unit: str) -> Table | None:
-    rows: list[list[Cell | str]] = [
-        [
-            str(k + 1),
-            plain(text(finding, "effect")),
-            listing(words(finding, "joints")),
-            percent(at(finding, "explained")),
-            number(at(finding, "holdout", "rms_before")),
-            number(at(finding, "holdout", "rms_after")),
-            verdict_cell(finding),
-        ]
-        for k, finding in enumerate(records(result, "findings"))
-    ]
-    if not rows:
-        return None
-    return table(
-        f"number:# | text:Effect | name:Joints | number:Explains | number:rms before [{unit}] | "
-        f"number:rms after [{unit}] | text:Verdict",
-        rows,
-        "What the model lacks, most important first; error on data that were held out, while the "
-        "joints move (at rest, dry friction takes any value).",
-    )
-
-
-def _finding(index: int, finding: Result, series: Series, unit: str) -> list[Block | None]:
-    joints = words(finding, "joints")
-    return [
-        Notes((_sentence(finding, unit),)),
-        evidence_figure(index, finding, joints, series, unit),
-        _finding_parameters(finding),
-        _rivals(finding),
-    ]
-
-
-def _sentence(finding: Result, unit: str) -> str:
-    if _unknown(finding):
-        structure = text(finding, "structure")
-        said = "Structure is left over that no candidate explains"
-        return f"{said}: {structure}." if structure else f"{said}."
-    before, after = (real(finding, "holdout", key) for key in ("rms_before", "rms_after"))
-    effect, share = plain(text(finding, "effect")), real(finding, "explained")
-    sentence = f"{effect[:1].upper()}{effect[1:]} was found."
-    if before is not None and after is not None:
-        sentence = (
-            f"With {effect}, and all else that was found, the rms on the hold-out is "
-            f"{quantity(after, unit)} at these joints; without it, {quantity(before, unit)}."
-        )
-    if share is not None:
-        sentence += f" That is {percent(share)} of the squared error that the given model leaves"
-        sentence += ": other findings rest on it." if share > 1 else "."
-    if doubt := text(finding, "doubt"):
-        sentence += f" It is not decided: {doubt}."
-    elif text(finding, "verdict") == "undecided":
-        sentence += " It is not decided: the effects below explain these data as well."
-    return sentence
-
-
-def _finding_parameters(finding: Result) -> Table | None:
-    rows: list[list[Cell | str]] = [
-        [text(p, "name"), *value_and_std(at(p, "value"), at(p, "std")), text(p, "unit") or NONE]
-        for p in records(finding, "parameters")
-    ]
-    if not rows:
-        return None
-    fold = f"All {len(rows)} fitted parameters" if len(rows) > 12 else ""
-    return table(
-        "name:Parameter | number:Value | number:Std | name:Unit",
-        rows,
-        "Fitted values with their standard deviation.",
-        fold,
-    )
-
-
-def _rivals(finding: Result) -> Table | None:
-    rows: list[list[Cell | str]] = [
-        [
-            plain(text(rival, "effect")),
-            listing(words(rival, "joints")),
-            text(rival, "why") or NONE,
-            text(rival, "experiment") or NONE,
-            number(at(rival, "separation")),
-            number(at(rival, "repetitions")),
-        ]
-        for rival in records(finding, "rivals")
-    ]
-    caption = (
-        "Other effects that look alike in these data, and the experiment that separates them, by "
-        "how many standard deviations of the noise, and in how many runs."
-    )
-    columns = (
-        "text:Rival | name:Joints | text:Why it cannot be excluded | "
-        "text:Experiment that settles it | number:Separation [σ] | number:Runs"
-    )
-    return table(columns, rows, caption) if rows else None
 
 
 def _pairs(result: Result) -> list[tuple[str, Result, Result]]:
@@ -236,55 +135,70 @@ def _pairs(result: Result) -> list[tuple[str, Result, Result]]:
     return [(name, before.get(name, {}), after.get(name, {})) for name in {**before, **after}]
 
 
-def _bars(result: Result, unit: str) -> Block | None:
+def _bars(result: Result, unit: str, changed: bool) -> Block | None:
     changes = [
         Change(name, real(b, "rms"), real(a, "rms"), real(b, "nrmse"), real(a, "nrmse"))
-        for name, b, a in _pairs(result)
+        for name, b, a in ((name, b, a if changed else {}) for name, b, a in _pairs(result))
     ]
     return error_bars(
         changes,
         unit,
         ("model as given", "extended model"),
         "Error of the simulation per joint on the hold-out, as a share of the measured torque's "
-        f"standard deviation; beside each bar the rms [{unit}].",
+        f"standard deviation so that joints compare; beside each bar the rms [{unit}]: shorter is "
+        "better.",
     )
 
 
-def _joint_table(result: Result, unit: str) -> Table | None:
-    rows: list[list[Cell | str]] = [
-        [
-            name,
-            *(number(at(row, "rms")) for row in (b, a)),
-            *(percent(at(row, "nrmse")) for row in (b, a)),
-            *(number(at(row, "r2"), 4) for row in (b, a)),
-        ]
-        for name, b, a in _pairs(result)
-    ]
+def _joint_table(result: Result, unit: str, changed: bool) -> Table | None:
+    models = ("Given", "Extended") if changed else ("Given",)
+    rows: list[list[Cell | str]] = []
+    for name, *pair in _pairs(result):
+        shown = pair[: len(models)]
+        rows.append(
+            [
+                name,
+                *(number(at(row, "rms")) for row in shown),
+                *(percent(at(row, "nrmse")) for row in shown),
+                *(number(at(row, "r2"), 4) for row in shown),
+            ]
+        )
     if not rows:
         return None
     cutoff = real(result, "cutoff_hz")
     same = "" if cutoff is None else f", all after the same filter ({quantity(cutoff, 'Hz')})"
+    measures = (f"rms [{unit}]", "nrmse", "r²")
+    heads = [f"number:{model}, {measure}" for measure in measures for model in models]
     return table(
-        f"name:Joint | number:Given, rms [{unit}] | number:Extended, rms [{unit}] | "
-        "number:Given, nrmse | number:Extended, nrmse | number:Given, r² | number:Extended, r²",
+        " | ".join(["name:Joint", *heads]),
         rows,
-        f"The model as given and with the findings added, on the hold-out{same}.",
+        f"The model as given{' and with the findings added' * changed}, on the hold-out{same}; "
+        "nrmse is rms over the measured torque's standard deviation.",
     )
 
 
-def _unexplained(result: Result) -> Table | None:
+def _unexplained(result: Result) -> list[Block | None]:
+    found = records(result, "unexplained")
+    if not found:
+        return []
+    sized = any(text(row, "against_noise") for row in found)
     rows: list[list[Cell | str]] = [
         [
             text(row, "joint"),
             percent(at(row, "share")),
-            text(row, "against_noise") or NONE,
-            text(row, "structure") or NONE,
+            *([text(row, "against_noise") or NONE] if sized else []),
+            text(row, "structure").removeprefix("structured: ") or NONE,
         ]
-        for row in records(result, "unexplained")
+        for row in found
     ]
     caption = (
         "What everything found leaves: share of the measured torque's variance, its size against "
         "the noise while the joint moves, and what it varies with."
     )
-    columns = "name:Joint | number:Share | text:Against the noise | text:Structure"
-    return table(columns, rows, caption) if rows else None
+    heads = "number:Share | " + ("text:Against the noise | " if sized else "") + "text:Structure"
+    noise = all(text(row, "structure") == _NOISE for row in found)
+    fold = f"What is left, joint by joint ({len(rows)})" if noise else ""
+    return [
+        Notes(("What is left looks like noise at every joint.",), GOOD) if noise else None,
+        table(f"name:Joint | {heads}", rows, caption, fold),
+    ]

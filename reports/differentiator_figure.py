@@ -21,7 +21,7 @@ from excitant.reports.drawing import (
 )
 from excitant.reports.model import GOOD, Block, Cell, Figure, Key, Notes, Panel, Table, table
 from excitant.reports.reading import Result, Series, at, curve, real, records, text
-from excitant.reports.wording import number, quantity
+from excitant.reports.wording import number, quantity, sentence
 from excitant.robots.motion import Array
 
 _COLOURS = {
@@ -43,12 +43,12 @@ def differentiator_parts(result: Result, series: Series) -> Parts:
     if found is None:
         return []
     why = text(found, "why")
-    sentence = f"Served on line: {why}." if why else ""
+    served = sentence(f"Served on line: {why}") if why else ""
     return [
         (
             "Differentiators",
             [
-                Notes((sentence,)) if sentence else None,
+                Notes((served,)) if served else None,
                 _figure(found, series),
                 _table(found),
             ],

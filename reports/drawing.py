@@ -34,8 +34,9 @@ MEASURED, GIVEN, FITTED = "#4d4d4d", "#d55e00", "#0072b2"
 GREEN, PURPLE, AMBER, SKY, LIGHT = "#009e73", "#b0558f", "#e69f00", "#3a93c9", "#b9bdc2"
 
 WIDTH = 3.9  # inch: 281 pt, which a phone shows a little larger than drawn
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.6, 0.12, 0.1, 0.42  # inch
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.64, 0.12, 0.1, 0.42  # inch
 _BINS = 200
+_LINE = 46  # letters of an abscissa's name that surely fit below it
 
 _STYLE: Any = {
     "svg.fonttype": "none",
@@ -130,16 +131,21 @@ def axes_3d(low: Array, high: Array) -> Any:
     """
     figure = Figure(figsize=(WIDTH, 3.3))
     FigureCanvasSVG(figure)
-    ax: Any = figure.add_axes((-0.07, -0.03, 1.04, 1.1), projection="3d")
+    ax: Any = figure.add_axes((-0.03, 0.0, 1.0, 1.07), projection="3d")
     middle, half = (low + high) / 2, 0.52 * np.maximum(high - low, 0.5 * float(np.max(high - low)))
-    ax.set_box_aspect(half.tolist(), zoom=0.94)
+    ax.set_box_aspect(half.tolist(), zoom=0.86)
     ax.view_init(elev=24, azim=-56)
     for k, axis in enumerate((ax.xaxis, ax.yaxis, ax.zaxis)):
         getattr(ax, f"set_{'xyz'[k]}lim")(middle[k] - half[k], middle[k] + half[k])
-        axis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
+        few = half[k] <= 0.6 * half.max()
+        axis.set_major_locator(
+            MaxNLocator(2, steps=[1, 2, 5, 10], min_n_ticks=1)
+            if few
+            else MaxNLocator(4, steps=[1, 2, 2.5, 5, 10])
+        )
         axis.set_major_formatter(FuncFormatter(_tick))
         axis.set_pane_color((0.975, 0.978, 0.98, 1.0))
-        axis.set_tick_params(pad=-2, labelsize=7.5)
+        axis.set_tick_params(pad=-1 if k < 2 else 1, labelsize=8)
     return ax
 
 
@@ -159,6 +165,23 @@ def label_y(ax: Axes, words: str) -> None:
     ax.set_ylabel(words)
     box = ax.get_position()
     ax.yaxis.set_label_coords((0.13 / WIDTH - box.x0) / box.width, 0.5)
+
+
+def label_x(ax: Axes, words: str) -> None:
+    """Name the abscissa, in two lines where one is too short; the axes make room."""
+    if len(words) <= _LINE:
+        ax.set_xlabel(words)
+        return
+    cut = words.rfind(" ", 0, max(len(words) // 2 + 6, len(words) - _LINE))
+    ax.set_xlabel(f"{words[:cut]}\n{words[cut + 1 :]}", linespacing=1.1)
+    height = float(cast(Figure, ax.get_figure(root=True)).get_figheight())
+    box = ax.get_position()
+    ax.set_position((box.x0, box.y0 + 0.15 / height, box.width, box.height - 0.15 / height))
+
+
+def percent_x(ax: Axes) -> None:
+    """Label the abscissa, which holds shares, in per cent."""
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{100 * x:.6g}\u00a0%" if x else "0"))
 
 
 def log_y(ax: Axes) -> None:

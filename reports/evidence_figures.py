@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from excitant.reports.drawing import FITTED, LIGHT, MEASURED, PURPLE, axes, label_y, panel
+from excitant.reports.drawing import (
+    FITTED,
+    LIGHT,
+    MEASURED,
+    PURPLE,
+    axes,
+    label_x,
+    label_y,
+    panel,
+)
 from excitant.reports.model import Figure, Key
 from excitant.reports.reading import Result, Series, curve, records, text
 from excitant.reports.wording import listing, number, plain
@@ -37,29 +47,32 @@ def evidence_figure(
     (ax,) = axes(2.6)
     _scatter(ax, x, residual)
     legend = [Key("dot", LIGHT, "residual before"), Key("dot", MEASURED, "median in bins")]
+    shown = [residual]
     if fit is not None:
-        ax.plot(*_with_gaps(*_along(x, fit[order], _CURVE, 1)), color=FITTED, lw=1.8)
+        shown.append(_curve(ax, x, fit[order], color=FITTED, lw=1.8))
         legend.append(Key("line", FITTED, "fitted effect"))
     rival = _rival(index, finding, series, order)
     if rival is not None:
-        ax.plot(*_with_gaps(*_along(x, rival[0], _CURVE, 1)), color=PURPLE, lw=1.5, ls=(0, (3, 2)))
+        shown.append(_curve(ax, x, rival[0], color=PURPLE, lw=1.5, ls=(0, (3, 2))))
         legend.append(Key("dash", PURPLE, f"{rival[1]} instead, fitted to these points"))
-    if len(x) >= 4 * _MEDIANS:
+    binned = len(x) >= 4 * _MEDIANS
+    if binned:
         centres, medians = _along(x, residual, _MEDIANS)
         ax.plot(centres, medians, "o", ms=4, color=MEASURED, mec="white", mew=0.7)
     else:
         del legend[1]
-    _limits(ax, x, residual)
+    _limits(ax, x, np.concatenate(shown))
     effect = plain(text(finding, "effect"))
     x_label = text(finding, "figure", "x_label") or "telling quantity"
-    ax.set_xlabel(x_label)
+    label_x(ax, x_label)
     label_y(ax, text(finding, "figure", "y_label") or f"residual [{unit}]")
     joint = text(finding, "figure", "joint") or listing(joints, "all joints")
     rms = number(np.sqrt(np.mean(residual**2)))
     label = f"{joint}: residual (rms {rms} {unit}) against {x_label}, with the fitted {effect}"
-    caption = f"What is left at {joint} without {effect}, all else that was found kept, against "
-    caption += (
-        f"{x_label}: the blue curve is the fitted effect, and should run through the medians."
+    through = "medians" if binned else "points"
+    caption = (
+        f"What is left at {joint} without {effect}, all else that was found kept, against "
+        f"{x_label}: the blue curve is the fitted effect, and should run through the {through}."
     )
     if rival is not None:
         caption += (
@@ -108,6 +121,13 @@ def _along(x: Array, y: Array, bins: int, fewest: int | None = None) -> tuple[Ar
     ]
     centres, medians = np.array(pairs, dtype=float).reshape(-1, 2).T
     return centres, medians
+
+
+def _curve(ax: Axes, x: Array, y: Array, **look: Any) -> Array:
+    """Draw a fitted effect along the abscissa; what of it is finite."""
+    along, height = _along(x, y, _CURVE, 1)
+    ax.plot(*_with_gaps(along, height), **look)
+    return height[np.isfinite(height)]
 
 
 def _with_gaps(x: Array, y: Array) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
 from excitant.reports.drawing import FITTED, GIVEN, axes, panel
-from excitant.reports.model import Block, Cell, Figure, Key, Notes, Panel, Table, table
+from excitant.reports.model import Block, Cell, Figure, Notes, Panel, Table, table
 from excitant.reports.reading import Result, at, real, records, text, words
 from excitant.reports.torque_figures import waterfall
 from excitant.reports.wording import listing, number, percent, plain, quantity, shorten
@@ -17,42 +17,49 @@ from excitant.robots.motion import Array
 _DOMAINS = ("constant", "direction", "velocity", "position", "load", "reversal", "time")
 _BANDS = ("slower", "motion", "faster")
 _ROW, _GAP = 0.29, 0.35  # inch, cells
-_LEFT, _TOP, _BELOW, _LEAST = 1.16, 0.62, 0.06, 0.4  # inch
+_LEFT, _TOP, _BELOW, _LEAST = 1.3, 0.64, 0.06, 0.4  # inch
 _DARK = 0.55  # share from which on letters are white
 _STEPS = 12  # of the waterfall that are drawn one by one
 
 
-def given_error_blocks(result: Result, unit: str) -> list[Block | None]:
-    """What is wrong with the given model: where it shows, what inertias alone would explain."""
+def given_error_blocks(result: Result, unit: str, changed: bool = True) -> list[Block | None]:
+    """What is wrong with the given model: where it shows, what inertias alone would explain.
+
+    Args:
+        result: Of a diagnosis.
+        unit: Of the torque.
+        changed: Whether the extended model differs; else only the given one is shown.
+    """
     return [
-        share_figure(result, unit),
+        share_figure(result, unit, changed),
         _sentence(result),
         _refit_table(result, unit),
         _moves_table(result),
-        *forward_blocks(result),
+        *forward_blocks(result, changed),
     ]
 
 
-def share_figure(result: Result, unit: str) -> Figure | None:
+def share_figure(result: Result, unit: str, changed: bool = True) -> Figure | None:
     """Joints by quantities: share of the squared error, as given and left over."""
     joints = records(result, "error", "joints")
     if not joints:
         return None
     given, left = _values(joints, left=False), _values(joints, left=True)
-    panels = (
-        _panel(joints, given, "model as given", GIVEN, unit),
-        _panel(joints, left, "left by the extended model", FITTED, unit),
-    )
+    panels = [_panel(joints, given, "model as given", GIVEN, unit)]
+    if changed:
+        panels.append(_panel(joints, left, "left by the extended model", FITTED, unit))
     caption = (
         "Percentage of each joint's squared error that goes with one quantity alone; the simplest "
         "that tells it is framed: an offset, the direction of motion (dry friction), velocity "
         "(viscous friction), position (springs, ripple), load (gain, load-dependent friction), "
         "distance since the last reversal (hysteresis, play) or time (drift). Shares overlap. "
         "The last three columns divide the error by frequency: slower than the motion, as fast, "
-        "faster. Orange is what the model misses, blue what is left when everything found is "
-        "added; its rms stands beside each row, over rows at which the joint moves."
+        "faster. A dash: not judged. "
     )
-    return Figure(panels, caption, (Key("box", GIVEN, "as given"), Key("box", FITTED, "left")))
+    said = "Orange is what the model misses, blue what is left when everything found is added; its "
+    caption += said if changed else "The "
+    caption += "rms stands beside each row, over rows at which the joint moves."
+    return Figure(tuple(panels), caption)
 
 
 def _values(joints: list[Result], left: bool) -> Array:
@@ -79,8 +86,8 @@ def _panel(joints: list[Result], values: Array, title: str, colour: str, unit: s
     left = colour == FITTED
     for row, joint in enumerate(joints):
         source = at(joint, "left") if left else joint
-        said = f"{shorten(text(joint, 'name'), 17)}\n{_size(joint, source, unit)}"
-        ax.text(-0.15, row + 0.5, said, ha="right", va="center", fontsize=7, linespacing=1.0)
+        said = f"{shorten(text(joint, 'name'), 20)}\n{_size(joint, source, unit)}"
+        ax.text(-0.15, row + 0.5, said, ha="right", va="center", fontsize=7.2, linespacing=1.05)
         telling = text(source, "telling")
         for column in range(columns):
             name = (*_DOMAINS, *_BANDS)[column]
@@ -179,13 +186,14 @@ def _moves_table(result: Result) -> Table | None:
     )
 
 
-def forward_blocks(result: Result) -> list[Block | None]:
+def forward_blocks(result: Result, changed: bool = True) -> list[Block | None]:
     """Both models simulated forward under the recorded torque."""
+    models = ("given", "extended") if changed else ("given",)
     rows: list[list[Cell | str]] = [
         [
             text(row, "name"),
-            *(_milli(row, key) for key in ("given", "extended")),
-            *(_milli(at(row, "velocity"), key) for key in ("given", "extended")),
+            *(_milli(row, key) for key in models),
+            *(_milli(at(row, "velocity"), key) for key in models),
         ]
         for row in records(result, "forward", "joints")
     ]
@@ -199,13 +207,14 @@ def forward_blocks(result: Result) -> list[Block | None]:
     caption = (
         f"Simulated forward under the recorded torque over {count or 0:.0f} windows of "
         f"{quantity(length, 's', 2)} of the hold-out: rms by which the model leaves the recorded "
-        f"motion, held on it by the same loop of {loop}. {_closer(joints)}"
+        f"motion, held on it by {'the same' if changed else 'a'} loop of {loop}."
     )
+    caption += f" {_closer(joints)}" if changed else ""
+    heads = [f"number:Position, {model} [m{units}]" for model in models]
+    heads += [f"number:Velocity, {model} [m{units}/s]" for model in models]
     return [
         table(
-            f"name:Joint | number:Position, given [m{units}] | "
-            f"number:Position, extended [m{units}] | number:Velocity, given [m{units}/s] | "
-            f"number:Velocity, extended [m{units}/s]",
+            " | ".join(["name:Joint", *heads]),
             rows,
             caption,
         ),

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import Counter
 
 from excitant.reports.cutoff_figure import cutoff_parts
-from excitant.reports.design_section import file_list, known_facts, uncertain
+from excitant.reports.design_section import CUTOFF_REMARK, known_facts, uncertain
 from excitant.reports.differentiator_figure import differentiator_parts
 from excitant.reports.fault_table import fault_table
+from excitant.reports.file_list import file_list
 from excitant.reports.interval_figure import essential_line, interval_table
 from excitant.reports.link_by_link_section import link_by_link_parts
 from excitant.reports.model import (
@@ -54,14 +55,14 @@ from excitant.reports.wording import (
     sentence,
 )
 
+_FEW = 3  # notes that may stand among the key figures
 _CURVES = Curves(
     "given",
     "model as given",
     "identified",
     "identified model",
     "Measured torque and the models' prediction over the hold-out, below it what each model "
-    "leaves: a blue residual without shape is noise, one with shape is something the model lacks. "
-    "The band is where 95\u00a0% of readings lie if noise and parameters are all that is off.",
+    "leaves: a blue residual without shape is noise, one with shape is something the model lacks.",
     band="half_width",
 )
 
@@ -69,12 +70,14 @@ _CURVES = Curves(
 def identify_section(result: Result, series: Series) -> Section:
     """The identified model: errors before and after, and each parameter with its uncertainty."""
     joints, unit = joint_names(result), text(result, "unit") or "N·m"
-    notes = [sentence(note) for note in words(result, "notes") if note]
+    elsewhere = {text(result, "holdout"), text(result, "differentiators", "why")}
+    notes = [sentence(note) for note in words(result, "notes") if note and note not in elsewhere]
+    few = len(notes) <= _FEW
     return section(
         "Identification",
         _lead(result),
         [
-            ("Key figures", [_facts(result), Notes(tuple(notes)) if notes else None]),
+            ("Key figures", [_facts(result), Notes(tuple(notes)) if few and notes else None]),
             ("Data faults", [fault_table(result)]),
             *link_by_link_parts(result, unit),
             *payload_parts(result),
@@ -83,6 +86,7 @@ def identify_section(result: Result, series: Series) -> Section:
                 over_holdout(unit),
                 [torque_figure(joints, series, unit, _CURVES), interval_table(result, unit)],
             ),
+            ("Notes on the fit", [None if few else Notes(tuple(notes))]),
             *cutoff_parts(result),
             *online_parts(result, series),
             *differentiator_parts(result, series),
@@ -141,29 +145,44 @@ def _facts(result: Result) -> Facts | None:
         {True: "yes", False: "no"}.get(consistent, NONE) if isinstance(consistent, bool) else NONE
     )
     tone = {"yes": GOOD, "no": POOR}.get(physical, PLAIN)
-    effects = [plain(effect) for effect in words(result, "effects")]
+    joints = Counter(plain(effect) for effect in words(result, "effects"))
+    effects = [name if n == 1 else f"{name} ({n} joints)" for name, n in joints.items()]
     count = len(records(result, "base_parameters"))
     return known_facts(
         [
+            _error_fact(result),
+            Fact("Physically consistent", physical, "every link a body that can exist", tone),
+            Fact("Base parameters", str(count) if count else NONE, "all that torque can show"),
+            Fact("Cut-off", quantity(at(result, "cutoff_hz"), "Hz"), CUTOFF_REMARK),
             Fact("Estimator", plain(text(result, "estimator"))),
             Fact("Effects", listing(effects), "besides the links' inertia"),
-            Fact("Cut-off", quantity(at(result, "cutoff_hz"), "Hz"), "measured and model alike"),
-            Fact("Base parameters", str(count) if count else NONE, "all that torque can show"),
-            Fact("Physically consistent", physical, "every link a body that can exist", tone),
         ]
     )
 
 
+def _error_fact(result: Result) -> Fact:
+    rows = records(result, "joints")
+    held = any(at(row, "validate") is not None for row in rows)
+    before, after = (middle(rows, k, "nrmse") for k in ("baseline", ("train", "validate")[held]))
+    change = percent(after)
+    if before is not None and after is not None:
+        change = f"{percent(before)} → {change}"
+    where = "Hold-out error" if held else "Error of the fit"
+    return Fact(where, change, "given → identified; nrmse, median over joints")
+
+
 def _joint_table(result: Result, unit: str) -> Table | None:
+    held = any(at(row, "validate") is not None for row in records(result, "joints"))
+    judged = "validate" if held else "train"
     rows: list[list[Cell | str]] = [
         [
             text(row, "name"),
             number(at(row, "baseline", "rms")),
-            number(at(row, "train", "rms")),
-            number(at(row, "validate", "rms")),
-            number(at(row, "validate", "rms_raw")),
-            percent(at(row, "validate", "nrmse")),
-            number(at(row, "validate", "r2"), 4),
+            number(at(row, judged, "rms")),
+            number(at(row, judged, "rms_raw")),
+            percent(at(row, judged, "nrmse")),
+            number(at(row, judged, "r2"), 4),
+            *([number(at(row, "train", "rms"))] if held else []),
         ]
         for row in records(result, "joints")
     ]
@@ -172,11 +191,18 @@ def _joint_table(result: Result, unit: str) -> Table | None:
     cutoff = real(result, "cutoff_hz")
     same = "" if cutoff is None else f" after the same filter ({quantity(cutoff, 'Hz')})"
     return table(
-        f"name:Joint | number:Given, rms [{unit}] | number:Fitted data, rms [{unit}] | "
-        f"number:Hold-out, rms [{unit}] | number:Hold-out, rms unfiltered [{unit}] | "
-        "number:Hold-out, nrmse | number:Hold-out, r²",
+        f"name:Joint | number:Model as given, rms [{unit}] | number:Identified, rms [{unit}] | "
+        f"number:Unfiltered rms [{unit}] | number:nrmse | number:r²"
+        + (f" | number:Fitted data, rms [{unit}]" if held else ""),
         rows,
-        f"Error of the prediction{same}; nrmse is rms over the measured torque's std.",
+        f"Error of the prediction on the {'hold-out' if held else 'fitted data'}{same}: as given, "
+        "then as identified"
+        + (
+            ", at last what the identified model leaves of the data it was fitted to"
+            if held
+            else ""
+        )
+        + ". nrmse is rms over the measured torque's standard deviation.",
     )
 
 

@@ -14,6 +14,9 @@ from excitant.robots.motion import Array
 
 BAND = "#c3dcec"
 MEANING = "95\u00a0% interval of a reading"
+BAND_CAPTION = (
+    "The band is where 95\u00a0% of readings lie if noise and parameters are all that is off."
+)
 _BINS = 120
 
 

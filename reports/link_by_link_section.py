@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from excitant.reports.drawing import FITTED, GIVEN, GREEN, axes, panel
+from excitant.reports.drawing import FITTED, GIVEN, GREEN, axes, panel, percent_x
 from excitant.reports.model import (
     FAIR,
     GOOD,
@@ -21,7 +21,6 @@ from excitant.reports.wording import (
     NONE,
     listing,
     number,
-    percent,
     quantity,
     shorten,
     value_and_std,
@@ -90,7 +89,7 @@ def _bars(found: Result, unit: str) -> Figure | None:
     ax.set_xlim(0, 1.38 * top)
     ax.set_yticks([])
     ax.spines["left"].set_visible(False)
-    ax.xaxis.set_major_formatter(lambda value, _: percent(value) if value else "0")
+    percent_x(ax)
     ax.set_xlabel("rms of residual, share of the measured torque's std")
     said = "; ".join(
         f"{text(row, 'name')} "
@@ -101,7 +100,8 @@ def _bars(found: Result, unit: str) -> Figure | None:
     return Figure(
         (panel(ax, f"rms per joint on the hold-out: {said}"),),
         "Prediction error per joint on the hold-out of the model as given, of all links fitted at "
-        f"once and link by link from the same recordings; beside each bar the rms [{unit}].",
+        f"once and link by link from the same recordings; beside each bar the rms [{unit}]: "
+        "shorter is better.",
         legend,
     )
 
@@ -157,12 +157,14 @@ def _determined(stage: Result) -> Table | None:
     if not rows:
         return None
     missing = len(words(stage, "missing"))
+    fold = f"{len(rows) - missing} combinations determined, {missing} not shown"
     return table(
         "expression:Combination | text:Verdict | number:Value (SI) | number:Std (SI)",
         rows,
         "What the joint's own torque adds to what the links further out have shown already"
         + (f"; {missing} more combinations of this link are not shown and stay at the given robot."
            if missing else "; nothing of this link is left open."),
+        fold if len(rows) > 6 else "",
     )  # fmt: skip
 
 

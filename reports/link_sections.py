@@ -3,10 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from excitant.reports.chain_figure import chain_figure
 from excitant.reports.design_section import quality
-from excitant.reports.model import FAIR, GOOD, PLAIN, POOR, Block, Cell, Figure, Notes, Table, table
+from excitant.reports.model import (
+    FAIR,
+    GOOD,
+    PLAIN,
+    POOR,
+    Block,
+    Cell,
+    Figure,
+    Folded,
+    Notes,
+    Part,
+    Section,
+    Table,
+    table,
+)
 from excitant.reports.reading import Result, Series, at, real, records, text, words
 from excitant.reports.wording import NONE, listing, number, percent, plain, value_and_std
 from excitant.robots.parameters import STANDARD
@@ -28,6 +43,17 @@ def link_parts(result: Result, series: Series) -> list[tuple[str, list[Block | N
         for k, link in enumerate(links)
         if records(link, "parameters")
     ]
+
+
+def links_folded(found: Section, result: Result) -> Section:
+    """A section whose links stand in one part, each behind a line until it is opened."""
+    titles = {_title(link) for link in records(result, "links")}
+    links = [each for each in found.parts if each.title in titles]
+    if not links:
+        return found
+    folded = Part("Link by link", tuple(Folded(each.title, each.blocks) for each in links))
+    others = tuple(each for each in found.parts if each.title not in titles)
+    return replace(found, parts=(*others, folded))
 
 
 def _title(link: Result) -> str:

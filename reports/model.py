@@ -125,7 +125,17 @@ class Notes:
     tone: str = PLAIN
 
 
-Block = Table | Figure | Matrix | Facts | Notes
+@dataclass(frozen=True)
+class Folded:
+    """Blocks behind one line until it is opened."""
+
+    kind: ClassVar[str] = "folded"
+
+    title: str
+    blocks: tuple[Block, ...]
+
+
+Block = Table | Figure | Matrix | Facts | Notes | Folded
 
 
 @dataclass(frozen=True)

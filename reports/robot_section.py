@@ -22,7 +22,7 @@ from excitant.reports.model import (
 from excitant.reports.plain_text import Cells, fields, sentences
 from excitant.reports.plain_text import table as text_table
 from excitant.reports.reading import Result, Series, at, real, reals, records, text, words
-from excitant.reports.wording import NONE, listing, number, percent, plain, quantity
+from excitant.reports.wording import NONE, listing, number, percent, plain, quantity, sentence
 
 _FULL = 0.9  # of its effort limit that gravity takes: hardly any left to move
 
@@ -61,9 +61,9 @@ def _lead(result: Result) -> str:
 def _headline(result: Result) -> str:
     found, hints = (len(_warned(result, hint)) for hint in (False, True))
     if not found:
-        return "Nothing in its description looks wrong." + (
-            f" {_count(hints, 'hint')} below." if hints else ""
-        )
+        if hints:
+            return f"No warning, and {_count(hints, 'hint')} about its description."
+        return "Nothing in its description looks wrong."
     return f"{_count(found, 'thing')} in its description look{'s' * (found == 1)} wrong."
 
 
@@ -92,8 +92,9 @@ def _verdict(result: Result) -> list[Block | None]:
         if said:
             blocks.append(Notes(said, tone))
     if not _warned(result, False):
+        sizes = "" if _warned(result, True) else " and of the links' size"
         blocks.insert(0, Notes(
-            ("No warning: inertias are physical and of the links' size, axes and limits are "
+            (f"No warning: inertias are physical{sizes}, axes and limits are "
              "complete, and each joint can hold the arm in every pose.",), GOOD))  # fmt: skip
     notes = words(result, "notes")
     blocks.append(Notes(tuple(notes)) if notes else None)
@@ -101,7 +102,7 @@ def _verdict(result: Result) -> list[Block | None]:
 
 
 def _sentence(row: Result) -> str:
-    return f"{listing(words(row, 'where'))}: {text(row, 'sentence')}."
+    return sentence(f"{listing(words(row, 'where'))}: {text(row, 'sentence')}")
 
 
 def _joints(result: Result) -> Table | None:

@@ -11,6 +11,7 @@ from excitant.reports.comparison_section import comparison_section, run_table
 from excitant.reports.design_section import check_section, design_section, known_facts
 from excitant.reports.diagnose_section import diagnose_section
 from excitant.reports.identify_section import identify_section
+from excitant.reports.link_sections import links_folded
 from excitant.reports.model import GOOD, POOR, Block, Fact, Notes, Page, Section
 from excitant.reports.reading import Result, Series, at, middle, part, real, records, text, words
 from excitant.reports.rehearse_section import rehearse_section
@@ -26,6 +27,7 @@ SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
     "robots": robot_section,
     "rehearse": rehearse_section,
 }
+_FEW = 3  # parameters of a hidden effect that are written out
 VERBS = (*SECTIONS, "demo", COMPARE)
 
 
@@ -49,7 +51,7 @@ def build_page(result: Result, series: Series) -> Page:
 
 def _demo_page(result: Result, series: Series, robot: str) -> Page:
     sections = tuple(
-        build({"robot": robot, **at(result, verb)}, part(series, verb))
+        links_folded(build({"robot": robot, **at(result, verb)}, part(series, verb)), result[verb])
         for verb, build in SECTIONS.items()
         if isinstance(at(result, verb), dict)
     )
@@ -96,13 +98,29 @@ def _hidden(result: Result) -> Fact:
     values = at(result, "truth", "parameters")
     remark = ""
     if isinstance(values, dict):
-        remark = ", ".join(
-            f"{name} = {value if isinstance(value, str) else number(value)}"
+        units = _units(result)
+        said = [
+            f"{name} = {_with_unit(value, units.get(name, ''))}"
             for name, value in values.items()
             if isinstance(value, str) or real(value) is not None
-        )
+        ]
+        remark = ", ".join(said[:_FEW]) + (", …" if len(said) > _FEW else "")
     where = f" at {joint}" if joint else ""
     return Fact("Hidden effect", f"{plain(effect)}{where}" if effect else NONE, remark)
+
+
+def _with_unit(value: object, unit: str) -> str:
+    if isinstance(value, str):
+        return value
+    return quantity(value, unit) if unit else number(value)
+
+
+def _units(result: Result) -> dict[str, str]:
+    """Units of parameters by the last part of their names."""
+    found = [p for f in records(result, "diagnose", "findings") for p in records(f, "parameters")]
+    found += records(result, "identify", "parameters")
+    named = {text(p, "name").rpartition(".")[2]: text(p, "unit") for p in found}
+    return {name: unit for name, unit in named.items() if unit != "1"}
 
 
 def _verdict(result: Result) -> Fact:
@@ -119,6 +137,13 @@ def _verdict(result: Result) -> Fact:
 def _holdout(result: Result) -> Fact:
     diagnosis, joint = at(result, "diagnose"), text(result, "truth", "joint")
     unit = text(diagnosis, "unit") or "N·m"
+    label = "Hold-out error, before → after"
+    for finding in records(diagnosis, "findings"):
+        without, with_it = (real(finding, "holdout", f"rms_{key}") for key in ("before", "after"))
+        same = text(finding, "effect") == text(result, "truth", "effect")
+        if same and joint in words(finding, "joints") and with_it is not None:
+            change = f"{number(without)} → {quantity(with_it, unit)}"
+            return Fact(label, change, "rms without the finding and with it")
     rms = [
         next(
             (real(r, "rms") for r in records(diagnosis, m, "joints") if text(r, "name") == joint),
@@ -128,14 +153,14 @@ def _holdout(result: Result) -> Fact:
     ]
     if rms[0] is not None and rms[1] is not None:
         change = f"{number(rms[0])} → {quantity(rms[1], unit)}"
-        return Fact("Hold-out error, before → after", change, f"rms at {joint}")
+        return Fact(label, change, f"rms at {joint}")
     before, after = (
         middle(records(diagnosis, m, "joints"), "nrmse") for m in ("simulation", "extended")
     )
     if before is None or after is None:
-        return Fact("Hold-out error, before → after", NONE)
+        return Fact(label, NONE)
     change = f"{percent(before)} → {percent(after)}"
-    return Fact("Hold-out error, before → after", change, "nrmse, median over joints")
+    return Fact(label, change, "nrmse, median over joints")
 
 
 def _condition(result: Result) -> Fact:

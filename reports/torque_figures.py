@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import MaxNLocator
 
 from excitant.reports.drawing import (
     FITTED,
@@ -18,9 +18,16 @@ from excitant.reports.drawing import (
     draw_curve,
     label_y,
     panel,
+    percent_x,
     timeline,
 )
-from excitant.reports.interval_figure import BAND, MEANING, draw_band, half_width
+from excitant.reports.interval_figure import (
+    BAND,
+    BAND_CAPTION,
+    MEANING,
+    draw_band,
+    half_width,
+)
 from excitant.reports.model import Figure, Key, Panel
 from excitant.reports.reading import Series, curve, times
 from excitant.reports.wording import percent, quantity, shorten
@@ -72,14 +79,15 @@ def torque_figure(
     present = tuple(each for each in panels if each is not None)
     if not present:
         return None
-    legend = [Key("line", MEASURED, "measured")]
+    legend, caption = [Key("line", MEASURED, "measured")], curves.caption
     if any(curve(series, curves.before, k) is not None for k in range(len(joints))):
         legend.append(Key("line", colours[0], curves.before_label))
     if any(curve(series, curves.after, k) is not None for k in range(len(joints))):
         legend.append(Key("line", colours[1], curves.after_label))
     if any(curve(series, curves.band, k) is not None for k in range(len(joints))):
         legend.append(Key("box", BAND, MEANING))
-    return Figure(present, curves.caption, tuple(legend))
+        caption += f" {BAND_CAPTION}"
+    return Figure(present, caption, tuple(legend))
 
 
 def _torque_panel(
@@ -151,18 +159,22 @@ def error_bars(
         _bar(ax, row + 0.17, after, change.after, top, unit, colours[1])
     _bar_axes(ax, len(changes) - 0.6, 1.38 * top)
     if shares:
-        ax.xaxis.set_major_formatter(lambda value, _: percent(value) if value else "0")
+        percent_x(ax)
     share_label = "rms of residual, share of the measured torque's std"
     ax.set_xlabel(share_label if shares else f"rms [{unit}]")
+    compared = any(c.after is not None for c in changes)
     said = "; ".join(
-        f"{c.joint} {quantity(c.before, unit)} to {quantity(c.after, unit)}" for c in changes
+        f"{c.joint} {quantity(c.before, unit)}"
+        + (f" to {quantity(c.after, unit)}" if compared else "")
+        for c in changes
     )
     legend = []
     if any(c.before is not None for c in changes):
         legend.append(Key("box", colours[0], labels[0]))
-    if any(c.after is not None for c in changes):
+    if compared:
         legend.append(Key("box", colours[1], labels[1]))
-    drawing = panel(ax, f"rms per joint, {labels[0]} to {labels[1]}: {said}")
+    models = f"{labels[0]} to {labels[1]}" if compared else labels[0]
+    drawing = panel(ax, f"rms per joint, {models}: {said}")
     return Figure((drawing,), caption, tuple(legend))
 
 
@@ -205,7 +217,7 @@ def waterfall(steps: Sequence[tuple[str, float]], caption: str) -> Figure | None
     top = max(rms for _, rms in steps) or 1.0
     (ax,) = axes(0.44 * len(steps) + 0.52, left=0.14)
     for row, (label, rms) in enumerate(steps):
-        ax.text(0, row - 0.3, shorten(label, 46), va="center", ha="left")
+        ax.text(0, row - 0.3, shorten(label, 52), va="center", ha="left")
         ax.barh(row + 0.06, rms, height=0.26, color=FITTED if row else GIVEN)
         end = rms
         if row and steps[row - 1][1] > rms:
@@ -214,7 +226,8 @@ def waterfall(steps: Sequence[tuple[str, float]], caption: str) -> Figure | None
         ax.text(end + 0.012 * top, row + 0.06, percent(rms, 3), va="center", fontsize=8)
     _bar_axes(ax, len(steps) - 0.65, 1.27 * top)
     ax.set_xlabel("error on the hold-out, share of the given model's")
-    ax.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    ax.set_xticks([x for x in MaxNLocator(5, steps=[1, 2, 2.5, 5]).tick_values(0, top) if x <= top])
+    percent_x(ax)
     said = "; ".join(f"{label} {percent(rms, 3)}" for label, rms in steps)
     legend = (
         Key("box", GIVEN, "model as given"),

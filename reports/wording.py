@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 
 from excitant.reports.reading import Result, real, records, text
+from excitant.robots.effects import plain as plain
 
 NONE = "–"
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -62,14 +64,6 @@ def quantity(value: object, unit: str, digits: int = 3) -> str:
     return number(value, digits) if real(value) is None else f"{number(value, digits)}\u00a0{unit}"
 
 
-def plain(name: object) -> str:
-    """A vocabulary word as words, e.g. ``viscous friction``."""
-    words = str(name).replace("_", " ")
-    for person in ("stribeck", "coulomb"):
-        words = words.replace(person, person.capitalize())
-    return words
-
-
 def combination(direction: Result) -> str:
     """A direction in parameter space as text, e.g. ``0.81·link1.Izz − 0.52·joint2.Fv + …``.
 
@@ -90,8 +84,15 @@ def listing(names: list[str], none: str = NONE) -> str:
 
 
 def sentence(words: str) -> str:
-    """Words as a sentence, with a capital and a full stop."""
-    return words and words[0].upper() + words[1:] + "." * (words[-1] not in ".!?")
+    """Words as a sentence, with a capital, a full stop and true minus signs.
+
+    A name with an underscore keeps its small letter.
+    """
+    words = re.sub(r"(?<=\d)e([+-]\d+)", lambda e: f"×{power_of_ten(int(e[1]))}", words)
+    words = re.sub(r"(?<![\w.])-(?=\d)", "−", words)
+    capital = "_" not in words.split(" ", 1)[0]
+    first = words[:1].upper() if capital else words[:1]
+    return words and first + words[1:] + "." * (words[-1] not in ".!?")
 
 
 def shorten(name: str, length: int) -> str:

@@ -122,7 +122,11 @@ class Observation:
 
 
 def base_parameters(
-    robot: Robot, effects: Sequence[Effect] = (), *, rng: np.random.Generator | None = None
+    robot: Robot,
+    effects: Sequence[Effect] = (),
+    *,
+    rng: np.random.Generator | None = None,
+    tolerance: float = TOLERANCE,
 ) -> BaseParameters:
     """Base parameters of the links, with those of effects when given.
 
@@ -130,9 +134,10 @@ def base_parameters(
         robot: The arm; gravity and locked joints count.
         effects: Effects whose coefficients are unknown too.
         rng: Draws the states; always the same ones when None. The result does not depend on it.
+        tolerance: As of `regroup`.
     """
     rng = np.random.default_rng(0) if rng is None else rng
-    return regroup(observe(robot, effects, structural_motion(robot, rng)))
+    return regroup(observe(robot, effects, structural_motion(robot, rng)), tolerance)
 
 
 def structural_motion(robot: Robot, rng: np.random.Generator, states: int = _STATES) -> Motion:

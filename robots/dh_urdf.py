@@ -20,7 +20,8 @@ from excitant.robots.dh import (
 )
 from excitant.robots.motion import Array
 from excitant.robots.robot import Limits, Robot
-from excitant.robots.urdf import robot_from_urdf, urdf_with_parameters
+from excitant.robots.urdf import robot_from_urdf
+from excitant.robots.urdf_writing import urdf_with_parameters
 
 _NONE = "1000000000.0"  # a limit that URDF readers take for none
 

@@ -27,15 +27,16 @@ def load_limits(path: str | Path, robot: Robot) -> Limits:
     Raises:
         BadInput: Unreadable, unknown names, wrong counts, or limits that exclude everything.
     """
-    content = entries_of(Path(path))
+    content = entries_of(path, "limits")
     return merge_limits(robot, content.get("limits", content), str(path))
 
 
-def merge_limits(robot: Robot, values: Mapping[str, Any], source: str) -> Limits:
+def merge_limits(robot: Robot, values: object, source: str) -> Limits:
     """Limits of the robot with some replaced; see `load_limits`."""
-    known = dict.fromkeys(LIMIT_NAMES)
+    if not isinstance(values, dict):
+        raise BadInput(f"{source}: limits: expected entries such as 'velocity: [..]'")
     for name in values:
-        if name not in known:
+        if name not in LIMIT_NAMES:
             raise BadInput(f"{source}: {UnknownName('limit', str(name), LIMIT_NAMES)}")
     merged: dict[str, Any] = {
         name: _limit(robot, name, values[name], source)
@@ -53,9 +54,10 @@ def _limit(robot: Robot, name: str, value: Any, source: str) -> Array:
     try:
         limit = np.broadcast_to(np.asarray(value, float), shape)
     except (ValueError, TypeError):
+        each = "pair of numbers" if name == "position" else "number"
         raise BadInput(
-            f"{source}: {name} limits have shape {np.shape(value) if value else ()}, "
-            f"expected {shape} for the {robot.nv} joints of {robot.name}"
+            f"{source}: {name} limits: expected one {each}, or one for each of the {robot.nv} "
+            f"joints of {robot.name}"
         ) from None
     bad = limit[:, 0] >= limit[:, 1] if name == "position" else ~(limit > 0)
     bad |= np.isnan(limit).reshape(robot.nv, -1).any(axis=1)

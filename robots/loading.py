@@ -220,7 +220,7 @@ def _supplemented(robot: Robot, content: Mapping[str, Any], source: str) -> Robo
 
 
 def _from_yaml(path: Path, spec: RobotSpec) -> Robot:
-    content = entries_of(path)
+    content = entries_of(path, "a robot")
     own = replace(spec_of_entries(content, path), path=path)
     own = replace(own, lock={**own.lock, **spec.lock})
     if "dh" in content:

@@ -65,7 +65,7 @@ def _rounded(root: ET.Element) -> Iterator[ModelWarning]:
         yield ModelWarning(
             "rounded_angles", tuple(found),
             f"angles such as {text} are rounded; torque then depends, by a hair, on what the exact "
-            f"one hides, and condition numbers grow beyond reason; write {meant!r}",
+            f"one hides, and what hardly shows is identified badly; write {meant!r}",
             hint=True,
         )  # fmt: skip
 

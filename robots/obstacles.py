@@ -10,9 +10,9 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
-import yaml
 
 from excitant.exceptions import BadInput
+from excitant.robots.yaml_entries import yaml_content
 
 _SHAPES = ("box", "sphere", "half_space", "workspace")
 _KEYS = {
@@ -75,12 +75,7 @@ def load_obstacles(path: str | Path) -> tuple[Obstacle, ...]:
     Raises:
         BadInput: Unreadable, an unknown shape, or values that do not fit; names the entry.
     """
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInput(f"{path}: {error.strerror}; give a YAML file of obstacles") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: not YAML ({str(error).splitlines()[0]})") from None
+    content = yaml_content(path, "obstacles")
     entries = content.get("obstacles") if isinstance(content, dict) else content
     if not isinstance(entries, list):
         raise BadInput(f"{path}: expected a list of obstacles, '- box: {{size: [..], ...}}'")

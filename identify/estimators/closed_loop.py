@@ -53,11 +53,13 @@ class ClosedLoop:
         bandwidth_hz: Up to where positions are the reference, shape (segments, nv) [Hz];
             infinite where the reference was given.
         chosen: Whether that was found in the positions.
+        kept: Which instants of each segment's motion are rows.
     """
 
     problem: Regression
     bandwidth_hz: Array
     chosen: bool
+    kept: tuple[slice, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +129,8 @@ def closed_loop(
         return np.concatenate([x.rows(robot, rows, motion) for x, motion in pairs])
 
     problem = Regression(W, tau, rows.base.expressions, starts, simulated=simulated)
-    return ClosedLoop(problem, np.array(widths), bandwidth_hz is None and references is None)
+    chosen = bandwidth_hz is None and references is None
+    return ClosedLoop(problem, np.array(widths), chosen, tuple(x.keep for x in loops))
 
 
 def _motions(
@@ -150,6 +153,17 @@ def _motions(
     return [simulate(given, command, controller, step=step).motion for command in commands]
 
 
+def motion_reach(q: Array, rate_hz: float) -> Array:
+    """Cut-off that leaves each joint's motion alone and little of the noise above it, (nv,) [Hz].
+
+    Args:
+        q: Measured positions at a regular rate, shape (n, nv).
+        rate_hz: That rate [Hz].
+    """
+    slowest = 4 * rate_hz / len(q)
+    return np.clip(_WIDER * motion_bandwidth(q, rate_hz), slowest, _HIGHEST * rate_hz)
+
+
 def _measured(
     segment: Segment, recording: Recording, bandwidth_hz: float | None
 ) -> tuple[_Loop, Array]:
@@ -157,9 +171,7 @@ def _measured(
     q, rate, nv = unfiltered_positions(segment, recording), segment.rate_hz, segment.motion.nv
     highest = _HIGHEST * rate
     if bandwidth_hz is None:
-        n = len(q)
-        slowest = 4 * rate / n
-        width = np.clip(_WIDER * motion_bandwidth(q, rate), slowest, highest)
+        width = motion_reach(q, rate)
     elif 0 < bandwidth_hz <= highest * (1 + 1e-9):
         width = np.full(nv, float(bandwidth_hz))
     else:

@@ -55,7 +55,10 @@ class EverySecond:
 
 
 def half_columns(
-    robot: Robot, rows: FitRows, recordings: Sequence[Recording]
+    robot: Robot,
+    rows: FitRows,
+    recordings: Sequence[Recording],
+    position_hz: float | None = None,
 ) -> tuple[Array, Array]:
     """Base columns from even and from odd samples at the rows of a fit, each (n, nv, r).
 
@@ -67,19 +70,24 @@ def half_columns(
         robot: The arm.
         rows: What is fitted.
         recordings: Behind these rows, in order.
+        position_hz: Cut-off of the filter of positions [Hz]; as for the rows when None, or where
+            that is lower.
 
     Raises:
         BadInput: A rate below five times the cut-off.
     """
+    cutoff_hz = rows.data.cutoff_hz
     even, odd = (
-        observation(robot, rows.effects, _segments(recordings, rows.data.cutoff_hz, first))
+        observation(robot, rows.effects, _segments(recordings, cutoff_hz, first, position_hz))
         for first in (0, 1)
     )
     columns = list(rows.base.columns)
     return even[:, :, columns], odd[:, :, columns]
 
 
-def _segments(recordings: Sequence[Recording], cutoff_hz: float, first: int) -> list[Segment]:
+def _segments(
+    recordings: Sequence[Recording], cutoff_hz: float, first: int, position_hz: float | None
+) -> list[Segment]:
     found = []
     for recording in recordings:
         rate_hz = 1 / float(np.median(np.diff(recording.t)))
@@ -89,7 +97,8 @@ def _segments(recordings: Sequence[Recording], cutoff_hz: float, first: int) -> 
                 f"{recording.name}: every second sample at {rate_hz:.4g} Hz does not show motion "
                 f"up to the cut-off of {cutoff_hz:g} Hz; choose one up to {highest:.3g} Hz"
             )
-        position_cutoff = min(POSITION_RATIO * cutoff_hz, highest)
+        widest = POSITION_RATIO * cutoff_hz
+        position_cutoff = min(widest, highest, position_hz or widest)
         half = EverySecond(first, ZeroPhaseButterworth(position_cutoff))
         found += prepare(recording, cutoff_hz, half)
     return found

@@ -9,7 +9,7 @@ import numpy as np
 from excitant.exceptions import Infeasible
 from excitant.identify.estimators.regression import Regression
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, freeze
 from excitant.robots.simulation import Diverged
 
 _ROUNDS = 15  # of simulating; two to four do
@@ -25,11 +25,16 @@ class OutputError:
         fit: The estimate.
         start: The one of weighted least squares that it began with.
         changes: Largest change of a parameter in each iteration [standard deviations].
+        columns: On the motion simulated last, which the estimate is fitted to, shape (n, nv, r).
     """
 
     fit: LeastSquares
     start: LeastSquares
     changes: tuple[float, ...]
+    columns: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "columns")
 
     @property
     def iterations(self) -> int:
@@ -63,7 +68,7 @@ def output_error(problem: Regression) -> OutputError:
         torque = float(np.sqrt(((W @ moved / scale) ** 2).mean()))
         fit = found
         if changes[-1] < _SETTLED or torque < _SAME:
-            return OutputError(fit, start, tuple(changes))
+            return OutputError(fit, start, tuple(changes), W)
     raise Infeasible(
         "output error",
         f"parameters still move by {changes[-1]:.2g} standard deviations after {_ROUNDS} "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -83,7 +84,7 @@ def irls(problem: Regression, influence: Influence = STUDENT) -> LeastSquares:
 
     Raises:
         RankDeficient: The motion does not show some columns.
-        Infeasible: The weights did not settle.
+        Infeasible: The weights did not settle, or leave too few rows.
     """
     W, tau, names = problem.W, problem.tau, problem.names
     start = factorised(W, np.maximum(_scale(tau - tau.mean(axis=0), 0), SMALLEST), names)
@@ -116,7 +117,7 @@ def _settled(start: Factor, W: Array, tau: Array, beta: Array, influence: Influe
         weight = influence.weight(residual / sigma) * (start.weight / sigma) ** 2
         weighted = (Q * weight[:, :, None]).reshape(start.Q.shape)
         score = weighted.T @ (residual / start.weight).ravel()
-        step = scipy.linalg.solve(weighted.T @ start.Q, score, assume_a="pos")
+        step = _step(weighted.T @ start.Q, score, influence)
         beta = beta + scipy.linalg.solve_triangular(start.R, step) / start.norms
         moved = (Q @ step) * start.weight / sigma
         if float((moved**2).mean()) <= _SETTLED**2:
@@ -126,3 +127,17 @@ def _settled(start: Factor, W: Array, tau: Array, beta: Array, influence: Influe
         f"weights did not settle in {_ROUNDS} rounds with {influence.name} influence; "
         "use another estimator, or record more",
     )
+
+
+def _step(A: Array, score: Array, influence: Influence) -> Array:
+    """A⁻¹ score, refused where hardly a row that counts is left for some parameters."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", scipy.linalg.LinAlgWarning)
+            return np.asarray(scipy.linalg.solve(A, score, assume_a="pos"), float)
+    except (np.linalg.LinAlgError, scipy.linalg.LinAlgWarning):
+        raise Infeasible(
+            "robust regression",
+            f"rows that count with {influence.name} influence do not determine all parameters; "
+            "use another estimator, or record more",
+        ) from None

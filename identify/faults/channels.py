@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.stats
 
@@ -24,11 +26,11 @@ def dead_channels(log: Log) -> list[Fault]:
     found = []
     for name, x in log.channels():
         for j in range(log.nv):
-            detail = _constant(log, name, x[:, j], j) or _white(log, name, x[:, j], j)
+            detail = _constant(log, name, x[:, j], j) or white(log, name, x[:, j], j)
             if detail is not None:
                 found.append(Fault("dead_channel", log.names([j]), *detail))
-            elif (stretch := _stretch(log, name, x[:, j], j)) is not None:
-                found.append(stretch)
+            elif (held := stretch(log, name, x[:, j], j)) is not None:
+                found.append(held)
     return found
 
 
@@ -40,21 +42,24 @@ def _constant(log: Log, name: str, x: Array, j: int) -> _Detail | None:
         return None
     if name == "dq" and not log.moving[:, j].any():
         return None
-    if name == "q" and (log.dq is None or np.ptp(log.dq[:, j]) == 0):
-        return None
     against = ""
     if name == "q":
-        speed = np.asarray(log.dq)[:, j]
-        if np.abs(speed).mean() < 5 * noise(speed):
+        speed = np.zeros(1) if log.dq is None else log.dq[:, j]
+        if np.ptp(speed) == 0 or np.abs(speed).mean() < 5 * noise(speed):
             return None
         against = f", while dq of the joint varies over {np.ptp(speed):.4g}"
     elif log.moving[:, j].any():
         against = f", while q of the joint moves over {np.ptp(log.q[:, j]):.4g}"
-    detail = f"{name} of {log.joints[j]} is {x[0]:.6g} in every row{against}"
-    return detail, {"channel": name, "value": x[0]}
+    return constant_detail(name, log.joints[j], float(x[0]), against)
 
 
-def _white(log: Log, name: str, x: Array, j: int) -> _Detail | None:
+def constant_detail(name: str, joint: str, value: float, against: str) -> _Detail:
+    """Evidence of a channel that never changes, with what speaks against it, if anything."""
+    detail = f"{name} of {joint} is {value:.6g} in every row{against}"
+    return detail, {"channel": name, "value": value}
+
+
+def white(log: Log, name: str, x: Array, j: int) -> _Detail | None:
     """Whether block means of a channel scatter no more than those of white noise."""
     moved = log.moving[:, j]
     block = len(x) // _BLOCKS
@@ -74,7 +79,7 @@ def _white(log: Log, name: str, x: Array, j: int) -> _Detail | None:
     )
 
 
-def _stretch(log: Log, name: str, x: Array, j: int) -> Fault | None:
+def stretch(log: Log, name: str, x: Array, j: int, alarm: float = ALARM) -> Fault | None:
     """The longest run of one value, if the channel never else keeps a value that long."""
     starts, lengths = run_lengths(np.diff(x) == 0)
     if not len(lengths):
@@ -82,7 +87,7 @@ def _stretch(log: Log, name: str, x: Array, j: int) -> Fault | None:
     k = int(np.argmax(lengths))
     start, length = int(starts[k]), int(lengths[k])
     seconds = log.t[start + length] - log.t[start]
-    if seconds < _STRETCH_S or length < 10 or length <= tail_bound(lengths, ALARM / log.nv):
+    if seconds < _STRETCH_S or length < 10 or length <= tail_bound(lengths, alarm / log.nv):
         return None
     if name == "q":
         if log.dq is None:
@@ -103,12 +108,17 @@ def _stretch(log: Log, name: str, x: Array, j: int) -> Fault | None:
     apart[max(0, start - length) : start + length + 1] = False
     if apart.mean() > _SAME or x[start] in (x.max(), x.min()):
         return None
+    return stretch_fault(log.joints[j], name, float(x[start]), float(log.t[start]), float(seconds))
+
+
+def stretch_fault(joint: str, name: str, value: float, start: float, seconds: float) -> Fault:
+    """The fault of a channel that keeps a value from a time on for some seconds."""
     return Fault(
         "dead_channel",
-        log.names([j]),
-        f"{name} of {log.joints[j]} stays at {x[start]:.6g} for {seconds:.3g} s from "
-        f"t = {log.t[start]:.4g} s while the joint moves; else it keeps no value for that long",
-        {"channel": name, "value": x[start], "start": log.t[start], "seconds": seconds},
+        (joint,),
+        f"{name} of {joint} stays at {value:.6g} for {seconds:.3g} s from t = {start:.4g} s while "
+        "the joint moves; else it keeps no value for that long",
+        {"channel": name, "value": value, "start": start, "seconds": seconds},
     )
 
 
@@ -135,39 +145,88 @@ def saturation(log: Log, robot: Robot) -> list[Fault]:
 def _at_extreme(
     log: Log, x: Array, j: int, moved: np.ndarray, sign: float, word: str
 ) -> Fault | None:
-    top, step = float(x.max()), quantum(x)
-    band = max(_LEVELS * step, _SIGMAS * noise(x), 1e-6 * float(np.ptp(x)))
-    at = moved & (x > top - min(step / 2, 1e-9 * float(np.ptp(x))))
+    top = float(x.max())
+    band = band_below(x)
+    at = moved & (x > top - hair(x))
     below = int((moved & ~at & (x > top - band)).sum())
-    count = int(at.sum())
-    if np.ptp(x) == 0 or count < _AT_LEAST:
+    longest = int(run_lengths(at)[1].max(initial=0))
+    extreme = Extreme(sign * top, int(at.sum()), longest, below, band)
+    return extreme_fault(log.joints[j], log.unit, len(log), log.nv, word, extreme)
+
+
+def band_below(x: Array) -> float:
+    """Width of the band below the extreme value that is compared with it."""
+    return max(_LEVELS * quantum(x), _SIGMAS * noise(x), 1e-6 * float(np.ptp(x)))
+
+
+def hair(x: Array) -> float:
+    """How far below the extreme value is still at it."""
+    return min(quantum(x) / 2, 1e-9 * float(np.ptp(x)))
+
+
+@dataclass(frozen=True)
+class Extreme:
+    """How often a channel is at its extreme value and just below it.
+
+    Attributes:
+        value: The extreme value.
+        count: Rows at it while joints move.
+        longest: The most of them in a row.
+        near: Rows in the band below it while joints move.
+        band: Its width.
+    """
+
+    value: float
+    count: int
+    longest: int
+    near: int
+    band: float
+
+
+def extreme_fault(
+    joint: str, unit: str, n: int, nv: int, word: str, found: Extreme
+) -> Fault | None:
+    """The fault of a torque cut off at its ``largest`` or ``smallest`` value; None by chance."""
+    if found.count < _AT_LEAST or found.band == 0:
         return None
-    if scipy.stats.poisson.sf(count - 1, below + 1) > ALARM / (2 * log.nv):
+    if scipy.stats.poisson.sf(found.count - 1, found.near + 1) > ALARM / (2 * nv):
         return None
-    longest = int(run_lengths(at)[1].max())
     return Fault(
         "saturation",
-        log.names([j]),
-        f"tau of {log.joints[j]} is at its {word} value {sign * top:.6g} {log.unit} in {count} of "
-        f"{len(log)} rows, up to {longest} in a row, while joints move; only {below} lie within "
-        f"{band:.3g} of it",
-        {"value": sign * top, "count": count, "longest": longest, "near": below},
+        (joint,),
+        f"tau of {joint} is at its {word} value {found.value:.6g} {unit} in {found.count} of "
+        f"{n} rows, up to {found.longest} in a row, while joints move; only {found.near} lie "
+        f"within {found.band:.3g} of it",
+        {"value": found.value, "count": found.count, "longest": found.longest, "near": found.near},
     )
 
 
 def _at_limit(log: Log, robot: Robot, x: Array, j: int, sign: float) -> Fault | None:
     """Torque that noise alone makes leave the given limit of its motor."""
     limit, scatter = float(robot.limits.torque[j]), noise(x)
-    if log.unit != "N·m" or not np.isfinite(limit) or scatter > 0.05 * limit:
+    if not limit_is_near(log.unit, limit, scatter, float(x.max())):
         return None
     at = x > limit - 2 * scatter
-    lengths = run_lengths(at)[1]
-    if not at.any() or x.max() > limit + 6 * scatter or lengths.max() < _AT_LEAST:
+    longest = int(run_lengths(at)[1].max(initial=0))
+    return limit_fault(log.joints[j], log.unit, len(log), sign * limit, int(at.sum()), longest)
+
+
+def limit_is_near(unit: str, limit: float, scatter: float, top: float) -> bool:
+    """Whether a torque with noise reaches the limit of its motor and nothing beyond."""
+    known = unit == "N·m" and np.isfinite(limit) and scatter <= 0.05 * limit
+    return bool(known and limit - 2 * scatter < top <= limit + 6 * scatter)
+
+
+def limit_fault(
+    joint: str, unit: str, n: int, limit: float, count: int, longest: int
+) -> Fault | None:
+    """The fault of a torque at the limit of its motor; None where it is there by chance."""
+    if longest < _AT_LEAST:
         return None
     return Fault(
         "saturation",
-        log.names([j]),
-        f"tau of {log.joints[j]} is within its noise of the limit {sign * limit:.6g} {log.unit} "
-        f"in {int(at.sum())} of {len(log)} rows, up to {int(lengths.max())} in a row",
-        {"value": sign * limit, "count": int(at.sum()), "longest": int(lengths.max())},
+        (joint,),
+        f"tau of {joint} is within its noise of the limit {limit:.6g} {unit} in {count} of {n} "
+        f"rows, up to {longest} in a row",
+        {"value": limit, "count": count, "longest": longest},
     )

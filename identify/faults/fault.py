@@ -39,11 +39,11 @@ class Remedy:
 
     Attributes:
         action: ``drop`` rows, ``interpolate`` rows of a channel, ``scale`` a channel or the time,
-            ``unwrap`` a counter.
+            ``unwrap`` a counter, ``shift`` the time from a row on, ``sort`` all rows by time.
         channel: ``t``, ``q``, ``dq`` or ``tau``; empty for whole rows.
         joints: Columns concerned.
         rows: Rows concerned.
-        factor: What values are multiplied with, or the range of the counter.
+        factor: What values are multiplied with, the range of the counter, or what is added [s].
     """
 
     action: str

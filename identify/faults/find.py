@@ -8,15 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from excitant.identify.faults.channels import dead_channels, saturation
+from excitant.identify.faults.counters import wrapped_counters
 from excitant.identify.faults.excitation import poor_excitation
 from excitant.identify.faults.fault import Fault
 from excitant.identify.faults.fit import smooth
 from excitant.identify.faults.frames import wrong_frame
 from excitant.identify.faults.log import Log, Raw, log_of
 from excitant.identify.faults.modelled import not_measured
-from excitant.identify.faults.outliers import missing_values, outliers, wrapped_counters
+from excitant.identify.faults.order import order_of, row_keys
+from excitant.identify.faults.outliers import missing_values, outliers
 from excitant.identify.faults.physics import physics_faults, torques
-from excitant.identify.faults.repair import repair
+from excitant.identify.faults.repair import left_rows, repair
 from excitant.identify.faults.repeats import held_channels, hidden_gaps, repeated_rows
 from excitant.identify.faults.stamps import gap_fault, stamp_faults
 from excitant.identify.faults.velocity import velocity_faults
@@ -38,32 +40,48 @@ def find_faults(robot: Robot, raw: Raw) -> tuple[Fault, ...]:
         raw: The recording as logged, arrays ``t`` (n,), ``q``, ``tau`` and ``dq`` (n, nv) or None.
     """
     log = log_of(raw, robot.joints)
-    found: list[Fault] = []
-    rows = _Rows(log)
-    found += rows.found
-    log = rows.log
-    if len(log) < _SHORTEST:
-        return tuple(found)
-    channels = [*dead_channels(log), *saturation(log, robot)]
-    found += channels
+    rows = CheckedRows(log)
+    if len(rows.log) < _SHORTEST:
+        return tuple(rows.found)
+    channels = [*dead_channels(rows.log), *saturation(rows.log, robot)]
+    return (*rows.found, *channels, *motion_faults(robot, rows.longest, channels))
+
+
+def motion_faults(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault]:
+    """Faults that show in the velocity against the position, then those that physics shows.
+
+    Args:
+        robot: The arm.
+        log: A log whose rows are in order.
+        channels: Faults of its channels.
+    """
     speeds = velocity_faults(log)
-    found += speeds
     log, _ = repair(log, speeds)
-    return (*found, *_by_physics(robot, log, channels))
+    return [*speeds, *_by_physics(robot, log, channels)]
 
 
-class _Rows:
-    """Faults of rows, and the log without them.
+class CheckedRows:
+    """Faults of rows, and the log without them; empty where no row has a place in time.
 
     Every test names rows of the log it saw; they are counted in the log as it was at first.
+
+    Attributes:
+        log: The log as repairs would leave it.
+        found: Faults.
     """
 
     def __init__(self, log: Log) -> None:
         self.log, self.found = log, list[Fault]()
         self._index = np.arange(len(log))
-        self._step(stamp_faults(log))
+        self._starts = np.zeros(0)
+        order = order_of(log.t, row_keys([x for _, x in log.channels()]), log.q)
+        self._step(stamp_faults(log, order))
+        if order.doubt:
+            self.log = self.log.take(np.zeros(0, np.intp))
+            return
+        self._starts = self.log.t[np.isin(self._index, order.starts)]
         if len(self.log) >= _SHORTEST:
-            self.found += self._located([gap_fault(self.log)])
+            self.found += self._located([gap_fault(self.log, self._starts)])
         self._step([missing_values(self.log)])
         if len(self.log) < _SHORTEST:
             return
@@ -72,6 +90,12 @@ class _Rows:
         hidden = hidden_gaps(self.log)
         self.found += self._located([*held_channels(self.log), hidden])
         self._step(outliers(self.log, None if hidden is None else hidden.evidence["rows"]))
+
+    @property
+    def longest(self) -> Log:
+        """The longest part in which the clock does not start anew."""
+        parts = np.split(np.arange(len(self.log)), np.searchsorted(self.log.t, self._starts))
+        return self.log.take(max(parts, key=len)) if len(parts) > 1 else self.log
 
     def _located(self, faults: Sequence[Fault | None]) -> list[Fault]:
         located = []
@@ -88,14 +112,9 @@ class _Rows:
         if not seen:
             return
         self.found += self._located(seen)
-        kept = np.ones(len(self.log), bool)
-        for remedy in (r for f in seen for r in f.remedies if r.action == "drop"):
-            kept[remedy.rows] = False
-        if kept.sum() < 2:
-            self.log, self._index = self.log.take(kept), self._index[kept]
-            return
-        self.log, _ = repair(self.log, seen)
-        self._index = self._index[kept]
+        left = left_rows(self.log.t, [r for f in seen for r in f.remedies])
+        self.log = self.log.take(left) if len(left) < 2 else repair(self.log, seen)[0]
+        self._index = self._index[left]
 
 
 def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault]:

@@ -108,6 +108,17 @@ class Log:
         """Where a joint moves by several times its resolution per sample, (n, nv)."""
         return np.asarray(np.abs(self.travel) > 4 * np.maximum(self.resolution, self.quantum))
 
+    def moves_at(self, rows: Rows, grain: Array) -> npt.NDArray[np.bool_]:
+        """Whether any joint moves at some rows, as `moving` says, shape (k,).
+
+        Args:
+            rows: The rows, shape (k,).
+            grain: Noise or step of each position, whichever is larger, shape (nv,).
+        """
+        low, high = np.maximum(rows - _SPAN, 0), np.minimum(rows + _SPAN, len(self) - 1)
+        way = np.abs(self.q[high] - self.q[low])
+        return np.asarray((way > 4 * grain * (high - low)[:, None]).any(axis=1), bool)
+
     @cached_property
     def quantum(self) -> Array:
         """Smallest step between two positions of each joint, shape (nv,)."""

@@ -1,8 +1,9 @@
-"""Values that cannot be: no numbers, wrapped counters, outliers, positions that jump."""
+"""Values that cannot be: no numbers, outliers, positions that jump."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -19,89 +20,51 @@ _WINDOW = 11  # samples of the running median
 _JOLT = 5  # samples to either side that a jolt may disturb
 _GAP = 1.75  # steps: the interpolation does not reach across
 _MANY = 0.5  # of all channels: the row is at fault, not a channel
-_COUNTERS = (2.0**8, 2.0**10, 2.0**12, 2.0**16, 2.0**32)
 
 
 def missing_values(log: Log) -> Fault | None:
     """Rows with values that are no finite numbers."""
-    bad = [~np.isfinite(x) for _, x in log.channels()]
-    rows = np.flatnonzero(np.any([b.any(axis=1) for b in bad], axis=0))
+    rows, joints = missing_in(log)
     if not len(rows):
         return None
-    joints = np.flatnonzero(np.any([b.any(axis=0) for b in bad], axis=0))
+    return missing_fault(log.names(joints), len(log), rows, float(log.t[rows[0]]))
+
+
+def missing_in(log: Log) -> tuple[Rows, Rows]:
+    """Rows with values that are no finite numbers, and joints concerned."""
+    bad = [~np.isfinite(x) for _, x in log.channels()]
+    rows = np.flatnonzero(np.any([b.any(axis=1) for b in bad], axis=0))
+    return rows, np.flatnonzero(np.any([b.any(axis=0) for b in bad], axis=0))
+
+
+def missing_fault(joints: tuple[str, ...], n: int, rows: Rows, first: float) -> Fault:
+    """The fault of such rows, the first at a time [s]."""
     return Fault(
         "corrupt_rows",
-        log.names(joints),
-        f"{len(rows)} of {len(log)} rows hold values that are no finite numbers, first row "
-        f"{rows[0]} at t = {log.t[rows[0]]:.4g} s",
+        joints,
+        f"{len(rows)} of {n} rows hold values that are no finite numbers, first row "
+        f"{rows[0]} at t = {first:.4g} s",
         {"rows": rows, "count": len(rows)},
         f"leaves these {len(rows)} rows out",
         (Remedy("drop", rows=rows),),
     )
 
 
-def wrapped_counters(log: Log) -> list[Fault]:
-    """Channels whose negative values were logged as a counter's upper half, or that wrap.
-
-    A wrapped channel jumps by the full range of the counter, a power of two of its steps (a full
-    turn for positions), leaves the middle of its range empty, and is smooth without the jumps.
-    """
-    found = []
-    for name, x in log.channels():
-        for j in range(log.nv):
-            size = _wrap(x[:, j], name == "q")
-            if size is None:
-                continue
-            jumps = int((np.abs(np.diff(x[:, j])) > size / 2).sum())
-            high = int((x[:, j] > x[:, j].min() + size / 2).sum())
-            found.append(
-                Fault(
-                    "corrupt_rows",
-                    log.names([j]),
-                    f"{name} of {log.joints[j]} jumps {jumps} times by {size:.6g}, the range of "
-                    f"a counter: {high} of {len(log)} values "
-                    + ("are a turn off" if name == "q" else "are negative ones logged unsigned"),
-                    {"channel": name, "range": size, "jumps": jumps, "count": high},
-                    f"takes {size:.6g} off where the counter wrapped",
-                    (Remedy("unwrap", name, (j,), factor=size),),
-                )
-            )
-    return found
-
-
-def _wrap(x: Array, position: bool) -> float | None:
-    change = np.abs(np.diff(x))
-    span = float(np.ptp(x))
-    jumps = change > 0.5 * span
-    if span == 0 or jumps.sum() < 2 or jumps.mean() > 0.2:
-        return None
-    if not position and x.min() < 0:
-        return None
-    middle = (x - x.min()) / span
-    if np.mean((middle > 0.35) & (middle < 0.65)) > 0.01:
-        return None
-    size, typical = float(np.median(change[jumps])), float(np.quantile(change[~jumps], 0.9))
-    step = quantum(x)
-    known = [2 * np.pi, 360.0] if position else [65536.0 * 10.0**k for k in range(-6, 1)]
-    known += [] if position else [step * c for c in _COUNTERS]
-    near = [k for k in known if abs(k - size) <= 3 * typical + 2 * step]
-    if not near:
-        return None
-    best = min(near, key=lambda k: abs(k - size))
-    unwrapped = unwrap(x, best, position)
-    smooth = np.abs(np.diff(unwrapped)).max() < 0.5 * best
-    return best if smooth and (position or np.ptp(unwrapped) < 0.9 * span) else None
-
-
-def unwrap(x: Array, size: float, position: bool) -> Array:
-    """A channel without the jumps of its counter: continuous, or signed."""
-    if position:
-        return np.asarray(np.unwrap(x, period=size), float)
-    return np.asarray(np.where(x > size / 2, x - size, x), float)
+Hits = dict[tuple[str, int], Rows]
+"""Rows of values that cannot be, by channel and joint."""
 
 
 def outliers(log: Log, jumps: Rows | None = None) -> list[Fault]:
-    """Single values or short bursts far off their neighbours, and positions that jump.
+    """Single values or short bursts far off their neighbours, and positions that jump."""
+    whole, hits = apart(outlying(log, jumps), log)
+    found = [rows_fault(log.joints, len(log), whole, float(log.t[whole[0]]))] if len(whole) else []
+    for (name, j), rows in hits.items():
+        found.append(values_fault(log.joints[j], j, len(log), rows, worst(log, name, j, rows)))
+    return found
+
+
+def outlying(log: Log, jumps: Rows | None = None, alarm: float = ALARM) -> Hits:
+    """Values that cannot be.
 
     r is the distance of a value from the cubic through its four neighbours (their own times),
     over its local scale. Beyond what the largest of n such values reaches by chance
@@ -117,13 +80,14 @@ def outliers(log: Log, jumps: Rows | None = None) -> list[Fault]:
     Args:
         log: The log, in the order of time.
         jumps: Rows before which samples are missing, where nothing is judged.
+        alarm: Probability that anything is found in a log without outliers.
     """
     r = {name: _distance(log.t, x) for name, x in log.channels()}
     if jumps is not None:
         around = np.clip(np.asarray(jumps)[:, None] + np.arange(-2, 4), 0, len(log) - 1)
         for values in r.values():
             values[around] = 0.0
-    alarm = ALARM / (log.nv * len(r))
+    alarm = alarm / (log.nv * len(r))
     far = {name: _far_of(x, r[name], alarm) for name, x in log.channels()}
     far["q"] &= _each(log, lambda j: _impossible(log, j, r["q"][:, j]))
     for name, x in log.channels():
@@ -135,13 +99,12 @@ def outliers(log: Log, jumps: Rows | None = None) -> list[Fault]:
         jolts = _near((real.any(axis=1) | shared)[:, None], _JOLT)
         far["dq"] &= ~jolts
         far["tau"] &= ~jolts
-    hits = {
+    return {
         (name, j): np.flatnonzero(mask[:, j])
         for name, mask in far.items()
         for j in range(log.nv)
         if mask[:, j].any()
     }
-    return _as_faults(log, hits) if hits else []
 
 
 _Mask = npt.NDArray[np.bool_]
@@ -224,45 +187,72 @@ def _alike(r: Array) -> Array:
     return np.asarray(np.abs(windows @ _PATTERN) / np.maximum(size, 1e-300), float)
 
 
-def _as_faults(log: Log, hits: dict[tuple[str, int], Rows]) -> list[Fault]:
-    """One fault for rows that are wrong in most channels, one for each wrong channel."""
+def apart(hits: Hits, log: Log) -> tuple[Rows, Hits]:
+    """Rows that are wrong in most channels, and what else is wrong in single ones."""
     count = np.zeros(len(log), int)
     for rows in hits.values():
         count[rows] += 1
     total = log.nv * len(log.channels())
     whole = np.flatnonzero(count > _MANY * total) if total > 1 else np.zeros(0, np.intp)
-    found = []
-    if len(whole):
-        found.append(
-            Fault(
-                "corrupt_rows",
-                log.joints,
-                f"{len(whole)} of {len(log)} rows are far from their neighbours in most columns, "
-                f"as rows with shifted columns are; first row {whole[0]} at "
-                f"t = {log.t[whole[0]]:.4g} s",
-                {"rows": whole, "count": len(whole)},
-                f"leaves these {len(whole)} rows out",
-                (Remedy("drop", rows=whole),),
-            )
-        )
-    for (name, j), rows in hits.items():
-        left = np.setdiff1d(rows, whole)
-        if len(left):
-            found.append(_of_channel(log, name, j, left))
-    return found
+    left = {key: np.setdiff1d(rows, whole) for key, rows in hits.items()}
+    return whole, {key: rows for key, rows in left.items() if len(rows)}
 
 
-def _of_channel(log: Log, name: str, j: int, rows: Rows) -> Fault:
+def rows_fault(joints: tuple[str, ...], n: int, rows: Rows, first: float) -> Fault:
+    """The fault of rows that are wrong in most columns, the first at a time [s]."""
+    return Fault(
+        "corrupt_rows",
+        joints,
+        f"{len(rows)} of {n} rows are far from their neighbours in most columns, as rows with "
+        f"shifted columns are; first row {rows[0]} at t = {first:.4g} s",
+        {"rows": rows, "count": len(rows)},
+        f"leaves these {len(rows)} rows out",
+        (Remedy("drop", rows=rows),),
+    )
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The value of a channel that is farthest from its neighbours.
+
+    Attributes:
+        channel: Its name.
+        row: Its row.
+        t: Its time [s].
+        value: What was logged.
+        around: What its neighbours have.
+    """
+
+    channel: str
+    row: int
+    t: float
+    value: float
+    around: float
+
+    @property
+    def distance(self) -> float:
+        """How far it is off."""
+        return abs(self.value - self.around)
+
+
+def worst(log: Log, name: str, j: int, rows: Rows) -> Worst:
+    """The worst value of a channel among some rows."""
     x = getattr(log, name)[:, j]
     median = scipy.ndimage.median_filter(x, size=min(_WINDOW, len(x)), mode="nearest")
     k = int(rows[np.argmax(np.abs(x - median)[rows])])
+    return Worst(name, k, float(log.t[k]), float(x[k]), float(median[k]))
+
+
+def values_fault(joint: str, j: int, n: int, rows: Rows, bad: Worst) -> Fault:
+    """The fault of single values of one channel of joint j, of a log of n rows."""
     return Fault(
         "corrupt_rows",
-        log.names([j]),
-        f"{name} of {log.joints[j]} is far from its neighbours in {len(rows)} of {len(log)} rows; "
-        f"worst row {k} at t = {log.t[k]:.4g} s: {x[k]:.5g} where those around have "
-        f"{median[k]:.5g}",
-        {"channel": name, "rows": rows, "count": len(rows), "value": x[k], "around": median[k]},
-        f"interpolates {name} of {log.joints[j]} over these {len(rows)} rows",
-        (Remedy("interpolate", name, (j,), rows),),
-    )
+        (joint,),
+        f"{bad.channel} of {joint} is far from its neighbours in {len(rows)} of {n} rows; worst "
+        f"row {bad.row} at t = {bad.t:.4g} s: {bad.value:.5g} where those around have "
+        f"{bad.around:.5g}",
+        {"channel": bad.channel, "rows": rows, "count": len(rows), "value": bad.value,
+         "around": bad.around},
+        f"interpolates {bad.channel} of {joint} over these {len(rows)} rows",
+        (Remedy("interpolate", bad.channel, (j,), rows),),
+    )  # fmt: skip

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from excitant.exceptions import BadRecording
 from excitant.identify.dataset import Dataset
 from excitant.identify.faults.copies import find_copies
 from excitant.identify.faults.fault import Fault
@@ -68,10 +69,29 @@ def read_checked(
     }
     faults, notes, recordings = _faults(dataset, raws), [], []
     for name, raw in raws.items():
+        refuse_unordered(raw.file, raw.columns.t[0], faults[name])
         better, done = repair(raw, faults[name])
         notes += [f"{name}: {sentence}" for sentence in done]
         recordings.append(recording_from_raw(better))
     return Checked(recordings, faults, tuple(notes))
+
+
+def refuse_unordered(file: str, column: str, faults: Sequence[Fault]) -> None:
+    """Refuse a log whose rows no repair brings into the order of time.
+
+    Args:
+        file: The log.
+        column: Its column of time.
+        faults: Its faults.
+
+    Raises:
+        BadRecording: Says why, and what to do.
+    """
+    for fault in faults:
+        if "doubt" in fault.evidence:
+            raise BadRecording(
+                file, fault.detail, row=int(fault.evidence["rows"][0]), column=column
+            )
 
 
 def _faults(dataset: Dataset, recordings: dict[str, Any]) -> dict[str, tuple[Fault, ...]]:

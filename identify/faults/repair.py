@@ -7,21 +7,24 @@ from dataclasses import replace
 from typing import Any, TypeVar, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from excitant.exceptions import BadInput
-from excitant.identify.faults.fault import Fault, Remedy
+from excitant.identify.faults.counters import unwrap
+from excitant.identify.faults.fault import Fault, Remedy, Rows
 from excitant.identify.faults.log import CHANNELS, Raw
-from excitant.identify.faults.outliers import unwrap
+from excitant.robots.motion import Array
 
-_ORDER = ("drop", "unwrap", "interpolate", "scale")
+ACTIONS = ("unwrap", "interpolate", "scale")
+"""What changes values and not rows, in the order in which it is done."""
 RawT = TypeVar("RawT", bound=Raw)
 
 
 def repair(raw: RawT, faults: Sequence[Fault]) -> tuple[RawT, tuple[str, ...]]:
     """The recording with its repairable faults repaired, and what was done, a sentence each.
 
-    Rows of remedies count rows of this recording. Values that are interpolated or rescaled keep
-    their rows; rows are left out last, so that all remedies may name them.
+    Rows of remedies count rows of this recording. Rows are sorted first, so that those beside each
+    other are neighbours in time, and left out last, so that all remedies may name them.
 
     Args:
         raw: The recording as logged; a dataclass with arrays ``t``, ``q``, ``dq``, ``tau``.
@@ -30,20 +33,20 @@ def repair(raw: RawT, faults: Sequence[Fault]) -> tuple[RawT, tuple[str, ...]]:
     Raises:
         BadInput: The repairs leave no two samples.
     """
-    values: dict[str, Any] = {"t": np.array(raw.t)}
-    values |= {c: np.array(x) for c in CHANNELS if (x := getattr(raw, c)) is not None}
     remedies = [r for fault in faults for r in fault.remedies]
-    kept = np.ones(len(values["t"]), bool)
-    for remedy in sorted(remedies, key=lambda r: _ORDER.index(r.action)):
-        if remedy.action == "drop":
-            kept[remedy.rows] = False
-        else:
-            _apply(values, remedy, kept)
+    t, kept = _timed(raw.t, remedies)
+    order = _in_order(t, remedies)
+    place = np.argsort(order)
+    values: dict[str, Any] = {"t": t[order]}
+    values |= {c: np.array(x[order]) for c in CHANNELS if (x := getattr(raw, c)) is not None}
+    kept = kept[order]
+    for remedy in sorted((r for r in remedies if r.action in ACTIONS), key=_rank):
+        apply(values, replace(remedy, rows=place[remedy.rows]), kept)
     if kept.sum() < 2:
         raise BadInput(f"repair leaves {int(kept.sum())} of {len(kept)} rows; record again")
     cut = {name: x[kept] for name, x in values.items()}
     if hasattr(raw, "extras"):
-        extras = {k: np.asarray(x)[kept] for k, x in raw.extras.items()}
+        extras = {k: np.asarray(x)[order][kept] for k, x in raw.extras.items()}
         cut["extras"] = extras
     notes = tuple(
         f"{fault.fault} ({', '.join(fault.joints)}): repaired, {_past(fault.repair)}"
@@ -53,11 +56,46 @@ def repair(raw: RawT, faults: Sequence[Fault]) -> tuple[RawT, tuple[str, ...]]:
     return cast(RawT, replace(cast(Any, raw), **cut)), notes
 
 
+def left_rows(t: Array, remedies: Sequence[Remedy]) -> Rows:
+    """Rows of a log that remedies leave, in the order that they bring them into.
+
+    Args:
+        t: Stamps as logged, shape (n,) [s].
+        remedies: What is to be done.
+    """
+    t, kept = _timed(t, remedies)
+    order = _in_order(t, remedies)
+    return order[kept[order]]
+
+
+def _timed(t: Array, remedies: Sequence[Remedy]) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Time with its shifts, and the rows that are not left out."""
+    t, kept = np.array(t), np.ones(len(t), bool)
+    for remedy in remedies:
+        if remedy.action == "shift":
+            t[int(remedy.rows[0]) :] += remedy.factor
+        elif remedy.action == "drop":
+            kept[remedy.rows] = False
+    return t, kept
+
+
+def _in_order(t: Array, remedies: Sequence[Remedy]) -> Rows:
+    """Rows by time where that was asked for, else as they are."""
+    if any(remedy.action == "sort" for remedy in remedies):
+        return np.argsort(t, kind="stable")
+    return np.arange(len(t))
+
+
+def _rank(remedy: Remedy) -> int:
+    return ACTIONS.index(remedy.action)
+
+
 def _past(text: str) -> str:
     return f"which {text}"
 
 
-def _apply(values: dict[str, Any], remedy: Remedy, kept: np.ndarray) -> None:
+def apply(values: dict[str, Any], remedy: Remedy, kept: np.ndarray) -> None:
+    """Do what a remedy says to channels by name, in place; rows not kept do not count."""
     x = values.get(remedy.channel)
     if x is None:
         return

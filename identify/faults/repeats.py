@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from excitant.identify.faults.fault import ALARM, Fault, Remedy
+from excitant.identify.faults.fault import ALARM, Fault, Remedy, Rows
 from excitant.identify.faults.log import Log
 from excitant.identify.faults.statistics import run_lengths, tail_bound
 from excitant.robots.motion import Array
@@ -20,20 +20,34 @@ def repeated_rows(log: Log) -> Fault | None:
     Counted only where some joint moves by several resolutions per sample, so that not one
     position would repeat by itself; three such rows are no accident.
     """
+    rows, places, longest = repeats_in(log)
+    first = float(log.t[rows[0]]) if len(rows) else 0.0
+    return repeats_fault(log.joints, len(log), rows, places, longest, first)
+
+
+def repeats_in(log: Log) -> tuple[Rows, int, int]:
+    """Rows that repeat the one before while joints move, in how many places, the longest one."""
     same = np.all([(np.diff(x, axis=0) == 0).all(axis=1) for _, x in log.channels()], axis=0)
+    if not same.any():
+        return np.zeros(0, np.intp), 0, 0
     moved = np.asarray(log.moving.any(axis=1))
     rows = np.flatnonzero(same & (moved[1:] | moved[:-1])) + 1
+    starts, lengths = run_lengths(same)
+    return rows, int(np.isin(starts + 1, rows).sum()), int(lengths.max()) + 1
+
+
+def repeats_fault(
+    joints: tuple[str, ...], n: int, rows: Rows, places: int, longest: int, first: float
+) -> Fault | None:
+    """The fault of rows that repeat, from the first on at a time [s]; None for fewer than three."""
     if len(rows) < 3:
         return None
-    starts, lengths = run_lengths(same)
-    rest = int(np.isin(starts + 1, rows).sum())
     return Fault(
         "duplicate_samples",
-        log.joints,
-        f"{len(rows)} of {len(log)} rows ({len(rows) / len(log):.2%}) repeat every value of the "
-        f"row before while joints move, in {rest} places; first row {rows[0]} at "
-        f"t = {log.t[rows[0]]:.4g} s",
-        {"rows": rows, "count": len(rows), "longest": int(lengths.max()) + 1},
+        joints,
+        f"{len(rows)} of {n} rows ({len(rows) / n:.2%}) repeat every value of the row before while "
+        f"joints move, in {places} places; first row {rows[0]} at t = {first:.4g} s",
+        {"rows": rows, "count": len(rows), "longest": longest},
         f"leaves these {len(rows)} rows out",
         (Remedy("drop", rows=rows),),
     )
@@ -82,15 +96,21 @@ def _held_share(log: Log, x: Array, j: int) -> float:
 
 
 def hidden_gaps(log: Log) -> Fault | None:
-    """Rows that are missing though the stamps run on.
+    """Rows that are missing though the stamps run on."""
+    rows, m = jumps_in(log)
+    return jumps_fault(log.joints, rows, m, float(log.t[rows[0]])) if len(rows) else None
 
-    All joints then jump by the same number of samples of their own speed. m is that number from
-    all joints by least squares, tested against its own scatter, and it must be whole.
+
+def jumps_in(log: Log, alarm: float = ALARM) -> tuple[Rows, Array]:
+    """Rows after which all joints jump by a whole number of samples, and that number.
+
+    m is that number from all joints by least squares, tested against its own scatter.
     """
+    none = np.zeros(0, np.intp), np.zeros(0)
     rate = np.diff(log.q, axis=0) / np.diff(log.t)[:, None]
     n = len(rate)
     if n < 30:
-        return None
+        return none
     speed = _around(rate)
     scale = np.median(np.abs(rate - speed), axis=0) / 0.6745 + 1e-12 * np.abs(rate).max(axis=0)
     scale = np.maximum(scale, 2 * log.quantum / log.step / np.sqrt(12))
@@ -103,19 +123,21 @@ def hidden_gaps(log: Log) -> Fault | None:
     whole = (np.round(m) >= 1) & (np.abs(m - np.round(m)) < _WHOLE)
     alone = np.abs(m) > 2 * np.maximum(np.abs(np.roll(m, 1)), np.abs(np.roll(m, -1)))
     several = ((np.abs(s) > 3).sum(axis=1) >= 2) if log.nv > 1 else np.zeros(n, bool)
-    rows = np.flatnonzero((z > tail_bound(z, ALARM)) & whole & alone & several & (shared > 0.95))
+    rows = np.flatnonzero((z > tail_bound(z, alarm)) & whole & alone & several & (shared > 0.95))
     rows = rows[(rows > 5) & (rows < n - 6)]
-    if not len(rows):
-        return None
-    missing = np.round(m[rows]).astype(int)
-    k = int(rows[0])
+    return rows, m[rows]
+
+
+def jumps_fault(joints: tuple[str, ...], rows: Rows, m: Array, first: float) -> Fault:
+    """The fault of rows missing after some rows, m at each, the first at a time [s]."""
+    missing = int(np.round(m).sum())
     return Fault(
         "dropped_samples",
-        log.joints,
+        joints,
         f"all joints jump together in {len(rows)} places by whole numbers of samples, about "
-        f"{missing.sum()} rows are missing though the stamps run on; first after "
-        f"t = {log.t[k]:.4g} s, where q moves {1 + m[k]:.2f} times as far as its speed allows",
-        {"rows": rows, "missing": int(missing.sum()), "ratio": 1 + m[rows]},
+        f"{missing} rows are missing though the stamps run on; first after "
+        f"t = {first:.4g} s, where q moves {1 + m[0]:.2f} times as far as its speed allows",
+        {"rows": rows, "missing": missing, "ratio": 1 + m},
     )
 
 

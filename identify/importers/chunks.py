@@ -60,20 +60,16 @@ def read_chunks(
         BadRecording: As `read_recording`, when the piece at fault is reached.
         BadInput: ``rows`` below 1, or a map that does not fit the robot.
     """
-    if rows < 1:
-        raise BadInput(f"rows is {rows}; a piece must hold at least one row")
     files = [paths] if isinstance(paths, str | Path) else list(paths)
     so_far: _SoFar | None = None
-    for path in files:
-        source = open_source(path, topic=mapping.topic if mapping else None)
-        first_row = 0
-        origin = so_far.origin if so_far else None
-        for raw in _pieces(source, Path(path), robot, rows, mapping, torque_column, origin):
-            check_finite(raw, first_row)
-            check_time(raw, first_row, so_far.end if so_far else None)
-            so_far = _SoFar.after(so_far, raw)
-            first_row += len(raw.t)
-            yield _recording(raw)
+    first_row = 0
+    for raw in read_raw_chunks(files, robot, rows, mapping=mapping, torque_column=torque_column):
+        first_row = 0 if so_far is None or so_far.last.file != raw.file else first_row
+        check_finite(raw, first_row)
+        check_time(raw, first_row, so_far.end if so_far else None)
+        so_far = _SoFar.after(so_far, raw)
+        first_row += len(raw.t)
+        yield piece_of(raw)
     if so_far is None or so_far.end < MINIMUM_DURATION:
         duration = so_far.end if so_far else 0.0
         raise BadRecording(
@@ -81,6 +77,30 @@ def read_chunks(
             f"{MINIMUM_DURATION:g} s are needed", column="t",
         )  # fmt: skip
     check_alive(np.array([so_far.low, so_far.high]), so_far.last)
+
+
+def read_raw_chunks(
+    paths: str | Path | Sequence[str | Path],
+    robot: Robot | int,
+    rows: int = 100_000,
+    *,
+    mapping: ColumnMap | None = None,
+    torque_column: str | None = None,
+) -> Iterator[RawRecording]:
+    """Pieces as those of `read_chunks`, as they are: nothing is checked.
+
+    Raises:
+        BadRecording: A file that cannot be read, or columns that could mean several things.
+        BadInput: ``rows`` below 1, or a map that does not fit the robot.
+    """
+    if rows < 1:
+        raise BadInput(f"rows is {rows}; a piece must hold at least one row")
+    origin: tuple[float, float] | None = None
+    for path in [paths] if isinstance(paths, str | Path) else paths:
+        source = open_source(path, topic=mapping.topic if mapping else None)
+        for raw in _pieces(source, Path(path), robot, rows, mapping, torque_column, origin):
+            origin = origin or raw.start
+            yield raw
 
 
 def read_times(
@@ -154,7 +174,8 @@ def _pieces(
         yield raw
 
 
-def _recording(raw: RawRecording) -> Recording:
+def piece_of(raw: RawRecording) -> Recording:
+    """A piece of a log as a recording; its rows have been checked."""
     fine = raw.dq is not None and bool(np.isfinite(raw.dq).all())
     return Recording(
         raw.name, raw.file, raw.t, raw.q, raw.tau, raw.unit, raw.dq if fine else None, raw.notes

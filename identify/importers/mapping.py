@@ -11,8 +11,8 @@ import numpy as np
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify.importers.units import spelled, units_of
-from excitant.identify.yaml_file import yaml_content
 from excitant.robots.motion import Array
+from excitant.robots.yaml_entries import yaml_content
 
 ROLES = ("t", "q", "dq", "tau", "i")
 _KEYS = (*ROLES, "units", "sign", "drive", "topic")
@@ -77,7 +77,7 @@ def load_column_map(path: str | Path) -> ColumnMap:
     Raises:
         BadInput: Unreadable, unknown entries or units, with the nearest that exists.
     """
-    return column_map(yaml_content(path), str(path))
+    return column_map(yaml_content(path, "what columns mean"), str(path))
 
 
 def column_map(content: object, source: str) -> ColumnMap:

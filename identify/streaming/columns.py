@@ -71,19 +71,24 @@ def layout(robot: Robot, effects: Sequence[Effect], base: BaseParameters) -> Lay
     return Layout(robot, tuple(smooth), tuple(jumping), tuple(effects), base, used, places)
 
 
-def window_rows(layout: Layout, window: Window, response: Response) -> list[Array]:
+def window_rows(layout: Layout, window: Window, filters: Sequence[Response]) -> list[Array]:
     """Rows of every joint: its used base columns and the last four columns, (n, u + 4) each.
 
     Rows whose filter reaches over the edge of a part of the log are those of `Segment.rows`.
+
+    Args:
+        layout: Which columns they hold.
+        window: The window.
+        filters: Response of each joint's filter, all of one length.
     """
-    segment, half = window.segment, response.half
+    segment, half = window.segment, filters[0].half
     n = len(segment.motion)
     own = np.arange(n)[segment.keep]
     left = (own < half) & window.first
     right = (own >= n - half) & window.last & ~left
     parts = (
         _at_edge(layout, segment, own[left], slice(0, 2 * half)),
-        _inside(layout, segment, own[~left & ~right], response),
+        _inside(layout, segment, own[~left & ~right], filters),
         _at_edge(layout, segment, own[right], slice(max(0, n - 2 * half), n)),
     )
     tau, raw, ones = segment.tau[own], segment.tau_raw[own], np.ones(len(own))
@@ -106,6 +111,7 @@ def _at_edge(layout: Layout, segment: Segment, own: Indices, cut: slice) -> list
         motion=segment.motion[cut],
         tau=segment.tau[cut],
         tau_raw=segment.tau_raw[cut],
+        silent=None if segment.silent is None else segment.silent[cut],
         keep=slice(int(own[0]) - cut.start, int(own[-1]) - cut.start + 1, segment.keep.step),
     )
     columns = list(layout.base.columns)
@@ -122,22 +128,36 @@ def _given(robot: Robot, motion: Motion) -> Array:
     return np.sum(own, axis=0) if own else np.zeros_like(motion.q)
 
 
-def _inside(layout: Layout, segment: Segment, own: Indices, response: Response) -> list[Array]:
+def _inside(
+    layout: Layout, segment: Segment, own: Indices, filters: Sequence[Response]
+) -> list[Array]:
     """Rows whose filter sees nothing but this window."""
     if not len(own):
         return _none(layout)
-    motion = segment.motion[int(own[0]) - response.half : int(own[-1]) + response.half + 1]
-    columns = _smooth_columns(layout, motion[:: response.every])
-    smooth = response.rows(columns, len(own), response.every)
-    jumping = response.rows(_jumping_columns(layout, motion), len(own))
-    found, ends = [], [0, 0]
-    for j, used in enumerate(layout.used):
-        rows, soft = np.empty((len(own), len(used) + 1)), layout.source[used] >= 0
-        for kind, (values, mask) in enumerate(((smooth, soft), (jumping, ~soft))):
-            start, ends[kind] = ends[kind], ends[kind] + int(mask.sum())
-            rows[:, :-1][:, mask] = values[:, start : ends[kind]]
-        rows[:, -1] = jumping[:, j - layout.robot.nv]
-        found.append(rows)
+    half, every = filters[0].half, filters[0].every
+    motion = segment.motion[int(own[0]) - half : int(own[-1]) + half + 1]
+    soft = [layout.source[used] >= 0 for used in layout.used]
+    smooth, jumping = _smooth_columns(layout, motion[::every]), _jumping_columns(layout, motion)
+    joints = np.arange(layout.robot.nv)
+    smooth_of = np.repeat(joints, [mask.sum() for mask in soft])
+    jumping_of = np.append(np.repeat(joints, [(~mask).sum() for mask in soft]), joints)
+    found = [np.empty((len(own), len(used) + 1)) for used in layout.used]
+    for each in dict.fromkeys(filters):
+        alike = np.array([other is each for other in filters])
+        soft_columns, hard_columns = smooth, jumping
+        if not alike.all():
+            soft_columns, hard_columns = smooth[:, alike[smooth_of]], jumping[:, alike[jumping_of]]
+        passed = each.rows(soft_columns, len(own), every)
+        jumped = each.rows(hard_columns, len(own))
+        ends = [0, 0]
+        for i, j in enumerate(np.flatnonzero(alike).tolist()):
+            for kind, (values, mask) in enumerate(((passed, soft[j]), (jumped, ~soft[j]))):
+                start, ends[kind] = ends[kind], ends[kind] + int(mask.sum())
+                found[j][:, :-1][:, mask] = values[:, start : ends[kind]]
+            found[j][:, -1] = jumped[:, i - int(alike.sum())]
+    if segment.silent is not None:
+        for j, rows in enumerate(found):
+            rows[segment.silent[own, j]] = 0.0
     return found
 
 

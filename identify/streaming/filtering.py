@@ -9,7 +9,7 @@ taken at all instants.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -75,6 +75,28 @@ class Response:
             band = np.where(inside, every * self.h[np.where(inside, lag, 0)], 0.0)
             self._bands[every] = band, at_once * self.stride // every
         return self._bands[every]
+
+
+def responses(segment: Segment) -> tuple[Response, ...]:
+    """Response of each joint's torque filter, all as long as the longest one.
+
+    Smooth columns are evaluated as often as the segment's own cut-off needs, whatever those of
+    joints.
+    """
+    nv = int(segment.tau.shape[1])
+    common = response(replace(segment, joint_cutoffs=None, silent=None))
+    if segment.joint_cutoffs is None:
+        return tuple(common for _ in range(nv))
+    own = {
+        float(hz): response(replace(segment, cutoff_hz=float(hz), joint_cutoffs=None, silent=None))
+        for hz in np.unique(segment.joint_cutoffs)
+    }
+    half = max(each.half for each in own.values())
+    long = {
+        hz: Response(np.pad(each.h, half - each.half), common.every, common.stride)
+        for hz, each in own.items()
+    }
+    return tuple(long[float(hz)] for hz in segment.joint_cutoffs.tolist())
 
 
 def response(segment: Segment) -> Response:

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
-from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy.linalg
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.accuracy import Series
-from excitant.identify.estimate import Estimate, identified_robot, notes_on, whitened
-from excitant.identify.importers.chunks import read_chunks, read_times
+from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
+from excitant.identify.cutoff_study import Study
+from excitant.identify.estimate import identified_robot, notes_on, whitened
+from excitant.identify.faults.copies import same_digests
+from excitant.identify.faults.fault import Fault
 from excitant.identify.importers.mapping import ColumnMap
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, reweighted, sandwiched
 from excitant.identify.physical import fit_physical, prior_parameters
-from excitant.identify.preprocessing import prepare
-from excitant.identify.recording import MINIMUM_DURATION, Recording
+from excitant.identify.preprocessing import prepare, tuned
+from excitant.identify.recording import MINIMUM_DURATION
 from excitant.identify.rows import (
-    FIT_SHARE,
     Data,
     holdout_sentence,
     open_prior,
@@ -32,10 +31,12 @@ from excitant.identify.rows import (
 )
 from excitant.identify.streaming.columns import Layout, layout, window_rows
 from excitant.identify.streaming.condensed import Blocks, Condensed
+from excitant.identify.streaming.estimate import StreamedEstimate
 from excitant.identify.streaming.excerpt import Excerpt
-from excitant.identify.streaming.filtering import Response, response
+from excitant.identify.streaming.filtering import Response, responses
+from excitant.identify.streaming.logs import LogFiles, StreamedLog, mended_log, streamed_log
 from excitant.identify.streaming.noise import block_scores
-from excitant.identify.streaming.survey import Survey, survey
+from excitant.identify.streaming.tuning import sentence, study_of_excerpts
 from excitant.identify.streaming.windows import Span, windows
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, standard_effects
@@ -43,14 +44,12 @@ from excitant.robots.motion import Array, read_only
 from excitant.robots.robot import Robot
 
 _ROWS = 50_000  # samples read at once, and instants that a window adds
-_HEAD = 100_000  # samples that a default cut-off is chosen from
 _REACH = 2.0  # responses of the torque filter; that of positions is shorter than one
-LogFiles = str | Path | Sequence[str | Path]
-"""A log: a file, or the files that it was split into, in order."""
 NOTE = (
     "read piece by piece, as the recordings are larger than the memory set aside for them: "
-    "weighted least squares at one cut-off, no search for data faults, standard deviations from "
-    "the spread of long blocks, and figures of the beginning of the hold-out"
+    "weighted least squares, standard deviations from the spread of long blocks, and figures of "
+    "the beginning of the hold-out; of the data faults, those of rows and dead or saturated "
+    "channels were searched for in all rows, those of units, signs, rates and frames in an excerpt"
 )
 
 
@@ -66,14 +65,17 @@ def identify_streamed(
     torque_column: str | None = None,
     rows: int = _ROWS,
     progress: Callable[[float], None] = lambda fraction: None,
-) -> Estimate:
+    tune: bool = False,
+    repaired: bool = False,
+) -> StreamedEstimate:
     """Identify a robot from logs of any length, in bounded memory.
 
-    Every log is read twice: its time, then its samples in windows that overlap. Their filtered
-    rows are those of the whole log to 1e-8 of the largest entry, and to 2e-3 of what noise of
-    positions adds to them (`excitant.identify.streaming.filtering`). Triangular factors of the
-    rows of each joint stand for them, so that weighted least squares, the semidefinite fit and
-    all accuracies are those of all rows. Standard deviations come from long blocks of rows
+    Every log is read twice: its time, then its samples in windows that overlap, while they are
+    searched for faults (`excitant.identify.streaming.checks`). Their filtered rows are those of
+    the whole log to 1e-8 of the largest entry, and to 2e-3 of what noise of positions adds to them
+    (`excitant.identify.streaming.filtering`). Triangular factors of the rows of each joint stand
+    for them, so that weighted least squares, the semidefinite fit and all accuracies are those of
+    all rows. Standard deviations come from long blocks of rows
     (`excitant.identify.streaming.noise`).
 
     Args:
@@ -88,6 +90,9 @@ def identify_streamed(
         torque_column: Prefix of the torque columns.
         rows: Samples that are read at once.
         progress: Told which fraction of the samples has been read.
+        tune: Choose cut-offs of joints and a velocity dead zone as `identify` does, on excerpts
+            of what is fitted. A cut-off given is kept.
+        repaired: Repair the faults of logs to fit that can be repaired.
 
     Returns:
         As `identify`; ``data`` and ``series`` hold the first segments and rows only.
@@ -104,56 +109,38 @@ def identify_streamed(
     prior = prior_parameters(robot)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     given: dict[str, Any] = {"mapping": mapping, "torque_column": torque_column}
-    found = [_log(robot, path, rows, given, held=False, split=not validate) for path in logs]
-    found += [_log(robot, path, rows, given, held=True, split=False) for path in validate]
+    options: dict[str, Any] = {"split": not validate, "compared": len(logs) > 1}
+    fit = [
+        mended_log(robot, path, rows, given, **options)
+        if repaired
+        else streamed_log(robot, path, rows, given, held=False, **options)
+        for path in logs
+    ]
+    held = [streamed_log(robot, x, rows, given, held=True, split=False) for x in validate]
     form = layout(robot, effects, base_parameters(robot, effects))
-    taken = _Taken(form, found, cutoff_hz, rows, progress)
+    taken = _Taken(form, fit, held, cutoff_hz, rows, progress, tune=tune)
     data = Data(
-        taken.first[False].segments, taken.first[True].segments, found[0].head.unit,
-        taken.cutoff_hz, holdout_sentence([log.head.name for log in found if log.spans[0].held]),
+        taken.first[False].segments, taken.first[True].segments, fit[0].head.unit,
+        taken.cutoff_hz, holdout_sentence([log.head.name for log in held]),
     )  # fmt: skip
-    notes = (*_column_notes(found), NOTE)
-    return _estimate(form, taken, data, prior, knowledge or Knowledge(), notes)
+    notes = (*_column_notes([*fit, *held]), NOTE, *taken.notes)
+    notes += tuple(f"{log.head.name}: {said}" for log in fit for said in log.repaired or ())
+    found = _estimate(form, taken, data, prior, knowledge or Knowledge(), notes)
+    return replace(found, faults=_faults(fit))
 
 
-@dataclass(frozen=True, eq=False)
-class _Log:
-    """A log that can be read again and again.
-
-    Attributes:
-        read: Reads its pieces.
-        survey: Its time.
-        head: Its first piece.
-        spans: What of it is fitted and held out.
-    """
-
-    read: Callable[[], Iterator[Recording]]
-    survey: Survey
-    head: Recording
-    spans: tuple[Span, ...]
+def _faults(logs: Sequence[StreamedLog]) -> dict[str, tuple[Fault, ...]]:
+    """Faults of each log that was fitted, by its name."""
+    digests = {log.head.name: log.checks.digest for log in logs if log.checks is not None}
+    copies = same_digests({name: made for name, made in digests.items() if made is not None})
+    found = {}
+    for log in logs:
+        name = log.head.name
+        found[name] = (*((copies[name],) if name in copies else ()), *log.faults)
+    return found
 
 
-def _log(
-    robot: Robot, files: LogFiles, rows: int, given: dict[str, Any], *, held: bool, split: bool
-) -> _Log:
-    def read() -> Iterator[Recording]:
-        return read_chunks(files, robot, rows, **given)
-
-    head = next(read_chunks(files, robot, _HEAD, **given))
-    seen = survey(read_times(files, robot, **given))
-    if not len(seen.steps):
-        raise BadRecording(head.file, "no two rows of rising time; record anew", column="t")
-    bounds = [-np.inf, np.inf]
-    if split:
-        bounds.insert(1, seen.start + FIT_SHARE * (seen.end - seen.start))
-    spans = tuple(
-        Span(low, high, seen.step(low, high), held or bool(k))
-        for k, (low, high) in enumerate(pairwise(bounds))
-    )
-    return _Log(read, seen, head, spans)
-
-
-def _column_notes(logs: Sequence[_Log]) -> list[str]:
+def _column_notes(logs: Sequence[StreamedLog]) -> list[str]:
     return [f"{log.head.name}: {note}" for log in logs for note in log.head.notes]
 
 
@@ -161,7 +148,9 @@ class _Taken:
     """Rows of all logs, condensed.
 
     Attributes:
-        cutoff_hz: Cut-off of the torque filter [Hz].
+        cutoff_hz: Cut-off of the torque filter at which accuracy is judged [Hz].
+        study: How rows are fitted, and why; None where not asked for.
+        notes: What the user should know of that, as sentences.
         rows: What is fitted (False) and held out (True).
         first: Their first rows.
     """
@@ -169,37 +158,65 @@ class _Taken:
     def __init__(
         self,
         form: Layout,
-        logs: Sequence[_Log],
+        fit: Sequence[StreamedLog],
+        held: Sequence[StreamedLog],
         cutoff_hz: float | None,
         rows: int,
         progress: Callable[[float], None],
+        *,
+        tune: bool,
     ) -> None:
+        logs = [*fit, *held]
         refuse_mixed_units([log.head for log in logs])
         self._form, self._window = form, rows
-        if cutoff_hz is None:
-            cutoff_hz = min(prepare(log.head)[0].cutoff_hz for log in logs)
-        self.cutoff_hz = cutoff_hz
+        self.cutoff_hz = cutoff_hz or min(prepare(log.head)[0].cutoff_hz for log in logs)
+        self.study: Study | None = None
+        self.notes: tuple[str, ...] = ()
+        if tune:
+            lively = [log.lively for log in fit]
+            fixed = cutoff_hz is not None
+            self.study = study_of_excerpts(form, lively, self.cutoff_hz, fixed=fixed)
+            self.notes = (*self.study.choice.notes, sentence(lively))
+        self.tuning = None if self.study is None else self.study.choice.tuning(self.cutoff_hz)
         self.rows = {held: Blocks(form) for held in (False, True)}
         self.first = {held: Excerpt(form) for held in (False, True)}
         total, done = sum(log.survey.rows for log in logs), 0
         for log in logs:
             self._take(log, partial(_advance, progress, done, total))
             done += log.survey.rows
-        for held, blocks in self.rows.items():
+        for kind, blocks in self.rows.items():
             if not blocks.n:
-                log = logs[-1 if held else 0]
-                raise BadRecording(log.head.file, _too_short(log.head.name, held), column="t")
+                log = logs[-1 if kind else 0]
+                raise BadRecording(log.head.file, _too_short(log.head.name, kind), column="t")
 
-    def _take(self, log: _Log, advance: Callable[[int], None]) -> None:
-        responses: dict[Span, Response] = {}
-        [example] = prepare(log.head, self.cutoff_hz)[:1]
-        reach = _REACH * response(example).half / example.rate_hz
-        for window in windows(log.read(), log.spans, self.cutoff_hz, reach, self._window, advance):
-            if window.span not in responses:
-                responses[window.span] = response(window.segment)
-            rows = window_rows(self._form, window, responses[window.span])
-            self.rows[window.span.held].take(rows)
-            self.first[window.span.held].take(window, rows, responses[window.span].half)
+    def _take(self, log: StreamedLog, advance: Callable[[int], None]) -> None:
+        known: dict[Span, tuple[Response, ...]] = {}
+        [example] = prepare(log.head, self.cutoff_hz, tuning=self.tuning)[:1]
+        reach = _REACH * responses(example)[0].half / example.rate_hz
+        for window in windows(
+            log.pieces(), log.spans, self.cutoff_hz, reach, self._window, advance
+        ):
+            held, as_fitted = window.span.held, window
+            if not held and self.tuning is not None:
+                as_fitted = replace(window, segment=tuned(window.segment, self.tuning))
+            if window.span not in known:
+                known[window.span] = responses(as_fitted.segment)
+            rows = window_rows(self._form, as_fitted, known[window.span])
+            self.rows[held].take(rows)
+            self.first[held].take(window, rows, known[window.span][0].half)
+
+    def train(self, predicted: Array, model: Robot, gains: Array) -> Accuracy:
+        """Accuracy on what was fitted; on its first rows where they were filtered otherwise.
+
+        Args:
+            predicted: Torque of the model at the condensed rows [torque unit].
+            model: The identified robot.
+            gains: Torque per reading, shape (nv,).
+        """
+        if self.tuning is None:
+            return self.rows[False].whole().accuracy(predicted)
+        segments = self.first[False].segments
+        return series(segments).accuracy(predicted_torque(model, segments) / gains)
 
 
 def _advance(progress: Callable[[float], None], done: int, total: int, rows: int) -> None:
@@ -221,7 +238,7 @@ def _estimate(
     prior: Array,
     knowledge: Knowledge,
     notes: tuple[str, ...],
-) -> Estimate:
+) -> StreamedEstimate:
     """Fit and judgement from condensed rows."""
     robot, base = form.robot, form.base
     gains = _gains(form, taken.first[False], data.unit)
@@ -234,16 +251,18 @@ def _estimate(
     identified = base.regrouping @ physical.x
     given = base.regrouping[:, : 10 * robot.nv] @ robot.phi
     shown = taken.first[True]
-    return Estimate(
+    model = identified_robot(robot, form.effects, physical.x)
+    seen = 0 if taken.study is None else len(taken.study.rows.W)
+    return StreamedEstimate(
         given=robot,
-        model=identified_robot(robot, form.effects, physical.x),
+        model=model,
         base=base,
         least_squares=fit,
         physical=physical,
         prior=read_only(prior.ravel()),
         gains=read_only(gains),
         data=data,
-        train=train.accuracy(train.W @ identified / gains),
+        train=taken.train(train.W @ identified / gains, model, gains),
         validate=unseen.accuracy(unseen.W @ identified / gains),
         baseline=unseen.accuracy((unseen.W @ given + unseen.given) / gains),
         series=shown.series(),
@@ -251,6 +270,8 @@ def _estimate(
         predicted_given=read_only(shown.predicted(given, own=1.0) / gains),
         notes=(*notes_on(robot, prior, data, gains), *notes),
         knowledge=knowledge,
+        study=taken.study,
+        share=min(seen / train.n, 1.0) if seen else 1.0,
     )
 
 

@@ -46,6 +46,13 @@ class Survey:
         median = float(np.median(inside if len(inside) else self.steps))
         return self.mean if abs(self.mean - median) <= _SAME * median else median
 
+    def scaled(self, pace: float) -> Survey:
+        """The same with all times multiplied."""
+        return Survey(
+            self.rows, pace * self.start, pace * self.end, pace * self.t, pace * self.steps,
+            pace * self.mean,
+        )  # fmt: skip
+
 
 def survey(times: Iterable[Array]) -> Survey:
     """Survey of consecutive pieces of time, each of shape (n,) [s].

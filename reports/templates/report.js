@@ -75,6 +75,18 @@
   });
   if (panels.length) document.body.append(dialog);
 
+  const tables = [...document.querySelectorAll(".scroll")];
+  const hint = (box) =>
+    box.classList.toggle("more", box.scrollLeft + box.clientWidth < box.scrollWidth - 2);
+  const watch = new ResizeObserver((seen) => seen.forEach(({ target }) => hint(target)));
+  tables.forEach((box) => {
+    watch.observe(box);
+    box.addEventListener("scroll", () => hint(box), { passive: true });
+  });
+
+  const contents = document.querySelector("nav details");
+  if (contents && matchMedia("screen and (max-width: 30rem)").matches) contents.open = false;
+
   const folded = () => [...document.querySelectorAll("details:not([open])")];
   let opened = [];
   addEventListener("beforeprint", () => (opened = folded()).forEach((each) => (each.open = true)));

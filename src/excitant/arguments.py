@@ -105,6 +105,11 @@ def output_option(verb: argparse.ArgumentParser) -> None:
     )
 
 
+def limits_option(verb: argparse.ArgumentParser) -> None:
+    """Limits of the robot that are not those it comes with; `robot_of` takes them."""
+    verb.add_argument("--limits", metavar="FILE", help="YAML or JSON with limits to use instead")
+
+
 def columns_option(verb: argparse.ArgumentParser) -> None:
     """How columns of recordings are understood."""
     verb.add_argument("--map", metavar="FILE",

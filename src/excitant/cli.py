@@ -15,9 +15,10 @@ from excitant.robot_arguments import part_options
 
 _SOLVERS = ("pin", "clarabel", "cvxpy", "numpy", "scipy")
 _MODULES = {
-    "design": "motion_commands",
+    "design": "design_command",
     "check": "motion_commands",
     "simulate": "motion_commands",
+    "identify": "identify_command",
     "rehearse": "rehearse_command",
     "completion": "completion",
     "robots": "robot_commands",

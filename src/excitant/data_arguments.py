@@ -31,7 +31,8 @@ def identify(verbs: Verbs[Parser]) -> None:
     verb.add_argument("--estimator", metavar="NAME",
                       help="of the base parameters: ols, wls, irls (robust), gls (coloured noise), "
                       "iv and oe (noisy positions), tls, ml (periods averaged), or auto: "
-                      "chosen on an inner hold-out (default: auto)")  # fmt: skip
+                      "that of wls, irls, iv, oe and ml that predicts an inner hold-out best, "
+                      "where they can be compared (default: auto)")  # fmt: skip
     verb.add_argument("--knowledge", metavar="FILE",
                       help="YAML with what is known of the bodies: masses, their sum, where "
                       "centres of mass lie; and the kind of prior")  # fmt: skip

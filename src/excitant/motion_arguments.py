@@ -6,6 +6,7 @@ from excitant.arguments import (
     Parser,
     Verbs,
     harmonics,
+    limits_option,
     natural,
     new_verb,
     numbers,
@@ -34,7 +35,10 @@ def design(verbs: Verbs[Parser]) -> None:
                       help="spline: B-splines of 2 H pieces, for tight cells")  # fmt: skip
     verb.add_argument("--max-frequency", type=float, default=2.5, metavar="HZ",
                       help="highest that a search for harmonics adds (default: 2.5)")  # fmt: skip
-    verb.add_argument("--criterion", default="condition", choices=("condition", "d", "a", "e"))
+    verb.add_argument("--criterion", default="condition", choices=("condition", "d", "a", "e"),
+                      help="what to make small: the condition number, or of the covariance the "
+                      "determinant (d), the trace (a) or the largest eigenvalue (e) "
+                      "(default: condition)")  # fmt: skip
     verb.add_argument("--columns", default="friction", choices=("friction", "inertial"),
                       help="what to make visible: all that identify estimates, or the links "
                       "only (default: friction)")  # fmt: skip
@@ -45,7 +49,7 @@ def design(verbs: Verbs[Parser]) -> None:
     verb.add_argument("--link-by-link", action="store_true",
                       help="one motion per link, from the last inward, each of this "
                       "duration")  # fmt: skip
-    verb.add_argument("--limits", metavar="FILE", help="YAML or JSON with limits to use instead")
+    limits_option(verb)
     verb.add_argument("--bound", action="store_true",
                       help="also a numerical lower bound on the condition number of any such "
                       "motion (a minute more)")  # fmt: skip
@@ -74,7 +78,7 @@ def check(verbs: Verbs[Parser]) -> None:
                     "--json")  # fmt: skip
     robot_argument(verb)
     verb.add_argument("trajectory", metavar="TRAJECTORY", help="CSV or JSON")
-    verb.add_argument("--limits", metavar="FILE", help="YAML or JSON with limits to use instead")
+    limits_option(verb)
     surroundings_options(verb)
     verb.add_argument("--columns", default="friction", choices=("friction", "inertial"))
     output_option(verb)
@@ -103,7 +107,7 @@ def rehearse(verbs: Verbs[Parser]) -> None:
                     "--seed 3")  # fmt: skip
     robot_argument(verb)
     verb.add_argument("trajectory", metavar="TRAJECTORY", help="CSV or JSON, from rest to rest")
-    verb.add_argument("--limits", metavar="FILE", help="YAML or JSON with limits to use instead")
+    limits_option(verb)
     verb.add_argument("--seed", type=natural, default=0,
                       help="draws the arm, its noise and the effect to name")  # fmt: skip
     output_option(verb)

@@ -15,6 +15,7 @@ from typing import Any
 
 import pandas as pd
 
+from excitant.identify import Recording
 from excitant.reports import brief, load_run, save_run
 from excitant.robots import Array, Robot
 
@@ -79,3 +80,11 @@ def print_json(content: Mapping[str, Any]) -> None:
     """Print plain values as JSON."""
     json.dump(content, sys.stdout, indent=1, ensure_ascii=False)
     print()
+
+
+def show_import(recordings: Sequence[Recording]) -> dict[str, list[str]]:
+    """Say at once how columns were understood, where names left a choice."""
+    for recording in recordings:
+        for note in recording.notes:
+            print(f"{recording.name}: {note}", file=sys.stderr)
+    return {recording.name: list(recording.notes) for recording in recordings if recording.notes}

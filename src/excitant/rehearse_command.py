@@ -8,21 +8,18 @@ import numpy as np
 
 from excitant.analysis.rehearsal import rehearse as rehearse_motion
 from excitant.analysis.rehearsal_result import rehearse_result, rehearse_series
-from excitant.design import HermiteTrajectory, Trajectory, load_trajectory
-from excitant.motion_commands import sampled
+from excitant.design import load_trajectory
+from excitant.motion_commands import path_of, sampled
 from excitant.output import finish, run_directory
 from excitant.progress import progress_bar
 from excitant.robot_arguments import robot_of
-from excitant.robots import load_limits
 
 
 def rehearse(args: argparse.Namespace) -> int:
     """Try a motion on a virtual arm; 0 when it would do, else 1."""
     robot = robot_of(args)
-    if args.limits:
-        robot = robot.with_limits(load_limits(args.limits, robot))
     trajectory = load_trajectory(args.trajectory, robot)
-    path = trajectory if isinstance(trajectory, Trajectory) else HermiteTrajectory(trajectory)
+    path = path_of(trajectory)
     duration = float(sampled(trajectory).t[-1])
     with progress_bar("rehearse") as advance:
         found = rehearse_motion(robot, path, duration, np.random.default_rng(args.seed), advance)

@@ -66,10 +66,12 @@ def spec(args: argparse.Namespace, path: str | None = None) -> RobotSpec:
 
 
 def robot_of(args: argparse.Namespace, path: str | None = None) -> Robot:
-    """The robot that the arguments of a command mean, loaded; see `spec`."""
-    from excitant.robots import load_robot
+    """The robot that the arguments of a command mean, with the limits they name; see `spec`."""
+    from excitant.robots import load_limits, load_robot
 
-    return noted(load_robot(spec(args, path)))
+    robot = noted(load_robot(spec(args, path)))
+    limits = getattr(args, "limits", None)
+    return robot.with_limits(load_limits(limits, robot)) if limits else robot
 
 
 def dataset_of(args: argparse.Namespace) -> Dataset:

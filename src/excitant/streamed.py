@@ -6,9 +6,13 @@ import argparse
 from collections.abc import Sequence
 
 from excitant.exceptions import BadInput
-from excitant.identify import Dataset, Estimate, load_knowledge
+from excitant.identify import Dataset, load_knowledge
 from excitant.identify.estimator_choice import AUTO
-from excitant.identify.streaming import identify_streamed, larger_than_memory
+from excitant.identify.streaming import (
+    StreamedEstimate,
+    identify_streamed,
+    larger_than_memory,
+)
 from excitant.progress import progress_bar
 from excitant.robots.effects import Effect, standard_effects
 
@@ -17,7 +21,7 @@ _ESTIMATORS = (None, AUTO, "wls")
 
 def streamed(
     args: argparse.Namespace, dataset: Dataset, effects: Sequence[Effect] | None
-) -> Estimate | None:
+) -> StreamedEstimate | None:
     """The estimate of recordings that are larger than memory; None when they are not.
 
     Raises:
@@ -36,14 +40,14 @@ def streamed(
             robot, fit, validate=held, effects=effects, cutoff_hz=args.cutoff,
             knowledge=load_knowledge(args.knowledge, robot.links) if args.knowledge else None,
             mapping=dataset.mapping, torque_column=dataset.torque_column,
-            progress=lambda fraction: advance(fraction, ""),
+            progress=lambda fraction: advance(fraction, ""), tune=True, repaired=args.repair,
         )  # fmt: skip
 
 
 def _refuse(args: argparse.Namespace) -> None:
     given = [
         f"--{name.replace('_', '-')}"
-        for name in ("online", "link_by_link", "payload", "payload_recording", "repair")
+        for name in ("online", "link_by_link", "payload", "payload_recording")
         if getattr(args, name)
     ]
     if args.estimator not in _ESTIMATORS:

@@ -111,7 +111,7 @@ def robot_without_shapes() -> Robot:
         ("- cone: {}", "exactly one of box, sphere, half_space"),
         ("- half_space: {normal: [0, 0, 0], offset: 1}", "normal must not be zero"),
         ("box", "expected a list"),
-        ("- [", "not YAML"),
+        ("- [", "not valid YAML .line 1: "),
     ],
 )
 def test_bad_obstacles_are_refused_in_one_line(text: str, says: str, tmp_path: Path) -> None:

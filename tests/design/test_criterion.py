@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from excitant.design import build_design, check, condition_number, information, random_trajectory
@@ -9,8 +10,14 @@ from excitant.design.problem import DesignProblem, motion_of
 from excitant.design.subproblem import local_model
 from excitant.design.torque_peaks import torque_derivatives, torque_peaks, torque_rows
 from excitant.exceptions import UnknownName
-from excitant.robots import Motion, Robot, torque
-from excitant.robots.effects import CoulombFriction, RotorInertia, ViscousFriction
+from excitant.robots import Motion, Robot, load_robot, torque
+from excitant.robots.base_parameters import base_parameters
+from excitant.robots.effects import (
+    CoulombFriction,
+    RotorInertia,
+    ViscousFriction,
+    standard_effects,
+)
 
 
 def problem_and_point(
@@ -19,6 +26,23 @@ def problem_and_point(
     problem = build_design(robot, harmonics=3, columns=columns, criterion=criterion)
     rng = np.random.default_rng(5)
     return problem, problem.unknowns(random_trajectory(robot, rng, 10.0, 3))
+
+
+def test_what_rounded_angles_show_is_not_counted() -> None:
+    """A right angle written as 1.5708 would raise the condition number a thousandfold."""
+    arm = load_robot("panda")
+    model = arm.model.copy()
+    for placement in model.jointPlacements:
+        roll, pitch, yaw = pin.rpy.matrixToRpy(placement.rotation)
+        placement.rotation = pin.rpy.rpyToMatrix(*np.round([roll, pitch, yaw], 4))
+    rounded = arm.with_model(model)
+    effects = standard_effects(arm.joints)
+    assert len(base_parameters(rounded, effects)) > len(base_parameters(arm, effects))
+    exact, seen = (information(robot, "friction") for robot in (arm, rounded))
+    assert seen.base.columns == exact.base.columns
+    motion = random_trajectory(arm, np.random.default_rng(0), 10.0, 5).sample(200)
+    found, expected = (condition_number(each.matrix(motion)) for each in (seen, exact))
+    assert found == pytest.approx(expected, rel=1e-2)
 
 
 @pytest.mark.parametrize("columns", ["inertial", "friction"])

@@ -16,12 +16,14 @@ from excitant.identify.estimator_choice import (
     AUTO,
     DEFAULT,
     RIVALS,
+    EstimatorChoice,
     choose_estimator,
     estimator_for,
 )
+from excitant.identify.estimator_entrants import field_of
 from excitant.identify.estimators import ESTIMATORS, Regression
-from excitant.identify.estimators.of_rows import regression_of
-from excitant.identify.rows import fit_rows, split
+from excitant.identify.estimators.of_rows import estimated, regression_of
+from excitant.identify.rows import FitRows, fit_rows, split
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import standard_effects
@@ -83,7 +85,7 @@ def test_errors_are_those_of_rows_never_fitted() -> None:
 
     changed = dict(ESTIMATORS) | {DEFAULT: spy}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("excitant.identify.estimator_choice.ESTIMATORS", changed)
+        patch.setattr("excitant.identify.estimator_entrants.ESTIMATORS", changed)
         found = choose_estimator(rows)
     assert len(seen) == 5
     position = {value: k for k, value in enumerate(rows.tau[:, 0])}
@@ -110,7 +112,7 @@ def test_segments_stay_apart() -> None:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "excitant.identify.estimator_choice.ESTIMATORS", dict(ESTIMATORS) | {DEFAULT: spy}
+            "excitant.identify.estimator_entrants.ESTIMATORS", dict(ESTIMATORS) | {DEFAULT: spy}
         )
         choose_estimator(parted)
     assert all(len(each) >= 3 for each in starts)
@@ -182,6 +184,129 @@ def test_noise_of_the_motion_brings_instruments_in(arm: Robot, motion_of: Motion
         tried.append({c.name for c in choice.contestants})
     assert "iv" not in tried[0]
     assert "iv" in tried[1]
+
+
+def repeating(arm: Robot, seconds: float, encoder: float, seed: int = 0) -> Recording:
+    """Four harmonics of five seconds."""
+    t, rng = np.arange(0, seconds, 1 / RATE), np.random.default_rng(7)
+    k = np.arange(1, 5)[:, None, None]
+    w, phase = 2 * np.pi * k / 5.0, rng.uniform(0, 2 * np.pi, (4, 1, 2))
+    parts = (
+        (0.6 / k * w**order * np.sin(w * t[:, None] + phase + order * np.pi / 2)).sum(axis=0)
+        for order in range(3)
+    )
+    clean = recorded(arm, Motion(t, *parts), 0, seed)
+    noise = np.random.default_rng([seed, 1]).standard_normal(clean.q.shape)
+    return replace(clean, q=clean.q + encoder * noise)
+
+
+def rows_at(arm: Robot, run: Recording, cutoff_hz: float) -> FitRows:
+    effects = standard_effects(arm.joints)
+    return fit_rows(arm, effects, base_parameters(arm, effects), split([run], [run], cutoff_hz))
+
+
+def test_periods_are_averaged_where_that_predicts_better(arm: Robot) -> None:
+    """Encoders of 1 mrad, filtered too little: least squares is biased, averaged periods are not.
+
+    The choice is also right about what it cannot see: torque on the motion without noise.
+    """
+    clean = rows_at(arm, replace(repeating(arm, 20, 0.0), name="clean"), 25.0)
+    W = clean.W[:, :, list(clean.base.columns)]
+    for seed in range(2):
+        run = repeating(arm, 20, 1e-3, seed)
+        rows = rows_at(arm, run, 25.0)
+        choice = estimator_for(arm, rows, [run])
+        assert choice.name in ("ml", "oe")
+        assert {c.name for c in choice.contestants} == {"wls", "irls", "iv", "oe", "ml"}
+        assert "(the same part of all periods)" in choice.sentence
+        assert "errors of the motion taken out" in choice.sentence
+        assert choice.absent == ()
+        wrong = {
+            name: np.sqrt(
+                ((W @ estimated(arm, rows, [run], [run], name)[0].beta - clean.tau) ** 2).mean()
+            )
+            for name in ("wls", choice.name)
+        }
+        assert wrong[choice.name] < 0.3 * wrong["wls"]
+        assert min(choice.contestants, key=lambda c: c.nrmse).name in ("ml", "oe")
+
+
+def test_clean_positions_that_repeat_keep_the_default_but_compare(arm: Robot) -> None:
+    run = repeating(arm, 20, 0.0)
+    choice = estimator_for(arm, rows_at(arm, run, 10.0), [run])
+    assert choice.name == DEFAULT
+    assert [c.name for c in choice.contestants] == ["wls", "irls", "ml"]
+    assert "not compared: iv and oe (" in choice.sentence
+
+
+def test_output_error_takes_part_where_nothing_repeats(arm: Robot, motion_of: MotionOf) -> None:
+    clean = recorded(arm, motion_of(arm, np.arange(0, 15, 1 / RATE)), 0)
+    rng = np.random.default_rng(1)
+    run = replace(clean, q=clean.q + 1e-3 * rng.standard_normal(clean.q.shape))
+    choice = estimator_for(arm, rows_at(arm, run, 25.0), [run])
+    assert choice.name in ("iv", "oe")
+    by_name = {c.name: c for c in choice.contestants}
+    assert by_name["oe"].nrmse < 0.5 * by_name["wls"].nrmse
+    assert dict(choice.absent) == {"ml": "the motion does not repeat"}
+    assert "not compared: ml (the motion does not repeat)" in choice.sentence
+
+
+def test_what_would_take_long_is_left_out_and_said(
+    arm: Robot, motion_of: MotionOf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clean = recorded(arm, motion_of(arm, np.arange(0, 15, 1 / RATE)), 0)
+    rng = np.random.default_rng(1)
+    run = replace(clean, q=clean.q + 1e-3 * rng.standard_normal(clean.q.shape))
+    rows = rows_at(arm, run, 25.0)
+    monkeypatch.setattr("excitant.identify.estimator_entrants._STEPS", 1000)
+    monkeypatch.setattr("excitant.identify.estimator_entrants.closed_loop", None)
+    choice = estimator_for(arm, rows, [run])
+    assert dict(choice.absent)["oe"] == "its simulation of 15360 steps would take long"
+    assert "iv" in {c.name for c in choice.contestants}
+    monkeypatch.setattr("excitant.identify.estimator_entrants._SAMPLES", 1000)
+    monkeypatch.setattr("excitant.identify.estimator_entrants.half_columns", None)
+    choice = estimator_for(arm, rows, [run])
+    assert [c.name for c in choice.contestants] == ["wls", "irls"]
+    assert "iv and oe and ml (of more than 1000 samples)" in choice.sentence
+
+
+def test_what_is_left_out_of_one_period_is_left_out_of_all(arm: Robot) -> None:
+    run = repeating(arm, 20, 1e-4)
+    rows = rows_at(arm, run, 10.0)
+    found = field_of(arm, rows, rows, [run])
+    [segment] = rows.data.train
+    at = np.mod(segment.t - run.t[0], 5.0) / 5.0
+    for b, block in enumerate(found.holdout.blocks):
+        assert ((at[block] > b / 10 - 1e-3) & (at[block] < (b + 1) / 10 + 1e-3)).all()
+    averaged = found.entrants["ml"]
+    own = np.arange(len(averaged.at)) / len(averaged.at)
+    apart = np.abs(at[averaged.at] - own)
+    assert np.minimum(apart, 1 - apart).max() < 0.11 / 5.0  # an edge of the filter at the end
+    left = found.holdout.near([3])
+    seen = own[~left[averaged.at]]
+    assert not ((seen > 0.3) & (seen < 0.4)).any()
+
+
+def test_an_estimator_that_looks_at_recordings_gets_their_rows(
+    arm: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where rows are tuned for others, it is the one that its name alone would give."""
+    run, held = repeating(arm, 20, 0.0), repeating(arm, 10, 0.0, 1)
+    shake = np.sin(2 * np.pi * 5.0 * run.t)[:, None] * run.tau.std(axis=0)
+    noise = np.random.default_rng(0).standard_normal(run.tau.shape)
+    run = replace(run, tau=run.tau + 0.5 * shake * (1 + noise))
+    given = EstimatorChoice("ml", (), "estimator: this one")
+    monkeypatch.setattr("excitant.identify.fit_choices.estimator_for", lambda *_: given)
+    found, same, other = (
+        identify(arm, [run], validate=[held], estimator=name, tune=True)
+        for name in (AUTO, "ml", "wls")
+    )
+    assert other.data.tuned
+    assert not found.data.tuned
+    np.testing.assert_array_equal(found.least_squares.beta, same.least_squares.beta)
+    np.testing.assert_array_equal(found.phi, same.phi)
+    assert "estimator: this one" in found.notes
+    assert identify_result(found)["estimators_not_compared"] == []
 
 
 def test_the_command_chooses_unless_told(

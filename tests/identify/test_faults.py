@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -12,6 +14,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from excitant.exceptions import BadRecording
+from excitant.identify import Recording, identify
 from excitant.identify.dataset import load_dataset
 from excitant.identify.faults import (
     FAULTS,
@@ -206,3 +210,138 @@ def test_what_a_controller_computes_is_no_measurement(data_folder: Path) -> None
 def test_faultless_recordings_of_larger_arms_raise_none(robot: str) -> None:
     arm = load_robot(robot)
     assert [f.detail for f in find_faults(arm, plants.recorded(arm, 1))] == []
+
+
+Damage = Callable[[Log], Log]
+
+
+def exchanged(log: Log) -> Log:
+    """Neighbours in reverse, and rows that came 30 and 80 rows late."""
+    rows = list(range(len(log)))
+    rows[40], rows[41] = 41, 40
+    for late, place in ((300, 330), (700, 780)):
+        rows.insert(place, rows.pop(late))
+    return log.take(np.array(rows))
+
+
+def blocks_exchanged(log: Log) -> Log:
+    return log.take(np.r_[0:200, 500:800, 200:500, 800 : len(log)])
+
+
+def backwards(log: Log) -> Log:
+    return log.take(np.arange(len(log))[::-1])
+
+
+def written_again(log: Log) -> Log:
+    """A logger that went on twenty rows before the place where it stopped."""
+    return log.take(np.r_[0:500, 480 : len(log)])
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (exchanged, "sorts rows 41, 330, 780 by time"),
+        (blocks_exchanged, "sorts rows 200 to 499 by time|sorts rows 500 to 799 by time"),
+        (backwards, "sorts rows 1 to 1000 by time"),
+        (written_again, "leaves 20 rows out"),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_rows_out_of_order_are_put_right(
+    planar: Robot, clean: Log, tmp_path: Path, damage: Damage, said: str
+) -> None:
+    path, dataset = written(tmp_path, damage(clean)), load_dataset("planar_2r")
+    with pytest.raises(BadRecording, match="time goes back"):
+        read_checked(dataset, [str(path)])
+    checked = read_checked(dataset, [str(path)], repaired=True)
+    (note,) = checked.notes
+    assert re.search(said, note)
+    (found,) = checked.recordings
+    np.testing.assert_allclose(found.t - found.t[0], clean.t, atol=1e-12)
+    for name in ("q", "tau", "dq"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(clean, name))
+
+
+def test_what_other_faults_need_is_done_in_the_order_of_time(planar: Robot, clean: Log) -> None:
+    """Outliers beside the seams of blocks, interpolated between neighbours in time."""
+    spoilt = plants.edited(clean, "tau", lambda x: x.__setitem__(([199, 504, 797], 0), 1e4))
+    plain, mixed = spoilt, blocks_exchanged(spoilt)
+    mended, other = (repair(log, find_faults(planar, log))[0] for log in (plain, mixed))
+    np.testing.assert_array_equal(other.t, clean.t)
+    np.testing.assert_allclose(other.tau, mended.tau, rtol=1e-12)
+    assert np.abs(mended.tau - clean.tau).max() < 0.2 * np.ptp(clean.tau[:, 0])
+
+
+@pytest.mark.parametrize("stamps", [{500: 0.1}, {500: 1e9}, {200: 1e9, 700: -3.0}])
+def test_stamps_that_fit_nowhere_are_left_out(
+    planar: Robot, clean: Log, stamps: dict[int, float]
+) -> None:
+    log = replace(clean, t=np.array([stamps.get(k, t) for k, t in enumerate(clean.t)]))
+    repaired, _ = repair(log, find_faults(planar, log))
+    np.testing.assert_array_equal(repaired.t, np.delete(clean.t, list(stamps)))
+    np.testing.assert_array_equal(repaired.q, np.delete(clean.q, list(stamps), axis=0))
+
+
+def one_after_the_other(one: Log, other: Log, later: float = 0.0) -> Log:
+    parts = {"t": np.concatenate([one.t, other.t + later])}
+    parts |= {n: np.concatenate([x, getattr(other, n)]) for n, x in one.channels()}
+    return replace(one, **parts)
+
+
+@pytest.mark.parametrize("later", [0.0, 0.003, -5.0, -20.0])
+def test_a_clock_that_starts_anew_is_a_cut(
+    planar: Robot, clean: Log, tmp_path: Path, later: float
+) -> None:
+    """Two runs in one file are identified as the two runs."""
+    dataset, n = load_dataset("planar_2r"), len(clean)
+    second, held = (plants.recorded(planar, seed) for seed in (1, 2))
+    both = one_after_the_other(clean, second, later)
+    both = both.take(np.r_[0:40, 41, 40, 42 : n + 60, n + 61, n + 60, n + 62 : 2 * n])
+    log = written(tmp_path, both)
+    checked = read_checked(dataset, [str(log)], repaired=True)
+    overlap = later > -clean.t[-1]  # else sorting puts the second run before the first
+    assert any(f"2 parts at row {n}" in note for note in checked.notes) == overlap
+    assert ("dropped_samples" in names(checked.faults["run"])) == (not overlap)
+    (mended,) = checked.recordings
+    validate = [recording(held, "held")]
+    apart = identify(planar, [recording(clean, "a"), recording(second, "b")], validate=validate)
+    found = identify(planar, [mended], validate=validate)
+    assert len(found.data.train) == 2
+    std = np.sqrt(np.diag(apart.least_squares.covariance))
+    difference = np.abs(found.least_squares.beta - apart.least_squares.beta)
+    assert (difference < 1e-6 * std).all()
+
+
+def recording(log: Log, name: str) -> Recording:
+    return Recording(name, f"{name}.csv", log.t, log.q, log.tau, dq=log.dq)
+
+
+def interleaved(log: Log) -> Log:
+    both = one_after_the_other(log, replace(log, q=log.q[::-1], tau=log.tau[::-1]), -0.4 * log.step)
+    return both.take(np.arange(2 * len(log)).reshape(2, -1).T.ravel())
+
+
+def wrapped_clock(log: Log) -> Log:
+    return replace(log, t=np.mod(log.t, 1.0))
+
+
+def another_rate(log: Log) -> Log:
+    return one_after_the_other(log, replace(log, t=2 * log.t, q=-log.q))
+
+
+def shaken_stamps(log: Log) -> Log:
+    noise = np.random.default_rng(0).normal(size=len(log))
+    return replace(log, t=log.t + 0.5 * log.step * noise)
+
+
+@pytest.mark.parametrize(
+    "damage", [interleaved, wrapped_clock, another_rate, shaken_stamps], ids=lambda f: f.__name__
+)
+def test_time_of_more_than_one_meaning_is_refused(
+    clean: Log, tmp_path: Path, damage: Damage
+) -> None:
+    path, dataset = written(tmp_path, damage(clean)), load_dataset("planar_2r")
+    with pytest.raises(BadRecording, match=r"time goes back in .* cut the file by hand") as refusal:
+        read_checked(dataset, [str(path)], repaired=True)
+    assert "\n" not in str(refusal.value)
+    assert (refusal.value.file, refusal.value.column) == (str(path), "t")

@@ -360,7 +360,7 @@ def test_what_is_written_is_what_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("a: [", "not valid YAML"),
+        ("a: [", "not valid YAML .line 1: "),
         ("- 1", "expected entries such as"),
         ("prior: entropy", "did you mean 'entropic'"),
         ("totalmass: 3", "did you mean 'total_mass'"),
@@ -389,7 +389,7 @@ def test_errors_name_file_key_and_remedy(tmp_path: Path, text: str, said: str) -
 
 
 def test_missing_file_and_unknown_prior() -> None:
-    with pytest.raises(BadInput, match="cannot be read"):
+    with pytest.raises(BadInput, match="no such file; give a YAML file of what is known"):
         load_knowledge("nowhere.yaml", [])
     with pytest.raises(UnknownName, match="unknown prior"):
         Knowledge("flat")

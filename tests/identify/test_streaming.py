@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,19 +24,22 @@ from excitant.identify import (
     identify_result,
     identify_series,
     identify_streamed,
+    load_dataset,
     read_chunks,
     read_recording,
 )
 from excitant.identify.accuracy import predicted_torque, series
 from excitant.identify.differentiators import ZeroPhaseButterworth
+from excitant.identify.faults import Fault, find_faults, read_checked
 from excitant.identify.least_squares import factorised, sandwiched
-from excitant.identify.preprocessing import prepare
+from excitant.identify.preprocessing import Tuning, prepare, tuned
 from excitant.identify.rows import observation
-from excitant.identify.streaming import budget
+from excitant.identify.streaming import budget, logs, mending
+from excitant.identify.streaming.checks import Checks
 from excitant.identify.streaming.columns import GIVEN, ONE, RAW, TAU, layout, window_rows
 from excitant.identify.streaming.condensed import Blocks, Condensed
 from excitant.identify.streaming.derivative import InnerButterworth
-from excitant.identify.streaming.filtering import response
+from excitant.identify.streaming.filtering import responses
 from excitant.identify.streaming.noise import block_scores
 from excitant.identify.streaming.survey import survey
 from excitant.identify.streaming.windows import Span, windows
@@ -117,9 +121,9 @@ def test_rows_of_windows_are_those_of_the_whole(
     whole = read_recording(path, robot)
     base = base_parameters(robot, effects)
     form, segments = layout(robot, effects, base), prepare(whole, CUTOFF)
-    h = response(segments[0])
+    h = responses(segments[0])
     step = float(np.median(np.diff(whole.t)))
-    reach = 2 * h.half * step
+    reach = 2 * h[0].half * step
     span = Span(-np.inf, np.inf, step, False)
     pieces = read_chunks(path, robot, rows)
     found = [window_rows(form, w, h) for w in windows(pieces, [span], CUTOFF, reach, 700)]
@@ -139,6 +143,34 @@ def test_rows_of_windows_are_those_of_the_whole(
         assert (X[:, GIVEN] == 0).all() == (not robot.effects)
 
 
+def test_rows_of_windows_are_tuned_as_those_of_the_whole(
+    robot: Robot, motion_of: MotionOf, tmp_path: Path
+) -> None:
+    """Joints with cut-offs of their own, and rows left out where one hardly moves."""
+    path = written(logged(robot, motion_of(robot, times(90, gaps=(40.0,)))), tmp_path / "log.csv")
+    effects = standard_effects(robot.joints)
+    base = base_parameters(robot, effects)
+    form, tuning = (
+        layout(robot, effects, base),
+        Tuning(np.array([2.1, CUTOFF]), np.array([0.2, -1])),
+    )
+    whole = read_recording(path, robot)
+    segments = prepare(whole, CUTOFF, tuning=tuning)
+    filters = responses(segments[0])
+    reach = 2 * filters[0].half / RATE
+    span = Span(-np.inf, np.inf, float(np.median(np.diff(whole.t))), False)
+    seen = windows(read_chunks(path, robot, 1500), [span], CUTOFF, reach, 700)
+    found = [window_rows(form, replace(w, segment=tuned(w.segment, tuning)), filters) for w in seen]
+    W = observation(robot, effects, segments)[:, :, list(base.columns)]
+    tau = series(segments)
+    for j, used in enumerate(form.used):
+        X = np.concatenate([part[j] for part in found])
+        silent = (W[:, j] == 0).all(axis=1)
+        assert silent.any() == (j == 0)
+        np.testing.assert_allclose(X[:, : len(used)], W[:, j, used], atol=WRITTEN * np.abs(W).max())
+        np.testing.assert_allclose(X[:, TAU], tau.measured[:, j], atol=WRITTEN)
+
+
 def test_noise_of_positions_counts_alike(robot: Robot, motion_of: MotionOf, tmp_path: Path) -> None:
     # what smooth columns hold above half the rate of their evaluation, ten per period of the
     # cut-off, comes down: noise that the 20 Hz filter of positions leaves from 80 to 100 Hz
@@ -151,10 +183,10 @@ def test_noise_of_positions_counts_alike(robot: Robot, motion_of: MotionOf, tmp_
         path = written(logged(robot, replace(motion, q=q)), tmp_path / "log.parquet")
         segments = prepare(read_recording(path, robot), 10.0)
         parts[noise] = observation(robot, (), segments)[:, :, list(base.columns)]
-    h = response(segments[0])
-    assert h.every > 1
+    h = responses(segments[0])
+    assert h[0].every > 1
     span = Span(-np.inf, np.inf, 1e-3, False)
-    seen = windows(read_chunks(path, robot, 4000), [span], 10.0, 2e-3 * h.half, 5000)
+    seen = windows(read_chunks(path, robot, 4000), [span], 10.0, 2e-3 * h[0].half, 5000)
     found = [window_rows(form, window, h) for window in seen]
     for j, used in enumerate(form.used):
         X = np.concatenate([part[j] for part in found])[:, : len(used)]
@@ -189,12 +221,12 @@ def figures(accuracy: object) -> np.ndarray:
     return np.array(list(vars(accuracy).values()))
 
 
-def same_fit(found: Estimate, whole: Estimate) -> None:
+def same_fit(found: Estimate, whole: Estimate, rtol: float = 1e-6) -> None:
     """Base parameters to a thousandth of their standard deviation, noise to rounding of rows."""
     std = np.sqrt(np.diag(whole.least_squares.covariance))
     moved = np.abs(found.least_squares.beta - whole.least_squares.beta) / std
     assert moved.max() < 1e-3
-    np.testing.assert_allclose(found.least_squares.sigma, whole.least_squares.sigma, rtol=1e-6)
+    np.testing.assert_allclose(found.least_squares.sigma, whole.least_squares.sigma, rtol=rtol)
     assert found.data.holdout == whole.data.holdout
     assert found.data.cutoff_hz == whole.data.cutoff_hz
     assert set(whole.notes) < set(found.notes)
@@ -400,11 +432,231 @@ def test_the_command_streams_what_is_larger_than_memory(
     assert (tmp_path / "run" / "report.html").is_file()
     assert (tmp_path / "run" / "identified.urdf").is_file()
     capsys.readouterr()
-    for option in (["--online"], ["--link-by-link"], ["--estimator", "gls"], ["--repair"]):
+    for option in (["--online"], ["--link-by-link"], ["--estimator", "gls"]):
         assert main([*words, *option]) == 1
         said = capsys.readouterr().err
         assert " ".join(option) in said
         assert "larger than memory" in said
+
+
+def pieces_of(log: Any, *sizes: int) -> Iterator[tuple[Any, None]]:
+    start = 0
+    for size in sizes:
+        yield log.take(np.arange(start, min(start + size, len(log)))), None
+        start += size
+
+
+def checked(robot: Robot, log: Any, *sizes: int) -> dict[str, Fault]:
+    checks = Checks(robot)
+    for piece, _ in pieces_of(log, *sizes):
+        checks.take(piece)
+    return {f"{f.fault} {f.evidence.get('channel', '')}": f for f in checks.faults()}
+
+
+COUNTED = ("rows_lost", "rows_logged_twice", "clipped_torque", "zero_torque", "rows_lost_unseen")
+OF_EXCERPT = ("velocity_negated", "torque_negated", "velocity_in_rpm", "position_in_degrees",
+              "half_rate", "held_torque", "unsigned_torque", "model_for_torque")  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def plants(benchmark_module: Callable[[str], Any]) -> Any:
+    return benchmark_module("planted_faults")
+
+
+@pytest.fixture(scope="module")
+def fast(plants: Any, robot: Robot) -> Any:
+    """Eight seconds at 1 kHz."""
+    return plants.recorded(robot, 0, 1000.0)
+
+
+def test_pieces_of_a_faultless_log_have_no_fault(robot: Robot, fast: Any) -> None:
+    assert checked(robot, fast, 5000, 3001) == {}
+    assert checked(robot, fast, *([400] * 21)) == {}
+
+
+@pytest.mark.parametrize("name", [*COUNTED, *OF_EXCERPT])
+def test_faults_of_pieces_are_those_of_the_whole(
+    robot: Robot, plants: Any, fast: Any, name: str
+) -> None:
+    log = getattr(plants, name)(robot, fast, np.random.default_rng(1))
+    whole = {
+        f"{f.fault} {f.evidence.get('channel', '')}": f
+        for f in find_faults(robot, log)
+        if f.fault not in ("poor_excitation",)
+    }
+    found = checked(robot, log, 6000, len(log) - 6000)
+    assert found.keys() == whole.keys()
+    for key, fault in found.items():
+        assert fault.joints == whole[key].joints
+        assert fault.entry().keys() == whole[key].entry().keys()
+        assert fault.evidence.keys() == whole[key].evidence.keys()
+        assert bool(fault.repair) == bool(whole[key].repair)
+        if name in COUNTED and "band" not in key:
+            for number in ("count", "gaps", "missing", "rows", "value"):
+                found_number, number_of_whole = (
+                    f.evidence.get(number, 0) for f in (fault, whole[key])
+                )
+                if name == "rows_logged_twice":  # what moves is judged by the noise of a piece
+                    assert np.size(found_number) == pytest.approx(
+                        np.size(number_of_whole), rel=0.01
+                    )
+                else:
+                    np.testing.assert_array_equal(found_number, number_of_whole)
+
+
+def test_faults_far_into_a_log_are_counted_with_their_rows(robot: Robot, fast: Any) -> None:
+    tau = np.array(fast.tau)
+    for row in (1500, 6500, 7300):
+        tau[row, 0] += 50.0
+    tau[3000:4500, 1] = tau[3000, 1]  # a second and a half, part of it a whole piece
+    t = np.where(np.arange(len(fast)) >= 5000, fast.t + 0.25, fast.t)
+    found = checked(robot, replace(fast, tau=tau, t=t), *([1000] * 9))
+    assert found["corrupt_rows tau"].evidence["rows"].tolist() == [1500, 6500, 7300]
+    gap = found["dropped_samples "].evidence
+    assert (gap["gaps"], gap["missing"], gap["rows"].tolist()) == (1, 250, [4999])
+    dead = found["dead_channel tau"].evidence
+    assert dead["start"] == pytest.approx(3.0)
+    assert 0.999 <= dead["seconds"] <= 1.5
+
+
+def test_what_the_excerpt_lacks_the_log_may_have(robot: Robot, plants: Any, fast: Any) -> None:
+    still = plants.hardly_moving(robot, fast, np.random.default_rng(0))
+    assert "poor_excitation " in checked(robot, still, 4000, 4001)
+    both = {c: np.concatenate([getattr(still, c), getattr(fast, c)]) for c in ("q", "tau", "dq")}
+    log = replace(fast, t=np.concatenate([fast.t, fast.t + fast.t[-1] + fast.step]), **both)
+    assert "poor_excitation " not in checked(robot, log, *([4000] * 5))
+
+
+def test_two_names_of_one_log_are_said(robot: Robot, motion_of: MotionOf, tmp_path: Path) -> None:
+    table = logged(robot, motion_of(robot, times(40)))
+    paths = [written(table, tmp_path / f"{name}.csv") for name in ("one", "two")]
+    found = identify_streamed(robot, paths, cutoff_hz=CUTOFF)
+    assert found.faults["one"] == ()
+    (entry,) = found.fault_entries()
+    assert (entry["recording"], entry["fault"]) == ("two", "duplicate_samples")
+    assert entry["evidence"]["same_as"] == "one"
+
+
+def swapped(table: pd.DataFrame) -> pd.DataFrame:
+    order = np.arange(len(table))
+    for k in (40, 2999, 6999):  # across the borders of pieces too
+        order[[k, k + 1]] = order[[k + 1, k]]
+    return table.iloc[order]
+
+
+def blocks_swapped(table: pd.DataFrame) -> pd.DataFrame:
+    return table.iloc[np.r_[0:1000, 4500:6500, 1000:4500, 6500 : len(table)]]
+
+
+def rewritten(table: pd.DataFrame) -> pd.DataFrame:
+    return table.iloc[np.r_[0:5000, 4900 : len(table)]]
+
+
+def twice(table: pd.DataFrame) -> pd.DataFrame:
+    return table.iloc[np.sort(np.r_[0 : len(table), 100, 3000, 5000, 5001])]
+
+
+@pytest.mark.parametrize("damage", [swapped, blocks_swapped, rewritten, twice])
+def test_a_log_repaired_on_the_way_is_the_clean_one(
+    robot: Robot, motion_of: MotionOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    damage: Callable[[pd.DataFrame], pd.DataFrame],
+) -> None:  # fmt: skip
+    monkeypatch.setattr(logs, "_AT_ONCE", 3000)
+    table = logged(robot, motion_of(robot, times(80)))
+    clean = written(table, tmp_path / "clean.parquet")
+    path = written(damage(table), tmp_path / "log.parquet")
+    with pytest.raises(BadRecording, match=r"time goes back|time repeats"):
+        identify_streamed(robot, [path], cutoff_hz=CUTOFF)
+    expected = identify_streamed(robot, [clean], cutoff_hz=CUTOFF, rows=1000)
+    found = identify_streamed(robot, [path], cutoff_hz=CUTOFF, rows=1000, repaired=True)
+    np.testing.assert_allclose(found.least_squares.beta, expected.least_squares.beta, rtol=1e-9)
+    np.testing.assert_allclose(figures(found.validate), figures(expected.validate), rtol=1e-9)
+    in_memory = read_checked(load_dataset("planar_2r"), [str(path)], repaired=True)
+    told = [fault.entry() for fault in in_memory.faults["log"]]
+    assert [fault.entry() for fault in found.faults["log"]] == told
+    assert set(in_memory.notes) <= set(found.notes)
+
+
+def test_other_faults_are_repaired_on_the_way(
+    robot: Robot, plants: Any, fast: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(logs, "_AT_ONCE", 6000)
+    log = plants.torque_negated(robot, fast, np.random.default_rng(0))
+    tau = np.array(log.tau)
+    tau[[700, 6800], 1] = 1e4
+    tau[7100, 0] = np.nan
+    path = tmp_path / "log.parquet"
+    pd.DataFrame(
+        {"t": log.t} | {f"{c}{j + 1}": x[:, j] for c, x in
+                        (("q", log.q), ("dq", log.dq), ("tau", tau)) for j in range(2)}
+    ).to_parquet(path)  # fmt: skip
+    with pytest.raises(BadRecording, match="not a finite number") as refusal:
+        identify_streamed(robot, [path], cutoff_hz=CUTOFF)
+    assert refusal.value.row == 7100
+    found = identify_streamed(robot, [path], cutoff_hz=CUTOFF, rows=1000, repaired=True)
+    assert [f.fault for f in found.faults["log"]] == [
+        "dropped_samples", "corrupt_rows", "corrupt_rows", "wrong_sign"]  # fmt: skip
+    clean = Recording("log", str(path), fast.t, fast.q, fast.tau)
+    expected = identify(robot, [clean], cutoff_hz=CUTOFF)
+    std = np.sqrt(np.diag(expected.least_squares.covariance))
+    moved = np.abs(found.least_squares.beta - expected.least_squares.beta)
+    assert (moved < 0.2 * std).all()
+
+
+def test_a_clock_that_starts_anew_cuts_a_streamed_log(
+    robot: Robot, motion_of: MotionOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(logs, "_AT_ONCE", 3000)
+    tables = [logged(robot, motion_of(robot, times(40), seed=k), seed=k) for k in range(3)]
+    a, b, held = (written(x, tmp_path / f"{n}.csv") for x, n in zip(tables, "abh", strict=True))
+    both = written(pd.concat(tables[:2], ignore_index=True), tmp_path / "both.csv")
+    expected = identify_streamed(robot, [a, b], validate=[held], cutoff_hz=CUTOFF)
+    found = identify_streamed(robot, [both], validate=[held], cutoff_hz=CUTOFF, repaired=True)
+    np.testing.assert_allclose(found.least_squares.beta, expected.least_squares.beta, rtol=1e-6)
+    assert any("cuts the recording into 2 parts at row 4000" in note for note in found.notes)
+
+
+def test_rows_too_far_out_of_order_are_refused(
+    robot: Robot, motion_of: MotionOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mending, "_MOST_HELD", 1000)
+    table = logged(robot, motion_of(robot, times(80)))
+    path = written(blocks_swapped(table), tmp_path / "log.parquet")
+    with pytest.raises(BadRecording, match="sort the file by time first"):
+        identify_streamed(robot, [path], cutoff_hz=CUTOFF, repaired=True)
+    path = written(table.assign(t=np.mod(table.t, 1.0)), tmp_path / "log.parquet")
+    with pytest.raises(BadRecording, match="cut the file by hand"):
+        identify_streamed(robot, [path], cutoff_hz=CUTOFF, repaired=True)
+    path = written(table.assign(tau2=1.0), tmp_path / "log.parquet")
+    with pytest.raises(BadRecording, match="dead channel: 1 in every row"):
+        identify_streamed(robot, [path], cutoff_hz=CUTOFF, repaired=True)
+
+
+@pytest.mark.parametrize("cutoff_hz", [None, 8.0])
+def test_cut_offs_are_chosen_as_in_memory(
+    robot: Robot, motion_of: MotionOf, tmp_path: Path, cutoff_hz: float | None
+) -> None:
+    """A joint that rings at 6 Hz is filtered below that, unless the user names a cut-off."""
+    motion = motion_of(robot, times(120))
+    table, pole = logged(robot, motion, noise=0.01), np.exp((2j - 0.04) * np.pi * 6.0 / RATE)
+    white = np.random.default_rng(1).normal(size=len(motion))
+    ringing = scipy.signal.lfilter([1.0], [1, -2 * pole.real, abs(pole) ** 2], white)
+    table["tau1"] += 0.3 * table["tau1"].std() / ringing.std() * ringing
+    path = written(table, tmp_path / "log.parquet")
+    whole = identify(robot, [read_recording(path, robot)], cutoff_hz=cutoff_hz, tune=True)
+    found = identify_streamed(robot, [path], cutoff_hz=cutoff_hz, rows=1000, tune=True)
+    assert whole.study is not None
+    assert found.study is not None
+    ours, theirs = found.study.choice, whole.study.choice
+    assert (theirs.tuning(whole.data.cutoff_hz) is None) == (cutoff_hz is not None)
+    np.testing.assert_array_equal(ours.cutoffs_hz, theirs.cutoffs_hz)
+    assert ours.dead_zone == theirs.dead_zone
+    same_fit(found, whole, rtol=1e-5)
+    np.testing.assert_allclose(figures(found.train), figures(whole.train), rtol=1e-4)
+    assert any("were chosen on" in note for note in found.notes)
+    assert identify_result(found).keys() == identify_result(whole).keys()
+    first, second = (identify_result(e)["sensitivity"] for e in (found, whole))
+    assert [row["factor"] for row in first] == [row["factor"] for row in second]
 
 
 PEAK = """

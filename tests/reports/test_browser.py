@@ -149,6 +149,7 @@ def test_text_that_does_not_stand_out_is_caught(browser, tmp_path):
 
 
 def test_contents_lead_to_their_sections(light):
+    light.page.evaluate("document.querySelector('nav details').open = true")  # shut on a phone
     links = light.page.locator("nav a")
     assert links.count() > 0
     for k in range(links.count()):
@@ -165,6 +166,122 @@ def test_contents_lead_to_their_sections(light):
         assert heading["level"] in ("H2", "H3")
         assert heading["text"].strip() == link.text_content().strip()
         assert -2 <= heading["top"] < (900 if heading["end"] else 60), heading
+
+
+DRAWN = """() => {
+  const quad = (text) => {
+    const box = text.getBBox(), m = text.getScreenCTM(), trim = 0.2 * box.height;
+    return [[box.x, box.y + trim], [box.x + box.width, box.y + trim],
+            [box.x + box.width, box.y + box.height - trim], [box.x, box.y + box.height - trim]]
+      .map(([x, y]) => [m.a * x + m.c * y + m.e, m.b * x + m.d * y + m.f]);
+  };
+  const apart = (a, b) => [a, b].some((corners) => corners.some((p, k) => {
+    const q = corners[(k + 1) % 4], n = [q[1] - p[1], p[0] - q[0]];
+    const along = (set) => set.map(([x, y]) => n[0] * x + n[1] * y);
+    const [s, t] = [along(a), along(b)], slack = 0.5 * Math.hypot(...n);
+    return Math.max(...s) < Math.min(...t) + slack || Math.max(...t) < Math.min(...s) + slack;
+  }));
+  const overlaps = [], outside = [], empty = [];
+  let least = [99, ""], count = 0;
+  const frameInk = new Set(  // none, white, grid and axes
+    ["none", "rgb(255, 255, 255)", "rgb(228, 230, 232)", "rgb(138, 143, 148)"]);
+  for (const svg of document.querySelectorAll("svg[role=img]")) {
+    const label = svg.getAttribute("aria-label").slice(0, 60);
+    const frame = svg.getBoundingClientRect();
+    const texts = [...svg.querySelectorAll("text")].filter((t) => t.textContent.trim());
+    const quads = texts.map(quad);
+    count += texts.length;
+    texts.forEach((t, i) => {
+      const m = t.getScreenCTM();
+      const size = parseFloat(getComputedStyle(t).fontSize) * Math.hypot(m.a, m.b);
+      if (size < least[0]) least = [size, `${t.textContent} in ${label}`];
+      if (quads[i].some(([x, y]) => x < frame.left - 1 || x > frame.right + 1 ||
+          y < frame.top - 1 || y > frame.bottom + 1))
+        outside.push(`${t.textContent} in ${label}`);
+      for (let j = 0; j < i; j++)
+        if (!apart(quads[i], quads[j]))
+          overlaps.push(`${t.textContent} / ${texts[j].textContent} in ${label}`);
+    });
+    const marks = [...svg.querySelectorAll("path, use, image, line, rect, circle")].filter((e) => {
+      if (e.closest("defs, clipPath")) return false;
+      const s = getComputedStyle(e);
+      return e.tagName === "image" || !frameInk.has(s.stroke) || !frameInk.has(s.fill);
+    });
+    if (!marks.length) empty.push(label);
+  }
+  return { overlaps, outside, empty, least, count };
+}"""
+
+
+def test_letters_of_drawings_are_legible_apart_and_inside(light):
+    light.unfold()
+    drawn = light.page.evaluate(DRAWN)
+    assert drawn["least"][0] > 8.5, drawn["least"]
+    assert drawn["overlaps"] == []
+    assert drawn["outside"] == []
+    assert drawn["empty"] == []
+
+
+def test_bad_drawings_are_caught(browser, tmp_path):
+    path = tmp_path / "bad.html"
+    frame = "<path d='M0 0 L0 90' stroke='#8a8f94' fill='none'/>"
+    path.write_text(
+        "<svg role=img aria-label=bad viewBox='0 0 200 100' width=200>"
+        "<text x=10 y=40 font-size=12>over</text><text x=20 y=44 font-size=12>lapping</text>"
+        "<text x=170 y=80 font-size=12>cut off</text><text x=10 y=90 font-size=5>tiny</text>"
+        "<text x=90 y=60 font-size=12 transform='rotate(-60 90 60)'>aslant</text>"
+        f"<text x=110 y=60 font-size=12>beside</text>{frame}</svg>"
+    )
+    with Opened(browser, path, 400, "light") as opened:
+        drawn = opened.page.evaluate(DRAWN)
+    assert drawn["overlaps"] == ["lapping / over in bad"]
+    assert drawn["outside"] == ["cut off in bad"]
+    assert drawn["least"] == [5, "tiny in bad"]
+    assert drawn["empty"] == ["bad"]
+
+
+def test_tables_that_go_on_show_it(light):
+    light.unfold()
+    seen = light.page.evaluate(
+        """async () => {
+          const found = [];
+          const settled = async (box, wanted) => {  // observers speak with the next frame
+            for (let k = 0; k < 40 && box.classList.contains("more") !== wanted; k += 1)
+              await new Promise((done) => setTimeout(done, 50));
+            return box.classList.contains("more");
+          };
+          for (const box of document.querySelectorAll(".scroll")) {
+            const goesOn = box.scrollWidth > box.clientWidth + 2;
+            const before = await settled(box, goesOn);
+            box.scrollLeft = box.scrollWidth;
+            found.push([goesOn, before, await settled(box, false)]);
+            box.scrollLeft = 0;
+          }
+          return found;
+        }"""
+    )
+    assert all(goes_on == before and not after for goes_on, before, after in seen)
+
+
+def test_no_cell_is_a_ladder_of_words(light):
+    light.unfold()
+    ladders = light.page.evaluate(
+        """() => [...document.querySelectorAll("td, tbody th")].filter((cell) => {
+          const { width, height } = cell.getBoundingClientRect();
+          const line = parseFloat(getComputedStyle(cell).lineHeight);
+          const walker = document.createRange();
+          walker.selectNodeContents(cell);
+          return width < 100 && walker.getBoundingClientRect().height > 8 * line && height;
+        }).map((cell) => cell.textContent.slice(0, 60))"""
+    )
+    assert ladders == []
+
+
+def test_contents_are_shut_on_a_phone_only(browser, file):
+    for width in WIDTHS:
+        with Opened(browser, file, width, "light") as opened:
+            shown = opened.page.evaluate("document.querySelector('nav details').open")
+            assert shown == (width > 480)
 
 
 def test_every_figure_shows_a_picture(light):
@@ -278,4 +395,4 @@ def test_paper_shows_all_in_light_colours(browser, file):
         _, poor = opened.page.evaluate(CONTRAST)
         assert poor == {}
         opened.page.evaluate("dispatchEvent(new Event('afterprint'))")
-        assert opened.page.locator("details[open]").count() == 0
+        assert opened.page.locator("main details[open]").count() == 0

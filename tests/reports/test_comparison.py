@@ -2,6 +2,7 @@
 
 import copy
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from excitant.cli import main
 from excitant.exceptions import BadInput
 from excitant.reports import SavedRun, brief, compare, render, save_run, summarize
 from excitant.reports.comparison_rows import compared_findings, compared_parameters
+from excitant.robots import load_robot
+from excitant.robots.model_check_result import robot_result
 
 COMPARED = ("design", "check", "identify", "analyze", "diagnose")
 
@@ -187,6 +190,50 @@ def test_any_value_may_be_null_in_a_comparison(verb, make):
                 spoilt = [value[0] | {inner: None}, *value[1:2]]
                 render(result | {key: spoilt}, {})
                 summarize(result | {key: spoilt})
+
+
+def model(**changes):
+    arm = load_robot("planar_2r")
+    phi = arm.phi.copy()
+    phi[10] *= changes.get("mass", 1.0)
+    limits = replace(arm.limits, velocity=changes.get("speed", 1.0) * arm.limits.velocity)
+    joint_1_free = arm.limits.position.copy()
+    joint_1_free[0, 0] = changes.get("lower", joint_1_free[0, 0])
+    other = arm.with_limits(replace(limits, position=joint_1_free)).with_parameters(phi)
+    return robot_result(other.with_effects(other.effects[: changes.get("effects", 3)]), ())
+
+
+def test_two_models_differ_in_what_was_changed():
+    def differing(**changes):
+        a, b = (SavedRun(name, model(**c), {}) for name, c in (("one", {}), ("two", changes)))
+        result, series = compare(a, b)
+        assert series == {}
+        return result, {row["name"]: row for row in result["models"]["rows"]}
+
+    result, rows = differing()
+    assert rows == {}
+    assert result["models"]["only_a"] == result["models"]["only_b"] == []
+    assert result["models"]["compared"] == 2 * 6 + 20 + 6
+    assert "alike" in render(result, {})
+    result, rows = differing(mass=1.5, speed=2.0, lower=-np.inf, effects=2)
+    weights = {f"joint{k}: greatest torque of gravity" for k in (1, 2)}
+    limits = {"joint1: velocity limit", "joint2: velocity limit", "joint1: lower limit"}
+    assert set(rows) - weights == limits | {"link2.m"}
+    assert rows["link2.m"]["b"] == 1.5 * rows["link2.m"]["a"]
+    assert rows["joint1: lower limit"]["b"] is None
+    assert result["models"]["only_a"] == ["joint1.Ia", "joint2.Ia"]
+    said = f"{len(rows)} of 36 values that both models give differ."
+    for written in (render(result, {}), brief(result)):
+        assert said in written
+    assert "link2.m" in summarize(result)
+
+
+def test_models_without_a_common_name_are_said_to_have_none():
+    other = robot_result(load_robot("ur10"), ())
+    result, _ = compare(SavedRun("one", model(), {}), SavedRun("two", other, {}))
+    assert result["models"]["rows"] == []
+    assert "share no name" in brief(result)
+    assert "share no name" in render(result, {})
 
 
 def test_runs_of_different_commands_are_refused(make):

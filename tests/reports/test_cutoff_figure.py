@@ -86,7 +86,7 @@ def test_tables_say_what_was_chosen() -> None:
     [contest] = parts["Choice of the estimator"]
     assert isinstance(contest, Table)
     assert [row[1].text for row in contest.rows] == ["", "chosen"]
-    assert contest.rows[1][3].text.replace("\u00a0", " ") == "−20 % ± 5 %"
+    assert contest.rows[1][3].text.replace("\u00a0", " ") == "−20.0 ± 5.0 %"
 
 
 def _leaves(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:

@@ -9,7 +9,7 @@ from excitant.reports import render
 from excitant.reports.diagnose_section import diagnose_section
 from excitant.reports.drawing import style
 from excitant.reports.given_error_figures import forward_blocks, share_figure
-from excitant.reports.model import Notes, Table
+from excitant.reports.model import Figure, Notes, Table
 
 SHARES = {"constant": 0.02, "direction": 0.81, "velocity": 0.83, "position": 0.0, "load": 0.8,
           "reversal": 0.82}  # fmt: skip
@@ -131,8 +131,64 @@ def test_small_findings_share_a_part(run):
     lead = result["findings"][0]
     result["findings"] = [{**lead, "explained": share} for share in (0.7, 0.2, 0.1, 0.05, 0.004)]
     found = titles(result, series)
-    assert sum(title.startswith("Finding ") for title in found) == 4
-    assert sum(title.startswith("Findings of less than") for title in found) == 1
+    assert [title[:10] for title in found if title.startswith("Finding ")] == [
+        f"Finding {k}:" for k in (1, 2, 3)
+    ]
+    with style():
+        parts = diagnose_section(result, series).parts
+    (further,) = (part for part in parts if part.title == "Further findings")
+    assert [block.title[:10] for block in further.blocks] == ["Finding 4:", "Finding 5:"]
+    assert "0.40\u00a0%" in further.blocks[1].title
+    assert any(isinstance(block, Figure | Notes) for block in further.blocks[1].blocks)
+
+
+def test_nothing_found_shows_one_model(run):
+    result, series = copy.deepcopy(run)
+    result["findings"] = []
+    result["extended"]["joints"] = copy.deepcopy(result["simulation"]["joints"])
+    page = render(result, series)
+    assert titles(result, series)[1] == "Error of the given model"
+    assert "Error step by step" not in titles(result, series)
+    words = " ".join(re.sub(r"<[^>]*>", " ", page.split("<main", 1)[1]).split())
+    assert "extended model" not in words.lower()
+    assert "closer on every joint" not in words
+    (row,) = (f for f in summary_facts(result, series) if f.label == "Hold-out error")
+    assert "→" not in row.value
+
+
+def summary_facts(result, series):
+    with style():
+        parts = diagnose_section(result, series).parts
+    return parts[0].blocks[0].facts
+
+
+def test_noise_is_said_in_a_sentence(run):
+    result, series = copy.deepcopy(run)
+    names = [row["name"] for row in result["simulation"]["joints"]]
+    result["unexplained"] = [{"joint": n, "share": 1e-4, "structure": "noise-like"} for n in names]
+    with style():
+        parts = diagnose_section(result, series).parts
+    (left,) = (part for part in parts if part.title == "Not explained")
+    sentence, table = left.blocks
+    assert "looks like noise" in sentence.sentences[0]
+    assert table.folded
+    assert "Against the noise" not in [heading for heading, _ in table.columns]
+
+
+def test_an_unknown_cause_claims_no_share(run):
+    result, series = copy.deepcopy(run)
+    unknown = {"effect": "unknown", "joints": ["joint1"], "explained": 0.0, "verdict": "unknown",
+               "structure": "structured: stays correlated over 0.4 s",
+               "holdout": {"rms_before": 2.0, "rms_after": 2.0}}  # fmt: skip
+    result["findings"] = [unknown]
+    with style():
+        parts = diagnose_section(result, series).parts
+    table = parts[0].blocks[-1]
+    assert [cell.text for cell in table.rows[0]][1] == "unknown cause"
+    assert [cell.text for cell in table.rows[0]][3] == "–"
+    assert [cell.text for cell in table.rows[0]][5] == "–"
+    (part,) = (part for part in parts if part.title.startswith("Finding 1"))
+    assert part.blocks[0].sentences[0].endswith("explains: it stays correlated over 0.4 s.")
 
 
 def test_long_waterfalls_are_cut(run):

@@ -133,11 +133,11 @@ def test_every_finding_appears_with_its_evidence(verb, make):
 def test_demo_says_first_what_was_hidden_and_whether_it_was_named(make):
     result, _ = make["demo"]()
     top = Page(render(result, {})).words.split("Excitation design")[0]
-    joints = result["diagnose"]["simulation"]["joints"]
+    holdout = result["diagnose"]["findings"][0]["holdout"]
     assert result["diagnose"]["headline"] in top
     assert "Stribeck friction at elbow_joint" in top
     assert "✓ yes" in top
-    assert f"{joints[3]['rms']:.2f} → " in top
+    assert f"{holdout['rms_before']:.2f} → {holdout['rms_after']:.2f}" in top
     result["verdict"]["correct"] = False
     assert "✗ no" in Page(render(result, {})).words.split("Excitation design")[0]
 

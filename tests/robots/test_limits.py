@@ -52,8 +52,11 @@ REFUSED: dict[str, tuple[str, str]] = {
     "not a number": ("acceleration: .nan\n", "acceleration"),
     "position not a number": ("position: [.nan, 1]\n", "position"),
     "no mapping": ("- 1\n- 2\n", "expected entries"),
-    "limits no mapping": ("limits: [1, 2]\n", "limits"),
-    "not YAML": ("velocity: [1, 2\n", "cannot be read"),
+    "limits no mapping": ("limits: [1, 2]\n", "limits: expected entries"),
+    "limits a number": ("limits: 3\n", "limits: expected entries"),
+    "limits empty": ("limits:\n", "limits: expected entries"),
+    "limit of a joint a word": ("velocity: {joint1: fast}\n", "velocity"),
+    "not YAML": ("velocity: [1, 2\n", "not valid YAML .line 2: "),
     "empty": ("", "expected entries"),
 }
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from excitant.exceptions import BadInput, BadRobot, ExcitantError, UnknownName
 from excitant.robots import Motion, Robot, builtin_robots, load_robot, rigid_body_torque, torque
-from excitant.robots.urdf import robot_from_urdf, urdf_with_parameters
+from excitant.robots.urdf import robot_from_urdf
+from excitant.robots.urdf_writing import urdf_with_parameters
 
 States = Callable[[Robot, int, int], Motion]
 Bodies = Callable[[int, int], np.ndarray]
@@ -188,7 +189,7 @@ BAD_YAML: dict[str, tuple[str, str]] = {
     "lock at a word": (GOOD + "lock: {swing: up}\n", "lock"),
     "lock without position": (GOOD + "lock: [swing]\n", "lock"),
     "a list": ("- model\n", "expected entries"),
-    "not YAML": ("model: [\n", "cannot be read"),
+    "not YAML": ("model: [\n", "not valid YAML .line 2: "),
     "joint unknown": (GOOD + "joints: [slde]\n", "slide"),
     "lock unknown": (GOOD + "lock: {slde: 0}\n", "slide"),
     "limit unknown": (GOOD + "limits: {velocty: 1}\n", "velocity"),

@@ -1,0 +1,228 @@
+"""Shapes of effects, in which torque is not linear, refined together with everything else.
+
+An effect is linear in its coefficients once its shape is fixed: the speed of Stribeck's bell, the
+exponent of friction, the distance over which it builds up, the time in which a joint warms up, the
+order of a ripple. Each shape is looked for on the effect's own grid first, by what its columns
+explain beyond all others. Then bodies, coefficients θ and logarithms s of shapes minimise
+
+    ‖R φ(π) + C(s) θ − z‖² + D(φ(π)) + Σ (θ_i / std_i)² + Σ (s_k − s̄_k)² / σ²
+
+from the semidefinite fit on (`excitant.identify.log_cholesky`). Other shapes are taken where that
+is lower by more than as many numbers take off it by chance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy.linalg
+
+from excitant.exceptions import Infeasible, RankDeficient
+from excitant.identify.knowledge import Knowledge
+from excitant.identify.least_squares import weighted_least_squares
+from excitant.identify.log_cholesky import NonlinearEffects, refine_log_cholesky
+from excitant.identify.physical import EffectPrior, PhysicalFit, fit_physical
+from excitant.identify.preprocessing import Segment
+from excitant.identify.resting import whitened
+from excitant.identify.rows import FitRows
+from excitant.identify.shapes import SHAPES, Shape, Shapes, reshaped, shape_of
+from excitant.robots.effects import Effect, JointFacts, JointwiseEffect
+from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
+
+_DECADE = float(np.log(10.0))  # σ: a shape is known to a factor of ten
+_INSTANTS = 1500  # at most, evenly taken
+_STEP = 1e-5  # of a shape, for its derivative
+_STILL = 1e-3  # rad/s: slower joints rest
+
+
+def refined_shapes(
+    robot: Robot, rows: FitRows, prior: Array, knowledge: Knowledge
+) -> Shapes | None:
+    """Shapes that fit better together with bodies and coefficients; None where none can be found.
+
+    Args:
+        robot: The arm that effects take their torque from.
+        rows: What is fitted.
+        prior: Standard parameters of the prior, shape (nv, 10).
+        knowledge: What is known of the bodies; of no account while shapes are looked for.
+    """
+    effects = tuple(own for effect in rows.effects for own in _by_joint(effect))
+    if not any(type(effect) in SHAPES for effect in effects):
+        return None
+    rows = replace(rows, effects=effects)
+    try:
+        first = _Shaped(robot, rows, prior, knowledge).refined()
+        if not first.better:
+            return first
+        # once more with the noise that is left then
+        second = _Shaped(robot, first.rows(robot, rows), prior, knowledge).refined()
+    except (RankDeficient, Infeasible):
+        return None
+    pairs = zip(second.found, first.found, strict=True)
+    found = tuple(replace(new, given=old.given) for new, old in pairs)
+    return replace(second, found=found, before=first.before, after=first.after)
+
+
+def _by_joint(effect: Effect) -> list[Effect]:
+    """An effect with a shape as effects of single joints; their columns stay in order."""
+    if type(effect) not in SHAPES or not isinstance(effect, JointwiseEffect):
+        return [effect]
+    return [replace(effect, joints=(joint,), values=None) for joint in effect.joints]
+
+
+class _Shaped:
+    """The whitened problem with columns of effects for any shapes."""
+
+    def __init__(self, robot: Robot, rows: FitRows, prior: Array, knowledge: Knowledge) -> None:
+        self.robot, self.effects, self.prior = robot, rows.effects, prior
+        self.segments: Sequence[Segment] = rows.data.to_fit
+        base, self.links = rows.base, 10 * robot.nv
+        stride = -(-len(rows.tau) // _INSTANTS)
+        self.some = slice(None, None, stride)
+        fit = weighted_least_squares(rows.W[:, :, base.columns], rows.tau, base.expressions)
+        # a row that stands for many counts as many, as far as these are independent
+        inflation = np.maximum(fit.inflation / stride, 1.0)
+        self.weight = 1 / (fit.sigma * np.sqrt(inflation))
+        self.fit = replace(fit, inflation=inflation)
+        self.W, tau = rows.W[self.some], rows.tau[self.some]
+        self.R = (self.W * self.weight[:, None]).reshape(-1, self.W.shape[2])
+        self.z = (tau * self.weight).ravel()
+        self.tau, self.known, self.knowledge = tau, rows.open_prior, knowledge
+        self.places = self._places()
+        self.last: tuple[bytes, Array] = (b"", self.R)
+
+    def _places(self) -> list[tuple[int, slice]]:
+        """Each effect that has a shape, and the columns of its coefficients."""
+        found, at = [], self.links
+        for k, effect in enumerate(self.effects):
+            count = len(effect.parameters(self.robot))
+            if type(effect) in SHAPES:
+                found.append((k, slice(at, at + count)))
+            at += count
+        return found
+
+    def columns(self, effect: Effect) -> Array:
+        """Whitened columns of an effect at the rows, shape (rows, k)."""
+        parts = [s.rows(lambda motion: effect.columns(self.robot, motion)) for s in self.segments]
+        found = np.concatenate(parts)[self.some] * self.weight[:, None]
+        return np.asarray(found.reshape(len(self.z), -1), float)
+
+    def refined(self) -> Shapes:
+        """Best shapes of the grids, then all at once."""
+        given = np.array([shape_of(self.effects[k]) for k, _ in self.places])
+        R, z = whitened(self.W, self.tau, self.fit)
+        start = fit_physical(
+            R, z, self.prior, self.known, knowledge=self.knowledge, links=self.robot.links
+        )
+        count = len(given)
+        mean = np.concatenate([self.known.mean, np.log(given)])
+        std = np.concatenate([self.known.std, np.full(count, _DECADE)])
+        lower = np.concatenate([self.known.lower, np.full(count, -np.inf)])
+        best = self._on_grids()
+        theta = np.concatenate([start.x[self.links :], np.log(best)])
+        found = refine_log_cholesky(
+            self.R[:, : self.links], self.z, self.prior,
+            NonlinearEffects(self.torque, EffectPrior(mean, std, lower), theta, self.alone),
+            start.x[: self.links].reshape(-1, 10),
+        )  # fmt: skip
+        at_given = np.concatenate([start.x, np.log(given)])
+        return self._shapes(
+            given, found.fit, found.objective(at_given), found.objective(found.fit.x)
+        )
+
+    def _on_grids(self) -> Array:
+        """Each shape as it is given or, where that explains more, from the effect's own grid."""
+        best = []
+        for k, place in self.places:
+            effect = self.effects[k]
+            others = np.delete(self.R, np.arange(place.start, place.stop), axis=1)
+            live = others[:, (others != 0).any(axis=0)]
+            Q = scipy.linalg.qr(live / np.linalg.norm(live, axis=0), mode="economic", pivoting=True)
+            rank = int((np.abs(np.diag(Q[1])) > 1e-9 * abs(Q[1][0, 0])).sum())
+            basis = Q[0][:, :rank]
+            left = self.z - basis @ (basis.T @ self.z)
+            shapes = [effect, *self._grid(effect)]
+            gains = [self._explained(each, basis, left) for each in shapes]
+            best.append(shape_of(shapes[int(np.argmax(gains))]))
+        return np.array(best)
+
+    def _grid(self, effect: Effect) -> list[Effect]:
+        """Shapes that the effect itself proposes for what its joint does."""
+        if not isinstance(effect, JointwiseEffect):
+            return []
+        j = self.robot.joint_index(effect.joints[0])
+        motions = [segment.motion for segment in self.segments]
+        speed = max(float(np.abs(m.dq[:, j]).max()) for m in motions)
+        if speed <= _STILL:
+            return []
+        reach = float(np.ptp(np.concatenate([m.q[:, j] for m in motions])))
+        start = min(float(m.t[0]) for m in motions)
+        length = max(float(m.t[-1]) for m in motions) - start
+        return list(effect.candidates(effect.joints[0], JointFacts(speed, reach, start, length)))
+
+    def _explained(self, effect: Effect, basis: Array, left: Array) -> float:
+        """Squared torque that an effect explains of what others leave; none of the wrong sign."""
+        C = self.columns(effect)
+        C = C - basis @ (basis.T @ C)
+        theta = np.linalg.lstsq(C, left, rcond=1e-9)[0]
+        lower = np.array([p.lower for p in effect.parameters(self.robot)])
+        return (
+            0.0 if (theta < lower).any() else float(left @ left - ((left - C @ theta) ** 2).sum())
+        )
+
+    def alone(self, theta: Array) -> Array:
+        """Whitened torque of all effects."""
+        values, columns = self._columns(theta)
+        return np.asarray(columns @ values, float)
+
+    def torque(self, theta: Array) -> tuple[Array, Array]:
+        """The same and its slopes by coefficients and logarithms of shapes."""
+        values, columns = self._columns(theta)
+        slopes = np.empty((len(self.z), len(self.places)))
+        for i, ((k, place), s) in enumerate(zip(self.places, theta[len(values) :], strict=True)):
+            own = slice(place.start - self.links, place.stop - self.links)
+            moved = self.columns(reshaped(self.effects[k], float(np.exp(s + _STEP))))
+            slopes[:, i] = (moved - columns[:, own]) @ values[own] / _STEP
+        return columns @ values, np.hstack([columns, slopes])
+
+    def _columns(self, theta: Array) -> tuple[Array, Array]:
+        """Coefficients, and whitened columns of all effects in the shapes of θ."""
+        count = len(theta) - len(self.places)
+        if self.last[0] != theta[count:].tobytes():
+            columns = self.R[:, self.links :].copy()
+            for (k, place), s in zip(self.places, theta[count:], strict=True):
+                own = slice(place.start - self.links, place.stop - self.links)
+                columns[:, own] = self.columns(reshaped(self.effects[k], float(np.exp(s))))
+            self.last = theta[count:].tobytes(), columns
+        return theta[:count], self.last[1]
+
+    def _shapes(self, given: Array, fit: PhysicalFit, before: float, after: float) -> Shapes:
+        """The result; shapes as they are given where others are no better."""
+        count = len(given)
+        p = len(fit.x) - count
+        C = fit.covariance
+        values, std = np.exp(fit.x[p:]), np.sqrt(np.diag(C)[p:])
+        # the part of the parameters' covariance that comes from that of the shapes
+        root = np.linalg.cholesky(C[p:, p:])
+        spread = scipy.linalg.solve_triangular(root, C[:p, p:].T, lower=True).T
+        effects = list(self.effects)
+        found = []
+        for (k, _), old, new, s in zip(self.places, given, values, std, strict=True):
+            effect = effects[k]
+            effects[k] = reshaped(effect, float(new))
+            name, unit = SHAPES[type(effect)]
+            found.append(
+                Shape(
+                    effect.name,
+                    effect.joints[0],
+                    name,
+                    unit,
+                    float(old),
+                    float(new),
+                    float(new * s),
+                )
+            )
+        return Shapes(tuple(found), tuple(effects), before, after, spread)

@@ -1,0 +1,170 @@
+"""Shapes of effects, found with the bodies: what was planted, and nothing where nothing was."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from excitant.identify import Recording, identify, identify_result
+from excitant.identify.knowledge import Knowledge
+from excitant.identify.least_squares import weighted_least_squares
+from excitant.identify.physical import fit_physical, prior_parameters
+from excitant.identify.resting import whitened
+from excitant.identify.rows import FitRows, fit_rows, split
+from excitant.identify.shape_search import refined_shapes
+from excitant.identify.shapes import reshaped
+from excitant.robots import Motion, Robot, base_parameters
+from excitant.robots.effects import (
+    Effect,
+    NonlinearViscousFriction,
+    StribeckFriction,
+    standard_effects,
+)
+
+RATE = 200.0
+BELL = (1.5, 0.8)  # N·m
+
+
+def motion_at(t: np.ndarray, seed: int) -> Motion:
+    rng = np.random.default_rng(seed)
+    w, phase = (rng.uniform(*limits, (4, 1, 2)) for limits in ((0.3, 3.0), (0, 6.28)))
+    parts = (
+        (rng_size(seed) * w**k * np.sin(w * t[:, None] + phase + k * np.pi / 2)).sum(axis=0)
+        for k in range(3)
+    )
+    return Motion(t, *parts)
+
+
+def rng_size(seed: int) -> np.ndarray:
+    return np.random.default_rng([seed, 1]).uniform(0.2, 0.5, (4, 1, 2))
+
+
+def recorded(
+    robot: Robot, seed: int, friction: Callable[[np.ndarray], np.ndarray], noise: float = 0.03
+) -> Recording:
+    """Recursive Newton-Euler; viscous, Coulomb and one more friction written here."""
+    rng, t = np.random.default_rng(seed), np.arange(0, 25, 1 / RATE)
+    motion, data = motion_at(t, seed), robot.model.createData()
+    states = zip(motion.q, motion.dq, motion.ddq, strict=True)
+    tau = np.array([pin.rnea(robot.model, data, *state) for state in states])
+    tau += [0.8, 0.4] * motion.dq + [1.0, 0.5] * np.sign(motion.dq) + friction(motion.dq)
+    return Recording(
+        f"run{seed}", "run.csv", t, motion.q, tau + noise * rng.standard_normal(tau.shape)
+    )
+
+
+def stribeck(*speeds: float) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda dq: np.array(BELL) * np.exp(-((dq / np.array(speeds)) ** 2)) * np.sign(dq)
+
+
+def rows_of(robot: Robot, run: Recording, further: Sequence[Effect]) -> FitRows:
+    effects = (*standard_effects(robot.joints), *further)
+    return fit_rows(robot, effects, base_parameters(robot, effects), split([run], [run], 10.0))
+
+
+def test_planted_speeds_come_with_the_uncertainty_they_have(planar: Robot) -> None:
+    """Each joint its own, from one value for both that is far from either."""
+    truth, scores = np.array([0.06, 0.3]), []
+    for seed in range(6):
+        run = recorded(planar, seed, stribeck(*truth))
+        rows = rows_of(planar, run, [StribeckFriction(planar.joints)])
+        found = refined_shapes(planar, rows, prior_parameters(planar), Knowledge())
+        assert found is not None
+        assert found.better
+        assert [(s.joint, s.given, s.unit) for s in found.found] == [
+            (joint, 0.1, "rad/s") for joint in planar.joints
+        ]
+        value, std = (np.array([getattr(s, k) for s in found.found]) for k in ("value", "std"))
+        np.testing.assert_allclose(value, truth, rtol=0.1)
+        assert (std < 0.05 * truth).all()
+        scores.append((value - truth) / std)
+    assert np.sqrt(np.mean(np.square(scores))) < 3
+
+
+def test_shapes_that_are_right_stay(planar: Robot) -> None:
+    kept = 0
+    for seed in range(8):
+        run = recorded(planar, seed, stribeck(0.1, 0.1))
+        rows = rows_of(planar, run, [StribeckFriction(planar.joints)])
+        found = refined_shapes(planar, rows, prior_parameters(planar), Knowledge())
+        assert found is not None
+        assert found.after <= found.before + 1e-6 * found.before
+        kept += not found.better
+    assert kept >= 7
+
+
+def test_without_such_effects_there_are_no_shapes(planar: Robot) -> None:
+    rows = rows_of(planar, recorded(planar, 0, stribeck(0.1, 0.1)), [])
+    assert refined_shapes(planar, rows, prior_parameters(planar), Knowledge()) is None
+
+
+def test_identify_predicts_better_with_them_and_says_so(planar: Robot) -> None:
+    fit, held = (recorded(planar, seed, stribeck(0.04, 0.3)) for seed in (1, 2))
+    effects = (*standard_effects(planar.joints), StribeckFriction(planar.joints))
+    before, after = (
+        identify(planar, [fit], validate=[held], effects=effects, tune=tune)
+        for tune in (False, True)
+    )
+    assert (after.validate.rms < 0.5 * before.validate.rms).all()
+    entry = identify_result(after)["shapes"]
+    assert entry["refined"]
+    assert entry["objective"]["refined"] < entry["objective"]["given"]
+    speeds = {e["joint"]: (e["value"], e["std"]) for e in entry["effects"]}
+    in_model = {
+        e.joints[0]: e.velocity for e in after.model.effects if isinstance(e, StribeckFriction)
+    }
+    assert in_model == {joint: value for joint, (value, _) in speeds.items()}
+    assert any(note.startswith("shapes of effects refined") for note in after.notes)
+    assert "shapes" not in identify_result(before)
+    names = [p["name"] for p in identify_result(after)["parameters"]]
+    assert names == [p["name"] for p in identify_result(before)["parameters"]]
+
+
+def test_what_shapes_leave_open_widens_the_rest(planar: Robot) -> None:
+    """By as much as other fits move when the speed of a bell does, by its standard deviation."""
+    run = recorded(planar, 1, stribeck(0.3, 0.3))
+    rows = rows_of(planar, run, [StribeckFriction(planar.joints)])
+    found = refined_shapes(planar, rows, prior_parameters(planar), Knowledge())
+    assert found is not None
+    last, betas = found.found[1], []
+    for change in (-1, 0, 1):
+        other = reshaped(found.effects[-1], last.value + change * last.std)
+        moved = replace(found, effects=(*found.effects[:-1], other)).rows(planar, rows)
+        W = moved.W[:, :, list(moved.base.columns)]
+        betas.append(weighted_least_squares(W, moved.tau, moved.base.expressions))
+    expected = (betas[2].beta - betas[0].beta) / 2
+    widened = moved.base.regrouping @ found.spread
+    own = [moved.base.expressions.index(name) for name in ("joint2.Fs", "joint2.Fc", "joint2.Fv")]
+    both = np.array([expected[own], widened[own, 1]])
+    assert (np.abs(both[0]) > 1e-4).all()
+    np.testing.assert_allclose(both[1], both[0], rtol=0.2)
+    fit = betas[1]
+    R, z = whitened(moved.W, moved.tau, fit)
+    physical = fit_physical(R, z, prior_parameters(planar), moved.open_prior)
+    wide, wide_physical = found.widened(fit, physical, moved.base)
+    added = np.diag(wide.covariance - fit.covariance)
+    np.testing.assert_allclose(added, (widened**2).sum(axis=1), rtol=1e-6, atol=1e-15)
+    assert (np.diag(wide_physical.covariance - physical.covariance) >= 0).all()
+
+
+@pytest.mark.parametrize("exponent", [0.4, 2.3])
+def test_an_exponent_is_found(planar: Robot, exponent: float) -> None:
+    run = recorded(planar, 3, lambda dq: np.sign(dq) * np.abs(dq) ** exponent)
+    rows = rows_of(planar, run, [NonlinearViscousFriction(planar.joints)])
+    found = refined_shapes(planar, rows, prior_parameters(planar), Knowledge())
+    assert found is not None
+    for shape in found.found:
+        assert abs(shape.value - exponent) < max(5 * shape.std, 0.05)
+
+
+def test_a_joint_at_rest_keeps_its_shape(planar: Robot) -> None:
+    run = recorded(planar, 1, stribeck(0.04, 0.1))
+    still = np.array(run.q)
+    still[:, 1] = still[0, 1]
+    rows = rows_of(planar, replace(run, q=still), [StribeckFriction(planar.joints)])
+    found = refined_shapes(planar, rows, prior_parameters(planar), Knowledge())
+    assert found is None or found.found[1].value == pytest.approx(0.1, rel=0.2)
