@@ -11,7 +11,7 @@ import numpy as np
 import scipy.linalg
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
+from excitant.identify.accuracy import Accuracy, Series
 from excitant.identify.cutoff_study import Study
 from excitant.identify.estimate import identified_robot, notes_on, whitened
 from excitant.identify.faults.copies import same_digests
@@ -45,6 +45,7 @@ from excitant.robots.robot import Robot
 
 _ROWS = 50_000  # samples read at once, and instants that a window adds
 _REACH = 2.0  # responses of the torque filter; that of positions is shorter than one
+_OF_EXCERPTS = "figures of what was fitted are of these parts of the recordings"
 NOTE = (
     "read piece by piece, as the recordings are larger than the memory set aside for them: "
     "weighted least squares, standard deviations from the spread of long blocks, and figures of "
@@ -178,6 +179,8 @@ class _Taken:
             self.study = study_of_excerpts(form, lively, self.cutoff_hz, fixed=fixed)
             self.notes = (*self.study.choice.notes, sentence(lively))
         self.tuning = None if self.study is None else self.study.choice.tuning(self.cutoff_hz)
+        if self.tuning is not None:
+            self.notes += (_OF_EXCERPTS,)
         self.rows = {held: Blocks(form) for held in (False, True)}
         self.first = {held: Excerpt(form) for held in (False, True)}
         total, done = sum(log.survey.rows for log in logs), 0
@@ -205,18 +208,18 @@ class _Taken:
             self.rows[held].take(rows)
             self.first[held].take(window, rows, known[window.span][0].half)
 
-    def train(self, predicted: Array, model: Robot, gains: Array) -> Accuracy:
-        """Accuracy on what was fitted; on its first rows where they were filtered otherwise.
+    def train(self, predicted: Array, x: Array, gains: Array) -> Accuracy:
+        """Accuracy on what was fitted; on the excerpts where rows were fitted otherwise.
 
         Args:
             predicted: Torque of the model at the condensed rows [torque unit].
-            model: The identified robot.
+            x: Parameters of links and effects.
             gains: Torque per reading, shape (nv,).
         """
-        if self.tuning is None:
+        if self.tuning is None or self.study is None:
             return self.rows[False].whole().accuracy(predicted)
-        segments = self.first[False].segments
-        return series(segments).accuracy(predicted_torque(model, segments) / gains)
+        judged = self.study.judged
+        return judged.measured.accuracy(judged.W @ x / gains)
 
 
 def _advance(progress: Callable[[float], None], done: int, total: int, rows: int) -> None:
@@ -251,18 +254,17 @@ def _estimate(
     identified = base.regrouping @ physical.x
     given = base.regrouping[:, : 10 * robot.nv] @ robot.phi
     shown = taken.first[True]
-    model = identified_robot(robot, form.effects, physical.x)
     seen = 0 if taken.study is None else len(taken.study.rows.W)
     return StreamedEstimate(
         given=robot,
-        model=model,
+        model=identified_robot(robot, form.effects, physical.x),
         base=base,
         least_squares=fit,
         physical=physical,
         prior=read_only(prior.ravel()),
         gains=read_only(gains),
         data=data,
-        train=taken.train(train.W @ identified / gains, model, gains),
+        train=taken.train(train.W @ identified / gains, physical.x, gains),
         validate=unseen.accuracy(unseen.W @ identified / gains),
         baseline=unseen.accuracy((unseen.W @ given + unseen.given) / gains),
         series=shown.series(),

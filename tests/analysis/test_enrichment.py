@@ -26,6 +26,7 @@ from excitant.robots.effects import (
     LoadDependentFriction,
     PreslidingHysteresis,
     StribeckFriction,
+    plain,
     ThermalFrictionDrift,
     TimeDelay,
     standard_effects,
@@ -86,7 +87,7 @@ def test_each_addition_pays_beyond_chance_and_floor(found: Enrichment) -> None:
     for step in found.steps:
         places = 2 / len(step.effect.joints)
         assert step.fall > max(FLOOR, beyond_chance(places) * step.error)
-        assert step.effect.name.replace("_", " ") in step.sentence
+        assert plain(step.effect.name) in step.sentence
     assert (found.after < 0.8 * found.before).all()
 
 
