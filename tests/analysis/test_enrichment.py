@@ -26,9 +26,9 @@ from excitant.robots.effects import (
     LoadDependentFriction,
     PreslidingHysteresis,
     StribeckFriction,
-    plain,
     ThermalFrictionDrift,
     TimeDelay,
+    plain,
     standard_effects,
 )
 from excitant.robots.parameters import violations
