@@ -15,7 +15,7 @@ import pytest
 
 from excitant import __version__
 from excitant.cli import main
-from excitant.design import random_trajectory, trajectory_csv
+from excitant.design import random_trajectory, trajectory_csv, trajectory_json
 from excitant.exceptions import UnknownName
 from excitant.robots import load_robot
 from excitant.robots.virtual_arm import industrial_sensors, virtual_arm
@@ -33,6 +33,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         trajectory = random_trajectory(robot, rng, 8.0, 4)
         arm.record(trajectory, 8.0, rng).to_csv(folder / f"{name}.csv", index=False)
     (folder / "trajectory.csv").write_text(trajectory_csv(trajectory, 100.0), encoding="utf-8")
+    (folder / "trajectory.json").write_text(trajectory_json(trajectory, robot), encoding="utf-8")
     return folder
 
 
@@ -50,6 +51,8 @@ WORKING = {
     "check": "check planar_2r trajectory.csv",
     "identify": "identify planar_2r one.csv --validate two.csv",
     "identify split": "identify planar_2r one.csv two.csv --effects viscous_friction --cutoff 8",
+    "identify planned": "identify planar_2r one.csv --validate two.csv "
+    "--trajectory trajectory.json",
     "analyze": "analyze planar_2r",
     "analyze inertial": "analyze planar_2r --columns inertial --trajectory trajectory.csv",
     "analyze recording": "analyze planar_2r --recording one.csv two.csv",
@@ -229,6 +232,14 @@ REFUSED = {
     "unknown effect": ("identify planar_2r one.csv --effects coulomb", "mean 'coulomb_friction'"),
     "cut-off": ("identify planar_2r one.csv --cutoff 60", "up to 40 Hz"),
     "trajectory of another arm": ("check ur10 trajectory.csv", "trajectory.csv"),
+    "samples planned": (
+        "identify planar_2r one.csv --trajectory trajectory.csv",
+        "give the trajectory.json",
+    ),
+    "planned on-line": (
+        "identify planar_2r one.csv --online --trajectory trajectory.csv",
+        "--trajectory is for all rows at once",
+    ),
     "bad trajectory": ("check planar_2r broken.csv", "broken.csv"),
     "no trajectory": ("check planar_2r nothing.csv", "nothing.csv: no such file"),
     "rate": ("design planar_2r --rate 0", "--rate 0 Hz"),

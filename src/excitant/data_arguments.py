@@ -33,6 +33,10 @@ def identify(verbs: Verbs[Parser]) -> None:
                       "iv and oe (noisy positions), tls, ml (periods averaged), or auto: "
                       "that of wls, irls, iv, oe and ml that predicts an inner hold-out best, "
                       "where they can be compared (default: auto)")  # fmt: skip
+    verb.add_argument("--trajectory", metavar="FILE",
+                      help="trajectory.json that the arm was told: no cut-off is chosen below what "
+                      "its harmonics need (without it, they are looked for in what "
+                      "repeats)")  # fmt: skip
     verb.add_argument("--knowledge", metavar="FILE",
                       help="YAML with what is known of the bodies: masses, their sum, where "
                       "centres of mass lie; and the kind of prior")  # fmt: skip

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from excitant.analysis.enrichment import Enrichment, enrichment
+from excitant.design import load_trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import (
     Dataset,
@@ -39,7 +40,7 @@ from excitant.identify.rows import fitted
 from excitant.output import finish, run_directory, show_import
 from excitant.progress import progress_bar
 from excitant.robot_arguments import dataset_of
-from excitant.robots import Array, Robot
+from excitant.robots import Array, Motion, Robot
 from excitant.robots.effects import EFFECTS, Effect, JointEffect
 from excitant.streamed import streamed
 
@@ -151,8 +152,9 @@ def _refuse_contradictions(args: argparse.Namespace) -> None:
             estimator_named(args.estimator)
         if args.link_by_link or args.online:
             raise BadInput("--estimator is for all rows at once; leave the other way out")
-    if args.knowledge and (args.link_by_link or args.online):
-        raise BadInput("--knowledge is for all rows at once; leave the other way out")
+    for name in ("knowledge", "trajectory"):
+        if getattr(args, name) and (args.link_by_link or args.online):
+            raise BadInput(f"--{name} is for all rows at once; leave the other way out")
 
 
 def _identified(
@@ -173,12 +175,23 @@ def _identified(
         stages = identify_link_by_link(robot, recordings, **options)
         return stages.estimate, link_by_link_result(stages), link_by_link_series(stages)
     known = load_knowledge(args.knowledge, robot.links) if args.knowledge else None
+    highest = _highest_harmonic(args.trajectory, robot) if args.trajectory else None
     with progress_bar("identify"):
         estimate = identify_robot(
             robot, recordings, **options,
-            estimator=args.estimator or AUTO, knowledge=known, tune=True,
+            estimator=args.estimator or AUTO, knowledge=known, tune=True, harmonics_hz=highest,
         )  # fmt: skip
     return estimate, identify_result(estimate), {}
+
+
+def _highest_harmonic(path: str, robot: Robot) -> float:
+    """Highest frequency of a planned motion [Hz]."""
+    planned = load_trajectory(path, robot)
+    if isinstance(planned, Motion):
+        raise BadInput(
+            f"--trajectory {path} holds samples; give the trajectory.json, which holds harmonics"
+        )
+    return planned.harmonics / planned.period
 
 
 def _formats(names: str | None) -> Sequence[str]:

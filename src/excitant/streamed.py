@@ -47,7 +47,7 @@ def streamed(
 def _refuse(args: argparse.Namespace) -> None:
     given = [
         f"--{name.replace('_', '-')}"
-        for name in ("online", "link_by_link", "payload", "payload_recording")
+        for name in ("online", "link_by_link", "payload", "payload_recording", "trajectory")
         if getattr(args, name)
     ]
     if args.estimator not in _ESTIMATORS:
