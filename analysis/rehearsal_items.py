@@ -161,10 +161,11 @@ def prediction_item(situation: Situation, estimate: Estimate, beta: Array) -> It
     worse = estimate.validate.rms / floor
     j = int(worse.argmax())
     passed, joint = bool(worse[j] <= _WORSE), situation.robot.joints[j]
+    unit = "N·m" if situation.robot.revolute[j] else "N"
     return Item(
         "torque on the hold-out", joint, passed,
-        f"rms error {estimate.validate.rms[j]:.3g}, of which noise leaves {floor[j]:.3g} "
-        "even to the true parameters",
+        f"rms error {estimate.validate.rms[j]:.3g} {unit}, of which noise leaves {floor[j]:.3g} "
+        f"{unit} even to the true parameters",
         "" if passed else situation.faster(lack=float(worse[j] / _WORSE)),
     )  # fmt: skip
 

@@ -92,7 +92,7 @@ class Remainder:
         ratio = self.rms / self.floor
         if ratio > _SAID:
             return f"over {_SAID:.0f} times the noise"
-        return f"{ratio:.2g} times the noise"
+        return f"{ratio:.{0 if ratio >= 10 else 1}f} times the noise"
 
 
 def remainders(

@@ -94,10 +94,10 @@ class PayloadEstimate:
             )
         worst = int(np.argmax(self.centre_std))
         if _CERTAIN * self.centre_std[worst] > _CENTRE_GOAL:
+            off = float(f"{1e3 * _CERTAIN * self.centre_std[worst]:.2g}")
             found.append(
-                f"centre of mass along {'xyz'[worst]} is known to "
-                f"±{1e3 * _CERTAIN * self.centre_std[worst]:.2g} mm only: turn the last joints "
-                "through more orientations"
+                f"centre of mass along {'xyz'[worst]} is known to ±{off:g} mm only: turn the last "
+                "joints through more orientations"
             )
         return tuple(found)
 

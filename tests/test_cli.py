@@ -240,6 +240,7 @@ REFUSED = {
         "identify planar_2r one.csv --online --trajectory trajectory.csv",
         "--trajectory is for all rows at once",
     ),
+    "bound of another criterion": ("design planar_2r --criterion d --bound", "not of criterion d"),
     "bad trajectory": ("check planar_2r broken.csv", "broken.csv"),
     "no trajectory": ("check planar_2r nothing.csv", "nothing.csv: no such file"),
     "rate": ("design planar_2r --rate 0", "--rate 0 Hz"),

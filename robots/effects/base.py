@@ -26,7 +26,7 @@ def near_trial(value: float, trial: float) -> bool:
 
 def plain(name: object) -> str:
     """A word of the vocabulary as it stands in a sentence, such as ``Coulomb friction``."""
-    words = str(name).replace("_", " ")
+    words = str(name).replace("_", " ").replace("load dependent", "load-dependent")
     for person in _PERSONS:
         words = words.replace(person, person.capitalize())
     return words

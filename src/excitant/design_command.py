@@ -48,6 +48,11 @@ def design(args: argparse.Namespace) -> None:
         raise BadInput(f"--rate {args.rate:g} Hz: give a control rate from 1 to 10000 Hz")
     if args.repeat < 1:
         raise BadInput(f"--repeat {args.repeat}: give the number of periods, at least 1")
+    if args.bound and args.criterion != "condition":
+        raise BadInput(
+            f"--bound is one of the condition number, not of criterion {args.criterion}; "
+            "leave one out"
+        )
     if args.bound and (args.noise or args.after):
         raise BadInput("--bound holds for one motion with equal noise; leave --noise and --after")
     if args.link_by_link:

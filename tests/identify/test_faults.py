@@ -312,6 +312,16 @@ def test_a_clock_that_starts_anew_is_a_cut(
     assert (difference < 1e-6 * std).all()
 
 
+def test_another_motion_is_not_sorted_into_a_gap(planar: Robot, clean: Log) -> None:
+    """Stamps alone would let it pass: they fill the gap, but positions would jump at its ends."""
+    rows = np.arange(300, 600)
+    other = replace(plants.recorded(planar, 1).take(rows), t=clean.t[rows])
+    log = one_after_the_other(clean.take(np.delete(np.arange(len(clean)), rows)), other)
+    repaired, (note, *_) = repair(log, find_faults(planar, log))
+    assert "cuts the recording into 2 parts at row 701" in note
+    np.testing.assert_array_equal(repaired.q, log.q)
+
+
 def recording(log: Log, name: str) -> Recording:
     return Recording(name, f"{name}.csv", log.t, log.q, log.tau, dq=log.dq)
 

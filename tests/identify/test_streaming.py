@@ -519,6 +519,19 @@ def test_faults_far_into_a_log_are_counted_with_their_rows(robot: Robot, fast: A
     assert 0.999 <= dead["seconds"] <= 1.5
 
 
+def test_the_excerpt_is_where_joints_move(robot: Robot, plants: Any, fast: Any) -> None:
+    wrong, rest = plants.velocity_negated(robot, fast, np.random.default_rng(0)), len(fast)
+    noise = np.random.default_rng(0).normal(size=(2, rest, 2))
+    parts = {
+        "q": fast.q[0] + 1e-5 * noise[0],
+        "dq": 1e-3 * noise[1],
+        "tau": wrong.tau[0] + 0.1 * noise[0],
+    }
+    both = {c: np.concatenate([x, getattr(wrong, c)]) for c, x in parts.items()}
+    log = replace(fast, t=np.concatenate([fast.t, fast.t + fast.t[-1] + fast.step]), **both)
+    assert "wrong_sign dq" in checked(robot, log, rest, rest)
+
+
 def test_what_the_excerpt_lacks_the_log_may_have(robot: Robot, plants: Any, fast: Any) -> None:
     still = plants.hardly_moving(robot, fast, np.random.default_rng(0))
     assert "poor_excitation " in checked(robot, still, 4000, 4001)
@@ -601,6 +614,20 @@ def test_other_faults_are_repaired_on_the_way(
     std = np.sqrt(np.diag(expected.least_squares.covariance))
     moved = np.abs(found.least_squares.beta - expected.least_squares.beta)
     assert (moved < 0.2 * std).all()
+
+
+def test_time_that_runs_too_slow_is_repaired_on_the_way(
+    robot: Robot, plants: Any, fast: Any, tmp_path: Path
+) -> None:
+    """Twice the time between samples, which velocities contradict."""
+    log, path = plants.half_rate(robot, fast, np.random.default_rng(0)), tmp_path / "log.parquet"
+    channels = (("q", log.q), ("dq", log.dq), ("tau", log.tau))
+    columns = {f"{c}{j + 1}": x[:, j] for c, x in channels for j in range(2)}
+    pd.DataFrame({"t": log.t} | columns).to_parquet(path)
+    found = identify_streamed(robot, [path], cutoff_hz=CUTOFF, rows=1000, repaired=True)
+    assert [f.fault for f in found.faults["log"]] == ["wrong_sample_rate"]
+    clean = Recording("log", str(path), fast.t, fast.q, fast.tau)
+    same_fit(found, replace(identify(robot, [clean], cutoff_hz=CUTOFF), notes=()))
 
 
 def test_a_clock_that_starts_anew_cuts_a_streamed_log(
