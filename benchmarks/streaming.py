@@ -4,7 +4,7 @@
 
 A log of the built-in panda at 1 kHz, with friction, offsets, rotor inertia and noise, is written
 piece by piece and identified by ``identify_streamed`` in a process of its own, whose peak memory is
-read when it has ended: reading, checking, resampling, filtering, fitting, judging, all in all. In
+read when it has ended: search for faults, choice of cut-offs, filtering, fitting, judging. In
 the same run the same processor evaluates Pinocchio's regressor in a bare loop over samples whose
 derivatives are there already: the calls alone, and with normal equations accumulated. Ratios are of
 processor time (user and system; one thread), which other work on the machine disturbs least.

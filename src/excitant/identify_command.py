@@ -54,7 +54,7 @@ def identify(args: argparse.Namespace) -> None:
     effects: Sequence[Effect] | None = None if chosen else _effects(args.effects, robot)
     formats = _formats(args.formats)
     if (found := streamed(args, dataset, effects)) is not None:
-        result = identify_result(found) | {"faults": [], "import": {}}
+        result = identify_result(found) | {"faults": found.fault_entries(), "import": {}}
         _publish(args, found, result, identify_series(found), formats)
         return
     without = [*args.validate, *args.unloaded, *args.payload_recording]
