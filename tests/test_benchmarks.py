@@ -72,6 +72,7 @@ def condition_by_newton_euler(folder: Path, name: str, base: int) -> float:
     return float(np.linalg.cond(columns(table)[:, np.array(chosen)]))
 
 
+@pytest.mark.slow
 def test_every_contestant_has_a_row_with_a_motion_within_the_limits(
     rows: dict[str, dict[str, Any]],
 ) -> None:

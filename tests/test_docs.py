@@ -117,6 +117,7 @@ class Reader:
         return printed.getvalue()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", followed())
 def test_a_page_does_what_it_says(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -50,6 +50,7 @@ def feeble(planar: Robot, motion: FourierTrajectory) -> Rehearsal:
     return rehearse(planar, weak, weak.period, np.random.default_rng(0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["csv", "json"])
 def test_a_good_motion_passes(
     suffix: str,

@@ -155,6 +155,7 @@ def below_every_trajectory(planar: Robot, limited: Limited, seed: int) -> None:
     assert_certificate_holds(bound, 2000)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_never_above_a_trajectory(planar: Robot, limited: Limited, seed: int) -> None:
     below_every_trajectory(planar, limited, seed)
@@ -166,6 +167,7 @@ def test_never_above_a_trajectory_at_length(planar: Robot, limited: Limited, see
     below_every_trajectory(planar, limited, seed)
 
 
+@pytest.mark.slow
 def test_tighter_limits_never_lower_the_bound(planar: Robot, limited: Limited) -> None:
     bounds = [
         lower_bound(
@@ -186,6 +188,7 @@ def test_tighter_limits_never_lower_the_bound(planar: Robot, limited: Limited) -
     assert bounds[-1].value > 1.2 * bounds[0].value
 
 
+@pytest.mark.slow
 def test_certificate_of_a_six_joint_arm(ur10: Robot, limited: Limited) -> None:
     robot = limited(ur10, position=[-np.pi, np.pi], acceleration=10.0)
     rng = np.random.default_rng(1)
@@ -206,6 +209,7 @@ def test_bound_of_a_six_joint_arm_is_far_above_one(ur10: Robot, limited: Limited
     assert_certificate_holds(bound)
 
 
+@pytest.mark.slow
 def test_test_functions_vanish_on_trajectories(ur10: Robot, limited: Limited) -> None:
     robot = limited(ur10, position=[-np.pi, np.pi], acceleration=10.0)
     bound = lower_bound(robot, time_limit=0.1)

@@ -39,6 +39,7 @@ def cluster() -> Iterator[str]:
         yield started.scheduler_address
 
 
+@pytest.mark.slow
 def test_a_cluster_finds_what_processes_find(planar: Robot, cluster: str) -> None:
     options = {"duration": 5.0, "harmonics": 3, "starts": 4, "seed": 2}
     here = design(planar, jobs=1, **options)  # type: ignore[arg-type]
@@ -83,6 +84,7 @@ def test_what_next_makes_up_for_what_a_recording_lacks(planar: Robot) -> None:
     assert values[0] < 0.99 * values[1]
 
 
+@pytest.mark.slow
 def test_harmonics_are_added_while_they_pay(planar: Robot, limited: Limited) -> None:
     tight = limited(planar, position=[[-0.5, 0.5], [-0.4, 0.4]])
     options = {"duration": 6.0, "columns": "inertial", "starts": 4, "jobs": 1}
@@ -96,6 +98,7 @@ def test_harmonics_are_added_while_they_pay(planar: Robot, limited: Limited) -> 
         assert more.condition_final < 0.9 * few.condition_final
 
 
+@pytest.mark.slow
 def test_the_period_is_chosen_between_two(planar: Robot) -> None:
     options = {"harmonics": 3, "columns": "inertial", "starts": 4, "jobs": 1}
     found = design(planar, duration=(1.0, 10.0), **options)  # type: ignore[arg-type]

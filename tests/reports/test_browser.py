@@ -15,7 +15,10 @@ driver = pytest.importorskip("playwright.sync_api", reason="Playwright is not in
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the PATH")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the PATH"),
+]
 
 WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
 MOST_BYTES = 5_000_000
