@@ -177,6 +177,7 @@ def test_page_names_both_runs_and_all_that_differs(make):
     assert len(lines) >= 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", COMPARED)
 def test_any_value_may_be_null_in_a_comparison(verb, make):
     result, _ = compare(*pair(make[verb]()))

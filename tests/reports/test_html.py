@@ -166,6 +166,7 @@ def _paths(value, path=()):
         yield from _paths(value[0], (*path, 0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["design", "check", "identify", "analyze", "diagnose"])
 def test_any_value_may_be_null(verb, make, monkeypatch):
     monkeypatch.setattr("excitant.reports.drawing._svg", lambda *_: "<svg></svg>")  # slow to write

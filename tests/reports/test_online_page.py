@@ -181,6 +181,7 @@ def test_errors_and_gains_of_the_comparison_are_those_of_the_differentiators(
     assert min(row["error"] for row in found["contestants"]) < early["error"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage",
     [

@@ -17,6 +17,7 @@ def names(folder):
     return sorted(path.name for path in folder.rglob("*") if path.is_file())
 
 
+@pytest.mark.slow
 def test_saved_run_renders_again_to_the_same_page(run, tmp_path):
     paths = save_run(tmp_path / "run", *run)
     result, series = load_run(tmp_path / "run")

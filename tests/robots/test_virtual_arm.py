@@ -171,6 +171,7 @@ def parameters_of(name: str, robot: Robot, j: int) -> tuple[tuple[str, float], .
     }[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["viscous_friction", "coulomb_friction", "stribeck_friction", "torque_offset", "rotor_inertia"],
