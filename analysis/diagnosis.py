@@ -20,7 +20,7 @@ from excitant.analysis.selection import Key, rivals, select
 from excitant.identify.accuracy import Accuracy, Series, series
 from excitant.identify.physical import prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.rows import Data, observation, split, torque_per_reading
+from excitant.identify.rows import Data, split, torque_per_reading
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import plain, standard_effects
 from excitant.robots.html_table import html_table
@@ -100,10 +100,10 @@ def diagnose(
         Infeasible: The semidefinite solver failed.
     """
     data = split(recordings, validate, cutoff_hz)
-    gains = _gains(robot, data)
+    train = observed(robot, data.train)
+    gains = _gains(train, data.unit)
     held = held_out(robot, data.validate, gains)
     prior = prior_parameters(robot)
-    train = observed(robot, data.train)
     evidence = hypotheses(robot, train, tolerance_metric(prior), gains)
     fit, findings = _understood(prior, train, held, evidence)
     if fit.refuted:
@@ -175,14 +175,14 @@ def _fit(
     return Fit(evidence, tuple(causes), extension, extended, extended.torque() / held.gains)
 
 
-def _gains(robot: Robot, data: Data) -> Array:
+def _gains(train: Observed, unit: str) -> Array:
     """Torque per reading, from the links' base parameters and the standard effects."""
-    if data.unit != "A":
+    robot = train.robot
+    if unit != "A":
         return np.ones(robot.nv)
     effects = standard_effects(robot.joints)
-    W = observation(robot, effects, data.train)
     base = base_parameters(robot, effects)
-    return torque_per_reading(robot, base, W, series(data.train), data.unit)
+    return torque_per_reading(robot, base, train.matrix(effects), series(train.segments), unit)
 
 
 def _diagnosis(

@@ -47,7 +47,7 @@ def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
     parts = np.arange(links), np.arange(links, evidence.nuisance)
     factors = [_size(evidence, part) for part in parts]
     if are_placeholders(robot):
-        factors[0] = widened(robot)
+        factors[0] = _UNKNOWN
     precision = np.array(evidence.precision)
     for part, factor in zip(parts, factors, strict=True):
         precision[part] /= factor**2
