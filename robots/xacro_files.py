@@ -132,6 +132,7 @@ def _evaluated_substitution(expression: str, context: dict[str, Any]) -> str:
 
 _ATTRIBUTE = "attribute of"  # no name that an expression could have
 _REFUSED = ("type", "vars")  # functions of xacro's that lead to everything else
+_UNSAFE = "an expression uses {}, which is refused as unsafe"
 
 
 def _compiled(expression: str) -> CodeType:
@@ -140,7 +141,7 @@ def _compiled(expression: str) -> CodeType:
     for node in ast.walk(tree):
         name = node.id if isinstance(node, ast.Name) else ""
         if name.startswith("__") or name in _REFUSED:
-            raise _Unsafe(name)
+            raise ValueError(_UNSAFE.format(name))
     return compile(ast.fix_missing_locations(_Attributes().visit(tree)), "<expression>", "eval")
 
 
@@ -157,15 +158,8 @@ def _attribute(value: Any, name: str) -> Any:
     """An attribute of plain data or of one of xacro's name spaces; no other object has any."""
     plain = isinstance(value, (str, int, float, list, tuple, dict))
     if not plain or name.startswith("_") or name in ("format", "format_map", *_REFUSED):
-        raise _Unsafe(f"{type(value).__name__}.{name}")
+        raise ValueError(_UNSAFE.format(f"{type(value).__name__}.{name}"))
     return getattr(value, name)
-
-
-class _Unsafe(xacro.XacroException):
-    """An expression that asks for more than values."""
-
-    def __init__(self, what: str) -> None:
-        super().__init__(f"an expression uses {what}, which is refused as unsafe")
 
 
 def package_folder(name: str, path: Path, packages: Sequence[str | Path]) -> Path:
