@@ -109,4 +109,3 @@ class Shapes:
             replace(fit, covariance=fit.covariance + moved @ moved.T),
             replace(physical, covariance=physical.covariance + self.spread @ self.spread.T),
         )
-

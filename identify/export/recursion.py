@@ -193,7 +193,9 @@ def _own(arm: Tree, i: int) -> Expression:
         if body.joint in effect.joints:
             row = effect.joints.index(body.joint)
             values = np.reshape(effect.values or (), (len(effect.joints), -1))[row]
-            for value, term in zip(values, _terms(effect.name, effect.law, q, dq, ddq), strict=True):
+            for value, term in zip(
+                values, _terms(effect.name, effect.law, q, dq, ddq), strict=True
+            ):
                 total = total + lifted(term) * float(value)
     return total
 

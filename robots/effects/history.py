@@ -16,6 +16,7 @@ from excitant.robots.robot import Robot
 _SHORT = 0.1  # of a joint's range: friction that builds up over more is a spring
 _REACH = 8.0  # break-away distances from a reversal that show hysteresis
 
+
 @dataclass(frozen=True)
 class PreslidingHysteresis(JointwiseEffect):
     """τ = F_h (z − sign q̇): dry friction that builds up over a distance instead of at once.

@@ -38,6 +38,7 @@ _MOST_ORDERS = 600
 _SLOWEST = 1e-3  # rad/s
 _BESIDE = (-1.0, 1.0)  # steps
 
+
 @dataclass(frozen=True)
 class TorqueRipple(JointEffect):
     """τ = a cos(N q) + b sin(N q): cogging, tooth mesh, eccentricity.
@@ -119,7 +120,8 @@ def _orders(facts: JointFacts) -> Array:
     step = _step(facts)
     first = max(1.0, 6 * step) if np.ptp(facts.q) < 1.5 * np.pi else 1.0
     last = 2 * np.pi * facts.cutoff_hz / max(float(np.median(np.abs(facts.dq))), _SLOWEST)
-    return first + step * np.arange(min(_MOST_ORDERS, max(0, int((last - first) / step) + 1)))
+    count = min(_MOST_ORDERS, max(0, int((last - first) / step) + 1))
+    return np.asarray(first + step * np.arange(count), float)
 
 
 def _gains(orders: Array, q: Array, e: Array) -> Array:
@@ -166,7 +168,9 @@ class Spring(JointEffect):
     @property
     def own_terms(self) -> tuple[Term, ...]:
         """Stiffness and moment at zero, or amplitudes of cosine and sine."""
-        return tuple(Term(f"spring_{s}", "N·m") for s in ("cos", "sin")) if self.lever else self.terms
+        return (
+            tuple(Term(f"spring_{s}", "N·m") for s in ("cos", "sin")) if self.lever else self.terms
+        )
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Angle and one, or cosine and sine of the angle."""
