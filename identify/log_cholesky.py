@@ -276,6 +276,4 @@ def _prior_rows(prior: Array, sigma: float | Array, distance: str) -> Array:
     if distance == "pullback":
         T = link_coordinates(prior)
         return np.asarray(link_weights(links, sigma)[:, None] * np.linalg.inv(T), float)
-    raise BadInput(
-        f"log-Cholesky fit: distance '{distance}' is no sum of squares; use pullback"
-    )
+    raise BadInput(f"log-Cholesky fit: distance '{distance}' is no sum of squares; use pullback")

@@ -149,6 +149,12 @@ class Program:
     restrictions: tuple[Restriction, ...]
     entropy: Array
 
+    def triangle(self) -> tuple[Array, Array]:
+        """F and t with ‖F y − t‖² the sum of squares, F upper triangular."""
+        rows, targets = np.vstack([self.A, self.C]), np.concatenate([self.z, self.d])
+        both = np.asarray(np.linalg.qr(np.column_stack([rows, targets]), mode="r"), float)
+        return both[:, :-1], both[:, -1]
+
     def value(self, y: Array) -> float:
         """The objective; infinite where a matrix with a log-determinant is not positive."""
         total = float(np.sum((self.A @ y - self.z) ** 2) + np.sum((self.C @ y - self.d) ** 2))
@@ -270,11 +276,10 @@ def _conic(program: Program, centre: Array) -> Array:
 
     near, p, links = program.local(centre), len(centre), len(program.entropy)
     U = np.linalg.qr(np.vstack([near.A, near.C]), mode="r")
-    rows, targets = np.vstack([program.A, program.C]), np.concatenate([program.z, program.d])
-    factor = np.linalg.qr(np.column_stack([rows, targets]), mode="r")
+    factor, target = program.triangle()
     step = scipy.linalg.solve_triangular(U, np.eye(p))
     v = cp.Variable(p)
-    misfit = (factor[:, :-1] @ step) @ v + (factor[:, :-1] @ centre - factor[:, -1])
+    misfit = (factor @ step) @ v + (factor @ centre - target)
     objective = cp.sum_squares(misfit)
     for w, body in zip(program.entropy, definite(links, 0.0, p), strict=True):
         Q = cp.reshape((body.G @ step) @ v + body.slack(centre), (4, 4), order="C")
@@ -296,9 +301,8 @@ def _quadratic(program: Program, centre: Array) -> Solution:
     data makes ill-conditioned. Where the solver does not reach its tolerance, other scalings are
     tried, and the solution nearest to the optimum is taken if it passes a check of its own.
     """
-    rows, targets = np.vstack([program.A, program.C]), np.concatenate([program.z, program.d])
-    factor = np.linalg.qr(np.column_stack([rows, targets]), mode="r")[: len(centre)]
-    U, free = factor[:, :-1], scipy.linalg.solve_triangular(factor[:, :-1], factor[:, -1])
+    U, target = (x[: len(centre)] for x in program.triangle())
+    free = scipy.linalg.solve_triangular(U, target)
     if all(r.violation(free) <= 0 for r in program.restrictions):
         return Solution(free, tuple(np.zeros_like(r.h) for r in program.restrictions))
     size = max(1.0, float(np.linalg.norm(U @ (centre - free))))
