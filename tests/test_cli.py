@@ -268,6 +268,25 @@ def test_a_folder_that_cannot_be_written_is_refused(
     assert "taken" in refused(["analyze", "planar_2r", "-o", "taken"], here, capsys)
 
 
+@pytest.mark.parametrize("form", ["", " --json"])
+@pytest.mark.parametrize(
+    ("limits", "culprit"),
+    [
+        ("velocity: [0.01, 9]", r"velocity of joint1 comes to -?\d.* beyond its limit of -?0\.01$"),
+        ("position: [[-9, 9], [0, 0.02]]", r"position of joint2 comes to .* limit of (0|0\.02)$"),
+        ("torque: [900, 0.05]", r"torque of joint2 comes to .* limit of -?0\.05$"),
+    ],
+)
+def test_a_motion_beyond_its_limits_exits_with_one(
+    limits: str, culprit: str, form: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "tight.yaml").write_text(limits)
+    words = f"check planar_2r trajectory.csv --limits tight.yaml -o out{form}".split()
+    assert main(words) == 1
+    assert re.search(culprit, capsys.readouterr().err)
+    assert json.loads((here / "out/result.json").read_text())["holds"] is False
+
+
 WRONG = (
     "",
     "frobnicate",

@@ -19,7 +19,7 @@ from excitant.design import (
 from excitant.design import check as check_limits
 from excitant.design import clearance as motion_clearance
 from excitant.design.result import certified
-from excitant.exceptions import BadInput
+from excitant.exceptions import BadInput, OutsideLimits
 from excitant.output import finish, print_json, run_directory, table_bytes, write_atomically
 from excitant.progress import progress_bar
 from excitant.robot_arguments import robot_of
@@ -46,7 +46,11 @@ def surroundings_of(args: argparse.Namespace, robot: Robot) -> tuple[Scene | Non
 
 
 def check(args: argparse.Namespace) -> None:
-    """Check anybody's trajectory against the limits of a robot."""
+    """Check anybody's trajectory against the limits of a robot.
+
+    Raises:
+        OutsideLimits: A limit is exceeded, or bodies come too close; after the run is saved.
+    """
     robot = robot_within_limits(args)
     trajectory = load_trajectory(args.trajectory, robot)
     surroundings, least = surroundings_of(args, robot)
@@ -94,6 +98,9 @@ def check(args: argparse.Namespace) -> None:
         "tau": torque(robot, motion),
     }
     finish(args, run_directory(args, "check", robot), result, series, {})
+    report.worst.require()
+    if near is not None and near.distance < least:
+        raise OutsideLimits(" and ".join(near.bodies), "distance", near.distance, least, near.time)
 
 
 def simulate(args: argparse.Namespace) -> None:
