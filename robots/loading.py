@@ -14,7 +14,6 @@ import numpy as np
 import yaml
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
-from excitant.robots.mjcf import Description, description_from_mjcf
 from excitant.robots.dh_entries import chain_from_entries
 from excitant.robots.dh_urdf import robot_from_dh, with_limits_in_urdf
 from excitant.robots.effects import (
@@ -26,6 +25,7 @@ from excitant.robots.effects import (
     effects_from_entries,
 )
 from excitant.robots.limits_file import LIMIT_NAMES, merge_limits
+from excitant.robots.mjcf import Description, description_from_mjcf
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.robot_spec import RobotSpec, spec_of_entries

@@ -102,8 +102,8 @@ def _leave_out_drawing(spec: Any, path: str | Path) -> None:
 
 
 def _mesh_path(spec: Any, mesh: Any, path: str | Path) -> Path:
-    file = Path(mesh.file).name if spec.strippath else mesh.file
-    return Path(path).parent / spec.compiler.meshdir / file
+    file = Path(str(mesh.file)).name if spec.strippath else str(mesh.file)
+    return Path(path).parent / str(spec.compiler.meshdir) / file
 
 
 def _pose(position: Array, quaternion: Array) -> pin.SE3:
@@ -135,7 +135,8 @@ class _Writer:
 
     def write(self) -> None:
         """Write all bodies, the world first; parents come before what they carry."""
-        model, frames = self.model, {}  # of each body in its link
+        model = self.model
+        frames: dict[int, pin.SE3] = {}  # of each body in its link
         for b, name in enumerate(self.bodies):
             if model.body_gravcomp[b]:
                 self.notes.append(f"body {name}: gravcomp is left out, as a controller's doing")
@@ -173,7 +174,7 @@ class _Writer:
             else:
                 at, axis = pin.SE3(np.eye(3), model.jnt_pos[j].copy()), model.jnt_axis[j]
                 back = -float(model.qpos0[model.jnt_qposadr[j]]) * axis
-                turned = pin.SE3(pin.exp3(back) if kind == hinge else np.eye(3), 
+                turned = pin.SE3(pin.exp3(back) if kind == hinge else np.eye(3),
                                  np.zeros(3) if kind == hinge else back)  # fmt: skip
                 word = "prismatic" if kind == slide else (
                     "revolute" if model.jnt_limited[j] else "continuous")  # fmt: skip
@@ -217,8 +218,8 @@ class _Writer:
                 self.notes.append(f"joint {name}: {key} beyond its first number is left out")
         if name in self.followers:
             master, offset, slope = self.followers[name]
-            numbers = {"multiplier": repr(slope), "offset": repr(offset)}
-            ET.SubElement(element, "mimic", joint=master, **numbers)
+            numbers = {"joint": master, "multiplier": repr(slope), "offset": repr(offset)}
+            ET.SubElement(element, "mimic", numbers)
 
     def _actuation(self, j: int) -> tuple[float, float, float]:
         """Torque limit for both directions (0 for none), rotor inertia and damping of drives."""
