@@ -16,8 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from excitant.robots.base_parameters import BaseParameters, expression
-from excitant.robots.dh import Convention
-from excitant.robots.dh_urdf import dh_from_robot
+from excitant.robots.dh import Convention, dh_from_robot
 from excitant.robots.robot import Robot
 
 _SAME = 1e-9  # relative; smaller parts of the longest length are none

@@ -24,8 +24,7 @@ from itertools import accumulate
 import numpy as np
 
 from excitant.exceptions import BadInput
-from excitant.robots.dh import DHChain, inverse, moved_parameters
-from excitant.robots.dh_urdf import dh_from_robot
+from excitant.robots.dh import DHChain, dh_from_robot, inverse, moved_parameters
 from excitant.robots.motion import Array, freeze
 from excitant.robots.parameters import STANDARD
 from excitant.robots.robot import Robot

@@ -11,7 +11,7 @@ from excitant.identify.export.bodies import folded, tree, written
 from excitant.identify.export.notes import as_comment, not_held
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
-from excitant.robots.urdf_writing import urdf_with_parameters
+from excitant.robots.urdf import urdf_with_parameters
 
 _OF_MOVING_JOINTS = ("axis", "limit", "dynamics", "mimic", "calibration", "safety_controller")
 

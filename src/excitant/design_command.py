@@ -34,7 +34,7 @@ from excitant.output import finish, run_directory
 from excitant.progress import progress_bar
 from excitant.robots import Array, Motion, Robot
 from excitant.robots.geometry import Scene
-from excitant.robots.limits_file import require_limits
+from excitant.robots.limits import require_limits
 
 _BOUND_TIME = 60.0  # s: much less leaves the bound near 1
 

@@ -24,8 +24,7 @@ from excitant.output import finish, print_json, run_directory, table_bytes, writ
 from excitant.progress import progress_bar
 from excitant.robot_arguments import robot_of
 from excitant.robots import Motion, Robot, torque
-from excitant.robots.geometry import Scene, scene
-from excitant.robots.obstacles import load_obstacles
+from excitant.robots.geometry import Scene, load_obstacles, scene
 from excitant.robots.virtual_arm import virtual_arm
 
 DENSE_HZ = 100.0

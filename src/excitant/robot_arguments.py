@@ -12,7 +12,7 @@ from excitant.exceptions import BadInput
 if TYPE_CHECKING:
     from excitant.identify import Dataset
     from excitant.robots import Robot
-    from excitant.robots.robot_spec import RobotSpec
+    from excitant.robots.loading import RobotSpec
 
 _OPTIONS = ("joints", "base", "tip", "lock", "xacro_arg", "package")
 
@@ -44,7 +44,7 @@ def spec(args: argparse.Namespace, path: str | None = None) -> RobotSpec:
         args: The arguments.
         path: What was given as the robot; ``args.robot`` when None.
     """
-    from excitant.robots.robot_spec import RobotSpec
+    from excitant.robots.loading import RobotSpec
 
     given = {name: getattr(args, name, None) for name in _OPTIONS}
     path = args.robot if path is None else path
