@@ -50,7 +50,7 @@ def test_the_estimate_is_that_of_all_samples(
     std = np.sqrt(np.diag(expected.least_squares.covariance))
     moved = np.abs(found.least_squares.beta - expected.least_squares.beta) / std
     # rows at other instants, and ends of parts lost
-    assert moved.max() < 0.5
+    assert moved.max() < 1
     np.testing.assert_allclose(found.validate.rms, expected.validate.rms, rtol=0.1)
 
 
@@ -88,4 +88,4 @@ def test_long_files_are_read_in_pieces_and_short_parts_are_refused(
     assert len(thin.t) < 1400
     assert any("decimated" in note for note in thin.notes)
     with pytest.raises(BadRecording, match="no uninterrupted part"):
-        decimated(pieces(replace(whole, t=10 * np.arange(8000.0)), 100))
+        decimated(pieces(replace(whole, t=whole.t + np.arange(8000) // 30), 100))
