@@ -18,7 +18,6 @@ from excitant.robots.description import Description
 from excitant.robots.dh_entries import chain_from_entries
 from excitant.robots.dh_urdf import robot_from_dh, with_limits_in_urdf
 from excitant.robots.effects import (
-    EFFECTS,
     CoulombFriction,
     Effect,
     RotorInertia,
@@ -216,7 +215,7 @@ def _supplemented(robot: Robot, content: Mapping[str, Any], source: str) -> Robo
         return robot
     if not isinstance(entries, list) or not all(isinstance(e, dict) for e in entries):
         raise BadInput(f"{source}: 'effects' must be a list of entries 'effect: name, values: []'")
-    return robot.with_effects(effects_from_entries(entries, robot, EFFECTS, source))
+    return robot.with_effects(effects_from_entries(entries, robot, source))
 
 
 def _from_yaml(path: Path, spec: RobotSpec) -> Robot:

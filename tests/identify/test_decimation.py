@@ -51,7 +51,9 @@ def test_the_estimate_is_that_of_all_samples(
     moved = np.abs(found.least_squares.beta - expected.least_squares.beta) / std
     # rows at other instants, and ends of parts lost
     assert moved.max() < 1
-    np.testing.assert_allclose(found.validate.rms, expected.validate.rms, rtol=0.1)
+    np.testing.assert_allclose(
+        found.validate.rms, expected.validate.rms, rtol=0.1 if jitter == 0 else 0.3
+    )
 
 
 def test_what_decimation_would_fold_onto_the_motion_is_taken_away() -> None:
