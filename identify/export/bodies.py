@@ -13,6 +13,7 @@ from excitant.robots.effects import EFFECTS, Effect
 from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
 
+
 @dataclass(frozen=True, eq=False)
 class Frame:
     """A frame fixed to a body, such as the tool: its name and pose in the body's frame (4, 4)."""
