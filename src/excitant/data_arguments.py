@@ -41,8 +41,7 @@ def identify(verbs: Verbs[Parser]) -> None:
                       help="YAML with what is known of the bodies: masses, their sum, where "
                       "centres of mass lie; and the kind of prior")  # fmt: skip
     verb.add_argument("--formats", metavar="NAME,...",
-                      help="files of the model beside URDF and model.yaml: mjcf, sdf, python, c "
-                      "(default: mjcf,sdf)")  # fmt: skip
+                      help="files beside URDF and model.yaml (default: mjcf,sdf)")  # fmt: skip
     verb.add_argument("--force", action="store_true",
                       help="publish the model even if the given one predicts the hold-out "
                       "better")  # fmt: skip

@@ -34,7 +34,7 @@ from excitant.identify import (
 from excitant.identify import identify as identify_robot
 from excitant.identify.estimator_choice import AUTO
 from excitant.identify.estimators import estimator_named
-from excitant.identify.export import DEFAULT_FORMATS, FORMATS
+from excitant.identify.export import FORMATS
 from excitant.identify.faults import read_checked
 from excitant.identify.rows import fitted
 from excitant.output import finish, run_directory, show_import
@@ -196,7 +196,7 @@ def _highest_harmonic(path: str, robot: Robot) -> float:
 
 def _formats(names: str | None) -> Sequence[str]:
     if names is None:
-        return DEFAULT_FORMATS
+        return FORMATS
     formats = [word.strip() for word in names.split(",")]
     for name in formats:
         if name not in FORMATS:
