@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.exceptions import BadInput
+from excitant.robots.effects import plain
 from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
 
@@ -95,15 +96,18 @@ class Tree:
         """
         left_out, own = [], []
         for effect in self.robot.effects:
-            if file_format not in effect.formats:
-                left_out.append(f"not in this file: {effect.name} of {self._listed(effect.joints)}")
-                continue
-            lowest = [p.lower for p in effect.parameters(self.robot)]
-            below = [value < low for value, low in zip(effect.values or (), lowest, strict=True)]
-            joints = [joint for joint, under in zip(effect.joints, below, strict=True) if under]
-            if joints:
-                left_out.append(f"not in this file: negative {effect.name} of {', '.join(joints)}")
-            elif any(effect.values or ()) and file_format in effect.format_notes:
+            values, joints, below = effect.values or (), list(effect.joints), list[str]()
+            if effect.joint_property:
+                lowest = [p.lower for p in effect.parameters(self.robot)]
+                rows = list(zip(joints, values, lowest, strict=True))
+                joints = [joint for joint, value, _ in rows if value]
+                below = [joint for joint, value, low in rows if value < low]
+            if joints and file_format not in effect.formats:
+                left_out.append(f"not in this file: {plain(effect.name)} of {self._listed(joints)}")
+            elif joints and below:
+                name = f"negative {plain(effect.name)}"
+                left_out.append(f"not in this file: {name} of {', '.join(below)}")
+            elif joints and file_format in effect.format_notes:
                 own.append(effect.format_notes[file_format])
         if file_format == "sdf" and not np.allclose(self.robot.gravity, _COMMON_GRAVITY):
             own.append("gravity is that of the world, which Drake wants to be told in code")

@@ -396,13 +396,13 @@ def test_files_name_what_they_cannot_hold(model: Robot, folder: Path) -> None:
         for suffix in ("urdf", "xml", "sdf")
     )
     for text in (urdf, mjcf, sdf):
-        assert "not in this file: stribeck_friction" in text
+        assert "not in this file: Stribeck friction" in text
         assert "model.yaml holds everything" in text
     for text in (urdf, sdf):
-        assert "not in this file: torque_offset" in text
-    assert "not in this file: rotor_inertia" in urdf
-    assert "not in this file: rotor_inertia" not in mjcf + sdf
-    assert "not in this file: viscous_friction" not in urdf + mjcf + sdf
+        assert "not in this file: torque offset" in text
+    assert "not in this file: rotor inertia" in urdf
+    assert "not in this file: rotor inertia" not in mjcf + sdf
+    assert "not in this file: viscous friction" not in urdf + mjcf + sdf
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -607,7 +607,7 @@ def test_negative_friction_is_left_out_and_said_so(planar: Robot) -> None:
     )
     files = model_files(arm, "arm", "arm.yaml")
     for name in ("arm.xml", "arm.sdf"):
-        assert f"not in this file: negative coulomb_friction of {planar.joints[0]}" in files[name]
+        assert f"not in this file: negative Coulomb friction of {planar.joints[0]}" in files[name]
     loaded = mujoco.MjModel.from_xml_string(files["arm.xml"])
     np.testing.assert_array_equal(loaded.dof_frictionloss, [0.0, 0.5])
     np.testing.assert_array_equal(loaded.dof_armature, [0.0, 0.1])
