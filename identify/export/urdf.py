@@ -41,8 +41,9 @@ def _fix(joint: ET.Element, model: pin.Model) -> None:
     for tag in (*_OF_MOVING_JOINTS, "origin"):
         for element in joint.findall(tag):
             joint.remove(element)
+    links = {element.tag: element.get("link") for element in joint}
     parent, child = (
-        model.frames[model.getFrameId(joint.find(end).get("link"), pin.FrameType.BODY)].placement
+        model.frames[model.getFrameId(links[end], pin.FrameType.BODY)].placement
         for end in ("parent", "child")
     )
     T = parent.actInv(child)
