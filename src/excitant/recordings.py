@@ -104,7 +104,7 @@ def identify(
     )
     from excitant.identify.estimator_choice import AUTO as CONTEST
     from excitant.identify.estimators import estimator_named
-    from excitant.identify.export import DEFAULT_FORMATS, FORMATS
+    from excitant.identify.export import FORMATS
     from excitant.identify.faults import read_checked
     from excitant.identify.rows import fitted
 
@@ -179,7 +179,7 @@ def identify(
 
         result |= drive_result(drive)
         notes.append(drive.sentence(arm.joints))
-    published = publication(estimate, formats=formats or DEFAULT_FORMATS, force=force)
+    published = publication(estimate, formats=formats or FORMATS, force=force)
     result["published"] = published.published
     result["notes"] += notes + ([published.note] if published.note else [])
     folder = run.folder("identify", estimate.given.name)
