@@ -11,7 +11,6 @@ import numpy as np
 from excitant.analysis.diagnosis import diagnose
 from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series
 from excitant.analysis.identifiability import analyze
-from excitant.analysis.identifiability_result import analyze_result, analyze_series
 from excitant.design import (
     design,
     design_result,
@@ -27,7 +26,7 @@ from excitant.identify import (
     model_files,
     recording_from_table,
 )
-from excitant.output import table_bytes
+from excitant.motions import table_bytes
 from excitant.progress import Advance
 from excitant.robots import Array, Robot
 from excitant.robots.virtual_arm import HiddenEffect, virtual_arm
@@ -88,7 +87,7 @@ def run_demo(robot: Robot, seed: int, advance: Advance) -> Demo:
     verbs = {
         "design": (design_result(found), design_series(found)),
         "identify": (identify_result(estimate), identify_series(estimate)),
-        "analyze": (analyze_result(known), analyze_series(known)),
+        "analyze": (known.result(), known.series()),
         "diagnose": (diagnose_result(diagnosis), diagnose_series(diagnosis)),
     }
     advance(0.95, "writing the report")
