@@ -13,7 +13,6 @@ from excitant.identify.differentiators import (
 from excitant.identify.estimate import Estimate, identify
 from excitant.identify.excitation import Persistency, persistency
 from excitant.identify.export import Publication, model_files, publication
-from excitant.identify.importers.chunks import read_chunks
 from excitant.identify.importers.mapping import ColumnMap, load_column_map
 from excitant.identify.importers.raw import RawRecording, raw_recording
 from excitant.identify.knowledge import Knowledge, load_knowledge
@@ -30,6 +29,7 @@ from excitant.identify.payload_run import identify_payload
 from excitant.identify.periods import Periods, periods_of
 from excitant.identify.recording import (
     Recording,
+    read_chunks,
     read_recording,
     read_recordings,
     recording_from_raw,

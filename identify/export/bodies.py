@@ -152,8 +152,10 @@ def _axes(robot: Robot) -> Array:
     """Direction of every joint in its own frame, shape (nv, 3)."""
     model, data = robot.model, robot.model.createData()
     pin.computeJointJacobians(model, data, np.zeros(robot.nv))
-    J = [pin.getJointJacobian(model, data, j + 1, pin.LOCAL)[:, j] for j in range(robot.nv)]
-    return np.where(robot.revolute[:, None], np.array(J)[:, 3:], np.array(J)[:, :3])
+    # Pinocchio gives the Jacobian of a single joint as a vector
+    full = [pin.getJointJacobian(model, data, j + 1, pin.LOCAL) for j in range(robot.nv)]
+    J = np.array([np.reshape(each, (6, -1))[:, j] for j, each in enumerate(full)])
+    return np.where(robot.revolute[:, None], J[:, 3:], J[:, :3])
 
 
 def _frames(robot: Robot, joint: int) -> tuple[Frame, ...]:

@@ -12,7 +12,7 @@ from excitant.identify.preprocessing import Segment
 from excitant.identify.streaming.filtering import Response
 from excitant.identify.streaming.windows import Window
 from excitant.robots.base_parameters import BaseParameters
-from excitant.robots.effects import AddedInertia, Effect, JointEffect
+from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
@@ -60,7 +60,7 @@ def layout(robot: Robot, effects: Sequence[Effect], base: BaseParameters) -> Lay
     source = list(range(10 * robot.nv))
     for effect in effects:
         count = len(effect.parameters(robot))
-        if isinstance(effect, AddedInertia):
+        if effect.link(robot) is not None:
             start = 10 * robot.nv + sum(len(e.parameters(robot)) for e in smooth)
             smooth.append(effect)
             source += range(start, start + count)
@@ -195,14 +195,13 @@ def _jumping_columns(layout: Layout, motion: Motion) -> Array:
 
 def _channels(robot: Robot, effect: Effect, motion: Motion) -> Iterator[tuple[int, int, Array]]:
     """An effect's columns that may differ from zero: joint, number of the column, values (n,)."""
-    if not isinstance(effect, JointEffect):
+    if effect.law is None:
         columns = effect.columns(robot, motion)
         for j, k in np.ndindex(columns.shape[1:]):
             yield j, k, columns[:, j, k]
         return
     column = 0
-    for joint in effect.joints:
-        j = robot.joint_index(joint)
-        for values in effect.shape(motion.q[:, j], motion.dq[:, j], motion.ddq[:, j]):
+    for j in effect.rows(robot):
+        for values in effect.law(motion.q[:, j], motion.dq[:, j], motion.ddq[:, j]):
             yield j, column, values
             column += 1

@@ -15,14 +15,15 @@ import numpy as np
 from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.faults.fault import Fault
 from excitant.identify.faults.reading import refuse_unordered
-from excitant.identify.importers.chunks import piece_of, read_chunks, read_raw_chunks, read_times
-from excitant.identify.importers.raw import RawRecording
+from excitant.identify.importers.raw import RawRecording, read_raw_chunks
 from excitant.identify.recording import (
     MINIMUM_DURATION,
     Recording,
     check_alive,
     check_finite,
     check_time,
+    read_chunks,
+    unchecked,
 )
 from excitant.identify.rows import FIT_SHARE
 from excitant.identify.streaming.checks import Checks, moving_joints
@@ -104,7 +105,7 @@ def streamed_log(
         return read_chunks(files, robot, at_once, **given)
 
     head = next(read(_AT_ONCE))
-    seen = survey(read_times(files, robot, **given))
+    seen = survey(raw.t for raw in read_raw_chunks(files, robot, **given))
     spans = _spans(seen, head, held=held, split=split)
     lively = head if held else _lively(read(_AT_ONCE), spans[0].high)
     checks = None if held else Checks(robot, excerpt=lively, compared=compared)
@@ -154,7 +155,7 @@ def mended_log(
     def raws(at_once: int = _AT_ONCE) -> Iterator[RawRecording]:
         return read_raw_chunks(files, robot, at_once, **given)
 
-    t = np.concatenate([np.zeros(0), *read_times(files, robot, **given)])
+    t = np.concatenate([np.zeros(0), *(raw.t for raw in read_raw_chunks(files, robot, **given))])
     first = next(raws(1), None)
     if first is None:
         raise BadRecording(_name(files), "holds no rows; record anew", column="t")
@@ -189,7 +190,7 @@ def _checked(pieces: Iterable[RawRecording]) -> Iterator[Recording]:
         check_finite(piece)
         check_time(piece, before=before)
         before = float(piece.t[-1])
-        yield piece_of(piece)
+        yield unchecked(piece)
 
 
 def _spans(seen: Survey, head: Recording, *, held: bool, split: bool) -> tuple[Span, ...]:
