@@ -15,7 +15,7 @@ from excitant.design.feasible import random_trajectory
 from excitant.design.optimal import CLEARANCE, build_design, design
 from excitant.design.result import Design
 from excitant.design.sequence import LinkByLinkDesign, design_link_by_link
-from excitant.design.timing import approach, return_path
+from excitant.design.timing import approach
 from excitant.design.trajectory import (
     FourierTrajectory,
     HermiteTrajectory,
@@ -50,7 +50,6 @@ __all__ = [
     "lower_bound",
     "motion_csv",
     "random_trajectory",
-    "return_path",
     "trajectory_csv",
     "trajectory_json",
     "write_formats",

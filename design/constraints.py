@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -86,12 +87,10 @@ class LimitUse:
             when it occurs, ``t`` [s]; None where the joint has no limit.
         """
         names = ("low", "high", "ratio", "t")
-        columns = (self.low, self.high, self.ratios, self.times)
-        rows = zip(*(column.tolist() for column in columns), strict=True)
-        limited = np.isfinite(self.limits).all(axis=1)
+        table = np.stack([self.low, self.high, self.ratios, self.times], axis=1).tolist()
         return [
-            dict(zip(names, row, strict=True)) if l else None
-            for l, row in zip(limited, rows, strict=True)
+            dict(zip(names, row, strict=True)) if np.isfinite(limits).all() else None
+            for row, limits in zip(table, self.limits, strict=True)
         ]
 
 
@@ -180,12 +179,12 @@ def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
         t = (motion.t[:-1, None] + share * np.diff(motion.t)[:, None]).ravel()
         t = np.append(t, motion.t[-1])
         stops = _reversals(path, t)
-        found = [
-            _extrema(lambda s, k=k: path(s, k), lambda s, k=k: path(s, k + 1), t) for k in orders
-        ]
+        found = [_extrema(partial(path, order=k), partial(path, order=k + 1), t) for k in orders]
     limits = zip(KINEMATIC, found, *kinematic_limits(robot.limits), strict=False)
     uses = [_use(robot, *quantity) for quantity in limits]
-    return LimitReport(*uses[:3], _torque_use(robot, path, t, stops), *uses[3:])
+    position, velocity, acceleration, *jerk = uses
+    tau = _torque_use(robot, path, t, stops)
+    return LimitReport(position, velocity, acceleration, tau, *jerk)
 
 
 def within_limits(robot: Robot, trajectory: Trajectory) -> Trajectory | None:

@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from excitant.design.clearance import SCALE, pose_use
 from excitant.design.criterion import speed_scale
-from excitant.design.problem import DesignProblem, motion_of
+from excitant.design.problem import DesignProblem
 from excitant.robots import Array, Motion, Robot, torque
 from excitant.robots.effects import Effect, JointEffect
 from excitant.robots.torque import largest_torque, link_torques

@@ -19,6 +19,7 @@ from excitant.design.trajectory import SplineTrajectory, Trajectory
 from excitant.robots import Array, BaseParameters, Motion, Robot, torque
 from excitant.robots.effects import standard_effects
 from excitant.robots.geometry import Scene
+from excitant.robots.motion import read_only
 from excitant.robots.parameters import UNITS
 from excitant.robots.torque import effect_values
 
@@ -99,6 +100,16 @@ class Design:
     def after(self) -> Array:
         """M of the trajectory, shape (r, r)."""
         return self.information.matrix(dense_motion(self.trajectory))
+
+    @property
+    def eigenvalues_initial(self) -> Array:
+        """Eigenvalues of M before, ascending, shape (r,)."""
+        return read_only(np.linalg.eigvalsh(self.before))
+
+    @property
+    def eigenvalues_final(self) -> Array:
+        """Eigenvalues of M after."""
+        return read_only(np.linalg.eigvalsh(self.after))
 
     @property
     def condition_initial(self) -> float:
@@ -200,15 +211,16 @@ class Design:
         """
         robot, motion = self.robot, dense_motion(self.trajectory)
         tool, others, arm = _skeleton(robot, motion.q)
-        poses = _telling_poses(tool, motion.t, self.clearance and self.clearance.time)
-        series = {
+        near = None if self.clearance is None else self.clearance.time
+        poses = _telling_poses(tool, motion.t, near)
+        series: dict[str, Array] = {
             "t": motion.t,
             "q": motion.q,
             "dq": motion.dq,
             "ddq": motion.ddq,
             "tau": torque(robot, motion),
-            "eigenvalues_initial": np.linalg.eigvalsh(self.before),
-            "eigenvalues_final": np.linalg.eigvalsh(self.after),
+            "eigenvalues_initial": self.eigenvalues_initial,
+            "eigenvalues_final": self.eigenvalues_final,
             "tool": tool,
             "arm": arm[poses],
             "arm_t": motion.t[poses],

@@ -104,7 +104,7 @@ class LinkByLinkDesign:
     wall_s: float
 
     def result(self) -> dict[str, Any]:
-        """The content of ``result.json``: the worst of all motions at the top, each in ``stages``."""
+        """The content of ``result.json``: the worst of all at the top, each in ``stages``."""
         single = [motion.design.result() for motion in self.motions]
         starts = np.cumsum([0.0, *(one["duration"] for one in single)]).tolist()
         worst = int(np.argmax([motion.design.condition_final for motion in self.motions]))

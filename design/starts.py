@@ -247,7 +247,7 @@ def _grow(problem: DesignProblem, effort: Effort, top_hz: float) -> tuple[Design
 
 
 def _best_period(problem: DesignProblem, effort: Effort, shortest: float) -> DesignProblem:
-    """The problem with the period, among some from the shortest [s], that a few starts like best."""
+    """The problem with the period, among some from the shortest [s], that few starts like best."""
     began, tried = time.time(), []
     span = _COMPARING * (effort.deadline - began) / _PERIODS
     for k, period in enumerate(np.geomspace(shortest, problem.period, _PERIODS)):

@@ -76,7 +76,7 @@ def approach(
         pose = _pose(robot, values, f"{name}: {which}")
         _require_holdable(robot, pose, scene, clearance, (name, which))
         ends.append(pose)
-    if np.array_equal(*ends):
+    if np.array_equal(ends[0], ends[1]):
         return _still(ends[0], np.array([0.0, 1.0 / rate_hz]))
     rng = np.random.default_rng(0) if rng is None else rng
     path = free_path(robot, ends[0], ends[1], scene, clearance, rng)

@@ -1,4 +1,4 @@
-"""Excitation trajectories as Fourier series or B-splines, exact in every derivative and extremum."""
+"""Excitation trajectories, Fourier series or B-splines, with exact derivatives and extrema."""
 
 from __future__ import annotations
 
@@ -233,7 +233,8 @@ class FourierSeries(Series):
     @property
     def one(self) -> Array:
         """Coefficients of the constant 1, shape (1 + 2 H,)."""
-        return np.eye(self.size)[0]
+        one: Array = np.eye(self.size)[0]
+        return one
 
     def peaks(self, order: int) -> Array:
         """Largest magnitude of each basis function's derivative, shape (1 + 2 H,)."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 
 import shtab
 
-from excitant.design.formats import FORMATS as MOTION_FORMATS
+from excitant.design.export import FORMATS as MOTION_FORMATS
 from excitant.identify.estimator_choice import AUTO
 from excitant.identify.estimators import ESTIMATORS
 from excitant.identify.export import FORMATS as MODEL_FORMATS

@@ -14,8 +14,6 @@ from excitant.analysis.identifiability import analyze
 from excitant.analysis.identifiability_result import analyze_result, analyze_series
 from excitant.design import (
     design,
-    design_result,
-    design_series,
     random_trajectory,
     trajectory_csv,
     trajectory_json,
@@ -86,7 +84,7 @@ def run_demo(robot: Robot, seed: int, advance: Advance) -> Demo:
     diagnosis = diagnose(robot, [recording], validate=[held])
     known = analyze(robot, estimate=estimate)
     verbs = {
-        "design": (design_result(found), design_series(found)),
+        "design": (found.result(), found.series()),
         "identify": (identify_result(estimate), identify_series(estimate)),
         "analyze": (analyze_result(known), analyze_series(known)),
         "diagnose": (diagnose_result(diagnosis), diagnose_series(diagnosis)),

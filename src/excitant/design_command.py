@@ -15,14 +15,8 @@ from excitant.design import (
     Trajectory,
     approach,
     design_link_by_link,
-    design_result,
-    design_series,
-    link_by_link_design_result,
-    link_by_link_design_series,
-    link_by_link_files,
     lower_bound,
     motion_csv,
-    return_path,
     trajectory_csv,
     trajectory_json,
     write_formats,
@@ -87,7 +81,7 @@ def design(args: argparse.Namespace) -> None:
         "trajectory.json": trajectory_json(found.trajectory, robot),
     }
     motions = {"trajectory": found.trajectory.motion(args.rate, args.repeat)}
-    result = design_result(found) | {"periods": args.repeat}
+    result = found.result() | {"periods": args.repeat}
     if args.bound:
         result |= _bound(found, args.seed)
     if start is not None:
@@ -99,8 +93,8 @@ def design(args: argparse.Namespace) -> None:
             result["notes"] = [*result.get("notes", []), str(error)]
     names = [word.strip() for word in (args.formats or "").split(",") if word.strip()]
     for stem, motion in motions.items():
-        files |= write_formats(motion, robot, names, rate_hz=args.rate, stem=stem)
-    finish(args, run_directory(args, "design", robot), result, design_series(found), files)
+        files |= write_formats(motion, robot, names, stem)
+    finish(args, run_directory(args, "design", robot), result, found.series(), files)
 
 
 def _options(args: argparse.Namespace) -> dict[str, Any]:
@@ -136,10 +130,10 @@ def _design_link_by_link(args: argparse.Namespace, robot: Robot) -> None:
             clearance=least,
             progress=lambda share, link, best: advance(share, f"{link}, best κ {best:.4g}"),
         )
-    result = link_by_link_design_result(found) | {"periods": args.repeat}
-    files = link_by_link_files(found, args.rate, args.repeat)
+    result = found.result() | {"periods": args.repeat}
+    files = found.files(args.rate, args.repeat)
     directory = run_directory(args, "design", robot)
-    finish(args, directory, result, link_by_link_design_series(found), files)
+    finish(args, directory, result, found.series(), files)
 
 
 def _earlier(args: argparse.Namespace, robot: Robot) -> list[Motion]:
@@ -169,7 +163,7 @@ def _bound(found: Design, seed: int) -> dict[str, Any]:
                 min(spent / _BOUND_TIME, 1.0), f"κ ≥ {value:.4g}"
             ),
         )
-    condition = design_result(found)["condition_number"] | {"lower_bound": bound.value}
+    condition = found.result()["condition_number"] | {"lower_bound": bound.value}
     ratio = found.condition_final / bound.value
     note = f"within ×{ratio:.2g} of the best possible: {bound.assumptions}"
     return {"condition_number": condition, "notes": [note]}
@@ -194,15 +188,9 @@ def _ways(
     least: float,
 ) -> dict[str, Motion]:
     """Approach from a pose to the trajectory, and return from it."""
-
-    def distance(pose: Array) -> float:
-        assert surroundings is not None
-        return float(surroundings.distances(pose[None]).min())
-
-    clear = distance if surroundings is not None else None
     there = trajectory(0.0)[0]
-    options: dict[str, Any] = {"clearance": clear, "margin": least, "rate_hz": rate}
+    options: dict[str, Any] = {"scene": surroundings, "clearance": least, "rate_hz": rate}
     return {
         "approach": approach(robot, start, there, **options),
-        "return": return_path(robot, there, start, **options),
+        "return": approach(robot, there, start, name="return", **options),
     }

@@ -18,7 +18,6 @@ from excitant.design import (
 )
 from excitant.design import check as check_limits
 from excitant.design import clearance as motion_clearance
-from excitant.design.result import certified
 from excitant.exceptions import BadInput, OutsideLimits
 from excitant.output import finish, print_json, run_directory, table_bytes, write_atomically
 from excitant.progress import progress_bar
@@ -70,9 +69,7 @@ def check(args: argparse.Namespace) -> None:
             if use.ratio > 0
         },
         "limit_values": {use.quantity: getattr(robot.limits, use.quantity) for use in report.uses},
-        "certified": certified(
-            robot, report, trajectory if isinstance(trajectory, Trajectory) else None
-        ),
+        "certified": {use.quantity: use.certified() for use in report.uses},
         "columns": args.columns,
         "condition_number": condition_number(information(robot, args.columns).matrix(motion)),
         "clearance_m": None if near is None else near.certified,
