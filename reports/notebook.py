@@ -12,8 +12,6 @@ from typing import Any
 from excitant.analysis import (
     Diagnosis,
     Identifiability,
-    analyze_result,
-    analyze_series,
     diagnose_result,
     diagnose_series,
 )
@@ -29,7 +27,7 @@ Reportable = Design | Estimate | Identifiability | Diagnosis | Rehearsal
 _CONTENTS: dict[type, tuple[Callable[[Any], Any], Callable[[Any], Any]]] = {
     Design: (Design.result, Design.series),
     Estimate: (identify_result, identify_series),
-    Identifiability: (analyze_result, analyze_series),
+    Identifiability: (Identifiability.result, Identifiability.series),
     Diagnosis: (diagnose_result, diagnose_series),
     Rehearsal: (rehearse_result, rehearse_series),
 }
