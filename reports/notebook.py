@@ -17,7 +17,7 @@ from excitant.analysis import (
 )
 from excitant.analysis.rehearsal import Rehearsal
 from excitant.analysis.rehearsal_result import rehearse_result, rehearse_series
-from excitant.design import Design, design_result, design_series
+from excitant.design import Design
 from excitant.exceptions import BadInput
 from excitant.identify import Estimate, identify_result, identify_series
 from excitant.reports.run import REPORT, save_run
@@ -25,7 +25,7 @@ from excitant.reports.run import REPORT, save_run
 Reportable = Design | Estimate | Identifiability | Diagnosis | Rehearsal
 
 _CONTENTS: dict[type, tuple[Callable[[Any], Any], Callable[[Any], Any]]] = {
-    Design: (design_result, design_series),
+    Design: (Design.result, Design.series),
     Estimate: (identify_result, identify_series),
     Identifiability: (Identifiability.result, Identifiability.series),
     Diagnosis: (diagnose_result, diagnose_series),

@@ -13,8 +13,6 @@ from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series
 from excitant.analysis.identifiability import analyze
 from excitant.design import (
     design,
-    design_result,
-    design_series,
     random_trajectory,
     trajectory_csv,
     trajectory_json,
@@ -85,7 +83,7 @@ def run_demo(robot: Robot, seed: int, advance: Advance) -> Demo:
     diagnosis = diagnose(robot, [recording], validate=[held])
     known = analyze(robot, estimate=estimate)
     verbs = {
-        "design": (design_result(found), design_series(found)),
+        "design": (found.result(), found.series()),
         "identify": (identify_result(estimate), identify_series(estimate)),
         "analyze": (known.result(), known.series()),
         "diagnose": (diagnose_result(diagnosis), diagnose_series(diagnosis)),
