@@ -12,7 +12,7 @@ from excitant.exceptions import BadInput
 from excitant.reports import SavedRun, brief, compare, render, save_run, summarize
 from excitant.reports.comparison_rows import compared_findings, compared_parameters
 from excitant.robots import load_robot
-from excitant.robots.model_check_result import robot_result
+from excitant.robots.check import ModelCheck
 
 COMPARED = ("design", "check", "identify", "analyze", "diagnose")
 
@@ -201,7 +201,7 @@ def model(**changes):
     joint_1_free = arm.limits.position.copy()
     joint_1_free[0, 0] = changes.get("lower", joint_1_free[0, 0])
     other = arm.with_limits(replace(limits, position=joint_1_free)).with_parameters(phi)
-    return robot_result(other.with_effects(other.effects[: changes.get("effects", 3)]), ())
+    return ModelCheck(other.with_effects(other.effects[: changes.get("effects", 3)])).result()
 
 
 def test_two_models_differ_in_what_was_changed():
@@ -230,7 +230,7 @@ def test_two_models_differ_in_what_was_changed():
 
 
 def test_models_without_a_common_name_are_said_to_have_none():
-    other = robot_result(load_robot("ur10"), ())
+    other = ModelCheck(load_robot("ur10")).result()
     result, _ = compare(SavedRun("one", model(), {}), SavedRun("two", other, {}))
     assert result["models"]["rows"] == []
     assert "share no name" in brief(result)
