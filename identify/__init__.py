@@ -38,7 +38,6 @@ from excitant.identify.recording import (
 from excitant.identify.replay import Monitor, replay
 from excitant.identify.result import identify_result, identify_series
 from excitant.identify.rows import Data, split
-from excitant.identify.streaming import identify_streamed
 
 __all__ = [
     "ColumnMap",
@@ -73,7 +72,6 @@ __all__ = [
     "identify_payload",
     "identify_result",
     "identify_series",
-    "identify_streamed",
     "in_torque",
     "link_by_link_result",
     "link_by_link_series",

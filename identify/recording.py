@@ -113,7 +113,16 @@ def read_recordings(
     """Recordings from logs, in order; files that are parts of one recording become one.
 
     See `read_recording`, and `excitant.identify.importers.raw.runs_of_parts` for what a part is.
+    Logs that are too long to hold are low-passed and decimated as they are read, each a recording
+    of its own (`excitant.identify.decimation`).
     """
+    from excitant.identify.decimation import decimated, too_long
+
+    if too_long(paths):
+        return [
+            decimated(read_chunks(path, robot, mapping=mapping, torque_column=torque_column))
+            for path in paths
+        ]
     raws = [raw_recording(path, robot, mapping, torque_column=torque_column) for path in paths]
     found = []
     for parts in runs_of_parts(raws):

@@ -42,7 +42,6 @@ from excitant.progress import progress_bar
 from excitant.robot_arguments import dataset_of
 from excitant.robots import Array, Motion, Robot
 from excitant.robots.effects import EFFECTS, Effect, JointEffect
-from excitant.streamed import streamed
 
 
 def identify(args: argparse.Namespace) -> None:
@@ -53,10 +52,6 @@ def identify(args: argparse.Namespace) -> None:
     chosen = args.effects == AUTO
     effects: Sequence[Effect] | None = None if chosen else _effects(args.effects, robot)
     formats = _formats(args.formats)
-    if (found := streamed(args, dataset, effects)) is not None:
-        result = identify_result(found) | {"faults": found.fault_entries(), "import": {}}
-        _publish(args, found, result, identify_series(found), formats)
-        return
     without = [*args.validate, *args.unloaded, *args.payload_recording]
     checked = read_checked(dataset, args.recordings, without=without, repaired=args.repair)
     recordings: Sequence[Recording] = checked.recordings
