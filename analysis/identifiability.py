@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from excitant.analysis.directions import Direction, correlation, weak_directions
-from excitant.analysis.entries import Entry, entries, parameter_units
-from excitant.analysis.given import Given, given_estimate, given_motion
-from excitant.analysis.needed import Addition, Question, additions, needed
+from excitant.analysis.next_experiment import Addition, Question, additions, shown_by
 from excitant.analysis.persistency import persistency_result
 from excitant.analysis.practical import (
     NOT_SHOWN,
@@ -23,6 +21,14 @@ from excitant.analysis.practical import (
 )
 from excitant.analysis.prior_influence import STEP, PriorInfluence
 from excitant.analysis.structure import Structure, structure
+from excitant.analysis.uncertainty import (
+    Entry,
+    Measurement,
+    entries,
+    parameter_units,
+    planned,
+    recorded,
+)
 from excitant.exceptions import BadInput
 from excitant.identify.base_prior import base_prior
 from excitant.identify.estimate import Estimate
@@ -155,11 +161,11 @@ def analyze(
     effects = tuple(effects) if estimate is None else estimate.model.effects
     found = structure(robot, effects, moving=moving, measured=measured)
     rows = [j for j, name in enumerate(robot.joints) if measured is None or name in measured]
-    given: Given | None = None
+    given: Measurement | None = None
     if estimate is not None:
-        given = given_estimate(robot, found.base, estimate, rng)
+        given = recorded(robot, found.base, estimate, rng)
     elif motion is not None:
-        given = given_motion(robot, found.base, effects, motion, noise, rows)
+        given = planned(robot, found.base, effects, motion, noise, rows)
     noise_of_all = _noise_of_all(robot, given, rows)
     still = [j for j, name in enumerate(robot.joints) if moving is not None and name not in moving]
     rests, pose = (still, np.zeros(robot.nv)) if given is None else (given.rests, given.pose)
@@ -195,7 +201,7 @@ def _refuse_contradictions(
             raise BadInput(f"{name}: name at least one joint")
 
 
-def _noise_of_all(robot: Robot, given: Given | None, rows: Sequence[int]) -> Array:
+def _noise_of_all(robot: Robot, given: Measurement | None, rows: Sequence[int]) -> Array:
     """Torque noise of every joint, shape (nv,) [N·m].
 
     Of those not measured, and where only rank is asked for, 1 % of the limit, or 1 N·m.
@@ -212,7 +218,7 @@ def _under_motion(
     robot: Robot,
     effects: Sequence[Effect],
     base: BaseParameters,
-    given: Given,
+    given: Measurement,
     candidates: Sequence[Addition],
     excitation: dict[str, Any] | None,
 ) -> UnderMotion:
@@ -230,7 +236,7 @@ def _under_motion(
         practical=found,
         directions=weak_directions(base, units, seen, _sizes(robot, effects, base, given)),
         correlation=correlation(seen.covariance),
-        needed=needed(seen.R, Question(base.regrouping, size), candidates),
+        needed=shown_by(seen.R, Question(base.regrouping, size), candidates),
         influence=given.influence,
         noise=given.sigma,
         rests=tuple(robot.joints[j] for j in given.rests),
@@ -239,7 +245,9 @@ def _under_motion(
     )
 
 
-def _sizes(robot: Robot, effects: Sequence[Effect], base: BaseParameters, given: Given) -> Array:
+def _sizes(
+    robot: Robot, effects: Sequence[Effect], base: BaseParameters, given: Measurement
+) -> Array:
     """What counts as much of each base parameter: its prior uncertainty, shape (r,).
 
     Without a prior, what makes as much torque as the noise.

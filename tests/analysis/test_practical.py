@@ -8,14 +8,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from excitant.analysis import needed as needed_module
+from excitant.analysis import next_experiment
 from excitant.analysis.directions import correlation, largest_correlations, weak_directions
 from excitant.analysis.identifiability import Identifiability, analyze
 from excitant.analysis.identifiability_result import analyze_result
-from excitant.analysis.needed import APART, base_wrench_columns, scale_deviation
-from excitant.analysis.partial import identify_shown
+from excitant.analysis.next_experiment import APART, base_wrench_columns, scale_deviation
 from excitant.analysis.practical import Sight, deviations, triangle, unseen_directions
 from excitant.analysis.prior_influence import prior_influence, prior_of
+from excitant.analysis.uncertainty import identify_shown
 from excitant.design import random_trajectory
 from excitant.identify import Recording, identify, recording_from_table
 from excitant.identify.estimate import whitened
@@ -242,7 +242,7 @@ def test_a_known_payload_shows_the_scale_of_currents(
 ) -> None:
     sigma, std = 0.01 * ur10.limits.torque, {}
     for mass in (0.0, 0.05, 0.1):
-        monkeypatch.setattr(needed_module, "PAYLOAD_KG", mass)
+        monkeypatch.setattr(next_experiment, "PAYLOAD_KG", mass)
         std[mass] = scale_deviation(ur10, standard_effects(ur10.joints), sigma)
     assert std[0.0] == np.inf
     assert std[0.05] / std[0.1] == pytest.approx(2.0, rel=0.02)

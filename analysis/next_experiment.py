@@ -1,4 +1,4 @@
-"""What would make a parameter visible: candidate experiments, tried one by one on paper.
+"""The experiment that would show a parameter: candidates, tried one by one on paper.
 
 Every candidate adds rows to the observation matrix: a joint moves that rested, the base is
 tilted, a sensor is put under it. Whether a parameter shows then is read from the rank and the
@@ -51,7 +51,7 @@ class Addition:
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """Combinations of parameters that are to become visible.
+    """Combinations of parameters that a motion is to show.
 
     Attributes:
         A: Combinations, shape (m, p).
@@ -107,10 +107,12 @@ def additions(
         )
         for j in rests
     ]
-    names = _listed([robot.joints[j] for j in rests])
-    every = f"moving {names} together" if len(rests) > 1 else "a livelier motion of all joints"
-    if len(rests) != 1:
-        found.append(Addition(every, factor(robot, lively, rows)))
+    if not rests:
+        found.append(Addition("a livelier motion of all joints", factor(robot, lively, rows)))
+    elif len(rests) > 1:
+        *first, last = (robot.joints[j] for j in rests)
+        together = f"moving {', '.join(first)} and {last} together"
+        found.append(Addition(together, factor(robot, lively, rows)))
     found += [
         Addition(f"measuring the torque of {name}", factor(robot, lively, [*rows, j]))
         for j, name in enumerate(robot.joints)
@@ -176,7 +178,7 @@ def base_sensor(robot: Robot, motion: Motion, others: int) -> Array:
     return triangle(np.pad(W, ((0, 0), (0, 0), (0, others))), sigma)
 
 
-def needed(R: Array, question: Question, candidates: Sequence[Addition]) -> tuple[str, ...]:
+def shown_by(R: Array, question: Question, candidates: Sequence[Addition]) -> tuple[str, ...]:
     """What would show each combination that is asked for; empty where it is shown already.
 
     The first candidate that shows it to 30 %, else the first that shows it at all.
@@ -228,7 +230,3 @@ def scale_deviation(robot: Robot, effects: Sequence[Effect], sigma: Array) -> fl
     rows = [np.concatenate([W, -(W @ values)[:, :, None]], axis=2) for values in (x, x + load)]
     R = triangle(np.concatenate(rows), sigma)
     return float(deviations(R, np.eye(len(load) + 1)[-1:])[0])
-
-
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
