@@ -42,7 +42,7 @@ def dead_channels(log: Log) -> list[Fault]:
     return [fault for fault in found if fault is not None]
 
 
-def _dead(log: Log, name: str, j: int, detail: str, **evidence: float) -> Fault:
+def _dead(log: Log, name: str, j: int, detail: str, **evidence: object) -> Fault:
     joint = log.joints[j]
     sentence = f"{name} of {joint} {detail}"
     return Fault("dead_channel", (joint,), sentence, {"channel": name, **evidence})
@@ -73,7 +73,7 @@ def _white(log: Log, name: str, x: Array, j: int) -> Fault | None:
         return None
     means = x[: block * _BLOCKS].reshape(_BLOCKS, block).mean(axis=1)
     ratio = block * means.var(ddof=1) / x.var()
-    bound = scipy.special.chdtri(_BLOCKS - 1, ALARM / log.nv) / (_BLOCKS - 1)
+    bound = float(scipy.special.chdtri(_BLOCKS - 1, ALARM / log.nv)) / (_BLOCKS - 1)
     if ratio > bound:
         return None
     detail = (
@@ -94,11 +94,11 @@ def _stretch(log: Log, name: str, x: Array, j: int) -> Fault | None:
     seconds = float(log.t[start + length] - log.t[start])
     if seconds < _STRETCH_S or length < 10 or length <= tail_bound(lengths, ALARM / log.nv):
         return None
-    way, clear = np.ptp(log.q[rows, j]), _TRAVELLED * log.grain[j]
+    way, clear = float(np.ptp(log.q[rows, j])), float(_TRAVELLED * log.grain[j])
     if name == "q":
         if log.dq is None:
             return None
-        way = abs(np.trapezoid(log.dq[rows, j], log.t[rows]))
+        way = abs(float(np.trapezoid(log.dq[rows, j], log.t[rows])))
         clear += 5 * noise(log.dq[:, j]) * np.sqrt(length) * log.step
     apart = x[length:] == x[:-length]
     apart[max(0, start - length) : start + length + 1] = False

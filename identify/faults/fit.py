@@ -14,7 +14,7 @@ import numpy as np
 import scipy.interpolate
 
 from excitant.identify.differentiators import low_pass
-from excitant.identify.faults.log import Log
+from excitant.identify.faults.log import Log, Rows
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor
@@ -150,9 +150,10 @@ class Problem:
         left = self.size[j] - (2 * b - A @ x) @ x / self.rows
         return float(max(left, 1e-10 * self.size[j]))
 
-    def _members(self, j: int) -> Array:
+    def _members(self, j: int) -> Rows:
         """Indices of the parameters that act on joint j."""
-        return np.r_[: self.p, self.p + _PER_JOINT * j : self.p + _PER_JOINT * (j + 1)]
+        own = self.p + _PER_JOINT * j
+        return np.append(np.arange(self.p), np.arange(own, own + _PER_JOINT))
 
     def fit(self, s: float = 1.0, sign: Array | None = None) -> Fit:
         """Parameters and errors with what motion adds times s, and torques times their sign."""

@@ -93,7 +93,7 @@ def repeated_rows(log: Log) -> Fault | None:
     position would repeat by itself; three such rows are no accident.
     """
     same = np.all([(np.diff(x, axis=0) == 0).all(axis=1) for _, x in log.channels()], axis=0)
-    moved = log.moving.any(axis=1) if same.any() else np.zeros(len(log), bool)
+    moved = np.asarray(log.moving.any(axis=1), bool)
     rows = np.flatnonzero(same & (moved[1:] | moved[:-1])) + 1
     if len(rows) < 3:
         return None
