@@ -399,12 +399,13 @@ class Effect(ABC):
             return f"{joints[0]}: {name} is {size}, the model says {given[0]:.3g}"
         return f"{joints[0]}: {name} of {size} is not in the model"
 
-    def told_from(self, rival: Effect) -> str:
+    @classmethod
+    def told_from(cls, rival: Effect | type[Effect]) -> str:
         """What to do to tell it from another effect."""
-        if self.name == rival.name:
+        if cls.name == rival.name:
             return SAME
-        known = self.told.get(rival.name) or rival.told.get(self.name)
-        return known or BETWEEN.get(frozenset((self.family, rival.family)), GENERAL)
+        known = cls.told.get(rival.name) or rival.told.get(cls.name)
+        return known or BETWEEN.get(frozenset((cls.family, rival.family)), GENERAL)
 
     def drawn(self, label: str, x: Array) -> tuple[str, Array]:
         """Label and values of the quantity it is drawn over, NaN where not to be shown."""
