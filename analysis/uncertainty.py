@@ -27,6 +27,7 @@ from excitant.robots.robot import Robot
 TORQUE_NOISE = 0.01  # of each joint's torque limit, where no recording tells the noise
 WELL, ROUGHLY = 0.1, 0.3  # relative standard deviation
 NOT_SHOWN = "not_shown"
+_MEMBER = 0.3  # coefficient of a unit vector from which a parameter is named
 _SEEN = 1e-9  # smallest singular value of normalised columns, relative; below it is rounding
 _TOUCHES = 1e-6  # part of a unit vector in unseen directions from which it counts
 
@@ -87,7 +88,7 @@ def deviations(R: Array, A: Array) -> Array:
     return np.asarray(np.where(hidden, np.inf, std), float)
 
 
-def companions(R: Array) -> tuple[tuple[int, ...], ...]:
+def dependent_groups(R: Array) -> tuple[tuple[int, ...], ...]:
     """Columns that follow from each other: once one of a group is known, so are the others.
 
     Those are the columns whose rows of the null space are parallel.
@@ -139,24 +140,24 @@ def shown_base(names: tuple[str, ...], W: Array) -> BaseParameters:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """What a motion shows of the base parameters β.
+class MotionInformation:
+    """What the torque of a motion tells of the base parameters β.
 
     Attributes:
         R: Triangular factor of the whitened columns of all parameters, shape (p, p).
         covariance: Of β as far as it is seen, shape (r, r); zero along the unseen directions.
         unseen: Directions of β that change no torque of this motion, shape (d, r), each
             with as few members as there can be.
-        loudness: Largest rms torque per unit of a base parameter, in noise, shape (r,).
+        signal: Largest rms torque per unit of a base parameter, in noise, shape (r,).
     """
 
     R: Array
     covariance: Array
     unseen: Array
-    loudness: Array
+    signal: Array
 
     def __post_init__(self) -> None:
-        freeze(self, "R", "covariance", "unseen", "loudness")
+        freeze(self, "R", "covariance", "unseen", "signal")
 
     def std(self, C: Array) -> Array:
         """Standard deviation of combinations C β, shape (m,); inf where unseen.
@@ -170,7 +171,9 @@ class Sight:
         return np.asarray(np.where(hidden, np.inf, values), float)
 
 
-def sight(base: BaseParameters, W: Array, sigma: Array, covariance: Array | None = None) -> Sight:
+def motion_information(
+    base: BaseParameters, W: Array, sigma: Array, covariance: Array | None = None
+) -> MotionInformation:
     """What a motion with this noise shows.
 
     Args:
@@ -184,7 +187,7 @@ def sight(base: BaseParameters, W: Array, sigma: Array, covariance: Array | None
     if covariance is None:
         covariance = _covariance(R[:, columns])
     whitened = np.sqrt((W[:, :, columns] ** 2).mean(axis=0)) / sigma[:, None]
-    return Sight(R, covariance, unseen_directions(R[:, columns]), whitened.max(axis=0))
+    return MotionInformation(R, covariance, unseen_directions(R[:, columns]), whitened.max(axis=0))
 
 
 def unseen_directions(R: Array) -> Array:
@@ -248,7 +251,7 @@ def verdict(std: float, value: float, negligible: bool) -> str:
     return "negligible" if negligible else "hardly"
 
 
-def aim(value: Array, std: Array, quiet: Array, loudness: Array) -> Array:
+def size_to_resolve(value: Array, std: Array, negligible: Array, signal: Array) -> Array:
     """The size beside which a standard deviation should be small; 0 if being shown is enough.
 
     Of something not known to have a value: what makes a torque of twice the noise.
@@ -256,15 +259,17 @@ def aim(value: Array, std: Array, quiet: Array, loudness: Array) -> Array:
     Args:
         value: Values, zero where not known, shape (m,).
         std: Standard deviations so far, shape (m,).
-        quiet: What is negligible, shape (m,).
-        loudness: Torque per unit, in noise, shape (m,).
+        negligible: What is negligible, shape (m,).
+        signal: Torque per unit, in noise, shape (m,).
     """
-    unknown = 0.5 / ROUGHLY / np.maximum(loudness, 1e-300)
+    unknown = 0.5 / ROUGHLY / np.maximum(signal, 1e-300)
     size = np.where(value == 0, unknown, np.abs(value))
-    return np.asarray(np.where(quiet | ~np.isfinite(std), 0.0, size), float)
+    return np.asarray(np.where(negligible | ~np.isfinite(std), 0.0, size), float)
 
 
-def practical(base: BaseParameters, values: Array, seen: Sight) -> tuple[Practical, ...]:
+def practical(
+    base: BaseParameters, values: Array, seen: MotionInformation
+) -> tuple[Practical, ...]:
     """Every base parameter under a motion.
 
     Args:
@@ -273,8 +278,115 @@ def practical(base: BaseParameters, values: Array, seen: Sight) -> tuple[Practic
         seen: What the motion shows.
     """
     std = seen.std(np.eye(len(base)))
-    torque = (np.abs(values) + 2 * std) * np.maximum(seen.loudness, 1e-300)
+    torque = (np.abs(values) + 2 * std) * np.maximum(seen.signal, 1e-300)
     return tuple(
         Practical(text, float(value), float(s), bool(t < 1))
         for text, value, s, t in zip(base.expressions, values, std, torque, strict=True)
     )
+
+
+@dataclass(frozen=True)
+class Direction:
+    """Base parameters that trade against each other because torque hardly shows it.
+
+    Attributes:
+        members: Name and unit of each, with the change that one standard deviation of the
+            torque noise hides; of a direction not seen at all, the change per unit of the first.
+        std: Standard deviation along it relative to the sizes of its members; inf if unseen.
+        share: Part of the direction that its members make.
+    """
+
+    members: tuple[tuple[str, float, str], ...]
+    std: float
+    share: float
+
+    @property
+    def expression(self) -> str:
+        """The direction as text, e.g. ``link3.Ixx − 0.83·link2.Izz``."""
+        text, lead = "", self.members[0][1]
+        for name, change, _ in self.members:
+            size = f"{abs(change / lead):.2g}"
+            sign = (" − " if change / lead < 0 else " + ") if text else ""
+            text += sign + ("" if size == "1" else f"{size}·") + name
+        return text
+
+    @property
+    def meaning(self) -> str:
+        """What the direction means, as a sentence."""
+        name, change, unit = self.members[0]
+        if not np.isfinite(self.std):
+            if len(self.members) == 1:
+                return f"{name} changes no torque of this motion"
+            others = _listed([f"{other} by {c:.2g}" for other, c, _ in self.members[1:]])
+            return f"{name} by 1 with {others} (SI units) changes no torque of this motion"
+        if len(self.members) == 1:
+            return f"{name} may be {abs(change):.2g} {unit} off without showing above the noise"
+        moves = [
+            f"{other} {'falls' if c * change < 0 else 'rises'} by {abs(c):.2g} {u}"
+            for other, c, u in self.members[1:]
+        ]
+        return (
+            f"{name} may rise by {abs(change):.2g} {unit} while {_listed(moves)}: "
+            "torque changes by no more than the noise"
+        )
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+
+
+def weak_directions(
+    base: BaseParameters, units: Sequence[str], seen: MotionInformation, size: Array, count: int = 5
+) -> tuple[Direction, ...]:
+    """Directions that a motion does not see, then those it sees worst.
+
+    With D the sizes of the base parameters, the latter are the leading eigenvectors u of
+    D⁻¹ C D⁻¹, C the covariance; a change D u √λ of the parameters is one standard deviation.
+
+    Args:
+        base: Base parameters, r of them.
+        units: Units of the base parameters.
+        seen: What the motion shows.
+        size: What counts as much of each base parameter, shape (r,).
+        count: How many of those that are seen.
+    """
+    names = [base.names[k] for k in base.columns]
+    found = [_direction(row, row, np.inf, names, units, size) for row in seen.unseen]
+    values, U = np.linalg.eigh(seen.covariance / np.outer(size, size))
+    for k in np.argsort(-values, kind="stable")[:count]:
+        std = float(np.sqrt(max(float(values[k]), 0.0)))
+        if std > 0:
+            found.append(_direction(U[:, k], U[:, k] * std * size, std, names, units, size))
+    return tuple(found)
+
+
+def _direction(
+    row: Array, change: Array, std: float, names: Sequence[str], units: Sequence[str], size: Array
+) -> Direction:
+    """A direction with its named members, strongest first; an unseen one in its own units."""
+    weight = row if np.isfinite(std) else row / size
+    weight = weight / np.linalg.norm(weight)
+    order = [int(k) for k in np.argsort(-np.abs(weight), kind="stable")]
+    kept = [k for k in order if abs(weight[k]) >= _MEMBER] or order[:1]
+    if not np.isfinite(std):
+        kept = [k for k in order if abs(weight[k]) > 1e-3]
+        change = change / change[kept[0]]
+    members = tuple((names[k], float(change[k]), units[k]) for k in kept)
+    return Direction(members, std, float((weight[kept] ** 2).sum()))
+
+
+def correlation(covariance: Array) -> Array:
+    """Correlation matrix; zero for what has no variance, shape as given."""
+    std = np.sqrt(np.diag(covariance))
+    safe = np.where(std > 0, std, 1.0)
+    matrix = covariance / np.outer(safe, safe)
+    np.fill_diagonal(matrix, np.where(std > 0, 1.0, 0.0))
+    return np.asarray(np.clip(matrix, -1.0, 1.0), float)
+
+
+def largest_correlations(matrix: Array, count: int = 10) -> list[tuple[int, int, float]]:
+    """Pairs of base parameters with the largest |ρ|, as indices and ρ."""
+    rows, columns = np.triu_indices(len(matrix), 1)
+    values = matrix[rows, columns]
+    order = np.argsort(-np.abs(values), kind="stable")[:count]
+    return [(int(rows[k]), int(columns[k]), float(values[k])) for k in order if values[k]]
