@@ -16,8 +16,9 @@ from excitant.design.feasible import torque_use
 from excitant.design.trajectory import FourierSeries, from_coefficients
 from excitant.exceptions import Infeasible
 from excitant.robots.geometry import Scene
+from excitant.robots.limits import Limits
 from excitant.robots.motion import Array, Motion
-from excitant.robots.robot import Limits, Robot
+from excitant.robots.robot import Robot
 
 HOPELESS = 4.0  # Δ below which no motion is worth running
 _SCREENED, _REFINED = 48, 48  # motions judged, at most

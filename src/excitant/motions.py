@@ -96,7 +96,7 @@ def design(
         trajectory_json,
         write_formats,
     )
-    from excitant.robots.limits_file import require_limits
+    from excitant.robots.limits import require_limits
 
     arm = surroundings.robot(part, robot)
     if note := require_limits(arm):
