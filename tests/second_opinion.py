@@ -51,8 +51,7 @@ import scipy.linalg
 
 from excitant.analysis.structure import Held
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots.dh import DHChain, inverse, moved_parameters
-from excitant.robots.dh_urdf import dh_from_robot
+from excitant.robots.dh import DHChain, dh_from_robot, inverse, moved_parameters
 from excitant.robots.motion import Array, freeze
 from excitant.robots.parameters import PSEUDO_INERTIA_BASIS, STANDARD, from_pseudo_inertia
 from excitant.robots.robot import Robot

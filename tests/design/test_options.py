@@ -23,8 +23,7 @@ from excitant.design import (
 from excitant.design.peaks import torque_derivatives
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots import Robot, torque
-from excitant.robots.geometry import scene
-from excitant.robots.obstacles import load_obstacles
+from excitant.robots.geometry import load_obstacles, scene
 from excitant.robots.torque import largest_torque
 
 Limited = Callable[..., Robot]

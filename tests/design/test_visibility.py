@@ -11,8 +11,7 @@ import yaml
 from excitant.design import Design, design
 from excitant.design.result import lone_torque, scaled_condition_number, weak_directions
 from excitant.robots import Robot
-from excitant.robots.geometry import scene
-from excitant.robots.obstacles import load_obstacles
+from excitant.robots.geometry import load_obstacles, scene
 
 OBSTACLES = [
     {"name": "table", "half_space": {"normal": [0.0, 0.6, 0.8], "offset": -0.9}},

@@ -16,7 +16,7 @@ from excitant.cli import main
 from excitant.design import design
 from excitant.exceptions import BadInput
 from excitant.robots import Motion, Robot, load_limits, load_robot, rigid_body_torque, torque
-from excitant.robots.limits_file import require_limits
+from excitant.robots.limits import require_limits
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
