@@ -6,6 +6,7 @@ from excitant.robots.effects.base import (
     JointEffect,
     JointFacts,
     JointwiseEffect,
+    PairEffect,
     Parameter,
     Shape,
     Term,
@@ -16,11 +17,11 @@ from excitant.robots.effects.base import (
     proposals,
     registered,
 )
-from excitant.robots.effects.coupling import FrictionCoupling, InertiaCoupling
-from excitant.robots.effects.drive import RotorInertia, TorqueOffset
+from excitant.robots.effects.drive import InertiaCoupling, RotorInertia, TorqueOffset
 from excitant.robots.effects.friction import (
     AsymmetricFriction,
     CoulombFriction,
+    FrictionCoupling,
     LoadDependentFriction,
     NonlinearViscousFriction,
     StribeckFriction,
@@ -98,6 +99,7 @@ __all__ = [
     "KinematicError",
     "LoadDependentFriction",
     "NonlinearViscousFriction",
+    "PairEffect",
     "Parameter",
     "Payload",
     "PreslidingHysteresis",

@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, TypeVar
 
 import numpy as np
@@ -29,6 +30,7 @@ _NEAR = (0.3, 2.5)  # of a trial value, for which the columns are right
 _TIMES = (0.25, 0.5, 1.0, 2.0, 4.0)  # a shape that was found, where it may be another
 _STILL = 1e-3  # rad/s: slower joints rest
 
+Role = Literal["torque", "link", "body"]
 Law = Callable[[Array, Array, Array], Sequence[Array]]
 """Torque per unit of each coefficient of one joint, of its q, q̇ and q̈, all of shape (n,)."""
 
@@ -154,8 +156,8 @@ class Shape:
 class Stepper(Protocol):
     """An effect in a simulation that carries a state of its own from step to step."""
 
-    def __call__(self, q: Array, dq: Array) -> Array:
-        """Torque, shape (nv,) [N·m]."""
+    def __call__(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
+        """Torque in a state, shape (nv,) [N·m]."""
 
     def advance(self, q: Array) -> None:
         """End a step at some positions, shape (nv,)."""
@@ -169,8 +171,8 @@ class Effect(ABC):
         joints: The joints it acts on.
         values: One value per parameter; None while unknown.
 
-    Class variables say the rest: ``family`` (friction, body, static, transmission, geometry or
-    reading) is the part of the arm that it belongs to; the others are explained where they stand.
+    Class variables say the rest, ``family`` the part of the arm that it belongs to: friction,
+    body, static, transmission, geometry or reading.
 
     Raises:
         BadInput: It acts on another number of joints, or a field of its shape cannot be.
@@ -178,43 +180,27 @@ class Effect(ABC):
 
     name: ClassVar[str]
     family: ClassVar[str] = ""
-    # how many joints it acts on; 0: as many as it is given
-    arity: ClassVar[int] = 0
-    # whether each joint has coefficients of its own, which act on that joint only
-    jointwise: ClassVar[bool] = False
-    # coefficients that each joint has
-    terms: ClassVar[tuple[Term, ...]] = ()
-    # "link": its coefficients are changes of a link's own; "body": they are those of a further one
-    role: ClassVar[Literal["torque", "link", "body"]] = "torque"
+    arity: ClassVar[int] = 0  # how many joints it acts on; 0: as many as it is given
+    jointwise: ClassVar[bool] = False  # each joint has coefficients that act on it only
+    terms: ClassVar[tuple[Term, ...]] = ()  # these coefficients
+    role: ClassVar[Role] = "torque"  # "link": changes of a link's own; "body": of a further one
     shapes: ClassVar[tuple[Shape, ...]] = ()
-    # whether its columns depend on the inertias and effects of the robot, not on its motion alone
-    depends_on_model: ClassVar[bool] = True
-    # whether its columns are made of the other effects' torque, as those of sensors are
-    acts_on_torque: ClassVar[bool] = False
-    # whether that torque is the given model's: one of all that was found would imitate its parts
-    of_given_torque: ClassVar[bool] = False
-    # whether a simulation from state to state knows it; others are taken along a known motion
-    of_state_alone: ClassVar[bool] = True
-    # whether `identify` estimates it by default, and whether most joints have it
-    standard: ClassVar[bool] = False
-    usual: ClassVar[bool] = False
-    # whether a model may get it beyond the standard one; those that bodies hold may not
-    further: ClassVar[bool] = True
-    # whether all drives of an arm may have it in one shape
-    shared: ClassVar[bool] = False
-    # whether joints that rest do not show it
-    needs_motion: ClassVar[bool] = False
-    # names of what it is when some coefficients are zero; of them what it can be at work for
-    contains: ClassVar[tuple[str, ...]] = ()
-    imitates: ClassVar[tuple[str, ...]] = ()
-    # experiment that tells it from a rival, by the rival's name; either of both says it
-    told: ClassVar[Mapping[str, str]] = {}
-    # what the error without it is drawn over
-    abscissa: ClassVar[str] = "own torque"
-    # property of a joint in files of models, the formats that have it, what it means otherwise
-    joint_property: ClassVar[str] = ""
-    formats: ClassVar[tuple[str, ...]] = ()
-    format_notes: ClassVar[Mapping[str, str]] = {}
+    depends_on_model: ClassVar[bool] = True  # columns rest on inertias or effects of the robot
+    acts_on_torque: ClassVar[bool] = False  # columns are those of a sensor of all other torque
+    of_given_torque: ClassVar[bool] = False  # that of the given model; else it imitates findings
+    of_state_alone: ClassVar[bool] = True  # a simulation knows it; others follow a known motion
+    standard: ClassVar[bool] = False  # `identify` estimates it by default
+    usual: ClassVar[bool] = False  # most joints have it
+    further: ClassVar[bool] = True  # a model may get it; not what bodies and gravity hold
+    shared: ClassVar[bool] = False  # all drives of an arm may have it in one shape
+    needs_motion: ClassVar[bool] = False  # joints that rest do not show it
+    contains: ClassVar[tuple[str, ...]] = ()  # what it is when some coefficients are zero
+    imitates: ClassVar[tuple[str, ...]] = ()  # what of that it can be at work for
+    told: ClassVar[tuple[tuple[str, str], ...]] = ()  # experiment, rivals it tells it from
+    abscissa: ClassVar[str] = "own torque"  # what the error without it is drawn over
+    joint_property: ClassVar[str] = ""  # what joints in files of a model have for it
+    formats: ClassVar[tuple[str, ...]] = ()  # of the files that have it
+    format_notes: ClassVar[Mapping[str, str]] = {}  # what it means there otherwise
 
     joints: tuple[str, ...]
     values: tuple[float, ...] | None = None
@@ -404,8 +390,9 @@ class Effect(ABC):
         """What to do to tell it from another effect."""
         if cls.name == rival.name:
             return SAME
-        known = cls.told.get(rival.name) or rival.told.get(cls.name)
-        return known or BETWEEN.get(frozenset((cls.family, rival.family)), GENERAL)
+        pairs = ((cls.told, rival.name), (rival.told, cls.name))
+        known = (action for told, name in pairs for action, all_ in told if name in all_.split())
+        return next(known, BETWEEN.get(frozenset((cls.family, rival.family)), GENERAL))
 
     def drawn(self, label: str, x: Array) -> tuple[str, Array]:
         """Label and values of the quantity it is drawn over, NaN where not to be shown."""
@@ -471,6 +458,31 @@ class JointEffect(JointwiseEffect):
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         """Of the joint's state at every instant."""
         return self.of_state(motion.q[:, j], motion.dq[:, j], motion.ddq[:, j])
+
+
+class StandardEffect(JointEffect):
+    """Effect that most joints have and `identify` estimates by default."""
+
+    standard: ClassVar[bool] = True
+    usual: ClassVar[bool] = True
+    further: ClassVar[bool] = False
+
+
+class PairEffect(Effect):
+    """Effect between two joints, ``joints = (one, other)``."""
+
+    arity: ClassVar[int] = 2
+    depends_on_model: ClassVar[bool] = False
+
+    @classmethod
+    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+        """Of each joint with the next."""
+        return [(effect, 1) for pair in pairwise(robot.joints) for effect in cls.between(pair)]
+
+    @classmethod
+    def between(cls, pair: tuple[str, str]) -> Sequence[Self]:
+        """Shapes of the effect to consider; the usual one."""
+        return (cls(pair),)
 
 
 Kind = TypeVar("Kind", bound=Effect)

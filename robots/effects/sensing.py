@@ -5,13 +5,14 @@ All are linear in their coefficients to first order, at the given model's torque
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
 
 from excitant.exceptions import BadInput
+from excitant.robots.effects import experiments as by
 from excitant.robots.effects.base import (
     SIGN_DEVIATIONS,
     Effect,
@@ -19,17 +20,6 @@ from excitant.robots.effects.base import (
     Parameter,
     Shape,
     near_trial,
-)
-from excitant.robots.effects.experiments import (
-    KINEMATICS,
-    LEVEL,
-    LEVER,
-    LOADS,
-    SPEEDS,
-    TURNED,
-    UNLOADED,
-    WARM,
-    ZERO,
 )
 from excitant.robots.effects.reference import (
     carried_torque,
@@ -50,8 +40,8 @@ _METRE = 1e-3  # of the central difference; torque is quadratic in a placement, 
 class _SharedEffect(Effect):
     """One coefficient for all joints it acts on."""
 
-    of_state_alone: ClassVar[bool] = False
-    further: ClassVar[bool] = False
+    of_state_alone = False
+    further = False
     symbol: ClassVar[str]
     unit: ClassVar[str]
     typical: ClassVar[float]
@@ -66,8 +56,8 @@ class _SharedEffect(Effect):
 class _ReadingEffect(_SharedEffect):
     """One coefficient of the torque readings of one joint, or of all."""
 
-    family: ClassVar[str] = "reading"
-    acts_on_torque: ClassVar[bool] = True
+    family = "reading"
+    acts_on_torque = True
 
     @classmethod
     def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
@@ -81,21 +71,20 @@ class _ReadingEffect(_SharedEffect):
 class TorqueGain(_ReadingEffect):
     """Reading = (1 + g) τ: the torque sensor's or the drive's constant is wrong."""
 
-    name: ClassVar[str] = "torque_gain"
-    of_given_torque: ClassVar[bool] = True
-    symbol: ClassVar[str] = "gain"
-    unit: ClassVar[str] = "1"
-    typical: ClassVar[float] = 0.5
-    abscissa: ClassVar[str] = "torque"
-    told: ClassVar[Mapping[str, str]] = {
-        "inertial_parameters": f"{LOADS}: a gain scales its torque too",
-        "payload": f"{LOADS} beside the unknown one",
-        "gravity_direction": f"{LEVEL}; {LOADS}",
-        "spring": LEVER,
-        "kinematic_error": f"{LOADS}; {KINEMATICS}",
-        "encoder_scale": KINEMATICS,
-        "encoder_offset": f"{ZERO}; {LOADS}",
-    }
+    name = "torque_gain"
+    of_given_torque = True
+    symbol = "gain"
+    unit = "1"
+    typical = 0.5
+    abscissa = "torque"
+    told = (
+        (f"{by.LOADS}: a gain scales its torque too", "inertial_parameters"),
+        (f"{by.LOADS} beside the unknown one", "payload"),
+        (f"{by.LEVEL}; {by.LOADS}", "gravity_direction"),
+        (f"{by.LOADS}; {by.KINEMATICS}", "kinematic_error"),
+        (by.KINEMATICS, "encoder_scale"),
+        (f"{by.ZERO}; {by.LOADS}", "encoder_offset"),
+    )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Torque of the model at these joints."""
@@ -120,20 +109,17 @@ class TimeDelay(_ReadingEffect):
         trial: Delay at which the column is the exact difference [s].
     """
 
-    name: ClassVar[str] = "time_delay"
-    further: ClassVar[bool] = True
-    symbol: ClassVar[str] = "delay"
-    unit: ClassVar[str] = "s"
-    typical: ClassVar[float] = 0.05
-    shapes: ClassVar[tuple[Shape, ...]] = (
-        Shape("trial", "s", positive=False, most=lambda facts: _LONGEST),
+    name = "time_delay"
+    further = True
+    symbol = "delay"
+    unit = "s"
+    typical = 0.05
+    shapes = (Shape("trial", "s", positive=False, most=lambda facts: _LONGEST),)
+    abscissa = "torque rate"
+    told = (
+        (by.SPEEDS, "inertial_parameters encoder_scale"),
+        (by.WARM, "thermal_friction_drift"),
     )
-    abscissa: ClassVar[str] = "torque rate"
-    told: ClassVar[Mapping[str, str]] = {
-        "inertial_parameters": SPEEDS,
-        "encoder_scale": SPEEDS,
-        "thermal_friction_drift": WARM,
-    }
 
     trial: float = 1e-3
 
@@ -169,19 +155,21 @@ class TimeDelay(_ReadingEffect):
 class EncoderOffset(_SharedEffect):
     """True angle = reading + δ."""
 
-    name: ClassVar[str] = "encoder_offset"
-    family: ClassVar[str] = "geometry"
-    arity: ClassVar[int] = 1
-    symbol: ClassVar[str] = "offset_angle"
-    unit: ClassVar[str] = "rad"
-    typical: ClassVar[float] = 0.3
-    told: ClassVar[Mapping[str, str]] = {
-        "inertial_parameters": f"{ZERO}; the last joint's offset is a turned last link",
-        "payload": f"{ZERO}; or {UNLOADED}",
-        "gravity_direction": f"{TURNED}: tilt's phase follows q1, an encoder's offset does not",
-        "kinematic_error": KINEMATICS,
-        "encoder_scale": f"{ZERO}, and at the far end of its range",
-    }
+    name = "encoder_offset"
+    family = "geometry"
+    arity = 1
+    symbol = "offset_angle"
+    unit = "rad"
+    typical = 0.3
+    told = (
+        (f"{by.ZERO}; the last joint's offset is a turned last link", "inertial_parameters"),
+        (f"{by.ZERO}; or {by.UNLOADED}", "payload"),
+        (
+            f"{by.TURNED}: tilt's phase follows q1, an encoder's offset does not",
+            "gravity_direction",
+        ),
+        (f"{by.ZERO}, and at the far end of its range", "encoder_scale"),
+    )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Derivative of the torque by the angle."""
@@ -193,16 +181,13 @@ class EncoderOffset(_SharedEffect):
 class EncoderScale(_SharedEffect):
     """True angle = (1 + s) reading."""
 
-    name: ClassVar[str] = "encoder_scale"
-    family: ClassVar[str] = "geometry"
-    arity: ClassVar[int] = 1
-    symbol: ClassVar[str] = "scale"
-    unit: ClassVar[str] = "1"
-    typical: ClassVar[float] = 0.3
-    told: ClassVar[Mapping[str, str]] = {
-        "inertial_parameters": KINEMATICS,
-        "kinematic_error": KINEMATICS,
-    }
+    name = "encoder_scale"
+    family = "geometry"
+    arity = 1
+    symbol = "scale"
+    unit = "1"
+    typical = 0.3
+    told = ((by.KINEMATICS, "inertial_parameters"),)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Derivative of the torque by the scale of angle, speed and acceleration."""
@@ -214,16 +199,16 @@ class EncoderScale(_SharedEffect):
 class KinematicError(Effect):
     """The joint sits elsewhere in its parent link than the model says."""
 
-    name: ClassVar[str] = "kinematic_error"
-    family: ClassVar[str] = "geometry"
-    arity: ClassVar[int] = 1
-    of_state_alone: ClassVar[bool] = False
-    further: ClassVar[bool] = False
-    told: ClassVar[Mapping[str, str]] = {
-        "inertial_parameters": f"{KINEMATICS}; or repeat the motion in another pose region",
-        "payload": UNLOADED,
-        "gravity_direction": f"{LEVEL}; {KINEMATICS}",
-    }
+    name = "kinematic_error"
+    family = "geometry"
+    arity = 1
+    of_state_alone = False
+    further = False
+    told = (
+        (f"{by.KINEMATICS}; or repeat the motion in another pose region", "inertial_parameters"),
+        (by.UNLOADED, "payload"),
+        (f"{by.LEVEL}; {by.KINEMATICS}", "gravity_direction"),
+    )
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Translation in the parent's joint frame."""
@@ -254,13 +239,16 @@ def _moved(robot: Robot, j: int, step: Array) -> Robot:
 class GravityDirection(Effect):
     """Gravity points elsewhere in the base frame: the arm is mounted otherwise, or tilted."""
 
-    name: ClassVar[str] = "gravity_direction"
-    family: ClassVar[str] = "static"
-    further: ClassVar[bool] = False
-    told: ClassVar[Mapping[str, str]] = {
-        "inertial_parameters": f"{LEVEL}; or turn the first joint slowly with the arm stretched",
-        "payload": f"{UNLOADED}; {LEVEL}",
-    }
+    name = "gravity_direction"
+    family = "static"
+    further = False
+    told = (
+        (
+            f"{by.LEVEL}; or turn the first joint slowly with the arm stretched",
+            "inertial_parameters",
+        ),
+        (f"{by.UNLOADED}; {by.LEVEL}", "payload"),
+    )
 
     @classmethod
     def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:

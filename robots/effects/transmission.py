@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
 
+from excitant.robots.effects import experiments as by
 from excitant.robots.effects.base import (
     Effect,
     JointEffect,
@@ -16,17 +17,6 @@ from excitant.robots.effects.base import (
     Shape,
     Term,
     near_trial,
-)
-from excitant.robots.effects.experiments import (
-    CLOCK,
-    LOCKED,
-    ORDERS,
-    SPEEDS,
-    STATIC,
-    TURNED,
-    UNLOADED,
-    UNPOWERED,
-    ZERO,
 )
 from excitant.robots.effects.reference import rigid_torque, torque_along, torque_derivatives
 from excitant.robots.motion import Array, Motion
@@ -47,22 +37,19 @@ class TorqueRipple(JointEffect):
         order: N, periods per turn of the joint.
     """
 
-    name: ClassVar[str] = "torque_ripple"
-    family: ClassVar[str] = "static"
-    terms: ClassVar[tuple[Term, ...]] = (
+    name = "torque_ripple"
+    family = "static"
+    terms = (
         Term("ripple_cos", "N·m"),
         Term("ripple_sin", "N·m"),
     )
-    shapes: ClassVar[tuple[Shape, ...]] = (Shape("order", "1"),)
-    abscissa: ClassVar[str] = "position"
-    told: ClassVar[Mapping[str, str]] = {
-        "spring": STATIC,
-        "encoder_offset": ZERO,
-        "joint_elasticity": ORDERS,
-        "backlash": ORDERS,
-        "inertial_parameters": STATIC,
-        "payload": UNLOADED,
-    }
+    shapes = (Shape("order", "1"),)
+    abscissa = "position"
+    told = (
+        (by.STATIC, "spring inertial_parameters"),
+        (by.ORDERS, "joint_elasticity backlash"),
+        (by.UNLOADED, "payload"),
+    )
 
     order: float = 1.0
 
@@ -142,21 +129,20 @@ class Spring(JointEffect):
         lever: Whether it pulls a lever, as in counterbalanced shoulders.
     """
 
-    name: ClassVar[str] = "spring"
-    family: ClassVar[str] = "static"
-    contains: ClassVar[tuple[str, ...]] = ("torque_offset",)
-    usual: ClassVar[bool] = True
-    abscissa: ClassVar[str] = "position"
-    told: ClassVar[Mapping[str, str]] = {
-        "inertial_parameters": f"{UNPOWERED}; or tilt the base: gravity's part turns, a spring's "
-        "stays",
-        "payload": UNLOADED,
-        "gravity_direction": f"{TURNED}: a spring's torque stays",
-        "encoder_offset": ZERO,
-        "joint_elasticity": LOCKED,
-        "encoder_scale": ZERO,
-    }
-    terms: ClassVar[tuple[Term, ...]] = (Term("k", "N·m/rad"), Term("moment", "N·m"))
+    name = "spring"
+    family = "static"
+    contains = ("torque_offset",)
+    usual = True
+    abscissa = "position"
+    told = (
+        (
+            f"{by.UNPOWERED}; or tilt the base: gravity's part turns, a spring's stays",
+            "inertial_parameters",
+        ),
+        (by.UNLOADED, "payload"),
+        (f"{by.TURNED}: a spring's torque stays", "gravity_direction"),
+    )
+    terms = (Term("k", "N·m/rad"), Term("moment", "N·m"))
 
     lever: bool = False
 
@@ -181,9 +167,9 @@ class Spring(JointEffect):
 class _Lag(Effect):
     """The link lags behind the motor, on whose side the encoder sits."""
 
-    family: ClassVar[str] = "transmission"
-    arity: ClassVar[int] = 1
-    of_state_alone: ClassVar[bool] = False
+    family = "transmission"
+    arity = 1
+    of_state_alone = False
     symbol: ClassVar[str]
     unit: ClassVar[str]
 
@@ -200,17 +186,13 @@ class _Lag(Effect):
 class JointElasticity(_Lag):
     """Link angle = motor angle − c τ with the compliance c = 1/k, to first order in c."""
 
-    name: ClassVar[str] = "joint_elasticity"
-    symbol: ClassVar[str] = "compliance"
-    unit: ClassVar[str] = "rad/(N·m)"
-    told: ClassVar[Mapping[str, str]] = {
-        "backlash": f"{LOCKED}: play yields at once, a spring in proportion",
-        "time_delay": f"{LOCKED}; {CLOCK}",
-        "encoder_offset": LOCKED,
-        "encoder_scale": LOCKED,
-        "inertial_parameters": LOCKED,
-        "payload": UNLOADED,
-    }
+    name = "joint_elasticity"
+    symbol = "compliance"
+    unit = "rad/(N·m)"
+    told = (
+        (f"{by.LOCKED}: play yields at once, a spring in proportion", "backlash"),
+        (by.UNLOADED, "payload"),
+    )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Change of the torque by a link angle that yields to the torque."""
@@ -229,13 +211,11 @@ class Backlash(_Lag):
         trial: Gap for which the flights are computed [rad].
     """
 
-    name: ClassVar[str] = "backlash"
-    symbol: ClassVar[str] = "gap"
-    unit: ClassVar[str] = "rad"
-    shapes: ClassVar[tuple[Shape, ...]] = (
-        Shape("trial", "rad", tuned=False, most=lambda facts: float(_GAPS[-1])),
-    )
-    told: ClassVar[Mapping[str, str]] = {"time_delay": SPEEDS}
+    name = "backlash"
+    symbol = "gap"
+    unit = "rad"
+    shapes = (Shape("trial", "rad", tuned=False, most=lambda facts: float(_GAPS[-1])),)
+    told = ((by.SPEEDS, "time_delay"),)
 
     trial: float = 3e-3
 
