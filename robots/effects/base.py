@@ -35,11 +35,6 @@ Law = Callable[[Array, Array, Array], Sequence[Array]]
 """Torque per unit of each coefficient of one joint, of its q, q̇ and q̈, all of shape (n,)."""
 
 
-def near_trial(value: float, trial: float) -> bool:
-    """Whether a coefficient is one that columns computed for a trial value are right for."""
-    return _NEAR[0] < value / trial < _NEAR[1]
-
-
 def plain(name: object) -> str:
     """A word of the vocabulary as it stands in a sentence, such as ``Coulomb friction``."""
     words = str(name).replace("_", " ").replace("load dependent", "load-dependent")
@@ -53,7 +48,7 @@ class Parameter:
     """One coefficient of an effect.
 
     Attributes:
-        name: Name, ``joint.symbol`` or ``link.symbol``.
+        name: Its symbol; after that of the joint, pair or link it belongs to, its full name.
         unit: Unit where torque is in N·m.
         lower: Smallest value physics allows.
         typical: Size that it has when it matters; None where that depends on the arm.
@@ -63,15 +58,6 @@ class Parameter:
     unit: str
     lower: float = -np.inf
     typical: float | None = None
-
-
-@dataclass(frozen=True)
-class Term:
-    """One coefficient that every joint of an effect has: its symbol, unit, lower bound."""
-
-    symbol: str
-    unit: str
-    lower: float = -np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +126,8 @@ class Shape:
     Attributes:
         name: The field.
         unit: Its unit.
-        positive: Whether it must be.
-        tuned: Whether a fit may refine it, by its logarithm; not what columns are computed for.
+        positive: Whether it must be; then a fit may refine it.
+        trial: Whether it is the coefficient that the columns, not linear in it, are computed for.
         most: Largest that counts given what a recording shows of the joint: beyond it the effect
             becomes another. None where no others than those found come into question.
     """
@@ -149,7 +135,7 @@ class Shape:
     name: str
     unit: str
     positive: bool = True
-    tuned: bool = True
+    trial: bool = False
     most: Callable[[JointFacts], float] | None = None
 
 
@@ -182,7 +168,7 @@ class Effect(ABC):
     family: ClassVar[str] = ""
     arity: ClassVar[int] = 0  # how many joints it acts on; 0: as many as it is given
     jointwise: ClassVar[bool] = False  # each joint has coefficients that act on it only
-    terms: ClassVar[tuple[Term, ...]] = ()  # these coefficients
+    terms: ClassVar[tuple[Parameter, ...]] = ()  # its coefficients, once or on each joint
     role: ClassVar[Role] = "torque"  # "link": changes of a link's own; "body": of a further one
     shapes: ClassVar[tuple[Shape, ...]] = ()
     depends_on_model: ClassVar[bool] = True  # columns rest on inertias or effects of the robot
@@ -216,9 +202,24 @@ class Effect(ABC):
             if shape.positive and not getattr(self, shape.name) > 0:
                 raise BadInput(f"effect {self.name}: {shape.name} must be positive")
 
-    @abstractmethod
+    def owners(self, robot: Robot) -> tuple[str, ...]:
+        """Joints, pair or link that its terms belong to, as the names of its coefficients say."""
+        if self.jointwise or len(self.joints) == 1:
+            return self.joints
+        return ("-".join(self.joints) if self.arity else "common",)
+
+    @property
+    def own_terms(self) -> tuple[Parameter, ...]:
+        """The terms that it has in its shape."""
+        return self.terms
+
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Its coefficients, in the order of the columns."""
+        return tuple(
+            replace(term, name=f"{owner}.{term.name}")
+            for owner in self.owners(robot)
+            for term in self.own_terms
+        )
 
     @abstractmethod
     def columns(self, robot: Robot, motion: Motion) -> Array:
@@ -329,12 +330,15 @@ class Effect(ABC):
     @property
     def tuned(self) -> Shape | None:
         """What a fit may refine of its shape, if anything."""
-        return next((shape for shape in self.shapes if shape.positive and shape.tuned), None)
+        return next((shape for shape in self.shapes if shape.positive and not shape.trial), None)
 
     # whether to believe it
 
     def credible(self, robot: Robot, values: Array) -> bool:
         """Whether coefficients are of a size at which they mean what the effect says."""
+        for shape in self.shapes:
+            if shape.trial and not _NEAR[0] < values[0] / getattr(self, shape.name) < _NEAR[1]:
+                return False
         typical = [p.typical for p in self.parameters(robot)]
         most = np.array([np.inf if size is None else _LARGEST * size for size in typical])
         return bool((np.abs(values) < most).all())
@@ -408,19 +412,6 @@ class JointwiseEffect(Effect):
     @abstractmethod
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         """Torque per unit of each term for joint j, each of shape (n,)."""
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """Each joint's terms, joint by joint."""
-        return tuple(
-            Parameter(f"{joint}.{term.symbol}", term.unit, term.lower)
-            for joint in self.joints
-            for term in self.own_terms
-        )
-
-    @property
-    def own_terms(self) -> tuple[Term, ...]:
-        """The terms that it has in its shape."""
-        return self.terms
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Each joint's terms in that joint's row."""

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from excitant.robots.effects import experiments as by
-from excitant.robots.effects.base import PairEffect, Parameter, StandardEffect, Term
+from excitant.robots.effects.base import PairEffect, Parameter, StandardEffect
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
@@ -20,7 +20,7 @@ class RotorInertia(StandardEffect):
 
     name = "rotor_inertia"
     family = "body"
-    terms = (Term("Ia", "kg·m²", 0.0),)
+    terms = (Parameter("Ia", "kg·m²", 0.0),)
     abscissa = "acceleration"
     joint_property = "rotor"
     formats = ("mjcf", "sdf")
@@ -54,7 +54,7 @@ class TorqueOffset(StandardEffect):
 
     name = "torque_offset"
     family = "static"
-    terms = (Term("offset", "N·m"),)
+    terms = (Parameter("offset", "N·m"),)
     needs_motion = False
     abscissa = "time"
     joint_property = "offset"
@@ -85,11 +85,8 @@ class InertiaCoupling(PairEffect):
 
     name = "inertia_coupling"
     family = "body"
+    terms = (Parameter("Ic", "kg·m²"),)
     abscissa = "other acceleration"
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """Coupling inertia."""
-        return (Parameter(f"{'-'.join(self.joints)}.Ic", "kg·m²"),)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Each joint's acceleration in the other's row."""

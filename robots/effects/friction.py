@@ -17,7 +17,6 @@ from excitant.robots.effects.base import (
     Parameter,
     Shape,
     StandardEffect,
-    Term,
     effect_values,
     within,
 )
@@ -34,7 +33,7 @@ class ViscousFriction(StandardEffect):
 
     name = "viscous_friction"
     family = "friction"
-    terms = (Term("Fv", "N·m·s/rad", 0.0),)
+    terms = (Parameter("Fv", "N·m·s/rad", 0.0),)
     abscissa = "velocity"
     joint_property = "viscous"
     formats = ("urdf", "mjcf", "sdf")
@@ -61,7 +60,7 @@ class CoulombFriction(StandardEffect):
 
     name = "coulomb_friction"
     family = "friction"
-    terms = (Term("Fc", "N·m", 0.0),)
+    terms = (Parameter("Fc", "N·m", 0.0),)
     abscissa = "velocity"
     joint_property = "coulomb"
     formats = ("urdf", "mjcf", "sdf")
@@ -93,7 +92,7 @@ class StribeckFriction(JointEffect):
 
     name = "stribeck_friction"
     family = "friction"
-    terms = (Term("Fs", "N·m", 0.0),)
+    terms = (Parameter("Fs", "N·m", 0.0),)
     shapes = (Shape("velocity", "rad/s", most=lambda facts: _SLOW * facts.speed),)
     shared = True
     abscissa = "velocity"
@@ -131,10 +130,10 @@ class AsymmetricFriction(JointEffect):
     contains = ("torque_offset", "coulomb_friction", "viscous_friction")
     imitates = ("torque_offset",)
     terms = (
-        Term("Fc_plus", "N·m"),
-        Term("Fc_minus", "N·m"),
-        Term("Fv_plus", "N·m·s/rad"),
-        Term("Fv_minus", "N·m·s/rad"),
+        Parameter("Fc_plus", "N·m"),
+        Parameter("Fc_minus", "N·m"),
+        Parameter("Fv_plus", "N·m·s/rad"),
+        Parameter("Fv_minus", "N·m·s/rad"),
     )
     abscissa = "velocity"
     told = (
@@ -153,7 +152,7 @@ class AsymmetricFriction(JointEffect):
         return cls((joint,), viscous=False), cls((joint,))
 
     @property
-    def own_terms(self) -> tuple[Term, ...]:
+    def own_terms(self) -> tuple[Parameter, ...]:
         """Coulomb and, where asked for, viscous friction forward and backward."""
         return self.terms[: 2 + 2 * self.viscous]
 
@@ -181,7 +180,7 @@ class NonlinearViscousFriction(JointEffect):
     family = "friction"
     contains = ("viscous_friction",)  # exponent one
     exponents = (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)  # to try
-    terms = (Term("Fn", "N·m·(s/rad)^a"),)
+    terms = (Parameter("Fn", "N·m·(s/rad)^a"),)
     shapes = (Shape("exponent", "1"),)
     shared = True
     abscissa = "velocity"
@@ -209,7 +208,7 @@ class LoadDependentFriction(JointwiseEffect):
 
     name = "load_dependent_friction"
     family = "friction"
-    terms = (Term("Fl", "1", 0.0),)
+    terms = (Parameter("Fl", "1", 0.0),)
     shared = True
     abscissa = "load"
     told = (
@@ -242,6 +241,7 @@ class FrictionCoupling(PairEffect):
 
     name = "friction_coupling"
     family = "friction"
+    terms = (Parameter("Fv", "N·m·s/rad", 0.0), Parameter("Fc", "N·m", 0.0))
     shapes = (Shape("ratio", "1", positive=False),)
     abscissa = "other velocity"
     told = ((by.HOLD_OTHER, "inertia_coupling"),)
@@ -252,11 +252,6 @@ class FrictionCoupling(PairEffect):
     def between(cls, pair: tuple[str, str]) -> Sequence[Self]:
         """Shafts that turn with the sum or the difference of both."""
         return cls(pair), cls(pair, ratio=-1.0)
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """Viscous and Coulomb friction of the shaft."""
-        pair = "-".join(self.joints)
-        return (Parameter(f"{pair}.Fv", "N·m·s/rad", 0.0), Parameter(f"{pair}.Fc", "N·m", 0.0))
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Speed and its sign in both rows."""

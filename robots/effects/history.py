@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from excitant.robots.effects import experiments as by
-from excitant.robots.effects.base import JointFacts, JointwiseEffect, Shape, Term
+from excitant.robots.effects.base import JointFacts, JointwiseEffect, Parameter, Shape
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
@@ -31,7 +31,7 @@ class PreslidingHysteresis(JointwiseEffect):
     name = "presliding_hysteresis"
     family = "friction"
     depends_on_model = False
-    terms = (Term("Fh", "N·m", 0.0),)
+    terms = (Parameter("Fh", "N·m", 0.0),)
     shapes = (Shape("distance", "rad", most=lambda facts: _SHORT * facts.reach),)
     shared = True
     abscissa = "reversal"
@@ -120,8 +120,8 @@ class ThermalFrictionDrift(JointwiseEffect):
     abscissa = "time"
     contains = ("viscous_friction", "coulomb_friction")
     terms = (
-        Term("Fv_cold", "N·m·s/rad"),
-        Term("Fc_cold", "N·m"),
+        Parameter("Fv_cold", "N·m·s/rad"),
+        Parameter("Fc_cold", "N·m"),
     )
 
     time: float = 60.0

@@ -13,6 +13,8 @@ from excitant.robots.parameters import STANDARD, UNITS
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
+_BODY = tuple(zip(STANDARD, UNITS, strict=True))
+
 
 @dataclass(frozen=True)
 class AddedInertia(Effect):
@@ -22,15 +24,11 @@ class AddedInertia(Effect):
     arity = 1
     depends_on_model = False
     further = False
-    prefix = "delta_"
+    terms = tuple(Parameter(f"delta_{name}", unit) for name, unit in _BODY)
 
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """The ten standard parameters, as increments."""
-        link = robot.links[self.rows(robot)[0]]
-        return tuple(
-            Parameter(f"{link}.{self.prefix}{name}", unit)
-            for name, unit in zip(STANDARD, UNITS, strict=True)
-        )
+    def owners(self, robot: Robot) -> tuple[str, ...]:
+        """The link."""
+        return (robot.links[self.rows(robot)[0]],)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """The link's columns of the regressor."""
@@ -72,7 +70,7 @@ class Payload(AddedInertia):
 
     name = "payload"
     role = "body"
-    prefix = "payload_"
+    terms = tuple(Parameter(f"payload_{name}", unit) for name, unit in _BODY)
     told = ((by.UNLOADED, "inertial_parameters"),)
 
     @classmethod

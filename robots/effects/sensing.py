@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from excitant.robots.effects.base import (
     JointFacts,
     Parameter,
     Shape,
-    near_trial,
 )
 from excitant.robots.effects.reference import (
     carried_torque,
@@ -37,27 +36,22 @@ _METRE = 1e-3  # of the central difference; torque is quadratic in a placement, 
 
 
 @dataclass(frozen=True)
-class _SharedEffect(Effect):
-    """One coefficient for all joints it acts on."""
+class _GeometryEffect(Effect):
+    """A joint is elsewhere than its encoder or the model says."""
 
+    family = "geometry"
+    arity = 1
     of_state_alone = False
     further = False
-    symbol: ClassVar[str]
-    unit: ClassVar[str]
-    typical: ClassVar[float]
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """One coefficient, named after the joint, or after none where it is common."""
-        owner = self.joints[0] if len(self.joints) == 1 else "common"
-        return (Parameter(f"{owner}.{self.symbol}", self.unit, typical=self.typical),)
 
 
 @dataclass(frozen=True)
-class _ReadingEffect(_SharedEffect):
+class _ReadingEffect(Effect):
     """One coefficient of the torque readings of one joint, or of all."""
 
     family = "reading"
     acts_on_torque = True
+    of_state_alone = False
 
     @classmethod
     def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
@@ -72,10 +66,9 @@ class TorqueGain(_ReadingEffect):
     """Reading = (1 + g) τ: the torque sensor's or the drive's constant is wrong."""
 
     name = "torque_gain"
+    further = False
     of_given_torque = True
-    symbol = "gain"
-    unit = "1"
-    typical = 0.5
+    terms = (Parameter("gain", "1", typical=0.5),)
     abscissa = "torque"
     told = (
         (f"{by.LOADS}: a gain scales its torque too", "inertial_parameters"),
@@ -110,11 +103,8 @@ class TimeDelay(_ReadingEffect):
     """
 
     name = "time_delay"
-    further = True
-    symbol = "delay"
-    unit = "s"
-    typical = 0.05
-    shapes = (Shape("trial", "s", positive=False, most=lambda facts: _LONGEST),)
+    terms = (Parameter("delay", "s", typical=0.05),)
+    shapes = (Shape("trial", "s", positive=False, trial=True, most=lambda facts: _LONGEST),)
     abscissa = "torque rate"
     told = (
         (by.SPEEDS, "inertial_parameters encoder_scale"),
@@ -133,10 +123,6 @@ class TimeDelay(_ReadingEffect):
         if not self.trial:
             raise BadInput(f"effect {self.name}: trial must not be zero")
 
-    def credible(self, robot: Robot, values: Array) -> bool:
-        """Whether the delay is one that the trial delay's column is right for."""
-        return near_trial(float(values[0]), self.trial)
-
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """(τ(t − d₀) − τ(t)) / d₀ at these joints."""
         tau, t = carried_torque(robot, motion), motion.t
@@ -152,15 +138,11 @@ class TimeDelay(_ReadingEffect):
 
 
 @dataclass(frozen=True)
-class EncoderOffset(_SharedEffect):
+class EncoderOffset(_GeometryEffect):
     """True angle = reading + δ."""
 
     name = "encoder_offset"
-    family = "geometry"
-    arity = 1
-    symbol = "offset_angle"
-    unit = "rad"
-    typical = 0.3
+    terms = (Parameter("offset_angle", "rad", typical=0.3),)
     told = (
         (f"{by.ZERO}; the last joint's offset is a turned last link", "inertial_parameters"),
         (f"{by.ZERO}; or {by.UNLOADED}", "payload"),
@@ -178,15 +160,11 @@ class EncoderOffset(_SharedEffect):
 
 
 @dataclass(frozen=True)
-class EncoderScale(_SharedEffect):
+class EncoderScale(_GeometryEffect):
     """True angle = (1 + s) reading."""
 
     name = "encoder_scale"
-    family = "geometry"
-    arity = 1
-    symbol = "scale"
-    unit = "1"
-    typical = 0.3
+    terms = (Parameter("scale", "1", typical=0.3),)
     told = ((by.KINEMATICS, "inertial_parameters"),)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
@@ -196,23 +174,16 @@ class EncoderScale(_SharedEffect):
 
 
 @dataclass(frozen=True)
-class KinematicError(Effect):
+class KinematicError(_GeometryEffect):
     """The joint sits elsewhere in its parent link than the model says."""
 
     name = "kinematic_error"
-    family = "geometry"
-    arity = 1
-    of_state_alone = False
-    further = False
+    terms = tuple(Parameter(f"d{axis}", "m", typical=0.1) for axis in "xyz")
     told = (
         (f"{by.KINEMATICS}; or repeat the motion in another pose region", "inertial_parameters"),
         (by.UNLOADED, "payload"),
         (f"{by.LEVEL}; {by.KINEMATICS}", "gravity_direction"),
     )
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """Translation in the parent's joint frame."""
-        return tuple(Parameter(f"{self.joints[0]}.d{axis}", "m", typical=0.1) for axis in "xyz")
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Central differences by the translation."""
@@ -240,6 +211,7 @@ class GravityDirection(Effect):
     """Gravity points elsewhere in the base frame: the arm is mounted otherwise, or tilted."""
 
     name = "gravity_direction"
+    terms = tuple(Parameter(f"d{axis}", "m/s²", typical=10.0) for axis in "xyz")
     family = "static"
     further = False
     told = (
@@ -255,9 +227,9 @@ class GravityDirection(Effect):
         """One for the arm."""
         return [(cls(robot.joints), 1)]
 
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """Change of the gravity vector in the base frame."""
-        return tuple(Parameter(f"gravity.d{axis}", "m/s²", typical=10.0) for axis in "xyz")
+    def owners(self, robot: Robot) -> tuple[str, ...]:
+        """The arm's one gravity."""
+        return ("gravity",)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Static torque under unit gravity along each axis."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
@@ -15,8 +15,6 @@ from excitant.robots.effects.base import (
     JointFacts,
     Parameter,
     Shape,
-    Term,
-    near_trial,
 )
 from excitant.robots.effects.reference import rigid_torque, torque_along, torque_derivatives
 from excitant.robots.motion import Array, Motion
@@ -40,8 +38,8 @@ class TorqueRipple(JointEffect):
     name = "torque_ripple"
     family = "static"
     terms = (
-        Term("ripple_cos", "N·m"),
-        Term("ripple_sin", "N·m"),
+        Parameter("ripple_cos", "N·m"),
+        Parameter("ripple_sin", "N·m"),
     )
     shapes = (Shape("order", "1"),)
     abscissa = "position"
@@ -81,9 +79,9 @@ class TorqueRipple(JointEffect):
         return [self.reshaped("order", self.order + s * _step(facts)) for s in _BESIDE]
 
     @property
-    def own_terms(self) -> tuple[Term, ...]:
+    def own_terms(self) -> tuple[Parameter, ...]:
         """Amplitudes, named after the order."""
-        return tuple(Term(f"{term.symbol}{self.order:.4g}", term.unit) for term in self.terms)
+        return tuple(Parameter(f"{term.name}{self.order:.4g}", term.unit) for term in self.terms)
 
     def drawn(self, label: str, x: Array) -> tuple[str, Array]:
         """Folded into one period."""
@@ -142,7 +140,7 @@ class Spring(JointEffect):
         (by.UNLOADED, "payload"),
         (f"{by.TURNED}: a spring's torque stays", "gravity_direction"),
     )
-    terms = (Term("k", "N·m/rad"), Term("moment", "N·m"))
+    terms = (Parameter("k", "N·m/rad"), Parameter("moment", "N·m"))
 
     lever: bool = False
 
@@ -152,11 +150,10 @@ class Spring(JointEffect):
         return cls((joint,)), cls((joint,), lever=True)
 
     @property
-    def own_terms(self) -> tuple[Term, ...]:
+    def own_terms(self) -> tuple[Parameter, ...]:
         """Stiffness and moment at zero, or amplitudes of cosine and sine."""
-        return (
-            tuple(Term(f"spring_{s}", "N·m") for s in ("cos", "sin")) if self.lever else self.terms
-        )
+        lever = tuple(Parameter(f"spring_{s}", "N·m") for s in ("cos", "sin"))
+        return lever if self.lever else self.terms
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Angle and one, or cosine and sine of the angle."""
@@ -170,12 +167,6 @@ class _Lag(Effect):
     family = "transmission"
     arity = 1
     of_state_alone = False
-    symbol: ClassVar[str]
-    unit: ClassVar[str]
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """One coefficient."""
-        return (Parameter(f"{self.joints[0]}.{self.symbol}", self.unit, 0.0),)
 
     def _torque_along(self, robot: Robot, motion: Motion, lag: Array) -> Array:
         j = self.rows(robot)[0]
@@ -187,8 +178,7 @@ class JointElasticity(_Lag):
     """Link angle = motor angle − c τ with the compliance c = 1/k, to first order in c."""
 
     name = "joint_elasticity"
-    symbol = "compliance"
-    unit = "rad/(N·m)"
+    terms = (Parameter("compliance", "rad/(N·m)", 0.0),)
     told = (
         (f"{by.LOCKED}: play yields at once, a spring in proportion", "backlash"),
         (by.UNLOADED, "payload"),
@@ -212,9 +202,8 @@ class Backlash(_Lag):
     """
 
     name = "backlash"
-    symbol = "gap"
-    unit = "rad"
-    shapes = (Shape("trial", "rad", tuned=False, most=lambda facts: float(_GAPS[-1])),)
+    terms = (Parameter("gap", "rad", 0.0),)
+    shapes = (Shape("trial", "rad", trial=True, most=lambda facts: float(_GAPS[-1])),)
     told = ((by.SPEEDS, "time_delay"),)
 
     trial: float = 3e-3
@@ -223,10 +212,6 @@ class Backlash(_Lag):
     def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
         """Gaps up to a tenth of a radian."""
         return [cls((joint,), trial=float(gap)) for gap in _GAPS]
-
-    def credible(self, robot: Robot, values: Array) -> bool:
-        """Whether the gap is one that the trial gap's flights are right for."""
-        return near_trial(float(values[0]), self.trial)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Change of the torque by the lag, per gap."""
