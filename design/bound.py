@@ -333,9 +333,8 @@ class _Point:
 
     def mu(self) -> float:
         """⟨X, S⟩ + x·s over the order of the cone."""
-        order = len(self.x) + 2 * self.X.shape[1]
-        product = float(np.vdot(self.X, self.S)) + float(self.x @ self.s)
-        return product / order
+        order = len(self.x) + 2 * len(self.X[0])
+        return float(np.vdot(self.X, self.S) + self.x @ self.s) / order
 
     def moved(self, step: _Point) -> _Point:
         """As far along a step as it stays inside the cone, primal and dual apart."""
