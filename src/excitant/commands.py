@@ -127,22 +127,18 @@ def _plan(args: argparse.Namespace, found: diagnosis.Diagnosis) -> discriminatio
 
 def report(args: argparse.Namespace) -> None:
     """Render a run's report again, or compare it with another run."""
-    result, series = load_run(args.directory)
-    if args.other is not None:
-        _compare(args, SavedRun(args.directory, result, series))
+    if len(args.directory) > 1:
+        result = compare(*(SavedRun(each, *load_run(each)) for each in args.directory))
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        directory = Path(args.output or f"runs/compare-{result['of']}-{stamp}")
+        finish(args, directory, result, {}, {})
         return
     if args.output is not None:
-        raise BadInput("-o is where two runs are compared; name a second run, or leave -o out")
-    paths = save_run(args.directory, result, series)
+        raise BadInput("-o is where runs are compared; name a second run, or leave -o out")
+    (directory,) = args.directory
+    result, series = load_run(directory)
+    paths, _ = save_run(directory, result, series)
     if args.json:
         print_json(result)
     else:
         print_paths(paths)
-
-
-def _compare(args: argparse.Namespace, first: SavedRun) -> None:
-    """Write one run with what two have in common and where they differ."""
-    result, series = compare(first, SavedRun(args.other, *load_run(args.other)))
-    stamp = time.strftime("%Y%m%d-%H%M%S")
-    directory = Path(args.output or f"runs/compare-{result['of']}-{stamp}")
-    finish(args, directory, result, series, {})

@@ -60,12 +60,11 @@ def finish(
 ) -> None:
     """Save the run, then print its paths and summary, or its result as JSON."""
     result["files"] = [str(directory / name) for name in files]
-    paths = save_run(directory, result, series, files)
-    saved, _ = load_run(directory)
+    paths, page = save_run(directory, result, series, files)
     if args.json:
-        print_json(saved)
+        print_json(load_run(directory)[0])
         return
-    print(brief(saved))
+    print(brief(page))
     print()
     print_paths(paths)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from excitant.exceptions import BadInput
 from excitant.output import finish, print_json
-from excitant.reports.wording import number
+from excitant.reports.values import number
 from excitant.robot_arguments import robot_of
 from excitant.robots import builtin_robots
 from excitant.robots.library.catalogue import arm_entry, catalogue, catalogue_rows

@@ -1,0 +1,159 @@
+"""Two walks over a page: one self-contained HTML file, and lines of text."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from base64 import b64encode
+from functools import cache
+from importlib.resources import files
+from typing import TYPE_CHECKING
+
+from excitant.reports.page import Block, Facts, Folded, Matrix, Notes, Page, Section, Table
+from excitant.reports.values import NONE
+
+if TYPE_CHECKING:
+    import jinja2
+    from markupsafe import Markup
+
+_FIGURE = 12  # characters of a number in text
+_LABEL = 32
+_STEP = 10  # columns of words are a multiple of this wide, so that few changes move them
+_ASCII = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+
+
+def html(page: Page) -> str:
+    """A page as one HTML file: no network, figures inside.
+
+    Its one script enlarges figures; the page allows no other, and can do without it.
+    """
+    from markupsafe import Markup
+
+    script = _template("report.js")
+    digest = b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    template = _environment().get_template("report.html.j2")
+    return template.render(page=page, script=Markup(script), script_hash=f"sha256-{digest}")
+
+
+def _template(name: str) -> str:
+    return (files("excitant.reports") / "templates" / name).read_text("utf-8")
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    import jinja2
+    from markupsafe import Markup
+
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(_template),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters["drawing"] = Markup  # SVG of ours, its texts are escaped
+    environment.filters["breakable"] = _breakable
+    return environment
+
+
+def _breakable(name: str) -> Markup:
+    """A name, escaped, that may break after an underscore where lines are short."""
+    from markupsafe import Markup, escape
+
+    return Markup(str(escape(name)).replace("_", "_<wbr>"))
+
+
+def summary(page: Page) -> str:
+    """A page as text of fixed columns, so that two runs compare with ``diff``.
+
+    The layout follows the fit reports of lmfit. Figures are left out, and so are durations of the
+    computation and paths: a line changes only when what it says has changed.
+    """
+    lines = [f"[[{page.title}]]"]
+    for block in page.summary:
+        lines += _block(block)
+    for section in page.sections:
+        if len(page.sections) > 1:
+            lines += ["", f"[[{section.title}]]"]
+        lines += [f"    {section.lead}", *_parts(section)]
+    return "\n".join(_plain(line) for line in lines) + "\n"
+
+
+def brief(page: Page) -> str:
+    """What a page comes to, in a few lines for the terminal."""
+    if len(page.sections) == 1:
+        (only,) = page.sections
+        return "\n".join([f"{page.title}: {only.lead}", *_brief(only)])
+    lines = [page.title]
+    for section in page.sections:
+        lines += [f"{section.title}: {section.lead}", *_brief(section)]
+    return "\n".join(lines)
+
+
+def _brief(section: Section) -> list[str]:
+    lines = []
+    for block in (block for part in section.parts for block in part.blocks):
+        if isinstance(block, Notes) and block.brief:
+            lines += [f"  {sentence}" for sentence in block.sentences]
+        elif isinstance(block, Table) and block.brief:
+            lines += [f"  {': '.join(c.text for c in row if c.text != NONE)}" for row in block.rows]
+    return lines
+
+
+def _plain(line: str) -> str:
+    """A line without typography or breaks: what other programs read too."""
+    line = re.sub(r"×10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", lambda e: "e" + e[1].translate(_ASCII), line)
+    return re.sub(r"[\s\u00a0]", " ", line).replace("−", "-").rstrip()
+
+
+def _parts(section: Section) -> list[str]:
+    lines = []
+    for part in section.parts:
+        written = [line for block in part.blocks for line in _block(block)]
+        lines += [f"[[{part.title}]]", *written] if written else []
+    return lines
+
+
+def _block(block: Block) -> list[str]:
+    """Lines of one block; none for figures."""
+    match block:
+        case Notes():
+            return [] if block.paths else [f"    {sentence}" for sentence in block.sentences]
+        case Facts():
+            return [
+                f"    {fact.label:<{_LABEL}} = {fact.value}"
+                + (f"  ({fact.remark})" if fact.remark else "")
+                for fact in block.facts
+                if not fact.timing
+            ]
+        case Matrix():
+            return [
+                f"    {name:<{_LABEL}}   "
+                + ", ".join(f"{c} {k}" for c, k in zip(block.columns, kinds, strict=True) if k)
+                for name, kinds in block.rows
+            ]
+        case Folded():
+            return [f"  [{block.title}]", *(line for b in block.blocks for line in _block(b))]
+        case Table():
+            return _table(block)
+    return []
+
+
+def _table(table: Table) -> list[str]:
+    """A table whose expressions, as long as they like, stand last."""
+    order = sorted(range(len(table.columns)), key=lambda k: table.columns[k][1] == "expression")
+    rows = [[" ".join(row[k].text.split()) for k in order] for row in table.rows]
+    rows = [["-" if cell == NONE else cell for cell in row] for row in rows]
+    heads = [table.columns[k][0] for k in order]
+    numeric = [table.columns[k][1] == "number" for k in order]
+    lines = []
+    for row in (heads, *rows):
+        line = "   "
+        for k, cell in enumerate(row):
+            if numeric[k]:
+                line += f" {cell:>{max(_FIGURE, len(heads[k]))}}"
+            else:
+                widest = max(len(heads[k]), *(len(each[k]) for each in rows))
+                line += f" {cell:<{-(-widest // _STEP) * _STEP}}"
+        lines.append(line)
+    return lines
