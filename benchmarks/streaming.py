@@ -3,8 +3,8 @@
     OMP_NUM_THREADS=1 python benchmarks/streaming.py [--samples 10000000] [--format parquet|csv]
 
 A log of the built-in panda at 1 kHz, with friction, offsets, rotor inertia and noise, is written
-piece by piece and identified by ``identify_streamed`` in a process of its own, whose peak memory is
-read when it has ended: search for faults, choice of cut-offs, filtering, fitting, judging. In
+piece by piece and identified in a process of its own, whose peak memory is read when it has ended:
+reading in pieces, decimation, filtering, fitting, judging. In
 the same run the same processor evaluates Pinocchio's regressor in a bare loop over samples whose
 derivatives are there already: the calls alone, and with normal equations accumulated. Ratios are of
 processor time (user and system; one thread), which other work on the machine disturbs least.
@@ -30,7 +30,7 @@ import pyarrow.parquet
 from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
-from excitant.identify.streaming import identify_streamed
+from excitant.identify import identify, read_recordings
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import standard_effects
 
@@ -111,7 +111,7 @@ def identified(name: str, path: Path) -> dict[str, Any]:
     robot = load_robot(name)
     with threadpool_limits(1):
         clock, start = time.perf_counter(), time.process_time()
-        estimate = identify_streamed(robot, [path], tune=True)
+        estimate = identify(robot, read_recordings([path], robot))
         seconds, clock = time.process_time() - start, time.perf_counter() - clock
     status = Path("/proc/self/status")
     peak = [x.split()[1] for x in status.read_text().splitlines() if "VmHWM" in x]
@@ -146,7 +146,7 @@ def main(words: Sequence[str] | None = None) -> None:
     speed = args.samples / found["seconds"]
     print(f"log                  {args.samples} samples of {robot.nv} joints, {size:.0f} MB")
     print(
-        f"identify_streamed    {found['seconds']:.1f} s ({found['clock']:.1f} s by the clock), "
+        f"identify             {found['seconds']:.1f} s ({found['clock']:.1f} s by the clock), "
         f"{speed:.0f} samples/s"
     )
     print(f"peak memory          {found['peak_MB']:.0f} MB")

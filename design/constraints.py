@@ -8,7 +8,7 @@ import numpy as np
 
 from excitant.design.interpolation import HermiteTrajectory, largest
 from excitant.design.trajectory import Trajectory
-from excitant.exceptions import BadInput
+from excitant.exceptions import BadInput, OutsideLimits
 from excitant.robots import Array, Limits, Motion, Robot
 from excitant.robots.motion import freeze
 from excitant.robots.torque import largest_torque
@@ -30,16 +30,20 @@ class LimitUse:
         ratios: Largest magnitude over limit per joint, shape (nv,); 0 without a limit. For
             position it is |q − middle| over half the range.
         times: When each joint's largest ratio occurs, shape (nv,) [s].
+        values: The quantity there, with its sign, shape (nv,).
+        bounds: The limit on that side, shape (nv,); infinite without one.
         joints: Names of the joints.
     """
 
     quantity: str
     ratios: Array
     times: Array
+    values: Array
+    bounds: Array
     joints: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        freeze(self, "ratios", "times")
+        freeze(self, "ratios", "times", "values", "bounds")
 
     @property
     def ratio(self) -> float:
@@ -55,6 +59,18 @@ class LimitUse:
     def time(self) -> float:
         """When the worst ratio occurs [s]."""
         return float(self.times[self.ratios.argmax()])
+
+    def require(self) -> None:
+        """Refuse a joint beyond its limit.
+
+        Raises:
+            OutsideLimits: With the worst joint, its value and the limit.
+        """
+        if self.ratio > 1.0:
+            k = int(self.ratios.argmax())
+            raise OutsideLimits(
+                self.joint, self.quantity, float(self.values[k]), float(self.bounds[k]), self.time
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,23 +181,25 @@ def within_limits(robot: Robot, trajectory: Trajectory) -> Trajectory | None:
     return None
 
 
-def _use(robot: Robot, order: int, size: Array, times: Array) -> LimitUse:
-    bound = kinematic_limits(robot.limits)[1][order]
-    return LimitUse(KINEMATIC[order], size / bound, times, robot.joints)
+def _use(robot: Robot, order: int, away: Array, times: Array) -> LimitUse:
+    """Use of a kinematic limit by the largest distance from the middle, with its sign, (nv,)."""
+    middle, bound = (x[order] for x in kinematic_limits(robot.limits))
+    limit = middle + np.copysign(bound, away)
+    ratios = np.abs(away) / bound
+    return LimitUse(KINEMATIC[order], ratios, times, middle + away, limit, robot.joints)
 
 
 def _exact_use(robot: Robot, trajectory: Trajectory, order: int) -> LimitUse:
-    middle = kinematic_limits(robot.limits)[0][order]
     times, values = trajectory.extrema_in_time(order)
-    size = np.abs(values - middle)
-    k, joints = size.argmax(axis=0), np.arange(robot.nv)
-    return _use(robot, order, size[k, joints], times[k, joints])
+    away = values - kinematic_limits(robot.limits)[0][order]
+    k, joints = np.abs(away).argmax(axis=0), np.arange(robot.nv)
+    return _use(robot, order, away[k, joints], times[k, joints])
 
 
 def _sampled_use(robot: Robot, spline: HermiteTrajectory, order: int, t: Array) -> LimitUse:
     middle = kinematic_limits(robot.limits)[0][order]
-    size, times = largest(lambda s: spline(s, order) - middle, lambda s: spline(s, order + 1), t)
-    return _use(robot, order, size, times)
+    away, times = largest(lambda s: spline(s, order) - middle, lambda s: spline(s, order + 1), t)
+    return _use(robot, order, away, times)
 
 
 def _torque_use(
@@ -189,7 +207,8 @@ def _torque_use(
 ) -> LimitUse:
     """Torque over continuous time; just before and after ``stops`` friction may jump."""
     if np.all(np.isinf(robot.limits.torque)):
-        return LimitUse("torque", np.zeros(robot.nv), np.zeros(robot.nv), robot.joints)
+        zero = np.zeros(robot.nv)
+        return LimitUse("torque", zero, zero, zero, robot.limits.torque, robot.joints)
     dt = 1e-6 * float(np.median(np.diff(t)))
     if robot.effects:
         beside = np.concatenate([stops - 1e-3 * dt, stops + 1e-3 * dt])
@@ -203,8 +222,10 @@ def _torque_use(
         slope: Array = (tau(ahead) - tau(behind)) / (ahead - behind)[:, None]
         return slope
 
-    size, times = largest(tau, rate, t)
-    return LimitUse("torque", size / robot.limits.torque, times, robot.joints)
+    peak, times = largest(tau, rate, t)
+    limit = robot.limits.torque
+    ratios = np.abs(peak) / limit
+    return LimitUse("torque", ratios, times, peak, np.copysign(limit, peak), robot.joints)
 
 
 def _reversals(spline: HermiteTrajectory, t: Array) -> Array:

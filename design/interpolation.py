@@ -69,7 +69,7 @@ def peak_times(t: Array, value: Array, slope: Array) -> tuple[Array, Array]:
 def largest(
     evaluate: Callable[[Array], Array], slope: Callable[[Array], Array], t: Array
 ) -> tuple[Array, Array]:
-    """Largest magnitude of each channel over continuous time, and when.
+    """Value of largest magnitude of each channel over continuous time, and when.
 
     The instants given are joined by cubic Hermite interpolation (error h⁴ |f⁗| / 384); the
     function itself is then evaluated at the interpolants' stationary points.
@@ -80,14 +80,14 @@ def largest(
         t: Instants fine enough for the interpolation, increasing [s].
     """
     value = evaluate(t)
-    size = np.abs(value)
+    k = np.abs(value).argmax(axis=0)
+    best, when = value[k, np.arange(value.shape[1])], t[k]
     times, channels = peak_times(t, value, slope(t))
-    best, when = size.max(axis=0), t[size.argmax(axis=0)]
     if len(times):
-        peaks = np.abs(evaluate(times)[np.arange(len(times)), channels])
+        peaks = evaluate(times)[np.arange(len(times)), channels]
         for j in range(value.shape[1]):
             own = np.flatnonzero(channels == j)
-            if len(own) and peaks[own].max() > best[j]:
-                k = own[peaks[own].argmax()]
+            if len(own) and np.abs(peaks[own]).max() > abs(best[j]):
+                k = own[np.abs(peaks[own]).argmax()]
                 best[j], when[j] = peaks[k], times[k]
     return best, when

@@ -13,7 +13,6 @@ from excitant.identify.differentiators import (
 from excitant.identify.estimate import Estimate, identify
 from excitant.identify.excitation import Persistency, persistency
 from excitant.identify.export import Publication, model_files, publication
-from excitant.identify.importers.chunks import read_chunks
 from excitant.identify.importers.mapping import ColumnMap, load_column_map
 from excitant.identify.importers.raw import RawRecording, raw_recording
 from excitant.identify.knowledge import Knowledge, load_knowledge
@@ -30,6 +29,7 @@ from excitant.identify.payload_run import identify_payload
 from excitant.identify.periods import Periods, periods_of
 from excitant.identify.recording import (
     Recording,
+    read_chunks,
     read_recording,
     read_recordings,
     recording_from_raw,
@@ -38,7 +38,6 @@ from excitant.identify.recording import (
 from excitant.identify.replay import Monitor, replay
 from excitant.identify.result import identify_result, identify_series
 from excitant.identify.rows import Data, split
-from excitant.identify.streaming import identify_streamed
 
 __all__ = [
     "ColumnMap",
@@ -73,7 +72,6 @@ __all__ = [
     "identify_payload",
     "identify_result",
     "identify_series",
-    "identify_streamed",
     "in_torque",
     "link_by_link_result",
     "link_by_link_series",

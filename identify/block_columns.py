@@ -10,7 +10,7 @@ import numpy.typing as npt
 from excitant.exceptions import BadInput
 from excitant.identify.standstill import dry_joints
 from excitant.robots.base_parameters import BaseParameters
-from excitant.robots.effects import Effect, JointEffect
+from excitant.robots.effects.base import Effect, Law
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
@@ -46,17 +46,17 @@ class BlockColumns:
         self._links = chosen[chosen < 10 * robot.nv]
         self._chosen = chosen[chosen >= 10 * robot.nv] - 10 * robot.nv
         self._count = sum(len(effect.parameters(robot)) for effect in effects)
-        self._fast: dict[tuple[str, ...], tuple[_Indices, list[tuple[JointEffect, _Indices]]]] = {}
+        self._fast: dict[tuple[str, ...], tuple[_Indices, list[tuple[Law, _Indices]]]] = {}
         self._slow: list[tuple[Effect, int]] = []
         start = 0
         for effect in effects:
-            if isinstance(effect, JointEffect):
-                _refuse_memory(effect)
-                joints = np.array([robot.joint_index(name) for name in effect.joints], int)
-                terms = len(effect.terms)
+            if effect.law is not None:
+                _refuse_memory(effect.name, effect.law)
+                joints = np.array(effect.rows(robot), int)
+                terms = len(effect.parameters(robot)) // len(joints)
                 columns = start + terms * np.arange(len(joints)) + np.arange(terms)[:, None]
                 members = self._fast.setdefault(effect.joints, (joints, []))[1]
-                members.append((effect, joints * self._count + columns))
+                members.append((effect.law, joints * self._count + columns))
             else:
                 self._slow.append((effect, start))
             start += len(effect.parameters(robot))
@@ -73,8 +73,8 @@ class BlockColumns:
         F, mean = np.zeros((self.robot.nv, self._count)), self._mean
         for joints, members in self._fast.values():
             q, dq, ddq = states[:, :, joints].transpose(1, 0, 2).reshape(3, -1)
-            for effect, cells in members:
-                for cell, values in zip(cells, effect.shape(q, dq, ddq), strict=True):
+            for law, cells in members:
+                for cell, values in zip(cells, law(q, dq, ddq), strict=True):
                     F.put(cell, mean @ values.reshape(self._block, -1))
         for slow, start in self._slow:
             motion = Motion(np.arange(float(self._block)), *states.transpose(1, 0, 2))
@@ -101,14 +101,14 @@ def _structure(robot: Robot, effects: Sequence[Effect], columns: _Indices) -> li
     return [np.flatnonzero(row) for row in present]
 
 
-def _refuse_memory(effect: JointEffect) -> None:
+def _refuse_memory(name: str, law: Law) -> None:
     """Refuse an effect whose torque changes when the order of the samples does."""
     rng = np.random.default_rng(2)
     q, dq, ddq = rng.standard_normal((3, _STATES))
     order = rng.permutation(_STATES)
-    plain, shuffled = effect.shape(q, dq, ddq), effect.shape(q[order], dq[order], ddq[order])
+    plain, shuffled = law(q, dq, ddq), law(q[order], dq[order], ddq[order])
     if not all(np.allclose(a[order], b) for a, b in zip(plain, shuffled, strict=True)):
         raise BadInput(
-            f"on-line estimation: {effect.name} depends on the past motion; leave it out, "
+            f"on-line estimation: {name} depends on the past motion; leave it out, "
             "or identify off line"
         )

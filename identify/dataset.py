@@ -15,7 +15,7 @@ from excitant.identify.importers.mapping import (
     drive_from_entry,
     load_column_map,
 )
-from excitant.identify.importers.sources import SUFFIXES
+from excitant.identify.importers.raw import SUFFIXES
 from excitant.identify.recording import Recording, read_recordings
 from excitant.robots.loading import load_robot
 from excitant.robots.robot import Robot

@@ -27,7 +27,7 @@ import scipy.optimize
 from excitant.exceptions import BadInput, Infeasible
 from excitant.identify.log_cholesky_numbers import from_log_cholesky, to_log_cholesky
 from excitant.identify.physical import PRIOR_SIGMA, EffectPrior, KktResiduals, PhysicalFit
-from excitant.identify.physical_coordinates import link_coordinates, link_weights, plain_units
+from excitant.identify.semidefinite import link_coordinates, link_weights
 from excitant.robots.motion import Array, freeze
 
 _EVALUATIONS = 500
@@ -77,7 +77,7 @@ def fit_log_cholesky(
         prior: Standard parameters of the prior, consistent, shape (links, 10).
         effects: Torque beside the links'; none where None.
         prior_sigma: Relative uncertainty σ of the prior, for all links or for each.
-        distance: ``"pullback"`` or ``"euclidean"``, how the distance to the prior is measured.
+        distance: ``"pullback"``, how the distance to the prior is measured.
 
     Returns:
         Standard parameters and θ with the covariance of both (constraints ignored).
@@ -276,9 +276,4 @@ def _prior_rows(prior: Array, sigma: float | Array, distance: str) -> Array:
     if distance == "pullback":
         T = link_coordinates(prior)
         return np.asarray(link_weights(links, sigma)[:, None] * np.linalg.inv(T), float)
-    if distance == "euclidean":
-        each = np.broadcast_to(np.asarray(sigma, float), (links,))
-        return np.diag(1 / (plain_units(prior) * each[:, None]).ravel())
-    raise BadInput(
-        f"log-Cholesky fit: distance '{distance}' is no sum of squares; use pullback or euclidean"
-    )
+    raise BadInput(f"log-Cholesky fit: distance '{distance}' is no sum of squares; use pullback")

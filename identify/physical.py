@@ -15,13 +15,12 @@ Distance D to the prior is one of
                second order (Lee and Park 2018); it needs no ε,
     euclidean  Σ_i (φ_i − φ̄_i)² / u_i², u the units by each link's mass and radius of gyration.
 
-The consistent parameters are fitted directly, never projected afterwards. Sousa and Cortesão 2014
-for the fit itself; `excitant.identify.physical_knowledge` for what is known of bodies.
+The consistent parameters are fitted directly, never projected afterwards (Sousa and Cortesão 2014).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -29,27 +28,27 @@ import numpy as np
 import scipy.linalg
 
 from excitant.exceptions import BadInput, BadRobot
-from excitant.identify.knowledge import Knowledge
-from excitant.identify.physical_coordinates import (
-    link_coordinates,
-    link_weights,
-    matrices,
-    plain_units,
-)
-from excitant.identify.physical_entropy import local, solve_entropic
-from excitant.identify.physical_knowledge import known_rows
-from excitant.identify.physical_program import (
+from excitant.identify.knowledge import Box, Ellipsoid, Knowledge, LinkKnowledge, Quantity
+from excitant.identify.prior_rule import DOMINATED, linear_influence
+from excitant.identify.semidefinite import (
+    MARGIN,
     KktResiduals,
     Program,
     Restriction,
     Solution,
     contradiction,
-    kkt,
+    definite,
+    link_coordinates,
+    link_weights,
+    matrices,
     solve,
 )
-from excitant.identify.prior_rule import DOMINATED, linear_influence
 from excitant.robots.motion import Array, freeze, read_only
-from excitant.robots.parameters import nearest_consistent
+from excitant.robots.parameters import (
+    PSEUDO_INERTIA_BASIS,
+    nearest_consistent,
+    pseudo_inertia,
+)
 from excitant.robots.robot import Robot
 
 __all__ = [
@@ -65,7 +64,6 @@ __all__ = [
 
 PRIOR_SIGMA = 1.0  # links are known to about ±100 %; decides only what the data leave open
 _ROUNDING = 1e-10  # of a parameter's unit, up to which it is known exactly
-_MARGIN = 1e-4  # smallest eigenvalue of Q: no link shrinks below this part of its prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,65 +164,52 @@ def fit_physical(
         BadInput: Knowledge that no body fulfils, or about other links.
         Infeasible: The solver did not converge.
     """
-    knowledge = knowledge or Knowledge()
+    knowledge, link_count = knowledge or Knowledge(), len(prior)
     entropic = knowledge.prior == "entropic"
-    unit = _effect_units(R[:, 10 * len(prior) :], effects.std)
+    unit = _effect_units(R[:, 10 * link_count :], effects.std)
     reference = prior if metric is None or entropic else metric
     T = link_coordinates(reference)
     scale = scipy.linalg.block_diag(T, np.diag(unit))
     centre = np.concatenate([np.linalg.solve(T, prior.ravel()), effects.mean / unit])
-    names = links or [f"link {k + 1}" for k in range(len(prior))]
-    program = _program(
-        R @ scale, z, reference, prior_sigma, effects, centre, scale, knowledge, names
+    C, d, known = known_rows(knowledge, links or [f"link {k + 1}" for k in range(link_count)])
+    sigma = np.broadcast_to(np.asarray(prior_sigma, float), (link_count,))
+    spread = np.vstack([_prior_rows(reference, T, sigma, knowledge.prior), C @ T])
+    weight = unit / effects.std
+    bounded, p = np.isfinite(effects.lower), len(centre)
+    signs = Restriction(
+        "nonnegative", np.eye(p)[T.shape[0] :][bounded], (effects.lower / unit)[bounded]
     )
-    _refuse_contradiction(program, knowledge)
-    solution = (solve_entropic if entropic else solve)(program, centre)
+    restrictions = [signs] if bounded.any() else []
+    restrictions += [_scaled(restriction, T, p) for restriction in known]
+    smallest = float(np.linalg.eigvalsh(matrices(centre, link_count)).min())
+    bodies = definite(link_count, min(MARGIN, 0.5 * smallest), p)
+    if known:
+        _refuse_contradiction((*bodies, *restrictions), knowledge)
+    own = spread[: len(spread) - len(C)] @ centre[: len(T)]
+    program = Program(
+        A=R @ scale,
+        z=z,
+        C=scipy.linalg.block_diag(spread, np.diag(weight)),
+        d=np.concatenate([own, d, weight * centre[len(T) :]]),
+        restrictions=(*(() if entropic else bodies), *restrictions),
+        entropy=2 / sigma**2 if entropic else np.zeros(0),
+    )
+    solution = solve(program, centre)
     covariance, share, root = _uncertainty(program, solution, scale)
     return PhysicalFit(
-        scale @ solution.y, covariance, share, kkt(program, solution), R, root, len(prior)
+        scale @ solution.y, covariance, share, solution.kkt(program), R, root, link_count
     )
 
 
-def _program(
-    A: Array,
-    z: Array,
-    reference: Array,
-    sigma: float | Array,
-    effects: EffectPrior,
-    centre: Array,
-    scale: Array,
-    knowledge: Knowledge,
-    names: Sequence[str],
-) -> Program:
-    """The fit in coordinates y, x = scale · y, where the prior lies at the centre."""
-    links, p, size = len(reference), len(centre), 10 * len(reference)
-    unit, T = np.diag(scale)[size:], scale[:size, :size]
-    known = known_rows(knowledge, names)
-    each = np.broadcast_to(np.asarray(sigma, float), (links,))
-    if knowledge.prior == "euclidean":
-        spread = (plain_units(reference) * each[:, None]).ravel()
-        C = T / spread[:, None]
-    else:
-        C = np.diag(link_weights(links, each))[: 0 if knowledge.prior == "entropic" else size]
-    d = C @ centre[:size]
-    weight = unit / effects.std
-    rows = scipy.linalg.block_diag(np.vstack([C, known.C @ T]), np.diag(weight))
-    bounded = np.isfinite(effects.lower)
-    signs = Restriction("nonnegative", np.eye(p)[size:][bounded], (effects.lower / unit)[bounded])
-    smallest = min(np.linalg.eigvalsh(Q)[0] for Q in matrices(centre, links))
-    return Program(
-        A=A,
-        z=z,
-        C=rows,
-        d=np.concatenate([d, known.d, weight * centre[size:]]),
-        links=links,
-        margin=min(_MARGIN, 0.5 * float(smallest)),
-        restrictions=(
-            *((signs,) if bounded.any() else ()),
-            *(_scaled(restriction, T, p) for restriction in known.restrictions),
-        ),
-        entropy=2 / each**2 if knowledge.prior == "entropic" else None,
-    )
+def _prior_rows(reference: Array, T: Array, sigma: Array, distance: str) -> Array:
+    """Rows whose squares are the distance to the prior over σ², about the links' coordinates."""
+    if distance == "euclidean":
+        # m, m r and m r², r the radius of gyration about the joint's frame
+        mass = reference[:, :1]
+        second = np.trace(pseudo_inertia(reference)[:, :3, :3], axis1=1, axis2=2)[:, None]
+        units = mass * np.sqrt(second / mass) ** np.array([0, 1, 1, 1, *(2,) * 6])
+        return np.asarray(T / (units * sigma[:, None]).ravel()[:, None], float)
+    return np.diag(link_weights(len(reference), sigma))[: 0 if distance == "entropic" else None]
 
 
 def _scaled(restriction: Restriction, T: Array, p: int) -> Restriction:
@@ -243,10 +228,8 @@ def _effect_units(R: Array, std: Array) -> Array:
     return np.asarray(np.sqrt(len(R)) / norms, float)
 
 
-def _refuse_contradiction(program: Program, knowledge: Knowledge) -> None:
-    if not any(restriction.name for restriction in program.restrictions):
-        return
-    names = contradiction(program)
+def _refuse_contradiction(restrictions: Sequence[Restriction], knowledge: Knowledge) -> None:
+    names = contradiction(restrictions)
     if not names:
         return
     what = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
@@ -259,18 +242,98 @@ def _refuse_contradiction(program: Program, knowledge: Knowledge) -> None:
 
 def _uncertainty(program: Program, solution: Solution, scale: Array) -> tuple[Array, Array, Array]:
     """Posterior covariance, the share of the prior's std that is left, root of the prior's."""
-    curved = local(program, solution.y)
+    curved = program.local(solution.y)
     exact = [r.G for r in program.restrictions if r.cone == "zero"]
     N = scipy.linalg.null_space(np.vstack(exact)) if exact else np.eye(len(solution.y))
-    before = N.T @ (curved.C.T @ curved.C) @ N
-    after = N.T @ (program.A.T @ program.A) @ N + before
     S = scale @ N
-    covariance = S @ np.linalg.inv(after) @ S.T
-    unit = np.sqrt(np.diag(before))
-    K = np.linalg.cholesky(before / np.outer(unit, unit))
-    root = scipy.linalg.solve_triangular(K, (S / unit).T, lower=True).T
+    data = np.linalg.qr(np.vstack([program.A, curved.C]) @ N, mode="r")
+    after = scipy.linalg.solve_triangular(data, S.T, trans=1)
+    covariance = after.T @ after
+    before = np.linalg.qr(curved.C @ N, mode="r")
+    root = scipy.linalg.solve_triangular(before, S.T, trans=1).T
     root[np.linalg.norm(root, axis=1) <= _ROUNDING * np.linalg.norm(scale, axis=1)] = 0.0
     prior = (root**2).sum(axis=1)
     variance = np.diag(covariance)
     ratio = np.divide(variance, prior, out=np.ones_like(prior), where=prior > 0)
     return covariance, np.asarray(np.clip(np.sqrt(np.maximum(ratio, 0)), 0, 1), float), root
+
+
+def known_rows(
+    knowledge: Knowledge, links: Sequence[str]
+) -> tuple[Array, Array, list[Restriction]]:
+    """Knowledge about the links of an arm: rows C φ ≈ d of unit noise, and what holds exactly.
+
+    All of it is convex in the standard parameters: masses and their sum are linear; a centre of
+    mass c in a box is m c_lo ≤ m c ≤ m c_hi; in an ellipsoid of radii r around c₀ it is the
+    second-order cone ‖(m c − m c₀) / r‖ ≤ m; and a body of positive density inside an ellipsoid
+    exists for P ≻ 0 exactly when tr(P E) ≥ 0, the mean of 1 − ‖(x − c₀) / r‖² over its mass
+    (Wensing, Kim, Slotine 2018).
+
+    Raises:
+        BadInput: Knowledge of a link that the arm does not have.
+    """
+    for name in knowledge.links:
+        if name not in links:
+            raise BadInput(f"{knowledge.source}: links: the arm has no link '{name}'")
+    p, masses = 10 * len(links), np.zeros(10 * len(links))
+    masses[::10] = 1.0
+    about: list[tuple[str, Array, Quantity | None]] = [("total_mass", masses, knowledge.total_mass)]
+    restrictions: list[Restriction] = []
+    for k, name in enumerate(links):
+        known = knowledge.links.get(name, LinkKnowledge())
+        about.append((f"mass of {name}", np.eye(p)[10 * k], known.mass))
+        for each in _regions(known, name):
+            G = np.zeros((len(each.h), p))
+            G[:, 10 * k : 10 * k + 10] = each.G
+            restrictions.append(Restriction(each.cone, G, each.h, each.name))
+    rows, values = [np.zeros((0, p))], [np.zeros(0)]
+    for name, row, quantity in about:
+        if quantity is None:
+            continue
+        if quantity.std:
+            rows.append(row[None] / quantity.std)
+            values.append(np.array([quantity.value / quantity.std]))
+        else:
+            what, h = f"{name} = {quantity.value:g} kg", np.array([quantity.value])
+            restrictions.append(Restriction("zero", row[None], h, what))
+    return np.vstack(rows), np.concatenate(values), restrictions
+
+
+def _regions(known: LinkKnowledge, name: str) -> Iterator[Restriction]:
+    """Restrictions of one link's ten parameters."""
+    if known.com_box is not None:
+        yield from _in_box(known.com_box, f"com_box of {name}")
+    if known.com_ellipsoid is not None:
+        yield _in_ellipsoid(known.com_ellipsoid, f"com_ellipsoid of {name}")
+    if known.body_ellipsoid is not None:
+        yield _body_within(known.body_ellipsoid, f"body_ellipsoid of {name}")
+
+
+def _in_box(box: Box, name: str) -> Iterator[Restriction]:
+    """Centre of mass in a box; where it has no width, a coordinate is known."""
+    first, mass = np.eye(10)[1:4], np.eye(10)[0]
+    low, high = np.array(box.low), np.array(box.high)
+    flat = low == high
+    G = np.vstack([first - np.outer(low, mass), np.outer(high, mass) - first])
+    wide = np.concatenate([~flat, ~flat])
+    if wide.any():
+        yield Restriction("nonnegative", G[wide], np.zeros(int(wide.sum())), name)
+    if flat.any():
+        yield Restriction("zero", G[:3][flat], np.zeros(int(flat.sum())), name)
+
+
+def _in_ellipsoid(ellipsoid: Ellipsoid, name: str) -> Restriction:
+    first, mass = np.eye(10)[1:4], np.eye(10)[0]
+    centre, radii = np.array(ellipsoid.centre), np.array(ellipsoid.radii)
+    offset = (first - np.outer(centre, mass)) / radii[:, None]
+    return Restriction("second_order", np.vstack([mass, offset]), np.zeros(4), name)
+
+
+def _body_within(ellipsoid: Ellipsoid, name: str) -> Restriction:
+    centre, weight = np.array(ellipsoid.centre), np.array(ellipsoid.radii) ** -2.0
+    E = np.zeros((4, 4))
+    E[:3, :3] = -np.diag(weight)
+    E[:3, 3] = E[3, :3] = weight * centre
+    E[3, 3] = 1 - weight @ centre**2
+    row = np.einsum("kij,ij->k", PSEUDO_INERTIA_BASIS, E)
+    return Restriction("nonnegative", row[None], np.zeros(1), name)

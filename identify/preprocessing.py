@@ -23,7 +23,10 @@ from excitant.robots.motion import Array, Motion, freeze
 CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
 POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
 _NYQUIST_SHARE = 0.8
-_AT_ONCE = 16  # columns filtered together: they fit into the processor's cache
+_TOGETHER = 16  # columns filtered together: they fit into the processor's cache
+_AT_ONCE = 60_000  # instants whose columns are evaluated together
+_REMEMBERED = 4.0  # periods of its cut-off, after which a filter has forgotten
+_MOST_ROWS = 20_000  # of a segment: evenly taken of a longer one
 _SIGNS = 2.0  # standard deviations of noise that a velocity must exceed to have a sign
 _DIGITS = 9  # of a position that are not rounding
 _TIE = 1e-6  # of a stride: 1 kHz and 10 Hz give 25 whatever the rounding of time
@@ -73,8 +76,24 @@ class Segment:
         return self._passed(values, slice(None))
 
     def rows(self, columns: Callable[[Motion], Array]) -> Array:
-        """Filtered and decimated columns of the motion, shape (rows, ...)."""
-        return self._passed(columns(self.motion), self.keep)
+        """Filtered and decimated columns of the motion, shape (rows, ...).
+
+        Long segments are evaluated in parts that overlap by what the filter remembers.
+        """
+        start, stop, step = self.keep.start, self.keep.stop, self.keep.step or 1
+        reach = int(_REMEMBERED * self.rate_hz / self.cutoff_hz)
+        own = -(-_AT_ONCE // step) * step
+        if len(self.motion) <= own + 2 * reach:
+            return self._passed(columns(self.motion), self.keep)
+        found = []
+        for first in range(start, stop, own):
+            part = slice(max(0, first - reach), min(len(self.motion), first + own + reach))
+            shifted = slice(first - part.start, min(first + own, stop) - part.start, step)
+            silent = None if self.silent is None else self.silent[part]
+            cut = replace(self, motion=self.motion[part], tau=self.tau[part],
+                          tau_raw=self.tau_raw[part], keep=shifted, silent=silent)  # fmt: skip
+            found.append(cut._passed(columns(cut.motion), shifted))
+        return np.concatenate(found)
 
     def _passed(self, values: Array, kept: slice) -> Array:
         """Filtered columns at some instants; those that are silent are not filtered."""
@@ -86,7 +105,7 @@ class Segment:
         hz = np.full(len(live), self.cutoff_hz) if own is None else own[joint]
         for cutoff in np.unique(hz):
             columns = live[hz == cutoff]
-            for some in np.array_split(columns, -(-len(columns) // _AT_ONCE)):
+            for some in np.array_split(columns, -(-len(columns) // _TOGETHER)):
                 filtered = low_pass(flat[:, some], float(cutoff), self.rate_hz)
                 passed[:, some] = filtered[kept]
         found = passed.reshape(-1, *values.shape[1:])
@@ -215,7 +234,7 @@ def _segment(
         raise BadInput(f"{differentiator.name}: a causal one is for loops; give one without delay")
     motion = differentiator(grid, q)
     edge = round(1 / (cutoff_hz * step))
-    stride = max(1, int(1 / (4 * cutoff_hz * step) + _TIE))
+    stride = max(int(1 / (4 * cutoff_hz * step) + _TIE), -(-len(grid) // _MOST_ROWS), 1)
     segment = Segment(
         name=recording.name,
         motion=motion,

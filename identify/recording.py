@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,9 +11,15 @@ import pandas as pd
 
 from excitant.exceptions import BadRecording
 from excitant.identify.importers.mapping import ColumnMap
-from excitant.identify.importers.parts import put_together, runs_of_parts
-from excitant.identify.importers.raw import RawRecording, raw_from_source, raw_recording
-from excitant.identify.importers.sources import of_frame
+from excitant.identify.importers.raw import (
+    RawRecording,
+    put_together,
+    raw_of_table,
+    raw_recording,
+    read_raw_chunks,
+    runs_of_parts,
+)
+from excitant.identify.importers.tables import table_of_frame
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
@@ -67,15 +73,8 @@ class Recording:
         )
 
     def _repr_html_(self) -> str:
-        columns = (
-            self.q.min(axis=0),
-            self.q.max(axis=0),
-            self.tau.min(axis=0),
-            self.tau.max(axis=0),
-        )
-        rows = zip(
-            range(1, self.q.shape[1] + 1), *(column.tolist() for column in columns), strict=True
-        )
+        ranges = (edge(x, axis=0).tolist() for x in (self.q, self.tau) for edge in (np.min, np.max))
+        rows = zip(range(1, self.q.shape[1] + 1), *ranges, strict=True)
         heads = ("joint", "q from", "q to", f"torque from [{self.unit}]", "torque to")
         title = f"Recording {self.name}: {len(self.t)} samples over {self.duration:.4g} s"
         return html_table(title, heads, rows)
@@ -113,8 +112,17 @@ def read_recordings(
 ) -> list[Recording]:
     """Recordings from logs, in order; files that are parts of one recording become one.
 
-    See `read_recording`, and `excitant.identify.importers.parts` for what a part is.
+    See `read_recording`, and `excitant.identify.importers.raw.runs_of_parts` for what a part is.
+    Logs that are too long to hold are low-passed and decimated as they are read, each a recording
+    of its own (`excitant.identify.decimation`).
     """
+    from excitant.identify.decimation import decimated, too_long
+
+    if too_long(paths):
+        return [
+            decimated(read_chunks(path, robot, mapping=mapping, torque_column=torque_column))
+            for path in paths
+        ]
     raws = [raw_recording(path, robot, mapping, torque_column=torque_column) for path in paths]
     found = []
     for parts in runs_of_parts(raws):
@@ -136,10 +144,49 @@ def recording_from_table(
     torque_column: str | None = None,
 ) -> Recording:
     """Recording from a table in memory; see `read_recording`."""
-    source = of_frame(table, file)
-    return recording_from_raw(
-        raw_from_source(source, name, robot, mapping=mapping, torque_column=torque_column)
-    )
+    source = table_of_frame(table, file)
+    return recording_from_raw(raw_of_table(source, name, robot, mapping, torque_column))
+
+
+def read_chunks(
+    paths: str | Path | Sequence[str | Path],
+    robot: Robot | int,
+    rows: int = 100_000,
+    *,
+    mapping: ColumnMap | None = None,
+    torque_column: str | None = None,
+) -> Iterator[Recording]:
+    """A log larger than memory as recordings of some rows each, checked as `read_recording` does.
+
+    What only the whole can show, a channel without signal or a log that is too short, is refused
+    after the last piece. See `excitant.identify.importers.raw.read_raw_chunks` for the arguments.
+
+    Yields:
+        Pieces of at most ``rows`` samples; ``t`` counts from the first sample of the log.
+
+    Raises:
+        BadRecording: As `read_recording`, when the piece at fault is reached.
+        BadInput: ``rows`` below 1, or a map that does not fit the robot.
+    """
+    raw: RawRecording | None = None
+    extremes = np.zeros((0, 0))
+    end, first_row, file = None, 0, ""
+    for raw in read_raw_chunks(paths, robot, rows, mapping=mapping, torque_column=torque_column):
+        first_row = first_row if raw.file == file else 0
+        check_finite(raw, first_row)
+        check_time(raw, first_row, end)
+        seen = raw.tau if end is None else np.concatenate([extremes, raw.tau])
+        extremes = np.array([seen.min(axis=0), seen.max(axis=0)])
+        end, first_row, file = float(raw.t[-1]), first_row + len(raw.t), raw.file
+        yield unchecked(raw)
+    if raw is None or end is None or end < MINIMUM_DURATION:
+        files = [paths] if isinstance(paths, str | Path) else list(paths)
+        raise BadRecording(
+            files[0] if files else "",
+            f"too short: {end or 0.0:.3g} s, at least {MINIMUM_DURATION:g} s are needed",
+            column="t",
+        )
+    check_alive(extremes, raw)
 
 
 def recording_from_raw(raw: RawRecording) -> Recording:
@@ -153,22 +200,25 @@ def recording_from_raw(raw: RawRecording) -> Recording:
     """
     check_finite(raw)
     check_time(raw)
-    _check_duration(raw)
+    if len(raw.t) < 2 or np.ptp(raw.t) < MINIMUM_DURATION:
+        duration = float(np.ptp(raw.t)) if len(raw.t) else 0.0
+        raise BadRecording(
+            raw.file,
+            f"too short: {len(raw.t)} samples over {duration:.3g} s, "
+            f"at least {MINIMUM_DURATION:g} s are needed",
+            column=raw.columns.t[0],
+        )
     check_alive(raw.tau, raw)
+    return unchecked(raw)
+
+
+def unchecked(raw: RawRecording) -> Recording:
+    """The recording of a log or piece whose rows have been checked."""
     dq, notes = raw.dq, raw.notes
     if dq is not None and not np.isfinite(dq).all():
         row = int(np.argmax(~np.isfinite(dq).all(axis=1)))
         dq, notes = None, (*notes, f"speeds left out: row {row} holds no finite number")
-    return Recording(
-        name=raw.name,
-        file=raw.file,
-        t=raw.t,
-        q=raw.q,
-        tau=raw.tau,
-        unit=raw.unit,
-        dq=dq,
-        notes=notes,
-    )
+    return Recording(raw.name, raw.file, raw.t, raw.q, raw.tau, raw.unit, dq, notes)
 
 
 def check_finite(raw: RawRecording, first_row: int = 0) -> None:
@@ -216,18 +266,6 @@ def check_time(raw: RawRecording, first_row: int = 0, before: float | None = Non
         row=k + first_row + (before is None),
         column=raw.columns.t[0],
     )
-
-
-def _check_duration(raw: RawRecording) -> None:
-    t = raw.t
-    if len(t) < 2 or t[-1] - t[0] < MINIMUM_DURATION:
-        duration = t[-1] - t[0] if len(t) else 0.0
-        raise BadRecording(
-            raw.file,
-            f"too short: {len(t)} samples over {duration:.3g} s, "
-            f"at least {MINIMUM_DURATION:g} s are needed",
-            column=raw.columns.t[0],
-        )
 
 
 def check_alive(tau: Array, raw: RawRecording) -> None:

@@ -13,28 +13,10 @@ from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.physical import fit_physical
 from excitant.identify.rows import FitRows, observation, open_prior
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.effects import (
-    AddedInertia,
-    Effect,
-    FrictionCoupling,
-    GravityDirection,
-    InertiaCoupling,
-    JointEffect,
-    PreslidingHysteresis,
-    ThermalFrictionDrift,
-)
+from excitant.robots.effects import Effect
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
-_OF_MOTION = (
-    AddedInertia,
-    FrictionCoupling,
-    GravityDirection,
-    InertiaCoupling,
-    JointEffect,
-    PreslidingHysteresis,
-    ThermalFrictionDrift,
-)  # effects whose columns need nothing of the arm but its kinematics
 _ROUNDS = 2  # until the torque that columns hold is that of the identified arm
 
 
@@ -53,7 +35,7 @@ def resting(
         prior: Standard parameters of the prior, shape (nv, 10).
         knowledge: What is known of the bodies.
     """
-    if all(isinstance(effect, _OF_MOTION) for effect in rows.effects):
+    if not any(effect.depends_on_model for effect in rows.effects):
         return robot, rows
     reference = _fitted(robot, _of_motion(robot, rows), prior, knowledge)
     for round_ in range(_ROUNDS):
@@ -66,7 +48,7 @@ def resting(
 
 def _of_motion(robot: Robot, rows: FitRows) -> FitRows:
     """The rows without the columns of effects that rest on torque."""
-    effects = tuple(e for e in rows.effects if isinstance(e, _OF_MOTION))
+    effects = tuple(e for e in rows.effects if not e.depends_on_model)
     kept = list(range(10 * robot.nv))
     at = len(kept)
     for effect in rows.effects:

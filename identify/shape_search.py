@@ -27,15 +27,14 @@ from excitant.identify.physical import EffectPrior, PhysicalFit, fit_physical
 from excitant.identify.preprocessing import Segment
 from excitant.identify.resting import whitened
 from excitant.identify.rows import FitRows
-from excitant.identify.shapes import SHAPES, Shape, Shapes, reshaped, shape_of
-from excitant.robots.effects import Effect, JointFacts, JointwiseEffect
+from excitant.identify.shapes import Shape, Shapes
+from excitant.robots.effects import Effect, joint_facts
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
 _DECADE = float(np.log(10.0))  # σ: a shape is known to a factor of ten
 _INSTANTS = 1500  # at most, evenly taken
 _STEP = 1e-5  # of a shape, for its derivative
-_STILL = 1e-3  # rad/s: slower joints rest
 
 
 def refined_shapes(
@@ -49,8 +48,8 @@ def refined_shapes(
         prior: Standard parameters of the prior, shape (nv, 10).
         knowledge: What is known of the bodies; of no account while shapes are looked for.
     """
-    effects = tuple(own for effect in rows.effects for own in _by_joint(effect))
-    if not any(type(effect) in SHAPES for effect in effects):
+    effects = tuple(own for e in rows.effects for own in (e.singles() if e.tuned else [e]))
+    if not any(effect.tuned for effect in effects):
         return None
     rows = replace(rows, effects=effects)
     try:
@@ -64,13 +63,6 @@ def refined_shapes(
     pairs = zip(second.found, first.found, strict=True)
     found = tuple(replace(new, given=old.given) for new, old in pairs)
     return replace(second, found=found, before=first.before, after=first.after)
-
-
-def _by_joint(effect: Effect) -> list[Effect]:
-    """An effect with a shape as effects of single joints; their columns stay in order."""
-    if type(effect) not in SHAPES or not isinstance(effect, JointwiseEffect):
-        return [effect]
-    return [replace(effect, joints=(joint,), values=None) for joint in effect.joints]
 
 
 class _Shaped:
@@ -91,16 +83,18 @@ class _Shaped:
         self.R = (self.W * self.weight[:, None]).reshape(-1, self.W.shape[2])
         self.z = (tau * self.weight).ravel()
         self.tau, self.known, self.knowledge = tau, rows.open_prior, knowledge
+        motions = [segment.motion for segment in self.segments]
+        self.facts = joint_facts(motions)
         self.places = self._places()
         self.last: tuple[bytes, Array] = (b"", self.R)
 
-    def _places(self) -> list[tuple[int, slice]]:
-        """Each effect that has a shape, and the columns of its coefficients."""
+    def _places(self) -> list[tuple[int, slice, str]]:
+        """Each effect that has a shape, the columns of its coefficients, and the shape's name."""
         found, at = [], self.links
         for k, effect in enumerate(self.effects):
             count = len(effect.parameters(self.robot))
-            if type(effect) in SHAPES:
-                found.append((k, slice(at, at + count)))
+            if effect.tuned is not None:
+                found.append((k, slice(at, at + count), effect.tuned.name))
             at += count
         return found
 
@@ -112,7 +106,7 @@ class _Shaped:
 
     def refined(self) -> Shapes:
         """Best shapes of the grids, then all at once."""
-        given = np.array([shape_of(self.effects[k]) for k, _ in self.places])
+        given = np.array([getattr(self.effects[k], name) for k, _, name in self.places])
         R, z = whitened(self.W, self.tau, self.fit)
         start = fit_physical(
             R, z, self.prior, self.known, knowledge=self.knowledge, links=self.robot.links
@@ -136,7 +130,7 @@ class _Shaped:
     def _on_grids(self) -> Array:
         """Each shape as it is given or, where that explains more, from the effect's own grid."""
         best = []
-        for k, place in self.places:
+        for k, place, name in self.places:
             effect = self.effects[k]
             others = np.delete(self.R, np.arange(place.start, place.stop), axis=1)
             live = others[:, (others != 0).any(axis=0)]
@@ -146,22 +140,13 @@ class _Shaped:
             left = self.z - basis @ (basis.T @ self.z)
             shapes = [effect, *self._grid(effect)]
             gains = [self._explained(each, basis, left) for each in shapes]
-            best.append(shape_of(shapes[int(np.argmax(gains))]))
+            best.append(getattr(shapes[int(np.argmax(gains))], name))
         return np.array(best)
 
     def _grid(self, effect: Effect) -> list[Effect]:
         """Shapes that the effect itself proposes for what its joint does."""
-        if not isinstance(effect, JointwiseEffect):
-            return []
-        j = self.robot.joint_index(effect.joints[0])
-        motions = [segment.motion for segment in self.segments]
-        speed = max(float(np.abs(m.dq[:, j]).max()) for m in motions)
-        if speed <= _STILL:
-            return []
-        reach = float(np.ptp(np.concatenate([m.q[:, j] for m in motions])))
-        start = min(float(m.t[0]) for m in motions)
-        length = max(float(m.t[-1]) for m in motions) - start
-        return list(effect.candidates(effect.joints[0], JointFacts(speed, reach, start, length)))
+        facts = self.facts[self.robot.joint_index(effect.joints[0])]
+        return list(effect.candidates(effect.joints[0], facts)) if facts.moves else []
 
     def _explained(self, effect: Effect, basis: Array, left: Array) -> float:
         """Squared torque that an effect explains of what others leave; none of the wrong sign."""
@@ -182,9 +167,11 @@ class _Shaped:
         """The same and its slopes by coefficients and logarithms of shapes."""
         values, columns = self._columns(theta)
         slopes = np.empty((len(self.z), len(self.places)))
-        for i, ((k, place), s) in enumerate(zip(self.places, theta[len(values) :], strict=True)):
+        for i, ((k, place, name), s) in enumerate(
+            zip(self.places, theta[len(values) :], strict=True)
+        ):
             own = slice(place.start - self.links, place.stop - self.links)
-            moved = self.columns(reshaped(self.effects[k], float(np.exp(s + _STEP))))
+            moved = self.columns(self.effects[k].reshaped(name, float(np.exp(s + _STEP))))
             slopes[:, i] = (moved - columns[:, own]) @ values[own] / _STEP
         return columns @ values, np.hstack([columns, slopes])
 
@@ -193,9 +180,9 @@ class _Shaped:
         count = len(theta) - len(self.places)
         if self.last[0] != theta[count:].tobytes():
             columns = self.R[:, self.links :].copy()
-            for (k, place), s in zip(self.places, theta[count:], strict=True):
+            for (k, place, name), s in zip(self.places, theta[count:], strict=True):
                 own = slice(place.start - self.links, place.stop - self.links)
-                columns[:, own] = self.columns(reshaped(self.effects[k], float(np.exp(s))))
+                columns[:, own] = self.columns(self.effects[k].reshaped(name, float(np.exp(s))))
             self.last = theta[count:].tobytes(), columns
         return theta[:count], self.last[1]
 
@@ -210,19 +197,10 @@ class _Shaped:
         spread = scipy.linalg.solve_triangular(root, C[:p, p:].T, lower=True).T
         effects = list(self.effects)
         found = []
-        for (k, _), old, new, s in zip(self.places, given, values, std, strict=True):
-            effect = effects[k]
-            effects[k] = reshaped(effect, float(new))
-            name, unit = SHAPES[type(effect)]
-            found.append(
-                Shape(
-                    effect.name,
-                    effect.joints[0],
-                    name,
-                    unit,
-                    float(old),
-                    float(new),
-                    float(new * s),
-                )
-            )
+        for (k, _, name), old, new, s in zip(self.places, given, values, std, strict=True):
+            shape = effects[k].tuned
+            assert shape is not None
+            effects[k] = effects[k].reshaped(name, float(new))
+            entry = effects[k].name, effects[k].joints[0], name, shape.unit
+            found.append(Shape(*entry, float(old), float(new), float(new * s)))
         return Shapes(tuple(found), tuple(effects), before, after, spread)

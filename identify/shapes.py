@@ -13,25 +13,9 @@ from excitant.identify.least_squares import LeastSquares
 from excitant.identify.physical import PhysicalFit
 from excitant.identify.rows import FitRows, observation, open_prior
 from excitant.robots.base_parameters import BaseParameters, base_parameters
-from excitant.robots.effects import (
-    Effect,
-    NonlinearViscousFriction,
-    PreslidingHysteresis,
-    StribeckFriction,
-    ThermalFrictionDrift,
-    TorqueRipple,
-)
+from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
-
-SHAPES: dict[type[Effect], tuple[str, str]] = {
-    StribeckFriction: ("velocity", "rad/s"),
-    NonlinearViscousFriction: ("exponent", "1"),
-    PreslidingHysteresis: ("distance", "rad"),
-    ThermalFrictionDrift: ("time", "s"),
-    TorqueRipple: ("order", "1"),
-}
-"""Field and unit of the shape of each effect that has one."""
 
 _CHANCE = 0.01  # that shapes change where the ones they had are right
 
@@ -125,14 +109,3 @@ class Shapes:
             replace(fit, covariance=fit.covariance + moved @ moved.T),
             replace(physical, covariance=physical.covariance + self.spread @ self.spread.T),
         )
-
-
-def shape_of(effect: Effect) -> float:
-    """The number of an effect's shape."""
-    return float(getattr(effect, SHAPES[type(effect)][0]))
-
-
-def reshaped(effect: Effect, value: float) -> Effect:
-    """The effect with another shape."""
-    changes = {SHAPES[type(effect)][0]: value}
-    return replace(effect, **changes)  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import scipy.ndimage
 
 from excitant.identify.preprocessing import Segment
-from excitant.robots.effects import Effect, JointEffect
+from excitant.robots.effects import Effect
 from excitant.robots.motion import Motion
 from excitant.robots.robot import Robot
 
@@ -36,8 +36,8 @@ def dry_joints(effects: Sequence[Effect], joints: Sequence[str]) -> Mask:
 def _jumps(effects: Sequence[Effect], joint: str) -> bool:
     zero = np.zeros(1)
     for effect in effects:
-        if isinstance(effect, JointEffect) and joint in effect.joints:
-            ahead, behind = (effect.shape(zero, zero + v, zero) for v in (_TINY, -_TINY))
+        if effect.law is not None and joint in effect.joints:
+            ahead, behind = (effect.law(zero, zero + v, zero) for v in (_TINY, -_TINY))
             if any(abs(a[0] - b[0]) > 1e-6 for a, b in zip(ahead, behind, strict=True)):
                 return True
     return False

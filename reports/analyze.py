@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from excitant.reports.arm_figures import chain_figure, correlation_figure
@@ -168,30 +169,30 @@ def _combined(link: Result) -> set[str]:
 def _matrix(result: Result) -> Matrix | None:
     links = records(result, "links")
     shared = {name for link in links for name in _combined(link)}
-    rows = []
-    for link in links:
-        name, own = text(link, "link"), _combined(link)
-        unique, none = set(words(link, "unique")), set(words(link, "unidentifiable"))
-
-        def category(symbol: str, name=name, own=own, unique=unique, none=none) -> str:
-            names = {f"{name}.{symbol}", symbol}
-            if names & unique:
-                return "unique"
-            if names & none:
-                return "none"
-            return "combined" if f"{name}.{symbol}" in shared or names & own else ""
-
-        rows.append((name, tuple(category(symbol) for symbol in STANDARD)))
+    rows = tuple(
+        (text(link, "link"), tuple(_shown_as(link, symbol, shared) for symbol in STANDARD))
+        for link in links
+    )
     if not rows:
         return None
     return Matrix(
         "Link",
         STANDARD,
-        tuple(rows),
+        rows,
         "Each link's ten parameters: mass m [kg], first moment mc [kg·m], inertia I [kg·m²] about "
         "the joint frame; links near the base show few of theirs because they move little.",
         _LEGEND,
     )
+
+
+def _shown_as(link: Result, symbol: str, shared: set[str]) -> str:
+    """How torque shows one parameter of a link, given those in combinations of any link."""
+    names = {f"{text(link, 'link')}.{symbol}", symbol}
+    if names & set(words(link, "unique")):
+        return "unique"
+    if names & set(words(link, "unidentifiable")):
+        return "none"
+    return "combined" if names & (shared | _combined(link)) else ""
 
 
 def _link_table(result: Result) -> Table | None:
@@ -274,7 +275,7 @@ def _correlations(result: Result) -> Table | None:
         size = abs(rho or 0.0)
         return Cell(number(rho), POOR if size > 0.95 else FAIR if size > 0.8 else GOOD, rho)
 
-    def numbered(key: str) -> object:
+    def numbered(key: str) -> Callable[[Result], str]:
         return lambda row: numbers.get(text(row, key), "") + text(row, key)
 
     return table(

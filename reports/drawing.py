@@ -178,7 +178,7 @@ def axes_3d(low: Array, high: Array) -> Any:
 
 def fill_3d(ax: Any, faces: Sequence[Array], **look: Any) -> None:
     """Fill plane polygons in space, each of shape (corners, 3)."""
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
     ax.add_collection3d(Poly3DCollection(list(faces), **look))
 

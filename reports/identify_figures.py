@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -45,6 +46,9 @@ from excitant.reports.values import (
 )
 from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD, pseudo_inertia
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 ENOUGH = 1.0  # level at which the window knows as much as the prior
 _SHOWN = 6  # parameters drawn of links, and as many of joints, of the many that were estimated
@@ -131,7 +135,7 @@ def uncertainty_figure(history: History | None) -> Figure | None:
     return Figure((panel(ax, label),), caption, legend)
 
 
-def _over_time(ax: object, t: Array, ordinate: str) -> None:
+def _over_time(ax: Axes, t: Array, ordinate: str) -> None:
     ax.set_xlim(t[0], t[-1])
     ax.set_xlabel("time [s]")
     label_y(ax, ordinate)
@@ -316,7 +320,7 @@ def _payload_view(phi: Array, std: Array, across: int, up: int, title: str) -> P
     )
     for tip, name in zip(_FRAME * size * np.eye(2), names, strict=True):
         ax.annotate("", tip, (0, 0), arrowprops={"arrowstyle": "->", "color": MEASURED, "lw": 1.2})
-        ax.text(*(1.1 * tip), name, ha="center", va="center", color=MEASURED)
+        ax.text(1.1 * tip[0], 1.1 * tip[1], name, ha="center", va="center", color=MEASURED)
     ax.errorbar(c[0], c[1], xerr=s[0], yerr=s[1], fmt="o", ms=4, color=GIVEN, lw=1.2, capsize=2)
     equal_axes(ax, low - 0.12 * size, np.maximum(high, 1.2 * _FRAME * size), 1.06)
     ax.set_xlabel(f"{names[0]} [m]")

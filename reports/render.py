@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from base64 import b64encode
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING
@@ -135,25 +136,28 @@ def _block(block: Block) -> list[str]:
         case Folded():
             return [f"  [{block.title}]", *(line for b in block.blocks for line in _block(b))]
         case Table():
-            return _table(block)
+            rows = [[cell.text for cell in row] for row in block.rows]
+            return table_lines(block.columns, rows, "    ")
     return []
 
 
-def _table(table: Table) -> list[str]:
-    """A table whose expressions, as long as they like, stand last."""
-    order = sorted(range(len(table.columns)), key=lambda k: table.columns[k][1] == "expression")
-    rows = [[" ".join(row[k].text.split()) for k in order] for row in table.rows]
-    rows = [["-" if cell == NONE else cell for cell in row] for row in rows]
-    heads = [table.columns[k][0] for k in order]
-    numeric = [table.columns[k][1] == "number" for k in order]
-    lines = []
-    for row in (heads, *rows):
-        line = "   "
-        for k, cell in enumerate(row):
-            if numeric[k]:
-                line += f" {cell:>{max(_FIGURE, len(heads[k]))}}"
-            else:
-                widest = max(len(heads[k]), *(len(each[k]) for each in rows))
-                line += f" {cell:<{-(-widest // _STEP) * _STEP}}"
-        lines.append(line)
-    return lines
+def table_lines(
+    columns: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]], indent: str = ""
+) -> list[str]:
+    """A table as text, its head first; expressions, as long as they like, stand last.
+
+    Args:
+        columns: Heading and kind of each.
+        rows: Texts, one per column.
+        indent: What every line begins with.
+    """
+    order = sorted(range(len(columns)), key=lambda k: columns[k][1] == "expression")
+    written = [[" ".join(row[k].split()) for k in order] for row in rows]
+    lines = [indent] * (len(rows) + 1)
+    for k, (head, kind) in enumerate(columns[j] for j in order):
+        cells = [head, *("-" if row[k] == NONE else row[k] for row in written)]
+        width, side = -(-max(map(len, cells)) // _STEP) * _STEP, "<"
+        if kind == "number":
+            width, side = max(_FIGURE, len(head), *(len(c) for c in cells[1:])), ">"
+        lines = [f"{line}{cell:{side}{width}} " for line, cell in zip(lines, cells, strict=True)]
+    return [line.rstrip() for line in lines]

@@ -63,8 +63,10 @@ def robot_section(result: Result, series: Series) -> Section:
 
 def _said(result: Result, hint: bool) -> list[str]:
     return [
-        f"{'Hint' if hint else 'WARNING'}: "
-        + sentence(f"{listing(words(row, 'where'))}: {text(row, 'sentence')}")
+        sentence(
+            f"{'hint' if hint else 'WARNING'}: {listing(words(row, 'where'))}: "
+            f"{text(row, 'sentence')}"
+        )
         for row in records(result, "warnings")
         if (at(row, "hint") is True) == hint
     ]

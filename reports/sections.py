@@ -136,10 +136,10 @@ def _holdout(result: Result) -> Fact:
         without, with_it = found[0]
         change_ = f"{number(without)} → {quantity(with_it, unit)}"
         return Fact(label, change_, "rms without the finding and with it")
-    errors = [
+    before, after = (
         median(records(diagnosis, model, "joints"), "nrmse") for model in ("simulation", "extended")
-    ]
-    return Fact(label, change(*errors, percent), "nrmse, median over joints")
+    )
+    return Fact(label, change(before, after, percent), "nrmse, median over joints")
 
 
 def _condition(result: Result) -> Fact:

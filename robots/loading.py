@@ -14,11 +14,9 @@ import numpy as np
 import yaml
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
-from excitant.robots.description import Description
 from excitant.robots.dh_entries import chain_from_entries
 from excitant.robots.dh_urdf import robot_from_dh, with_limits_in_urdf
 from excitant.robots.effects import (
-    EFFECTS,
     CoulombFriction,
     Effect,
     RotorInertia,
@@ -27,7 +25,7 @@ from excitant.robots.effects import (
     effects_from_entries,
 )
 from excitant.robots.limits_file import LIMIT_NAMES, merge_limits
-from excitant.robots.mjcf import description_from_mjcf
+from excitant.robots.mjcf import Description, description_from_mjcf
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.robot_spec import RobotSpec, spec_of_entries
@@ -118,7 +116,7 @@ def _described(path: Path, spec: RobotSpec) -> Description:
     if spec.xacro_args:
         raise BadRobot(path, "not a xacro file, so it takes no xacro arguments; leave them out")
     if _root_tag(text) in ("mujoco", "mujocoinclude"):
-        return description_from_mjcf(text, str(path))
+        return description_from_mjcf(path)
     return Description(text)
 
 
@@ -216,7 +214,7 @@ def _supplemented(robot: Robot, content: Mapping[str, Any], source: str) -> Robo
         return robot
     if not isinstance(entries, list) or not all(isinstance(e, dict) for e in entries):
         raise BadInput(f"{source}: 'effects' must be a list of entries 'effect: name, values: []'")
-    return robot.with_effects(effects_from_entries(entries, robot, EFFECTS, source))
+    return robot.with_effects(effects_from_entries(entries, robot, source))
 
 
 def _from_yaml(path: Path, spec: RobotSpec) -> Robot:

@@ -1,4 +1,4 @@
-"""Robots from MJCF files, by way of a URDF.
+"""Robots from MJCF files: MuJoCo compiles them, and its model is written as a URDF.
 
 Bodies become links, hinges and slides become revolute, continuous and prismatic joints; several
 joints on one body become a chain of links without mass. A link's frame lies at the anchor of its
@@ -11,248 +11,321 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from excitant.exceptions import BadRobot
-from excitant.robots.description import Description
-from excitant.robots.mjcf_actuators import JointActuation, actuation
-from excitant.robots.mjcf_document import Document, about, read_document
-from excitant.robots.mjcf_equalities import Equalities, equalities
-from excitant.robots.mjcf_inertia import Placed, bounded, given_inertia, inertia_of_shapes
-from excitant.robots.mjcf_shapes import collisions
+from excitant.robots.motion import Array
 from excitant.robots.urdf_elements import inertial_element, numbers_text, origin_element
 
-_KINDS = ("hinge", "slide")
+
+@dataclass(frozen=True)
+class Description:
+    """A robot as URDF text, and what the text cannot hold.
+
+    Attributes:
+        urdf: The URDF.
+        gravity: Gravity in the root's frame, shape (3,) [m/s²].
+        armature: Rotor inertia at the joint by joint [kg·m² or kg].
+        springs: Stiffness and rest position by joint [N·m/rad and rad, or N/m and m].
+        lock: Joints that the description holds, and where [rad or m].
+        loops: Pairs of links that a constraint ties together.
+        notes: What was left out.
+    """
+
+    urdf: str
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    armature: Mapping[str, float] = field(default_factory=dict)
+    springs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    lock: Mapping[str, float] = field(default_factory=dict)
+    loops: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
 
 
-def description_from_mjcf(text: str, source: str) -> Description:
-    """Description of the robot in the text of an MJCF file.
+def description_from_mjcf(path: str | Path) -> Description:
+    """Description of the robot in an MJCF file.
 
     Args:
-        text: The MJCF.
-        source: Path of the file, beside which included files and meshes lie.
+        path: The file, beside which included files and meshes lie.
 
     Raises:
-        BadRobot: Not an MJCF, or one with elements that have no counterpart; names the culprit.
+        BadRobot: MuJoCo is not installed or refuses the file.
     """
-    document = read_document(text, source)
-    writer = _Writer(document, actuation(document), equalities(document))
+    try:
+        import mujoco
+    except ImportError:
+        raise BadRobot(
+            path, "MJCF files are read by MuJoCo; install it (pip install 'excitant[mjcf]')"
+        ) from None
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        if not len(spec.worldbody.bodies):
+            raise BadRobot(path, "its <worldbody> holds no bodies; give an MJCF of an arm")
+        _leave_out_drawing(spec, path)
+        model = spec.compile()
+    except (ValueError, RuntimeError) as error:
+        why = " ".join(str(error).replace("XML Error:", "").replace("Error:", "").split())
+        raise BadRobot(path, f"MuJoCo cannot read it: {why}") from None
+    writer = _Writer(mujoco, spec, model)
     writer.write()
-    option: dict[str, str] = {}
-    for element in document.root.findall("option"):
-        option |= element.attrib
-    x, y, z = document.numbers(option, "gravity", (0, 0, -9.81)).tolist()
     ET.indent(writer.robot)
+    x, y, z = model.opt.gravity.tolist()
     return Description(
-        urdf=ET.tostring(writer.robot, encoding="unicode") + "\n",
-        gravity=(x, y, z),
-        armature={joint: value for joint, value in writer.armature.items() if value},
-        springs=writer.springs,
-        lock=writer.equalities.fixed,
-        loops=writer.loops,
-        notes=(*writer.notes, *writer.equalities.notes),
-    )
+        ET.tostring(writer.robot, encoding="unicode") + "\n", (x, y, z),
+        writer.armature, writer.springs, *writer.constraints(), tuple(writer.notes),
+    )  # fmt: skip
+
+
+def _leave_out_drawing(spec: Any, path: str | Path) -> None:
+    """Remove what is only drawn, and shapes whose mesh is missing and makes no inertia."""
+    spec.compiler.fusestatic = False
+    for geom in spec.geoms:
+        geom.material = ""
+    for kind in (spec.materials, spec.textures, spec.skins):
+        for element in list(kind):
+            spec.delete(element)
+    for mesh in list(spec.meshes):
+        file = _mesh_path(spec, mesh, path)
+        if not mesh.file or file.is_file():
+            continue
+        for geom in [g for g in spec.geoms if g.meshname == mesh.name]:
+            body = geom.parent
+            if not body.explicitinertial or spec.compiler.inertiafromgeom == 1:
+                raise BadRobot(
+                    path, f"body '{body.name}' has its mass from {file}, which is missing"
+                )
+            spec.delete(geom)
+        spec.delete(mesh)
+
+
+def _mesh_path(spec: Any, mesh: Any, path: str | Path) -> Path:
+    file = Path(str(mesh.file)).name if spec.strippath else str(mesh.file)
+    return Path(path).parent / str(spec.compiler.meshdir) / file
+
+
+def _pose(position: Array, quaternion: Array) -> pin.SE3:
+    w, x, y, z = quaternion
+    return pin.SE3(pin.Quaternion(w, x, y, z).normalized().matrix(), np.array(position))
 
 
 @dataclass
 class _Writer:
-    """Writes links and joints while it walks over the bodies."""
+    """Writes links and joints of a compiled model."""
 
-    document: Document
-    actuation: Mapping[str, JointActuation]
-    equalities: Equalities
+    mujoco: Any
+    spec: Any
+    model: Any
     armature: dict[str, float] = field(default_factory=dict)
     springs: dict[str, tuple[float, float]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
-    count: int = 0
 
-    @cached_property
-    def robot(self) -> ET.Element:
-        """The URDF so far."""
-        name = self.document.root.get("model") or Path(self.document.source).stem
-        return ET.Element("robot", name=name)
-
-    @property
-    def loops(self) -> tuple[tuple[str, str], ...]:
-        """Ties between links that were written."""
-        links = {str(link.get("name")) for link in self.robot.iter("link")}
-        return tuple(ends for ends in self.equalities.ties if set(ends) <= links)
+    def __post_init__(self) -> None:
+        model = self.model
+        self.robot = ET.Element("robot", name=self.spec.modelname or "robot")
+        self.bodies = [model.body(b).name or f"body_{b}" for b in range(model.nbody)]
+        self.joints = []
+        for j, b in enumerate(model.jnt_bodyid.tolist()):
+            k = j - int(model.body_jntadr[b]) + 1
+            unnamed = f"{self.bodies[b]}_joint{k if k > 1 else ''}"
+            self.joints.append(model.jnt(j).name or unnamed)
+        self.followers = dict(self._followers())
 
     def write(self) -> None:
-        """Write all bodies, the world first."""
-        bodies = self.document.root.findall("worldbody")
-        if not bodies:
-            raise BadRobot(
-                self.document.source,
-                "<mujoco> without <worldbody> holds no bodies; give an MJCF of an arm",
-            )
-        link = ET.SubElement(self.robot, "link", name="world")
-        for world in bodies:
-            self._shapes(link, world, pin.SE3.Identity(), "main")
-            self._bodies_of(world, "world", pin.SE3.Identity(), "main")
-        self._scale_masses()
+        """Write all bodies, the world first; parents come before what they carry."""
+        model = self.model
+        frames: dict[int, pin.SE3] = {}  # of each body in its link
+        for b, name in enumerate(self.bodies):
+            if model.body_gravcomp[b]:
+                self.notes.append(f"body {name}: gravcomp is left out, as a controller's doing")
+            frames[b] = self._joints(b, frames) if b else pin.SE3.Identity()
+            link = ET.SubElement(self.robot, "link", name=name)
+            if b and model.body_mass[b] > 0:
+                place = _pose(model.body_ipos[b], model.body_iquat[b])
+                R = place.rotation
+                tensor = R @ np.diag(model.body_inertia[b]) @ R.T
+                body = pin.Inertia(float(model.body_mass[b]), place.translation, tensor)
+                link.append(inertial_element(frames[b].act(body).toDynamicParameters()))
+            for g in range(model.body_geomadr[b], model.body_geomadr[b] + model.body_geomnum[b]):
+                if model.geom_contype[g] or model.geom_conaffinity[g]:
+                    link.extend(self._collisions(g, frames[b]))
 
-    def _bodies_of(self, body: ET.Element, link: str, offset: pin.SE3, childclass: str) -> None:
-        for element, frame, inner in _parts(self.document, body, "body", childclass):
-            self._body(element, link, offset * frame, inner)
-
-    def _body(self, body: ET.Element, parent: str, frame: pin.SE3, childclass: str) -> None:
-        """Write a body, whose parent's frame lies at ``frame`` in the parent link."""
-        document = self.document
-        self.count += 1
-        name = body.get("name") or f"body_{self.count}"
-        inner = body.get("childclass", childclass)
-        if document.number(body.attrib, "gravcomp"):
-            self.notes.append(f"body {name}: gravcomp is left out, as a controller's doing")
-        placement = frame * document.pose(body.attrib)
-        joints = self._joints(body, inner, name)
-        for k, (given, joint) in enumerate(joints):
-            child = name if k == len(joints) - 1 else f"{name}_before_{joints[k + 1][0]['name']}"
-            placement = self._joint(given, joint, parent, child, placement)
-            parent = child
-            if child != name:
-                ET.SubElement(self.robot, "link", name=child)
-        if not joints:
-            self._joint_element(f"{name}_weld", "fixed", parent, name, placement)
-            placement = pin.SE3.Identity()
-        link = ET.SubElement(self.robot, "link", name=name)
-        inertia = self._inertia(body, inner, name)
-        if inertia.mass > 0:
-            link.append(inertial_element(placement.act(inertia).toDynamicParameters()))
-        self._shapes(link, body, placement, inner)
-        self._bodies_of(body, name, placement, inner)
-
-    def _inertia(self, body: ET.Element, childclass: str, name: str) -> pin.Inertia:
-        document = self.document
-        way = document.compiler.get("inertiafromgeom", "auto")
-        given = body.find("inertial")
-        if given is not None and way != "true":
-            return bounded(document, given_inertia(document, given))
-        if way == "false":
-            return bounded(document, pin.Inertia.Zero())
-        geoms = _parts(document, body, "geom", childclass)
-        return bounded(document, inertia_of_shapes(document, geoms, name))
-
-    def _shapes(self, link: ET.Element, body: ET.Element, frame: pin.SE3, inner: str) -> None:
-        for element, pose, childclass in _parts(self.document, body, "geom", inner):
-            link.extend(collisions(self.document, element, frame * pose, childclass))
-
-    def _joints(
-        self, body: ET.Element, childclass: str, name: str
-    ) -> list[tuple[dict[str, str], pin.SE3]]:
-        """Attributes of a body's joints with a name each, and frames they are given in."""
-        found: list[tuple[dict[str, str], pin.SE3]] = []
-        for tag in ("joint", "freejoint"):
-            for element, frame, inner in _parts(self.document, body, tag, childclass):
-                given = self.document.attributes(element, inner) if tag == "joint" else {
-                    **element.attrib, "type": "free"}  # fmt: skip
-                given.setdefault("type", "hinge")
-                given.setdefault("name", f"{name}_joint{len(found) + 1 if found else ''}")
-                found.append((given, frame))
-        return found
-
-    def _joint(
-        self, given: Mapping[str, str], frame: pin.SE3, parent: str, child: str, body: pin.SE3
-    ) -> pin.SE3:
-        """Write one joint; the body's frame in the link it carries."""
-        document, name, kind = self.document, given["name"], given["type"]
-        if kind not in _KINDS:
-            self._joint_element(name, "floating", parent, child, body)
+    def _joints(self, b: int, frames: Mapping[int, pin.SE3]) -> pin.SE3:
+        """Write the joints of a body; the body's frame in the last link they carry."""
+        model, name, parent = self.model, self.bodies[b], int(self.model.body_parentid[b])
+        place = frames[parent] * _pose(model.body_pos[b], model.body_quat[b])
+        first, count = int(model.body_jntadr[b]), int(model.body_jntnum[b])
+        above = self.bodies[parent]
+        if not count:
+            self._joint(f"{name}_weld", "fixed", above, name, place)
             return pin.SE3.Identity()
-        hinge = kind == "hinge"
-        anchor = frame.act(document.numbers(given, "pos", (0, 0, 0)))
-        axis = frame.rotation @ document.numbers(given, "axis", (0, 0, 1))
-        if not np.any(axis):
-            raise BadRobot(document.source, f"joint '{name}' has an axis of no length")
-        axis = axis / np.linalg.norm(axis)
-        rest = self._coordinate(given, "ref", hinge)
-        back = (
-            pin.SE3(about(axis, -rest), np.zeros(3)) if hinge else pin.SE3(np.eye(3), -rest * axis)
+        hinge, slide = (
+            int(getattr(self.mujoco.mjtJoint, f"mjJNT_{x}")) for x in ("HINGE", "SLIDE")
         )
-        at_anchor = pin.SE3(np.eye(3), anchor)
-        element = self._joint_element(
-            name, self._kind(given, hinge), parent, child, body * at_anchor * back
-        )
-        ET.SubElement(element, "axis", xyz=numbers_text(axis))
-        self._facts(element, given, hinge)
-        return at_anchor.inverse()
+        for j in range(first, first + count):
+            last = j == first + count - 1
+            child = name if last else f"{name}_before_{self.joints[j + 1]}"
+            kind = int(model.jnt_type[j])
+            if kind not in (hinge, slide):
+                self._joint(self.joints[j], "floating", above, child, place)
+                place = pin.SE3.Identity()
+            else:
+                at, axis = pin.SE3(np.eye(3), model.jnt_pos[j].copy()), model.jnt_axis[j]
+                back = -float(model.qpos0[model.jnt_qposadr[j]]) * axis
+                turned = pin.SE3(pin.exp3(back) if kind == hinge else np.eye(3),
+                                 np.zeros(3) if kind == hinge else back)  # fmt: skip
+                word = "prismatic" if kind == slide else (
+                    "revolute" if model.jnt_limited[j] else "continuous")  # fmt: skip
+                element = self._joint(self.joints[j], word, above, child, place * at * turned)
+                ET.SubElement(element, "axis", xyz=numbers_text(axis))
+                self._facts(element, j)
+                place = at.inverse()
+            if not last:
+                ET.SubElement(self.robot, "link", name=child)
+            above = child
+        return place
 
-    def _coordinate(self, given: Mapping[str, str], key: str, hinge: bool) -> float:
-        value = self.document.number(given, key)
-        return self.document.angle(value) if hinge else value
-
-    def _kind(self, given: Mapping[str, str], hinge: bool) -> str:
-        if not hinge:
-            return "prismatic"
-        return "revolute" if self._limited(given) else "continuous"
-
-    def _limited(self, given: Mapping[str, str]) -> bool:
-        said = given.get("limited", "auto")
-        if said != "auto":
-            return said == "true"
-        return "range" in given and self.document.compiler.get("autolimits", "true") == "true"
-
-    def _facts(self, element: ET.Element, given: Mapping[str, str], hinge: bool) -> None:
-        """Limits, friction, rotor inertia and spring of a joint."""
-        document, name = self.document, given["name"]
-        drive = self.actuation.get(name, JointActuation())
-        limit = {"effort": repr(drive.effort(document, given)), "velocity": "0"}
-        if self._limited(given):
-            low, high = document.numbers(given, "range", (0, 0)).tolist()
-            low, high = (document.angle(x) if hinge else x for x in (low, high))
-            limit |= {"lower": repr(low), "upper": repr(high)}
-        ET.SubElement(element, "limit", limit)
-        damping = self._linear(given, "damping") + drive.damping
-        friction = document.number(given, "frictionloss")
-        if damping or friction:
-            ET.SubElement(element, "dynamics", damping=repr(damping), friction=repr(friction))
-        self.armature[name] = document.number(given, "armature") + drive.armature
-        if stiffness := self._linear(given, "stiffness"):
-            self.springs[name] = (stiffness, self._coordinate(given, "springref", hinge))
-        if document.numbers(given, "springdamper", (0, 0)).any():
-            self.notes.append(f"joint {name}: springdamper is left out; give stiffness and damping")
-        if name in self.equalities.followers:
-            master, offset, multiplier = self.equalities.followers[name]
-            ET.SubElement(element, "mimic", joint=master, multiplier=repr(multiplier),
-                          offset=repr(offset))  # fmt: skip
-
-    def _linear(self, given: Mapping[str, str], key: str) -> float:
-        """The linear coefficient of a polynomial; a note says when there are others."""
-        values = self.document.numbers(given, key, (0.0,), at_most=3)
-        if values[1:].any():
-            self.notes.append(f"joint {given['name']}: {key} beyond its first number is left out")
-        return float(values[0])
-
-    def _joint_element(
-        self, name: str, kind: str, parent: str, child: str, placement: pin.SE3
-    ) -> ET.Element:
+    def _joint(self, name: str, kind: str, parent: str, child: str, place: pin.SE3) -> ET.Element:
         element = ET.SubElement(self.robot, "joint", name=name, type=kind)
         ET.SubElement(element, "parent", link=parent)
         ET.SubElement(element, "child", link=child)
-        element.append(origin_element(placement.rotation, placement.translation))
+        element.append(origin_element(place.rotation, place.translation))
         return element
 
-    def _scale_masses(self) -> None:
-        """Scale all inertias to the total mass that ``settotalmass`` asks for."""
-        total = self.document.number(self.document.compiler, "settotalmass", -1.0)
-        masses = [float(mass.get("value", "0")) for mass in self.robot.iter("mass")]
-        if total <= 0 or not sum(masses):
-            return
-        for element in (*self.robot.iter("mass"), *self.robot.iter("inertia")):
-            for key, value in element.attrib.items():
-                element.set(key, repr(float(value) * total / sum(masses)))
+    def _facts(self, element: ET.Element, j: int) -> None:
+        """Limits, friction, rotor inertia and spring of a joint."""
+        model, name = self.model, self.joints[j]
+        dof, at = int(model.jnt_dofadr[j]), int(model.jnt_qposadr[j])
+        effort, armature, damping = self._actuation(j)
+        limit = {"effort": repr(effort), "velocity": "0"}
+        if model.jnt_limited[j]:
+            low, high = model.jnt_range[j].tolist()
+            limit |= {"lower": repr(low), "upper": repr(high)}
+        ET.SubElement(element, "limit", limit)
+        damping += float(model.dof_damping[dof])
+        friction = float(model.dof_frictionloss[dof])
+        if damping or friction:
+            ET.SubElement(element, "dynamics", damping=repr(damping), friction=repr(friction))
+        if armature := armature + float(model.dof_armature[dof]):
+            self.armature[name] = armature
+        if stiffness := float(model.jnt_stiffness[j]):
+            self.springs[name] = (stiffness, float(model.qpos_spring[at]))
+        for key, terms in (("stiffness", model.jnt_stiffnesspoly[j]),
+                           ("damping", model.dof_dampingpoly[dof])):  # fmt: skip
+            if np.any(terms):
+                self.notes.append(f"joint {name}: {key} beyond its first number is left out")
+        if name in self.followers:
+            master, offset, slope = self.followers[name]
+            numbers = {"joint": master, "multiplier": repr(slope), "offset": repr(offset)}
+            ET.SubElement(element, "mimic", numbers)
+
+    def _actuation(self, j: int) -> tuple[float, float, float]:
+        """Torque limit for both directions (0 for none), rotor inertia and damping of drives."""
+        model, mj = self.model, self.mujoco
+        total, armature, damping = np.zeros(2), 0.0, 0.0
+        drives = [
+            a for a in np.flatnonzero(model.actuator_trnid[:, 0] == j)
+            if model.actuator_trntype[a]
+            in (int(mj.mjtTrn.mjTRN_JOINT), int(mj.mjtTrn.mjTRN_JOINTINPARENT))
+        ]  # fmt: skip
+        for a in drives:
+            gear = float(model.actuator_gear[a, 0])
+            force = _range(model.actuator_forcerange[a], model.actuator_forcelimited[a])
+            plain = (model.actuator_gaintype[a] == int(mj.mjtGain.mjGAIN_FIXED)
+                     and model.actuator_biastype[a] == int(mj.mjtBias.mjBIAS_NONE))  # fmt: skip
+            gain = float(model.actuator_gainprm[a, 0])
+            if plain and gain:
+                control = _range(model.actuator_ctrlrange[a], model.actuator_ctrllimited[a])
+                reach = np.sort(gain * control)
+                force = np.array([max(force[0], reach[0]), min(force[1], reach[1])])
+            total = total + (np.sort(gear * force) if gear and (gain or not plain) else 0.0)
+            armature += gear**2 * float(model.actuator_armature[a])
+            damping += gear**2 * float(model.actuator_damping[a])
+        low, high = total if drives else (-np.inf, np.inf)
+        own = _range(model.jnt_actfrcrange[j], model.jnt_actfrclimited[j])
+        limit = float(min(-max(low, own[0]), min(high, own[1])))
+        return limit if np.isfinite(limit) and limit > 0 else 0.0, armature, damping
+
+    def _equalities(self, *kinds: str) -> Iterator[int]:
+        wanted = [int(getattr(self.mujoco.mjtEq, f"mjEQ_{kind}")) for kind in kinds]
+        for e in range(self.model.neq):
+            if self.model.eq_active0[e] and self.model.eq_type[e] in wanted:
+                yield e
+
+    def _followers(self) -> Iterator[tuple[str, tuple[str, float, float]]]:
+        """Joint each follows, offset and multiplier; MuJoCo measures from reference positions."""
+        model = self.model
+        for e in self._equalities("JOINT"):
+            j, master = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+            if master < 0:
+                continue
+            rest, other = (float(model.qpos0[model.jnt_qposadr[i]]) for i in (j, master))
+            offset, slope, *curve = model.eq_data[e, :5].tolist()
+            if any(curve):
+                self.notes.append(
+                    f"joint {self.joints[j]} follows {self.joints[master]} on a curve, taken as a "
+                    "line"
+                )
+            yield self.joints[j], (self.joints[master], rest + offset - slope * other, slope)
+
+    def constraints(self) -> tuple[dict[str, float], tuple[tuple[str, str], ...]]:
+        """Joints that are held and where, and pairs of links that are tied together."""
+        model, held, ties = self.model, {}, []
+        for e in self._equalities("JOINT"):
+            j = int(model.eq_obj1id[e])
+            if model.eq_obj2id[e] < 0:
+                rest = model.qpos0[model.jnt_qposadr[j]]
+                held[self.joints[j]] = float(rest + model.eq_data[e, 0])
+        for e in self._equalities("CONNECT", "WELD"):
+            ends = [int(model.eq_obj1id[e]), int(model.eq_obj2id[e])]
+            if model.eq_objtype[e] == int(self.mujoco.mjtObj.mjOBJ_SITE):
+                ends = [int(model.site_bodyid[s]) for s in ends]
+            ties.append((self.bodies[ends[0]], self.bodies[ends[1]]))
+        others = len(list(self._equalities("TENDON", "FLEX")))
+        if others:
+            self.notes.append(f"{others} equalities of tendons or flexible bodies are left out")
+        return held, tuple(ties)
+
+    def _collisions(self, g: int, frame: pin.SE3) -> Iterator[ET.Element]:
+        """``<collision>`` elements of a geom; planes and fields have none.
+
+        A capsule becomes a cylinder with two spheres, an ellipsoid the box around it. A mesh that
+        is turned (refquat) and then stretched unequally has no URDF word and is left out.
+        """
+        model = self.model
+        place = frame * _pose(model.geom_pos[g], model.geom_quat[g])
+        kind = self.mujoco.mjtGeom(model.geom_type[g]).name.removeprefix("mjGEOM_").lower()
+        x, y, z = model.geom_size[g].tolist()
+        if kind == "mesh":
+            mesh = self.spec.mesh(model.mesh(model.geom_dataid[g]).name)
+            m = int(model.geom_dataid[g])
+            scale, turn = np.array(mesh.scale), _pose(mesh.refpos, mesh.refquat)
+            if not mesh.file or (np.ptp(scale) and not np.allclose(turn.rotation, np.eye(3))):
+                return
+            back = turn.rotation.T
+            moved = pin.SE3(back, -scale * (back @ turn.translation))
+            place = place * _pose(model.mesh_pos[m], model.mesh_quat[m]).inverse() * moved
+            file = _mesh_path(self.spec, mesh, Path(self.spec.modelfiledir) / "model.xml")
+            yield _collision(place, "mesh", filename=str(file), scale=numbers_text(scale))
+        elif kind == "sphere":
+            yield _collision(place, "sphere", radius=repr(x))
+        elif kind in ("box", "ellipsoid"):
+            yield _collision(place, "box", size=numbers_text((2 * x, 2 * y, 2 * z)))
+        elif kind in ("capsule", "cylinder"):
+            yield _collision(place, "cylinder", radius=repr(x), length=repr(2 * y))
+            for end in (y, -y) if kind == "capsule" else ():
+                tip = place * pin.SE3(np.eye(3), np.array([0.0, 0.0, end]))
+                yield _collision(tip, "sphere", radius=repr(x))
 
 
-def _parts(document: Document, body: ET.Element, tag: str, childclass: str) -> Iterator[Placed]:
-    """A body's own elements of a kind, those in frames too, with frame and default class."""
-    for element in body:
-        if element.tag == tag:
-            yield element, pin.SE3.Identity(), childclass
-        elif element.tag == "frame":
-            pose, inner = document.pose(element.attrib), element.get("childclass", childclass)
-            for part, frame, own in _parts(document, element, tag, inner):
-                yield part, pose * frame, own
+def _range(limits: Array, limited: bool) -> Array:
+    return np.array(limits) if limited and limits[0] < limits[1] else np.array([-np.inf, np.inf])
+
+
+def _collision(place: pin.SE3, shape: str, **attributes: str) -> ET.Element:
+    element = ET.Element("collision")
+    element.append(origin_element(place.rotation, place.translation))
+    ET.SubElement(ET.SubElement(element, "geometry"), shape, attributes)
+    return element

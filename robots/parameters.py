@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 
 from excitant.robots.motion import Array
 
@@ -57,6 +58,15 @@ def from_pseudo_inertia(P: npt.ArrayLike) -> Array:
     inertia = np.trace(sigma, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - sigma
     rows, columns = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]
     return np.concatenate([P[..., 3, 3:], P[..., :3, 3], inertia[..., rows, columns]], axis=-1)
+
+
+def inertia(phi: npt.ArrayLike) -> pin.Inertia:
+    """Pinocchio's inertia of one link, shape (10,); a link without mass has no first moment."""
+    phi = np.asarray(phi, float)
+    if phi[0] != 0:
+        return pin.Inertia.FromDynamicParameters(phi)
+    tensor = np.array([phi[[4, 5, 7]], phi[[5, 6, 8]], phi[[7, 8, 9]]])
+    return pin.Inertia(0.0, np.zeros(3), tensor)
 
 
 def violations(phi: npt.ArrayLike, links: tuple[str, ...]) -> list[str]:

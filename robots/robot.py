@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, freeze, read_only
-from excitant.robots.parameters import STANDARD
+from excitant.robots.parameters import STANDARD, inertia
 
 if TYPE_CHECKING:
     from excitant.robots.effects import Effect
@@ -123,10 +123,10 @@ class Robot:
         return self.joints.index(joint)
 
     def with_parameters(self, phi: npt.ArrayLike) -> Robot:
-        """The same arm with other standard parameters, shape (10 nv,); masses not zero."""
+        """The same arm with other standard parameters, shape (10 nv,)."""
         model = self.model.copy()
         for j, values in enumerate(np.reshape(np.asarray(phi, float), (self.nv, 10)), start=1):
-            model.inertias[j] = pin.Inertia.FromDynamicParameters(values)
+            model.inertias[j] = inertia(values)
         return replace(self, model=model)
 
     def with_gravity(self, gravity: npt.ArrayLike) -> Robot:

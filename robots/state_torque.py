@@ -15,44 +15,34 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadInput
-from excitant.robots.effects import (
-    AddedInertia,
-    CoulombFriction,
-    Effect,
-    GravityDirection,
-    JointEffect,
-    PreslidingHysteresis,
-    RotorInertia,
-    TorqueOffset,
-    ViscousFriction,
-)
+from excitant.robots.effects.base import Effect, Law, Stepper
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
 
 REST = 1e-3  # rad/s or m/s: v₀
-_PLAIN = (RotorInertia, ViscousFriction, CoulombFriction, TorqueOffset)  # one number per joint
+_PLAIN = ("rotor", "viscous", "coulomb", "offset")  # one number per joint
 _PROBES = 6  # states at which an effect is asked how it depends on acceleration and on the past
 _SAME = 1e-9  # of the largest torque: rounding
 
 
 @dataclass(frozen=True, eq=False)
 class JointTerms:
-    """A `JointEffect` at one instant: its joints at once, as if they were instants of one joint.
+    """The law of an effect at one instant: its joints at once, as if instants of one joint.
 
     Attributes:
-        effect: The effect.
+        law: Of the effect.
         joints: Indices of its joints, shape (k,).
         values: Coefficients, one row per term, shape (terms, k).
     """
 
-    effect: JointEffect
+    law: Law
     joints: npt.NDArray[np.intp]
     values: Array
 
     def __call__(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
         """Torque, shape (nv,) [N·m]."""
         tau, at = np.zeros_like(q), self.joints
-        shapes = self.effect.shape(q[at], dq[at], np.zeros(len(at)))
+        shapes = self.law(q[at], dq[at], np.zeros(len(at)))
         for value, shape in zip(self.values, shapes, strict=True):
             tau[at] += value * shape
         return tau
@@ -81,40 +71,6 @@ class OtherEffect:
 
 
 @dataclass(frozen=True, eq=False)
-class Bristles:
-    """Presliding hysteresis: Dahl's state z of each joint, carried from step to step.
-
-    Attributes:
-        distance: δ [rad].
-        force: F_h, zero for joints without it, shape (nv,) [N·m].
-        z: State after the last step, shape (nv,).
-        q: Positions then, shape (nv,).
-    """
-
-    distance: float
-    force: Array
-    z: Array
-    q: Array
-
-    def __call__(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
-        """Torque, shape (nv,) [N·m]."""
-        tau: Array = self.force * (self._state(q) - np.sign(dq))
-        return tau
-
-    def _state(self, q: Array) -> Array:
-        moved = np.where(np.isnan(self.q), 0.0, q - self.q)
-        sign = np.sign(moved)
-        kept = np.exp(-np.abs(moved) / self.distance)
-        state: Array = np.where(sign != 0, sign + (self.z - sign) * kept, self.z)
-        return state
-
-    def advance(self, q: Array) -> None:
-        """End a step at some positions, shape (nv,)."""
-        self.z[:] = self._state(q)
-        self.q[:] = q
-
-
-@dataclass(frozen=True, eq=False)
 class StateTorque:
     """What the drives of a robot must give beside its rigid bodies, but for what acceleration asks.
 
@@ -122,13 +78,15 @@ class StateTorque:
         viscous: Viscous friction, shape (nv,) [N·m·s/rad].
         coulomb: Dry friction, shape (nv,) [N·m].
         offset: Constant torque, shape (nv,) [N·m].
-        others: Everything else.
+        others: Everything else that depends on the state alone.
+        steppers: Effects with a state of their own.
     """
 
     viscous: Array
     coulomb: Array
     offset: Array
-    others: tuple[JointTerms | OtherEffect | Bristles, ...]
+    others: tuple[JointTerms | OtherEffect, ...]
+    steppers: tuple[Stepper, ...]
 
     def __post_init__(self) -> None:
         freeze(self, "viscous", "coulomb", "offset")
@@ -145,7 +103,7 @@ class StateTorque:
         """
         sign = np.minimum(np.maximum(dq / REST, -1.0), 1.0)
         tau: Array = self.viscous * dq + self.coulomb * sign + self.offset
-        if self.others:
+        if self.others or self.steppers:
             tau += self._smoothed(t, q, dq, ddq, sign)
         return tau
 
@@ -156,27 +114,31 @@ class StateTorque:
         """
         speed = np.maximum(np.abs(dq), REST)
         slope: Array = self.viscous + self.coulomb / speed
-        for effect in self.others:
-            slope += (effect(t, q, speed, ddq) - effect(t, q, -speed, ddq)) / (2 * speed)
+        if self.others or self.steppers:
+            slope += (self._rest(t, q, speed, ddq) - self._rest(t, q, -speed, ddq)) / (2 * speed)
         return np.maximum(slope, 0.0)
 
     def advance(self, q: Array) -> None:
         """End a step at some positions, shape (nv,)."""
+        for stepper in self.steppers:
+            stepper.advance(q)
+
+    def _rest(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
+        tau = np.zeros_like(q)
         for effect in self.others:
-            if isinstance(effect, Bristles):
-                effect.advance(q)
+            tau += effect(t, q, dq, ddq)
+        for stepper in self.steppers:
+            tau += stepper(q, dq)
+        return tau
 
     def _smoothed(self, t: float, q: Array, dq: Array, ddq: Array, sign: Array) -> Array:
-        slow, tau = np.abs(dq) < REST, np.zeros_like(q)
+        slow = np.abs(dq) < REST
         if not slow.any():
-            for effect in self.others:
-                tau += effect(t, q, dq, ddq)
-            return tau
+            return self._rest(t, q, dq, ddq)
         ahead, back = np.where(slow, REST, dq), np.where(slow, -REST, dq)
         share = np.where(slow, (1 + sign) / 2, 1.0)
-        for effect in self.others:
-            tau += share * effect(t, q, ahead, ddq) + (1 - share) * effect(t, q, back, ddq)
-        return tau
+        tau: Array = share * self._rest(t, q, ahead, ddq)
+        return tau + (1 - share) * self._rest(t, q, back, ddq)
 
 
 def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
@@ -192,59 +154,33 @@ def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
         BadInput: An effect without values, or one that depends on the past otherwise than by
             presliding hysteresis.
     """
+    plain = {kind: np.zeros(robot.nv) for kind in _PLAIN}
+    carrying, inertia = robot, np.zeros((robot.nv, robot.nv))
+    others: list[JointTerms | OtherEffect] = []
+    steppers: list[Stepper] = []
     for effect in robot.effects:
         if effect.values is None:
             raise BadInput(f"{robot.name}: effect {effect.name} has no values; give them")
-    plain: dict[type[Effect], Array] = {kind: np.zeros(robot.nv) for kind in _PLAIN}
-    inertia = np.zeros((robot.nv, robot.nv))
-    others: list[JointTerms | OtherEffect | Bristles] = []
-    for effect in robot.effects:
-        if effect.acts_on_torque or isinstance(effect, AddedInertia | GravityDirection):
+        carrying, before = effect.applied(carrying), carrying
+        if effect.acts_on_torque or carrying is not before:
             continue
-        if type(effect) in plain:
-            np.add.at(plain[type(effect)], _at(robot, effect), np.array(effect.values))
-        elif isinstance(effect, PreslidingHysteresis):
-            others.append(_bristles(robot, effect))
+        at, values = np.array(effect.rows(robot), np.intp), np.array(effect.values)
+        if effect.joint_property:
+            plain[effect.joint_property][at] += values
+        elif (stepper := effect.stepper(robot)) is not None:
+            steppers.append(stepper)
         else:
             own = _inertia(robot, effect)
             inertia += own
             others.append(
-                _joint_terms(robot, effect)
-                if isinstance(effect, JointEffect)
-                else OtherEffect(robot, effect, own)
+                OtherEffect(robot, effect, own)
+                if effect.law is None
+                else JointTerms(effect.law, at, values.reshape(len(at), -1).T)
             )
-    inertia += np.diag(plain[RotorInertia])
+    inertia += np.diag(plain["rotor"])
     viscous, coulomb, offset = (plain[kind] for kind in _PLAIN[1:])
-    state = StateTorque(viscous, coulomb, offset, tuple(others))
-    return _carrying(robot).model, inertia, state
-
-
-def _at(robot: Robot, effect: Effect) -> npt.NDArray[np.intp]:
-    return np.array([robot.joint_index(joint) for joint in effect.joints], dtype=np.intp)
-
-
-def _carrying(robot: Robot) -> Robot:
-    """The robot with the bodies and the gravity of its effects, without changing the one given."""
-    phi, gravity = robot.phi.reshape(-1, 10).copy(), np.array(robot.gravity)
-    for effect in robot.effects:
-        if isinstance(effect, AddedInertia):
-            phi[_at(robot, effect)[0]] += np.array(effect.values)
-        elif isinstance(effect, GravityDirection):
-            gravity += np.array(effect.values)
-    if (phi.ravel() != robot.phi).any():
-        robot = robot.with_parameters(phi)
-    return robot.with_gravity(gravity) if (gravity != robot.gravity).any() else robot
-
-
-def _bristles(robot: Robot, effect: PreslidingHysteresis) -> Bristles:
-    force = np.zeros(robot.nv)
-    np.add.at(force, _at(robot, effect), np.array(effect.values))
-    return Bristles(effect.distance, force, np.zeros(robot.nv), np.full(robot.nv, np.nan))
-
-
-def _joint_terms(robot: Robot, effect: JointEffect) -> JointTerms:
-    at = _at(robot, effect)
-    return JointTerms(effect, at, np.array(effect.values).reshape(len(at), -1).T)
+    state = StateTorque(viscous, coulomb, offset, tuple(others), tuple(steppers))
+    return carrying.model, inertia, state
 
 
 def _inertia(robot: Robot, effect: Effect) -> Array:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from excitant.robots.effects import Effect
+from excitant.robots.effects import effect_values as effect_values
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor, rigid_body_torque
 from excitant.robots.robot import Robot
@@ -30,16 +31,6 @@ def column_names(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
     """Names of the columns of `observation_columns`."""
     added = (p.name for effect in effects for p in effect.parameters(robot))
     return (*robot.parameter_names, *added)
-
-
-def effect_values(robot: Robot) -> dict[str, float]:
-    """Coefficients of the robot's own effects by name; those not known are left out."""
-    return {
-        p.name: value
-        for effect in robot.effects
-        if effect.values is not None
-        for p, value in zip(effect.parameters(robot), effect.values, strict=True)
-    }
 
 
 def largest_torque(robot: Robot, motion: Motion) -> Array:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import io
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import CodeType
+from typing import Any
+from unittest.mock import patch
 from xml.parsers.expat import ExpatError
 
 import xacro
@@ -43,7 +47,7 @@ def urdf_from_xacro(
     """
     path, given = Path(path), _Arguments(arguments)
     try:
-        with _finding_packages(path, packages), contextlib.redirect_stderr(io.StringIO()) as said:
+        with _own_functions(path, packages), contextlib.redirect_stderr(io.StringIO()) as said:
             document = xacro.process_file(str(path), mappings=given)
     except ExcitantError:
         raise
@@ -93,19 +97,69 @@ def _reason(error: Exception, said: str) -> str:
 
 
 @contextlib.contextmanager
-def _finding_packages(path: Path, packages: Sequence[str | Path]) -> Iterator[None]:
-    """Let xacro's ``$(find name)`` look into folders instead of a ROS installation."""
+def _own_functions(path: Path, packages: Sequence[str | Path]) -> Iterator[None]:
+    """Let ``$(find name)`` look into folders instead of a ROS installation, and evaluate safely."""
 
     def find(name: str) -> str:
         return str(package_folder(name, path, packages))
 
-    functions = substitution_args._eval_dict
-    before = substitution_args._eval_find, functions["find"]
-    substitution_args._eval_find = functions["find"] = find
-    try:
+    with (
+        patch.object(substitution_args, "_eval_find", find),
+        patch.dict(substitution_args._eval_dict, find=find),
+        patch.object(substitution_args, "_eval", _evaluated_substitution),
+        patch.object(xacro, "safe_eval", _evaluated),
+    ):
         yield
-    finally:
-        substitution_args._eval_find, functions["find"] = before
+
+
+def _evaluated(expression: str, names: dict[str, Any]) -> Any:
+    """Value of an expression ``${..}`` that reaches nothing but the names that xacro offers."""
+    names.update({"__builtins__": {}, _ATTRIBUTE: _attribute})
+    return eval(_compiled(expression), names)
+
+
+def _evaluated_substitution(expression: str, context: dict[str, Any]) -> str:
+    """Value of ``$(eval ..)``, which sees arguments, mathematics and conversions of types."""
+    known, given = substitution_args._eval_dict, context.setdefault("arg", {})
+    arguments = {name: substitution_args.convert_value(x, "auto") for name, x in given.items()}
+
+    def dirname() -> str:
+        return str(substitution_args._eval_dirname(context["filename"]))
+
+    own = {"arg": arguments.__getitem__, "dirname": dirname}
+    return str(_evaluated(expression, arguments | own | known["__builtins__"] | known))
+
+
+_ATTRIBUTE = "attribute of"  # no name that an expression could have
+_REFUSED = ("type", "vars")  # functions of xacro's that lead to everything else
+_UNSAFE = "an expression uses {}, which is refused as unsafe"
+
+
+def _compiled(expression: str) -> CodeType:
+    """Code of an expression whose attributes are looked up by `_attribute`."""
+    tree = ast.parse(expression.strip(), mode="eval")
+    for node in ast.walk(tree):
+        name = node.id if isinstance(node, ast.Name) else ""
+        if name.startswith("__") or name in _REFUSED:
+            raise ValueError(_UNSAFE.format(name))
+    return compile(ast.fix_missing_locations(_Attributes().visit(tree)), "<expression>", "eval")
+
+
+class _Attributes(ast.NodeTransformer):
+    """Replaces ``value.name`` by a call."""
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.Call:
+        """The call in place of one attribute."""
+        found = ast.Name(_ATTRIBUTE, ast.Load())
+        return ast.Call(found, [self.visit(node.value), ast.Constant(node.attr)], [])
+
+
+def _attribute(value: Any, name: str) -> Any:
+    """An attribute of plain data or of one of xacro's name spaces; no other object has any."""
+    plain = isinstance(value, (str, int, float, list, tuple, dict))
+    if not plain or name.startswith("_") or name in ("format", "format_map", *_REFUSED):
+        raise ValueError(_UNSAFE.format(f"{type(value).__name__}.{name}"))
+    return getattr(value, name)
 
 
 def package_folder(name: str, path: Path, packages: Sequence[str | Path]) -> Path:

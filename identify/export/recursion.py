@@ -30,7 +30,7 @@ from excitant.identify.export.expression import (
     variable,
 )
 from excitant.robots.dh import moved_parameters
-from excitant.robots.effects import JointEffect
+from excitant.robots.effects.base import Law
 from excitant.robots.motion import Array
 
 Vector = tuple[Expression, Expression, Expression]
@@ -185,7 +185,7 @@ def _own(arm: Tree, i: int) -> Expression:
     if body.coulomb:
         total = total + body.coulomb * call("sign", dq)
     for effect in arm.others:
-        if not isinstance(effect, JointEffect) or type(effect).columns is not JointEffect.columns:
+        if effect.law is None:
             raise BadInput(
                 f"effect {effect.name} acts across joints, which Python and C code of excitant "
                 "cannot say; leave 'python' and 'c' out of --formats"
@@ -193,17 +193,19 @@ def _own(arm: Tree, i: int) -> Expression:
         if body.joint in effect.joints:
             row = effect.joints.index(body.joint)
             values = np.reshape(effect.values or (), (len(effect.joints), -1))[row]
-            for value, term in zip(values, _terms(effect, q, dq, ddq), strict=True):
+            for value, term in zip(
+                values, _terms(effect.name, effect.law, q, dq, ddq), strict=True
+            ):
                 total = total + lifted(term) * float(value)
     return total
 
 
-def _terms(effect: JointEffect, *motion: Any) -> Sequence[Any]:
+def _terms(name: str, law: Law, *motion: Any) -> Sequence[Any]:
     try:
-        return effect.shape(*motion)
+        return law(*motion)
     except (TypeError, ValueError, AttributeError):
         raise BadInput(
-            f"effect {effect.name} is no formula that Python and C code of excitant can say; "
+            f"effect {name} is no formula that Python and C code of excitant can say; "
             "leave 'python' and 'c' out of --formats"
         ) from None
 

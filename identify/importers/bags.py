@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import pandas as pd
 
 from excitant.exceptions import BadRecording
 from excitant.identify.importers.names import meaning
-from excitant.identify.importers.sources import Source, unreadable
+from excitant.identify.importers.tables import Table, unreadable
 
 _MESSAGE = "sensor_msgs/msg/JointState"
 _USUAL = "/joint_states"
@@ -23,24 +22,8 @@ _LOOKED_AT = 500  # messages, of which several nodes may write to one topic
 _AT_ONCE = 20_000  # messages turned into a table at a time
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """What the messages of a topic hold."""
-
-    topic: str
-    joints: tuple[str, ...]
-    fields: tuple[str, ...]
-    stamped: bool
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        pairs = [f"{joint}.{field}" for field in self.fields for joint in self.joints]
-        return ("stamp_ns", *pairs)
-
-
-def bag_source(path: Path, topic: str | None = None) -> Source:
-    """The joint states in a bag: columns ``stamp_ns`` and ``joint.position``, ``.velocity``,
-    ``.effort``.
+def bag_table(path: Path, topic: str | None = None) -> Table:
+    """The joint states in a bag, in columns ``stamp_ns`` and ``joint.position`` (velocity, effort).
 
     Time is that of the messages' headers, or that of their recording where headers are empty.
     Messages without any of the joints asked for, such as those of a gripper, are left out.
@@ -51,27 +34,33 @@ def bag_source(path: Path, topic: str | None = None) -> Source:
 
     Raises:
         BadRecording: Not readable, no joint states, or several topics with them.
-    """  # noqa: D205
+    """
     with _opened(path) as reader:
-        chosen, notes = _topic(reader, topic, path)
-        layout = _layout(reader, chosen, path)
-    if not layout.stamped:
+        topic, notes = _topic(reader, topic, path)
+        some = [message for _, message in islice(_messages(reader, topic), _LOOKED_AT)]
+    joints = tuple(dict.fromkeys(str(name) for message in some for name in message.name))
+    if not joints:
+        raise BadRecording(path, f"no message on {topic} names a joint; record {_USUAL}")
+    fields = [f for f in _FIELDS if any(len(m.name) == len(getattr(m, f)) for m in some)]
+    stamped = any(m.header.stamp.sec or m.header.stamp.nanosec for m in some)
+    if not stamped:
         notes += ("time: headers hold none, so it is that of recording",)
+    names = ("stamp_ns", *(f"{joint}.{field}" for field in fields for joint in joints))
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
-        kept = layout.names if columns is None else tuple(columns)
+        kept = names if columns is None else tuple(columns)
         parts: list[pd.DataFrame] = []
         with _opened(path) as reader:
-            for part in _tables(reader, layout, kept, rows or _AT_ONCE, path):
+            messages = _rows(reader, topic, fields, stamped, kept, path)
+            while some := list(islice(messages, rows or _AT_ONCE)):
                 if rows is not None:
-                    yield part
+                    yield _frame(some, kept)
                 else:
-                    parts.append(part)
+                    parts.append(_frame(some, kept))
         if rows is None:
-            yield pd.concat(parts, ignore_index=True) if parts else _table([], kept)
+            yield pd.concat(parts, ignore_index=True) if parts else _frame([], kept)
 
-    labels = dict(enumerate(layout.joints))
-    return Source(str(path), layout.names, frames, labels, notes, joined=True)
+    return Table(str(path), names, frames, dict(enumerate(joints)), notes, joined=True)
 
 
 @contextmanager
@@ -115,64 +104,41 @@ def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
         yield logged, reader.deserialize(data, connection.msgtype)
 
 
-def _layout(reader: Any, topic: str, path: Path) -> _Layout:
-    joints: dict[str, None] = {}
-    fields: dict[str, None] = {}
-    stamped = False
-    for _, message in islice(_messages(reader, topic), _LOOKED_AT):
-        joints |= dict.fromkeys(map(str, message.name))
-        fields |= {f: None for f in _FIELDS if len(message.name) == len(getattr(message, f))}
-        stamped |= bool(message.header.stamp.sec or message.header.stamp.nanosec)
-    if not joints:
-        raise BadRecording(path, f"no message on {topic} names a joint; record {_USUAL}")
-    ordered = tuple(field for field in _FIELDS if field in fields)
-    return _Layout(topic, tuple(joints), ordered, stamped)
+_Row = tuple[int, Any]
+"""Stamp [ns] and values of a message, shape (columns,)."""
 
 
-def _tables(
-    reader: Any, layout: _Layout, columns: Sequence[str], rows: int, path: Path
-) -> Iterator[pd.DataFrame]:
-    """Tables of at most so many rows, in the order of recording."""
+def _rows(
+    reader: Any,
+    topic: str,
+    fields: Sequence[str],
+    stamped: bool,
+    columns: Sequence[str],
+    path: Path,
+) -> Iterator[_Row]:
+    """Messages that hold any of the columns, in the order of recording."""
     places = {name: k for k, name in enumerate(columns)}
-    some: list[Any] = []
     row = 0
-    for logged, message in _messages(reader, layout.topic):
-        values = _row(message, logged, layout, places, row, path)
-        if values is None:
-            continue
-        some.append(values)
-        row += 1
-        if len(some) == rows:
-            yield _table(some, columns)
-            some = []
-    if some:
-        yield _table(some, columns)
+    for logged, message in _messages(reader, topic):
+        values = np.full(len(places), np.nan)
+        found = False
+        if len(set(message.name)) < len(message.name):
+            raise BadRecording(path, "names a joint twice; repair the recorder", row=row)
+        for field in fields:
+            numbers = getattr(message, field)
+            if len(numbers) not in (0, len(message.name)):
+                why = f"{len(numbers)} values of {field} for {len(message.name)} joints"
+                raise BadRecording(path, why, row=row)
+            for joint, value in zip(message.name, numbers, strict=False):
+                if (place := places.get(f"{joint}.{field}")) is not None:
+                    values[place], found = value, True
+        if found:
+            stamp = message.header.stamp
+            yield int(stamp.sec * 1_000_000_000 + stamp.nanosec if stamped else logged), values
+            row += 1
 
 
-def _row(
-    message: Any, logged: int, layout: _Layout, places: dict[str, int], row: int, path: Path
-) -> tuple[int, Any] | None:
-    """Stamp and values of a message; None when it holds nothing that is asked for."""
-    values = np.full(len(places), np.nan)
-    found = False
-    if len(set(message.name)) < len(message.name):
-        raise BadRecording(path, "names a joint twice; repair the recorder", row=row)
-    for field in layout.fields:
-        numbers = getattr(message, field)
-        if len(numbers) not in (0, len(message.name)):
-            raise BadRecording(
-                path, f"{len(numbers)} values of {field} for {len(message.name)} joints", row=row
-            )
-        for joint, value in zip(message.name, numbers, strict=False):
-            place = places.get(f"{joint}.{field}")
-            if place is not None:
-                values[place], found = value, True
-    stamp = message.header.stamp
-    time = stamp.sec * 1_000_000_000 + stamp.nanosec if layout.stamped else logged
-    return (int(time), values) if found else None
-
-
-def _table(rows: Sequence[tuple[int, Any]], columns: Sequence[str]) -> pd.DataFrame:
+def _frame(rows: Sequence[_Row], columns: Sequence[str]) -> pd.DataFrame:
     values = np.array([values for _, values in rows]).reshape(len(rows), len(columns))
     frame = pd.DataFrame(values, columns=list(columns))
     if "stamp_ns" in columns:

@@ -1,20 +1,61 @@
-"""Columns: which columns of a log hold time, positions, speeds and torques, in which units."""
+"""Columns: which columns of a log hold time, positions, speeds and torques, in which units.
+
+What the user's map says holds. Else a quantity is in the columns whose names say that it was
+measured, and nothing that could change its meaning, where one complete set of them is there. Else
+the log is refused with the map to write.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import yaml
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.importers.groups import Group, Joints
-from excitant.identify.importers.guesses import Guesses, ambiguous, guesses, missing
-from excitant.identify.importers.mapping import ColumnMap, Unit
-from excitant.identify.importers.patterns import explicit, shortened
-from excitant.identify.importers.sources import Source
-from excitant.identify.importers.units import factor
-from excitant.robots.motion import Array
+from excitant.identify.importers.mapping import ColumnMap
+from excitant.identify.importers.names import Meaning, meaning
+from excitant.identify.importers.tables import Table
+from excitant.identify.importers.units import Unit, factor
+from excitant.robots.robot import Robot
+
+_SAID = {"t": "time", "q": "positions", "dq": "speeds", "tau": "torques", "i": "currents"}
+_SECONDS = ("sec", "secs", "seconds")
+_NANOSECONDS = ("nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds")
+_NUMBERED = ("{}[{{0}}]", "{}_{{0}}", "{}.{{0}}", "{}{{0}}", "{}[{{1}}]", "{}_{{1}}", "{}.{{1}}",
+             "{}{{1}}")  # fmt: skip
+_NAMED = ("{{joint}}.{}", "{}.{{joint}}", "{{joint}}_{}", "{}_{{joint}}", "{{joint}}/{}",
+          "{}/{{joint}}", "{{joint}} {}", "{} {{joint}}")  # fmt: skip
+_Key = str | int | None
+
+
+@dataclass(frozen=True)
+class Joints:
+    """The joints that a recording must hold.
+
+    Attributes:
+        count: How many.
+        names: Their names, where the arm is known.
+        revolute: Whether each turns, where the arm is known.
+    """
+
+    count: int
+    names: tuple[str, ...] = ()
+    revolute: tuple[bool, ...] = ()
+
+    @classmethod
+    def of(cls, robot: Robot | int) -> Joints:
+        """Joints of a robot, or as many without names."""
+        if isinstance(robot, int):
+            return cls(robot)
+        return cls(robot.nv, robot.joints, tuple(bool(turns) for turns in robot.revolute))
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names, or numbers from 1 where there are none."""
+        return self.names or tuple(str(k + 1) for k in range(self.count))
 
 
 @dataclass(frozen=True)
@@ -30,11 +71,6 @@ class Channel:
     columns: tuple[str, ...]
     factors: tuple[float, ...]
     shown: str = ""
-
-    @property
-    def scale(self) -> Array:
-        """The factors as a row, shape (nv,)."""
-        return np.array(self.factors)
 
 
 @dataclass(frozen=True)
@@ -67,7 +103,7 @@ class Columns:
 
 
 def resolve(
-    source: Source,
+    table: Table,
     joints: Joints,
     *,
     mapping: ColumnMap | None = None,
@@ -76,7 +112,7 @@ def resolve(
     """Which columns hold what: as a map says, else as their names say beyond doubt.
 
     Args:
-        source: The log.
+        table: The log.
         joints: The arm's joints.
         mapping: What the user says.
         torque_column: Prefix of the torque columns, ``tau`` for ``tau1, tau2, ...``.
@@ -85,79 +121,365 @@ def resolve(
         BadRecording: A column is missing, or could be several; says what to write.
         BadInput: The map does not fit the robot.
     """
-    mapping = mapping or ColumnMap()
-    names, file = source.names, source.file
-    found = guesses(source.meanings(joints), joints, source.labels, file)
-    t, t_shown = _time(found, mapping, names, file)
-    t_unit = found.t_unit if mapping.t_unit is None else mapping.t_unit
-    q = _channel("q", found, mapping, names, joints, file)
-    role, tau = _torque(found, mapping, names, joints, file, torque_column)
-    dq = _channel("dq", found, mapping, names, joints, file, optional=True)
-    if q is None or tau is None:
-        raise missing(found, "q" if q is None else "tau", file)
+    search = _Search(table, joints, mapping or ColumnMap())
+    t, t_shown = search.time()
+    q = search.channel("q")
+    role, tau = search.torque(torque_column)
+    dq = search.channel("dq", optional=True)
+    if q is None:
+        raise search.missing("q")
     unit = "A" if role == "i" else "N·m"
-    if role == "i" and mapping.drive is not None:
-        unit, gains = "N·m", _fitting(mapping.drive.gains(), joints, mapping)
-        factors = tuple((tau.scale * gains).tolist())
-        tau = Channel(tau.columns, factors, f"{tau.shown or 'i'}, × drive gain = N·m")
-    read = Columns(t, t_unit, q, dq, tau, unit)
-    _once(read, names, file)
-    shown = [t_shown, q.shown, dq.shown if dq else "", tau.shown]
-    notes = [f"columns: {'; '.join(s for s in shown if s)}"] if any(shown) else []
-    notes += found.notes
-    return Columns(t, t_unit, q, dq, tau, unit, tuple(notes))
+    if role == "i" and (drive := search.mapping.drive) is not None:
+        gains = drive.gains()
+        if len(gains) != joints.count:
+            raise BadInput(
+                f"{search.mapping.source}: drive has {len(gains)} gains, the robot has "
+                f"{joints.count} joints"
+            )
+        factors = tuple((np.array(tau.factors) * gains).tolist())
+        unit, tau = "N·m", Channel(tau.columns, factors, f"{tau.shown or 'i'}, × drive gain = N·m")
+    shown = [s for s in (t_shown, q.shown, dq.shown if dq else "", tau.shown) if s]
+    notes = [f"columns: {'; '.join(shown)}"] if shown else []
+    read = Columns(t, search.t_unit, q, dq, tau, unit, (*notes, *search.notes))
+    for column in read.names:
+        if table.names.count(column) > 1:
+            raise BadRecording(table.file, "is there twice; rename or remove one", column=column)
+        if read.names.count(column) > 1:
+            why = "is taken for two things; say which in a file for --map"
+            raise BadRecording(table.file, why, column=column)
+    return read
 
 
-def _time(
-    found: Guesses, mapping: ColumnMap, names: Sequence[str], file: str
-) -> tuple[tuple[str, ...], str]:
-    given = mapping.columns.get("t")
-    if given is not None:
-        columns = (given,) if isinstance(given, str) else given
-        for column in columns:
-            if column not in names:
-                raise _not_there(file, column, names, mapping)
-        if len(columns) > 2:
-            raise BadInput(f"{mapping.source}: 't' is one column, or seconds and nanoseconds")
-    elif len(found.times) == 1:
-        columns = found.times[0]
-    elif found.times:
-        raise ambiguous(found, "t", [", ".join(times) for times in found.times], file)
-    else:
-        raise missing(found, "t", file)
-    unit = found.t_unit if mapping.t_unit is None else mapping.t_unit
-    if columns == ("t",) and unit is None:
-        return columns, ""
-    return columns, f"t = {' + '.join(columns)}{_in_unit(unit, columns[0])}"
+@dataclass(frozen=True)
+class _Group:
+    """Columns of one quantity whose names differ by the joint only.
+
+    Attributes:
+        role: Quantity.
+        members: Meaning per joint's number or name.
+        words: What else the names hold.
+        exact: Whether the columns are named ``q1, q2, ...``.
+        twice: A column of a joint that has another one.
+    """
+
+    role: str
+    members: Mapping[_Key, Meaning]
+    words: tuple[str, ...] = ()
+    exact: bool = False
+    twice: str | None = None
+
+    @classmethod
+    def of(cls, role: str, words: tuple[str, ...], found: Sequence[tuple[_Key, Meaning]]) -> _Group:
+        members: dict[_Key, Meaning] = {}
+        twice = None
+        for joint, m in found:
+            twice = m.column if joint in members else twice
+            members.setdefault(joint, m)
+        form = re.compile(rf"{role}[1-9]\d*", re.ASCII)
+        numbered = not any(isinstance(joint, str) for joint in members)
+        exact = numbered and all(form.fullmatch(m.column) for _, m in found)
+        return cls(role, members, words, exact, twice)
+
+    def keys(self, joints: Joints) -> list[_Key]:
+        """Under which key each joint should be."""
+        if any(isinstance(joint, str) for joint in self.members):
+            return list(joints.names)
+        if joints.count == 1 and None in self.members:
+            return [None]
+        first = 0 if 0 in self.members else 1
+        return [first + k for k in range(joints.count)]
+
+    def full(self, joints: Joints) -> bool:
+        """Whether every joint has one column; numbered columns of more joints are another arm's."""
+        keys = self.keys(joints)
+        named = isinstance(keys[0], str)
+        held = set(keys) <= set(self.members) and (named or len(self.members) == len(keys))
+        return held and self.twice is None
+
+    def columns(self, joints: Joints) -> tuple[str, ...]:
+        """Columns in the robot's order."""
+        return tuple(self.members[key].column for key in self.keys(joints))
+
+    def check(self, joints: Joints, file: str, prefix: str | None = None) -> None:
+        """Refuse another number of joints, holes and surplus."""
+        if self.twice is not None:
+            why = "names a joint that another column names too; rename or remove one"
+            raise BadRecording(file, why, column=self.twice)
+        numbers = sorted(k for k in self.members if isinstance(k, int))
+        count = len(numbers)
+        run = count and numbers[0] in (0, 1) and numbers[-1] - numbers[0] == count - 1
+        if self.role == "q" and run and count != joints.count:
+            first, last = (self.members[k].column for k in (numbers[0], numbers[-1]))
+            span = f"{first}..{last}" if count > 1 else first
+            raise BadRecording(
+                file,
+                f"has {count} joint{'s' if count > 1 else ''} ({span}), the robot has "
+                f"{joints.count}; give the recording of this robot, or lock the joints that it "
+                f"leaves out",
+            )
+        for key in self.keys(joints):
+            if key not in self.members:
+                column = f"{prefix}{key}" if prefix is not None else self._name(key)
+                raise BadRecording(file, "is missing; rename or add it", column=column)
+        if count > joints.count:
+            raise BadRecording(
+                file,
+                f"belongs to no joint: the robot has {joints.count}; remove it or give the "
+                f"right robot",
+                column=self.members[numbers[-1]].column,
+            )
+
+    def _name(self, key: _Key) -> str:
+        """What the column of a joint would be called."""
+        like = next(iter(self.members.values()))
+        if isinstance(key, str) or like.joint is None:
+            return f"{_SAID[self.role]} of {key}"
+        head, _, tail = like.column.rpartition(str(like.joint))
+        return f"{head}{key}{tail}"
 
 
-def _channel(
-    role: str,
-    found: Guesses,
-    mapping: ColumnMap,
-    names: Sequence[str],
-    joints: Joints,
-    file: str,
-    *,
-    optional: bool = False,
-) -> Channel | None:
-    given = mapping.columns.get(role)
-    if given is not None:
-        columns = explicit(role, given, names, joints, file, mapping.source)
-        hints: tuple[str | None, ...] = (None,) * joints.count
-        plain = False
-    else:
-        group = found.chosen(role, file, optional=optional)
-        if group is None:
+class _Search:
+    """What the names of a log's columns, and the user's map, say about them.
+
+    Attributes:
+        groups: Candidates for each quantity, the most plausible first.
+        times: Candidates for time: a column, or seconds and nanoseconds.
+        t_unit: Unit of time, as the map or the name of the only candidate says.
+        notes: What was left out.
+    """
+
+    def __init__(self, table: Table, joints: Joints, mapping: ColumnMap) -> None:
+        self.table, self.joints, self.mapping = table, joints, mapping
+        labels = table.labels
+        surplus = sorted(set(labels.values()) - set(joints.names)) if joints.names else []
+        self.notes = (f"joints left out: {', '.join(surplus)}",) if surplus else ()
+        absent = [name for name in joints.names if name not in labels.values()]
+        if labels and absent:
+            raise BadRecording(
+                table.file,
+                f"holds the joints {', '.join(labels.values())}; joint '{absent[0]}' of the robot "
+                f"is not among them; give the right robot, or lock this joint",
+            )
+        used = [m for m in _meanings(table, joints) if m.role is not None and not m.commanded]
+        alike: dict[tuple[object, ...], list[tuple[_Key, Meaning]]] = {}
+        for m in used:
+            joint = m.joint
+            if isinstance(joint, int) and joints.names:
+                joint = labels.get(joint, joint)
+            sort = (m.role, m.words, isinstance(joint, str), m.measured, m.term)
+            alike.setdefault(sort, []).append((joint, m))
+        self.groups: dict[str, list[_Group]] = {}
+        for members in alike.values():
+            m = members[0][1]
+            group = _Group.of(str(m.role), m.words, members)
+            self.groups.setdefault(group.role, []).append(group)
+        for groups in self.groups.values():
+            groups.sort(key=lambda group: (not group.exact, len(group.words)))
+        self.times, unit = _times([m for m in used if m.role == "t"])
+        said = mapping.units.get("t")
+        self.t_unit: Unit | None = unit if said is None or isinstance(said, tuple) else said
+
+    def time(self) -> tuple[tuple[str, ...], str]:
+        """The columns of time, and how they were understood."""
+        given = self.mapping.columns.get("t")
+        if given is not None:
+            columns = (given,) if isinstance(given, str) else given
+            self._there(columns)
+            if len(columns) > 2:
+                raise BadInput(
+                    f"{self.mapping.source}: 't' is one column, or seconds and nanoseconds"
+                )
+        elif len(self.times) == 1:
+            columns = self.times[0]
+        elif self.times:
+            raise self._ambiguous("t", [", ".join(times) for times in self.times])
+        else:
+            raise self.missing("t")
+        if columns == ("t",) and self.t_unit is None:
+            return columns, ""
+        return columns, f"t = {' + '.join(columns)}{_in_unit(self.t_unit, columns[0])}"
+
+    def channel(self, role: str, *, optional: bool = False) -> Channel | None:
+        """Columns of a quantity; None when there are none, or not of all joints if optional."""
+        hints: tuple[str | None, ...] = (None,) * self.joints.count
+        exact = False
+        if (given := self.mapping.columns.get(role)) is not None:
+            columns = self._given(role, given)
+        else:
+            group = self._chosen(role, optional)
+            if group is None:
+                return None
+            columns, exact = group.columns(self.joints), group.exact
+            hints = tuple(group.members[key].unit for key in group.keys(self.joints))
+        factors = self._factors(role, hints)
+        units = self.mapping.units.get(role, hints[0])
+        if exact and units is None:
+            return Channel(columns, factors)
+        shown = f"{role} = {_shortened(columns, self.joints)}{_in_unit(units, columns[0])}"
+        return Channel(columns, factors, shown)
+
+    def torque(self, prefix: str | None) -> tuple[str, Channel]:
+        """Torques, or currents where there are none or the user says so."""
+        said = [role for role in ("tau", "i") if role in self.mapping.columns]
+        if len(said) == 2:
+            raise BadInput(
+                f"{self.mapping.source}: both 'tau' and 'i' are given; keep the measured one"
+            )
+        if not said and prefix is not None:
+            role = "i" if prefix == "i" else "tau"
+            form = re.compile(rf"{re.escape(prefix)}([1-9]\d*)", re.ASCII)
+            found = [(int(m[1]), name) for name in self.table.names if (m := form.fullmatch(name))]
+            group = _Group(role, {k: Meaning(name, role, k) for k, name in found})
+            group.check(self.joints, self.table.file, prefix)
+            factors = self._factors(role, (None,) * self.joints.count)
+            return role, Channel(group.columns(self.joints), factors)
+        exact = [r for r in ("tau", "i") if any(g.exact for g in self.groups.get(r, ()))]
+        for role in said or exact or ("tau", "i"):
+            channel = self.channel(role)
+            if channel is not None:
+                return role, channel
+        raise self.missing("tau")
+
+    def _clear(self, role: str) -> list[_Group]:
+        """Groups that hold a quantity by their name alone, those named exactly first."""
+        groups = self.groups.get(role, [])
+        return [g for g in groups if g.exact] or [g for g in groups if not g.words]
+
+    def _chosen(self, role: str, optional: bool) -> _Group | None:
+        groups = self._clear(role)
+        full = [group for group in groups if group.full(self.joints)]
+        if len(full) == 1:
+            return full[0]
+        if optional or not groups:
             return None
-        columns, hints = group.columns(joints), group.units(joints)
-        plain = group.canonical
-    factors = _factors(role, hints, mapping, joints)
-    units = mapping.units.get(role, hints[0])
-    if plain and units is None:
-        return Channel(columns, factors)
-    shown = f"{role} = {shortened(columns, joints)}{_in_unit(units, columns[0])}"
-    return Channel(columns, factors, shown)
+        if full:
+            raise self._ambiguous(role, [", ".join(g.columns(self.joints)[:2]) for g in full])
+        group = max(groups, key=lambda g: len(g.members))
+        group.check(self.joints, self.table.file)
+        return group
+
+    def _given(self, role: str, given: str | tuple[str, ...]) -> tuple[str, ...]:
+        """The columns that the map names, in the robot's order."""
+        names, joints = self.table.names, self.joints
+        columns = (given,) if isinstance(given, str) else given
+        if isinstance(given, str) and "{" in given:
+            columns = _expanded(given, joints)
+        elif isinstance(given, str) and not (given in names and joints.count == 1):
+            named = _NAMED if joints.names else ()
+            forms = [_expanded(form.format(given), joints) for form in (*named, *_NUMBERED)]
+            there = [form for form in forms if set(form) <= set(names)]
+            columns = there[0] if there else columns if joints.count == 1 else forms[-1]
+        if len(columns) != joints.count:
+            raise BadInput(
+                f"{self.mapping.source}: '{role}' names {len(columns)} columns, the robot has "
+                f"{joints.count} joints"
+            )
+        self._there(columns)
+        return columns
+
+    def _there(self, columns: Sequence[str]) -> None:
+        for column in columns:
+            if column not in self.table.names:
+                why = f"is not there, correct {self.mapping.source}; columns are {self._some()}"
+                raise BadRecording(self.table.file, why, column=column)
+
+    def _factors(self, role: str, hints: Sequence[str | None]) -> tuple[float, ...]:
+        """SI units per logged unit and joint, signs included."""
+        joints, source = self.joints, self.mapping.source
+        given = self.mapping.units.get(role, tuple(hints))
+        units = given if isinstance(given, tuple) else (given,) * joints.count
+        if len(units) != joints.count:
+            raise BadInput(
+                f"{source}: units of {role}: {len(units)} given, the robot has {joints.count} "
+                f"joints"
+            )
+        signs = self.mapping.sign.get("tau" if role == "i" else role, {})
+        for joint in signs:
+            if joint not in joints.labels:
+                known = ", ".join(joints.labels)
+                raise BadInput(f"{source}: sign of unknown joint '{joint}'; known: {known}")
+        factors = []
+        for k, (unit, label) in enumerate(zip(units, joints.labels, strict=True)):
+            turns = joints.revolute[k] if joints.revolute else None
+            size = factor(role, unit, turns) if isinstance(unit, str) else unit or 1.0
+            if size is None:
+                kind = "turns" if turns else "slides"
+                raise BadInput(f"{source}: joint {label} {kind}: its {role} is not in {unit}")
+            factors.append(size * signs.get(label, 1.0))
+        return tuple(factors)
+
+    def _some(self) -> str:
+        names = self.table.names
+        return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+
+    def _suggestion(self) -> str:
+        """A ready column map on one line, as far as names say; ``?`` where they say nothing."""
+        t = list(self.times[0]) if self.times else ["?"]
+        content: dict[str, object] = {"t": t[0] if len(t) == 1 else t}
+        torque = next((role for role in ("tau", "i") if self.groups.get(role)), "tau")
+        for role in ("q", torque):
+            full = [g for g in self.groups.get(role, ()) if g.full(self.joints)]
+            content[role] = list(full[0].columns(self.joints)) if full else "?"
+        text: str = yaml.safe_dump(
+            content, default_flow_style=True, sort_keys=False, width=1 << 20, allow_unicode=True
+        )
+        return text.strip()
+
+    def _ambiguous(self, role: str, spans: Sequence[str]) -> BadRecording:
+        """The refusal of columns of which several could be meant."""
+        choices = "; or ".join(f"{span} ..." if role != "t" else span for span in spans)
+        return BadRecording(
+            self.table.file,
+            f"{_SAID[role]} could be {choices}: say which in a file for --map, such as "
+            f"{self._suggestion()}",
+        )
+
+    def missing(self, role: str) -> BadRecording:
+        """The refusal of a log without a quantity."""
+        advice = (
+            f"columns are {self._some()}; or say which in a file for --map, such as "
+            f"{self._suggestion()}"
+        )
+        if role == "tau":
+            why = f"no torque: there is neither 'tau1' [N·m] nor 'i1' [A]; {advice}"
+            return BadRecording(self.table.file, why)
+        column = "t" if role == "t" else "q1"
+        return BadRecording(
+            self.table.file, f"is missing; rename or add it: {advice}", column=column
+        )
+
+
+def _meanings(table: Table, joints: Joints) -> list[Meaning]:
+    """What the columns' names say, given the arm's joints."""
+    if not table.joined:
+        return [meaning(name, joints.names) for name in table.names]
+    order = {label: k for k, label in table.labels.items()}
+    found = []
+    for name in table.names:
+        joint, _, quantity = name.rpartition(".")
+        said = meaning(quantity)
+        if joint:
+            said = Meaning(name, said.role, joint if joints.names else order[joint])
+        found.append(said)
+    return found
+
+
+def _times(meanings: Sequence[Meaning]) -> tuple[tuple[tuple[str, ...], ...], str | None]:
+    """Candidates for time, and the unit in the name where there is one candidate."""
+    if any(m.column == "t" for m in meanings):
+        return (("t",),), None
+    alone = [m for m in meanings if m.joint is None]
+    plain = [m for m in alone if not m.words]
+    seconds, nanoseconds = (
+        [m for m in alone if len(m.words) == 1 and m.words[0] in words]
+        for words in (_SECONDS, _NANOSECONDS)
+    )
+    if len(seconds) == len(nanoseconds) == 1:
+        pair = (seconds[0].column, nanoseconds[0].column)
+        return (pair, *((m.column,) for m in plain)), None
+    some = [*plain, *seconds, *nanoseconds]
+    unit = "s" if seconds else "ns" if nanoseconds else some[0].unit if some else None
+    return tuple((m.column,) for m in some), unit if len(some) == 1 else None
 
 
 def _in_unit(units: Unit | tuple[Unit, ...] | None, column: str) -> str:
@@ -167,88 +489,22 @@ def _in_unit(units: Unit | tuple[Unit, ...] | None, column: str) -> str:
     return f" [{', '.join(map(str, units)) if isinstance(units, tuple) else units}]"
 
 
-def _torque(
-    found: Guesses,
-    mapping: ColumnMap,
-    names: Sequence[str],
-    joints: Joints,
-    file: str,
-    torque_column: str | None,
-) -> tuple[str, Channel | None]:
-    """Torques, or currents where there are none or the user says so."""
-    said = [role for role in ("tau", "i") if role in mapping.columns]
-    if len(said) == 2:
-        raise BadInput(f"{mapping.source}: both 'tau' and 'i' are given; keep the measured one")
-    if said:
-        return said[0], _channel(said[0], found, mapping, names, joints, file)
-    if torque_column is not None:
-        role = "i" if torque_column == "i" else "tau"
-        group = Group.numbered(torque_column, names, role)
-        group.check(joints, file, torque_column)
-        columns = group.columns(joints)
-        return role, Channel(columns, _factors(role, (None,) * joints.count, mapping, joints))
-    for role in found.torque_roles():
-        channel = _channel(role, found, mapping, names, joints, file)
-        return role, channel
-    raise missing(found, "tau", file)
-
-
-def _factors(
-    role: str, hints: Sequence[str | None], mapping: ColumnMap, joints: Joints
-) -> tuple[float, ...]:
-    """SI units per logged unit and joint, signs included."""
-    given = mapping.units.get(role)
-    units: Sequence[Unit | None]
-    if given is None:
-        units = hints
-    else:
-        units = given if isinstance(given, tuple) else [given] * joints.count
-    if len(units) != joints.count:
-        raise BadInput(
-            f"{mapping.source}: units of {role}: {len(units)} given, the robot has "
-            f"{joints.count} joints"
-        )
-    signs = mapping.sign.get("tau" if role == "i" else role, {})
-    for joint in signs:
-        if joint not in joints.labels:
-            known = ", ".join(joints.labels)
-            raise BadInput(f"{mapping.source}: sign of unknown joint '{joint}'; known: {known}")
-    values = []
-    for k, unit in enumerate(units):
-        value = 1.0 if unit is None else unit
-        if isinstance(value, str):
-            known_factor = factor(role, value, joints.turns(k))
-            if known_factor is None:
-                raise BadInput(
-                    f"{mapping.source}: joint {joints.labels[k]} "
-                    f"{'turns' if joints.turns(k) else 'slides'}: its {role} is not in {value}"
-                )
-            value = known_factor
-        values.append(value * signs.get(joints.labels[k], 1.0))
-    return tuple(values)
-
-
-def _fitting(gains: Array, joints: Joints, mapping: ColumnMap) -> Array:
-    if len(gains) != joints.count:
-        raise BadInput(
-            f"{mapping.source}: drive has {len(gains)} gains, the robot has {joints.count} joints"
-        )
-    return gains
-
-
-def _not_there(file: str, column: str, names: Sequence[str], mapping: ColumnMap) -> BadRecording:
-    some = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
-    return BadRecording(
-        file, f"is not there, mend {mapping.source}; columns are {some}", column=column
+def _expanded(pattern: str, joints: Joints) -> tuple[str, ...]:
+    """A pattern for every joint: ``{0}`` counts from 0, ``{1}`` from 1, ``{joint}`` is a name."""
+    return tuple(
+        pattern.replace("{0}", str(k)).replace("{1}", str(k + 1)).replace("{joint}", label)
+        for k, label in enumerate(joints.labels)
     )
 
 
-def _once(read: Columns, names: Sequence[str], file: str) -> None:
-    """No column twice in the file, none for two quantities."""
-    for column in read.names:
-        if list(names).count(column) > 1:
-            raise BadRecording(file, "is there twice; rename or remove one", column=column)
-        if read.names.count(column) > 1:
-            raise BadRecording(
-                file, "is taken for two things; say which in a file for --map", column=column
-            )
+def _shortened(columns: Sequence[str], joints: Joints) -> str:
+    """Columns for people: one pattern for joints' names, first and last of a rising number."""
+    before, found, after = columns[0].partition(joints.labels[0])
+    if found and list(columns) == [f"{before}{label}{after}" for label in joints.names]:
+        return f"{before}<joint>{after}"
+    for match in re.finditer(r"\d+", columns[0]) if len(columns) > 2 else ():
+        head, tail = columns[0][: match.start()], columns[0][match.end() :]
+        for first in (0, 1):
+            if list(columns) == [f"{head}{k + first}{tail}" for k in range(len(columns))]:
+                return f"{columns[0]} .. {columns[-1]}"
+    return ", ".join(columns)

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.identify.importers.units import spelled, units_of
+from excitant.identify.importers.units import Unit, spelled, units_of
 from excitant.robots.motion import Array
-from excitant.robots.yaml_entries import yaml_content
+from excitant.robots.yaml_entries import finite_numbers, yaml_content
 
 ROLES = ("t", "q", "dq", "tau", "i")
 _KEYS = (*ROLES, "units", "sign", "drive", "topic")
 _DRIVE = ("gain_Nm_per_A", "gear_ratio")
-Unit = str | float
 
 
 @dataclass(frozen=True)
@@ -60,12 +59,6 @@ class ColumnMap:
     topic: str | None = None
     source: str = "columns.yaml"
 
-    @property
-    def t_unit(self) -> Unit | None:
-        """Unit of time."""
-        unit = self.units.get("t")
-        return None if isinstance(unit, tuple) else unit
-
 
 def load_column_map(path: str | Path) -> ColumnMap:
     """Column map from YAML, such as ``{t: stamp, q: 'pos_{1}', tau: [a, b], units: {q: deg}}``.
@@ -82,10 +75,7 @@ def load_column_map(path: str | Path) -> ColumnMap:
 
 def column_map(content: object, source: str) -> ColumnMap:
     """Column map from the content of a YAML file; see `load_column_map`."""
-    entries = _entries(content, source, "t: stamp, q: [...], tau: [...]")
-    for key in entries:
-        if key not in _KEYS:
-            raise BadInput(f"{source}: {UnknownName('entry', str(key), _KEYS)}")
+    entries = _entries(content, source, "t: stamp, q: [...], tau: [...]", _KEYS)
     topic = entries.get("topic")
     if not isinstance(topic, str | None):
         raise BadInput(f"{source}: 'topic' must be a name such as /joint_states")
@@ -103,9 +93,38 @@ def column_map(content: object, source: str) -> ColumnMap:
     )
 
 
-def _entries(content: object, source: str, example: str) -> dict[Any, Any]:
+def drive_from_entry(content: object, source: str) -> Drive | None:
+    """Drive constants from ``{gain_Nm_per_A: [..], gear_ratio: [..]}``; None without gains.
+
+    Raises:
+        BadInput: Unknown entries, or anything but finite numbers other than zero.
+    """
+    if content is None:
+        return None
+    example = "drive: {gain_Nm_per_A: [0.1], gear_ratio: [100]}"
+    entries = _entries(content, f"{source}: drive", example, _DRIVE)
+    values = {key: np.atleast_1d(finite_numbers(value)) for key, value in entries.items() if value}
+    for key, numbers in values.items():
+        if numbers.ndim != 1 or not np.isfinite(numbers).all() or (numbers == 0).any():
+            raise BadInput(f"{source}: drive: '{key}' must be one number per joint, none of them 0")
+    if "gain_Nm_per_A" not in values:
+        return None
+    gains = values["gain_Nm_per_A"]
+    ratios = values.get("gear_ratio", np.ones(len(gains)))
+    if len(ratios) != len(gains):
+        raise BadInput(f"{source}: drive: {len(gains)} gains and {len(ratios)} gear ratios")
+    return Drive(tuple(gains.tolist()), tuple(ratios.tolist()))
+
+
+def _entries(
+    content: object, source: str, example: str, known: tuple[str, ...] = ()
+) -> dict[Any, Any]:
     if not isinstance(content, dict):
         raise BadInput(f"{source}: expected entries such as {{{example}}}")
+    for key in content:
+        if known and key not in known:
+            what = "quantity" if known == ROLES else "entry"
+            raise BadInput(f"{source}: {UnknownName(what, str(key), known)}")
     return content
 
 
@@ -119,11 +138,9 @@ def _columns(role: str, value: object, source: str) -> str | tuple[str, ...]:
 
 def _units(content: object, source: str) -> dict[str, Unit | tuple[Unit, ...]]:
     found: dict[str, Unit | tuple[Unit, ...]] = {}
-    for role, value in _entries(content, source, "units: {q: deg}").items():
-        if role not in ROLES:
-            raise BadInput(f"{source}: units: {UnknownName('quantity', str(role), ROLES)}")
+    for role, value in _entries(content, f"{source}: units", "q: deg", ROLES).items():
         if isinstance(value, list) and role != "t":
-            found[role] = tuple(_unit(role, v, source) for v in value)
+            found[role] = tuple(_unit(role, each, source) for each in value)
         else:
             found[role] = _unit(role, value, source)
     return found
@@ -141,7 +158,7 @@ def _unit(role: str, value: object, source: str) -> Unit:
 
 def _signs(content: object, source: str) -> dict[str, dict[str, float]]:
     found: dict[str, dict[str, float]] = {"q": {}, "dq": {}, "tau": {}}
-    for name, value in _entries(content, source, "sign: {joint: -1}").items():
+    for name, value in _entries(content, f"{source}: sign", "joint: -1").items():
         some = value if isinstance(value, dict) else {name: value}
         roles = [str(name)] if isinstance(value, dict) else list(found)
         for joint, sign in some.items():
@@ -150,35 +167,3 @@ def _signs(content: object, source: str) -> dict[str, dict[str, float]]:
             for role in roles:
                 found[role][str(joint)] = float(sign)
     return found
-
-
-def drive_from_entry(content: object, source: str) -> Drive | None:
-    """Drive constants from ``{gain_Nm_per_A: [..], gear_ratio: [..]}``; None without gains.
-
-    Raises:
-        BadInput: Unknown entries, or anything but finite numbers other than zero.
-    """
-    if content is None:
-        return None
-    entries = _entries(content, source, "drive: {gain_Nm_per_A: [0.1], gear_ratio: [100]}")
-    for key in entries:
-        if key not in _DRIVE:
-            raise BadInput(f"{source}: drive: {UnknownName('entry', str(key), _DRIVE)}")
-    values = {key: _constants(key, value, source) for key, value in entries.items() if value}
-    if "gain_Nm_per_A" not in values:
-        return None
-    gains = values["gain_Nm_per_A"]
-    ratios = values.get("gear_ratio", (1.0,) * len(gains))
-    if len(ratios) != len(gains):
-        raise BadInput(f"{source}: drive: {len(gains)} gains and {len(ratios)} gear ratios")
-    return Drive(gains, ratios)
-
-
-def _constants(key: str, value: object, source: str) -> tuple[float, ...]:
-    try:
-        numbers = np.atleast_1d(np.asarray(value, float))
-    except (TypeError, ValueError):
-        numbers = np.array([np.nan])
-    if numbers.ndim != 1 or not np.isfinite(numbers).all() or (numbers == 0).any():
-        raise BadInput(f"{source}: drive: '{key}' must be one number per joint, none of them 0")
-    return tuple(numbers.tolist())

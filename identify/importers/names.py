@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from excitant.identify.importers.units import roles_of, spelled
+from excitant.identify.importers.units import spelled, units_of
 
 _ROLES = {
     **dict.fromkeys(("t", "time", "times", "timestamp", "timestamps", "stamp", "stamps"), "t"),
@@ -72,26 +72,22 @@ def meaning(column: str, joints: Sequence[str] = ()) -> Meaning:
     if exact := _EXACT.fullmatch(column):
         return Meaning(column, exact[1], int(exact[2]), exact[1])
     words, unit = _words(column)
-    whole = words
-    joint, words = _named_joint(words, joints)
-    if joint is not None and _role(words)[0] is None:
-        joint, words = None, whole
-    number: int | None = None
-    if joint is None:
+    joint: str | int | None
+    joint, rest = _named_joint(words, joints)
+    if joint is not None and _role(rest)[0] is not None:
+        words = rest
+    else:
         numbers = [k for k, word in enumerate(words) if word.isdecimal()]
-        if numbers:
-            number = int(words[numbers[-1]])
-            words = words[: numbers[-1]] + words[numbers[-1] + 1 :]
-    role, rest, current = _role(words)
-    term = next((word for word in words if word not in rest), "")
+        joint = int(words.pop(numbers[-1])) if numbers else None
+    role, rest, present = _role(words)
     found = Meaning(
         column,
         role,
-        joint if joint is not None else number,
-        term,
+        joint,
+        next((word for word in words if word not in rest), ""),
         tuple(word for word in rest if word not in _NEUTRAL | _MEASURED | _COMMANDED),
         unit,
-        current or any(word in _MEASURED for word in rest),
+        present or any(word in _MEASURED for word in rest),
         any(word in _COMMANDED for word in rest),
     )
     return _agreeing(found)
@@ -154,19 +150,19 @@ def _role(words: list[str]) -> tuple[str | None, list[str], bool]:
     current = len(roles) == 2 and roles[0][1] == "i" and words[roles[0][0]] == "current"
     k, role = roles[-1] if current else roles[0]
     rest = [word for j, word in enumerate(words) if j != k and not (current and word == "current")]
-    dots = sum({"dot": 1, "ddot": 2}.get(word, 0) for word in rest)
     if role == "t":
         rest = [word for word in rest if _ROLES.get(word) != "t"]
+    dots = sum({"dot": 1, "ddot": 2}.get(word, 0) for word in rest)
     if role == "q" and dots:
         rest = [word for word in rest if word not in ("dot", "ddot")]
-        role = {1: "dq", 2: "ddq"}.get(dots, "ddq")
+        role = "dq" if dots == 1 else "ddq"
     return role, rest, current
 
 
 def _agreeing(found: Meaning) -> Meaning:
     """A torque in ampere is a current; any other unit of another quantity makes it unclear."""
-    if found.unit is None or found.role is None or found.role in roles_of(found.unit):
+    if found.unit is None or found.role is None or found.unit in units_of(found.role):
         return found
-    if found.role == "tau" and "i" in roles_of(found.unit):
+    if found.role == "tau" and found.unit in units_of("i"):
         return replace(found, role="i")
     return replace(found, words=(*found.words, found.unit))

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from excitant.identify.importers.columns import Channel, Columns, resolve
-from excitant.identify.importers.groups import Joints
+from excitant.exceptions import BadInput, BadRecording
+from excitant.identify.importers.columns import Channel, Columns, Joints, resolve
 from excitant.identify.importers.mapping import ColumnMap
-from excitant.identify.importers.seconds import as_numbers, in_seconds, stamps_unit
-from excitant.identify.importers.sources import Source, open_source
+from excitant.identify.importers.tables import (
+    Table,
+    mat_table,
+    npz_table,
+    parquet_table,
+    unreadable,
+)
+from excitant.identify.importers.units import ISO, as_numbers, in_seconds, stamps_unit
 from excitant.robots.motion import Array, freeze, read_only
 from excitant.robots.robot import Robot
 
+SUFFIXES = (".parquet", ".pq", ".csv", ".txt", ".tsv", ".npz", ".mat", ".bag", ".mcap", ".db3")
 _REMEMBERED = 100  # unreadable cells whose text is kept
+_NUMBERED = re.compile(r"(.*?)(\d+)(\.[^.]*)?", re.ASCII)  # run_, 12, .csv
+_LONGEST_STEP = 10.0  # median steps between the last row of a part and the first of the next
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +67,6 @@ class RawRecording:
         frozen = {name: read_only(values) for name, values in self.extras.items()}
         object.__setattr__(self, "extras", frozen)
 
-    @property
-    def channels(self) -> dict[str, Array]:
-        """Motion and torque by quantity (``q``, ``dq``, ``tau`` or ``i``) and the extras."""
-        moved = {} if self.dq is None else {"dq": self.dq}
-        return {"q": self.q, **moved, "tau" if self.unit != "A" else "i": self.tau, **self.extras}
-
 
 def raw_recording(
     path: str | Path,
@@ -74,7 +78,7 @@ def raw_recording(
     """A log as it is: columns found by name or by a map, units converted, rows untouched.
 
     Args:
-        path: Any format of `open_source`.
+        path: Any format of `open_log`.
         robot: The arm, or how many joints it has.
         mapping: What the user says about the columns.
         torque_column: Prefix of the torque columns, ``tau`` for ``tau1, tau2, ...``.
@@ -83,88 +87,157 @@ def raw_recording(
         BadRecording: A file that cannot be read, or columns that could mean several things.
         BadInput: A map that does not fit the robot.
     """
-    source = open_source(path, topic=mapping.topic if mapping else None)
-    return raw_from_source(
-        source, Path(path).stem, robot, mapping=mapping, torque_column=torque_column
-    )
+    table = open_log(path, topic=mapping.topic if mapping else None)
+    return raw_of_table(table, Path(path).stem, robot, mapping, torque_column)
 
 
-def raw_from_source(
-    source: Source,
+def raw_of_table(
+    table: Table,
     name: str,
     robot: Robot | int,
-    *,
     mapping: ColumnMap | None = None,
     torque_column: str | None = None,
 ) -> RawRecording:
     """The raw recording of an opened log; see `raw_recording`."""
-    columns = resolve(source, Joints.of(robot), mapping=mapping, torque_column=torque_column)
-    frame = next(source.frames(None, columns.names if source.joined else None))
-    return raw_from_frame(frame, source, name, timed(columns, frame))
+    columns = resolve(table, Joints.of(robot), mapping=mapping, torque_column=torque_column)
+    return next(_pieces(table, name, columns))
 
 
-def timed(columns: Columns, frame: pd.DataFrame) -> Columns:
+def read_raw_chunks(
+    paths: str | Path | Sequence[str | Path],
+    robot: Robot | int,
+    rows: int = 100_000,
+    *,
+    mapping: ColumnMap | None = None,
+    torque_column: str | None = None,
+) -> Iterator[RawRecording]:
+    """Pieces of a log larger than memory, as they are: nothing is checked.
+
+    Args:
+        paths: A log, or the files it was split into, in order.
+        robot: The arm, or its number of joints.
+        rows: Most rows of a piece.
+        mapping: What the user says about the columns.
+        torque_column: Prefix of the torque columns.
+
+    Yields:
+        Pieces of at least one row; ``t`` counts from the first row of the log.
+
+    Raises:
+        BadRecording: A file that cannot be read, or columns that could mean several things.
+        BadInput: ``rows`` below 1, or a map that does not fit the robot.
+    """
+    if rows < 1:
+        raise BadInput(f"rows is {rows}; a piece must hold at least one row")
+    origin: tuple[float, float] | None = None
+    for path in [paths] if isinstance(paths, str | Path) else paths:
+        table = open_log(path, topic=mapping.topic if mapping else None)
+        columns = resolve(table, Joints.of(robot), mapping=mapping, torque_column=torque_column)
+        for raw in _pieces(table, Path(path).stem, columns, rows, origin):
+            origin = origin or raw.start
+            yield raw
+
+
+def open_log(path: str | Path, *, topic: str | None = None) -> Table:
+    """The log in a file, or in the folder of a ROS 2 bag, by its suffix.
+
+    Args:
+        path: Parquet, CSV, NPZ, MAT (up to version 7.2), ROS 1 or 2 bag, MCAP.
+        topic: Topic of a bag's ``sensor_msgs/JointState``, where it has several.
+
+    Raises:
+        BadRecording: No such file, an unknown format, or not readable as what it claims to be.
+    """
+    path = Path(path)
+    is_bag_folder = (path / "metadata.yaml").is_file()
+    if path.is_dir() and not is_bag_folder:
+        why = "is a folder without metadata.yaml of a ROS 2 bag; give a file, or a bag"
+        raise BadRecording(path, why)
+    if not path.exists():
+        raise BadRecording(path, "no such file")
+    suffix = ".bag" if is_bag_folder else path.suffix.lower()
+    try:
+        if suffix in (".parquet", ".pq"):
+            return parquet_table(path)
+        if suffix in (".csv", ".txt", ".tsv"):
+            from excitant.identify.importers.text import text_table
+
+            return text_table(path)
+        if suffix in (".npz", ".mat"):
+            return npz_table(path) if suffix == ".npz" else mat_table(path)
+        if suffix in (".bag", ".mcap", ".db3"):
+            from excitant.identify.importers.bags import bag_table
+
+            return bag_table(path, topic)
+    except BadRecording:
+        raise
+    except Exception as error:  # readers of others raise anything on a damaged file
+        raise unreadable(path, error) from None
+    raise BadRecording(
+        path, f"unknown format '{path.suffix}'; give .parquet or .csv, .npz, .mat, .bag or .mcap"
+    )
+
+
+def _pieces(
+    table: Table,
+    name: str,
+    columns: Columns,
+    rows: int | None = None,
+    origin: tuple[float, float] | None = None,
+) -> Iterator[RawRecording]:
+    """A log in pieces with rows, or whole with its other columns when ``rows`` is None.
+
+    Args:
+        table: The log.
+        name: Name for tables and figures.
+        columns: Which columns are which.
+        rows: Most rows of a piece.
+        origin: Time that becomes 0, whole and remaining seconds; that of the first row when None.
+    """
+    narrow = rows is not None or table.joined
+    found: Columns | None = None
+    for frame in table.frames(rows, columns.names if narrow else None):
+        if rows is not None and frame.empty:
+            continue
+        columns = found = found or _timed(columns, frame)
+        texts: dict[tuple[int, str], str] = {}
+        whole, rest = in_seconds(frame[columns.t[0]], columns.t_unit)
+        if len(columns.t) == 2:
+            rest = rest + 1e-9 * as_numbers(frame[columns.t[1]])
+        _remember(texts, frame, columns.t[0], whole + rest)
+        if origin is None:
+            usable = np.flatnonzero(np.isfinite(whole + rest))[:1]
+            origin = (
+                (float(whole[usable[0]]), float(rest[usable[0]])) if len(usable) else (0.0, 0.0)
+            )
+        with np.errstate(invalid="ignore", over="ignore"):
+            t = (whole - origin[0]) + (rest - origin[1])
+        yield RawRecording(
+            name=name,
+            file=table.file,
+            t=t,
+            q=_channel(frame, columns.q, texts),
+            tau=_channel(frame, columns.tau, texts),
+            unit=columns.unit,
+            dq=None if columns.dq is None else _channel(frame, columns.dq, texts),
+            extras=_extras(frame, columns),
+            columns=columns,
+            notes=(*table.notes, *columns.notes),
+            start=origin,
+            unreadable=texts,
+        )
+
+
+def _timed(columns: Columns, frame: pd.DataFrame) -> Columns:
     """The columns with the unit of time that the values show, where names say none."""
     if columns.t_unit is not None or len(columns.t) > 1:
         return columns
     unit = stamps_unit(frame[columns.t[0]])
     if unit is None or unit == "s":
         return columns
-    what = "dates" if unit == "ISO 8601" else f"stamps since 1970 [{unit}]"
+    what = "dates" if unit == ISO else f"stamps since 1970 [{unit}]"
     notes = (*columns.notes, f"time: {columns.t[0]} holds {what}")
     return replace(columns, t_unit=unit, notes=notes)
-
-
-def raw_from_frame(
-    frame: pd.DataFrame,
-    source: Source,
-    name: str,
-    columns: Columns,
-    origin: tuple[float, float] | None = None,
-) -> RawRecording:
-    """The raw recording of a table whose columns are understood.
-
-    Args:
-        frame: Table with at least ``columns.names``.
-        source: Log it comes from.
-        name: Name for tables and figures.
-        columns: Which columns are which.
-        origin: Time that becomes 0, whole and remaining seconds; that of the first row when None.
-    """
-    texts: dict[tuple[int, str], str] = {}
-    whole, rest = seconds_of(frame, columns)
-    _remember(texts, frame, columns.t[0], whole + rest)
-    zero = origin or first_of(whole, rest)
-    with np.errstate(invalid="ignore", over="ignore"):
-        t = (whole - zero[0]) + (rest - zero[1])
-    return RawRecording(
-        name=name,
-        file=source.file,
-        t=t,
-        q=_channel(frame, columns.q, texts),
-        tau=_channel(frame, columns.tau, texts),
-        unit=columns.unit,
-        dq=None if columns.dq is None else _channel(frame, columns.dq, texts),
-        extras=_extras(frame, columns),
-        columns=columns,
-        notes=(*source.notes, *columns.notes),
-        start=zero,
-        unreadable=texts,
-    )
-
-
-def seconds_of(frame: pd.DataFrame, columns: Columns) -> tuple[Array, Array]:
-    """Whole and remaining seconds of each row."""
-    whole, rest = in_seconds(frame[columns.t[0]], columns.t_unit)
-    if len(columns.t) == 2:
-        rest = rest + 1e-9 * as_numbers(frame[columns.t[1]])
-    return whole, rest
-
-
-def first_of(whole: Array, rest: Array) -> tuple[float, float]:
-    """Whole and remaining seconds of the first row that has a time; zeros where none has."""
-    usable = np.flatnonzero(np.isfinite(whole + rest))
-    return (float(whole[usable[0]]), float(rest[usable[0]])) if len(usable) else (0.0, 0.0)
 
 
 def _extras(frame: pd.DataFrame, columns: Columns) -> dict[str, Array]:
@@ -185,7 +258,7 @@ def _channel(frame: pd.DataFrame, channel: Channel, texts: dict[tuple[int, str],
         values[:, k] = as_numbers(frame[column])
         _remember(texts, frame, column, values[:, k])
     with np.errstate(over="ignore", invalid="ignore"):
-        return values if (channel.scale == 1).all() else values * channel.scale
+        return values * channel.factors
 
 
 def _remember(
@@ -193,3 +266,58 @@ def _remember(
 ) -> None:
     for row in np.flatnonzero(~np.isfinite(values))[:_REMEMBERED]:
         texts[int(row), column] = str(frame[column].iloc[row])
+
+
+def runs_of_parts(raws: Sequence[RawRecording]) -> Iterator[list[RawRecording]]:
+    """Recordings as they are, those that are parts of one together.
+
+    The next part has the same name with the next number, the same columns, and time that goes
+    on where the last one ended: recordings that each start at 0 are never parts of one.
+    """
+    run: list[RawRecording] = []
+    for raw in raws:
+        if run and not _continues(run[-1], raw):
+            yield run
+            run = []
+        run.append(raw)
+    if run:
+        yield run
+
+
+def put_together(parts: Sequence[RawRecording]) -> RawRecording:
+    """One recording of its parts, in order."""
+    first, last = parts[0], parts[-1]
+    speeds = [raw.dq for raw in parts if raw.dq is not None]
+    common = [name for name in first.extras if all(name in raw.extras for raw in parts)]
+    return replace(
+        first,
+        name=f"{first.name}..{last.name}",
+        t=np.concatenate([raw.t + _between(first, raw) for raw in parts]),
+        q=np.concatenate([raw.q for raw in parts]),
+        tau=np.concatenate([raw.tau for raw in parts]),
+        dq=np.concatenate(speeds) if len(speeds) == len(parts) else None,
+        extras={name: np.concatenate([raw.extras[name] for raw in parts]) for name in common},
+        notes=(*first.notes, f"parts of one recording: {', '.join(raw.name for raw in parts)}"),
+        unreadable={},
+    )
+
+
+def _continues(before: RawRecording, raw: RawRecording) -> bool:
+    """Whether a log is the next part of the one before."""
+    one, other = Path(before.file), Path(raw.file)
+    first, second = _NUMBERED.fullmatch(one.name), _NUMBERED.fullmatch(other.name)
+    if before.columns.names != raw.columns.names or before.unit != raw.unit:
+        return False
+    if one.parent != other.parent or first is None or second is None:
+        return False
+    if (first[1], first[3], int(first[2]) + 1) != (second[1], second[3], int(second[2])):
+        return False
+    if len(before.t) < 3 or not len(raw.t):
+        return False
+    gap = _between(before, raw) - float(before.t[-1])
+    return 0 < gap <= _LONGEST_STEP * float(np.median(np.diff(before.t)))
+
+
+def _between(one: RawRecording, other: RawRecording) -> float:
+    """Time from the first row of one to that of another [s]."""
+    return (other.start[0] - one.start[0]) + (other.start[1] - one.start[1])

@@ -1,13 +1,24 @@
-"""Units of logged columns, and how many SI units one of them is."""
+"""Units of logged columns in SI units, and time in seconds, also stamps since 1970 and dates."""
 
 from __future__ import annotations
 
 import math
 import unicodedata
 from collections.abc import Mapping
+from decimal import Decimal
+from numbers import Real
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from excitant.robots.motion import Array
+
+Unit = str | float
+"""The name of a unit, or how many SI units one logged unit is."""
+ISO = "ISO 8601"
 
 _TURN = 2 * math.pi
-
 ANGULAR: Mapping[str, Mapping[str, float]] = {
     "q": {"rad": 1.0, "mrad": 1e-3, "deg": _TURN / 360, "rev": _TURN},
     "dq": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _TURN / 360, "rpm": _TURN / 60, "rev/s": _TURN},
@@ -40,6 +51,7 @@ _SPELLINGS = {
     **dict.fromkeys(("amp", "amps", "ampere", "amperes"), "A"),
 }
 _KNOWN = {unit for table in (ANGULAR, LINEAR, COMMON) for row in table.values() for unit in row}
+_SECONDS_SINCE_1970 = (0.95e9, 4.2e9)  # the years 2000 to 2103
 
 
 def spelled(text: str) -> str | None:
@@ -71,11 +83,89 @@ def factor(role: str, unit: str, revolute: bool | None = None) -> float | None:
 
 def units_of(role: str) -> tuple[str, ...]:
     """All units that a quantity may be logged in."""
-    if role in COMMON:
-        return tuple(COMMON[role])
-    return (*ANGULAR[role], *LINEAR[role])
+    return tuple(COMMON.get(role, ())) + tuple(ANGULAR.get(role, ())) + tuple(LINEAR.get(role, ()))
 
 
-def roles_of(unit: str) -> frozenset[str]:
-    """The quantities that may be logged in a unit."""
-    return frozenset(role for role in ("t", "q", "dq", "tau", "i") if unit in units_of(role))
+def stamps_unit(values: pd.Series) -> str | None:
+    """The unit in which numbers are stamps since 1970; None when they are not.
+
+    The units' ranges for the years 2000 to 2103 do not meet, so that there is no choice.
+    """
+    if _is_date(values):
+        return ISO
+    if pd.api.types.is_timedelta64_dtype(values):
+        return None
+    numbers = as_numbers(values)
+    numbers = numbers[np.isfinite(numbers)]
+    if not len(numbers):
+        return ISO if _dates(values).notna().any() else None
+    middle = float(np.median(numbers))
+    low, high = _SECONDS_SINCE_1970
+    scales = {unit: COMMON["t"][unit] for unit in ("s", "ms", "us", "ns")}
+    return next((unit for unit, s in scales.items() if low <= middle * s <= high), None)
+
+
+def in_seconds(values: pd.Series, unit: Unit | None) -> tuple[Array, Array]:
+    """Whole and remaining seconds of stamps, so that nanoseconds since 1970 keep their digits.
+
+    Args:
+        values: Column of time.
+        unit: Its unit, ``"ISO 8601"`` for dates, or seconds per logged unit.
+
+    Returns:
+        Two arrays, shape (n,) [s], whose sum is the time; NaN where a cell is none.
+    """
+    if unit == ISO or _is_date(values):
+        dates = _dates(values)
+        return _split(*_ticks(dates, "datetime64[{}, UTC]"), dates.isna().to_numpy())
+    if pd.api.types.is_timedelta64_dtype(values):
+        return _split(*_ticks(values, "timedelta64[{}]"), values.isna().to_numpy())
+    scale = (factor("t", unit) or 1.0) if isinstance(unit, str) else unit or 1.0
+    whole = pd.api.types.is_integer_dtype(values) and not values.isna().any()
+    if whole and scale in (1e-3, 1e-6, 1e-9):
+        return _split(values.to_numpy(), round(1 / scale), np.zeros(len(values), bool))
+    numbers = as_numbers(values)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return numbers * scale, np.zeros(len(numbers))
+
+
+def as_numbers(values: pd.Series) -> Array:
+    """Numbers of a column; NaN for text, dates, truth values and where there is nothing."""
+    kinds = pd.api.types
+    others = (kinds.is_bool_dtype, kinds.is_complex_dtype, kinds.is_timedelta64_dtype, _is_date)
+    if any(is_other(values) for is_other in others):
+        return np.full(len(values), np.nan)
+    if not kinds.is_numeric_dtype(values) and not isinstance(values.dtype, pd.StringDtype):
+        plain = values.astype(object).map(lambda v: v if _is_plain(v) else None)
+        values = plain.astype(object)
+    numbers = pd.to_numeric(values, errors="coerce")
+    return np.asarray(numbers.to_numpy(float, na_value=np.nan))
+
+
+def _is_plain(value: object) -> bool:
+    """Whether a cell is text or a real number, and no truth value."""
+    return isinstance(value, str | Real | Decimal) and not isinstance(value, bool | np.bool_)
+
+
+def _ticks(values: Any, kind: str) -> tuple[np.ndarray, int]:
+    """Whole ticks of dates and how many make a second; nanoseconds where their range allows."""
+    try:
+        return values.astype(kind.format("ns")).astype("int64").to_numpy(), 1_000_000_000
+    except (pd.errors.OutOfBoundsDatetime, pd.errors.OutOfBoundsTimedelta, OverflowError):
+        return values.astype(kind.format("us")).astype("int64").to_numpy(), 1_000_000
+
+
+def _split(values: np.ndarray, per_second: int, bad: np.ndarray) -> tuple[Array, Array]:
+    whole = (values // per_second).astype(float)
+    whole[bad] = np.nan
+    return whole, (values % per_second).astype(float) / per_second
+
+
+def _is_date(values: pd.Series) -> bool:
+    return bool(pd.api.types.is_datetime64_any_dtype(values))
+
+
+def _dates(values: pd.Series) -> pd.Series:
+    if _is_date(values):
+        return pd.to_datetime(values, utc=True)
+    return pd.to_datetime(values.astype(str), format="ISO8601", errors="coerce", utc=True)

@@ -1,13 +1,20 @@
 """What makes torque beyond the rigid-body inertia of the given links, one file per family."""
 
 from excitant.robots.effects.base import (
+    EFFECTS,
     Effect,
     JointEffect,
     JointFacts,
     JointwiseEffect,
     Parameter,
+    Shape,
     Term,
+    effect_values,
+    joint_facts,
+    merged,
     plain,
+    proposals,
+    registered,
 )
 from excitant.robots.effects.coupling import FrictionCoupling, InertiaCoupling
 from excitant.robots.effects.drive import RotorInertia, TorqueOffset
@@ -37,46 +44,38 @@ from excitant.robots.effects.transmission import (
     TorqueRipple,
 )
 
-EFFECTS: dict[str, type[Effect]] = {
-    effect.name: effect
-    for effect in (
-        ViscousFriction,
-        CoulombFriction,
-        AsymmetricFriction,
-        StribeckFriction,
-        NonlinearViscousFriction,
-        LoadDependentFriction,
-        PreslidingHysteresis,
-        FrictionCoupling,
-        ThermalFrictionDrift,
-        RotorInertia,
-        InertiaCoupling,
-        TorqueOffset,
-        TorqueGain,
-        TorqueRipple,
-        Spring,
-        JointElasticity,
-        Backlash,
-        TimeDelay,
-        EncoderOffset,
-        EncoderScale,
-        KinematicError,
-        GravityDirection,
-        Payload,
-        InertialParameters,
-    )
-}
-"""Effects by their name in JSON, command line and documentation."""
+for _kind in (
+    ViscousFriction,
+    CoulombFriction,
+    AsymmetricFriction,
+    StribeckFriction,
+    NonlinearViscousFriction,
+    LoadDependentFriction,
+    PreslidingHysteresis,
+    FrictionCoupling,
+    ThermalFrictionDrift,
+    TorqueOffset,
+    RotorInertia,
+    InertiaCoupling,
+    TorqueGain,
+    TorqueRipple,
+    Spring,
+    JointElasticity,
+    Backlash,
+    TimeDelay,
+    EncoderOffset,
+    EncoderScale,
+    KinematicError,
+    GravityDirection,
+    Payload,
+    InertialParameters,
+):
+    registered(_kind)
 
 
 def standard_effects(joints: tuple[str, ...]) -> tuple[Effect, ...]:
     """What `identify` estimates by default: friction, offset and rotor inertia of each joint."""
-    return (
-        ViscousFriction(joints),
-        CoulombFriction(joints),
-        TorqueOffset(joints),
-        RotorInertia(joints),
-    )
+    return tuple(kind(joints) for kind in EFFECTS.values() if kind.standard)
 
 
 __all__ = [
@@ -103,6 +102,7 @@ __all__ = [
     "Payload",
     "PreslidingHysteresis",
     "RotorInertia",
+    "Shape",
     "Spring",
     "StribeckFriction",
     "Term",
@@ -113,7 +113,12 @@ __all__ = [
     "TorqueRipple",
     "ViscousFriction",
     "effect_entries",
+    "effect_values",
     "effects_from_entries",
+    "joint_facts",
+    "merged",
     "plain",
+    "proposals",
+    "registered",
     "standard_effects",
 ]

@@ -1,22 +1,36 @@
-"""Effect: anything that makes torque beyond the rigid-body inertia of the given links."""
+"""Effect: anything that makes torque beyond the rigid-body inertia of the given links.
+
+An effect answers for itself: its columns and whether they depend on the model, the shapes that it
+may take, how it acts in a simulation, what files of a model hold of it, over what it is drawn, how
+it is said in words, and which experiment tells it from another. Nobody asks which class it is.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadInput
+from excitant.robots.effects.experiments import BETWEEN, GENERAL, SAME
 from excitant.robots.motion import Array, Motion
-from excitant.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from excitant.robots.robot import Robot
 
 _LARGEST = 2.0  # of the typical size of a coefficient that has one
+SIGN_DEVIATIONS = 2.0  # standard deviations by which a value may lie beyond what physics allows
 _PERSONS = ("coulomb", "stribeck")
 _NEAR = (0.3, 2.5)  # of a trial value, for which the columns are right
+_TIMES = (0.25, 0.5, 1.0, 2.0, 4.0)  # a shape that was found, where it may be another
+_STILL = 1e-3  # rad/s: slower joints rest
+
+Law = Callable[[Array, Array, Array], Sequence[Array]]
+"""Torque per unit of each coefficient of one joint, of its q, q̇ and q̈, all of shape (n,)."""
 
 
 def near_trial(value: float, trial: float) -> bool:
@@ -50,6 +64,102 @@ class Parameter:
 
 
 @dataclass(frozen=True)
+class Term:
+    """One coefficient that every joint of an effect has: its symbol, unit, lower bound."""
+
+    symbol: str
+    unit: str
+    lower: float = -np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class JointFacts:
+    """What recordings show of one joint, to choose and scale the shapes of effects by.
+
+    Attributes:
+        speed: Highest speed [rad/s or m/s].
+        reach: Range of positions [rad or m].
+        start: First instant [s].
+        duration: Length of the longest recording [s].
+        q: Positions at the rows of `unexplained`, shape (n,) [rad or m].
+        dq: Velocities there, shape (n,).
+        unexplained: What a model so far leaves of the joint's torque, shape (n,) [N·m].
+        cutoff_hz: Of the filter that this torque has passed [Hz].
+    """
+
+    speed: float = np.inf
+    reach: float = np.inf
+    start: float = 0.0
+    duration: float = np.inf
+    q: Array = field(default_factory=lambda: np.zeros(0))
+    dq: Array = field(default_factory=lambda: np.zeros(0))
+    unexplained: Array = field(default_factory=lambda: np.zeros(0))
+    cutoff_hz: float = np.inf
+
+    @property
+    def moves(self) -> bool:
+        """Whether the joint is ever faster than at rest."""
+        return self.speed > _STILL
+
+
+def joint_facts(
+    motions: Sequence[Motion],
+    rows: Sequence[slice] = (),
+    unexplained: Array | None = None,
+    cutoff_hz: float = np.inf,
+) -> tuple[JointFacts, ...]:
+    """What recordings show of each joint; nothing is too large where there are none.
+
+    Args:
+        motions: Motion of each recording.
+        rows: Rows of each that `unexplained` is given at.
+        unexplained: What a model so far leaves of the torque there, shape (n, nv) [N·m].
+        cutoff_hz: Of the filter that it has passed [Hz].
+    """
+    q, dq = (np.concatenate([getattr(m, name) for m in motions]) for name in ("q", "dq"))
+    speed, reach = np.abs(dq).max(axis=0).tolist(), np.ptp(q, axis=0).tolist()
+    start = min(float(m.t[0]) for m in motions)
+    duration = max(float(m.t[-1]) for m in motions) - start
+    facts = [JointFacts(*of, start, duration) for of in zip(speed, reach, strict=True)]
+    if unexplained is None:
+        return tuple(facts)
+    kept = [motion[part] for motion, part in zip(motions, rows, strict=True)]
+    q, dq = (np.concatenate([getattr(m, name) for m in kept]) for name in ("q", "dq"))
+    return tuple(
+        replace(seen, q=q[:, j], dq=dq[:, j], unexplained=unexplained[:, j], cutoff_hz=cutoff_hz)
+        for j, seen in enumerate(facts)
+    )
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A number that torque of an effect is not linear in; its field is named so.
+
+    Attributes:
+        name: The field.
+        unit: Its unit.
+        tuned: Whether it is a property of the arm, which a fit may refine.
+        most: Largest that counts given what a recording shows of the joint: beyond it the effect
+            becomes another. None where no others than those found come into question.
+    """
+
+    name: str
+    unit: str
+    tuned: bool = True
+    most: Callable[[JointFacts], float] | None = None
+
+
+class Stepper(Protocol):
+    """An effect in a simulation that carries a state of its own from step to step."""
+
+    def __call__(self, q: Array, dq: Array) -> Array:
+        """Torque, shape (nv,) [N·m]."""
+
+    def advance(self, q: Array) -> None:
+        """End a step at some positions, shape (nv,)."""
+
+
+@dataclass(frozen=True)
 class Effect(ABC):
     """Torque that is linear in the effect's coefficients once its shape is fixed.
 
@@ -57,16 +167,54 @@ class Effect(ABC):
         joints: The joints it acts on.
         values: One value per parameter; None while unknown.
 
+    Class variables say the rest: ``family`` (friction, body, static, transmission, geometry or
+    reading) is the part of the arm that it belongs to; the others are explained where they stand.
+
     Raises:
         BadInput: It acts on another number of joints, or a field of its shape cannot be.
     """
 
     name: ClassVar[str]
-    arity: ClassVar[int] = 0  # how many joints it acts on; 0: as many as it is given
-    positive: ClassVar[tuple[str, ...]] = ()  # fields of its shape that must be
-    acts_on_torque: ClassVar[bool] = False  # its columns are made of the other effects' torque
-    contains: ClassVar[tuple[str, ...]] = ()  # what it is when some of its coefficients are zero
-    imitates: ClassVar[tuple[str, ...]] = ()  # those of them that it can really be at work for
+    family: ClassVar[str] = ""
+    # how many joints it acts on; 0: as many as it is given
+    arity: ClassVar[int] = 0
+    # whether each joint has coefficients of its own, which act on that joint only
+    jointwise: ClassVar[bool] = False
+    # coefficients that each joint has
+    terms: ClassVar[tuple[Term, ...]] = ()
+    # "link": its coefficients are changes of a link's own; "body": they are those of a further one
+    role: ClassVar[Literal["torque", "link", "body"]] = "torque"
+    shapes: ClassVar[tuple[Shape, ...]] = ()
+    # fields of its shape that must be positive
+    positive: ClassVar[tuple[str, ...]] = ()
+    # whether its columns depend on the inertias and effects of the robot, not on its motion alone
+    depends_on_model: ClassVar[bool] = True
+    # whether its columns are made of the other effects' torque, as those of sensors are
+    acts_on_torque: ClassVar[bool] = False
+    # whether that torque is the given model's: one of all that was found would imitate its parts
+    of_given_torque: ClassVar[bool] = False
+    # whether a simulation from state to state knows it; others are taken along a known motion
+    of_state_alone: ClassVar[bool] = True
+    # whether `identify` estimates it by default, and whether most joints have it
+    standard: ClassVar[bool] = False
+    usual: ClassVar[bool] = False
+    # whether a model may get it beyond the standard one; those that bodies hold may not
+    further: ClassVar[bool] = True
+    # whether all drives of an arm may have it in one shape
+    shared: ClassVar[bool] = False
+    # whether joints that rest do not show it
+    needs_motion: ClassVar[bool] = False
+    # names of what it is when some coefficients are zero; of them what it can be at work for
+    contains: ClassVar[tuple[str, ...]] = ()
+    imitates: ClassVar[tuple[str, ...]] = ()
+    # experiment that tells it from a rival, by the rival's name; either of both says it
+    told: ClassVar[Mapping[str, str]] = {}
+    # what the error without it is drawn over
+    abscissa: ClassVar[str] = "own torque"
+    # property of a joint in files of models, the formats that have it, what it means otherwise
+    joint_property: ClassVar[str] = ""
+    formats: ClassVar[tuple[str, ...]] = ()
+    format_notes: ClassVar[Mapping[str, str]] = {}
 
     joints: tuple[str, ...]
     values: tuple[float, ...] | None = None
@@ -78,9 +226,9 @@ class Effect(ABC):
             raise BadInput(f"effect {self.name} acts on {wanted}, not on {count}; name it or them")
         if len(set(self.joints)) < len(self.joints):
             raise BadInput(f"effect {self.name} names a joint twice: {', '.join(self.joints)}")
-        for field in self.positive:
-            if not getattr(self, field) > 0:
-                raise BadInput(f"effect {self.name}: {field} must be positive")
+        for name in self.positive:
+            if not getattr(self, name) > 0:
+                raise BadInput(f"effect {self.name}: {name} must be positive")
 
     @abstractmethod
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
@@ -100,52 +248,174 @@ class Effect(ABC):
             raise ValueError(f"{self.name} has no values yet")
         return self.values
 
+    @property
+    def law(self) -> Law | None:
+        """Its torque where the joint's own state at that instant makes it; None for others."""
+        return None
+
+    def with_values(self, values: npt.ArrayLike) -> Self:
+        """The same effect with these coefficients."""
+        return replace(self, values=tuple(float(v) for v in np.ravel(values)))
+
+    def bare(self) -> Self:
+        """The same effect without values."""
+        return replace(self, values=None)
+
+    def singles(self) -> list[Self]:
+        """The effect without values, joint by joint where each has coefficients of its own."""
+        if not self.jointwise:
+            return [self.bare()]
+        return [replace(self, joints=(joint,), values=None) for joint in self.joints]
+
+    # where it acts
+
+    def rows(self, robot: Robot) -> list[int]:
+        """Indices of its joints."""
+        return [robot.joint_index(joint) for joint in self.joints]
+
+    def affected(self, robot: Robot) -> list[int]:
+        """Indices of the joints whose torque it changes: its own, or any where bodies move."""
+        return self.rows(robot) if self.jointwise else list(range(robot.nv))
+
+    def is_common(self, robot: Robot) -> bool:
+        """Whether it acts on all joints of an arm by the same coefficients."""
+        return robot.nv > 1 and {*self.joints} == {*robot.joints}
+
+    def link(self, robot: Robot) -> int | None:
+        """The link whose columns of the regressor are its own; None for what is no body."""
+        return None if self.role == "torque" else robot.joint_index(self.joints[0])
+
+    # which it may be
+
+    @classmethod
+    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
+        """Shapes of the effect to consider at a joint; the usual one."""
+        return (cls((joint,)),)
+
+    @classmethod
+    def searched(cls, facts: JointFacts) -> int:
+        """Number of shapes that each of its candidates is the best of."""
+        return 1
+
+    @classmethod
+    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+        """All of it to consider on an arm, with the number of shapes each is the best of."""
+        return [
+            (effect, cls.searched(seen))
+            for joint, seen in zip(robot.joints, facts, strict=True)
+            if seen.moves or not cls.needs_motion
+            for effect in cls.candidates(joint, seen)
+        ]
+
+    def refined(self, beside: Iterable[Effect], facts: JointFacts) -> list[Self]:
+        """The effect in shapes at thirds of the way to the nearest ones beside its own.
+
+        Args:
+            beside: The same kind of effect on the same joints in other shapes.
+            facts: What recordings show of its first joint.
+        """
+        near: list[Self] = []
+        for name in (shape.name for shape in self.shapes):
+            own, others = getattr(self, name), {getattr(e, name) for e in beside}
+            lower, upper = [v for v in others if v < own], [v for v in others if v > own]
+            for end in (max(lower, default=own), min(upper, default=own)):
+                if end != own:
+                    steps = np.geomspace if end * own > 0 else np.linspace
+                    near += [self.reshaped(name, float(v)) for v in steps(own, end, 4)[1:3]]
+        return near
+
+    def alternatives(self, facts: JointFacts) -> list[Self]:
+        """The effect without values in its own shape and those that it may have as well."""
+        own = self.bare()
+        for shape in self.shapes:
+            if shape.most is not None:
+                value = getattr(own, shape.name)
+                most = max(abs(value), shape.most(facts))
+                near = (times * value for times in _TIMES)
+                return [own.reshaped(shape.name, v) for v in near if abs(v) <= most]
+        return [own]
+
+    def reshaped(self, name: str, value: float) -> Self:
+        """The effect with another value of one field of its shape."""
+        change: dict[str, Any] = {name: value}
+        return replace(self, **change)
+
+    @property
+    def tuned(self) -> Shape | None:
+        """What a fit may refine of its shape, if anything."""
+        return next((shape for shape in self.shapes if shape.tuned), None)
+
+    # whether to believe it
+
     def credible(self, robot: Robot, values: Array) -> bool:
         """Whether coefficients are of a size at which they mean what the effect says."""
         typical = [p.typical for p in self.parameters(robot)]
         most = np.array([np.inf if size is None else _LARGEST * size for size in typical])
         return bool((np.abs(values) < most).all())
 
-    def with_values(self, values: npt.ArrayLike) -> Self:
-        """The same effect with these coefficients."""
-        return replace(self, values=tuple(float(v) for v in np.ravel(values)))
+    def plausible(self, robot: Robot, values: Array, std: Array) -> bool:
+        """Whether coefficients, with those the robot has, are such as physics allows.
 
+        Args:
+            robot: The given robot.
+            values: What is added to its coefficients, shape (k,).
+            std: Standard deviations, shape (k,).
+        """
+        known, parameters = effect_values(robot), self.parameters(robot)
+        lower = np.array([p.lower - known.get(p.name, 0.0) for p in parameters])
+        return within(values, lower, std) and self.credible(robot, values)
 
-@dataclass(frozen=True)
-class Term:
-    """One coefficient that every joint of an effect has: its symbol, unit, lower bound."""
+    # how it acts in a simulation
 
-    symbol: str
-    unit: str
-    lower: float = -np.inf
+    def applied(self, robot: Robot) -> Robot:
+        """The robot with what the effect changes of its bodies and gravity."""
+        return robot
 
+    def stepper(self, robot: Robot) -> Stepper | None:
+        """The effect with a state of its own, carried from step to step, where it has one."""
+        return None
 
-@dataclass(frozen=True)
-class JointFacts:
-    """What a recording shows of one joint's motion, to scale the shapes of effects by.
+    # how it is said and shown
 
-    Attributes:
-        speed: Highest speed [rad/s or m/s].
-        reach: Range of positions [rad or m].
-        start: First instant [s].
-        duration: Length of the longest recording [s].
-    """
+    def noun(self, robot: Robot) -> str:
+        """The cause with its place."""
+        where = "all joints" if len(self.joints) > 3 else ", ".join(self.joints)
+        return f"{plain(self.name)} at {where}"
 
-    speed: float
-    reach: float
-    start: float
-    duration: float
+    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+        """What a diagnosis says of the effect that it found, with these values.
+
+        Args:
+            robot: The given robot.
+            joints: Where it was found, its own joint first.
+            given: Values that the given robot has.
+        """
+        name, value = plain(self.name), self._known()[0]
+        if len(joints) > 1:
+            return f"{name[0].upper()}{name[1:]} of {len(joints)} joints is missing or wrong"
+        unit = self.parameters(robot)[0].unit
+        size = f"{value:.3g}" if unit == "1" else f"{value:.3g} {unit}"
+        if given[0]:
+            return f"{joints[0]}: {name} is {size}, the model says {given[0]:.3g}"
+        return f"{joints[0]}: {name} of {size} is not in the model"
+
+    def told_from(self, rival: Effect) -> str:
+        """What to do to tell it from another effect."""
+        if self.name == rival.name:
+            return SAME
+        known = self.told.get(rival.name) or rival.told.get(self.name)
+        return known or BETWEEN.get(frozenset((self.family, rival.family)), GENERAL)
+
+    def drawn(self, label: str, x: Array) -> tuple[str, Array]:
+        """Label and values of the quantity it is drawn over, NaN where not to be shown."""
+        return label, x
 
 
 class JointwiseEffect(Effect):
     """Effect with coefficients of its own on each joint, which act on that joint only."""
 
-    terms: ClassVar[tuple[Term, ...]]
-
-    @classmethod
-    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
-        """Shapes of the effect that a diagnosis shall consider at a joint; the usual one."""
-        return (cls((joint,)),)
+    jointwise: ClassVar[bool] = True
+    needs_motion: ClassVar[bool] = True
 
     @abstractmethod
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
@@ -156,15 +426,19 @@ class JointwiseEffect(Effect):
         return tuple(
             Parameter(f"{joint}.{term.symbol}", term.unit, term.lower)
             for joint in self.joints
-            for term in self.terms
+            for term in self.own_terms
         )
+
+    @property
+    def own_terms(self) -> tuple[Term, ...]:
+        """The terms that it has in its shape."""
+        return self.terms
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Each joint's terms in that joint's row."""
         columns = np.zeros((len(motion), robot.nv, len(self.parameters(robot))))
         column = 0
-        for joint in self.joints:
-            j = robot.joint_index(joint)
+        for j in self.rows(robot):
             for values in self.at(robot, motion, j):
                 columns[:, j, column] = values
                 column += 1
@@ -173,8 +447,7 @@ class JointwiseEffect(Effect):
     def torque(self, robot: Robot, motion: Motion) -> Array:
         """Each joint's terms summed; the columns, of which most are zero, are not built."""
         tau, values = np.zeros((len(motion), robot.nv)), iter(self._known())
-        for joint in self.joints:
-            j = robot.joint_index(joint)
+        for j in self.rows(robot):
             for column in self.at(robot, motion, j):
                 tau[:, j] += next(values) * column
         return tau
@@ -183,10 +456,74 @@ class JointwiseEffect(Effect):
 class JointEffect(JointwiseEffect):
     """Effect on each joint by that joint's own motion at that instant."""
 
+    depends_on_model: ClassVar[bool] = False
+
     @abstractmethod
-    def shape(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
+    def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Torque per unit of each term for one joint, each of shape (n,)."""
 
+    @property
+    def law(self) -> Law:
+        """The same as a value."""
+        return self.of_state
+
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
-        """The shape at the joint's motion."""
-        return self.shape(motion.q[:, j], motion.dq[:, j], motion.ddq[:, j])
+        """Of the joint's state at every instant."""
+        return self.of_state(motion.q[:, j], motion.dq[:, j], motion.ddq[:, j])
+
+
+Kind = TypeVar("Kind", bound=Effect)
+EFFECTS: dict[str, type[Effect]] = {}
+"""Effects by their name in JSON, command line and documentation."""
+
+
+def registered(kind: type[Kind]) -> type[Kind]:
+    """Make a class of effects known by its name to files, commands and diagnoses."""
+    EFFECTS[kind.name] = kind
+    return kind
+
+
+def proposals(
+    robot: Robot, facts: Sequence[JointFacts], believed: Iterable[tuple[Effect, int]] = ()
+) -> list[tuple[Effect, int]]:
+    """All effects to consider on an arm, each with the number of shapes it is the best of.
+
+    Args:
+        robot: The arm.
+        facts: What recordings show of each joint.
+        believed: Effects of the model so far, each with that number. They are considered again,
+            and with them shapes close to theirs.
+    """
+    found = [pair for kind in EFFECTS.values() for pair in kind.proposed(robot, facts)]
+    known, again = {effect: effect for effect, _ in found}, dict[Effect, int]()
+    for effect, trials in believed:
+        beside = [e for e in known if e.name == effect.name and e.joints == effect.joints]
+        seen = facts[robot.joint_index(effect.joints[0])]
+        again |= dict.fromkeys((effect, *effect.refined(beside, seen)), trials)
+    return found + [pair for pair in again.items() if pair[0] not in known]
+
+
+def merged(effects: Iterable[Effect]) -> list[Effect]:
+    """Effects of one kind and shape as one on several joints, where joints have their own."""
+    kinds, others = dict[Effect, list[str]](), list[Effect]()
+    for effect in effects:
+        if effect.jointwise:
+            kinds.setdefault(replace(effect, joints=(), values=None), []).extend(effect.joints)
+        else:
+            others.append(effect)
+    return [*(replace(kind, joints=tuple(joints)) for kind, joints in kinds.items()), *others]
+
+
+def effect_values(robot: Robot) -> dict[str, float]:
+    """Coefficients of the robot's own effects by name; those not known are left out."""
+    return {
+        p.name: value
+        for effect in robot.effects
+        if effect.values is not None
+        for p, value in zip(effect.parameters(robot), effect.values, strict=True)
+    }
+
+
+def within(values: Array, lower: Array | float, std: Array) -> bool:
+    """Whether values reach a bound within their uncertainty."""
+    return bool((values > lower - SIGN_DEVIATIONS * std).all())

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from itertools import pairwise
+from typing import ClassVar, Self
 
 import numpy as np
 
-from excitant.robots.effects.base import Effect, Parameter
+from excitant.robots.effects.base import Effect, JointFacts, Parameter, Shape
+from excitant.robots.effects.experiments import HOLD_OTHER
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
@@ -17,10 +20,16 @@ class _PairEffect(Effect):
     """Acts on two joints, ``joints = (one, other)``."""
 
     arity: ClassVar[int] = 2
+    depends_on_model: ClassVar[bool] = False
 
-    def _pair(self, robot: Robot) -> tuple[int, int]:
-        one, other = (robot.joint_index(joint) for joint in self.joints)
-        return one, other
+    @classmethod
+    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+        """Of each joint with the next."""
+        return [(effect, 1) for pair in pairwise(robot.joints) for effect in cls._of(pair)]
+
+    @classmethod
+    def _of(cls, pair: tuple[str, str]) -> Sequence[Self]:
+        return (cls(pair),)
 
 
 @dataclass(frozen=True)
@@ -35,8 +44,16 @@ class FrictionCoupling(_PairEffect):
     """
 
     name: ClassVar[str] = "friction_coupling"
+    family: ClassVar[str] = "friction"
+    shapes: ClassVar[tuple[Shape, ...]] = (Shape("ratio", "1", tuned=False),)
+    abscissa: ClassVar[str] = "other velocity"
+    told: ClassVar[Mapping[str, str]] = {"inertia_coupling": HOLD_OTHER}
 
     ratio: float = 1.0
+
+    @classmethod
+    def _of(cls, pair: tuple[str, str]) -> Sequence[Self]:
+        return cls(pair), cls(pair, ratio=-1.0)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Viscous and Coulomb friction of the shaft."""
@@ -45,7 +62,7 @@ class FrictionCoupling(_PairEffect):
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Speed and its sign in both rows."""
-        i, k = self._pair(robot)
+        i, k = self.rows(robot)
         speed = motion.dq[:, i] + self.ratio * motion.dq[:, k]
         columns = np.zeros((len(motion), robot.nv, 2))
         for row, lever in ((i, 1.0), (k, self.ratio)):
@@ -58,6 +75,8 @@ class InertiaCoupling(_PairEffect):
     """τ_i = I q̈_k, τ_k = I q̈_i: a rotor that turns with both joints."""
 
     name: ClassVar[str] = "inertia_coupling"
+    family: ClassVar[str] = "body"
+    abscissa: ClassVar[str] = "other acceleration"
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Coupling inertia."""
@@ -65,7 +84,7 @@ class InertiaCoupling(_PairEffect):
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Each joint's acceleration in the other's row."""
-        i, k = self._pair(robot)
+        i, k = self.rows(robot)
         columns = np.zeros((len(motion), robot.nv, 1))
         columns[:, i, 0], columns[:, k, 0] = motion.ddq[:, k], motion.ddq[:, i]
         return columns

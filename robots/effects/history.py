@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
 
-from excitant.robots.effects.base import JointFacts, JointwiseEffect, Term
+from excitant.robots.effects.base import JointFacts, JointwiseEffect, Shape, Term
+from excitant.robots.effects.experiments import LOCKED, REVERSALS, SPEEDS
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
+
+_SHORT = 0.1  # of a joint's range: friction that builds up over more is a spring
+_REACH = 8.0  # break-away distances from a reversal that show hysteresis
 
 
 @dataclass(frozen=True)
@@ -25,20 +29,75 @@ class PreslidingHysteresis(JointwiseEffect):
     """
 
     name: ClassVar[str] = "presliding_hysteresis"
+    family: ClassVar[str] = "friction"
+    depends_on_model: ClassVar[bool] = False
     positive: ClassVar[tuple[str, ...]] = ("distance",)
     terms: ClassVar[tuple[Term, ...]] = (Term("Fh", "N·m", 0.0),)
+    shapes: ClassVar[tuple[Shape, ...]] = (
+        Shape("distance", "rad", most=lambda facts: _SHORT * facts.reach),
+    )
+    shared: ClassVar[bool] = True
+    abscissa: ClassVar[str] = "reversal"
+    told: ClassVar[Mapping[str, str]] = {
+        "backlash": REVERSALS,
+        "time_delay": SPEEDS,
+        "joint_elasticity": LOCKED,
+    }
 
     distance: float = 0.01
 
     @classmethod
     def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
         """Distances of 0.03 to 10 % of the range."""
-        distances = facts.reach * np.geomspace(3e-4, 0.1, 8)
+        distances = facts.reach * np.geomspace(3e-4, _SHORT, 8)
         return [cls((joint,), distance=float(distance)) for distance in distances]
 
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         """State of the bristles less the velocity's sign."""
         return (bristles(motion.q[:, j], self.distance) - np.sign(motion.dq[:, j]),)
+
+    def stepper(self, robot: Robot) -> Bristles:
+        """Bristles of all joints, those of joints without the effect with no force."""
+        force = np.zeros(robot.nv)
+        force[self.rows(robot)] = self._known()
+        return Bristles(self.distance, force, np.zeros(robot.nv), np.full(robot.nv, np.nan))
+
+    def drawn(self, label: str, x: Array) -> tuple[str, Array]:
+        """Near reversals only, where any of it is."""
+        far = np.abs(x) > _REACH * self.distance
+        return label, np.where(far & (far.mean() < 1), np.nan, x)
+
+
+@dataclass(frozen=True, eq=False)
+class Bristles:
+    """Dahl's state z of each joint, carried from step to step of a simulation.
+
+    Attributes:
+        distance: δ [rad].
+        force: F_h, zero for joints without it, shape (nv,) [N·m].
+        z: State after the last step, shape (nv,).
+        q: Positions then, NaN before the first, shape (nv,).
+    """
+
+    distance: float
+    force: Array
+    z: Array
+    q: Array
+
+    def __call__(self, q: Array, dq: Array) -> Array:
+        """Torque, shape (nv,) [N·m]."""
+        return self.force * (self._state(q) - np.sign(dq))
+
+    def _state(self, q: Array) -> Array:
+        moved = np.where(np.isnan(self.q), 0.0, q - self.q)
+        sign = np.sign(moved)
+        kept = np.exp(-np.abs(moved) / self.distance)
+        return np.where(sign != 0, sign + (self.z - sign) * kept, self.z)
+
+    def advance(self, q: Array) -> None:
+        """End a step at some positions, shape (nv,)."""
+        self.z[:] = self._state(q)
+        self.q[:] = q
 
 
 def bristles(q: Array, distance: float) -> Array:
@@ -62,6 +121,10 @@ class ThermalFrictionDrift(JointwiseEffect):
     """
 
     name: ClassVar[str] = "thermal_friction_drift"
+    family: ClassVar[str] = "friction"
+    depends_on_model: ClassVar[bool] = False
+    shapes: ClassVar[tuple[Shape, ...]] = (Shape("time", "s", most=lambda facts: facts.duration),)
+    abscissa: ClassVar[str] = "time"
     positive: ClassVar[tuple[str, ...]] = ("time",)
     contains: ClassVar[tuple[str, ...]] = ("viscous_friction", "coulomb_friction")
     terms: ClassVar[tuple[Term, ...]] = (

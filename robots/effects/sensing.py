@@ -5,13 +5,32 @@ All are linear in their coefficients to first order, at the given model's torque
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 import numpy as np
 
 from excitant.exceptions import BadInput
-from excitant.robots.effects.base import Effect, Parameter, near_trial
+from excitant.robots.effects.base import (
+    SIGN_DEVIATIONS,
+    Effect,
+    JointFacts,
+    Parameter,
+    Shape,
+    near_trial,
+)
+from excitant.robots.effects.experiments import (
+    KINEMATICS,
+    LEVEL,
+    LEVER,
+    LOADS,
+    SPEEDS,
+    TURNED,
+    UNLOADED,
+    WARM,
+    ZERO,
+)
 from excitant.robots.effects.reference import (
     carried_torque,
     gravity_torque,
@@ -21,6 +40,9 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import rigid_body_torque
 from excitant.robots.robot import Robot
 
+_DELAYS = (-0.05, -0.02, -0.005, 0.002, 0.005, 0.01, 0.02, 0.04, 0.08)  # s
+_LONGEST = 0.04  # s, of a delay where another is at work
+_TURNED = 0.05  # of 9.81 m/s², by which a turned gravity may differ in size
 _METRE = 1e-3  # of the central difference; torque is quadratic in a placement, so any would do
 
 
@@ -28,6 +50,8 @@ _METRE = 1e-3  # of the central difference; torque is quadratic in a placement, 
 class _SharedEffect(Effect):
     """One coefficient for all joints it acts on."""
 
+    of_state_alone: ClassVar[bool] = False
+    further: ClassVar[bool] = False
     symbol: ClassVar[str]
     unit: ClassVar[str]
     typical: ClassVar[float]
@@ -37,20 +61,41 @@ class _SharedEffect(Effect):
         owner = self.joints[0] if len(self.joints) == 1 else "common"
         return (Parameter(f"{owner}.{self.symbol}", self.unit, typical=self.typical),)
 
-    def rows(self, robot: Robot) -> list[int]:
-        """Indices of the joints."""
-        return [robot.joint_index(joint) for joint in self.joints]
+
+@dataclass(frozen=True)
+class _ReadingEffect(_SharedEffect):
+    """One coefficient of the torque readings of one joint, or of all."""
+
+    family: ClassVar[str] = "reading"
+    acts_on_torque: ClassVar[bool] = True
+
+    @classmethod
+    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+        """Of each joint, then of all."""
+        of_all = cls.candidates(robot.joints[0], facts[0])
+        everywhere = [(replace(effect, joints=robot.joints), 1) for effect in of_all]
+        return super().proposed(robot, facts) + everywhere
 
 
 @dataclass(frozen=True)
-class TorqueGain(_SharedEffect):
+class TorqueGain(_ReadingEffect):
     """Reading = (1 + g) τ: the torque sensor's or the drive's constant is wrong."""
 
     name: ClassVar[str] = "torque_gain"
-    acts_on_torque: ClassVar[bool] = True
+    of_given_torque: ClassVar[bool] = True
     symbol: ClassVar[str] = "gain"
     unit: ClassVar[str] = "1"
     typical: ClassVar[float] = 0.5
+    abscissa: ClassVar[str] = "torque"
+    told: ClassVar[Mapping[str, str]] = {
+        "inertial_parameters": f"{LOADS}: a gain scales its torque too",
+        "payload": f"{LOADS} beside the unknown one",
+        "gravity_direction": f"{LEVEL}; {LOADS}",
+        "spring": LEVER,
+        "kinematic_error": f"{LOADS}; {KINEMATICS}",
+        "encoder_scale": KINEMATICS,
+        "encoder_offset": f"{ZERO}; {LOADS}",
+    }
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Torque of the model at these joints."""
@@ -58,9 +103,15 @@ class TorqueGain(_SharedEffect):
         columns[:, rows, 0] = carried_torque(robot, motion)[:, rows]
         return columns
 
+    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+        """By how much readings of one joint are off."""
+        if len(joints) > 1:
+            return super().sentence(robot, joints, given)
+        return f"{joints[0]}: torque reads {100 * self._known()[0]:+.1f} % against the model's"
+
 
 @dataclass(frozen=True)
-class TimeDelay(_SharedEffect):
+class TimeDelay(_ReadingEffect):
     """Reading(t) = τ(t − d), to first order in d around a trial delay.
 
     Positions that come late are a negative delay of the torque.
@@ -70,12 +121,26 @@ class TimeDelay(_SharedEffect):
     """
 
     name: ClassVar[str] = "time_delay"
-    acts_on_torque: ClassVar[bool] = True
+    further: ClassVar[bool] = True
     symbol: ClassVar[str] = "delay"
     unit: ClassVar[str] = "s"
     typical: ClassVar[float] = 0.05
+    shapes: ClassVar[tuple[Shape, ...]] = (
+        Shape("trial", "s", tuned=False, most=lambda facts: _LONGEST),
+    )
+    abscissa: ClassVar[str] = "torque rate"
+    told: ClassVar[Mapping[str, str]] = {
+        "inertial_parameters": SPEEDS,
+        "encoder_scale": SPEEDS,
+        "thermal_friction_drift": WARM,
+    }
 
     trial: float = 1e-3
+
+    @classmethod
+    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
+        """Delays of either."""
+        return [cls((joint,), trial=delay) for delay in _DELAYS]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -95,16 +160,28 @@ class TimeDelay(_SharedEffect):
             columns[:, j, 0] = (late - tau[:, j]) / self.trial
         return columns
 
+    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+        """How late it is."""
+        return f"The torque lags the motion by {1e3 * self._known()[0]:.1f} ms"
+
 
 @dataclass(frozen=True)
 class EncoderOffset(_SharedEffect):
     """True angle = reading + δ."""
 
     name: ClassVar[str] = "encoder_offset"
+    family: ClassVar[str] = "geometry"
     arity: ClassVar[int] = 1
     symbol: ClassVar[str] = "offset_angle"
     unit: ClassVar[str] = "rad"
     typical: ClassVar[float] = 0.3
+    told: ClassVar[Mapping[str, str]] = {
+        "inertial_parameters": f"{ZERO}; the last joint's offset is a turned last link",
+        "payload": f"{ZERO}; or {UNLOADED}",
+        "gravity_direction": f"{TURNED}: tilt's phase follows q1, an encoder's offset does not",
+        "kinematic_error": KINEMATICS,
+        "encoder_scale": f"{ZERO}, and at the far end of its range",
+    }
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Derivative of the torque by the angle."""
@@ -117,10 +194,15 @@ class EncoderScale(_SharedEffect):
     """True angle = (1 + s) reading."""
 
     name: ClassVar[str] = "encoder_scale"
+    family: ClassVar[str] = "geometry"
     arity: ClassVar[int] = 1
     symbol: ClassVar[str] = "scale"
     unit: ClassVar[str] = "1"
     typical: ClassVar[float] = 0.3
+    told: ClassVar[Mapping[str, str]] = {
+        "inertial_parameters": KINEMATICS,
+        "kinematic_error": KINEMATICS,
+    }
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Derivative of the torque by the scale of angle, speed and acceleration."""
@@ -133,7 +215,15 @@ class KinematicError(Effect):
     """The joint sits elsewhere in its parent link than the model says."""
 
     name: ClassVar[str] = "kinematic_error"
+    family: ClassVar[str] = "geometry"
     arity: ClassVar[int] = 1
+    of_state_alone: ClassVar[bool] = False
+    further: ClassVar[bool] = False
+    told: ClassVar[Mapping[str, str]] = {
+        "inertial_parameters": f"{KINEMATICS}; or repeat the motion in another pose region",
+        "payload": UNLOADED,
+        "gravity_direction": f"{LEVEL}; {KINEMATICS}",
+    }
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Translation in the parent's joint frame."""
@@ -141,12 +231,17 @@ class KinematicError(Effect):
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Central differences by the translation."""
-        j = robot.joint_index(self.joints[0])
+        j = self.rows(robot)[0]
         parts = []
         for step in _METRE * np.eye(3):
             ahead, behind = (rigid_body_torque(_moved(robot, j, s * step), motion) for s in (1, -1))
             parts.append((ahead - behind) / (2 * _METRE))
         return np.stack(parts, axis=2)
+
+    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+        """How far off it is."""
+        far = 1e3 * float(np.linalg.norm(self._known()))
+        return f"The axis of {joints[0]} seems {far:.0f} mm off where the model has it"
 
 
 def _moved(robot: Robot, j: int, step: Array) -> Robot:
@@ -160,6 +255,17 @@ class GravityDirection(Effect):
     """Gravity points elsewhere in the base frame: the arm is mounted otherwise, or tilted."""
 
     name: ClassVar[str] = "gravity_direction"
+    family: ClassVar[str] = "static"
+    further: ClassVar[bool] = False
+    told: ClassVar[Mapping[str, str]] = {
+        "inertial_parameters": f"{LEVEL}; or turn the first joint slowly with the arm stretched",
+        "payload": f"{UNLOADED}; {LEVEL}",
+    }
+
+    @classmethod
+    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+        """One for the arm."""
+        return [(cls(robot.joints), 1)]
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Change of the gravity vector in the base frame."""
@@ -168,3 +274,19 @@ class GravityDirection(Effect):
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Static torque under unit gravity along each axis."""
         return np.stack([gravity_torque(robot, motion, unit) for unit in np.eye(3)], axis=2)
+
+    def plausible(self, robot: Robot, values: Array, std: Array) -> bool:
+        """Whether the changed vector is still as long as gravity."""
+        size = float(np.linalg.norm(robot.gravity))
+        off = abs(float(np.linalg.norm(robot.gravity + values)) - size)
+        unsure = SIGN_DEVIATIONS * float(np.linalg.norm(std))
+        return off < _TURNED * size + min(unsure, _TURNED * size)
+
+    def applied(self, robot: Robot) -> Robot:
+        """The robot under the changed vector."""
+        return robot.with_gravity(robot.gravity + self._known())
+
+    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+        """The vector."""
+        true = ", ".join(f"{x:.2f}" for x in robot.gravity + self._known())
+        return f"Gravity points along ({true}) m/s² in the base frame"

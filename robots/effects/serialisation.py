@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots.effects.base import Effect
+from excitant.robots.effects.base import EFFECTS, Effect
 from excitant.robots.robot import Robot
 
 
@@ -29,7 +29,6 @@ def effect_entries(effects: Sequence[Effect]) -> list[dict[str, Any]]:
 def effects_from_entries(
     entries: Sequence[Mapping[str, Any]],
     robot: Robot,
-    known: Mapping[str, type[Effect]],
     source: str,
 ) -> tuple[Effect, ...]:
     """Effects of a robot from plain entries; all joints where an entry names none.
@@ -37,21 +36,18 @@ def effects_from_entries(
     Args:
         entries: What `effect_entries` gives.
         robot: The arm that has the effects.
-        known: Effect classes by name.
         source: File of the entries, for messages.
 
     Raises:
         BadInput: Unknown effect, joint or field, or values that do not fit.
     """
-    return tuple(_effect(dict(entry), robot, known, source) for entry in entries)
+    return tuple(_effect(dict(entry), robot, source) for entry in entries)
 
 
-def _effect(
-    entry: dict[str, Any], robot: Robot, known: Mapping[str, type[Effect]], source: str
-) -> Effect:
+def _effect(entry: dict[str, Any], robot: Robot, source: str) -> Effect:
     name = str(entry.pop("effect", ""))
-    if name not in known:
-        raise BadInput(f"{source}: {UnknownName('effect', name, known)}")
+    if name not in EFFECTS:
+        raise BadInput(f"{source}: {UnknownName('effect', name, EFFECTS)}")
     joints = entry.pop("joints", robot.joints)
     if not isinstance(joints, list | tuple):
         raise BadInput(f"{source}: effect {name} needs 'joints: [names]', not '{joints}'")
@@ -61,14 +57,14 @@ def _effect(
             raise BadInput(f"{source}: {UnknownName('joint', joint, robot.joints)}")
     try:
         values = np.array(entry.pop("values"), float).ravel()
-        shape = {key: _shape(known[name], key, value) for key, value in entry.items()}
-        effect = known[name](joints=joints, **shape).with_values(values)
+        shape = {key: _shape(EFFECTS[name], key, value) for key, value in entry.items()}
+        effect = EFFECTS[name](joints=joints, **shape).with_values(values)
     except BadInput as error:
         raise BadInput(f"{source}: {error}") from None
     except (KeyError, TypeError, ValueError):
         raise BadInput(
             f"{source}: effect {name} needs 'values: [numbers]' and takes "
-            f"{', '.join(f.name for f in fields(known[name]))}"
+            f"{', '.join(f.name for f in fields(EFFECTS[name]))}"
         ) from None
     expected = len(effect.parameters(robot))
     if len(values) != expected or not np.isfinite(values).all():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -13,12 +13,30 @@ from excitant.robots.effects.base import (
     JointEffect,
     JointFacts,
     Parameter,
+    Shape,
     Term,
     near_trial,
+)
+from excitant.robots.effects.experiments import (
+    CLOCK,
+    LOCKED,
+    ORDERS,
+    SPEEDS,
+    STATIC,
+    TURNED,
+    UNLOADED,
+    UNPOWERED,
+    ZERO,
 )
 from excitant.robots.effects.reference import rigid_torque, torque_along, torque_derivatives
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
+
+_GAPS = np.geomspace(3e-4, 0.1, 12)  # rad
+_ORDERS = 3  # of ripple at each joint, the best of all
+_MOST_ORDERS = 600
+_SLOWEST = 1e-3  # rad/s
+_BESIDE = (-1.0, 1.0)  # steps
 
 
 @dataclass(frozen=True)
@@ -30,26 +48,90 @@ class TorqueRipple(JointEffect):
     """
 
     name: ClassVar[str] = "torque_ripple"
+    family: ClassVar[str] = "static"
     terms: ClassVar[tuple[Term, ...]] = (
         Term("ripple_cos", "N·m"),
         Term("ripple_sin", "N·m"),
     )
+    shapes: ClassVar[tuple[Shape, ...]] = (Shape("order", "1"),)
+    abscissa: ClassVar[str] = "position"
+    told: ClassVar[Mapping[str, str]] = {
+        "spring": STATIC,
+        "encoder_offset": ZERO,
+        "joint_elasticity": ORDERS,
+        "backlash": ORDERS,
+        "inertial_parameters": STATIC,
+        "payload": UNLOADED,
+    }
 
     order: float = 1.0
 
     @classmethod
     def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
-        """None: orders are looked for in the error."""
-        return ()
+        """The orders that lower the joint's error most, far enough apart to differ."""
+        if not len(orders := _orders(facts)):
+            return []
+        q, step = facts.q, _step(facts)
+        local = np.column_stack([np.ones_like(q), q, np.cos(q), np.sin(q)])
+        e = facts.unexplained
+        e = e - local @ np.linalg.lstsq(local, e, rcond=None)[0]
+        gains = np.concatenate([_gains(part, q, e) for part in np.array_split(orders, 20)])
+        found: list[float] = []
+        for order in orders[np.argsort(-gains)].tolist():
+            if all(abs(order - known) > 3 * step for known in found):
+                found.append(order)
+            if len(found) == _ORDERS:
+                break
+        return [cls((joint,), order=order) for order in found]
 
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+    @classmethod
+    def searched(cls, facts: JointFacts) -> int:
+        """Orders looked at."""
+        return len(_orders(facts))
+
+    def refined(self, beside: Iterable[Effect], facts: JointFacts) -> list[Self]:
+        """The orders looked at beside its own."""
+        return [self.reshaped("order", self.order + s * _step(facts)) for s in _BESIDE]
+
+    @property
+    def own_terms(self) -> tuple[Term, ...]:
         """Amplitudes, named after the order."""
-        symbols = (f"ripple_cos{self.order:.4g}", f"ripple_sin{self.order:.4g}")
-        return tuple(Parameter(f"{j}.{symbol}", "N·m") for j in self.joints for symbol in symbols)
+        return tuple(Term(f"{term.symbol}{self.order:.4g}", term.unit) for term in self.terms)
 
-    def shape(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
+    def drawn(self, label: str, x: Array) -> tuple[str, Array]:
+        """Folded into one period."""
+        period = 2 * np.pi / self.order
+        return "joint position within one period of the ripple [rad]", np.mod(x, period)
+
+    def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Cosine and sine of the angle's multiple."""
         return np.cos(self.order * q), np.sin(self.order * q)
+
+
+def _step(facts: JointFacts) -> float:
+    """Half of the difference in order that the range of a joint resolves."""
+    return float(np.pi / (2 * max(np.ptp(facts.q), 1e-9)))
+
+
+def _orders(facts: JointFacts) -> Array:
+    """Orders of ripple to look at: those that pass the torque filter, by half what q resolves."""
+    if not len(facts.unexplained):
+        return np.zeros(0)
+    step = _step(facts)
+    first = max(1.0, 6 * step) if np.ptp(facts.q) < 1.5 * np.pi else 1.0
+    last = 2 * np.pi * facts.cutoff_hz / max(float(np.median(np.abs(facts.dq))), _SLOWEST)
+    count = min(_MOST_ORDERS, max(0, int((last - first) / step) + 1))
+    return np.asarray(first + step * np.arange(count), float)
+
+
+def _gains(orders: Array, q: Array, e: Array) -> Array:
+    """Fall of ‖e‖² by a cosine and a sine of each order, shape (orders,)."""
+    angle = np.outer(q, orders)
+    c, s = np.cos(angle), np.sin(angle)
+    cc, ss, cs = (c * c).sum(axis=0), (s * s).sum(axis=0), (c * s).sum(axis=0)
+    a, b = e @ c, e @ s
+    determinant = np.maximum(cc * ss - cs**2, 1e-12)
+    return np.asarray((ss * a**2 - 2 * cs * a * b + cc * b**2) / determinant, float)
 
 
 @dataclass(frozen=True)
@@ -61,7 +143,19 @@ class Spring(JointEffect):
     """
 
     name: ClassVar[str] = "spring"
+    family: ClassVar[str] = "static"
     contains: ClassVar[tuple[str, ...]] = ("torque_offset",)
+    usual: ClassVar[bool] = True
+    abscissa: ClassVar[str] = "position"
+    told: ClassVar[Mapping[str, str]] = {
+        "inertial_parameters": f"{UNPOWERED}; or tilt the base: gravity's part turns, a spring's "
+        "stays",
+        "payload": UNLOADED,
+        "gravity_direction": f"{TURNED}: a spring's torque stays",
+        "encoder_offset": ZERO,
+        "joint_elasticity": LOCKED,
+        "encoder_scale": ZERO,
+    }
     terms: ClassVar[tuple[Term, ...]] = (Term("k", "N·m/rad"), Term("moment", "N·m"))
 
     lever: bool = False
@@ -71,14 +165,14 @@ class Spring(JointEffect):
         """Both forms."""
         return cls((joint,)), cls((joint,), lever=True)
 
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+    @property
+    def own_terms(self) -> tuple[Term, ...]:
         """Stiffness and moment at zero, or amplitudes of cosine and sine."""
-        if not self.lever:
-            return super().parameters(robot)
-        symbols = ("spring_cos", "spring_sin")
-        return tuple(Parameter(f"{j}.{symbol}", "N·m") for j in self.joints for symbol in symbols)
+        return (
+            tuple(Term(f"spring_{s}", "N·m") for s in ("cos", "sin")) if self.lever else self.terms
+        )
 
-    def shape(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
+    def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Angle and one, or cosine and sine of the angle."""
         return (np.cos(q), np.sin(q)) if self.lever else (q, np.ones_like(q))
 
@@ -87,7 +181,9 @@ class Spring(JointEffect):
 class _Lag(Effect):
     """The link lags behind the motor, on whose side the encoder sits."""
 
+    family: ClassVar[str] = "transmission"
     arity: ClassVar[int] = 1
+    of_state_alone: ClassVar[bool] = False
     symbol: ClassVar[str]
     unit: ClassVar[str]
 
@@ -96,7 +192,7 @@ class _Lag(Effect):
         return (Parameter(f"{self.joints[0]}.{self.symbol}", self.unit, 0.0),)
 
     def _torque_along(self, robot: Robot, motion: Motion, lag: Array) -> Array:
-        j = robot.joint_index(self.joints[0])
+        j = self.rows(robot)[0]
         return torque_along(robot, motion, j, -lag)[:, :, None]
 
 
@@ -107,10 +203,18 @@ class JointElasticity(_Lag):
     name: ClassVar[str] = "joint_elasticity"
     symbol: ClassVar[str] = "compliance"
     unit: ClassVar[str] = "rad/(N·m)"
+    told: ClassVar[Mapping[str, str]] = {
+        "backlash": f"{LOCKED}: play yields at once, a spring in proportion",
+        "time_delay": f"{LOCKED}; {CLOCK}",
+        "encoder_offset": LOCKED,
+        "encoder_scale": LOCKED,
+        "inertial_parameters": LOCKED,
+        "payload": UNLOADED,
+    }
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Change of the torque by a link angle that yields to the torque."""
-        j = robot.joint_index(self.joints[0])
+        j = self.rows(robot)[0]
         return self._torque_along(robot, motion, rigid_torque(robot, motion)[:, j])
 
 
@@ -129,8 +233,17 @@ class Backlash(_Lag):
     positive: ClassVar[tuple[str, ...]] = ("trial",)
     symbol: ClassVar[str] = "gap"
     unit: ClassVar[str] = "rad"
+    shapes: ClassVar[tuple[Shape, ...]] = (
+        Shape("trial", "rad", tuned=False, most=lambda facts: float(_GAPS[-1])),
+    )
+    told: ClassVar[Mapping[str, str]] = {"time_delay": SPEEDS}
 
     trial: float = 3e-3
+
+    @classmethod
+    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
+        """Gaps up to a tenth of a radian."""
+        return [cls((joint,), trial=float(gap)) for gap in _GAPS]
 
     def credible(self, robot: Robot, values: Array) -> bool:
         """Whether the gap is one that the trial gap's flights are right for."""
@@ -138,7 +251,7 @@ class Backlash(_Lag):
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Change of the torque by the lag, per gap."""
-        j = robot.joint_index(self.joints[0])
+        j = self.rows(robot)[0]
         _, _, by_ddq = torque_derivatives(robot, motion)
         acceleration = rigid_torque(robot, motion)[:, j] / by_ddq[:, j, j]
         lag = play(motion.t, acceleration, self.trial)

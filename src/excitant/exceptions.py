@@ -66,6 +66,26 @@ class BadInput(ExcitantError):
     """A file or option, other than a robot or recording, that cannot be used."""
 
 
+class OutsideLimits(ExcitantError):
+    """A motion beyond a limit.
+
+    Args:
+        joint: Name of the joint.
+        quantity: ``"position"``, ``"velocity"``, ``"acceleration"``, ``"jerk"`` or ``"torque"``.
+        value: What it comes to, in SI units.
+        limit: The limit on that side.
+        time: When [s].
+    """
+
+    def __init__(self, joint: str, quantity: str, value: float, limit: float, time: float) -> None:
+        self.joint, self.quantity, self.value, self.limit = joint, quantity, value, limit
+        self.time = time
+        super().__init__(
+            f"{quantity} of {joint} comes to {value:.6g} at {time:.4g} s, beyond its limit of "
+            f"{limit:.6g}"
+        )
+
+
 class Infeasible(ExcitantError):
     """A problem without a solution, or one whose solver did not find it.
 

@@ -185,7 +185,7 @@ class CubicFriction(JointEffect):
     name: ClassVar[str] = "cubic"
     terms: ClassVar[tuple[Term, ...]] = (Term("a", "N·m"), Term("b", "N·m"))
 
-    def shape(self, q: Array, dq: Array, ddq: Array) -> tuple[Array, ...]:
+    def of_state(self, q: Array, dq: Array, ddq: Array) -> tuple[Array, ...]:
         return (
             np.tanh(3 * dq) / (1 + np.abs(dq)) - np.maximum(-dq, 0.0),
             -(dq**3) * np.cos(2 * q - 0.5) + np.square(ddq) / 7.0 + np.ones_like(q),
@@ -199,7 +199,7 @@ class Switch(JointEffect):
     name: ClassVar[str] = "switch"
     terms: ClassVar[tuple[Term, ...]] = (Term("a", "N·m"),)
 
-    def shape(self, q: Array, dq: Array, ddq: Array) -> tuple[Array, ...]:
+    def of_state(self, q: Array, dq: Array, ddq: Array) -> tuple[Array, ...]:
         return (np.where(dq > 1, dq, 0.0),)
 
 

@@ -104,6 +104,27 @@ def test_exact_data_of_bodies_give_exact_predictions(
     assert (found.baseline.nrmse >= 0.15).all()
 
 
+def test_an_arm_of_one_joint_is_identified_and_written(
+    exact: Callable[..., Recording], tmp_path: Path
+) -> None:
+    arm = tmp_path / "pendulum.urdf"
+    arm.write_text(
+        """<robot name="pendulum"><link name="base"/><link name="arm"><inertial>
+        <origin xyz="0 0 -0.2"/><mass value="1"/>
+        <inertia ixx="0.01" iyy="0.01" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="hinge" type="revolute"><parent link="base"/><child link="arm"/>
+        <axis xyz="0 1 0"/><limit lower="-3" upper="3" velocity="6" effort="20"/></joint></robot>"""
+    )
+    robot = load_robot(arm)
+    found = identify(robot.with_parameters(1.2 * robot.phi), [exact(robot, np.arange(0, 20, 0.01))])
+    assert (found.validate.nrmse <= 5e-3).all()
+    for name, text in model_files(found.model, "identified", "model.yaml").items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    motion = Motion(np.arange(50) / 10, *robot.random_motion(np.random.default_rng(0), 50))
+    reloaded = torque(load_robot(tmp_path / "model.yaml"), motion)
+    np.testing.assert_allclose(reloaded, torque(found.model, motion), atol=1e-9)
+
+
 def test_a_motion_that_hides_parameters_is_refused_by_name(
     exact: Callable[..., Recording], planar: Robot
 ) -> None:

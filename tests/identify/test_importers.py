@@ -502,8 +502,8 @@ def test_a_raw_recording_refuses_no_row(ur10: Robot, tmp_path: Path) -> None:
     assert raw.t[7] == raw.t[6]
     assert np.isnan(raw.q[9, 1])
     assert raw.unreadable[9, "q2"] == "abc"
-    assert set(raw.channels) == {"q", "dq", "tau", "temp"}
-    assert not any(values.flags.writeable for values in raw.channels.values())
+    assert set(raw.extras) == {"temp"}
+    assert not any(values.flags.writeable for values in (raw.q, *raw.extras.values()))
 
 
 def test_a_row_of_another_length_is_refused_by_row(ur10: Robot, tmp_path: Path) -> None:

@@ -249,7 +249,7 @@ def test_rows_in_any_grouping_make_one_triangle() -> None:
 class Remembering(ViscousFriction):
     """Torque by the velocity one sample earlier."""
 
-    def shape(self, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> tuple[np.ndarray]:
+    def of_state(self, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> tuple[np.ndarray]:
         return (np.roll(dq, 1),)
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from excitant.exceptions import BadRobot
+from excitant.exceptions import BadRobot, Infeasible
 from excitant.identify.physical import (
     EffectPrior,
     PhysicalFit,
@@ -180,3 +180,43 @@ def test_seven_joints_with_friction_are_solved_within_a_second() -> None:
         fit_physical(R, z, prior_parameters(robot), friction_prior(robot, effects))
         spent.append(time.perf_counter() - start)
     assert min(spent) < 1.0, spent
+
+
+def exact_data(name: str, noise: float, spread: float) -> tuple:
+    """A factor of whitened rows whose noise is far below that of any sensor, and a prior."""
+    robot, rng = load_robot(name), np.random.default_rng(1)
+    effects, links = standard_effects(robot.joints), 10 * robot.nv
+    W = rows(robot, effects)
+    tau = W[:, :links] @ (robot.phi * rng.normal(1, spread, links))
+    z = tau / noise + rng.standard_normal(len(W))
+    factor = np.linalg.qr(np.column_stack([W / noise, z]), mode="r")
+    return factor[:, :-1], factor[:, -1], prior_parameters(robot), friction_prior(robot, effects)
+
+
+@pytest.mark.parametrize(("name", "noise", "spread"), [("ur10", 1e-9, 0), ("panda", 1e-6, 3)])
+def test_a_solver_at_the_end_of_its_digits_does_not_end_the_run(
+    name: str, noise: float, spread: float
+) -> None:
+    """The conic solver ends inaccurately at every tolerance; the optimum is found all the same."""
+    R, z, prior, effects = exact_data(name, noise, spread)
+    fit = fit_physical(R, z, prior, effects)
+    assert fit.kkt.primal <= 1e-6
+    assert violations(fit.x[: prior.size], tuple("abcdefg"[: len(prior)])) == []
+    best = objective(R, z, prior, effects, fit.x)
+    target = np.linalg.norm(np.linalg.solve(link_coordinates(prior), fit.x[: prior.size]))
+    rng = np.random.default_rng(0)
+    for _ in range(20):  # convexity: no step towards another body lowers the objective
+        root = np.eye(4) + 0.5 * rng.standard_normal((len(prior), 4, 4))
+        Q = (root @ root.transpose(0, 2, 1))[:, *np.triu_indices(4)].ravel()
+        other = np.concatenate(
+            [link_coordinates(prior) @ Q * target / np.linalg.norm(Q), effects.mean]
+        )
+        for step in (1e-6, 1e-3, 1e-1):
+            there = objective(R, z, prior, effects, fit.x + step * (other - fit.x))
+            assert there >= best * (1 - 1e-6)
+
+
+def test_what_no_scaling_solves_is_refused_in_one_line() -> None:
+    R, z, prior, effects = exact_data("planar_2r", 1e-9, 3)
+    with pytest.raises(Infeasible, match=r"wrong units or signs of torque$"):
+        fit_physical(R, z, prior, effects)

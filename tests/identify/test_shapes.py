@@ -16,7 +16,6 @@ from excitant.identify.physical import fit_physical, prior_parameters
 from excitant.identify.resting import whitened
 from excitant.identify.rows import FitRows, fit_rows, split
 from excitant.identify.shape_search import refined_shapes
-from excitant.identify.shapes import reshaped
 from excitant.robots import Motion, Robot, base_parameters
 from excitant.robots.effects import (
     Effect,
@@ -132,7 +131,7 @@ def test_what_shapes_leave_open_widens_the_rest(planar: Robot) -> None:
     assert found is not None
     last, betas = found.found[1], []
     for change in (-1, 0, 1):
-        other = reshaped(found.effects[-1], last.value + change * last.std)
+        other = found.effects[-1].reshaped(last.field, last.value + change * last.std)
         moved = replace(found, effects=(*found.effects[:-1], other)).rows(planar, rows)
         W = moved.W[:, :, list(moved.base.columns)]
         betas.append(weighted_least_squares(W, moved.tau, moved.base.expressions))

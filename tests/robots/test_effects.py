@@ -183,7 +183,7 @@ def test_entries_read_back_to_the_same_effects(arm: Robot) -> None:
         effects += [valued(arm, kind, k), shaped.with_values(values)]
     entries = effect_entries(effects)
     for written in (json.loads(json.dumps(entries)), yaml.safe_load(yaml.safe_dump(entries))):
-        assert effects_from_entries(written, arm, EFFECTS, "given") == tuple(effects)
+        assert effects_from_entries(written, arm, "given") == tuple(effects)
 
 
 def test_every_shape_is_written(kind: type[Effect]) -> None:
@@ -193,7 +193,7 @@ def test_every_shape_is_written(kind: type[Effect]) -> None:
 
 def test_joints_not_named_are_all_of_them(builtin: Robot) -> None:
     entry = {"effect": "torque_offset", "values": [1.0] * builtin.nv}
-    (effect,) = effects_from_entries([entry], builtin, EFFECTS, "robot.yaml")
+    (effect,) = effects_from_entries([entry], builtin, "robot.yaml")
     assert effect.joints == builtin.joints
 
 
@@ -231,5 +231,5 @@ def test_bad_entries_are_refused(builtin: Robot, entry: dict[str, object], culpr
     first = builtin.joints[0]
     entry = json.loads(json.dumps(entry).replace("{first}", first))
     with pytest.raises(BadInput, match=culprit.replace("{first}", first)) as refusal:
-        effects_from_entries([entry], builtin, EFFECTS, "robot.yaml")
+        effects_from_entries([entry], builtin, "robot.yaml")
     assert str(refusal.value).startswith("robot.yaml: ")

@@ -298,10 +298,12 @@ REFUSED = {
     "no worldbody": ("<mujoco/>", "worldbody"),
     "not closed": ("<mujoco><worldbody>", "XML"),
     "no such class": (ONE.format('<joint class="none"/><geom size="1"/>'), "none"),
-    "mass of words": (ONE.format('<joint/><inertial pos="0 0 0" mass="much"/>'), "much"),
+    "mass of words": (
+        ONE.format('<joint/><inertial pos="0 0 0" mass="much"/>'),
+        "attribute 'mass'",
+    ),
     "axis of length zero": (ONE.format('<joint axis="0 0 0"/><geom size="1"/>'), "axis"),
     "ball joint": (ONE.format('<joint name="b" type="ball"/><geom size="1"/>'), "'b'"),
-    "replicate": (ONE.format('<replicate count="2"><geom size="1"/></replicate>'), "replicate"),
     "missing include": ('<mujoco><include file="none.xml"/></mujoco>', "none.xml"),
     "missing mesh": (
         '<mujoco><asset><mesh name="m" file="m.stl"/></asset><worldbody><body><joint/>'
@@ -309,7 +311,10 @@ REFUSED = {
         "m.stl",
     ),
     "unknown mesh": (ONE.format('<joint/><geom type="mesh" mesh="m"/>'), "'m'"),
-    "size of nothing": (ONE.format('<joint/><geom type="box" size="1 1"/>'), "box"),
+    "size of nothing": (
+        ONE.format('<joint/><geom type="box" size="1 1"/>'),
+        "size 2 must be positive",
+    ),
     "quaternion of zeros": (ONE.format('<joint/><geom size="1" quat="0 0 0 0"/>'), "quat"),
     "two bodies of one name": (ONE.format('<joint/><geom size="1"/><body name="a"/>'), "'a'"),
 }
@@ -326,3 +331,23 @@ def test_what_cannot_be_read_is_refused_in_one_line(tmp_path: Path, kind: str) -
     assert culprit in said.replace(str(path), "")
     assert "arm.xml" in said
     assert "\n" not in said
+
+
+def test_missing_drawings_are_left_out(tmp_path: Path) -> None:
+    """A mesh that only shows a body, and its texture, need not be there."""
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        """<mujoco><asset><mesh name="m" file="m.stl"/><texture name="t" type="2d" file="t.png"/>
+        <material name="paint" texture="t"/></asset><worldbody><body name="a"><joint name="j"/>
+        <inertial pos="0.1 0 0" mass="2" diaginertia="0.1 0.1 0.1"/>
+        <geom type="mesh" mesh="m" material="paint"/></body></worldbody></mujoco>"""
+    )
+    assert load_robot(path).phi[0] == 2.0
+
+
+def test_bodies_that_mujoco_builds(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(ONE.format('<joint axis="0 1 0"/><replicate count="2" offset="0.5 0 0">'
+                               '<geom size="0.1"/></replicate>'))  # fmt: skip
+    robot = load_robot(path)
+    assert robot.phi[0] == pytest.approx(2 * 1000 * 4 / 3 * np.pi * 1e-3, rel=1e-12)

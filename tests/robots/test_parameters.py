@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from excitant.robots import Robot
+from excitant.robots import Robot, load_robot
 from excitant.robots.parameters import (
     from_pseudo_inertia,
     nearest_consistent,
@@ -101,3 +101,10 @@ def test_nearest_is_consistent_and_keeps_mass_and_first_moment(
     assert np.allclose(nearest[:4], phi[:4], rtol=1e-12)
     assert violations(nearest, ("link",)) == []
     assert np.allclose(nearest_consistent(nearest), nearest, rtol=1e-9, atol=1e-12)
+
+
+def test_a_link_without_mass_keeps_its_parameters() -> None:
+    """Robot with a last link without inertia: its own parameters give it back, without NaN."""
+    robot = load_robot("planar_2r")
+    phi = np.concatenate([robot.phi[:10], np.zeros(10)])
+    assert np.array_equal(robot.with_parameters(phi).phi, phi)

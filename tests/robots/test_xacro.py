@@ -145,3 +145,54 @@ def test_finding_packages_leaves_xacro_as_it_was(arm: Path) -> None:
     with pytest.raises(BadRobot):
         load_robot(arm)
     assert substitution_args._eval_find is before
+
+
+ESCAPES = {
+    "frame": "(x for x in [1]).gi_frame",
+    "class in a nested scope": "[c for c in [().__class__]][0].__base__",
+    "lambda": "(lambda: ().__class__.__bases__)()",
+    "name": "__builtins__",
+    "format": "'{0.__class__}'.format(1)",
+    "type": "python.type(1)",
+    "vars": "python.vars(python.type(1))",
+    "method of a function": "python.abs.__self__",
+    "builtin": "exec('import os; os.system(&quot;touch ran&quot;)')",
+    "frames of a run": "[g.gi_frame.f_back.f_back for g in [0]]",
+}
+
+
+@pytest.mark.parametrize("form", ["${{{}}}", "$(eval {})"])
+@pytest.mark.parametrize("escape", ESCAPES)
+def test_an_expression_reaches_nothing_but_values(
+    arm: Path, monkeypatch: pytest.MonkeyPatch, escape: str, form: str
+) -> None:
+    monkeypatch.chdir(arm.parent)
+    arm.write_text(ARM.replace('mass="3"', f'mass="{form.format(ESCAPES[escape])}"'))
+    with pytest.raises(BadRobot, match="xacro") as refused:
+        load_robot(arm, packages=[arm.parent.parent / "elsewhere"])
+    assert "\n" not in str(refused.value)
+    assert not (arm.parent / "ran").exists()
+
+
+@pytest.mark.parametrize(
+    "expression",
+    [
+        "${props.mass * 2}", "${props['mass'] + 1.5}", "${[2 * x for x in [1.5]][0]}",
+        "${dict(a=3)['a']}", "${math.sqrt(9)}", "${radians(180) / pi * 3}",
+        "${float('a 3'.split()[1])}", "${max(3, float(xacro.arg('length')))}",
+        "$(eval 2 * length + 2)", "$(eval max_mass if 2 > 1 else 0)",
+        "${python.sum(x * scale for x in [1.5])}",
+    ],
+)  # fmt: skip
+def test_expressions_of_values_are_evaluated(arm: Path, expression: str) -> None:
+    (arm.parent / "props.yaml").write_text("mass: 1.5\n")
+    arm.write_text(
+        ARM.replace('mass="3"', f'mass="{expression}"').replace(
+            '<link name="base"/>',
+            '<xacro:arg name="max_mass" default="3"/><xacro:property name="scale" value="2"/>'
+            """<xacro:property name="props" value="${xacro.load_yaml('props.yaml')}"/>"""
+            '<link name="base"/>',
+        )
+    )
+    robot = load_robot(arm, packages=[arm.parent.parent / "elsewhere"])
+    assert robot.phi[0] == pytest.approx(3.0)

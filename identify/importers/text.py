@@ -1,0 +1,298 @@
+"""CSV logs as programs write them: any separator, decimal commas, comments, rows of units."""
+
+from __future__ import annotations
+
+import csv
+import re
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, TextIO
+
+import pandas as pd
+
+from excitant.exceptions import BadRecording
+from excitant.identify.importers.tables import Table, unreadable
+from excitant.identify.importers.units import spelled
+
+_COMMENTS = ("#", "%", "//")
+_SEPARATORS = ("\t", ";", "|", ",", " ")
+_HEAD = 1 << 18  # bytes that show how the file is written
+_POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan", re.ASCII | re.IGNORECASE)
+_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?", re.ASCII)
+_CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f\x7f-\x9f]")
+_NAME_OF_JOINT = re.compile(r"(?:.*[^A-Za-z])?names?[\s_.\[]*(\d+)\]?", re.IGNORECASE)
+_CUT = "last line left out: it has no end, so it may have been cut"
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a text file writes its table.
+
+    Attributes:
+        encoding: Encoding of the text.
+        separator: Between cells; a space stands for any white space.
+        decimal: Decimal sign, ``"."`` or ``","``.
+        names: Names of the columns; numbers from 0 where there is no header.
+        skipped: Lines before the first row.
+        quoted: Whether cells are quoted.
+        cut: Whether the file ends within a line.
+        labels: Joints' names by number, where columns hold them.
+    """
+
+    encoding: str
+    separator: str
+    decimal: str
+    names: tuple[str, ...]
+    skipped: int
+    quoted: bool = False
+    cut: bool = False
+    labels: Mapping[int, str] = field(default_factory=dict)
+
+
+def text_table(path: Path) -> Table:
+    """The log in a text file.
+
+    Raises:
+        BadRecording: No text, or no line that could name columns.
+    """
+    dialect = dialect_of(path)
+
+    def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
+        kept = [k for k, name in enumerate(dialect.names) if columns is None or name in columns]
+        with path.open(encoding=dialect.encoding, errors="replace") as stream:
+            lines = _Lines(stream, dialect, str(path))
+            try:
+                for part in _parsed(lines, dialect, rows or sys.maxsize, kept):
+                    yield part.set_axis([dialect.names[k] for k in kept], axis=1)
+            except (ValueError, OSError, OverflowError) as error:
+                raise lines.refusal or unreadable(path, error) from None
+
+    return Table(str(path), dialect.names, frames, dialect.labels, (_CUT,) if dialect.cut else ())
+
+
+def _parsed(
+    lines: _Lines, dialect: Dialect, rows: int, kept: Sequence[int]
+) -> Iterator[pd.DataFrame]:
+    if not lines.peek():
+        yield pd.DataFrame({k: pd.Series(dtype=float) for k in kept})
+        return
+    source: Any = lines
+    with pd.read_csv(
+        source,
+        sep=r"\s+" if dialect.separator == " " else dialect.separator,
+        decimal=dialect.decimal,
+        header=None,
+        names=list(range(len(dialect.names))),
+        usecols=list(kept),
+        index_col=False,
+        quoting=csv.QUOTE_MINIMAL if dialect.quoted else csv.QUOTE_NONE,
+        skipinitialspace=True,
+        engine="c",
+        low_memory=False,
+        chunksize=rows,
+    ) as parts:
+        for part in parts:
+            yield _with_points(part.reset_index(drop=True), dialect.decimal)
+
+
+def _with_points(frame: pd.DataFrame, decimal: str) -> pd.DataFrame:
+    """Text with decimal commas as text with points, where a column holds other text too."""
+    if decimal == ".":
+        return frame
+    for column in frame.columns:
+        if pd.api.types.is_string_dtype(frame[column]):
+            text = frame[column].astype(str)
+            pointed = text.str.contains(".", regex=False)
+            frame[column] = text.str.replace(",", ".", regex=False).mask(
+                pointed, text + " (a point among decimal commas)"
+            )
+    return frame
+
+
+class _Lines:
+    """The rows of a text file for a parser: comments taken out, every row counted and checked.
+
+    Attributes:
+        refusal: What was wrong, as parsers hide errors of what they read from.
+    """
+
+    def __init__(self, stream: TextIO, dialect: Dialect, file: str) -> None:
+        self.refusal: BadRecording | None = None
+        self._stream, self._dialect, self._file = stream, dialect, file
+        self._row = 0
+        for _ in range(dialect.skipped):
+            stream.readline()
+        self._waiting = ""
+
+    def peek(self) -> str:
+        """The first rows, kept for the parser."""
+        self._waiting = self.read(1 << 12)
+        return self._waiting
+
+    def read(self, size: int = -1) -> str:
+        """About so many characters of whole rows; nothing at the end."""
+        if self._waiting:
+            text, self._waiting = self._waiting, ""
+            return text
+        while lines := self._stream.readlines(max(size, 1 << 16)):
+            if kept := [line for line in lines if self._is_row(line)]:
+                return "".join(kept)
+        return ""
+
+    def __iter__(self) -> Iterator[str]:
+        while text := self.read():
+            yield text
+
+    def _is_row(self, line: str) -> bool:
+        if line.isspace() or line.startswith(_COMMENTS):
+            return False
+        if self._dialect.cut and not line.endswith("\n"):
+            return False
+        separator, expected = self._dialect.separator, len(self._dialect.names)
+        parsed = separator == " " or (self._dialect.quoted and '"' in line)
+        found = len(_cells(line, separator)) if parsed else line.count(separator) + 1
+        if found != expected or "\0" in line:
+            what = "holds zero bytes"
+            if found != expected:
+                what = f"{found} cells where the header names {expected}"
+            why = f"{what}; repair or remove this row"
+            self.refusal = BadRecording(self._file, why, row=self._row)
+            raise ValueError(why)
+        self._row += 1
+        return True
+
+
+def dialect_of(path: Path) -> Dialect:
+    """How a file writes its table.
+
+    The separator is the first of tab, semicolon, bar, comma and space for which a line of
+    numbers follows one of as many names, which tells a decimal comma from a separator and skips
+    preambles; `csv.Sniffer` does neither. Decimal commas are those of most cells.
+
+    Raises:
+        BadRecording: No text, or nothing that names columns.
+    """
+    encoding, text, cut = _head(path)
+    lines = text.splitlines()
+    for separator in _SEPARATORS:
+        first = _first_row(lines, separator)
+        if first is not None:
+            return _described(lines, first, separator, encoding, cut)
+    header = next((line for line in lines if line.strip()), "")
+    separator = max(_SEPARATORS, key=lambda sign: len(_cells(header, sign)))
+    names = _cells(header, separator)
+    if len(names) < 2:
+        raise BadRecording(
+            path,
+            "cannot be read (no line of names followed by numbers); give a table with named "
+            "columns",
+        )
+    return Dialect(encoding, separator, ".", tuple(names), lines.index(header) + 1)
+
+
+def _head(path: Path) -> tuple[str, str, bool]:
+    """Encoding, whole lines of text at the start, and whether the file ends within a line."""
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD)
+        end, whole = head[-1:], len(head) < _HEAD
+        if not whole:
+            stream.seek(-1, 2)
+            end = stream.read(1)
+            head = head[: head.rfind(b"\n") + 1] or head
+    marked = head[:2] in (b"\xff\xfe", b"\xfe\xff")
+    for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):
+        try:
+            text = head.decode(encoding, "strict" if whole or not marked else "ignore")
+        except UnicodeDecodeError:
+            continue
+        first = text.splitlines()[:1]
+        if text.strip() and not (first and _CONTROL.search(first[0])):
+            return encoding, text, end not in b"\n\r\0"
+    why = "it is empty" if not head.strip() else "it is no text"
+    raise BadRecording(path, f"cannot be read ({why}); give a table with named columns")
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    """Cells of a line, without white space around them."""
+    if separator == " ":
+        return line.split()
+    try:
+        cells = next(csv.reader([line.rstrip("\r\n")], delimiter=separator, skipinitialspace=True))
+    except (csv.Error, StopIteration):
+        return [line]
+    return [cell.strip() for cell in cells]
+
+
+def _is_number(cell: str) -> bool:
+    return bool(_POINT.fullmatch(cell) or _COMMA.fullmatch(cell))
+
+
+def _first_row(lines: Sequence[str], separator: str) -> int | None:
+    """The first line of numbers, when the line of names before it has as many cells.
+
+    A few of the numbers may be damaged, or dates.
+    """
+    for k, line in enumerate(lines):
+        cells = _cells(line, separator)
+        if line.startswith(_COMMENTS) or len(cells) < 2:
+            continue
+        if 2 * sum(map(_is_number, cells)) <= len(cells):
+            continue
+        header = _header(lines[:k], separator)
+        fits = header is None or _width(_cells(header, separator)) == _width(cells)
+        return k if fits or separator == "," else None
+    return None
+
+
+def _width(cells: Sequence[str]) -> int:
+    """Number of cells; a separator at the end of a line makes none."""
+    return len(cells) - (cells[-1] == "")
+
+
+def _header(above: Sequence[str], separator: str) -> str | None:
+    """The line of names above the first row, without a comment sign; None when there is none."""
+    for line in reversed(above):
+        plain = line.lstrip("".join(_COMMENTS)).strip("\r\n")
+        if plain.strip() and len(_cells(plain, separator)) > 1:
+            return plain.strip() if separator == " " else plain
+    return None
+
+
+def _described(lines: Sequence[str], row: int, separator: str, encoding: str, cut: bool) -> Dialect:
+    some = [line for line in lines[row : row + 200] if not line.startswith(_COMMENTS)]
+    rows = [_cells(line, separator) for line in some]
+    cells = [cell for cells in rows for cell in cells]
+    commas = sum(bool(_COMMA.fullmatch(cell)) for cell in cells)
+    points = sum("." in cell and bool(_POINT.fullmatch(cell)) for cell in cells)
+    names = _names(lines[:row], separator) or list(map(str, range(len(rows[0]))))
+    if len(rows[0]) == len(names) + 1 and rows[0][-1] == "":
+        names.append("")
+    decimal, quoted = "," if commas > points else ".", '"' in some[0]
+    labels = _labels(names, rows)
+    return Dialect(encoding, separator, decimal, tuple(names), row, quoted, cut, labels)
+
+
+def _names(above: Sequence[str], separator: str) -> list[str]:
+    """Names of the header, with units of a row of units below it in brackets."""
+    for upper, lower in pairwise([line for line in above if line.strip()][-2:]):
+        cells = [cell.strip("[]() ") for cell in _cells(lower, separator)]
+        units = [cell for cell in cells if cell not in ("", "-")]
+        named = _cells(upper, separator)
+        if units and all(map(spelled, units)) and len(named) == len(cells):
+            return [f"{n} [{u}]" if spelled(u) else n for n, u in zip(named, cells, strict=True)]
+    header = _header(above, separator)
+    return _cells(header, separator) if header else []
+
+
+def _labels(names: Sequence[str], rows: Sequence[Sequence[str]]) -> dict[int, str]:
+    """Joints' names by number, of columns such as ``name_0`` that hold one text throughout."""
+    labels = {}
+    for k, name in enumerate(names):
+        match = _NAME_OF_JOINT.fullmatch(name)
+        texts = {row[k] for row in rows if len(row) > k}
+        if match and len(texts) == 1 and not _is_number(text := texts.pop()):
+            labels[int(match[1])] = text
+    return labels

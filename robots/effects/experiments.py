@@ -1,0 +1,60 @@
+"""Actions that tell two effects apart where no motion of the arm as it stands does.
+
+The classes of effects say which one tells them from whom (`Effect.told`); here is what to do where
+two say nothing of each other, by the parts of the arm that they belong to.
+"""
+
+from __future__ import annotations
+
+AT_REST = "read the torque at rest after approaching one pose from both sides"
+LADDER = "move the joint at several constant speeds, 0.1 to 100 % of its limit, both directions"
+UNPOWERED = "read the torque with the motor unpowered, at rest and turned by hand"
+LOADS = "repeat the motion with a known payload"
+WARM = "repeat the first motion after half an hour of warming up"
+TURNED = "repeat the motion with the first joint turned by half a turn (q1 + π)"
+REVERSALS = "reverse the joint within tiny amplitudes, under gravity's load and without it"
+LOCKED = "lock the output and load it statically in both directions while reading the encoder"
+DATA_SHEET = "take rotor inertia and gear ratio from the data sheet"
+CURRENT = "log the motor's true current, and drive the joint back unpowered"
+SPEEDS = "repeat the same path at a third of the speed"
+HOLD_OTHER = "move one of the two joints while the other is held, then the other way round"
+UNLOADED = "repeat the motion with and without the load and subtract"
+KINEMATICS = "measure poses of the tip (kinematic calibration) before fitting torque"
+LEVEL = "put a spirit level on the base"
+ZERO = "move the joint to its mechanical zero mark and compare with the encoder's reading"
+STATIC = "hold the joint at several angles, each approached from both sides"
+SECOND = "repeat the motion at another frequency"
+ORDERS = "turn the joint slowly at two constant speeds and at two loads and track the orders"
+CLOCK = "record a sharp torque step with one clock for torque and encoder"
+LEVER = "hang a known mass at a known lever on the joint"
+SAME = "hold one of the joints in question and move the others, then the other way round"
+GENERAL = "repeat with a motion that moves this joint faster, slower and in other postures"
+_WEIGH = "weigh the link, or hang a known mass on it and repeat"
+_BACKWARDS = "repeat the motion backwards in time: friction turns its sign"
+
+BETWEEN = {
+    frozenset(pair): action
+    for pair, action in {
+        ("friction",): f"{LADDER}, then {WARM}",
+        ("body",): _WEIGH,
+        ("static",): f"{STATIC}; {LEVEL}",
+        ("transmission",): LOCKED,
+        ("geometry",): KINEMATICS,
+        ("reading",): f"{CLOCK}; {LOADS}",
+        ("friction", "body"): f"{_BACKWARDS}, inertia and gravity do not",
+        ("friction", "static"): AT_REST,
+        ("friction", "transmission"): LOCKED,
+        ("friction", "geometry"): f"{_BACKWARDS}, an error of position does not",
+        ("friction", "reading"): SPEEDS,
+        ("body", "static"): SPEEDS,
+        ("body", "transmission"): LOCKED,
+        ("body", "geometry"): f"{KINEMATICS}; {_WEIGH}",
+        ("body", "reading"): LOADS,
+        ("static", "transmission"): LOCKED,
+        ("static", "geometry"): ZERO,
+        ("static", "reading"): LEVER,
+        ("transmission", "geometry"): LOCKED,
+        ("transmission", "reading"): f"{LOCKED}; {CLOCK}",
+        ("geometry", "reading"): f"{KINEMATICS}; {LOADS}",
+    }.items()
+}
