@@ -9,30 +9,10 @@ import numpy as np
 
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
-from excitant.analysis.domains import places
-from excitant.analysis.residuals import Remainder
-from excitant.analysis.sticking import sliding
-from excitant.robots.effects import JointwiseEffect, TorqueOffset, ViscousFriction, plain
+from excitant.analysis.residuals import Residual, explanatory
+from excitant.robots.effects import plain, standard_effects
 from excitant.robots.motion import Array
 
-_TELLS = {
-    "viscous_friction": "velocity",
-    "coulomb_friction": "velocity",
-    "asymmetric_friction": "velocity",
-    "stribeck_friction": "velocity",
-    "nonlinear_viscous_friction": "velocity",
-    "load_dependent_friction": "load",
-    "presliding_hysteresis": "reversal",
-    "friction_coupling": "other velocity",
-    "rotor_inertia": "acceleration",
-    "inertia_coupling": "other acceleration",
-    "torque_ripple": "angle",
-    "spring": "position",
-    "torque_gain": "torque",
-    "time_delay": "torque rate",
-    "thermal_friction_drift": "time",
-    "torque_offset": "time",
-}
 _REMAINS = {
     "": "time",
     "constant": "time",
@@ -43,7 +23,6 @@ _REMAINS = {
     "reversal": "reversal",
     "time": "time",
 }
-_REACH = 8.0  # break-away distances from a reversal that show hysteresis
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,28 +46,23 @@ class Curve:
     rival: Array | None = None
 
 
-def curve_of(diagnosis: Diagnosis, item: Finding | Remainder) -> Curve:
+def curve_of(diagnosis: Diagnosis, item: Finding | Residual) -> Curve:
     """The figure that shows a finding, or what is left unexplained."""
-    moves = sliding(diagnosis.data.validate)
-    if isinstance(item, Remainder):
+    moves = diagnosis.held.moves
+    if isinstance(item, Residual):
         j = diagnosis.robot.joint_index(item.joint)
-        label, x = _abscissa(diagnosis, _REMAINS[item.domain], j)
-        return Curve(j, label, np.where(moves[:, j], x, np.nan), _left(diagnosis)[:, j])
+        label, x = _abscissa(diagnosis, _REMAINS[item.dominant], j)
+        return Curve(j, label, np.where(moves[:, j], x, np.nan), diagnosis.left[:, j])
     j, other = _shown(diagnosis, item)
     torque = item.torque[:, j]
-    domain = _TELLS.get(item.effect.name, "own torque")
+    domain = item.effect.abscissa
     if domain == "own torque":
         label = f"torque of the fitted {plain(item.effect.name)} [{diagnosis.data.unit}]"
         x = torque
     else:
         label, x = _abscissa(diagnosis, domain, j, other)
-    if domain == "reversal":
-        far = np.abs(x) > _REACH * getattr(item.effect, "distance", np.inf)
-        x = np.where(far & (far.mean() < 1), np.nan, x)
-    if domain == "angle":
-        period = 2 * np.pi / getattr(item.effect, "order", 1.0)
-        label, x = "joint position within one period of the ripple [rad]", np.mod(x, period)
-    x, residual = np.where(moves[:, j], x, np.nan), _left(diagnosis)[:, j] + torque
+    label, x = item.effect.drawn(label, x)
+    x, residual = np.where(moves[:, j], x, np.nan), diagnosis.left[:, j] + torque
     return Curve(j, label, x, residual, torque, _rival(diagnosis, item, j, residual))
 
 
@@ -100,19 +74,20 @@ def _rival(diagnosis: Diagnosis, finding: Finding, j: int, residual: Array) -> A
     would say nothing.
     """
     effects = [finding.effect, *(r.candidate.effect for r in finding.rivals[:1])]
-    alike = all(isinstance(e, JointwiseEffect) and "friction" in e.name for e in effects)
+    alike = all(e.jointwise and e.family == "friction" for e in effects)
     if len(effects) < 2 or not alike:
         return None
     model, segments = diagnosis.extension.model, diagnosis.data.validate
-    joint = (diagnosis.robot.joints[j],)
+    usual = standard_effects((diagnosis.robot.joints[j],))
+    beside = [e for e in usual if e.joint_property in ("viscous", "offset")]
     columns = np.concatenate(
         [
             np.concatenate([s.rows(partial(e.columns, model))[:, j] for s in segments])
-            for e in (effects[1], ViscousFriction(joint), TorqueOffset(joint))
+            for e in (effects[1], *beside)
         ],
         axis=1,
     )
-    rows = sliding(segments)[:, j]
+    rows = diagnosis.held.moves[:, j]
     sizes = np.sqrt((columns[rows] ** 2).sum(axis=0))
     live = columns[:, sizes > 0] / sizes[sizes > 0]
     if not live.shape[1]:
@@ -121,14 +96,10 @@ def _rival(diagnosis: Diagnosis, finding: Finding, j: int, residual: Array) -> A
     return fitted
 
 
-def _left(diagnosis: Diagnosis) -> Array:
-    return np.asarray(diagnosis.series.measured - diagnosis.predicted, float)
-
-
 def _shown(diagnosis: Diagnosis, finding: Finding) -> tuple[int, int]:
     """The joint where a cause shows most against what is left, and the other of a pair."""
-    joints = [diagnosis.robot.joint_index(joint) for joint in finding.effect.joints]
-    if isinstance(finding.effect, JointwiseEffect):
+    joints = finding.effect.rows(diagnosis.robot)
+    if finding.effect.jointwise:
         return joints[0], joints[0]
     size = np.sqrt((finding.torque**2).mean(axis=0)) / diagnosis.extended.rms
     shown = int(np.argmax(size))
@@ -142,7 +113,7 @@ def _abscissa(diagnosis: Diagnosis, domain: str, j: int, other: int = 0) -> tupl
     t, torque = diagnosis.series.t, diagnosis.predicted[:, j]
     way = np.sign(diagnosis.velocity[:, j])
     if domain == "reversal":
-        where = places(diagnosis.data.validate, diagnosis.predicted)
+        where = explanatory(diagnosis.data.validate, diagnosis.predicted)
         label = f"distance since the last reversal, signed by direction [{way_unit}]"
         return label, where.reversal[:, j]
     return {
@@ -154,7 +125,6 @@ def _abscissa(diagnosis: Diagnosis, domain: str, j: int, other: int = 0) -> tupl
             diagnosis.acceleration[:, other],
         ),
         "position": (f"joint position [{way_unit}]", diagnosis.position[:, j]),
-        "angle": (f"joint position [{way_unit}]", diagnosis.position[:, j]),
         "torque": (f"torque of the given model [{unit}]", diagnosis.simulated[:, j]),
         "torque rate": (f"rate of torque [{unit}/s]", np.gradient(torque, t)),
         "load": (f"size of the joint's torque, signed by direction [{unit}]", abs(torque) * way),

@@ -13,6 +13,7 @@ from excitant.reports.page import (
     PLAIN,
     POOR,
     Block,
+    Brief,
     Cell,
     Column,
     Fact,
@@ -74,7 +75,7 @@ def analyze_section(result: Result, series: Series) -> Section:
         "Identifiability",
         _lead(result),
         [
-            ("Key figures", [_facts(result), notes(_basis(result)), notes(said, brief=True)]),
+            ("Key figures", [_facts(result), notes(_basis(result)), notes(said, brief="")]),
             ("Parameters by link", [_matrix(result), None if links else _link_table(result)]),
             (
                 "With the given motion",
@@ -91,6 +92,7 @@ def analyze_section(result: Result, series: Series) -> Section:
             ),
             *links,
         ],
+        _brief(result),
     )
 
 
@@ -106,24 +108,37 @@ def links_folded(found: Section, result: Result) -> Section:
 
 
 def _lead(result: Result) -> str:
-    unique, none = (
-        sum(len(words(link, key)) for link in records(result, "links"))
-        for key in ("unique", "unidentifiable")
-    )
+    unique, none = _counts(result)
     total, base = real(result, "standard_parameters"), real(result, "base_parameters")
     if total is None or base is None:
         return "What torque can and cannot show of each link."
-    lead = (
+    return (
         f"Of {total:.0f} standard parameters, {unique} can be identified one by one and "
         f"{none} not at all; the others appear only in combinations, "
         f"{base:.0f} base parameters together."
     )
+
+
+def _brief(result: Result) -> Brief:
+    unique, none = _counts(result)
+    total, base = (text(result, key) for key in ("standard_parameters", "base_parameters"))
+    lines = [(
+        "identifiable", f"{base} combinations of {total} parameters; {unique} parameters uniquely, "
+        f"{none} not at all",
+    )]  # fmt: skip
     verdicts = [text(row, "verdict") for row in records(result, "practical")]
     if weak := verdicts.count("hardly"):
-        lead += f" This motion hardly shows {weak} of {len(verdicts)} combinations."
+        lines.append(("", f"this motion hardly shows {weak} of {len(verdicts)} combinations"))
     elif verdicts and "not_shown" not in verdicts:
-        lead += f" This motion shows all {len(verdicts)} combinations."
-    return lead
+        lines.append(("", f"this motion shows all {len(verdicts)} combinations"))
+    return tuple(lines)
+
+
+def _counts(result: Result) -> tuple[int, int]:
+    """Parameters that can be identified one by one, and not at all."""
+    links = records(result, "links")
+    unique, none = (sum(len(words(k, n)) for k in links) for n in ("unique", "unidentifiable"))
+    return unique, none
 
 
 def _facts(result: Result) -> Facts | None:

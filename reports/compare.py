@@ -263,6 +263,7 @@ def comparison_page(result: Result) -> Page:
             text(each, "title"),
             _count(each),
             [(text(t, "part"), [_table(t, letters)]) for t in records(each, "tables")],
+            ((text(each, "title"), _count(each)),),
         )
         for each in records(result, "sections")
     ]
@@ -274,6 +275,7 @@ def comparison_page(result: Result) -> Page:
         "are those to A.",
         tuple(block for block in blocks if block is not None),
         tuple(sections),
+        tuple(("note", remark) for remark in remarks),
     )
 
 

@@ -19,6 +19,7 @@ from excitant.reports.page import (
     GOOD,
     PLAIN,
     POOR,
+    Brief,
     Cell,
     Fact,
     Facts,
@@ -39,9 +40,11 @@ from excitant.reports.values import (
     Result,
     Series,
     at,
+    change,
     combination,
     items,
     joint_names,
+    listing,
     number,
     number4,
     percent,
@@ -74,7 +77,7 @@ def design_section(result: Result, series: Series) -> Section:
         "Excitation design",
         _lead(result),
         [
-            ("Key figures", [_facts(result), notes(words(result, "notes"), brief=True)]),
+            ("Key figures", [_facts(result), notes(words(result, "notes"), brief="")]),
             ("One motion per link", [_link_motions(result)]),
             *_motion(result, series),
             (
@@ -84,6 +87,7 @@ def design_section(result: Result, series: Series) -> Section:
             ("The search", [convergence_figure(result), _starts(result)]),
             ("Files", [files(words(result, "files"))]),
         ],
+        _brief(result),
     )
 
 
@@ -114,10 +118,14 @@ def check_section(result: Result, series: Series) -> Section:
             ),
             (
                 "Verdicts",
-                [notes([sentence(v) for v in words(result, "verdicts")], brief=True)],
+                [notes([sentence(v) for v in words(result, "verdicts")])],
             ),
             *_motion(result, series),
         ],
+        (
+            *zip(["checked", *[""] * 99], words(result, "verdicts"), strict=False),
+            ("", f"condition number {number(kappa)} ({text(result, 'columns')} columns)"),
+        ),
     )
 
 
@@ -141,22 +149,22 @@ def rehearse_section(result: Result, series: Series) -> Section:
                     )
                 ],
             ),
-            ("What to change", [notes(words(result, "advice"), FAIR, brief=True)]),
+            ("What to change", [notes(words(result, "advice"), FAIR, brief="to change")]),
             (
                 "Requirements",
                 [
                     table(
                         rows,
                         [
+                            ("text:Met", lambda r: _verdict(_met(r), "met", "NOT MET")),
                             ("name:Requirement", "name"),
                             ("name:Joint", "joint"),
-                            ("text:Met", lambda r: _verdict(_met(r), "met", "not met")),
                             ("text:Figures", "detail"),
                         ],
                         "The virtual arm has usual friction, rotor inertia, offsets and noise, and "
                         "inertias off by up to 5 %; one more effect changes later. The motion must "
                         "show all of it.",
-                        brief=True,
+                        brief="",
                     )
                 ],
             ),
@@ -187,6 +195,7 @@ def rehearse_section(result: Result, series: Series) -> Section:
                 [motion_figure(joint_names(result), result, series)],
             ),
         ],
+        (("passed" if passed else "failed", text(result, "headline")),),
     )
 
 
@@ -215,6 +224,19 @@ def _motion(result: Result, series: Series) -> Parts:
         ("Path of the tool", [space_figure(result, series)]),
         ("Excitation of the parameters", [spectrum_figure(series)]),
     ]
+
+
+def _brief(result: Result) -> Brief:
+    ends, scaled = (
+        change(*(at(result, key, which) for which in ("initial", "final")))
+        for key in ("condition_number", "condition_number_scaled")
+    )
+    used = max((ratio or 0.0 for ratio in _ratios(result)), default=None)
+    weak = [text(row, "name") for row in records(result, "weakest")[:3]]
+    return (
+        ("designed", f"condition number {ends}, limits used up to {percent(used, 4)}"),
+        *([("", f"with columns scaled {scaled}; excited least: {listing(weak)}")] if weak else []),
+    )
 
 
 def _lead(result: Result) -> str:

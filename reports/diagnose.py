@@ -106,6 +106,7 @@ def diagnose_section(result: Result, series: Series) -> Section:
             ("Notes", [notes(said)]),
             ("Files", [files(words(result, "extended", "files"))]),
         ],
+        (("diagnosed", text(result, "headline")),),
     )
 
 

@@ -23,6 +23,7 @@ from excitant.reports.page import (
     PLAIN,
     POOR,
     Block,
+    Brief,
     Cell,
     Fact,
     Facts,
@@ -108,7 +109,22 @@ def identify_section(result: Result, series: Series) -> Section:
             ("Physical consistency", [_physical(result)]),
             ("Files", [files(words(result, "files"))]),
         ],
+        _brief(result, unit),
     )
+
+
+def _brief(result: Result, unit: str) -> Brief:
+    rows = records(result, "joints")
+    given, found = (
+        sum(real(row, kind, "rms") or 0.0 for row in rows) for kind in ("baseline", "validate")
+    )
+    consistent = at(result, "physical", "consistent")
+    said = (
+        f"hold-out error, sum of joints, {number(given)} → {number(found)} {unit}, median r² "
+        f"{number(median(rows, 'validate', 'r2'), 4)}, "
+        f"{'physically consistent' if consistent else 'not physical'}"
+    )
+    return ("identified", said), ("", text(result, "holdout"))
 
 
 def fault_table(result: Result) -> Table | None:
@@ -122,7 +138,7 @@ def fault_table(result: Result) -> Table | None:
             ("text:Detail", "detail"),
         ],
         "Faults of the data, found before any model was judged by them.",
-        brief=True,
+        brief="data fault",
     )
 
 

@@ -55,7 +55,8 @@ class Table:
         rows: Cells, one per column.
         caption: One sentence that says what to see.
         folded: When not empty, the table is behind this line until opened.
-        brief: Whether the terminal shows it too, a line each row.
+        brief: Label under which the terminal shows every row as a line, its first cell when empty;
+            None where it shows none.
     """
 
     kind: ClassVar[str] = "table"
@@ -64,7 +65,7 @@ class Table:
     rows: tuple[tuple[Cell, ...], ...]
     caption: str = ""
     folded: str = ""
-    brief: bool = False
+    brief: str | None = None
 
 
 @dataclass(frozen=True)
@@ -160,7 +161,7 @@ class Notes:
     Attributes:
         sentences: What they say.
         tone: Judgement behind their colour, or ``lead`` for the headline of a page.
-        brief: Whether the terminal shows them too.
+        brief: Label under which the terminal shows them too; None where it does not.
         paths: Whether they are files, which texts leave out.
     """
 
@@ -168,7 +169,7 @@ class Notes:
 
     sentences: tuple[str, ...]
     tone: str = PLAIN
-    brief: bool = False
+    brief: str | None = None
     paths: bool = False
 
 
@@ -183,6 +184,7 @@ class Folded:
 
 
 Block = Table | Figure | Matrix | Facts | Notes | Folded
+Brief = tuple[tuple[str, str], ...]
 Parts = list[tuple[str, list[Block | None]]]
 
 
@@ -202,21 +204,24 @@ class Section:
         title: Heading.
         lead: The result in a sentence or two.
         parts: What supports it.
+        brief: The result for the terminal: label and words of each line.
     """
 
     title: str
     lead: str
     parts: tuple[Part, ...]
+    brief: Brief = ()
 
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report: title, subtitle, what comes first, and the sections."""
+    """A whole report: title, subtitle, what comes first, the sections, and last words."""
 
     title: str
     subtitle: str
     summary: tuple[Block, ...]
     sections: tuple[Section, ...]
+    brief: Brief = ()
 
 
 Source = str | Callable[[Result], Cell | str]
@@ -229,7 +234,7 @@ def table(
     caption: str = "",
     folded: str = "",
     *,
-    brief: bool = False,
+    brief: str | None = None,
 ) -> Table | None:
     """A table of records; None without any.
 
@@ -240,7 +245,7 @@ def table(
             that are None are left out.
         caption: One sentence that says what to see.
         folded: Line behind which the table waits to be opened.
-        brief: Whether the terminal shows it too.
+        brief: Label under which the terminal shows it too.
     """
     if not rows:
         return None
@@ -301,7 +306,7 @@ def facts(*found: Fact | None) -> Facts | None:
 
 
 def notes(
-    sentences: Sequence[str], tone: str = PLAIN, *, brief: bool = False, paths: bool = False
+    sentences: Sequence[str], tone: str = PLAIN, *, brief: str | None = None, paths: bool = False
 ) -> Notes | None:
     """Sentences, or None without any."""
     return Notes(tuple(sentences), tone, brief, paths) if sentences else None
@@ -313,7 +318,9 @@ def files(names: Sequence[str]) -> Notes | None:
     return notes([f"{name}: {use}" if use else name for name, use in said], paths=True)
 
 
-def section(title: str, lead: str, parts: Parts) -> Section:
+def section(title: str, lead: str, parts: Parts, brief: Brief = ()) -> Section:
     """A section without the blocks that are None and the parts that are left empty."""
     kept = [(heading, tuple(b for b in blocks if b is not None)) for heading, blocks in parts]
-    return Section(title, lead, tuple(Part(heading, blocks) for heading, blocks in kept if blocks))
+    return Section(
+        title, lead, tuple(Part(heading, blocks) for heading, blocks in kept if blocks), brief
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING
@@ -82,23 +82,23 @@ def summary(page: Page) -> str:
 
 def brief(page: Page) -> str:
     """What a page comes to, in a few lines for the terminal."""
-    if len(page.sections) == 1:
-        (only,) = page.sections
-        return "\n".join([f"{page.title}: {only.lead}", *_brief(only)])
-    lines = [page.title]
-    for section in page.sections:
-        lines += [f"{section.title}: {section.lead}", *_brief(section)]
-    return "\n".join(lines)
+    lines = [line for section in page.sections for line in _brief(section)]
+    return "\n".join(f"{label:<13}{words}".rstrip() for label, words in (*lines, *page.brief))
 
 
-def _brief(section: Section) -> list[str]:
-    lines = []
+def _brief(section: Section) -> Iterator[tuple[str, str]]:
+    yield from section.brief
     for block in (block for part in section.parts for block in part.blocks):
-        if isinstance(block, Notes) and block.brief:
-            lines += [f"  {sentence}" for sentence in block.sentences]
-        elif isinstance(block, Table) and block.brief:
-            lines += [f"  {': '.join(c.text for c in row if c.text != NONE)}" for row in block.rows]
-    return lines
+        if isinstance(block, Notes) and block.brief is not None:
+            yield from ((block.brief, sentence) for sentence in block.sentences)
+        elif isinstance(block, Table) and block.brief is not None:
+            for row in block.rows:
+                label, cells = block.brief, list(zip(block.columns, row, strict=True))
+                if not label:
+                    label, cells = row[0].text, cells[1:]
+                known = [(kind, cell.text) for (_, kind), cell in cells if cell.text != NONE]
+                names = ", ".join(words for kind, words in known if kind == "name")
+                yield label, ": ".join([names, *(words for kind, words in known if kind != "name")])
 
 
 def _plain(line: str) -> str:
@@ -119,7 +119,8 @@ def _block(block: Block) -> list[str]:
     """Lines of one block; none for figures."""
     match block:
         case Notes():
-            return [] if block.paths else [f"    {sentence}" for sentence in block.sentences]
+            label = f"{block.brief}: " if block.brief else ""
+            return [f"    {label}{said}" for said in block.sentences if not block.paths]
         case Facts():
             return [
                 f"    {fact.label:<{_LABEL}} = {fact.value}"

@@ -56,17 +56,21 @@ def robot_section(result: Result, series: Series) -> Section:
             ("Joints", [_joints(result)]),
             ("Links", [_links(result)]),
             ("Friction and drives", [_effects(result)]),
-            ("Sources", [notes([each for each in [text(result, "sources")] if each])]),
+            ("Sources", [notes(words(result, "sources"))]),
         ],
+        (
+            (
+                "checked",
+                f"{_count(len(records(result, 'joints')), 'joint')}, "
+                f"{quantity(at(result, 'total_mass'), 'kg', 4)}. {_verdict(result)}",
+            ),
+        ),
     )
 
 
 def _said(result: Result, hint: bool) -> list[str]:
     return [
-        sentence(
-            f"{'hint' if hint else 'WARNING'}: {listing(words(row, 'where'))}: "
-            f"{text(row, 'sentence')}"
-        )
+        sentence(f"{listing(words(row, 'where'))}: {text(row, 'sentence')}")
         for row in records(result, "warnings")
         if (at(row, "hint") is True) == hint
     ]
@@ -78,14 +82,16 @@ def _lead(result: Result) -> str:
     what = _count(len(joints), "joint") + (f" ({sliding} of them sliding)" if sliding else "")
     mass = quantity(at(result, "mass"), "kg", 4)
     lead = f"{kind[:1].upper()}{kind[1:]}: {what}, {mass} of moving links"
+    return f"{lead}. {_verdict(result)}"
+
+
+def _verdict(result: Result) -> str:
     found, hints = len(_said(result, False)), len(_said(result, True))
     if found:
-        return (
-            f"{lead}. {_count(found, 'thing')} in its description look{'s' * (found == 1)} wrong."
-        )
+        return f"{_count(found, 'thing')} in its description look{'s' * (found == 1)} wrong."
     if hints:
-        return f"{lead}. No warning, and {_count(hints, 'hint')} about its description."
-    return f"{lead}. Nothing in its description looks wrong."
+        return f"No warning, and {_count(hints, 'hint')} about its description."
+    return "Nothing in its description looks wrong."
 
 
 def _count(n: int, what: str) -> str:
@@ -120,8 +126,8 @@ def _warnings(result: Result) -> list[Block | None]:
     )
     return [
         notes([] if found else [sound], GOOD),
-        notes(found, POOR, brief=True),
-        notes(hints, FAIR, brief=True),
+        notes(found, POOR, brief="WARNING"),
+        notes(hints, FAIR, brief="hint"),
         notes(words(result, "notes")),
     ]
 

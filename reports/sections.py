@@ -76,9 +76,10 @@ def _demo_page(result: Result, series: Series) -> Page:
         if isinstance(at(result, verb), dict)
     )
     headline = text(result, "diagnose", "headline")
+    hidden, named = _hidden(result), at(result, "verdict", "correct") is True
     blocks: list[Block | None] = [
         notes([headline] if headline else [], "lead"),
-        facts(_hidden(result), _verdict(result), _holdout(result), _condition(result)),
+        facts(hidden, _verdict(result), _holdout(result), _condition(result)),
     ]
     return Page(
         f"Demonstration: {robot}" if robot else "Demonstration",
@@ -87,6 +88,7 @@ def _demo_page(result: Result, series: Series) -> Page:
         "gets wrong was diagnosed" + (f" (seed {seed})." if seed else "."),
         tuple(block for block in blocks if block is not None),
         sections,
+        (("hidden", f"{hidden.value} (seed {seed}): {'' if named else 'not '}named"),),
     )
 
 

@@ -104,7 +104,7 @@ def identify(
     )
     from excitant.identify.estimator_choice import AUTO as CONTEST
     from excitant.identify.estimators import estimator_named
-    from excitant.identify.export import DEFAULT_FORMATS, FORMATS
+    from excitant.identify.export import FORMATS
     from excitant.identify.faults import read_checked
     from excitant.identify.rows import fitted
 
@@ -179,7 +179,7 @@ def identify(
 
         result |= drive_result(drive)
         notes.append(drive.sentence(arm.joints))
-    published = publication(estimate, formats=formats or DEFAULT_FORMATS, force=force)
+    published = publication(estimate, formats=formats or FORMATS, force=force)
     result["published"] = published.published
     result["notes"] += notes + ([published.note] if published.note else [])
     folder = run.folder("identify", estimate.given.name)
@@ -279,7 +279,7 @@ def analyze(
         measured: Joints whose torque is measured; default: all.
         columns: All that identify estimates, or the links only.
     """
-    from excitant.analysis import identifiability, identifiability_result
+    from excitant.analysis import identifiability
     from excitant.robots.effects import standard_effects
 
     if trajectory and recording:
@@ -300,9 +300,9 @@ def analyze(
 
         given["motion"] = sampled(load_trajectory(trajectory, arm))
     found = identifiability.analyze(arm, effects=effects, **given)
-    result = identifiability_result.analyze_result(found)
+    result = found.result()
     result["notes"] += notes
-    series = identifiability_result.analyze_series(found)
+    series = found.series()
     run.finish(run.folder("analyze", arm.name), result, series, {})
 
 

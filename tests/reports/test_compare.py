@@ -126,7 +126,7 @@ def test_findings_of_one_run_alone_are_seen(make):
     assert {s["title"] for s in result["sections"]} == {
         "Excitation design", "Identification", "Identifiability", "Diagnosis"
     }  # fmt: skip
-    assert len(brief(page).splitlines()) == 5
+    assert len(brief(page).splitlines()) == 4
 
 
 def test_two_models_differ_in_what_was_changed():

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from excitant.design import design, design_result, design_series
+from excitant.design import design
 from excitant.reports import html, page_of, summary
 from excitant.reports.drawing import style
 from excitant.reports.motion_figures import envelope_of, motion_figure
@@ -40,7 +40,7 @@ def saved():
     limits = robot.limits
     free = Limits(limits.position, limits.velocity, limits.acceleration, limits.torque * np.inf)
     found = design(robot.with_limits(free), harmonics=3, starts=2, jobs=1, criterion="d")
-    result, series = design_result(found), design_series(found)
+    result, series = found.result(), found.series()
     return found, result, series, render(result, series)
 
 

@@ -92,29 +92,35 @@ def test_terminal_shows_leads_and_what_is_marked():
     part = Part(
         "Part",
         (
-            Notes(("Shown.",), brief=True),
+            Notes(("Shown.",), brief="hint"),
             Notes(("Hidden.",)),
             Facts((Fact("a", "1"),)),
-            Table(heads, rows, brief=True),
+            Table(heads, rows, brief="fault"),
+            Table(heads, rows, brief=""),
             Table(heads, rows),
         ),
     )
-    page = Page("Title", "", (), (Section("Verb", "Lead.", (part,)),))
-    assert brief(page).splitlines() == ["Title: Lead.", "  Shown.", "  run1: dead channel"]
-    both = Page("Title", "", (), (Section("One", "A.", ()), Section("Two", "B.", ())))
-    assert brief(both).splitlines() == ["Title", "One: A.", "Two: B."]
+    section = Section("Verb", "Lead.", (part,), (("done", "well"), ("", "so far")))
+    assert brief(Page("Title", "", (), (section,), (("last", "word"),))).splitlines() == [
+        "done         well",
+        "             so far",
+        "hint         Shown.",
+        "fault        run1, dead channel",
+        "run1         dead channel",
+        "last         word",
+    ]
 
 
 def test_terminal_says_what_every_verb_came_to(make):
     for verb, words in {
-        "design": "condition number of 9.31",
-        "check": "exceeds limits of seven_joint_arm",
-        "identify": "of the measured torque on the hold-out",
-        "analyze": "can be identified one by one",
-        "diagnose": "elbow_joint has Stribeck friction",
-        "demo": "Demonstration: seven_joint_arm",
+        "design": "designed     condition number 171 → 9.31, limits used up to 100 %",
+        "check": "checked      velocity of elbow_joint reaches 131 % of its limit",
+        "identify": "identified   hold-out error, sum of joints, ",
+        "analyze": "identifiable 43 combinations of 70 parameters; ",
+        "diagnose": "diagnosed    elbow_joint has Stribeck friction",
+        "demo": "hidden       Stribeck friction at elbow_joint (seed 7): named",
     }.items():
-        assert words in brief(page_of(*make[verb]()))
+        assert words in brief(page_of(make[verb]()[0], {})).replace("\u00a0", " ")
 
 
 def test_missing_keys_are_none():
