@@ -113,7 +113,7 @@ def test_terminal_shows_leads_and_what_is_marked():
 
 def test_terminal_says_what_every_verb_came_to(make):
     for verb, words in {
-        "design": "designed     condition number 171 → 9.31, limits used up to 100 %",
+        "design": "designed     condition number 171 → 9.31, limits used up to 100.0 %",
         "check": "checked      velocity of elbow_joint reaches 131 % of its limit",
         "identify": "identified   hold-out error, sum of joints, ",
         "analyze": "identifiable 43 combinations of 70 parameters; ",
