@@ -8,7 +8,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from matplotlib.collections import PolyCollection
 
 from excitant.reports.drawing import (
     AMBER,
@@ -18,14 +17,25 @@ from excitant.reports.drawing import (
     MEASURED,
     axes,
     axes_3d,
+    equal_axes,
     fill_3d,
     label_y,
     panel,
     thin_path,
 )
-from excitant.reports.model import Figure, Key, Panel
-from excitant.reports.reading import Result, Series, at, real, reals, records, text
-from excitant.reports.wording import listing, quantity
+from excitant.reports.page import Figure, Key, Panel
+from excitant.reports.values import (
+    Result,
+    Series,
+    array,
+    at,
+    listing,
+    quantity,
+    real,
+    reals,
+    records,
+    text,
+)
 from excitant.robots.motion import Array
 
 _VIEWS = (("from above", 0, 1), ("from the side", 0, 2))
@@ -63,11 +73,11 @@ class _Cell:
 
 def space_figure(result: Result, series: Series) -> Figure | None:
     """The tool's path in perspective, and from above and from the side unless seen on edge."""
-    tool, arm = _points(series, "tool", 2), _points(series, "arm", 3)
-    if tool is None:
+    tool, arm = array(series, "tool", None, 3), array(series, "arm", None, None, 3)
+    if tool is None or not np.isfinite(tool).all():
         return None
     arm = np.empty((0, 1, 3)) if arm is None else arm
-    others = _points(series, "other_tools", 3)
+    others = array(series, "other_tools", None, None, 3)
     paths = (tool, *(() if others is None else np.swapaxes(others, 0, 1)))
     every = np.concatenate([*paths, arm.reshape(-1, 3), np.zeros((1, 3))])
     low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
@@ -75,38 +85,37 @@ def space_figure(result: Result, series: Series) -> Figure | None:
     obstacles = records(result, "obstacles")
     bounded = [o for o in obstacles if text(o, "shape") != "half_space"]
     low, high = _extent(low, high, [solid_of(o, centre, reach, low, high) for o in bounded])
-    seen = [(o, solid_of(o, centre, reach, low, high)) for o in obstacles]
+    seen = [(text(o, "name"), solid_of(o, centre, reach, low, high)) for o in obstacles]
     solids = tuple(solid for _, solid in seen if solid is not None)
     low, high = _extent(low, high, solids)
     cell = _Cell(paths, arm, _near_pose(result, series, len(arm)), solids, low, high)
-    names = [text(obstacle, "name") for obstacle, solid in seen if solid is not None]
-    hidden = [text(obstacle, "name") for obstacle, solid in seen if solid is None]
+    names = [name for name, solid in seen if solid is not None]
     label = f"path of the tool with {len(arm)} poses of the arm"
     label += f" and obstacles {listing(names)}" if names else ""
-    panels = [_perspective(cell, label)]
     size = cell.high - cell.low
+    panels = [_perspective(cell, label)]
     panels += [
         _view(cell, f"{name}: {label}", name, x, y)
         for name, x, y in _VIEWS
         if min(size[x], size[y]) > _FLAT * size.max()
     ]
+    hidden = [name for name, solid in seen if solid is None]
     return Figure(tuple(panels), _caption(result, cell, hidden), _legend(cell))
 
 
 def _legend(cell: _Cell) -> tuple[Key, ...]:
-    legend = [Key("line", FITTED, "path of the tool")]
-    if len(cell.arm) > (cell.near is not None):
-        legend.append(Key("line", LIGHT, "arm at some instants"))
-    if cell.near is not None:
-        legend.append(Key("line", MEASURED, "arm where the clearance is least"))
-    if any(solid.inside for solid in cell.solids):
-        legend.append(Key("dash", GREEN, "workspace of the tool"))
-    if not all(solid.inside for solid in cell.solids):
-        legend.append(Key("box", AMBER, "obstacle"))
-    return tuple(legend)
+    some = len(cell.arm) > (cell.near is not None)
+    inside = [solid.inside for solid in cell.solids]
+    return (
+        Key("line", FITTED, "path of the tool"),
+        *[Key("line", LIGHT, "arm at some instants")] * some,
+        *[Key("line", MEASURED, "arm where the clearance is least")] * (cell.near is not None),
+        *[Key("dash", GREEN, "workspace of the tool")] * any(inside),
+        *[Key("box", AMBER, "obstacle")] * (not all(inside)),
+    )
 
 
-def _caption(result: Result, cell: _Cell, hidden: Sequence[str]) -> str:
+def _caption(result: Result, cell: _Cell, hidden: list[str]) -> str:
     span = " and ".join(
         " × ".join(f"{size:.2f}" for size in np.ptp(path, axis=0)) for path in cell.paths
     )
@@ -119,25 +128,14 @@ def _caption(result: Result, cell: _Cell, hidden: Sequence[str]) -> str:
             f"{quantity(1000 * distance, 'mm')} apart "
             f"in the sampled pose at {quantity(at(result, 'closest', 't'), 's')}"
         )
-    outside = f" Not in the picture, farther away: {listing(list(hidden))}." if hidden else ""
+    outside = f" Not in the picture, farther away: {listing(hidden)}." if hidden else ""
     return f"{sentence}.{outside}"
-
-
-def _points(series: Series, key: str, dimensions: int) -> Array | None:
-    values = series.get(key)
-    if values is None or not np.issubdtype(np.asarray(values).dtype, np.number):
-        return None
-    array = np.asarray(values, float)
-    fits = array.ndim == dimensions and array.shape[-1] == 3 and array.size > 0
-    if dimensions == 2:
-        return array if fits and np.isfinite(array).all() else None
-    return array if fits and np.isfinite(array).any() else None
 
 
 def _near_pose(result: Result, series: Series, poses: int) -> int | None:
     """The pose at the instant of least clearance, if one is."""
-    when, t = real(result, "closest", "t"), np.asarray(series.get("arm_t", ()), float)
-    if when is None or len(t) != poses or not poses:
+    when, t = real(result, "closest", "t"), array(series, "arm_t", poses)
+    if when is None or t is None:
         return None
     k = int(np.abs(t - when).argmin())
     return k if abs(t[k] - when) < 0.05 else None
@@ -162,7 +160,11 @@ def solid_of(
     if shape == "sphere":
         return _sphere(obstacle, centre, reach)
     if shape == "workspace":
-        return _workspace(obstacle, centre, reach)
+        first, last = _vector(obstacle, "low"), _vector(obstacle, "high")
+        if first is None or last is None:
+            return None
+        _, edges = _block(np.maximum(first, centre - reach), np.minimum(last, centre + reach))
+        return Solid((), tuple(edges), inside=True)
     return _plane(obstacle, low, high, reach) if shape == "half_space" else None
 
 
@@ -172,17 +174,18 @@ def _vector(obstacle: Result, key: str) -> Array | None:
 
 
 def _box(obstacle: Result, centre: Array, reach: float) -> Solid | None:
+    import pinocchio as pin
+
     size, position = _vector(obstacle, "size"), _vector(obstacle, "position")
     if size is None or position is None:
         return None
     rpy = _vector(obstacle, "rpy")
-    R = np.eye(3) if rpy is None else _rotation(rpy)
+    R = np.eye(3) if rpy is None else pin.rpy.rpyToMatrix(rpy)
     middle = R.T @ (centre - position)
     low, high = np.maximum(-size / 2, middle - reach), np.minimum(size / 2, middle + reach)
     if (low >= high).any():
         return None
-    faces, edges = _block(low, high)
-    faces, edges = ([position + p @ R.T for p in group] for group in (faces, edges))
+    faces, edges = ([position + p @ R.T for p in group] for group in _block(low, high))
     return Solid(tuple(faces), tuple(edges))
 
 
@@ -199,14 +202,6 @@ def _block(low: Array, high: Array) -> tuple[list[Array], list[Array]]:
         if a < b and sum(i != j for i, j in zip(a, b, strict=True)) == 1
     ]
     return faces, edges
-
-
-def _workspace(obstacle: Result, centre: Array, reach: float) -> Solid | None:
-    low, high = _vector(obstacle, "low"), _vector(obstacle, "high")
-    if low is None or high is None:
-        return None
-    _, edges = _block(np.maximum(low, centre - reach), np.minimum(high, centre + reach))
-    return Solid((), tuple(edges), inside=True)
 
 
 def _sphere(obstacle: Result, centre: Array, reach: float) -> Solid | None:
@@ -233,28 +228,15 @@ def _plane(obstacle: Result, low: Array, high: Array, reach: float) -> Solid | N
     u = np.cross(n, np.eye(3)[int(np.abs(n).argmin())])
     u /= np.linalg.norm(u)
     v = np.cross(n, u)
-    spans = [(float((corners @ w).min()), float((corners @ w).max())) for w in (u, v)]
-    (a, b), (e, f) = spans
+    (a, b), (e, f) = (((corners @ w).min(), (corners @ w).max()) for w in (u, v))
     loop = np.array([d * n + x * u + y * v for x, y in ((a, e), (a, f), (b, f), (b, e))])
     return Solid((loop,), (np.vstack([loop, loop[:1]]),))
 
 
-def _rotation(rpy: Array) -> Array:
-    """Rotation matrix of roll, pitch and yaw about fixed axes, as in URDF."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    roll = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    pitch = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    yaw = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    turned: Array = yaw @ pitch @ roll
-    return turned
-
-
 def _extent(low: Array, high: Array, solids: Sequence[Solid | None]) -> tuple[Array, Array]:
     corners = [edge for solid in solids if solid is not None for edge in solid.edges]
-    if not corners:
-        return low, high
-    points = np.concatenate(corners)
-    return np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
+    points = np.concatenate([low[None], high[None], *corners])
+    return points.min(axis=0), points.max(axis=0)
 
 
 def _perspective(cell: _Cell, label: str) -> Panel:
@@ -268,16 +250,14 @@ def _perspective(cell: _Cell, label: str) -> Panel:
 
 
 def _view(cell: _Cell, label: str, name: str, x: int, y: int) -> Panel:
+    from matplotlib.collections import PolyCollection
+
     (ax,) = axes(3.3)
     for solid in cell.solids:
         polygons = [face[:, [x, y]] for face in solid.faces]
         ax.add_collection(PolyCollection(polygons, facecolor=AMBER, alpha=0.13, lw=0))
     _draw(ax, cell, (x, y))
-    size, middle = (cell.high - cell.low)[[x, y]], ((cell.high + cell.low) / 2)[[x, y]]
-    box = ax.get_window_extent()
-    scale = 1.06 * float(max(size[0] / box.width, size[1] / box.height))
-    ax.set_xlim(middle[0] - scale * box.width / 2, middle[0] + scale * box.width / 2)
-    ax.set_ylim(middle[1] - scale * box.height / 2, middle[1] + scale * box.height / 2)
+    equal_axes(ax, cell.low[[x, y]], cell.high[[x, y]], 1.06)
     ax.set_xlabel(f"{'xyz'[x]} [m]")
     label_y(ax, f"{'xyz'[y]} [m]")
     return panel(ax, label, name)

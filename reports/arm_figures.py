@@ -1,17 +1,26 @@
-"""A picture of an arm: its solids, joints and axes, seen from several sides."""
+"""Pictures of an arm, of one link in it, and of how its base parameters go together."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
-from excitant.reports.drawing import FITTED, GIVEN, MEASURED, axes, label_y, panel
-from excitant.reports.model import Figure, Key, Panel
-from excitant.reports.reading import Series
+from excitant.reports.drawing import (
+    FITTED,
+    GIVEN,
+    LIGHT,
+    MEASURED,
+    WIDTH,
+    axes,
+    equal_axes,
+    label_y,
+    panel,
+    svg_panel,
+)
+from excitant.reports.page import Figure, Key, Panel
+from excitant.reports.values import Series, array
 from excitant.robots.motion import Array
 
 _FILLS = ("#c3dcec", "#e3e7ea")  # by turns, so that neighbours differ
@@ -21,7 +30,8 @@ _ROUND = np.linspace(0, 2 * np.pi, 33)
 _AXIS = 0.13  # of the picture: length of a joint's axis
 _PAPER = {"boxstyle": "square,pad=0.08", "fc": "white", "ec": "none", "alpha": 0.75}
 _TOGETHER = 0.09  # of the picture: joints nearer than this share a label
-_HEIGHT = 3.3  # inch
+_HEIGHT, _LINK_HEIGHT = 3.3, 1.75  # inch
+_FLAT = 0.05  # of the arm's extent: below it there is nothing to see in that direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,29 +101,26 @@ def arm_figure(series: Series) -> Figure | None:
 
 
 def _arm(series: Series, name: str) -> _Arm | None:
-    found = []
-    for key, width in (("points", 3), ("axes", 3), ("solids", 8)):
-        values = series.get(f"{name}_{key}")
-        if values is None or not np.issubdtype(np.asarray(values).dtype, np.number):
-            return None
-        array = np.asarray(values, float)
-        if array.ndim != 2 or array.shape[1] != width or not np.isfinite(array).all():
-            return None
-        found.append(array)
-    points, directions, solids = found
-    if len(points) != len(directions) + 2:
+    points, directions = (array(series, f"{name}_{key}", None, 3) for key in ("points", "axes"))
+    solids = np.asarray(series.get(f"{name}_solids", np.empty((0, 8))), dtype=float)
+    if points is None or directions is None or len(points) != len(directions) + 2:
         return None
-    return _Arm(points, directions, solids)
+    parts = (points, directions, solids)
+    known = solids.ndim == 2 and solids.shape[1] == 8 and all(np.isfinite(x).all() for x in parts)
+    return _Arm(*parts) if known else None
 
 
 def _panel(arm: _Arm, view: _View, title: str) -> Panel:
     (ax,) = axes(_HEIGHT, left=0.6 if view.labels else 0.12)
-    low, high = _extent(arm, view)
-    size = _frame(ax, low, high, view)
+    size = equal_axes(ax, *_extent(arm, view), 1.14)
+    if view.labels is None:
+        ax.axis("off")
+    else:
+        ax.set_xlabel(f"{view.labels[0]} [m]")
+        label_y(ax, f"{view.labels[1]} [m]")
     _draw_solids(ax, arm, view)
     _draw_chain(ax, arm, view, size)
-    joints = len(arm.axes)
-    return panel(ax, f"the arm with {joints} joints {title}", title)
+    return panel(ax, f"the arm with {len(arm.axes)} joints {title}", title)
 
 
 def _extent(arm: _Arm, view: _View) -> tuple[Array, Array]:
@@ -124,21 +131,6 @@ def _extent(arm: _Arm, view: _View) -> tuple[Array, Array]:
         low = np.minimum(low, ends.min(axis=0) - solid[7])
         high = np.maximum(high, ends.max(axis=0) + solid[7])
     return low, high
-
-
-def _frame(ax: Any, low: Array, high: Array, view: _View) -> float:
-    """One scale for both directions; how much of the arm's space the picture shows [m]."""
-    box = ax.get_window_extent()
-    middle, span = (low + high) / 2, np.maximum(high - low, 1e-3)
-    scale = 1.14 * float(max(span[0] / box.width, span[1] / box.height))
-    ax.set_xlim(middle[0] - scale * box.width / 2, middle[0] + scale * box.width / 2)
-    ax.set_ylim(middle[1] - scale * box.height / 2, middle[1] + scale * box.height / 2)
-    if view.labels is None:
-        ax.axis("off")
-    else:
-        ax.set_xlabel(f"{view.labels[0]} [m]")
-        label_y(ax, f"{view.labels[1]} [m]")
-    return scale * float(min(box.width, box.height))
 
 
 def _draw_solids(ax: Any, arm: _Arm, view: _View) -> None:
@@ -158,6 +150,8 @@ def _outline(ends: Array, radius: float) -> Array:
         ends: Both ends in coordinates of the screen, shape (2, 3) [m].
         radius: Radius [m].
     """
+    from scipy.spatial import ConvexHull
+
     along = ends[1] - ends[0]
     length = float(np.linalg.norm(along))
     z = along / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
@@ -209,6 +203,99 @@ def _clusters(points: Array, near: float) -> list[list[int]]:
     return groups
 
 
-def joint_labels(names: Sequence[str]) -> list[str]:
-    """Names with the numbers that the picture shows."""
-    return [f"{k}.\u00a0{name}" for k, name in enumerate(names, start=1)]
+def side_view(chain: Array) -> tuple[Array, str]:
+    """An arm in the plane that shows most of it, upright where it has any height.
+
+    Args:
+        chain: Points of base, joints and tip, shape (points, 3) [m].
+
+    Returns:
+        Points in the picture, shape (points, 2), and the view in words.
+    """
+    size = float(np.ptp(chain, axis=0).max())
+    level = chain[:, :2] - chain[:, :2].mean(axis=0)
+    along = np.linalg.svd(level)[2][0]
+    along = along * np.sign(along[np.argmax(np.abs(along))])
+    if np.ptp(chain[:, 2]) > _FLAT * size:
+        return np.column_stack([chain[:, :2] @ along, chain[:, 2]]), "from the side"
+    return chain[:, :2], "from above"
+
+
+def chain_figure(series: Series, index: int, name: str, caption: str) -> Figure | None:
+    """The arm as a line with one link in colour.
+
+    Args:
+        series: With ``chain``, points of base, joints and tip, shape (nv + 2, 3) [m].
+        index: Which link, from 0.
+        name: Of the link.
+        caption: One sentence that says what to see.
+    """
+    chain = array(series, "chain", None, 3)
+    if chain is None or not np.isfinite(chain).all() or index + 2 >= len(chain):
+        return None
+    flat, view = side_view(chain)
+    width, height = 72 * WIDTH, 72 * _LINK_HEIGHT
+    low, size = flat.min(axis=0), np.maximum(np.ptp(flat, axis=0), 1e-9)
+    scale = 0.85 * float(np.min(np.array([width, height]) / np.maximum(size, 1e-3 * size.max())))
+    points = (flat - low - size / 2) * [scale, -scale] + [width / 2, height / 2]
+    own = points[index + 1 : index + 3]
+    shapes = [
+        _line(points[[0, 0]] + [[-8.0, 0.0], [8.0, 0.0]], MEASURED, 3.0),
+        _line(points, LIGHT, 4.0),
+        *(_disc(p, 2.1, "#ffffff", MEASURED) for p in points[1:-1]),
+        _line(own, FITTED, 5.5),
+        _disc(own[0], 3.3, FITTED, "#ffffff"),
+    ]
+    legend = [Key("line", FITTED, "this link"), Key("dot", FITTED, "its joint")]
+    if np.ptp(own, axis=0).max() < 0.01 * np.ptp(points, axis=0).max():
+        caption += " It has no length in this view: the next joint lies at the same place."
+        legend = legend[1:]
+    label = f"{name} in the chain, {view}"
+    return Figure((svg_panel(shapes, width, height, label),), caption, tuple(legend))
+
+
+def _line(points: Array, colour: str, width: float) -> str:
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    return (
+        f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="{width}" '
+        'stroke-linejoin="round" stroke-linecap="round"/>'
+    )
+
+
+def _disc(centre: Array, radius: float, fill: str, edge: str) -> str:
+    x, y = centre
+    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{fill}" stroke="{edge}"/>'
+
+
+def correlation_figure(series: Series) -> Figure | None:
+    """Correlations of the base parameters as a map of colours."""
+    matrix = array(series, "correlation", None, None)
+    if matrix is None or matrix.shape[0] != matrix.shape[1]:
+        return None
+    from matplotlib.colors import LinearSegmentedColormap
+
+    r = len(matrix)
+    (ax,) = axes(3.75, left=0.42)
+    ends = (0.5, r + 0.5)
+    ax.imshow(
+        np.nan_to_num(matrix),
+        cmap=LinearSegmentedColormap.from_list("signed", [FITTED, "#ffffff", GIVEN]),
+        vmin=-1,
+        vmax=1,
+        interpolation="nearest",
+        extent=(*ends, *ends[::-1]),
+        aspect="equal",
+    )
+    ax.grid(visible=False)
+    ax.set_xlabel("number of the base parameter")
+    strong = int((np.abs(np.triu(matrix, 1)) > 0.9).sum())
+    return Figure(
+        (panel(ax, f"correlations of {r} base parameters; {strong} pairs beyond 0.9"),),
+        "Correlation of the estimates of each two base parameters, numbered as in the table of "
+        "all: a strong colour off the diagonal means that this motion shows the two mostly "
+        "together, so that one can make up for the other.",
+        (
+            Key("box", GIVEN, "rise together (+1)"),
+            Key("box", FITTED, "one rises, the other falls (−1)"),
+        ),
+    )
