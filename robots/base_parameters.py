@@ -17,7 +17,6 @@ from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, read_only
@@ -182,7 +181,7 @@ def observe(
     sizes = np.abs(W[:, :, :p]).max(axis=(1, 2), keepdims=True)
     W /= np.where(sizes > 0, sizes, 1.0)
     W = W if rows is None else W[:, rows]
-    R = scipy.linalg.qr(W.reshape(-1, W.shape[2]), mode="r")[0][: W.shape[2]]
+    R = np.linalg.qr(W.reshape(-1, W.shape[2]), mode="r")
     unit = _units(np.linalg.norm(R, axis=0), p)
     R = R / unit
     unit[:p] *= np.tile(length ** (2.0 - LENGTH_POWERS), robot.nv)
@@ -216,7 +215,7 @@ def regroup(observation: Observation, tolerance: float = TOLERANCE) -> BaseParam
         observation.names,
         found,
         read_only(B),
-        read_only(scipy.linalg.null_space(B)),
+        read_only(np.linalg.svd(B)[2][len(columns) :].T),
         (float(parts[columns].min(initial=1.0)), float(rejected.max(initial=0.0))),
     )
 
