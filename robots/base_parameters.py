@@ -21,14 +21,24 @@ import numpy.typing as npt
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.robot import Robot
-from excitant.robots.scale import LENGTH_POWERS, arm_length
 from excitant.robots.torque import column_names, observation_columns
 
 TOLERANCE = 1e-8  # of the longest column; double precision leaves about 1e-14
 _STATES = 600
+_PRESENT = 1e-10  # of a column's largest entry: the torque contains it
 _SLOWEST = -3.0  # decades below the limit, so that friction at low speed shows its shape
 _DIGITS = 12  # of a coefficient that random states leave certain
 _DENOMINATOR = 12  # largest of a fraction in an expression
+
+
+LENGTH_POWERS = read_only([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+"""Power of length in the unit of each standard parameter, shape (10,)."""
+
+
+def arm_length(robot: Robot) -> float:
+    """Length of an arm, from its first joint to its last along the links; 1 m when zero [m]."""
+    steps = [np.linalg.norm(place.translation) for place in list(robot.model.jointPlacements)[2:]]
+    return float(sum(steps)) or 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,3 +272,20 @@ def categories(base: BaseParameters) -> tuple[str, ...]:
         "unidentifiable" if not s else "unique" if a else "combined"
         for s, a in zip(shown, alone, strict=True)
     )
+
+
+def last_rows(
+    robot: Robot, effects: Sequence[Effect], base: BaseParameters
+) -> npt.NDArray[np.intp]:
+    """The last joint whose torque contains each base parameter, shape (r,).
+
+    By Property 4 of Khosla (1987) no torque of a joint contains links before it. A base parameter
+    counts for the first link it can be written with, so this is that link's joint: what the
+    torque of joint i can show of it, once the links further out are known, are the base
+    parameters whose last row is i.
+    """
+    q, dq, ddq = robot.random_motion(np.random.default_rng(1), 100)
+    W = observation_columns(robot, effects, Motion(np.arange(100.0), q, dq, ddq))
+    size = np.abs(W[:, :, list(base.columns)]).max(axis=0)
+    present = size > _PRESENT * size.max(axis=0)
+    return np.asarray(robot.nv - 1 - np.argmax(present[::-1], axis=0), np.intp)
