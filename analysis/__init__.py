@@ -2,7 +2,8 @@
 
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series, headline
+from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series
+from excitant.analysis.headline import headline
 from excitant.analysis.identifiability import Identifiability, analyze
 from excitant.analysis.identifiability_result import analyze_result, analyze_series
 from excitant.analysis.partial import identify_shown

@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from excitant.analysis.evidence import Candidate, Evidence
-from excitant.analysis.extension import Extension, contribution
-from excitant.analysis.observed import Observed, observed
-from excitant.analysis.residuals import noise_floor
-from excitant.analysis.selection import Key, Rival, underlies
-from excitant.analysis.sticking import Mask, sliding
+from excitant.analysis.candidates import (
+    TOLERANCE,
+    WRONG_LINK,
+    Observed,
+    coefficient_sizes,
+    merged,
+    observed,
+    tolerance_metric,
+)
+from excitant.analysis.evidence import Candidate, Evidence, Key
+from excitant.analysis.explanation import Rival
+from excitant.analysis.residuals import Mask, moving, noise_floor
+from excitant.analysis.selection import underlies
 from excitant.identify.accuracy import Series, series
+from excitant.identify.physical import EffectPrior, fit_physical
 from excitant.identify.preprocessing import Segment
-from excitant.robots.effects import Effect, InertialParameters, JointwiseEffect
-from excitant.robots.motion import Array
+from excitant.identify.resting import identified_robot
+from excitant.robots.effects import Effect, InertialParameters, JointwiseEffect, Payload
+from excitant.robots.motion import Array, read_only
+from excitant.robots.parameters import from_pseudo_inertia
 from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values
 
@@ -24,6 +34,8 @@ _BLOCKS = 10  # of the hold-out, to see how much the gain varies
 _DEVIATIONS = 2.0  # standard errors by which the gain must exceed zero
 _PLAIN = 0.1  # of a joint's squared error: what brings as much matters below the noise too
 FLOOR = 0.05  # of a joint's squared error: dry friction is never an ideal sign function
+_PAYLOAD_SIGMA = 100.0  # a payload is anything
+_PAYLOAD_SHARE, _PAYLOAD_RADIUS = 0.05, 0.1  # of the arm's mass, m: its reference body
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +51,10 @@ class Finding:
         rms_after: Error on the hold-out of the extended model [N·m or A].
         gain: Fall of the squared error of its joints with it, relative to that error.
         gain_error: Standard error of the gain, from blocks.
-        rivals: Causes that the data cannot tell from it.
         torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
         margin: Gain beyond what a cause must bring to pay.
-        doubt: Why it may be another cause although nothing rivals it; empty without a reason.
+        rivals: Causes that the data cannot tell from it.
+        downgrade: Why it may be another cause although nothing rivals it; empty without a reason.
     """
 
     effect: Effect
@@ -53,10 +65,10 @@ class Finding:
     rms_after: float
     gain: float
     gain_error: float
-    rivals: tuple[Rival, ...]
     torque: Array
     margin: float = 0.0
-    doubt: str = ""
+    rivals: tuple[Rival, ...] = ()
+    downgrade: str = ""
 
     @property
     def pays(self) -> bool:
@@ -70,8 +82,8 @@ class Finding:
 
     @property
     def verdict(self) -> str:
-        """``named``, or ``undecided`` when there are rivals or reasons to doubt it."""
-        return "undecided" if self.rivals or self.doubt else "named"
+        """``named``, or ``undecided`` when there are rivals or reasons to downgrade it."""
+        return "undecided" if self.rivals or self.downgrade else "named"
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +91,9 @@ class HeldOut:
     """The hold-out as every model is judged by it.
 
     Attributes:
-        observed: The hold-out.
+        observed: Its rows, of the given robot.
         gains: Torque per reading, shape (nv,).
-        series: Its rows.
+        series: Measured torque at the rows.
         simulated: Torque of the given model at the rows, shape (n, nv) [torque unit].
         moves: Rows at which each joint moves, shape (n, nv).
         floor: What noise leaves of each joint's torque, shape (nv,) [torque unit].
@@ -98,6 +110,11 @@ class HeldOut:
     def given(self) -> Array:
         """What the given model leaves, shape (n, nv) [torque unit]."""
         return self.series.measured - self.simulated
+
+    def rms(self, error: Array) -> Array:
+        """Root mean square of an error (n, nv) while joints move; of all rows of one that rests."""
+        counts = np.where(self.moves.any(axis=0), self.moves, True)
+        return np.asarray(np.sqrt((error**2 * counts).sum(axis=0) / counts.sum(axis=0)), float)
 
     def worse(self, predicted: Array, than: Array, share: float = 0.0) -> bool:
         """Whether a prediction leaves more squared error than another, by a share of it.
@@ -123,64 +140,167 @@ def held_out(robot: Robot, segments: tuple[Segment, ...], gains: Array) -> HeldO
         gains,
         series(segments),
         found.torque() / gains,
-        sliding(segments),
+        moving(segments),
         np.array([noise_floor(segments, j) for j in range(robot.nv)]),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """A set of causes with the model they were fitted in.
+class Extension:
+    """The given model with causes added, everything re-identified physically consistently.
 
     Attributes:
         evidence: What the causes were chosen by.
         chosen: The causes.
-        extension: The extended model.
-        extended: The rows of the hold-out by that model.
+        model: The given robot with re-identified inertias and effects, those found included.
+        std: Standard deviation of each effect coefficient by parameter name.
+        link_std: Standard deviation of the standard parameters, shape (10 nv,).
+        held: The rows of the hold-out by that model.
         predicted: Its torque at them, shape (n, nv) [torque unit].
         refuted: Causes that the evidence called for and that make the hold-out plainly worse.
     """
 
     evidence: Evidence
     chosen: tuple[Candidate, ...]
-    extension: Extension
-    extended: Observed
+    model: Robot
+    std: dict[str, float]
+    link_std: Array
+    held: Observed
     predicted: Array
     refuted: frozenset[Key] = frozenset()
 
 
-def confirmed(
-    robot: Robot, held: HeldOut, fit: Fit, fitted: Callable[[Sequence[Candidate]], Fit]
-) -> tuple[Fit, list[Finding]]:
+def unextended(evidence: Evidence, held: HeldOut) -> Extension:
+    """The given model as it is."""
+    robot = held.observed.robot
+    nothing = read_only(np.zeros(10 * robot.nv))
+    return Extension(evidence, (), robot, {}, nothing, held.observed, held.simulated)
+
+
+@dataclass(frozen=True, eq=False)
+class Extender:
+    """Fits the given robot with causes to a recording.
+
+    What was found wrong is free; everything else stays within the tolerance of its given value.
+
+    Attributes:
+        prior: Standard parameters of the given robot as prior, shape (nv, 10).
+        train: What to fit, of the robot as understood so far.
+        tau: Measured torque at the rows, shape (n, nv) [N·m].
+        held: The hold-out, of the given robot.
+        evidence: Noise levels, and the tolerance that the data support.
+    """
+
+    prior: Array
+    train: Observed
+    tau: Array
+    held: HeldOut
+    evidence: Evidence
+
+    def __call__(self, chosen: Sequence[Candidate]) -> Extension:
+        """The extended model with a set of causes."""
+        robot, evidence = self.held.observed.robot, self.evidence
+        effects = _effects(robot, chosen)
+        W = self.train.matrix(effects)
+        weight = moving(self.train.segments) / (evidence.sigma * np.sqrt(evidence.inflation))
+        rows = np.concatenate([W, self.tau[:, :, None]], axis=2) * weight[:, :, None]
+        R = np.asarray(np.linalg.qr(rows.reshape(-1, W.shape[2] + 1), mode="r"), float)
+        bodies, sigma = self._bodies(chosen)
+        fit = fit_physical(
+            R[:, :-1],
+            R[:, -1],
+            bodies,
+            self._effect_prior(effects, chosen, W[:, :, 10 * len(bodies) :]),
+            sigma,
+            tolerance_metric(bodies),
+        )
+        std = np.sqrt(np.diag(fit.covariance))
+        links, names = 10 * robot.nv, [p.name for e in effects for p in e.parameters(robot)]
+        model = identified_robot(robot, effects, fit.x)
+        found = self.held.observed.by(model)
+        return Extension(
+            evidence,
+            tuple(chosen),
+            model,
+            dict(zip(names, std[links:].tolist(), strict=True)),
+            read_only(std[:links]),
+            found,
+            found.torque() / self.held.gains,
+        )
+
+    def _bodies(self, chosen: Sequence[Candidate]) -> tuple[Array, Array]:
+        """Prior and its relative uncertainty for every link, and for a payload if there is one."""
+        joints, tolerance = self.held.observed.robot.joints, self.evidence.tolerance[0]
+        wrong = {c.effect.joints[0] for c in chosen if isinstance(c.effect, InertialParameters)}
+        sigma = [WRONG_LINK if joint in wrong else tolerance * TOLERANCE for joint in joints]
+        if not any(isinstance(c.effect, Payload) for c in chosen):
+            return self.prior, np.array(sigma)
+        mass = _PAYLOAD_SHARE * self.prior[:, 0].sum()
+        reference = from_pseudo_inertia(mass * np.diag([*(_PAYLOAD_RADIUS**2,) * 3, 1.0]))
+        return np.vstack([self.prior, reference]), np.array([*sigma, _PAYLOAD_SIGMA])
+
+    def _effect_prior(
+        self, effects: Sequence[Effect], chosen: Sequence[Candidate], columns: Array
+    ) -> EffectPrior:
+        """Given coefficients within tolerance; those found, free."""
+        robot = self.held.observed.robot
+        free = {p.name for c in chosen for p in c.effect.parameters(robot)}
+        scalar = [e for e in effects if not isinstance(e, Payload)]
+        parameters = [p for e in scalar for p in e.parameters(robot)]
+        mean = np.array(
+            [v for e in scalar for v in (e.values or (0.0,) * len(e.parameters(robot)))]
+        )
+        tight = np.maximum(self.evidence.tolerance[1] * TOLERANCE * np.abs(mean), 1e-9)
+        loose = np.array([p.name in free for p in parameters], dtype=bool)
+        return EffectPrior(
+            mean=mean,
+            std=np.where(loose, coefficient_sizes(parameters, columns, self.tau), tight),
+            lower=np.array([p.lower for p in parameters]),
+        )
+
+
+def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
+    """A payload first, then the given effects, then those found on joints that had none."""
+    has = {p.name for e in robot.effects for p in e.parameters(robot)}
+    found = [c.effect for c in chosen if not isinstance(c.effect, InertialParameters)]
+    payloads: list[Effect] = [e for e in found if isinstance(e, Payload)]
+    added = [
+        e
+        for e in found
+        if not isinstance(e, Payload) and not {p.name for p in e.parameters(robot)} <= has
+    ]
+    return [*payloads, *robot.effects, *merged(added)]
+
+
+def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> tuple[Extension, list[Finding]]:
     """The causes that pay on the hold-out.
 
     The one that pays least goes first, and all others are fitted anew. What others rest on stays:
     plain friction below finer friction, and a cause without which the new fit is clearly worse.
 
     Args:
-        robot: The given robot.
-        held: The hold-out.
-        fit: Causes that the evidence calls for.
-        fitted: Fits fewer of them.
+        extender: Fits causes.
+        chosen: Causes that the evidence calls for.
 
     Returns:
         The fit with those that pay or that others rest on, and a finding for each.
     """
-    needed, refuted = set[Candidate](), set[Key]()
+    held, robot, fit = extender.held, extender.held.observed.robot, extender(chosen)
+    kept, refuted = set[Candidate](), set[Key]()
     findings = _findings(robot, fit, held)
-    while (worst := _least(robot, fit, findings, needed)) is not None:
+    while (worst := _least(robot, fit, findings, kept)) is not None:
         if findings[fit.chosen.index(worst)].refuted:
             refuted.add(worst.key)
-        fewer = fitted([c for c in fit.chosen if c is not worst])
+        fewer = extender([c for c in fit.chosen if c is not worst])
         if held.worse(fewer.predicted, fit.predicted, FLOOR):
-            needed.add(worst)
+            kept.add(worst)
         else:
             fit, findings = fewer, _findings(robot, fewer, held)
     return replace(fit, refuted=frozenset(refuted)), findings
 
 
 def _least(
-    robot: Robot, fit: Fit, findings: Sequence[Finding], needed: set[Candidate]
+    robot: Robot, fit: Extension, findings: Sequence[Finding], kept: set[Candidate]
 ) -> Candidate | None:
     """The cause that pays least, if one does not pay and nothing rests on it."""
     for k in np.argsort([finding.margin for finding in findings], kind="stable"):
@@ -188,46 +308,43 @@ def _least(
         if findings[k].pays:
             return None
         rest = [c for c in fit.chosen if c is not candidate]
-        if candidate not in needed and not underlies(robot, rest, candidate):
+        if candidate not in kept and not underlies(robot, rest, candidate):
             return candidate
     return None
 
 
-def _findings(robot: Robot, fit: Fit, held: HeldOut) -> list[Finding]:
+def _findings(robot: Robot, fit: Extension, held: HeldOut) -> list[Finding]:
     """What each cause of a fit brings on the hold-out."""
-    extension, sigma = fit.extension, fit.evidence.sigma
-    error, weight = held.series.measured - fit.predicted, held.moves * held.gains / sigma
+    error, weight = held.series.measured - fit.predicted, held.moves * held.gains
+    weight = weight / fit.evidence.sigma
     power = float(((held.given * weight) ** 2).sum())
     findings = []
     for candidate in fit.chosen:
-        torque = contribution(robot, candidate.effect, fit.extended) / held.gains
+        values, given, std = _coefficients(robot, fit, candidate.effect)
+        torque = fit.held.columns(candidate.effect) @ (values - given) / held.gains
         joints = affected(robot, candidate.effect)
         without = error + torque
         fall = ((without**2 - error**2) * weight**2)[:, joints]
-        relative, spread = _relative_gain(
-            (without * weight)[:, joints], (torque * weight)[:, joints]
-        )
-        margin = relative - max(FLOOR, _DEVIATIONS * spread)
-        if relative < _PLAIN and not _shows(torque * held.moves, held.floor):
+        gain, spread = _relative_gain((without * weight)[:, joints], (torque * weight)[:, joints])
+        margin = gain - max(FLOOR, _DEVIATIONS * spread)
+        shows = np.sqrt(((torque * held.moves) ** 2).mean(axis=0)) > held.floor
+        if gain < _PLAIN and not shows.any():
             margin = min(margin, -FLOOR)
         findings.append(
-            _finding(
-                robot,
-                extension,
-                candidate,
-                torque,
+            Finding(
+                candidate.effect.with_values(values.tolist()),
+                tuple(given.tolist()),
+                tuple(std.tolist()),
                 explained=float(fall.sum()) / power,
-                errors=(without[:, joints], error[:, joints]),
-                gain=(relative, spread),
+                rms_before=float(np.sqrt((without[:, joints] ** 2).mean())),
+                rms_after=float(np.sqrt((error[:, joints] ** 2).mean())),
+                gain=gain,
+                gain_error=spread,
+                torque=torque,
                 margin=margin,
             )
         )
     return findings
-
-
-def _shows(torque: Array, floor: Array) -> bool:
-    """Whether a cause makes more torque than noise does, on some joint."""
-    return bool((np.sqrt((torque**2).mean(axis=0)) > floor).any())
 
 
 def affected(robot: Robot, effect: Effect) -> list[int]:
@@ -253,39 +370,16 @@ def _relative_gain(error: Array, torque: Array) -> tuple[float, float]:
     return float((2 * slope - 1) * unit), float(2 * np.linalg.norm(blocks) / power * unit)
 
 
-def _finding(
-    robot: Robot,
-    extension: Extension,
-    candidate: Candidate,
-    torque: Array,
-    *,
-    explained: float,
-    errors: tuple[Array, Array],
-    gain: tuple[float, float],
-    margin: float,
-) -> Finding:
-    effect = candidate.effect
-    names = [p.name for p in effect.parameters(robot)]
+def _coefficients(robot: Robot, fit: Extension, effect: Effect) -> tuple[Array, Array, Array]:
+    """Coefficients of a cause in the extended and the given model, and standard deviations."""
     if isinstance(effect, InertialParameters):
         j = robot.joint_index(effect.joints[0])
         part = slice(10 * j, 10 * j + 10)
-        values = list(extension.model.phi[part] - robot.phi[part])
-        given, std = [0.0] * 10, list(extension.link_std[part])
-    else:
-        fitted, known = effect_values(extension.model), effect_values(robot)
-        values = [fitted[name] for name in names]
-        given = [known.get(name, 0.0) for name in names]
-        std = [extension.std[name] for name in names]
-    before, after = (float(np.sqrt((e**2).mean())) for e in errors)
-    return Finding(
-        effect.with_values(values),
-        tuple(given),
-        tuple(float(s) for s in std),
-        explained,
-        before,
-        after,
-        *gain,
-        (),
-        torque,
-        margin,
+        return fit.model.phi[part] - robot.phi[part], np.zeros(10), fit.link_std[part]
+    fitted, known = effect_values(fit.model), effect_values(robot)
+    names = [p.name for p in effect.parameters(robot)]
+    return (
+        np.array([fitted[name] for name in names]),
+        np.array([known.get(name, 0.0) for name in names]),
+        np.array([fit.std[name] for name in names]),
     )

@@ -4,25 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property
 
 import numpy as np
 
-from excitant.analysis.confirmation import FLOOR, Finding, Fit, HeldOut, confirmed, held_out
-from excitant.analysis.doubt import doubt
-from excitant.analysis.evidence import Candidate, Evidence
-from excitant.analysis.extension import Extension, extend, tolerance_metric
-from excitant.analysis.hypotheses import hypotheses
-from excitant.analysis.observed import Observed, observed, rests_on_model
-from excitant.analysis.proposals import has_shape
-from excitant.analysis.residuals import Remainder, remainders
-from excitant.analysis.selection import Key, rivals, select
+from excitant.analysis.candidates import (
+    Observed,
+    gather,
+    has_shape,
+    observed,
+    rests_on_model,
+    tolerance_metric,
+)
+from excitant.analysis.confirmation import (
+    FLOOR,
+    Extender,
+    Extension,
+    Finding,
+    HeldOut,
+    affected,
+    confirmed,
+    held_out,
+    unextended,
+)
+from excitant.analysis.evidence import Key
+from excitant.analysis.explanation import reason_to_downgrade, rivals
+from excitant.analysis.residuals import Residual, residuals
+from excitant.analysis.selection import select
+from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.identify.accuracy import Accuracy, Series, series
 from excitant.identify.physical import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.rows import Data, split, torque_per_reading
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.effects import plain, standard_effects
+from excitant.robots.effects import JointwiseEffect, plain, standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -37,38 +52,135 @@ class Diagnosis:
     Attributes:
         robot: The given robot.
         data: What was fitted and held out.
-        gains: Torque per reading, shape (nv,).
+        train: Rows of what was fitted, of the given robot.
+        held: The hold-out, of the given robot.
         extension: The extended model.
-        simulation: Accuracy of the given model on the hold-out.
-        extended: Accuracy of the extended model on the hold-out.
         findings: Causes in order of importance.
-        series: Rows of the hold-out.
-        position: Joint positions at those rows, shape (n, nv) [rad].
-        velocity: Joint velocities at those rows, shape (n, nv) [rad/s].
-        acceleration: Joint accelerations at those rows, shape (n, nv) [rad/s²].
-        simulated: Torque of the given model at those rows [torque unit].
-        predicted: Torque of the extended model at those rows [torque unit].
-        remainders: What the extended model leaves, joint by joint.
+        given_residuals: What the given model leaves on the hold-out, joint by joint.
+        residuals: What the extended model leaves there.
         waterfall: Error on the hold-out, relative to the given model's, as causes are added.
         notes: What the user should know, as sentences.
     """
 
     robot: Robot
     data: Data
-    gains: Array
+    train: Observed
+    held: HeldOut
     extension: Extension
-    simulation: Accuracy
-    extended: Accuracy
     findings: tuple[Finding, ...]
-    series: Series
-    position: Array
-    velocity: Array
-    acceleration: Array
-    simulated: Array
-    predicted: Array
-    remainders: tuple[Remainder, ...]
+    given_residuals: tuple[Residual, ...]
+    residuals: tuple[Residual, ...]
     waterfall: tuple[tuple[str, float], ...]
     notes: tuple[str, ...]
+
+    @property
+    def gains(self) -> Array:
+        """Torque per reading, shape (nv,)."""
+        return self.held.gains
+
+    @property
+    def series(self) -> Series:
+        """Rows of the hold-out."""
+        return self.held.series
+
+    @property
+    def simulated(self) -> Array:
+        """Torque of the given model at those rows, shape (n, nv) [torque unit]."""
+        return self.held.simulated
+
+    @property
+    def predicted(self) -> Array:
+        """Torque of the extended model at those rows, shape (n, nv) [torque unit]."""
+        return self.extension.predicted
+
+    @property
+    def left(self) -> Array:
+        """What the extended model leaves there, shape (n, nv) [torque unit]."""
+        return np.asarray(self.series.measured - self.predicted, float)
+
+    @cached_property
+    def simulation(self) -> Accuracy:
+        """Accuracy of the given model on the hold-out."""
+        return self.series.accuracy(self.simulated)
+
+    @cached_property
+    def extended(self) -> Accuracy:
+        """Accuracy of the extended model on the hold-out."""
+        return self.series.accuracy(self.predicted)
+
+    @cached_property
+    def position(self) -> Array:
+        """Joint positions at the rows of the hold-out, shape (n, nv) [rad or m]."""
+        return np.concatenate([s.motion.q[s.keep] for s in self.data.validate])
+
+    @cached_property
+    def velocity(self) -> Array:
+        """Joint velocities at these rows, shape (n, nv) [rad/s or m/s]."""
+        return np.concatenate([s.motion.dq[s.keep] for s in self.data.validate])
+
+    @cached_property
+    def acceleration(self) -> Array:
+        """Joint accelerations at these rows, shape (n, nv) [rad/s² or m/s²]."""
+        return np.concatenate([s.motion.ddq[s.keep] for s in self.data.validate])
+
+    @cached_property
+    def refit(self) -> Refit:
+        """What wrong inertias alone would explain.
+
+        Raises:
+            BadRobot: A link without mass.
+            Infeasible: The semidefinite solver failed.
+        """
+        tau = series(self.data.train).measured * self.gains
+        return refit(self.train, tau, self.held, self.predicted)
+
+    @cached_property
+    def forward(self) -> Forward:
+        """Both models simulated forward over short windows of the hold-out."""
+        return forward(self.robot, self.extension.model, self.data.validate, self.gains)
+
+    @cached_property
+    def groups(self) -> list[list[Finding]]:
+        """Findings by cause: one group where most joints share it and its verdict, or by joint."""
+        groups: dict[str, list[Finding]] = {}
+        for finding in self.findings:
+            name = finding.effect.name
+            count = sum(f.effect.name == name for f in self.findings)
+            common = isinstance(finding.effect, JointwiseEffect) and 2 * count > self.robot.nv > 2
+            key = f"{name} {finding.verdict if common else finding.effect.joints}"
+            groups.setdefault(key, []).append(finding)
+        return sorted(groups.values(), key=lambda group: -sum(f.explained for f in group))
+
+    @cached_property
+    def ordered(self) -> list[list[Finding] | Residual]:
+        """Groups of findings, and joints with more than noise left, by the error they stand for."""
+        items: list[tuple[float, list[Finding] | Residual]] = [
+            (sum(f.explained for f in group), group) for group in self.groups
+        ]
+        items += [(self.share_of(left), left) for left in self.residuals if left.visible]
+        return [item for _, item in sorted(items, key=lambda pair: -pair[0])]
+
+    def share_of(self, left: Residual) -> float:
+        """Share of the given model's squared error that one joint's structure makes up."""
+        rms = self.extended.rms
+        given = (self.held.given / rms) ** 2
+        size = rms[self.robot.joint_index(left.joint)]
+        return float((left.structured / size) ** 2 / given.mean(axis=0).sum())
+
+    def before_and_after(self, group: Sequence[Finding]) -> tuple[float, float]:
+        """Error on the hold-out without and with a cause, over the joints of its group.
+
+        Rows at which a joint rests are left out: dry friction takes any value there.
+        """
+        squares = []
+        for finding in group:
+            joints = affected(self.robot, finding.effect)
+            counts = self.held.moves[:, joints]
+            counts = counts if counts.any() else ~counts
+            errors = (self.left + finding.torque, self.left)
+            squares.append([float((e[:, joints][counts] ** 2).mean()) for e in errors])
+        before, after = np.sqrt(np.mean(squares, axis=0)).tolist()
+        return before, after
 
     def _repr_html_(self) -> str:
         rows = [
@@ -101,33 +213,29 @@ def diagnose(
     """
     data = split(recordings, validate, cutoff_hz)
     train = observed(robot, data.train)
-    gains = _gains(train, data.unit)
-    held = held_out(robot, data.validate, gains)
+    held = held_out(robot, data.validate, _gains(train, data.unit))
     prior = prior_parameters(robot)
-    evidence = hypotheses(robot, train, tolerance_metric(prior), gains)
-    fit, findings = _understood(prior, train, held, evidence)
+    tau = series(data.train).measured * held.gains
+    evidence = gather(robot, train, tau, tolerance_metric(prior))
+    first = Extender(prior, train, tau, held, evidence)
+    fit, findings = _understood(first)
     if fit.refuted:
-        again = _understood(prior, train, held, evidence, fit.refuted)
+        again = _understood(first, fit.refuted)
         if held.worse(fit.predicted, again[0].predicted, FLOOR):
             fit, findings = again
     if held.worse(fit.predicted, held.simulated):
-        given = Extension(robot, {}, np.zeros(10 * robot.nv))
-        fit, findings = Fit(fit.evidence, (), given, held.observed, held.simulated), []
+        fit, findings = unextended(fit.evidence, held), []
     findings = [
         replace(finding, rivals=tuple(rivals(fit.evidence, robot, fit.chosen, candidate)))
         for finding, candidate in zip(findings, fit.chosen, strict=True)
         if finding.pays
     ]
-    return _diagnosis(robot, data, held, fit, findings)
+    return _diagnosis(data, train, held, fit, findings)
 
 
 def _understood(
-    prior: Array,
-    train: Observed,
-    held: HeldOut,
-    evidence: Evidence,
-    refuted: frozenset[Key] = frozenset(),
-) -> tuple[Fit, list[Finding]]:
+    first: Extender, refuted: frozenset[Key] = frozenset()
+) -> tuple[Extension, list[Finding]]:
     """Causes that the data call for and the hold-out confirms, and the model with them.
 
     Effects that rest on torque take it from the model as understood so far, and shapes are first
@@ -135,44 +243,28 @@ def _understood(
     that may change them, for as long as the hold-out does not lose.
 
     Args:
-        prior: Standard parameters of the given robot as prior, shape (nv, 10).
-        train: What to explain, of the given robot.
-        held: The hold-out.
-        evidence: Of all causes, by the given robot.
+        first: What to explain, with the evidence of all causes by the given robot.
         refuted: Causes left out, for the hold-out speaks against them.
     """
-    robot, tau = train.robot, series(train.segments).measured * held.gains
-    rounds: list[tuple[Fit, list[Finding]]] = []
+    held, robot, extender = first.held, first.train.robot, first
+    best: tuple[Extension, list[Finding]] | None = None
     shapes = None
     for _ in range(_ROUNDS):
-        if rounds:
-            last = rounds[-1][0]
-            train = train.by(last.extension.model)
-            evidence = hypotheses(robot, train, tolerance_metric(prior), held.gains, last.chosen)
-        evidence, chosen = select(evidence, robot, refuted)
-        fitted = partial(_fit, robot, prior, train, tau, held, evidence)
-        fit, findings = confirmed(robot, held, fitted(chosen), fitted)
-        if rounds and held.worse(fit.predicted, rounds[-1][0].predicted, FLOOR):
+        if best is not None:
+            train = first.train.by(best[0].model)
+            metric = tolerance_metric(first.prior)
+            evidence = gather(robot, train, first.tau, metric, best[0].chosen)
+            extender = replace(first, train=train, evidence=evidence)
+        evidence, chosen = select(extender.evidence, robot, refuted)
+        fit, findings = confirmed(replace(extender, evidence=evidence), chosen)
+        if best is not None and held.worse(fit.predicted, best[0].predicted, FLOOR):
             break
-        rounds.append((fit, findings))
+        best = fit, findings
         before, shapes = shapes, {c.effect for c in fit.chosen}
         if shapes == before or not any(rests_on_model(e) or has_shape(e) for e in shapes):
             break
-    return rounds[-1]
-
-
-def _fit(
-    robot: Robot,
-    prior: Array,
-    train: Observed,
-    tau: Array,
-    held: HeldOut,
-    evidence: Evidence,
-    causes: Sequence[Candidate],
-) -> Fit:
-    extension = extend(robot, prior, evidence, causes, train, tau)
-    extended = held.observed.by(extension.model)
-    return Fit(evidence, tuple(causes), extension, extended, extended.torque() / held.gains)
+    assert best is not None
+    return best
 
 
 def _gains(train: Observed, unit: str) -> Array:
@@ -186,17 +278,17 @@ def _gains(train: Observed, unit: str) -> Array:
 
 
 def _diagnosis(
-    robot: Robot,
-    data: Data,
-    held: HeldOut,
-    fit: Fit,
-    findings: list[Finding],
+    data: Data, train: Observed, held: HeldOut, fit: Extension, findings: list[Finding]
 ) -> Diagnosis:
-    predicted = fit.predicted
-    error = held.series.measured - predicted
-    left = remainders(robot.joints, data.validate, error, held.given, predicted)
-    doubtful = [replace(f, doubt=doubt(f, findings, left)) for f in findings]
-    findings = sorted(doubtful, key=lambda f: -f.explained)
+    robot, error = train.robot, held.series.measured - fit.predicted
+    given = residuals(robot.joints, data.validate, held.given, held.given, held.simulated)
+    left = residuals(robot.joints, data.validate, error, held.given, fit.predicted)
+    paying = [(f.effect, f.explained) for f in findings]
+    findings = [
+        replace(f, downgrade=reason_to_downgrade(f.effect, f.torque, f.explained, paying, left))
+        for f in findings
+    ]
+    findings.sort(key=lambda f: -f.explained)
     notes = [data.holdout]
     if data.unit == "A":
         notes.append(
@@ -206,18 +298,12 @@ def _diagnosis(
     return Diagnosis(
         robot=robot,
         data=data,
-        gains=held.gains,
-        extension=fit.extension,
-        simulation=held.series.accuracy(held.simulated),
-        extended=held.series.accuracy(predicted),
+        train=train,
+        held=held,
+        extension=fit,
         findings=tuple(findings),
-        series=held.series,
-        position=np.concatenate([s.motion.q[s.keep] for s in data.validate]),
-        velocity=np.concatenate([s.motion.dq[s.keep] for s in data.validate]),
-        acceleration=np.concatenate([s.motion.ddq[s.keep] for s in data.validate]),
-        simulated=held.simulated,
-        predicted=predicted,
-        remainders=left,
+        given_residuals=given,
+        residuals=left,
         waterfall=_waterfall(held.given, error, findings),
         notes=tuple(notes),
     )
@@ -228,13 +314,13 @@ def _waterfall(
 ) -> tuple[tuple[str, float], ...]:
     """Error over all joints as causes are added to the given model in order of importance."""
     size = np.sqrt((given**2).mean(axis=0))
+
+    def relative(error: Array) -> float:
+        return float(np.sqrt(((error / size) ** 2).mean()))
+
     steps, error = [("given model", 1.0)], given
     for finding in findings:
         error = error - finding.torque
         label = f"+ {plain(finding.effect.name)} at {', '.join(finding.effect.joints)}"
-        steps.append((label, _relative(error, size)))
-    return (*steps, ("all re-identified", _relative(extended, size)))
-
-
-def _relative(error: Array, size: Array) -> float:
-    return float(np.sqrt(((error / size) ** 2).mean()))
+        steps.append((label, relative(error)))
+    return (*steps, ("all re-identified", relative(extended)))

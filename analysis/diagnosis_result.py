@@ -9,23 +9,14 @@ import numpy as np
 
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
-from excitant.analysis.diagnosis_words import (
-    at_rest,
-    before_and_after,
-    grouped,
-    headline,
-    ordered,
-    placeholders,
-    share_of,
-)
 from excitant.analysis.discrimination_plan import Experiment, Plan
 from excitant.analysis.evidence_curves import curve_of
-from excitant.analysis.given_error import given_error_result
-from excitant.analysis.residuals import Remainder
+from excitant.analysis.headline import at_rest, headline, placeholders
+from excitant.analysis.residuals import Residual
+from excitant.exceptions import ExcitantError
+from excitant.robots.effects import InertialParameters, Payload
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
-
-__all__ = ["diagnose_result", "diagnose_series", "grouped", "headline", "ordered"]
 
 _SHAPES = {"velocity": "rad/s", "distance": "rad", "order": "1/turn", "time": "s", "exponent": "1"}
 
@@ -52,13 +43,15 @@ def diagnose_result(diagnosis: Diagnosis, plan: Plan | None = None) -> dict[str,
         "faults": [],
         "findings": [
             _unknown(diagnosis, item)
-            if isinstance(item, Remainder)
+            if isinstance(item, Residual)
             else _finding(diagnosis, item, plan)
-            for item in ordered(diagnosis)
+            for item in diagnosis.ordered
         ],
         "unexplained": [_unexplained(diagnosis, j) for j in range(robot.nv)],
         "extended": {"joints": _joints(robot, diagnosis.extended.entry)},
-        **given_error_result(diagnosis),
+        "error": {"joints": _errors(diagnosis)},
+        "refit": _refit(diagnosis),
+        "forward": _forward(diagnosis),
         "waterfall": [{"label": label, "rms": size} for label, size in diagnosis.waterfall],
         "notes": [
             *diagnosis.notes,
@@ -73,7 +66,7 @@ def _joints(robot: Robot, entry: Any) -> list[dict[str, Any]]:
 
 def _finding(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[str, Any]:
     lead, robot = group[0], diagnosis.robot
-    before, after = before_and_after(diagnosis, group)
+    before, after = diagnosis.before_and_after(group)
     others = {
         (r.candidate.effect.name, r.candidate.effect.joints): (f, r)
         for f in group
@@ -103,7 +96,7 @@ def _finding(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict
         "explained": sum(f.explained for f in group),
         "holdout": {"rms_before": before, "rms_after": after},
         "verdict": lead.verdict if len(group) == 1 else _verdict(group),
-        "doubt": "; ".join(dict.fromkeys(f.doubt for f in group if f.doubt)),
+        "doubt": "; ".join(dict.fromkeys(f.downgrade for f in group if f.downgrade)),
         "rivals": [
             {
                 "effect": name,
@@ -132,14 +125,14 @@ def _verdict(group: Sequence[Finding]) -> str:
     return "named" if all(f.verdict == "named" for f in group) else "undecided"
 
 
-def _unknown(diagnosis: Diagnosis, left: Remainder) -> dict[str, Any]:
+def _unknown(diagnosis: Diagnosis, left: Residual) -> dict[str, Any]:
     """What no candidate explains."""
     return {
         "effect": "unknown",
         "joints": [left.joint],
         "parameters": [],
         "explained": 0.0,
-        "share": share_of(diagnosis, left),
+        "share": diagnosis.share_of(left),
         "holdout": {"rms_before": left.rms, "rms_after": left.rms},
         "verdict": "unknown",
         "structure": left.structure,
@@ -148,7 +141,7 @@ def _unknown(diagnosis: Diagnosis, left: Remainder) -> dict[str, Any]:
     }
 
 
-def _figure(diagnosis: Diagnosis, item: Finding | Remainder) -> dict[str, str]:
+def _figure(diagnosis: Diagnosis, item: Finding | Residual) -> dict[str, str]:
     shown = curve_of(diagnosis, item)
     return {
         "x_label": shown.x_label,
@@ -158,7 +151,7 @@ def _figure(diagnosis: Diagnosis, item: Finding | Remainder) -> dict[str, str]:
 
 
 def _unexplained(diagnosis: Diagnosis, j: int) -> dict[str, Any]:
-    left = diagnosis.remainders[j]
+    left = diagnosis.residuals[j]
     return {
         "joint": left.joint,
         "share": float(np.clip(1 - diagnosis.extended.r2[j], 0, 1)),
@@ -166,8 +159,54 @@ def _unexplained(diagnosis: Diagnosis, j: int) -> dict[str, Any]:
         "noise_floor": left.floor,
         "against_noise": left.against_noise,
         "structure": left.structure,
-        "shows": dict(left.shows),
+        "shows": dict(left.shares),
     }
+
+
+def _errors(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """Rms of both models per joint, and the share of its square that each quantity explains."""
+
+    def entry(left: Residual) -> dict[str, Any]:
+        return {
+            "rms": left.rms,
+            "shares": dict(left.shares),
+            "bands": dict(left.bands),
+            "telling": left.dominant,
+        }
+
+    return [
+        {
+            "name": given.joint,
+            **entry(given),
+            "left": entry(left),
+            "motion_hz": list(given.motion_hz),
+        }
+        for given, left in zip(diagnosis.given_residuals, diagnosis.residuals, strict=True)
+    ]
+
+
+def _refit(diagnosis: Diagnosis) -> dict[str, Any]:
+    """What inertias alone would explain."""
+    robot = diagnosis.robot
+    try:
+        found = diagnosis.refit
+    except ExcitantError as error:
+        return {"sentence": f"Inertias could not be fitted alone: {error}"}
+    wrong = {
+        robot.links[robot.joint_index(f.effect.joints[0])]
+        for f in diagnosis.findings
+        if isinstance(f.effect, InertialParameters | Payload)
+    }
+    said = found.sentence(robot.joints, diagnosis.data.unit, bool(diagnosis.findings), wrong)
+    return {"sentence": said, **found.result(robot.joints)}
+
+
+def _forward(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Both models simulated forward."""
+    try:
+        return diagnosis.forward.result(diagnosis.robot)
+    except ExcitantError as error:
+        return {"joints": [], "notes": [f"Not simulated forward: {error}"]}
 
 
 def diagnose_series(diagnosis: Diagnosis) -> dict[str, Array]:
@@ -178,8 +217,8 @@ def diagnose_series(diagnosis: Diagnosis) -> dict[str, Array]:
         "simulated": diagnosis.simulated,
         "extended": diagnosis.predicted,
     }
-    for k, item in enumerate(ordered(diagnosis)):
-        shown = curve_of(diagnosis, item if isinstance(item, Remainder) else item[0])
+    for k, item in enumerate(diagnosis.ordered):
+        shown = curve_of(diagnosis, item if isinstance(item, Residual) else item[0])
         arrays[f"finding{k}_x"] = shown.x
         arrays[f"finding{k}_residual"] = shown.residual
         for name in ("fit", "rival"):

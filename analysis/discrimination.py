@@ -21,13 +21,12 @@ from functools import cached_property
 
 import numpy as np
 
+from excitant.analysis.candidates import TOLERANCE, believed_columns, cause_columns
 from excitant.analysis.discrimination_power import MOST_RUNS, Separation, repetitions
 from excitant.analysis.discrimination_projection import explaining, without_given
 from excitant.analysis.discrimination_shapes import bare, shapes
-from excitant.analysis.hypotheses import TOLERANCE, believed_columns, cause_columns
-from excitant.analysis.signatures import Signatures, signatures
-from excitant.analysis.sticking import sliding
-from excitant.analysis.tolerance import widened
+from excitant.analysis.evidence import JointColumns, joint_columns, widened
+from excitant.analysis.residuals import moving
 from excitant.identify.physical import link_coordinates, link_weights
 from excitant.identify.preprocessing import Segment
 from excitant.robots.effects import Effect
@@ -228,11 +227,13 @@ class Contest:
     def _beside(self, pair: Pair) -> list[int]:
         return [column for effect in pair.beside for column in self._places(effect)]
 
-    def _columns(self, segments: Sequence[Segment], company: Sequence[Segment] = ()) -> Signatures:
+    def _columns(
+        self, segments: Sequence[Segment], company: Sequence[Segment] = ()
+    ) -> JointColumns:
         """All columns at the rows of segments, with the rows at rest left out."""
         rows = sum(len(s.t) for s in segments)
-        counts = sliding((*segments, *company))[:rows]
-        return signatures(list(self._blocks(segments)), counts)
+        counts = moving((*segments, *company))[:rows]
+        return joint_columns(list(self._blocks(segments)), counts)
 
     def _blocks(self, segments: Sequence[Segment]) -> Iterator[Array]:
         Y = np.concatenate([self._links(s) for s in segments])

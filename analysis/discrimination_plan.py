@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from excitant.analysis.candidates import tolerance_metric
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.discrimination import Contest, Noise, Pair
 from excitant.analysis.discrimination_motion import Discriminating, discriminating_motions
 from excitant.analysis.experiments import experiment
-from excitant.analysis.extension import tolerance_metric
-from excitant.analysis.sticking import sliding
 from excitant.design import FourierTrajectory
 from excitant.exceptions import Infeasible
 from excitant.identify.least_squares import autocorrelation_time
@@ -153,8 +152,8 @@ def _friction(robot: Robot, found: Effect, rival: Effect, others: Sequence[Effec
 
 
 def _noise(diagnosis: Diagnosis) -> Noise:
-    counts = sliding(diagnosis.data.validate)
-    error = (diagnosis.series.measured - diagnosis.predicted) * diagnosis.gains * counts
+    counts = diagnosis.held.moves
+    error = diagnosis.left * diagnosis.gains * counts
     sigma = np.sqrt((error**2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
     inflation = np.array([autocorrelation_time(column) for column in error.T])
     return Noise(np.maximum(sigma, 1e-9), inflation, diagnosis.data.cutoff_hz)

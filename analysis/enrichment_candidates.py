@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from excitant.analysis.proposals import proposals
+from excitant.analysis.candidates import proposals
 from excitant.identify.preprocessing import Segment
 from excitant.robots.effects import (
     AsymmetricFriction,

@@ -8,8 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
+from excitant.analysis.evidence import Index
+from excitant.analysis.evidence import JointColumns as Signatures
 from excitant.analysis.normal_equations import NormalEquations, gram_factor
-from excitant.analysis.signatures import Index, Signatures
 from excitant.identify.physical import (
     PRIOR_SIGMA,
     EffectPrior,

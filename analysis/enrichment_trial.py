@@ -9,7 +9,9 @@ import numpy.typing as npt
 
 from excitant.analysis.enrichment_candidates import further_effects
 from excitant.analysis.enrichment_rows import Candidate, Trial
-from excitant.analysis.signatures import Index, Signatures, signatures
+from excitant.analysis.evidence import Index
+from excitant.analysis.evidence import JointColumns as Signatures
+from excitant.analysis.evidence import joint_columns as signatures
 from excitant.identify.accuracy import predicted_torque, series
 from excitant.identify.estimate import Estimate
 from excitant.identify.least_squares import autocorrelation_time

@@ -11,23 +11,30 @@ J falls when a k-column candidate is added that is not at work by λ times a χ�
 degrees of freedom. λ is 1 where Λ has the noise right; residuals are far from white, so λ is
 measured for every candidate from sums of its score over blocks of time (a robust covariance,
 used by the mean of its eigenvalues: Rao and Scott 1984).
+
+Given values are taken as right to ±10 %, and to less where the data show that most of them are:
+their deviations, in the directions that the data determine, have a median size that a few wrong
+ones do not move (empirical Bayes with a robust scale). Placeholders say nothing of the links.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
-import scipy.stats
 
-from excitant.analysis.signatures import Index, Signatures
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, read_only
+from excitant.robots.robot import Robot
+
+Index = npt.NDArray[np.intp]
+Key = tuple[str, tuple[str, ...]]
+"""Effect and joints."""
 
 FALSE_ALARM = 0.05  # that any candidate enters when none is at work; the hold-out confirms it
 _ROUNDS = 3  # of estimating the noise
@@ -40,6 +47,81 @@ _COMMON = frozenset(
 )
 _BLOCK_S = 0.5  # s at least: longer than noise that passed the torque filter stays correlated
 _BLOCKS = (16, 40)  # at least, at most
+_DETERMINED = 25.0  # data over prior information of a direction that counts
+_FEWEST = 8  # such directions, to judge the tolerance by
+_MEDIAN = 0.4549  # of χ² with one degree of freedom
+_RANGE = (0.02, 1.0)  # of the tolerance
+_UNKNOWN = 400.0  # tolerances: a link may be twenty times as heavy as a placeholder
+
+
+@dataclass(frozen=True, eq=False)
+class JointColumns:
+    """Columns of shape (n, nv, p), most of which act on one joint only, kept joint by joint.
+
+    Attributes:
+        size: Number of columns p.
+        index: For each joint, which columns act on it.
+        rows: For each joint, those columns, shape (n, len(index)).
+    """
+
+    size: int
+    index: tuple[Index, ...]
+    rows: tuple[Array, ...]
+
+    @property
+    def nv(self) -> int:
+        """Number of joints."""
+        return len(self.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows[0])
+
+    @cached_property
+    def grams(self) -> tuple[Array, ...]:
+        """Inner products of each joint's columns, shape (len(index), len(index))."""
+        return tuple(read_only(X.T @ X) for X in self.rows)
+
+    def acting(self, columns: slice) -> Iterator[tuple[int, Index]]:
+        """Joints that some columns act on, each with where these are among its own."""
+        for j, at in enumerate(self.index):
+            here = np.flatnonzero((at >= columns.start) & (at < columns.stop))
+            if len(here):
+                yield j, here
+
+    def moments(self, r: Array) -> Array:
+        """Inner products of all columns with torque (n, nv), joint by joint: (nv, p)."""
+        found = np.zeros((self.nv, self.size))
+        for j, (at, X) in enumerate(zip(self.index, self.rows, strict=True)):
+            found[j, at] = X.T @ r[:, j]
+        return found
+
+    def gram(self, weight: Array) -> Array:
+        """Inner products over all joints, weighted by joint, shape (p, p)."""
+        total = np.zeros((self.size, self.size))
+        for w, at, G in zip(weight, self.index, self.grams, strict=True):
+            total[np.ix_(at, at)] += w * G
+        return total
+
+    def torque(self, coordinates: Array) -> Array:
+        """All columns times coordinates, (p, ...) → (n, nv, ...)."""
+        used = np.asarray(coordinates.reshape(self.size, -1).any(axis=1))
+        parts = []
+        for at, X in zip(self.index, self.rows, strict=True):
+            here = np.flatnonzero(used[at])
+            parts.append(X[:, here] @ coordinates[at[here]])
+        return np.stack(parts, axis=1)
+
+
+def joint_columns(blocks: Sequence[Array], counts: npt.NDArray[np.bool_]) -> JointColumns:
+    """Blocks of columns, each of shape (n, nv, k), where rows count, (n, nv)."""
+    size = sum(block.shape[2] for block in blocks)
+    index, rows = [], []
+    for j in range(blocks[0].shape[1]):
+        whole = np.concatenate([block[:, j] for block in blocks], axis=1)
+        at = np.flatnonzero(whole.any(axis=0))
+        index.append(at)
+        rows.append(read_only(np.asfortranarray(whole[:, at] * counts[:, [j]])))
+    return JointColumns(size, tuple(index), tuple(rows))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +141,7 @@ class Candidate:
     trials: int = 1
 
     @property
-    def key(self) -> tuple[str, tuple[str, ...]]:
+    def key(self) -> Key:
         """Effect and joints: candidates that differ in shape only share it."""
         return self.effect.name, self.effect.joints
 
@@ -74,7 +156,7 @@ class Evidence:
     """Weighted columns of all candidates, the nuisance always at work.
 
     Attributes:
-        signatures: All columns, nuisance first.
+        columns: All columns, nuisance first.
         residual: Residual of the given model, zero where rows do not count, shape (n, nv) [N·m].
         counted: Number of rows that count, shape (nv,).
         moments: Inner products of all columns with it, joint by joint, shape (nv, p).
@@ -84,13 +166,13 @@ class Evidence:
         blocks: First row of each block of time.
         sigma: Noise of each joint [N·m], shape (nv,).
         inflation: Integrated autocorrelation time of each joint's noise [rows], shape (nv,).
-        tolerance: Deviation of given bodies and effects over what is taken as usual.
         gram: Xᵀ Λ X of all columns, shape (p, p).
         moment: Xᵀ Λ r, shape (p,).
         power: rᵀ Λ r.
+        tolerance: Deviation of given bodies and effects over what is taken as usual.
     """
 
-    signatures: Signatures
+    columns: JointColumns
     residual: Array
     counted: Array
     moments: Array
@@ -113,7 +195,7 @@ class Evidence:
     def solve(self, chosen: Sequence[Candidate]) -> tuple[float, Array, Array]:
         """J, the coordinates of all columns (zero where not at work), and their covariance."""
         active = self.active(chosen)
-        factor = scipy.linalg.cho_factor(self._precision(active), lower=True)
+        factor = scipy.linalg.cho_factor(self._information(active), lower=True)
         solution = scipy.linalg.cho_solve(factor, self.moment[active])
         coordinates, covariance = np.zeros(len(self.moment)), np.zeros_like(self.gram)
         coordinates[active] = solution
@@ -124,7 +206,7 @@ class Evidence:
         """J of a set of candidates."""
         active = self.active(chosen)
         half = scipy.linalg.solve_triangular(
-            np.linalg.cholesky(self._precision(active)),
+            np.linalg.cholesky(self._information(active)),
             self.moment[active],
             lower=True,
             check_finite=False,
@@ -148,12 +230,12 @@ class Evidence:
             assume_a="pos",
         )
         coordinates[active] = unit * scaled
-        return self.residual - self.signatures.torque(coordinates)
+        return self.residual - self.columns.torque(coordinates)
 
     def additions(self, chosen: Sequence[Candidate]) -> Array:
         """Fall of J by adding each of the candidates to a set, shape (candidates,)."""
         active = self.active(chosen)
-        root = np.linalg.cholesky(self._precision(active))
+        root = np.linalg.cholesky(self._information(active))
         half = scipy.linalg.solve_triangular(root, self.gram[active], lower=True)
         rest = self.moment - half.T @ scipy.linalg.solve_triangular(
             root, self.moment[active], lower=True
@@ -172,7 +254,7 @@ class Evidence:
         """
         tail = FALSE_ALARM / (len(self.candidates) * candidate.trials)
         size, blocks = candidate.size, len(self.blocks)
-        return size * _beyond(tail, size, 2 * size * (blocks - 1))
+        return size * _fisher_quantile(tail, size, 2 * size * (blocks - 1))
 
     def dispersion(self, chosen: Sequence[Candidate], candidate: Candidate) -> float:
         """λ of a candidate added to a set: variance of its score over that of white noise.
@@ -184,11 +266,11 @@ class Evidence:
         active = self.active(chosen)
         at = np.arange(candidate.columns.start, candidate.columns.stop)
         B = scipy.linalg.solve(
-            self._precision(active), self.gram[np.ix_(active, at)], assume_a="pos"
+            self._information(active), self.gram[np.ix_(active, at)], assume_a="pos"
         )
         coordinates = np.zeros((len(self.moment), len(at)))
         coordinates[at], coordinates[active] = np.eye(len(at)), -B
-        S, e = self.signatures.torque(coordinates), self.left([*chosen, candidate])
+        S, e = self.columns.torque(coordinates), self.left([*chosen, candidate])
         weighted = S * self.weight[:, None]
         scores = np.add.reduceat(np.einsum("njk,nj->nk", weighted, e), self.blocks)
         grams = np.add.reduceat(np.einsum("njk,njl->nkl", weighted, S), self.blocks)
@@ -213,19 +295,51 @@ class Evidence:
         cosines = np.linalg.svd(whiten[0] @ G[:k, k:] @ whiten[1].T, compute_uv=False)
         return float(min(1.0, cosines[0])) if len(cosines) else 0.0
 
+    def block_errors(self, chosen: Sequence[Candidate]) -> Array:
+        """Weighted squared error that a set leaves in each block of time, shape (blocks,)."""
+        squares = (self.left(chosen) ** 2 * self.weight).sum(axis=1)
+        return np.asarray(np.add.reduceat(squares, self.blocks), float)
+
+    def separate_joints(self, chosen: Sequence[Candidate], cause: Candidate) -> tuple[float, int]:
+        """Fall of J when each joint has its own coefficients, and how many more these are.
+
+        Args:
+            chosen: What is at work.
+            cause: One of these.
+        """
+        active = self.active(chosen)
+        grams, crosses, moments, used = [], [], [], set[int]()
+        for j, here in self.columns.acting(cause.columns):
+            at, G, weight = self.columns.index[j], self.columns.grams[j], self.weight[j]
+            cross = np.zeros((len(self.moment), len(here)))
+            cross[at] = weight * G[:, here]
+            grams.append(weight * G[np.ix_(here, here)] + np.diag(self.precision[at[here]]))
+            crosses.append(cross[active])
+            moments.append(weight * self.moments[j, at[here]])
+            used |= {*at[here].tolist()}
+        if len(grams) < 2:
+            return 0.0, 0
+        cross = np.concatenate(crosses, axis=1)
+        right = np.column_stack([cross, self.moment[active]])
+        known = scipy.linalg.solve(self._information(active), right, assume_a="pos")
+        left = np.concatenate(moments) - cross.T @ known[:, -1]
+        G = scipy.linalg.block_diag(*grams) - cross.T @ known[:, :-1]
+        return float(left @ np.linalg.lstsq(G, left, rcond=1e-9)[0]), len(left) - len(used)
+
     def active(self, chosen: Sequence[Candidate]) -> Index:
         """Columns that are at work with a set."""
         parts = [np.arange(self.nuisance)]
         parts += [np.arange(c.columns.start, c.columns.stop) for c in chosen]
         return np.concatenate(parts)
 
-    def _precision(self, active: Index) -> Array:
+    def _information(self, active: Index) -> Array:
         return self.gram[np.ix_(active, active)] + np.diag(self.precision[active])
 
 
 @lru_cache(maxsize=4096)
-def _beyond(tail: float, size: int, freedom: int) -> float:
-    """Quantile of Fisher's F."""
+def _fisher_quantile(tail: float, size: int, freedom: int) -> float:
+    import scipy.stats
+
     return float(scipy.stats.f.isf(tail, size, freedom))
 
 
@@ -237,7 +351,7 @@ def _inverse_root(G: Array) -> Array:
 
 
 def weigh(
-    columns: Signatures,
+    columns: JointColumns,
     r: Array,
     counts: npt.NDArray[np.bool_],
     precision: Array,
@@ -259,7 +373,7 @@ def weigh(
     n, residual = len(r), read_only(r * counts)
     count = int(np.clip(n * period / _BLOCK_S, *_BLOCKS))
     blank = Evidence(
-        signatures=columns,
+        columns=columns,
         residual=residual,
         counted=read_only(np.maximum(counts.sum(axis=0), 1)),
         moments=read_only(columns.moments(residual)),
@@ -300,7 +414,62 @@ def _with_noise(evidence: Evidence, e: Array) -> Evidence:
         evidence,
         sigma=read_only(sigma),
         inflation=read_only(inflation),
-        gram=read_only(evidence.signatures.gram(weight)),
+        gram=read_only(evidence.columns.gram(weight)),
         moment=read_only(weight @ evidence.moments),
         power=float((weight * r**2).sum()),
     )
+
+
+def are_placeholders(robot: Robot) -> bool:
+    """Whether all links weigh the same, as those of no arm of three joints or more do."""
+    mass = robot.phi[::10]
+    return len(mass) > 2 and bool(np.allclose(mass, mass[0], rtol=1e-6))
+
+
+def widened(robot: Robot) -> float:
+    """Factor on the tolerance of a robot's links before data are seen."""
+    return _UNKNOWN if are_placeholders(robot) else 1.0
+
+
+def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
+    """The same evidence with the tolerance of given values that the data support.
+
+    Args:
+        evidence: Evidence with the prior of ±10 %; its leading columns stand for the links, those
+            up to `Evidence.nuisance` for the effects.
+        robot: The given robot.
+    """
+    links = 10 * robot.nv
+    parts = np.arange(links), np.arange(links, evidence.nuisance)
+    factors = [_typical_deviation(evidence, part) for part in parts]
+    if are_placeholders(robot):
+        factors[0] = _UNKNOWN
+    precision = np.array(evidence.precision)
+    for part, factor in zip(parts, factors, strict=True):
+        precision[part] /= factor**2
+    scaled = replace(evidence, precision=read_only(precision), tolerance=(factors[0], factors[1]))
+    return reweighed(scaled, [])
+
+
+def _typical_deviation(evidence: Evidence, part: Index) -> float:
+    """Typical deviation of given values in units of the tolerance."""
+    if len(part) < 2:
+        return _RANGE[1]
+    others = np.setdiff1d(np.arange(evidence.nuisance), part)
+    A = evidence.gram + np.diag(evidence.precision)
+    H, m = evidence.gram[np.ix_(part, part)], evidence.moment[part]
+    if len(others):
+        cross = scipy.linalg.solve(
+            A[np.ix_(others, others)], evidence.gram[np.ix_(others, part)], assume_a="pos"
+        )
+        H = H - evidence.gram[np.ix_(part, others)] @ cross
+        m = m - cross.T @ evidence.moment[others]
+    unit = 1 / np.sqrt(evidence.precision[part])
+    values, vectors = np.linalg.eigh(unit[:, None] * H * unit)
+    shown = values > _DETERMINED
+    if shown.sum() < _FEWEST:
+        return _RANGE[1]
+    deviation = (vectors[:, shown].T @ (unit * m)) / values[shown]
+    # noise alone adds the second term to the median of a squared deviation
+    variance = float(np.median(deviation**2 - _MEDIAN / values[shown])) / _MEDIAN
+    return float(np.clip(np.sqrt(max(variance, 0.0)), *_RANGE))

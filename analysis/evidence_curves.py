@@ -9,9 +9,7 @@ import numpy as np
 
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
-from excitant.analysis.domains import places
-from excitant.analysis.residuals import Remainder
-from excitant.analysis.sticking import sliding
+from excitant.analysis.residuals import Residual, explanatory
 from excitant.robots.effects import JointwiseEffect, TorqueOffset, ViscousFriction, plain
 from excitant.robots.motion import Array
 
@@ -67,13 +65,13 @@ class Curve:
     rival: Array | None = None
 
 
-def curve_of(diagnosis: Diagnosis, item: Finding | Remainder) -> Curve:
+def curve_of(diagnosis: Diagnosis, item: Finding | Residual) -> Curve:
     """The figure that shows a finding, or what is left unexplained."""
-    moves = sliding(diagnosis.data.validate)
-    if isinstance(item, Remainder):
+    moves = diagnosis.held.moves
+    if isinstance(item, Residual):
         j = diagnosis.robot.joint_index(item.joint)
-        label, x = _abscissa(diagnosis, _REMAINS[item.domain], j)
-        return Curve(j, label, np.where(moves[:, j], x, np.nan), _left(diagnosis)[:, j])
+        label, x = _abscissa(diagnosis, _REMAINS[item.dominant], j)
+        return Curve(j, label, np.where(moves[:, j], x, np.nan), diagnosis.left[:, j])
     j, other = _shown(diagnosis, item)
     torque = item.torque[:, j]
     domain = _TELLS.get(item.effect.name, "own torque")
@@ -88,7 +86,7 @@ def curve_of(diagnosis: Diagnosis, item: Finding | Remainder) -> Curve:
     if domain == "angle":
         period = 2 * np.pi / getattr(item.effect, "order", 1.0)
         label, x = "joint position within one period of the ripple [rad]", np.mod(x, period)
-    x, residual = np.where(moves[:, j], x, np.nan), _left(diagnosis)[:, j] + torque
+    x, residual = np.where(moves[:, j], x, np.nan), diagnosis.left[:, j] + torque
     return Curve(j, label, x, residual, torque, _rival(diagnosis, item, j, residual))
 
 
@@ -112,17 +110,13 @@ def _rival(diagnosis: Diagnosis, finding: Finding, j: int, residual: Array) -> A
         ],
         axis=1,
     )
-    rows = sliding(segments)[:, j]
+    rows = diagnosis.held.moves[:, j]
     sizes = np.sqrt((columns[rows] ** 2).sum(axis=0))
     live = columns[:, sizes > 0] / sizes[sizes > 0]
     if not live.shape[1]:
         return None
     fitted: Array = live @ np.linalg.lstsq(live[rows], residual[rows], rcond=1e-8)[0]
     return fitted
-
-
-def _left(diagnosis: Diagnosis) -> Array:
-    return np.asarray(diagnosis.series.measured - diagnosis.predicted, float)
 
 
 def _shown(diagnosis: Diagnosis, finding: Finding) -> tuple[int, int]:
@@ -142,7 +136,7 @@ def _abscissa(diagnosis: Diagnosis, domain: str, j: int, other: int = 0) -> tupl
     t, torque = diagnosis.series.t, diagnosis.predicted[:, j]
     way = np.sign(diagnosis.velocity[:, j])
     if domain == "reversal":
-        where = places(diagnosis.data.validate, diagnosis.predicted)
+        where = explanatory(diagnosis.data.validate, diagnosis.predicted)
         label = f"distance since the last reversal, signed by direction [{way_unit}]"
         return label, where.reversal[:, j]
     return {

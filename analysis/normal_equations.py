@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
-from excitant.analysis.signatures import Index
+from excitant.analysis.evidence import Index
 from excitant.robots.motion import Array
 
 _RIDGE = 1e-10  # relative, so that columns that repeat each other do no harm

@@ -218,7 +218,7 @@ def diagnosis_item(situation: Situation, found: Diagnosis, change: HiddenEffect)
     right = lead.effect.name == change.effect and change.joint in lead.effect.joints
     others = {rival.candidate.effect.name for rival in lead.rivals}
     alike = _MASSES if change.effect in _MASSES else set()
-    passed = right and not lead.doubt and others <= alike
+    passed = right and not lead.downgrade and others <= alike
     item = Item(
         "diagnosis", change.joint, passed, f"{planted}: {named}",
         "" if passed else situation.faster(change.joint),

@@ -1,51 +1,266 @@
-"""What a model leaves on the hold-out: how much of it is noise, and where the rest shows."""
+"""What a model leaves of a joint's torque: how much is noise, and with what the rest varies.
+
+The share of a quantity x is that of the means of the error over bins of x (the correlation ratio
+of Pearson 1905), less what chance gives to as many bins, after the constant part is taken off.
+Shares overlap: friction that grows with speed also differs by direction. The dominant quantity is
+therefore the simplest of those that explain nearly as much as the best.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
+import numpy.typing as npt
+import scipy.ndimage
 
-from excitant.analysis.domains import band_shares, places, shares, telling
-from excitant.analysis.sticking import sliding
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.preprocessing import Segment
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, freeze
+
+Mask = npt.NDArray[np.bool_]
+
+CONSTANT = "constant"
+QUANTITIES = {
+    CONSTANT: "are a constant offset",
+    "direction": "vary with the direction of motion",
+    "velocity": "vary with velocity",
+    "position": "vary with position",
+    "load": "vary with load",
+    "reversal": "vary with the distance since the last reversal",
+    "time": "drift with time",
+}
+"""What an error may vary with, simplest first: nothing, sign of velocity, velocity, position,
+torque by direction, distance since the last reversal by direction, and time (a slow trend)."""
+BANDS = ("slower", "motion", "faster")
+"""Below the base harmonic of the motion, in the band of the motion, above it."""
 
 VISIBLE = 2.0  # times the noise floor: from here on an effect can be seen
 _SHARE = 0.1  # of the given model's squared error
-_BAND = 1.5  # times the cut-off: where nothing of the motion is left
+_LITTLE = 0.1  # of the error's power: with less, a quantity tells nothing
+_NEARLY = 0.05  # of the error's power: how much more a less simple quantity must explain
+_BINS = 24
+_TREND = 2  # degree of what changes slowly over time
+_PERIODS = 3.0  # of the motion: in a shorter time, a trend is not told from the motion
+_NO_DIRECTION = 0.005  # of a joint's fastest motion: slower is no motion to either side
+_OUTSIDE = 0.02  # of the power on either side of a motion's band
+
+_SLOW = 0.015  # of a joint's fastest motion: below it rests
+_RESTS_S = 0.04  # s, at least; a reversal without a rest is quicker
+_REACH = 0.5  # of the period of the torque filter's cut-off: how far a rest is felt
+
+_ABOVE = 1.5  # times the cut-off: where nothing of the motion is left
 _PASSED = 0.898  # of white noise below the cut-off: ∫ dx / (1 + x⁸)²
 _NEAR = (0.6, 0.95)  # of the cut-off
 _LONGEST = 512  # samples of a periodogram's stretch
 _FORGETS = 0.1  # s: residuals that forget faster than this look like noise
 _MEASURABLE = 1e-3  # of the error: less noise than this is not what a sensor has, but a filter
 _SAID = 100.0  # times the noise: beyond, the number says nothing more
-WORDS = {
-    "constant": "{} are a constant offset",
-    "direction": "{} vary with the direction of motion",
-    "velocity": "{} vary with velocity",
-    "position": "{} vary with position",
-    "load": "{} vary with load",
-    "reversal": "{} vary with the distance since the last reversal",
-    "time": "{} drift with time",
-}
+
+
+def moving(segments: Sequence[Segment]) -> Mask:
+    """Rows at which each joint moves, or reverses without a rest, shape (rows, nv).
+
+    Dry friction at rest takes any value up to its level, so other rows say nothing of it.
+    """
+    fastest = np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0)
+    masks = []
+    for s in segments:
+        slow = np.abs(s.motion.dq) <= _SLOW * fastest
+        least = max(1, round(_RESTS_S * s.rate_hz))
+        rests = scipy.ndimage.binary_opening(slow, np.ones((least, 1), bool))
+        reach = max(1, round(_REACH * s.rate_hz / s.cutoff_hz))
+        masks.append(
+            ~scipy.ndimage.binary_dilation(rests, np.ones((2 * reach + 1, 1), bool))[s.keep]
+        )
+    return np.concatenate(masks)
+
+
+@dataclass(frozen=True, eq=False)
+class Explanatory:
+    """What an error may vary with, at the rows of a hold-out; each array of shape (n, nv).
+
+    Attributes:
+        position: Joint positions [rad or m].
+        velocity: Joint velocities [rad/s or m/s].
+        load: Torque of a model [torque unit].
+        reversal: Distance since the joint last turned back, with the sign of its velocity
+            [rad or m].
+        lengths: Rows of each uninterrupted part.
+        steps: Time between the rows of each part [s].
+        bands: Lowest and highest frequency of each joint's motion, shape (nv, 2) [Hz].
+    """
+
+    position: Array
+    velocity: Array
+    load: Array
+    reversal: Array
+    lengths: tuple[int, ...]
+    steps: tuple[float, ...]
+    bands: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "position", "velocity", "load", "reversal", "bands")
+
+
+def explanatory(segments: Sequence[Segment], load: Array) -> Explanatory:
+    """What an error at the rows of segments may vary with.
+
+    Args:
+        segments: The hold-out.
+        load: Torque of a model at its rows, shape (n, nv) [torque unit].
+    """
+    q, dq = (
+        np.concatenate([getattr(s.motion, name)[s.keep] for s in segments]) for name in ("q", "dq")
+    )
+    fastest = np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0)
+    slowest = _NO_DIRECTION * fastest
+    since = [since_reversal(s.motion.q, s.motion.dq, slowest)[s.keep] for s in segments]
+    return Explanatory(
+        position=q,
+        velocity=dq,
+        load=load,
+        reversal=np.concatenate(since),
+        lengths=tuple(len(s.t) for s in segments),
+        steps=tuple(float(s.t[1] - s.t[0]) for s in segments),
+        bands=_motion_bands(segments),
+    )
+
+
+def since_reversal(q: Array, dq: Array, slowest: Array) -> Array:
+    """Signed distance from where each joint last turned back, shape (n, nv).
+
+    Before the first reversal it is counted from the first instant.
+
+    Args:
+        q: Positions, shape (n, nv).
+        dq: Velocities, shape (n, nv).
+        slowest: Speed up to which a joint has no direction, shape (nv,).
+    """
+    way = np.where(np.abs(dq) > slowest, np.sign(dq), 0.0)
+    at = np.arange(len(q))[:, None]
+    known = np.maximum.accumulate(np.where(way != 0, at, 0), axis=0)
+    way = np.take_along_axis(way, known, axis=0)
+    turned = np.vstack([np.ones((1, q.shape[1]), bool), way[1:] != way[:-1]])
+    last = np.maximum.accumulate(np.where(turned, at, 0), axis=0)
+    signed: Array = way * np.abs(q - np.take_along_axis(q, last, axis=0))
+    return signed
+
+
+def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
+    """Share of the power of one joint's error that each of `QUANTITIES` explains.
+
+    Time is left out where the motion repeats too little to tell a trend from it.
+
+    Args:
+        e: Error at the rows, shape (n,).
+        by: What it may vary with.
+        j: The joint.
+        rows: Rows that count, shape (n,).
+    """
+    e, time = e[rows], np.flatnonzero(rows).astype(float)
+    dq, load = by.velocity[rows, j], by.load[rows, j]
+    constant = float(e.mean())
+    rest, total = e - constant, max(float((e**2).sum()), 1e-300)
+    independent = max(len(e) / autocorrelation_time(rest), 1.0)
+    found = {CONSTANT: (len(e) * constant**2 - float((rest**2).sum()) / independent) / total}
+    forward = (dq > 0).astype(np.intp)
+
+    def even(x: Array, bins: int) -> npt.NDArray[np.intp]:
+        edges = np.quantile(x, np.linspace(0, 1, bins + 1)[1:-1])
+        return np.asarray(np.searchsorted(edges, x), np.intp)
+
+    distance = np.abs(by.reversal[rows, j])
+    near = np.searchsorted(np.quantile(distance, 0.5 ** np.arange(7, 0, -1)), distance)
+    bins = {
+        "direction": forward,
+        "velocity": even(dq, _BINS),
+        "position": even(by.position[rows, j], _BINS),
+        "load": 2 * even(load, _BINS // 2) + forward,
+        "reversal": 2 * near + forward,
+    }
+    for name, each in bins.items():
+        means = (np.bincount(each, rest) / np.maximum(np.bincount(each), 1))[each]
+        found[name] = _explained(rest, means, len(np.unique(each)) - 1) / total
+    if by.bands[j, 0] * np.dot(by.lengths, by.steps) >= _PERIODS:
+        trend = np.polynomial.Polynomial.fit(time, rest, _TREND)(time)
+        found["time"] = _explained(rest, trend, _TREND) / total
+    return {name: float(np.clip(share, 0.0, 1.0)) for name, share in found.items()}
+
+
+def _explained(e: Array, fitted: Array, freedom: int) -> float:
+    """Power that a fit with some coefficients takes off an error, less what chance gives it."""
+    rest = e - fitted
+    left = float((rest**2).sum())
+    independent = max(len(e) / autocorrelation_time(rest), 1.0)
+    return float((e**2).sum()) - left - left * freedom / independent
+
+
+def dominant(found: Mapping[str, float]) -> str:
+    """The simplest quantity that explains nearly as much as the best; none where all say little."""
+    best = max(found.values())
+    if best < _LITTLE:
+        return ""
+    return next(name for name in QUANTITIES if found.get(name, -1.0) >= best - _NEARLY)
+
+
+def band_shares(e: Array, by: Explanatory, j: int) -> dict[str, float]:
+    """Share of the power of one joint's error, its mean left out, in each of `BANDS`.
+
+    Args:
+        e: Error at all rows, shape (n,).
+        by: Rows and the motion's band.
+        j: The joint.
+    """
+    power, start, (low, high) = np.zeros(3), 0, by.bands[j]
+    centred = e - e.mean()
+    for length, step in zip(by.lengths, by.steps, strict=True):
+        part = centred[start : start + length]
+        start += length
+        f, density = _spectrum(part[:, None], step)
+        at = np.searchsorted([low - f[1] / 2, high + f[1] / 2], f)
+        power += np.bincount(at, density[:, 0], minlength=3)
+    total = max(float(power.sum()), 1e-300)
+    return {name: float(part / total) for name, part in zip(BANDS, power, strict=True)}
+
+
+def _motion_bands(segments: Sequence[Segment]) -> Array:
+    """Lowest and highest frequency at which each joint moves, shape (nv, 2) [Hz].
+
+    All but a fiftieth of the power of its positions lies above, of its velocities below.
+    """
+    longest = max(segments, key=lambda s: len(s.motion))
+    step = 1 / longest.rate_hz
+    f, positions = _spectrum(longest.motion.q - longest.motion.q.mean(axis=0), step)
+    _, velocities = _spectrum(longest.motion.dq, step)
+    edges = []
+    for power, share in ((positions, _OUTSIDE), (velocities, 1 - _OUTSIDE)):
+        reached = np.cumsum(power, axis=0) >= share * power.sum(axis=0)
+        edges.append(f[np.argmax(reached, axis=0)])
+    return np.column_stack([np.minimum(*edges), edges[1]])
+
+
+def _spectrum(x: Array, step: float) -> tuple[Array, Array]:
+    """Frequencies and power of columns under Hann's window, without the constant."""
+    power = np.abs(np.fft.rfft(x * np.hanning(len(x))[:, None], axis=0)) ** 2
+    power[0] = 0.0
+    return np.asarray(np.fft.rfftfreq(len(x), step), float), np.asarray(power, float)
 
 
 @dataclass(frozen=True)
-class Remainder:
-    """What is left of one joint's torque.
+class Residual:
+    """What a model leaves of one joint's torque while the joint moves.
 
     Attributes:
         joint: Name.
-        rms: Error of the extended model [torque unit].
+        rms: Error of the model [torque unit].
         floor: What noise alone would leave [torque unit].
         given: Error of the given model [torque unit].
         correlation_s: How long the error stays correlated [s].
-        shows: Share of the error's power that each of `domains.DOMAINS` explains.
-        bands: Share of the error's power in each of `domains.BANDS`.
+        shares: Share of the error's power that each of `QUANTITIES` explains.
+        bands: Share of the error's power in each of `BANDS`.
+        motion_hz: Lowest and highest frequency of the joint's motion [Hz].
     """
 
     joint: str
@@ -53,8 +268,9 @@ class Remainder:
     floor: float
     given: float
     correlation_s: float
-    shows: tuple[tuple[str, float], ...]
-    bands: tuple[tuple[str, float], ...] = ()
+    shares: Mapping[str, float]
+    bands: Mapping[str, float]
+    motion_hz: tuple[float, float]
 
     @property
     def structured(self) -> float:
@@ -69,9 +285,9 @@ class Remainder:
         return slow and self.structured > VISIBLE * self.floor and share > _SHARE
 
     @property
-    def domain(self) -> str:
+    def dominant(self) -> str:
         """What tells the error best, empty where nothing alone does."""
-        return telling(dict(self.shows))
+        return dominant(self.shares)
 
     @property
     def structure(self) -> str:
@@ -79,10 +295,10 @@ class Remainder:
         if not self.visible and self.correlation_s < _FORGETS:
             return "noise-like"
         words = f"structured: stays correlated over {self.correlation_s:.2g} s"
-        if not self.domain:
+        if not self.dominant:
             return words
-        share = dict(self.shows)[self.domain]
-        return f"{words}; {WORDS[self.domain].format(f'{100 * share:.0f} %')}"
+        share = f"{100 * self.shares[self.dominant]:.0f} %"
+        return f"{words}; {share} {QUANTITIES[self.dominant]}"
 
     @property
     def against_noise(self) -> str:
@@ -95,10 +311,10 @@ class Remainder:
         return f"{ratio:.{0 if ratio >= 10 else 1}f} times the noise"
 
 
-def remainders(
+def residuals(
     joints: Sequence[str], segments: Sequence[Segment], error: Array, given: Array, load: Array
-) -> tuple[Remainder, ...]:
-    """What is left of each joint's torque where it moves.
+) -> tuple[Residual, ...]:
+    """What a model leaves of each joint's torque where it moves.
 
     Args:
         joints: Names.
@@ -107,21 +323,22 @@ def remainders(
         given: What the given model leaves there, shape (n, nv) [torque unit].
         load: Torque of the model at its rows, shape (n, nv) [torque unit].
     """
-    where, moves = places(segments, load), sliding(segments)
-    step, cutoff = where.steps[0], segments[0].cutoff_hz
+    by, moves = explanatory(segments, load), moving(segments)
+    step, cutoff = by.steps[0], segments[0].cutoff_hz
     found = []
     for j, joint in enumerate(joints):
         at = moves[:, j] if moves[:, j].any() else ~moves[:, j]
-        e = error[at, j]
+        e, (low, high) = error[at, j], by.bands[j].tolist()
         found.append(
-            Remainder(
+            Residual(
                 joint,
-                float(np.sqrt((e**2).mean())),
-                max(noise_floor(segments, j), _fast(error[:, j], 1 / step, cutoff)),
-                float(np.sqrt((given[at, j] ** 2).mean())),
-                float(autocorrelation_time(e) * step),
-                tuple(shares(error[:, j], where, j, at).items()),
-                tuple(band_shares(error[:, j], where, j).items()),
+                rms=float(np.sqrt((e**2).mean())),
+                floor=max(noise_floor(segments, j), _fast(error[:, j], 1 / step, cutoff)),
+                given=float(np.sqrt((given[at, j] ** 2).mean())),
+                correlation_s=float(autocorrelation_time(e) * step),
+                shares=shares(error[:, j], by, j, at),
+                bands=band_shares(error[:, j], by, j),
+                motion_hz=(low, high),
             )
         )
     return tuple(found)
@@ -133,11 +350,13 @@ def noise_floor(segments: Sequence[Segment], j: int) -> float:
     Its density is the median of the periodogram above the motion's band; zero where the rate
     leaves no such band.
     """
+    import scipy.signal
+
     power, weight = 0.0, 0
     for s in segments:
         n = len(s.tau_raw)
         f, density = scipy.signal.welch(s.tau_raw[:, j], s.rate_hz, nperseg=min(_LONGEST, n))
-        above = density[f > _BAND * s.cutoff_hz]
+        above = density[f > _ABOVE * s.cutoff_hz]
         if len(above):
             power += n * float(np.median(above)) * _PASSED * s.cutoff_hz
             weight += n
@@ -146,6 +365,8 @@ def noise_floor(segments: Sequence[Segment], j: int) -> float:
 
 def _fast(e: Array, rate_hz: float, cutoff_hz: float) -> float:
     """Rms that an error would have if its density below the cut-off were that close to it."""
+    import scipy.signal
+
     f, density = scipy.signal.welch(e, rate_hz, nperseg=min(_LONGEST // 4, len(e)))
     near = density[(f > _NEAR[0] * cutoff_hz) & (f < _NEAR[1] * cutoff_hz)]
     return float(np.sqrt(np.median(near) * _PASSED * cutoff_hz)) if len(near) else 0.0

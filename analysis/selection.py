@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence, Set
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import scipy.stats
 
-from excitant.analysis.agreement import agrees, is_common
-from excitant.analysis.evidence import Candidate, Evidence, reweighed
-from excitant.analysis.proposals import has_shape
+from excitant.analysis.candidates import has_shape
+from excitant.analysis.evidence import Candidate, Evidence, Key, reweighed
 from excitant.robots.effects import (
     AsymmetricFriction,
     Effect,
@@ -24,22 +22,17 @@ from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values
 
 _LARGEST_SET = 60
-_DRY = ("viscous_friction", "coulomb_friction")
-_STANDARD = (*_DRY, "torque_offset", "rotor_inertia")
+DRY = ("viscous_friction", "coulomb_friction")
+_STANDARD = (*DRY, "torque_offset", "rotor_inertia")
 _BRINGS_MORE = 0.01  # probability that a coefficient too many seems to bring more
 _TYPICAL = 0.1  # probability of what is taken for chance when causes are ranked
 _SIGN_DEVIATIONS = 2.0  # standard deviations by which a value may lie beyond what physics allows
-_TIE = 2.0  # standard errors within which two causes explain the data alike
-_TIE_ALIKE = 3.3  # the same where their signatures are alike
-_ALIKE = 0.9  # |cos| of such signatures
 _IDENTICAL = 0.9999  # |cos| of two causes that are one on this motion
-_SAME = 0.999  # |cos| of a cause that is part of another
-_HALF = 0.5  # of what a cause explains, at least, must a rival explain
+_FADED = 0.5  # of what a cause brought when last looked at: then it is looked at again
 _CANCELLED = 4.0  # times the squared error on its joints: a cause that others must take back
 _GRAVITY_TOLERANCE = 0.05  # of 9.81 m/s², by which a turned gravity may differ in size
-
-
-Key = tuple[str, tuple[str, ...]]
+_SHARE = 0.05  # of what a cause explains, at least, that joints on their own explain more
+_BY_CHANCE = 1e-3  # probability of as much when all joints agree
 
 
 def select(
@@ -59,7 +52,7 @@ def select(
     Returns:
         The evidence with the noise at the end, and the causes.
     """
-    bare = _bare(robot)
+    bare = frictionless(robot)
     allowed = [c for c in evidence.candidates if c.key not in refuted]
     standard = [c for c in allowed if c.effect.name in _STANDARD and {*c.effect.joints} <= bare]
     evidence, chosen = _grown(evidence, robot, [], standard)
@@ -159,7 +152,7 @@ def _pruned(
         if underlies(robot, rest, candidate):
             continue
         fall = evidence.cost(rest) - evidence.cost(kept)
-        if fall > _HALF * falls.get(candidate.columns.start, np.inf):
+        if fall > _FADED * falls.get(candidate.columns.start, np.inf):
             continue
         if _significant(evidence, rest, candidate, fall):
             falls[candidate.columns.start] = fall
@@ -175,13 +168,14 @@ def underlies(robot: Robot, rest: Sequence[Candidate], candidate: Candidate) -> 
     them, where the given model has none (heredity of main effects: Hamada and Wu 1992).
     """
     effect = candidate.effect
-    if effect.name not in _DRY or not {*effect.joints} <= _bare(robot):
+    if effect.name not in DRY or not {*effect.joints} <= frictionless(robot):
         return False
-    finer = (c.effect for c in rest if _rubs(c.effect) and c.effect.name not in _DRY)
+    finer = (c.effect for c in rest if is_friction(c.effect) and c.effect.name not in DRY)
     return any(e.joints == effect.joints and effect.name not in e.contains for e in finer)
 
 
-def _rubs(effect: Effect) -> bool:
+def is_friction(effect: Effect) -> bool:
+    """Whether an effect is a kind of friction."""
     return "friction" in effect.name or isinstance(effect, PreslidingHysteresis)
 
 
@@ -192,8 +186,9 @@ def plausible(
 
     Those of a cause that is common to all joints must be the same for all.
     """
-    common = is_common(robot, candidate.effect) or isinstance(candidate.effect, Payload)
-    if common and not agrees(evidence, chosen, candidate):
+    effect = candidate.effect
+    common = robot.nv > 1 and {*effect.joints} == {*robot.joints}
+    if (common or isinstance(effect, Payload)) and not agrees(evidence, chosen, candidate):
         return False
     _, coordinates, covariance = evidence.solve(chosen)
     if any(_cancelled(evidence, cause, coordinates) for cause in chosen):
@@ -211,12 +206,32 @@ def plausible(
     return signs and candidate.effect.credible(robot, value)
 
 
+def agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) -> bool:
+    """Whether joints explain no more when each has its own coefficients of a cause.
+
+    One gravity, one payload, one delay explains all joints by the same numbers. What merely
+    imitates it does not: the joints fit it each in its own way (heterogeneity: Cochran 1954).
+
+    Args:
+        evidence: Evidence.
+        chosen: What is at work.
+        cause: One of these.
+    """
+    rest = [c for c in chosen if c is not cause]
+    more, freedom = evidence.separate_joints([*rest, cause], cause)
+    if not freedom:
+        return True
+    explained = evidence.cost(rest) - evidence.cost([*rest, cause])
+    chance = evidence.dispersion(rest, cause) * scipy.stats.chi2.isf(_BY_CHANCE, freedom)
+    return bool(more < max(chance, _SHARE * explained))
+
+
 def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool:
     """Whether a cause makes far more torque than there is to explain, which others take back."""
     made = there = 0.0
-    for j, here in evidence.signatures.acting(cause.columns):
-        x = coordinates[evidence.signatures.index[j][here]]
-        G = evidence.signatures.grams[j][np.ix_(here, here)]
+    for j, here in evidence.columns.acting(cause.columns):
+        x = coordinates[evidence.columns.index[j][here]]
+        G = evidence.columns.grams[j][np.ix_(here, here)]
         made += float(evidence.weight[j] * (x @ G @ x))
         there += float(evidence.weight[j] * (evidence.residual[:, j] ** 2).sum())
     return made > _CANCELLED * there
@@ -250,80 +265,6 @@ _PLAUSIBLE: dict[str, Callable[[Robot, Effect, Array, Array], bool]] = {
 }
 
 
-@dataclass(frozen=True)
-class Rival:
-    """Another cause that the data cannot tell from the one found.
-
-    Attributes:
-        candidate: The other cause.
-        deviations: By how many standard errors the one found explains the data better.
-        cosine: Largest |cos| between both signatures.
-    """
-
-    candidate: Candidate
-    deviations: float
-    cosine: float
-
-
-def rivals(
-    evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], found: Candidate
-) -> list[Rival]:
-    """Causes that could stand in place of one that was found.
-
-    A rival explains at least half of what the found cause explains, and leaves it less than half
-    to explain. The two are compared by the squared error that each leaves, block by block of time
-    (Vuong 1989): within two standard errors they tie; within 3.3 where their signatures are
-    alike. On joints whose friction is all new, a rival may bring the standard model's along.
-    """
-    rest, taken = [c for c in chosen if c is not found], {c.key for c in chosen}
-    bare, falls = _bare(robot), evidence.additions(rest)
-    own, errors = falls[evidence.candidates.index(found)], _block_errors(evidence, chosen)
-    best: dict[tuple[str, tuple[str, ...]], Rival] = {}
-    for k, other in enumerate(evidence.candidates):
-        if other.key in taken or _only_more(evidence, found, other):
-            continue
-        friends = _friction(evidence, other, rest) if {*other.effect.joints} <= bare else []
-        if falls[k] <= _HALF * own and not friends:
-            continue
-        instead = [*rest, other, *(c for c in friends if c is not other and c is not found)]
-        left = evidence.cost(instead) - evidence.cost([*instead, found])
-        if left > _HALF * own:
-            continue
-        difference = _block_errors(evidence, instead) - errors
-        z = float(difference.sum() / max(np.sqrt(len(difference)) * difference.std(ddof=1), 1e-12))
-        cosine = evidence.cosine(found, other)
-        if z >= (_TIE_ALIKE if cosine > _ALIKE else _TIE):
-            continue
-        known = best.get(other.key)
-        if (known is None or z < known.deviations) and plausible(evidence, robot, instead, other):
-            best[other.key] = Rival(other, z, cosine)
-    return sorted(best.values(), key=lambda rival: rival.deviations)
-
-
-def _bare(robot: Robot) -> set[str]:
+def frictionless(robot: Robot) -> set[str]:
     """Joints that the model gives no friction."""
-    return set(robot.joints) - {j for e in robot.effects if e.name in _DRY for j in e.joints}
-
-
-def _friction(evidence: Evidence, other: Candidate, rest: Sequence[Candidate]) -> list[Candidate]:
-    """Standard friction of a friction's joint, as far as it is not there."""
-    if not _rubs(other.effect):
-        return []
-    return [
-        c
-        for c in evidence.candidates
-        if c.effect.name in _DRY and c.effect.joints == other.effect.joints and c not in rest
-    ]
-
-
-def _only_more(evidence: Evidence, found: Candidate, other: Candidate) -> bool:
-    """Whether another cause is the one found with more coefficients."""
-    special = found.effect.name in other.effect.contains and other.size > found.size
-    real = found.effect.name in other.effect.imitates
-    return special and not real and evidence.cosine(found, other) > _SAME
-
-
-def _block_errors(evidence: Evidence, chosen: Sequence[Candidate]) -> Array:
-    """Weighted squared error that a set leaves in each block, shape (blocks,)."""
-    squares = (evidence.left(chosen) ** 2 * evidence.weight).sum(axis=1)
-    return np.asarray(np.add.reduceat(squares, evidence.blocks), float)
+    return set(robot.joints) - {j for e in robot.effects if e.name in DRY for j in e.joints}

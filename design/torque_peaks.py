@@ -21,7 +21,7 @@ import pinocchio as pin
 
 from excitant.design.criterion import speed_scale
 from excitant.robots import Array, Motion, Robot, torque
-from excitant.robots.effects import Effect, JointEffect
+from excitant.robots.effects import Effect
 from excitant.robots.torque import largest_torque, link_torques
 
 if TYPE_CHECKING:
@@ -257,8 +257,8 @@ def _worst_bodies(robot: Robot, motion: Motion, joint: npt.NDArray[np.intp]) -> 
 def _effect_derivatives(robot: Robot, motion: Motion) -> Array:
     n, nv = motion.q.shape
     D = np.zeros((3, n, nv, nv))
-    own = [effect for effect in robot.effects if isinstance(effect, JointEffect)]
-    others = [effect for effect in robot.effects if not isinstance(effect, JointEffect)]
+    own = [effect for effect in robot.effects if effect.law is not None]
+    others = [effect for effect in robot.effects if effect.law is None]
     joints = np.arange(nv)
     for order in range(3):
         D[order][:, joints, joints] = _difference(robot, own, motion, order, np.ones(nv))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-import os
 import re
 from importlib import import_module
 from importlib.util import find_spec
@@ -20,15 +18,9 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 def commands(program: str) -> str:
     """Help of every command of a program, a section each."""
-    from excitant.cli import parser
+    from excitant.cli import app
 
-    os.environ["COLUMNS"] = "82"  # the same in every terminal
-    top = parser()
-    [verbs] = [a for a in top._actions if isinstance(a, argparse._SubParsersAction)]
-    pages = {program: top, **{f"{program} {name}": verb for name, verb in verbs.choices.items()}}
-    return "\n".join(
-        f"## {name}\n\n```text\n{page.format_help()}```\n" for name, page in pages.items()
-    )
+    return str(app.generate_docs(output_format="markdown"))
 
 
 def names(package: str) -> str:

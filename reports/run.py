@@ -61,7 +61,7 @@ def save_run(
     contents[REPORT] = render(read, arrays).encode()
     contents[RESULT] = encoded
     try:
-        return _write_all(directory, contents)
+        return write_all(directory, contents)
     except OSError as error:
         why = error.strerror or str(error)
         raise BadInput(f"{directory}: cannot be written: {why}; choose another folder") from error
@@ -170,7 +170,8 @@ def _unpack(packed: bytes) -> dict[str, Array]:
         return {key: np.asarray(archive[key]) for key in archive.files}
 
 
-def _write_all(directory: Path, contents: Mapping[str, bytes]) -> list[Path]:
+def write_all(directory: Path, contents: Mapping[str, bytes]) -> list[Path]:
+    """Write all files or none; the folder is made when missing."""
     made: list[Path] = []
     staged: list[tuple[Path, Path]] = []
     fresh = not directory.exists()

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import re
 import shlex
 from pathlib import Path
 
 import pytest
 
-from excitant.cli import parser
+from excitant.cli import app
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -31,14 +30,17 @@ def test_commands_of_the_readme_are_understood() -> None:
     commands = re.findall(r"^    excitant (.*)$", TEXT, re.MULTILINE)
     assert len(commands) >= 8
     for command in commands:
-        assert parser().parse_args(shlex.split(command, comments=True)).verb in command
+        words = shlex.split(command, comments=True)
+        verb, *_ = app.parse_args(words, print_error=False, exit_on_error=False)
+        assert verb.__name__ == words[0]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_options_that_pages_mention_exist(page: Path) -> None:
-    [verbs] = [a for a in parser()._actions if isinstance(a, argparse._SubParsersAction)]
-    known = {word for verb in verbs.choices.values() for word in verb._option_string_actions}
-    known |= set(parser()._option_string_actions) | OTHERS
+    verbs = [app[name] for name in app if not name.startswith("-")]
+    arguments = [argument for verb in verbs for argument in verb.assemble_argument_collection()]
+    known = {name for argument in arguments for name in argument.names}
+    known |= {"--help", "--version", "--debug"} | OTHERS
     lines = [x for x in page.read_text(encoding="utf-8").splitlines() if "benchmarks/" not in x]
     named = set(re.findall(r"(?<![-\w|])--[a-z][a-z-]*", "\n".join(lines)))
     assert not named - known, f"{page.name} names options that excitant does not have"

@@ -9,16 +9,9 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.exceptions import BadInput
-from excitant.robots.effects import AddedInertia, Effect
+from excitant.robots.effects import EFFECTS, Effect
 from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
-
-_TERMS = {
-    "viscous_friction": "viscous",
-    "coulomb_friction": "coulomb",
-    "rotor_inertia": "rotor",
-    "torque_offset": "offset",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +94,10 @@ def tree(robot: Robot) -> Tree:
         BadInput: An effect without values.
     """
     robot = folded(robot)
-    terms = {name: np.zeros(robot.nv) for name in _TERMS.values()}
+    properties = {kind.joint_property: np.zeros(robot.nv) for kind in held_kinds()}
     for effect in robot.effects:
-        if effect.name in _TERMS:
-            rows = [robot.joint_index(joint) for joint in effect.joints]
-            np.add.at(terms[_TERMS[effect.name]], rows, effect.values or ())
+        if effect.joint_property:
+            properties[effect.joint_property][effect.rows(robot)] += effect.values or ()
     model, limits = robot.model, robot.limits
     axes, phi = _axes(robot), robot.phi.reshape(-1, 10)
     bodies = tuple(
@@ -121,12 +113,17 @@ def tree(robot: Robot) -> Tree:
             position=limits.position[j],
             velocity=float(limits.velocity[j]),
             torque=float(limits.torque[j]),
-            **{name: float(values[j]) for name, values in terms.items()},
+            **{name: float(values[j]) for name, values in properties.items()},
         )
         for j, joint in enumerate(robot.joints)
     )
-    others = tuple(effect for effect in robot.effects if effect.name not in _TERMS)
+    others = tuple(effect for effect in robot.effects if not effect.joint_property)
     return Tree(robot.name, bodies, _frames(robot, 0), robot.gravity, others)
+
+
+def held_kinds() -> list[type[Effect]]:
+    """Kinds of effects that bodies hold as properties of their joints."""
+    return [kind for kind in EFFECTS.values() if kind.joint_property]
 
 
 def folded(robot: Robot) -> Robot:
@@ -135,17 +132,15 @@ def folded(robot: Robot) -> Robot:
     Raises:
         BadInput: An effect without values.
     """
-    phi, kept = robot.phi.reshape(-1, 10).copy(), []
+    whole, kept = robot, []
     for effect in robot.effects:
         if effect.values is None:
             raise BadInput(f"{robot.name}: effect {effect.name} has no values; identify it first")
-        if isinstance(effect, AddedInertia):
-            phi[robot.joint_index(effect.joints[0])] += effect.values
-        else:
+        if effect.link(robot) is None:
             kept.append(effect)
-    if len(kept) == len(robot.effects):
-        return robot
-    return robot.with_parameters(phi.ravel()).with_effects(kept)
+        else:
+            whole = effect.applied(whole)
+    return whole.with_effects(kept)
 
 
 def _axes(robot: Robot) -> Array:

@@ -2,34 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from excitant.identify.export.bodies import Tree
+from excitant.identify.export.bodies import Tree, held_kinds
+from excitant.robots.effects import plain
 
-_HOLDS: Mapping[str, tuple[str, ...]] = {
-    "urdf": ("viscous", "coulomb"),
-    "mjcf": ("viscous", "coulomb", "rotor", "offset"),
-    "sdf": ("viscous", "coulomb", "rotor"),
-}
+_LIMITED = ("urdf", "mjcf", "sdf")  # formats that hold some effects only
 _COMMON_GRAVITY = (0.0, 0.0, -9.81)
-_WORDS = {
-    "viscous": "viscous friction",
-    "coulomb": "Coulomb friction",
-    "rotor": "rotor inertia",
-    "offset": "torque offset",
-}
-_OWN_TERMS = {
-    "mjcf": {
-        "coulomb": "frictionloss is a soft constraint: it has its full value, against the motion, "
-        "once a joint slides, and turns with the velocity within some milliseconds",
-        "offset": "torque offsets are the bias of the actuators: they act on controls, and are "
-        "not part of what mj_inverse returns",
-    },
-    "sdf": {"rotor": "rotor inertia is written as drake:rotor_inertia, which Drake reads and "
-            "Gazebo passes over"},
-}  # fmt: skip
 
 
 def not_held(arm: Tree, file_format: str) -> tuple[str, ...]:
@@ -39,22 +20,24 @@ def not_held(arm: Tree, file_format: str) -> tuple[str, ...]:
         arm: The model.
         file_format: ``"urdf"``, ``"mjcf"`` or ``"sdf"``; nothing is left out of the others.
     """
-    holds = _HOLDS.get(file_format, tuple(_WORDS))
+    if file_format not in _LIMITED:
+        return ()
     found = []
-    for term, words in _WORDS.items():
-        joints = [body.joint for body in arm.bodies if getattr(body, term)]
-        negative = [b.joint for b in arm.bodies if getattr(b, term) < 0 and term != "offset"]
-        if joints and term not in holds:
-            found.append(f"not in this file: {words} of {_listed(arm, joints)}")
-        elif negative and file_format in _HOLDS:
-            found.append(f"not in this file: negative {words} of {', '.join(negative)}")
-        elif joints and term in _OWN_TERMS.get(file_format, {}):
-            found.append(_OWN_TERMS[file_format][term])
+    for kind in held_kinds():
+        values = {body.joint: getattr(body, kind.joint_property) for body in arm.bodies}
+        joints = [joint for joint, value in values.items() if value]
+        lower = min(term.lower for term in kind.terms)
+        negative = [joint for joint, value in values.items() if value < lower]
+        if joints and file_format not in kind.formats:
+            found.append(f"not in this file: {plain(kind.name)} of {_listed(arm, joints)}")
+        elif negative:
+            found.append(f"not in this file: negative {plain(kind.name)} of {', '.join(negative)}")
+        elif joints and file_format in kind.format_notes:
+            found.append(kind.format_notes[file_format])
     if file_format == "sdf" and not np.allclose(arm.gravity, _COMMON_GRAVITY):
         found.append("gravity is that of the world, which Drake wants to be told in code")
-    if file_format in _HOLDS:
-        for effect in arm.others:
-            found.append(f"not in this file: {effect.name} of {_listed(arm, effect.joints)}")
+    for effect in arm.others:
+        found.append(f"not in this file: {effect.name} of {_listed(arm, effect.joints)}")
     return tuple(found)
 
 

@@ -180,6 +180,8 @@ class Effect(ABC):
     arity: ClassVar[int] = 0
     # whether each joint has coefficients of its own, which act on that joint only
     jointwise: ClassVar[bool] = False
+    # coefficients that each joint has
+    terms: ClassVar[tuple[Term, ...]] = ()
     # "link": its coefficients are changes of a link's own; "body": they are those of a further one
     role: ClassVar[Literal["torque", "link", "body"]] = "torque"
     shapes: ClassVar[tuple[Shape, ...]] = ()
@@ -414,7 +416,6 @@ class JointwiseEffect(Effect):
 
     jointwise: ClassVar[bool] = True
     needs_motion: ClassVar[bool] = True
-    terms: ClassVar[tuple[Term, ...]]
 
     @abstractmethod
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:

@@ -1,29 +1,46 @@
-"""The command line: one parser, one error boundary, exit status."""
+"""The command line: one application, one error boundary, exit status."""
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
-from importlib import import_module
+from typing import Any, Literal
 
-from excitant import __version__, data_arguments, motion_arguments
-from excitant.arguments import ROBOT, Parser, Verbs, natural, new_verb, output_option
-from excitant.exceptions import ExcitantError
-from excitant.robot_arguments import part_options
+from cyclopts import App, CycloptsError, Parameter
+from cyclopts.help import DefaultFormatter, PanelSpec, TableSpec
+
+from excitant import motions, recordings
+from excitant.exceptions import BadInput, ExcitantError
+from excitant.options import Part, RobotName, Run, Seed, print_json, print_paths
 
 _SOLVERS = ("pin", "clarabel", "cvxpy", "numpy", "scipy")
-_MODULES = {
-    "design": "design_command",
-    "check": "motion_commands",
-    "simulate": "motion_commands",
-    "identify": "identify_command",
-    "rehearse": "rehearse_command",
-    "completion": "completion",
-    "robots": "robot_commands",
-}
-"""Where a command is carried out, when not in ``commands``."""
+
+
+def _version() -> str:
+    from importlib.metadata import version
+
+    solvers = ", ".join(f"{name} {version(name)}" for name in _SOLVERS)
+    return f"{version('excitant')} ({solvers})"
+
+
+def _default(value: object) -> object:
+    return value if value not in (False, ()) else None
+
+
+app = App(
+    name="excitant",
+    help="Design the motion that makes a robot arm's dynamics visible, identify them, say what can "
+    "be known, and name what the model still gets wrong.",
+    help_epilogue="--debug after any command shows the traceback of an error.",
+    help_format="plaintext",
+    help_formatter=DefaultFormatter(
+        panel_spec=PanelSpec(border_style="none"), table_spec=TableSpec()
+    ),
+    version=_version,
+    default_parameter=Parameter(negative=(), show_default=_default),
+    result_action="return_value",
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -35,32 +52,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         0 when done, 1 when refused, failed or not passed; wrong usage exits with 2.
     """
-    debug = False
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in words
+    # Many small matrices: threads cost more than they bring.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        args = parser().parse_args(arguments)
-        debug = args.debug
-        return _run(args)
+        command, bound, _ = app.parse_args(
+            [word for word in words if word != "--debug"],
+            print_error=False,
+            exit_on_error=False,
+        )
+        if not words:
+            raise BadInput("no command given")
+    except (CycloptsError, BadInput) as error:
+        verb = next((f" {word}" for word in words[:1] if word in app), "")
+        line = " ".join(str(error).split())
+        print(f"excitant{verb}: {line}\nusage: excitant{verb} --help", file=sys.stderr)
+        raise SystemExit(2) from None
+    try:
+        return command(*bound.args, **bound.kwargs) or 0
     except BrokenPipeError:  # the reader of a pipe has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except KeyboardInterrupt:
-        return _failed("interrupted; nothing was written")
-    except Exception as error:
+    except BaseException as error:
         if _interrupted(error):
             return _failed("interrupted; nothing was written")
-        if debug:
+        if debug or not isinstance(error, Exception):
             raise
         return _failed(_line(error))
-
-
-def _run(args: argparse.Namespace) -> int:
-    """Carry out a command; its module is imported now, for help to come at once."""
-    module = import_module(f"excitant.{_MODULES.get(args.verb, 'commands')}")
-    run: Callable[[argparse.Namespace], int | None] = getattr(module, args.verb)
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1):  # many small matrices: threads cost more than they bring
-        return run(args) or 0
 
 
 def _line(error: Exception) -> str:
@@ -87,87 +107,131 @@ def _failed(why: str) -> int:
     return 1
 
 
-class _Version(argparse.Action):
-    """Prints versions; they are looked up only when asked for."""
+def demo(
+    *,
+    seed: Seed = 0,
+    robot: RobotName = "ur10",
+    part: Part = Part(),
+    run: Run = Run(),
+) -> None:
+    """The main job on a virtual arm that hides an effect.
 
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from importlib.metadata import version
+    Args:
+        seed: Draws the hidden effect.
+        robot: Arm to use: built-in name, URDF, xacro, MJCF or robot.yaml.
+    """
+    from excitant.demo import run_demo
+    from excitant.progress import progress_bar
 
-        solvers = ", ".join(f"{name} {version(name)}" for name in _SOLVERS)
-        print(f"{__version__} ({solvers})")
-        parser.exit()
-
-
-def parser() -> Parser:
-    """The parser of all commands."""
-    top = Parser(
-        prog="excitant",
-        description="Design the motion that makes a robot arm's dynamics visible, identify them, "
-        "say what can be known,\nand name what the model still gets wrong.",
-        epilog="examples:\n  excitant demo --seed 3\n  excitant design --help",
-    )
-    top.add_argument("--version", action=_Version, nargs=0, default=argparse.SUPPRESS,
-                     help="show the versions of excitant and its solvers")  # fmt: skip
-    top.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    verbs = top.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for add in (
-        _demo,
-        _robots,
-        motion_arguments.design,
-        motion_arguments.check,
-        motion_arguments.simulate,
-        motion_arguments.rehearse,
-        data_arguments.identify,
-        data_arguments.analyze,
-        data_arguments.diagnose,
-        _report,
-        _completion,
-    ):
-        add(verbs)
-    return top
+    arm = part.robot(robot)
+    with progress_bar("demo") as advance:
+        outcome = run_demo(arm, seed, advance)
+    run.finish(run.folder("demo", arm.name), outcome.result, outcome.series, outcome.files)
 
 
-def _demo(verbs: Verbs[Parser]) -> None:
-    verb = new_verb(verbs, "demo", "the main job on a virtual arm that hides an effect",
-                    "excitant demo --seed 3 -o runs/demo",
-                    "excitant demo --robot panda")  # fmt: skip
-    verb.add_argument("--seed", type=natural, default=0, help="draws the hidden effect")
-    verb.add_argument("--robot", default="ur10", metavar="ROBOT",
-                      help=f"arm to use, {ROBOT} (default: ur10)")  # fmt: skip
-    part_options(verb)
-    output_option(verb)
+def robots(
+    robot: RobotName | None = None,
+    /,
+    *,
+    mass: float | None = None,
+    part: Part = Part(),
+    run: Run = Run(),
+) -> None:
+    """Built-in arms, or one arm and what looks wrong in it.
+
+    Args:
+        robot: Built-in name, URDF, xacro, MJCF or robot.yaml.
+        mass: What the whole arm weighs [kg], to compare with its description.
+    """
+    from excitant.robot_commands import list_robots, show_robot
+
+    if robot is None:
+        for option, value in (("-o", run.output), ("--mass", mass)):
+            if value is not None:
+                raise BadInput(f"{option} is about one arm; name it, e.g. excitant robots ur10")
+        list_robots(run.json)
+        return
+    if mass is not None and not mass > 0:
+        raise BadInput(f"--mass {mass:g} must be positive: what the whole arm weighs, in kg")
+    show_robot(robot, part.robot(robot), mass, run)
 
 
-def _robots(verbs: Verbs[Parser]) -> None:
-    verb = new_verb(verbs, "robots", "built-in arms, or one arm and what looks wrong in it",
-                    "excitant robots",
-                    "excitant robots panda",
-                    "excitant robots my_arm.urdf --mass 18.4 -o runs/my_arm")  # fmt: skip
-    verb.add_argument("name", nargs="?", metavar="ROBOT", help=ROBOT)
-    part_options(verb)
-    verb.add_argument("--mass", type=float, metavar="KG",
-                      help="what the whole arm weighs, to compare with its "
-                      "description")  # fmt: skip
-    verb.add_argument("-o", "--output", metavar="DIR",
-                      help="folder to write a page with a picture of the arm into")  # fmt: skip
+def report(folder: str, other: str | None = None, /, *, run: Run = Run()) -> None:
+    """Render the report of a run again, or compare two runs.
+
+    Args:
+        folder: Folder of a run.
+        other: Folder of another run of the same command: one page with both, and what differs.
+    """
+    from excitant.reports import SavedRun, compare, load_run, save_run
+
+    result, series = load_run(folder)
+    if other is not None:
+        first, second = SavedRun(folder, result, series), SavedRun(other, *load_run(other))
+        result, series = compare(first, second)
+        run.finish(run.folder("compare", result["of"]), result, series, {})
+        return
+    if run.output is not None:
+        raise BadInput("-o is where two runs are compared; name a second run, or leave -o out")
+    paths = save_run(folder, result, series)
+    if run.json:
+        print_json(result)
+    else:
+        print_paths(paths)
 
 
-def _report(verbs: Verbs[Parser]) -> None:
-    verb = new_verb(verbs, "report", "render the report of a run again, or compare two runs",
-                    "excitant report runs/demo",
-                    "excitant report runs/before runs/after -o runs/both")  # fmt: skip
-    verb.add_argument("directory", metavar="DIR", help="folder of a run")
-    verb.add_argument("other", nargs="?", metavar="OTHER",
-                      help="folder of another run of the same command: one page with both, and "
-                      "what differs")  # fmt: skip
-    output_option(verb)
+def completion(shell: Literal["bash", "zsh", "fish"], /) -> None:
+    """A script that completes commands at the TAB key."""
+    print(app.generate_completion(prog_name="excitant", shell=shell))
 
 
-def _completion(verbs: Verbs[Parser]) -> None:
-    verb = new_verb(verbs, "completion", "a script that completes commands at the TAB key",
-                    "excitant completion bash > "
-                    "~/.local/share/bash-completion/completions/excitant",
-                    'excitant completion zsh > "${fpath[1]}/_excitant"',
-                    "excitant completion fish > ~/.config/fish/completions/excitant.fish",
-                    result=False)  # fmt: skip
-    verb.add_argument("shell", choices=("bash", "zsh", "fish"))
+_VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
+    demo: ("demo --seed 3 -o runs/demo", "demo --robot panda"),
+    robots: ("robots", "robots panda", "robots my_arm.urdf --mass 18.4 -o runs/my_arm"),
+    motions.design: (
+        "design ur10 --duration 10 --harmonics 5 --time-limit 30",
+        "design my_arm.urdf --limits limits.yaml --criterion a -o runs/motion",
+        "design panda --after run1.parquet --formats ros2,npz",
+        "design ur10 --from 0,-1.57,1.57,0,0,0 --repeat 5",
+    ),
+    motions.check: (
+        "check ur10 trajectory.csv",
+        "check my_arm.urdf trajectory.json --limits limits.yaml --json",
+    ),
+    motions.simulate: (
+        "simulate ur10 trajectory.csv -o recording.parquet",
+        "simulate ur10 trajectory.csv --hidden --seed 3 -o run1.csv",
+    ),
+    recordings.identify: (
+        "identify ur10 run1.parquet --validate run2.parquet",
+        "identify my_folder --effects auto -o runs/model",
+        "identify ur10 run1.parquet --payload --unloaded empty.parquet",
+        "identify ur10 run1.parquet --online --forgetting 5",
+    ),
+    recordings.analyze: (
+        "analyze panda",
+        "analyze ur10 --trajectory trajectory.csv",
+        "analyze ur10 --recording run1.parquet run2.parquet",
+        "analyze cmu_dd_arm_ii --moving joint1,joint3",
+    ),
+    recordings.diagnose: (
+        "diagnose ur10 run1.parquet --validate run2.parquet",
+        "diagnose my_folder --no-experiments --repair",
+        "diagnose my_arm.urdf run1.csv --map columns.yaml",
+    ),
+    motions.rehearse: (
+        "rehearse ur10 trajectory.csv",
+        "rehearse my_arm.urdf trajectory.json --limits limits.yaml --seed 3",
+    ),
+    report: ("report runs/demo", "report runs/before runs/after -o runs/both"),
+    completion: (
+        "completion bash > ~/.local/share/bash-completion/completions/excitant",
+        'completion zsh > "${fpath[1]}/_excitant"',
+        "completion fish > ~/.config/fish/completions/excitant.fish",
+    ),
+}
+"""The commands in the order of the work, each with examples."""
+
+for _order, (_verb, _examples) in enumerate(_VERBS.items()):
+    _lines = "\n".join(f"  excitant {line}" for line in _examples)
+    app.command(_verb, sort_key=_order, help_epilogue=f"examples:\n{_lines}")

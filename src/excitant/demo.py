@@ -27,7 +27,7 @@ from excitant.identify import (
     model_files,
     recording_from_table,
 )
-from excitant.output import table_bytes
+from excitant.motions import table_bytes
 from excitant.progress import Advance
 from excitant.robots import Array, Robot
 from excitant.robots.virtual_arm import HiddenEffect, virtual_arm

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-
-import rich.console
-import rich.progress
 
 _LONGEST = 36_000.0  # s over which speed is averaged: all of the work so far
 
@@ -20,10 +18,13 @@ def progress_bar(label: str) -> Iterator[Advance]:
 
     Until the first call it only shows that work goes on.
     """
-    console = rich.console.Console(stderr=True)
-    if not console.is_terminal:
+    if not sys.stderr.isatty():
         yield lambda fraction, words: None
         return
+    import rich.console
+    import rich.progress
+
+    console = rich.console.Console(stderr=True)
     columns = (
         rich.progress.TextColumn("{task.description}"),
         rich.progress.BarColumn(),

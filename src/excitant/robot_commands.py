@@ -2,50 +2,35 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from excitant.exceptions import BadInput
-from excitant.output import finish, print_json
+from excitant.options import Run, print_json
 from excitant.reports.wording import number
-from excitant.robot_arguments import robot_of
-from excitant.robots import builtin_robots
+from excitant.robots import Robot, builtin_robots
 from excitant.robots.library.catalogue import arm_entry, catalogue, catalogue_rows
 from excitant.robots.model_check import check_model
 from excitant.robots.model_check_result import robot_result, robot_series
 
 
-def robots(args: argparse.Namespace) -> None:
-    """List built-in arms, or show and check one."""
-    if args.name is None:
-        _refuse_without_name(args)
-        _list(args.json)
-        return
-    if args.mass is not None and not args.mass > 0:
-        raise BadInput(f"--mass {args.mass:g} must be positive: what the whole arm weighs, in kg")
-    robot = robot_of(args, args.name)
-    result = robot_result(robot, check_model(robot, args.mass), args.mass)
-    if args.name in builtin_robots():
-        entry = arm_entry(args.name)
+def show_robot(name: str, robot: Robot, mass: float | None, run: Run) -> None:
+    """One arm and what looks wrong in it, on the terminal, as JSON or as a page."""
+    result = robot_result(robot, check_model(robot, mass), mass)
+    if name in builtin_robots():
+        entry = arm_entry(name)
         result |= {"kind": entry.kind, "sources": entry.sources}
-    if args.output is not None:
-        finish(args, Path(args.output), result, robot_series(robot), {})
-    elif args.json:
+    if run.output is not None:
+        run.finish(Path(run.output), result, robot_series(robot), {})
+    elif run.json:
         print_json(result)
     else:
         _show(result)
 
 
-def _refuse_without_name(args: argparse.Namespace) -> None:
-    for option, value in (("-o", args.output), ("--mass", args.mass)):
-        if value is not None:
-            raise BadInput(f"{option} is about one arm; name it, e.g. excitant robots ur10")
-
-
-def _list(as_json: bool) -> None:
+def list_robots(as_json: bool) -> None:
+    """All built-in arms."""
     if as_json:
         arms = [
             {**asdict(arm), "joints": arm.joints, "mass": arm.moving_mass} for arm in catalogue()

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series, headline
+from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series
+from excitant.analysis.headline import headline
 from excitant.identify import Recording, model_files
 from excitant.identify.preprocessing import prepare
 from excitant.robots import Robot, load_robot, torque

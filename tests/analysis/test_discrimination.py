@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from excitant.analysis.candidates import tolerance_metric
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.diagnosis_result import diagnose_result
 from excitant.analysis.discrimination import (
@@ -22,7 +23,6 @@ from excitant.analysis.discrimination_motion import HOPELESS, discriminating_mot
 from excitant.analysis.discrimination_plan import Plan, described, key, plan
 from excitant.analysis.discrimination_power import needed, repetitions
 from excitant.analysis.experiments import experiment
-from excitant.analysis.extension import tolerance_metric
 from excitant.design import FourierTrajectory, check
 from excitant.identify import Recording
 from excitant.identify.physical import prior_parameters

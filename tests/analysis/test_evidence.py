@@ -7,8 +7,14 @@ import pytest
 import scipy.signal
 import scipy.stats
 
-from excitant.analysis.evidence import FALSE_ALARM, Candidate, Evidence, reweighed, weigh
-from excitant.analysis.signatures import signatures
+from excitant.analysis.evidence import (
+    FALSE_ALARM,
+    Candidate,
+    Evidence,
+    joint_columns,
+    reweighed,
+    weigh,
+)
 from excitant.robots.effects import StribeckFriction, TorqueOffset
 
 N, NV, NUISANCE = 1200, 2, 6
@@ -55,7 +61,7 @@ def weighed(
     precision: np.ndarray = PRECISION,
 ) -> Evidence:
     counts = np.ones(r.shape, dtype=bool) if counts is None else counts
-    return weigh(signatures([X], counts), r, counts, precision, NUISANCE, candidates(), PERIOD)
+    return weigh(joint_columns([X], counts), r, counts, precision, NUISANCE, candidates(), PERIOD)
 
 
 def evidence(seed: int = 0, rho: float = 0.0, planted: float = 0.0, n: int = N) -> Evidence:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from excitant.analysis.observed import Observed, observed
+from excitant.analysis.candidates import Observed, observed
 from excitant.identify import Recording
 from excitant.identify.accuracy import predicted_torque
 from excitant.identify.rows import observation, split

@@ -14,8 +14,6 @@ import pandas as pd
 import pytest
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.refit import refit
-from excitant.analysis.sticking import sliding
 from excitant.identify import Recording, load_dataset, recording_from_table
 from excitant.robots import Array, Robot, load_robot
 from excitant.robots.parameters import violations
@@ -44,7 +42,7 @@ def diagnosed(
 
 def errors(diagnosis: Diagnosis) -> tuple[Array, Array]:
     """Error of the given and of the extended model while joints move, shape (nv,)."""
-    moves = sliding(diagnosis.data.validate)
+    moves = diagnosis.held.moves
     given, extended = (
         np.array([np.sqrt((e[rows] ** 2).mean()) for e, rows in zip(error.T, moves.T, strict=True)])
         for error in (
@@ -95,9 +93,7 @@ def test_ur10_has_friction_at_every_joint(ur10_arm: Diagnosis) -> None:
 
 
 def test_ur10_inertias_alone_do_not_explain_it(ur10_arm: Diagnosis) -> None:
-    found = refit(ur10_arm)
-    left, given = (((e / found.spread) ** 2).sum() for e in (found.free, found.given))
-    assert left > 0.5 * given
+    assert ur10_arm.refit.gain < 0.5
 
 
 @pytest.mark.slow

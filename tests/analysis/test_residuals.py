@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from excitant.analysis.residuals import WORDS, noise_floor, remainders
+from excitant.analysis.residuals import QUANTITIES, noise_floor, residuals
 from excitant.identify.differentiators import low_pass
 from excitant.identify.preprocessing import Segment
 from excitant.robots import Motion
@@ -75,30 +75,30 @@ def left(kind: str, size: float) -> tuple[list[Segment], np.ndarray, np.ndarray]
 @pytest.mark.parametrize("kind", ["position", "direction", "velocity", "load", "time"])
 def test_structure_is_found_where_it_is(kind: str) -> None:
     segments, error, load = left(kind, 1.0)
-    (found,) = remainders(("elbow",), segments, error, error, load)
+    (found,) = residuals(("elbow",), segments, error, error, load)
     assert found.joint == "elbow"
     assert found.visible
-    assert found.domain == kind
+    assert found.dominant == kind
     assert found.structure.startswith("structured")
-    assert found.structure.endswith(WORDS[kind].removeprefix("{} "))
+    assert found.structure.endswith(QUANTITIES[kind])
     assert found.rms == pytest.approx(np.sqrt((error**2).mean()), rel=0.05)
     size = np.sqrt(((error - left(kind, 0.0)[1]) ** 2).mean())
     assert found.structured == pytest.approx(size, rel=0.1)
-    assert dict(found.shows)[kind] > 0.5
+    assert found.shares[kind] > 0.5
 
 
 def test_noise_alone_is_not_structure() -> None:
     segments, error, load = left("nothing", 0.0)
-    (found,) = remainders(("elbow",), segments, error, error, load)
+    (found,) = residuals(("elbow",), segments, error, error, load)
     assert not found.visible
     assert found.structure == "noise-like"
-    assert max(share for _, share in found.shows) < 0.05
+    assert max(found.shares.values()) < 0.05
     assert found.structured < found.floor
 
 
 def test_structure_below_the_noise_is_not_visible() -> None:
     segments, error, load = left("velocity", 0.03)
-    (found,) = remainders(("elbow",), segments, error, error, load)
+    (found,) = residuals(("elbow",), segments, error, error, load)
     assert not found.visible
 
 
@@ -112,17 +112,17 @@ def test_what_a_rest_leaves_does_not_count() -> None:
         still.append(Segment(s.name, motion, s.tau, s.tau_raw, CUTOFF, s.keep))
     stuck = np.concatenate([(s.motion.dq[s.keep] == 0) for s in still])
     assert stuck.sum() > 700
-    (found,) = remainders(("elbow",), still, error + 9.0 * stuck, error, load)
+    (found,) = residuals(("elbow",), still, error + 9.0 * stuck, error, load)
     assert found.rms == pytest.approx(np.sqrt((error[~stuck] ** 2).mean()), rel=0.05)
     assert not found.visible
 
 
 def test_an_error_against_noise_in_words() -> None:
     segments, error, load = left("direction", 1.0)
-    (found,) = remainders(("elbow",), segments, error, error, load)
+    (found,) = residuals(("elbow",), segments, error, error, load)
     times = float(found.against_noise.removesuffix(" times the noise"))
     assert times == pytest.approx(found.rms / found.floor, rel=0.1)
-    (loud,) = remainders(("elbow",), segments, 300 * error / found.floor, error, load)
+    (loud,) = residuals(("elbow",), segments, 300 * error / found.floor, error, load)
     assert replace(loud, floor=loud.rms / 250).against_noise == "over 100 times the noise"
     assert "smoothed or computed" in replace(found, floor=0.0).against_noise
     assert "smoothed or computed" in replace(found, floor=found.rms / 28957.9).against_noise

@@ -7,15 +7,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from excitant.analysis.domains import (
+from excitant.analysis.residuals import (
     BANDS,
-    DOMAINS,
-    Places,
+    QUANTITIES,
+    Explanatory,
     band_shares,
-    places,
+    dominant,
+    explanatory,
     shares,
     since_reversal,
-    telling,
 )
 from excitant.identify.preprocessing import Segment
 from excitant.robots import Motion
@@ -35,14 +35,14 @@ def motion(phase: float = 0.0) -> Motion:
     return Motion(t, q, dq, ddq)
 
 
-def where(load: Callable[[Motion], np.ndarray] = lambda m: m.q) -> Places:
+def where(load: Callable[[Motion], np.ndarray] = lambda m: m.q) -> Explanatory:
     m = motion()
     tau = np.zeros_like(m.q)
     segment = Segment("run", m, tau, tau, 10.0, slice(20, -20, 5))
-    return places([segment], load(m)[segment.keep])
+    return explanatory([segment], load(m)[segment.keep])
 
 
-def shared(error: np.ndarray, at: Places) -> dict[str, float]:
+def shared(error: np.ndarray, at: Explanatory) -> dict[str, float]:
     return shares(error, at, 0, np.ones(len(error), bool))
 
 
@@ -57,14 +57,14 @@ PLANTED = {
 }
 
 
-@pytest.mark.parametrize("name", DOMAINS)
+@pytest.mark.parametrize("name", QUANTITIES)
 def test_what_is_planted_is_told(name: str) -> None:
     rng = np.random.default_rng(0)
     at = where(lambda m: np.repeat(rng.uniform(1, 20, 60), RATE)[: len(m.q), None])
     error = PLANTED[name](at)
     noise = 0.3 * error.std() if error.std() > 0 else 0.3
     found = shared(error + noise * rng.standard_normal(len(error)), at)
-    assert telling(found) == name
+    assert dominant(found) == name
     assert found[name] > 0.7
 
 
@@ -72,7 +72,7 @@ def test_noise_goes_with_nothing() -> None:
     at = where()
     found = shared(np.random.default_rng(1).standard_normal(len(at.position)), at)
     assert max(found.values()) < 0.05
-    assert telling(found) == ""
+    assert dominant(found) == ""
 
 
 def test_shares_do_not_depend_on_the_unit() -> None:
@@ -86,7 +86,7 @@ def test_a_trend_is_not_judged_on_a_motion_that_hardly_repeats() -> None:
     m = motion()[: int(RATE / SLOW)]
     tau = np.zeros_like(m.q)
     segment = Segment("run", m, tau, tau, 10.0, slice(None))
-    at = places([segment], tau)
+    at = explanatory([segment], tau)
     assert "time" not in shared(np.linspace(-1, 1, len(m)), at)
 
 
@@ -118,5 +118,5 @@ def test_parts_do_not_reach_into_each_other() -> None:
     m = motion()
     tau = np.zeros_like(m.q)
     both = [Segment(str(k), m, tau, tau, 10.0, slice(None)) for k in range(2)]
-    at = places(both, np.vstack([tau, tau]))
+    at = explanatory(both, np.vstack([tau, tau]))
     np.testing.assert_allclose(at.reversal[: len(m)], at.reversal[len(m) :])

@@ -1,4 +1,4 @@
-"""A `Diagnosis` in plain words, and its findings in the order in which they matter."""
+"""A `Diagnosis` in plain words."""
 
 from __future__ import annotations
 
@@ -6,16 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from excitant.analysis.confirmation import Finding, affected
+from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
-from excitant.analysis.residuals import Remainder
-from excitant.analysis.sticking import sliding
-from excitant.analysis.tolerance import are_placeholders
+from excitant.analysis.evidence import are_placeholders
+from excitant.analysis.residuals import Residual
 from excitant.robots.effects import (
     Effect,
     GravityDirection,
     InertialParameters,
-    JointwiseEffect,
     KinematicError,
     Payload,
     TimeDelay,
@@ -26,55 +24,6 @@ from excitant.robots.effects import (
 _FRICTION = ("friction", "hysteresis")
 _MOSTLY = 0.5  # of what findings explain, or of a joint's squared error
 _PLAINLY = 3.0  # times the noise
-
-
-def grouped(diagnosis: Diagnosis) -> list[list[Finding]]:
-    """Findings by cause: one group where most joints share it and its verdict, else by joint."""
-    groups: dict[str, list[Finding]] = {}
-    for finding in diagnosis.findings:
-        name = finding.effect.name
-        same = [f for f in diagnosis.findings if f.effect.name == name]
-        common = (
-            isinstance(finding.effect, JointwiseEffect) and 2 * len(same) > diagnosis.robot.nv > 2
-        )
-        key = f"{name} {finding.verdict if common else finding.effect.joints}"
-        groups.setdefault(key, []).append(finding)
-    return sorted(groups.values(), key=lambda group: -sum(f.explained for f in group))
-
-
-def ordered(diagnosis: Diagnosis) -> list[list[Finding] | Remainder]:
-    """Findings, and joints where more than noise stays unexplained, by the error they stand for."""
-    found = [(sum(f.explained for f in group), group) for group in grouped(diagnosis)]
-    open_ = [(share_of(diagnosis, left), left) for left in diagnosis.remainders if left.visible]
-    items: list[tuple[float, list[Finding] | Remainder]] = [*found, *open_]
-    return [item for _, item in sorted(items, key=lambda pair: -pair[0])]
-
-
-def share_of(diagnosis: Diagnosis, left: Remainder) -> float:
-    """Share of the given model's squared error that one joint's structure makes up."""
-    rms = diagnosis.extended.rms
-    given = ((diagnosis.series.measured - diagnosis.simulated) / rms) ** 2
-    size = rms[diagnosis.robot.joint_index(left.joint)]
-    return float((left.structured / size) ** 2 / given.mean(axis=0).sum())
-
-
-def before_and_after(diagnosis: Diagnosis, group: Sequence[Finding]) -> tuple[float, float]:
-    """Error on the hold-out without and with a cause, over the joints of its group.
-
-    Rows at which a joint rests are left out: dry friction takes any value there.
-    """
-    moves = sliding(diagnosis.data.validate)
-    left = diagnosis.series.measured - diagnosis.predicted
-    squares = []
-    for finding in group:
-        joints = affected(diagnosis.robot, finding.effect)
-        counts = (
-            moves[:, joints] if moves[:, joints].any() else np.full_like(moves[:, joints], True)
-        )
-        errors = (left + finding.torque, left)
-        squares.append([float((e[:, joints][counts] ** 2).mean()) for e in errors])
-    before, after = np.sqrt(np.mean(squares, axis=0)).tolist()
-    return before, after
 
 
 def placeholders(diagnosis: Diagnosis) -> str:
@@ -90,10 +39,10 @@ def placeholders(diagnosis: Diagnosis) -> str:
 
 def at_rest(diagnosis: Diagnosis) -> str:
     """Joints whose error lies mostly where they rest, which no finding rests on; else empty."""
-    rests = ~sliding(diagnosis.data.validate)
-    squares = (diagnosis.series.measured - diagnosis.predicted) ** 2
+    rests = ~diagnosis.held.moves
+    squares = diagnosis.left**2
     said = []
-    for j, left in enumerate(diagnosis.remainders):
+    for j, left in enumerate(diagnosis.residuals):
         there = rests[:, j]
         share = squares[there, j].sum() / max(squares[:, j].sum(), np.finfo(float).tiny)
         if share <= _MOSTLY:
@@ -111,7 +60,7 @@ def at_rest(diagnosis: Diagnosis) -> str:
 
 def headline(diagnosis: Diagnosis) -> str:
     """The most important finding in one sentence, what is doubtful about it, and what else."""
-    order = ordered(diagnosis)
+    order = diagnosis.ordered
     if not order:
         return " ".join(
             filter(
@@ -123,7 +72,7 @@ def headline(diagnosis: Diagnosis) -> str:
                 ),
             )
         )
-    if isinstance(order[0], Remainder):
+    if isinstance(order[0], Residual):
         return _open(diagnosis, order[0])
     if placeholders(diagnosis):
         return _no_inertias(diagnosis)
@@ -131,24 +80,24 @@ def headline(diagnosis: Diagnosis) -> str:
         return _no_friction(diagnosis)
     lead = order[0]
     joints = [joint for f in lead for joint in f.effect.joints]
-    before, after = before_and_after(diagnosis, lead)
+    before, after = diagnosis.before_and_after(lead)
     gain = f"hold-out error {before:.2g} → {after:.2g} {diagnosis.data.unit}"
-    said = f"{_in_words(lead[0], joints, diagnosis)}; {gain}.{_doubt(lead, diagnosis)}"
+    said = f"{_in_words(lead[0], joints, diagnosis)}; {gain}.{_reservation(lead, diagnosis)}"
     return f"{said}{_more(len(order) - 1)}"
 
 
-def _open(diagnosis: Diagnosis, left: Remainder) -> str:
+def _open(diagnosis: Diagnosis, left: Residual) -> str:
     return (
         f"{left.joint}: {left.rms:.2g} {diagnosis.data.unit} stay unexplained on the hold-out "
         f"({left.against_noise}); no known cause describes them ({left.structure})."
     )
 
 
-def _doubt(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
+def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     """What else the first cause of a group may be; what a group's joints may each be is below."""
     rivals = {r.candidate.effect.name for f in group for r in f.rivals}
     if not rivals:
-        reasons = dict.fromkeys(f.doubt for f in group if f.doubt)
+        reasons = dict.fromkeys(f.downgrade for f in group if f.downgrade)
         return "".join(f" This is not decided: {reason}." for reason in reasons)
     if len(group) == 1:
         other = _name_of(group[0].rivals[0].candidate.effect, diagnosis)
@@ -181,8 +130,8 @@ def _no_inertias(diagnosis: Diagnosis) -> str:
     return (
         f"{placeholders(diagnosis).partition('. ')[0]}. With everything found, the hold-out error "
         f"falls from {before} to {after} % of the torque's variation (median over joints)."
-        f"{_apart_from('inertias', grouped(diagnosis), diagnosis)}"
-        f"{_more(len(ordered(diagnosis)) - 1)}"
+        f"{_apart_from('inertias', diagnosis.groups, diagnosis)}"
+        f"{_more(len(diagnosis.ordered) - 1)}"
     )
 
 
@@ -197,7 +146,7 @@ def _errors(diagnosis: Diagnosis) -> tuple[str, str]:
 
 def _no_friction(diagnosis: Diagnosis) -> str:
     """The first sentence for models without friction; kinds and joints are in the table."""
-    groups = grouped(diagnosis)
+    groups = diagnosis.groups
     friction = [group for group in groups if _is_friction(group[0].effect.name)]
     joints = {joint for group in friction for f in group for joint in f.effect.joints}
     kinds = list(dict.fromkeys(plain(group[0].effect.name) for group in friction))

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from excitant.analysis.confirmation import held_out
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series
-from excitant.analysis.diagnosis_words import before_and_after, headline, placeholders
-from excitant.analysis.domains import BANDS, DOMAINS
-from excitant.analysis.forward import forward, windows
-from excitant.analysis.given_error import refit_sentence
-from excitant.analysis.refit import LIKELY, Refit, refit
+from excitant.analysis.headline import headline
+from excitant.analysis.residuals import BANDS, QUANTITIES
+from excitant.analysis.validation import LIKELY, refit, windows
 from excitant.identify import Recording
-from excitant.identify.accuracy import predicted_torque, series
+from excitant.identify.accuracy import series
 from excitant.robots import Robot
 from excitant.robots.virtual_arm import HiddenEffect, draw_hidden_effect, industrial_sensors
 
 Runs = Callable[..., list[Recording]]
-Case = tuple[HiddenEffect, Diagnosis, Refit]
+Case = tuple[HiddenEffect, Diagnosis]
 TOLERANCE = 0.03
 
 
@@ -31,8 +29,7 @@ def case(kind: str, robot: Robot, runs: Runs) -> Case:
     while (hidden := draw_hidden_effect(robot, rng)).effect != kind:
         pass
     recorded = runs(robot, 5, (hidden,), industrial_sensors(robot), TOLERANCE)
-    diagnosis = diagnose(robot, recorded[:1], validate=recorded[1:])
-    return hidden, diagnosis, refit(diagnosis)
+    return hidden, diagnose(robot, recorded[:1], validate=recorded[1:])
 
 
 @pytest.fixture(scope="module")
@@ -45,59 +42,42 @@ def coulomb(ur10: Robot, runs: Runs) -> Case:
     return case("coulomb_friction", ur10, runs)
 
 
-def gain(found: Refit) -> float:
-    """Share of the squared error that free inertias take off."""
-    left, given = (((e / found.spread) ** 2).sum() for e in (found.free, found.given))
-    return float(1 - left / given)
-
-
 def test_inertias_alone_explain_a_payload(payload: Case) -> None:
-    _, diagnosis, found = payload
-    assert gain(found) > 0.95
+    _, diagnosis = payload
+    found = diagnosis.refit
+    assert found.gain > 0.95
     assert found.possible
     assert found.most_moved.link == diagnosis.robot.links[-1]
     assert found.most_moved.most > LIKELY
     assert found.most_moved.mass > 0
-    said = refit_sentence(diagnosis, found)
+    said = diagnose_result(diagnosis)["refit"]["sentence"]
     assert diagnosis.robot.links[-1] in said
     assert "among the findings" in said
+    error = diagnosis.held.given
+    assert found.given == pytest.approx(np.sqrt((error**2).mean(axis=0)), rel=0.05)
 
 
 def test_inertias_alone_do_not_explain_friction(coulomb: Case) -> None:
-    hidden, diagnosis, found = coulomb
-    assert gain(found) < 0.3
+    hidden, diagnosis = coulomb
+    found = diagnosis.refit
+    assert found.gain < 0.3
     j = diagnosis.robot.joint_index(hidden.joint)
     assert found.extended[j] < 0.5 * found.free[j]
-    said = refit_sentence(diagnosis, found)
-    assert "the cause is" in said
+    assert "the cause is" in diagnose_result(diagnosis)["refit"]["sentence"]
 
 
 def test_bodies_explain_no_more_than_free_parameters_where_they_are_fitted(payload: Case) -> None:
     """On the data that were fitted, the unconstrained minimum is the smallest of all."""
-    _, diagnosis, _ = payload
-    data = diagnosis.data
-    on_train = replace(
-        diagnosis,
-        data=replace(data, validate=data.train),
-        series=series(data.train),
-        simulated=predicted_torque(diagnosis.robot, data.train),
-        predicted=predicted_torque(diagnosis.extension.model, data.train),
-    )
-    found = refit(on_train)
-    noise = found.free
-    free, bodies = (((e / noise) ** 2).sum() for e in (found.free, found.physical))
+    _, diagnosis = payload
+    tau = series(diagnosis.data.train).measured
+    on_train = held_out(diagnosis.robot, diagnosis.data.train, diagnosis.gains)
+    found = refit(diagnosis.train, tau, on_train, on_train.simulated)
+    free, bodies = (((e / found.free) ** 2).sum() for e in (found.free, found.physical))
     assert free <= bodies * (1 + 1e-3)
 
 
-def test_the_given_error_is_that_of_the_given_model(payload: Case) -> None:
-    _, diagnosis, found = payload
-    error = diagnosis.series.measured - diagnosis.simulated
-    assert found.given == pytest.approx(np.sqrt((error**2).mean(axis=0)), rel=0.05)
-
-
 def test_the_extended_model_stays_closer_to_the_motion(payload: Case) -> None:
-    _, diagnosis, _ = payload
-    found = forward(diagnosis)
+    found = payload[1].forward
     assert not found.given.diverged
     assert not found.extended.diverged
     assert (found.extended.position < found.given.position).all()
@@ -105,7 +85,7 @@ def test_the_extended_model_stays_closer_to_the_motion(payload: Case) -> None:
 
 
 def test_windows_lie_within_what_the_filter_leaves_whole(payload: Case) -> None:
-    _, diagnosis, _ = payload
+    _, diagnosis = payload
     segments = diagnosis.data.validate
     found = windows(segments)
     first = min(s.motion.t[s.keep][0] for s in segments)
@@ -119,24 +99,24 @@ def test_windows_lie_within_what_the_filter_leaves_whole(payload: Case) -> None:
 
 
 def test_the_result_says_what_is_wrong(payload: Case) -> None:
-    _, diagnosis, found = payload
+    _, diagnosis = payload
     result, robot = diagnose_result(diagnosis), diagnosis.robot
     names = list(robot.joints)
     assert [row["name"] for row in result["error"]["joints"]] == names
     for row in result["error"]["joints"]:
         for part in (row, row["left"]):
-            assert set(part["shares"]) <= set(DOMAINS)
+            assert set(part["shares"]) <= set(QUANTITIES)
             assert set(part["bands"]) == set(BANDS)
             assert all(0 <= share <= 1 for share in part["shares"].values())
     assert [row["name"] for row in result["refit"]["joints"]] == names
     assert {row["link"] for row in result["refit"]["links"]} == set(robot.links)
-    assert result["refit"]["most_moved"] == found.most_moved.link
+    assert result["refit"]["most_moved"] == diagnosis.refit.most_moved.link
     assert [row["name"] for row in result["forward"]["joints"]] == names
     assert {row["unit"] for row in result["forward"]["joints"]} == {"rad"}
 
 
 def test_every_curve_of_evidence_has_a_row_for_each_of_the_hold_out(coulomb: Case) -> None:
-    _, diagnosis, _ = coulomb
+    _, diagnosis = coulomb
     arrays = diagnose_series(diagnosis)
     assert {len(values) for values in arrays.values()} == {len(diagnosis.series.t)}
     x, residual, fit = (arrays[f"finding0_{name}"] for name in ("x", "residual", "fit"))
@@ -147,17 +127,7 @@ def test_every_curve_of_evidence_has_a_row_for_each_of_the_hold_out(coulomb: Cas
 
 
 def test_a_finding_lowers_the_error_while_joints_move(coulomb: Case) -> None:
-    _, diagnosis, _ = coulomb
-    before, after = before_and_after(diagnosis, diagnosis.findings[:1])
+    _, diagnosis = coulomb
+    before, after = diagnosis.before_and_after(diagnosis.findings[:1])
     assert after < before
     assert f"{before:.2g} → {after:.2g}" in headline(diagnosis)
-
-
-def test_links_that_are_all_alike_are_called_placeholders(payload: Case) -> None:
-    _, diagnosis, _ = payload
-    assert placeholders(diagnosis) == ""
-    body = np.array([1.0, 0, 0, 0, 0.01, 0, 0.01, 0, 0, 0.01])
-    robot = diagnosis.robot.with_parameters(np.tile(body, diagnosis.robot.nv))
-    alike = replace(diagnosis, robot=robot)
-    assert "placeholders" in placeholders(alike)
-    assert headline(alike).startswith("All links of the given model weigh 1 kg")

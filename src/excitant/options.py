@@ -1,0 +1,252 @@
+"""Options that several commands share, as typed records; each knows what it stands for."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from excitant.exceptions import BadInput
+
+if TYPE_CHECKING:
+    from cyclopts import Token
+
+    from excitant.identify import Dataset, Recording
+    from excitant.robots import Array, Robot
+    from excitant.robots.geometry import Scene
+
+
+def _arms(_: object) -> Iterator[str]:
+    """Built-in arms and files, for completion."""
+    from excitant.robots import builtin_robots
+
+    yield from builtin_robots()
+    yield from (path.name for path in Path().iterdir())
+
+
+def _effects(_: object) -> Iterator[str]:
+    from excitant.robots.effects import EFFECTS
+
+    yield from ("auto", *EFFECTS)
+
+
+def _words(_: Any, tokens: Sequence[Token]) -> list[str]:
+    """Words between commas."""
+    return [word for token in tokens for word in token.value.replace(",", " ").split()]
+
+
+def _numbers(_: Any, tokens: Sequence[Token]) -> list[float]:
+    """Numbers between commas."""
+    return [float(word) for word in _words(_, tokens)]
+
+
+def _natural(_: Any, value: int) -> None:
+    if value < 0:
+        raise ValueError("must not be negative")
+
+
+def _comma(convert: Any) -> Parameter:
+    return Parameter(converter=convert, n_tokens=1, allow_leading_hyphen=True)
+
+
+RobotName = Annotated[str, Parameter(completer=_arms)]
+Effects = Annotated[list[str] | None, _comma(_words), Parameter(completer=_effects)]
+Names = Annotated[list[str] | None, _comma(_words)]
+Numbers = Annotated[list[float] | None, _comma(_numbers)]
+Files = Annotated[list[str] | None, Parameter(consume_multiple=True)]
+Seed = Annotated[int, Parameter(validator=_natural)]
+Columns = Literal["friction", "inertial"]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Part:
+    """Which part of the robot a command is about."""
+
+    joints: Names = None
+    "Keep these joints, hold all others (J1,J2,...)."
+    base: str | None = None
+    "Keep only joints that this link carries."
+    tip: str | None = None
+    "Keep the joints on the way to this link; what hangs beyond it is carried along."
+    lock: Names = None
+    "Hold these joints at these positions [rad or m] (J1=Q,J2,...); default: at 0."
+    xacro_arg: Files = None
+    "Argument of a xacro file, NAME:=VALUE; once for each."
+    package: Files = None
+    "Folder of a package that a xacro file asks for with $(find NAME); once for each."
+
+    def spec(self, path: str) -> Any:
+        """The robot to load, with the part of it that is meant."""
+        from excitant.robots.robot_spec import RobotSpec
+
+        given = [name for name, value in vars(self).items() if value is not None]
+        if given and Path(path).is_dir():
+            raise BadInput(
+                f"{path}: a folder says itself which joints its robot has; leave "
+                f"--{given[0].replace('_', '-')} out, or put it into a robot.yaml there"
+            )
+        return RobotSpec(
+            path,
+            None if self.joints is None else tuple(self.joints),
+            self.base,
+            self.tip,
+            dict(_position(word) for word in self.lock or ()),
+            dict(_assignment(word) for word in self.xacro_arg or ()),
+            tuple(self.package or ()),
+        )
+
+    def robot(self, path: str, limits: str | None = None) -> Robot:
+        """The robot with the limits of a file; its notes go to the error stream."""
+        from excitant.robots import load_limits, load_robot
+
+        robot = _noted(load_robot(self.spec(path)))
+        return robot.with_limits(load_limits(limits, robot)) if limits else robot
+
+    def dataset(self, path: str, mapping: str | None) -> Dataset:
+        """The robot with the recordings beside it."""
+        from excitant.identify import load_dataset
+
+        dataset = load_dataset(self.spec(path), columns=mapping)
+        _noted(dataset.robot)
+        return dataset
+
+
+def _noted(robot: Robot) -> Robot:
+    for note in robot.notes:
+        print(f"{robot.source}: {note}", file=sys.stderr)
+    return robot
+
+
+def _position(word: str) -> tuple[str, float]:
+    joint, _, value = word.partition("=")
+    try:
+        return joint, float(value or 0.0)
+    except ValueError:
+        raise BadInput(f"--lock: '{value}' of {joint} is not a number") from None
+
+
+def _assignment(word: str) -> tuple[str, str]:
+    name, sign, value = word.partition(":=")
+    if not sign or not name.strip():
+        raise BadInput(f"--xacro-arg '{word}': write it as NAME:=VALUE")
+    return name.strip(), value.strip()
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Surroundings:
+    """Limits, and what the arm must keep clear of."""
+
+    limits: str | None = None
+    "YAML or JSON with limits to use instead."
+    mass_uncertainty: float = 0.0
+    "Hold the torque limits even if each link's mass and inertia are larger or smaller by this [%]."
+    obstacles: str | None = None
+    "YAML with boxes, spheres, half-spaces, or a workspace of the tool."
+    clearance: float | None = None
+    "Least distance [m] to obstacles and between bodies; default: 0.01 m with collision shapes."
+    ignore_collisions: bool = False
+    "Leave clearance out."
+
+    def robot(self, part: Part, path: str) -> Robot:
+        """The robot, whose torque limits are to hold as far as its masses are uncertain."""
+        robot = part.robot(path, self.limits)
+        if not 0 <= self.mass_uncertainty < 100:
+            raise BadInput(f"--mass-uncertainty {self.mass_uncertainty:g}: give 0 to 100 [%]")
+        share = self.mass_uncertainty / 100
+        return robot.with_limits(replace(robot.limits, mass_uncertainty=share))
+
+    def scene(self, robot: Robot) -> tuple[Scene | None, float]:
+        """Scene to keep clear of, if any, and the least distance [m]."""
+        from excitant.design import CLEARANCE
+        from excitant.robots.geometry import scene
+        from excitant.robots.obstacles import load_obstacles
+
+        least = CLEARANCE if self.clearance is None else self.clearance
+        if self.ignore_collisions:
+            return None, least
+        found = scene(robot, load_obstacles(self.obstacles) if self.obstacles else ())
+        if found is None and (self.obstacles or self.clearance is not None):
+            raise BadInput(
+                f"{robot.source}: the robot has no collision shapes; add <collision> elements to "
+                "its URDF, or leave --obstacles and --clearance out"
+            )
+        return found, least
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Data:
+    """How recordings are read and judged."""
+
+    map: str | None = None
+    "YAML that says what the columns mean, in which units; default: as their names say."
+    validate: Files = None
+    "Hold-out recordings; default: the last 30 % of each recording."
+    cutoff: float | None = None
+    "Cut-off [Hz] of the torque filter; default: 10 Hz, at which accuracy is judged."
+    repair: bool = False
+    "Repair the faults of the recordings to fit that can be repaired; else they are only reported."
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Run:
+    """Where results go."""
+
+    output: Annotated[str | None, Parameter(name=("--output", "-o"))] = None
+    "Folder to write into; default: runs/<verb>-<robot>-<time>."
+    json: bool = False
+    "Print result.json and nothing else."
+
+    def folder(self, verb: str, name: str) -> Path:
+        """Folder named by the user, else one named by verb, robot and time."""
+        if self.output:
+            return Path(self.output)
+        return Path("runs") / f"{verb}-{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+    def finish(
+        self,
+        folder: Path,
+        result: dict[str, Any],
+        series: Mapping[str, Array],
+        files: Mapping[str, str | bytes],
+    ) -> None:
+        """Save the run, then print its summary and paths, or its result as JSON."""
+        from excitant.reports import brief, load_run, save_run
+
+        result["files"] = [str(folder / name) for name in files]
+        paths = save_run(folder, result, series, files)
+        saved, _ = load_run(folder)
+        if self.json:
+            print_json(saved)
+        else:
+            print(brief(saved), end="\n\n")
+            print_paths(paths)
+
+
+def print_paths(paths: Sequence[Path]) -> None:
+    """All paths, the report last because it is the one to open."""
+    for path in sorted(paths, key=lambda path: path.suffix == ".html"):
+        print(path)
+
+
+def print_json(content: Mapping[str, Any]) -> None:
+    """Print plain values as JSON."""
+    json.dump(content, sys.stdout, indent=1, ensure_ascii=False)
+    print()
+
+
+def show_import(recordings: Sequence[Recording]) -> dict[str, list[str]]:
+    """Say at once how columns were understood, where names left a choice."""
+    for recording in recordings:
+        for note in recording.notes:
+            print(f"{recording.name}: {note}", file=sys.stderr)
+    return {recording.name: list(recording.notes) for recording in recordings if recording.notes}

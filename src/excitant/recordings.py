@@ -1,0 +1,382 @@
+"""The commands about recordings: identify, analyze, diagnose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from excitant.exceptions import BadInput, RankDeficient, UnknownName
+from excitant.options import (
+    Columns,
+    Data,
+    Effects,
+    Files,
+    Names,
+    Numbers,
+    Part,
+    RobotName,
+    Run,
+    show_import,
+)
+from excitant.progress import progress_bar
+
+if TYPE_CHECKING:
+    from excitant.identify import Dataset, DriveGains, Estimate, Recording
+    from excitant.robots import Robot
+    from excitant.robots.effects import Effect, JointEffect
+
+AUTO = "auto"
+
+
+@Parameter(name="*", group="Payload and drive gains")
+@dataclass(frozen=True)
+class Load:
+    """What the arm carries, known or looked for."""
+
+    payload: bool = False
+    "Also what the last link carries in these recordings, on top of the model given or --unloaded."
+    unloaded: Files = None
+    "With --payload: the arm without load, any motion."
+    payload_recording: Files = None
+    "Drive gains from a known payload, where currents are recorded: the arm with it, any motion."
+    payload_mass: float | None = None
+    "Its mass [kg]."
+    payload_mass_std: float = 0.0
+    "Standard deviation of the mass [kg]."
+    payload_com: Numbers = None
+    "Its centre of mass in the frame of the last joint [m], X,Y,Z."
+
+
+def identify(
+    robot: RobotName,
+    /,
+    *recordings: str,
+    data: Data = Data(),
+    effects: Effects = None,
+    estimator: str | None = None,
+    trajectory: str | None = None,
+    knowledge: str | None = None,
+    formats: Names = None,
+    force: bool = False,
+    online: bool = False,
+    link_by_link: bool = False,
+    forgetting: float | None = None,
+    load: Load = Load(),
+    part: Part = Part(),
+    run: Run = Run(),
+) -> None:
+    """From recordings to a physically consistent model.
+
+    Args:
+        robot: Built-in name, URDF, xacro, MJCF or robot.yaml, or a folder with dataset.json.
+        recordings: Parquet, CSV, NPZ, MAT, ROS bag or MCAP; all of the folder when none is named.
+        effects: Effects to estimate, or auto: the standard ones and what an inner hold-out calls
+            for. Default: viscous_friction,coulomb_friction,torque_offset,rotor_inertia.
+        estimator: Of the base parameters: see the reference for names.
+        trajectory: trajectory.json that the arm was told: no cut-off is chosen below what its
+            harmonics need. Without it, they are looked for in what repeats.
+        knowledge: YAML with what is known of the bodies: masses, their sum, where centres of mass
+            lie; and the kind of prior.
+        formats: Files of the model beside URDF and model.yaml; default: mjcf,sdf.
+        force: Publish the model even if the given one predicts the hold-out better.
+        online: Sample by sample, as in a control loop: estimates over time.
+        link_by_link: From the last link inward, each from its own joint's torque.
+        forgetting: With --online: time constant of forgetting [s]; default: nothing is forgotten.
+    """
+    from excitant.identify import identify as identify_robot
+    from excitant.identify import (
+        identify_link_by_link,
+        identify_online,
+        identify_payload,
+        identify_result,
+        identify_series,
+        in_torque,
+        link_by_link_result,
+        link_by_link_series,
+        load_knowledge,
+        online_result,
+        online_series,
+        payload_result,
+        publication,
+    )
+    from excitant.identify.estimator_choice import AUTO as CONTEST
+    from excitant.identify.estimators import estimator_named
+    from excitant.identify.export import DEFAULT_FORMATS, FORMATS
+    from excitant.identify.faults import read_checked
+    from excitant.identify.rows import fitted
+
+    chosen = effects == [AUTO]
+    _refuse_contradictions(
+        load, chosen=chosen, online=online, forgetting=forgetting, whole={
+            "link-by-link": link_by_link, "estimator": estimator, "knowledge": knowledge,
+            "trajectory": trajectory,
+        },
+    )  # fmt: skip
+    if estimator not in (None, CONTEST):
+        estimator_named(str(estimator))
+    for name in formats or ():
+        if name not in FORMATS:
+            raise UnknownName("format", name, FORMATS)
+    dataset = part.dataset(robot, data.map)
+    arm = dataset.robot
+    options: dict[str, Any] = {
+        "effects": None if chosen else _named(effects, arm),
+        "cutoff_hz": data.cutoff,
+    }
+    without = [*(data.validate or ()), *(load.unloaded or ()), *(load.payload_recording or ())]
+    checked = read_checked(dataset, recordings, without=without, repaired=data.repair)
+    fit: Sequence[Recording] = checked.recordings
+    held: Sequence[Recording] = dataset.recordings(data.validate) if data.validate else []
+    imported = show_import([*fit, *held])
+    notes = list(checked.notes)
+    drive = _drive(load, dataset, fit, options | {"validate": held})
+    if drive is not None:
+        fit, held = (in_torque(r, drive) for r in (fit, held))
+    if chosen:
+        from excitant.analysis.enrichment import enrichment
+
+        with progress_bar("effects") as advance:
+            further = enrichment(arm, fitted(fit, held), cutoff_hz=data.cutoff, progress=advance)
+        options["effects"] = further.effects
+        notes += further.notes
+    options["validate"] = held
+    estimate: Estimate
+    if online:
+        with progress_bar("identify") as advance:
+            steps = identify_online(
+                arm, fit, **options, forgetting=forgetting, progress=lambda x: advance(x, "")
+            )
+        estimate, result, series = steps.estimate, online_result(steps), online_series(steps.run)
+    elif link_by_link:
+        stages = identify_link_by_link(arm, fit, **options)
+        estimate = stages.estimate
+        result, series = link_by_link_result(stages), link_by_link_series(stages)
+    else:
+        with progress_bar("identify"):
+            estimate = identify_robot(
+                arm,
+                fit,
+                **options,
+                estimator=estimator or CONTEST,
+                tune=True,
+                knowledge=load_knowledge(knowledge, arm.links) if knowledge else None,
+                harmonics_hz=_highest_harmonic(trajectory, arm) if trajectory else None,
+            )
+        result, series = identify_result(estimate), {}
+    if load.payload:
+        unloaded = dataset.recordings(load.unloaded) if load.unloaded else []
+        if drive is not None:
+            unloaded = in_torque(unloaded, drive)
+        result["payload"] = payload_result(
+            identify_payload(arm, fit, unloaded=unloaded, effects=options["effects"])
+        )
+    result |= {"faults": checked.entries(), "import": imported}
+    if drive is not None:
+        from excitant.identify import drive_result
+
+        result |= drive_result(drive)
+        notes.append(drive.sentence(arm.joints))
+    published = publication(estimate, formats=formats or DEFAULT_FORMATS, force=force)
+    result["published"] = published.published
+    result["notes"] += notes + ([published.note] if published.note else [])
+    folder = run.folder("identify", estimate.given.name)
+    run.finish(folder, result, identify_series(estimate) | series, published.files)
+    if published.note and not run.json:
+        print(published.note)
+
+
+def _refuse_contradictions(
+    load: Load, *, chosen: bool, online: bool, forgetting: float | None, whole: dict[str, Any]
+) -> None:
+    """Refuse options that exclude each other."""
+    by_link = whole["link-by-link"]
+    if chosen and (online or by_link or load.payload):
+        raise BadInput(
+            "--effects auto needs all rows at once and the arm alone; name effects, or leave "
+            "--online, --link-by-link and --payload out"
+        )
+    if load.unloaded and not load.payload:
+        raise BadInput("--unloaded names what --payload is compared with; give --payload too")
+    if bool(load.payload_recording) != (load.payload_mass is not None):
+        raise BadInput("--payload-recording and --payload-mass belong together; give both")
+    if load.payload_com is not None and len(load.payload_com) != 3:
+        raise BadInput("--payload-com needs three numbers, X,Y,Z in metres")
+    if forgetting is not None and not online:
+        raise BadInput("--forgetting is for --online; give --online too")
+    if by_link and online:
+        raise BadInput("--link-by-link needs whole recordings; leave --online out")
+    for name, value in whole.items():
+        if value and name != "link-by-link" and (by_link or online):
+            raise BadInput(f"--{name} is for all rows at once; leave the other way out")
+
+
+def _drive(
+    load: Load, dataset: Dataset, recordings: Sequence[Recording], options: dict[str, Any]
+) -> DriveGains | None:
+    """Drive gains from recordings with a known payload; None where none is given."""
+    if not load.payload_recording or load.payload_mass is None:
+        return None
+    from excitant.identify import KnownPayload, identify_drive_gains
+
+    x, y, z = load.payload_com or (0.0, 0.0, 0.0)
+    centre = None if load.payload_com is None else (x, y, z)
+    payload = KnownPayload(load.payload_mass, load.payload_mass_std, centre)
+    loaded = dataset.recordings(load.payload_recording)
+    return identify_drive_gains(dataset.robot, recordings, loaded, payload, **options)
+
+
+def _highest_harmonic(path: str, robot: Robot) -> float:
+    """Highest frequency of a planned motion [Hz]."""
+    from excitant.design import load_trajectory
+    from excitant.robots import Motion
+
+    planned = load_trajectory(path, robot)
+    if isinstance(planned, Motion):
+        raise BadInput(
+            f"--trajectory {path} holds samples; give the trajectory.json, which holds harmonics"
+        )
+    return planned.harmonics / planned.period
+
+
+def _named(names: Sequence[str] | None, robot: Robot) -> list[JointEffect] | None:
+    if names is None:
+        return None
+    from excitant.robots.effects import EFFECTS, JointEffect
+
+    known = {name: kind for name, kind in EFFECTS.items() if issubclass(kind, JointEffect)}
+    for name in names:
+        if name not in known:
+            raise UnknownName("effect", name, known)
+    return [known[name](robot.joints) for name in names]
+
+
+def analyze(
+    robot: RobotName,
+    /,
+    *,
+    trajectory: str | None = None,
+    recording: Files = None,
+    map: str | None = None,
+    noise: Numbers = None,
+    moving: Names = None,
+    measured: Names = None,
+    columns: Columns = "friction",
+    part: Part = Part(),
+    run: Run = Run(),
+) -> None:
+    """What can be known, link by link.
+
+    Args:
+        robot: Built-in name, URDF, xacro, MJCF or robot.yaml, or a folder with dataset.json.
+        trajectory: How well this motion shows it.
+        recording: Or these recordings.
+        map: YAML that says what the columns of the recordings mean, in which units.
+        noise: With --trajectory: torque noise of each joint; default: 1 % of its limit.
+        moving: Joints that move, J1,J2,...; default: all, or as the motion says.
+        measured: Joints whose torque is measured; default: all.
+        columns: All that identify estimates, or the links only.
+    """
+    from excitant.analysis import identifiability, identifiability_result
+    from excitant.robots.effects import standard_effects
+
+    if trajectory and recording:
+        raise BadInput("--trajectory and --recording exclude each other; leave one out")
+    dataset = part.dataset(robot, map)
+    arm = dataset.robot
+    effects = standard_effects(arm.joints) if columns == "friction" else ()
+    given: dict[str, Any] = {"noise": noise, "moving": moving, "measured": measured}
+    notes: list[str] = []
+    if recording:
+        import numpy as np
+
+        given["estimate"], notes = _as_far_as_shown(arm, dataset.recordings(recording), effects)
+        given["rng"] = np.random.default_rng(0)
+    elif trajectory:
+        from excitant.design import load_trajectory
+        from excitant.motions import sampled
+
+        given["motion"] = sampled(load_trajectory(trajectory, arm))
+    found = identifiability.analyze(arm, effects=effects, **given)
+    result = identifiability_result.analyze_result(found)
+    result["notes"] += notes
+    series = identifiability_result.analyze_series(found)
+    run.finish(run.folder("analyze", arm.name), result, series, {})
+
+
+def _as_far_as_shown(
+    robot: Robot, recordings: Sequence[Recording], effects: Sequence[Effect]
+) -> tuple[Estimate, list[str]]:
+    """An estimate even where the recorded motion leaves parameters open.
+
+    Where recordings are too brief to hold a part of them back, all rows are fitted: only what they
+    show is asked for, not how well the estimate predicts.
+    """
+    from excitant.analysis import identify_shown
+    from excitant.identify import identify as identify_robot
+    from excitant.identify.recording import MINIMUM_DURATION
+    from excitant.identify.rows import held_out
+
+    show_import(recordings)
+    brief = [r for r in recordings if held_out(r).duration < MINIMUM_DURATION]
+    notes = [
+        f"{r.name} lasts {r.duration:.3g} s, too short to hold a part of it back: all of it is "
+        "analysed, and what so few rows say of the noise is rough; record longer"
+        for r in brief
+    ]
+    validate = recordings if brief else ()
+    try:
+        return identify_robot(robot, recordings, validate=validate, effects=effects), notes
+    except RankDeficient:
+        return identify_shown(robot, recordings, effects, validate=validate), notes
+
+
+def diagnose(
+    robot: RobotName,
+    /,
+    *recordings: str,
+    data: Data = Data(),
+    experiments: Annotated[bool, Parameter(negative="--no-experiments")] = True,
+    experiment_time: float = 15.0,
+    part: Part = Part(),
+    run: Run = Run(),
+) -> None:
+    """What the given model gets wrong, by cause.
+
+    Args:
+        robot: Built-in name, URDF, xacro, MJCF or robot.yaml, or a folder with dataset.json.
+        recordings: Parquet, CSV, NPZ, MAT, ROS bag or MCAP; all of the folder when none is named.
+        experiments: Look for motions that would settle what is undecided.
+        experiment_time: Time to look for such motions [s].
+    """
+    import numpy as np
+
+    from excitant.analysis import diagnosis, diagnosis_result, discrimination_plan
+    from excitant.design import trajectory_csv, trajectory_json
+    from excitant.identify import model_files
+    from excitant.identify.faults import read_checked
+
+    dataset = part.dataset(robot, data.map)
+    held = data.validate or ()
+    checked = read_checked(dataset, recordings, without=held, repaired=data.repair)
+    validate = dataset.recordings(held) if held else []
+    imported = show_import([*checked.recordings, *validate])
+    with progress_bar("diagnose"):
+        found = diagnosis.diagnose(
+            dataset.robot, checked.recordings, validate=validate, cutoff_hz=data.cutoff
+        )
+    plan = discrimination_plan.Plan()
+    if experiments:
+        plan = discrimination_plan.plan(found, np.random.default_rng(0), time_limit=experiment_time)
+    folder = run.folder("diagnose", dataset.robot.name)
+    files = model_files(found.extension.model, "extended", "extended.yaml")
+    result = diagnosis_result.diagnose_result(found, plan)
+    result |= {"import": imported, "faults": checked.entries()}
+    result["notes"] += checked.notes
+    result["extended"]["files"] = [str(folder / name) for name in files]
+    for k, motion in enumerate(plan.motions, start=1):
+        files[f"separate-{k}.csv"] = trajectory_csv(motion)
+        files[f"separate-{k}.json"] = trajectory_json(motion, dataset.robot)
+    run.finish(folder, result, diagnosis_result.diagnose_series(found), files)
