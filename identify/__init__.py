@@ -26,7 +26,6 @@ from excitant.identify.payload import PayloadEstimate, estimate_payload, payload
 from excitant.identify.payload_gains import DriveGains
 from excitant.identify.payload_gains_run import drive_result, identify_drive_gains, in_torque
 from excitant.identify.payload_run import identify_payload
-from excitant.identify.periods import Periods, periods_of
 from excitant.identify.recording import (
     Recording,
     read_chunks,
@@ -35,6 +34,7 @@ from excitant.identify.recording import (
     recording_from_raw,
     recording_from_table,
 )
+from excitant.identify.regression import Regression
 from excitant.identify.replay import Monitor, replay
 from excitant.identify.result import identify_result, identify_series
 from excitant.identify.rows import Data, split
@@ -55,11 +55,11 @@ __all__ = [
     "OnlineEstimate",
     "OnlineEstimator",
     "PayloadEstimate",
-    "Periods",
     "Persistency",
     "Publication",
     "RawRecording",
     "Recording",
+    "Regression",
     "ZeroPhaseButterworth",
     "choose_differentiator",
     "drive_result",
@@ -82,7 +82,6 @@ __all__ = [
     "online_result",
     "online_series",
     "payload_result",
-    "periods_of",
     "persistency",
     "publication",
     "raw_recording",

@@ -24,10 +24,10 @@ import scipy.linalg
 import scipy.stats
 
 from excitant.exceptions import BadInput, Infeasible, UnknownName
-from excitant.identify.rows import FitRows
 from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth
 from excitant.identify.least_squares import (
     SMALLEST,
+    Factor,
     LeastSquares,
     factorised,
     noise_of,
@@ -38,6 +38,7 @@ from excitant.identify.output_error import closed_loop, output_error
 from excitant.identify.preprocessing import POSITION_RATIO, prepare
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, dense, regression_of, triangle
+from excitant.identify.rows import FitRows
 from excitant.robots.motion import Array, Motion
 
 ESTIMATORS: Mapping[str, str] = MappingProxyType(
@@ -142,13 +143,9 @@ def irls(problem: Regression, influence: Influence = STUDENT) -> LeastSquares:
         Infeasible: The weights did not settle, or leave too few rows.
     """
     start = factorised(problem, _scale(problem.tau - problem.tau.mean(axis=0), 0))
-    inverse = scipy.linalg.solve_triangular(start.R, np.eye(problem.p)) / start.norms[:, None]
-    parts = enumerate(zip(problem.index, problem.columns, strict=True))
-    Q = np.stack([X @ inverse[index] / start.weight[j] for j, (index, X) in parts], axis=1)
-    y = start.z
+    beta = start.solve()
     for each in (HUBER, influence):
-        y = _settled(Q, problem.tau / start.weight, y, each)
-    beta = start.solve(y)
+        beta = _settled(start, beta, each)
     residual = problem.residual(beta)
     sigma = _scale(residual, problem.p)
     u = residual / sigma
@@ -165,29 +162,32 @@ def _scale(residual: Array, r: int) -> Array:
     return np.asarray(np.maximum(size, np.maximum(least, SMALLEST)), float)
 
 
-def _settled(Q: Array, tau: Array, y: Array, influence: Influence) -> Array:
-    """y at which reweighting of τ ≈ Q y rests, Q of orthonormal columns, shape (n, nv, r)."""
-    flat = Q.reshape(-1, Q.shape[2])
+def _settled(start: Factor, beta: Array, influence: Influence) -> Array:
+    """β at which reweighting rests; steps are taken in the orthonormal columns of the start."""
+    problem = start.problem
+    inverse = scipy.linalg.solve_triangular(start.R, np.eye(problem.p)) / start.norms[:, None]
+    parts = enumerate(zip(problem.index, problem.columns, strict=True))
+    Q = np.stack([X @ inverse[index] / start.weight[j] for j, (index, X) in parts], axis=1)
+    flat = Q.reshape(-1, problem.p)
     for _ in range(_ROUNDS):
-        residual = tau - Q @ y
-        sigma = _scale(residual, len(y))
-        weight = influence.weight(residual / sigma) / sigma**2
+        residual = problem.residual(beta)
+        sigma = _scale(residual, problem.p)
+        weight = influence.weight(residual / sigma) * (start.weight / sigma) ** 2
         weighted = (Q * weight[:, :, None]).reshape(flat.shape)
+        score = weighted.T @ (residual / start.weight).ravel()
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error", scipy.linalg.LinAlgWarning)
-                step = scipy.linalg.solve(
-                    weighted.T @ flat, weighted.T @ residual.ravel(), assume_a="pos"
-                )
+                step = scipy.linalg.solve(weighted.T @ flat, score, assume_a="pos")
         except (np.linalg.LinAlgError, scipy.linalg.LinAlgWarning):
             raise Infeasible(
                 "robust regression",
                 f"rows that count with {influence.name} influence do not determine all "
                 "parameters; use another estimator, or record more",
             ) from None
-        y = y + step
-        if float(((Q @ step / sigma) ** 2).mean()) <= _SETTLED**2:
-            return y
+        beta = beta + inverse @ step
+        if float(((Q @ step * start.weight / sigma) ** 2).mean()) <= _SETTLED**2:
+            return beta
     raise Infeasible(
         "robust regression",
         f"weights did not settle in {_ROUNDS} rounds with {influence.name} influence; "

@@ -17,7 +17,7 @@ from excitant.exceptions import RankDeficient
 from excitant.identify.base_prior import base_prior
 from excitant.identify.cascade import Cascade, StageNoise, beginning, further
 from excitant.identify.combinations import Combinations, no_combinations
-from excitant.identify.estimate import Estimate, identify, judged, whitened
+from excitant.identify.estimate import Estimate, identify, judged
 from excitant.identify.least_squares import LeastSquares
 from excitant.identify.link_rows import LinkRows, link_rows
 from excitant.identify.missing_motion import needed_motion
@@ -197,7 +197,7 @@ def _with_prior(robot: Robot, rows: LinkRows, fit: LeastSquares) -> Estimate:
     """All rows at once with the given robot as prior, the noise that of the stages."""
     sigma = np.where(np.isfinite(fit.sigma), fit.sigma, np.inf)
     noise = LeastSquares(fit.beta, fit.covariance, sigma, fit.inflation)
-    R, z = whitened(rows.fit.W * rows.used[:, :, None], rows.fit.tau * rows.used, noise)
+    R, z = rows.fit.regression.counting(rows.used).factor(noise.weight)
     physical = fit_physical(R, z, prior_parameters(robot), rows.fit.open_prior)
     return judged(robot, rows.fit, fit, physical, ())
 

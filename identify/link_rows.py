@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from excitant.identify.accuracy import series
 from excitant.identify.base_prior import base_prior
-from excitant.identify.physical import EffectPrior
-from excitant.identify.rows import Data, FitRows, implausible_size, observation
+from excitant.identify.regression import regression_of
+from excitant.identify.rows import Data, FitRows
 from excitant.identify.stage_gains import stage_gains
 from excitant.identify.standstill import Mask, dry_joints, moving, stilled
 from excitant.robots.base_parameters import BaseParameters, base_parameters
@@ -95,15 +95,13 @@ def link_rows(robot: Robot, effects: tuple[Effect, ...], data: Data) -> LinkRows
     train = tuple(stilled(s, m) for s, m in zip(data.train, moves, strict=True))
     data = replace(data, train=train)
     base = base_parameters(robot, effects)
-    W, measured = observation(robot, effects, train), series(train)
+    regression, measured = regression_of(robot, effects, train), series(train)
     used = np.concatenate([m[s.keep] for s, m in zip(train, moves, strict=True)])
     used = used | ~dry_joints(effects, robot.joints)
     gains, compared = np.ones(robot.nv), True
     if data.unit == "A":
-        gains, compared = stage_gains(robot, base, W, measured.measured, used)
-    std = implausible_size(W[:, :, 10 * robot.nv :], measured.measured * gains)
-    lower = np.array([p.lower for e in effects for p in e.parameters(robot)])
-    open_prior = EffectPrior(np.zeros_like(std), std, lower)
-    fit = FitRows(effects, base, data, W, measured, gains, open_prior)
+        gains, compared = stage_gains(robot, base, regression.W, measured.measured, used)
+    regression = regression.with_torque(regression.tau * gains)
+    fit = FitRows(robot, effects, base, data, gains, regression)
     scale = np.sqrt(np.diag(base_prior(robot, effects, base).covariance))
     return LinkRows(fit, moves, used, last_rows(robot, effects, base), scale, compared)

@@ -29,6 +29,7 @@ import scipy.linalg
 from excitant.exceptions import BadInput
 from excitant.identify.known_payload import KnownPayload
 from excitant.identify.least_squares import factorised, with_covariance
+from excitant.identify.regression import dense
 from excitant.robots.base_parameters import independent_columns
 from excitant.robots.motion import Array, freeze
 
@@ -240,7 +241,7 @@ def _covariance(problem: _Homogeneous, k: Array, theta: Array, shown: Mask) -> A
     residual = problem.current - torque / k
     sigma = np.maximum(residual.std(axis=0), 1e-12)
     names = tuple(f"column {c}" for c in range(columns.shape[2]))
-    factor = factorised(columns, sigma, names)
+    factor = factorised(dense(columns, residual, names), sigma)
     fit = with_covariance(factor, np.zeros(columns.shape[2]), residual, sigma)
     covariance = SPREAD**2 * np.eye(len(k))
     count = int(shown.sum())

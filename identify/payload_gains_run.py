@@ -12,7 +12,8 @@ from excitant.identify.known_payload import KnownPayload
 from excitant.identify.payload_gains import DriveGains, Rows, payload_gains
 from excitant.identify.preprocessing import Segment
 from excitant.identify.recording import Recording
-from excitant.identify.rows import observation, split
+from excitant.identify.regression import observation
+from excitant.identify.rows import split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.robot import Robot

@@ -14,8 +14,9 @@ from excitant.identify.estimate import Estimate
 from excitant.identify.information import Information, gaussian
 from excitant.identify.payload import PayloadEstimate, estimate_payload
 from excitant.identify.recording import Recording
+from excitant.identify.regression import observation
 from excitant.identify.replay import joined, replay
-from excitant.identify.rows import observation, split, torque_per_reading
+from excitant.identify.rows import split, torque_per_reading
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array

@@ -1,4 +1,4 @@
-"""The weighted linear problem W x ≈ τ: filtered columns, joint by joint, built once from recordings.
+"""The weighted linear problem W x ≈ τ: filtered columns, joint by joint, built once.
 
 The columns of one joint are kept without those that are silent there: a joint feels its own link
 and those beyond, and its own friction, so that less than half of W is held. Everything that is
@@ -16,7 +16,7 @@ first asked for.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -71,7 +71,7 @@ class Regression:
     @property
     def nv(self) -> int:
         """Number of joints."""
-        return self.tau.shape[1]
+        return int(self.tau.shape[1])
 
     @property
     def p(self) -> int:
@@ -87,7 +87,7 @@ class Regression:
     @property
     def W(self) -> Array:
         """All columns, zeros too, shape (n, nv, p)."""
-        found = np.zeros((len(self), self.nv, self.p))
+        found: Array = np.zeros((len(self), self.nv, self.p))
         for j, (index, columns) in enumerate(zip(self.index, self.columns, strict=True)):
             found[:, j, index] = columns
         return found
@@ -123,9 +123,7 @@ class Regression:
             acting = np.flatnonzero(more[:, j].any(axis=0))
             index.append(np.concatenate([own, self.p + acting]))
             wider.append(read_only(np.column_stack([values, more[:, j, acting]])))
-        return replace(
-            self, names=(*self.names, *names), index=tuple(index), columns=tuple(wider)
-        )
+        return replace(self, names=(*self.names, *names), index=tuple(index), columns=tuple(wider))
 
     def counting(self, rows: Mask) -> Regression:
         """The problem with rows of joints that do not count set to zero, shape (n, nv)."""
@@ -193,7 +191,7 @@ class Regression:
         return tuple(triangle(np.column_stack([X, self.tau[:, j]])) for j, X in pairs)
 
     def factor(self, weight: Array) -> tuple[Array, Array]:
-        """R and z with ‖R x − z‖² = Σ_j (w_j ‖τ_j − W_j x‖)², up to what no x explains.
+        """R and z with ‖R x − z‖² = Σ_j (w_j ‖τ_j − W_j x‖)².
 
         Args:
             weight: Of each joint's rows, shape (nv,).
@@ -213,8 +211,7 @@ class Regression:
 
 def triangle(A: Array) -> Array:
     """R of A = Q R, without rows of zeros below, shape (min(n, m), m)."""
-    R: Array = scipy.linalg.qr(A, mode="r")[0][: A.shape[1]]
-    return R
+    return np.asarray(scipy.linalg.qr(A, mode="r")[0][: A.shape[1]], float)
 
 
 def dense(W: Array, tau: Array, names: Sequence[str], starts: Sequence[int] = (0,)) -> Regression:

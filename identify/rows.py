@@ -157,9 +157,7 @@ class FitRows:
         return open_prior(self.robot, self.effects, self.regression)
 
 
-def fit_rows(
-    robot: Robot, effects: Sequence[Effect], base: BaseParameters, data: Data
-) -> FitRows:
+def fit_rows(robot: Robot, effects: Sequence[Effect], base: BaseParameters, data: Data) -> FitRows:
     """The rows of the training segments."""
     regression = regression_of(robot, effects, data.train)
     gains = np.ones(robot.nv)

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from excitant.identify.estimators import DESCRIPTIONS
+from excitant.identify.estimators import ESTIMATORS
 from excitant.reports.drawing import FITTED, LIGHT, axes, label_y, panel
 from excitant.reports.model import GOOD, Block, Cell, Figure, Key, Notes, Panel, Table, table
 from excitant.reports.reading import Result, at, items, real, records, text
@@ -186,7 +186,7 @@ def _contest(result: Result) -> Table | None:
         compared = fall is not None and error is not None and error > 0
         rows.append(
             [
-                DESCRIPTIONS.get(text(row, "name"), text(row, "name")),
+                ESTIMATORS.get(text(row, "name"), text(row, "name")),
                 Cell("chosen", GOOD) if at(row, "chosen") is True else "",
                 percent(at(row, "nrmse"), 3),
                 _change_of(-(fall or 0.0), error) if compared else NONE,
