@@ -24,12 +24,11 @@ import numpy as np
 from excitant.analysis.candidates import TOLERANCE, believed_columns, cause_columns
 from excitant.analysis.discrimination_power import MOST_RUNS, Separation, repetitions
 from excitant.analysis.discrimination_projection import explaining, without_given
-from excitant.analysis.discrimination_shapes import bare, shapes
 from excitant.analysis.evidence import JointColumns, joint_columns, widened
 from excitant.analysis.residuals import moving
 from excitant.identify.physical import link_coordinates, link_weights
 from excitant.identify.preprocessing import Segment
-from excitant.robots.effects import Effect
+from excitant.robots.effects import Effect, JointFacts, joint_facts
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
@@ -107,7 +106,7 @@ class Contest:
             for effect in (
                 *self._shapes(pair.found),
                 *self._shapes(pair.rival),
-                *map(bare, pair.beside),
+                *(effect.bare() for effect in pair.beside),
             ):
                 if effect not in places:
                     size = len(effect.parameters(self.robot))
@@ -136,7 +135,7 @@ class Contest:
         R, floor = without_given(self.known, self.precision)
         found = []
         for pair in self.pairs:
-            at, rival = self._places(pair.found), self._places(bare(pair.rival))
+            at, rival = self._places(pair.found), self._places(pair.rival)
             beside = self._beside(pair)
             b = R[:, at] @ np.array(pair.found.values)
             both = [*beside, *rival]
@@ -203,7 +202,7 @@ class Contest:
     def _apart(
         self, R: Array, floor: Array, beside: list[int], true: Effect, value: Array, other: Effect
     ) -> Separation:
-        at = self._places(bare(true))
+        at = self._places(true)
         b = R[:, at] @ value
         whole = float(value @ b[at])
         whole -= float(b[beside] @ explaining(R, floor, beside, b)) if beside else 0.0
@@ -217,11 +216,13 @@ class Contest:
         return Separation(left, cosine, repetitions(left))
 
     def _shapes(self, effect: Effect) -> list[Effect]:
-        return shapes(effect, self.robot, [segment.motion for segment in self.recorded])
+        j = self.robot.joint_index(effect.joints[0])
+        recorded = [segment.motion for segment in self.recorded]
+        return effect.alternatives(joint_facts(recorded)[j] if recorded else JointFacts())
 
     def _places(self, effect: Effect) -> list[int]:
         """Columns of a cause, among those after the given values'."""
-        at, skip = self.causes[bare(effect)], len(self.precision)
+        at, skip = self.causes[effect.bare()], len(self.precision)
         return list(range(at.start - skip, at.stop - skip))
 
     def _beside(self, pair: Pair) -> list[int]:

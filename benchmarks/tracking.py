@@ -27,8 +27,7 @@ from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
 from excitant.identify import Estimate, Recording, identify, load_dataset, recording_from_table
-from excitant.identify.export import mjcf_text
-from excitant.identify.export.bodies import tree
+from excitant.identify.export import model_files
 from excitant.identify.preprocessing import Segment
 from excitant.robots import Robot, load_robot
 from excitant.robots.virtual_arm import virtual_arm
@@ -83,7 +82,9 @@ def recorded(folder: Path) -> list[Case]:
 
 def loaded(robot: Robot, gains: np.ndarray | None) -> mujoco.MjModel:
     """The robot's MJCF in MuJoCo, with controls that nothing clamps."""
-    model = mujoco.MjModel.from_xml_string(mjcf_text(tree(robot), "model.yaml", gains))
+    model = mujoco.MjModel.from_xml_string(
+        model_files(robot, "arm", "arm.yaml", ["mjcf"], gains)["arm.xml"]
+    )
     model.opt.timestep = _STEP
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     return model

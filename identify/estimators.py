@@ -54,6 +54,7 @@ ESTIMATORS: Mapping[str, str] = MappingProxyType(
 _CERTAIN = 0.01  # chance of a false alarm of the test for errors in the motion
 _ROUNDS = 200  # of reweighting
 _SETTLED = 1e-7  # of the noise: change of the fitted torque, rms
+_ROUNDING = 1e-13  # of the largest torque: what rounding leaves of an exact fit
 _FLATTEST = 0.05  # mean slope of an influence; less is no minimum
 _NORMAL = float(scipy.stats.norm.ppf(0.75))  # median magnitude of a standard normal variable
 _HUBER = 1.345  # 95 % efficient for normal noise (Huber and Ronchetti 2009)
@@ -186,7 +187,8 @@ def _settled(start: Factor, beta: Array, influence: Influence) -> Array:
                 "parameters; use another estimator, or record more",
             ) from None
         beta = beta + inverse @ step
-        if float(((Q @ step * start.weight / sigma) ** 2).mean()) <= _SETTLED**2:
+        moved, rounding = Q @ step * start.weight, _ROUNDING * np.abs(problem.tau).max(axis=0)
+        if float(((moved / (sigma + rounding / _SETTLED)) ** 2).mean()) <= _SETTLED**2:
             return beta
     raise Infeasible(
         "robust regression",

@@ -10,7 +10,7 @@ import numpy as np
 
 from excitant.exceptions import BadRecording
 from excitant.identify.accuracy import Series, series
-from excitant.identify.drive_gain import drive_gains
+from excitant.identify.current_gains import current_gains
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import EffectPrior, fit_physical
@@ -198,10 +198,7 @@ def torque_per_reading(
     """Drive gains where torque came as current, ones otherwise, shape (nv,)."""
     if unit != "A":
         return np.ones(robot.nv)
-    links = 10 * robot.nv
-    columns = [c for c in base.columns if c < links]
-    given = W[:, :, :links] @ robot.phi
-    return drive_gains(W[:, :, columns], W[:, :, links:], measured.measured, given)
+    return current_gains(robot, base, W, measured.measured)[0]
 
 
 def with_own_torque(rows: FitRows, prior: Array, knowledge: Knowledge) -> FitRows:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 
 from excitant.exceptions import BadInput
-from excitant.robots.effects import EFFECTS, Effect
+from excitant.robots.effects import plain
 from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
+
+_COMMON_GRAVITY = (0.0, 0.0, -9.81)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +40,7 @@ class Body:
         position: Lowest and highest position, shape (2,) [rad or m].
         velocity: Highest speed [rad/s or m/s].
         torque: Highest torque [N·m or N].
-        viscous: F_v [N·m·s/rad].
-        coulomb: F_c [N·m].
-        rotor: I_a, rotor and gear inertia at the joint side [kg·m²].
-        offset: τ_0, constant torque [N·m].
+        properties: Values of effects that files have a property of the joint for, by its name.
     """
 
     joint: str
@@ -55,13 +54,23 @@ class Body:
     position: Array
     velocity: float
     torque: float
-    viscous: float
-    coulomb: float
-    rotor: float
-    offset: float
+    properties: Mapping[str, float]
 
     def __post_init__(self) -> None:
         freeze(self, "placement", "axis", "phi", "position")
+
+    def positive(self, name: str) -> float:
+        """A property that cannot be negative in files, such as friction; 0 where there is none."""
+        return max(self.properties.get(name, 0.0), 0.0)
+
+    @property
+    def central(self) -> tuple[float, Array, Array]:
+        """Mass, centre of mass (3,) and inertia about it (3, 3)."""
+        mass = float(self.phi[0])
+        lever = self.phi[1:4] / mass if mass else np.zeros(3)
+        xx, xy, yy, xz, yz, zz = self.phi[4:]
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        return mass, lever, inertia - mass * (lever @ lever * np.eye(3) - np.outer(lever, lever))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,22 +78,47 @@ class Tree:
     """An arm as bodies; a parent comes before what hangs on it.
 
     Attributes:
-        name: Name of the arm.
+        robot: The arm, its payloads and corrections of inertia part of its links.
         bodies: One per joint, in the order of the robot's joints.
         base_frames: Frames of what stands still.
-        gravity: Gravity in the base frame, shape (3,) [m/s²].
-        others: Effects that no body holds, such as the Stribeck effect.
     """
 
-    name: str
+    robot: Robot
     bodies: tuple[Body, ...]
     base_frames: tuple[Frame, ...]
-    gravity: Array
-    others: tuple[Effect, ...]
 
-    def children(self, parent: int) -> list[int]:
-        """Indices of the bodies that hang on one, or on the base (−1)."""
-        return [i for i, body in enumerate(self.bodies) if body.parent == parent]
+    def comment(self, file_format: str, complete: str) -> str:
+        """What a file leaves out or means in its own way, as the text of an XML comment.
+
+        Args:
+            file_format: ``"urdf"``, ``"mjcf"`` or ``"sdf"``.
+            complete: File that holds everything, to refer to.
+        """
+        left_out, own = [], []
+        for effect in self.robot.effects:
+            values, joints, below = effect.values or (), list(effect.joints), list[str]()
+            if effect.joint_property:
+                lowest = [p.lower for p in effect.parameters(self.robot)]
+                rows = list(zip(joints, values, lowest, strict=True))
+                joints = [joint for joint, value, _ in rows if value]
+                below = [joint for joint, value, low in rows if value < low]
+            if joints and file_format not in effect.formats:
+                left_out.append(f"not in this file: {plain(effect.name)} of {self._listed(joints)}")
+            elif joints and below:
+                name = f"negative {plain(effect.name)}"
+                left_out.append(f"not in this file: {name} of {', '.join(below)}")
+            elif joints and file_format in effect.format_notes:
+                own.append(effect.format_notes[file_format])
+        if file_format == "sdf" and not np.allclose(self.robot.gravity, _COMMON_GRAVITY):
+            own.append("gravity is that of the world, which Drake wants to be told in code")
+        last = [f"{complete} holds everything"] if left_out else []
+        text = "\n    ".join(("", "identified by excitant", *left_out, *own, *last))
+        while "--" in text:  # which ends no comment
+            text = text.replace("--", "- -")
+        return f"{text}\n  "
+
+    def _listed(self, joints: Sequence[str]) -> str:
+        return "all joints" if len(joints) == len(self.bodies) else ", ".join(joints)
 
 
 def tree(robot: Robot) -> Tree:
@@ -93,64 +127,49 @@ def tree(robot: Robot) -> Tree:
     Raises:
         BadInput: An effect without values.
     """
-    robot = folded(robot)
-    properties = {kind.joint_property: np.zeros(robot.nv) for kind in held_kinds()}
+    robot = _folded(robot)
+    properties: list[dict[str, float]] = [{} for _ in robot.joints]
     for effect in robot.effects:
         if effect.joint_property:
-            properties[effect.joint_property][effect.rows(robot)] += effect.values or ()
-    model, limits = robot.model, robot.limits
-    axes, phi = _axes(robot), robot.phi.reshape(-1, 10)
+            for joint, value in zip(effect.joints, effect.values or (), strict=True):
+                own = properties[robot.joint_index(joint)]
+                own[effect.joint_property] = own.get(effect.joint_property, 0.0) + value
+    model, limits, data = robot.model, robot.limits, robot.model.createData()
+    pin.computeJointJacobians(model, data, np.zeros(robot.nv))
     bodies = tuple(
         Body(
             joint=joint,
             link=robot.links[j],
             parent=int(model.parents[j + 1]) - 1,
             placement=model.jointPlacements[j + 1].homogeneous,
-            axis=axes[j],
+            axis=np.array_split(pin.getJointJacobian(model, data, j + 1, pin.LOCAL)[:, j], 2)[
+                int(robot.revolute[j])
+            ],
             revolute=bool(robot.revolute[j]),
-            phi=phi[j],
+            phi=robot.phi[10 * j : 10 * j + 10],
             frames=_frames(robot, j + 1),
             position=limits.position[j],
             velocity=float(limits.velocity[j]),
             torque=float(limits.torque[j]),
-            **{name: float(values[j]) for name, values in properties.items()},
+            properties=properties[j],
         )
         for j, joint in enumerate(robot.joints)
     )
-    others = tuple(effect for effect in robot.effects if not effect.joint_property)
-    return Tree(robot.name, bodies, _frames(robot, 0), robot.gravity, others)
+    return Tree(robot, bodies, _frames(robot, 0))
 
 
-def held_kinds() -> list[type[Effect]]:
-    """Kinds of effects that bodies hold as properties of their joints."""
-    return [kind for kind in EFFECTS.values() if kind.joint_property]
-
-
-def folded(robot: Robot) -> Robot:
-    """The robot with payloads and corrections of inertia as part of its links.
-
-    Raises:
-        BadInput: An effect without values.
-    """
-    whole, kept = robot, []
+def _folded(robot: Robot) -> Robot:
+    """The robot with payloads and corrections of inertia as part of its links."""
     for effect in robot.effects:
         if effect.values is None:
             raise BadInput(f"{robot.name}: effect {effect.name} has no values; identify it first")
-        if effect.link(robot) is None:
-            kept.append(effect)
-        else:
-            whole = effect.applied(whole)
-    return whole.with_effects(kept)
-
-
-def _axes(robot: Robot) -> Array:
-    """Direction of every joint in its own frame, shape (nv, 3)."""
-    model, data = robot.model, robot.model.createData()
-    pin.computeJointJacobians(model, data, np.zeros(robot.nv))
-    # Pinocchio gives the Jacobian of a single joint as a vector
-    full = [pin.getJointJacobian(model, data, j + 1, pin.LOCAL) for j in range(robot.nv)]
-    J = np.array([np.reshape(each, (6, -1))[:, j] for j, each in enumerate(full)])
-    return np.where(robot.revolute[:, None], J[:, 3:], J[:, :3])
+    bodies = [effect for effect in robot.effects if effect.role != "torque"]
+    if not bodies:
+        return robot
+    kept = [effect for effect in robot.effects if effect.role == "torque"]
+    for effect in bodies:
+        robot = effect.applied(robot)
+    return robot.with_effects(kept)
 
 
 def _frames(robot: Robot, joint: int) -> tuple[Frame, ...]:
@@ -162,15 +181,6 @@ def _frames(robot: Robot, joint: int) -> tuple[Frame, ...]:
         and frame.parentJoint == joint
         and frame.name not in robot.links
     )
-
-
-def central(phi: Array) -> tuple[float, Array, Array]:
-    """Mass, centre of mass (3,) and inertia about it (3, 3) of standard parameters (10,)."""
-    mass = float(phi[0])
-    lever = phi[1:4] / mass if mass else np.zeros(3)
-    xx, xy, yy, xz, yz, zz = phi[4:]
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return mass, lever, inertia - mass * (lever @ lever * np.eye(3) - np.outer(lever, lever))
 
 
 def quaternion(R: Array) -> Array:

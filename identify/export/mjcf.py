@@ -6,8 +6,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from excitant.identify.export.bodies import Body, Frame, Tree, central, quaternion, written
-from excitant.identify.export.notes import as_comment, not_held
+from excitant.identify.export.bodies import Body, Frame, Tree, quaternion, written
 from excitant.robots.motion import Array
 
 _THIN = 1e-3  # m: shorter distances between joints are not drawn
@@ -25,10 +24,10 @@ def mjcf_text(arm: Tree, complete: str, gains: Array | None = None) -> str:
         complete: File that holds everything, to refer to.
         gains: Torque per control, the ``gear`` of the actuators, shape (nv,); ones if None.
     """
-    root = ET.Element("mujoco", model=arm.name)
-    root.append(ET.Comment(as_comment(not_held(arm, "mjcf"), complete)))
+    root = ET.Element("mujoco", model=arm.robot.name)
+    root.append(ET.Comment(arm.comment("mjcf", complete)))
     ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
-    ET.SubElement(root, "option", gravity=written(arm.gravity), integrator="implicitfast")
+    ET.SubElement(root, "option", gravity=written(arm.robot.gravity), integrator="implicitfast")
     default = ET.SubElement(root, "default")
     ET.SubElement(default, "geom", contype="0", conaffinity="0", group="1")
     world = ET.SubElement(root, "worldbody")
@@ -36,13 +35,13 @@ def mjcf_text(arm: Tree, complete: str, gains: Array | None = None) -> str:
     elements = [world]  # that of body i is at i + 1
     for i, body in enumerate(arm.bodies):
         element = _body(elements[body.parent + 1], body)
-        for child in arm.children(i):
-            _bone(element, arm.bodies[child].placement[:3, 3])
+        for child in arm.bodies:
+            if child.parent == i:
+                _bone(element, child.placement[:3, 3])
         elements.append(element)
     actuators = ET.SubElement(root, "actuator")
-    for body, gain in zip(arm.bodies, np.ones(len(arm.bodies)) if gains is None else gains,
-                          strict=True):  # fmt: skip
-        _actuator(actuators, body, float(gain))
+    for j, body in enumerate(arm.bodies):
+        _actuator(actuators, body, 1.0 if gains is None else float(gains[j]))
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
@@ -50,7 +49,7 @@ def mjcf_text(arm: Tree, complete: str, gains: Array | None = None) -> str:
 def _body(parent: ET.Element, body: Body) -> ET.Element:
     name = body.link if body.link != "world" else "world_"  # that of MuJoCo's own root
     element = ET.SubElement(parent, "body", {"name": name, **_pose(body.placement)})
-    mass, lever, inertia = central(body.phi)
+    mass, lever, inertia = body.central
     moments, axes = np.linalg.eigh(inertia)
     axes[:, 0] *= np.linalg.det(axes)
     ET.SubElement(
@@ -71,22 +70,20 @@ def _joint(parent: ET.Element, body: Body) -> None:
     joint = ET.SubElement(parent, "joint", name=body.joint, type=kind, axis=written(body.axis))
     if np.isfinite(body.position).all():
         joint.set("range", written(body.position))
-    for key, value in (
-        ("damping", body.viscous),
-        ("frictionloss", body.coulomb),
-        ("armature", body.rotor),
-    ):
-        if value > 0:
-            joint.set(key, written(value))
+    names = {"damping": "viscous", "frictionloss": "coulomb", "armature": "rotor"}
+    for key, name in names.items():
+        if body.positive(name):
+            joint.set(key, written(body.positive(name)))
 
 
 def _actuator(parent: ET.Element, body: Body, gain: float) -> None:
     """Force = gear (control + bias), the bias against the offset that the model needs."""
     actuator = ET.SubElement(parent, "general", name=body.joint, joint=body.joint)
     actuator.set("gear", written(gain))
-    if body.offset:
+    offset = body.properties.get("offset", 0.0)
+    if offset:
         actuator.set("biastype", "affine")
-        actuator.set("biasprm", written([-body.offset / gain, 0.0, 0.0]))
+        actuator.set("biasprm", written([-offset / gain, 0.0, 0.0]))
     if np.isfinite(body.torque):
         largest = body.torque / abs(gain)
         actuator.set("ctrlrange", written([-largest, largest]))

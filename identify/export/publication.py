@@ -1,16 +1,81 @@
-"""Whether an identified model is one to publish, and its files if so."""
+"""Files of an identified model, and whether it is one to publish."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import yaml
 
+from excitant.exceptions import UnknownName
 from excitant.identify.estimate import Estimate
-from excitant.identify.export.files import DEFAULT_FORMATS, model_files
+from excitant.identify.export.bodies import Tree, tree
+from excitant.identify.export.mjcf import mjcf_text
+from excitant.identify.export.sdf import sdf_text
+from excitant.identify.export.urdf import urdf_text
+from excitant.robots.effects import effect_entries
+from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
 
+FORMATS = ("urdf", "mjcf", "sdf")
 _AS_GOOD = 1.01  # times the error of the given model: what chance makes of equal ones
+
+
+def model_files(
+    model: Robot,
+    stem: str,
+    yaml_name: str,
+    formats: Sequence[str] = FORMATS,
+    gains: Array | None = None,
+) -> dict[str, str]:
+    """A robot as files; URDF and YAML always.
+
+    The YAML refers to the URDF and adds what that cannot hold: `load_robot` reads it back to the
+    same torque. The others are ``.xml`` (MJCF) and ``.sdf``. Payloads and corrections of inertia
+    are part of the links in all of them.
+
+    Args:
+        model: The robot; its effects have values.
+        stem: Name of the files without ending.
+        yaml_name: Name of the YAML.
+        formats: Some of `FORMATS`.
+        gains: Drive gains, shape (nv,) [N·m/A], where torque was measured as current.
+
+    Raises:
+        UnknownName: A format that is not one of `FORMATS`.
+        BadInput: An effect without values.
+    """
+    for name in formats:
+        if name not in FORMATS:
+            raise UnknownName("format", name, FORMATS)
+    arm = tree(model)
+    files = {
+        f"{stem}.urdf": urdf_text(arm, yaml_name),
+        yaml_name: _yaml(arm, f"{stem}.urdf", gains),
+    }
+    if "mjcf" in formats:
+        files[f"{stem}.xml"] = mjcf_text(arm, yaml_name, gains)
+    if "sdf" in formats:
+        files[f"{stem}.sdf"] = sdf_text(arm, yaml_name)
+    return files
+
+
+def _yaml(arm: Tree, urdf: str, gains: Array | None) -> str:
+    model, limits = arm.robot, arm.robot.limits
+    names = ["position", "velocity", "acceleration", "torque"]
+    names += ["jerk"] if np.isfinite(limits.jerk).any() else []
+    content: dict[str, Any] = {
+        "model": urdf,
+        "joints": list(model.joints),
+        "gravity": [float(g) for g in model.gravity],
+        "limits": {name: getattr(limits, name).tolist() for name in names},
+        "effects": effect_entries(model.effects),
+    }
+    if gains is not None:
+        content["drive"] = {"gain_Nm_per_A": [float(gain) for gain in gains]}
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
 
 
 @dataclass(frozen=True)
@@ -29,7 +94,7 @@ class Publication:
 
 
 def publication(
-    estimate: Estimate, *, formats: Sequence[str] = DEFAULT_FORMATS, force: bool = False
+    estimate: Estimate, *, formats: Sequence[str] = FORMATS, force: bool = False
 ) -> Publication:
     """Files of an identified model, unless the model as given predicts the hold-out better.
 
@@ -42,7 +107,6 @@ def publication(
 
     Raises:
         UnknownName: A format that is not one of `FORMATS`.
-        BadInput: An effect that code cannot hold.
     """
     gains = estimate.gains if estimate.data.unit == "A" else None
     files = model_files(estimate.model, "identified", "model.yaml", formats, gains)
@@ -57,5 +121,5 @@ def publication(
     )
     if force:
         return Publication(files, True, f"published because it was forced: {why}")
-    return Publication({}, False, f"the identified model is not published: {why}; record a "
-                       "motion that excites more, or give --force")  # fmt: skip
+    advice = "record a motion that excites more, or give --force"
+    return Publication({}, False, f"the identified model is not published: {why}; {advice}")

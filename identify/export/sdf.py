@@ -7,8 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from excitant.identify.export.bodies import Body, Frame, Tree, central, quaternion, written
-from excitant.identify.export.notes import as_comment, not_held
+from excitant.identify.export.bodies import Body, Frame, Tree, quaternion, written
 from excitant.robots.motion import Array
 
 _BASE, _MOUNT = "base", "mount"
@@ -26,10 +25,10 @@ def sdf_text(arm: Tree, complete: str) -> str:
         complete: File that holds everything, to refer to.
     """
     root = ET.Element("sdf", {"version": "1.9", "xmlns:drake": "drake.mit.edu"})
-    root.append(ET.Comment(as_comment(not_held(arm, "sdf"), complete)))
+    root.append(ET.Comment(arm.comment("sdf", complete)))
     world = ET.SubElement(root, "world", name="default")
-    _text(world, "gravity", written(arm.gravity))
-    model = ET.SubElement(world, "model", name=_unreserved(arm.name))
+    _text(world, "gravity", written(arm.robot.gravity))
+    model = ET.SubElement(world, "model", name=_unreserved(arm.robot.name))
     links = [_unreserved(body.link) for body in arm.bodies]
     taken = set(links)
     base = _fresh(_BASE, taken)
@@ -51,15 +50,12 @@ def _link(model: ET.Element, body: Body, name: str, joint: str) -> None:
     link = ET.SubElement(model, "link", name=name)
     ET.SubElement(link, "pose", relative_to=joint)
     inertial = ET.SubElement(link, "inertial")
-    mass, lever, inertia = central(body.phi)
+    mass, lever, inertia = body.central
     _text(inertial, "pose", f"{written(lever)} 0 0 0")
     _text(inertial, "mass", written(mass))
     tensor = ET.SubElement(inertial, "inertia")
-    for (i, j), key in zip(zip(*np.triu_indices(3), strict=True), _TENSOR, strict=True):
-        _text(tensor, key, written(inertia[i, j]))
-
-
-_TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    for i, j in zip(*np.triu_indices(3), strict=True):
+        _text(tensor, f"i{'xyz'[i]}{'xyz'[j]}", written(inertia[i, j]))
 
 
 def _joint(model: ET.Element, body: Body, name: str, parent: str, child: str) -> None:
@@ -71,20 +67,15 @@ def _joint(model: ET.Element, body: Body, name: str, parent: str, child: str) ->
     axis = ET.SubElement(joint, "axis")
     _text(axis, "xyz", written(body.axis))
     limit = ET.SubElement(axis, "limit")
-    low, high = body.position
-    for key, value in (
-        ("lower", low),
-        ("upper", high),
-        ("effort", body.torque),
-        ("velocity", body.velocity),
-    ):
+    names = ("lower", "upper", "effort", "velocity")
+    for key, value in zip(names, (*body.position, body.torque, body.velocity), strict=True):
         if np.isfinite(value):
             _text(limit, key, written(value))
     dynamics = ET.SubElement(axis, "dynamics")
-    _text(dynamics, "damping", written(max(body.viscous, 0.0)))
-    _text(dynamics, "friction", written(max(body.coulomb, 0.0)))
-    if body.rotor > 0:
-        _text(joint, "drake:rotor_inertia", written(body.rotor))
+    _text(dynamics, "damping", written(body.positive("viscous")))
+    _text(dynamics, "friction", written(body.positive("coulomb")))
+    if body.positive("rotor"):
+        _text(joint, "drake:rotor_inertia", written(body.positive("rotor")))
 
 
 def _frames(model: ET.Element, frames: Iterable[Frame], link: str, taken: set[str]) -> None:

@@ -94,17 +94,11 @@ def identify(
         identify_payload,
         identify_result,
         identify_series,
-        in_torque,
-        link_by_link_result,
-        link_by_link_series,
         load_knowledge,
-        online_result,
-        online_series,
-        payload_result,
         publication,
     )
     from excitant.identify.estimators import ESTIMATORS
-    from excitant.identify.export import DEFAULT_FORMATS, FORMATS
+    from excitant.identify.export import FORMATS
     from excitant.identify.faults import read_checked
     from excitant.identify.rows import fitted
 
@@ -134,7 +128,7 @@ def identify(
     notes = list(checked.notes)
     drive = _drive(load, dataset, fit, options | {"validate": held})
     if drive is not None:
-        fit, held = (in_torque(r, drive) for r in (fit, held))
+        fit, held = drive.torque(fit), drive.torque(held)
     if chosen:
         from excitant.analysis.enrichment import enrichment
 
@@ -149,11 +143,10 @@ def identify(
             steps = identify_online(
                 arm, fit, **options, forgetting=forgetting, progress=lambda x: advance(x, "")
             )
-        estimate, result, series = steps.estimate, online_result(steps), online_series(steps.run)
+        estimate, result, series = steps.estimate, steps.result(), steps.series()
     elif link_by_link:
         stages = identify_link_by_link(arm, fit, **options)
-        estimate = stages.estimate
-        result, series = link_by_link_result(stages), link_by_link_series(stages)
+        estimate, result, series = stages.estimate, stages.result(), stages.series()
     else:
         with progress_bar("identify"):
             estimate = identify_robot(
@@ -168,17 +161,14 @@ def identify(
     if load.payload:
         unloaded = dataset.recordings(load.unloaded) if load.unloaded else []
         if drive is not None:
-            unloaded = in_torque(unloaded, drive)
-        result["payload"] = payload_result(
-            identify_payload(arm, fit, unloaded=unloaded, effects=options["effects"])
-        )
+            unloaded = drive.torque(unloaded)
+        carried = identify_payload(arm, fit, unloaded=unloaded, effects=options["effects"])
+        result["payload"] = carried.result()
     result |= {"faults": checked.entries(), "import": imported}
     if drive is not None:
-        from excitant.identify import drive_result
-
-        result |= drive_result(drive)
+        result |= drive.result()
         notes.append(drive.sentence(arm.joints))
-    published = publication(estimate, formats=formats or DEFAULT_FORMATS, force=force)
+    published = publication(estimate, formats=formats or FORMATS, force=force)
     result["published"] = published.published
     result["notes"] += notes + ([published.note] if published.note else [])
     folder = run.folder("identify", estimate.given.name)
@@ -278,7 +268,7 @@ def analyze(
         measured: Joints whose torque is measured; default: all.
         columns: All that identify estimates, or the links only.
     """
-    from excitant.analysis import identifiability, identifiability_result
+    from excitant.analysis import identifiability
     from excitant.robots.effects import standard_effects
 
     if trajectory and recording:
@@ -299,9 +289,9 @@ def analyze(
 
         given["motion"] = sampled(load_trajectory(trajectory, arm))
     found = identifiability.analyze(arm, effects=effects, **given)
-    result = identifiability_result.analyze_result(found)
+    result = found.result()
     result["notes"] += notes
-    series = identifiability_result.analyze_series(found)
+    series = found.series()
     run.finish(run.folder("analyze", arm.name), result, series, {})
 
 

@@ -1,0 +1,319 @@
+"""Where a trajectory needs most torque or comes closest, and how that changes with its unknowns.
+
+Torque is smooth but for friction, which jumps where a joint turns back. There the largest
+torque is a one-sided limit, which no sample attains: both sides are evaluated at the very
+instant, with the joint's velocity replaced by a tiny one of either sign.
+
+A joint that slows down to almost nothing without turning would need the torque of the other
+side as soon as it turned. That torque counts with a weight that grows to 1 as the velocity
+falls to 0, so that the constraint does not appear from nowhere between two steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from excitant.design.clearance import SCALE, pose_use
+from excitant.design.criterion import speed_scale
+from excitant.design.problem import DesignProblem
+from excitant.robots import Array, Motion, Robot, torque
+from excitant.robots.effects import Effect
+from excitant.robots.torque import largest_torque, link_torques
+
+_CREEP = 1e-5  # speed that stands for a one-sided limit [rad/s or m/s]
+_STEP = 1e-6  # of central differences of effects; below `_CREEP`, so that no sign changes
+_SLOW = 0.05  # of the speed scale, below which a joint almost turns
+_STILL = 1e-6  # acceleration, as a share of the largest, below which a turn stays where it is
+
+
+@dataclass(frozen=True, eq=False)
+class TorquePeaks:
+    """Instants at which one joint's torque is locally largest.
+
+    Attributes:
+        t: Instants, shape (k,) [s].
+        joint: Joint, shape (k,).
+        side: 0, or the sign of velocity where the joint turns back, shape (k,).
+        weight: Weight of the torque; 1, but less where the joint only almost turns, shape (k,).
+        use: Weighted magnitude over the torque bound, shape (k,).
+    """
+
+    t: Array
+    joint: npt.NDArray[np.intp]
+    side: Array
+    weight: Array
+    use: Array
+
+    def above(self, share: float) -> TorquePeaks:
+        """Those whose use exceeds a share."""
+        k = self.use > share
+        return TorquePeaks(self.t[k], self.joint[k], self.side[k], self.weight[k], self.use[k])
+
+    def motion(self, problem: DesignProblem, z: Array) -> Motion:
+        """The motion at the instants, creeping where it turns."""
+        q, dq, ddq = (basis @ z for basis in problem.bases(self.t))
+        turning = np.flatnonzero(self.side)
+        dq[turning, self.joint[turning]] = _CREEP * self.side[turning]
+        return Motion(self.t, q, dq, ddq)
+
+
+def torque_peaks(problem: DesignProblem, z: Array) -> TorquePeaks:
+    """Peaks of every joint's torque along a trajectory, located between samples by a parabola."""
+    motion = Motion(problem.instants, *(basis @ z for basis in problem.grid_bases[:3]))
+    tau = largest_torque(problem.robot, motion)
+    if not problem.robot.effects:
+        return _smooth_peaks(problem, z, tau, 0.0)
+    jump = _jump(problem.robot, motion)
+    parts = [_turns(problem, z, motion.dq), _almost_turns(problem, z, motion.dq)]
+    for side in (1.0, -1.0):
+        one_way = tau + side * jump * (side * motion.dq < 0)
+        parts.append(_smooth_peaks(problem, z, one_way, side))
+    names = ("t", "joint", "side", "weight", "use")
+    return TorquePeaks(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+
+def _jump(robot: Robot, motion: Motion) -> Array:
+    """What a joint's torque would jump by if it turned to the positive side, shape (n, nv)."""
+    jump = np.zeros_like(motion.q)
+    for side in (1.0, -1.0):
+        creeping = Motion(motion.t, motion.q, np.full_like(jump, side * _CREEP), motion.ddq)
+        for effect in robot.effects:
+            jump += side * effect.torque(robot, creeping)
+    return jump
+
+
+def _smooth_peaks(problem: DesignProblem, z: Array, tau: Array, side: float) -> TorquePeaks:
+    """Peaks of torque without jumps: friction as if every joint moved to this side.
+
+    Where a joint moves to the other side, the peak counts only if it is slow.
+    """
+    use = np.abs(tau) / problem.torque_bound
+    before, after = np.roll(use, 1, axis=0), np.roll(use, -1, axis=0)
+    k, joint = np.nonzero((use >= before) & (use > after))
+    rise = after[k, joint] - before[k, joint]
+    bend = before[k, joint] - 2 * use[k, joint] + after[k, joint]
+    shift = np.clip(-0.5 * rise / np.minimum(bend, -1e-300), -0.5, 0.5)
+    t = problem.instants[k] + shift * problem.period / len(use)
+    along = side * _own(problem, z, t, joint, 1)
+    weight = np.clip(1 + np.minimum(along, 0.0) / slow_speed(problem.robot)[joint], 0.0, 1.0)
+    counts = weight > 0
+    sides = np.where(along < 0, side, 0.0)
+    return _sided(problem, z, t[counts], joint[counts], sides[counts], weight[counts])
+
+
+def _turns(problem: DesignProblem, z: Array, dq: Array) -> TorquePeaks:
+    """Both sides of every turn, the start of the period among them."""
+    n, nv = dq.shape
+    following = np.roll(dq, -1, axis=0)
+    k, joint = np.nonzero(dq * following < 0)
+    share = dq[k, joint] / (dq[k, joint] - following[k, joint])
+    t = _polished(problem, z, (k + share) * problem.period / n, joint, 1)
+    t, joint = np.append(t, np.zeros(nv)), np.append(joint, np.arange(nv))
+    side = np.repeat([1.0, -1.0], len(t))
+    return _sided(problem, z, np.tile(t, 2), np.tile(joint, 2), side, np.ones(len(side)))
+
+
+def _almost_turns(problem: DesignProblem, z: Array, dq: Array) -> TorquePeaks:
+    """The other side where a joint is slow: at the samples, and where it is slowest."""
+    size, n = np.abs(dq), len(dq)
+    before, after = np.roll(dq, 1, axis=0), np.roll(dq, -1, axis=0)
+    slowest = (size <= np.abs(before)) & (size < np.abs(after))
+    k, joint = np.nonzero(slowest & (dq * before > 0) & (dq * after > 0))
+    t = _polished(problem, z, k * problem.period / n, joint, 2)
+    slow = np.nonzero(size < slow_speed(problem.robot))
+    k, joint = np.append(k, slow[0]), np.append(joint, slow[1])
+    t = np.append(t, problem.instants[slow[0]])
+    side = -np.sign(dq[k, joint])
+    short = -side * _own(problem, z, t, joint, 1)  # below 0 it turns twice between two samples
+    weight = np.clip(1 - short / slow_speed(problem.robot)[joint], 0.0, 1.0)
+    near = weight > 0
+    return _sided(problem, z, t[near], joint[near], side[near], weight[near])
+
+
+def slow_speed(robot: Robot) -> Array:
+    """Speed below which a joint almost turns, shape (nv,) [rad/s or m/s]."""
+    return _SLOW * speed_scale(robot)
+
+
+def _sided(
+    problem: DesignProblem,
+    z: Array,
+    t: Array,
+    joint: npt.NDArray[np.intp],
+    side: Array,
+    weight: Array,
+) -> TorquePeaks:
+    blank = TorquePeaks(t, joint, side, weight, np.zeros(len(t)))
+    tau = largest_torque(problem.robot, blank.motion(problem, z))[np.arange(len(t)), joint]
+    return replace(blank, use=weight * np.abs(tau) / problem.torque_bound[joint])
+
+
+def _polished(
+    problem: DesignProblem, z: Array, t: Array, joint: npt.NDArray[np.intp], order: int
+) -> Array:
+    """Instants moved by Newton's method to zeros of a derivative, less than a grid step."""
+    spacing = problem.period / len(problem.instants)
+    for _ in range(2):
+        value, slope = (_own(problem, z, t, joint, order + k) for k in (0, 1))
+        step = np.divide(value, slope, out=np.zeros_like(value), where=slope != 0.0)
+        t = t - np.clip(step, -spacing, spacing)
+    return t
+
+
+def _own(
+    problem: DesignProblem, z: Array, t: Array, joint: npt.NDArray[np.intp], order: int
+) -> Array:
+    """A derivative of joint ``joint[k]`` at instant ``t[k]``."""
+    phi = problem.basis(t, order)
+    values: Array = np.einsum("kd,kd->k", phi, z[:, joint].T)
+    return values
+
+
+def torque_rows(problem: DesignProblem, z: Array, share: float) -> tuple[Array, Array]:
+    """Derivatives of the use at peaks above a share, shape (m, unknowns), and the use, (m,).
+
+    A smooth peak moves without effect on its height; a turn takes its torque with it.
+    """
+    if np.all(np.isinf(problem.torque_bound)):
+        return np.zeros((0, problem.size)), np.zeros(0)
+    peaks = torque_peaks(problem, z).above(share)
+    joint, m = peaks.joint, np.arange(len(peaks.t))
+    motion, bases = peaks.motion(problem, z), problem.bases(peaks.t)
+    tau, *parts = torque_derivatives(problem.robot, motion, joint)
+    sign = np.sign(tau[m, joint]) / problem.torque_bound[joint]
+    rows = np.zeros((len(m), *z.shape))
+    jerk = problem.basis(peaks.t, 3) @ z
+    rate = np.zeros(len(m))
+    for phi, D, speed in zip(bases, parts, (motion.dq, motion.ddq, jerk), strict=True):
+        rows += phi[:, :, None] * D[m, joint][:, None, :]
+        rate += np.einsum("kj,kj->k", D[m, joint], speed)
+    rows[m, :, joint] -= bases[1] * _delay(peaks, motion, rate)[:, None]
+    v = np.einsum("kd,kd->k", bases[1], z[:, joint].T)
+    growth = np.where(peaks.weight < 1, -np.sign(v) / slow_speed(problem.robot)[joint], 0.0)
+    rows *= peaks.weight[:, None, None]
+    rows[m, :, joint] += bases[1] * (tau[m, joint] * growth)[:, None]
+    use = tau[m, joint] * sign * peaks.weight
+    return rows.reshape(len(m), problem.size) * sign[:, None], use
+
+
+def _delay(peaks: TorquePeaks, motion: Motion, rate: Array) -> Array:
+    """Change of torque per change of velocity at a turn, which that velocity moves in time."""
+    a = motion.ddq[np.arange(len(motion)), peaks.joint]
+    still = np.abs(a) <= _STILL * np.abs(motion.ddq).max(initial=0.0)
+    moving = (peaks.side != 0) & (peaks.weight == 1) & ~still
+    return np.divide(rate, a, out=np.zeros_like(a), where=moving)
+
+
+def torque_derivatives(
+    robot: Robot, motion: Motion, joint: npt.NDArray[np.intp] | None = None
+) -> tuple[Array, Array, Array, Array]:
+    """Torque and its derivatives by q, q̇, q̈ at every instant.
+
+    Rigid bodies analytically (Carpentier and Mansard 2018), effects by central differences.
+
+    Args:
+        robot: The arm.
+        motion: The motion.
+        joint: The joint, at every instant, whose torque is to be the largest within the
+            uncertainty of the masses; without it they count as certain.
+
+    Returns:
+        Shapes (n, nv), and three of (n, nv, nv): torque joint first.
+    """
+    n, nv = motion.q.shape
+    bodies = [robot] * n if joint is None else _worst_bodies(robot, motion, joint)
+    data = robot.model.createData()
+    D = np.empty((3, n, nv, nv))
+    for k, body in enumerate(bodies):
+        pin.computeRNEADerivatives(body.model, data, motion.q[k], motion.dq[k], motion.ddq[k])
+        D[0, k], D[1, k], D[2, k] = data.dtau_dq, data.dtau_dv, data.M
+    upper = np.triu(D[2])
+    D[2] = upper + np.swapaxes(np.triu(upper, 1), 1, 2)
+    if robot.effects:
+        D += _effect_derivatives(robot, motion)
+    tau = torque(robot, motion) if joint is None else largest_torque(robot, motion)
+    return tau, D[0], D[1], D[2]
+
+
+def _worst_bodies(robot: Robot, motion: Motion, joint: npt.NDArray[np.intp]) -> Sequence[Robot]:
+    """The arm with the masses that make ``joint[k]``'s torque at instant k largest."""
+    p, n = robot.limits.mass_uncertainty, len(motion)
+    if p == 0:
+        return [robot] * n
+    k = np.arange(n)
+    total = torque(robot, motion)[k, joint]
+    parts = link_torques(robot, motion)[k, joint]
+    share = 1 + p * np.sign(parts) * np.where(total < 0, -1.0, 1.0)[:, None]
+    return [robot.with_parameters(robot.phi * np.repeat(s, 10)) for s in share]
+
+
+def _effect_derivatives(robot: Robot, motion: Motion) -> Array:
+    n, nv = motion.q.shape
+    D = np.zeros((3, n, nv, nv))
+    own = [effect for effect in robot.effects if effect.law is not None]
+    others = [effect for effect in robot.effects if effect.law is None]
+    joints = np.arange(nv)
+    for order in range(3):
+        D[order][:, joints, joints] = _difference(robot, own, motion, order, np.ones(nv))
+        if others:
+            for j, unit in enumerate(np.eye(nv)):
+                D[order, :, :, j] += _difference(robot, others, motion, order, unit)
+    return D
+
+
+def _difference(
+    robot: Robot, effects: Sequence[Effect], motion: Motion, order: int, way: Array
+) -> Array:
+    """Derivative of the effects' torque along a way of q, q̇ or q̈, shape (n, nv)."""
+    change = np.zeros((3, *motion.q.shape))
+    change[order] = _STEP * way
+    state = np.stack([motion.q, motion.dq, motion.ddq])
+    ahead, behind = (Motion(motion.t, *(state + sign * change)) for sign in (1.0, -1.0))
+    total = np.zeros(motion.q.shape)
+    for effect in effects:
+        total += effect.torque(robot, ahead) - effect.torque(robot, behind)
+    slope: Array = total / (2 * _STEP)
+    return slope
+
+
+def worst_use(problem: DesignProblem, z: Array) -> float:
+    """Worst use of the torque bounds at the peaks, and of the clearance at the grid's instants."""
+    torque_use = apart = 0.0
+    if np.isfinite(problem.torque_bound).any():
+        torque_use = float(torque_peaks(problem, z).use.max(initial=0.0))
+    if problem.scene is not None:
+        q = problem.grid_bases[0] @ z
+        apart = float(pose_use(problem.scene, problem.required, q).max())
+    return max(torque_use, apart)
+
+
+def clearance_rows(problem: DesignProblem, z: Array, near: float) -> tuple[Array, Array]:
+    """Linearised use of the clearance by the unknowns, at each pair's nearest instants.
+
+    Args:
+        problem: The design problem.
+        z: Unknowns, shape (c − 2, nv).
+        near: Use from which an instant becomes a row.
+
+    Returns:
+        Rows of shape (m, k), and the use at z, shape (m,).
+    """
+    if problem.scene is None:
+        return np.zeros((0, problem.size)), np.zeros(0)
+    q = problem.grid_bases[0] @ z
+    distance = problem.scene.distances(q)
+    use = 1 + (problem.required - distance) / SCALE
+    nearest = (distance <= np.roll(distance, 1, axis=0)) & (
+        distance < np.roll(distance, -1, axis=0)
+    )
+    rows, uses = [], []
+    for k, pair in np.argwhere(nearest & (use > near)):
+        _, gradient = problem.scene.gradient(q[k], int(pair))
+        rows.append(-np.outer(problem.grid_bases[0][k], gradient).ravel() / SCALE)
+        uses.append(use[k, pair])
+    return np.reshape(rows, (-1, problem.size)), np.array(uses)

@@ -1,0 +1,236 @@
+"""One convex step of the design: a small conic program for Clarabel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import clarabel
+import numpy as np
+import scipy.sparse as sp
+
+from excitant.design.criterion import smooth_model
+from excitant.design.peaks import clearance_rows, torque_rows
+from excitant.design.problem import DesignProblem, motion_of
+from excitant.robots import Array
+
+PENALTY = 50.0  # of a torque violation (as share of the limit) against the log criterion
+
+_LOWEST, _HIGHEST = 8, 4  # eigenvectors whose subspace an LMI follows
+_NEAR = 0.5  # share of a limit from which an extremum is a row
+_NEAR_TORQUE = 0.7
+_NEAR_CLEARANCE = -0.5  # 15 cm more than required
+_EXCHANGES = 8
+_TOLERANCE = 3e-5  # of a limit, at which the exchange stops
+_LOOSE = 0.01  # the same, as a share of the step's length
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Part of M in a subspace, as a share of its extreme eigenvalue; with derivatives.
+
+    Attributes:
+        value: Shape (m, m).
+        derivative: By the unknowns, shape (k, m, m).
+        lowest: Whether λmin is followed (bounded from below) or λmax.
+    """
+
+    value: Array
+    derivative: Array
+    lowest: bool
+
+
+@dataclass(frozen=True, eq=False)
+class LocalModel:
+    """Criterion and torque of a design problem around z.
+
+    Attributes:
+        z: Where, shape (c − 2, nv).
+        blocks: Eigenvalue subspaces, for ``condition`` and ``e``.
+        gradient: Of the smooth criteria, shape (k,).
+        hessian: Of the smooth criteria, shape (k, k).
+        rows: Use of torque bounds and of clearance by the unknowns, shape (m, k).
+        use: Their use at z, shape (m,).
+    """
+
+    z: Array
+    blocks: tuple[Block, ...]
+    gradient: Array
+    hessian: Array
+    rows: Array
+    use: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Solution of the subproblem.
+
+    Attributes:
+        dz: Change of the unknowns.
+        gain: Predicted decrease of the merit.
+    """
+
+    dz: Array
+    gain: float
+
+
+def local_model(problem: DesignProblem, z: Array) -> LocalModel:
+    """Linearise information and torque around z."""
+    motion = motion_of(z, problem.samples, problem.sample_bases)
+    linear = problem.information.linearise(motion)
+    M = problem.information.gram(linear.Y)
+    k = problem.size
+    gradient, hessian, blocks = np.zeros(k), np.zeros((k, k)), []
+    if problem.criterion in ("a", "d"):
+        dM = linear.derivative(problem.sample_bases, np.eye(len(M)))
+        gradient, hessian = smooth_model(M, dM, problem.criterion)
+    else:
+        eigenvalues, V = np.linalg.eigh(M)
+        spans = [slice(0, _LOWEST)]
+        if problem.criterion == "condition":
+            spans.append(slice(max(len(M) - _HIGHEST, 0), None))
+        for lowest, span in zip((True, False), spans, strict=False):
+            scale = eigenvalues[0 if lowest else -1]
+            value = np.diag(eigenvalues[span]) / scale
+            dM = linear.derivative(problem.sample_bases, V[:, span]) / scale
+            blocks.append(Block(value, dM, lowest))
+    limited = (
+        torque_rows(problem, z, _NEAR_TORQUE),
+        clearance_rows(problem, z, _NEAR_CLEARANCE),
+    )
+    rows, use = (np.concatenate(parts) for parts in zip(*limited, strict=True))
+    return LocalModel(z, tuple(blocks), gradient, hessian, rows, use)
+
+
+def solve_step(problem: DesignProblem, model: LocalModel, radius: float) -> Step | None:
+    """Best step within the trust region; None without a solution.
+
+    Only limit rows near current extrema enter. Extrema that the solution moves beyond their
+    limits are added, and it is solved again until none is (an exchange). A long step may leave
+    a small share of its length beyond the limits, which the next one takes back.
+    """
+    fixed = _fixed_part(problem, model)
+    rows, room = _extremum_rows(problem, model.z, model.z, _NEAR)
+    solution = _solve(fixed, radius, rows, room)
+    for _ in range(_EXCHANGES):
+        if solution is None:
+            return None
+        dz = solution[: problem.size].reshape(model.z.shape)
+        length = float(np.abs(problem.Z @ dz / problem.reach).max())
+        tolerance = max(_TOLERANCE, _LOOSE * length)
+        added, added_room = _extremum_rows(problem, model.z, model.z + dz, 1 + tolerance)
+        if not len(added):
+            return Step(dz, _predicted_gain(problem, model, solution))
+        rows, room = np.vstack([rows, added]), np.concatenate([room, added_room])
+        solution = _solve(fixed, radius, rows, room)
+    return None
+
+
+def _extremum_rows(
+    problem: DesignProblem, z: Array, there: Array, share: float
+) -> tuple[Array, Array]:
+    """Rows a·dz ≤ room around z for the extrema of ``there`` beyond a share of their limit."""
+    parts, rooms = [], []
+    for order in range(problem.robot.limits.orders):
+        t, joint = problem.kinematic_peaks(there, order, share)
+        phi = problem.basis(t, order)
+        middle, bound = problem.middle[order, joint], problem.bound[order, joint]
+        here, then = (np.einsum("kd,kd->k", phi, x[:, joint].T) - middle for x in (z, there))
+        scale = np.sign(then) / bound
+        rows = np.zeros((len(t), *z.shape))
+        rows[np.arange(len(t)), :, joint] = phi * scale[:, None]
+        parts.append(rows.reshape(len(t), problem.size))
+        rooms.append(1 - here * scale)
+    return np.vstack(parts), np.concatenate(rooms)
+
+
+@dataclass(frozen=True, eq=False)
+class _Cone:
+    """What stays the same during an exchange: min ½vᵀPv + cᵀv, right − A v in the cones.
+
+    The variables v are dz, one bound per block, and the torque excess; ``trust`` marks the
+    rows whose right side is the radius.
+    """
+
+    P: sp.csc_matrix
+    cost: Array
+    A: Array
+    right: Array
+    trust: Array
+    cones: tuple[object, ...]
+
+
+def _fixed_part(problem: DesignProblem, model: LocalModel) -> _Cone:
+    k, nb, m = problem.size, len(model.blocks), len(model.use)
+    n = k + nb + 1
+    box = np.kron(problem.Z, np.eye(problem.robot.nv)) / problem.reach.reshape(-1, 1)
+    linear = np.zeros((2 * len(box) + m + 1, n))
+    linear[: 2 * len(box), :k] = np.vstack([box, -box])
+    linear[2 * len(box) : -1, :k] = model.rows
+    linear[2 * len(box) :, -1] = -1.0
+    right = [np.zeros(2 * len(box)), 1 - model.use, np.zeros(1)]
+    parts, cones = [linear], [clarabel.NonnegativeConeT(len(linear))]
+    for i, block in enumerate(model.blocks):
+        A, b = _lmi(block, k, i, n)
+        parts.append(A)
+        right.append(b)
+        cones.append(clarabel.PSDTriangleConeT(len(block.value)))
+    P = np.zeros((n, n))
+    P[:k, :k] = np.triu(model.hessian)
+    signs = [-1.0 if block.lowest else 1.0 for block in model.blocks]
+    cost = np.concatenate([model.gradient, signs, [PENALTY]])
+    trust = np.zeros(sum(len(r) for r in right))
+    trust[: 2 * len(box)] = 1.0
+    return _Cone(
+        sp.csc_matrix(P),
+        cost,
+        np.vstack(parts),
+        np.concatenate(right),
+        trust,
+        (*cones,),
+    )
+
+
+def _solve(fixed: _Cone, radius: float, rows: Array, room: Array) -> Array | None:
+    """Solve with further rows ``rows @ dz <= room``; None without a solution."""
+    wide = np.pad(rows, ((0, 0), (0, fixed.A.shape[1] - rows.shape[1])))
+    A = sp.csc_matrix(np.vstack([fixed.A, wide]))
+    right = np.concatenate([fixed.right + radius * fixed.trust, room])
+    cones = [*fixed.cones, clarabel.NonnegativeConeT(len(rows))]
+    for refined in (False, True):  # refinement costs a fifth of the time and is rarely needed
+        settings = _settings(refined)
+        solution = clarabel.DefaultSolver(fixed.P, fixed.cost, A, right, cones, settings).solve()
+        if str(solution.status) in ("Solved", "AlmostSolved"):
+            return np.array(solution.x)
+    return None
+
+
+def _settings(refined: bool) -> clarabel.DefaultSettings:
+    settings = clarabel.DefaultSettings()
+    settings.iterative_refinement_enable = refined
+    settings.verbose = False
+    settings.max_iter = 60
+    settings.tol_gap_abs = settings.tol_gap_rel = 1e-6
+    settings.tol_feas = 1e-7
+    return settings
+
+
+def _lmi(block: Block, k: int, i: int, n: int) -> tuple[Array, Array]:
+    """Rows of value + Σ derivative dz ⪰ s I (lowest) or ⪯ t I, as a scaled triangle."""
+    m = len(block.value)
+    column, row = np.tril_indices(m)
+    weight = np.where(row == column, 1.0, np.sqrt(2.0))
+    sign = 1.0 if block.lowest else -1.0
+    A = np.zeros((len(row), n))
+    A[:, :k] = -sign * (block.derivative[:, row, column] * weight).T
+    A[:, k + i] = sign * (row == column)
+    return A, sign * block.value[row, column] * weight
+
+
+def _predicted_gain(problem: DesignProblem, model: LocalModel, solution: Array) -> float:
+    k = problem.size
+    dz = solution[:k]
+    change = model.gradient @ dz + 0.5 * dz @ model.hessian @ dz
+    for block, bound in zip(model.blocks, solution[k:-1], strict=True):
+        change += (-1.0 if block.lowest else 1.0) * np.log(max(float(bound), 1e-3))
+    before = max(0.0, float(model.use.max(initial=0.0)) - 1.0)
+    return float(PENALTY * (before - solution[-1]) - change)

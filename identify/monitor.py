@@ -1,0 +1,336 @@
+"""A recording played through the on-line estimator, watched on the way: `identify --online`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from excitant.exceptions import BadRecording
+from excitant.identify.base_prior import BasePrior, base_prior, lively_motion
+from excitant.identify.differentiator_choice import choose_differentiator, position_spectrum
+from excitant.identify.differentiator_table import (
+    DifferentiatorTable,
+    differentiator_result,
+    differentiator_series,
+    differentiator_table,
+)
+from excitant.identify.differentiators import LocalPolynomial
+from excitant.identify.estimate import Estimate, judged
+from excitant.identify.excitation import (
+    ROWS_PER_SECOND,
+    WindowExcitation,
+    excitation_judge,
+)
+from excitant.identify.least_squares import LeastSquares
+from excitant.identify.online import OnlineEstimate, OnlineEstimator, regular
+from excitant.identify.physical import fit_physical, prior_parameters
+from excitant.identify.preprocessing import uninterrupted
+from excitant.identify.recording import Recording
+from excitant.identify.result import identify_result
+from excitant.identify.rows import fit_rows, fitted, split
+from excitant.robots.base_parameters import BaseParameters, base_parameters
+from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
+from excitant.robots.torque import observation_columns
+
+WINDOW = 8.0  # s of motion that the monitor looks at
+_BETWEEN = 1.0  # s set between recordings that follow each other
+_PERIOD = 0.5  # s between two looks
+_KEPT = 100  # looks written to result.json
+_LIVELY = 10.0  # s of lively motion over which the uncertainty of the torque is taken
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What the monitor saw at an instant.
+
+    Attributes:
+        estimate: The estimate.
+        excitation: What the last seconds showed; None before a whole window.
+        uncertainty: Rms torque error that the uncertainty of the estimate makes on a lively
+            motion, shape (nv,) [torque unit].
+    """
+
+    estimate: OnlineEstimate
+    excitation: WindowExcitation | None
+    uncertainty: Array
+
+    @property
+    def converged(self) -> bool:
+        """Whether the estimate is surer of the torque than a row of data is, joint by joint."""
+        return bool((self.uncertainty < self.estimate.sigma).all())
+
+
+class Monitor:
+    """Watches an `OnlineEstimator`: convergence, and excitation in a sliding window.
+
+    A look costs some ten milliseconds: once a second, beside the loop rather than inside it.
+
+    Args:
+        estimator: The estimator.
+        prior: What is known beforehand, to measure excitation against.
+        window: Length of the sliding window [s].
+    """
+
+    def __init__(
+        self, estimator: OnlineEstimator, prior: BasePrior, window: float = WINDOW
+    ) -> None:
+        self.estimator, self.prior, self.window = estimator, prior, window
+        self.messages: list[tuple[float, str]] = []
+        self._enough, self._converged = True, False
+        robot, base = estimator.robot, estimator.base
+        motion = lively_motion(robot, _LIVELY, ROWS_PER_SECOND)
+        columns = observation_columns(robot, estimator.effects, motion)
+        self._lively: Array = columns[:, :, base.columns]
+
+    def look(self) -> Look:
+        """Look now, and say what has changed.
+
+        Raises:
+            BadInput: No row yet.
+        """
+        estimate = self.estimator.estimate()
+        uncertainty = self._uncertainty(estimate.covariance)
+        found = Look(estimate, self._excitation(estimate), uncertainty)
+        self._tell(found)
+        return found
+
+    def _uncertainty(self, P: Array) -> Array:
+        if not np.isfinite(P).all():
+            return np.full(self.estimator.robot.nv, np.inf)
+        W = self._lively
+        variance = np.einsum("njr,rs,njs->nj", W, P, W, optimize=True).mean(axis=0)
+        return np.asarray(np.sqrt(np.maximum(variance, 0)), float)
+
+    def _excitation(self, estimate: OnlineEstimate) -> WindowExcitation | None:
+        e, rows = self.estimator, self.estimator.recent()
+        first = np.searchsorted(rows.motion.t, estimate.t - self.window)
+        if estimate.t - rows.motion.t[0] < self.window - 2 * e.row_period:
+            return None
+        independent = estimate.inflation * ROWS_PER_SECOND * e.row_period
+        sigma = estimate.sigma * np.sqrt(np.maximum(independent, 1e-12))
+        judge = excitation_judge(
+            e.robot, e.effects, window=self.window, sigma=sigma, base=e.base, prior=self.prior
+        )
+        late = slice(int(first), None)
+        W = judge.rows(rows.W[late] * rows.used[late, :, None])
+        return judge.judge(rows.motion[late], W)
+
+    def _tell(self, found: Look) -> None:
+        t, seen = found.estimate.t, found.excitation
+        if found.converged != self._converged:
+            self._converged = found.converged
+            words = "converged: the estimate is surer of the torque than a row of data"
+            self.messages.append((t, words if found.converged else "no longer converged"))
+        if seen is not None and seen.enough != self._enough:
+            self._enough = seen.enough
+            self.messages.append((t, seen.sentence()))
+
+
+@dataclass(frozen=True, eq=False)
+class OnlineRun:
+    """A recording played through the estimator.
+
+    Attributes:
+        recording: The recording.
+        robot: The arm, the prior.
+        effects: Effects estimated.
+        differentiator: Why which differentiator was taken.
+        looks: The monitor's looks, the last at the end of the recording.
+        messages: Time [s] and text.
+        delay: Age of the newest instant that the estimator can speak about [s].
+    """
+
+    recording: Recording
+    robot: Robot
+    effects: tuple[Effect, ...]
+    differentiator: str
+    looks: tuple[Look, ...]
+    messages: tuple[tuple[float, str], ...]
+    delay: float
+
+    @property
+    def estimate(self) -> OnlineEstimate:
+        """What is known at the end."""
+        return self.looks[-1].estimate
+
+
+def replay(
+    robot: Robot,
+    recording: Recording,
+    *,
+    effects: Sequence[Effect] | None = None,
+    base: BaseParameters | None = None,
+    prior: BasePrior | bool | None = None,
+    forgetting: float | None = None,
+    gains: Array | float = 1.0,
+    period: float = _PERIOD,
+    progress: Callable[[float], None] | None = None,
+) -> OnlineRun:
+    """Estimate on line over a recording, as if its samples came one by one.
+
+    The causal differentiator is the one that suits the positions of the recording best.
+
+    Args:
+        robot: The arm; the prior where no other is given.
+        recording: What was logged; resampled where its time is irregular.
+        effects: Effects to estimate; friction, offset and rotor inertia when None.
+        base: Base parameters of both, where they are at hand.
+        prior: What is known beforehand; the given robot when None, ``False`` for nothing.
+        forgetting: Time constant [s]; nothing is forgotten when None.
+        gains: Torque per reading [N·m per reading], shape (nv,).
+        period: Time between two looks of the monitor [s].
+        progress: Told the fraction done.
+
+    Raises:
+        BadRecording: Too short for one row.
+    """
+    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    base = base_parameters(robot, effects) if base is None else base
+    t, q, tau = regular(recording)
+    rate = 1 / float(np.median(np.diff(t)))
+    longest = max(uninterrupted(t), key=len)
+    choice = choose_differentiator(t[longest], q[longest], causal=True)
+    assert isinstance(choice.differentiator, LocalPolynomial)  # the only causal kind
+    noise = position_spectrum(t[longest], q[longest]).noise
+    estimator = OnlineEstimator(
+        robot, effects, rate_hz=rate, differentiator=choice.differentiator,
+        forgetting=forgetting, prior=prior, position_noise=noise, base=base,
+    )  # fmt: skip
+    measure = prior if isinstance(prior, BasePrior) else base_prior(robot, effects, base)
+    monitor, looks, due = Monitor(estimator, measure), [], t[0] + 1.0
+    for k in range(len(t)):
+        estimator.push(float(t[k]), q[k], tau[k] * gains)
+        if t[k] >= due and estimator.rows:
+            looks.append(monitor.look())
+            due = t[k] + period
+            if progress is not None:
+                progress(k / len(t))
+    if not estimator.rows:
+        raise BadRecording(recording.file, "too short or interrupted too often for on-line rows")
+    if not looks or looks[-1].estimate.t < estimator.recent().motion.t[-1]:
+        looks.append(monitor.look())
+    return OnlineRun(
+        recording, robot, effects, choice.why, tuple(looks), tuple(monitor.messages),
+        estimator.delay,
+    )  # fmt: skip
+
+
+def joined(recordings: Sequence[Recording]) -> Recording:
+    """Recordings one after the other, a second apart."""
+    if len(recordings) == 1:
+        return recordings[0]
+    times, start = [], 0.0
+    for recording in recordings:
+        times.append(recording.t - recording.t[0] + start)
+        start = float(times[-1][-1]) + _BETWEEN
+    return Recording(
+        name=", ".join(r.name for r in recordings),
+        file=recordings[0].file,
+        t=np.concatenate(times),
+        q=np.concatenate([r.q for r in recordings]),
+        tau=np.concatenate([r.tau for r in recordings]),
+        unit=recordings[0].unit,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class OnlineIdentification:
+    """What was identified on line, judged as an estimate from the whole recording is.
+
+    Attributes:
+        estimate: Physically consistent model and its accuracy.
+        run: The estimator's way there.
+    """
+
+    estimate: Estimate
+    run: OnlineRun
+
+    def result(self) -> dict[str, Any]:
+        """Machine-readable result: that of `identify`, and the way there under ``online``."""
+        run = self.run
+        looks = run.looks[:: max(1, -(-len(run.looks) // _KEPT))]
+        if looks[-1] is not run.looks[-1]:
+            looks = (*looks, run.looks[-1])
+        return identify_result(self.estimate) | {
+            "estimator": "recursive least squares in square-root information form, on line; "
+            "then physically consistent semidefinite fit",
+            "online": {
+                "delay_s": run.delay,
+                "differentiator": run.differentiator,
+                "messages": [{"t": float(t), "text": text} for t, text in run.messages],
+                "converged": run.looks[-1].converged,
+                "history": {
+                    "t": [float(look.estimate.t) for look in looks],
+                    "value": [look.estimate.beta.tolist() for look in looks],
+                    "std": [look.estimate.std.tolist() for look in looks],
+                    "excitation_level": [
+                        None if look.excitation is None else look.excitation.level for look in looks
+                    ],
+                    "torque_uncertainty": [look.uncertainty.tolist() for look in looks],
+                    "noise": [look.estimate.sigma.tolist() for look in looks],
+                },
+            },
+            "differentiators": differentiator_result(self._differentiators()),
+        }
+
+    def series(self) -> dict[str, Array]:
+        """For figures: estimates over time, ``online_t`` (k,), values and std (k, r).
+
+        And the curves of `excitant.identify.differentiator_table.differentiator_series`.
+        """
+        looks = [look.estimate for look in self.run.looks]
+        return differentiator_series(self._differentiators()) | {
+            "online_t": np.array([each.t for each in looks]),
+            "online_value": np.array([each.beta for each in looks]),
+            "online_std": np.array([each.std for each in looks]),
+        }
+
+    def _differentiators(self) -> DifferentiatorTable:
+        return differentiator_table(self.run.recording, self.run.differentiator)
+
+
+def identify_online(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    *,
+    validate: Sequence[Recording] = (),
+    effects: Sequence[Effect] | None = None,
+    cutoff_hz: float | None = None,
+    forgetting: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> OnlineIdentification:
+    """Identify a robot as if the samples came one by one.
+
+    Args:
+        robot: The arm; its inertias are the prior.
+        recordings: What to fit, one after the other.
+        validate: What to judge on; the last 30 % of each recording when empty.
+        effects: Effects to estimate; friction, offset and rotor inertia when None.
+        cutoff_hz: Cut-off of the torque filter that accuracy is judged under [Hz].
+        forgetting: Time constant of forgetting [s]; nothing is forgotten when None.
+        progress: Told the fraction done.
+
+    Raises:
+        BadRecording: Recordings that cannot be used.
+        BadRobot: Links without mass, so no prior.
+        Infeasible: The semidefinite solver failed.
+    """
+    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    prior = prior_parameters(robot)
+    data = split(recordings, validate, cutoff_hz)
+    base = base_parameters(robot, effects)
+    rows = fit_rows(robot, effects, base, data)
+    run = replay(
+        robot, joined(fitted(recordings, validate)), effects=effects, base=base,
+        forgetting=forgetting, gains=rows.gains, progress=progress,
+    )  # fmt: skip
+    last, known = run.estimate, run.estimate.data
+    physical = fit_physical(known.R @ base.regrouping, known.z, prior, rows.open_prior)
+    fit = LeastSquares(last.beta, last.covariance, last.sigma, last.inflation)
+    estimate = judged(robot, rows, fit, physical, (data.holdout, run.differentiator))
+    return OnlineIdentification(estimate, run)

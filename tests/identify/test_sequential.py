@@ -1,0 +1,362 @@
+"""Link by link: Property 4, what recordings show, calibrated values, and as good as all at once."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from excitant.cli import main
+from excitant.design import random_trajectory
+from excitant.identify import Recording, identify, identify_link_by_link, load_dataset
+from excitant.identify.base_prior import BasePrior, base_prior
+from excitant.identify.cascade import Cascade, beginning, further
+from excitant.identify.rows import split
+from excitant.identify.sequential import LinkByLink, link_rows, run_stages
+from excitant.robots import Motion, Robot, base_parameters, load_robot
+from excitant.robots.effects import CoulombFriction, standard_effects
+from excitant.robots.library.cmu_dd_arm_ii import dd_arm_chain
+from excitant.robots.newton_euler import torque_matrix
+from excitant.robots.regressor import regressor
+from excitant.robots.torque import observation_columns
+from excitant.robots.torque_rows import last_rows
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A true arm: Pinocchio's rigid bodies, and friction, offset and rotor inertia beside them."""
+
+    model: Any
+    drives: dict[str, Array]
+
+    def torque(self, q: Array, dq: Array, ddq: Array) -> Array:
+        data, d = self.model.createData(), self.drives
+        tau = np.array([pin.rnea(self.model, data, *x) for x in zip(q, dq, ddq, strict=True)])
+        return tau + d["Fv"] * dq + d["Fc"] * np.sign(dq) + d["offset"] + d["Ia"] * ddq
+
+    def beta(self, robot: Robot) -> Array:
+        base = base_parameters(robot, standard_effects(robot.joints))
+        bodies = list(self.model.inertias)[1:]
+        phi = [body.toDynamicParameters() for body in bodies]
+        names = (name.rpartition(".") for name in base.names[10 * robot.nv :])
+        drives = [self.drives[symbol][robot.joint_index(joint)] for joint, _, symbol in names]
+        return base.regrouping @ np.concatenate([*phi, drives])
+
+
+def truth_near(robot: Robot, rng: np.random.Generator, spread: float = 0.1) -> Truth:
+    """Masses, levers and inertias off by up to 10 %."""
+    model = robot.model.copy()
+    for j in range(1, robot.nv + 1):
+        body, (m, c, i) = model.inertias[j], 1 + spread * rng.uniform(-1, 1, 3)
+        model.inertias[j] = pin.Inertia(m * body.mass, c * body.lever, i * body.inertia)
+    sizes = {"Fv": (0.5, 2), "Fc": (0.5, 2), "offset": (-0.3, 0.3), "Ia": (0.01, 0.1)}
+    return Truth(model, {name: rng.uniform(*ends, robot.nv) for name, ends in sizes.items()})
+
+
+def coloured(shape: tuple[int, int], rng: np.random.Generator) -> Array:
+    """White noise and half as much that is correlated over ten samples."""
+    fresh = 0.44 * rng.standard_normal(shape)
+    slow = np.zeros(shape)
+    for k in range(1, len(slow)):
+        slow[k] = 0.9 * slow[k - 1] + fresh[k]
+    return rng.standard_normal(shape) + 0.5 * slow
+
+
+def recorded(
+    robot: Robot,
+    truth: Truth,
+    rng: np.random.Generator,
+    *,
+    moving: Sequence[int] | None = None,
+    duration: float = 10.0,
+    share: float = 0.01,
+    white: bool = False,
+    rate: float = 100.0,
+    name: str = "run",
+) -> Recording:
+    """A random motion of some joints, the others held; noise as a share of the torque limits."""
+    t = np.arange(0, duration, 1 / rate)
+    path = random_trajectory(robot, rng, duration, 5)
+    q, dq, ddq = (np.array(path(t, order)) for order in range(3))
+    still = [j for j in range(robot.nv) if moving is not None and j not in moving]
+    q[:, still] = rng.uniform(-1.5, 1.5, len(still))
+    dq[:, still] = ddq[:, still] = 0.0
+    limit = np.where(np.isfinite(robot.limits.torque), robot.limits.torque, 20.0)
+    tau = truth.torque(q, dq, ddq) + share * limit * (
+        rng.standard_normal(q.shape) if white else coloured(q.shape, rng)
+    )
+    return Recording(name, f"{name}.csv", t, q, tau)
+
+
+def random_arm(rng: np.random.Generator, joints: int) -> Any:
+    """Pinocchio's model of a chain of random placements and bodies, some joints sliding."""
+    model, parent = pin.Model(), 0
+    kinds = [pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelPZ]
+    for j in range(joints):
+        kind = kinds[rng.integers(len(kinds))]()
+        parent = model.addJoint(parent, kind, pin.SE3.Random(), f"joint{j}")
+        model.appendBodyToJoint(parent, pin.Inertia.Random(), pin.SE3.Identity())
+    return model
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_property_4_holds_for_any_chain(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pin.seed(seed)
+    model = random_arm(rng, 2 + seed)
+    data = model.createData()
+    for _ in range(5):
+        Y = pin.computeJointTorqueRegressor(model, data, *rng.standard_normal((3, model.nv)))
+        for i in range(model.nv):
+            assert not Y[i, : 10 * i].any()
+            assert Y[i, 10 * i : 10 * i + 10].any()
+
+
+@pytest.mark.parametrize("name", ["ur10", "panda", "cmu_dd_arm_ii", "puma560"])
+def test_property_4_holds_for_our_regressor_and_its_base_columns(name: str) -> None:
+    robot = load_robot(name)
+    effects = standard_effects(robot.joints)
+    base = base_parameters(robot, effects)
+    q, dq, ddq = robot.random_motion(np.random.default_rng(5), 30)
+    motion = Motion(np.arange(30.0), q, dq, ddq)
+    Y = regressor(robot, motion)
+    W = observation_columns(robot, effects, motion)[:, :, list(base.columns)]
+    last = last_rows(robot, effects, base)
+    for i in range(robot.nv):
+        assert np.abs(Y[:, i, : 10 * i]).max(initial=0.0) == 0.0
+        assert np.abs(W[:, i, last < i]).max(initial=0.0) == 0.0
+        own = W[:, i, last == i]
+        assert np.linalg.matrix_rank(own / np.linalg.norm(own, axis=0)) == own.shape[1]
+
+
+def cascade_of(W: Array, tau: Array, prior: BasePrior) -> Cascade:
+    known = beginning(prior)
+    for j in reversed(range(W.shape[1])):
+        known, _ = further(known, W[:, j], tau[:, j])
+    return known
+
+
+def test_covariance_against_monte_carlo(planar: Robot) -> None:
+    rng, effects = np.random.default_rng(0), standard_effects(planar.joints)
+    base = base_parameters(planar, effects)
+    t = np.arange(0, 20, 0.1)
+    path = random_trajectory(planar, rng, 10.0, 5)
+    motion = Motion(t, *(path(t, order) for order in range(3)))
+    W = observation_columns(planar, effects, motion)[:, :, list(base.columns)]
+    prior = base_prior(planar, effects, base)
+    true = prior.mean + 0.1 * np.sqrt(np.diag(prior.covariance))
+    size, errors, claimed = np.array([0.01, 0.03]), [], []  # the outer joint is the noisier one
+    for _ in range(400):
+        found = cascade_of(W, W @ true + size * rng.standard_normal((len(t), 2)), prior)
+        assert len(found.c) == len(base)
+        errors.append(found.beta - true)
+        claimed.append(found.covariance)
+    actual, mean = np.cov(np.array(errors).T), np.mean(claimed, axis=0)
+    ratio = np.sqrt(np.diag(mean) / np.diag(actual))
+    assert ratio.min() > 0.9
+    assert ratio.max() < 1.2
+    L = np.linalg.cholesky(mean)
+    whitened = np.linalg.solve(L, np.linalg.solve(L, actual).T)  # one where cross terms agree
+    spread = np.linalg.eigvalsh(whitened)  # (1 ± √(13 / 400))² for 400 draws of 13 numbers
+    assert spread[0] > 0.5
+    assert spread[-1] < 1.5
+    inner = last_rows(planar, effects, base) == 0
+    alone = np.linalg.inv(W[:, 0][:, inner].T @ W[:, 0][:, inner]) * size[0] ** 2
+    assert (np.diag(actual)[inner] > 1.5 * np.diag(alone)).any()  # outer uncertainty counts
+
+
+def errors_of(known: Cascade, true: Array) -> Array:
+    """Errors of what is known, made independent and of unit variance by their covariance."""
+    error = known.c - known.D.T @ np.linalg.solve(known.L, true - known.mean)
+    return np.linalg.solve(np.linalg.cholesky(known.P), error)
+
+
+def calibration(robot: Robot, seeds: range, white: bool) -> Array:
+    errors = []
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        truth = truth_near(robot, rng)
+        runs = [recorded(robot, truth, rng, white=white, name=f"run{k}") for k in range(2)]
+        data = split(runs, runs[:1])  # nothing is judged here
+        known, stages = run_stages(robot, link_rows(robot, standard_effects(robot.joints), data))
+        errors.append(errors_of(known, truth.beta(robot)))
+        assert len(errors[-1]) == sum(len(stage.determined) for stage in stages)
+    return np.concatenate(errors)
+
+
+@pytest.mark.parametrize("white", [True, False])
+def test_values_are_within_two_standard_deviations_as_often_as_they_should(
+    planar: Robot, white: bool
+) -> None:
+    errors = calibration(planar, range(12), white)
+    assert 0.9 < np.mean(np.abs(errors) < 2) < 0.99
+    assert 0.85 < np.sqrt(np.mean(errors**2)) < 1.25
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ur10", "cmu_dd_arm_ii"])
+def test_six_joint_arms_are_calibrated_too(name: str) -> None:
+    errors = calibration(load_robot(name), range(6), white=False)
+    assert 0.9 < np.mean(np.abs(errors) < 2) < 0.99
+    assert 0.85 < np.sqrt(np.mean(errors**2)) < 1.25
+
+
+def rms_link_by_link_and_at_once(robot: Robot, seed: int, total: float) -> tuple[Array, Array]:
+    """Hold-out rms of both from recordings of the same total time."""
+    rng = np.random.default_rng(seed)
+    truth = truth_near(robot, rng)
+    each = total / robot.nv
+    motions = [
+        recorded(robot, truth, rng, moving=range(i + 1), duration=each, name=f"link{i + 1}")
+        for i in reversed(range(robot.nv))
+    ]
+    whole = recorded(robot, truth, rng, duration=total, name="whole")
+    unseen = replace(recorded(robot, truth, rng, share=0.0), name="unseen")
+    stages = identify_link_by_link(robot, motions, validate=[unseen])
+    at_once = identify(robot, [whole], validate=[unseen])
+    return stages.estimate.validate.rms, at_once.validate.rms
+
+
+def test_predicts_as_well_as_all_at_once_in_the_same_time(planar: Robot) -> None:
+    pairs = [rms_link_by_link_and_at_once(planar, seed, 20.0) for seed in range(4)]
+    stages, at_once = (
+        np.sqrt(np.mean(np.square(each), axis=0)) for each in zip(*pairs, strict=True)
+    )
+    limit = planar.limits.torque
+    noise = 0.01 * np.where(np.isfinite(limit), limit, 20.0)
+    assert (np.hypot(stages, noise) < 1.2 * np.hypot(at_once, noise)).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ur10", "cmu_dd_arm_ii"])
+def test_six_joint_arms_predict_as_well_too(name: str) -> None:
+    robot = load_robot(name)
+    stages, at_once = rms_link_by_link_and_at_once(robot, 0, 60.0)
+    noise = 0.01 * robot.limits.torque
+    assert (np.hypot(stages, noise) < 1.2 * np.hypot(at_once, noise)).all()
+
+
+@pytest.fixture(scope="module")
+def literal() -> LinkByLink:
+    """The DD arm, one joint moving at a time in one pose."""
+    robot, rng = load_robot("cmu_dd_arm_ii"), np.random.default_rng(2)
+    still = {name: np.zeros(6) for name in ("Fv", "offset", "Ia")}
+    truth = Truth(robot.model, {**still, "Fc": np.ones(6)})
+    runs = [
+        recorded(robot, truth, rng, moving=[i], duration=8.0, share=1e-9, name=f"joint{i + 1}")
+        for i in range(6)
+    ]
+    return identify_link_by_link(robot, runs, effects=[CoulombFriction(robot.joints)])
+
+
+def test_one_joint_at_a_time_shows_14_combinations(literal: LinkByLink) -> None:
+    """Besides the Coulomb friction of each joint."""
+    counts = [len(stage.determined) - 1 for stage in literal.stages]
+    assert counts == [3, 3, 3, 3, 1, 1]
+    assert [len(stage.missing) for stage in literal.stages] == [4, 4, 4, 4, 2, 0]
+    assert sum(len(stage.determined) + len(stage.missing) for stage in literal.stages) == 38
+    assert {stage.mode for stage in literal.stages} == {"moves alone, the others in one pose"}
+    names = [name.split()[0] for stage in literal.stages for name in stage.recordings]
+    assert names == [f"joint{i}" for i in (6, 5, 4, 3, 2, 1)]
+
+
+def test_the_motion_named_shows_what_was_missing(literal: LinkByLink) -> None:
+    """By the seed paper's own regressor, which has no part in naming it."""
+    chain = dd_arm_chain()
+    for stage in literal.stages[:5]:
+        i = stage.joint
+        assert stage.needed[0].startswith(f"move joint{i + 1} together with joint1")
+        for moved, rank in (([i], 3 if i > 1 else 1), ([i, 0], 7 if i > 1 else 3)):
+            rng = np.random.default_rng(2)
+            q, dq, ddq = rng.uniform(-2, 2, (3, 100, 6))
+            still = [j for j in range(6) if j not in moved]
+            q[:, still], dq[:, still], ddq[:, still] = q[0, still], 0.0, 0.0
+            own = torque_matrix(chain, q, dq, ddq)[:, i, 10 * i : 10 * i + 10]
+            assert np.linalg.matrix_rank(own, tol=1e-9 * np.linalg.norm(own)) == rank
+
+
+def test_what_is_not_shown_stays_at_the_given_robot(literal: LinkByLink) -> None:
+    known = literal.cascade
+    free = np.eye(len(known.mean)) - known.D @ known.D.T
+    change = np.linalg.solve(known.L, known.beta - known.mean)
+    assert np.abs(free @ change).max() < 1e-9
+    for stage in literal.stages:
+        assert not {each.expression for each in stage.determined} & set(stage.missing)
+
+
+def test_a_joint_at_rest_may_hold_any_torque(planar: Robot) -> None:
+    """Dry friction takes up what motion would not need: its row must not count."""
+    rng = np.random.default_rng(3)
+    truth = truth_near(planar, rng)
+    both = recorded(planar, truth, rng, name="both")
+    first = recorded(planar, truth, rng, moving=[0], name="first")
+    held = replace(first, tau=first.tau + np.array([0.0, 5.0]))
+    plain, stuck = (identify_link_by_link(planar, [both, run]) for run in (first, held))
+    assert np.array_equal(plain.cascade.beta, stuck.cascade.beta)
+    counted = [[name.split()[0] for name in stage.recordings] for stage in stuck.stages]
+    assert counted == [["both"], ["both", "first"]]
+
+
+def test_a_joint_that_never_moves_is_said(planar: Robot) -> None:
+    rng = np.random.default_rng(4)
+    run = recorded(planar, truth_near(planar, rng), rng, moving=[0], name="first")
+    found = identify_link_by_link(planar, [run])
+    outer = found.stages[0]
+    assert outer.determined == ()
+    assert outer.mode == "does not move"
+    assert outer.noise.rows == 0
+    assert planar.joints[1] in outer.needed[0]
+    assert found.refusal
+
+
+def test_command_writes_stages_and_comparison(planar: Robot, tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    truth = truth_near(planar, rng)
+    words = ["identify", "planar_2r"]
+    for name in ("one", "two"):
+        run = recorded(planar, truth, rng, name=name)
+        table = np.column_stack([run.t, run.q, run.tau])
+        file = tmp_path / f"{name}.csv"
+        np.savetxt(file, table, delimiter=",", header="t,q1,q2,tau1,tau2", comments="")
+        words.append(str(file))
+    assert main([*words, "--link-by-link", "-o", str(tmp_path / "run")]) == 0
+    result = json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))
+    found = result["link_by_link"]
+    assert [stage["joint"] for stage in found["stages"]] == [*reversed(planar.joints)]
+    for stage in found["stages"]:
+        keys = {"link", "joint", "rows", "recordings", "determined", "missing", "needed", "mode"}
+        assert keys <= stage.keys()
+    assert sum(len(stage["determined"]) for stage in found["stages"]) == 13
+    for row, joint in zip(found["comparison"]["joints"], result["joints"], strict=True):
+        assert row["link_by_link"] == joint["validate"]["rms"]
+        assert row["given"] == joint["baseline"]["rms"]
+        assert row["link_by_link"] < 1.2 * row["all_at_once"] < row["given"]
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "Link by link against all links at once" in page
+
+
+def test_online_is_another_way(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["identify", "planar_2r", "a.csv", "--link-by-link", "--online"]) == 1
+    assert "leave --online out" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_real_joints_moving_one_at_a_time(data_folder: Path) -> None:
+    """UR10e: motor currents of single-joint runs, judged on motions of all joints."""
+    dataset = load_dataset(data_folder / "ur10e")
+    runs = dataset.recordings([f"joint{k}_alone" for k in range(1, 7)])
+    unseen = dataset.recordings(["id_12harm_50s", "val_ptp_10_points"])
+    found = identify_link_by_link(dataset.robot, runs, validate=unseen)
+    assert all("alone" in stage.mode for stage in found.stages)
+    assert all(stage.needed for stage in found.stages[:-1])
+    rms, given = found.estimate.validate.rms, found.estimate.baseline.rms
+    assert (rms < 0.5 * given).all()
+    assert (rms < found.all_at_once.validate.rms).all()
