@@ -20,10 +20,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.linalg
+import scipy.special
 
 from excitant.analysis.candidates import TOLERANCE, believed_columns, cause_columns
-from excitant.analysis.discrimination_power import MOST_RUNS, Separation, repetitions
-from excitant.analysis.discrimination_projection import explaining, without_given
 from excitant.analysis.evidence import JointColumns, joint_columns, widened
 from excitant.analysis.residuals import moving
 from excitant.identify.physical import link_coordinates, link_weights
@@ -33,8 +33,38 @@ from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
+POWER, LEVEL = 0.9, 0.05
+MOST_RUNS = 10
+_ALIKE, _ALIKE_LEVEL = 0.9, 0.001  # |cos| of signatures that `diagnose` takes more for, and what
+_LOOSE = 1e-9  # prior precision of what only the data decide, of its own information
 _SAMPLES = 2.0  # of a motion per row
 _ROWS = 4.0  # rows per period of the cut-off, as many as recordings are decimated to
+
+
+@dataclass(frozen=True)
+class Separation:
+    """How far a motion drives two causes apart.
+
+    Attributes:
+        delta: Δ in squared standard deviations of the noise.
+        cosine: Between the one cause's torque and the best that the other makes of it.
+        repetitions: Runs after which `diagnose` decides, with probability `POWER`; None where
+            `MOST_RUNS` are not enough.
+    """
+
+    delta: float
+    cosine: float
+    repetitions: int | None
+
+    @property
+    def deviations(self) -> float:
+        """√Δ: by how many standard deviations the two differ."""
+        return float(np.sqrt(max(self.delta, 0.0)))
+
+    @property
+    def enough(self) -> bool:
+        """Whether `diagnose` decides, at a stricter level where both still look alike."""
+        return self.delta >= needed(level=_ALIKE_LEVEL if self.cosine > _ALIKE else LEVEL)
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,3 +301,35 @@ def along(motion: Motion, cutoff_hz: float, rows_hz: float | None = None) -> Seg
     stride = max(1, round(1 / ((rows_hz or _ROWS * cutoff_hz) * step)))
     keep = slice(edge, len(motion) - edge, stride)
     return Segment("motion", motion, still, still, cutoff_hz, keep)
+
+
+def repetitions(delta: float, power: float = POWER, level: float = LEVEL) -> int:
+    """Runs that tell two causes apart with this probability at this level.
+
+    Both are compared by the squared error that each leaves (Vuong 1989). The difference has mean
+    N Δ and standard deviation 2 √(N Δ), so N = 4 (z_{level/2} + z_{1−power})² / Δ.
+    """
+    return max(1, int(np.ceil(needed(power, level) / max(delta, 1e-9) - 1e-9)))
+
+
+def needed(power: float = POWER, level: float = LEVEL) -> float:
+    """Δ at which one run is enough."""
+    z = -scipy.special.ndtri(level / 2) - scipy.special.ndtri(1 - power)
+    return float(4 * z**2)
+
+
+def without_given(information: Array, precision: Array) -> tuple[Array, Array]:
+    """Information on causes once the given values may take what they can, and its rounding."""
+    p = len(precision)
+    A = information[:p, :p] + np.diag(precision)
+    half = scipy.linalg.solve_triangular(np.linalg.cholesky(A), information[:p, p:], lower=True)
+    floor = 1e-10 * np.maximum(np.diag(information)[p:], 1e-12)
+    return information[p:, p:] - half.T @ half, floor
+
+
+def explaining(R: Array, floor: Array, columns: Sequence[int], b: Array) -> Array:
+    """Coefficients of columns that explain most of a torque with inner products b."""
+    at = list(columns)
+    scale = np.sqrt(np.maximum(np.diag(R)[at], floor[at]))
+    A = R[np.ix_(at, at)] / np.outer(scale, scale) + _LOOSE * np.eye(len(at))
+    return np.asarray(np.linalg.lstsq(A, b[at] / scale, rcond=1e-11)[0] / scale, float)

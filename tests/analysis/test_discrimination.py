@@ -17,11 +17,12 @@ from excitant.analysis.discrimination import (
     Noise,
     Pair,
     along,
+    needed,
+    repetitions,
     separation,
 )
 from excitant.analysis.discrimination_motion import HOPELESS, discriminating_motions
 from excitant.analysis.discrimination_plan import Plan, described, key, plan
-from excitant.analysis.discrimination_power import needed, repetitions
 from excitant.design import FourierTrajectory, check
 from excitant.identify import Recording
 from excitant.identify.physical import prior_parameters
