@@ -164,7 +164,10 @@ def test_top_level_folder_is_the_package(folder: str) -> None:
 
 @pytest.mark.parametrize(
     ("lock", "extras"),
-    [("requirements.lock", ()), ("requirements-dev.lock", ("cluster", "docs", "mjcf", "ros", "dev"))],
+    [
+        ("requirements.lock", ()),
+        ("requirements-dev.lock", ("cluster", "docs", "mjcf", "ros", "dev")),
+    ],
 )
 def test_lock_pins_every_requirement_and_names_no_place(
     project: dict[str, Any], lock: str, extras: tuple[str, ...]
