@@ -162,24 +162,25 @@ def robots(
     show_robot(robot, part.robot(robot), mass, run)
 
 
-def report(folder: str, other: str | None = None, /, *, run: Run = Run()) -> None:
-    """Render the report of a run again, or compare two runs.
+def report(*folders: str, run: Run = Run()) -> None:
+    """Render the report of a run again, or compare runs.
 
     Args:
-        folder: Folder of a run.
-        other: Folder of another run of the same command: one page with both, and what differs.
+        folders: Folder of a run; of several runs of the same command: one page with all, and what
+            differs.
     """
     from excitant.reports import SavedRun, compare, load_run, save_run
 
-    result, series = load_run(folder)
-    if other is not None:
-        first, second = SavedRun(folder, result, series), SavedRun(other, *load_run(other))
-        result, series = compare(first, second)
-        run.finish(run.folder("compare", result["of"]), result, series, {})
+    if not folders:
+        raise BadInput("name the folder of a run, or several to compare")
+    if len(folders) > 1:
+        result = compare(*(SavedRun(folder, *load_run(folder)) for folder in folders))
+        run.finish(run.folder("compare", result["of"]), result, {}, {})
         return
     if run.output is not None:
-        raise BadInput("-o is where two runs are compared; name a second run, or leave -o out")
-    paths = save_run(folder, result, series)
+        raise BadInput("-o is where runs are compared; name a second run, or leave -o out")
+    result, series = load_run(folders[0])
+    paths, _ = save_run(folders[0], result, series)
     if run.json:
         print_json(result)
     else:
