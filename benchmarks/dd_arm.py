@@ -34,7 +34,6 @@ from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
 from excitant.identify import Data, Recording
-from excitant.identify.estimate import whitened
 from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import (
     PhysicalFit,
@@ -204,8 +203,8 @@ def recovery(seconds: float = 60.0, *, likely: bool = True, seed: int = 0) -> Re
     given, truth = dd_arm("initial"), dd_arm("estimated", likely=likely)
     rng = np.random.default_rng(seed)
     rows = fitted(given, simulated(truth, rng, seconds))
-    fit = weighted_least_squares(rows.W[:, :, rows.base.columns], rows.tau, rows.base.expressions)
-    R, z = whitened(rows.W, rows.tau, fit)
+    fit = weighted_least_squares(rows.reduced)
+    R, z = rows.regression.factor(fit.weight)
     prior = prior_parameters(given)
     found = fit_physical(R, z, prior, rows.open_prior)
     steps = null_steps(prior, rows, rng)
