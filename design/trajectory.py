@@ -14,7 +14,7 @@ from scipy.interpolate import BPoly, BSpline, PPoly
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, freeze, read_only
 
-_REST = 1e-9  # of the largest speed or acceleration of the motion
+_REST = 1e-9  # of the largest coefficient at the highest frequency
 _DEGREE = 5  # of splines: jerk is continuous, and so is its rate
 
 
@@ -131,12 +131,8 @@ class Trajectory(ABC):
     @property
     def at_rest(self) -> bool:
         """Whether q̇ = q̈ = 0 at t = 0 and t = period."""
-        t = self.series.instants(16)
-        sizes = [np.abs(self(t, order)).max(initial=0.0) for order in (1, 2)]
-        return all(
-            bool(np.abs(self(0.0, order)).max(initial=0.0) <= _REST * size)
-            for order, size in zip((1, 2), sizes, strict=True)
-        )
+        w, size = 2 * np.pi * self.harmonics / self.period, np.abs(self.coefficients).max()
+        return all(np.abs(self(0.0, k)).max() <= _REST * w**k * size for k in (1, 2))
 
     def at(self, t: npt.ArrayLike) -> Motion:
         """The motion at the given instants [s], shape (n,)."""
