@@ -297,7 +297,7 @@ BAD_MAPS: dict[str, tuple[object, str]] = {
     "unknown entry": ({"qq": "a"}, "did you mean 'q'"),
     "unknown unit": ({"units": {"q": "parsec"}}, "no unit 'parsec'"),
     "unit of another quantity": ({"units": {"q": "mA"}}, "no unit 'mA'"),
-    "unknown quantity": ({"units": {"torq": "Nm"}}, "unknown quantity"),
+    "unknown quantity": ({"units": {"torq": "Nm"}}, "unknown entry 'torq'"),
     "sign": ({"sign": {"elbow_joint": 2}}, "must be 1 or -1"),
     "unknown joint": ({"sign": {"elbow": -1}}, "unknown joint 'elbow'"),
     "missing column": ({"t": "clock"}, "is not there"),
@@ -306,10 +306,13 @@ BAD_MAPS: dict[str, tuple[object, str]] = {
     "both torques": ({"tau": "tau", "i": "tau"}, "keep the measured one"),
     "twice": ({"q": "tau_{0}"}, "taken for two things"),
     "gains": ({"i": "tau", "drive": {"gain_Nm_per_A": [1]}}, "drive has 1 gains"),
-    "no numbers": ({"drive": {"gain_Nm_per_A": ["x"]}}, "must be one number per joint"),
+    "no numbers": (
+        {"drive": {"gain_Nm_per_A": ["x"]}},
+        "gain_Nm_per_A[0]: expected a number",
+    ),
     "slides": ({"units": {"q": "mm"}}, "its q is not in mm"),
     "three times": ({"t": ["time", "time", "time"]}, "one column, or seconds and nanoseconds"),
-    "topic": ({"topic": 3}, "must be a name"),
+    "topic": ({"topic": 3}, "topic: expected text"),
 }
 
 
