@@ -222,9 +222,9 @@ def test_time_in_any_form(name: str, ur10: Robot, tmp_path: Path) -> None:
     log.to_csv(tmp_path / "log.csv", index=False)
     assert_read(tmp_path / "log.csv", ur10)
     log.to_parquet(tmp_path / "log.parquet")
-    exact = assert_read(tmp_path / "log.parquet", ur10)
+    read = assert_read(tmp_path / "log.parquet", ur10)
     if "1970" in name and " s " not in f" {name}":  # integers keep every digit
-        np.testing.assert_allclose(exact.t, T, atol=1e-12)
+        np.testing.assert_allclose(read.t, T, atol=1e-12)
 
 
 KINDS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str | None]] = {
