@@ -3,18 +3,15 @@
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series
+from excitant.analysis.experiment import identify_shown
 from excitant.analysis.headline import headline
 from excitant.analysis.identifiability import Identifiability, analyze
-from excitant.analysis.identifiability_result import analyze_result, analyze_series
-from excitant.analysis.uncertainty import identify_shown
 
 __all__ = [
     "Diagnosis",
     "Finding",
     "Identifiability",
     "analyze",
-    "analyze_result",
-    "analyze_series",
     "diagnose",
     "diagnose_result",
     "diagnose_series",

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from excitant.design.trajectory import FourierSeries
+from excitant.robots.limits import Limits
 from excitant.robots.motion import Array, Motion
-from excitant.robots.robot import Limits, Robot
+from excitant.robots.robot import Robot
 
 
 def envelope(series: FourierSeries, rng: np.random.Generator) -> Array:

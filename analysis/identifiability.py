@@ -3,46 +3,102 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
-from excitant.analysis.directions import Direction, correlation, weak_directions
-from excitant.analysis.next_experiment import Addition, Question, additions, shown_by
-from excitant.analysis.persistency import persistency_result
-from excitant.analysis.practical import (
-    NOT_SHOWN,
-    TORQUE_NOISE,
-    Practical,
-    aim,
-    companions,
-    practical,
+from excitant.analysis.experiment import Experiment, planned_experiment, recorded_experiment
+from excitant.analysis.next_experiment import (
+    Candidate,
+    Question,
+    candidate_experiments,
+    experiments_needed,
 )
 from excitant.analysis.prior_influence import STEP, PriorInfluence
 from excitant.analysis.structure import Structure, structure
 from excitant.analysis.uncertainty import (
-    Entry,
-    Measurement,
-    entries,
-    parameter_units,
-    planned,
-    recorded,
+    NOT_SHOWN,
+    TORQUE_NOISE,
+    Direction,
+    Practical,
+    correlation,
+    dependent_groups,
+    largest_correlations,
+    practical,
+    size_to_resolve,
+    verdict,
+    weak_directions,
 )
 from excitant.exceptions import BadInput
 from excitant.identify.base_prior import base_prior
 from excitant.identify.estimate import Estimate
+from excitant.identify.excitation import Persistency, persistency
+from excitant.identify.prior_rule import KINDS
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, freeze, read_only
+from excitant.robots.parameters import UNITS
 from excitant.robots.robot import Robot
+from excitant.robots.torque import effect_values
 
 _NAMED = 8  # parameters in a sentence
+_POSES = 400  # tried for the drawing
+_BELOW = 0.3  # of the arm's size, how strongly points under the base count against a pose
+
+
+@dataclass(frozen=True)
+class ParameterIdentifiability:
+    """One standard parameter or effect coefficient in the table of an arm.
+
+    Attributes:
+        name: Its name.
+        owner: Link or joint it belongs to.
+        unit: Its unit.
+        category: ``unique``, ``combined`` or ``unidentifiable``.
+        expressions: Base parameters that it is part of.
+        needed: What would show it by itself; empty where that is shown already.
+        value: Estimate, or the value of the model as given; None if neither is known.
+        prior: Value before any data; None if there is none.
+        std: Standard deviation with the prior, ±100 % of each link, counted in; None without
+            a motion.
+        std_data: Standard deviation from the data alone; inf where they do not show it by
+            itself; None without a motion.
+        influence: How far it follows the prior, 0 to 1; None without a motion or prior.
+        decided_by: ``data``, ``prior`` or ``physics`` (the limit of what a body can have); empty
+            without a motion or prior.
+        verdict: In a word, how well the motion determines it by itself; empty without a motion.
+    """
+
+    name: str
+    owner: str
+    unit: str
+    category: str
+    expressions: tuple[str, ...]
+    needed: str
+    value: float | None = None
+    prior: float | None = None
+    std: float | None = None
+    std_data: float | None = None
+    influence: float | None = None
+    decided_by: str = ""
+    verdict: str = ""
+
+    @property
+    def rel_std(self) -> float | None:
+        """Standard deviation relative to the value; None when either is not known or zero."""
+        return self.std / abs(self.value) if self.value and self.std is not None else None
+
+    @property
+    def prior_dominated(self) -> bool:
+        """Whether the prior decides it: nothing shows it, or it follows the prior."""
+        return self.category == "unidentifiable" or self.decided_by == "prior"
 
 
 @dataclass(frozen=True, eq=False)
-class UnderMotion:
+class PracticalIdentifiability:
     """What one motion, or one recording, shows of an arm.
 
     Attributes:
@@ -54,10 +110,9 @@ class UnderMotion:
         needed: What would show each base parameter; empty where the motion does.
         influence: How the prior decides; None where the arm's links give no prior.
         noise: Torque noise of each joint that was assumed or found, shape (nv,) [N·m].
-        rests: Joints that do not move.
+        resting: Joints that do not move.
         basis: Where the standard deviations come from, as a sentence.
-        persistency: Whether it is persistently exciting, as `persistency_result` says it;
-            None when not all torques are measured.
+        persistency: Whether it is persistently exciting; None when not all torques are measured.
     """
 
     condition_number: float
@@ -68,12 +123,64 @@ class UnderMotion:
     needed: tuple[str, ...]
     influence: PriorInfluence | None
     noise: Array
-    rests: tuple[str, ...]
+    resting: tuple[str, ...]
     basis: str
-    persistency: dict[str, Any] | None
+    persistency: Persistency | None
 
     def __post_init__(self) -> None:
         freeze(self, "singular_values", "correlation", "noise")
+
+    def result(self, base: BaseParameters) -> dict[str, Any]:
+        """Everything as plain values; ``base`` names the base parameters."""
+        names = [base.names[k] for k in base.columns]
+        rows = list(zip(self.practical, self.needed, strict=True))
+        influence = self.influence
+        return {
+            "condition_number": _finite(self.condition_number),
+            "practical": [
+                {
+                    "name": p.expression,
+                    "value": p.value,
+                    "std": _finite(p.std),
+                    "rel_std": p.rel_std,
+                    "verdict": p.verdict,
+                    "needed": what or None,
+                }
+                for p, what in rows
+            ],
+            "basis": self.basis,
+            "noise": self.noise.tolist(),
+            "resting_joints": list(self.resting),
+            "not_shown": [
+                {"name": p.expression, "needed": what or None}
+                for p, what in rows
+                if np.isinf(p.std)
+            ],
+            "directions": [
+                {
+                    "expression": d.expression,
+                    "meaning": d.meaning,
+                    "rel_std": _finite(d.std),
+                    "members": [
+                        {"name": name, "change": change, "unit": unit}
+                        for name, change, unit in d.members
+                    ],
+                    "share": d.share,
+                }
+                for d in self.directions
+            ],
+            "correlations": [
+                {"first": names[i], "second": names[j], "correlation": rho}
+                for i, j, rho in largest_correlations(self.correlation)
+            ],
+            "persistency": None if self.persistency is None else _persistency(self.persistency),
+            "prior_perturbation": None
+            if influence is None
+            else {
+                "refits": influence.refits,
+                "largest_base_move_in_std": float(influence.base_move.max(initial=0.0)),
+            },
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +200,9 @@ class Identifiability:
     robot: Robot
     effects: tuple[Effect, ...]
     structure: Structure
-    entries: tuple[Entry, ...]
+    entries: tuple[ParameterIdentifiability, ...]
     follow: tuple[tuple[str, ...], ...] = ()
-    motion: UnderMotion | None = None
+    motion: PracticalIdentifiability | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -117,6 +224,82 @@ class Identifiability:
     def condition_number(self) -> float | None:
         """Of the unscaled base columns under the motion, cond₂(W); None without one."""
         return self.motion.condition_number if self.motion else None
+
+    def result(self) -> dict[str, Any]:
+        """Everything as plain values: what ``result.json`` says (DESIGN, section 5)."""
+        links = zip(self.robot.links, self.robot.joints, strict=True)
+        return {
+            "verb": "analyze",
+            "robot": self.robot.name,
+            "standard_parameters": len(self.base.names),
+            "base_parameters": len(self.base),
+            "gap": list(self.base.gap),
+            "structure": {
+                "circumstances": list(self.structure.circumstances),
+                "close": list(self.structure.close),
+                "by_a_hair": self.structure.marginal,
+            },
+            "links": [self._link(link, joint) for link, joint in links],
+            "follow_each_other": [list(group) for group in self.follow],
+            "condition_number": None,
+            "practical": [],
+            "basis": "",
+            **(self.motion.result(self.base) if self.motion else {}),
+            "notes": list(self.notes),
+        }
+
+    def _link(self, link: str, joint: str) -> dict[str, Any]:
+        base, own = self.base, [k for k, e in enumerate(self.entries) if e.owner in (link, joint)]
+        grouped = zip(base.regrouping, base.expressions, strict=True)
+        combined = [
+            {"expression": text, "members": [base.names[k] for k in np.flatnonzero(row)]}
+            for row, text in grouped
+            if np.count_nonzero(row) > 1 and row[own].any()
+        ]
+        rows = [self._parameter(k) for k in own]
+        named = {
+            category: [row["name"] for row in rows if row["category"] == category]
+            for category in ("unique", "unidentifiable")
+        }
+        return {"link": link, "joint": joint, **named, "combined": combined, "parameters": rows}
+
+    def _parameter(self, k: int) -> dict[str, Any]:
+        entry, influence = self.entries[k], self.motion.influence if self.motion else None
+        moves = None
+        if influence is not None:
+            ratios = zip(KINDS, influence.ratio[:, k].tolist(), strict=True)
+            moves = {kind.replace(" ", "_"): _finite(ratio) for kind, ratio in ratios}
+        return {
+            "name": entry.name,
+            "unit": entry.unit,
+            "category": entry.category,
+            "value": entry.value,
+            "std": entry.std,
+            "rel_std": entry.rel_std,
+            "std_data": _finite(entry.std_data),
+            "verdict": entry.verdict or None,
+            "prior": entry.prior,
+            "prior_influence": entry.influence,
+            "decided_by": entry.decided_by or None,
+            "prior_dominated": entry.prior_dominated,
+            "prior_moves": moves,
+            "expression": "; ".join(entry.expressions) or None,
+            "margin": float(self.structure.margin[k]),
+            "needed": entry.needed or None,
+        }
+
+    def series(self) -> dict[str, Array]:
+        """Arrays for figures.
+
+        Returns:
+            ``chain``, points of base, joints and tip, shape (nv + 2, 3) [m]; with a motion also
+            ``correlation``, shape (r, r), and ``singular_values``, shape (r,).
+        """
+        arrays = {"chain": chain(self.robot)}
+        if self.motion:
+            arrays["correlation"] = self.motion.correlation
+            arrays["singular_values"] = self.motion.singular_values
+        return arrays
 
     def _repr_html_(self) -> str:
         title = f"Identifiability of {self.robot.name}: {len(self.base)} base parameters"
@@ -161,26 +344,73 @@ def analyze(
     effects = tuple(effects) if estimate is None else estimate.model.effects
     found = structure(robot, effects, moving=moving, measured=measured)
     rows = [j for j, name in enumerate(robot.joints) if measured is None or name in measured]
-    given: Measurement | None = None
+    given: Experiment | None = None
     if estimate is not None:
-        given = recorded(robot, found.base, estimate, rng)
+        given = recorded_experiment(robot, found.base, estimate, rng)
     elif motion is not None:
-        given = planned(robot, found.base, effects, motion, noise, rows)
+        given = planned_experiment(robot, found.base, effects, motion, noise, rows)
     noise_of_all = _noise_of_all(robot, given, rows)
     still = [j for j, name in enumerate(robot.joints) if moving is not None and name not in moving]
-    rests, pose = (still, np.zeros(robot.nv)) if given is None else (given.rests, given.pose)
-    candidates = additions(robot, effects, noise_of_all, rests, pose, rows)
+    rests, pose = (still, np.zeros(robot.nv)) if given is None else (given.resting, given.pose)
+    candidates = candidate_experiments(robot, effects, noise_of_all, rests, pose, rows)
     table = entries(robot, effects, found.base, found.category, candidates, given)
-    shown = found.base.regrouping if given is None else given.seen.R
-    follow = tuple(tuple(found.base.names[k] for k in group) for group in companions(shown))
+    shown = found.base.regrouping if given is None else given.information.R
+    follow = tuple(tuple(found.base.names[k] for k in group) for group in dependent_groups(shown))
     if given is None:
         return Identifiability(robot, effects, found, table, follow)
     excitation = None
     if len(rows) == robot.nv:
-        excitation = persistency_result(robot, effects, given.motion, sigma=noise_of_all)
+        excitation = persistency(robot, given.motion, effects, sigma=noise_of_all)
     under = _under_motion(robot, effects, found.base, given, candidates, excitation)
     notes = (*_notes(found, under, table), *given.notes)
     return Identifiability(robot, effects, found, table, follow, under, notes)
+
+
+def _finite(value: float | None) -> float | None:
+    return float(value) if value is not None and np.isfinite(value) else None
+
+
+def _persistency(found: Persistency) -> dict[str, Any]:
+    """Whether a motion is persistently exciting, over which window, and what it lacks."""
+    weakest = found.weakest
+    return {
+        "persistent": found.persistent,
+        "level": _finite(found.level),
+        "window_s": float(found.window),
+        "shortest_window_s": found.shortest,
+        "visible": len(weakest.levels),
+        "missing": weakest.missing,
+        "joints": list(weakest.joints),
+        "weak": [
+            {"parameters": list(w.parameters), "level": float(w.level), "joints": list(w.joints)}
+            for w in weakest.weak
+        ],
+        "sentence": _persistency_sentence(found),
+    }
+
+
+def _persistency_sentence(found: Persistency) -> str:
+    weakest, visible = found.weakest, len(found.weakest.levels)
+    if not visible:
+        return "no motion of this arm shows any parameter above the noise"
+    if found.persistent:
+        text = (
+            f"persistently exciting over {found.window:.3g} s at level {found.level:.3g}: all "
+            f"{visible} visible combinations become better known than they were"
+        )
+        if found.shortest is not None and found.shortest < found.window:
+            text += f"; windows of {found.shortest:.3g} s are enough"
+        return text
+    text = (
+        f"not persistently exciting over {found.window:.3g} s: from {weakest.start:.3g} to "
+        f"{weakest.end:.3g} s {weakest.missing} of {visible} visible combinations are missing "
+        f"(level {found.level:.2g})"
+    )
+    if weakest.weak:
+        text += f", first of all {weakest.weak[0].parameters[0]}"
+    if weakest.joints:
+        text += f"; move {', '.join(weakest.joints)}"
+    return text
 
 
 def _refuse_contradictions(
@@ -201,7 +431,7 @@ def _refuse_contradictions(
             raise BadInput(f"{name}: name at least one joint")
 
 
-def _noise_of_all(robot: Robot, given: Measurement | None, rows: Sequence[int]) -> Array:
+def _noise_of_all(robot: Robot, given: Experiment | None, rows: Sequence[int]) -> Array:
     """Torque noise of every joint, shape (nv,) [N·m].
 
     Of those not measured, and where only rank is asked for, 1 % of the limit, or 1 N·m.
@@ -218,35 +448,35 @@ def _under_motion(
     robot: Robot,
     effects: Sequence[Effect],
     base: BaseParameters,
-    given: Measurement,
-    candidates: Sequence[Addition],
-    excitation: dict[str, Any] | None,
-) -> UnderMotion:
-    columns, seen = list(base.columns), given.seen
+    given: Experiment,
+    candidates: Sequence[Candidate],
+    excitation: Persistency | None,
+) -> PracticalIdentifiability:
+    columns, seen = list(base.columns), given.information
     found = practical(base, given.beta, seen)
     lengths = np.linalg.norm(seen.R[:, columns], axis=0)
     scaled = seen.R[:, columns] / np.where(lengths > 0, lengths, 1.0)
     plain = np.linalg.qr(given.W[:, :, columns].reshape(-1, len(base)), mode="r")
     std, quiet = np.array([p.std for p in found]), np.array([p.negligible for p in found])
-    size = aim(given.beta, std, quiet, seen.loudness)
+    size = size_to_resolve(given.beta, std, quiet, seen.signal)
     units = [parameter_units(robot, effects)[k] for k in columns]
-    return UnderMotion(
+    return PracticalIdentifiability(
         condition_number=np.inf if len(seen.unseen) else float(np.linalg.cond(plain)),
         singular_values=read_only(np.linalg.svd(scaled, compute_uv=False)),
         practical=found,
         directions=weak_directions(base, units, seen, _sizes(robot, effects, base, given)),
         correlation=correlation(seen.covariance),
-        needed=shown_by(seen.R, Question(base.regrouping, size), candidates),
+        needed=experiments_needed(seen.R, Question(base.regrouping, size), candidates),
         influence=given.influence,
         noise=given.sigma,
-        rests=tuple(robot.joints[j] for j in given.rests),
+        resting=tuple(robot.joints[j] for j in given.resting),
         basis=given.basis,
         persistency=excitation,
     )
 
 
 def _sizes(
-    robot: Robot, effects: Sequence[Effect], base: BaseParameters, given: Measurement
+    robot: Robot, effects: Sequence[Effect], base: BaseParameters, given: Experiment
 ) -> Array:
     """What counts as much of each base parameter: its prior uncertainty, shape (r,).
 
@@ -254,15 +484,17 @@ def _sizes(
     """
     if given.prior is not None:
         return np.asarray(np.sqrt(np.diag(base_prior(robot, effects, base).covariance)), float)
-    loud = given.seen.loudness
+    loud = given.information.signal
     return np.asarray(1 / np.maximum(loud, 1e-6 * loud.max()), float)
 
 
-def _notes(found: Structure, under: UnderMotion, table: Sequence[Entry]) -> tuple[str, ...]:
+def _notes(
+    found: Structure, under: PracticalIdentifiability, table: Sequence[ParameterIdentifiability]
+) -> tuple[str, ...]:
     base, notes = found.base, []
-    if under.rests:
-        verb = "rests" if len(under.rests) == 1 else "rest"
-        notes.append(f"{', '.join(under.rests)} {verb} in this motion")
+    if under.resting:
+        verb = "rests" if len(under.resting) == 1 else "rest"
+        notes.append(f"{', '.join(under.resting)} {verb} in this motion")
     lost: dict[str, list[str]] = {}
     for k, (parameter, what) in enumerate(zip(under.practical, under.needed, strict=True)):
         if parameter.verdict == NOT_SHOWN:
@@ -276,7 +508,7 @@ def _notes(found: Structure, under: UnderMotion, table: Sequence[Entry]) -> tupl
     return (*notes, *(_prior_notes(under.influence, table) if under.influence else ()))
 
 
-def _prior_notes(influence: PriorInfluence, table: Sequence[Entry]) -> list[str]:
+def _prior_notes(influence: PriorInfluence, table: Sequence[ParameterIdentifiability]) -> list[str]:
     named = [entry for entry in table if entry.category != "unidentifiable"]
     prior, physics = (sum(e.decided_by == who for e in named) for who in ("prior", "physics"))
     notes = [
@@ -294,3 +526,116 @@ def _prior_notes(influence: PriorInfluence, table: Sequence[Entry]) -> list[str]
             "exist; there physical consistency decides, wherever the prior is"
         )
     return notes
+
+
+def parameter_units(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
+    """Units of the standard parameters followed by those of effects."""
+    return (*UNITS * robot.nv, *(p.unit for e in effects for p in e.parameters(robot)))
+
+
+def entries(
+    robot: Robot,
+    effects: Sequence[Effect],
+    base: BaseParameters,
+    category: Sequence[str],
+    candidates: Sequence[Candidate],
+    given: Experiment | None = None,
+) -> tuple[ParameterIdentifiability, ...]:
+    """Every parameter of ``base.names``.
+
+    Args:
+        robot: The arm.
+        effects: Effects whose coefficients are unknown too.
+        base: Base parameters, of p parameters.
+        category: Of each of the p parameters.
+        candidates: Experiments that could be added.
+        given: A motion or recording.
+    """
+    known = dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True))
+    known |= effect_values(robot)
+    units, expressions = parameter_units(robot, effects), np.array(base.expressions, object)
+    unknown = Question(np.eye(len(units)), np.zeros(len(units)))
+    wanted = (
+        experiments_needed(base.regrouping, unknown, candidates)
+        if given is None
+        else ("",) * len(units)
+    )
+    plain = tuple(
+        ParameterIdentifiability(
+            name,
+            name.rpartition(".")[0],
+            units[k],
+            category[k],
+            tuple(expressions[base.regrouping[:, k] != 0]),
+            wanted[k],
+            value=known.get(name),
+            prior=known.get(name),
+        )
+        for k, name in enumerate(base.names)
+    )
+    return plain if given is None else _under(given, base, plain, candidates)
+
+
+def _under(
+    given: Experiment,
+    base: BaseParameters,
+    plain: Sequence[ParameterIdentifiability],
+    candidates: Sequence[Candidate],
+) -> tuple[ParameterIdentifiability, ...]:
+    """The entries with what a motion says of them."""
+    p, columns = len(plain), list(base.columns)
+    alone = np.array([entry.category == "unique" for entry in plain])
+    std = np.where(alone, given.information.std(np.eye(p)[:, columns]), np.inf)
+    quiet = (np.abs(given.x) + 2 * std) * np.maximum(given.signal, 1e-300) < 1
+    size = size_to_resolve(given.x, std, quiet, given.signal)
+    wanted = experiments_needed(given.information.R, Question(np.eye(p), size), candidates)
+    overall, decided = np.zeros(p), ("",) * p
+    if given.influence is not None:
+        overall, decided = given.influence.overall, given.influence.decided_by
+    means = None if given.prior is None else given.prior.mean[: 10 * given.prior.links]
+    return tuple(
+        replace(
+            entry,
+            needed=wanted[k],
+            value=float(given.x[k]) if given.known[k] else None,
+            prior=entry.prior if means is None or k >= len(means) else float(means[k]),
+            std=None if given.std is None else float(given.std[k]),
+            std_data=float(std[k]),
+            influence=None if given.influence is None else float(overall[k]),
+            decided_by=decided[k],
+            verdict=verdict(float(std[k]), float(given.x[k]), bool(quiet[k]))
+            if alone[k]
+            else entry.category,
+        )
+        for k, entry in enumerate(plain)
+    )
+
+
+def chain(robot: Robot) -> Array:
+    """Base, joints in order, and tip of an arm in a clear pose, shape (nv + 2, 3) [m].
+
+    Of random poses within the limits, always the same ones, the one whose joints are farthest
+    from those that are not their neighbours, with the arm above its base.
+    """
+    rng = np.random.default_rng(0)
+    q, _, _ = robot.random_motion(rng, _POSES)
+    poses = np.array([_points(robot, each) for each in q])
+    return read_only(poses[int(np.argmax([_clarity(points) for points in poses]))])
+
+
+def _points(robot: Robot, q: Array) -> Array:
+    model, data = robot.model, robot.model.createData()
+    pin.framesForwardKinematics(model, data, np.asarray(q, float))
+    joints = [data.oMi[j].translation.copy() for j in range(1, robot.nv + 1)]
+    return np.array([np.zeros(3), *joints, data.oMf[robot.tip].translation.copy()])
+
+
+def _clarity(points: Array) -> float:
+    """Least distance of points that are two or more apart, from the side, relative to the arm."""
+    distances = np.linalg.norm(points[:, None, [0, 2]] - points[None, :, [0, 2]], axis=2)
+    apart = distances[np.triu_indices(len(points), 2)]
+    true = np.linalg.norm(points[:, None] - points[None], axis=2)[np.triu_indices(len(points), 2)]
+    size = max(float(true.max(initial=0.0)), 1e-9)
+    meant = true > 1e-3 * size  # joints that meet in a point stay together in every pose
+    least = float(apart[meant].min(initial=size)) / size
+    return least + _BELOW * float(min(points[:, 2].min(), 0.0)) / size

@@ -1,4 +1,4 @@
-"""The experiment that would show a parameter: candidates, tried one by one on paper.
+"""What would make a parameter visible: candidate experiments, tried one by one on paper.
 
 Every candidate adds rows to the observation matrix: a joint moves that rested, the base is
 tilted, a sensor is put under it. Whether a parameter shows then is read from the rank and the
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from excitant.analysis.practical import ROUGHLY, deviations, triangle
+from excitant.analysis.uncertainty import ROUGHLY, deviations, triangle
 from excitant.identify.base_prior import lively_motion
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion
@@ -35,7 +35,7 @@ APART = f"{NEVER} or base forces: weigh or swing the link apart from the arm"
 
 
 @dataclass(frozen=True, eq=False)
-class Addition:
+class Candidate:
     """An experiment that could be added.
 
     Attributes:
@@ -51,7 +51,7 @@ class Addition:
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """Combinations of parameters that a motion is to show.
+    """Combinations of parameters that are to become visible.
 
     Attributes:
         A: Combinations, shape (m, p).
@@ -69,19 +69,19 @@ class Question:
         return shown, shown & ((self.size == 0) | (std <= ROUGHLY * np.abs(self.size)))
 
 
-def resting(q: Array) -> tuple[int, ...]:
+def resting_joints(q: Array) -> tuple[int, ...]:
     """Joints whose positions, shape (n, nv), do not change."""
     return tuple(int(j) for j in np.flatnonzero(np.ptp(q, axis=0) < _RESTS))
 
 
-def additions(
+def candidate_experiments(
     robot: Robot,
     effects: Sequence[Effect],
     sigma: Array,
     rests: Sequence[int],
     pose: Array,
     measured: Sequence[int],
-) -> list[Addition]:
+) -> list[Candidate]:
     """Experiments that could be added, the easiest first.
 
     Args:
@@ -93,28 +93,28 @@ def additions(
         measured: Joints whose torque is measured.
     """
     rows = list(measured)
-    lively = lively_motion(robot, _DURATION, _RATE_HZ)
+    every_joint = lively_motion(robot, _DURATION, _RATE_HZ)
 
     def factor(arm: Robot, motion: Motion, of: Sequence[int]) -> Array:
         W = observation_columns(arm, effects, motion)[:, list(of)]
         return triangle(W, sigma[list(of)])
 
     found = [
-        Addition(
+        Candidate(
             f"moving {robot.joints[j]}, which rests",
-            factor(robot, _holding(lively, [k for k in rests if k != j], pose), rows),
+            factor(robot, _holding(every_joint, [k for k in rests if k != j], pose), rows),
             robot.joints[j],
         )
         for j in rests
     ]
-    if not rests:
-        found.append(Addition("a livelier motion of all joints", factor(robot, lively, rows)))
-    elif len(rests) > 1:
-        *first, last = (robot.joints[j] for j in rests)
-        together = f"moving {', '.join(first)} and {last} together"
-        found.append(Addition(together, factor(robot, lively, rows)))
+    names = _listed([robot.joints[j] for j in rests])
+    every = (
+        f"moving {names} together" if len(rests) > 1 else "a wider and faster motion of all joints"
+    )
+    if len(rests) != 1:
+        found.append(Candidate(every, factor(robot, every_joint, rows)))
     found += [
-        Addition(f"measuring the torque of {name}", factor(robot, lively, [*rows, j]))
+        Candidate(f"measuring the torque of {name}", factor(robot, every_joint, [*rows, j]))
         for j, name in enumerate(robot.joints)
         if j not in rows
     ]
@@ -122,9 +122,12 @@ def additions(
     tilts, others = _tilts(robot), sum(len(effect.parameters(robot)) for effect in effects)
     return [
         *found,
-        *(Addition(f"the base {how}", factor(arm, lively, rows)) for how, arm in tilts),
-        Addition(sensor, base_sensor(robot, lively, others)),
-        *(Addition(f"{sensor}, {how}", base_sensor(arm, lively, others)) for how, arm in tilts),
+        *(Candidate(f"the base {how}", factor(arm, every_joint, rows)) for how, arm in tilts),
+        Candidate(sensor, base_sensor(robot, every_joint, others)),
+        *(
+            Candidate(f"{sensor}, {how}", base_sensor(arm, every_joint, others))
+            for how, arm in tilts
+        ),
     ]
 
 
@@ -178,7 +181,9 @@ def base_sensor(robot: Robot, motion: Motion, others: int) -> Array:
     return triangle(np.pad(W, ((0, 0), (0, 0), (0, others))), sigma)
 
 
-def shown_by(R: Array, question: Question, candidates: Sequence[Addition]) -> tuple[str, ...]:
+def experiments_needed(
+    R: Array, question: Question, candidates: Sequence[Candidate]
+) -> tuple[str, ...]:
     """What would show each combination that is asked for; empty where it is shown already.
 
     The first candidate that shows it to 30 %, else the first that shows it at all.
@@ -230,3 +235,7 @@ def scale_deviation(robot: Robot, effects: Sequence[Effect], sigma: Array) -> fl
     rows = [np.concatenate([W, -(W @ values)[:, :, None]], axis=2) for values in (x, x + load)]
     R = triangle(np.concatenate(rows), sigma)
     return float(deviations(R, np.eye(len(load) + 1)[-1:])[0])
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
-from excitant.analysis.practical import Sight
+from excitant.analysis.uncertainty import MotionInformation
 from excitant.identify.estimate import Estimate, whitened
 from excitant.identify.physical import (
     PRIOR_SIGMA,
@@ -164,7 +164,7 @@ class PriorInfluence:
 
 
 def prior_influence(
-    seen: Sight,
+    information: MotionInformation,
     regrouping: Array,
     prior: Prior,
     x: Array,
@@ -174,14 +174,14 @@ def prior_influence(
     """Move the prior in several directions of each kind and see what the estimate does.
 
     Args:
-        seen: What the motion shows.
+        information: What the motion shows.
         regrouping: Base parameters from parameters, shape (r, p).
         prior: What is known beforehand.
         x: Estimate, shape (p,); says what is material of an effect, which has no prior value.
         rng: Draws the directions.
         response: Moves of the estimate by refits; linear theory without constraints if None.
     """
-    s, Vt = prior.directions(seen.R)
+    s, Vt = prior.directions(information.R)
     free = _linear(prior, s, Vt)
     silent = s <= UNSEEN * s.max(initial=0.0)
     null, weak = Vt[silent], Vt[~silent][-WEAKEST:]
@@ -192,7 +192,7 @@ def prior_influence(
     }
     p = len(prior.mean)
     ratio, linear, reach = (np.full((len(KINDS), p), np.nan) for _ in range(3))
-    base_move, base_std = np.zeros(len(regrouping)), seen.std(np.eye(len(regrouping)))
+    base_move, base_std = np.zeros(len(regrouping)), information.std(np.eye(len(regrouping)))
     for k, kind in enumerate(KINDS):
         given = np.array([prior.L @ (STEP * w / prior.size(w)) for w in steps[kind]]).reshape(-1, p)
         moves = np.array([(response or free)(delta) for delta in given]).reshape(-1, p)
@@ -201,7 +201,7 @@ def prior_influence(
         relative = np.abs(moves @ regrouping.T) / np.where(base_std > 0, base_std, np.inf)
         base_move = np.maximum(base_move, relative.max(axis=0, initial=0.0))
     reach[:2] = [reached(prior.L, part, x, prior.links) for part in (null, weak)]
-    reach[0, silent_columns(seen.R)] = 1.0
+    reach[0, silent_columns(information.R)] = 1.0
     reach[2] = np.arange(p) < 10 * prior.links
     ratio[reach < _NOTHING] = linear[reach < _NOTHING] = np.nan
     fits = 0 if response is None else sum(map(len, steps.values()))

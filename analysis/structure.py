@@ -9,14 +9,12 @@ the result says so.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
-from excitant.analysis.expressions import length_symbols, symbolic_expressions
-from excitant.analysis.nullspace import Held, parameter_nullspace
-from excitant.exceptions import BadRobot, UnknownName
+from excitant.exceptions import UnknownName
 from excitant.robots.base_parameters import (
     TOLERANCE,
     BaseParameters,
@@ -29,7 +27,9 @@ from excitant.robots.base_parameters import (
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
-from excitant.robots.scale import arm_length
+
+Held = Mapping[str, float] | Literal["any"]
+"""Positions of joints that do not move [rad or m], or ``"any"``: at rest at many positions."""
 
 HAIR = 1e4  # factor on the tolerance that must not change a category
 _STEPS = 8  # half decades to there
@@ -47,8 +47,6 @@ class Structure:
         circumstances: What it holds for, as sentences.
         close: Names whose margin is below 1e4: decided by a hair.
         flips_at: Tolerance at which the category changes, nan where the margin is 1e4, (p,).
-        symbolic: The expressions with letters for lengths where that is unambiguous.
-        lengths: Lengths that the letters stand for [m].
     """
 
     base: BaseParameters
@@ -57,11 +55,22 @@ class Structure:
     circumstances: tuple[str, ...]
     close: tuple[str, ...]
     flips_at: Array
-    symbolic: tuple[str, ...] = ()
-    lengths: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze(self, "margin", "flips_at")
+
+    @property
+    def marginal(self) -> str | None:
+        """Which categories a small change of the tolerance would change, as a sentence."""
+        if not self.close:
+            return None
+        low, high = np.nanmin(self.flips_at), np.nanmax(self.flips_at)
+        size = f"{low:.0e}" if high < 2 * low else f"{low:.0e} to {high:.0e}"
+        return (
+            f"{len(self.close)} of {len(self.base.names)} parameters are decided by a hair, by "
+            f"parts of about {size} of their torque (geometry, pose or mounting nearly special): "
+            f"{', '.join(self.close[:6])}{' and more' if len(self.close) > 6 else ''}"
+        )
 
 
 def structure(
@@ -93,7 +102,6 @@ def structure(
     category = categories(base)
     flips_at = _flips(seen, category)
     margin = np.nan_to_num(np.maximum(flips_at / TOLERANCE, TOLERANCE / flips_at), nan=HAIR)
-    symbolic, lengths = _letters(robot, base)
     return Structure(
         base,
         category,
@@ -101,8 +109,6 @@ def structure(
         _circumstances(robot, moving, measured, held),
         tuple(n for n, at in zip(base.names, flips_at, strict=True) if np.isfinite(at)),
         flips_at,
-        symbolic,
-        lengths,
     )
 
 
@@ -142,17 +148,6 @@ def _flips(seen: Observation, category: tuple[str, ...]) -> Array:
     return flips_at
 
 
-def _letters(robot: Robot, base: BaseParameters) -> tuple[tuple[str, ...], dict[str, float]]:
-    """Expressions with letters, and the lengths that occur in them; numbers where joints branch."""
-    try:
-        lengths = length_symbols(robot)
-    except BadRobot:
-        return base.expressions, {}
-    texts = symbolic_expressions(base, robot.links, lengths)
-    letters = " ".join(texts).replace("²", " ").replace("·", " ").replace("(", " ").split()
-    return texts, {x: value for x, value in lengths.items() if x in letters}
-
-
 def _circumstances(
     robot: Robot,
     moving: Sequence[str] | None,
@@ -189,84 +184,3 @@ def _gravity_sentence(gravity: Array) -> str:
     if abs(direction[k]) > 1 - 1e-12:
         return f"gravity along {'−' if direction[k] < 0 else ''}{'xyz'[k]} of the base"
     return f"gravity along ({', '.join(f'{x:.4g}' for x in direction)}) of the base"
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """Two methods that share no regressor, side by side.
-
-    Attributes:
-        numerical: Number of base parameters by the regressor on random states.
-        recursive: Number by the recursion from base to tip.
-        per_link: What each link brings, by the recursion.
-        angle: Largest angle between their null spaces; π/2 when the numbers differ [rad].
-    """
-
-    numerical: int
-    recursive: int
-    per_link: tuple[int, ...]
-    angle: float
-
-    @property
-    def agree(self) -> bool:
-        """Whether the null spaces are the same to 1e-6 rad."""
-        return self.angle < 1e-6
-
-
-def second_opinion(
-    robot: Robot, *, moving: Sequence[str] | None = None, held: Held | None = None
-) -> Agreement:
-    """Compare the null space of the regressor with that of the recursion, torques of all that move.
-
-    Args:
-        robot: The arm.
-        moving: Joints that move and whose torques are known; all when None.
-        held: Positions of the others, as for `structure`.
-
-    Raises:
-        UnknownName: A joint that the arm does not have.
-    """
-    base = structure(robot, moving=moving, measured=moving, held=held).base
-    other = parameter_nullspace(robot, moving=moving, held=held)
-    angle = other.angle(base.null_space, arm_length(robot))
-    return Agreement(len(base), len(other), other.shown, angle)
-
-
-def structure_values(s: Structure) -> dict[str, Any]:
-    """A structure as plain values for JSON."""
-    base = s.base
-    return {
-        "standard_parameters": len(base.names),
-        "base_parameters": len(base),
-        "circumstances": list(s.circumstances),
-        "parameters": [
-            {"name": name, "category": category, "margin": float(margin)}
-            for name, category, margin in zip(base.names, s.category, s.margin, strict=True)
-        ],
-        "regrouping": [
-            {
-                "expression": text,
-                "symbolic": letters,
-                "members": [base.names[k] for k in np.flatnonzero(row)],
-            }
-            for text, letters, row in zip(
-                base.expressions, s.symbolic, base.regrouping, strict=True
-            )
-        ],
-        "lengths_m": dict(s.lengths),
-        "gap": list(base.gap),
-        "close": list(s.close),
-        "by_a_hair": _hair_sentence(s),
-    }
-
-
-def _hair_sentence(s: Structure) -> str | None:
-    if not s.close:
-        return None
-    low, high = np.nanmin(s.flips_at), np.nanmax(s.flips_at)
-    size = f"{low:.0e}" if high < 2 * low else f"{low:.0e} to {high:.0e}"
-    return (
-        f"{len(s.close)} of {len(s.base.names)} parameters are decided by a hair, by parts of "
-        f"about {size} of their torque (geometry, pose or mounting nearly special): "
-        f"{', '.join(s.close[:6])}{' and more' if len(s.close) > 6 else ''}"
-    )

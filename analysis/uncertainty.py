@@ -1,382 +1,392 @@
-"""How well a motion or a recording shows each parameter of an arm, its prior counted in."""
+"""How well one motion shows an arm's parameters: deviations, unseen directions, correlations.
+
+With the torque noise σ of each joint, the whitened columns W/σ of all parameters x have a
+triangular factor R, and ‖R δ‖ is the torque that a change δ makes, in standard deviations of the
+noise. All of this page is R: null directions are not seen, and (RᵀR)⁻¹ is the covariance of what
+is (Gautier and Khalil 1992; Swevers et al. 1997).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from excitant.analysis.next_experiment import (
-    PAYLOAD_KG,
-    Addition,
-    Question,
-    resting,
-    scale_deviation,
-    shown_by,
+from excitant.exceptions import BadInput
+from excitant.identify.prior_rule import silent_columns
+from excitant.robots.base_parameters import (
+    BaseParameters,
+    Observation,
+    independent_columns,
+    regroup,
 )
-from excitant.analysis.practical import (
-    TORQUE_NOISE,
-    Sight,
-    aim,
-    shown_base,
-    sight,
-    torque_noise,
-    verdict,
-    without_rounding,
-)
-from excitant.analysis.prior_influence import (
-    Prior,
-    PriorInfluence,
-    prior_influence,
-    prior_of,
-    refits,
-)
-from excitant.exceptions import BadRobot
-from excitant.identify.estimate import Estimate, judged, whitened
-from excitant.identify.least_squares import weighted_least_squares
-from excitant.identify.physical import EffectPrior, fit_physical, prior_parameters
-from excitant.identify.recording import Recording
-from excitant.identify.rows import FitRows, fit_rows, implausible_size, observation, split
-from excitant.robots.base_parameters import BaseParameters
-from excitant.robots.effects import Effect, standard_effects
-from excitant.robots.motion import Array, Motion, freeze
-from excitant.robots.parameters import UNITS
+from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
-from excitant.robots.torque import column_names, effect_values, observation_columns, torque
+
+TORQUE_NOISE = 0.01  # of each joint's torque limit, where no recording tells the noise
+WELL, ROUGHLY = 0.1, 0.3  # relative standard deviation
+NOT_SHOWN = "not_shown"
+_MEMBER = 0.3  # coefficient of a unit vector from which a parameter is named
+_SEEN = 1e-9  # smallest singular value of normalised columns, relative; below it is rounding
+_TOUCHES = 1e-6  # part of a unit vector in unseen directions from which it counts
+
+
+def torque_noise(robot: Robot, given: Sequence[float] | None = None) -> Array:
+    """Standard deviation of each joint's torque noise, shape (nv,) [N·m].
+
+    Args:
+        robot: The arm; 1 % of its torque limits where nothing is given.
+        given: One value per joint.
+
+    Raises:
+        BadInput: Values that do not fit the arm, or a joint without a limit to scale by.
+    """
+    if given is not None:
+        sigma = np.asarray(given, float)
+        if sigma.shape != (robot.nv,) or not (np.isfinite(sigma) & (sigma > 0)).all():
+            raise BadInput(
+                f"noise {', '.join(f'{s:g}' for s in sigma)}: give one positive number [N·m] for "
+                f"each of the {robot.nv} joints of {robot.name}"
+            )
+        return sigma
+    sigma = TORQUE_NOISE * robot.limits.torque
+    if not np.isfinite(sigma).all():
+        joint = robot.joints[int(np.argmin(np.isfinite(sigma)))]
+        raise BadInput(
+            f"{robot.source}: joint {joint} has no torque limit to scale noise by; "
+            "give the noise of each joint (--noise) or a limit"
+        )
+    return np.asarray(sigma, float)
+
+
+def triangle(W: Array, sigma: Array) -> Array:
+    """Triangular factor R of whitened columns, ‖R x‖ = ‖W x / σ‖, shape (p, p).
+
+    Args:
+        W: Columns of all parameters, shape (n, rows, p).
+        sigma: Standard deviation of each row's noise, shape (rows,).
+    """
+    p = W.shape[2]
+    R = np.linalg.qr((W / sigma[:, None]).reshape(-1, p), mode="r")
+    return np.vstack([R, np.zeros((p - len(R), p))])
+
+
+def deviations(R: Array, A: Array) -> Array:
+    """Standard deviation of each combination A x by least squares, shape (m,); inf where unseen.
+
+    Args:
+        R: Factor of the whitened columns, shape (rows, p).
+        A: Combinations of interest, shape (m, p).
+    """
+    scale, s, V = _decomposed(R)
+    parts = (A / scale) @ V
+    seen = s > _SEEN * max(float(s[0]), 1e-300)
+    size = np.linalg.norm(parts, axis=1)
+    hidden = np.linalg.norm(parts[:, ~seen], axis=1) > _TOUCHES * size
+    std = np.sqrt(((parts[:, seen] / s[seen]) ** 2).sum(axis=1))
+    return np.asarray(np.where(hidden, np.inf, std), float)
+
+
+def dependent_groups(R: Array) -> tuple[tuple[int, ...], ...]:
+    """Columns that follow from each other: once one of a group is known, so are the others.
+
+    Those are the columns whose rows of the null space are parallel.
+
+    Args:
+        R: Shape (rows, p).
+    """
+    _, s, V = _decomposed(R)
+    N = V[:, s <= _SEEN * max(float(s[0]), 1e-300)] if len(s) else V[:, :0]
+    size = np.linalg.norm(N, axis=1)
+    hidden = np.flatnonzero(size > _TOUCHES)
+    directions = N[hidden] / size[hidden, None]
+    parallel = np.abs(directions @ directions.T) > 1 - _TOUCHES**1.5
+    groups = dict.fromkeys(tuple(int(k) for k in hidden[row]) for row in parallel)
+    return tuple(group for group in groups if len(group) > 1)
+
+
+def without_rounding(W: Array) -> Array:
+    """Columns, shape (n, rows, p), with those that are silent but for rounding set to zero."""
+    silent = silent_columns(np.sqrt((W**2).sum(axis=0)))
+    return np.asarray(np.where(silent, 0.0, W), float)
+
+
+def _unit_columns(R: Array) -> tuple[Array, Array]:
+    """Lengths of the columns, and the columns scaled to length one, or zero where silent."""
+    norms = np.linalg.norm(R, axis=0)
+    heard = ~silent_columns(R)
+    scale = np.where(heard, norms, norms[heard].min(initial=np.inf) if heard.any() else 1.0)
+    return scale, np.where(heard, R / scale, 0.0)
+
+
+def _decomposed(R: Array) -> tuple[Array, Array, Array]:
+    """Column scales, and singular values with right vectors of R in these scales."""
+    scale, unit = _unit_columns(R)
+    _, s, Vt = np.linalg.svd(unit, full_matrices=True)
+    return scale, np.pad(s, (0, len(Vt) - len(s))), Vt.T
+
+
+def shown_base(names: tuple[str, ...], W: Array) -> BaseParameters:
+    """The base parameters that the rows of one motion have, which may be fewer than the arm's.
+
+    Args:
+        names: Names of the parameters, p of them.
+        W: Columns of all parameters, shape (n, rows, p).
+    """
+    R = triangle(W, np.ones(W.shape[1]))
+    norms, unit = _unit_columns(R)
+    return regroup(Observation(names, unit, np.where(unit.any(axis=0), norms, 0.0)), _SEEN)
 
 
 @dataclass(frozen=True, eq=False)
-class Measurement:
-    """A motion with its noise, and what is known of the parameters.
+class MotionInformation:
+    """What the torque of a motion tells of the base parameters β.
 
     Attributes:
-        W: Columns of all parameters at the measured joints, shape (n, rows, p).
-        sigma: Noise of those joints' torque, per independent row, shape (rows,) [N·m].
-        seen: What the motion shows.
-        x: Values of all parameters, zero where not known, shape (p,).
-        known: Which of them are known.
-        beta: Values of the base parameters, shape (r,).
-        prior: What is known without data; None where a link has no mass.
-        std: Standard deviation of each parameter with the prior counted in, shape (p,).
-        influence: How far each parameter follows the prior.
-        rests: Joints that do not move.
-        motion: The motion, or the longest stretch of a recording.
-        pose: Where joints are on average, shape (nv,) [rad or m].
-        basis: Where the standard deviations come from, as a sentence.
-        notes: What the user should know, as sentences.
+        R: Triangular factor of the whitened columns of all parameters, shape (p, p).
+        covariance: Of β as far as it is seen, shape (r, r); zero along the unseen directions.
+        unseen: Directions of β that change no torque of this motion, shape (d, r), each
+            with as few members as there can be.
+        signal: Largest rms torque per unit of a base parameter, in noise, shape (r,).
     """
 
-    W: Array
-    sigma: Array
-    seen: Sight
-    x: Array
-    known: tuple[bool, ...]
-    beta: Array
-    prior: Prior | None
-    std: Array | None
-    influence: PriorInfluence | None
-    rests: tuple[int, ...]
-    motion: Motion
-    pose: Array
-    basis: str
-    notes: tuple[str, ...] = ()
+    R: Array
+    covariance: Array
+    unseen: Array
+    signal: Array
 
     def __post_init__(self) -> None:
-        freeze(self, "W", "sigma", "x", "beta", "pose")
+        freeze(self, "R", "covariance", "unseen", "signal")
+
+    def std(self, C: Array) -> Array:
+        """Standard deviation of combinations C β, shape (m,); inf where unseen.
+
+        Args:
+            C: Combinations, shape (m, r).
+        """
+        values = np.sqrt(np.maximum(np.einsum("mr,rs,ms->m", C, self.covariance, C), 0.0))
+        length = np.linalg.norm(self.unseen, axis=1, keepdims=True)
+        hidden = (np.abs(C @ (self.unseen / length).T) > _TOUCHES).any(axis=1)
+        return np.asarray(np.where(hidden, np.inf, values), float)
+
+
+def motion_information(
+    base: BaseParameters, W: Array, sigma: Array, covariance: Array | None = None
+) -> MotionInformation:
+    """What a motion with this noise shows.
+
+    Args:
+        base: Base parameters, r of them.
+        W: Columns of all parameters, shape (n, rows, p).
+        sigma: Standard deviation of each row's noise, shape (rows,).
+        covariance: Of the base parameters when it is known already, shape (r, r).
+    """
+    R = triangle(W, sigma)
+    columns = list(base.columns)
+    if covariance is None:
+        covariance = _covariance(R[:, columns])
+    whitened = np.sqrt((W[:, :, columns] ** 2).mean(axis=0)) / sigma[:, None]
+    return MotionInformation(R, covariance, unseen_directions(R[:, columns]), whitened.max(axis=0))
+
+
+def unseen_directions(R: Array) -> Array:
+    """Null space of R by sparse vectors: each column that depends on those before it, shape (d, r).
+
+    Args:
+        R: Shape (rows, r).
+    """
+    scale, unit = _unit_columns(R)
+    own, _ = independent_columns(unit, _SEEN)
+    rest = [k for k in range(R.shape[1]) if k not in own]
+    found = np.zeros((len(rest), R.shape[1]))
+    found[:, list(own)] = -np.linalg.lstsq(unit[:, list(own)], unit[:, rest], rcond=None)[0].T
+    found[np.abs(found) < _TOUCHES] = 0.0
+    found[range(len(rest)), rest] = 1.0
+    found /= scale
+    return np.asarray(found / found[range(len(rest)), rest][:, None], float)
+
+
+def _covariance(R: Array) -> Array:
+    scale, s, V = _decomposed(R)
+    seen = s > _SEEN * max(float(s[0]), 1e-300)
+    half = V[:, seen] / s[seen] / scale[:, None]
+    return np.asarray(half @ half.T, float)
+
+
+@dataclass(frozen=True)
+class Practical:
+    """How well a motion shows one base parameter.
+
+    Attributes:
+        expression: The base parameter.
+        value: Its value.
+        std: Standard deviation of its estimate; inf when the motion does not show it.
+        negligible: Whether its torque stays below the noise whatever value within two standard
+            deviations it has.
+    """
+
+    expression: str
+    value: float
+    std: float
+    negligible: bool
 
     @property
-    def loudness(self) -> Array:
-        """Largest rms torque of each parameter per unit, in noise, shape (p,)."""
-        rms = np.sqrt((self.W**2).mean(axis=0)) / self.sigma[:, None]
-        return np.asarray(rms.max(axis=0), float)
+    def rel_std(self) -> float | None:
+        """Standard deviation relative to the value; None when the value is zero or not shown."""
+        return self.std / abs(self.value) if self.value and np.isfinite(self.std) else None
+
+    @property
+    def verdict(self) -> str:
+        """``well`` (to 10 %), ``roughly`` (to 30 %), ``negligible``, ``hardly``, ``not_shown``."""
+        return verdict(self.std, self.value, self.negligible)
 
 
-def planned(
-    robot: Robot,
-    base: BaseParameters,
-    effects: Sequence[Effect],
-    motion: Motion,
-    noise: Sequence[float] | None = None,
-    measured: Sequence[int] | None = None,
-) -> Measurement:
-    """A motion to judge before it is run.
-
-    Args:
-        robot: The arm.
-        base: Base parameters of links and effects.
-        effects: Effects whose coefficients are unknown too.
-        motion: The motion; torque noise is independent at every instant of it.
-        noise: Torque noise of each joint [N·m]; 1 % of each limit if None.
-        measured: Joints whose torque is measured; all if None.
-
-    Raises:
-        BadInput: Noise that does not fit, or no torque limit to scale it by.
-    """
-    rows = list(range(robot.nv) if measured is None else measured)
-    sigma = torque_noise(robot, noise)[rows]
-    W = observation_columns(robot, effects, motion)[:, rows]
-    seen, known = sight(base, W, sigma), effect_values(robot)
-    coefficients = base.names[10 * robot.nv :]
-    x = np.concatenate([robot.phi, [known.get(name, 0.0) for name in coefficients]])
-    notes: tuple[str, ...] = ()
-    prior, influence = None, None
-    try:
-        size = implausible_size(W[:, :, 10 * robot.nv :], torque(robot, motion)[:, rows])
-        nothing = EffectPrior(np.zeros_like(size), size, np.full_like(size, -np.inf))
-        prior = prior_of(prior_parameters(robot), nothing)
-        influence = prior_influence(seen, base.regrouping, prior, x, np.random.default_rng(0))
-    except BadRobot as error:
-        notes = (f"there is no prior to count in: {error.why}",)
-    how = "as given" if noise is not None else f"of {100 * TORQUE_NOISE:g} % of each limit"
-    return Measurement(
-        W=W,
-        sigma=sigma,
-        seen=seen,
-        x=x,
-        known=(*(True,) * (10 * robot.nv), *(name in known for name in coefficients)),
-        beta=base.regrouping @ x,
-        prior=prior,
-        std=None if prior is None else prior.posterior_std(seen.R),
-        influence=influence,
-        rests=resting(motion.q),
-        motion=motion,
-        pose=motion.q.mean(axis=0),
-        basis=f"for torque noise {how}, independent at each of {len(motion)} instants",
-        notes=notes,
-    )
+def verdict(std: float, value: float, negligible: bool) -> str:
+    """In a word, how well something of this value is determined."""
+    if not np.isfinite(std):
+        return NOT_SHOWN
+    if value and std <= ROUGHLY * abs(value):
+        return "well" if std <= WELL * abs(value) else "roughly"
+    return "negligible" if negligible else "hardly"
 
 
-def recorded(
-    robot: Robot, base: BaseParameters, estimate: Estimate, rng: np.random.Generator | None = None
-) -> Measurement:
-    """What a recording came to.
+def size_to_resolve(value: Array, std: Array, negligible: Array, signal: Array) -> Array:
+    """The size beside which a standard deviation should be small; 0 if being shown is enough.
+
+    Of something not known to have a value: what makes a torque of twice the noise.
 
     Args:
-        robot: The arm.
-        base: Base parameters of links and effects.
-        estimate: What was identified, of all base parameters or of those the recording shows.
-        rng: Draws perturbed priors for refits; linear theory instead if None.
-
-    Raises:
-        Infeasible: A refit failed.
+        value: Values, zero where not known, shape (m,).
+        std: Standard deviations so far, shape (m,).
+        negligible: What is negligible, shape (m,).
+        signal: Torque per unit, in noise, shape (m,).
     """
-    q = np.concatenate([s.motion.q[s.keep] for s in estimate.data.train])
-    fit, effects = estimate.least_squares, estimate.model.effects
-    rows = clean_rows(fit_rows(robot, effects, estimate.base, estimate.data))
-    sigma = fit.sigma * np.sqrt(fit.inflation)
-    complete = estimate.base.columns == base.columns
-    seen = sight(base, rows.W, sigma, fit.covariance if complete else None)
-    prior = prior_of(estimate.prior.reshape(-1, 10), rows.open_prior)
-    influence = prior_influence(
-        seen,
-        base.regrouping,
-        prior,
-        estimate.physical.x,
-        np.random.default_rng(0) if rng is None else rng,
-        refits(estimate, rows) if rng is not None else None,
-    )
-    return Measurement(
-        W=rows.W,
-        sigma=sigma,
-        seen=seen,
-        x=estimate.physical.x,
-        known=(True,) * len(base.names),
-        beta=fit.beta if complete else base.regrouping @ estimate.physical.x,
-        prior=prior,
-        std=np.sqrt(np.diag(estimate.physical.covariance)),
-        influence=influence,
-        rests=resting(q),
-        motion=max((s.motion for s in estimate.data.train), key=len),
-        pose=q.mean(axis=0),
-        basis="from the residual of the recording, with its autocorrelation",
-        notes=(
-            *_limit_note(robot, prior.at_limit(estimate.physical.x)),
-            *(_scale_note(robot, effects, sigma) if estimate.data.unit == "A" else ()),
-        ),
-    )
+    unknown = 0.5 / ROUGHLY / np.maximum(signal, 1e-300)
+    size = np.where(value == 0, unknown, np.abs(value))
+    return np.asarray(np.where(negligible | ~np.isfinite(std), 0.0, size), float)
 
 
-def _limit_note(robot: Robot, flat: Sequence[int]) -> tuple[str, ...]:
-    if not flat:
-        return ()
-    names = ", ".join(robot.links[k] for k in flat)
-    return (f"at the limit of what a body can have: {names}; the data alone would go beyond",)
+def practical(
+    base: BaseParameters, values: Array, seen: MotionInformation
+) -> tuple[Practical, ...]:
+    """Every base parameter under a motion.
 
-
-def _scale_note(robot: Robot, effects: Sequence[Effect], sigma: Array) -> tuple[str, ...]:
-    std = scale_deviation(robot, effects, sigma)
-    return (
-        "torque came as current: all values hang on one common scale that currents do not show; "
-        f"a known payload of {PAYLOAD_KG:g} kg would show it to ±{100 * std:.2g} % "
-        "in ten seconds of lively motion",
+    Args:
+        base: Base parameters, r of them.
+        values: Their values, shape (r,).
+        seen: What the motion shows.
+    """
+    std = seen.std(np.eye(len(base)))
+    torque = (np.abs(values) + 2 * std) * np.maximum(seen.signal, 1e-300)
+    return tuple(
+        Practical(text, float(value), float(s), bool(t < 1))
+        for text, value, s, t in zip(base.expressions, values, std, torque, strict=True)
     )
 
 
 @dataclass(frozen=True)
-class Entry:
-    """One standard parameter or effect coefficient in the table of an arm.
+class Direction:
+    """Base parameters that trade against each other because torque hardly shows it.
 
     Attributes:
-        name: Its name.
-        owner: Link or joint it belongs to.
-        unit: Its unit.
-        category: ``unique``, ``combined`` or ``unidentifiable``.
-        expressions: Base parameters that it is part of.
-        needed: What would show it by itself; empty where that is shown already.
-        value: Estimate, or the value of the model as given; None if neither is known.
-        prior: Value before any data; None if there is none.
-        std: Standard deviation with the prior, ±100 % of each link, counted in; None without
-            a motion.
-        std_data: Standard deviation from the data alone; inf where they do not show it by
-            itself; None without a motion.
-        influence: How far it follows the prior, 0 to 1; None without a motion or prior.
-        decided_by: ``data``, ``prior`` or ``physics`` (the limit of what a body can have); empty
-            without a motion or prior.
-        verdict: In a word, how well the motion determines it by itself; empty without a motion.
+        members: Name and unit of each, with the change that one standard deviation of the
+            torque noise hides; of a direction not seen at all, the change per unit of the first.
+        std: Standard deviation along it relative to the sizes of its members; inf if unseen.
+        share: Part of the direction that its members make.
     """
 
-    name: str
-    owner: str
-    unit: str
-    category: str
-    expressions: tuple[str, ...]
-    needed: str
-    value: float | None = None
-    prior: float | None = None
-    std: float | None = None
-    std_data: float | None = None
-    influence: float | None = None
-    decided_by: str = ""
-    verdict: str = ""
+    members: tuple[tuple[str, float, str], ...]
+    std: float
+    share: float
 
     @property
-    def rel_std(self) -> float | None:
-        """Standard deviation relative to the value; None when either is not known or zero."""
-        return self.std / abs(self.value) if self.value and self.std is not None else None
+    def expression(self) -> str:
+        """The direction as text, e.g. ``link3.Ixx − 0.83·link2.Izz``."""
+        text, lead = "", self.members[0][1]
+        for name, change, _ in self.members:
+            size = f"{abs(change / lead):.2g}"
+            sign = (" − " if change / lead < 0 else " + ") if text else ""
+            text += sign + ("" if size == "1" else f"{size}·") + name
+        return text
 
     @property
-    def prior_dominated(self) -> bool:
-        """Whether the prior decides it: nothing shows it, or it follows the prior."""
-        return self.category == "unidentifiable" or self.decided_by == "prior"
+    def meaning(self) -> str:
+        """What the direction means, as a sentence."""
+        name, change, unit = self.members[0]
+        if not np.isfinite(self.std):
+            if len(self.members) == 1:
+                return f"{name} changes no torque of this motion"
+            others = _listed([f"{other} by {c:.2g}" for other, c, _ in self.members[1:]])
+            return f"{name} by 1 with {others} (SI units) changes no torque of this motion"
+        if len(self.members) == 1:
+            return f"{name} may be {abs(change):.2g} {unit} off without showing above the noise"
+        moves = [
+            f"{other} {'falls' if c * change < 0 else 'rises'} by {abs(c):.2g} {u}"
+            for other, c, u in self.members[1:]
+        ]
+        return (
+            f"{name} may rise by {abs(change):.2g} {unit} while {_listed(moves)}: "
+            "torque changes by no more than the noise"
+        )
 
 
-def parameter_units(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
-    """Units of the standard parameters followed by those of effects."""
-    return (*UNITS * robot.nv, *(p.unit for e in effects for p in e.parameters(robot)))
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
-def entries(
-    robot: Robot,
-    effects: Sequence[Effect],
-    base: BaseParameters,
-    category: Sequence[str],
-    candidates: Sequence[Addition],
-    given: Measurement | None = None,
-) -> tuple[Entry, ...]:
-    """Every parameter of ``base.names``.
+def weak_directions(
+    base: BaseParameters, units: Sequence[str], seen: MotionInformation, size: Array, count: int = 5
+) -> tuple[Direction, ...]:
+    """Directions that a motion does not see, then those it sees worst.
+
+    With D the sizes of the base parameters, the latter are the leading eigenvectors u of
+    D⁻¹ C D⁻¹, C the covariance; a change D u √λ of the parameters is one standard deviation.
 
     Args:
-        robot: The arm.
-        effects: Effects whose coefficients are unknown too.
-        base: Base parameters, of p parameters.
-        category: Of each of the p parameters.
-        candidates: Experiments that could be added.
-        given: A motion or recording.
+        base: Base parameters, r of them.
+        units: Units of the base parameters.
+        seen: What the motion shows.
+        size: What counts as much of each base parameter, shape (r,).
+        count: How many of those that are seen.
     """
-    known = dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True))
-    known |= effect_values(robot)
-    units, expressions = parameter_units(robot, effects), np.array(base.expressions, object)
-    unknown = Question(np.eye(len(units)), np.zeros(len(units)))
-    wanted = shown_by(base.regrouping, unknown, candidates) if given is None else ("",) * len(units)
-    plain = tuple(
-        Entry(
-            name,
-            name.rpartition(".")[0],
-            units[k],
-            category[k],
-            tuple(expressions[base.regrouping[:, k] != 0]),
-            wanted[k],
-            value=known.get(name),
-            prior=known.get(name),
-        )
-        for k, name in enumerate(base.names)
-    )
-    return plain if given is None else _under(given, base, plain, candidates)
+    names = [base.names[k] for k in base.columns]
+    found = [_direction(row, row, np.inf, names, units, size) for row in seen.unseen]
+    values, U = np.linalg.eigh(seen.covariance / np.outer(size, size))
+    for k in np.argsort(-values, kind="stable")[:count]:
+        std = float(np.sqrt(max(float(values[k]), 0.0)))
+        if std > 0:
+            found.append(_direction(U[:, k], U[:, k] * std * size, std, names, units, size))
+    return tuple(found)
 
 
-def _under(
-    given: Measurement, base: BaseParameters, plain: Sequence[Entry], candidates: Sequence[Addition]
-) -> tuple[Entry, ...]:
-    """The entries with what a motion says of them."""
-    p, columns = len(plain), list(base.columns)
-    alone = np.array([entry.category == "unique" for entry in plain])
-    std = np.where(alone, given.seen.std(np.eye(p)[:, columns]), np.inf)
-    quiet = (np.abs(given.x) + 2 * std) * np.maximum(given.loudness, 1e-300) < 1
-    size = aim(given.x, std, quiet, given.loudness)
-    wanted = shown_by(given.seen.R, Question(np.eye(p), size), candidates)
-    overall, decided = np.zeros(p), ("",) * p
-    if given.influence is not None:
-        overall, decided = given.influence.overall, given.influence.decided_by
-    means = None if given.prior is None else given.prior.mean[: 10 * given.prior.links]
-    return tuple(
-        replace(
-            entry,
-            needed=wanted[k],
-            value=float(given.x[k]) if given.known[k] else None,
-            prior=entry.prior if means is None or k >= len(means) else float(means[k]),
-            std=None if given.std is None else float(given.std[k]),
-            std_data=float(std[k]),
-            influence=None if given.influence is None else float(overall[k]),
-            decided_by=decided[k],
-            verdict=verdict(float(std[k]), float(given.x[k]), bool(quiet[k]))
-            if alone[k]
-            else entry.category,
-        )
-        for k, entry in enumerate(plain)
-    )
+def _direction(
+    row: Array, change: Array, std: float, names: Sequence[str], units: Sequence[str], size: Array
+) -> Direction:
+    """A direction with its named members, strongest first; an unseen one in its own units."""
+    weight = row if np.isfinite(std) else row / size
+    weight = weight / np.linalg.norm(weight)
+    order = [int(k) for k in np.argsort(-np.abs(weight), kind="stable")]
+    kept = [k for k in order if abs(weight[k]) >= _MEMBER] or order[:1]
+    if not np.isfinite(std):
+        kept = [k for k in order if abs(weight[k]) > 1e-3]
+        change = change / change[kept[0]]
+    members = tuple((names[k], float(change[k]), units[k]) for k in kept)
+    return Direction(members, std, float((weight[kept] ** 2).sum()))
 
 
-def identify_shown(
-    robot: Robot,
-    recordings: Sequence[Recording],
-    effects: Sequence[Effect] | None = None,
-    *,
-    validate: Sequence[Recording] = (),
-) -> Estimate:
-    """Identify the base parameters that a recording's own motion has, be they few.
-
-    Base parameters are taken from the recorded rows in place of random states, so that a motion
-    that rests a joint is no error; what it leaves open stays at the prior.
-
-    Args:
-        robot: The arm; its inertias are the prior.
-        recordings: What to fit.
-        effects: Effects to estimate; friction, offset and rotor inertia when None.
-        validate: What to judge on; the last 30 % of each recording when empty.
-
-    Raises:
-        BadRecording: Recordings that cannot be used.
-        BadRobot: Links without mass, so no prior.
-        Infeasible: The semidefinite solver failed.
-    """
-    prior = prior_parameters(robot)
-    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
-    data = split(recordings, validate)
-    W = without_rounding(observation(robot, effects, data.train))
-    rows = clean_rows(fit_rows(robot, effects, shown_base(column_names(robot, effects), W), data))
-    base = rows.base
-    fit = weighted_least_squares(rows.W[:, :, list(base.columns)], rows.tau, base.expressions)
-    R, z = whitened(rows.W, rows.tau, fit)
-    physical = fit_physical(R, z, prior, rows.open_prior)
-    return judged(robot, rows, fit, physical, (data.holdout,))
+def correlation(covariance: Array) -> Array:
+    """Correlation matrix; zero for what has no variance, shape as given."""
+    std = np.sqrt(np.diag(covariance))
+    safe = np.where(std > 0, std, 1.0)
+    matrix = covariance / np.outer(safe, safe)
+    np.fill_diagonal(matrix, np.where(std > 0, 1.0, 0.0))
+    return np.asarray(np.clip(matrix, -1.0, 1.0), float)
 
 
-def clean_rows(rows: FitRows) -> FitRows:
-    """The rows without columns that are rounding alone, of which nothing is known beforehand."""
-    W = without_rounding(rows.W)
-    first = W.shape[2] - len(rows.open_prior.mean)
-    std = implausible_size(W[:, :, first:], rows.tau)
-    return replace(
-        rows, W=W, open_prior=EffectPrior(rows.open_prior.mean, std, rows.open_prior.lower)
-    )
+def largest_correlations(matrix: Array, count: int = 10) -> list[tuple[int, int, float]]:
+    """Pairs of base parameters with the largest |ρ|, as indices and ρ."""
+    rows, columns = np.triu_indices(len(matrix), 1)
+    values = matrix[rows, columns]
+    order = np.argsort(-np.abs(values), kind="stable")[:count]
+    return [(int(rows[k]), int(columns[k]), float(values[k])) for k in order if values[k]]

@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import site
 import sys
 import time
 from collections.abc import Iterator
@@ -22,17 +24,24 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from base_counts import data_folder
-
 from excitant.analysis.identifiability import analyze
-from excitant.analysis.practical import NOT_SHOWN
+from excitant.analysis.uncertainty import NOT_SHOWN
 from excitant.design import design
 from excitant.exceptions import ExcitantError, Infeasible
 from excitant.robots import Robot, load_robot, torque
 from excitant.robots.effects import standard_effects
 from excitant.robots.geometry import scene
+
+
+def data_folder(given: str | None) -> Path | None:
+    """Folder of the models: given, from EXAMPLE_ROBOT_DATA, or installed beside this Python."""
+    named = given or os.environ.get("EXAMPLE_ROBOT_DATA")
+    installed = (
+        Path(packages, "cmeel.prefix", "share", "example-robot-data", "robots")
+        for packages in site.getsitepackages()
+    )
+    return next((f for f in ([Path(named)] if named else installed) if f.is_dir()), None)
+
 
 ASSUMED = {"velocity": 1.5, "acceleration": 10.0}  # rad/s or m/s, rad/s² or m/s²
 NOISE = 0.01  # of each joint's largest torque in the motion

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from excitant.design.interpolation import HermiteTrajectory
-from excitant.design.trajectory import Trajectory
+from excitant.design.trajectory import HermiteTrajectory, Trajectory
 from excitant.robots import Array
 from excitant.robots.geometry import Scene
-
-if TYPE_CHECKING:
-    from excitant.design.problem import DesignProblem
 
 _RESOLUTION = 1e-3  # m: how sharply the smallest distance is bounded
 _INTERVALS = 200
@@ -88,37 +83,3 @@ def _smallest(scene: Scene, distance: Array, t: Array) -> Clearance:
 def pose_use(scene: Scene, required: float, q: Array) -> Array:
     """1 where a pose has the distance required; more where it has less, shape (n,)."""
     return np.asarray(1 + (required - scene.distances(q).min(axis=1)) / SCALE)
-
-
-def clearance_use(problem: DesignProblem, z: Array) -> float:
-    """1 where the smallest distance at the problem's instants is what is required; above, less."""
-    if problem.scene is None:
-        return 0.0
-    return float(pose_use(problem.scene, problem.required, problem.grid_bases[0] @ z).max())
-
-
-def clearance_rows(problem: DesignProblem, z: Array, near: float) -> tuple[Array, Array]:
-    """Linearised use of the clearance by the unknowns, at each pair's nearest instants.
-
-    Args:
-        problem: The design problem.
-        z: Unknowns, shape (c − 2, nv).
-        near: Use from which an instant becomes a row.
-
-    Returns:
-        Rows of shape (m, k), and the use at z, shape (m,).
-    """
-    if problem.scene is None:
-        return np.zeros((0, problem.size)), np.zeros(0)
-    q = problem.grid_bases[0] @ z
-    distance = problem.scene.distances(q)
-    use = 1 + (problem.required - distance) / SCALE
-    nearest = (distance <= np.roll(distance, 1, axis=0)) & (
-        distance < np.roll(distance, -1, axis=0)
-    )
-    rows, uses = [], []
-    for k, pair in np.argwhere(nearest & (use > near)):
-        _, gradient = problem.scene.gradient(q[k], int(pair))
-        rows.append(-np.outer(problem.grid_bases[0][k], gradient).ravel() / SCALE)
-        uses.append(use[k, pair])
-    return np.reshape(rows, (-1, problem.size)), np.array(uses)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
-from excitant.design.interpolation import HermiteTrajectory, largest
-from excitant.design.trajectory import Trajectory
+from excitant.design.trajectory import HermiteTrajectory, Trajectory
 from excitant.exceptions import BadInput, OutsideLimits
 from excitant.robots import Array, Limits, Motion, Robot
 from excitant.robots.motion import freeze
@@ -20,6 +22,8 @@ _PER_SAMPLE = 8  # instants per sampling interval of a recorded motion
 _SHRINKS = 30
 _ONE_SIDED = 4 * np.pi  # width given to a range that is bounded on one side only
 
+Extrema = tuple[Array, Array, Array, Array]  # smallest values, when; largest values, when; (nv,)
+
 
 @dataclass(frozen=True, eq=False)
 class LimitUse:
@@ -30,20 +34,22 @@ class LimitUse:
         ratios: Largest magnitude over limit per joint, shape (nv,); 0 without a limit. For
             position it is |q − middle| over half the range.
         times: When each joint's largest ratio occurs, shape (nv,) [s].
-        values: The quantity there, with its sign, shape (nv,).
-        bounds: The limit on that side, shape (nv,); infinite without one.
+        low: Smallest value per joint, between samples too, shape (nv,).
+        high: Largest value, shape (nv,).
+        limits: Lower and upper limit, infinite without one, shape (nv, 2).
         joints: Names of the joints.
     """
 
     quantity: str
     ratios: Array
     times: Array
-    values: Array
-    bounds: Array
+    low: Array
+    high: Array
+    limits: Array
     joints: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        freeze(self, "ratios", "times", "values", "bounds")
+        freeze(self, "ratios", "times", "low", "high", "limits")
 
     @property
     def ratio(self) -> float:
@@ -67,10 +73,25 @@ class LimitUse:
             OutsideLimits: With the worst joint, its value and the limit.
         """
         if self.ratio > 1.0:
-            k = int(self.ratios.argmax())
-            raise OutsideLimits(
-                self.joint, self.quantity, float(self.values[k]), float(self.bounds[k]), self.time
-            )
+            j = int(self.ratios.argmax())
+            above, below = self.high[j] - self.limits[j, 1], self.limits[j, 0] - self.low[j]
+            side = int(above > below)
+            value, limit = (self.low[j], self.high[j])[side], self.limits[j, side]
+            raise OutsideLimits(self.joint, self.quantity, float(value), float(limit), self.time)
+
+    def certified(self) -> list[dict[str, float] | None]:
+        """Per joint what the quantity stays within, as plain values.
+
+        Returns:
+            ``low`` and ``high`` in the quantity's unit, the largest ``ratio`` to the limit and
+            when it occurs, ``t`` [s]; None where the joint has no limit.
+        """
+        names = ("low", "high", "ratio", "t")
+        table = np.stack([self.low, self.high, self.ratios, self.times], axis=1).tolist()
+        return [
+            dict(zip(names, row, strict=True)) if np.isfinite(limits).all() else None
+            for row, limits in zip(table, self.limits, strict=True)
+        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,23 +166,25 @@ def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
     """
     if motion.nv != robot.nv:
         raise BadInput(f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}")
+    path: Trajectory | HermiteTrajectory
     orders = range(robot.limits.orders)
     if isinstance(motion, Trajectory):
-        uses = [_exact_use(robot, motion, order) for order in orders]
-        n = _PER_HARMONIC * max(motion.harmonics, 1)
-        t, path = np.linspace(0.0, motion.period, n + 1), motion
-        stops = motion.extremum_times(0).ravel()
-        tau = _torque_use(robot, path, t, stops)
-        return LimitReport(uses[0], uses[1], uses[2], tau, *uses[3:])
-    if len(motion) < 2:
-        raise BadInput(f"motion has {len(motion)} samples, at least two are needed")
-    spline = HermiteTrajectory(motion)
-    share = np.arange(_PER_SAMPLE) / _PER_SAMPLE
-    fine = (motion.t[:-1, None] + share * np.diff(motion.t)[:, None]).ravel()
-    fine = np.append(fine, motion.t[-1])
-    uses = [_sampled_use(robot, spline, order, fine) for order in orders]
-    tau = _torque_use(robot, spline, fine, _reversals(spline, fine))
-    return LimitReport(uses[0], uses[1], uses[2], tau, *uses[3:])
+        path, stops = motion, motion.extremum_times(0).ravel()
+        t = np.linspace(0.0, motion.period, _PER_HARMONIC * max(motion.harmonics, 1) + 1)
+        found = [_exact_extrema(motion, order) for order in orders]
+    else:
+        if len(motion) < 2:
+            raise BadInput(f"motion has {len(motion)} samples, at least two are needed")
+        path, share = HermiteTrajectory(motion), np.arange(_PER_SAMPLE) / _PER_SAMPLE
+        t = (motion.t[:-1, None] + share * np.diff(motion.t)[:, None]).ravel()
+        t = np.append(t, motion.t[-1])
+        stops = _reversals(path, t)
+        found = [_extrema(partial(path, order=k), partial(path, order=k + 1), t) for k in orders]
+    limits = zip(KINEMATIC, found, *kinematic_limits(robot.limits), strict=False)
+    uses = [_use(robot, *quantity) for quantity in limits]
+    position, velocity, acceleration, *jerk = uses
+    tau = _torque_use(robot, path, t, stops)
+    return LimitReport(position, velocity, acceleration, tau, *jerk)
 
 
 def within_limits(robot: Robot, trajectory: Trajectory) -> Trajectory | None:
@@ -181,34 +204,31 @@ def within_limits(robot: Robot, trajectory: Trajectory) -> Trajectory | None:
     return None
 
 
-def _use(robot: Robot, order: int, away: Array, times: Array) -> LimitUse:
-    """Use of a kinematic limit by the largest distance from the middle, with its sign, (nv,)."""
-    middle, bound = (x[order] for x in kinematic_limits(robot.limits))
-    limit = middle + np.copysign(bound, away)
-    ratios = np.abs(away) / bound
-    return LimitUse(KINEMATIC[order], ratios, times, middle + away, limit, robot.joints)
+def _use(robot: Robot, quantity: str, found: Extrema, middle: Array, bound: Array) -> LimitUse:
+    low, t_low, high, t_high = found
+    away, times = high - middle, t_high
+    below = middle - low > away
+    ratios = np.where(below, middle - low, away) / bound
+    limits = np.stack([middle - bound, middle + bound], axis=1)
+    return LimitUse(
+        quantity, ratios, np.where(below, t_low, times), low, high, limits, robot.joints
+    )
 
 
-def _exact_use(robot: Robot, trajectory: Trajectory, order: int) -> LimitUse:
+def _exact_extrema(trajectory: Trajectory, order: int) -> Extrema:
     times, values = trajectory.extrema_in_time(order)
-    away = values - kinematic_limits(robot.limits)[0][order]
-    k, joints = np.abs(away).argmax(axis=0), np.arange(robot.nv)
-    return _use(robot, order, away[k, joints], times[k, joints])
-
-
-def _sampled_use(robot: Robot, spline: HermiteTrajectory, order: int, t: Array) -> LimitUse:
-    middle = kinematic_limits(robot.limits)[0][order]
-    away, times = largest(lambda s: spline(s, order) - middle, lambda s: spline(s, order + 1), t)
-    return _use(robot, order, away, times)
+    joints = np.arange(trajectory.nv)
+    low, high = values.argmin(axis=0), values.argmax(axis=0)
+    return values[low, joints], times[low, joints], values[high, joints], times[high, joints]
 
 
 def _torque_use(
     robot: Robot, path: Trajectory | HermiteTrajectory, t: Array, stops: Array
 ) -> LimitUse:
     """Torque over continuous time; just before and after ``stops`` friction may jump."""
-    if np.all(np.isinf(robot.limits.torque)):
-        zero = np.zeros(robot.nv)
-        return LimitUse("torque", zero, zero, zero, robot.limits.torque, robot.joints)
+    zero, bound = np.zeros(robot.nv), robot.limits.torque
+    if np.all(np.isinf(bound)):
+        return _use(robot, "torque", (zero,) * 4, zero, bound)
     dt = 1e-6 * float(np.median(np.diff(t)))
     if robot.effects:
         beside = np.concatenate([stops - 1e-3 * dt, stops + 1e-3 * dt])
@@ -222,10 +242,7 @@ def _torque_use(
         slope: Array = (tau(ahead) - tau(behind)) / (ahead - behind)[:, None]
         return slope
 
-    peak, times = largest(tau, rate, t)
-    limit = robot.limits.torque
-    ratios = np.abs(peak) / limit
-    return LimitUse("torque", ratios, times, peak, np.copysign(limit, peak), robot.joints)
+    return _use(robot, "torque", _extrema(tau, rate, t), zero, bound)
 
 
 def _reversals(spline: HermiteTrajectory, t: Array) -> Array:
@@ -235,3 +252,32 @@ def _reversals(spline: HermiteTrajectory, t: Array) -> Array:
     before, after = v[k, joint], v[k + 1, joint]
     crossing: Array = t[k] + (t[k + 1] - t[k]) * before / (before - after)
     return crossing
+
+
+def _extrema(
+    evaluate: Callable[[Array], Array], slope: Callable[[Array], Array], t: Array
+) -> Extrema:
+    """Smallest and largest value of each channel over continuous time, and when.
+
+    The instants given are joined by cubic Hermite interpolation (error h⁴ |f⁗| / 384); the
+    function itself is then evaluated at the interpolants' stationary points.
+
+    Args:
+        evaluate: Values at instants (n,), shape (n, m).
+        slope: Their time derivatives.
+        t: Instants fine enough for the interpolation, increasing [s].
+    """
+    value = evaluate(t)
+    joined = CubicHermiteSpline(t, value, slope(t)).derivative()
+    roots = joined.roots(discontinuity=False, extrapolate=False)
+    inside = [times[np.isfinite(times)] for times in roots]
+    at = evaluate(np.concatenate(inside)) if any(map(len, inside)) else value[:0]
+    ends = np.cumsum([len(times) for times in inside])
+    found = []
+    for j, times in enumerate(inside):
+        when = np.concatenate([t, times])
+        values = np.concatenate([value[:, j], at[ends[j] - len(times) : ends[j], j]])
+        low, high = int(values.argmin()), int(values.argmax())
+        found.append((values[low], when[low], values[high], when[high]))
+    lows, t_lows, highs, t_highs = np.array(found).T
+    return lows, t_lows, highs, t_highs

@@ -1,21 +1,31 @@
-"""Trajectories as files: CSV at a control rate, JSON with the exact coefficients."""
+"""Motions as files: CSV, exact coefficients in JSON, and the formats of robot controllers."""
 
 from __future__ import annotations
 
+import csv
+import io
 import json
-import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import yaml
 
-from excitant.design.splines import SplineTrajectory
-from excitant.design.trajectory import FourierTrajectory, Trajectory
-from excitant.exceptions import BadInput
+from excitant.design.trajectory import FourierTrajectory, SplineTrajectory, Trajectory
+from excitant.exceptions import BadInput, UnknownName
 from excitant.robots import Array, Motion, Robot
+
+TOPIC = "/joint_trajectory_controller/joint_trajectory"
 
 _COEFFICIENTS = {"fourier": ("offset", "cosine", "sine"), "spline": ("control_points",)}
 _KINDS = ("q", "dq", "ddq")
+_MESSAGE = "trajectory_msgs/msg/JointTrajectory"
+_FIELDS = ("positions", "velocities", "accelerations")
+_SERVOJ = "lookahead_time=0.1, gain=300"
+_FIRST = "a=0.3, v=0.2"  # rad/s² and rad/s of the move to the first pose
+_UNEVEN = 1e-6  # relative difference of sampling intervals that counts as one rate
 
 
 def motion_csv(motion: Motion) -> str:
@@ -85,37 +95,20 @@ def _from_json(text: str, path: Path, robot: Robot) -> Trajectory:
             f"trajectory {path}: its joints {', '.join(map(str, joints))} are not those of "
             f"{robot.name} ({', '.join(robot.joints)})"
         )
-    arrays = [
-        _numbers(content[name], name, path, robot, dimensions=1 if name == "offset" else 2)
-        for name in names
-    ]
-    period = content["period"]
-    number = isinstance(period, int | float) and not isinstance(period, bool)
-    if not number or not (math.isfinite(period) and period > 0):
-        raise BadInput(f"trajectory {path}: period {period!r} is not a positive number of seconds")
-    if len(arrays) == 1:
-        return _spline(arrays[0], float(period), path)
-    offset, cosine, sine = arrays
-    if len(cosine) != len(sine):
-        raise BadInput(
-            f"trajectory {path}: {len(cosine)} rows of 'cosine' but {len(sine)} of 'sine'"
-        )
-    return FourierTrajectory(offset, cosine, sine, float(period))
-
-
-def _spline(control_points: Array, period: float, path: Path) -> SplineTrajectory:
+    arrays = [_numbers(content[name], name, path, robot) for name in (*names, "period")]
     try:
-        return SplineTrajectory(control_points, period)
+        return (SplineTrajectory if len(names) == 1 else FourierTrajectory)(*arrays)  # type: ignore[arg-type]
     except ValueError as error:
         raise BadInput(f"trajectory {path}: {error}") from None
 
 
-def _numbers(value: Any, name: str, path: Path, robot: Robot, *, dimensions: int) -> Array:
+def _numbers(value: Any, name: str, path: Path, robot: Robot) -> Array:
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
         raise BadInput(f"trajectory {path}: '{name}' is not a table of numbers") from None
-    if array.ndim != dimensions or array.shape[-1] != robot.nv:
+    dimensions = {"period": 0, "offset": 1}.get(name, 2)
+    if array.ndim != dimensions or (dimensions and array.shape[-1] != robot.nv):
         raise BadInput(
             f"trajectory {path}: '{name}' has shape {array.shape}, but {robot.name} has "
             f"{robot.nv} joints"
@@ -126,64 +119,201 @@ def _numbers(value: Any, name: str, path: Path, robot: Robot, *, dimensions: int
 
 
 def _from_csv(text: str, path: Path, robot: Robot) -> Motion:
-    lines = [line for line in text.splitlines() if line.strip()]
-    if len(lines) < 3:
+    header, *rows = [
+        [cell.strip() for cell in row] for row in csv.reader(text.splitlines()) if row
+    ] or [[]]
+    if len(rows) < 2:
         raise BadInput(f"trajectory {path}: needs a header and at least two rows")
-    header = [name.strip() for name in lines[0].split(",")]
-    index = _column_index(header, path, robot)
-    table = np.empty((len(lines) - 1, len(header)))
-    for row, line in enumerate(lines[1:]):
-        table[row] = _parse_row(line, row, header, path)
-    used = list(index.values())
-    bad = np.argwhere(~np.isfinite(table[:, used]))
-    if len(bad):
-        row, column = int(bad[0, 0]), header[used[int(bad[0, 1])]]
-        value = table[row, used[int(bad[0, 1])]]
-        raise BadInput(f"trajectory {path}: row {row}, column '{column}': {value} is not finite")
-    t = table[:, index["t"]]
-    stuck = np.flatnonzero(np.diff(t) <= 0)
-    if len(stuck):
-        row = int(stuck[0]) + 1
+    wanted = ["t", *(f"{kind}{j + 1}" for kind in _KINDS for j in range(robot.nv))]
+    joints = sum(name.startswith("q") and name[1:].isdigit() for name in header)
+    if joints and joints != robot.nv:
         raise BadInput(
-            f"trajectory {path}: row {row}, column 't': {t[row]:g} s does not come after "
-            f"{t[row - 1]:g} s; time must increase"
+            f"trajectory {path}: {joints} joint columns q1..q{joints}, but {robot.name} has "
+            f"{robot.nv} joints"
         )
-    parts = [table[:, [index[f"{kind}{j + 1}"] for j in range(robot.nv)]] for kind in _KINDS]
+    for name in wanted:
+        if name not in header:
+            raise BadInput(
+                f"trajectory {path}: column '{name}' is missing; the header must name "
+                f"t, q1..q{robot.nv}, dq1..dq{robot.nv}, ddq1..ddq{robot.nv}"
+            )
+        if header.count(name) > 1:
+            raise BadInput(f"trajectory {path}: column '{name}' occurs more than once")
+    for k, row in enumerate(rows):
+        if len(row) != len(header):
+            raise BadInput(
+                f"trajectory {path}: row {k} has {len(row)} values, the header {len(header)}"
+            )
+    columns = {
+        name: _column([row[header.index(name)] for row in rows], name, path) for name in wanted
+    }
+    t = columns["t"]
+    for k in np.flatnonzero(np.diff(t) <= 0)[:1] + 1:
+        raise BadInput(
+            f"trajectory {path}: row {k}, column 't': {t[k]:g} s does not come after "
+            f"{t[k - 1]:g} s; time must increase"
+        )
+    parts = np.split(np.column_stack([columns[name] for name in wanted[1:]]), 3, axis=1)
     return Motion(t, *parts)
 
 
-def _column_index(header: list[str], path: Path, robot: Robot) -> dict[str, int]:
-    wanted = ["t", *(f"{kind}{j + 1}" for kind in _KINDS for j in range(robot.nv))]
-    given = sum(name.startswith("q") and name[1:].isdigit() for name in header)
-    if given and given != robot.nv:
-        raise BadInput(
-            f"trajectory {path}: {given} joint columns q1..q{given}, but {robot.name} has "
-            f"{robot.nv} joints"
-        )
-    missing = [name for name in wanted if name not in header]
-    if missing:
-        raise BadInput(
-            f"trajectory {path}: column '{missing[0]}' is missing; the header must name "
-            f"t, q1..q{robot.nv}, dq1..dq{robot.nv}, ddq1..ddq{robot.nv}"
-        )
-    double = [name for name in wanted if header.count(name) > 1]
-    if double:
-        raise BadInput(f"trajectory {path}: column '{double[0]}' occurs more than once")
-    return {name: header.index(name) for name in wanted}
-
-
-def _parse_row(line: str, row: int, header: list[str], path: Path) -> list[float]:
-    cells = line.split(",")
-    if len(cells) != len(header):
-        raise BadInput(
-            f"trajectory {path}: row {row} has {len(cells)} values, the header {len(header)}"
-        )
-    values = []
-    for name, cell in zip(header, cells, strict=True):
+def _column(cells: list[str], name: str, path: Path) -> Array:
+    values = np.full(len(cells), np.nan)
+    for k, cell in enumerate(cells):
         try:
-            values.append(float(cell))
+            values[k] = float(cell)
         except ValueError:
-            raise BadInput(
-                f"trajectory {path}: row {row}, column '{name}': '{cell.strip()}' is not a number"
-            ) from None
+            why = f"'{cell}' is not a number"
+        else:
+            why = f"{values[k]} is not finite"
+        if not np.isfinite(values[k]):
+            raise BadInput(f"trajectory {path}: row {k}, column '{name}': {why}")
     return values
+
+
+def write_formats(
+    motion: Motion,
+    robot: Robot,
+    names: Sequence[str],
+    stem: str = "trajectory",
+) -> dict[str, bytes | str]:
+    """Contents of files in several formats, by file name.
+
+    Args:
+        motion: Samples at the control rate.
+        robot: Arm that gives the names of the joints.
+        names: Formats: ``"ros2"`` (YAML), ``"mcap"``, ``"urscript"``, ``"npz"``.
+        stem: File name before the suffix.
+
+    Raises:
+        UnknownName: A format that does not exist; suggests the nearest.
+        BadInput: Another number of joints, or a motion that a format cannot hold.
+    """
+    for name in names:
+        if name not in FORMATS:
+            raise UnknownName("format", name, FORMATS)
+    if motion.nv != robot.nv:
+        raise BadInput(f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}")
+    if not all(np.isfinite(x).all() for x in (motion.t, motion.q, motion.dq, motion.ddq)):
+        raise BadInput("motion holds a value that is not finite")
+    if len(motion) < 2 or np.any(np.diff(motion.t) <= 0):
+        raise BadInput("motion needs at least two samples, at times that increase")
+    return {stem + FORMATS[name][0]: FORMATS[name][1](motion, robot) for name in names}
+
+
+def joint_trajectory_yaml(motion: Motion, robot: Robot) -> str:
+    """A ROS 2 ``trajectory_msgs/msg/JointTrajectory`` as YAML, as ``ros2 topic pub`` takes it.
+
+    Values are exact, times rounded to 1 ns and counted from the first sample.
+    """
+    lines = ["header: {stamp: {sec: 0, nanosec: 0}, frame_id: ''}"]
+    names = yaml.safe_dump(list(robot.joints), default_flow_style=True, width=10**9)
+    lines += [f"joint_names: {names.strip()}", "points:"]
+    for (sec, nanosec), values in zip(_durations(motion), _points(motion), strict=True):
+        for mark, field, row in zip("-  ", _FIELDS, values, strict=True):
+            lines.append(f"{mark} {field}: [{', '.join(map(_yaml_number, row))}]")
+        lines += ["  effort: []", f"  time_from_start: {{sec: {sec}, nanosec: {nanosec}}}"]
+    return "\n".join(lines) + "\n"
+
+
+def mcap_bag(motion: Motion, robot: Robot) -> bytes:
+    """An MCAP bag with one ``trajectory_msgs/msg/JointTrajectory`` message at time 0.
+
+    Values are exact, times rounded to 1 ns and counted from the first sample. The bag embeds
+    the definition of its message and plays in every ROS 2 since Humble.
+    """
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    message = _message(store.types, motion, robot)
+    with TemporaryDirectory() as folder:
+        bag = Path(folder) / "bag"
+        with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            connection = writer.add_connection(TOPIC, _MESSAGE, typestore=store)
+            writer.write(connection, 0, store.serialize_cdr(message, _MESSAGE))
+        return (bag / "bag.mcap").read_bytes()
+
+
+def _message(types: Any, motion: Motion, robot: Robot) -> Any:
+    point = types["trajectory_msgs/msg/JointTrajectoryPoint"]
+    duration = types["builtin_interfaces/msg/Duration"]
+    stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    points = [
+        point(
+            **{field: np.array(row) for field, row in zip(_FIELDS, values, strict=True)},
+            effort=np.zeros(0),
+            time_from_start=duration(sec=sec, nanosec=nanosec),
+        )
+        for (sec, nanosec), values in zip(_durations(motion), _points(motion), strict=True)
+    ]
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+    return types[_MESSAGE](header=header, joint_names=list(robot.joints), points=points)
+
+
+def urscript(motion: Motion, robot: Robot) -> str:
+    """A URScript program that servoes through the positions at the control rate.
+
+    It first goes to the first pose by a slow ``movej``, and ends with ``stopj``. The program
+    holds positions only, with 12 digits; the controller derives the speed.
+
+    Raises:
+        BadInput: Not six turning joints, or samples that are not equidistant.
+    """
+    if robot.nv != 6 or not robot.revolute.all():
+        raise BadInput(
+            f"URScript moves arms with six turning joints, {robot.name} has {robot.nv} joints"
+        )
+    intervals = np.diff(motion.t)
+    dt = float((motion.t[-1] - motion.t[0]) / len(intervals))
+    if np.abs(intervals / dt - 1).max() > _UNEVEN:
+        raise BadInput("URScript needs equidistant samples; resample the motion at one rate")
+    poses = [f"[{', '.join(f'{x:.12f}' for x in row)}]" for row in motion.q]
+    lines = [
+        "def excitant_motion():",
+        f"  # {len(poses)} poses of {', '.join(robot.joints)} [rad], every {dt:.9g} s",
+        f"  movej({poses[0]}, {_FIRST})",
+        *(f"  servoj({pose}, t={dt:.12g}, {_SERVOJ})" for pose in poses),
+        "  stopj(2.0)",
+        "end",
+        "excitant_motion()",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def npz(motion: Motion, robot: Robot) -> bytes:
+    """A NumPy archive with ``t, q, dq, ddq, joints``; exact, and readable without pickle."""
+    buffer = io.BytesIO()
+    arrays = {name: getattr(motion, name) for name in ("t", *_KINDS)}
+    np.savez_compressed(buffer, **arrays, joints=np.array(robot.joints))
+    return buffer.getvalue()
+
+
+def _durations(motion: Motion) -> list[tuple[int, int]]:
+    """Seconds and nanoseconds of each sample since the first."""
+    ticks = [round(1e9 * float(t)) for t in motion.t - motion.t[0]]
+    stuck = next((k for k in range(1, len(ticks)) if ticks[k] <= ticks[k - 1]), None)
+    if stuck is not None:
+        raise BadInput(f"samples {stuck - 1} and {stuck} of the motion are less than 1 ns apart")
+    return [divmod(tick, 10**9) for tick in ticks]
+
+
+def _points(motion: Motion) -> list[tuple[list[float], list[float], list[float]]]:
+    rows = (motion.q.tolist(), motion.dq.tolist(), motion.ddq.tolist())
+    return list(zip(*rows, strict=True))
+
+
+def _yaml_number(value: float) -> str:
+    """Shortest exact text that YAML reads as a float: it wants a point before the exponent."""
+    text = repr(value)
+    return text if "." in text else text.replace("e", ".0e")
+
+
+Exporter = Callable[[Motion, Robot], bytes | str]
+
+FORMATS: dict[str, tuple[str, Exporter]] = {
+    "ros2": (".yaml", joint_trajectory_yaml),
+    "mcap": (".mcap", mcap_bag),
+    "urscript": (".script", urscript),
+    "npz": (".npz", npz),
+}

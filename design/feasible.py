@@ -117,8 +117,7 @@ def _draw(robot: Robot, rng: np.random.Generator, series: Series) -> Trajectory:
     X[0] = 0.0
     X = waves.rest @ (waves.rest.T @ X)
     X[0] = 0.0
-    if waves != series:
-        X = series.nearest(waves.trajectory(X))
+    X = series.nearest(waves.trajectory(X))
     moved = series.trajectory(X)
     reach = [np.maximum(*(np.abs(e) for e in moved.extrema(k))) for k in range(len(bound))]
     shift = rng.uniform(0.0, 0.6, robot.nv) * rng.choice([-1.0, 1.0], robot.nv) * half

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 
 import joblib
 import numpy as np
@@ -13,14 +14,11 @@ import numpy.typing as npt
 from excitant.design.clearance import clearance as motion_clearance
 from excitant.design.constraints import check, within_limits
 from excitant.design.criterion import CRITERIA, condition_number, information, objective
-from excitant.design.growth import best_period, grow
-from excitant.design.multistart import MultiStart
-from excitant.design.outcome import Design, dense_motion, outcome
 from excitant.design.problem import DesignProblem
+from excitant.design.result import Design, dense_motion
 from excitant.design.search import SearchState, best_solutions
-from excitant.design.splines import SplineSeries
-from excitant.design.tasks import Effort, connect
-from excitant.design.trajectory import FourierSeries, Series, Trajectory
+from excitant.design.starts import Effort, connect, search
+from excitant.design.trajectory import FourierSeries, Series, SplineSeries, Trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots import Array, Motion, Robot
 from excitant.robots.geometry import Scene
@@ -134,17 +132,13 @@ def design(
         BadInput: Duration, harmonics or starts out of range, or no cluster there.
     """
     began = time.time()
-    if starts is not None and starts < 1:
-        raise BadInput(f"{starts} starts: at least one is needed")
-    if starts is None and time_limit is None:
-        starts = _STARTS
-    shortest, longest = duration if isinstance(duration, tuple) else (duration, duration)
-    if not 0 < shortest <= longest:
-        raise BadInput(f"duration {shortest:g} to {longest:g} s: give the shorter one first")
+    starts = number_of_starts(starts, time_limit, _STARTS)
+    shortest, longest = period_range(duration)
+    terms = FEWEST if harmonics is None else harmonics
     problem = build_design(
         robot,
         duration=longest,
-        harmonics=FEWEST if harmonics is None else harmonics,
+        harmonics=terms,
         series=series,
         criterion=criterion,
         columns=columns,
@@ -153,24 +147,33 @@ def design(
         scene=scene,
         clearance=clearance,
     )
-    initial = problem.random(np.random.default_rng([seed, 0]))
+    problem.random(np.random.default_rng([seed, 0]))  # refuses at once what no motion keeps
     deadline = np.inf if time_limit is None else began + time_limit
     tell = _Teller(starts, progress)
     with ExitStack() as stack:
         client = stack.enter_context(connect(cluster)) if cluster else None
         effort = Effort(starts, jobs or int(joblib.cpu_count()), seed, deadline, tell, client)
-        if shortest < longest:
-            problem = best_period(problem, effort, shortest, longest)
-            initial = problem.random(np.random.default_rng([seed, 0]))
-        if harmonics is None:
-            problem, searches = grow(problem, effort, top_hz)
-        else:
-            searches = MultiStart(problem, effort).run()
-    trajectory = _best(problem, initial, searches)
-    ends = (initial, trajectory)
-    return outcome(
-        problem.information, criterion, ends, problem.scene, searches, time.time() - began
-    )
+        problem, searches = search(problem, effort, shortest, top_hz if harmonics is None else None)
+    first = replace(problem, series=problem.series.resized(terms))
+    initial = first.random(np.random.default_rng([seed, 0]))
+    chosen = _best(problem, initial, searches)
+    wall_s = time.time() - began
+    return Design(problem.information, criterion, initial, chosen, scene, searches, wall_s)
+
+
+def number_of_starts(starts: int | None, time_limit: float | None, default: int) -> int | None:
+    """The starts asked for, else the default; None for as many as fit into a time limit."""
+    if starts is not None and starts < 1:
+        raise BadInput(f"{starts} starts: at least one is needed")
+    return default if starts is None and time_limit is None else starts
+
+
+def period_range(duration: float | tuple[float, float]) -> tuple[float, float]:
+    """The shortest and the longest period [s]."""
+    shortest, longest = duration if isinstance(duration, tuple) else (duration, duration)
+    if not 0 < shortest <= longest:
+        raise BadInput(f"duration {shortest:g} to {longest:g} s: give the shorter one first")
+    return shortest, longest
 
 
 def _information(problem: DesignProblem, trajectory: Trajectory) -> Array:
@@ -210,13 +213,11 @@ class _Teller:
         state = min(states, key=lambda s: s.best_value)
         if state.best is not None and state.best_value < self.told:
             self.told = state.best_value
-            self._look(problem, problem.trajectory(state.best))
+            trajectory = problem.trajectory(state.best)
+            M = _information(problem, trajectory)
+            exact = objective(M, problem.criterion)
+            if exact < self.exact:
+                self.exact, self.condition = exact, condition_number(M)
+                self.ratio = check(problem.robot, trajectory).worst.ratio
         done = sum(s.status not in ("running", "stalled") for s in states)
         self.progress(done, self.total, self.condition, self.ratio)
-
-    def _look(self, problem: DesignProblem, trajectory: Trajectory) -> None:
-        M = _information(problem, trajectory)
-        exact = objective(M, problem.criterion)
-        if exact < self.exact:
-            self.exact, self.condition = exact, condition_number(M)
-            self.ratio = check(problem.robot, trajectory).worst.ratio

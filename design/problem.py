@@ -9,11 +9,10 @@ from functools import cached_property, partial
 import numpy as np
 import numpy.typing as npt
 
-from excitant.design.clearance import clearance_use, pose_use
+from excitant.design.clearance import pose_use
 from excitant.design.constraints import kinematic_limits
 from excitant.design.criterion import Information, objective
 from excitant.design.feasible import random_start
-from excitant.design.torque_peaks import torque_peaks
 from excitant.design.trajectory import Series, Trajectory
 from excitant.robots import Array, Motion, Robot
 from excitant.robots.geometry import Scene
@@ -122,11 +121,8 @@ class DesignProblem:
         return random_start(self.robot, rng, self.series, use)
 
     def unknowns(self, trajectory: Trajectory) -> Array:
-        """The unknowns of a trajectory at rest, or of the nearest to one of other functions."""
-        if trajectory.series == self.series:
-            z: Array = self.Z.T @ trajectory.coefficients
-        else:
-            z = self.Z.T @ self.series.nearest(trajectory)
+        """The unknowns of a trajectory at rest, or of the nearest that the series holds."""
+        z: Array = self.Z.T @ self.series.nearest(trajectory)
         return z
 
     def information_matrix(self, z: Array, *, smooth: bool = True) -> Array:
@@ -162,13 +158,6 @@ class DesignProblem:
         rise = np.abs(shift * (slope + 0.5 * curve * shift)) / self.bound[order, joint]
         high = use[k, joint] + rise > share
         return (self.instants[k] + shift)[high], joint[high]
-
-    def worst_use(self, z: Array) -> float:
-        """Worst use of the torque bounds at its peaks, and of the clearance."""
-        use = clearance_use(self, z)
-        if np.all(np.isinf(self.torque_bound)):
-            return use
-        return max(use, float(torque_peaks(self, z).use.max(initial=0.0)))
 
 
 def motion_of(z: Array, t: Array, bases: Bases) -> Motion:

@@ -1,147 +1,321 @@
-"""A design as plain values for files and reports."""
+"""A design: a trajectory with its certificate, what it shows of the arm, and how it was found."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from excitant.design.constraints import LimitReport, position_range
-from excitant.design.outcome import Design, dense_motion
-from excitant.design.splines import SplineTrajectory
-from excitant.design.trajectory import Trajectory
-from excitant.design.visibility import visibility
-from excitant.robots import Array, Robot, torque
+from excitant.design.clearance import Clearance, clearance
+from excitant.design.constraints import LimitReport, check
+from excitant.design.criterion import Information, condition_number
+from excitant.design.search import SearchState
+from excitant.design.trajectory import SplineTrajectory, Trajectory
+from excitant.robots import Array, BaseParameters, Motion, Robot, torque
+from excitant.robots.effects import standard_effects
+from excitant.robots.geometry import Scene
+from excitant.robots.motion import read_only
+from excitant.robots.parameters import UNITS
+from excitant.robots.torque import effect_values
 
-_DERIVATIVES = ("position", "velocity", "acceleration", "jerk")
+_DENSE_HZ, _DENSE = 100.0, 1000  # samples of the figures reported: rate, and at least so many
 _POSES = 4  # of the arm, drawn along the motion
+_WEAKEST = 10  # base parameters listed
+_DIRECTIONS = 3  # combinations of base parameters listed
+_MEMBER = 0.3  # coefficient of a unit vector from which a base parameter is named
 
 
-def design_result(design: Design) -> dict[str, Any]:
-    """The content of ``result.json``: numbers, names and lists only, null where unlimited."""
-    uses = design.limits.uses
-    return {
-        "verb": "design",
-        "robot": design.robot.name,
-        "joints": list(design.robot.joints),
-        "revolute": [bool(turns) for turns in design.robot.revolute],
-        "duration": design.duration,
-        "harmonics": design.harmonics,
-        "series": "spline" if isinstance(design.trajectory, SplineTrajectory) else "fourier",
-        "columns": design.columns,
-        "base_parameters": len(design.base),
-        "criterion": design.criterion,
-        "condition_number": {
-            "initial": _number(design.condition_initial),
-            "final": _number(design.condition_final),
-            "lower_bound": None,
-        },
-        **visibility(design),
-        "limits": {use.quantity: use.ratio for use in uses},
-        "limit_values": {
-            use.quantity: _nested(getattr(design.robot.limits, use.quantity)) for use in uses
-        },
-        "worst": {
-            use.quantity: {"joint": use.joint, "t": use.time, "ratio": use.ratio}
-            if use.ratio > 0
-            else None
-            for use in uses
-        },
-        "certified": certified(design.robot, design.limits, design.trajectory),
-        "clearance_m": None if design.clearance is None else design.clearance.certified,
-        "closest": None
-        if design.clearance is None
-        else {
-            "bodies": list(design.clearance.bodies),
-            "t": design.clearance.time,
-            "distance_m": design.clearance.distance,
-        },
-        "obstacles": []
-        if design.scene is None
-        else [obstacle.plain() for obstacle in design.scene.obstacles],
-        "starts": [
-            {
-                "start": start.index,
-                "parent": start.parent,
-                "condition_number": _number(start.condition),
-                "status": start.status,
-                "iterations": start.iterations,
-                "history": [_number(value) for value in start.history],
-            }
-            for start in design.starts
-        ],
-        "iterations": design.iterations,
-        "wall_s": design.wall_s,
-        "files": {},
-    }
+def dense_motion(trajectory: Trajectory) -> Motion:
+    """The samples on which condition numbers are reported, first and last included."""
+    return trajectory.sample(max(_DENSE, round(_DENSE_HZ * trajectory.period)) + 1)
 
 
-def design_series(design: Design) -> dict[str, Array]:
-    """Curves of a design: one period of the motion with its torque, path and eigenvalues.
+@dataclass(frozen=True, eq=False)
+class Design:
+    """An excitation trajectory and what it achieves.
 
-    Returns:
-        ``t`` (n,), ``q``, ``dq``, ``ddq``, ``tau`` (n, nv), ``eigenvalues_initial``,
-        ``eigenvalues_final`` (r,), and in the base frame [m] ``tool`` (n, 3), the origin of
-        the tool's frame, and ``arm`` (poses, nodes, 3), the arm as a line from the base through
-        the joints to the tool at the instants ``arm_t`` (poses,). A branched arm has
-        ``other_tools`` (n, ends − 1, 3) too, and its lines are parted by NaN. With a limit on
-        jerk also ``dddq`` (n, nv).
+    Condition numbers and eigenvalues are those of the base columns, unscaled, at 100 Hz or at
+    1000 samples if that is denser, with the true sign of velocity; weighted by noise and with
+    the information of earlier recordings where these were given.
+
+    Attributes:
+        information: What is made visible on which arm: columns, base parameters, weights.
+        criterion: ``"condition"``, ``"d"``, ``"a"`` or ``"e"``.
+        initial: The first random feasible trajectory.
+        trajectory: The excitation trajectory, at rest at both ends.
+        scene: The arm's bodies and obstacles; None without.
+        starts: How each search went.
+        wall_s: Time taken [s].
     """
-    robot, motion = design.robot, dense_motion(design.trajectory)
-    tool, others, arm = _skeleton(robot, motion.q)
-    near = None if design.clearance is None else design.clearance.time
-    poses = _telling_poses(tool, motion.t, near)
-    series = {
-        "t": motion.t,
-        "q": motion.q,
-        "dq": motion.dq,
-        "ddq": motion.ddq,
-        "tau": torque(robot, motion),
-        "eigenvalues_initial": design.eigenvalues_initial,
-        "eigenvalues_final": design.eigenvalues_final,
-        "tool": tool,
-        "arm": arm[poses],
-        "arm_t": motion.t[poses],
-    }
-    if others.size:
-        series["other_tools"] = others
-    if robot.limits.orders > 3:
-        series["dddq"] = design.trajectory(motion.t, 3)
-    return series
+
+    information: Information
+    criterion: str
+    initial: Trajectory
+    trajectory: Trajectory
+    scene: Scene | None
+    starts: tuple[SearchState, ...]
+    wall_s: float
+
+    @property
+    def robot(self) -> Robot:
+        """The arm."""
+        return self.information.robot
+
+    @property
+    def base(self) -> BaseParameters:
+        """Base parameters of the columns."""
+        return self.information.base
+
+    @property
+    def columns(self) -> str:
+        """``"friction"`` or ``"inertial"``."""
+        return self.information.columns
+
+    @property
+    def duration(self) -> float:
+        """Period [s]."""
+        return self.trajectory.period
+
+    @property
+    def harmonics(self) -> int:
+        """Number of harmonics; of a spline, half its pieces."""
+        return self.trajectory.harmonics
+
+    @property
+    def iterations(self) -> int:
+        """Steps taken in all searches together."""
+        return sum(start.iterations for start in self.starts)
+
+    @cached_property
+    def before(self) -> Array:
+        """M = WᵀW / n of the initial trajectory, shape (r, r)."""
+        return self.information.matrix(dense_motion(self.initial))
+
+    @cached_property
+    def after(self) -> Array:
+        """M of the trajectory, shape (r, r)."""
+        return self.information.matrix(dense_motion(self.trajectory))
+
+    @property
+    def eigenvalues_initial(self) -> Array:
+        """Eigenvalues of M before, ascending, shape (r,)."""
+        return read_only(np.linalg.eigvalsh(self.before))
+
+    @property
+    def eigenvalues_final(self) -> Array:
+        """Eigenvalues of M after."""
+        return read_only(np.linalg.eigvalsh(self.after))
+
+    @property
+    def condition_initial(self) -> float:
+        """Condition number of the initial trajectory."""
+        return condition_number(self.before)
+
+    @property
+    def condition_final(self) -> float:
+        """Condition number of the trajectory."""
+        return condition_number(self.after)
+
+    @cached_property
+    def limits(self) -> LimitReport:
+        """Worst use of every limit over the continuous motion."""
+        return check(self.robot, self.trajectory)
+
+    @cached_property
+    def clearance(self) -> Clearance | None:
+        """Smallest distance over the continuous motion; None without a scene."""
+        return None if self.scene is None else clearance(self.scene, self.trajectory)
+
+    def result(self) -> dict[str, Any]:
+        """The content of ``result.json``: numbers, names and lists only, null where unlimited.
+
+        The parameters with the least torque of their own after the design are the ``weakest``,
+        least first; see `weak_directions` for the combinations shown worst.
+        """
+        robot, near, names = self.robot, self.clearance, self._names
+        worst = [
+            {"joint": use.joint, "t": use.time, "ratio": use.ratio} if use.ratio > 0 else None
+            for use in self.limits.uses
+        ]
+        return {
+            "verb": "design",
+            "robot": robot.name,
+            "joints": list(robot.joints),
+            "revolute": robot.revolute.tolist(),
+            "duration": self.duration,
+            "harmonics": self.harmonics,
+            "series": "spline" if isinstance(self.trajectory, SplineTrajectory) else "fourier",
+            "columns": self.columns,
+            "base_parameters": len(self.base),
+            "criterion": self.criterion,
+            "condition_number": {
+                "initial": _number(self.condition_initial),
+                "final": _number(self.condition_final),
+                "lower_bound": None,
+            },
+            "condition_number_scaled": {
+                "initial": scaled_condition_number(self.before),
+                "final": scaled_condition_number(self.after),
+            },
+            "joint_weights": self.information.weights.tolist(),
+            "weakest": self._weakest(),
+            "weak_directions": {
+                "initial": weak_directions(names, self.before, self.after),
+                "final": weak_directions(names, self.after, self.before),
+            },
+            "limits": {use.quantity: use.ratio for use in self.limits.uses},
+            "limit_values": {
+                use.quantity: _nested(getattr(robot.limits, use.quantity))
+                for use in self.limits.uses
+            },
+            "worst": dict(zip((use.quantity for use in self.limits.uses), worst, strict=True)),
+            "certified": {use.quantity: use.certified() for use in self.limits.uses},
+            "clearance_m": None if near is None else near.certified,
+            "closest": None
+            if near is None
+            else {"bodies": list(near.bodies), "t": near.time, "distance_m": near.distance},
+            "obstacles": []
+            if self.scene is None
+            else [obstacle.plain() for obstacle in self.scene.obstacles],
+            "starts": [
+                {
+                    "start": start.index,
+                    "parent": start.parent,
+                    "condition_number": _number(start.condition),
+                    "status": start.status,
+                    "iterations": start.iterations,
+                    "history": [_number(value) for value in start.history],
+                }
+                for start in self.starts
+            ],
+            "iterations": self.iterations,
+            "wall_s": self.wall_s,
+            "files": {},
+        }
+
+    def series(self) -> dict[str, Array]:
+        """Curves: one period of the motion with its torque, path and eigenvalues.
+
+        Returns:
+            ``t`` (n,), ``q``, ``dq``, ``ddq``, ``tau`` (n, nv), ``eigenvalues_initial``,
+            ``eigenvalues_final`` (r,), ascending, and in the base frame [m] ``tool`` (n, 3), the
+            origin of the tool's frame, and ``arm`` (poses, nodes, 3), the arm as a line from the
+            base through the joints to the tool at the instants ``arm_t`` (poses,). A branched arm
+            has ``other_tools`` (n, ends − 1, 3) too, and its lines are parted by NaN. With a limit
+            on jerk also ``dddq`` (n, nv).
+        """
+        robot, motion = self.robot, dense_motion(self.trajectory)
+        tool, others, arm = _skeleton(robot, motion.q)
+        near = None if self.clearance is None else self.clearance.time
+        poses = _telling_poses(tool, motion.t, near)
+        series: dict[str, Array] = {
+            "t": motion.t,
+            "q": motion.q,
+            "dq": motion.dq,
+            "ddq": motion.ddq,
+            "tau": torque(robot, motion),
+            "eigenvalues_initial": self.eigenvalues_initial,
+            "eigenvalues_final": self.eigenvalues_final,
+            "tool": tool,
+            "arm": arm[poses],
+            "arm_t": motion.t[poses],
+        }
+        if others.size:
+            series["other_tools"] = others
+        if robot.limits.orders > 3:
+            series["dddq"] = self.trajectory(motion.t, 3)
+        return series
+
+    @property
+    def _names(self) -> list[str]:
+        return [self.base.names[k] for k in self.base.columns]
+
+    def _weakest(self) -> list[dict[str, Any]]:
+        base, robot = self.base, self.robot
+        n = len(dense_motion(self.trajectory))
+        lone = {"initial": lone_torque(self.before), "final": lone_torque(self.after)}
+        known = dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True))
+        known |= effect_values(robot)
+        beta = base.regrouping @ np.array([known.get(name, 0.0) for name in base.names])
+        effects = standard_effects(robot.joints) if self.columns == "friction" else ()
+        units = [*UNITS * robot.nv, *(p.unit for e in effects for p in e.parameters(robot))]
+        return [
+            {
+                "name": self._names[k],
+                "expression": base.expressions[k],
+                "unit": units[base.columns[k]],
+                "value": float(beta[k]),
+                **{f"information_{when}": float(size[k]) for when, size in lone.items()},
+                **{
+                    f"std_per_unit_noise_{when}": 1 / (math.sqrt(n) * float(size[k]))
+                    for when, size in lone.items()
+                },
+            }
+            for k in np.argsort(lone["final"], kind="stable")[:_WEAKEST]
+        ]
 
 
-def certified(
-    robot: Robot, report: LimitReport, trajectory: Trajectory | None = None
-) -> dict[str, list[dict[str, float] | None]]:
-    """What each limited quantity of each joint provably stays within, between samples too.
+def scaled_condition_number(M: Array) -> float | None:
+    """cond₂ of W with columns scaled to unit length, from M = WᵀW / n; None with a zero column."""
+    length = np.sqrt(np.diag(M))
+    return condition_number(M / np.outer(length, length)) if length.all() else None
+
+
+def lone_torque(M: Array) -> Array:
+    """Torque that only one base parameter explains, root mean square per its unit, shape (r,).
+
+    1 / √(M⁻¹)ₖₖ is the length of column k of W / √n outside the span of the other columns. From
+    n instants with white noise of standard deviation σ, least squares estimates the parameter
+    with the standard deviation σ / (√n · this); with weighted joints σ is the geometric mean
+    of theirs.
 
     Args:
-        robot: The arm.
-        report: Use of its limits by a continuous motion.
-        trajectory: That motion, if its extrema are known exactly; without it the range is as
-            wide on both sides of the limits' middle.
-
-    Returns:
-        By quantity and joint ``low`` and ``high`` in the quantity's unit, the largest ``ratio``
-        to the limit and when it occurs, ``t`` [s]; None where the joint has no limit.
+        M: Information WᵀW / n, shape (r, r).
     """
-    found = {}
-    for use in report.uses:
-        half = np.asarray(getattr(robot.limits, use.quantity), float)
-        middle = np.zeros(robot.nv)
-        if use.quantity == "position":
-            middle, half = position_range(robot.limits)
-        reach = use.ratios * np.where(np.isfinite(half), half, 0.0)
-        low, high = middle - reach, middle + reach
-        if trajectory is not None and use.quantity in _DERIVATIVES:
-            low, high = trajectory.extrema(_DERIVATIVES.index(use.quantity))
-        rows = zip(*(x.tolist() for x in (half, low, high, use.ratios, use.times)), strict=True)
-        found[use.quantity] = [
-            {"low": lo, "high": hi, "ratio": ratio, "t": t} if np.isfinite(h) else None
-            for h, lo, hi, ratio, t in rows
-        ]
+    values, V = np.linalg.eigh(M)
+    floor = max(float(values[-1]), 1e-300) * np.finfo(float).eps
+    lone: Array = 1 / np.sqrt((V**2 / np.maximum(values, floor)).sum(axis=1))
+    return lone
+
+
+def weak_directions(
+    names: Sequence[str], M: Array, other: Array, count: int = _DIRECTIONS
+) -> list[dict[str, Any]]:
+    """Combinations of base parameters that a motion shows worst, weakest first.
+
+    They are the last right singular vectors v of W. ``strength`` is ‖W v‖ / √n [N·m], the root
+    mean square torque per unit; ``other`` is that of the same direction in another motion;
+    ``members`` are the coefficients of size 0.3 and more, and ``share`` their part of v (of 1).
+
+    Args:
+        names: Names of the base parameters, r of them.
+        M: Information WᵀW / n of the motion, shape (r, r).
+        other: Information of the other motion, same shape.
+        count: How many.
+    """
+    found = []
+    for v in np.linalg.eigh(M)[1].T[:count]:
+        order = np.argsort(-np.abs(v), kind="stable")
+        v = v * np.sign(v[order[0]])
+        kept = [k for k in order if abs(v[k]) >= _MEMBER] or [order[0]]
+        found.append(
+            {
+                "strength": _strength(M, v),
+                "other": _strength(other, v),
+                "members": [{"name": names[k], "coefficient": float(v[k])} for k in kept],
+                "share": float((v[kept] ** 2).sum()),
+            }
+        )
     return found
+
+
+def _strength(M: Array, v: Array) -> float:
+    return float(np.sqrt(max(float(v @ M @ v), 0.0)))
 
 
 def _skeleton(robot: Robot, q: Array) -> tuple[Array, Array, Array]:

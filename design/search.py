@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from excitant.design.criterion import condition_number, objective
+from excitant.design.peaks import worst_use
 from excitant.design.problem import DesignProblem
-from excitant.design.subproblem import PENALTY, local_model, solve_step
+from excitant.design.step import PENALTY, local_model, solve_step
 from excitant.robots import Array
 
 FEASIBLE = 5e-5  # torque excess that the margin kept in the bounds covers
@@ -62,6 +63,11 @@ class SearchState:
         return self.value + PENALTY * self.excess
 
     @property
+    def condition(self) -> float:
+        """Condition number at the samples of the search, with the smooth sign of velocity."""
+        return self.history[-1] if self.history else np.inf
+
+    @property
     def iterations(self) -> int:
         """Steps taken."""
         return max(len(self.history) - 1, 0)
@@ -70,7 +76,7 @@ class SearchState:
         """The search moved to z, and that entered into its history."""
         M = problem.information_matrix(z)
         value = objective(M, problem.criterion)
-        excess = max(0.0, problem.worst_use(z) - 1.0)
+        excess = max(0.0, worst_use(problem, z) - 1.0)
         new = replace(self, z=z, value=value, excess=excess)
         if excess <= FEASIBLE and value < self.best_value:
             new = replace(new, best=z, best_value=value)

@@ -1,35 +1,140 @@
-"""Time-optimal speed along a path under limits on velocity, acceleration and torque."""
+"""Motion to an excitation and back: time-optimal speed along a path that keeps all limits."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from excitant.design.constraints import LimitReport, LimitUse, check
-from excitant.design.paths import Path
-from excitant.design.profile import PathDynamics, Profile, path_dynamics, path_kinematics
-from excitant.exceptions import Infeasible
-from excitant.robots import Array, Motion, Robot
+from excitant.design.path import (
+    HOLDING,
+    Obstruction,
+    Path,
+    free_path,
+    holding_refusal,
+    static_torque,
+)
+from excitant.exceptions import BadInput, Infeasible
+from excitant.robots import Array, Motion, Robot, torque
+from excitant.robots.geometry import Scene
+from excitant.robots.motion import freeze, read_only
+from excitant.robots.torque import largest_torque
 
 DEFAULT_ACCELERATION = 10.0  # rad/s² or m/s², of a joint with neither acceleration nor torque limit
 
 _UNBOUNDED = 1e4  # of the joint speed in units of the path, where there is no limit
 _STAGES = 300  # intervals of the path at least
+_STAGES_PER_PIECE = 8
 _PASSES = 8  # of the linearisation of friction in the squared speed
 _SETTLED = 5e-4  # relative change of the duration between passes
-_STAGES_PER_PIECE = 8
 _BLUR = 2.0  # samples over which a jump of acceleration is spread
 _TIGHTENED = 6  # attempts to hold the limits between samples by lower limits
 _SLOWER = 15  # and by a lower speed
 
 
-def timed(
-    robot: Robot, path: Path, rate_hz: float, slowdown: float = 1.0, *, problem: str = "timing"
+def approach(
+    robot: Robot,
+    start: npt.ArrayLike,
+    goal: npt.ArrayLike,
+    *,
+    scene: Scene | None = None,
+    clearance: float = 0.0,
+    rate_hz: float = 100.0,
+    rng: np.random.Generator | None = None,
+    name: str = "approach",
 ) -> Motion:
-    """The fastest or a slower motion along a path, with all limits held between samples too.
+    """Fastest motion from rest at one pose to rest at another, to or from an excitation.
+
+    The path is the straight line in joint space. Where that comes too close to an obstacle, or
+    through a pose that the motors cannot hold, it leads around (`excitant.design.path`).
+    Its speed is that of TOPP-RA (Pham and Pham 2018) under the limits on velocity, acceleration
+    and torque, the robot's effects included. A joint without acceleration limit is held by its
+    torque limit alone; with neither, `DEFAULT_ACCELERATION` applies. At both ends q̇ = q̈ = 0. All
+    limits hold between samples too, in the sense of `excitant.design.constraints.check`.
+
+    Args:
+        robot: Arm with its limits and effects.
+        start: Present pose, shape (nv,) [rad or m].
+        goal: Pose to reach, shape (nv,) [rad or m].
+        scene: The arm's bodies among obstacles; None to leave clearance out.
+        clearance: Smallest distance that they keep [m].
+        rate_hz: Control rate of the samples [Hz].
+        rng: Source of via points; seeded with 0 by default.
+        name: What an error says has failed.
+
+    Raises:
+        BadInput: Poses of another size or outside the limits, or a rate that makes no sense.
+        Infeasible: No way was found, or a pose needs more torque than the limit against gravity.
+    """
+    if not 1 <= rate_hz <= 10_000:
+        raise BadInput(f"{name}: rate {rate_hz:g} Hz: give 1 to 10000 Hz")
+    ends = []
+    for which, values in (("start", start), ("goal", goal)):
+        pose = _pose(robot, values, f"{name}: {which}")
+        _require_holdable(robot, pose, scene, clearance, (name, which))
+        ends.append(pose)
+    if np.array_equal(ends[0], ends[1]):
+        return _still(ends[0], np.array([0.0, 1.0 / rate_hz]))
+    rng = np.random.default_rng(0) if rng is None else rng
+    path = free_path(robot, ends[0], ends[1], scene, clearance, rng)
+    if isinstance(path, Obstruction):
+        raise Infeasible(
+            name,
+            f"{path.why} at {100 * path.share:.3g} % of the straight line and no way around was "
+            "found; choose another pose",
+        )
+    return timed(robot, path, rate_hz, name)
+
+
+def _pose(robot: Robot, values: npt.ArrayLike, what: str) -> Array:
+    try:
+        pose = read_only(values)
+    except (TypeError, ValueError):
+        raise BadInput(f"{what} is not a list of numbers") from None
+    if pose.shape != (robot.nv,):
+        raise BadInput(
+            f"{what} has shape {pose.shape}, expected ({robot.nv},) for the {robot.nv} joints of "
+            f"{robot.name}"
+        )
+    low, high = robot.limits.position.T
+    hair = 1e-9 * np.maximum(1.0, np.abs(pose))
+    for j in np.flatnonzero(~((pose >= low - hair) & (pose <= high + hair) & np.isfinite(pose))):
+        raise BadInput(
+            f"{what}: joint {robot.joints[j]} at {pose[j]:.6g} is outside its limits "
+            f"{low[j]:.6g} to {high[j]:.6g}"
+        )
+    return pose
+
+
+def _require_holdable(
+    robot: Robot, pose: Array, scene: Scene | None, clearance: float, what: tuple[str, str]
+) -> None:
+    """Refuse an end pose that the motors cannot hold or that touches an obstacle."""
+    name, which = what
+    share = np.abs(largest_torque(robot, _still(pose, np.zeros(1)))[0]) / robot.limits.torque
+    j = int(share.argmax())
+    if share[j] > HOLDING:
+        why = f"{holding_refusal(robot, j, float(share[j]))} in the {which} pose"
+        raise Infeasible(name, f"{why}; choose another pose")
+    distance = np.inf if scene is None else float(scene.distances(pose[None]).min())
+    if not distance >= clearance:
+        raise Infeasible(
+            name,
+            f"the {which} pose has a clearance of {distance:.4g} m, needed are "
+            f"{clearance:.4g} m; choose another pose",
+        )
+
+
+def _still(pose: Array, t: Array) -> Motion:
+    q = np.tile(pose, (len(t), 1))
+    return Motion(t, q, np.zeros_like(q), np.zeros_like(q))
+
+
+def timed(robot: Robot, path: Path, rate_hz: float, name: str = "timing") -> Motion:
+    """The fastest motion along a path from rest to rest, all limits held between samples too.
 
     Where the samples exceed a limit, the speed is computed again under a limit lower by the
     excess. Where that leaves no solution, because an arm barely holds its own weight, the motion
@@ -39,9 +144,7 @@ def timed(
         robot: Arm with its limits and effects.
         path: The path.
         rate_hz: Control rate of the samples [Hz].
-        slowdown: Factor ≥ 1 on the shortest duration. Where a slower arm would need more
-            torque, because it no longer swings past a pose that is hard to hold, it is slower.
-        problem: What fails when there is no solution.
+        name: What fails when there is no solution.
 
     Raises:
         Infeasible: No speed holds the limits.
@@ -49,92 +152,120 @@ def timed(
     tightened, profiles = robot, list[Profile]()
     for _ in range(_TIGHTENED):
         try:
-            profiles.append(_profile(tightened, path, rate_hz, slowdown, problem))
+            profiles.append(time_optimal(tightened, path, blur=_BLUR / rate_hz, name=name))
         except Infeasible:
             if not profiles:
                 raise
             break
         motion = profiles[-1].motion(path, rate_hz)
-        report = check(robot, motion)
-        if _holds(report):
+        uses = _of_speed(check(robot, motion))
+        if all(use.ratio <= 1 for use in uses):
             return motion
-        tightened = _tightened(tightened, report)
+        lower = {
+            use.quantity: getattr(tightened.limits, use.quantity)
+            / np.where(use.ratios > 1, use.ratios + 1e-4, 1.0)
+            for use in uses
+        }
+        tightened = tightened.with_limits(replace(tightened.limits, **lower))
     for factor in 1 + 1e-3 * 2.0 ** np.arange(_SLOWER):
-        motion = profiles[0].slower(factor).motion(path, rate_hz)
-        report = check(robot, motion)
-        if _holds(report):
+        slower = replace(profiles[0], speed=profiles[0].speed / factor)
+        motion = slower.motion(path, rate_hz)
+        uses = _of_speed(check(robot, motion))
+        if all(use.ratio <= 1 for use in uses):
             return motion
-    worst = max(_timely(report), key=lambda use: use.ratio)
+    worst = max(uses, key=lambda use: use.ratio)
     raise Infeasible(
-        problem,
+        name,
         f"the {worst.quantity} limit of joint {worst.joint} does not hold at any speed; choose "
         "another path or raise it",
     )
 
 
-def _profile(robot: Robot, path: Path, rate_hz: float, slowdown: float, problem: str) -> Profile:
-    blur = _BLUR / rate_hz
-    profile = time_optimal(robot, path, blur=blur, problem=problem)
-    if slowdown == 1:
-        return profile
-    cap = profile.slower(slowdown).speed
-    return time_optimal(robot, path, cap, blur=blur, problem=problem)
-
-
-def _timely(report: LimitReport) -> tuple[LimitUse, ...]:
+def _of_speed(report: LimitReport) -> tuple[LimitUse, ...]:
     """The limits that depend on the speed along the path."""
     return (report.velocity, report.acceleration, report.torque)
 
 
-def _holds(report: LimitReport) -> bool:
-    return all(use.ratio <= 1 for use in _timely(report))
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Speed ṡ over position s of a path, with constant s̈ between the points given.
+
+    Attributes:
+        s: Positions, increasing from 0 to 1, shape (n,).
+        speed: ṡ there, shape (n,) [1/s]; nowhere zero at two neighbours.
+    """
+
+    s: Array
+    speed: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "s", "speed")
+
+    @property
+    def t(self) -> Array:
+        """When each position is reached, shape (n,) [s]."""
+        return np.append(0.0, np.cumsum(2 * np.diff(self.s) / (self.speed[:-1] + self.speed[1:])))
+
+    @property
+    def duration(self) -> float:
+        """Time from 0 to 1 [s]."""
+        return float(self.t[-1])
+
+    def positions(self, n: int) -> Array:
+        """Positions at ``n`` equidistant instants, first and last included, shape (n,)."""
+        t = self.t
+        instants = np.linspace(0.0, t[-1], n)
+        i = np.clip(np.searchsorted(t, instants, side="right") - 1, 0, len(t) - 2)
+        into = instants - t[i]
+        rate = (self.speed[i + 1] - self.speed[i]) / (t[i + 1] - t[i])
+        s: Array = np.clip(self.s[i] + self.speed[i] * into + rate * into**2 / 2, 0.0, 1.0)
+        s[0], s[-1] = 0.0, 1.0
+        return s
+
+    def motion(self, path: Path, rate_hz: float) -> Motion:
+        """Samples of the path at a control rate [Hz], with q̇ = q̈ = 0 at both ends.
+
+        The positions at the control instants become the control points of a uniform cubic
+        spline s(t), which turns jumps of acceleration into ramps of one sample. Its derivatives
+        are means of differences of the control points, so it is nowhere faster nor more
+        accelerated than the profile. It takes up to three samples longer.
+        """
+        n = max(1, int(np.ceil(self.duration * rate_hz - 1e-9)))
+        control = np.concatenate([np.zeros(2), self.positions(n + 1), np.ones(2)])
+        before, now, after = control[:-2], control[1:-1], control[2:]
+        s = (before + 4 * now + after) / 6
+        ds = ((after - before) * rate_hz / 2)[:, None]
+        dds = ((after - 2 * now + before) * rate_hz**2)[:, None]
+        dq = path(s, 1)
+        t = np.arange(len(s)) / rate_hz
+        return Motion(t, path(s), dq * ds, dq * dds + path(s, 2) * ds**2)
 
 
-def _tightened(robot: Robot, report: LimitReport) -> Robot:
-    """The robot with each exceeded limit lowered by the excess and a hair."""
-    lower = {
-        use.quantity: getattr(robot.limits, use.quantity)
-        / np.where(use.ratios > 1, use.ratios + 1e-4, 1.0)
-        for use in _timely(report)
-    }
-    return robot.with_limits(replace(robot.limits, **lower))
-
-
-def time_optimal(
-    robot: Robot,
-    path: Path,
-    cap: Array | None = None,
-    *,
-    blur: float = 0.0,
-    problem: str = "timing",
-) -> Profile:
+def time_optimal(robot: Robot, path: Path, *, blur: float = 0.0, name: str = "timing") -> Profile:
     """Fastest speed along a path from rest to rest, by TOPP-RA (Pham and Pham 2018).
 
     Friction that depends on the speed is linearised in its square at the result before, until
-    the duration settles or there is no solution any more. A joint without acceleration limit is
-    held by its torque limit; with neither, by `DEFAULT_ACCELERATION`.
+    the duration settles or there is no solution any more.
 
     Args:
         robot: Arm with its limits and effects.
         path: The path.
-        cap: Largest speed ṡ at the positions of the result, shape (n,) [1/s].
-        blur: See `path_dynamics` [s].
-        problem: What fails when there is no solution.
+        blur: Time before and after each position over which dry friction is taken at its worst,
+            because it jumps where a joint turns back while the acceleration takes time [s].
+        name: What fails when there is no solution.
 
     Raises:
         Infeasible: No speed holds the limits.
     """
-    grid = np.linspace(0.0, 1.0, max(_STAGES, _STAGES_PER_PIECE * path.pieces) + 1)
+    s = np.linspace(0.0, 1.0, max(_STAGES, _STAGES_PER_PIECE * path.pieces) + 1)
     limits = robot.limits
     unlimited = np.isinf(limits.acceleration) & np.isinf(limits.torque)
     acceleration = np.where(unlimited, DEFAULT_ACCELERATION, limits.acceleration)
-    kinematic = path_kinematics(path, grid)
     unit, profile = _time_scale(robot, path, acceleration), None
     for _ in range(_PASSES):
         speed = None if profile is None else profile.speed
-        dynamics = path_dynamics(robot, path, grid, speed, blur)
-        rows = [(kinematic, acceleration), (dynamics, limits.torque)]
-        found = _topp(path, grid, limits.velocity, cap, rows, unit)
+        dynamics = _dynamics(robot, path, s, speed, blur)
+        found = _topp(path, s, limits.velocity, (acceleration, limits.torque), dynamics, unit)
         if found is None:
             break
         settled = profile is not None and abs(found.duration / unit - 1) < _SETTLED
@@ -142,7 +273,7 @@ def time_optimal(
         if settled:
             break
     if profile is None:
-        raise Infeasible(problem, "no speed along the path holds the limits; choose another path")
+        raise Infeasible(name, "no speed along the path holds the limits; choose another path")
     return profile
 
 
@@ -153,61 +284,85 @@ def _time_scale(robot: Robot, path: Path, acceleration: Array) -> float:
     return float(np.max(np.maximum(way / robot.limits.velocity, 2 * np.sqrt(way / finite))))
 
 
+_Dynamics = tuple[Array, Array, Array, Array]  # a, b, smallest and largest c
+
+
+def _dynamics(robot: Robot, path: Path, s: Array, speed: Array | None, blur: float) -> _Dynamics:
+    """Torque on a path as τ = a s̈ + b ṡ² + c (Bobrow et al. 1985), each of shape (n, nv).
+
+    Friction that depends on the speed is not of this form. It is replaced by its secant in ṡ²
+    between rest and the given speed, where it is then exact; without a speed it is left out.
+    c is gravity and dry friction, the smallest and the largest around each position.
+    """
+    q, dq, ddq = path(s), path(s, 1), path(s, 2)
+    zero = np.zeros_like(q)
+
+    def tau(v: Array, a: Array) -> Array:
+        return torque(robot, Motion(s, q, v, a))
+
+    rest = tau(zero, zero)
+    a = tau(zero, dq) - rest
+    b = (tau(dq, ddq) + tau(-dq, ddq)) / 2 - rest
+    c = static_torque(robot, q, dq)
+    if speed is None or not robot.effects:
+        return a, b, c, c
+    v = speed[:, None]
+    friction = tau(v * dq, v**2 * ddq) - b * v**2 - c
+    b = b + np.divide(friction, v**2, out=np.zeros_like(b), where=v > 1e-6 * speed.max())
+    reach = np.ceil(blur * speed / (s[1] - s[0])).astype(int)
+    return a, b, -_largest_around(-c, reach), _largest_around(c, reach)
+
+
+def _largest_around(values: Array, reach: npt.NDArray[np.int_]) -> Array:
+    """Largest value of each column within ``reach`` rows, same shape (n, m)."""
+    rows = np.arange(len(values))
+    largest = values.copy()
+    for shift in range(1, min(int(reach.max()), len(values)) + 1):
+        for neighbour in (rows - shift, rows + shift):
+            near = np.where(reach >= shift, np.clip(neighbour, 0, rows[-1]), rows)
+            largest = np.maximum(largest, values[near])
+    return largest
+
+
 def _topp(
     path: Path,
-    grid: Array,
+    s: Array,
     velocity: Array,
-    cap: Array | None,
-    rows: list[tuple[PathDynamics, Array]],
+    bounds: tuple[Array, Array],
+    dynamics: _Dynamics,
     unit: float,
 ) -> Profile | None:
-    """Solve |q' ṡ| ≤ velocity, |a s̈ + b ṡ² + c| ≤ bound for the fastest ṡ, in a unit of time."""
+    """Fastest ṡ with |q' ṡ|, |q' s̈ + q'' ṡ²| and |a s̈ + b ṡ² + c| bounded, in a unit of time."""
     from toppra.algorithm import TOPPRA
     from toppra.constraint import JointVelocityConstraint
 
+    zero = np.zeros((len(s), path.dof))
+    kinematics = (path(s, 1), path(s, 2), zero, zero)
     limits = [JointVelocityConstraint(np.minimum(velocity * unit, _UNBOUNDED))]
-    if cap is not None:
-        limits.append(_speed_constraint(cap * unit))
-    for dynamics, bound in rows:
-        bounded = np.isfinite(bound)
-        if bounded.any():
-            limits.append(_linear_constraint(dynamics, bound, bounded, unit))
-    problem = TOPPRA(limits, path, gridpoints=grid, solver_wrapper="seidel")
+    for parts, bound in zip((kinematics, dynamics), bounds, strict=True):
+        if np.isfinite(bound).any():
+            limits.append(_linear_constraint(parts, bound, unit))
+    problem = TOPPRA(limits, path, gridpoints=s, solver_wrapper="seidel")
     speed = problem.compute_parameterization(0.0, 0.0)[1]
-    if speed is None or not np.isfinite(speed).all():
+    if speed is None or not np.isfinite(speed).all() or np.any(speed[:-1] + speed[1:] <= 0):
         return None
-    if np.any(speed[:-1] + speed[1:] <= 0):
-        return None
-    return Profile(grid, speed / unit)
+    return Profile(s, speed / unit)
 
 
-def _speed_constraint(cap: Array) -> Any:
-    """The constraint 0 ≤ ṡ ≤ cap as toppra takes it."""
-    from toppra.constraint import LinearConstraint
-
-    squared = np.stack([np.zeros(len(cap)), cap**2], axis=1)
-    constraint = LinearConstraint()
-    constraint.compute_constraint_params = lambda path, grid: (None,) * 6 + (squared,)
-    return constraint
-
-
-def _linear_constraint(
-    dynamics: PathDynamics, bound: Array, rows: npt.NDArray[np.bool_], unit: float
-) -> Any:
+def _linear_constraint(dynamics: _Dynamics, bound: Array, unit: float) -> Any:
     """The constraint |a s̈ + b ṡ² + c| ≤ bound as toppra takes it, at both ends of each stage."""
     from toppra.constraint import DiscretizationType, LinearConstraint
     from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
 
-    a, b = ((x / unit**2 / bound)[:, rows] for x in (dynamics.a, dynamics.b))
-    a, b = np.hstack([a, -a]), np.hstack([b, -b])
-    c = np.hstack([(x / bound)[:, rows] for x in (dynamics.high, -dynamics.low)])
+    bounded = np.isfinite(bound)
+    a, b, low, high = ((part / bound)[:, bounded] for part in dynamics)
+    a, b = np.hstack([a, -a]) / unit**2, np.hstack([b, -b]) / unit**2
+    c = np.hstack([high, -low])
     F, g = np.eye(a.shape[1]), np.ones(a.shape[1])
-
-    def parameters(path: Path, grid: Array) -> Any:
-        return canlinear_colloc_to_interpolate(a, b, c, F, g, None, None, grid, identical=True)
-
     constraint = LinearConstraint()
     constraint.identical = True
     constraint.set_discretization_type(DiscretizationType.Interpolation)
-    constraint.compute_constraint_params = parameters
+    constraint.compute_constraint_params = lambda path, grid: canlinear_colloc_to_interpolate(
+        a, b, c, F, g, None, None, grid, identical=True
+    )
     return constraint

@@ -1,4 +1,4 @@
-"""Excitation trajectories as finite Fourier series, exact in every derivative and extremum."""
+"""Excitation trajectories, Fourier series or B-splines, with exact derivatives and extrema."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
+from scipy.interpolate import BPoly, BSpline, PPoly
 
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, freeze, read_only
 
 _REST = 1e-9  # of the largest possible speed or acceleration of the series
+_DEGREE = 5  # of splines: jerk is continuous, and so is its rate
 
 
 class Series(ABC):
@@ -43,13 +45,10 @@ class Series(ABC):
     def resized(self, terms: int, period: float | None = None) -> Series:
         """The same kind of functions with another number of terms, or another period [s]."""
 
+    @property
     @abstractmethod
-    def constant(self, pose: Array) -> Array:
-        """Coefficients of standing still, shape (c, nv)."""
-
-    @abstractmethod
-    def mean(self, coefficients: Array) -> Array:
-        """Mean pose of the motion with these coefficients, shape (nv,)."""
+    def one(self) -> Array:
+        """Coefficients of the constant 1, shape (c,)."""
 
     @abstractmethod
     def peaks(self, order: int) -> Array:
@@ -62,6 +61,15 @@ class Series(ABC):
         Args:
             bound: Half ranges of q, q̇, q̈ (and more derivatives), shape (≥ 3, nv).
         """
+
+    def constant(self, pose: Array) -> Array:
+        """Coefficients of standing still, shape (c, nv)."""
+        return np.outer(self.one, pose)
+
+    def mean(self, coefficients: Array) -> Array:
+        """Mean pose of the motion with these coefficients, shape (nv,)."""
+        middle: Array = self.one @ coefficients / self.one.sum()
+        return middle
 
     @cached_property
     def rest(self) -> Array:
@@ -207,7 +215,12 @@ class FourierSeries(Series):
 
     def basis(self, t: npt.ArrayLike, order: int = 0) -> Array:
         """The order-th time derivative of the basis functions, shape (n, 1 + 2 H)."""
-        return fourier_basis(t, self.harmonics, self.period, order)
+        w = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)
+        angle = np.atleast_1d(np.asarray(t, float))[:, None] * w
+        cos, sin = np.cos(angle), np.sin(angle)
+        turned = ((cos, sin), (-sin, cos), (-cos, -sin), (sin, -cos))[order % 4]
+        constant = np.full((len(angle), 1), float(order == 0))
+        return np.hstack([constant, turned[0] * w**order, turned[1] * w**order])
 
     def trajectory(self, coefficients: npt.ArrayLike) -> FourierTrajectory:
         """The motion with these coefficients, shape (1 + 2 H, nv)."""
@@ -217,16 +230,11 @@ class FourierSeries(Series):
         """The same functions with another number of harmonics, or another period [s]."""
         return FourierSeries(period or self.period, terms)
 
-    def constant(self, pose: Array) -> Array:
-        """Coefficients of standing still, shape (1 + 2 H, nv)."""
-        X = np.zeros((self.size, len(pose)))
-        X[0] = pose
-        return X
-
-    def mean(self, coefficients: Array) -> Array:
-        """Mean pose of the motion with these coefficients, shape (nv,)."""
-        middle: Array = coefficients[0]
-        return middle
+    @property
+    def one(self) -> Array:
+        """Coefficients of the constant 1, shape (1 + 2 H,)."""
+        one: Array = np.eye(self.size)[0]
+        return one
 
     def peaks(self, order: int) -> Array:
         """Largest magnitude of each basis function's derivative, shape (1 + 2 H,)."""
@@ -313,16 +321,6 @@ def from_coefficients(coefficients: npt.ArrayLike, period: float) -> FourierTraj
     return FourierTrajectory(X[0], X[1 : 1 + H], X[1 + H :], period)
 
 
-def fourier_basis(t: npt.ArrayLike, harmonics: int, period: float, order: int = 0) -> Array:
-    """The order-th time derivative of 1, cos hωt, sin hωt, shape (n, 1 + 2 H)."""
-    w = 2 * np.pi / period * np.arange(1, harmonics + 1)
-    angle = np.atleast_1d(np.asarray(t, float))[:, None] * w
-    cos, sin = np.cos(angle), np.sin(angle)
-    turned = ((cos, sin), (-sin, cos), (-cos, -sin), (sin, -cos))[order % 4]
-    constant = np.full((len(angle), 1), float(order == 0))
-    return np.hstack([constant, turned[0] * w**order, turned[1] * w**order])
-
-
 def _root_angles(trajectory: FourierTrajectory, order: int, joint: int) -> Array:
     """Angles of all complex roots of one joint's derivative, padded to shape (2 H,)."""
     H = trajectory.harmonics
@@ -336,3 +334,145 @@ def _root_angles(trajectory: FourierTrajectory, order: int, joint: int) -> Array
         roots = np.roots(np.concatenate([c[::-1], [0.0], np.conj(c)]))
         angles[: len(roots)] = np.angle(roots)
     return angles
+
+
+@dataclass(frozen=True, eq=False)
+class SplineSeries(Series):
+    """Quintic B-splines on equidistant knots that close to a period.
+
+    Attributes:
+        period: Duration of one period [s].
+        pieces: Number of polynomial pieces, and of basis functions; at least 6.
+    """
+
+    period: float
+    pieces: int
+
+    @property
+    def size(self) -> int:
+        """Number of basis functions."""
+        return self.pieces
+
+    @cached_property
+    def _unit(self) -> BSpline:
+        return _periodic(np.eye(self.pieces), self.period)
+
+    def basis(self, t: npt.ArrayLike, order: int = 0) -> Array:
+        """The order-th time derivative of the basis functions, shape (n, pieces)."""
+        t = np.atleast_1d(np.asarray(t, float))
+        values: Array = self._unit(np.mod(t, self.period), nu=order)
+        return values
+
+    def trajectory(self, coefficients: npt.ArrayLike) -> SplineTrajectory:
+        """The motion with these coefficients, shape (pieces, nv)."""
+        return SplineTrajectory(np.asarray(coefficients, float), self.period)
+
+    def resized(self, terms: int, period: float | None = None) -> SplineSeries:
+        """The same functions with another number of terms, or another period [s]."""
+        return SplineSeries(period or self.period, 2 * terms)
+
+    @property
+    def one(self) -> Array:
+        """Coefficients of the constant 1, shape (pieces,)."""
+        return np.ones(self.pieces)
+
+    def peaks(self, order: int) -> Array:
+        """Largest magnitude of each basis function's derivative, shape (pieces,)."""
+        t = np.linspace(0.0, self.period, 64 * self.pieces + 1)
+        return np.full(self.pieces, np.abs(self.basis(t, order)).max())
+
+    def reach(self, bound: Array) -> Array:
+        """Largest useful change of each coefficient, shape (pieces, nv): half the range.
+
+        Velocity and acceleration limit differences of coefficients, not their size.
+        """
+        return np.tile(bound[0], (self.pieces, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class SplineTrajectory(Trajectory):
+    """Periodic joint motion as a quintic B-spline on equidistant knots.
+
+    q(t) = Σ_k c_k B(t / h − k), periodic, with h = period / pieces (de Boor 1978).
+
+    Attributes:
+        control_points: c, one row per piece, shape (pieces, nv) [rad or m].
+        period: Duration of one period [s].
+    """
+
+    control_points: Array
+    period: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "control_points")
+        object.__setattr__(self, "period", float(self.period))
+        if self.control_points.ndim != 2 or len(self.control_points) <= _DEGREE:
+            raise ValueError(
+                f"control points have shape {self.control_points.shape}; at least {_DEGREE + 1} "
+                "pieces are needed"
+            )
+        if not self.period > 0:
+            raise ValueError(f"period {self.period} is not positive")
+
+    @property
+    def coefficients(self) -> Array:
+        """The control points."""
+        return self.control_points
+
+    @cached_property
+    def series(self) -> SplineSeries:
+        """The basis functions."""
+        return SplineSeries(self.period, len(self.control_points))
+
+    def extremum_times(self, order: int = 0) -> Array:
+        """Instants among which every extremum of a derivative lies, shape (k, nv) [s].
+
+        The roots of the next derivative, piece by piece, and the knots.
+        """
+        pieces = len(self.control_points)
+        knots = np.arange(pieces) * (self.period / pieces)
+        found = []
+        for points in self.control_points.T:
+            spline = _periodic(points, self.period)
+            slope = PPoly.from_spline((spline.t, spline.c, _DEGREE)).derivative(order + 1)
+            roots = slope.roots(extrapolate=False)
+            inside = roots[np.isfinite(roots) & (roots >= 0) & (roots <= self.period)]
+            found.append(np.concatenate([knots, inside]))
+        length = max(len(times) for times in found)
+        padded = [np.pad(times, (0, length - len(times))) for times in found]
+        return read_only(np.stack(padded, axis=1))
+
+
+def _periodic(coefficients: Array, period: float) -> BSpline:
+    """Spline over one period of coefficients (pieces, ...)."""
+    pieces = len(coefficients)
+    knots = np.arange(-_DEGREE, pieces + _DEGREE + 1) * (period / pieces)
+    wrapped = coefficients[np.arange(pieces + _DEGREE) % pieces]
+    return BSpline(knots, wrapped, _DEGREE)
+
+
+@dataclass(frozen=True, eq=False)
+class HermiteTrajectory:
+    """Quintic Hermite interpolant through the q, q̇, q̈ samples of a motion.
+
+    Attributes:
+        samples: The motion; its time strictly increasing.
+    """
+
+    samples: Motion
+
+    def __post_init__(self) -> None:
+        m = self.samples
+        knots = np.stack([m.q, m.dq, m.ddq], axis=1)
+        object.__setattr__(self, "_q", BPoly.from_derivatives(m.t, knots))
+
+    def __call__(self, t: npt.ArrayLike, order: int = 0) -> Array:
+        """Evaluate the motion or its time derivative of the given order, shape (n, nv)."""
+        spline: BPoly = self._q  # type: ignore[attr-defined]
+        values: Array = spline(np.atleast_1d(np.asarray(t, float)), nu=order)
+        return values
+
+    def at(self, t: npt.ArrayLike) -> Motion:
+        """The motion at the given instants [s], shape (n,)."""
+        t = np.atleast_1d(np.asarray(t, float))
+        return Motion(t, self(t), self(t, 1), self(t, 2))

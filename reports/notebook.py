@@ -12,14 +12,12 @@ from typing import Any
 from excitant.analysis import (
     Diagnosis,
     Identifiability,
-    analyze_result,
-    analyze_series,
     diagnose_result,
     diagnose_series,
 )
 from excitant.analysis.rehearsal import Rehearsal
 from excitant.analysis.rehearsal_result import rehearse_result, rehearse_series
-from excitant.design import Design, design_result, design_series
+from excitant.design import Design
 from excitant.exceptions import BadInput
 from excitant.identify import Estimate, identify_result, identify_series
 from excitant.reports.run import REPORT, save_run
@@ -27,9 +25,9 @@ from excitant.reports.run import REPORT, save_run
 Reportable = Design | Estimate | Identifiability | Diagnosis | Rehearsal
 
 _CONTENTS: dict[type, tuple[Callable[[Any], Any], Callable[[Any], Any]]] = {
-    Design: (design_result, design_series),
+    Design: (Design.result, Design.series),
     Estimate: (identify_result, identify_series),
-    Identifiability: (analyze_result, analyze_series),
+    Identifiability: (Identifiability.result, Identifiability.series),
     Diagnosis: (diagnose_result, diagnose_series),
     Rehearsal: (rehearse_result, rehearse_series),
 }

@@ -1,13 +1,12 @@
 """What an arm is, and what torque it needs."""
 
 from excitant.robots.base_parameters import BaseParameters, base_parameters
-from excitant.robots.dh import DHChain, with_convention
-from excitant.robots.dh_urdf import dh_from_robot, robot_from_dh, urdf_from_dh
-from excitant.robots.limits_file import load_limits
+from excitant.robots.dh import DHChain, dh_from_robot, robot_from_dh, urdf_from_dh, with_convention
+from excitant.robots.limits import Limits, load_limits
 from excitant.robots.loading import builtin_robots, load_robot
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor, regressor_derivatives, rigid_body_torque
-from excitant.robots.robot import Limits, Robot
+from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 
 __all__ = [

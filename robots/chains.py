@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 
-MOVING = ("revolute", "continuous", "prismatic")
+_SINGLE = ("revolute", "continuous", "prismatic")
 _SEVERAL = ("floating", "planar")
 _SHOWN = 4  # names of joints in a note
 
@@ -23,18 +23,17 @@ class Choice:
         base: Link that the chain starts from; the root of the tree when None.
         tip: Link that the chain ends at; links beyond it are carried along.
         lock: Joints to hold and their positions [rad or m].
-        loops: Pairs of links that a constraint of the description ties together.
     """
 
-    joints: Sequence[str] | None = None
+    joints: tuple[str, ...] | None = None
     base: str | None = None
     tip: str | None = None
-    lock: Mapping[str, float] | None = None
-    loops: tuple[tuple[str, str], ...] = ()
+    lock: Mapping[str, float] = field(default_factory=dict)
 
-    def __bool__(self) -> bool:
+    @property
+    def is_part(self) -> bool:
         """Whether joints are chosen, other than by holding single ones."""
-        return self.joints is not None or self.base is not None or self.tip is not None
+        return any(value is not None for value in (self.joints, self.base, self.tip))
 
 
 @dataclass(frozen=True)
@@ -71,89 +70,79 @@ class Tree:
     links: tuple[str, ...]
 
     @cached_property
-    def carrier(self) -> dict[str, TreeJoint]:
+    def parents(self) -> dict[str, TreeJoint]:
         """Joint that carries each link, none for the root."""
         return {joint.child: joint for joint in self.joints.values()}
 
     def ancestors(self, link: str) -> list[TreeJoint]:
         """Joints from a link to the root, the nearest first."""
         found: list[TreeJoint] = []
-        while link in self.carrier and len(found) < len(self.joints):
-            found.append(self.carrier[link])
+        while link in self.parents and len(found) < len(self.joints):
+            found.append(self.parents[link])
             link = found[-1].parent
         return found
 
-    def path(self, base: str | None, tip: str) -> list[TreeJoint]:
-        """Joints from a base, or the root, to a tip."""
-        upward = self.ancestors(self._link(tip))
-        if base is None:
-            return upward[::-1]
+    def carrier(self, link: str, moving: Sequence[str]) -> str:
+        """The nearest of the moving links that carries a link, itself included; else empty."""
+        way = [link, *(joint.parent for joint in self.ancestors(link))]
+        return next((name for name in way if name in moving), "")
+
+    def chain(self, base: str | None, tip: str | None) -> list[TreeJoint]:
+        """Joints from a base, or the root, to a tip, or to all ends."""
+        for name in (base, tip):
+            if name is not None and name not in self.links:
+                raise UnknownName("link", name, self.links)
+        if tip is None:
+            return [
+                joint for joint in self.joints.values()
+                if base is None or base in {x.parent for x in self.ancestors(joint.child)}
+            ]  # fmt: skip
+        upward = self.ancestors(tip)
         names = [tip, *(joint.parent for joint in upward)]
-        if self._link(base) not in names:
+        if base is not None and base not in names:
             raise BadRobot(
                 self.source,
                 f"link '{tip}' does not hang from link '{base}'; on its way to the root are "
                 f"{', '.join(names[1:]) or 'none'}",
             )
-        return upward[: names.index(base)][::-1]
-
-    def below(self, base: str) -> list[TreeJoint]:
-        """Joints that a link carries, in the order of the file."""
-        self._link(base)
-        return [
-            joint
-            for joint in self.joints.values()
-            if base in {above.parent for above in self.ancestors(joint.child)}
-        ]
-
-    def _link(self, name: str) -> str:
-        if name not in self.links:
-            raise UnknownName("link", name, self.links)
-        return name
+        return upward[: names.index(base) if base else None][::-1]
 
 
 def tree(root: ET.Element, source: str) -> Tree:
     """The tree of a URDF whose joints all name a known parent and child."""
     joints = {}
     for element in root.findall("joint"):
-        ends = {end: element.find(end) for end in ("parent", "child")}
-        parent, child = (str(e.get("link")) if e is not None else "" for e in ends.values())
-        name = str(element.get("name"))
-        mimic = _mimic(element, name, source)
-        joints[name] = TreeJoint(name, str(element.get("type")), parent, child, mimic)
+        name, mimic = str(element.get("name")), element.find("mimic")
+        parent, child = (
+            "" if (end := element.find(tag)) is None else str(end.get("link"))
+            for tag in ("parent", "child")
+        )
+        follows = None
+        if mimic is not None:
+            try:
+                numbers = float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0"))
+            except ValueError:
+                raise BadRobot(
+                    source, f"joint '{name}': its mimic numbers are no numbers"
+                ) from None
+            follows = (str(mimic.get("joint")), *numbers)
+        joints[name] = TreeJoint(name, str(element.get("type")), parent, child, follows)
     return Tree(source, joints, tuple(str(link.get("name")) for link in root.findall("link")))
 
 
-def _mimic(element: ET.Element, name: str, source: str) -> tuple[str, float, float] | None:
-    mimic = element.find("mimic")
-    if mimic is None:
-        return None
-    try:
-        return (
-            str(mimic.get("joint")),
-            float(mimic.get("multiplier", "1")),
-            float(mimic.get("offset", "0")),
-        )
-    except ValueError:
-        raise BadRobot(source, f"joint '{name}': its mimic numbers are no numbers") from None
-
-
-@dataclass(frozen=True)
-class Chain:
-    """What moves and what is held.
-
-    Attributes:
-        held: Joints that are held and their positions, None for those of several degrees of
-            freedom, which rest where the description puts them.
-        notes: What was decided that nobody asked for.
-    """
-
-    held: Mapping[str, float | None]
-    notes: tuple[str, ...] = ()
-
-
-def chain(robot: Tree, choice: Choice) -> Chain:
+def held_joints(
+    robot: Tree, choice: Choice, loops: Sequence[tuple[str, str]] = ()
+) -> tuple[dict[str, float | None], tuple[str, ...]]:
     """Joints to hold so that only the chosen ones move.
+
+    Args:
+        robot: The tree.
+        choice: What is kept.
+        loops: Pairs of links that a constraint of the description ties together.
+
+    Returns:
+        Positions of the joints that are held, None for those of several degrees of freedom, which
+        rest where the description puts them; and the defaults that were applied, as sentences.
 
     Raises:
         BadInput: Contradictory choice.
@@ -161,50 +150,46 @@ def chain(robot: Tree, choice: Choice) -> Chain:
         BadRobot: A chosen joint follows another one, closes a loop, or has several degrees of
             freedom.
     """
-    lock = dict(choice.lock or {})
-    movable = [j for j in robot.joints.values() if j.kind in (*MOVING, *_SEVERAL)]
+    movable = [j for j in robot.joints.values() if j.kind in (*_SINGLE, *_SEVERAL)]
     names = [joint.name for joint in movable]
-    for name in (*lock, *(choice.joints or ())):
+    for name in (*choice.lock, *(choice.joints or ())):
         if name not in names:
             raise UnknownName("joint", name, names)
-    kept = _kept(robot, replace(choice, lock=lock), movable)
-    _refuse_several(robot, kept, choice)
-    _refuse_coupled(robot, kept, choice, lock)
-    kept_names = {joint.name for joint in kept}
-    held: dict[str, float | None] = {
-        joint.name: None if joint.kind in _SEVERAL else _position(robot, joint, lock)
+    kept = _kept(robot, choice, movable)
+    _refuse_dependent(robot, kept, choice, loops)
+    moving = {joint.name for joint in kept}
+    held = {
+        joint.name: None if joint.kind in _SEVERAL else _position(robot, joint, choice.lock)
         for joint in movable
-        if joint.name not in kept_names
+        if joint.name not in moving
     }
-    return Chain(held, tuple(_notes(robot, choice, kept_names, held)))
+    return held, tuple(_notes(robot, choice, moving, held))
 
 
 def _kept(robot: Tree, choice: Choice, movable: Sequence[TreeJoint]) -> list[TreeJoint]:
-    lock = choice.lock or {}
     if choice.joints is not None:
         if choice.tip is not None or choice.base is not None:
             raise BadInput(
                 "joints are named, and a chain by base or tip too; choose in one way only"
             )
-        both = [name for name in choice.joints if name in lock]
+        both = [name for name in choice.joints if name in choice.lock]
         if both:
             raise BadInput(f"joint '{both[0]}' is both kept and locked; do one of them")
         return [joint for joint in movable if joint.name in choice.joints]
-    path: Iterable[TreeJoint] = movable
-    if choice.tip is not None:
-        path = robot.path(choice.base, choice.tip)
-    elif choice.base is not None:
-        path = robot.below(choice.base)
-    kept = [joint for joint in path if joint in movable and joint.name not in lock]
-    if not kept and choice:
+    path = robot.chain(choice.base, choice.tip)
+    kept = [joint for joint in path if joint in movable and joint.name not in choice.lock]
+    if not kept and choice.is_part:
         where = f"from {choice.base or 'the root'} to {choice.tip or 'the ends'}"
         raise BadRobot(robot.source, f"no joint moves {where}; name links further apart")
     return kept
 
 
-def _refuse_several(robot: Tree, kept: Sequence[TreeJoint], choice: Choice) -> None:
+def _refuse_dependent(
+    robot: Tree, kept: Sequence[TreeJoint], choice: Choice, loops: Sequence[tuple[str, str]]
+) -> None:
+    """Refuse joints of several degrees of freedom, and those that cannot move on their own."""
     for joint in kept:
-        if joint.kind not in MOVING:
+        if joint.kind in _SEVERAL:
             way = f"--base {joint.child}" + ("" if choice.tip else " or --tip LINK")
             raise BadRobot(
                 robot.source,
@@ -212,13 +197,6 @@ def _refuse_several(robot: Tree, kept: Sequence[TreeJoint], choice: Choice) -> N
                 f"only revolute, continuous and prismatic joints are supported; choose a chain "
                 f"without it ({way}), or hold it (--lock {joint.name})",
             )
-
-
-def _refuse_coupled(
-    robot: Tree, kept: Sequence[TreeJoint], choice: Choice, lock: Mapping[str, float]
-) -> None:
-    """Refuse joints that cannot move on their own."""
-    names = {joint.name for joint in kept}
     pairs = [(joint.name, joint.mimic[0]) for joint in kept if joint.mimic is not None]
     if pairs:
         every = ",".join(dict.fromkeys(name for pair in pairs for name in pair))
@@ -227,9 +205,9 @@ def _refuse_coupled(
             f"joint '{pairs[0][0]}' mimics '{pairs[0][1]}', and coupled joints cannot be kept; "
             f"hold them (--lock {every}), or choose a chain without them (--tip LINK)",
         )
-    for ends in choice.loops:
-        ways = [{joint.name for joint in robot.ancestors(end)} for end in ends]
-        inside = sorted((ways[0] ^ ways[1]) & names)
+    for ends in loops:
+        one, other = ({joint.name for joint in robot.ancestors(end)} for end in ends)
+        inside = sorted((one ^ other) & {joint.name for joint in kept})
         if inside:
             raise BadRobot(
                 robot.source,
@@ -255,22 +233,20 @@ def _position(robot: Tree, joint: TreeJoint, lock: Mapping[str, float]) -> float
 
 
 def _notes(
-    robot: Tree, choice: Choice, kept: set[str], held: Mapping[str, float | None]
-) -> Iterable[str]:
-    lock = choice.lock or {}
+    robot: Tree, choice: Choice, moving: set[str], held: Mapping[str, float | None]
+) -> Iterator[str]:
+    at_zero = []
     for name, value in held.items():
         joint = robot.joints[name]
-        if name in lock:
+        if name in choice.lock:
             continue
         if value is None:
             yield f"{joint.kind} joint {name} is held where the file puts it"
         elif joint.mimic is not None:
-            moves = ", though that one moves" if joint.mimic[0] in kept else ""
+            moves = ", though that one moves" if joint.mimic[0] in moving else ""
             yield f"joint {name} follows {joint.mimic[0]} and is held at {value:g}{moves}"
-    at_zero = [
-        name for name, value in held.items() if value is not None and name not in lock
-        and robot.joints[name].mimic is None
-    ]  # fmt: skip
+        else:
+            at_zero.append(name)
     if at_zero:
         more = len(at_zero) - _SHOWN
         shown = ", ".join(at_zero[:_SHOWN]) + (f" and {more} more" if more > 0 else "")

@@ -7,18 +7,54 @@ Two conventions are in use, for the pose of frame i in frame i − 1:
 
 In the standard one frame i sits at the far end of link i, on the axis of joint i + 1; in the
 modified one at its near end, on the axis of joint i itself. Both are fixed to link i.
+
+A ``robot.yaml`` gives an arm so::
+
+    name: scara                  # the file's name when not given
+    convention: standard         # or modified (Craig)
+    angles: degrees              # of alpha, theta and rpy; radians when not given
+    dh:                          # one entry per joint, from the base outward
+      - {a: 0.4, alpha: 0, d: 0.3, theta: 0, type: revolute, joint: shoulder, link: upper_arm,
+         m: 5.0, com: [-0.2, 0, 0], Ic: {xx: 0.01, yy: 0.07, zz: 0.07},
+         collision: [{from: [-0.4, 0, 0], to: [0, 0, 0], radius: 0.05}]}
+      - {a: 0.3, m: 3.0, mc: [-0.4, 0, 0], I: {xx: 0.01, yy: 0.1, zz: 0.1}}
+    base: {position: [0, 0, 0.5], rpy: [0, 0, 0], collision: []}   # frame 0 in the base frame
+    tool: {position: [0, 0, 0.1], rpy: [0, 0, 0]}                  # the tool in the last frame
+    gravity: [0, 0, -9.81]                                         # in the base frame
+
+Numbers left out are 0, ``type`` is ``revolute``, names are ``joint1``, ``link1``, and so on. In
+the modified convention ``a`` and ``alpha`` are Craig's a_{i−1} and α_{i−1}. Every link needs its
+mass ``m`` [kg]. Its centre of mass is ``com`` [m], or its first moment ``mc`` [kg·m]; its inertia
+tensor [kg·m²] is ``I`` about the origin of the link frame, or ``Ic`` about the centre of mass,
+both along the axes of the link frame, with products as tensor elements (xy is −∫ x y dm).
+``limits``, ``lock``, ``joints`` and ``effects`` are as for any arm.
 """
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 
+from excitant.exceptions import BadRobot
+from excitant.robots.limits import Limits
 from excitant.robots.motion import Array, freeze, read_only
 from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
+from excitant.robots.robot import Robot
+from excitant.robots.schema import DHRecord, PlaceRecord, RobotRecord
+from excitant.robots.urdf import (
+    GRAVITY,
+    inertial_element,
+    joint_element,
+    limits_in_urdf,
+    origin_element,
+    robot_from_urdf,
+)
 
 Convention = Literal["standard", "modified"]
 CONVENTIONS: tuple[Convention, Convention] = ("standard", "modified")
@@ -299,3 +335,177 @@ def _moved_shape(shape: Cylinder, T: Array | None) -> Cylinder:
         return shape
     start, end = (tuple(T[:3, :3] @ x + T[:3, 3]) for x in (shape.start, shape.end))
     return replace(shape, start=start, end=end)
+
+
+def dh_from_robot(robot: Robot, convention: Convention = "standard") -> DHChain:
+    """The arm as a Denavit-Hartenberg chain with the same joint angles and torques.
+
+    Locked joints stay where they are. Axes within 1e-5 rad of parallel are taken as parallel,
+    which may change torques by as much; see `chain_through_axes`.
+
+    Args:
+        robot: A serial arm; its base and tool become ``base`` and ``tool`` of the chain.
+        convention: ``"standard"`` or ``"modified"``.
+
+    Raises:
+        BadRobot: A joint that does not hang on the one before it.
+    """
+    model, data = robot.model, robot.model.createData()
+    for j, parent in enumerate(list(model.parents)[1:]):
+        if parent != j:
+            raise BadRobot(
+                robot.source,
+                f"joint '{robot.joints[j]}' branches off; Denavit-Hartenberg frames need a "
+                "serial arm, so keep the joints of one branch",
+            )
+    axes = robot.axes(np.zeros(robot.nv), data)
+    pin.updateFramePlacements(model, data)
+    poses = np.array([pose.homogeneous for pose in list(data.oMi)[1:]])
+    tip = data.oMf[robot.tip].homogeneous
+    frames, numbers = chain_through_axes(poses[:, :3, 3], axes, tip[:3, 3], convention)
+    phi = moved_parameters(robot.phi.reshape(-1, 10), inverse(frames[1:]) @ poses).ravel()
+    return DHChain(
+        robot.name, convention, robot.joints, robot.links, robot.revolute, *numbers, phi,
+        robot.gravity, base=frames[0], tool=inverse(frames[-1:])[0] @ tip,
+    )  # fmt: skip
+
+
+def robot_from_dh(chain: DHChain, limits: Limits | None = None, source: str | None = None) -> Robot:
+    """The chain as a robot whose links sit in their joint frames.
+
+    Args:
+        chain: The chain; its masses not zero.
+        limits: Limits, written into the URDF too; none when not given.
+        source: Where the chain came from, for messages; its name when not given.
+
+    Raises:
+        BadRobot: A link without mass, or names that occur twice.
+    """
+    source = source or chain.name
+    robot = robot_from_urdf(urdf_of_chain(chain, source), source=source, gravity=chain.gravity)
+    return robot if limits is None else limits_in_urdf(robot.with_limits(limits))
+
+
+def urdf_from_dh(chain: DHChain, limits: Limits | None = None) -> str:
+    """URDF text of a chain; joints and links have the chain's names and q means the same."""
+    return robot_from_dh(chain, limits).urdf
+
+
+def urdf_of_chain(chain: DHChain, source: str) -> str:
+    """URDF of a chain without limits: links in their joint frames, shapes, tool."""
+    root = ET.Element("robot", name=chain.name)
+    steps, inner = chain.poses(np.zeros((1, chain.nv)))[0], joint_frames(chain)
+    bodies = moved_parameters(chain.phi.reshape(-1, 10), inner)
+    base, tool, flange = (_unused(name, chain) for name in ("base", "tool", "flange"))
+    links = [ET.SubElement(root, "link", name=base)]
+    place = chain.base
+    for i, (joint, link) in enumerate(zip(chain.joints, chain.links, strict=True)):
+        if bodies[i, 0] == 0:
+            raise BadRobot(source, f"link '{link}' has no mass; give one, even if only assumed")
+        kind = "continuous" if chain.revolute[i] else "prismatic"
+        start = place if chain.convention == "standard" else place @ steps[i]
+        element = joint_element(root, joint, kind, links[-1].attrib["name"], link, start)
+        ET.SubElement(element, "axis", xyz="0 0 1")
+        ET.SubElement(element, "limit", velocity="0", effort="0")
+        links.append(ET.SubElement(root, "link", name=link))
+        links[-1].append(inertial_element(bodies[i]))
+        place = inner[i]
+    joint_element(root, flange, "fixed", chain.links[-1], tool, place @ chain.tool)
+    ET.SubElement(root, "link", name=tool)
+    for shape in chain.shapes:
+        frame = inner[shape.link - 1] if shape.link else np.eye(4)
+        links[shape.link].append(_collision(shape, frame))
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _unused(name: str, chain: DHChain) -> str:
+    while name in chain.links or name in chain.joints:
+        name += "_"
+    return name
+
+
+def _collision(shape: Cylinder, frame: Array) -> ET.Element:
+    """A cylinder along z turned onto the line between both ends, or a sphere."""
+    start, end = (frame[:3, :3] @ np.array(x) + frame[:3, 3] for x in (shape.start, shape.end))
+    length, T = float(np.linalg.norm(end - start)), np.eye(4)
+    if length > 0:
+        z = (end - start) / length
+        T = _frame(z, np.eye(3)[int(np.argmin(np.abs(z)))], start)
+    T[:3, 3] = (start + end) / 2
+    element = ET.Element("collision")
+    element.append(origin_element(T[:3, :3], T[:3, 3]))
+    numbers = {"radius": shape.radius} | ({"length": length} if length > 0 else {})
+    ET.SubElement(
+        ET.SubElement(element, "geometry"), "cylinder" if length > 0 else "sphere",
+        {key: repr(float(x)) for key, x in numbers.items()},
+    )  # fmt: skip
+    return element
+
+
+def chain_from_record(record: RobotRecord, source: str, name: str = "") -> DHChain:
+    """The chain that a ``robot.yaml`` describes; see the module for its form.
+
+    Args:
+        record: The file's entries, with ``dh``.
+        source: The file, for messages.
+        name: Name of the arm where the file gives none.
+
+    Raises:
+        BadRobot: Entries that contradict one another, or no convention; names the link.
+    """
+    rows = record.dh or ()
+    if record.convention is None:
+        raise BadRobot(source, "'convention: None' must be one of standard, modified")
+    unit = np.pi / 180 if record.angles == "degrees" else 1.0
+    links = tuple(str(row.link or f"link{i}") for i, row in enumerate(rows, start=1))
+    base = record.base if isinstance(record.base, PlaceRecord) else PlaceRecord()
+    shapes = (base.collision, *(row.collision for row in rows))
+    return DHChain(
+        name=str(record.name or name or Path(source).stem),
+        convention=record.convention,
+        joints=tuple(str(row.joint or f"joint{i}") for i, row in enumerate(rows, start=1)),
+        links=links,
+        revolute=np.array([row.type == "revolute" for row in rows]),
+        a=np.array([row.a for row in rows]),
+        d=np.array([row.d for row in rows]),
+        alpha=unit * np.array([row.alpha for row in rows]),
+        theta=unit * np.array([row.theta for row in rows]),
+        phi=np.concatenate([_phi(row, n, source) for row, n in zip(rows, links, strict=True)]),
+        gravity=np.array(record.gravity or GRAVITY),
+        base=_place(base, unit),
+        tool=_place(record.tool or PlaceRecord(), unit),
+        shapes=tuple(
+            Cylinder(i, x.start, x.end, x.radius) for i, own in enumerate(shapes) for x in own or ()
+        ),
+    )
+
+
+def _phi(row: DHRecord, link: str, source: str) -> Array:
+    """Standard parameters about the link frame, shape (10,)."""
+    for one, other in (("com", "mc"), ("I", "Ic")):
+        if getattr(row, one) is not None and getattr(row, other) is not None:
+            raise BadRobot(source, f"{link}: both '{one}' and '{other}' are given; keep one")
+    tensor = row.I or row.Ic
+    if tensor is None:
+        raise BadRobot(
+            source,
+            f"{link}: give the inertia as 'I: {{xx: .., yy: .., zz: .., xy: ..}}' about the link "
+            "frame, or as 'Ic' about the centre of mass",
+        )
+    mc = np.array(row.mc or (0.0, 0.0, 0.0)) if row.com is None else row.m * np.array(row.com)
+    about = np.array(
+        [[tensor.xx, tensor.xy, tensor.xz], [tensor.xy, tensor.yy, tensor.yz],
+         [tensor.xz, tensor.yz, tensor.zz]]
+    )  # fmt: skip
+    if row.I is None:
+        c = mc / row.m
+        about = about + row.m * (c @ c * np.eye(3) - np.outer(c, c))
+    return np.concatenate([[row.m], mc, about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+
+
+def _place(record: PlaceRecord, unit: float) -> Array:
+    T = np.eye(4)
+    T[:3, 3] = record.position
+    T[:3, :3] = pin.rpy.rpyToMatrix(*(unit * np.array(record.rpy)))
+    return T

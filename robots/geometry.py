@@ -1,4 +1,4 @@
-"""Where an arm's bodies are: collision shapes among obstacles, and the distances between them."""
+"""Where an arm's bodies are: collision shapes, obstacles in the cell, and their distances."""
 
 from __future__ import annotations
 
@@ -9,18 +9,80 @@ from pathlib import Path
 from typing import Any
 
 import coal
+import msgspec
 import numpy as np
 import pinocchio as pin
 
 from excitant.robots.motion import Array
-from excitant.robots.obstacles import Obstacle
 from excitant.robots.robot import Robot
+from excitant.robots.schema import OBSTACLE_SHAPES, ObstacleRecord, convert, read_yaml
 from excitant.robots.urdf import full_model
 
 _POSES = 200  # random ones, to tell pairs whose distance is a matter of drawing
 _MOVING = 1e-3  # m: distances that change less do not change
 _TOOL = "tool point"
 _POINT = 1e-4  # m, radius of the sphere that stands for it
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A body that stands in the cell, in the base frame of the URDF.
+
+    Attributes:
+        name: Name for messages.
+        shape: ``"box"``, ``"sphere"``, ``"half_space"`` (all points x with n·x ≤ offset) or
+            ``"workspace"``, the axis-aligned box that the tool point stays in.
+        values: Its numbers, a record of `excitant.robots.schema`.
+    """
+
+    name: str
+    shape: str
+    values: Any
+
+    @property
+    def tool_only(self) -> bool:
+        """Whether only the tool point must keep away from it."""
+        return self.shape == "workspace"
+
+    def bodies(self) -> list[tuple[str, Any, Any]]:
+        """Name, shape and placement for Pinocchio; of a workspace, all that is outside it."""
+        v, here = self.values, pin.SE3.Identity()
+        if self.shape == "workspace":
+            return [
+                (f"{self.name} {'xyz'[k]} {end}", coal.Halfspace(n, float(n @ limit)), here)
+                for k, axis in enumerate(np.eye(3))
+                for end, n, limit in (("low", axis, v.low), ("high", -axis, v.high))
+            ]
+        if self.shape == "half_space":
+            length = float(np.linalg.norm(v.normal))
+            plane = coal.Halfspace(np.array(v.normal) / length, v.offset / length)
+            return [(self.name, plane, here)]
+        if self.shape == "sphere":
+            return [(self.name, coal.Sphere(v.radius), pin.SE3(np.eye(3), np.array(v.position)))]
+        place = pin.SE3(pin.rpy.rpyToMatrix(*v.rpy), np.array(v.position))
+        return [(self.name, coal.Box(*v.size), place)]
+
+    def plain(self) -> dict[str, Any]:
+        """Name, shape and values for JSON, with the keys of an obstacle file."""
+        return {"name": self.name, "shape": self.shape, **msgspec.to_builtins(self.values)}
+
+
+def load_obstacles(path: str | Path) -> tuple[Obstacle, ...]:
+    """Obstacles from a YAML file: a list of ``{name, box|sphere|half_space|workspace: {...}}``.
+
+    A workspace, ``{low: [x, y, z], high: [x, y, z]}`` [m], is a box that the tool point stays in.
+
+    Raises:
+        BadInput: Unreadable, an unknown shape, or values that do not fit; names the entry.
+    """
+    content: Any = read_yaml(path, Any, "obstacles")
+    listed = content.get("obstacles") if isinstance(content, dict) else content
+    records = convert(listed, list[ObstacleRecord], path, ".obstacles")
+    found = []
+    for k, record in enumerate(records, start=1):
+        shape = next(s for s in OBSTACLE_SHAPES if getattr(record, s) is not None)
+        found.append(Obstacle(record.name or f"{shape} {k}", shape, getattr(record, shape)))
+    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)

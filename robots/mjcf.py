@@ -19,7 +19,13 @@ import pinocchio as pin
 
 from excitant.exceptions import BadRobot
 from excitant.robots.motion import Array
-from excitant.robots.urdf_elements import inertial_element, numbers_text, origin_element
+from excitant.robots.urdf import (
+    GRAVITY,
+    inertial_element,
+    joint_element,
+    numbers_text,
+    origin_element,
+)
 
 
 @dataclass(frozen=True)
@@ -37,7 +43,7 @@ class Description:
     """
 
     urdf: str
-    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    gravity: tuple[float, float, float] = GRAVITY
     armature: Mapping[str, float] = field(default_factory=dict)
     springs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     lock: Mapping[str, float] = field(default_factory=dict)
@@ -159,7 +165,7 @@ class _Writer:
         first, count = int(model.body_jntadr[b]), int(model.body_jntnum[b])
         above = self.bodies[parent]
         if not count:
-            self._joint(f"{name}_weld", "fixed", above, name, place)
+            joint_element(self.robot, f"{name}_weld", "fixed", above, name, place.homogeneous)
             return pin.SE3.Identity()
         hinge, slide = (
             int(getattr(self.mujoco.mjtJoint, f"mjJNT_{x}")) for x in ("HINGE", "SLIDE")
@@ -169,7 +175,9 @@ class _Writer:
             child = name if last else f"{name}_before_{self.joints[j + 1]}"
             kind = int(model.jnt_type[j])
             if kind not in (hinge, slide):
-                self._joint(self.joints[j], "floating", above, child, place)
+                joint_element(
+                    self.robot, self.joints[j], "floating", above, child, place.homogeneous
+                )
                 place = pin.SE3.Identity()
             else:
                 at, axis = pin.SE3(np.eye(3), model.jnt_pos[j].copy()), model.jnt_axis[j]
@@ -178,7 +186,8 @@ class _Writer:
                                  np.zeros(3) if kind == hinge else back)  # fmt: skip
                 word = "prismatic" if kind == slide else (
                     "revolute" if model.jnt_limited[j] else "continuous")  # fmt: skip
-                element = self._joint(self.joints[j], word, above, child, place * at * turned)
+                start = (place * at * turned).homogeneous
+                element = joint_element(self.robot, self.joints[j], word, above, child, start)
                 ET.SubElement(element, "axis", xyz=numbers_text(axis))
                 self._facts(element, j)
                 place = at.inverse()
@@ -186,13 +195,6 @@ class _Writer:
                 ET.SubElement(self.robot, "link", name=child)
             above = child
         return place
-
-    def _joint(self, name: str, kind: str, parent: str, child: str, place: pin.SE3) -> ET.Element:
-        element = ET.SubElement(self.robot, "joint", name=name, type=kind)
-        ET.SubElement(element, "parent", link=parent)
-        ET.SubElement(element, "child", link=child)
-        element.append(origin_element(place.rotation, place.translation))
-        return element
 
     def _facts(self, element: ET.Element, j: int) -> None:
         """Limits, friction, rotor inertia and spring of a joint."""

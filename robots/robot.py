@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -12,43 +12,12 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.robots.html_table import html_table
-from excitant.robots.motion import Array, freeze, read_only
+from excitant.robots.limits import Limits
+from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import STANDARD, inertia
 
 if TYPE_CHECKING:
     from excitant.robots.effects import Effect
-
-
-@dataclass(frozen=True, eq=False)
-class Limits:
-    """Limits of the joints; ``inf`` where there is none.
-
-    Attributes:
-        position: Lowest and highest position, shape (nv, 2) [rad or m].
-        velocity: Highest speed, shape (nv,) [rad/s or m/s].
-        acceleration: Highest acceleration, shape (nv,) [rad/s² or m/s²].
-        torque: Highest torque, shape (nv,) [N·m or N].
-        jerk: Highest jerk, shape (nv,) [rad/s³ or m/s³]; none by default.
-        mass_uncertainty: Share by which the inertial parameters of each link may be larger or
-            smaller than the model's, for all of which the torque limits must hold.
-    """
-
-    position: Array
-    velocity: Array
-    acceleration: Array
-    torque: Array
-    jerk: Array = field(default_factory=lambda: np.array(np.inf))
-    mass_uncertainty: float = 0.0
-
-    def __post_init__(self) -> None:
-        jerk = np.broadcast_to(self.jerk, np.shape(self.velocity))
-        object.__setattr__(self, "jerk", jerk)
-        freeze(self, "position", "velocity", "acceleration", "torque", "jerk")
-
-    @property
-    def orders(self) -> int:
-        """How many derivatives of q are limited, q included: 3, or 4 with limits on jerk."""
-        return 4 if np.isfinite(self.jerk).any() else 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +35,7 @@ class Robot:
         effects: What makes torque beyond rigid-body inertia, with values.
         source: File or name the arm was loaded from.
         tool: Link of the tool, where one was named.
-        notes: What loading it decided that nobody asked for, one sentence each.
+        notes: Defaults applied while loading it, one sentence each.
     """
 
     name: str
@@ -117,6 +86,12 @@ class Robot:
         ]
         named = [k for k, frame in bodies if frame.name == self.tool]
         return named[0] if named else max(k for k, f in bodies if f.parentJoint == self.nv)
+
+    def axes(self, q: Array, data: Any = None) -> Array:
+        """Directions of the joints in the base frame in a pose, shape (nv, 3)."""
+        J = pin.computeJointJacobians(self.model, data or self.model.createData(), q)
+        directions: Array = np.where(self.revolute[:, None], J[3:].T, J[:3].T)
+        return directions
 
     def joint_index(self, joint: str) -> int:
         """Position of a joint in the order of this robot."""

@@ -1,12 +1,13 @@
-"""Reading robots from URDF."""
+"""Robots from URDF text, and back: parameters, limits and friction written into it."""
 
 from __future__ import annotations
 
 import os
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,12 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadRobot
-from excitant.robots.chains import Choice, chain, tree
+from excitant.robots.chains import Choice, held_joints, tree
+from excitant.robots.limits import Limits
 from excitant.robots.motion import Array
-from excitant.robots.robot import Limits, Robot
+from excitant.robots.robot import Robot
 
+GRAVITY = (0.0, 0.0, -9.81)
 _UNLIMITED = 1e9
 _ENDS = ("parent", "child")
 
@@ -32,7 +35,7 @@ def robot_from_urdf(
     tip: str | None = None,
     lock: Mapping[str, float] | None = None,
     loops: Sequence[tuple[str, str]] = (),
-    gravity: npt.ArrayLike = (0.0, 0.0, -9.81),
+    gravity: npt.ArrayLike = GRAVITY,
 ) -> Robot:
     """Robot from the text of a URDF.
 
@@ -56,26 +59,30 @@ def robot_from_urdf(
     root = _parse(text, source)
     _check(root, source)
     named = tree(root, source)
-    chosen = chain(named, Choice(joints, base, tip, lock, tuple(loops)))
+    kept = None if joints is None else tuple(joints)
+    held, notes = held_joints(named, Choice(kept, base, tip, lock or {}), loops)
     title = name or root.get("name") or Path(source).stem
     model = _build(_prepared(root), source)
-    if chosen.held:
-        model = _reduced(model, chosen.held, source)
+    if held:
+        try:
+            model = pin.buildReducedModel(model, *_lock(model, held))
+        except ValueError as error:
+            raise BadRobot(source, f"Pinocchio cannot hold joints of it: {error}") from None
     if model.nv == 0:
         raise BadRobot(source, "it has no moving joints; name a URDF of an arm")
     model.gravity.linear = np.asarray(gravity, float)
-    names = [str(joint) for joint in list(model.names)[1:]]
+    moving = [named.joints[str(joint)] for joint in list(model.names)[1:]]
     return Robot(
         name=title,
         model=model,
-        links=tuple(named.joints[joint].child for joint in names),
-        revolute=np.array([named.joints[joint].kind != "prismatic" for joint in names]),
+        links=tuple(joint.child for joint in moving),
+        revolute=np.array([joint.kind != "prismatic" for joint in moving]),
         limits=_limits(model),
         urdf=text,
-        locked=tuple(sorted((joint, value or 0.0) for joint, value in chosen.held.items())),
+        locked=tuple(sorted((joint, value or 0.0) for joint, value in held.items())),
         source=source,
         tool=tip or "",
-        notes=chosen.notes,
+        notes=notes,
     )
 
 
@@ -92,13 +99,6 @@ def full_model(root: ET.Element, robot: Robot) -> tuple[pin.Model, Array, list[i
     model = _build(_prepared(root), robot.source)
     joints, reference = _lock(model, dict(robot.locked))
     return model, reference, joints
-
-
-def _reduced(model: pin.Model, held: Mapping[str, float | None], source: str) -> pin.Model:
-    try:
-        return pin.buildReducedModel(model, *_lock(model, held))
-    except ValueError as error:
-        raise BadRobot(source, f"Pinocchio cannot hold joints of it: {error}") from None
 
 
 def _lock(model: pin.Model, held: Mapping[str, float | None]) -> tuple[list[int], Array]:
@@ -135,11 +135,12 @@ def _check(root: ET.Element, source: str) -> None:
             raise BadRobot(source, f"{kind} '{min(double)}' is defined twice; rename one")
     carried: dict[str, str] = {}
     for joint in root.findall("joint"):
+        name = str(joint.get("name"))
         for end in _ENDS:
             element = joint.find(end)
             if element is None or element.get("link") not in links:
-                raise BadRobot(source, f"joint '{joint.get('name')}' has no known {end} link")
-        child, name = _child(joint), str(joint.get("name"))
+                raise BadRobot(source, f"joint '{name}' has no known {end} link")
+        child = str(joint.find("child").get("link"))  # type: ignore[union-attr]
         if child in carried:
             raise BadRobot(
                 source,
@@ -149,16 +150,20 @@ def _check(root: ET.Element, source: str) -> None:
         carried[child] = name
     for owner in root:
         for element in owner.iter():
-            for key in ("value", "xyz", "rpy", "ixx", "ixy", "ixz", "iyy", "iyz", "izz",
-                        "lower", "upper", "effort", "velocity"):  # fmt: skip
-                if element.tag in _NUMERIC and key in element.attrib:
-                    for word in element.attrib[key].split():
-                        number(word, key, owner, source)
+            for key in _NUMBERS.get(element.tag, ()):
+                for word in element.get(key, "").split():
+                    number(word, key, owner, source)
 
 
 _LARGEST = 1e9  # kg, m, rad, kg·m² of anything that is part of an arm
 _LIMIT_KEYS = ("lower", "upper", "effort", "velocity")  # large numbers that mean no limit
-_NUMERIC = ("mass", "inertia", "origin", "limit", "axis")
+_NUMBERS = {
+    "mass": ("value",),
+    "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
+    "origin": ("xyz", "rpy"),
+    "axis": ("xyz",),
+    "limit": _LIMIT_KEYS,
+}
 
 
 def number(text: str, key: str, owner: ET.Element, source: str) -> float:
@@ -245,12 +250,6 @@ def _captured_stderr() -> Iterator[Callable[[], list[str]]]:
             os.close(saved)
 
 
-def _child(joint: ET.Element) -> str:
-    child = joint.find("child")
-    assert child is not None  # checked in _check
-    return str(child.get("link"))
-
-
 def _limits(model: pin.Model) -> Limits:
     """Limits of the URDF; zero speed or effort means that none was given."""
     position = np.column_stack([model.lowerPositionLimit, model.upperPositionLimit])
@@ -262,3 +261,106 @@ def _limits(model: pin.Model) -> Limits:
         for limit in (np.array(model.velocityLimit), np.array(model.effortLimit))
     )
     return Limits(position, velocity, np.full(model.nv, np.inf), effort)
+
+
+def urdf_with_parameters(
+    robot: Robot,
+    phi: npt.ArrayLike,
+    friction: Mapping[str, tuple[float, float]] | None = None,
+) -> str:
+    """The robot's URDF with other inertias and joint friction.
+
+    Each moving link gets the inertia of everything it carries: links fixed to it, or held by
+    a locked joint, lose their own ``<inertial>`` so that nothing counts twice.
+
+    Args:
+        robot: The arm.
+        phi: Standard parameters in the order of ``robot.phi``, shape (10 nv,).
+        friction: Viscous [N·m·s/rad] and Coulomb [N·m] friction by joint, written as
+            ``<dynamics damping friction>``; left as they are when not given.
+
+    Returns:
+        URDF text; reloading it gives the same torque.
+    """
+    root = ET.fromstring(robot.urdf)
+    values = dict(zip(robot.links, np.reshape(np.asarray(phi, float), (-1, 10)), strict=True))
+    named = tree(root, robot.source)
+    for link in root.findall("link"):
+        name = str(link.get("name"))
+        if not named.carrier(name, robot.links):
+            continue
+        for inertial in link.findall("inertial"):
+            link.remove(inertial)
+        if name in values:
+            link.insert(0, inertial_element(values[name]))
+    for joint in root.findall("joint"):
+        own = (friction or {}).get(str(joint.get("name")))
+        if own is not None:
+            dynamics = joint.find("dynamics")
+            dynamics = ET.SubElement(joint, "dynamics") if dynamics is None else dynamics
+            for key, value in zip(("damping", "friction"), own, strict=True):
+                dynamics.set(key, repr(float(value)))
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def limits_in_urdf(robot: Robot) -> Robot:
+    """The robot with a URDF text that states the limits of the joints it keeps."""
+    root = ET.fromstring(robot.urdf)
+    limits = robot.limits
+    for joint in root.findall("joint"):
+        name = str(joint.get("name"))
+        if name not in robot.joints:
+            continue
+        j = robot.joint_index(name)
+        numbers = dict(zip(_LIMIT_KEYS, (*limits.position[j], limits.torque[j],
+                                         limits.velocity[j]), strict=True))  # fmt: skip
+        if robot.revolute[j]:
+            joint.set("type", "revolute")
+            if np.isinf(limits.position[j]).all():
+                joint.set("type", "continuous")
+                del numbers["lower"], numbers["upper"]
+        for limit in joint.findall("limit"):
+            joint.remove(limit)
+        words = {k: repr(float(np.clip(x, -_UNLIMITED, _UNLIMITED))) for k, x in numbers.items()}
+        ET.SubElement(joint, "limit", words)
+    ET.indent(root)
+    return replace(robot, urdf=ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n")
+
+
+def joint_element(
+    root: ET.Element, name: str, kind: str, parent: str, child: str, pose: Array
+) -> ET.Element:
+    """A new ``<joint>`` whose frame has a pose in the parent link, shape (4, 4)."""
+    joint = ET.SubElement(root, "joint", name=name, type=kind)
+    ET.SubElement(joint, "parent", link=parent)
+    ET.SubElement(joint, "child", link=child)
+    joint.append(origin_element(pose[:3, :3], pose[:3, 3]))
+    return joint
+
+
+def numbers_text(values: Iterable[float]) -> str:
+    """Numbers as a URDF has them, with all their digits."""
+    return " ".join(repr(float(value) + 0.0) for value in values)
+
+
+def origin_element(rotation: Array, translation: Array) -> ET.Element:
+    """``<origin>`` of a pose."""
+    rpy = pin.rpy.matrixToRpy(np.asarray(rotation))
+    return ET.Element("origin", xyz=numbers_text(translation), rpy=numbers_text(rpy))
+
+
+def inertial_element(phi: Array) -> ET.Element:
+    """``<inertial>`` of standard parameters about the link's frame, shape (10,)."""
+    mass = phi[0]
+    lever = phi[1:4] / mass if mass else np.zeros(3)
+    xx, xy, yy, xz, yz, zz = phi[4:] - mass * (
+        lever @ lever * np.array([1.0, 0, 1, 0, 0, 1])
+        - np.outer(lever, lever)[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    )
+    element = ET.Element("inertial")
+    ET.SubElement(element, "origin", xyz=numbers_text(lever), rpy="0 0 0")
+    ET.SubElement(element, "mass", value=repr(float(mass)))
+    tensor = {"ixx": xx, "ixy": xy, "ixz": xz, "iyy": yy, "iyz": yz, "izz": zz}
+    ET.SubElement(element, "inertia", {key: repr(float(x)) for key, x in tensor.items()})
+    return element

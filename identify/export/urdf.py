@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 import pinocchio as pin
 
 from excitant.identify.export.bodies import Tree, written
-from excitant.robots.urdf_writing import urdf_with_parameters
+from excitant.robots.urdf import urdf_with_parameters
 
 _OF_MOVING_JOINTS = ("axis", "limit", "dynamics", "mimic", "calibration", "safety_controller")
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any
 
 import numpy as np
-import yaml
 
-from excitant.robots.loading import builtin_robots, load_robot
+from excitant.robots.loading import builtin_record, builtin_robots, load_robot
 
 
 @dataclass(frozen=True)
@@ -46,20 +44,19 @@ class ArmEntry:
 
 def arm_entry(name: str) -> ArmEntry:
     """What a built-in arm is."""
-    file = resources.files("excitant.robots.library") / f"{name}.yaml"
-    content: dict[str, Any] = yaml.safe_load(file.read_text("utf-8"))
-    about, robot = content["about"], load_robot(name)
-    payload, weight = (about.get(key) for key in ("payload_kg", "mass_kg"))
+    record, robot = builtin_record(name), load_robot(name)
+    about = record.about
+    assert about is not None
     return ArmEntry(
         name=name,
-        kind=str(about["kind"]),
+        kind=about.kind,
         revolute=int(np.sum(robot.revolute)),
         prismatic=int(np.sum(~robot.revolute)),
-        payload=None if payload is None else float(payload),
-        weight=None if weight is None else float(weight),
+        payload=about.payload_kg,
+        weight=about.mass_kg,
         moving_mass=float(robot.phi[::10].sum()),
-        source=str(about["source"]),
-        sources=" ".join((_heading(name) + str(content["sources"])).split()),
+        source=about.source,
+        sources=" ".join((_heading(name) + record.sources).split()),
     )
 
 

@@ -7,15 +7,12 @@ and what is assumed (all lengths are).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import resources
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import yaml
 
-from excitant.robots.dh import DHChain, moved_parameters, parameter_map
-from excitant.robots.dh_entries import chain_from_entries
-from excitant.robots.loading import load_robot
+from excitant.robots.dh import DHChain, chain_from_record, moved_parameters, parameter_map
+from excitant.robots.loading import builtin_record, load_robot
 from excitant.robots.motion import Array
 from excitant.robots.newton_euler import central_parameters
 from excitant.robots.parameters import STANDARD
@@ -64,16 +61,10 @@ class TableEntry:
         return self.initial if column == "initial" else self.estimated
 
 
-def _content() -> dict[str, Any]:
-    file = resources.files("excitant.robots.library") / f"{_NAME}.yaml"
-    content: dict[str, Any] = yaml.safe_load(file.read_text("utf-8"))
-    return content
-
-
 def dd_arm_tables() -> tuple[TableEntry, ...]:
     """The 46 rows of Tables 2 to 4, link 6 first, doubtful digits marked."""
     rows = []
-    for row in _content()["tables"]:
+    for row in builtin_record(_NAME).tables or ():
         symbol = str(row["parameter"]).split(".")[1]
         unit = next((u for start, u in _UNITS.items() if symbol.startswith(start)), "kg")
         rows.append(TableEntry(unit=unit, **row))
@@ -82,7 +73,7 @@ def dd_arm_tables() -> tuple[TableEntry, ...]:
 
 def dd_arm_chain() -> DHChain:
     """The arm in the paper's frames (standard Denavit-Hartenberg); lengths are assumed."""
-    return chain_from_entries({"name": _NAME, **_content()}, _NAME, np.array([0.0, 0.0, -9.81]))
+    return chain_from_record(builtin_record(_NAME), _NAME)
 
 
 def dd_arm_parameters(column: Column = "initial", *, likely: bool = False) -> Array:

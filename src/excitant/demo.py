@@ -11,11 +11,8 @@ import numpy as np
 from excitant.analysis.diagnosis import diagnose
 from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series
 from excitant.analysis.identifiability import analyze
-from excitant.analysis.identifiability_result import analyze_result, analyze_series
 from excitant.design import (
     design,
-    design_result,
-    design_series,
     random_trajectory,
     trajectory_csv,
     trajectory_json,
@@ -86,9 +83,9 @@ def run_demo(robot: Robot, seed: int, advance: Advance) -> Demo:
     diagnosis = diagnose(robot, [recording], validate=[held])
     known = analyze(robot, estimate=estimate)
     verbs = {
-        "design": (design_result(found), design_series(found)),
+        "design": (found.result(), found.series()),
         "identify": (identify_result(estimate), identify_series(estimate)),
-        "analyze": (analyze_result(known), analyze_series(known)),
+        "analyze": (known.result(), known.series()),
         "diagnose": (diagnose_result(diagnosis), diagnose_series(diagnosis)),
     }
     advance(0.95, "writing the report")

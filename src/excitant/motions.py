@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from excitant.design import Design, HermiteTrajectory, Trajectory
-    from excitant.robots import Array, Motion, Robot
+    from excitant.robots import Motion, Robot
     from excitant.robots.geometry import Scene
 
 DENSE_HZ = 100.0
@@ -91,17 +91,12 @@ def design(
     from excitant.design import design as design_trajectory
     from excitant.design import (
         design_link_by_link,
-        design_result,
-        design_series,
-        link_by_link_design_result,
-        link_by_link_design_series,
-        link_by_link_files,
         motion_csv,
         trajectory_csv,
         trajectory_json,
         write_formats,
     )
-    from excitant.robots.limits_file import require_limits
+    from excitant.robots.limits import require_limits
 
     arm = surroundings.robot(part, robot)
     if note := require_limits(arm):
@@ -148,9 +143,9 @@ def design(
                 **asked,
                 progress=lambda share, link, best: advance(share, f"{link}, best κ {best:.4g}"),
             )
-        result = link_by_link_design_result(links) | {"periods": repeat}
-        files = link_by_link_files(links, rate, repeat)
-        run.finish(folder, result, link_by_link_design_series(links), files)
+        result = links.result() | {"periods": repeat}
+        files = links.files(rate, repeat)
+        run.finish(folder, result, links.series(), files)
         return
     began = time.monotonic()
     with progress_bar("design") as advance:
@@ -170,7 +165,7 @@ def design(
         "trajectory.json": trajectory_json(trajectory, arm),
     }
     written = {"trajectory": trajectory.motion(rate, repeat)}
-    result = design_result(found) | {"periods": repeat}
+    result = found.result() | {"periods": repeat}
     if bound:
         result |= _bound(found, seed)
     if start is not None:
@@ -181,8 +176,8 @@ def design(
         except Infeasible as error:  # the design stands without them
             result["notes"] = [*result.get("notes", []), str(error)]
     for stem, motion in written.items():
-        files |= write_formats(motion, arm, formats or [], rate_hz=rate, stem=stem)
-    run.finish(folder, result, design_series(found), files)
+        files |= write_formats(motion, arm, formats or [], stem)
+    run.finish(folder, result, found.series(), files)
 
 
 def _span(text: str) -> float | tuple[float, float]:
@@ -214,7 +209,7 @@ def _earlier(robot: Robot, recordings: Sequence[str] | None) -> list[Motion]:
 
 def _bound(found: Design, seed: int) -> dict[str, Any]:
     """Numerical lower bound on what any such motion could reach, as entries of the result."""
-    from excitant.design import SplineTrajectory, design_result, lower_bound
+    from excitant.design import SplineTrajectory, lower_bound
 
     with progress_bar("bound") as advance:
         bound = lower_bound(
@@ -230,7 +225,7 @@ def _bound(found: Design, seed: int) -> dict[str, Any]:
                 min(spent / _BOUND_TIME, 1.0), f"κ ≥ {value:.4g}"
             ),
         )
-    condition = design_result(found)["condition_number"] | {"lower_bound": bound.value}
+    condition = found.result()["condition_number"] | {"lower_bound": bound.value}
     ratio = found.condition_final / bound.value
     note = f"within ×{ratio:.2g} of the best possible: {bound.assumptions}"
     return {"condition_number": condition, "notes": [note]}
@@ -247,21 +242,13 @@ def _ways(
     """Approach from a pose to the trajectory, and return from it."""
     import numpy as np
 
-    from excitant.design import approach, return_path
-
-    def distance(pose: Array) -> float:
-        assert scene is not None
-        return float(scene.distances(pose[None]).min())
+    from excitant.design import approach
 
     there, here = trajectory(0.0)[0], np.array(start)
-    options: dict[str, Any] = {
-        "clearance": None if scene is None else distance,
-        "margin": least,
-        "rate_hz": rate,
-    }
+    options: dict[str, Any] = {"scene": scene, "clearance": least, "rate_hz": rate}
     return {
         "approach": approach(robot, here, there, **options),
-        "return": return_path(robot, there, here, **options),
+        "return": approach(robot, there, here, name="return", **options),
     }
 
 
@@ -285,15 +272,13 @@ def check(
     Raises:
         OutsideLimits: A limit is exceeded, or bodies come too close; after the run is saved.
     """
+    from excitant.design import check as check_limits
+    from excitant.design import clearance as motion_clearance
     from excitant.design import (
-        Trajectory,
         condition_number,
         information,
         load_trajectory,
     )
-    from excitant.design import check as check_limits
-    from excitant.design import clearance as motion_clearance
-    from excitant.design.result import certified
     from excitant.robots import torque
 
     arm = surroundings.robot(part, robot)
@@ -327,7 +312,7 @@ def check(
             if use.ratio > 0
         },
         "limit_values": {use.quantity: getattr(arm.limits, use.quantity) for use in report.uses},
-        "certified": certified(arm, report, planned if isinstance(planned, Trajectory) else None),
+        "certified": {use.quantity: use.certified() for use in report.uses},
         "columns": columns,
         "condition_number": condition_number(information(arm, columns).matrix(motion)),
         "clearance_m": None if near is None else near.certified,

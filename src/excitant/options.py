@@ -84,7 +84,7 @@ class Part:
 
     def spec(self, path: str) -> Any:
         """The robot to load, with the part of it that is meant."""
-        from excitant.robots.robot_spec import RobotSpec
+        from excitant.robots.loading import RobotSpec
 
         given = [name for name, value in vars(self).items() if value is not None]
         if given and Path(path).is_dir():
@@ -166,8 +166,7 @@ class Surroundings:
     def scene(self, robot: Robot) -> tuple[Scene | None, float]:
         """Scene to keep clear of, if any, and the least distance [m]."""
         from excitant.design import CLEARANCE
-        from excitant.robots.geometry import scene
-        from excitant.robots.obstacles import load_obstacles
+        from excitant.robots.geometry import load_obstacles, scene
 
         least = CLEARANCE if self.clearance is None else self.clearance
         if self.ignore_collisions:

@@ -279,7 +279,7 @@ def analyze(
         measured: Joints whose torque is measured; default: all.
         columns: All that identify estimates, or the links only.
     """
-    from excitant.analysis import identifiability, identifiability_result
+    from excitant.analysis import identifiability
     from excitant.robots.effects import standard_effects
 
     if trajectory and recording:
@@ -300,9 +300,9 @@ def analyze(
 
         given["motion"] = sampled(load_trajectory(trajectory, arm))
     found = identifiability.analyze(arm, effects=effects, **given)
-    result = identifiability_result.analyze_result(found)
+    result = found.result()
     result["notes"] += notes
-    series = identifiability_result.analyze_series(found)
+    series = found.series()
     run.finish(run.folder("analyze", arm.name), result, series, {})
 
 

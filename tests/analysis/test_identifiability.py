@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from excitant.analysis.identifiability import analyze
-from excitant.analysis.identifiability_result import analyze_result, analyze_series
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Recording, identify
@@ -89,9 +88,9 @@ def test_a_motion_at_rest_shows_what_gravity_does_and_no_more(ur10: Robot) -> No
     hidden = [p for p in found.practical if p.verdict == "not_shown"]
     assert len(found.base) - 6 <= len(hidden) < len(found.base)  # one equation for each joint
     assert found.motion is not None
-    assert found.motion.rests == ur10.joints
+    assert found.motion.resting == ur10.joints
     assert found.motion.condition_number == np.inf
-    result = analyze_result(found)
+    result = found.result()
     assert len(result["not_shown"]) == len(hidden)
     assert result["condition_number"] is None
     assert any("does not show" in note for note in result["notes"])
@@ -144,7 +143,7 @@ def test_without_torque_limits_there_is_no_noise_to_assume(ur10: Robot) -> None:
 
 
 def test_the_result_has_the_agreed_keys(ur10: Robot) -> None:
-    result = analyze_result(analyze(ur10, motion=repeated(ur10, 1)))
+    result = analyze(ur10, motion=repeated(ur10, 1)).result()
     agreed = {"standard_parameters", "base_parameters", "links", "condition_number", "practical"}
     assert agreed <= set(result)
     assert (result["standard_parameters"], result["base_parameters"]) == (60, 36)
@@ -163,7 +162,7 @@ def test_the_result_has_the_agreed_keys(ur10: Robot) -> None:
 @pytest.mark.parametrize("name", ["planar_2r", "ur10", "puma560"])
 def test_the_drawn_chain_keeps_the_distances_of_neighbours(name: str) -> None:
     robot = load_robot(name)
-    points = analyze_series(analyze(robot))["chain"]
+    points = analyze(robot).series()["chain"]
     assert points.shape == (robot.nv + 2, 3)
     places = [np.asarray(p.translation) for p in list(robot.model.jointPlacements)[1:]]
     np.testing.assert_allclose(
@@ -174,7 +173,7 @@ def test_the_drawn_chain_keeps_the_distances_of_neighbours(name: str) -> None:
 
 
 def test_every_parameter_appears_in_the_result(ur10: Robot) -> None:
-    result = analyze_result(analyze(ur10, effects=standard_effects(ur10.joints)))
+    result = analyze(ur10, effects=standard_effects(ur10.joints)).result()
     seen: set[str] = set()
     for entry in result["links"]:
         seen |= {*entry["unique"], *entry["unidentifiable"]}

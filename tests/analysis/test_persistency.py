@@ -1,4 +1,4 @@
-"""A lively motion is persistently exciting; a joint that rests is named."""
+"""A motion of all joints is persistently exciting; a joint that rests is named."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from excitant.analysis.persistency import persistency_result
+from excitant.analysis.identifiability import analyze
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput
 from excitant.identify.excitation import persistency
@@ -15,7 +15,7 @@ from excitant.robots import Motion, Robot
 from excitant.robots.effects import standard_effects
 
 
-def lively(robot: Robot) -> Motion:
+def wide(robot: Robot) -> Motion:
     return random_trajectory(robot, np.random.default_rng(0), 10.0, 5).motion(50.0)
 
 
@@ -28,53 +28,46 @@ def resting(motion: Motion, joint: int, since: float) -> Motion:
     return Motion(motion.t, q, dq, ddq)
 
 
-def test_a_lively_motion_is_exciting(ur10: Robot) -> None:
+def test_a_motion_of_all_joints_is_exciting(ur10: Robot) -> None:
     effects = standard_effects(ur10.joints)
-    found = persistency_result(ur10, effects, lively(ur10))
-    assert found["persistent"]
-    assert found["level"] >= 1
-    assert found["missing"] == 0
-    assert found["joints"] == found["weak"] == []
-    assert found["window_s"] == pytest.approx(10.0)
-    assert found["shortest_window_s"] <= found["window_s"]
-    assert found["sentence"].startswith("persistently exciting over 10 s at level")
+    motion = wide(ur10)
+    found = persistency(ur10, motion, effects)
+    assert found.persistent
+    assert found.level >= 1
+    assert (found.weakest.missing, found.weakest.joints, found.weakest.weak) == (0, (), ())
+    assert found.window == pytest.approx(10.0)
+    assert found.shortest <= found.window
+    said = analyze(ur10, effects=effects, motion=motion).result()["persistency"]
+    assert said["sentence"].startswith("persistently exciting over 10 s at level")
 
 
 @pytest.mark.parametrize("joint", [2, 5])
 def test_the_resting_joint_is_named(ur10: Robot, joint: int) -> None:
     effects = standard_effects(ur10.joints)
-    found = persistency_result(ur10, effects, resting(lively(ur10), joint, 0.0))
-    assert not found["persistent"]
-    assert found["level"] < 1
-    assert found["joints"][0] == ur10.joints[joint]
-    assert found["sentence"].endswith(f"move {', '.join(found['joints'])}")
-    assert found["weak"][0]["level"] == pytest.approx(found["level"])
-    assert all(ur10.joints[joint] in direction["joints"] for direction in found["weak"])
+    motion = resting(wide(ur10), joint, 0.0)
+    found = persistency(ur10, motion, effects)
+    assert not found.persistent
+    assert found.level < 1
+    assert found.weakest.joints[0] == ur10.joints[joint]
+    assert found.weakest.weak[0].level == pytest.approx(found.level)
+    assert all(ur10.joints[joint] in direction.joints for direction in found.weakest.weak)
+    said = analyze(ur10, effects=effects, motion=motion).result()["persistency"]
+    assert said["sentence"].endswith(f"move {', '.join(said['joints'])}")
+    assert json.loads(json.dumps(said, allow_nan=False)) == said
 
 
 def test_the_window_in_which_it_rests_is_found(ur10: Robot) -> None:
     effects = standard_effects(ur10.joints)
-    motion = resting(lively(ur10), 5, 5.0)
-    whole = persistency_result(ur10, effects, motion)
-    halves = persistency_result(ur10, effects, motion, window=5.0)
-    assert whole["level"] > halves["level"]
-    last = halves["windows"][-1]
-    assert last["end_s"] == pytest.approx(10.0)
-    assert last["missing"] > 0
-    assert last["joints"][0] == ur10.joints[5]
-    assert not halves["persistent"]
-
-
-def test_the_values_are_plain_and_those_of_the_measure(ur10: Robot) -> None:
-    effects, motion = standard_effects(ur10.joints), resting(lively(ur10), 1, 3.0)
-    found = persistency_result(ur10, effects, motion, window=4.0)
-    assert json.loads(json.dumps(found, allow_nan=False)) == found
-    measure = persistency(ur10, motion, effects, window=4.0)
-    assert found["level"] == measure.level
-    assert len(found["windows"]) == len(measure.windows)
-    assert found["persistent"] == all(w["missing"] == 0 for w in found["windows"])
+    motion = resting(wide(ur10), 5, 5.0)
+    whole, halves = (persistency(ur10, motion, effects, window=w) for w in (None, 5.0))
+    assert whole.level > halves.level
+    last = halves.windows[-1]
+    assert last.end == pytest.approx(10.0)
+    assert last.missing > 0
+    assert last.joints[0] == ur10.joints[5]
+    assert not halves.persistent
 
 
 def test_a_window_beyond_the_motion_is_refused(ur10: Robot) -> None:
     with pytest.raises(BadInput, match="window of 20 s"):
-        persistency_result(ur10, (), lively(ur10), window=20.0)
+        persistency(ur10, wide(ur10), (), window=20.0)

@@ -8,10 +8,10 @@ import pytest
 from excitant.design import clearance, design, from_coefficients
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Robot, load_robot
-from excitant.robots.geometry import Scene, scene
-from excitant.robots.obstacles import Obstacle, load_obstacles
+from excitant.robots.geometry import Obstacle, Scene, load_obstacles, scene
+from excitant.robots.schema import BoxRecord, HalfSpaceRecord, SphereRecord
 
-FLOOR = Obstacle("floor", "half_space", (("normal", (0.0, 0.0, 1.0)), ("offset", (-0.15,))))
+FLOOR = Obstacle("floor", "half_space", HalfSpaceRecord((0.0, 0.0, 1.0), -0.15))
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_speeds_bound_every_gradient(cell: Scene) -> None:
 def test_design_keeps_the_clearance() -> None:
     robot = load_robot("planar_2r")
     wall = Obstacle(
-        "wall", "box", (("size", (0.1, 4.0, 4.0)), ("position", (0.55, 0.0, 0.0)))
+        "wall", "box", BoxRecord((0.1, 4.0, 4.0), (0.55, 0.0, 0.0))
     )  # before the arm: half of its reach is gone
     around = scene(robot, (wall,))
     assert around is not None
@@ -82,7 +82,7 @@ def test_design_keeps_the_clearance() -> None:
 
 def test_a_cell_without_room_is_refused() -> None:
     robot = load_robot("planar_2r")
-    everywhere = Obstacle("rock", "sphere", (("radius", (5.0,)), ("position", (0.0, 0.0, 0.0))))
+    everywhere = Obstacle("rock", "sphere", SphereRecord(5.0, (0.0, 0.0, 0.0)))
     with pytest.raises(Infeasible, match="too close to an obstacle"):
         design(robot, starts=1, jobs=1, scene=scene(robot, (everywhere,)))
 
@@ -105,10 +105,13 @@ def robot_without_shapes() -> Robot:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("- box: {size: [1, 1], position: [0, 0, 0]}", "obstacle 1: size must be 3 positive"),
-        ("- sphere: {radius: -1, position: [0, 0, 0]}", "radius must be 1 positive"),
-        ("- sphere: {radius: 1}", "sphere needs radius, position"),
-        ("- cone: {}", "exactly one of box, sphere, half_space"),
+        (
+            "- box: {size: [1, 1], position: [0, 0, 0]}",
+            r"s\[0\].box.size: expected a list of length 3",
+        ),
+        ("- sphere: {radius: -1, position: [0, 0, 0]}", "radius: expected a number above 0"),
+        ("- sphere: {radius: 1}", "sphere: it lacks 'position'"),
+        ("- cone: {}", "obstacles.0.: unknown entry 'cone'"),
         ("- half_space: {normal: [0, 0, 0], offset: 1}", "normal must not be zero"),
         ("box", "expected a list"),
         ("- [", "not valid YAML .line 1: "),

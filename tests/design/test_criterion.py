@@ -6,9 +6,9 @@ import pytest
 
 from excitant.design import build_design, check, condition_number, information, random_trajectory
 from excitant.design.criterion import objective, smooth_model
+from excitant.design.peaks import torque_derivatives, torque_peaks, torque_rows
 from excitant.design.problem import DesignProblem, motion_of
-from excitant.design.subproblem import local_model
-from excitant.design.torque_peaks import torque_derivatives, torque_peaks, torque_rows
+from excitant.design.step import local_model
 from excitant.exceptions import UnknownName
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.base_parameters import base_parameters

@@ -94,10 +94,10 @@ def test_bad_csv(planar: Robot, tmp_path: Path, lines: list[str], why: str) -> N
 @pytest.mark.parametrize(
     ("changes", "why"),
     [
-        ({"period": None}, "period None"),
+        ({"period": None}, "'period' holds a value that is not finite"),
         ({"period": -1.0}, "period -1.0"),
         ({"offset": [0.0]}, "'offset' has shape (1,)"),
-        ({"cosine": [[0.0, 0.0]]}, "1 rows of 'cosine' but 3"),
+        ({"cosine": [[0.0, 0.0]]}, "shapes differ: offset (2,), cosine (1, 2), sine (3, 2)"),
         ({"sine": [["a", 0.0]]}, "'sine' is not a table of numbers"),
         ({"cosine": [[0.0, float("nan")]] * 3}, "'cosine' holds a value that is not finite"),
         ({"joints": ["a", "b"]}, "its joints a, b are not those of"),

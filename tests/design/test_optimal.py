@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from excitant.design import Design, check, design, design_result, design_series
+from excitant.design import Design, check, design
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Robot, torque
 
@@ -55,7 +55,7 @@ def test_figures_are_those_of_the_trajectory(found: Design) -> None:
 
 
 def test_result_and_series(found: Design) -> None:
-    result = design_result(found)
+    result = found.result()
     assert json.loads(json.dumps(result, allow_nan=False)) == result
     assert result["verb"] == "design"
     assert result["condition_number"]["final"] == found.condition_final
@@ -64,7 +64,7 @@ def test_result_and_series(found: Design) -> None:
     for name, use in result["worst"].items():
         assert use["joint"] in result["joints"]
         assert use["ratio"] == result["limits"][name] <= 1.0
-    series = design_series(found)
+    series = found.series()
     assert len(series["t"]) >= 1000
     share = np.abs(series["tau"]) / found.robot.limits.torque
     assert share.max() == pytest.approx(found.limits.torque.ratio, rel=1e-3)
@@ -129,8 +129,8 @@ def test_time_limit_returns_the_best_so_far(arm: Robot, starts: int | None) -> N
 
 
 def test_no_time_at_all_returns_the_first_trajectory(arm: Robot) -> None:
-    result = design(arm, starts=2, jobs=1, time_limit=0.0)
-    assert result.condition_final == result.condition_initial
+    result = design(arm, columns="inertial", starts=1, jobs=1, time_limit=0.0)
+    assert result.condition_final == pytest.approx(result.condition_initial, rel=1e-9)
     assert {start.status for start in result.starts} == {"time limit"}
     assert_limits_hold(result)
 

@@ -20,11 +20,10 @@ from excitant.design import (
     information,
     random_trajectory,
 )
-from excitant.design.torque_peaks import torque_derivatives
+from excitant.design.peaks import torque_derivatives
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots import Robot, torque
-from excitant.robots.geometry import scene
-from excitant.robots.obstacles import load_obstacles
+from excitant.robots.geometry import load_obstacles, scene
 from excitant.robots.torque import largest_torque
 
 Limited = Callable[..., Robot]
@@ -48,7 +47,7 @@ def test_a_cluster_finds_what_processes_find(planar: Robot, cluster: str) -> Non
 
 
 def test_no_cluster_is_one_line(planar: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("excitant.design.tasks._PATIENCE", "1s")
+    monkeypatch.setattr("excitant.design.starts._PATIENCE", "1s")
     with pytest.raises(BadInput, match=r"cluster tcp://127\.0\.0\.1:9: no Dask scheduler"):
         design(planar, cluster="tcp://127.0.0.1:9", starts=1)
 

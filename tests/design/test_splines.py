@@ -14,8 +14,7 @@ from excitant.design import (
     load_trajectory,
     trajectory_json,
 )
-from excitant.design.splines import SplineSeries
-from excitant.design.trajectory import FourierSeries, Series
+from excitant.design.trajectory import FourierSeries, Series, SplineSeries
 from excitant.exceptions import BadInput
 from excitant.robots import Robot
 

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
-from excitant.design import Design, design, design_result, design_series
-from excitant.design.visibility import lone_torque, scaled_condition_number, weak_directions
+from excitant.design import Design, design
+from excitant.design.result import lone_torque, scaled_condition_number, weak_directions
 from excitant.robots import Robot
-from excitant.robots.geometry import scene
-from excitant.robots.obstacles import load_obstacles
+from excitant.robots.geometry import load_obstacles, scene
 
 OBSTACLES = [
     {"name": "table", "half_space": {"normal": [0.0, 0.6, 0.8], "offset": -0.9}},
@@ -71,7 +70,7 @@ def test_weak_directions_are_the_last_singular_vectors() -> None:
 
 
 def test_predicted_standard_deviations_are_those_of_weighted_least_squares(found: Design) -> None:
-    result, motion = design_result(found), found.trajectory.sample(1001)
+    result, motion = found.result(), found.trajectory.sample(1001)
     W = found.information.observation(motion).reshape(-1, len(found.base))
     std = np.sqrt(np.diag(np.linalg.inv(W.T @ W)))
     names = [found.base.names[k] for k in found.base.columns]
@@ -100,7 +99,7 @@ def test_obstacles_are_written_as_they_were_read(ur10: Robot, tmp_path: Path) ->
 
 
 def test_tool_ends_the_arm_at_every_pose(found: Design) -> None:
-    series = design_series(found)
+    series = found.series()
     assert "other_tools" not in series
     assert series["arm"].shape == (len(series["arm_t"]), found.robot.nv + 2, 3)
     at = np.searchsorted(series["t"], series["arm_t"])

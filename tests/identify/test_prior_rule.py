@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from excitant.analysis import identifiability
-from excitant.analysis.identifiability_result import analyze_result
 from excitant.identify import Recording, identify, identify_result
 from excitant.identify.knowledge import Knowledge, LinkKnowledge, Quantity
 from excitant.identify.physical import EffectPrior, fit_physical, prior_parameters
@@ -90,7 +89,7 @@ def test_identify_and_analyze_say_the_same(
     analysis = identifiability.analyze(
         planar, effects=found.model.effects, estimate=found, rng=np.random.default_rng(0)
     )
-    rows = [p for link in analyze_result(analysis)["links"] for p in link["parameters"]]
+    rows = [p for link in analysis.result()["links"] for p in link["parameters"]]
     clear = [r for r in rows if r["decided_by"] and abs(r["prior_influence"] - 0.5) > 0.25]
     assert len(clear) > 15
     for row in clear:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from excitant.analysis.identifiability import analyze
-from excitant.analysis.identifiability_result import analyze_result, analyze_series
 from excitant.design import random_trajectory
 from excitant.reports import brief, render, save_run
 from excitant.reports.chain_figure import chain_figure, correlation_figure, side_view
@@ -48,7 +47,7 @@ def arm():
 @pytest.fixture(scope="module")
 def moved(arm):
     found = analyze(arm, effects=standard_effects(arm.joints), motion=motion_of(arm, resting=2))
-    return found, through_json(analyze_result(found)), analyze_series(found)
+    return found, through_json(found.result()), found.series()
 
 
 def test_every_link_has_its_section_with_its_drawing_and_parameters(moved, arm):
@@ -96,7 +95,7 @@ def test_what_the_motion_does_not_show_is_named_with_its_cure(moved):
 
 def test_without_a_motion_there_is_structure_alone(arm):
     found = analyze(arm)
-    result, series = through_json(analyze_result(found)), analyze_series(found)
+    result, series = through_json(found.result()), found.series()
     page = render(result, series)
     said = plain(page)
     assert "gravity along −z of the base" in said

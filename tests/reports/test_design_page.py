@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from excitant.design import design, design_result, design_series
+from excitant.design import design
 from excitant.reports import brief, render, summarize
 from excitant.reports.design_motion_figure import envelope_of, motion_figure
 from excitant.reports.design_space_figure import solid_of, space_figure
@@ -36,7 +36,7 @@ def saved():
     limits = robot.limits
     free = Limits(limits.position, limits.velocity, limits.acceleration, limits.torque * np.inf)
     found = design(robot.with_limits(free), harmonics=3, starts=2, jobs=1, criterion="d")
-    result, series = design_result(found), design_series(found)
+    result, series = found.result(), found.series()
     return found, result, series, render(result, series)
 
 

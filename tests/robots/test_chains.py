@@ -20,7 +20,7 @@ from excitant.robots import (
     regressor,
     rigid_body_torque,
 )
-from excitant.robots.robot_spec import RobotSpec
+from excitant.robots.loading import RobotSpec
 from excitant.robots.scale import arm_length
 
 LINK = (

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from excitant.analysis.identifiability import analyze
-from excitant.analysis.practical import NOT_SHOWN
+from excitant.analysis.uncertainty import NOT_SHOWN
 from excitant.cli import main
 from excitant.design import design
 from excitant.exceptions import BadInput
 from excitant.robots import Motion, Robot, load_limits, load_robot, rigid_body_torque, torque
-from excitant.robots.limits_file import require_limits
+from excitant.robots.limits import require_limits
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
@@ -63,7 +63,7 @@ def test_any_arm_gets_a_motion_that_shows_it(kind: str) -> None:
 def test_arms_of_example_robot_data() -> None:
     """The arms that the benchmark tries: what is refused is refused for the model's fault."""
     from arms import ARMS as CASES
-    from base_counts import data_folder
+    from arms import data_folder
 
     folder = data_folder(None)
     if folder is None:

@@ -15,8 +15,7 @@ from excitant.exceptions import BadRobot, ExcitantError
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import CoulombFriction
 from excitant.robots.geometry import scene
-from excitant.robots.urdf import robot_from_urdf
-from excitant.robots.urdf_writing import urdf_with_parameters
+from excitant.robots.urdf import robot_from_urdf, urdf_with_parameters
 
 SAME = 1e-8  # of the largest torque
 ONE = '<mujoco><worldbody><body name="a">{}</body></worldbody></mujoco>'

@@ -12,8 +12,7 @@ import pytest
 from excitant.exceptions import BadRobot
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque
 from excitant.robots.geometry import scene
-from excitant.robots.urdf import robot_from_urdf
-from excitant.robots.urdf_writing import urdf_with_parameters
+from excitant.robots.urdf import robot_from_urdf, urdf_with_parameters
 
 
 def states(robot: Robot) -> Motion:

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from excitant.exceptions import BadInput, BadRobot, ExcitantError, UnknownName
 from excitant.robots import Motion, Robot, builtin_robots, load_robot, rigid_body_torque, torque
-from excitant.robots.urdf import robot_from_urdf
-from excitant.robots.urdf_writing import urdf_with_parameters
+from excitant.robots.urdf import robot_from_urdf, urdf_with_parameters
 
 States = Callable[[Robot, int, int], Motion]
 Bodies = Callable[[int, int], np.ndarray]
@@ -114,7 +113,7 @@ def test_a_limit_at_zero_is_a_limit(gantry_urdf: str) -> None:
 
 BROKEN: dict[str, tuple[tuple[str, str], str]] = {
     "not XML": (("</robot>", ""), "XML"),
-    "another root": (('robot name="gantry"', 'mujoco model="gantry"'), "mujoco"),
+    "another root": (('robot name="gantry"', 'mujoco model="gantry"'), "MuJoCo"),
     "mass that is no number": (('mass value="1.5"', 'mass value="nan"'), "box"),
     "inertia that is no number": (('ixx="0.003"', 'ixx="small"'), "box"),
     "limit that is no number": (('upper="1.5"', 'upper="inf"'), "slide"),

@@ -8,10 +8,9 @@ import clarabel
 import numpy as np
 import scipy.sparse as sp
 
-from excitant.design.clearance import clearance_rows
 from excitant.design.criterion import smooth_model
+from excitant.design.peaks import clearance_rows, torque_rows
 from excitant.design.problem import DesignProblem, motion_of
-from excitant.design.torque_peaks import torque_rows
 from excitant.robots import Array
 
 PENALTY = 50.0  # of a torque violation (as share of the limit) against the log criterion

@@ -9,13 +9,19 @@ import pinocchio as pin
 import pytest
 
 from excitant.analysis import next_experiment
-from excitant.analysis.directions import correlation, largest_correlations, weak_directions
+from excitant.analysis.experiment import identify_shown
 from excitant.analysis.identifiability import Identifiability, analyze
-from excitant.analysis.identifiability_result import analyze_result
 from excitant.analysis.next_experiment import APART, base_wrench_columns, scale_deviation
-from excitant.analysis.practical import Sight, deviations, triangle, unseen_directions
 from excitant.analysis.prior_influence import prior_influence, prior_of
-from excitant.analysis.uncertainty import identify_shown
+from excitant.analysis.uncertainty import (
+    MotionInformation,
+    correlation,
+    deviations,
+    largest_correlations,
+    triangle,
+    unseen_directions,
+    weak_directions,
+)
 from excitant.design import random_trajectory
 from excitant.identify import Recording, identify, recording_from_table
 from excitant.identify.estimate import whitened
@@ -115,10 +121,10 @@ def test_deviations_are_met_by_repeated_experiments_on_recursive_newton_euler(ur
 # directions and correlations
 
 
-def sighted(covariance: np.ndarray, unseen: np.ndarray | None = None) -> Sight:
+def informed(covariance: np.ndarray, unseen: np.ndarray | None = None) -> MotionInformation:
     r = len(covariance)
     unseen = np.zeros((0, r)) if unseen is None else unseen
-    return Sight(np.eye(r), covariance, unseen, np.ones(r))
+    return MotionInformation(np.eye(r), covariance, unseen, np.ones(r))
 
 
 def plain_base(names: tuple[str, ...]) -> BaseParameters:
@@ -130,7 +136,7 @@ def test_what_trades_against_each_other_is_named() -> None:
     C = np.diag([1e-6, 4.0, 4.0])
     C[1, 2] = C[2, 1] = -3.96
     base = plain_base(("a.m", "a.Ixx", "b.Izz"))
-    worst = weak_directions(base, ("kg", "kg·m²", "kg·m²"), sighted(C), np.ones(3))[0]
+    worst = weak_directions(base, ("kg", "kg·m²", "kg·m²"), informed(C), np.ones(3))[0]
     assert worst.std == pytest.approx(np.sqrt(7.96))
     assert worst.expression.replace("b.Izz − a.Ixx", "a.Ixx − b.Izz") == "a.Ixx − b.Izz"
     assert "rise by 2 kg·m² while" in worst.meaning
@@ -144,7 +150,7 @@ def test_what_trades_against_each_other_is_named() -> None:
 
 def test_directions_that_are_not_seen_come_first() -> None:
     base = plain_base(("a.m", "a.Ixx", "b.Izz"))
-    seen = sighted(np.diag([1.0, 0.0, 0.0]), np.array([[0, 1.0, -0.25]]))
+    seen = informed(np.diag([1.0, 0.0, 0.0]), np.array([[0, 1.0, -0.25]]))
     first, *rest = weak_directions(base, ("kg",) * 3, seen, np.ones(3))
     assert first.std == np.inf
     assert first.expression == "a.Ixx − 0.25·b.Izz"
@@ -191,7 +197,7 @@ def test_a_joint_that_rests_is_named_and_moving_it_helps(ur10: Robot) -> None:
     lost = {p.expression for p in found.practical if p.verdict == "not_shown"}
     assert {"elbow_joint.Fv", "elbow_joint.Fc", "elbow_joint.Ia"} <= lost
     assert found.motion is not None
-    assert found.motion.rests == ("elbow_joint",)
+    assert found.motion.resting == ("elbow_joint",)
     for p, what in zip(found.practical, found.motion.needed, strict=True):
         assert (what == "moving elbow_joint, which rests") == (p.expression in lost)
     assert any("does not show" in note and "elbow_joint" in note for note in found.notes)
@@ -321,7 +327,7 @@ def test_linear_theory_is_what_refits_give_away_from_limits() -> None:
         moved = phi + delta.reshape(1, 10)
         return fit_physical(R, z, moved, nothing, metric=phi).x - reference
 
-    seen = Sight(R, np.eye(10), np.zeros((0, 10)), np.ones(10))
+    seen = MotionInformation(R, np.eye(10), np.zeros((0, 10)), np.ones(10))
     one, two = (
         prior_influence(seen, base, prior, phi.ravel(), np.random.default_rng(5), answer)
         for answer in (None, response)
@@ -360,7 +366,7 @@ def test_a_recording_that_rests_a_joint_is_judged_as_far_as_it_goes(planar: Robo
     assert entry(found, "joint2.Fv").influence > 0.5  # it cannot follow below zero
     assert entry(found, "joint1.Fv").verdict in ("negligible", "well")
     assert entry(found, "joint1.Fv").influence < 0.05
-    assert analyze_result(found)["resting_joints"] == ["joint2"]
+    assert found.result()["resting_joints"] == ["joint2"]
 
 
 def test_bodies_at_their_limit_are_named(judged) -> None:

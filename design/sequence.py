@@ -18,20 +18,27 @@ from typing import Any
 import joblib
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 
 from excitant.design.clearance import clearance as motion_clearance
-from excitant.design.constraints import check, within_limits
+from excitant.design.constraints import check, position_range, within_limits
 from excitant.design.criterion import Information, objective
-from excitant.design.growth import best_period, grow
-from excitant.design.held_arm import held, resting_pose, whole
-from excitant.design.multistart import MultiStart
-from excitant.design.optimal import CANDIDATES, CLEARANCE, FEWEST, TOP_HZ, build_design
-from excitant.design.outcome import Design, dense_motion, outcome
+from excitant.design.export import trajectory_csv, trajectory_json
+from excitant.design.optimal import (
+    CANDIDATES,
+    CLEARANCE,
+    FEWEST,
+    TOP_HZ,
+    build_design,
+    number_of_starts,
+    period_range,
+)
 from excitant.design.problem import DesignProblem
+from excitant.design.result import Design, dense_motion
 from excitant.design.search import SearchState, best_solutions
-from excitant.design.tasks import Effort, connect
+from excitant.design.starts import Effort, connect, search
 from excitant.design.trajectory import Trajectory
-from excitant.exceptions import BadInput, Infeasible
+from excitant.exceptions import Infeasible
 from excitant.robots import Array, Robot
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.geometry import Scene
@@ -40,6 +47,19 @@ from excitant.robots.motion import read_only
 from excitant.robots.torque_rows import last_rows
 
 _STARTS = 6  # per motion
+_POSES = 200  # drawn for one that keeps clear
+_SHARED = ("joints", "revolute", "series", "limit_values", "obstacles")
+_OWN = (
+    "duration",
+    "harmonics",
+    "base_parameters",
+    "condition_number",
+    "limits",
+    "condition_number_scaled",
+    "weakest",
+    "clearance_m",
+    "iterations",
+)
 
 Progress = Callable[[float, str, float], None]
 """Called with the fraction done, the link, and its best condition number so far."""
@@ -82,6 +102,72 @@ class LinkByLinkDesign:
     base: int
     motions: tuple[LinkMotion, ...]
     wall_s: float
+
+    def result(self) -> dict[str, Any]:
+        """The content of ``result.json``: the worst of all at the top, each in ``stages``."""
+        single = [motion.design.result() for motion in self.motions]
+        starts = np.cumsum([0.0, *(one["duration"] for one in single)]).tolist()
+        worst = int(np.argmax([motion.design.condition_final for motion in self.motions]))
+        limits, when = {}, {}
+        for quantity in single[0]["limits"]:
+            k = max(range(len(single)), key=lambda k: single[k]["limits"][quantity] or 0.0)
+            limits[quantity], row = single[k]["limits"][quantity], single[k]["worst"][quantity]
+            when[quantity] = row and row | {"t": row["t"] + starts[k]}
+        distances = [one["clearance_m"] for one in single if one["clearance_m"] is not None]
+        return {
+            "verb": "design",
+            "robot": self.robot.name,
+            **{key: single[0][key] for key in _SHARED},
+            "duration": starts[-1],
+            "harmonics": max(one["harmonics"] for one in single),
+            "columns": self.columns,
+            "base_parameters": self.base,
+            "criterion": self.criterion,
+            "condition_number": single[worst]["condition_number"],
+            "limits": limits,
+            "worst": when,
+            "clearance_m": min(distances, default=None),
+            "starts": [],
+            "iterations": sum(one["iterations"] for one in single),
+            "wall_s": self.wall_s,
+            "notes": [
+                "one motion per link, from the last inward; identify with --link-by-link from all "
+                "of their recordings. The condition number above is that of "
+                f"{self.motions[worst].name}, the worst"
+            ],
+            "link_by_link": {
+                "stages": [
+                    {
+                        "link": self.robot.links[motion.joint],
+                        "joint": self.robot.joints[motion.joint],
+                        "file": f"{motion.name}.csv",
+                        "moves": list(self.robot.joints[: motion.joint + 1]),
+                        "determines": list(motion.design.base.expressions),
+                        **{key: one[key] for key in _OWN},
+                    }
+                    for motion, one in zip(self.motions, single, strict=True)
+                ]
+            },
+            "files": {},
+        }
+
+    def series(self) -> dict[str, Array]:
+        """Curves of all motions one after the other, as of `Design.series`."""
+        parts, start = [], 0.0
+        for motion in self.motions:
+            part = motion.design.series()
+            parts.append(part | {key: part[key] + start for key in ("t", "arm_t")})
+            start += motion.design.duration
+        return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+
+    def files(self, rate_hz: float, periods: int = 1) -> dict[str, str | bytes]:
+        """``link<i>.csv`` and ``link<i>.json`` of every motion, the last link's first."""
+        files: dict[str, str | bytes] = {}
+        for motion in self.motions:
+            trajectory = motion.design.trajectory
+            files[f"{motion.name}.csv"] = trajectory_csv(trajectory, rate_hz, periods)
+            files[f"{motion.name}.json"] = trajectory_json(trajectory, self.robot)
+        return files
 
 
 def design_link_by_link(
@@ -127,11 +213,8 @@ def design_link_by_link(
         BadInput: Duration, harmonics or starts out of range, or no cluster there.
     """
     began = time.time()
-    if starts is not None and starts < 1:
-        raise BadInput(f"{starts} starts: at least one is needed")
-    if starts is None and time_limit is None:
-        starts = _STARTS
-    shortest, longest = duration if isinstance(duration, tuple) else (duration, duration)
+    starts = number_of_starts(starts, time_limit, _STARTS)
+    shortest, longest = period_range(duration)
     options: dict[str, Any] = {
         "duration": longest,
         "harmonics": FEWEST if harmonics is None else harmonics,
@@ -143,7 +226,7 @@ def design_link_by_link(
     goal = build_design(robot, **options).information
     last = last_rows(robot, _effects(robot, columns), goal.base)
     joints = [j for j in reversed(range(robot.nv)) if (last == j).any()]
-    pose = resting_pose(robot, scene, clearance)
+    pose = _resting_pose(robot, scene, clearance)
     motions = []
     with ExitStack() as stack:
         client = stack.enter_context(connect(cluster)) if cluster else None
@@ -158,16 +241,13 @@ def design_link_by_link(
                 _teller(progress, robot.links[joint], k, len(joints)),
                 client,
             )
-            if shortest < longest:
-                problem = best_period(problem, effort, shortest, longest)
-            if harmonics is None:
-                problem, searches = grow(problem, effort, top_hz)
-            else:
-                searches = MultiStart(problem, effort).run()
+            problem, searches = search(
+                problem, effort, shortest, top_hz if harmonics is None else None
+            )
             initial = problem.random(np.random.default_rng([seed, 0]))
             found = (problem.trajectory(z) for z in best_solutions(searches, CANDIDATES))
             drawn = [initial, *found]
-            kept = _keeping(robot, [whole(x, pose) for x in drawn], scene, clearance)
+            kept = _keeping(robot, [_whole(x, pose) for x in drawn], scene, clearance)
             seen = _of_link(goal, joint, last == joint)
             motions.append(LinkMotion(joint, _best(kept, seen, criterion, scene, searches)))
     wall = time.time() - began
@@ -178,7 +258,7 @@ def _problem(
     robot: Robot, joint: int, pose: Array, scene: Scene | None, options: dict[str, Any]
 ) -> DesignProblem:
     """The design of one link's motion on the arm with the joints after it locked."""
-    arm = held(robot, joint, pose)
+    arm = _held(robot, joint, pose)
     around = None if scene is None else scene_of(arm, scene.obstacles)
     problem = build_design(arm, scene=around, **options)
     base = problem.information.base
@@ -228,12 +308,12 @@ def _best(
     seen: Information,
     criterion: str,
     scene: Scene | None,
-    searches: Sequence[SearchState],
+    searches: tuple[SearchState, ...],
 ) -> Design:
     """The motion with the best exact figures, as a design; the first one is where it began."""
     values = [objective(seen.matrix(dense_motion(motion)), criterion) for motion in motions]
-    ends = (motions[0], motions[int(np.argmin(values))])
-    return outcome(seen, criterion, ends, scene, searches, 0.0)
+    chosen = motions[int(np.argmin(values))]
+    return Design(seen, criterion, motions[0], chosen, scene, searches, 0.0)
 
 
 def _teller(
@@ -248,3 +328,59 @@ def _teller(
         progress((stage + min(share, 1.0)) / stages, link, float(best))
 
     return tell
+
+
+def _resting_pose(robot: Robot, scene: Scene | None, clearance: float) -> Array:
+    """Where outer joints are held: zero or the middle of their ranges, unless that collides."""
+    low, high = robot.limits.position.T
+    middle = position_range(robot.limits)[0]
+    pose = np.where((low <= 0) & (high >= 0), 0.0, middle)
+    if scene is None:
+        return read_only(pose)
+    drawn = robot.random_motion(np.random.default_rng(0), _POSES)[0]
+    for candidate in (pose, *drawn):
+        if scene.distances(candidate[None]).min(initial=np.inf) > 2 * clearance:
+            return read_only(candidate)
+    raise Infeasible("link-by-link design", "no pose keeps the arm clear; give it more room")
+
+
+def _held(robot: Robot, joint: int, pose: Array) -> Robot:
+    """The arm with the joints after one locked, whose links that one then carries."""
+    kept, names = joint + 1, robot.joints
+    if kept == robot.nv:
+        return robot
+    reference = pin.neutral(robot.model)
+    for k, value in enumerate(pose):
+        reference[robot.model.joints[k + 1].idx_q] = value
+    model = pin.buildReducedModel(robot.model, list(range(kept + 1, robot.nv + 1)), reference)
+    limits = {
+        name: getattr(robot.limits, name)[:kept]
+        for name in ("position", "velocity", "acceleration", "torque", "jerk")
+    }
+    locked = dict(robot.locked) | dict(zip(names[kept:], pose[kept:].tolist(), strict=True))
+    return replace(
+        robot,
+        model=model,
+        links=robot.links[:kept],
+        revolute=robot.revolute[:kept],
+        limits=replace(robot.limits, **limits),
+        locked=tuple(sorted(locked.items())),
+        effects=tuple(_kept(effect, names[:kept]) for effect in robot.effects),
+    )
+
+
+def _kept(effect: Effect, joints: Sequence[str]) -> Effect:
+    """An effect on those of its joints that are left."""
+    rows = [k for k, joint in enumerate(effect.joints) if joint in joints]
+    values = effect.values
+    if values is not None:
+        each = np.reshape(values, (len(effect.joints), -1))
+        values = tuple(each[rows].ravel().tolist())
+    return replace(effect, joints=tuple(effect.joints[k] for k in rows), values=values)
+
+
+def _whole(trajectory: Trajectory, pose: Array) -> Trajectory:
+    """A motion of the first joints as one of the arm, the other joints at their pose."""
+    X = trajectory.series.constant(pose)
+    X[:, : trajectory.nv] = trajectory.coefficients
+    return trajectory.series.trajectory(X)

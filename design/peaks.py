@@ -1,4 +1,4 @@
-"""Where a trajectory needs most torque, and how that changes with its coefficients.
+"""Where a trajectory needs most torque or comes closest, and how that changes with its unknowns.
 
 Torque is smooth but for friction, which jumps where a joint turns back. There the largest
 torque is a one-sided limit, which no sample attains: both sides are evaluated at the very
@@ -13,19 +13,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from excitant.design.clearance import SCALE, pose_use
 from excitant.design.criterion import speed_scale
+from excitant.design.problem import DesignProblem
 from excitant.robots import Array, Motion, Robot, torque
 from excitant.robots.effects import Effect
 from excitant.robots.torque import largest_torque, link_torques
-
-if TYPE_CHECKING:
-    from excitant.design.problem import DesignProblem
 
 _CREEP = 1e-5  # speed that stands for a one-sided limit [rad/s or m/s]
 _STEP = 1e-6  # of central differences of effects; below `_CREEP`, so that no sign changes
@@ -281,3 +279,41 @@ def _difference(
         total += effect.torque(robot, ahead) - effect.torque(robot, behind)
     slope: Array = total / (2 * _STEP)
     return slope
+
+
+def worst_use(problem: DesignProblem, z: Array) -> float:
+    """Worst use of the torque bounds at the peaks, and of the clearance at the grid's instants."""
+    torque_use = apart = 0.0
+    if np.isfinite(problem.torque_bound).any():
+        torque_use = float(torque_peaks(problem, z).use.max(initial=0.0))
+    if problem.scene is not None:
+        q = problem.grid_bases[0] @ z
+        apart = float(pose_use(problem.scene, problem.required, q).max())
+    return max(torque_use, apart)
+
+
+def clearance_rows(problem: DesignProblem, z: Array, near: float) -> tuple[Array, Array]:
+    """Linearised use of the clearance by the unknowns, at each pair's nearest instants.
+
+    Args:
+        problem: The design problem.
+        z: Unknowns, shape (c − 2, nv).
+        near: Use from which an instant becomes a row.
+
+    Returns:
+        Rows of shape (m, k), and the use at z, shape (m,).
+    """
+    if problem.scene is None:
+        return np.zeros((0, problem.size)), np.zeros(0)
+    q = problem.grid_bases[0] @ z
+    distance = problem.scene.distances(q)
+    use = 1 + (problem.required - distance) / SCALE
+    nearest = (distance <= np.roll(distance, 1, axis=0)) & (
+        distance < np.roll(distance, -1, axis=0)
+    )
+    rows, uses = [], []
+    for k, pair in np.argwhere(nearest & (use > near)):
+        _, gradient = problem.scene.gradient(q[k], int(pair))
+        rows.append(-np.outer(problem.grid_bases[0][k], gradient).ravel() / SCALE)
+        uses.append(use[k, pair])
+    return np.reshape(rows, (-1, problem.size)), np.array(uses)

@@ -1,0 +1,142 @@
+"""Limits of an arm's joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from excitant.exceptions import BadInput, UnknownName
+from excitant.robots.motion import Array, freeze
+from excitant.robots.schema import LimitsRecord, convert, read_yaml
+
+if TYPE_CHECKING:
+    from excitant.robots.robot import Robot
+
+LIMIT_NAMES = ("position", "velocity", "acceleration", "torque", "jerk")
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits of the joints; ``inf`` where there is none.
+
+    Attributes:
+        position: Lowest and highest position, shape (nv, 2) [rad or m].
+        velocity: Highest speed, shape (nv,) [rad/s or m/s].
+        acceleration: Highest acceleration, shape (nv,) [rad/s² or m/s²].
+        torque: Highest torque, shape (nv,) [N·m or N].
+        jerk: Highest jerk, shape (nv,) [rad/s³ or m/s³]; none by default.
+        mass_uncertainty: Share by which the inertial parameters of each link may be larger or
+            smaller than the model's, for all of which the torque limits must hold.
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+    jerk: Array = field(default_factory=lambda: np.array(np.inf))
+    mass_uncertainty: float = 0.0
+
+    def __post_init__(self) -> None:
+        jerk = np.broadcast_to(self.jerk, np.shape(self.velocity))
+        object.__setattr__(self, "jerk", jerk)
+        freeze(self, *LIMIT_NAMES)
+
+    @property
+    def orders(self) -> int:
+        """How many derivatives of q are limited, q included: 3, or 4 with limits on jerk."""
+        return 4 if np.isfinite(self.jerk).any() else 3
+
+    def of(self, joints: list[int]) -> Limits:
+        """Limits of some of the joints, by index."""
+        rows: dict[str, Any] = {name: getattr(self, name)[joints] for name in LIMIT_NAMES}
+        return replace(self, **rows)
+
+
+def load_limits(path: str | Path, robot: Robot) -> Limits:
+    """Limits of a robot with some replaced by those of a YAML or JSON file.
+
+    The file holds ``position: [[lo, hi], ...]``, ``velocity``, ``acceleration``, ``torque``
+    and ``jerk`` (one number, one per joint, or ``{joint: number}``), at the top or under
+    ``limits``. What it leaves out stays as the robot has it.
+
+    Raises:
+        BadInput: Unreadable, unknown names, wrong counts, or limits that exclude everything.
+    """
+    content = read_yaml(path, dict[str, Any], "limits")
+    nested = "limits" in content
+    record = convert(content.get("limits", content), LimitsRecord, path, ".limits" * nested)
+    return merge_limits(robot, record, str(path))
+
+
+def merge_limits(robot: Robot, record: LimitsRecord, source: str) -> Limits:
+    """Limits of the robot with some replaced; see `load_limits`."""
+    merged: dict[str, Any] = {
+        name: _limit(robot, name, value, source)
+        for name in LIMIT_NAMES
+        if (value := getattr(record, name)) is not None
+    }
+    return replace(robot.limits, **merged)
+
+
+def _limit(robot: Robot, name: str, value: Any, source: str) -> Array:
+    shape = (robot.nv, 2) if name == "position" else (robot.nv,)
+    if isinstance(value, dict):
+        for joint in value:
+            if joint not in robot.joints:
+                unknown = UnknownName("joint", joint, robot.joints)
+                raise BadInput(f"{source}: {name} limits: {unknown}")
+        own = getattr(robot.limits, name).tolist()
+        value = [value.get(joint, own[j]) for j, joint in enumerate(robot.joints)]
+    try:
+        limit = np.broadcast_to(np.asarray(value, float), shape)
+    except ValueError:
+        each = "pair of numbers" if name == "position" else "number"
+        raise BadInput(
+            f"{source}: {name} limits: expected one {each}, or one for each of the {robot.nv} "
+            f"joints of {robot.name}"
+        ) from None
+    good = limit[:, 0] < limit[:, 1] if name == "position" else limit > 0
+    if not good.all():
+        joint = robot.joints[int(np.argmin(good))]
+        rule = "lower must be below upper" if name == "position" else "must be positive"
+        raise BadInput(f"{source}: {name} limit of joint {joint}: {rule}")
+    return limit
+
+
+def require_limits(robot: Robot) -> str | None:
+    """Refuse a robot whose motion nothing bounds; say what bounds it instead of missing limits.
+
+    Speed needs a limit of its own; acceleration may be bounded by torque.
+
+    Returns:
+        A sentence about acceleration limits that are missing without need, if any.
+
+    Raises:
+        BadInput: Limits are missing; says which file to write.
+    """
+    limits, joints = robot.limits, np.array(robot.joints)
+    free = np.isinf(limits.acceleration)
+    missing = {
+        "velocity": ("velocity limits", np.isinf(limits.velocity)),
+        "acceleration": ("limits on acceleration or torque", free & np.isinf(limits.torque)),
+    }
+    lacking = {name: (kind, joints[at]) for name, (kind, at) in missing.items() if at.any()}
+    if lacking:
+        what = " and no ".join(kind for kind, _ in lacking.values())
+        entries = " and ".join(
+            f"'{name}: {{{', '.join(f'{j}: ..' for j in names)}}}'"
+            for name, (_, names) in lacking.items()
+        )
+        raise BadInput(
+            f"{robot.source or robot.name} gives no {what} of some joints; write limits.yaml with "
+            f"{entries} [rad or m, s] and pass --limits limits.yaml"
+        )
+    if not free.any():
+        return None
+    return (
+        f"no acceleration limits of {', '.join(joints[free])}: torque limits bound the motion; "
+        "pass --limits with 'acceleration: ..' where drives allow less"
+    )

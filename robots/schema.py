@@ -1,0 +1,272 @@
+"""YAML and JSON files that users write, as typed records."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import msgspec
+import yaml
+
+from excitant.exceptions import BadInput, UnknownName
+
+T = TypeVar("T")
+Finite = Annotated[float, msgspec.Meta(ge=-1e300, le=1e300)]
+Positive = Annotated[float, msgspec.Meta(gt=0, le=1e300)]
+Three = tuple[Finite, Finite, Finite]
+Name = str | int
+
+
+class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Entries of a file, all of them known."""
+
+
+class LimitsRecord(Record, frozen=True):
+    """Limits: one value for all joints, one for each, or values by the joints' names."""
+
+    position: list[float | tuple[float, float]] | dict[str, tuple[float, float]] | None = None
+    velocity: float | list[float] | dict[str, float] | None = None
+    acceleration: float | list[float] | dict[str, float] | None = None
+    torque: float | list[float] | dict[str, float] | None = None
+    jerk: float | list[float] | dict[str, float] | None = None
+
+
+class CylinderRecord(Record, frozen=True):
+    """A cylinder of a link or the base, or a sphere where both ends coincide [m]."""
+
+    start: Three = msgspec.field(name="from")
+    end: Three = msgspec.field(name="to")
+    radius: Positive
+
+
+class TensorRecord(Record, frozen=True):
+    """Elements of an inertia tensor [kg·m²]."""
+
+    xx: Finite = 0.0
+    xy: Finite = 0.0
+    yy: Finite = 0.0
+    xz: Finite = 0.0
+    yz: Finite = 0.0
+    zz: Finite = 0.0
+
+
+class DHRecord(Record, frozen=True):
+    """A joint and its link in Denavit-Hartenberg form; see `excitant.robots.dh`."""
+
+    m: Positive
+    a: Finite = 0.0
+    d: Finite = 0.0
+    alpha: Finite = 0.0
+    theta: Finite = 0.0
+    type: Literal["revolute", "prismatic"] = "revolute"
+    joint: Name | None = None
+    link: Name | None = None
+    com: Three | None = None
+    mc: Three | None = None
+    I: TensorRecord | None = None  # noqa: E741 - the letter of the literature
+    Ic: TensorRecord | None = None
+    collision: tuple[CylinderRecord, ...] | None = None
+
+
+class PlaceRecord(Record, frozen=True):
+    """A pose [m, and the file's unit of angles]."""
+
+    position: Three = (0.0, 0.0, 0.0)
+    rpy: Three = (0.0, 0.0, 0.0)
+    collision: tuple[CylinderRecord, ...] | None = None
+
+
+class AboutRecord(Record, frozen=True):
+    """What a built-in arm is."""
+
+    kind: str
+    source: str
+    payload_kg: Positive | None = None
+    mass_kg: Positive | None = None
+
+
+class RobotRecord(msgspec.Struct, frozen=True):
+    """A ``robot.yaml``; entries that it does not know are left to others."""
+
+    model: str | None = None
+    name: Name | None = None
+    dh: Annotated[tuple[DHRecord, ...], msgspec.Meta(min_length=1)] | None = None
+    convention: Literal["standard", "modified"] | None = None
+    angles: Literal["radians", "degrees"] = "radians"
+    base: str | int | PlaceRecord | None = None
+    tool: PlaceRecord | None = None
+    gravity: Three | None = None
+    joints: tuple[Name, ...] | None = None
+    tip: Name | None = None
+    lock: dict[str, Finite] | None = None
+    xacro_args: dict[str, Any] | None = None
+    packages: tuple[str, ...] | None = None
+    limits: LimitsRecord | None = None
+    effects: list[dict[str, Any]] | None = None
+    drive: Any = None
+    about: AboutRecord | None = None
+    sources: str = ""
+    tables: list[dict[str, Any]] | None = None
+
+
+class BoxRecord(Record, frozen=True):
+    """A box in the cell [m, rad]."""
+
+    size: tuple[Positive, Positive, Positive]
+    position: Three
+    rpy: Three = (0.0, 0.0, 0.0)
+
+
+class SphereRecord(Record, frozen=True):
+    """A sphere in the cell [m]."""
+
+    radius: Positive
+    position: Three
+
+
+class HalfSpaceRecord(Record, frozen=True):
+    """All points x with n·x ≤ offset [m]."""
+
+    normal: Three
+    offset: Finite
+
+    def __post_init__(self) -> None:
+        if not any(self.normal):
+            raise ValueError("normal must not be zero")
+
+
+class WorkspaceRecord(Record, frozen=True):
+    """The axis-aligned box that the tool point stays in [m]."""
+
+    low: Three
+    high: Three
+
+    def __post_init__(self) -> None:
+        if not all(a < b for a, b in zip(self.low, self.high, strict=True)):
+            raise ValueError("low must be below high in x, y and z")
+
+
+class ObstacleRecord(Record, frozen=True):
+    """One obstacle, of one shape."""
+
+    name: str = ""
+    box: BoxRecord | None = None
+    sphere: SphereRecord | None = None
+    half_space: HalfSpaceRecord | None = None
+    workspace: WorkspaceRecord | None = None
+
+    def __post_init__(self) -> None:
+        if sum(getattr(self, shape) is not None for shape in OBSTACLE_SHAPES) != 1:
+            raise ValueError(f"give exactly one of {', '.join(OBSTACLE_SHAPES)}")
+
+
+OBSTACLE_SHAPES = ("box", "sphere", "half_space", "workspace")
+
+
+def read_yaml(path: str | Path, kind: type[T], holds: str) -> T:
+    """Content of a YAML file, or of a JSON file where its name ends so, as a type.
+
+    Args:
+        path: The file.
+        kind: What it holds; a `Record` or any type that msgspec knows, ``Any`` included.
+        holds: The same in words for messages, such as ``limits``.
+
+    Raises:
+        BadInput: Missing, unreadable, neither YAML nor JSON, or not of the type; says where.
+    """
+    path = Path(path)
+    language = "JSON" if path.suffix == ".json" else "YAML"
+    try:
+        text = path.read_text(encoding="utf-8")
+        content = json.loads(text) if language == "JSON" else yaml.load(text, _Loader)
+    except FileNotFoundError:
+        raise BadInput(f"{path}: no such file; give a {language} file of {holds}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8"
+        why = f"cannot be read ({reason}); give a {language} file of {holds}"
+        raise BadInput(f"{path}: {why}") from None
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise BadInput(
+            f"{path}: not valid {language} ({_fault(error)}); correct it there"
+        ) from None
+    return convert(content, kind, path)
+
+
+def convert(content: object, kind: type[T], source: str | Path, where: str = "") -> T:
+    """Content of a file as a type.
+
+    Args:
+        content: What YAML or JSON gave.
+        kind: What it should be.
+        source: The file, for messages.
+        where: The part of the file that it is.
+
+    Raises:
+        BadInput: It is something else; says where, such as ``limits.velocity[2]``.
+    """
+    try:
+        return msgspec.convert(content, kind, str_keys=True)
+    except msgspec.ValidationError as error:
+        why, _, path = str(error).partition(" - at `")
+        place = where + path.rstrip("`").removeprefix("key in ").removeprefix("$")
+        unknown = re.search("unknown field `(.*)`", why)
+        if unknown:
+            why = str(UnknownName("entry", unknown[1], _known(place)))
+        why = re.sub("Object missing required field `(.*)`", r"it lacks '\1'", why)
+        why = re.sub(r"`([a-z |]+)`", lambda found: _in_words(found[1]), why)
+        why = re.sub(r"number [<>]= -?1e\+300", "finite number", why).replace("> 0.0", "above 0")
+        why = why[0].lower() + why[1:]
+        raise BadInput(": ".join(x for x in (str(source), place.strip("."), why) if x)) from None
+
+
+_WORDS = {
+    "float": "a number",
+    "int": "a number",
+    "str": "text",
+    "null": "nothing",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "entries 'name: value'",
+}
+
+
+def _in_words(types: str) -> str:
+    names = dict.fromkeys(_WORDS.get(name, name) for name in types.split(" | ") if name != "null")
+    return " or ".join(names) or _WORDS["null"]
+
+
+def _known(place: str) -> tuple[str, ...]:
+    """Names that an entry may have, of the records that have a field of the place's name."""
+    owner = re.sub(r"\[.*?\]", "", place).rpartition(".")[2]
+    kinds = _RECORDS.get(owner, tuple(Record.__subclasses__()))
+    return tuple(dict.fromkeys(name for kind in kinds for name in kind.__struct_encode_fields__))
+
+
+_RECORDS: dict[str, tuple[type[Record], ...]] = {
+    "limits": (LimitsRecord,), "dh": (DHRecord,), "base": (PlaceRecord,), "tool": (PlaceRecord,),
+    "I": (TensorRecord,), "Ic": (TensorRecord,), "collision": (CylinderRecord,),
+    "obstacles": (ObstacleRecord,),
+    "box": (BoxRecord,), "sphere": (SphereRecord,), "workspace": (WorkspaceRecord,),
+}  # fmt: skip
+
+
+def _fault(error: Exception) -> str:
+    """What is wrong in a text, and in which line where that is known."""
+    if isinstance(error, json.JSONDecodeError):
+        return f"line {error.lineno}: {error.msg}"
+    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
+        return f"line {error.problem_mark.line + 1}: {error.problem or error.context}"
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML 1.2's numbers, so that 1e-3 is one."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
+    list("-+0123456789."),
+)
