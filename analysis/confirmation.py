@@ -12,7 +12,6 @@ from excitant.analysis.candidates import (
     WRONG_LINK,
     Observed,
     coefficient_sizes,
-    merged,
     observed,
     tolerance_metric,
 )
@@ -24,7 +23,7 @@ from excitant.identify.accuracy import Series, series
 from excitant.identify.physical import EffectPrior, fit_physical
 from excitant.identify.preprocessing import Segment
 from excitant.identify.resting import identified_robot
-from excitant.robots.effects import Effect, InertialParameters, JointwiseEffect, Payload
+from excitant.robots.effects import Effect, merged
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import from_pseudo_inertia
 from excitant.robots.robot import Robot
@@ -231,9 +230,9 @@ class Extender:
     def _bodies(self, chosen: Sequence[Candidate]) -> tuple[Array, Array]:
         """Prior and its relative uncertainty for every link, and for a payload if there is one."""
         joints, tolerance = self.held.observed.robot.joints, self.evidence.tolerance[0]
-        wrong = {c.effect.joints[0] for c in chosen if isinstance(c.effect, InertialParameters)}
+        wrong = {c.effect.joints[0] for c in chosen if c.effect.role == "link"}
         sigma = [WRONG_LINK if joint in wrong else tolerance * TOLERANCE for joint in joints]
-        if not any(isinstance(c.effect, Payload) for c in chosen):
+        if not any(c.effect.role == "body" for c in chosen):
             return self.prior, np.array(sigma)
         mass = _PAYLOAD_SHARE * self.prior[:, 0].sum()
         reference = from_pseudo_inertia(mass * np.diag([*(_PAYLOAD_RADIUS**2,) * 3, 1.0]))
@@ -245,7 +244,7 @@ class Extender:
         """Given coefficients within tolerance; those found, free."""
         robot = self.held.observed.robot
         free = {p.name for c in chosen for p in c.effect.parameters(robot)}
-        scalar = [e for e in effects if not isinstance(e, Payload)]
+        scalar = [e for e in effects if e.role != "body"]
         parameters = [p for e in scalar for p in e.parameters(robot)]
         mean = np.array(
             [v for e in scalar for v in (e.values or (0.0,) * len(e.parameters(robot)))]
@@ -262,14 +261,10 @@ class Extender:
 def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
     """A payload first, then the given effects, then those found on joints that had none."""
     has = {p.name for e in robot.effects for p in e.parameters(robot)}
-    found = [c.effect for c in chosen if not isinstance(c.effect, InertialParameters)]
-    payloads: list[Effect] = [e for e in found if isinstance(e, Payload)]
-    added = [
-        e
-        for e in found
-        if not isinstance(e, Payload) and not {p.name for p in e.parameters(robot)} <= has
-    ]
-    return [*payloads, *robot.effects, *merged(added)]
+    bodies = [c.effect for c in chosen if c.effect.role == "body"]
+    found = [c.effect for c in chosen if c.effect.role == "torque"]
+    added = [e for e in found if not {p.name for p in e.parameters(robot)} <= has]
+    return [*bodies, *robot.effects, *merged(added)]
 
 
 def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> tuple[Extension, list[Finding]]:
@@ -322,7 +317,7 @@ def _findings(robot: Robot, fit: Extension, held: HeldOut) -> list[Finding]:
     for candidate in fit.chosen:
         values, given, std = _coefficients(robot, fit, candidate.effect)
         torque = fit.held.columns(candidate.effect) @ (values - given) / held.gains
-        joints = affected(robot, candidate.effect)
+        joints = candidate.effect.affected(robot)
         without = error + torque
         fall = ((without**2 - error**2) * weight**2)[:, joints]
         gain, spread = _relative_gain((without * weight)[:, joints], (torque * weight)[:, joints])
@@ -347,13 +342,6 @@ def _findings(robot: Robot, fit: Extension, held: HeldOut) -> list[Finding]:
     return findings
 
 
-def affected(robot: Robot, effect: Effect) -> list[int]:
-    """Joints whose torque an effect changes: its own, or all for a body."""
-    if isinstance(effect, JointwiseEffect):
-        return [robot.joint_index(joint) for joint in effect.joints]
-    return list(range(robot.nv))
-
-
 def _relative_gain(error: Array, torque: Array) -> tuple[float, float]:
     """Fall of the squared error, relative to it, when a cause's torque is taken off it.
 
@@ -372,7 +360,7 @@ def _relative_gain(error: Array, torque: Array) -> tuple[float, float]:
 
 def _coefficients(robot: Robot, fit: Extension, effect: Effect) -> tuple[Array, Array, Array]:
     """Coefficients of a cause in the extended and the given model, and standard deviations."""
-    if isinstance(effect, InertialParameters):
+    if effect.role == "link":
         j = robot.joint_index(effect.joints[0])
         part = slice(10 * j, 10 * j + 10)
         return fit.model.phi[part] - robot.phi[part], np.zeros(10), fit.link_std[part]

@@ -11,9 +11,7 @@ import numpy as np
 from excitant.analysis.candidates import (
     Observed,
     gather,
-    has_shape,
     observed,
-    rests_on_model,
     tolerance_metric,
 )
 from excitant.analysis.confirmation import (
@@ -22,7 +20,6 @@ from excitant.analysis.confirmation import (
     Extension,
     Finding,
     HeldOut,
-    affected,
     confirmed,
     held_out,
     unextended,
@@ -37,7 +34,7 @@ from excitant.identify.physical import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.rows import Data, split, torque_per_reading
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.effects import JointwiseEffect, plain, standard_effects
+from excitant.robots.effects import plain, standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -146,7 +143,7 @@ class Diagnosis:
         for finding in self.findings:
             name = finding.effect.name
             count = sum(f.effect.name == name for f in self.findings)
-            common = isinstance(finding.effect, JointwiseEffect) and 2 * count > self.robot.nv > 2
+            common = finding.effect.jointwise and 2 * count > self.robot.nv > 2
             key = f"{name} {finding.verdict if common else finding.effect.joints}"
             groups.setdefault(key, []).append(finding)
         return sorted(groups.values(), key=lambda group: -sum(f.explained for f in group))
@@ -174,7 +171,7 @@ class Diagnosis:
         """
         squares = []
         for finding in group:
-            joints = affected(self.robot, finding.effect)
+            joints = finding.effect.affected(self.robot)
             counts = self.held.moves[:, joints]
             counts = counts if counts.any() else ~counts
             errors = (self.left + finding.torque, self.left)
@@ -261,7 +258,7 @@ def _understood(
             break
         best = fit, findings
         before, shapes = shapes, {c.effect for c in fit.chosen}
-        if shapes == before or not any(rests_on_model(e) or has_shape(e) for e in shapes):
+        if shapes == before or not any(e.depends_on_model or e.shapes for e in shapes):
             break
     assert best is not None
     return best

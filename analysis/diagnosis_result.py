@@ -14,7 +14,6 @@ from excitant.analysis.evidence_curves import curve_of
 from excitant.analysis.headline import at_rest, headline, placeholders
 from excitant.analysis.residuals import Residual
 from excitant.exceptions import ExcitantError
-from excitant.robots.effects import InertialParameters, Payload
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -195,7 +194,7 @@ def _refit(diagnosis: Diagnosis) -> dict[str, Any]:
     wrong = {
         robot.links[robot.joint_index(f.effect.joints[0])]
         for f in diagnosis.findings
-        if isinstance(f.effect, InertialParameters | Payload)
+        if f.effect.role != "torque"
     }
     said = found.sentence(robot.joints, diagnosis.data.unit, bool(diagnosis.findings), wrong)
     return {"sentence": said, **found.result(robot.joints)}

@@ -20,22 +20,51 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.linalg
+import scipy.special
 
 from excitant.analysis.candidates import TOLERANCE, believed_columns, cause_columns
-from excitant.analysis.discrimination_power import MOST_RUNS, Separation, repetitions
-from excitant.analysis.discrimination_projection import explaining, without_given
-from excitant.analysis.discrimination_shapes import bare, shapes
 from excitant.analysis.evidence import JointColumns, joint_columns, widened
 from excitant.analysis.residuals import moving
 from excitant.identify.physical import link_coordinates, link_weights
 from excitant.identify.preprocessing import Segment
-from excitant.robots.effects import Effect
+from excitant.robots.effects import Effect, JointFacts, joint_facts
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
+POWER, LEVEL = 0.9, 0.05
+MOST_RUNS = 10
+_ALIKE, _ALIKE_LEVEL = 0.9, 0.001  # |cos| of signatures that `diagnose` takes more for, and what
+_LOOSE = 1e-9  # prior precision of what only the data decide, of its own information
 _SAMPLES = 2.0  # of a motion per row
 _ROWS = 4.0  # rows per period of the cut-off, as many as recordings are decimated to
+
+
+@dataclass(frozen=True)
+class Separation:
+    """How far a motion drives two causes apart.
+
+    Attributes:
+        delta: Δ in squared standard deviations of the noise.
+        cosine: Between the one cause's torque and the best that the other makes of it.
+        repetitions: Runs after which `diagnose` decides, with probability `POWER`; None where
+            `MOST_RUNS` are not enough.
+    """
+
+    delta: float
+    cosine: float
+    repetitions: int | None
+
+    @property
+    def deviations(self) -> float:
+        """√Δ: by how many standard deviations the two differ."""
+        return float(np.sqrt(max(self.delta, 0.0)))
+
+    @property
+    def enough(self) -> bool:
+        """Whether `diagnose` decides, at a stricter level where both still look alike."""
+        return self.delta >= needed(level=_ALIKE_LEVEL if self.cosine > _ALIKE else LEVEL)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +136,7 @@ class Contest:
             for effect in (
                 *self._shapes(pair.found),
                 *self._shapes(pair.rival),
-                *map(bare, pair.beside),
+                *(effect.bare() for effect in pair.beside),
             ):
                 if effect not in places:
                     size = len(effect.parameters(self.robot))
@@ -136,7 +165,7 @@ class Contest:
         R, floor = without_given(self.known, self.precision)
         found = []
         for pair in self.pairs:
-            at, rival = self._places(pair.found), self._places(bare(pair.rival))
+            at, rival = self._places(pair.found), self._places(pair.rival)
             beside = self._beside(pair)
             b = R[:, at] @ np.array(pair.found.values)
             both = [*beside, *rival]
@@ -203,7 +232,7 @@ class Contest:
     def _apart(
         self, R: Array, floor: Array, beside: list[int], true: Effect, value: Array, other: Effect
     ) -> Separation:
-        at = self._places(bare(true))
+        at = self._places(true)
         b = R[:, at] @ value
         whole = float(value @ b[at])
         whole -= float(b[beside] @ explaining(R, floor, beside, b)) if beside else 0.0
@@ -217,11 +246,13 @@ class Contest:
         return Separation(left, cosine, repetitions(left))
 
     def _shapes(self, effect: Effect) -> list[Effect]:
-        return shapes(effect, self.robot, [segment.motion for segment in self.recorded])
+        j = self.robot.joint_index(effect.joints[0])
+        recorded = [segment.motion for segment in self.recorded]
+        return effect.alternatives(joint_facts(recorded)[j] if recorded else JointFacts())
 
     def _places(self, effect: Effect) -> list[int]:
         """Columns of a cause, among those after the given values'."""
-        at, skip = self.causes[bare(effect)], len(self.precision)
+        at, skip = self.causes[effect.bare()], len(self.precision)
         return list(range(at.start - skip, at.stop - skip))
 
     def _beside(self, pair: Pair) -> list[int]:
@@ -270,3 +301,35 @@ def along(motion: Motion, cutoff_hz: float, rows_hz: float | None = None) -> Seg
     stride = max(1, round(1 / ((rows_hz or _ROWS * cutoff_hz) * step)))
     keep = slice(edge, len(motion) - edge, stride)
     return Segment("motion", motion, still, still, cutoff_hz, keep)
+
+
+def repetitions(delta: float, power: float = POWER, level: float = LEVEL) -> int:
+    """Runs that tell two causes apart with this probability at this level.
+
+    Both are compared by the squared error that each leaves (Vuong 1989). The difference has mean
+    N Δ and standard deviation 2 √(N Δ), so N = 4 (z_{level/2} + z_{1−power})² / Δ.
+    """
+    return max(1, int(np.ceil(needed(power, level) / max(delta, 1e-9) - 1e-9)))
+
+
+def needed(power: float = POWER, level: float = LEVEL) -> float:
+    """Δ at which one run is enough."""
+    z = -scipy.special.ndtri(level / 2) - scipy.special.ndtri(1 - power)
+    return float(4 * z**2)
+
+
+def without_given(information: Array, precision: Array) -> tuple[Array, Array]:
+    """Information on causes once the given values may take what they can, and its rounding."""
+    p = len(precision)
+    A = information[:p, :p] + np.diag(precision)
+    half = scipy.linalg.solve_triangular(np.linalg.cholesky(A), information[:p, p:], lower=True)
+    floor = 1e-10 * np.maximum(np.diag(information)[p:], 1e-12)
+    return information[p:, p:] - half.T @ half, floor
+
+
+def explaining(R: Array, floor: Array, columns: Sequence[int], b: Array) -> Array:
+    """Coefficients of columns that explain most of a torque with inner products b."""
+    at = list(columns)
+    scale = np.sqrt(np.maximum(np.diag(R)[at], floor[at]))
+    A = R[np.ix_(at, at)] / np.outer(scale, scale) + _LOOSE * np.eye(len(at))
+    return np.asarray(np.linalg.lstsq(A, b[at] / scale, rcond=1e-11)[0] / scale, float)

@@ -12,18 +12,17 @@ from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.discrimination import Contest, Noise, Pair
 from excitant.analysis.discrimination_motion import Discriminating, discriminating_motions
-from excitant.analysis.experiments import experiment
+from excitant.analysis.selection import is_plain_friction
 from excitant.design import FourierTrajectory
 from excitant.exceptions import Infeasible
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.physical import prior_parameters
-from excitant.robots.effects import CoulombFriction, Effect, ViscousFriction
+from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.geometry import Scene, scene
 from excitant.robots.robot import Robot
 
 _MATTERS = 0.01  # share of the given model's error that a finding explains, at least
 _DURATION = 20.0  # s of a motion
-_DRY = (ViscousFriction, CoulombFriction)
 _NEAREST = 0.01  # m: a recording that comes nearer says that the collision shapes are too rough
 
 Key = tuple[str, tuple[str, ...], str, tuple[str, ...]]
@@ -62,7 +61,7 @@ class Plan:
     def of(self, found: Effect, rival: Effect) -> Experiment:
         """What settles a pair; the general action where no motion was looked for."""
         known = self.experiments.get(key(found, rival))
-        return known or Experiment(experiment(found.name, rival.name))
+        return known or Experiment(found.told_from(rival))
 
 
 def key(found: Effect, rival: Effect) -> Key:
@@ -142,12 +141,12 @@ def _friction(robot: Robot, found: Effect, rival: Effect, others: Sequence[Effec
     """Standard friction of joints that have none, which a kind of friction may bring along."""
     known = {(e.name, j) for e in (*robot.effects, *others) for j in e.joints}
     known |= {(e.name, e.joints[0]) for e in (found, rival)}
-    joints = {j for e in (found, rival) if "friction" in e.name for j in e.joints}
+    joints = {j for e in (found, rival) if e.family == "friction" for j in e.joints}
     return [
-        kind((joint,))
+        effect
         for joint in robot.joints
-        for kind in _DRY
-        if joint in joints and (kind.name, joint) not in known
+        for effect in standard_effects((joint,))
+        if joint in joints and is_plain_friction(effect) and (effect.name, joint) not in known
     ]
 
 
@@ -185,7 +184,7 @@ def _experiment(
     motions: Sequence[Discriminating],
 ) -> Experiment:
     """The motion to run for a pair, or the action where none helps."""
-    action = experiment(pair.found.name, pair.rival.name)
+    action = pair.found.told_from(pair.rival)
     if best is None:
         return Experiment(f"no motion within the limits was found to tell them apart: {action}")
     separated, runs = best.separations[index], best.separations[index].repetitions

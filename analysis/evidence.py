@@ -42,9 +42,6 @@ _RIDGE = 1e-3  # of a candidate's information that other blocks hold, at least
 _ROUNDING = 1e-12  # of a column, below which it cannot be told from those before
 _LEAST = 0.5  # λ: noise whose correlation helps a candidate is not relied on further
 _LOOSE = 0.01  # of the prior precision, where only the noise is asked for
-_COMMON = frozenset(
-    ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia", "spring")
-)
 _BLOCK_S = 0.5  # s at least: longer than noise that passed the torque filter stays correlated
 _BLOCKS = (16, 40)  # at least, at most
 _DETERMINED = 25.0  # data over prior information of a direction that counts
@@ -398,7 +395,7 @@ def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
     is wrong, so that one cause does not pass for the noise that hides another, or itself.
     """
     taken = {c.columns.start for c in chosen}
-    common = [c for c in evidence.candidates if c.effect.name in _COMMON]
+    common = [c for c in evidence.candidates if c.effect.usual]
     rough = [*chosen, *(c for c in common if c.columns.start not in taken)]
     for _ in range(_ROUNDS):
         evidence = _with_noise(evidence, evidence.left(rough, _LOOSE))

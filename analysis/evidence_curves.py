@@ -10,27 +10,9 @@ import numpy as np
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.residuals import Residual, explanatory
-from excitant.robots.effects import JointwiseEffect, TorqueOffset, ViscousFriction, plain
+from excitant.robots.effects import plain, standard_effects
 from excitant.robots.motion import Array
 
-_TELLS = {
-    "viscous_friction": "velocity",
-    "coulomb_friction": "velocity",
-    "asymmetric_friction": "velocity",
-    "stribeck_friction": "velocity",
-    "nonlinear_viscous_friction": "velocity",
-    "load_dependent_friction": "load",
-    "presliding_hysteresis": "reversal",
-    "friction_coupling": "other velocity",
-    "rotor_inertia": "acceleration",
-    "inertia_coupling": "other acceleration",
-    "torque_ripple": "angle",
-    "spring": "position",
-    "torque_gain": "torque",
-    "time_delay": "torque rate",
-    "thermal_friction_drift": "time",
-    "torque_offset": "time",
-}
 _REMAINS = {
     "": "time",
     "constant": "time",
@@ -41,7 +23,6 @@ _REMAINS = {
     "reversal": "reversal",
     "time": "time",
 }
-_REACH = 8.0  # break-away distances from a reversal that show hysteresis
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,18 +55,13 @@ def curve_of(diagnosis: Diagnosis, item: Finding | Residual) -> Curve:
         return Curve(j, label, np.where(moves[:, j], x, np.nan), diagnosis.left[:, j])
     j, other = _shown(diagnosis, item)
     torque = item.torque[:, j]
-    domain = _TELLS.get(item.effect.name, "own torque")
+    domain = item.effect.abscissa
     if domain == "own torque":
         label = f"torque of the fitted {plain(item.effect.name)} [{diagnosis.data.unit}]"
         x = torque
     else:
         label, x = _abscissa(diagnosis, domain, j, other)
-    if domain == "reversal":
-        far = np.abs(x) > _REACH * getattr(item.effect, "distance", np.inf)
-        x = np.where(far & (far.mean() < 1), np.nan, x)
-    if domain == "angle":
-        period = 2 * np.pi / getattr(item.effect, "order", 1.0)
-        label, x = "joint position within one period of the ripple [rad]", np.mod(x, period)
+    label, x = item.effect.drawn(label, x)
     x, residual = np.where(moves[:, j], x, np.nan), diagnosis.left[:, j] + torque
     return Curve(j, label, x, residual, torque, _rival(diagnosis, item, j, residual))
 
@@ -98,15 +74,16 @@ def _rival(diagnosis: Diagnosis, finding: Finding, j: int, residual: Array) -> A
     would say nothing.
     """
     effects = [finding.effect, *(r.candidate.effect for r in finding.rivals[:1])]
-    alike = all(isinstance(e, JointwiseEffect) and "friction" in e.name for e in effects)
+    alike = all(e.jointwise and e.family == "friction" for e in effects)
     if len(effects) < 2 or not alike:
         return None
     model, segments = diagnosis.extension.model, diagnosis.data.validate
-    joint = (diagnosis.robot.joints[j],)
+    usual = standard_effects((diagnosis.robot.joints[j],))
+    beside = [e for e in usual if e.joint_property in ("viscous", "offset")]
     columns = np.concatenate(
         [
             np.concatenate([s.rows(partial(e.columns, model))[:, j] for s in segments])
-            for e in (effects[1], ViscousFriction(joint), TorqueOffset(joint))
+            for e in (effects[1], *beside)
         ],
         axis=1,
     )
@@ -121,8 +98,8 @@ def _rival(diagnosis: Diagnosis, finding: Finding, j: int, residual: Array) -> A
 
 def _shown(diagnosis: Diagnosis, finding: Finding) -> tuple[int, int]:
     """The joint where a cause shows most against what is left, and the other of a pair."""
-    joints = [diagnosis.robot.joint_index(joint) for joint in finding.effect.joints]
-    if isinstance(finding.effect, JointwiseEffect):
+    joints = finding.effect.rows(diagnosis.robot)
+    if finding.effect.jointwise:
         return joints[0], joints[0]
     size = np.sqrt((finding.torque**2).mean(axis=0)) / diagnosis.extended.rms
     shown = int(np.argmax(size))
@@ -148,7 +125,6 @@ def _abscissa(diagnosis: Diagnosis, domain: str, j: int, other: int = 0) -> tupl
             diagnosis.acceleration[:, other],
         ),
         "position": (f"joint position [{way_unit}]", diagnosis.position[:, j]),
-        "angle": (f"joint position [{way_unit}]", diagnosis.position[:, j]),
         "torque": (f"torque of the given model [{unit}]", diagnosis.simulated[:, j]),
         "torque rate": (f"rate of torque [{unit}/s]", np.gradient(torque, t)),
         "load": (f"size of the joint's torque, signed by direction [{unit}]", abs(torque) * way),

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from excitant.analysis.candidates import has_shape
 from excitant.analysis.evidence import Candidate, Evidence, Key
 from excitant.analysis.residuals import Residual
-from excitant.analysis.selection import DRY, frictionless, is_friction, plausible
+from excitant.analysis.selection import frictionless, is_plain_friction, plausible
 from excitant.robots.effects import Effect, plain
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -77,12 +76,12 @@ def rivals(
 
 def _friction(evidence: Evidence, other: Candidate, rest: Sequence[Candidate]) -> list[Candidate]:
     """Standard friction of a friction's joint, as far as it is not there."""
-    if not is_friction(other.effect):
+    if other.effect.family != "friction":
         return []
     return [
         c
         for c in evidence.candidates
-        if c.effect.name in DRY and c.effect.joints == other.effect.joints and c not in rest
+        if is_plain_friction(c.effect) and c.effect.joints == other.effect.joints and c not in rest
     ]
 
 
@@ -124,6 +123,6 @@ def reason_to_downgrade(
     # what a shape misses of a large cause looks like a small one
     for other, share in others:
         same = {*effect.joints} <= {*other.joints}
-        if same and has_shape(other) and explained < _SMALL * share:
+        if same and other.shapes and explained < _SMALL * share:
             return f"it is small beside {plain(other.name)}, whose shape is only roughly known"
     return ""

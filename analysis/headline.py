@@ -10,18 +10,8 @@ from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.evidence import are_placeholders
 from excitant.analysis.residuals import Residual
-from excitant.robots.effects import (
-    Effect,
-    GravityDirection,
-    InertialParameters,
-    KinematicError,
-    Payload,
-    TimeDelay,
-    TorqueGain,
-    plain,
-)
+from excitant.robots.effects import plain
 
-_FRICTION = ("friction", "hysteresis")
 _MOSTLY = 0.5  # of what findings explain, or of a joint's squared error
 _PLAINLY = 3.0  # times the noise
 
@@ -100,7 +90,7 @@ def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
         reasons = dict.fromkeys(f.downgrade for f in group if f.downgrade)
         return "".join(f" This is not decided: {reason}." for reason in reasons)
     if len(group) == 1:
-        other = _name_of(group[0].rivals[0].candidate.effect, diagnosis)
+        other = group[0].rivals[0].candidate.effect.noun(diagnosis.robot)
         return f" {other[0].upper()}{other[1:]} would look the same."
     open_ = sum(bool(f.rivals) for f in group)
     some = "all of them" if open_ == len(group) else f"{open_} of them"
@@ -112,16 +102,12 @@ def _more(count: int) -> str:
     return f" {count} more finding{'s' if count > 1 else ''} below." if count > 0 else ""
 
 
-def _is_friction(name: str) -> bool:
-    return any(word in name for word in _FRICTION)
-
-
 def _lacks_friction(diagnosis: Diagnosis) -> bool:
     """Whether the given model has no friction at all, and that is most of what it misses."""
-    if any(_is_friction(effect.name) for effect in diagnosis.robot.effects):
+    if any(effect.family == "friction" for effect in diagnosis.robot.effects):
         return False
     parts = {f: max(f.explained, 0.0) for f in diagnosis.findings}
-    friction = sum(size for f, size in parts.items() if _is_friction(f.effect.name))
+    friction = sum(size for f, size in parts.items() if f.effect.family == "friction")
     return len(diagnosis.robot.joints) > 1 and friction > _MOSTLY * sum(parts.values())
 
 
@@ -147,7 +133,7 @@ def _errors(diagnosis: Diagnosis) -> tuple[str, str]:
 def _no_friction(diagnosis: Diagnosis) -> str:
     """The first sentence for models without friction; kinds and joints are in the table."""
     groups = diagnosis.groups
-    friction = [group for group in groups if _is_friction(group[0].effect.name)]
+    friction = [group for group in groups if group[0].effect.family == "friction"]
     joints = {joint for group in friction for f in group for joint in f.effect.joints}
     kinds = list(dict.fromkeys(plain(group[0].effect.name) for group in friction))
     named = ", ".join(kinds[:3]) + (" and more" if len(kinds) > 3 else "")
@@ -159,7 +145,7 @@ def _no_friction(diagnosis: Diagnosis) -> str:
         f"found, the hold-out error falls from {before} to {after} % of "
         "the torque's variation (median over joints)."
     )
-    others = [g for g in groups if not _is_friction(g[0].effect.name) and g[0].explained > 0]
+    others = [g for g in groups if g[0].effect.family != "friction" and g[0].explained > 0]
     return said + _apart_from("friction", others, diagnosis)
 
 
@@ -179,55 +165,5 @@ def _inside(words: str) -> str:
     return words[0].lower() + words[1:] if article else words
 
 
-def _name_of(effect: Effect, diagnosis: Diagnosis) -> str:
-    """A cause with its place."""
-    robot = diagnosis.robot
-    if isinstance(effect, InertialParameters):
-        return f"wrong inertial parameters of {robot.links[robot.joint_index(effect.joints[0])]}"
-    if isinstance(effect, Payload):
-        return "a payload"
-    several = len(effect.joints) > 3
-    return f"{plain(effect.name)} at {'all joints' if several else ', '.join(effect.joints)}"
-
-
 def _in_words(finding: Finding, joints: Sequence[str], diagnosis: Diagnosis) -> str:
-    effect, values = finding.effect, finding.effect.values or ()
-    special = _special(effect, values, joints, diagnosis)
-    if special:
-        return special
-    name = plain(effect.name)
-    if len(joints) > 1:
-        return f"{name[0].upper()}{name[1:]} of {len(joints)} joints is missing or wrong"
-    unit = effect.parameters(diagnosis.robot)[0].unit
-    size = f"{values[0]:.3g}" if unit == "1" else f"{values[0]:.3g} {unit}"
-    if finding.given[0]:
-        return f"{joints[0]}: {name} is {size}, the model says {finding.given[0]:.3g}"
-    return f"{joints[0]}: {name} of {size} is not in the model"
-
-
-def _special(
-    effect: Effect, values: Sequence[float], joints: Sequence[str], diagnosis: Diagnosis
-) -> str:
-    """Causes whose first coefficient alone says nothing."""
-    robot = diagnosis.robot
-    if isinstance(effect, Payload):
-        return f"A payload of {values[0]:.2f} kg on the last link is missing from the model"
-    if isinstance(effect, InertialParameters):
-        j = robot.joint_index(joints[0])
-        if j == robot.nv - 1 and values[0] < 0:
-            return (
-                f"{robot.links[j]} is lighter than the model says ({values[0]:+.2f} kg), as if a "
-                "tool in the model were not mounted"
-            )
-        return f"The inertial parameters of {robot.links[j]} are wrong (mass {values[0]:+.2f} kg)"
-    if isinstance(effect, GravityDirection):
-        true = ", ".join(f"{x:.2f}" for x in robot.gravity + values)
-        return f"Gravity points along ({true}) m/s² in the base frame"
-    if isinstance(effect, KinematicError):
-        far = 1e3 * float(np.linalg.norm(values))
-        return f"The axis of {joints[0]} seems {far:.0f} mm off where the model has it"
-    if isinstance(effect, TimeDelay):
-        return f"The torque lags the motion by {1e3 * values[0]:.1f} ms"
-    if isinstance(effect, TorqueGain) and len(joints) == 1:
-        return f"{joints[0]}: torque reads {100 * values[0]:+.1f} % against the model's"
-    return ""
+    return finding.effect.sentence(diagnosis.robot, joints, finding.given)

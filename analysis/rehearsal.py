@@ -9,19 +9,14 @@ payload or more friction, and the diagnosis of the identified model must name th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.rehearsal_arm import (
-    changed,
-    draw_change,
-    planted_parameters,
-    rehearsal_arm,
-)
-from excitant.analysis.rehearsal_items import (
+from excitant.analysis.requirements import (
     Item,
     Situation,
     coverage_item,
@@ -34,16 +29,37 @@ from excitant.analysis.rehearsal_items import (
 )
 from excitant.exceptions import RankDeficient
 from excitant.identify import Estimate, Recording, identify, recording_from_table
-from excitant.robots.effects import standard_effects
+from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.html_table import html_table
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, read_only
+from excitant.robots.plant.nominal import typical_motion
+from excitant.robots.plant.planting import plant
 from excitant.robots.plant.sensors import Run, recorded
 from excitant.robots.robot import Robot
-from excitant.robots.virtual_arm import HiddenEffect, VirtualArm
+from excitant.robots.virtual_arm import (
+    HiddenEffect,
+    VirtualArm,
+    draw_hidden_effect,
+    industrial_sensors,
+    nominal_truth,
+    typical_torque,
+    virtual_arm,
+)
 
 Path = Callable[[Array, int], Array]
 Progress = Callable[[float, str], None]
 
+_DRIVES = {
+    "viscous_friction": "viscous",
+    "coulomb_friction": "coulomb",
+    "torque_offset": "offset",
+    "rotor_inertia": "rotor",
+}
+"""Effects that every drive has, and the plant's array of each."""
+
+_CHANGES = ("payload", "viscous_friction", "coulomb_friction")
+_SHARE = {"viscous": 0.1, "coulomb": 0.04, "rotor": 0.1, "offset": 0.01}  # of the torque limit
+_TOLERANCE = 0.05  # of masses, centres of mass and inertias
 _SLOWER = 0.8  # speed of the hold-out
 _READINGS, _CASES = 6, 300  # of the same run, at least, and values of which intervals are judged
 
@@ -76,6 +92,45 @@ class Rehearsal:
     def passed(self) -> bool:
         """Whether the motion would do."""
         return all(item.passed for item in self.items)
+
+    def result(self) -> dict[str, Any]:
+        """Contents of result.json: what was required, and whether it was met."""
+        failed = [item for item in self.items if not item.passed]
+        limits = self.robot.limits
+        return {
+            "verb": "rehearse",
+            "robot": self.robot.name,
+            "joints": list(self.robot.joints),
+            "duration": self.duration,
+            "passed": self.passed,
+            "headline": self.headline,
+            "items": [asdict(item) for item in self.items],
+            "advice": list(dict.fromkeys(item.advice for item in failed)),
+            "effect": {
+                "effect": self.change.effect,
+                "joint": self.change.joint,
+                "parameters": dict(self.change.parameters),
+            },
+            "limit_values": {
+                name: getattr(limits, name) for name in ("position", "velocity", "torque")
+            },
+        }
+
+    def series(self) -> dict[str, Array]:
+        """The run of the motion on the virtual arm: t [s], q, dq, tau in SI units, (n, nv)."""
+        run = self.run
+        return {"t": run.t, "q": run.q, "dq": run.dq, "tau": run.tau}
+
+    @property
+    def headline(self) -> str:
+        """The verdict in a sentence."""
+        failed = [item for item in self.items if not item.passed]
+        if not failed:
+            count = len(self.items)
+            return f"The motion would do: all {count} requirements are met on a virtual arm"
+        names = list(dict.fromkeys(f"{x.name} of {x.joint}" if x.joint else x.name for x in failed))
+        listed = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+        return f"The motion would not do: {listed}"
 
     def _repr_html_(self) -> str:
         rows = [("met" if x.passed else "not met", x.name, x.joint, x.detail) for x in self.items]
@@ -162,3 +217,62 @@ def _recording(arm: VirtualArm, run: Run, name: str, rng: np.random.Generator) -
     """One reading of a run; every reading has other noise."""
     table = recorded(run, arm.sensors, arm.truth.recorder, arm.drives.offset, rng)
     return recording_from_table(table, arm.nominal.nv, file=name, name=name)
+
+
+def rehearsal_arm(robot: Robot, rng: np.random.Generator) -> VirtualArm:
+    """An arm like the robot, with drives, wrong inertias, and sensors as industry has them.
+
+    Masses, centres of mass and inertias are off by up to 5 %. Of the joint's torque limit, Coulomb
+    friction takes about 4 %, viscous friction 10 % at the highest speed, the rotor 10 % at the
+    highest acceleration, an offset 1 %, as datasheets of geared arms have it; where the robot
+    knows such values of its own, they are planted instead. All are off by up to 5 % from what the
+    controller of the arm believes. The arm's torque has no limits, so that what a motion would
+    need can be compared with them.
+    """
+    free = replace(robot.limits, torque=np.full(robot.nv, np.inf))
+    return virtual_arm(
+        robot.with_limits(free).with_effects(_drives(robot, rng)), rng, hidden=(),
+        tolerance=_TOLERANCE, sensors=industrial_sensors(robot.with_effects(())),
+    )  # fmt: skip
+
+
+def _drives(robot: Robot, rng: np.random.Generator) -> list[Effect]:
+    """Friction, offset and rotor inertia of all joints, as known or else as usual."""
+    known = robot.with_effects([e for e in robot.effects if e.name in _DRIVES])
+    given, limit = nominal_truth(known).drives, robot.limits.torque
+    strength = np.where(np.isfinite(limit), limit, 4 * typical_torque(robot))
+    _, dq, ddq = (2 * np.abs(x).max(axis=0) for x in typical_motion(robot))  # close to the limits
+    per_unit = {"viscous": dq, "rotor": ddq, "offset": rng.choice([-1.0, 1.0], robot.nv)}
+    effects = []
+    for effect in standard_effects(robot.joints):
+        drive = _DRIVES[effect.name]
+        own = getattr(given, drive)
+        usual = _SHARE[drive] * strength / per_unit.get(drive, 1.0)
+        effects.append(replace(effect, values=tuple(np.where(own != 0, own, usual).tolist())))
+    return effects
+
+
+def draw_change(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
+    """What may change after identification: a payload, or more friction on one joint."""
+    while True:
+        effect = draw_hidden_effect(robot, rng)
+        if effect.effect in _CHANGES:
+            return effect
+
+
+def changed(arm: VirtualArm, effect: HiddenEffect) -> VirtualArm:
+    """The same arm later."""
+    truth = plant(arm.truth, arm.nominal.joints, [effect])
+    return replace(arm, truth=truth, hidden=(*arm.hidden, effect))
+
+
+def planted_parameters(arm: VirtualArm, effects: tuple[Effect, ...]) -> Array:
+    """True standard parameters of the links, then those of the effects, shape (p,).
+
+    Args:
+        arm: The arm.
+        effects: Standard effects, each on all joints.
+    """
+    bodies = [body.toDynamicParameters() for body in list(arm.truth.model.inertias)[1:]]
+    drives = [getattr(arm.drives, _DRIVES[effect.name]) for effect in effects]
+    return read_only(np.concatenate([*bodies, *drives]))

@@ -2,35 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Sequence, Set
 from functools import lru_cache
 
 import numpy as np
 import scipy.stats
 
-from excitant.analysis.candidates import has_shape
 from excitant.analysis.evidence import Candidate, Evidence, Key, reweighed
-from excitant.robots.effects import (
-    AsymmetricFriction,
-    Effect,
-    GravityDirection,
-    Payload,
-    PreslidingHysteresis,
-)
+from excitant.robots.effects import Effect
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
-from excitant.robots.torque import effect_values
 
 _LARGEST_SET = 60
-DRY = ("viscous_friction", "coulomb_friction")
-_STANDARD = (*DRY, "torque_offset", "rotor_inertia")
 _BRINGS_MORE = 0.01  # probability that a coefficient too many seems to bring more
 _TYPICAL = 0.1  # probability of what is taken for chance when causes are ranked
-_SIGN_DEVIATIONS = 2.0  # standard deviations by which a value may lie beyond what physics allows
 _IDENTICAL = 0.9999  # |cos| of two causes that are one on this motion
 _FADED = 0.5  # of what a cause brought when last looked at: then it is looked at again
 _CANCELLED = 4.0  # times the squared error on its joints: a cause that others must take back
-_GRAVITY_TOLERANCE = 0.05  # of 9.81 m/s², by which a turned gravity may differ in size
 _SHARE = 0.05  # of what a cause explains, at least, that joints on their own explain more
 _BY_CHANCE = 1e-3  # probability of as much when all joints agree
 
@@ -54,7 +42,7 @@ def select(
     """
     bare = frictionless(robot)
     allowed = [c for c in evidence.candidates if c.key not in refuted]
-    standard = [c for c in allowed if c.effect.name in _STANDARD and {*c.effect.joints} <= bare]
+    standard = [c for c in allowed if c.effect.standard and {*c.effect.joints} <= bare]
     evidence, chosen = _grown(evidence, robot, [], standard)
     return _grown(evidence, robot, chosen, allowed)
 
@@ -101,10 +89,10 @@ def _simplest(evidence: Evidence, chosen: Sequence[Candidate], found: Candidate)
 
     A shape that this motion does not show is one as well: play that is never crossed is an offset.
     """
-    if has_shape(found.effect):
+    if found.effect.shapes:
         for plain in evidence.candidates:
             same = plain.size == found.size and {*plain.effect.joints} == {*found.effect.joints}
-            if same and not has_shape(plain.effect) and evidence.cosine(plain, found) > _IDENTICAL:
+            if same and not plain.effect.shapes and evidence.cosine(plain, found) > _IDENTICAL:
                 return plain
     whole = evidence.cost([*chosen, found])
     for simple in evidence.candidates:
@@ -168,15 +156,15 @@ def underlies(robot: Robot, rest: Sequence[Candidate], candidate: Candidate) -> 
     them, where the given model has none (heredity of main effects: Hamada and Wu 1992).
     """
     effect = candidate.effect
-    if effect.name not in DRY or not {*effect.joints} <= frictionless(robot):
+    if not is_plain_friction(effect) or not {*effect.joints} <= frictionless(robot):
         return False
-    finer = (c.effect for c in rest if is_friction(c.effect) and c.effect.name not in DRY)
+    finer = (c.effect for c in rest if c.effect.family == "friction" and not c.effect.standard)
     return any(e.joints == effect.joints and effect.name not in e.contains for e in finer)
 
 
-def is_friction(effect: Effect) -> bool:
-    """Whether an effect is a kind of friction."""
-    return "friction" in effect.name or isinstance(effect, PreslidingHysteresis)
+def is_plain_friction(effect: Effect) -> bool:
+    """Whether an effect is friction that every joint has, viscous or Coulomb."""
+    return effect.standard and effect.family == "friction"
 
 
 def plausible(
@@ -186,9 +174,7 @@ def plausible(
 
     Those of a cause that is common to all joints must be the same for all.
     """
-    effect = candidate.effect
-    common = robot.nv > 1 and {*effect.joints} == {*robot.joints}
-    if (common or isinstance(effect, Payload)) and not agrees(evidence, chosen, candidate):
+    if candidate.effect.is_common(robot) and not agrees(evidence, chosen, candidate):
         return False
     _, coordinates, covariance = evidence.solve(chosen)
     if any(_cancelled(evidence, cause, coordinates) for cause in chosen):
@@ -196,14 +182,7 @@ def plausible(
     value = candidate.scale @ coordinates[candidate.columns]
     block = covariance[candidate.columns, candidate.columns]
     std = np.sqrt(np.diag(candidate.scale @ block @ candidate.scale.T))
-    special = _PLAUSIBLE.get(candidate.effect.name)
-    if special is not None:
-        return special(robot, candidate.effect, value, std)
-    parameters = candidate.effect.parameters(robot)
-    given = effect_values(robot)
-    lower = np.array([p.lower - given.get(p.name, 0.0) for p in parameters])
-    signs = bool((value > lower - _SIGN_DEVIATIONS * std).all())
-    return signs and candidate.effect.credible(robot, value)
+    return candidate.effect.plausible(robot, value, std)
 
 
 def agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) -> bool:
@@ -237,34 +216,6 @@ def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool
     return made > _CANCELLED * there
 
 
-def _has_mass(robot: Robot, effect: Effect, value: Array, std: Array) -> bool:
-    return bool(value[0] > -_SIGN_DEVIATIONS * std[0])
-
-
-def _is_gravity(robot: Robot, effect: Effect, value: Array, std: Array) -> bool:
-    """Whether the changed vector is still as long as gravity."""
-    size = float(np.linalg.norm(robot.gravity))
-    off = abs(float(np.linalg.norm(robot.gravity + value)) - size)
-    doubt = _SIGN_DEVIATIONS * float(np.linalg.norm(std))
-    return off < _GRAVITY_TOLERANCE * size + min(doubt, _GRAVITY_TOLERANCE * size)
-
-
-def _brakes(robot: Robot, effect: Effect, value: Array, std: Array) -> bool:
-    """Whether friction that differs by direction, with what is given, still brakes in both."""
-    given = effect_values(robot)
-    plain = np.repeat(
-        [given.get(f"{effect.joints[0]}.{symbol}", 0.0) for symbol in ("Fc", "Fv")], 2
-    )
-    return bool((value + plain[: len(value)] > -_SIGN_DEVIATIONS * std).all())
-
-
-_PLAUSIBLE: dict[str, Callable[[Robot, Effect, Array, Array], bool]] = {
-    Payload.name: _has_mass,
-    GravityDirection.name: _is_gravity,
-    AsymmetricFriction.name: _brakes,
-}
-
-
 def frictionless(robot: Robot) -> set[str]:
     """Joints that the model gives no friction."""
-    return set(robot.joints) - {j for e in robot.effects if e.name in DRY for j in e.joints}
+    return set(robot.joints) - {j for e in robot.effects if is_plain_friction(e) for j in e.joints}

@@ -37,15 +37,7 @@ from excitant.identify.physical import (
 )
 from excitant.identify.preprocessing import Segment
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.effects import (
-    AddedInertia,
-    Effect,
-    FrictionCoupling,
-    GravityDirection,
-    InertiaCoupling,
-    JointwiseEffect,
-    plain,
-)
+from excitant.robots.effects import Effect, plain
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.robot import Robot
@@ -63,7 +55,6 @@ _HARDLY = 0.1  # of the squared error: less is no explanation
 _WINDOW = 0.6  # s: fifteen time constants of the loop that holds a model
 _WINDOWS = 4  # at least, spread over the hold-out, where it is long enough
 _COARSE = 2e-3  # s: longest step of integration, a twentieth of that time constant
-_OF_STATE = (AddedInertia, FrictionCoupling, GravityDirection, InertiaCoupling, JointwiseEffect)
 
 
 @dataclass(frozen=True)
@@ -433,7 +424,7 @@ def _simulated(robot: Robot, gains: Array, found: list[tuple[Motion, Array]]) ->
 
 def _simulable(robot: Robot, effect: Effect) -> bool:
     """Whether a simulation from state to state knows an effect."""
-    if not isinstance(effect, _OF_STATE):
+    if not effect.of_state_alone:
         return False
     try:
         forward_model(robot.with_effects([effect]))

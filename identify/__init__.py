@@ -10,22 +10,16 @@ from excitant.identify.differentiators import (
     five_point,
     savitzky_golay,
 )
+from excitant.identify.drive_gains import DriveGains, KnownPayload, identify_drive_gains
 from excitant.identify.estimate import Estimate, identify
 from excitant.identify.excitation import Persistency, persistency
 from excitant.identify.export import Publication, model_files, publication
 from excitant.identify.importers.mapping import ColumnMap, load_column_map
 from excitant.identify.importers.raw import RawRecording, raw_recording
 from excitant.identify.knowledge import Knowledge, load_knowledge
-from excitant.identify.known_payload import KnownPayload
-from excitant.identify.link_by_link import LinkByLink, identify_link_by_link
-from excitant.identify.link_by_link_result import link_by_link_result, link_by_link_series
-from excitant.identify.online import OnlineEstimator
-from excitant.identify.online_estimate import OnlineEstimate
-from excitant.identify.online_result import identify_online, online_result, online_series
-from excitant.identify.payload import PayloadEstimate, estimate_payload, payload_result
-from excitant.identify.payload_gains import DriveGains
-from excitant.identify.payload_gains_run import drive_result, identify_drive_gains, in_torque
-from excitant.identify.payload_run import identify_payload
+from excitant.identify.monitor import Monitor, identify_online, replay
+from excitant.identify.online import OnlineEstimate, OnlineEstimator
+from excitant.identify.payload import PayloadEstimate, estimate_payload, identify_payload
 from excitant.identify.periods import Periods, periods_of
 from excitant.identify.recording import (
     Recording,
@@ -35,9 +29,9 @@ from excitant.identify.recording import (
     recording_from_raw,
     recording_from_table,
 )
-from excitant.identify.replay import Monitor, replay
 from excitant.identify.result import identify_result, identify_series
 from excitant.identify.rows import Data, split
+from excitant.identify.sequential import LinkByLink, identify_link_by_link
 
 __all__ = [
     "ColumnMap",
@@ -62,7 +56,6 @@ __all__ = [
     "Recording",
     "ZeroPhaseButterworth",
     "choose_differentiator",
-    "drive_result",
     "estimate_payload",
     "five_point",
     "identify",
@@ -72,16 +65,10 @@ __all__ = [
     "identify_payload",
     "identify_result",
     "identify_series",
-    "in_torque",
-    "link_by_link_result",
-    "link_by_link_series",
     "load_column_map",
     "load_dataset",
     "load_knowledge",
     "model_files",
-    "online_result",
-    "online_series",
-    "payload_result",
     "periods_of",
     "persistency",
     "publication",

@@ -21,8 +21,8 @@ from excitant.identify.differentiators import (
     ZeroPhaseButterworth,
     five_point,
 )
+from excitant.identify.online import regular
 from excitant.identify.recording import Recording
-from excitant.identify.replay import regular
 from excitant.robots.motion import Array
 
 _POINTS = 200  # frequencies of a curve

@@ -14,20 +14,23 @@ where a motion shows nothing the estimate falls back to the prior instead of blo
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
 
-from excitant.exceptions import BadInput
+from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.base_prior import BasePrior, base_prior
 from excitant.identify.block_columns import BlockColumns
 from excitant.identify.differentiators import LocalPolynomial, savitzky_golay
 from excitant.identify.information import Information, InformationFilter, combined
 from excitant.identify.least_squares import autocorrelation_time
-from excitant.identify.online_estimate import OnlineEstimate, Rows
+from excitant.identify.preprocessing import resampled, uninterrupted
+from excitant.identify.recording import Recording
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
 
 _WINDOW_S = 0.03  # half width of the differentiator that serves when none is given
@@ -38,6 +41,57 @@ _CORNERS = 5  # positions under the window between which a joint must go one way
 _ROUNDING = 1e-12  # rad: positions are never better than this
 _ROUNDS = 4  # of re-estimating the noise of each joint
 _RING = 4096  # samples between two moves of the buffer
+_FEWEST = 5  # samples without a gap
+
+
+@dataclass(frozen=True, eq=False)
+class OnlineEstimate:
+    """What is known at an instant.
+
+    Attributes:
+        t: Instant it speaks about: the newest block [s].
+        base: The base parameters.
+        information: Data and prior together, rows of unit noise.
+        data: Data alone, the same rows.
+        beta: Estimate, shape (r,).
+        covariance: Its covariance, shape (r, r).
+        sigma: Standard deviation of each joint's row, shape (nv,) [torque unit].
+        inflation: Integrated autocorrelation time of recent residuals [rows], shape (nv,).
+    """
+
+    t: float
+    base: BaseParameters
+    information: Information
+    data: Information
+    beta: Array
+    covariance: Array
+    sigma: Array
+    inflation: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "beta", "covariance", "sigma", "inflation")
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations, shape (r,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)), float)
+
+
+@dataclass(frozen=True, eq=False)
+class RecentRows:
+    """Recent rows of the estimator.
+
+    Attributes:
+        motion: State in the middle of each block, n blocks.
+        W: Columns of the base parameters, shape (n, nv, r).
+        tau: Torque, shape (n, nv).
+        used: Rows that count, shape (n, nv); the others are of joints at rest.
+    """
+
+    motion: Motion
+    W: Array
+    tau: Array
+    used: npt.NDArray[np.bool_]
 
 
 class OnlineEstimator:
@@ -226,7 +280,7 @@ class OnlineEstimator:
             rows *= self._fade ** ((now - 1 - numbers[:, None]) / 2)
         self._filters[j].update(rows)
 
-    def recent(self) -> Rows:
+    def recent(self) -> RecentRows:
         """Rows of the last ten seconds.
 
         Raises:
@@ -238,7 +292,7 @@ class OnlineEstimator:
         k = np.arange(max(0, self._blocks - size), self._blocks) % size
         motion = Motion(self._instants[k], *self._middles[k].transpose(1, 0, 2))
         rows, r = self._rows[k], len(self.base)
-        return Rows(motion, rows[:, :, :r], rows[:, :, r], self._used[k])
+        return RecentRows(motion, rows[:, :, :r], rows[:, :, r], self._used[k])
 
     def estimate(self) -> OnlineEstimate:
         """What is known now; costs about as much as a hundred samples.
@@ -281,7 +335,7 @@ class OnlineEstimator:
         self._last_sigma = sigma
         return sigma, beta
 
-    def _inflation(self, rows: Rows, beta: Array) -> Array:
+    def _inflation(self, rows: RecentRows, beta: Array) -> Array:
         """Autocorrelation time of the recent residuals of each joint [rows]."""
         residual = rows.tau - rows.W @ beta
         return np.array(
@@ -290,3 +344,12 @@ class OnlineEstimator:
                 for j, used in enumerate(rows.used.T)
             ]
         )
+
+
+def regular(recording: Recording) -> tuple[Array, Array, Array]:
+    """Time, positions and torque at a regular rate between gaps; gaps stay."""
+    parts = [part for part in uninterrupted(recording.t) if len(part) >= _FEWEST]
+    if not parts:
+        raise BadRecording(recording.file, "no five samples without a gap", column="t")
+    times, positions, torques = zip(*(resampled(recording, part) for part in parts), strict=True)
+    return np.concatenate(times), np.concatenate(positions), np.concatenate(torques)

@@ -12,23 +12,39 @@ Eliminating β leaves ten rows about π, to which the physically consistent fit 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from excitant.exceptions import BadInput
-from excitant.identify.information import Information, information_of, marginal
+from excitant.identify.accuracy import series
+from excitant.identify.base_prior import base_prior
+from excitant.identify.estimate import Estimate
+from excitant.identify.information import Information, gaussian, information_of, marginal
+from excitant.identify.monitor import joined, replay
 from excitant.identify.physical import EffectPrior, KktResiduals, fit_physical
-from excitant.robots.base_parameters import BaseParameters
+from excitant.identify.recording import Recording
+from excitant.identify.rows import observation, split, torque_per_reading
+from excitant.robots.base_parameters import BaseParameters, base_parameters
+from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, freeze
-from excitant.robots.parameters import STANDARD, UNITS, from_pseudo_inertia
+from excitant.robots.parameters import STANDARD, UNITS
 from excitant.robots.robot import Robot
 
 _SHARE = 0.05  # of the arm's mass: the payload expected
-_RADIUS = 0.1  # m: its radius of gyration
+_RADIUS = 0.1  # m: its radius of gyration about each axis
 _OPEN = 10.0  # relative uncertainty of that expectation: nothing is known
 _MASS_GOAL, _CENTRE_GOAL = 0.02, 0.003  # relative, m
 _CERTAIN = 2.0  # standard deviations
+_MODEL_ERROR = 0.01  # of a given model, where neither recording nor estimate says better
+_CURRENT = (
+    "torque came as motor current: a gain that is wrong by 1 % makes mass, first moments and "
+    "inertia wrong by 1 %, which no current shows; weigh one load to fix it (the centre of mass "
+    "does not depend on the gain)"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +78,7 @@ class PayloadEstimate:
     @property
     def mass_std(self) -> float:
         """Standard deviation of the mass [kg]."""
-        return float(np.sqrt(self.covariance[0, 0]))
+        return float(self.std[0])
 
     @property
     def centre(self) -> Array:
@@ -101,14 +117,97 @@ class PayloadEstimate:
             )
         return tuple(found)
 
+    def result(self) -> dict[str, Any]:
+        """Entries of result.json."""
+        rows = zip(STANDARD, self.phi, self.std, UNITS, self.prior_share, strict=True)
+        centre, std = self.centre.tolist(), self.centre_std.tolist()
+        return {
+            "link": self.link,
+            "mass": {"value": self.mass, "std": self.mass_std, "unit": "kg"},
+            "centre_of_mass": {"value": centre, "std": std, "unit": "m"},
+            "parameters": [
+                {
+                    "name": name,
+                    "value": float(value),
+                    "std": float(spread),
+                    "unit": unit,
+                    "prior_dominated": bool(share > 0.5),
+                }
+                for name, value, spread, unit, share in rows
+            ],
+            "shortcomings": list(self.shortcomings),
+            "notes": list(self.notes),
+        }
+
+
+def identify_payload(
+    robot: Robot,
+    loaded: Sequence[Recording],
+    *,
+    unloaded: Sequence[Recording] = (),
+    arm: Estimate | None = None,
+    effects: Sequence[Effect] | None = None,
+) -> PayloadEstimate:
+    """What the arm carries in some recordings.
+
+    The unloaded arm is known from recordings, from an estimate, or else from the given model.
+
+    Args:
+        robot: The arm without its load.
+        loaded: Recordings with the load.
+        unloaded: Recordings of the same arm without it; any motion.
+        arm: An estimate of the arm without it, in place of recordings; it brings its effects.
+        effects: Effects of the arm; friction, offset and rotor inertia when None.
+
+    Raises:
+        BadInput: Currents of a loaded arm with nothing to compare them with.
+        BadRecording: Recordings that cannot be used.
+        Infeasible: The semidefinite solver failed.
+    """
+    if arm is not None:
+        effects, base = arm.model.effects, arm.base
+    else:
+        effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+        base = base_parameters(robot, effects)
+    unit = loaded[0].unit
+    if arm is None and not unloaded and unit == "A":
+        raise BadInput(
+            f"payload: {loaded[0].file} has currents, whose gain the load would be taken for; "
+            "name recordings without load (--unloaded)"
+        )
+    if any(each.unit != unit for each in (*loaded, *unloaded)):
+        raise BadInput("payload: recordings in N·m and in A; use recordings of one unit")
+    gains = arm.gains if arm is not None else np.ones(robot.nv)
+    if arm is None and unit == "A":
+        segments = split(unloaded, unloaded).train
+        W = observation(robot, effects, segments)
+        gains = torque_per_reading(robot, base, W, series(segments), unit)
+
+    def replayed(recordings: Sequence[Recording]) -> Information:
+        """What recordings say of the base parameters, without a prior."""
+        run = replay(
+            robot, joined(recordings), effects=effects, base=base, prior=False, gains=gains
+        )
+        return run.estimate.data
+
+    if arm is not None:
+        known = gaussian(arm.least_squares.beta, arm.least_squares.covariance)
+        note = "the unloaded arm was identified before"
+    elif unloaded:
+        known, note = replayed(unloaded), "the unloaded arm was recorded"
+    else:
+        prior = base_prior(robot, effects, base)
+        known = gaussian(prior.mean, _MODEL_ERROR**2 * prior.covariance)
+        note = (
+            f"the given model stands for the unloaded arm, taken to be right to "
+            f"{100 * _MODEL_ERROR:g} %; record the arm without load (--unloaded) to know better"
+        )
+    found = estimate_payload(robot, base, replayed(loaded), known)
+    return replace(found, notes=(note, *([_CURRENT] if unit == "A" else [])))
+
 
 def estimate_payload(
-    robot: Robot,
-    base: BaseParameters,
-    loaded: Information,
-    arm: Information,
-    *,
-    unit: str = "N·m",
+    robot: Robot, base: BaseParameters, loaded: Information, arm: Information
 ) -> PayloadEstimate:
     """The body that turns one arm into the other.
 
@@ -117,12 +216,25 @@ def estimate_payload(
         base: Base parameters of both pieces of information.
         loaded: Data of the loaded arm alone, without a prior.
         arm: What is known of the unloaded arm: data, or an identified model.
-        unit: Unit the torque was recorded in.
 
     Raises:
         BadInput: Information about other parameters.
         Infeasible: The semidefinite solver failed.
     """
+    about = payload_information(robot, base, loaded, arm)
+    # a ball at the flange with a twentieth of the arm's mass
+    mass = _SHARE * max(float(robot.phi[::10].sum()), 1e-3)
+    tip = list(robot.model.frames)[robot.tip].placement.translation
+    ball = pin.Inertia(mass, tip, 2 * mass * _RADIUS**2 * np.eye(3)).toDynamicParameters()
+    nothing = EffectPrior(np.zeros(0), np.zeros(0), np.zeros(0))
+    fit = fit_physical(about.R, about.z, ball[None], nothing, prior_sigma=_OPEN)
+    return PayloadEstimate(robot.links[-1], fit.x, fit.covariance, fit.prior_share, fit.kkt, ())
+
+
+def payload_information(
+    robot: Robot, base: BaseParameters, loaded: Information, arm: Information
+) -> Information:
+    """What two states of an arm say of the body between them, shape (10, 10)."""
     r = len(base)
     for part in (loaded, arm):
         if part.R.shape != (r, r):
@@ -130,62 +242,6 @@ def estimate_payload(
                 f"payload: information about {part.R.shape[0]} parameters, the arm has {r} base "
                 "parameters; use one set of effects for both"
             )
-    about = payload_information(robot, base, loaded, arm)
-    body = _expected_body(robot)[None]
-    nothing = EffectPrior(np.zeros(0), np.zeros(0), np.zeros(0))
-    fit = fit_physical(about.R, about.z, body, nothing, prior_sigma=_OPEN)
-    notes = []
-    if unit == "A":
-        notes.append(
-            "torque came as motor current: a gain that is wrong by 1 % makes mass, first moments "
-            "and inertia wrong by 1 %, which no current shows; weigh one load to fix it (the "
-            "centre of mass does not depend on the gain)"
-        )
-    return PayloadEstimate(
-        robot.links[-1], fit.x, fit.covariance, fit.prior_share, fit.kkt, tuple(notes)
-    )
-
-
-def payload_information(
-    robot: Robot, base: BaseParameters, loaded: Information, arm: Information
-) -> Information:
-    """What two states of an arm say of the body between them, shape (10, 10)."""
-    last = 10 * (robot.nv - 1)
-    K, r = base.regrouping[:, last : last + 10], len(base)
-    A = np.vstack(
-        [np.hstack([loaded.R, loaded.R @ K]), np.hstack([arm.R, np.zeros((r, K.shape[1]))])]
-    )
-    total = information_of(A, np.concatenate([loaded.z, arm.z]))
-    return marginal(total, slice(r, r + K.shape[1]))
-
-
-def _expected_body(robot: Robot) -> Array:
-    """A ball at the flange with a twentieth of the arm's mass, shape (10,)."""
-    mass = _SHARE * max(float(robot.phi[::10].sum()), 1e-3)
-    frame = list(robot.model.frames)[robot.tip]
-    centre = np.array(frame.placement.translation)
-    P = np.zeros((4, 4))
-    P[:3, :3] = mass * (_RADIUS**2 * np.eye(3) + np.outer(centre, centre))
-    P[:3, 3] = P[3, :3] = mass * centre
-    P[3, 3] = mass
-    return from_pseudo_inertia(P)
-
-
-def payload_result(payload: PayloadEstimate) -> dict[str, object]:
-    """A payload as entries of result.json."""
-    return {
-        "link": payload.link,
-        "mass": {"value": payload.mass, "std": payload.mass_std, "unit": "kg"},
-        "centre_of_mass": {
-            "value": payload.centre.tolist(), "std": payload.centre_std.tolist(), "unit": "m",
-        },
-        "parameters": [
-            {"name": name, "value": float(value), "std": float(std), "unit": unit,
-             "prior_dominated": bool(share > 0.5)}
-            for name, value, std, unit, share in zip(
-                STANDARD, payload.phi, payload.std, UNITS, payload.prior_share, strict=True
-            )
-        ],
-        "shortcomings": list(payload.shortcomings),
-        "notes": list(payload.notes),
-    }  # fmt: skip
+    K = base.regrouping[:, 10 * (robot.nv - 1) : 10 * robot.nv]
+    A = np.block([[loaded.R, loaded.R @ K], [arm.R, np.zeros((r, 10))]])
+    return marginal(information_of(A, np.concatenate([loaded.z, arm.z])), slice(r, r + 10))

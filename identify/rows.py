@@ -9,7 +9,7 @@ import numpy as np
 
 from excitant.exceptions import BadRecording
 from excitant.identify.accuracy import Series, series
-from excitant.identify.drive_gain import drive_gains
+from excitant.identify.current_gains import current_gains
 from excitant.identify.physical import EffectPrior
 from excitant.identify.preprocessing import Segment, prepare
 from excitant.identify.recording import Recording
@@ -161,10 +161,7 @@ def torque_per_reading(
     """Drive gains where torque came as current, ones otherwise, shape (nv,)."""
     if unit != "A":
         return np.ones(robot.nv)
-    links = 10 * robot.nv
-    columns = [c for c in base.columns if c < links]
-    given = W[:, :, :links] @ robot.phi
-    return drive_gains(W[:, :, columns], W[:, :, links:], measured.measured, given)
+    return current_gains(robot, base, W, measured.measured)[0]
 
 
 def implausible_size(columns: Array, tau: Array) -> Array:

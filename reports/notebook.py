@@ -16,7 +16,6 @@ from excitant.analysis import (
     diagnose_series,
 )
 from excitant.analysis.rehearsal import Rehearsal
-from excitant.analysis.rehearsal_result import rehearse_result, rehearse_series
 from excitant.design import Design
 from excitant.exceptions import BadInput
 from excitant.identify import Estimate, identify_result, identify_series
@@ -29,7 +28,7 @@ _CONTENTS: dict[type, tuple[Callable[[Any], Any], Callable[[Any], Any]]] = {
     Estimate: (identify_result, identify_series),
     Identifiability: (Identifiability.result, Identifiability.series),
     Diagnosis: (diagnose_result, diagnose_series),
-    Rehearsal: (rehearse_result, rehearse_series),
+    Rehearsal: (Rehearsal.result, Rehearsal.series),
 }
 _HEIGHT = 640  # pixels of the frame in a notebook
 

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from excitant.analysis.rehearsal import Rehearsal, rehearse
-from excitant.analysis.rehearsal_arm import (
+from excitant.analysis.rehearsal import (
+    Rehearsal,
     changed,
     draw_change,
     planted_parameters,
     rehearsal_arm,
+    rehearse,
 )
-from excitant.analysis.rehearsal_result import rehearse_result
 from excitant.cli import main
 from excitant.design import (
     FourierTrajectory,
@@ -85,7 +85,7 @@ def test_a_feeble_motion_fails_and_names_the_joint(feeble: Rehearsal) -> None:
     failed = [item for item in feeble.items if not item.passed]
     assert {item.joint for item in failed} >= {"joint2"}
     assert all("joint2" in item.advice for item in failed if item.joint == "joint2")
-    result = rehearse_result(feeble)
+    result = feeble.result()
     assert result["passed"] is False
     assert "joint2" in result["headline"]
     assert any("farther and faster: joint2" in advice for advice in result["advice"])

@@ -1,11 +1,9 @@
 """Faults of a recording, found before anything is fitted to it."""
 
-from excitant.identify.faults.copies import find_copies
-from excitant.identify.faults.fault import FAULTS, Fault
-from excitant.identify.faults.find import find_faults
+from excitant.identify.faults.channels import find_copies
+from excitant.identify.faults.fault import FAULTS, Fault, repair
+from excitant.identify.faults.find import Checked, find_faults, read_checked
 from excitant.identify.faults.log import Log
-from excitant.identify.faults.reading import Checked, read_checked
-from excitant.identify.faults.repair import repair
 
 __all__ = [
     "FAULTS",

@@ -1,13 +1,16 @@
-"""Fault: what is wrong with a recording as a recording, with its evidence and its remedy."""
+"""Fault: what is wrong with a recording as a recording, its evidence, and its repair."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar, cast
 
 import numpy as np
-import numpy.typing as npt
+
+from excitant.exceptions import BadInput
+from excitant.identify.faults.log import CHANNELS, Mask, Raw, Rows
+from excitant.robots.motion import Array
 
 FAULTS = (
     "dead_channel",
@@ -24,13 +27,10 @@ FAULTS = (
 )
 """The vocabulary, the same in results, interface and documentation."""
 
-FALSE_ALARMS = 0.02
-"""Share of faultless recordings in which all tests together may raise a fault."""
-ALARM = FALSE_ALARMS / 20
-"""Share that one family of tests may raise; there are fewer than twenty of them."""
-
-Rows = npt.NDArray[np.intp]
-_SHOWN = 10
+_SHOWN = 10  # of many rows, in results
+_ACTIONS = ("unwrap", "interpolate", "scale")
+"""What changes values and not rows, in the order in which it is done."""
+RawT = TypeVar("RawT", bound=Raw)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +83,28 @@ class Fault:
             "repair": self.repair,
         }
 
+    def at(self, rows: Rows) -> Fault:
+        """The fault with its rows counted in another log, of which these rows were seen."""
+        evidence = dict(self.evidence)
+        if "rows" in evidence:
+            evidence["rows"] = rows[evidence["rows"]]
+        remedies = tuple(replace(r, rows=rows[r.rows]) for r in self.remedies)
+        return replace(self, evidence=evidence, remedies=remedies)
+
+
+def dropped(
+    joints: tuple[str, ...], rows: Rows, detail: str, fault: str = "corrupt_rows", **evidence: Any
+) -> Fault:
+    """A fault of rows that a repair leaves out."""
+    return Fault(
+        fault,
+        joints,
+        detail,
+        {"rows": rows, "count": len(rows), **evidence},
+        f"leaves these {len(rows)} rows out",
+        (Remedy("drop", rows=rows),),
+    )
+
 
 def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | list | tuple):
@@ -90,3 +112,87 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         value = value.item()
     return value if not isinstance(value, float) or np.isfinite(value) else None
+
+
+def repair(raw: RawT, faults: Sequence[Fault]) -> tuple[RawT, tuple[str, ...]]:
+    """The recording with its repairable faults repaired, and what was done, a sentence each.
+
+    Rows of remedies count rows of this recording. Rows are sorted first, so that those beside each
+    other are neighbours in time, and left out last, so that all remedies may name them.
+
+    Args:
+        raw: The recording as logged; a dataclass with arrays ``t``, ``q``, ``dq``, ``tau``.
+        faults: What `find_faults` found in it.
+
+    Raises:
+        BadInput: The repairs leave no two samples.
+    """
+    remedies = [r for fault in faults for r in fault.remedies]
+    t, order, kept = _arranged(raw.t, remedies)
+    place = np.argsort(order)
+    values: dict[str, Any] = {"t": t[order]}
+    values |= {c: np.array(x[order]) for c in CHANNELS if (x := getattr(raw, c)) is not None}
+    for action in _ACTIONS:
+        for remedy in remedies:
+            if remedy.action == action and remedy.channel in values:
+                _apply(values, replace(remedy, rows=place[remedy.rows]), kept)
+    if kept.sum() < 2:
+        raise BadInput(f"repair leaves {int(kept.sum())} of {len(kept)} rows; record again")
+    cut = {name: x[kept] for name, x in values.items()}
+    if hasattr(raw, "extras"):
+        cut["extras"] = {k: np.asarray(x)[order][kept] for k, x in raw.extras.items()}
+    notes = tuple(
+        f"{fault.fault} ({', '.join(fault.joints)}): repaired, which {fault.repair}"
+        for fault in faults
+        if fault.remedies and fault.repair
+    )
+    return cast(RawT, replace(cast(Any, raw), **cut)), notes
+
+
+def left_rows(t: Array, faults: Sequence[Fault]) -> Rows:
+    """Rows of a log that repairs leave, in the order that they bring them into.
+
+    Args:
+        t: Stamps as logged, shape (n,) [s].
+        faults: What is to be repaired.
+    """
+    _, order, kept = _arranged(t, [r for fault in faults for r in fault.remedies])
+    return order[kept]
+
+
+def _arranged(t: Array, remedies: Sequence[Remedy]) -> tuple[Array, Rows, Mask]:
+    """Time with its shifts, rows in the order asked for, and which of those are not left out."""
+    t, kept = np.array(t), np.ones(len(t), bool)
+    for remedy in remedies:
+        if remedy.action == "shift":
+            t[int(remedy.rows[0]) :] += remedy.factor
+        elif remedy.action == "drop":
+            kept[remedy.rows] = False
+    by_time = any(remedy.action == "sort" for remedy in remedies)
+    order = np.argsort(t, kind="stable") if by_time else np.arange(len(t))
+    return t, order, kept[order]
+
+
+def _apply(values: dict[str, Any], remedy: Remedy, kept: Mask) -> None:
+    """Do what a remedy says to channels by name, in place; rows not kept do not count."""
+    x = values[remedy.channel]
+    if remedy.channel == "t":
+        values["t"] = x[0] + (x - x[0]) * remedy.factor
+        return
+    for j in remedy.joints:
+        if remedy.action == "scale":
+            x[:, j] *= remedy.factor
+        elif remedy.action == "unwrap":
+            x[:, j] = unwrap(x[:, j], remedy.factor, remedy.channel == "q")
+        else:
+            good = kept & np.isfinite(x[:, j]) & np.isfinite(values["t"])
+            good[remedy.rows] = False
+            order = np.flatnonzero(good)
+            x[remedy.rows, j] = np.interp(remedy.rows, order, x[order, j])
+
+
+def unwrap(x: Array, size: float, position: bool) -> Array:
+    """A channel without the jumps of its counter: continuous, or signed."""
+    if position:
+        return np.asarray(np.unwrap(x, period=size), float)
+    return np.asarray(np.where(x > size / 2, x - size, x), float)

@@ -1,27 +1,32 @@
-"""All tests in the order in which one fault can hide or feign another."""
+"""All tests in the order in which one fault can hide or feign another, and logs read with them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from excitant.identify.faults.channels import dead_channels, saturation
-from excitant.identify.faults.counters import wrapped_counters
-from excitant.identify.faults.excitation import poor_excitation
-from excitant.identify.faults.fault import Fault
+from excitant.exceptions import BadRecording
+from excitant.identify.dataset import Dataset
+from excitant.identify.faults.channels import (
+    dead_channels,
+    find_copies,
+    held_channels,
+    saturation,
+    wrapped_counters,
+)
+from excitant.identify.faults.fault import Fault, left_rows, repair
 from excitant.identify.faults.fit import smooth
-from excitant.identify.faults.frames import wrong_frame
-from excitant.identify.faults.log import Log, Raw, log_of
-from excitant.identify.faults.modelled import not_measured
-from excitant.identify.faults.order import order_of, row_keys
+from excitant.identify.faults.log import Log, Raw
+from excitant.identify.faults.modelled import not_measured, poor_excitation, wrong_frame
 from excitant.identify.faults.outliers import missing_values, outliers
 from excitant.identify.faults.physics import physics_faults, torques
-from excitant.identify.faults.repair import left_rows, repair
-from excitant.identify.faults.repeats import held_channels, hidden_gaps, repeated_rows
-from excitant.identify.faults.stamps import gap_fault, stamp_faults
+from excitant.identify.faults.time import gap_fault, hidden_gaps, repeated_rows, stamp_faults
 from excitant.identify.faults.velocity import velocity_faults
+from excitant.identify.importers.raw import raw_recording
+from excitant.identify.recording import Recording, recording_from_raw
 from excitant.robots.robot import Robot
 
 _SHORTEST = 50  # samples: fewer prove nothing
@@ -39,104 +44,148 @@ def find_faults(robot: Robot, raw: Raw) -> tuple[Fault, ...]:
         robot: The arm; its masses matter for signs and excitation only.
         raw: The recording as logged, arrays ``t`` (n,), ``q``, ``tau`` and ``dq`` (n, nv) or None.
     """
-    log = log_of(raw, robot.joints)
-    rows = CheckedRows(log)
+    rows = _CheckedRows(Log(raw.t, raw.q, raw.tau, raw.dq, robot.joints, raw.unit))
     if len(rows.log) < _SHORTEST:
         return tuple(rows.found)
     channels = [*dead_channels(rows.log), *saturation(rows.log, robot)]
-    return (*rows.found, *channels, *motion_faults(robot, rows.longest, channels))
-
-
-def motion_faults(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault]:
-    """Faults that show in the velocity against the position, then those that physics shows.
-
-    Args:
-        robot: The arm.
-        log: A log whose rows are in order.
-        channels: Faults of its channels.
-    """
+    log = rows.longest
     speeds = velocity_faults(log)
     log, _ = repair(log, speeds)
-    return [*speeds, *_by_physics(robot, log, channels)]
+    return (*rows.found, *channels, *speeds, *_by_physics(robot, log, channels))
 
 
-class CheckedRows:
+class _CheckedRows:
     """Faults of rows, and the log without them; empty where no row has a place in time.
 
     Every test names rows of the log it saw; they are counted in the log as it was at first.
 
     Attributes:
         log: The log as repairs would leave it.
+        longest: The longest part of it in which the clock does not start anew.
         found: Faults.
     """
 
     def __init__(self, log: Log) -> None:
-        self.log, self.found = log, list[Fault]()
-        self._index = np.arange(len(log))
-        self._starts = np.zeros(0)
-        order = order_of(log.t, row_keys([x for _, x in log.channels()]), log.q)
-        self._step(stamp_faults(log, order))
-        if order.doubt:
-            self.log = self.log.take(np.zeros(0, np.intp))
+        self.log = self.longest = log
+        self.found: list[Fault] = []
+        self._rows = np.arange(len(log))
+        stamps, starts = stamp_faults(log)
+        self._step(*stamps)
+        if starts is None:
+            self.log = log.take(self._rows[:0])
             return
-        self._starts = self.log.t[np.isin(self._index, order.starts)]
+        parts = self.log.t[np.isin(self._rows, starts)]
         if len(self.log) >= _SHORTEST:
-            self.found += self._located([gap_fault(self.log, self._starts)])
-        self._step([missing_values(self.log)])
+            self._note(gap_fault(self.log, parts))
+        self._step(missing_values(self.log))
         if len(self.log) < _SHORTEST:
             return
-        self._step([repeated_rows(self.log)])
-        self._step(wrapped_counters(self.log))
+        self._step(repeated_rows(self.log))
+        self._step(*wrapped_counters(self.log))
         hidden = hidden_gaps(self.log)
-        self.found += self._located([*held_channels(self.log), hidden])
-        self._step(outliers(self.log, None if hidden is None else hidden.evidence["rows"]))
+        self._note(*held_channels(self.log), hidden)
+        self._step(*outliers(self.log, None if hidden is None else hidden.evidence["rows"]))
+        cuts = np.split(np.arange(len(self.log)), np.searchsorted(self.log.t, parts))
+        self.longest = self.log.take(max(cuts, key=len)) if len(cuts) > 1 else self.log
 
-    @property
-    def longest(self) -> Log:
-        """The longest part in which the clock does not start anew."""
-        parts = np.split(np.arange(len(self.log)), np.searchsorted(self.log.t, self._starts))
-        return self.log.take(max(parts, key=len)) if len(parts) > 1 else self.log
+    def _note(self, *faults: Fault | None) -> None:
+        self.found += [fault.at(self._rows) for fault in faults if fault is not None]
 
-    def _located(self, faults: Sequence[Fault | None]) -> list[Fault]:
-        located = []
-        for fault in (f for f in faults if f is not None):
-            evidence = dict(fault.evidence)
-            if "rows" in evidence:
-                evidence["rows"] = self._index[evidence["rows"]]
-            remedies = tuple(replace(r, rows=self._index[r.rows]) for r in fault.remedies)
-            located.append(replace(fault, evidence=evidence, remedies=remedies))
-        return located
-
-    def _step(self, faults: Sequence[Fault | None]) -> None:
-        seen = [f for f in faults if f is not None]
-        if not seen:
-            return
-        self.found += self._located(seen)
-        left = left_rows(self.log.t, [r for f in seen for r in f.remedies])
-        self.log = self.log.take(left) if len(left) < 2 else repair(self.log, seen)[0]
-        self._index = self._index[left]
+    def _step(self, *faults: Fault | None) -> None:
+        """Note faults, and go on with the log as their repair would leave it."""
+        self._note(*faults)
+        seen = [fault for fault in faults if fault is not None]
+        if seen:
+            left = left_rows(self.log.t, seen)
+            self.log = self.log.take(left) if len(left) < 2 else repair(self.log, seen)[0]
+            self._rows = self._rows[left]
 
 
 def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault]:
     """Faults that only a model of the arm shows."""
     data = smooth(log)
-    if data is None:
-        poor = poor_excitation(robot, log, None)
-        return [] if poor is None else [poor]
-    useless = {
-        joint
-        for fault in channels
-        if fault.fault == "dead_channel" and fault.evidence.get("channel") == "tau"
-        for joint in fault.joints
-    }
-    case = torques(robot, log, data, useless)
     found: list[Fault] = []
-    if case is not None:
-        found = physics_faults(case)
+    if data is not None:
+        torque = [
+            f for f in channels if f.fault == "dead_channel" and f.evidence["channel"] == "tau"
+        ]
+        case = torques(robot, log, data, {fault.joints[0] for fault in torque})
+        found = [] if case is None else physics_faults(case)
         if found:
             log, _ = repair(log, found)
             data = smooth(log) or data
-        else:
+        elif case is not None:
             found = [*not_measured(case), *wrong_frame(case)]
     poor = poor_excitation(robot, log, data)
     return [*found, *([poor] if poor is not None else [])]
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """Recordings and what is wrong with them.
+
+    Attributes:
+        recordings: Ready to use, repaired when that was asked for.
+        faults: What was found in each, by its name.
+        notes: What was repaired, a sentence each.
+    """
+
+    recordings: list[Recording]
+    faults: dict[str, tuple[Fault, ...]]
+    notes: tuple[str, ...] = ()
+
+    def entries(self) -> list[dict[str, Any]]:
+        """The faults under their JSON names, each with its recording."""
+        return [
+            {"recording": name, **fault.entry()}
+            for name, faults in self.faults.items()
+            for fault in faults
+        ]
+
+
+def read_checked(
+    dataset: Dataset,
+    names: Sequence[str],
+    *,
+    without: Sequence[str] = (),
+    repaired: bool = False,
+) -> Checked:
+    """Recordings of a dataset and their faults.
+
+    Args:
+        dataset: Where they are, and of which arm.
+        names: Recordings to read; all when empty.
+        without: Recordings that are held out.
+        repaired: Whether to repair what can be; each file is then a recording of its own.
+
+    Raises:
+        BadInput: Nothing to read.
+        BadRecording: A recording that cannot be used, also not after the repair.
+    """
+    if not repaired:
+        recordings = dataset.recordings(names, without=without)
+        return Checked(recordings, _faults(dataset.robot, {r.name: r for r in recordings}))
+    raws = {
+        path.stem: raw_recording(
+            path, dataset.robot, dataset.mapping, torque_column=dataset.torque_column
+        )
+        for path in dataset.paths(names, without=without)
+    }
+    faults, notes, recordings = _faults(dataset.robot, raws), [], []
+    for name, raw in raws.items():
+        for fault in faults[name]:
+            if "doubt" in fault.evidence:
+                row, column = int(fault.evidence["rows"][0]), raw.columns.t[0]
+                raise BadRecording(raw.file, fault.detail, row=row, column=column)
+        better, done = repair(raw, faults[name])
+        notes += [f"{name}: {sentence}" for sentence in done]
+        recordings.append(recording_from_raw(better))
+    return Checked(recordings, faults, tuple(notes))
+
+
+def _faults(robot: Robot, recordings: dict[str, Any]) -> dict[str, tuple[Fault, ...]]:
+    copies = find_copies(recordings)
+    return {
+        name: (*((copies[name],) if name in copies else ()), *find_faults(robot, raw))
+        for name, raw in recordings.items()
+    }

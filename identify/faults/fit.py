@@ -14,9 +14,9 @@ import numpy as np
 import scipy.interpolate
 
 from excitant.identify.differentiators import low_pass
-from excitant.identify.faults.log import Log
+from excitant.identify.faults.log import Log, Rows
 from excitant.identify.least_squares import autocorrelation_time
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
@@ -44,9 +44,6 @@ class Smooth:
     cutoff: float
     rate: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "tau")
-
 
 def smooth(log: Log) -> Smooth | None:
     """Filter, differentiate and decimate; None when the log is too short for it."""
@@ -58,7 +55,7 @@ def smooth(log: Log) -> Smooth | None:
     cutoff = min(max(_BAND * _frequency(log), least), _NYQUIST * rate)
     q = np.column_stack([np.interp(grid, log.t, x) for x in log.q.T])
     tau = np.column_stack([np.interp(grid, log.t, x) for x in log.tau.T])
-    q, tau = _low_pass(q, cutoff, rate), _low_pass(tau, cutoff, rate)
+    q, tau = (low_pass(x, min(cutoff, 0.45 * rate), rate) for x in (q, tau))
     spline = scipy.interpolate.make_interp_spline(grid, q, k=5)
     stride = max(1, int(rate / (_OVERSAMPLED * cutoff)), len(grid) // _ROWS)
     at = grid[::stride]
@@ -69,15 +66,11 @@ def smooth(log: Log) -> Smooth | None:
 def _frequency(log: Log) -> float:
     """Largest rms frequency of a joint's motion [1/time unit]."""
     span = np.std(log.q, axis=0)
-    moved = span > 50 * np.maximum(log.resolution, log.quantum)
+    moved = span > 50 * log.grain
     if not moved.any():
         return 0.0
     speed = np.sqrt((log.travel[:, moved] ** 2).mean(axis=0)) / log.step
     return float((speed / span[moved]).max() / (2 * np.pi))
-
-
-def _low_pass(x: Array, cutoff: float, rate: float) -> Array:
-    return low_pass(x, min(cutoff, 0.45 * rate), rate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,21 +89,15 @@ class Columns:
     F: Array
     tau: Array
 
-    def joint(self, j: int, s: float = 1.0) -> Array:
-        """Columns of one joint's torque alone, shape (N, 10 nv + 4)."""
-        return np.hstack([self.G[:, j] + s * self.D[:, j], self.F[:, j]])
 
-
-def columns(robot: Robot, data: Smooth, sign: Array | None = None, scale: float = 1.0) -> Columns:
+def columns(robot: Robot, data: Smooth, factor: Array | float = 1.0) -> Columns:
     """Columns of a motion, with positions of joints negated or scaled first.
 
     Args:
         robot: The arm.
         data: Motion and torque.
-        sign: Factor of each joint's position, shape (nv,).
-        scale: Factor of all positions.
+        factor: Factor of each joint's position, shape (nv,).
     """
-    factor = scale * (np.ones(robot.nv) if sign is None else sign)
     m = data.motion
     q, dq, ddq = m.q * factor, m.dq * factor, m.ddq * factor
     still = np.zeros_like(q)
@@ -119,7 +106,8 @@ def columns(robot: Robot, data: Smooth, sign: Array | None = None, scale: float 
     F = np.stack([dq, np.sign(dq), ddq, np.ones_like(q)], axis=2)
     edge = round(data.rate / data.cutoff)
     kept = slice(edge, len(q) - edge)
-    parts = (_low_pass(x, data.cutoff / 2, data.rate)[kept] for x in (G, D, F, data.tau))
+    cutoff = min(data.cutoff / 2, 0.45 * data.rate)
+    parts = (low_pass(x, cutoff, data.rate)[kept] for x in (G, D, F, data.tau))
     return Columns(*parts)
 
 
@@ -147,40 +135,36 @@ class Problem:
     def __init__(self, c: Columns, joints: list[int]) -> None:
         self.c, self.joints, self.p = c, joints, c.G.shape[2]
         self.rows, self.nv = c.tau.shape
-        still = [np.hstack([c.G[:, j], c.F[:, j]]) for j in joints]
-        moved = [np.hstack([c.D[:, j], 0 * c.F[:, j]]) for j in joints]
-        pairs = list(zip(still, moved, strict=True))
-        self._A = [(W.T @ W, W.T @ V + V.T @ W, V.T @ V) for W, V in pairs]
-        self._b = [
-            (W.T @ c.tau[:, j], V.T @ c.tau[:, j]) for j, (W, V) in zip(joints, pairs, strict=True)
-        ]
         self.size: Array = np.maximum((c.tau**2).mean(axis=0), 1e-300)
-        self.sigma: Array = np.sqrt(self._alone())
-
-    def _alone(self) -> Array:
-        """Mean square error of each joint by parameters of its own, shape (nv,)."""
-        power = self.size.copy()
-        for i, j in enumerate(self.joints):
-            A, b = np.sum(self._A[i], axis=0), np.sum(self._b[i], axis=0)
-            x = _solve(A, b)
-            power[j] = self._left(j, A, b, x)
-        return power
+        self._A, self._b = {}, {}
+        alone = self.size.copy()
+        for j in joints:
+            W, V = np.hstack([c.G[:, j], c.F[:, j]]), np.hstack([c.D[:, j], 0 * c.F[:, j]])
+            self._A[j] = W.T @ W, W.T @ V + V.T @ W, V.T @ V
+            self._b[j] = W.T @ c.tau[:, j], V.T @ c.tau[:, j]
+            A, b = np.sum(self._A[j], axis=0), np.sum(self._b[j], axis=0)
+            alone[j] = self._left(j, A, b, _solve(A, b))
+        self.sigma: Array = np.sqrt(alone)  # error of each joint by parameters of its own
 
     def _left(self, j: int, A: Array, b: Array, x: Array) -> float:
         left = self.size[j] - (2 * b - A @ x) @ x / self.rows
         return float(max(left, 1e-10 * self.size[j]))
 
+    def _members(self, j: int) -> Rows:
+        """Indices of the parameters that act on joint j."""
+        own = self.p + _PER_JOINT * j
+        return np.append(np.arange(self.p), np.arange(own, own + _PER_JOINT))
+
     def fit(self, s: float = 1.0, sign: Array | None = None) -> Fit:
         """Parameters and errors with what motion adds times s, and torques times their sign."""
-        sign = np.ones(self.nv) if sign is None else sign
         size = self.p + _PER_JOINT * self.nv
         A, b = np.zeros((size, size)), np.zeros(size)
         parts = []
-        for i, j in enumerate(self.joints):
-            still, mixed, moved = self._A[i]
+        for j in self.joints:
+            still, mixed, moved = self._A[j]
             own = still + s * mixed + s**2 * moved
-            side = sign[j] * (self._b[i][0] + s * self._b[i][1])
-            rows = members(self.p, j)
+            side = (1.0 if sign is None else sign[j]) * (self._b[j][0] + s * self._b[j][1])
+            rows = self._members(j)
             A[np.ix_(rows, rows)] += own / self.sigma[j] ** 2
             b[rows] += side / self.sigma[j] ** 2
             parts.append((j, rows, own, side))
@@ -190,24 +174,17 @@ class Problem:
             power[j] = self._left(j, own, side, x[rows])
         return Fit(x, power)
 
-    def predicted(self, fit: Fit) -> Array:
-        """Torque of a fit, shape (N, nv)."""
-        tau = np.zeros_like(self.c.tau)
-        for j in self.joints:
-            tau[:, j] = self.c.joint(j) @ fit.x[members(self.p, j)]
-        return tau
-
-    def effective(self, fit: Fit) -> Array:
+    def independent(self, fit: Fit) -> Array:
         """Independent rows of each joint's error, shape (nv,)."""
-        error = self.c.tau - self.predicted(fit)
-        return np.array(
-            [len(e) / autocorrelation_time(e) if e.any() else 1.0 for e in error.T], float
-        )
-
-
-def members(p: int, j: int) -> np.ndarray:
-    """Indices of the parameters that act on joint j, of p for the links and 4 per joint."""
-    return np.asarray(np.r_[:p, p + _PER_JOINT * j : p + _PER_JOINT * (j + 1)], np.intp)
+        c, rows = self.c, np.ones(self.nv)
+        for j in range(self.nv):
+            error = c.tau[:, j]
+            if j in self.joints:
+                W = np.hstack([c.G[:, j] + c.D[:, j], c.F[:, j]])
+                error = error - W @ fit.x[self._members(j)]
+            if error.any():
+                rows[j] = len(error) / autocorrelation_time(error)
+        return rows
 
 
 def _solve(A: Array, b: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Log: a recording as its channels, before anything is believed of it."""
+"""Log: a recording as its channels, before anything is believed of it; chance in long channels."""
 
 from __future__ import annotations
 
@@ -8,11 +8,18 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
+import scipy.ndimage
+import scipy.special
 
-from excitant.identify.faults.fault import Rows
 from excitant.robots.motion import Array, freeze
 
 CHANNELS = ("q", "dq", "tau")
+FALSE_ALARMS = 0.02
+"""Share of faultless recordings in which all tests together may raise a fault."""
+ALARM = FALSE_ALARMS / 20
+"""Share that one family of tests may raise; there are fewer than twenty of them."""
+Rows = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
 _SPAN = 4  # samples to either side of the one whose speed is asked
 
 
@@ -79,7 +86,7 @@ class Log:
         """Names of joints by index."""
         return tuple(self.joints[int(j)] for j in joints)
 
-    def take(self, rows: Rows | npt.NDArray[np.bool_]) -> Log:
+    def take(self, rows: Rows | Mask) -> Log:
         """The log at some of its rows."""
         dq = None if self.dq is None else self.dq[rows]
         return replace(self, t=self.t[rows], q=self.q[rows], tau=self.tau[rows], dq=dq)
@@ -92,42 +99,26 @@ class Log:
         return float(np.median(forward)) if len(forward) else 1.0
 
     @cached_property
-    def resolution(self) -> Array:
-        """Noise of each position: robust scale of its fourth differences, shape (nv,)."""
-        return np.array([noise(column) for column in self.q.T])
-
-    @cached_property
-    def travel(self) -> Array:
-        """Change of position per sample around each one, (n, nv); see `moving`."""
-        n, k = len(self), _SPAN
-        low, high = np.maximum(np.arange(n) - k, 0), np.minimum(np.arange(n) + k, n - 1)
-        return np.asarray((self.q[high] - self.q[low]) / np.maximum(high - low, 1)[:, None])
-
-    @cached_property
-    def moving(self) -> npt.NDArray[np.bool_]:
-        """Where a joint moves by several times its resolution per sample, (n, nv)."""
-        return np.asarray(np.abs(self.travel) > 4 * np.maximum(self.resolution, self.quantum))
-
-    def moves_at(self, rows: Rows, grain: Array) -> npt.NDArray[np.bool_]:
-        """Whether any joint moves at some rows, as `moving` says, shape (k,).
-
-        Args:
-            rows: The rows, shape (k,).
-            grain: Noise or step of each position, whichever is larger, shape (nv,).
-        """
-        low, high = np.maximum(rows - _SPAN, 0), np.minimum(rows + _SPAN, len(self) - 1)
-        way = np.abs(self.q[high] - self.q[low])
-        return np.asarray((way > 4 * grain * (high - low)[:, None]).any(axis=1), bool)
+    def grain(self) -> Array:
+        """Noise or step of each position, whichever is larger, shape (nv,)."""
+        return np.array([max(noise(column), quantum(column)) for column in self.q.T])
 
     @cached_property
     def quantum(self) -> Array:
         """Smallest step between two positions of each joint, shape (nv,)."""
         return np.array([quantum(column) for column in self.q.T])
 
+    @cached_property
+    def travel(self) -> Array:
+        """Change of position per sample around each one, (n, nv)."""
+        n, k = len(self), _SPAN
+        low, high = np.maximum(np.arange(n) - k, 0), np.minimum(np.arange(n) + k, n - 1)
+        return np.asarray((self.q[high] - self.q[low]) / np.maximum(high - low, 1)[:, None])
 
-def log_of(raw: Raw, joints: tuple[str, ...]) -> Log:
-    """The channels of a raw recording."""
-    return Log(raw.t, raw.q, raw.tau, raw.dq, joints, raw.unit)
+    @cached_property
+    def moving(self) -> Mask:
+        """Where a joint moves by several times its `grain` per sample, (n, nv)."""
+        return np.asarray(np.abs(self.travel) > 4 * self.grain)
 
 
 def noise(x: Array) -> float:
@@ -147,3 +138,40 @@ def quantum(x: Array) -> float:
     gaps = np.diff(levels)
     gaps = gaps[gaps > 1e-9 * max(float(np.ptp(levels)), 1e-300)] if len(gaps) else gaps
     return float(np.quantile(gaps, 0.1)) if len(gaps) else 0.0
+
+
+def tail_bound(values: Array, alarm: float = ALARM) -> float:
+    """Level that the largest of the values exceeds by chance with probability ``alarm``.
+
+    Their distribution is taken to fall off beyond its 90 % quantile like exp(−√z), as fast as
+    between the median and there: far heavier than Gaussian, as dry friction, impacts and
+    jitter of stamps make it, and blind to up to a tenth of outliers.
+
+    Args:
+        values: Magnitudes, shape (n,).
+        alarm: Probability.
+    """
+    if not len(values):
+        return np.inf
+    low, high = np.sqrt(np.quantile(values, (0.5, 0.9)))
+    decay = (high - low) / np.log(0.5 / 0.1)
+    return float((high + decay * max(np.log(0.1 * len(values) / alarm), 0.0)) ** 2)
+
+
+def normal_bound(tests: int, alarm: float = ALARM) -> float:
+    """Level that the largest of many standard normal variables exceeds by chance."""
+    return float(-scipy.special.ndtri(alarm / (2 * max(tests, 1))))
+
+
+def local_scale(values: Array, half: int = 50) -> Array:
+    """Running median of magnitudes, no less than a fifth of the upper quartile of all."""
+    size = np.abs(values)
+    running = scipy.ndimage.median_filter(size, size=min(2 * half + 1, len(size)), mode="nearest")
+    return np.asarray(np.maximum(running, 0.2 * np.quantile(size, 0.75)), float)
+
+
+def run_lengths(same: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and lengths of the runs of True in a boolean array."""
+    edges = np.diff(np.concatenate([[0], same.astype(np.int8), [0]]))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return starts, ends - starts

@@ -1,92 +1,95 @@
-"""A "measured" torque that is the output of a model.
+"""Torque that is a model's output, a model in other frames, motion that shows too little.
 
-It betrays itself in one of two ways. A column computed from planned or smoothed motion has no
-noise of its own, and rigid bodies with plain friction explain nearly all of it, which they do for
-no drive: its friction is never so ideal. A column computed from the measured motion has noise,
-but it is the noise of the differentiated positions, which a sensor knows nothing of.
+A column computed from planned or smoothed motion has no noise of its own, and rigid bodies with
+plain friction explain nearly all of it, which they do for no drive: its friction is never so
+ideal. A column computed from the measured motion has noise, but it is the noise of the
+differentiated positions, which a sensor knows nothing of.
+
+Tables of parameters by Denavit and Hartenberg's standard convention give each link's first moments
+and inertia in its distal frame, at the next joint; a URDF or Craig's convention has them in the
+proximal frame, at the link's own joint. Numbers of the one taken for the other are bodies that
+could be, so that nothing but the torque tells.
 """
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
-import scipy.ndimage
-from scipy.special import comb
+from typing import Any
 
+import numpy as np
+import pinocchio as pin
+import scipy.ndimage
+import scipy.special
+
+from excitant.exceptions import ExcitantError
+from excitant.identify.excitation import persistency
 from excitant.identify.faults.fault import Fault
-from excitant.identify.faults.log import Log, quantum
+from excitant.identify.faults.fit import Smooth
+from excitant.identify.faults.log import ALARM, Log, quantum
 from excitant.identify.faults.physics import Torques
 from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
 
 _SMOOTH = 1e-3  # of the channel's range: noise that counts as none
 _ORDERS = (4, 6, 8)
 _IDEAL = 0.01  # of the torque's spread: no drive is known better
 _HALF = 0.5  # of the joints: one that bears mainly weight proves nothing
-_EXPLAINED = 0.5  # of the noise's variance: most of it
+_EXPLAINED = 0.5  # of a variance: most of it
 _GAP, _REACH = 1.5, 6  # median steps; rows that two gradients and four differences reach
+_BETTER = 0.75  # of the error that the model leaves, summed over joints relative to their torque
+_WORSE = 1.5  # times a joint's own error, at most
+_TELLS = 0.1  # of the prior's information: less makes nothing more certain by even 5 %
 
 
 def not_measured(case: Torques) -> list[Fault]:
     """Joints whose torque has no error of its own, and those whose noise is that of the motion."""
-    ideal, copied = _ideal(case), _derived(case.log, case.joints)
-    faults = [] if ideal is None else [ideal]
-    if len(copied) > _HALF * len(case.joints):
-        log, worst = case.log, max(copied, key=lambda j: copied[j])
-        names = log.names(copied)
-        faults.append(
-            Fault(
-                "not_measured",
-                names,
-                f"tau of {', '.join(names)} is computed from the logged motion, not measured: up "
-                f"to {copied[worst]:.1%} of the variance of its noise ({log.joints[worst]}) is "
-                f"that of the differentiated positions and velocities",
-                {"explained": [copied[j] for j in copied]},
-            )
-        )
-    return faults
-
-
-def _ideal(case: Torques) -> Fault | None:
-    log = case.log
+    log, found = case.log, []
     own = {j: _own_noise(log.tau[:, j]) for j in case.joints}
     missed = np.sqrt(case.fit.power) / np.maximum(case.problem.c.tau.std(axis=0), 1e-100)
-    found = [
-        j
-        for j in case.joints
-        if own[j] < _SMOOTH * float(np.ptp(log.tau[:, j])) and missed[j] < _IDEAL
-    ]
-    if len(found) <= _HALF * len(case.joints):
-        return None
-    worst, names = max(found, key=lambda j: missed[j]), log.names(found)
-    return Fault(
-        "not_measured",
-        names,
-        f"tau of {', '.join(names)} is the output of a model, not a measurement: rigid bodies "
-        f"with viscous and Coulomb friction miss it by no more than {missed[worst]:.2%} of its "
-        f"spread ({log.joints[worst]}), and its own noise is at most "
-        f"{max(own[j] for j in found):.1g} {log.unit}",
-        {"missed": missed[found], "noise": [own[j] for j in found]},
-    )
+    ideal = [j for j in case.joints
+             if own[j] < _SMOOTH * np.ptp(log.tau[:, j]) and missed[j] < _IDEAL]  # fmt: skip
+    if len(ideal) > _HALF * len(case.joints):
+        worst, names = max(ideal, key=lambda j: missed[j]), log.names(ideal)
+        detail = (
+            f"tau of {', '.join(names)} is the output of a model, not a measurement: rigid bodies "
+            f"with viscous and Coulomb friction miss it by no more than {missed[worst]:.2%} of its "
+            f"spread ({log.joints[worst]}), and its own noise is at most "
+            f"{max(own[j] for j in ideal):.1g} {log.unit}"
+        )
+        evidence = {"missed": missed[ideal], "noise": [own[j] for j in ideal]}
+        found.append(Fault("not_measured", names, detail, evidence))
+    copied = _derived(log, case.joints)
+    if len(copied) > _HALF * len(case.joints):
+        worst, names = max(copied, key=lambda j: copied[j]), log.names(copied)
+        detail = (
+            f"tau of {', '.join(names)} is computed from the logged motion, not measured: up "
+            f"to {copied[worst]:.1%} of the variance of its noise ({log.joints[worst]}) is "
+            f"that of the differentiated positions and velocities"
+        )
+        found.append(Fault("not_measured", names, detail, {"explained": list(copied.values())}))
+    return found
 
 
 def _own_noise(x: Array) -> float:
     """White noise of a channel: what differences of rising order do not make smaller."""
-    smallest = min(_difference(x, order) for order in _ORDERS)
-    return max(0.0, smallest - quantum(x) / float(np.sqrt(12)))
-
-
-def _difference(x: Array, order: int) -> float:
-    size = float(np.median(np.abs(np.diff(x, order)))) / 0.6745
-    return size / float(np.sqrt(comb(2 * order, order)))
+    differences = [
+        np.median(np.abs(np.diff(x, k))) / 0.6745 / np.sqrt(scipy.special.comb(2 * k, k))
+        for k in _ORDERS
+    ]
+    return max(0.0, float(min(differences)) - quantum(x) / float(np.sqrt(12)))
 
 
 def _derived(log: Log, joints: list[int]) -> dict[int, float]:
-    """Joints whose noise the noise of the accelerations explains, with the share explained."""
+    """Joints whose noise the noise of the accelerations explains, with the share explained.
+
+    Fourth differences that reach over a gap are left out: there those of all channels are large
+    at once.
+    """
     speed = [] if log.dq is None else [np.gradient(log.dq, log.t, axis=0)]
     by_position = np.gradient(np.gradient(log.q, log.t, axis=0), log.t, axis=0)
-    rough = np.diff(np.column_stack([by_position, *speed]), 4, axis=0)
-    regular = _regular(log)
-    rough = rough[regular]
+    gaps = np.append(np.diff(log.t) > _GAP * log.step, False)
+    near = scipy.ndimage.binary_dilation(gaps, np.ones(2 * _REACH + 1, bool))
+    regular = ~near[2 : len(log.t) - 2]
+    rough = np.diff(np.column_stack([by_position, *speed]), 4, axis=0)[regular]
     if not len(rough):
         return {}
     size = np.sqrt((rough**2).mean(axis=0))
@@ -103,8 +106,94 @@ def _derived(log: Log, joints: list[int]) -> dict[int, float]:
     return found
 
 
-def _regular(log: Log) -> npt.NDArray[np.bool_]:
-    """Fourth differences that reach over no gap: there those of all channels are large at once."""
-    gaps = np.append(np.diff(log.t) > _GAP * log.step, False)
-    near = scipy.ndimage.binary_dilation(gaps, np.ones(2 * _REACH + 1, bool))
-    return np.asarray(~near[2 : len(log.t) - 2], bool)
+def wrong_frame(case: Torques) -> list[Fault]:
+    """The given inertias, where they explain the torque only if read in the distal frames.
+
+    Both readings get each joint's friction, offset, rotor inertia and a gain, so that neither the
+    unit of torque nor what else the model lacks counts. Links are read alike: a table has one
+    convention.
+    """
+    if (case.robot.phi[::10] <= 0).any():
+        return []  # links without mass say nothing
+    joints, size = case.joints, case.problem.c.tau.var(axis=0)[case.joints]
+    readings = (case.robot.phi, in_joint_frames(case.robot))
+    as_read, moved = (_left(case, phi) for phi in readings)
+    before, after = (np.sqrt(left / np.maximum(size, 1e-300)) for left in (as_read, moved))
+    gain = float((case.rows[joints] * np.log(as_read / moved)).sum())
+    clear = gain > scipy.special.chdtri(1, ALARM) and after.sum() < _BETTER * before.sum()
+    if not clear or (after > _WORSE * before).any() or np.median(after**2) > 1 - _EXPLAINED:
+        return []
+    best = int(np.argmin(after / before))
+    detail = (
+        f"the inertias of the given model are those about the distal frames, at the next "
+        f"joints: read so, the error of the model with friction falls to "
+        f"{100 * after.sum() / before.sum():.2g} % over all joints and to "
+        f"{100 * after[best] / before[best]:.2g} % at {case.log.joints[joints[best]]} "
+        f"(likelihood ratio {gain:.3g}); move them to the joints' frames in the robot's file"
+    )
+    evidence = {"nrmse_as_read": before, "nrmse_moved": after, "gain": gain}
+    return [Fault("wrong_frame", case.log.joints, detail, evidence)]
+
+
+def in_joint_frames(robot: Robot) -> Array:
+    """Standard parameters in the joints' frames, those given being in the distal ones, (10 nv,)."""
+    bodies = (place.act(body) for place, body in _placed(robot))
+    return np.concatenate([body.toDynamicParameters() for body in bodies])
+
+
+def in_distal_frames(robot: Robot) -> Array:
+    """Standard parameters of the links in their distal frames, shape (10 nv,)."""
+    bodies = (place.actInv(body) for place, body in _placed(robot))
+    return np.concatenate([body.toDynamicParameters() for body in bodies])
+
+
+def _placed(robot: Robot) -> list[tuple[Any, Any]]:
+    """Distal frame of each link in its joint's frame, and its inertia, both Pinocchio's."""
+    model = robot.model
+    places = [model.jointPlacements[j + 1] for j in range(1, robot.nv)]
+    places.append(model.frames[robot.tip].placement)
+    values = robot.phi.reshape(robot.nv, 10)
+    bodies = [pin.Inertia.FromDynamicParameters(each) for each in values]
+    return list(zip(places, bodies, strict=True))
+
+
+def _left(case: Torques, phi: Array) -> Array:
+    """Mean square of what a model and each joint's own effects leave, of the joints that count."""
+    c, left = case.problem.c, []
+    torque = (c.G + c.D) @ phi
+    for j in case.joints:
+        X = np.column_stack([torque[:, j], c.F[:, j]])
+        size = np.sqrt((X**2).mean(axis=0))
+        X = X / np.where(size > 0, size, 1.0)
+        error = c.tau[:, j] - X @ np.linalg.lstsq(X, c.tau[:, j], rcond=1e-10)[0]
+        left.append(max(float((error**2).mean()), 1e-12 * float(case.problem.size[j])))
+    return np.array(left)
+
+
+def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Fault | None:
+    """Directions of the base parameters that the motion shows worse than they are known."""
+    span = np.ptp(log.q, axis=0)
+    still = span <= 50 * log.grain
+    if data is None:
+        if not still.all() and span.any():
+            return None
+        detail = f"no joint moves: positions vary by at most {span.max():.3g}"
+        return Fault("poor_excitation", log.joints, detail, {"span": span})
+    try:
+        window = persistency(robot, data.motion).weakest
+    except ExcitantError:
+        return None  # the arm has no inertia to compare with
+    missing = int((window.levels < _TELLS).sum())
+    if not missing:
+        return None
+    lacking = tuple(j for j in log.joints if j in window.joints)
+    names = lacking or log.names(np.flatnonzero(still)) or log.joints
+    weakest = ", ".join(window.weak[0].parameters) if window.weak else "all"
+    detail = (
+        f"{missing} of {len(window.levels)} directions of the parameters that such an arm can show "
+        f"in this time get less than {_TELLS:g} of the information that the given model already "
+        f"has, the weakest {window.level:.2g} ({weakest}); move {', '.join(names)}"
+    )
+    evidence = {"missing": missing, "visible": len(window.levels), "level": window.level,
+                "still": log.names(np.flatnonzero(still))}  # fmt: skip
+    return Fault("poor_excitation", names, detail, evidence)

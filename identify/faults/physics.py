@@ -13,13 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.optimize
-import scipy.stats
+import scipy.special
 
-from excitant.identify.faults.fault import ALARM, Fault, Remedy
+from excitant.identify.faults.fault import Fault, Remedy
 from excitant.identify.faults.fit import Columns, Fit, Problem, Smooth, columns
-from excitant.identify.faults.log import Log
-from excitant.identify.faults.statistics import normal_bound
-from excitant.identify.faults.velocity import RATES
+from excitant.identify.faults.log import ALARM, Log, normal_bound
+from excitant.identify.faults.velocity import RATES, slower
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -73,7 +72,7 @@ class Torques:
         """
         freedom = len(self.fit.x) if freedom is None else freedom
         ratio = (other.power / self.fit.power)[self.joints]
-        bound = float(scipy.stats.chi2.isf(ALARM / tests, freedom))
+        bound = float(scipy.special.chdtri(freedom, ALARM / tests))
         return self.gain(other) > bound and bool(ratio.min() < _HALVED and ratio.max() < 2)
 
 
@@ -85,7 +84,7 @@ def torques(robot: Robot, log: Log, data: Smooth, dead: set[str]) -> Torques | N
         return None
     problem = Problem(c, alive)
     fit = problem.fit()
-    return Torques(robot, log, data, problem, fit, problem.effective(fit))
+    return Torques(robot, log, data, problem, fit, problem.independent(fit))
 
 
 def physics_faults(case: Torques) -> list[Fault]:
@@ -120,7 +119,7 @@ def _degrees(case: Torques) -> Fault | None:
     each = np.where(beyond, np.pi / 180, 1.0)
     every = np.where(turning, np.pi / 180, 1.0)
     options = [every] if beyond.all() else [every, each]
-    tried = [(_reread(case, o), o) for o in options]
+    tried = [(Problem(columns(robot, case.data, o), case.joints).fit(), o) for o in options]
     fit, factor = max(tried, key=lambda pair: case.gain(pair[0]))
     if not case.better(fit, len(tried)):
         return None
@@ -139,11 +138,6 @@ def _degrees(case: Torques) -> Fault | None:
             for name in ("q", "dq")
         ),
     )
-
-
-def _reread(case: Torques, factor: Array) -> Fit:
-    """Fit with other positions; velocities and accelerations follow."""
-    return Problem(columns(case.robot, case.data, factor), case.joints).fit()
 
 
 def _position_signs(case: Torques) -> list[tuple[float, Fault]]:
@@ -190,17 +184,14 @@ def _rate(case: Torques) -> tuple[float, Fault] | None:
     if abs(c - 1) < 2 * _NEAR or not case.better(fit, len(_BROAD), freedom):
         return None
     low, high = (np.exp(best.x + side * _half_width(gain, float(best.x), side)) for side in (-1, 1))
-    factor = near[0] if near else c
-    log = case.log
-    fault = Fault(
-        "wrong_sample_rate", log.joints,
+    factor, log = near[0] if near else c, case.log
+    detail = (
         f"the time runs {c:.3g} times too {'slow' if c > 1 else 'fast'} for the torque "
         f"(95 % between {low:.3g} and {high:.3g}): so corrected, {_compared(case, fit)}; the "
-        f"median step is {log.step:.4g} s, {log.step / factor:.4g} s would fit",
-        {"factor": c, "interval": (low, high), "gain": case.gain(fit)},
-        f"divides the time by {factor:.4g}", (Remedy("scale", "t", factor=1 / factor),),
-    )  # fmt: skip
-    return case.gain(fit), fault
+        f"median step is {log.step:.4g} s, {log.step / factor:.4g} s would fit"
+    )
+    gained = case.gain(fit)
+    return gained, slower(log, factor, detail, factor=c, interval=(low, high), gain=gained)
 
 
 def _half_width(gain: Callable[[float], float], best: float, side: int) -> float:

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from excitant.identify.faults.fault import Fault, Remedy
-from excitant.identify.faults.log import Log
-from excitant.identify.faults.stamps import counted
-from excitant.identify.faults.statistics import normal_bound
-from excitant.robots.motion import Array, freeze
+from excitant.identify.faults.log import Log, normal_bound
+from excitant.identify.faults.time import counted
+from excitant.robots.motion import Array
 
 _WINDOW_S, _WINDOW_ROWS = 0.2, 8
 _ENOUGH = 8  # windows in which the joint moves
@@ -24,17 +23,31 @@ _FOLLOWS = 0.9  # correlation from which on one channel is the other's integral
 _MARGIN = 0.05  # a scale that is off by less changes inertial torque by less than a tenth
 _NEAR = 0.03  # of a named factor
 _FALLS = 0.1  # of what one rate leaves, two leave at most
-UNITS = (
-    (180 / np.pi, "degrees per second"),
-    (30 / np.pi, "revolutions per minute"),
-    (1 / (2 * np.pi), "revolutions per second"),
-)
-POSITION_UNITS = ((180 / np.pi, "degrees"), (1 / (2 * np.pi), "turns"), (1000.0, "millimetres"))
+_UNITS = {
+    180 / np.pi: "degrees per second",
+    30 / np.pi: "revolutions per minute",
+    1 / (2 * np.pi): "revolutions per second",
+}
+_POSITION_UNITS = {np.pi / 180: "degrees", 2 * np.pi: "turns"}
 RATES = (0.5, 2.0, 0.25, 4.0, 1e-3, 1e3, 1e-6, 1e6, 1e-9, 1e9)
+"""Factors by which a clock may be off for a reason."""
+
+
+def velocity_faults(log: Log) -> list[Fault]:
+    """Faults that show in the velocity against the position."""
+    found = _slopes(log)
+    common = found.common
+    if counted(log):
+        return [_counted(log, common)]
+    if found.wrong and (change := _rate_change(log)) is not None:
+        return [change]
+    if common is not None and common > 0 and _named(common, _UNITS | _POSITION_UNITS) is None:
+        return [_rate(log, common, found)]
+    return [_of_joint(log, j, float(found.b[j]), float(found.error[j])) for j in found.wrong]
 
 
 @dataclass(frozen=True, eq=False)
-class Slopes:
+class _Slopes:
     """How velocity and position agree.
 
     Attributes:
@@ -48,9 +61,6 @@ class Slopes:
     error: Array
     wrong: tuple[int, ...]
     follows: tuple[int, ...]
-
-    def __post_init__(self) -> None:
-        freeze(self, "b", "error")
 
     @property
     def common(self) -> float | None:
@@ -70,38 +80,24 @@ def _windows(log: Log, dq: Array) -> tuple[int, Array, Array]:
     return w, np.diff(log.q[::w], axis=0), np.diff(way[::w], axis=0)
 
 
-def slopes(log: Log) -> Slopes:
+def _slopes(log: Log) -> _Slopes:
     """Regression of ∫q̇ dt on Δq, joint by joint."""
-    nan = np.full(log.nv, np.nan)
+    b, error = np.full((2, log.nv), np.nan)
     if log.dq is None or len(log) < 5 * _WINDOW_ROWS:
-        return Slopes(nan, nan, (), ())
+        return _Slopes(b, error, (), ())
     _, dq, dv = _windows(log, log.dq)
-    b, error, follows = nan.copy(), nan.copy(), []
-    for j in range(log.nv):
-        clear = np.abs(dq[:, j]) > _CLEAR * max(log.resolution[j], log.quantum[j])
-        if clear.sum() < _ENOUGH or np.ptp(dv[:, j]) == 0:
+    follows = []
+    for j, (x, y) in enumerate(zip(dq.T, dv.T, strict=True)):
+        clear = np.abs(x) > _CLEAR * log.grain[j]
+        if clear.sum() < _ENOUGH or np.ptp(y) == 0:
             continue
-        x, y = dq[:, j], dv[:, j]
         b[j] = x @ y / (x @ x)
         error[j] = np.sqrt(((y - b[j] * x) ** 2 * x**2).sum()) / (x @ x)
         if abs(x @ y) > _FOLLOWS * np.sqrt((x @ x) * (y @ y)):
             follows.append(j)
     bound = normal_bound(log.nv)
     wrong = tuple(j for j in follows if abs(b[j] - 1) > max(_MARGIN, bound * error[j]))
-    return Slopes(b, error, wrong, tuple(follows))
-
-
-def velocity_faults(log: Log) -> list[Fault]:
-    """Faults that show in the velocity against the position."""
-    found = slopes(log)
-    common = found.common
-    if counted(log):
-        return [_counted(log, common)]
-    if found.wrong and (change := _rate_change(log)) is not None:
-        return [change]
-    if common is not None and common > 0 and _named(common, UNITS + _inverse()) is None:
-        return [_rate(log, common, found)]
-    return [_of_joint(log, j, found) for j in found.wrong]
+    return _Slopes(b, error, wrong, tuple(follows))
 
 
 def _rate_change(log: Log) -> Fault | None:
@@ -116,85 +112,77 @@ def _rate_change(log: Log) -> Fault | None:
     first, second = xy[k] / xx[k], (xy[-1] - xy[k]) / (xx[-1] - xx[k])
     left = yy[-1] - first * xy[k] - second * (xy[-1] - xy[k])
     best = int(np.argmin(left))
-    ratio = float(second[best] / first[best])
-    near = [r for r in RATES if abs(ratio / r - 1) < _MARGIN]
+    before, after = float(first[best]), float(second[best])
     alone = yy[-1] - xy[-1] ** 2 / xx[-1]
-    if not near or left[best] > _FALLS * alone:
+    if left[best] > _FALLS * alone or not any(abs(after / before / r - 1) < _MARGIN for r in RATES):
         return None
     at = float(log.t[(int(k[best]) + 1) * w])
     return Fault(
         "wrong_sample_rate",
         log.joints,
         f"the sample rate changes near t = {at:.4g} s though the stamps run on: ∫dq dt is "
-        f"{first[best]:.4g} times the change of q before and {second[best]:.4g} times after, at "
-        f"all moving joints alike; cut the recording there and stretch the time of one part",
-        {"at": at, "before": float(first[best]), "after": float(second[best])},
+        f"{before:.4g} times the change of q before and {after:.4g} times after, at all moving "
+        f"joints alike; cut the recording there and stretch the time of one part",
+        {"at": at, "before": before, "after": after},
     )
 
 
-def _inverse() -> tuple[tuple[float, str], ...]:
-    """Slopes of positions in other units beside velocities in rad/s."""
-    return tuple((1 / factor, f"q in {unit}") for factor, unit in POSITION_UNITS[:2])
-
-
-def _named(b: float, units: tuple[tuple[float, str], ...]) -> tuple[float, str] | None:
-    near = [(f, unit) for f, unit in units if abs(abs(b) / f - 1) < _NEAR]
-    return near[0] if near else None
+def _named(b: float, units: dict[float, str]) -> float | None:
+    """The factor of a unit that a slope is near to, whatever its sign."""
+    return next((factor for factor in units if abs(abs(b) / factor - 1) < _NEAR), None)
 
 
 def _counted(log: Log, common: float | None) -> Fault:
     detail = f"every time step is exactly 1, so t counts samples ({log.t[0]:g} to {log.t[-1]:g})"
     if common is None or common <= 0:
         return Fault("wrong_sample_rate", log.joints, detail, {"step": 1.0})
-    return Fault(
-        "wrong_sample_rate",
-        log.joints,
-        f"{detail}; q and dq agree at a step of {1 / common:.4g} s ({common:.4g} Hz)",
-        {"step": 1.0, "factor": common},
-        f"divides the time by {common:.5g}",
-        (Remedy("scale", "t", factor=1 / common),),
-    )
+    detail += f"; q and dq agree at a step of {1 / common:.4g} s ({common:.4g} Hz)"
+    return slower(log, common, detail, step=1.0)
 
 
-def _rate(log: Log, common: float, found: Slopes) -> Fault:
-    near = [c for c in RATES if abs(common / c - 1) < _NEAR]
-    factor = near[0] if near else common
-    return Fault(
-        "wrong_sample_rate",
-        log.joints,
+def _rate(log: Log, common: float, found: _Slopes) -> Fault:
+    factor = next((c for c in RATES if abs(common / c - 1) < _NEAR), common)
+    detail = (
         f"the time runs {common:.4g} times too {'slow' if common > 1 else 'fast'} for the motion: "
         f"∫dq dt is {common:.4g} ± {np.nanmedian(found.error):.2g} times the change of q at all "
         f"{len(found.follows)} moving joints; the median step is {log.step:.4g} s, "
-        f"{log.step / factor:.4g} s would fit",
-        {"factor": common, "slopes": found.b, "errors": found.error},
-        f"divides the time by {factor:.5g}",
-        (Remedy("scale", "t", factor=1 / factor),),
+        f"{log.step / factor:.4g} s would fit"
+    )
+    return slower(log, factor, detail, factor=common, slopes=found.b, errors=found.error)
+
+
+def slower(log: Log, factor: float, detail: str, /, **evidence: object) -> Fault:
+    """The fault of a clock that runs so many times too slow."""
+    remedy = Remedy("scale", "t", factor=1 / factor)
+    repair = f"divides the time by {factor:.5g}"
+    return Fault(
+        "wrong_sample_rate", log.joints, detail, {"factor": factor, **evidence}, repair, (remedy,)
     )
 
 
-def _of_joint(log: Log, j: int, found: Slopes) -> Fault:
-    b, joint = float(found.b[j]), log.joints[j]
-    evidence = {"channel": "dq", "slope": b, "error": float(found.error[j])}
-    sentence = f"∫dq dt of {joint} is {b:.4g} ± {found.error[j]:.2g} times the change of its q"
+def _of_joint(log: Log, j: int, b: float, error: float) -> Fault:
+    joint, sign = log.joints[j], float(np.sign(b))
+    fault, channel, factor = "wrong_unit", "dq", 1 / b
     flipped = ", and its sign is flipped" if b < 0 else ""
-    if b < 0 and abs(abs(b) - 1) <= _MARGIN:
-        return Fault(
-            "wrong_sign", (joint,), f"{sentence}: dq has the opposite sign of q", evidence,
-            f"negates dq of {joint}", (Remedy("scale", "dq", (j,), factor=-1.0),),
-        )  # fmt: skip
-    turned = _named(b, _inverse())
-    if turned is not None:
-        factor, unit = turned
-        return Fault(
-            "wrong_unit", (joint,), f"{sentence}, as with {unit} and dq in rad/s{flipped}",
-            {**evidence, "channel": "q"}, f"multiplies q of {joint} by {factor:.6g}",
-            (Remedy("scale", "q", (j,), factor=float(np.copysign(factor, b))),),
-        )  # fmt: skip
-    named = _named(b, UNITS)
-    factor = float(np.copysign(named[0], b)) if named else b
-    unit = f"dq is in {named[1]}" if named else "no unit that is known, a scale is wrong"
+    if abs(b + 1) <= _MARGIN:
+        fault, factor, what = "wrong_sign", -1.0, ": dq has the opposite sign of q"
+        repair = f"negates dq of {joint}"
+    elif (unit := _named(b, _POSITION_UNITS)) is not None:
+        channel, factor = "q", sign * unit
+        what = f", as with q in {_POSITION_UNITS[unit]} and dq in rad/s{flipped}"
+        repair = f"multiplies q of {joint} by {unit:.6g}"
+    elif (unit := _named(b, _UNITS)) is not None:
+        factor = sign / unit
+        what = f": dq is in {_UNITS[unit]}{flipped}"
+        repair = f"divides dq of {joint} by {sign * unit:.6g}"
+    else:
+        what = f": no unit that is known, a scale is wrong{flipped}"
+        repair = f"divides dq of {joint} by {b:.6g}"
     return Fault(
-        "wrong_unit", (joint,), f"{sentence}: {unit}{flipped}", evidence,
-        f"divides dq of {joint} by {factor:.6g}",
-        (Remedy("scale", "dq", (j,), factor=1 / factor),),
-    )  # fmt: skip
+        fault,
+        (joint,),
+        f"∫dq dt of {joint} is {b:.4g} ± {error:.2g} times the change of its q{what}",
+        {"channel": channel, "slope": b, "error": error},
+        repair,
+        (Remedy("scale", channel, (j,), factor=factor),),
+    )

@@ -138,13 +138,15 @@ class Shape:
     Attributes:
         name: The field.
         unit: Its unit.
-        tuned: Whether it is a property of the arm, which a fit may refine.
+        positive: Whether it must be.
+        tuned: Whether a fit may refine it, by its logarithm; not what columns are computed for.
         most: Largest that counts given what a recording shows of the joint: beyond it the effect
             becomes another. None where no others than those found come into question.
     """
 
     name: str
     unit: str
+    positive: bool = True
     tuned: bool = True
     most: Callable[[JointFacts], float] | None = None
 
@@ -185,8 +187,6 @@ class Effect(ABC):
     # "link": its coefficients are changes of a link's own; "body": they are those of a further one
     role: ClassVar[Literal["torque", "link", "body"]] = "torque"
     shapes: ClassVar[tuple[Shape, ...]] = ()
-    # fields of its shape that must be positive
-    positive: ClassVar[tuple[str, ...]] = ()
     # whether its columns depend on the inertias and effects of the robot, not on its motion alone
     depends_on_model: ClassVar[bool] = True
     # whether its columns are made of the other effects' torque, as those of sensors are
@@ -226,9 +226,9 @@ class Effect(ABC):
             raise BadInput(f"effect {self.name} acts on {wanted}, not on {count}; name it or them")
         if len(set(self.joints)) < len(self.joints):
             raise BadInput(f"effect {self.name} names a joint twice: {', '.join(self.joints)}")
-        for name in self.positive:
-            if not getattr(self, name) > 0:
-                raise BadInput(f"effect {self.name}: {name} must be positive")
+        for shape in self.shapes:
+            if shape.positive and not getattr(self, shape.name) > 0:
+                raise BadInput(f"effect {self.name}: {shape.name} must be positive")
 
     @abstractmethod
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
@@ -343,7 +343,7 @@ class Effect(ABC):
     @property
     def tuned(self) -> Shape | None:
         """What a fit may refine of its shape, if anything."""
-        return next((shape for shape in self.shapes if shape.tuned), None)
+        return next((shape for shape in self.shapes if shape.positive and shape.tuned), None)
 
     # whether to believe it
 
@@ -399,12 +399,13 @@ class Effect(ABC):
             return f"{joints[0]}: {name} is {size}, the model says {given[0]:.3g}"
         return f"{joints[0]}: {name} of {size} is not in the model"
 
-    def told_from(self, rival: Effect) -> str:
+    @classmethod
+    def told_from(cls, rival: Effect | type[Effect]) -> str:
         """What to do to tell it from another effect."""
-        if self.name == rival.name:
+        if cls.name == rival.name:
             return SAME
-        known = self.told.get(rival.name) or rival.told.get(self.name)
-        return known or BETWEEN.get(frozenset((self.family, rival.family)), GENERAL)
+        known = cls.told.get(rival.name) or rival.told.get(cls.name)
+        return known or BETWEEN.get(frozenset((cls.family, rival.family)), GENERAL)
 
     def drawn(self, label: str, x: Array) -> tuple[str, Array]:
         """Label and values of the quantity it is drawn over, NaN where not to be shown."""

@@ -45,7 +45,7 @@ class FrictionCoupling(_PairEffect):
 
     name: ClassVar[str] = "friction_coupling"
     family: ClassVar[str] = "friction"
-    shapes: ClassVar[tuple[Shape, ...]] = (Shape("ratio", "1", tuned=False),)
+    shapes: ClassVar[tuple[Shape, ...]] = (Shape("ratio", "1", positive=False),)
     abscissa: ClassVar[str] = "other velocity"
     told: ClassVar[Mapping[str, str]] = {"inertia_coupling": HOLD_OTHER}
 

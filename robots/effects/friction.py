@@ -110,7 +110,6 @@ class StribeckFriction(JointEffect):
 
     name: ClassVar[str] = "stribeck_friction"
     family: ClassVar[str] = "friction"
-    positive: ClassVar[tuple[str, ...]] = ("velocity",)
     terms: ClassVar[tuple[Term, ...]] = (Term("Fs", "N·m", 0.0),)
     shapes: ClassVar[tuple[Shape, ...]] = (
         Shape("velocity", "rad/s", most=lambda facts: _SLOW * facts.speed),
@@ -205,7 +204,6 @@ class NonlinearViscousFriction(JointEffect):
     family: ClassVar[str] = "friction"
     contains: ClassVar[tuple[str, ...]] = ("viscous_friction",)  # exponent one
     exponents: ClassVar[tuple[float, ...]] = (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)  # to try
-    positive: ClassVar[tuple[str, ...]] = ("exponent",)
     terms: ClassVar[tuple[Term, ...]] = (Term("Fn", "N·m·(s/rad)^a"),)
     shapes: ClassVar[tuple[Shape, ...]] = (Shape("exponent", "1"),)
     shared: ClassVar[bool] = True

@@ -31,7 +31,6 @@ class PreslidingHysteresis(JointwiseEffect):
     name: ClassVar[str] = "presliding_hysteresis"
     family: ClassVar[str] = "friction"
     depends_on_model: ClassVar[bool] = False
-    positive: ClassVar[tuple[str, ...]] = ("distance",)
     terms: ClassVar[tuple[Term, ...]] = (Term("Fh", "N·m", 0.0),)
     shapes: ClassVar[tuple[Shape, ...]] = (
         Shape("distance", "rad", most=lambda facts: _SHORT * facts.reach),
@@ -125,7 +124,6 @@ class ThermalFrictionDrift(JointwiseEffect):
     depends_on_model: ClassVar[bool] = False
     shapes: ClassVar[tuple[Shape, ...]] = (Shape("time", "s", most=lambda facts: facts.duration),)
     abscissa: ClassVar[str] = "time"
-    positive: ClassVar[tuple[str, ...]] = ("time",)
     contains: ClassVar[tuple[str, ...]] = ("viscous_friction", "coulomb_friction")
     terms: ClassVar[tuple[Term, ...]] = (
         Term("Fv_cold", "N·m·s/rad"),

@@ -126,7 +126,7 @@ class TimeDelay(_ReadingEffect):
     unit: ClassVar[str] = "s"
     typical: ClassVar[float] = 0.05
     shapes: ClassVar[tuple[Shape, ...]] = (
-        Shape("trial", "s", tuned=False, most=lambda facts: _LONGEST),
+        Shape("trial", "s", positive=False, most=lambda facts: _LONGEST),
     )
     abscissa: ClassVar[str] = "torque rate"
     told: ClassVar[Mapping[str, str]] = {

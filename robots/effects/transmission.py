@@ -230,7 +230,6 @@ class Backlash(_Lag):
     """
 
     name: ClassVar[str] = "backlash"
-    positive: ClassVar[tuple[str, ...]] = ("trial",)
     symbol: ClassVar[str] = "gap"
     unit: ClassVar[str] = "rad"
     shapes: ClassVar[tuple[Shape, ...]] = (

@@ -403,7 +403,6 @@ def rehearse(
     import numpy as np
 
     from excitant.analysis.rehearsal import rehearse as rehearse_motion
-    from excitant.analysis.rehearsal_result import rehearse_result, rehearse_series
     from excitant.design import load_trajectory
 
     arm = part.robot(robot, limits)
@@ -413,8 +412,8 @@ def rehearse(
         found = rehearse_motion(
             arm, path_of(planned), duration, np.random.default_rng(seed), advance
         )
-    result = rehearse_result(found) | {"trajectory": trajectory, "seed": seed}
-    run.finish(run.folder("rehearse", arm.name), result, rehearse_series(found), {})
+    result = found.result() | {"trajectory": trajectory, "seed": seed}
+    run.finish(run.folder("rehearse", arm.name), result, found.series(), {})
     return 0 if found.passed else 1
 
 

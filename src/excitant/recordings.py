@@ -93,13 +93,7 @@ def identify(
         identify_payload,
         identify_result,
         identify_series,
-        in_torque,
-        link_by_link_result,
-        link_by_link_series,
         load_knowledge,
-        online_result,
-        online_series,
-        payload_result,
         publication,
     )
     from excitant.identify.estimator_choice import AUTO as CONTEST
@@ -134,7 +128,7 @@ def identify(
     notes = list(checked.notes)
     drive = _drive(load, dataset, fit, options | {"validate": held})
     if drive is not None:
-        fit, held = (in_torque(r, drive) for r in (fit, held))
+        fit, held = drive.torque(fit), drive.torque(held)
     if chosen:
         from excitant.analysis.enrichment import enrichment
 
@@ -149,11 +143,10 @@ def identify(
             steps = identify_online(
                 arm, fit, **options, forgetting=forgetting, progress=lambda x: advance(x, "")
             )
-        estimate, result, series = steps.estimate, online_result(steps), online_series(steps.run)
+        estimate, result, series = steps.estimate, steps.result(), steps.series()
     elif link_by_link:
         stages = identify_link_by_link(arm, fit, **options)
-        estimate = stages.estimate
-        result, series = link_by_link_result(stages), link_by_link_series(stages)
+        estimate, result, series = stages.estimate, stages.result(), stages.series()
     else:
         with progress_bar("identify"):
             estimate = identify_robot(
@@ -169,15 +162,12 @@ def identify(
     if load.payload:
         unloaded = dataset.recordings(load.unloaded) if load.unloaded else []
         if drive is not None:
-            unloaded = in_torque(unloaded, drive)
-        result["payload"] = payload_result(
-            identify_payload(arm, fit, unloaded=unloaded, effects=options["effects"])
-        )
+            unloaded = drive.torque(unloaded)
+        carried = identify_payload(arm, fit, unloaded=unloaded, effects=options["effects"])
+        result["payload"] = carried.result()
     result |= {"faults": checked.entries(), "import": imported}
     if drive is not None:
-        from excitant.identify import drive_result
-
-        result |= drive_result(drive)
+        result |= drive.result()
         notes.append(drive.sentence(arm.joints))
     published = publication(estimate, formats=formats or FORMATS, force=force)
     result["published"] = published.published

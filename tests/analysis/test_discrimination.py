@@ -17,12 +17,12 @@ from excitant.analysis.discrimination import (
     Noise,
     Pair,
     along,
+    needed,
+    repetitions,
     separation,
 )
 from excitant.analysis.discrimination_motion import HOPELESS, discriminating_motions
 from excitant.analysis.discrimination_plan import Plan, described, key, plan
-from excitant.analysis.discrimination_power import needed, repetitions
-from excitant.analysis.experiments import experiment
 from excitant.design import FourierTrajectory, check
 from excitant.identify import Recording
 from excitant.identify.physical import prior_parameters
@@ -41,6 +41,7 @@ from excitant.robots.effects import (
     TorqueOffset,
     ViscousFriction,
 )
+from excitant.robots.effects.experiments import GENERAL
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
 
 SIGMA, INFLATION = 0.05, 2.0
@@ -231,11 +232,10 @@ def test_unstated_limits_are_those_of_the_recording(planar: Robot) -> None:
 
 
 def test_every_pair_of_effects_has_an_action() -> None:
-    general = experiment("no effect", "none either")
-    for one, other in itertools.combinations(EFFECTS, 2):
-        assert experiment(one, other) == experiment(other, one)
-        assert experiment(one, other) != general, (one, other)
-    assert "without the load" in experiment("payload", "inertial_parameters")
+    for one, other in itertools.combinations(EFFECTS.values(), 2):
+        assert one.told_from(other) == other.told_from(one)
+        assert one.told_from(other) != GENERAL, (one, other)
+    assert "without the load" in Payload.told_from(InertialParameters)
 
 
 @pytest.fixture(scope="module")
@@ -267,7 +267,7 @@ def test_an_action_is_named_where_no_motion_helps(undecided: Diagnosis) -> None:
 def test_without_a_plan_actions_stand(undecided: Diagnosis) -> None:
     [entry, *_] = diagnose_result(undecided)["findings"]
     for rival in entry["rivals"]:
-        assert rival["experiment"] == experiment(entry["effect"], rival["effect"])
+        assert rival["experiment"] == EFFECTS[entry["effect"]].told_from(EFFECTS[rival["effect"]])
         assert rival["file"] is None
     assert Plan().motions == ()
 

@@ -16,7 +16,6 @@ from excitant.identify import (
     OnlineEstimator,
     Recording,
     identify_online,
-    online_result,
     persistency,
     replay,
 )
@@ -341,7 +340,7 @@ def test_a_recording_plays_through(planar: Robot, motion_of: MotionOf) -> None:
     tau = torque(planar, motion) + 0.02 * rng.standard_normal(motion.q.shape)
     recording = Recording("run", "run.csv", T, motion.q, tau)
     found = identify_online(planar, [recording])
-    result = online_result(found)
+    result = found.result()
     assert (found.estimate.validate.r2 > 0.99).all()
     history = result["online"]["history"]
     r = len(found.estimate.base)

@@ -14,7 +14,6 @@ from excitant.identify import (
     PayloadEstimate,
     Recording,
     identify_payload,
-    payload_result,
     recording_from_table,
 )
 from excitant.identify.base_prior import base_prior
@@ -178,7 +177,7 @@ def test_currents_need_the_unloaded_arm_and_leave_the_gain_open(
 
 
 def test_json(found: PayloadEstimate) -> None:
-    entry = payload_result(found)
+    entry = found.result()
     assert [p["name"] for p in entry["parameters"]] == list(STANDARD)
     assert entry["mass"] == {"value": found.mass, "std": found.mass_std, "unit": "kg"}
     assert entry["link"] == "panda_link7"

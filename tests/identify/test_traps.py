@@ -17,7 +17,7 @@ import pytest
 from excitant.exceptions import BadRecording
 from excitant.identify.dataset import load_dataset
 from excitant.identify.faults import FAULTS, Log, find_copies, find_faults, read_checked
-from excitant.identify.faults.frames import in_distal_frames, in_joint_frames
+from excitant.identify.faults.modelled import in_distal_frames, in_joint_frames
 from excitant.robots import Robot, load_robot
 
 Loader = Callable[[str], Any]

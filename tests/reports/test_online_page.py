@@ -14,7 +14,7 @@ from excitant.identify.differentiator_table import (
     differentiator_series,
     differentiator_table,
 )
-from excitant.identify.replay import regular
+from excitant.identify.online import regular
 from excitant.reports import render
 from excitant.reports.drawing import style
 from excitant.reports.online_section import online_parts

@@ -1,25 +1,36 @@
-"""A recording played through the on-line estimator, watched on the way."""
+"""A recording played through the on-line estimator, watched on the way: `identify --online`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from excitant.exceptions import BadRecording
 from excitant.identify.base_prior import BasePrior, base_prior, lively_motion
 from excitant.identify.differentiator_choice import choose_differentiator, position_spectrum
+from excitant.identify.differentiator_table import (
+    DifferentiatorTable,
+    differentiator_result,
+    differentiator_series,
+    differentiator_table,
+)
 from excitant.identify.differentiators import LocalPolynomial
+from excitant.identify.estimate import Estimate, judged
 from excitant.identify.excitation import (
     ROWS_PER_SECOND,
     WindowExcitation,
     excitation_judge,
 )
-from excitant.identify.online import OnlineEstimator
-from excitant.identify.online_estimate import OnlineEstimate
-from excitant.identify.preprocessing import resampled, uninterrupted
+from excitant.identify.least_squares import LeastSquares
+from excitant.identify.online import OnlineEstimate, OnlineEstimator, regular
+from excitant.identify.physical import fit_physical, prior_parameters
+from excitant.identify.preprocessing import uninterrupted
 from excitant.identify.recording import Recording
+from excitant.identify.result import identify_result
+from excitant.identify.rows import fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array
@@ -29,8 +40,8 @@ from excitant.robots.torque import observation_columns
 WINDOW = 8.0  # s of motion that the monitor looks at
 _BETWEEN = 1.0  # s set between recordings that follow each other
 _PERIOD = 0.5  # s between two looks
+_KEPT = 100  # looks written to result.json
 _LIVELY = 10.0  # s of lively motion over which the uncertainty of the torque is taken
-_FEWEST = 5  # samples without a gap
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,15 +220,6 @@ def replay(
     )  # fmt: skip
 
 
-def regular(recording: Recording) -> tuple[Array, Array, Array]:
-    """Time, positions and torque at a regular rate between gaps; gaps stay."""
-    parts = [part for part in uninterrupted(recording.t) if len(part) >= _FEWEST]
-    if not parts:
-        raise BadRecording(recording.file, "no five samples without a gap", column="t")
-    times, positions, torques = zip(*(resampled(recording, part) for part in parts), strict=True)
-    return np.concatenate(times), np.concatenate(positions), np.concatenate(torques)
-
-
 def joined(recordings: Sequence[Recording]) -> Recording:
     """Recordings one after the other, a second apart."""
     if len(recordings) == 1:
@@ -234,3 +236,101 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         tau=np.concatenate([r.tau for r in recordings]),
         unit=recordings[0].unit,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class OnlineIdentification:
+    """What was identified on line, judged as an estimate from the whole recording is.
+
+    Attributes:
+        estimate: Physically consistent model and its accuracy.
+        run: The estimator's way there.
+    """
+
+    estimate: Estimate
+    run: OnlineRun
+
+    def result(self) -> dict[str, Any]:
+        """Machine-readable result: that of `identify`, and the way there under ``online``."""
+        run = self.run
+        looks = run.looks[:: max(1, -(-len(run.looks) // _KEPT))]
+        if looks[-1] is not run.looks[-1]:
+            looks = (*looks, run.looks[-1])
+        return identify_result(self.estimate) | {
+            "estimator": "recursive least squares in square-root information form, on line; "
+            "then physically consistent semidefinite fit",
+            "online": {
+                "delay_s": run.delay,
+                "differentiator": run.differentiator,
+                "messages": [{"t": float(t), "text": text} for t, text in run.messages],
+                "converged": run.looks[-1].converged,
+                "history": {
+                    "t": [float(look.estimate.t) for look in looks],
+                    "value": [look.estimate.beta.tolist() for look in looks],
+                    "std": [look.estimate.std.tolist() for look in looks],
+                    "excitation_level": [
+                        None if look.excitation is None else look.excitation.level for look in looks
+                    ],
+                    "torque_uncertainty": [look.uncertainty.tolist() for look in looks],
+                    "noise": [look.estimate.sigma.tolist() for look in looks],
+                },
+            },
+            "differentiators": differentiator_result(self._differentiators()),
+        }
+
+    def series(self) -> dict[str, Array]:
+        """For figures: estimates over time, ``online_t`` (k,), values and std (k, r).
+
+        And the curves of `excitant.identify.differentiator_table.differentiator_series`.
+        """
+        looks = [look.estimate for look in self.run.looks]
+        return differentiator_series(self._differentiators()) | {
+            "online_t": np.array([each.t for each in looks]),
+            "online_value": np.array([each.beta for each in looks]),
+            "online_std": np.array([each.std for each in looks]),
+        }
+
+    def _differentiators(self) -> DifferentiatorTable:
+        return differentiator_table(self.run.recording, self.run.differentiator)
+
+
+def identify_online(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    *,
+    validate: Sequence[Recording] = (),
+    effects: Sequence[Effect] | None = None,
+    cutoff_hz: float | None = None,
+    forgetting: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> OnlineIdentification:
+    """Identify a robot as if the samples came one by one.
+
+    Args:
+        robot: The arm; its inertias are the prior.
+        recordings: What to fit, one after the other.
+        validate: What to judge on; the last 30 % of each recording when empty.
+        effects: Effects to estimate; friction, offset and rotor inertia when None.
+        cutoff_hz: Cut-off of the torque filter that accuracy is judged under [Hz].
+        forgetting: Time constant of forgetting [s]; nothing is forgotten when None.
+        progress: Told the fraction done.
+
+    Raises:
+        BadRecording: Recordings that cannot be used.
+        BadRobot: Links without mass, so no prior.
+        Infeasible: The semidefinite solver failed.
+    """
+    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    prior = prior_parameters(robot)
+    data = split(recordings, validate, cutoff_hz)
+    base = base_parameters(robot, effects)
+    rows = fit_rows(robot, effects, base, data)
+    run = replay(
+        robot, joined(fitted(recordings, validate)), effects=effects, base=base,
+        forgetting=forgetting, gains=rows.gains, progress=progress,
+    )  # fmt: skip
+    last, known = run.estimate, run.estimate.data
+    physical = fit_physical(known.R @ base.regrouping, known.z, prior, rows.open_prior)
+    fit = LeastSquares(last.beta, last.covariance, last.sigma, last.inflation)
+    estimate = judged(robot, rows, fit, physical, (data.holdout, run.differentiator))
+    return OnlineIdentification(estimate, run)

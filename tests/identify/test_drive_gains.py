@@ -17,12 +17,10 @@ from excitant.exceptions import BadInput
 from excitant.identify import (
     KnownPayload,
     Recording,
-    drive_result,
     identify,
     identify_drive_gains,
-    in_torque,
 )
-from excitant.identify.payload_gains import DriveGains, Rows, payload_gains
+from excitant.identify.drive_gains import CurrentRows, DriveGains, payload_gains
 from excitant.robots import Array, Motion, Robot, base_parameters, load_robot
 from excitant.robots.effects import standard_effects
 from excitant.robots.torque import observation_columns
@@ -58,14 +56,14 @@ class Bench:
         viscous, coulomb, rotor = self.friction
         return np.array(rigid) + viscous * m.dq + coulomb * np.sign(m.dq) + rotor * m.ddq
 
-    def rows(self, model: pin.Model, seed: int, share: float = 0.02) -> Rows:
+    def rows(self, model: pin.Model, seed: int, share: float = 0.02) -> CurrentRows:
         rng = np.random.default_rng([3, seed])
         m = self.motion_of(self.robot, np.arange(0, 20, 0.05), seed)
         tau = self.torque(model, m)
         noise = share * self.torque(self.bare, m).std(axis=0) * rng.standard_normal(tau.shape)
         W, last = observation_columns(self.robot, self.effects, m), 10 * (self.robot.nv - 1)
         columns = W[:, :, list(self.base.columns)], W[:, :, last : last + 10]
-        return Rows(*columns, (tau + noise) / self.gains)
+        return CurrentRows(*columns, (tau + noise) / self.gains)
 
     def recording(self, name: str, model: pin.Model, seed: int) -> Recording:
         rng = np.random.default_rng([4, seed])
@@ -200,17 +198,17 @@ def test_recordings_of_currents_become_torques(
     drive: DriveGains = identify_drive_gains(wrong, [free], [held], KnownPayload(MASS))
     assert (np.abs(drive.gains - b.gains) < 4 * drive.std).all()
     assert (drive.std < 0.05 * b.gains).all()
-    entry = drive_result(drive)
+    entry = drive.result()
     assert entry["drive_gain_Nm_per_A"] == drive.gains.tolist()
     assert entry["drive_gain_shown"] == [True, True]
-    found = identify(wrong, in_torque([free], drive))
+    found = identify(wrong, drive.torque([free]))
     assert found.data.unit == "N·m"
     base, beta = found.base, found.base.regrouping[:, :20] @ b.robot.phi
     inertial = [k for k, c in enumerate(base.columns) if c < 20]
     std = np.sqrt(np.diag(found.least_squares.covariance)) + 0.03 * np.abs(beta)
     assert (np.abs(found.least_squares.beta - beta) < 4 * std)[inertial[:2]].all()
     with pytest.raises(BadInput, match="for motor currents"):
-        identify_drive_gains(wrong, in_torque([free], drive), [held], KnownPayload(MASS))
+        identify_drive_gains(wrong, drive.torque([free]), [held], KnownPayload(MASS))
 
 
 def test_command(

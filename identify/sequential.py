@@ -1,4 +1,4 @@
-"""Link-by-link identification off line (Khosla 1987, section 4), from the last link inward.
+"""Identification link by link (Khosla 1987, section 4): parameters from the last joint inward.
 
 Row τ_i contains no parameter of links before i (Property 4), so the row of the last joint alone
 identifies the last link, the row before it the link before, with the outer one known, and so on.
@@ -10,25 +10,118 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from excitant.exceptions import RankDeficient
+from excitant.identify.accuracy import series
 from excitant.identify.base_prior import base_prior
 from excitant.identify.cascade import Cascade, StageNoise, beginning, further
 from excitant.identify.combinations import Combinations, no_combinations
+from excitant.identify.current_gains import current_gains
 from excitant.identify.estimate import Estimate, identify, judged, whitened
 from excitant.identify.least_squares import LeastSquares
-from excitant.identify.link_rows import LinkRows, link_rows
 from excitant.identify.missing_motion import needed_motion
 from excitant.identify.physical import fit_physical, prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.rows import split
-from excitant.robots.base_parameters import expression
+from excitant.identify.result import identify_result, identify_series
+from excitant.identify.rows import Data, FitRows, observation, open_prior, split
+from excitant.identify.standstill import Mask, dry_joints, moving, stilled
+from excitant.robots.base_parameters import BaseParameters, base_parameters, expression
 from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
+from excitant.robots.torque_rows import last_rows
 
 _NEGLIGIBLE = 0.05  # standard deviations of a combination: terms that matter less are not written
+_SOMETIMES = 0.1  # of the time that a joint moves: what happens more rarely is not mentioned
+_POSE = 0.1  # rad or m: positions that differ less are one pose
+
+
+@dataclass(frozen=True, eq=False)
+class LinkRows:
+    """Rows of all recordings, and which of them count.
+
+    Attributes:
+        fit: Columns and torque; joints that stay still in a segment are held exactly.
+        moves: Instants at which joints move, per segment at its full rate, each (n, nv).
+        used: Rows that count: of moving joints, and of those without dry friction, (n, nv).
+        last: The last joint whose row holds each base parameter, shape (r,).
+        scale: Uncertainty of the given robot's base parameters, shape (r,).
+        compared: Whether drive gains rest on rows of several joints.
+    """
+
+    fit: FitRows
+    moves: tuple[Mask, ...]
+    used: Mask
+    last: npt.NDArray[np.intp]
+    scale: Array
+    compared: bool
+
+    @property
+    def base(self) -> BaseParameters:
+        """Base parameters of links and effects."""
+        return self.fit.base
+
+    def recordings(self, joint: int) -> tuple[str, ...]:
+        """Recordings in which rows of a joint count."""
+        train = self.fit.data.train
+        parts = np.split(self.used[:, joint], np.cumsum([len(s.t) for s in train])[:-1])
+        names = [s.name for s, used in zip(train, parts, strict=True) if used.any()]
+        return tuple(dict.fromkeys(names))
+
+    def pose(self, joint: int) -> Array:
+        """Where the arm stands on average while a joint moves, shape (nv,)."""
+        train = self.fit.data.train
+        pairs = zip(train, self.moves, strict=True)
+        poses = [s.motion.q[m[:, joint]] for s, m in pairs if m[:, joint].any()]
+        poses = poses or [s.motion.q for s in train]
+        return np.asarray(np.concatenate(poses).mean(axis=0), float)
+
+    def mode(self, robot: Robot, joint: int) -> str:
+        """Which joints move while a joint does, in words; rare moments are left aside."""
+        times, poses = [], []
+        for segment, moves in zip(self.fit.data.train, self.moves, strict=True):
+            now = moves[:, joint]
+            if now.any():
+                times.append(moves[now].sum(axis=0) / segment.rate_hz)
+                poses.append(np.delete(segment.motion.q[now].mean(axis=0), joint))
+        if not poses:
+            return "does not move"
+        each = np.array(times)
+        share = each.sum(axis=0) / each[:, joint].sum()
+        often = each[:, joint] > _SOMETIMES * each[:, joint].sum()
+        share[joint] = 0.0
+        others = np.flatnonzero(share > _SOMETIMES)
+        if len(others):
+            if joint and set(range(joint)) <= set(others.tolist()):
+                return "moves with all joints before it"
+            return "moves with " + ", ".join(robot.joints[k] for k in others)
+        spread = np.ptp(np.array(poses)[often], axis=0).max(initial=0.0)
+        briefly = " but for moments" if share.max() > 0 else ""
+        return f"moves alone{briefly}, the others in " + (
+            "several poses" if spread > _POSE else "one pose"
+        )
+
+
+def link_rows(robot: Robot, effects: tuple[Effect, ...], data: Data) -> LinkRows:
+    """Rows of the training segments, see `LinkRows`."""
+    moves = tuple(moving(robot, data.train))
+    train = tuple(stilled(s, m) for s, m in zip(data.train, moves, strict=True))
+    data = replace(data, train=train)
+    base = base_parameters(robot, effects)
+    W, measured = observation(robot, effects, train), series(train)
+    used = np.concatenate([m[s.keep] for s, m in zip(train, moves, strict=True)])
+    used = used | ~dry_joints(effects, robot.joints)
+    gains, compared = np.ones(robot.nv), True
+    if data.unit == "A":
+        gains, compared = current_gains(robot, base, W, measured.measured, used)
+    prior = open_prior(robot, effects, W, measured.measured * gains)
+    fit = FitRows(effects, base, data, W, measured, gains, prior)
+    scale = np.sqrt(np.diag(base_prior(robot, effects, base).covariance))
+    return LinkRows(fit, moves, used, last_rows(robot, effects, base), scale, compared)
 
 
 @dataclass(frozen=True)
@@ -62,6 +155,20 @@ class Stage:
     missing: tuple[str, ...] = ()
     needed: tuple[str, ...] = ()
 
+    def result(self, robot: Robot) -> dict[str, Any]:
+        """Entry of result.json."""
+        return {
+            "link": robot.links[self.joint],
+            "joint": robot.joints[self.joint],
+            "rows": self.noise.rows,
+            "recordings": list(self.recordings),
+            "mode": self.mode,
+            "noise": self.noise.sigma if np.isfinite(self.noise.sigma) else None,
+            "determined": [vars(each) for each in self.determined],
+            "missing": list(self.missing),
+            "needed": list(self.needed),
+        }
+
 
 @dataclass(frozen=True, eq=False)
 class LinkByLink:
@@ -82,15 +189,42 @@ class LinkByLink:
     all_at_once: Estimate
     refusal: str
 
-    @property
-    def all_at_once_means(self) -> str:
-        """How all links at once were fitted."""
+    def result(self) -> dict[str, Any]:
+        """Machine-readable result: that of `identify`, and the stages under ``link_by_link``."""
+        robot, estimate, whole = self.estimate.given, self.estimate, self.all_at_once
+        how = "weighted least squares of all rows, then physically consistent fit"
         if self.refusal:
-            return (
+            how = (
                 "all rows with the given robot as prior, because weighted least squares refuses: "
                 + self.refusal
             )
-        return "weighted least squares of all rows, then physically consistent fit"
+        rms = {
+            "given": estimate.baseline.rms,
+            "all_at_once": whole.validate.rms,
+            "link_by_link": estimate.validate.rms,
+            "measured_std": estimate.series.measured.std(axis=0),
+        }
+        return identify_result(estimate) | {
+            "estimator": "link by link from the last inward, each from its own joint's row with "
+            "the outer links known; then physically consistent semidefinite fit",
+            "link_by_link": {
+                "stages": [stage.result(robot) for stage in self.stages],
+                "determined": sum(len(stage.determined) for stage in self.stages),
+                "base_parameters": len(estimate.base),
+                "comparison": {
+                    "all_at_once": how,
+                    "refusal": self.refusal or None,
+                    "joints": [
+                        {"name": joint} | {key: float(each[j]) for key, each in rms.items()}
+                        for j, joint in enumerate(robot.joints)
+                    ],
+                },
+            },
+        }
+
+    def series(self) -> dict[str, Array]:
+        """Measured torque and that of the models on the hold-out, each of shape (n, nv)."""
+        return identify_series(self.estimate) | {"all_at_once": self.all_at_once.predicted}
 
 
 def identify_link_by_link(
@@ -205,29 +339,24 @@ def _with_prior(robot: Robot, rows: LinkRows, fit: LeastSquares) -> Estimate:
 def _notes(rows: LinkRows, stages: Sequence[Stage]) -> tuple[str, ...]:
     data, base = rows.fit.data, rows.base
     count = sum(len(stage.determined) for stage in stages)
+    rest = "" if count == len(base) else "; the rest stays at the given robot"
     notes = [
         data.holdout,
-        f"link by link, these recordings determine {count} of {len(base)} base combinations"
-        + ("" if count == len(base) else "; the rest stays at the given robot"),
+        f"link by link, these recordings determine {count} of {len(base)} base combinations{rest}",
     ]
-    if data.unit == "A":
-        notes.append(_gain_note(rows))
-    return tuple(notes)
-
-
-def _gain_note(rows: LinkRows) -> str:
-    gains = rows.fit.gains
-    listed = ", ".join(f"{k:.3g}" for k in gains)
-    if rows.compared:
-        return (
+    gains = ", ".join(f"{k:.3g}" for k in rows.fit.gains)
+    if data.unit == "A" and rows.compared:
+        notes.append(
             "torque came as motor current; drive gains relative to each other were estimated "
-            f"({listed} N·m/A); their common scale rests on the given masses and is not "
+            f"({gains} N·m/A); their common scale rests on the given masses and is not "
             "determined by currents"
         )
-    return (
-        "torque came as motor current, and joints that move one at a time do not show their "
-        f"drives' gains relative to each other: they ({listed} N·m/A) rest on the given masses, "
-        "and on each other where masses hardly load the joint. A joint's own current is predicted "
-        "alike for any gain; what outer links cost inner joints, and values in N·m, kg or kg·m², "
-        "are as good as these gains"
-    )
+    elif data.unit == "A":
+        notes.append(
+            "torque came as motor current, and joints that move one at a time do not show their "
+            f"drives' gains relative to each other: they ({gains} N·m/A) rest on the given "
+            "masses, and on each other where masses hardly load the joint. A joint's own current "
+            "is predicted alike for any gain; what outer links cost inner joints, and values in "
+            "N·m, kg or kg·m², are as good as these gains"
+        )
+    return tuple(notes)

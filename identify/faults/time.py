@@ -1,0 +1,394 @@
+"""Time: stamps that repeat, go back or start anew, and samples that are missing or there twice.
+
+A row is *late* where its stamp puts it between two others that are as far apart as if it were
+missing there, and where no position then jumps: sorting restores the log. A short run of stamps
+that fit nowhere is wrong and is left out. A clock *starts anew* where time goes back and runs on
+at the same rate for long enough to be a recording of its own: the log is cut there, which changes
+no row. Anything else could mean several things, and nothing is done.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+import scipy.ndimage
+
+from excitant.identify.faults.fault import Fault, Remedy, dropped
+from excitant.identify.faults.log import Log, Mask, Rows, run_lengths, tail_bound
+from excitant.identify.preprocessing import longest_step
+from excitant.identify.recording import MINIMUM_DURATION
+from excitant.robots.motion import Array
+
+_SHORT = 5  # rows of a run of stamps that may be wrong
+_STRAY = 8.0  # steps from the running median of twice that many stamps and one
+_ROOM = 0.75  # of a step per row: what a late row finds where it belongs
+_JUMP = 3.0  # of the 99 % quantile of steps of a position
+_ROUGH = 1.5  # times farther after one row than after two: two motions take turns
+_WRONG = 0.01  # of the rows may be left out
+_RATE = 0.05  # by which the rate of a clock that started anew may differ
+_BRIEF = 0.1  # of the rows may be in parts too short to be of use
+_OFTEN = 50  # rows: a clock that starts anew more often than that does something else
+_PAUSE = 10.0  # of the longest step that is no gap: what is put between parts
+_BACK = 1.5  # of a step: nearer to two steps than to one
+_WHOLE = 0.25  # how near to a whole number of samples a jump must be
+_LISTED = 5  # runs of rows that are spelt out
+
+
+def stamp_faults(log: Log) -> tuple[list[Fault], Rows | None]:
+    """Stamps that are missing, repeat or go back, of a log as it came.
+
+    Returns:
+        The faults, and the rows at which the clock starts anew; None where no repair brings the
+        rows into the order of time.
+    """
+    order = _order_of(log)
+    found = [_not_finite(log), _repeated(log, order), *_backward(log, order)]
+    return [fault for fault in found if fault is not None], None if order.doubt else order.starts
+
+
+def counted(log: Log) -> bool:
+    """Whether the time is the number of the sample: every step exactly one."""
+    return bool(len(log) > 3 and (np.diff(log.t) == 1.0).all())
+
+
+def gap_fault(log: Log, starts: Array) -> Fault | None:
+    """Samples that are missing between stamps, for a log in the order of time.
+
+    A step counts as a gap when it is nearer to a whole number ≥ 2 of median steps than to one,
+    and when together with either neighbour it is nearer to three than to two: a stamp that came
+    late is made up for by the next, a sample that is missing is not.
+
+    Args:
+        log: The log.
+        starts: Times from which on it is another part, before which nothing is missing [s].
+    """
+    steps = np.diff(log.t) / log.step
+    if len(steps) < 3:
+        return None
+    steps[np.searchsorted(log.t, starts) - 1] = 1.0
+    padded = np.concatenate([[1.0], steps, [1.0]])
+    pairs = np.minimum(padded[:-2], padded[2:]) + steps
+    at = np.flatnonzero((steps > _BACK) & (pairs > _BACK + 1))
+    if not len(at):
+        return None
+    missing = int(np.round(steps[at] - 1).sum())
+    k = int(at[np.argmax(steps[at])])
+    return Fault(
+        "dropped_samples",
+        log.joints,
+        f"{len(at)} gaps in time, about {missing} samples missing of {len(log) + missing}; the "
+        f"longest, {steps[k] * log.step:.4g} s after t = {log.t[k]:.4g} s, is {steps[k]:.3g} times "
+        f"the median step of {log.step:.4g} s",
+        {"gaps": len(at), "missing": missing, "rows": at, "longest": float(steps[k])},
+    )
+
+
+def repeated_rows(log: Log) -> Fault | None:
+    """Rows that repeat all values of the row before, with a stamp of their own.
+
+    Counted only where some joint moves by several resolutions per sample, so that not one
+    position would repeat by itself; three such rows are no accident.
+    """
+    same = np.all([(np.diff(x, axis=0) == 0).all(axis=1) for _, x in log.channels()], axis=0)
+    moved = np.asarray(log.moving.any(axis=1), bool)
+    rows = np.flatnonzero(same & (moved[1:] | moved[:-1])) + 1
+    if len(rows) < 3:
+        return None
+    starts, lengths = run_lengths(same)
+    return dropped(
+        log.joints,
+        rows,
+        f"{len(rows)} of {len(log)} rows ({len(rows) / len(log):.2%}) repeat every value of the "
+        f"row before while joints move, in {np.isin(starts + 1, rows).sum()} places; first row "
+        f"{rows[0]} at t = {log.t[rows[0]]:.4g} s",
+        "duplicate_samples",
+        longest=int(lengths.max()) + 1,
+    )
+
+
+def hidden_gaps(log: Log) -> Fault | None:
+    """Rows that are missing though the stamps run on.
+
+    All joints then jump by a whole number m of samples: m is estimated from all joints by least
+    squares and tested against its own scatter.
+    """
+    rate = np.diff(log.q, axis=0) / np.diff(log.t)[:, None]
+    n = len(rate)
+    if n < 30:
+        return None
+    speed = _around(rate)
+    scale = np.median(np.abs(rate - speed), axis=0) / 0.6745 + 1e-12 * np.abs(rate).max(axis=0)
+    scale = np.maximum(scale, 2 * log.quantum / log.step / np.sqrt(12))
+    used = scale > 0
+    s, e = speed[:, used] / scale[used], (rate - speed)[:, used] / scale[used]
+    power = (s**2).sum(axis=1)
+    m = (s * e).sum(axis=1) / np.maximum(power, 1e-300)
+    z = np.abs(m) * np.sqrt(power)
+    shared = 1 - ((e - m[:, None] * s) ** 2).sum(axis=1) / np.maximum((e**2).sum(axis=1), 1e-300)
+    whole = (np.round(m) >= 1) & (np.abs(m - np.round(m)) < _WHOLE)
+    alone = np.abs(m) > 2 * np.maximum(np.abs(np.roll(m, 1)), np.abs(np.roll(m, -1)))
+    several = ((np.abs(s) > 3).sum(axis=1) >= 2) if log.nv > 1 else np.zeros(n, bool)
+    rows = np.flatnonzero((z > tail_bound(z)) & whole & alone & several & (shared > 0.95))
+    rows = rows[(rows > 5) & (rows < n - 6)]
+    if not len(rows):
+        return None
+    missing = int(np.round(m[rows]).sum())
+    return Fault(
+        "dropped_samples",
+        log.joints,
+        f"all joints jump together in {len(rows)} places by whole numbers of samples, about "
+        f"{missing} rows are missing though the stamps run on; first after "
+        f"t = {log.t[rows[0]]:.4g} s, where q moves {1 + m[rows[0]]:.2f} times as far as its speed "
+        f"allows",
+        {"rows": rows, "missing": missing, "ratio": 1 + m[rows]},
+    )
+
+
+def _around(rate: Array, half: int = 4) -> Array:
+    """Median of the neighbours of each value, itself left out, shape as given."""
+    padded = np.pad(rate, ((half, half), (0, 0)), mode="edge")
+    shifted = [padded[half + k : half + k + len(rate)] for k in range(-half, half + 1) if k]
+    return np.asarray(np.median(shifted, axis=0), float)
+
+
+def _no_rows() -> Rows:
+    return np.zeros(0, np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class _Order:
+    """How rows come into the order of time. Rows count those of the log.
+
+    Attributes:
+        again: Rows that repeat an earlier one, not the row before, with its stamp and values.
+        late: Rows that belong between earlier ones, where sorting puts them.
+        lost: Rows whose stamps fit nowhere.
+        starts: Rows at which the clock starts anew.
+        shifts: What is added to time from each of these rows on [s].
+        doubt: Why nothing can be done; empty where the above makes time rise.
+    """
+
+    again: Rows = field(default_factory=_no_rows)
+    late: Rows = field(default_factory=_no_rows)
+    lost: Rows = field(default_factory=_no_rows)
+    starts: Rows = field(default_factory=_no_rows)
+    shifts: tuple[float, ...] = ()
+    doubt: str = ""
+
+
+def _order_of(log: Log) -> _Order:
+    """How the rows of a log come into the order of time."""
+    t, q = log.t, log.q
+    rows = np.flatnonzero(np.isfinite(t))
+    rows = rows[np.diff(t[rows], prepend=-np.inf) != 0]
+    if (np.diff(t[rows]) > 0).all():
+        return _Order()
+    values = pd.DataFrame(np.column_stack([t, *(x for _, x in log.channels())])[rows])
+    again = rows[values.duplicated()]
+    rows = np.setdiff1d(rows, again)
+    if len(rows) < 2:
+        return _Order(again)
+    step = float(np.median(np.abs(np.diff(t[rows]))))
+    settled = _settled(t[rows], q[rows], step)
+    if settled is not None:
+        return _Order(again, rows[settled[0]], rows[settled[1]])
+    return _cut(t, q, rows, again, step)
+
+
+def _settled(t: Array, q: Array, step: float) -> tuple[Rows, Rows] | None:
+    """Rows that sorting puts right, and few rows to leave out; None when that is not all.
+
+    Args:
+        t: Finite stamps, shape (n,) [s].
+        q: Positions, shape (n, k).
+        step: Usual step [s].
+    """
+    if (np.diff(t) > 0).all():
+        return _no_rows(), _no_rows()
+    moved = _stray(t, step)
+    moved[~moved] = _misplaced(t[~moved])
+    order = np.argsort(t, kind="stable")
+    unfit = np.zeros(len(t), bool)
+    unfit[order] = _unfit(t[order], q[order], order, moved[order], step)
+    if unfit.sum() > max(_WRONG * len(t), 1) or run_lengths(unfit)[1].max(initial=0) > _SHORT:
+        return None
+    return np.flatnonzero(moved & ~unfit), np.flatnonzero(unfit)
+
+
+def _stray(t: Array, step: float) -> Mask:
+    """Short runs of stamps far from those around them."""
+    around = scipy.ndimage.median_filter(t, 2 * _SHORT + 1, mode="nearest")
+    return np.asarray(np.abs(t - around) > _STRAY * step, bool)
+
+
+def _misplaced(t: Array) -> Mask:
+    """Rows earlier than one before them, or later than one behind them if these are fewer."""
+    behind = t < np.maximum.accumulate(t)
+    ahead = t > np.minimum.accumulate(t[::-1])[::-1]
+    return np.asarray(behind if behind.sum() <= ahead.sum() else ahead, bool)
+
+
+def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:
+    """Of rows sorted by time, the moved ones that do not belong where sorting puts them.
+
+    Args:
+        t: Sorted stamps, shape (n,) [s].
+        q: Positions in that order, shape (n, k).
+        order: Rows of the log in that order, shape (n,).
+        moved: Which of them were out of order, shape (n,).
+        step: Usual step [s].
+    """
+    one, two = (np.median(np.abs(q[k:] - q[:-k]), axis=0) for k in (1, 2))
+    steps, change = np.diff(t), np.abs(np.diff(q, axis=0))
+    gap = steps > longest_step(step)
+    usual = np.quantile(change[~gap] if (~gap).any() else change, 0.99, axis=0)
+    smooth = (change <= _JUMP * usual * np.maximum(steps / step, 1.0)[:, None]).all(axis=1)
+    joined = (np.diff(order) == 1) | gap | smooth
+    unfit = moved & bool((one > _ROUGH * two).any())
+    for a, count in zip(*run_lengths(moved), strict=True):
+        b = a + count
+        inside = a > 0 and b < len(t)
+        room = not inside or t[b] - t[a - 1] >= _ROOM * step * (count + 1)
+        near = count > _SHORT or (a > 0 and not gap[a - 1]) or (b < len(t) and not gap[b - 1])
+        unfit[a:b] |= not (room and near and joined[max(a - 1, 0) : b].all())
+    unfit[1:] |= (steps == 0) & moved[1:]
+    unfit[:-1] |= (steps == 0) & ~moved[1:]
+    return unfit
+
+
+def _cut(t: Array, q: Array, rows: Rows, again: Rows, step: float) -> _Order:
+    """The order of a log whose clock starts anew, if that is what it did."""
+    clear = rows[~_stray(t[rows], step)]
+    middle = scipy.ndimage.median_filter(t[clear], 2 * _SHORT + 1, mode="nearest")
+    falls = np.flatnonzero(np.diff(middle) < 0) + 1
+    if not len(falls):
+        return _Order(again, doubt="its rows fit nowhere else")
+    reach = np.arange(-2 * _SHORT, 2 * _SHORT + 1)
+    near = np.clip(falls[:, None] + reach, 1, len(clear) - 1)
+    drops = np.diff(t[clear])[near - 1]
+    starts = np.unique(clear[near[np.arange(len(falls)), drops.argmin(axis=1)]])
+    parts = [rows[(rows >= a) & (rows < b)] for a, b in pairwise([0, *starts.tolist(), len(t)])]
+    late, lost, shifts, end, brief = [], [], [0.0], -np.inf, 0
+    for own in parts if len(starts) * _OFTEN < len(rows) else []:
+        settled = _settled(t[own], q[own], step)
+        if settled is None:
+            return _Order(again, doubt=f"from row {own[0]} on its rows fit nowhere else")
+        late.append(own[settled[0]])
+        lost.append(own[settled[1]])
+        stamps = np.sort(t[np.delete(own, settled[1])])
+        rate = float(np.median(np.diff(stamps))) if len(stamps) > _SHORT else step
+        if abs(rate / step - 1) > _RATE:
+            return _Order(again, doubt=f"from row {own[0]} on it takes other steps, {rate:.4g} s")
+        brief += len(own) if stamps[-1] - stamps[0] < MINIMUM_DURATION else 0
+        shifts.append(max(shifts[-1], end + _PAUSE * longest_step(step) - float(stamps[0])))
+        end = float(stamps[-1]) + shifts[-1]
+    if not late or brief > _BRIEF * len(rows):
+        doubt = f"it does so {len(starts)} times, mostly within {MINIMUM_DURATION:g} s"
+        return _Order(again, doubt=doubt)
+    added = tuple(np.diff(shifts)[1:].tolist())
+    return _Order(again, np.concatenate(late), np.concatenate(lost), starts, added)
+
+
+def _not_finite(log: Log) -> Fault | None:
+    rows = np.flatnonzero(~np.isfinite(log.t))
+    if not len(rows):
+        return None
+    detail = f"{len(rows)} of {len(log)} time stamps are no numbers, first in row {rows[0]}"
+    return dropped(log.joints, rows, detail, channel="t")
+
+
+def _repeated(log: Log, order: _Order) -> Fault | None:
+    """Rows with the stamp of an earlier row: the one before, or any that has all its values."""
+    timed = np.flatnonzero(np.isfinite(log.t))
+    still = np.flatnonzero(np.diff(log.t[timed]) == 0)
+    before, beside = timed[still], timed[still + 1]
+    rows = np.union1d(beside, order.again)
+    if not len(rows):
+        return None
+    same = np.all([(x[beside] == x[before]).all(axis=1) for _, x in log.channels()], axis=0).sum()
+    n, found = len(log), len(rows) - len(order.again)
+    parts = []
+    if found:
+        parts.append(
+            f"{found} of {n} rows ({found / n:.2%}) repeat the time of the row before, {same} of "
+            f"them all its values too"
+        )
+    if len(order.again):
+        parts.append(f"{len(order.again)} of {n} rows repeat time and values of earlier ones")
+    return Fault(
+        "duplicate_samples",
+        log.joints,
+        f"{'; '.join(parts)}; first row {rows[0]} at t = {log.t[rows[0]]:.4g} s",
+        {"rows": rows, "count": len(rows), "identical": int(same) + len(order.again)},
+        f"keeps the first of each and leaves {len(rows)} rows out",
+        (Remedy("drop", rows=rows),),
+    )
+
+
+def _backward(log: Log, order: _Order) -> list[Fault]:
+    """Faults of rows that are earlier than one before them, from how they come into order."""
+    t, n, joints, starts = log.t, len(log), log.joints, order.starts
+    rows = np.flatnonzero(np.isfinite(t))
+    back = np.flatnonzero(np.diff(t[rows]) < 0) + 1
+    if not len(back):
+        return []
+    before = dict(zip(rows[1:].tolist(), t[rows[:-1]].tolist(), strict=True))
+    first = int(rows[back[0]])
+    where = f"from {before[first]:.6g} to {t[first]:.6g} s in row {first}"
+    found = []
+    if order.doubt:
+        detail = (
+            f"time goes back in {len(back)} of {n} rows, first {where}; {order.doubt}, so that "
+            f"sorting or cutting would be a guess: cut the file by hand in row {first}, or correct "
+            f"its time"
+        )
+        evidence = {"rows": rows[back], "count": len(back), "channel": "t", "doubt": order.doubt}
+        return [Fault("corrupt_rows", joints, detail, evidence)]
+    if len(starts):
+        start = int(starts[0])
+        found.append(
+            Fault(
+                "corrupt_rows",
+                joints,
+                f"the clock starts anew in {_listed(starts)}, first from {before[start]:.6g} to "
+                f"{t[start]:.6g} s, and runs on at the same rate, as in recordings written one "
+                f"after the other",
+                {"rows": starts, "count": len(starts), "channel": "t", "shifts": order.shifts},
+                f"cuts the recording into {len(starts) + 1} parts at {_listed(starts)}",
+                tuple(
+                    Remedy("shift", "t", rows=starts[k : k + 1], factor=shift)
+                    for k, shift in enumerate(order.shifts)
+                ),
+            )
+        )
+    done, remedies = [], []
+    if len(order.late):
+        done.append(f"sorts {_listed(order.late)} by time, where they fit")
+        remedies.append(Remedy("sort", "t", rows=order.late))
+    if len(order.lost):
+        done.append(f"leaves {_listed(order.lost)} out")
+        remedies.append(Remedy("drop", rows=order.lost))
+    if done:
+        rows = np.union1d(order.late, order.lost)
+        found.append(
+            Fault(
+                "corrupt_rows",
+                joints,
+                f"time goes back: {len(rows)} of {n} rows are out of order, first {where}",
+                {"rows": rows, "count": len(rows), "channel": "t", "late": len(order.late)},
+                " and ".join(done),
+                tuple(remedies),
+            )
+        )
+    return found
+
+
+def _listed(rows: Rows) -> str:
+    """Rows in words; of many the first ones."""
+    runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    shown = [str(r[0]) if len(r) == 1 else f"{r[0]} to {r[-1]}" for r in runs[:_LISTED]]
+    more = f" and {len(rows) - sum(map(len, runs[:_LISTED]))} more" if len(runs) > _LISTED else ""
+    return f"row{'s' if len(rows) > 1 else ''} {', '.join(shown)}{more}"
