@@ -53,7 +53,7 @@ class TorqueRipple(JointEffect):
         Term("ripple_cos", "N·m"),
         Term("ripple_sin", "N·m"),
     )
-    shapes: ClassVar[tuple[Shape, ...]] = (Shape("order", "1"),)
+    shapes: ClassVar[tuple[Shape, ...]] = (Shape("order", "1/turn"),)
     abscissa: ClassVar[str] = "position"
     told: ClassVar[Mapping[str, str]] = {
         "spring": STATIC,

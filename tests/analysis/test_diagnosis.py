@@ -15,8 +15,6 @@ import pinocchio as pin
 import pytest
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series
-from excitant.analysis.headline import headline
 from excitant.identify import Recording, model_files
 from excitant.identify.preprocessing import prepare
 from excitant.robots import Robot, load_robot, torque
@@ -90,7 +88,7 @@ def right(diagnosis: Diagnosis, effect: HiddenEffect) -> bool:
 def test_what_is_hidden_is_found(kind: str, ur10: Robot, runs: Runs) -> None:
     effect = drawn(ur10, kind, 0)
     diagnosis = diagnosed(ur10, runs, 1, effect)
-    assert right(diagnosis, effect), headline(diagnosis)
+    assert right(diagnosis, effect), diagnosis.headline
     lead = diagnosis.findings[0]
     assert lead.rms_after < lead.rms_before
     assert lead.explained > 0
@@ -112,7 +110,7 @@ def marked(effect: HiddenEffect) -> Any:
 @pytest.mark.parametrize("effect", [marked(effect) for effect in PLANTED])
 def test_it_alone_is_named(effect: HiddenEffect, ur10: Robot, runs: Runs) -> None:
     diagnosis = diagnosed(ur10, runs, 100 + PLANTED.index(effect), effect, duration=15.0)
-    result = diagnose_result(diagnosis)
+    result = diagnosis.result()
     lead = result["findings"][0]
     assert lead["effect"] == effect.effect, result["headline"]
     assert lead["verdict"] == "named", result["headline"]
@@ -125,7 +123,7 @@ def test_what_no_candidate_describes_is_unknown(ur10: Robot, runs: Runs) -> None
     """A torque that switches at random, as a sticking brake might."""
     values = (("amplitude", 10.0), ("rate", 1.0))
     switching = HiddenEffect("unknown", LIFT, values, structure="telegraph_torque")
-    result = diagnose_result(diagnosed(ur10, runs, 4, switching, duration=15.0))
+    result = diagnosed(ur10, runs, 4, switching, duration=15.0).result()
     assert [f["effect"] for f in result["findings"]] == ["unknown"], result["headline"]
     assert result["findings"][0]["joints"] == [LIFT]
     assert "stay unexplained" in result["headline"]
@@ -135,7 +133,7 @@ def test_what_no_candidate_describes_is_unknown(ur10: Robot, runs: Runs) -> None
 def test_nothing_hidden_nothing_named(seed: int, ur10: Robot, runs: Runs) -> None:
     diagnosis = diagnosed(ur10, runs, seed)
     assert diagnosis.findings == ()
-    assert headline(diagnosis).startswith("No cause stands out")
+    assert diagnosis.headline.startswith("No cause stands out")
 
 
 @pytest.mark.slow
@@ -147,7 +145,7 @@ def test_hidden_effects_are_found_in_nine_of_ten(name: str, runs: Runs) -> None:
         diagnosis = diagnosed(robot, runs, 100 + seed, effect)
         if not right(diagnosis, effect):
             wrong += bool(diagnosis.findings) and diagnosis.findings[0].verdict == "named"
-            failures.append((seed, effect.effect, effect.joint, headline(diagnosis)))
+            failures.append((seed, effect.effect, effect.joint, diagnosis.headline))
     assert len(failures) <= 0.1 * SEEDS, failures
     assert wrong <= 0.05 * SEEDS, failures
 
@@ -159,7 +157,7 @@ def test_clean_arms_have_nothing_named(name: str, runs: Runs) -> None:
     for seed in range(CLEAN):
         diagnosis = diagnosed(robot, runs, 200 + seed)
         if any(finding.verdict == "named" for finding in diagnosis.findings):
-            alarms.append((seed, headline(diagnosis)))
+            alarms.append((seed, diagnosis.headline))
     assert len(alarms) <= 0.05 * CLEAN, alarms
 
 
@@ -167,7 +165,7 @@ def test_payload_and_wrong_last_link_are_left_undecided(planar: Robot, runs: Run
     """On a planar arm a payload is a change of the last link: no motion can tell them apart."""
     diagnosis = diagnosed(planar, runs, 2, drawn(planar, "payload", 1))
     alike = {"payload", "inertial_parameters"}
-    [entry, *_] = diagnose_result(diagnosis)["findings"]
+    [entry, *_] = diagnosis.result()["findings"]
     assert entry["effect"] in alike
     assert entry["joints"] == [planar.joints[-1]]
     assert entry["verdict"] == "undecided"
@@ -259,7 +257,7 @@ def test_a_finding_is_the_extended_model_without_it(
 
 def test_the_result_has_the_agreed_keys(example: tuple[Robot, Recording, Diagnosis]) -> None:
     robot, _, diagnosis = example
-    result, arrays = diagnose_result(diagnosis), diagnose_series(diagnosis)
+    result, arrays = diagnosis.result(), diagnosis.series()
     assert {"simulation", "faults", "findings", "unexplained", "extended"} <= set(result)
     for part in ("simulation", "extended"):
         assert [j["name"] for j in result[part]["joints"]] == list(robot.joints)
@@ -275,4 +273,4 @@ def test_the_result_has_the_agreed_keys(example: tuple[Robot, Recording, Diagnos
     for entry in result["unexplained"]:
         assert {"joint", "share", "structure"} <= set(entry)
         assert 0 <= entry["share"] <= 1
-    assert {len(values) for values in arrays.values()} == {len(diagnosis.series.t)}
+    assert {len(values) for values in arrays.values()} == {len(diagnosis.held.series.t)}
