@@ -27,13 +27,12 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import joblib  # noqa: E402
 import numpy as np  # noqa: E402
+from hidden_effects import KINDS, draw_effect, typical_trajectory  # noqa: E402
 
 from excitant.analysis.diagnosis import diagnose  # noqa: E402
 from excitant.exceptions import ExcitantError  # noqa: E402
 from excitant.identify.recording import recording_from_table  # noqa: E402
 from excitant.robots import Robot, load_robot  # noqa: E402
-from excitant.robots.hidden import KINDS, draw_effect  # noqa: E402
-from excitant.robots.plant.habits import typical_trajectory  # noqa: E402
 from excitant.robots.torque import effect_values  # noqa: E402
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors, virtual_arm  # noqa: E402
 

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots.yaml_entries import yaml_content
+from excitant.robots.schema import Positive, Record, Three, convert, read_yaml
 
 PRIORS = ("pullback", "entropic", "euclidean")
-_KEYS = ("prior", "total_mass", "links")
-_EXAMPLE = "{prior: entropic, total_mass: 33.5, links: {forearm: {mass: {value: 2.3, std: 0.1}}}}"
-_ELLIPSOID = "{centre: [x, y, z], radii: [a, b, c]}"
-Vector = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class Quantity:
+class Quantity(Record, frozen=True):
     """A number that is known.
 
     Attributes:
@@ -27,12 +23,14 @@ class Quantity:
         std: Its standard deviation; 0 where it holds exactly.
     """
 
-    value: float
-    std: float = 0.0
+    value: Positive
+    std: Annotated[float, msgspec.Meta(ge=0, le=1e300)] = 0.0
+
+    def __str__(self) -> str:
+        return f"{self.value:g}" + (f" ± {self.std:g}" if self.std else "")
 
 
-@dataclass(frozen=True)
-class Box:
+class Box(Record, frozen=True, array_like=True):
     """Points between two corners of a link's frame.
 
     Attributes:
@@ -40,12 +38,19 @@ class Box:
         high: Greatest coordinates [m].
     """
 
-    low: Vector
-    high: Vector
+    low: Three
+    high: Three
+
+    def __post_init__(self) -> None:
+        for axis, least, greatest in zip("xyz", self.low, self.high, strict=True):
+            if least > greatest:
+                raise ValueError(
+                    f"along {axis} the first corner ({least:g} m) lies above the second "
+                    f"({greatest:g} m); exchange them"
+                )
 
 
-@dataclass(frozen=True)
-class Ellipsoid:
+class Ellipsoid(Record, frozen=True):
     """Points of an ellipsoid along the axes of a link's frame.
 
     Attributes:
@@ -53,12 +58,11 @@ class Ellipsoid:
         radii: Its half axes [m].
     """
 
-    centre: Vector
-    radii: Vector
+    centre: Three
+    radii: tuple[Positive, Positive, Positive]
 
 
-@dataclass(frozen=True)
-class LinkKnowledge:
+class LinkKnowledge(Record, frozen=True, omit_defaults=True):
     """What is known of one link, everything fixed to it included; None where nothing is.
 
     Attributes:
@@ -68,10 +72,18 @@ class LinkKnowledge:
         body_ellipsoid: What the whole body lies in (Wensing, Kim, Slotine 2018).
     """
 
-    mass: Quantity | None = None
+    mass: Positive | Quantity | None = None
     com_box: Box | None = None
     com_ellipsoid: Ellipsoid | None = None
     body_ellipsoid: Ellipsoid | None = None
+
+
+class KnowledgeRecord(Record, frozen=True):
+    """A file of what is known; the entries of ``links`` are `LinkKnowledge`."""
+
+    prior: str = PRIORS[0]
+    total_mass: Positive | Quantity | None = None
+    links: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -86,8 +98,8 @@ class Knowledge:
         source: File it was read from.
     """
 
-    prior: str = "pullback"
-    total_mass: Quantity | None = None
+    prior: str = PRIORS[0]
+    total_mass: float | Quantity | None = None
     links: Mapping[str, LinkKnowledge] = field(default_factory=dict)
     source: str = "knowledge"
 
@@ -96,40 +108,32 @@ class Knowledge:
             raise UnknownName("prior", self.prior, PRIORS)
 
     @property
+    def masses(self) -> dict[str, Quantity]:
+        """Known masses by what they are of, links by ``mass of NAME``."""
+        known = {"total_mass": self.total_mass}
+        known |= {f"mass of {name}": link.mass for name, link in self.links.items()}
+        return {
+            name: mass if isinstance(mass, Quantity) else Quantity(mass)
+            for name, mass in known.items()
+            if mass is not None
+        }
+
+    @property
     def sentence(self) -> str:
         """What is taken for known, beside the given bodies; empty where nothing is."""
-        said = [] if self.total_mass is None else [f"total mass {_written(self.total_mass)}"]
-        for name, each in self.links.items():
-            places = [k for k in ("com_box", "com_ellipsoid", "body_ellipsoid") if vars(each)[k]]
-            mass = [] if each.mass is None else [f"mass {_written(each.mass)}"]
-            said.append(f"{name}: {', '.join([*mass, *places])}")
+        masses = self.masses
+        said = [f"total mass {masses['total_mass']} kg"] if "total_mass" in masses else []
+        for name, link in self.links.items():
+            mass = [f"mass {masses[f'mass of {name}']} kg"] if link.mass is not None else []
+            regions = [key for key in link.__struct_fields__[1:] if getattr(link, key) is not None]
+            said.append(f"{name}: {', '.join([*mass, *regions])}")
         return f"taken for known from {self.source}: {'; '.join(said)}" if said else ""
 
     def entry(self) -> dict[str, Any]:
         """As in the file, without what is not known."""
-        links = {name: _known(vars(each)) for name, each in self.links.items()}
-        return _known({"prior": self.prior, "total_mass": self.total_mass, "links": links})
-
-
-def _written(quantity: Quantity) -> str:
-    spread = f" ± {quantity.std:g}" if quantity.std else ""
-    return f"{quantity.value:g}{spread} kg"
-
-
-def _known(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        key: _entry(value) for key, value in values.items() if value is not None and value != {}
-    }
-
-
-def _entry(value: Any) -> Any:
-    if isinstance(value, Quantity):
-        return {"value": value.value, "std": value.std} if value.std else value.value
-    if isinstance(value, Box):
-        return [list(value.low), list(value.high)]
-    if isinstance(value, Ellipsoid):
-        return {"centre": list(value.centre), "radii": list(value.radii)}
-    return value
+        known = {"prior": self.prior, "total_mass": self.total_mass, "links": dict(self.links)}
+        known = {key: value for key, value in known.items() if value not in (None, {})}
+        return dict(msgspec.json.decode(msgspec.json.encode(known)))
 
 
 def load_knowledge(path: str | Path, links: Sequence[str]) -> Knowledge:
@@ -145,95 +149,15 @@ def load_knowledge(path: str | Path, links: Sequence[str]) -> Knowledge:
     Raises:
         BadInput: Unreadable, unknown entries or links, or values that nothing can have.
     """
-    return knowledge_of(yaml_content(path, "what is known"), links, str(path))
-
-
-def knowledge_of(content: object, links: Sequence[str], source: str) -> Knowledge:
-    """Knowledge from the content of a YAML file; see `load_knowledge`."""
-    entries = _entries(content, source, _KEYS, _EXAMPLE)
-    prior = entries.get("prior", "pullback")
-    if prior not in PRIORS:
-        raise BadInput(f"{source}: {UnknownName('prior', str(prior), PRIORS)}")
-    total = entries.get("total_mass")
-    about = _entries(entries.get("links") or {}, f"{source}: links", links, _EXAMPLE, "link")
-    return Knowledge(
-        prior,
-        None if total is None else _mass(total, f"{source}: total_mass"),
-        {name: _link(value, f"{source}: links: {name}") for name, value in about.items()},
-        source,
-    )
-
-
-def _entries(
-    content: object, where: str, known: Iterable[str], example: str, kind: str = "entry"
-) -> dict[str, Any]:
-    if not isinstance(content, dict):
-        raise BadInput(f"{where}: expected entries such as {example}")
-    for key in content:
-        if key not in tuple(known):
-            raise BadInput(f"{where}: {UnknownName(kind, str(key), known)}")
-    return content
-
-
-def _link(content: object, where: str) -> LinkKnowledge:
-    keys = tuple(LinkKnowledge.__dataclass_fields__)
-    entries = _entries(content, where, keys, "{mass: 2.3, com_box: [[lo..], [hi..]]}")
-    given = {key: (value, f"{where}: {key}") for key, value in entries.items() if value is not None}
-    return LinkKnowledge(
-        mass=_mass(*given["mass"]) if "mass" in given else None,
-        com_box=_box(*given["com_box"]) if "com_box" in given else None,
-        com_ellipsoid=_ellipsoid(*given["com_ellipsoid"]) if "com_ellipsoid" in given else None,
-        body_ellipsoid=_ellipsoid(*given["body_ellipsoid"]) if "body_ellipsoid" in given else None,
-    )
-
-
-def _mass(content: object, where: str) -> Quantity:
-    if isinstance(content, dict):
-        entries = _entries(content, where, ("value", "std"), "{value: 2.3, std: 0.1}")
-        value, std = (_number(entries.get(key, 0.0), f"{where}: {key}") for key in ("value", "std"))
-    else:
-        value, std = _number(content, where), 0.0
-    if value <= 0 or std < 0:
-        raise BadInput(
-            f"{where}: {value:g} kg ± {std:g} kg is no mass; give a value above 0, and a std of 0 "
-            "where it holds exactly"
-        )
-    return Quantity(value, std)
-
-
-def _box(content: object, where: str) -> Box:
-    if not isinstance(content, list) or len(content) != 2:
-        raise BadInput(f"{where}: expected two corners, [[x, y, z], [x, y, z]] in metres")
-    low, high = (_vector(corner, where) for corner in content)
-    for axis, least, greatest in zip("xyz", low, high, strict=True):
-        if least > greatest:
-            raise BadInput(
-                f"{where}: along {axis} the first corner ({least:g} m) lies above the second "
-                f"({greatest:g} m); exchange them"
-            )
-    return Box(low, high)
-
-
-def _ellipsoid(content: object, where: str) -> Ellipsoid:
-    entries = _entries(content, where, ("centre", "radii"), _ELLIPSOID)
-    if len(entries) != 2:
-        raise BadInput(f"{where}: needs both of {_ELLIPSOID} in metres")
-    centre, radii = (_vector(entries[key], f"{where}: {key}") for key in ("centre", "radii"))
-    if min(radii) <= 0:
-        raise BadInput(f"{where}: radii must be above 0; for a known place give a com_box")
-    return Ellipsoid(centre, radii)
-
-
-def _vector(content: object, where: str) -> Vector:
-    if not isinstance(content, list) or len(content) != 3:
-        raise BadInput(f"{where}: expected three numbers, [x, y, z] in metres")
-    x, y, z = (_number(value, where) for value in content)
-    return x, y, z
-
-
-def _number(content: object, where: str) -> float:
-    if isinstance(content, bool) or not isinstance(content, int | float):
-        raise BadInput(f"{where}: '{content}' is no number")
-    if not math.isfinite(content):
-        raise BadInput(f"{where}: {content} is not finite; leave out what is not known")
-    return float(content)
+    found = read_yaml(path, KnowledgeRecord, "what is known of the bodies")
+    about = found.links or {}
+    for name in about:
+        if name not in links:
+            raise BadInput(f"{path}: links: {UnknownName('link', name, links)}")
+    if found.prior not in PRIORS:
+        raise BadInput(f"{path}: {UnknownName('prior', found.prior, PRIORS)}")
+    known = {
+        name: convert(content, LinkKnowledge, path, f"links.{name}")
+        for name, content in about.items()
+    }
+    return Knowledge(found.prior, found.total_mass, known, str(path))

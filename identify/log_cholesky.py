@@ -9,10 +9,10 @@ standard parameters of the numbers π = (α, d, s, t) and τ(θ) the torque of e
 
     minimise  ‖R φ(π) + τ(θ) − z‖² + D(φ(π)) / σ² + Σ_i (θ_i − θ̄_i)² / s_i²,   θ ≥ bounds,
 
-with the distances D of `excitant.identify.physical` that are sums of squares. Without effects its
-only stationary point is the minimiser of the semidefinite fit, as long as that lies inside the
-cone; where data call for an impossible body the numbers π run away and the semidefinite fit with
-its margin is the one to use.
+with D the pull-back distance of `excitant.identify.physical`. Without effects its only stationary
+point is the minimiser of the semidefinite fit, as long as that lies inside the cone. Where data
+call for a body that cannot be, its numbers run away while the objective and θ settle: no minimum
+is demanded, and bodies are those of a semidefinite fit with its margin, made for that θ.
 """
 
 from __future__ import annotations
@@ -21,22 +21,59 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 import scipy.linalg
 import scipy.optimize
 
-from excitant.exceptions import BadInput, Infeasible
-from excitant.identify.log_cholesky_numbers import from_log_cholesky, to_log_cholesky
-from excitant.identify.physical import PRIOR_SIGMA, EffectPrior, KktResiduals, PhysicalFit
-from excitant.identify.semidefinite import link_coordinates, link_weights
+from excitant.exceptions import BadInput
+from excitant.identify.physical import (
+    PRIOR_SIGMA,
+    EffectPrior,
+    KktResiduals,
+    PhysicalFit,
+    link_coordinates,
+    link_weights,
+)
 from excitant.robots.motion import Array, freeze
+from excitant.robots.parameters import pseudo_inertia
 
-_EVALUATIONS = 500
-_TOLERANCE = 1e-15
-_FEW, _REFINED = 60, 1e-5  # where no minimum is demanded
-_OPTIMAL = 1e-6  # of the gradient at the prior, above which it did not converge
+_EVALUATIONS, _TOLERANCE = 60, 1e-5  # of the descent, where no minimum is demanded
+_OFF = ((0, 1), (1, 2), (0, 2))  # s₁₂, s₂₃, s₁₃, the order of Rucker and Wensing
 
 TorqueModel = Callable[[Array], tuple[Array, Array]]
 """Whitened torque of effects, shape (m,), and its Jacobian, shape (m, k), at parameters (k,)."""
+
+
+def from_log_cholesky(numbers: Array) -> tuple[Array, Array]:
+    """Standard parameters of the numbers (α, d₁, d₂, d₃, s₁₂, s₂₃, s₁₃, t₁, t₂, t₃), and Jacobian.
+
+    Args:
+        numbers: Of one body, shape (10,).
+
+    Returns:
+        Shapes (10,) and (10, 10).
+    """
+    body = pin.LogCholeskyParameters(np.array(numbers, float))
+    return np.asarray(body.toDynamicParameters()), np.asarray(body.calculateJacobian())
+
+
+def to_log_cholesky(phi: Array) -> Array:
+    """The ten numbers of a consistent body.
+
+    Args:
+        phi: Standard parameters of one link, shape (10,).
+
+    Raises:
+        BadInput: No body of positive density has them.
+    """
+    try:
+        flip = np.linalg.cholesky(pseudo_inertia(phi)[::-1, ::-1])
+    except np.linalg.LinAlgError:
+        raise BadInput("log-Cholesky: parameters that no body of positive density has") from None
+    U = flip[::-1, ::-1]  # upper triangular with U Uᵀ = P
+    unit = U / U[3, 3]
+    off = [unit[k] for k in _OFF]
+    return np.array([np.log(U[3, 3]), *np.log(np.diag(unit)[:3]), *off, *unit[:3, 3]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,56 +83,17 @@ class NonlinearEffects:
     Attributes:
         torque: Their torque at every row, divided by its noise, and its Jacobian.
         prior: What is known of θ beforehand, and its bounds.
-        start: Where to begin, shape (k,); the prior's mean where None.
-        alone: The torque without its Jacobian, where that is cheaper; as `torque` gives it if None.
+        start: Where to begin, shape (k,).
+        alone: The torque without its Jacobian, which is cheaper.
     """
 
     torque: TorqueModel
     prior: EffectPrior
-    start: Array | None = None
-    alone: Callable[[Array], Array] | None = None
+    start: Array
+    alone: Callable[[Array], Array]
 
     def __post_init__(self) -> None:
-        if self.start is not None:
-            freeze(self, "start")
-
-
-def fit_log_cholesky(
-    R: Array,
-    z: Array,
-    prior: Array,
-    effects: NonlinearEffects | None = None,
-    prior_sigma: float | Array = PRIOR_SIGMA,
-    distance: str = "pullback",
-) -> PhysicalFit:
-    """Solve the nonlinear fit from the prior on.
-
-    Args:
-        R: Whitened columns of the links, shape (m, 10 links). With effects, the rows themselves:
-            a QR factor has lost what their torque is compared with.
-        z: Whitened torque, shape (m,).
-        prior: Standard parameters of the prior, consistent, shape (links, 10).
-        effects: Torque beside the links'; none where None.
-        prior_sigma: Relative uncertainty σ of the prior, for all links or for each.
-        distance: ``"pullback"``, how the distance to the prior is measured.
-
-    Returns:
-        Standard parameters and θ with the covariance of both (constraints ignored).
-
-    Raises:
-        BadInput: Columns, torque and prior that do not fit each other.
-        Infeasible: The solver did not reach a minimum.
-    """
-    problem = _Problem(R, z, prior, effects, prior_sigma, distance)
-    numbers = problem.descended(problem.start(prior), _TOLERANCE, _EVALUATIONS)
-    quality = problem.optimality(numbers)
-    if quality.stationarity > _OPTIMAL:
-        raise Infeasible(
-            "log-Cholesky fit",
-            f"no minimum after {_EVALUATIONS} evaluations; the data may call for a body that "
-            "cannot be, for which the semidefinite fit is made",
-        )
-    return problem.fit(numbers, quality)
+        freeze(self, "start")
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,39 +116,47 @@ def refine_log_cholesky(
     effects: NonlinearEffects,
     bodies: Array,
     prior_sigma: float | Array = PRIOR_SIGMA,
+    tolerance: float = _TOLERANCE,
 ) -> Refinement:
     """Descend from a consistent point, such as a semidefinite fit, as far as it pays.
 
-    Where data call for a body that cannot be, its numbers run away while the objective and θ
-    settle: no minimum is demanded, and bodies are those of a fit with a margin, made for that θ.
-
     Args:
-        R: Whitened columns of the links, shape (m, 10 links).
+        R: Whitened columns of the links, shape (m, 10 links); the rows themselves, since a QR
+            factor has lost what the torque of effects is compared with.
         z: Whitened torque, shape (m,).
         prior: Standard parameters of the prior, consistent, shape (links, 10).
         effects: Torque beside the links', with θ to start from.
         bodies: Standard parameters to start from, consistent, shape (links, 10).
         prior_sigma: Relative uncertainty σ of the prior, for all links or for each.
+        tolerance: Relative change of objective and parameters at which the descent ends.
 
     Raises:
         BadInput: Columns, torque and prior that do not fit each other, or impossible bodies.
     """
-    problem = _Problem(R, z, prior, effects, prior_sigma, "pullback")
-    numbers = problem.descended(problem.start(bodies), _REFINED, _FEW)
-    return Refinement(problem.fit(numbers, problem.optimality(numbers)), problem.objective)
+    problem = _Problem(R, z, prior, effects, prior_sigma)
+    start, known = effects.start, effects.prior
+    theta = np.where(start > known.lower, start, known.lower + 1e-3 * np.abs(known.std))
+    numbers = np.concatenate([*(to_log_cholesky(values) for values in bodies), theta])
+    with np.errstate(over="ignore", invalid="ignore"):  # steps too long are taken back
+        found = scipy.optimize.least_squares(
+            problem.residual,
+            numbers,
+            problem.jacobian,
+            bounds=(problem.lower, np.inf),
+            x_scale="jac",
+            ftol=tolerance,
+            xtol=tolerance,
+            gtol=tolerance,
+            max_nfev=_EVALUATIONS,
+        )
+    return Refinement(problem.fit(np.asarray(found.x, float)), problem.objective)
 
 
 class _Problem:
     """Residuals of the fit and their Jacobian as functions of (π, θ)."""
 
     def __init__(
-        self,
-        R: Array,
-        z: Array,
-        prior: Array,
-        effects: NonlinearEffects | None,
-        sigma: float | Array,
-        distance: str,
+        self, R: Array, z: Array, prior: Array, effects: NonlinearEffects, sigma: float | Array
     ) -> None:
         size = prior.size
         if R.shape != (len(z), size):
@@ -158,34 +164,11 @@ class _Problem:
                 f"log-Cholesky fit: columns of shape {R.shape} for {len(z)} rows and {len(prior)} "
                 f"links; expected ({len(z)}, {size})"
             )
-        self.R, self.z, self.effects, self.size = R, z, effects, size
-        self.known = effects.prior if effects else EffectPrior(*(np.zeros(0),) * 3)
-        self.C = _prior_rows(prior, sigma, distance)
+        self.R, self.z, self.effects, self.known, self.size = R, z, effects, effects.prior, size
+        weights = link_weights(len(prior), sigma)
+        self.C = np.asarray(weights[:, None] * np.linalg.inv(link_coordinates(prior)), float)
         self.target = self.C @ prior.ravel()
         self.lower = np.concatenate([np.full(size, -np.inf), self.known.lower])
-
-    def start(self, bodies: Array) -> Array:
-        """Numbers of bodies, shape (links, 10), and θ to start from, inside their bounds."""
-        effects, lower = self.effects, self.known.lower
-        theta = self.known.mean if effects is None or effects.start is None else effects.start
-        theta = np.where(theta > lower, theta, lower + 1e-3 * np.abs(self.known.std))
-        return np.concatenate([*(to_log_cholesky(values) for values in bodies), theta])
-
-    def descended(self, numbers: Array, tolerance: float, evaluations: int) -> Array:
-        """Where the objective is lowest, from some numbers on."""
-        with np.errstate(over="ignore", invalid="ignore"):  # steps too long are taken back
-            found = scipy.optimize.least_squares(
-                self.residual,
-                numbers,
-                self.jacobian,
-                bounds=(self.lower, np.inf),
-                x_scale="jac",
-                ftol=tolerance,
-                xtol=tolerance,
-                gtol=tolerance,
-                max_nfev=evaluations,
-            )
-        return np.asarray(found.x, float)
 
     def objective(self, x: Array) -> float:
         """What is minimised, at standard parameters and θ."""
@@ -197,83 +180,45 @@ class _Problem:
         phi = np.concatenate([values for values, _ in pairs])
         return phi, np.asarray(scipy.linalg.block_diag(*(J for _, J in pairs)), float)
 
-    def torque(self, theta: Array) -> tuple[Array, Array]:
-        """Whitened torque of the effects and its Jacobian."""
-        if self.effects is None:
-            return np.zeros(len(self.z)), np.zeros((len(self.z), 0))
-        return self.effects.torque(theta)
-
-    def alone(self, theta: Array) -> Array:
-        """Whitened torque of the effects."""
-        effects = self.effects
-        if effects is None or effects.alone is None:
-            return self.torque(theta)[0]
-        return effects.alone(theta)
+    def misfit(self, phi: Array, theta: Array) -> Array:
+        """Data, prior of the links, prior of the effects."""
+        data = self.R @ phi + self.effects.alone(theta) - self.z
+        known = (theta - self.known.mean) / self.known.std
+        return np.concatenate([data, self.C @ phi - self.target, known])
 
     def residual(self, numbers: Array) -> Array:
-        """Data, prior of the links, prior of the effects."""
+        """The same of numbers."""
         return self.misfit(self.bodies(numbers)[0], numbers[self.size :])
-
-    def misfit(self, phi: Array, theta: Array) -> Array:
-        """The same of standard parameters."""
-        return np.concatenate(
-            [
-                self.R @ phi + self.alone(theta) - self.z,
-                self.C @ phi - self.target,
-                (theta - self.known.mean) / self.known.std,
-            ]
-        )
 
     def rows(self, theta: Array) -> Array:
         """Jacobian of the residual by (φ, θ), shape (rows, p)."""
-        slopes, open_ = self.torque(theta)[1], np.zeros((len(self.C), len(theta)))
-        return np.block(
-            [
-                [self.R, slopes],
-                [self.C, open_],
-                [np.zeros((len(theta), self.size)), np.diag(1 / self.known.std)],
-            ]
-        )
+        prior = scipy.linalg.block_diag(self.C, np.diag(1 / self.known.std))
+        return np.vstack([np.hstack([self.R, self.effects.torque(theta)[1]]), prior])
 
     def jacobian(self, numbers: Array) -> Array:
         """Jacobian of the residual by (π, θ)."""
         J = self.rows(numbers[self.size :])
         return np.hstack([J[:, : self.size] @ self.bodies(numbers)[1], J[:, self.size :]])
 
+    def fit(self, numbers: Array) -> PhysicalFit:
+        """The result, its covariance from the Gauss-Newton approximation."""
+        phi, theta = self.bodies(numbers)[0], numbers[self.size :]
+        J, m = self.rows(theta), len(self.z)
+        data, factor, before = (np.asarray(np.linalg.qr(A, mode="r")) for A in (J[:m], J, J[m:]))
+        after, root = (scipy.linalg.solve_triangular(A, np.eye(len(A))) for A in (factor, before))
+        covariance = after @ after.T
+        share = np.sqrt(np.diag(covariance) / (root**2).sum(axis=1))
+        x, quality = np.concatenate([phi, theta]), self.optimality(numbers)
+        links = self.size // 10
+        return PhysicalFit(x, covariance, np.clip(share, 0.0, 1.0), quality, data, root, links)
+
     def optimality(self, numbers: Array) -> KktResiduals:
         """Gradient that no active bound takes, relative to that of the data."""
         J = self.jacobian(numbers)
         gradient, scale = 2 * J.T @ self.residual(numbers), np.linalg.norm(J, axis=0)
-        room = numbers - self.lower
+        room, size = numbers - self.lower, float(np.linalg.norm(self.z)) + 1.0
         with np.errstate(invalid="ignore"):  # without bound and without slope
             bound = (gradient > 0) & (room * scale < 1e-6 * np.linalg.norm(self.z))
         free = np.where(bound, 0.0, gradient) / np.where(scale > 0, scale, 1.0)
-        size = float(np.linalg.norm(self.z)) + 1.0
         slack = float(np.sum(gradient[bound] * room[bound])) / size**2
         return KktResiduals(float(np.linalg.norm(free)) / size, slack, max(0.0, -float(room.min())))
-
-    def fit(self, numbers: Array, quality: KktResiduals) -> PhysicalFit:
-        """The result, its covariance from the Gauss-Newton approximation."""
-        phi, theta = self.bodies(numbers)[0], numbers[self.size :]
-        J = self.rows(theta)
-        before = J[len(self.z) :]
-        unit = 1 / np.linalg.norm(before, axis=0)
-        after = scipy.linalg.qr(J * unit, mode="r")[0][: len(unit)]
-        inverse = unit[:, None] * scipy.linalg.solve_triangular(after, np.eye(len(unit)))
-        covariance = inverse @ inverse.T
-        prior = unit**2 * np.diag(np.linalg.inv((before * unit).T @ (before * unit)))
-        share = np.sqrt(np.diag(covariance) / prior)
-        L = np.asarray(np.linalg.inv(before), float)
-        x = np.concatenate([phi, theta])
-        data = np.asarray(np.linalg.qr(J[: len(self.z)], mode="r"), float)
-        share = np.clip(share, 0.0, 1.0)
-        return PhysicalFit(x, covariance, share, quality, data, L, self.size // 10)
-
-
-def _prior_rows(prior: Array, sigma: float | Array, distance: str) -> Array:
-    """C with ‖C (φ − φ̄)‖² = D(φ) / σ², shape (10 links, 10 links)."""
-    links = len(prior)
-    if distance == "pullback":
-        T = link_coordinates(prior)
-        return np.asarray(link_weights(links, sigma)[:, None] * np.linalg.inv(T), float)
-    raise BadInput(f"log-Cholesky fit: distance '{distance}' is no sum of squares; use pullback")

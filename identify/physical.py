@@ -21,14 +21,14 @@ The consistent parameters are fitted directly, never projected afterwards (Sousa
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import scipy.linalg
 
 from excitant.exceptions import BadInput, BadRobot
-from excitant.identify.knowledge import Box, Ellipsoid, Knowledge, LinkKnowledge, Quantity
+from excitant.identify.knowledge import Knowledge, LinkKnowledge
 from excitant.identify.prior_rule import DOMINATED, linear_influence
 from excitant.identify.semidefinite import (
     MARGIN,
@@ -164,44 +164,60 @@ def fit_physical(
         BadInput: Knowledge that no body fulfils, or about other links.
         Infeasible: The solver did not converge.
     """
-    knowledge, link_count = knowledge or Knowledge(), len(prior)
-    entropic = knowledge.prior == "entropic"
-    unit = _effect_units(R[:, 10 * link_count :], effects.std)
-    reference = prior if metric is None or entropic else metric
+    knowledge = knowledge or Knowledge()
+    names = links or [f"link {k + 1}" for k in range(len(prior))]
+    sigma = np.broadcast_to(np.asarray(prior_sigma, float), (len(prior),))
+    reference = prior if metric is None or knowledge.prior == "entropic" else metric
+    units = _effect_units(R[:, prior.size :], effects.std)
     T = link_coordinates(reference)
-    scale = scipy.linalg.block_diag(T, np.diag(unit))
-    centre = np.concatenate([np.linalg.solve(T, prior.ravel()), effects.mean / unit])
-    C, d, known = known_rows(knowledge, links or [f"link {k + 1}" for k in range(link_count)])
-    sigma = np.broadcast_to(np.asarray(prior_sigma, float), (link_count,))
-    spread = np.vstack([_prior_rows(reference, T, sigma, knowledge.prior), C @ T])
-    weight = unit / effects.std
-    bounded, p = np.isfinite(effects.lower), len(centre)
-    signs = Restriction(
-        "nonnegative", np.eye(p)[T.shape[0] :][bounded], (effects.lower / unit)[bounded]
-    )
-    restrictions = [signs] if bounded.any() else []
-    restrictions += [_scaled(restriction, T, p) for restriction in known]
-    smallest = float(np.linalg.eigvalsh(matrices(centre, link_count)).min())
-    bodies = definite(link_count, min(MARGIN, 0.5 * smallest), p)
-    if known:
-        _refuse_contradiction((*bodies, *restrictions), knowledge)
-    own = spread[: len(spread) - len(C)] @ centre[: len(T)]
+    scale = scipy.linalg.block_diag(T, np.diag(units))
+    centre = np.concatenate([np.linalg.solve(T, prior.ravel()), effects.mean / units])
+    distance = _distance_rows(reference, T, sigma, knowledge.prior)
+    C, d, restrictions = _known(knowledge, names, T, effects.lower / units, centre)
+    weight = units / effects.std
     program = Program(
         A=R @ scale,
         z=z,
-        C=scipy.linalg.block_diag(spread, np.diag(weight)),
-        d=np.concatenate([own, d, weight * centre[len(T) :]]),
-        restrictions=(*(() if entropic else bodies), *restrictions),
-        entropy=2 / sigma**2 if entropic else np.zeros(0),
+        C=scipy.linalg.block_diag(np.vstack([distance, C]), np.diag(weight)),
+        d=np.concatenate([distance @ centre[: len(T)], d, weight * centre[len(T) :]]),
+        restrictions=restrictions,
+        entropy=2 / sigma**2 if knowledge.prior == "entropic" else np.zeros(0),
     )
     solution = solve(program, centre)
     covariance, share, root = _uncertainty(program, solution, scale)
-    return PhysicalFit(
-        scale @ solution.y, covariance, share, solution.kkt(program), R, root, link_count
-    )
+    kkt = solution.kkt(program)
+    return PhysicalFit(scale @ solution.y, covariance, share, kkt, R, root, len(prior))
 
 
-def _prior_rows(reference: Array, T: Array, sigma: Array, distance: str) -> Array:
+def _known(
+    knowledge: Knowledge, links: Sequence[str], T: Array, lower: Array, centre: Array
+) -> tuple[Array, Array, tuple[Restriction, ...]]:
+    """Rows C y ≈ d of unit noise about the links' coordinates, and what all of y must satisfy.
+
+    Raises:
+        BadInput: Knowledge that no body fulfils, or about other links.
+    """
+    C, d, known = known_rows(knowledge, links)
+    p, bounded = len(centre), np.isfinite(lower)
+    restrictions = [_scaled(restriction, T, p) for restriction in known]
+    if bounded.any():
+        signs = np.eye(p)[len(T) :][bounded]
+        restrictions.insert(0, Restriction("nonnegative", signs, lower[bounded]))
+    smallest = float(np.linalg.eigvalsh(matrices(centre, len(links))).min())
+    bodies = definite(len(links), min(MARGIN, 0.5 * smallest), p)
+    names = contradiction((*bodies, *restrictions)) if known else ()
+    if names:
+        what = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+        together = "contradict each other" if len(names) > 1 else "cannot be"
+        raise BadInput(
+            f"{knowledge.source}: {what} {together}: no body near the given one fulfils "
+            f"{'them together; correct one of them' if len(names) > 1 else 'it; correct it'}"
+        )
+    entropic = knowledge.prior == "entropic"
+    return C @ T, d, (*(() if entropic else bodies), *restrictions)
+
+
+def _distance_rows(reference: Array, T: Array, sigma: Array, distance: str) -> Array:
     """Rows whose squares are the distance to the prior over σ², about the links' coordinates."""
     if distance == "euclidean":
         # m, m r and m r², r the radius of gyration about the joint's frame
@@ -226,18 +242,6 @@ def _effect_units(R: Array, std: Array) -> Array:
     """Units of the effect coefficients that make their columns alike, shape (e,)."""
     norms = np.sqrt((R**2).sum(axis=0) + std**-2.0)
     return np.asarray(np.sqrt(len(R)) / norms, float)
-
-
-def _refuse_contradiction(restrictions: Sequence[Restriction], knowledge: Knowledge) -> None:
-    names = contradiction(restrictions)
-    if not names:
-        return
-    what = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
-    together = "contradict each other" if len(names) > 1 else "cannot be"
-    raise BadInput(
-        f"{knowledge.source}: {what} {together}: no body near the given one fulfils "
-        f"{'them together; correct one of them' if len(names) > 1 else 'it; correct it'}"
-    )
 
 
 def _uncertainty(program: Program, solution: Solution, scale: Array) -> tuple[Array, Array, Array]:
@@ -275,65 +279,47 @@ def known_rows(
     for name in knowledge.links:
         if name not in links:
             raise BadInput(f"{knowledge.source}: links: the arm has no link '{name}'")
-    p, masses = 10 * len(links), np.zeros(10 * len(links))
-    masses[::10] = 1.0
-    about: list[tuple[str, Array, Quantity | None]] = [("total_mass", masses, knowledge.total_mass)]
+    p = 10 * len(links)
+    of_link = {f"mass of {name}": row for name, row in zip(links, np.eye(p)[::10], strict=True)}
+    mass_rows = {"total_mass": np.sum(list(of_link.values()), axis=0)} | of_link
+    rows, values = [np.zeros((0, p))], [np.zeros(0)]
     restrictions: list[Restriction] = []
-    for k, name in enumerate(links):
-        known = knowledge.links.get(name, LinkKnowledge())
-        about.append((f"mass of {name}", np.eye(p)[10 * k], known.mass))
+    for name, mass in knowledge.masses.items():
+        row = mass_rows[name][None]
+        if mass.std:
+            rows.append(row / mass.std)
+            values.append(np.array([mass.value / mass.std]))
+        else:
+            what = f"{name} = {mass.value:g} kg"
+            restrictions.append(Restriction("zero", row, np.array([mass.value]), what))
+    for name, known in knowledge.links.items():
+        own = slice(10 * links.index(name), 10 * links.index(name) + 10)
         for each in _regions(known, name):
             G = np.zeros((len(each.h), p))
-            G[:, 10 * k : 10 * k + 10] = each.G
-            restrictions.append(Restriction(each.cone, G, each.h, each.name))
-    rows, values = [np.zeros((0, p))], [np.zeros(0)]
-    for name, row, quantity in about:
-        if quantity is None:
-            continue
-        if quantity.std:
-            rows.append(row[None] / quantity.std)
-            values.append(np.array([quantity.value / quantity.std]))
-        else:
-            what, h = f"{name} = {quantity.value:g} kg", np.array([quantity.value])
-            restrictions.append(Restriction("zero", row[None], h, what))
+            G[:, own] = each.G
+            restrictions.append(replace(each, G=G))
     return np.vstack(rows), np.concatenate(values), restrictions
 
 
 def _regions(known: LinkKnowledge, name: str) -> Iterator[Restriction]:
     """Restrictions of one link's ten parameters."""
+    mass, first = np.eye(10)[0], np.eye(10)[1:4]
     if known.com_box is not None:
-        yield from _in_box(known.com_box, f"com_box of {name}")
+        # where the box has no width, a coordinate is known
+        low, high = np.array(known.com_box.low), np.array(known.com_box.high)
+        flat = low == high
+        G = np.array([first - np.outer(low, mass), np.outer(high, mass) - first])
+        for cone, rows in (("nonnegative", G[:, ~flat].reshape(-1, 10)), ("zero", G[0, flat])):
+            if len(rows):
+                yield Restriction(cone, rows, np.zeros(len(rows)), f"com_box of {name}")
     if known.com_ellipsoid is not None:
-        yield _in_ellipsoid(known.com_ellipsoid, f"com_ellipsoid of {name}")
+        centre, radii = np.array(known.com_ellipsoid.centre), np.array(known.com_ellipsoid.radii)
+        offset = (first - np.outer(centre, mass)) / radii[:, None]
+        G = np.vstack([mass, offset])
+        yield Restriction("second_order", G, np.zeros(4), f"com_ellipsoid of {name}")
     if known.body_ellipsoid is not None:
-        yield _body_within(known.body_ellipsoid, f"body_ellipsoid of {name}")
-
-
-def _in_box(box: Box, name: str) -> Iterator[Restriction]:
-    """Centre of mass in a box; where it has no width, a coordinate is known."""
-    first, mass = np.eye(10)[1:4], np.eye(10)[0]
-    low, high = np.array(box.low), np.array(box.high)
-    flat = low == high
-    G = np.vstack([first - np.outer(low, mass), np.outer(high, mass) - first])
-    wide = np.concatenate([~flat, ~flat])
-    if wide.any():
-        yield Restriction("nonnegative", G[wide], np.zeros(int(wide.sum())), name)
-    if flat.any():
-        yield Restriction("zero", G[:3][flat], np.zeros(int(flat.sum())), name)
-
-
-def _in_ellipsoid(ellipsoid: Ellipsoid, name: str) -> Restriction:
-    first, mass = np.eye(10)[1:4], np.eye(10)[0]
-    centre, radii = np.array(ellipsoid.centre), np.array(ellipsoid.radii)
-    offset = (first - np.outer(centre, mass)) / radii[:, None]
-    return Restriction("second_order", np.vstack([mass, offset]), np.zeros(4), name)
-
-
-def _body_within(ellipsoid: Ellipsoid, name: str) -> Restriction:
-    centre, weight = np.array(ellipsoid.centre), np.array(ellipsoid.radii) ** -2.0
-    E = np.zeros((4, 4))
-    E[:3, :3] = -np.diag(weight)
-    E[:3, 3] = E[3, :3] = weight * centre
-    E[3, 3] = 1 - weight @ centre**2
-    row = np.einsum("kij,ij->k", PSEUDO_INERTIA_BASIS, E)
-    return Restriction("nonnegative", row[None], np.zeros(1), name)
+        centre, radii = np.array(known.body_ellipsoid.centre), np.array(known.body_ellipsoid.radii)
+        to_unit = np.column_stack([np.diag(1 / radii), -centre / radii])
+        E = np.diag([0.0, 0.0, 0.0, 1.0]) - to_unit.T @ to_unit
+        row = np.einsum("kij,ij->k", PSEUDO_INERTIA_BASIS, E)
+        yield Restriction("nonnegative", row[None], np.zeros(1), f"body_ellipsoid of {name}")

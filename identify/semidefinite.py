@@ -306,16 +306,17 @@ def _quadratic(program: Program, centre: Array) -> Solution:
     if all(r.violation(free) <= 0 for r in program.restrictions):
         return Solution(free, tuple(np.zeros_like(r.h) for r in program.restrictions))
     size = max(1.0, float(np.linalg.norm(U @ (centre - free))))
-    checked = []
+    checked: list[tuple[float, Solution]] = []
     for scale, equilibrate in _SCALINGS:
         for status, found in _attempts(program, U, free, scale * size, equilibrate):
-            if status == "optimal" and scale == 1.0:
-                return found
             error = _distance_to_optimum(program, U, free, found)
             moved = float(np.linalg.norm(U @ (found.y - free)))
             missed = max(r.violation(found.y) for r in program.restrictions)
-            if missed <= _FEASIBLE and error <= max(_PRECISE, _NEAR * moved):
+            done = status == "optimal" and scale == 1.0
+            if done or (missed <= _FEASIBLE and error <= max(_PRECISE, _NEAR * moved)):
                 checked.append((error, found))
+            if done:
+                return min(checked, key=lambda pair: pair[0])[1]
     if checked:
         return min(checked, key=lambda pair: pair[0])[1]
     raise Infeasible(

@@ -1,9 +1,18 @@
-"""Reports: pages and summaries drawn from saved results only."""
+"""Reports: pages and texts drawn from saved results only."""
 
-from excitant.reports.brief import brief
-from excitant.reports.comparison import SavedRun, compare
-from excitant.reports.html import render
+from excitant.reports.compare import SavedRun, compare
+from excitant.reports.render import brief, html, summary, table_lines
 from excitant.reports.run import load_run, save_run
-from excitant.reports.summary import summarize
+from excitant.reports.sections import page_of
 
-__all__ = ["SavedRun", "brief", "compare", "load_run", "render", "save_run", "summarize"]
+__all__ = [
+    "SavedRun",
+    "brief",
+    "compare",
+    "html",
+    "load_run",
+    "page_of",
+    "save_run",
+    "summary",
+    "table_lines",
+]

@@ -3,6 +3,7 @@
 Every panel is drawn at one width, so that its letters have the same size everywhere; the page
 lays panels side by side or one above the other. Colours are those of Okabe and Ito (2008),
 which the colour-blind can tell apart; each meaning keeps its colour through all reports.
+Matplotlib is imported with the first drawing: pages without one need not wait for it.
 """
 
 from __future__ import annotations
@@ -13,25 +14,24 @@ import io
 import math
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from typing import Any, cast
+from contextlib import ExitStack, contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any, cast
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.colors import to_hex, to_rgb
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
-from excitant.reports.model import Panel
-from excitant.reports.wording import power_of_ten
+from excitant.reports.page import Panel
+from excitant.reports.values import power_of_ten
 from excitant.robots.motion import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
 
 MEASURED, GIVEN, FITTED = "#4d4d4d", "#d55e00", "#0072b2"
 GREEN, PURPLE, AMBER, SKY, LIGHT = "#009e73", "#b0558f", "#e69f00", "#3a93c9", "#b9bdc2"
+BAND = "#c3dcec"
 
 WIDTH = 3.9  # inch: 281 pt, which a phone shows a little larger than drawn
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.64, 0.12, 0.1, 0.42  # inch
@@ -71,13 +71,43 @@ _STYLE: Any = {
 }
 
 
+_open: ContextVar[ExitStack | None] = ContextVar("style of drawings", default=None)
+
+
 @contextmanager
 def style() -> Iterator[None]:
-    """Matplotlib's own defaults under the report's style, whatever the user has configured."""
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        with mpl.rc_context(_STYLE):
+    """Matplotlib's own defaults under the report's style, whatever the user has configured.
+
+    They hold from the first drawing inside to the end.
+    """
+    with ExitStack() as stack:
+        token = _open.set(stack)
+        try:
             yield
+        finally:
+            _open.reset(token)
+
+
+def _begin() -> None:
+    """Set the style unless the style around this drawing is set already."""
+    import matplotlib as mpl
+
+    stack = _open.get()
+    if stack is not None:
+        stack.enter_context(mpl.rc_context())
+        mpl.rcdefaults()
+        mpl.rcParams.update(_STYLE)
+        _open.set(None)
+
+
+def _figure(height: float) -> Figure:
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    _begin()
+    figure = Figure(figsize=(WIDTH, height))
+    FigureCanvasSVG(figure)
+    return figure
 
 
 def axes(
@@ -96,8 +126,9 @@ def axes(
         top: Margin above the first axes [inch].
         space: Between the axes, as a share of their mean height.
     """
-    figure = Figure(figsize=(WIDTH, height))
-    FigureCanvasSVG(figure)
+    from matplotlib.ticker import FuncFormatter
+
+    figure = _figure(height)
     grid = figure.subplots(
         len(ratios),
         1,
@@ -114,8 +145,8 @@ def axes(
     )
     found: list[Axes] = list(grid[:, 0])
     for ax in found:
-        ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
-        ax.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
+        few_ticks(ax.yaxis, 4)
+        few_ticks(ax.xaxis, 6)
         ax.yaxis.set_major_formatter(FuncFormatter(_tick))
         ax.xaxis.set_major_formatter(FuncFormatter(_tick))
     figure.align_ylabels(found)
@@ -129,20 +160,16 @@ def axes_3d(low: Array, high: Array) -> Any:
         low: Least coordinates to be shown, shape (3,).
         high: Greatest coordinates, shape (3,).
     """
-    figure = Figure(figsize=(WIDTH, 3.3))
-    FigureCanvasSVG(figure)
+    from matplotlib.ticker import FuncFormatter
+
+    figure = _figure(3.3)
     ax: Any = figure.add_axes((-0.03, 0.0, 1.0, 1.07), projection="3d")
     middle, half = (low + high) / 2, 0.52 * np.maximum(high - low, 0.5 * float(np.max(high - low)))
     ax.set_box_aspect(half.tolist(), zoom=0.86)
     ax.view_init(elev=24, azim=-56)
     for k, axis in enumerate((ax.xaxis, ax.yaxis, ax.zaxis)):
         getattr(ax, f"set_{'xyz'[k]}lim")(middle[k] - half[k], middle[k] + half[k])
-        few = half[k] <= 0.6 * half.max()
-        axis.set_major_locator(
-            MaxNLocator(2, steps=[1, 2, 5, 10], min_n_ticks=1)
-            if few
-            else MaxNLocator(4, steps=[1, 2, 2.5, 5, 10])
-        )
+        few_ticks(axis, 2 if half[k] <= 0.6 * half.max() else 4, min_n_ticks=1)
         axis.set_major_formatter(FuncFormatter(_tick))
         axis.set_pane_color((0.975, 0.978, 0.98, 1.0))
         axis.set_tick_params(pad=-1 if k < 2 else 1, labelsize=8)
@@ -151,13 +178,35 @@ def axes_3d(low: Array, high: Array) -> Any:
 
 def fill_3d(ax: Any, faces: Sequence[Array], **look: Any) -> None:
     """Fill plane polygons in space, each of shape (corners, 3)."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
+
     ax.add_collection3d(Poly3DCollection(list(faces), **look))
 
 
 def ink(colour: str) -> str:
     """A darker shade of a colour, for words: these need more contrast than lines do."""
-    red, green, blue = (0.7 * share for share in to_rgb(colour))
-    return to_hex((red, green, blue))
+    return "#" + "".join(f"{round(0.7 * int(colour[k : k + 2], 16)):02x}" for k in (1, 3, 5))
+
+
+def equal_axes(ax: Axes, low: Array, high: Array, room: float) -> float:
+    """Give both directions one scale, so that a box fits with some room around it.
+
+    Args:
+        ax: In which lengths are drawn.
+        low: Lower corner of the box, shape (2,) [m].
+        high: Upper corner, shape (2,) [m].
+        room: What is shown over what the box needs.
+
+    Returns:
+        The shorter side of what is shown [m].
+    """
+    frame = ax.get_window_extent()
+    size = np.array([frame.width, frame.height])
+    half = 0.5 * room * float(np.max(np.maximum(high - low, 1e-3) / size)) * size
+    middle = (low + high) / 2
+    ax.set_xlim(middle[0] - half[0], middle[0] + half[0])
+    ax.set_ylim(middle[1] - half[1], middle[1] + half[1])
+    return 2 * float(half.min())
 
 
 def label_y(ax: Axes, words: str) -> None:
@@ -174,13 +223,15 @@ def label_x(ax: Axes, words: str) -> None:
         return
     cut = words.rfind(" ", 0, max(len(words) // 2 + 6, len(words) - _LINE))
     ax.set_xlabel(f"{words[:cut]}\n{words[cut + 1 :]}", linespacing=1.1)
-    height = float(cast(Figure, ax.get_figure(root=True)).get_figheight())
+    height = float(cast("Figure", ax.get_figure(root=True)).get_figheight())
     box = ax.get_position()
     ax.set_position((box.x0, box.y0 + 0.15 / height, box.width, box.height - 0.15 / height))
 
 
 def percent_x(ax: Axes) -> None:
     """Label the abscissa, which holds shares, in per cent."""
+    from matplotlib.ticker import FuncFormatter
+
     ax.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{100 * x:.6g}\u00a0%" if x else "0"))
 
 
@@ -197,6 +248,8 @@ def log_x(ax: Axes) -> None:
 
 
 def _log_axis(axis: Axis, limits: tuple[float, float]) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
     lower, upper = sorted(limits)
     decades = math.log10(upper / lower) if lower > 0 else 1.0
     axis.set_major_locator(LogLocator(subs=(1.0,) if decades > 2 else (1.0, 2.0, 5.0)))
@@ -222,11 +275,20 @@ def _log_tick(value: float, _position: int | None = None) -> str:
 
 def panel(ax: Axes, label: str, title: str = "") -> Panel:
     """The finished drawing that holds these axes."""
-    figure = cast(Figure, ax.get_figure(root=True))
+    figure = cast("Figure", ax.get_figure(root=True))
     for each in figure.axes:
         for artist in (*each.lines, *each.patches, *each.collections):
             artist.set_clip_on(False)
     return Panel(_svg(figure, label), label, title)
+
+
+def svg_panel(shapes: Sequence[str], width: float, height: float, label: str) -> Panel:
+    """A drawing of SVG elements, without axes."""
+    return Panel(f"{_head(label, f'0 0 {width:g} {height:g}')}{''.join(shapes)}</svg>", label)
+
+
+def _head(label: str, box: str) -> str:
+    return f'<svg role="img" aria-label="{html.escape(label)}" viewBox="{box}">'
 
 
 def _svg(figure: Figure, label: str) -> str:
@@ -244,8 +306,7 @@ def _svg(figure: Figure, label: str) -> str:
     drawing = re.sub(r'(id="|href="#|url\(#)', rf"\1f{mark}", drawing)
     drawing = re.sub(r">\s+<", "><", drawing)
     box = drawing.split('viewBox="', 1)[1].split('"', 1)[0]
-    head = f'<svg role="img" aria-label="{html.escape(label)}" viewBox="{box}">'
-    return head + drawing[drawing.index(">") + 1 :].strip()
+    return _head(label, box) + drawing[drawing.index(">") + 1 :].strip()
 
 
 def _shorten_tag(found: re.Match[str]) -> str:
@@ -299,9 +360,16 @@ def thin(x: Array, y: Array, bins: int = _BINS) -> tuple[Array, Array]:
     return x[keep], y[keep]
 
 
+def few_ticks(axis: Any, count: int, **look: Any) -> None:
+    """Label an axis at no more than so many round numbers."""
+    from matplotlib.ticker import MaxNLocator
+
+    axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 2.5, 5, 10], **look))
+
+
 def whole_ticks(ax: Axes) -> None:
     """Label the abscissa at whole numbers only."""
-    ax.xaxis.set_major_locator(MaxNLocator(6, integer=True, steps=[1, 2, 5, 10]))
+    few_ticks(ax.xaxis, 6, integer=True)
 
 
 def thin_path(path: Array, points: int = 2 * _BINS) -> Array:

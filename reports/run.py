@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from excitant.exceptions import BadInput
-from excitant.reports.html import render
-from excitant.reports.summary import summarize
+from excitant.reports.page import Page
+from excitant.reports.render import html, summary
+from excitant.reports.sections import page_of
 from excitant.robots.motion import Array
 
 RESULT, SERIES, SUMMARY, REPORT = "result.json", "series.npz", "summary.txt", "report.html"
@@ -31,7 +32,7 @@ def save_run(
     result: Mapping[str, Any],
     series: Mapping[str, Array],
     files: Mapping[str, str | bytes] | None = None,
-) -> list[Path]:
+) -> tuple[list[Path], Page]:
     """Write a run directory with its report.
 
     Everything is rendered and written beside its final name first, then moved into place,
@@ -45,7 +46,7 @@ def save_run(
         files: Further artefacts, content by name relative to the directory.
 
     Returns:
-        The paths written, artefacts first.
+        The paths written, artefacts first; the page of the report.
 
     Raises:
         BadInput: A name or value cannot be saved, or the directory cannot be written.
@@ -57,11 +58,12 @@ def save_run(
     encoded, packed = _dump(result), _pack(series)
     read, arrays = json.loads(encoded), _unpack(packed)
     contents[SERIES] = packed
-    contents[SUMMARY] = summarize(read).encode()
-    contents[REPORT] = render(read, arrays).encode()
+    page = page_of(read, arrays)
+    contents[SUMMARY] = summary(page).encode()
+    contents[REPORT] = html(page).encode()
     contents[RESULT] = encoded
     try:
-        return write_all(directory, contents)
+        return write_all(directory, contents), page
     except OSError as error:
         why = error.strerror or str(error)
         raise BadInput(f"{directory}: cannot be written: {why}; choose another folder") from error

@@ -5,20 +5,35 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from excitant.exceptions import BadInput
-from excitant.reports.analyze_section import analyze_section
-from excitant.reports.comparison import VERB as COMPARE
-from excitant.reports.comparison_section import comparison_section, run_table
-from excitant.reports.design_section import check_section, design_section, known_facts
-from excitant.reports.diagnose_section import diagnose_section
-from excitant.reports.identify_section import identify_section
-from excitant.reports.link_sections import links_folded
-from excitant.reports.model import GOOD, POOR, Block, Fact, Notes, Page, Section
-from excitant.reports.reading import Result, Series, at, middle, part, real, records, text, words
-from excitant.reports.rehearse_section import rehearse_section
-from excitant.reports.robot_section import robot_section
-from excitant.reports.wording import NONE, listing, number, percent, plain, quantity
+from excitant.reports.analyze import analyze_section, links_folded
+from excitant.reports.compare import VERB as COMPARE
+from excitant.reports.compare import comparison_page
+from excitant.reports.design import check_section, design_section, rehearse_section
+from excitant.reports.diagnose import diagnose_section
+from excitant.reports.drawing import style
+from excitant.reports.identify import identify_section
+from excitant.reports.page import GOOD, POOR, Block, Fact, Page, Section, facts, notes
+from excitant.reports.robot import robot_section
+from excitant.reports.values import (
+    NONE,
+    Result,
+    Series,
+    at,
+    change,
+    listing,
+    median,
+    number,
+    part,
+    percent,
+    plain,
+    quantity,
+    real,
+    records,
+    text,
+    words,
+)
 
-SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
+_SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
     "design": design_section,
     "check": check_section,
     "identify": identify_section,
@@ -27,92 +42,66 @@ SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
     "robots": robot_section,
     "rehearse": rehearse_section,
 }
+_VERBS = (*_SECTIONS, "demo", COMPARE)
 _FEW = 3  # parameters of a hidden effect that are written out
-VERBS = (*SECTIONS, "demo", COMPARE)
 
 
-def build_page(result: Result, series: Series) -> Page:
+def page_of(result: Result, series: Series) -> Page:
     """The page of a result.
+
+    Args:
+        result: Content of ``result.json``; the page leaves out what it lacks.
+        series: Content of ``series.npz``; without it, the page has no curves.
 
     Raises:
         BadInput: The result's ``verb`` is none that has a report.
     """
     verb = text(result, "verb")
-    if verb not in VERBS:
-        raise BadInput(f"result.json: verb '{verb}' has no report; known: {', '.join(VERBS)}")
-    robot = text(result, "robot")
-    if verb == "demo":
-        return _demo_page(result, series, robot)
-    if verb == COMPARE:
-        return _comparison_page(result, series, robot)
-    only = SECTIONS[verb](result, series)
+    if verb not in _VERBS:
+        raise BadInput(f"result.json: verb '{verb}' has no report; known: {', '.join(_VERBS)}")
+    with style():
+        if verb == "demo":
+            return _demo_page(result, series)
+        if verb == COMPARE:
+            return comparison_page(result)
+        only, robot = _SECTIONS[verb](result, series), text(result, "robot")
     return Page(f"{only.title}: {robot}" if robot else only.title, only.lead, (), (only,))
 
 
-def _demo_page(result: Result, series: Series, robot: str) -> Page:
+def _demo_page(result: Result, series: Series) -> Page:
+    robot, seed = text(result, "robot"), text(result, "seed")
     sections = tuple(
         links_folded(build({"robot": robot, **at(result, verb)}, part(series, verb)), result[verb])
-        for verb, build in SECTIONS.items()
+        for verb, build in _SECTIONS.items()
         if isinstance(at(result, verb), dict)
     )
-    seed = text(result, "seed")
+    headline = text(result, "diagnose", "headline")
+    hidden, named = _hidden(result), at(result, "verdict", "correct") is True
+    blocks: list[Block | None] = [
+        notes([headline] if headline else [], "lead"),
+        facts(hidden, _verdict(result), _holdout(result), _condition(result)),
+    ]
     return Page(
         f"Demonstration: {robot}" if robot else "Demonstration",
-        "A virtual arm hides an effect from its model. A motion was designed for the model, run on "
-        "the arm, the model identified, what can be known analysed, and what it still gets wrong "
-        "diagnosed" + (f" (seed {seed})." if seed else "."),
-        tuple(_demo_summary(result)),
+        "A virtual arm hides an effect from its model. A motion was designed for the model and run "
+        "on the arm, the model was identified and its identifiability analysed, and what it still "
+        "gets wrong was diagnosed" + (f" (seed {seed})." if seed else "."),
+        tuple(block for block in blocks if block is not None),
         sections,
+        (("hidden", f"{hidden.value} (seed {seed}): {'' if named else 'not '}named"),),
     )
-
-
-def _comparison_page(result: Result, series: Series, robot: str) -> Page:
-    of, parts = text(result, "of"), at(result, "sections")
-    if of in SECTIONS:
-        sections = [comparison_section(of, result, series)]
-    else:
-        sections = [
-            comparison_section(verb, content, part(series, verb))
-            for verb, content in (parts.items() if isinstance(parts, dict) else ())
-            if verb in SECTIONS and isinstance(content, dict)
-        ]
-    runs = run_table(result)
-    return Page(
-        f"Comparison of two runs: {robot}" if robot else "Comparison of two runs",
-        sections[0].lead if len(sections) == 1 else "What each step came to in both runs.",
-        () if runs is None else (runs,),
-        tuple(sections),
-    )
-
-
-def _demo_summary(result: Result) -> list[Block]:
-    diagnosis = at(result, "diagnose")
-    headline = text(diagnosis, "headline")
-    facts = known_facts([_hidden(result), _verdict(result), _holdout(result), _condition(result)])
-    blocks: list[Block] = [Notes((headline,), "lead")] if headline else []
-    return blocks if facts is None else [*blocks, facts]
 
 
 def _hidden(result: Result) -> Fact:
-    effect, joint = text(result, "truth", "effect"), text(result, "truth", "joint")
-    values = at(result, "truth", "parameters")
-    remark = ""
-    if isinstance(values, dict):
-        units = _units(result)
-        said = [
-            f"{name} = {_with_unit(value, units.get(name, ''))}"
-            for name, value in values.items()
-            if isinstance(value, str) or real(value) is not None
-        ]
-        remark = ", ".join(said[:_FEW]) + (", …" if len(said) > _FEW else "")
-    where = f" at {joint}" if joint else ""
-    return Fact("Hidden effect", f"{plain(effect)}{where}" if effect else NONE, remark)
-
-
-def _with_unit(value: object, unit: str) -> str:
-    if isinstance(value, str):
-        return value
-    return quantity(value, unit) if unit else number(value)
+    effect, joint = plain(text(result, "truth", "effect")), text(result, "truth", "joint")
+    values, units = at(result, "truth", "parameters"), _units(result)
+    said = [
+        f"{name} = {value if isinstance(value, str) else quantity(value, units.get(name, ''))}"
+        for name, value in (values.items() if isinstance(values, dict) else ())
+        if isinstance(value, str) or real(value) is not None
+    ]
+    remark = ", ".join(said[:_FEW]) + (", …" if len(said) > _FEW else "")
+    return Fact("Hidden effect", f"{effect}{' at ' * bool(joint)}{joint}", remark)
 
 
 def _units(result: Result) -> dict[str, str]:
@@ -124,48 +113,37 @@ def _units(result: Result) -> dict[str, str]:
 
 
 def _verdict(result: Result) -> Fact:
-    correct = at(result, "verdict", "correct")
-    effect, joints = text(result, "verdict", "effect"), words(result, "verdict", "joints")
-    named = f"{plain(effect)} at {listing(joints)}" if joints else plain(effect)
-    if correct is True:
-        return Fact("Named by the diagnosis", "✓ yes", named, GOOD)
-    if correct is False:
-        return Fact("Named by the diagnosis", "✗ no", named or "nothing was named", POOR)
-    return Fact("Named by the diagnosis", NONE)
+    correct, label = at(result, "verdict", "correct"), "Named by the diagnosis"
+    joints, effect = words(result, "verdict", "joints"), plain(text(result, "verdict", "effect"))
+    named = f"{effect} at {listing(joints)}" if joints else effect
+    if not isinstance(correct, bool):
+        return Fact(label, NONE)
+    if correct:
+        return Fact(label, "✓ yes", named, GOOD)
+    return Fact(label, "✗ no", named or "nothing was named", POOR)
 
 
 def _holdout(result: Result) -> Fact:
+    """Error of the hidden effect's joint without and with it, else of all joints."""
     diagnosis, joint = at(result, "diagnose"), text(result, "truth", "joint")
-    unit = text(diagnosis, "unit") or "N·m"
-    label = "Hold-out error, before → after"
-    for finding in records(diagnosis, "findings"):
-        without, with_it = (real(finding, "holdout", f"rms_{key}") for key in ("before", "after"))
-        same = text(finding, "effect") == text(result, "truth", "effect")
-        if same and joint in words(finding, "joints") and with_it is not None:
-            change = f"{number(without)} → {quantity(with_it, unit)}"
-            return Fact(label, change, "rms without the finding and with it")
-    rms = [
-        next(
-            (real(r, "rms") for r in records(diagnosis, m, "joints") if text(r, "name") == joint),
-            None,
-        )
-        for m in ("simulation", "extended")
+    unit, label = text(diagnosis, "unit") or "N·m", "Hold-out error, before → after"
+    found = [
+        (at(finding, "holdout", "rms_before"), at(finding, "holdout", "rms_after"))
+        for finding in records(diagnosis, "findings")
+        if text(finding, "effect") == text(result, "truth", "effect")
+        and joint in words(finding, "joints")
+        and real(finding, "holdout", "rms_after") is not None
     ]
-    if rms[0] is not None and rms[1] is not None:
-        change = f"{number(rms[0])} → {quantity(rms[1], unit)}"
-        return Fact(label, change, f"rms at {joint}")
+    if found:
+        without, with_it = found[0]
+        change_ = f"{number(without)} → {quantity(with_it, unit)}"
+        return Fact(label, change_, "rms without the finding and with it")
     before, after = (
-        middle(records(diagnosis, m, "joints"), "nrmse") for m in ("simulation", "extended")
+        median(records(diagnosis, model, "joints"), "nrmse") for model in ("simulation", "extended")
     )
-    if before is None or after is None:
-        return Fact(label, NONE)
-    change = f"{percent(before)} → {percent(after)}"
-    return Fact(label, change, "nrmse, median over joints")
+    return Fact(label, change(before, after, percent), "nrmse, median over joints")
 
 
 def _condition(result: Result) -> Fact:
-    initial, final = (at(result, "design", "condition_number", key) for key in ("initial", "final"))
-    if real(final) is None:
-        return Fact("Condition number", NONE)
-    change = number(final) if real(initial) is None else f"{number(initial)} → {number(final)}"
-    return Fact("Condition number", change, "of the designed motion")
+    ends = [at(result, "design", "condition_number", key) for key in ("initial", "final")]
+    return Fact("Condition number", change(*ends), "of the designed motion")

@@ -1,18 +1,17 @@
-"""Torque over time with its residual, and errors before and after, joint by joint."""
+"""Torque over time with its residual, and errors of models side by side, joint by joint."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
 
 from excitant.reports.drawing import (
+    BAND,
     FITTED,
     GIVEN,
-    LIGHT,
     MEASURED,
     axes,
     draw_curve,
@@ -21,22 +20,24 @@ from excitant.reports.drawing import (
     percent_x,
     timeline,
 )
-from excitant.reports.interval_figure import (
-    BAND,
-    BAND_CAPTION,
-    MEANING,
-    draw_band,
-    half_width,
-)
-from excitant.reports.model import Figure, Key, Panel
-from excitant.reports.reading import Series, curve, times
-from excitant.reports.wording import percent, quantity, shorten
+from excitant.reports.page import Figure, Key, Panel
+from excitant.reports.values import Series, curve, quantity, shorten, times
 from excitant.robots.motion import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+INTERVAL = "95\u00a0% interval of a reading"
+_INTERVAL_CAPTION = (
+    " The band holds 95\u00a0% of readings if noise and parameters are all that is off."
+)
+_BINS = 120
+_SHARE = "rms of residual, share of the measured torque's std"
 
 
 @dataclass(frozen=True)
 class Curves:
-    """Which series are drawn against the measurement: key, legend, before and after.
+    """Which series are drawn against the measurement: key and legend, before and after.
 
     The band is the half width of intervals around the model after, where a run has any.
     """
@@ -49,15 +50,8 @@ class Curves:
     band: str = ""
 
 
-@dataclass(frozen=True)
-class Change:
-    """The error of one joint before and after: rms, and its share of the measured torque."""
-
-    joint: str
-    before: float | None
-    after: float | None
-    before_share: float | None
-    after_share: float | None
+# joints by name, each with rms and share of the measured torque for every model
+Errors = Sequence[tuple[str, Sequence[tuple[float | None, float | None]]]]
 
 
 def over_holdout(unit: str) -> str:
@@ -66,61 +60,53 @@ def over_holdout(unit: str) -> str:
 
 
 def torque_figure(
-    joints: Sequence[str],
-    series: Series,
-    unit: str,
-    curves: Curves,
-    colours: tuple[str, str] = (GIVEN, FITTED),
+    joints: Sequence[str], series: Series, unit: str, curves: Curves
 ) -> Figure | None:
     """Measured torque against the model before and after, the residual below, per joint."""
-    panels = [
-        _torque_panel(k, joint, series, unit, curves, colours) for k, joint in enumerate(joints)
-    ]
+    panels = [_torque_panel(k, joint, series, unit, curves) for k, joint in enumerate(joints)]
     present = tuple(each for each in panels if each is not None)
     if not present:
         return None
-    legend, caption = [Key("line", MEASURED, "measured")], curves.caption
-    if any(curve(series, curves.before, k) is not None for k in range(len(joints))):
-        legend.append(Key("line", colours[0], curves.before_label))
-    if any(curve(series, curves.after, k) is not None for k in range(len(joints))):
-        legend.append(Key("line", colours[1], curves.after_label))
-    if any(curve(series, curves.band, k) is not None for k in range(len(joints))):
-        legend.append(Key("box", BAND, MEANING))
-        caption += f" {BAND_CAPTION}"
+
+    def drawn(key: str) -> bool:
+        return any(curve(series, key, k) is not None for k in range(len(joints)))
+
+    legend = [
+        Key("line", MEASURED, "measured"),
+        *[Key("line", GIVEN, curves.before_label)] * drawn(curves.before),
+        *[Key("line", FITTED, curves.after_label)] * drawn(curves.after),
+        *[Key("box", BAND, INTERVAL)] * drawn(curves.band),
+    ]
+    caption = curves.caption + _INTERVAL_CAPTION * drawn(curves.band)
     return Figure(present, caption, tuple(legend))
 
 
-def _torque_panel(
-    k: int,
-    joint: str,
-    series: Series,
-    unit: str,
-    curves: Curves,
-    colours: tuple[str, str],
-) -> Panel | None:
+def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves) -> Panel | None:
     t, measured = times(series), curve(series, "measured", k)
-    if t is None or measured is None or len(t) != len(measured):
+    if t is None or measured is None or len(measured) != len(t):
         return None
     time, joins = timeline(t)
     torque, residual = axes(2.7, (1.55, 1))
     draw_curve(torque, time, joins, measured, color=MEASURED, lw=1.3)
     residual.axhline(0, color="#8a8f94", lw=0.7)
     said = []
-    half, after = half_width(series, curves.band, k, len(t)), curve(series, curves.after, k)
-    if half is not None and after is not None and len(after) == len(t):
+    half, after = (_of_rows(series, key, k, len(t)) for key in (curves.band, curves.after))
+    if half is not None and np.isfinite(half).all() and after is not None:
         draw_band(torque, time, joins, after, half)
         draw_band(residual, time, joins, np.zeros(len(t)), half)
-        said.append(f"{MEANING} ±{quantity(float(half.mean()), unit)}")
+        said.append(f"{INTERVAL} ±{quantity(float(half.mean()), unit)}")
     for key, label, colour in (
-        (curves.before, curves.before_label, colours[0]),
-        (curves.after, curves.after_label, colours[1]),
+        (curves.before, curves.before_label, GIVEN),
+        (curves.after, curves.after_label, FITTED),
     ):
-        model = curve(series, key, k)
-        if model is None or len(model) != len(t):
+        model = _of_rows(series, key, k, len(t))
+        if model is None:
             continue
         draw_curve(torque, time, joins, model, color=colour, lw=0.9)
         draw_curve(residual, time, joins, measured - model, color=colour, lw=0.8)
-        said.append(f"{label} leaves rms {quantity(_rms(measured - model), unit)}")
+        finite = (measured - model)[np.isfinite(measured - model)]
+        rms = float(np.sqrt(np.mean(finite**2))) if len(finite) else None
+        said.append(f"{label} leaves rms {quantity(rms, unit)}")
     label_y(torque, f"torque [{unit}]" if unit != "A" else "current [A]")
     label_y(residual, f"residual [{unit}]")
     residual.set_xlabel("time [s]")
@@ -128,110 +114,87 @@ def _torque_panel(
     return panel(torque, f"{joint}: measured torque over time; {'; '.join(said)}", joint)
 
 
-def _rms(values: Array) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if len(finite) else None
+def _of_rows(series: Series, key: str, joint: int, n: int) -> Array | None:
+    """One joint's column of n rows; None where a run has none."""
+    found = curve(series, key, joint)
+    return found if found is not None and len(found) == n else None
 
 
-def error_bars(
-    changes: Sequence[Change],
-    unit: str,
-    labels: tuple[str, str],
-    caption: str,
-    colours: tuple[str, str] = (GIVEN, FITTED),
-) -> Figure | None:
-    """Error per joint before and after as bars, the rms written beside each.
+def draw_band(ax: Axes, t: Array, joins: Sequence[int], centre: Array, half: Array) -> None:
+    """Fill centre ± half over time, broken where recordings were joined.
+
+    Bins take the least and the greatest edge in them, so that no part of the band is lost.
+    """
+    for first, last in zip([0, *joins], [*joins, len(t)], strict=True):
+        bins = max(20, round(_BINS * (last - first) / len(t)))
+        starts = np.unique(np.linspace(first, last, bins, endpoint=False).astype(int))
+        low = np.minimum.reduceat((centre - half)[:last], starts)
+        high = np.maximum.reduceat((centre + half)[:last], starts)
+        x = np.append(t[starts], t[last - 1])
+        ax.fill_between(x, np.append(low, low[-1]), np.append(high, high[-1]), color=BAND, lw=0,
+                        zorder=0.5)  # fmt: skip
+
+
+def error_bars(errors: Errors, unit: str, curves: Curves, what: str) -> Figure | None:
+    """Errors of the model before and after, without the latter where it is unknown."""
+    models = [(curves.before_label, GIVEN), (curves.after_label, FITTED)]
+    changed = any(rms is not None for _, pairs in errors for rms, _ in pairs[1:])
+    return bars(errors, unit, models[: 1 + changed], what)
+
+
+def bars(errors: Errors, unit: str, models: Sequence[tuple[str, str]], what: str) -> Figure | None:
+    """Errors per joint of some models as bars, the rms written beside each.
 
     The bars' length is the share of the measured torque's standard deviation (nrmse), so that
     large and small joints compare; without it, the rms itself.
+
+    Args:
+        errors: Of each joint.
+        unit: Of the torque.
+        models: Label and colour of each.
+        what: First words of the caption.
     """
-    lengths, shares = _lengths(changes)
-    known = [x for pair in lengths for x in pair if x is not None]
+    count = len(models)
+    every = [pair for _, pairs in errors for pair in pairs[:count]]
+    shares = all(share is not None or rms is None for rms, share in every)
+    known = [x for pair in every if (x := pair[shares]) is not None]
     if not known:
         return None
     # one useless model must not make all other bars invisible
     top = min(max(known), max(1.5, 4 * float(np.median(known)))) if shares else max(known)
     top = top or 1.0
-    (ax,) = axes(0.5 * len(changes) + 0.52, left=0.14)
-    for row, (change, (before, after)) in enumerate(zip(changes, lengths, strict=True)):
-        ax.text(0, row - 0.36, shorten(change.joint, 40), va="center", ha="left")
-        _bar(ax, row - 0.08, before, change.before, top, unit, colours[0])
-        _bar(ax, row + 0.17, after, change.after, top, unit, colours[1])
-    _bar_axes(ax, len(changes) - 0.6, 1.38 * top)
+    step = 0.25 if count < 3 else 0.23
+    (ax,) = axes((0.24 + 0.13 * count) * len(errors) + 0.52, left=0.14)
+    for row, (joint, pairs) in enumerate(errors):
+        ax.text(0, row - 0.36, shorten(joint, 40), va="center", ha="left")
+        for i, (pair, (_, colour)) in enumerate(zip(pairs, models, strict=False)):
+            length = pair[shares]
+            if length is None:
+                continue
+            y = row + 0.045 * (count - 1) + step * (i - (count - 1) / 2)
+            ax.barh(y, min(length, top), height=0.88 * step, color=colour)
+            said = quantity(pair[0], unit) + " (bar cut)" * (length > top * 1.0001)
+            ax.text(min(length, top) + 0.012 * top, y, said, va="center", ha="left", fontsize=8)
+    bar_axes(ax, len(errors) - (0.6 if count < 3 else 0.5), 1.38 * top)
     if shares:
         percent_x(ax)
-    share_label = "rms of residual, share of the measured torque's std"
-    ax.set_xlabel(share_label if shares else f"rms [{unit}]")
-    compared = any(c.after is not None for c in changes)
-    said = "; ".join(
-        f"{c.joint} {quantity(c.before, unit)}"
-        + (f" to {quantity(c.after, unit)}" if compared else "")
-        for c in changes
+    ax.set_xlabel(_SHARE if shares else f"rms [{unit}]")
+    told = [
+        f"{label} {quantity(pairs[i][0], unit)} at {joint}"
+        for joint, pairs in errors
+        for i, (label, _) in enumerate(models)
+    ]
+    measure = "as a share of the measured torque's standard deviation" if shares else "as rms"
+    return Figure(
+        (panel(ax, f"rms per joint: {'; '.join(told)}"),),
+        f"{what}, {measure}; beside each bar the rms [{unit}]: shorter is better.",
+        tuple(Key("box", colour, label) for label, colour in models),
     )
-    legend = []
-    if any(c.before is not None for c in changes):
-        legend.append(Key("box", colours[0], labels[0]))
-    if compared:
-        legend.append(Key("box", colours[1], labels[1]))
-    models = f"{labels[0]} to {labels[1]}" if compared else labels[0]
-    drawing = panel(ax, f"rms per joint, {models}: {said}")
-    return Figure((drawing,), caption, tuple(legend))
 
 
-def _lengths(
-    changes: Sequence[Change],
-) -> tuple[list[tuple[float | None, float | None]], bool]:
-    """Length of the bars of each joint, and whether they are shares."""
-    shares = [(c.before_share, c.after_share) for c in changes]
-    known = [(c.before, c.after) for c in changes]
-    complete = all(
-        share is not None or rms is None
-        for pair, values in zip(shares, known, strict=True)
-        for share, rms in zip(pair, values, strict=True)
-    )
-    return (shares, True) if complete else (known, False)
-
-
-def _bar_axes(ax: Axes, bottom: float, right: float) -> None:
+def bar_axes(ax: Axes, bottom: float, right: float) -> None:
+    """Frame for horizontal bars with their names above them."""
     ax.set_ylim(bottom, -0.6)
     ax.set_xlim(0, right)
     ax.set_yticks([])
     ax.spines["left"].set_visible(False)
-
-
-def _bar(
-    ax: Axes, y: float, length: float | None, rms: float | None, top: float, unit: str, colour: str
-) -> None:
-    if length is None:
-        return
-    cut = length > top * 1.0001
-    ax.barh(y, min(length, top), height=0.22, color=colour)
-    text = quantity(rms, unit) + (" (bar cut)" if cut else "")
-    ax.text(min(length, top) + 0.012 * top, y, text, va="center", ha="left", fontsize=8)
-
-
-def waterfall(steps: Sequence[tuple[str, float]], caption: str) -> Figure | None:
-    """Hold-out error, relative to the model as given, after each effect that was added."""
-    if len(steps) < 2:
-        return None
-    top = max(rms for _, rms in steps) or 1.0
-    (ax,) = axes(0.44 * len(steps) + 0.52, left=0.14)
-    for row, (label, rms) in enumerate(steps):
-        ax.text(0, row - 0.3, shorten(label, 52), va="center", ha="left")
-        ax.barh(row + 0.06, rms, height=0.26, color=FITTED if row else GIVEN)
-        end = rms
-        if row and steps[row - 1][1] > rms:
-            end = steps[row - 1][1]
-            ax.barh(row + 0.06, end - rms, left=rms, height=0.26, color=LIGHT)
-        ax.text(end + 0.012 * top, row + 0.06, percent(rms, 3), va="center", fontsize=8)
-    _bar_axes(ax, len(steps) - 0.65, 1.27 * top)
-    ax.set_xlabel("error on the hold-out, share of the given model's")
-    ax.set_xticks([x for x in MaxNLocator(5, steps=[1, 2, 2.5, 5]).tick_values(0, top) if x <= top])
-    percent_x(ax)
-    said = "; ".join(f"{label} {percent(rms, 3)}" for label, rms in steps)
-    legend = (
-        Key("box", GIVEN, "model as given"),
-        Key("box", FITTED, "what remains"),
-        Key("box", LIGHT, "taken away by this effect"),
-    )
-    return Figure((panel(ax, f"error on the hold-out step by step: {said}"),), caption, legend)

@@ -7,7 +7,7 @@ at v₀, whatever the effect, so that a joint at rest creeps with up to v₀ ins
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadInput
-from excitant.robots.effects.base import Effect, Law, Stepper
+from excitant.robots.effects.base import Effect, Stepper
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
 
@@ -24,50 +24,7 @@ _PLAIN = ("rotor", "viscous", "coulomb", "offset")  # one number per joint
 _PROBES = 6  # states at which an effect is asked how it depends on acceleration and on the past
 _SAME = 1e-9  # of the largest torque: rounding
 
-
-@dataclass(frozen=True, eq=False)
-class JointTerms:
-    """The law of an effect at one instant: its joints at once, as if instants of one joint.
-
-    Attributes:
-        law: Of the effect.
-        joints: Indices of its joints, shape (k,).
-        values: Coefficients, one row per term, shape (terms, k).
-    """
-
-    law: Law
-    joints: npt.NDArray[np.intp]
-    values: Array
-
-    def __call__(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
-        """Torque, shape (nv,) [N·m]."""
-        tau, at = np.zeros_like(q), self.joints
-        shapes = self.law(q[at], dq[at], np.zeros(len(at)))
-        for value, shape in zip(self.values, shapes, strict=True):
-            tau[at] += value * shape
-        return tau
-
-
-@dataclass(frozen=True, eq=False)
-class OtherEffect:
-    """Any effect of the state at one instant, as a motion that stays there.
-
-    Attributes:
-        robot: The robot that has it.
-        effect: The effect.
-        inertia: What it asks per acceleration, which the mass matrix has, shape (nv, nv).
-    """
-
-    robot: Robot
-    effect: Effect
-    inertia: Array
-
-    def __call__(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
-        """Torque, shape (nv,) [N·m]."""
-        state = (np.stack([values, values]) for values in (q, dq, ddq))
-        motion = Motion(np.array([t, t + 1.0]), *state)
-        tau: Array = self.effect.torque(self.robot, motion)[0] - self.inertia @ ddq
-        return tau
+Torque = Callable[[float, Array, Array, Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,14 +35,14 @@ class StateTorque:
         viscous: Viscous friction, shape (nv,) [N·m·s/rad].
         coulomb: Dry friction, shape (nv,) [N·m].
         offset: Constant torque, shape (nv,) [N·m].
-        others: Everything else that depends on the state alone.
-        steppers: Effects with a state of their own.
+        others: Torque of everything else by time, position, speed and acceleration.
+        steppers: Those of them that have a state of their own.
     """
 
     viscous: Array
     coulomb: Array
     offset: Array
-    others: tuple[JointTerms | OtherEffect, ...]
+    others: tuple[Torque, ...]
     steppers: tuple[Stepper, ...]
 
     def __post_init__(self) -> None:
@@ -103,7 +60,7 @@ class StateTorque:
         """
         sign = np.minimum(np.maximum(dq / REST, -1.0), 1.0)
         tau: Array = self.viscous * dq + self.coulomb * sign + self.offset
-        if self.others or self.steppers:
+        if self.others:
             tau += self._smoothed(t, q, dq, ddq, sign)
         return tau
 
@@ -114,7 +71,7 @@ class StateTorque:
         """
         speed = np.maximum(np.abs(dq), REST)
         slope: Array = self.viscous + self.coulomb / speed
-        if self.others or self.steppers:
+        if self.others:
             slope += (self._rest(t, q, speed, ddq) - self._rest(t, q, -speed, ddq)) / (2 * speed)
         return np.maximum(slope, 0.0)
 
@@ -127,8 +84,6 @@ class StateTorque:
         tau = np.zeros_like(q)
         for effect in self.others:
             tau += effect(t, q, dq, ddq)
-        for stepper in self.steppers:
-            tau += stepper(q, dq)
         return tau
 
     def _smoothed(self, t: float, q: Array, dq: Array, ddq: Array, sign: Array) -> Array:
@@ -156,7 +111,7 @@ def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
     """
     plain = {kind: np.zeros(robot.nv) for kind in _PLAIN}
     carrying, inertia = robot, np.zeros((robot.nv, robot.nv))
-    others: list[JointTerms | OtherEffect] = []
+    others: list[Torque] = []
     steppers: list[Stepper] = []
     for effect in robot.effects:
         if effect.values is None:
@@ -164,23 +119,53 @@ def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
         carrying, before = effect.applied(carrying), carrying
         if effect.acts_on_torque or carrying is not before:
             continue
-        at, values = np.array(effect.rows(robot), np.intp), np.array(effect.values)
         if effect.joint_property:
-            plain[effect.joint_property][at] += values
+            plain[effect.joint_property][effect.rows(robot)] += effect.values
         elif (stepper := effect.stepper(robot)) is not None:
             steppers.append(stepper)
+            others.append(stepper)
         else:
             own = _inertia(robot, effect)
             inertia += own
-            others.append(
-                OtherEffect(robot, effect, own)
-                if effect.law is None
-                else JointTerms(effect.law, at, values.reshape(len(at), -1).T)
-            )
+            others.append(_by_law(robot, effect) or _at_an_instant(robot, effect, own))
     inertia += np.diag(plain["rotor"])
     viscous, coulomb, offset = (plain[kind] for kind in _PLAIN[1:])
     state = StateTorque(viscous, coulomb, offset, tuple(others), tuple(steppers))
     return carrying.model, inertia, state
+
+
+def _by_law(robot: Robot, effect: Effect) -> Torque | None:
+    """Torque of an effect that has a law: its joints at once, as if instants of one joint."""
+    law, at = effect.law, np.array(effect.rows(robot), np.intp)
+    if law is None:
+        return None
+    values, still = np.reshape(effect.values or (), (len(at), -1)).T, np.zeros(len(at))
+
+    def torque(t: float, q: Array, dq: Array, ddq: Array) -> Array:
+        tau = np.zeros_like(q)
+        for value, column in zip(values, law(q[at], dq[at], still), strict=True):
+            tau[at] += value * column
+        return tau
+
+    return torque
+
+
+def _at_an_instant(robot: Robot, effect: Effect, inertia: Array) -> Torque:
+    """Torque of any effect of the state, as on a motion that stays there.
+
+    Args:
+        robot: The robot that has it.
+        effect: The effect.
+        inertia: What it asks per acceleration, which the mass matrix has, shape (nv, nv).
+    """
+
+    def torque(t: float, q: Array, dq: Array, ddq: Array) -> Array:
+        state = (np.stack([values, values]) for values in (q, dq, ddq))
+        motion = Motion(np.array([t, t + 1.0]), *state)
+        tau: Array = effect.torque(robot, motion)[0] - inertia @ ddq
+        return tau
+
+    return torque
 
 
 def _inertia(robot: Robot, effect: Effect) -> Array:

@@ -6,9 +6,9 @@ from excitant.robots.effects.base import (
     JointEffect,
     JointFacts,
     JointwiseEffect,
+    PairEffect,
     Parameter,
     Shape,
-    Term,
     effect_values,
     joint_facts,
     merged,
@@ -16,11 +16,11 @@ from excitant.robots.effects.base import (
     proposals,
     registered,
 )
-from excitant.robots.effects.coupling import FrictionCoupling, InertiaCoupling
-from excitant.robots.effects.drive import RotorInertia, TorqueOffset
+from excitant.robots.effects.drive import InertiaCoupling, RotorInertia, TorqueOffset
 from excitant.robots.effects.friction import (
     AsymmetricFriction,
     CoulombFriction,
+    FrictionCoupling,
     LoadDependentFriction,
     NonlinearViscousFriction,
     StribeckFriction,
@@ -98,6 +98,7 @@ __all__ = [
     "KinematicError",
     "LoadDependentFriction",
     "NonlinearViscousFriction",
+    "PairEffect",
     "Parameter",
     "Payload",
     "PreslidingHysteresis",
@@ -105,7 +106,6 @@ __all__ = [
     "Shape",
     "Spring",
     "StribeckFriction",
-    "Term",
     "ThermalFrictionDrift",
     "TimeDelay",
     "TorqueGain",

@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, TypeVar
 
 import numpy as np
@@ -29,13 +30,9 @@ _NEAR = (0.3, 2.5)  # of a trial value, for which the columns are right
 _TIMES = (0.25, 0.5, 1.0, 2.0, 4.0)  # a shape that was found, where it may be another
 _STILL = 1e-3  # rad/s: slower joints rest
 
+Role = Literal["torque", "link", "body"]
 Law = Callable[[Array, Array, Array], Sequence[Array]]
 """Torque per unit of each coefficient of one joint, of its q, q̇ and q̈, all of shape (n,)."""
-
-
-def near_trial(value: float, trial: float) -> bool:
-    """Whether a coefficient is one that columns computed for a trial value are right for."""
-    return _NEAR[0] < value / trial < _NEAR[1]
 
 
 def plain(name: object) -> str:
@@ -51,7 +48,7 @@ class Parameter:
     """One coefficient of an effect.
 
     Attributes:
-        name: Name, ``joint.symbol`` or ``link.symbol``.
+        name: Its symbol; after that of the joint, pair or link it belongs to, its full name.
         unit: Unit where torque is in N·m.
         lower: Smallest value physics allows.
         typical: Size that it has when it matters; None where that depends on the arm.
@@ -61,15 +58,6 @@ class Parameter:
     unit: str
     lower: float = -np.inf
     typical: float | None = None
-
-
-@dataclass(frozen=True)
-class Term:
-    """One coefficient that every joint of an effect has: its symbol, unit, lower bound."""
-
-    symbol: str
-    unit: str
-    lower: float = -np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +126,8 @@ class Shape:
     Attributes:
         name: The field.
         unit: Its unit.
-        positive: Whether it must be.
-        tuned: Whether a fit may refine it, by its logarithm; not what columns are computed for.
+        positive: Whether it must be; then a fit may refine it.
+        trial: Whether it is the coefficient that the columns, not linear in it, are computed for.
         most: Largest that counts given what a recording shows of the joint: beyond it the effect
             becomes another. None where no others than those found come into question.
     """
@@ -147,15 +135,15 @@ class Shape:
     name: str
     unit: str
     positive: bool = True
-    tuned: bool = True
+    trial: bool = False
     most: Callable[[JointFacts], float] | None = None
 
 
 class Stepper(Protocol):
     """An effect in a simulation that carries a state of its own from step to step."""
 
-    def __call__(self, q: Array, dq: Array) -> Array:
-        """Torque, shape (nv,) [N·m]."""
+    def __call__(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
+        """Torque in a state, shape (nv,) [N·m]."""
 
     def advance(self, q: Array) -> None:
         """End a step at some positions, shape (nv,)."""
@@ -169,8 +157,8 @@ class Effect(ABC):
         joints: The joints it acts on.
         values: One value per parameter; None while unknown.
 
-    Class variables say the rest: ``family`` (friction, body, static, transmission, geometry or
-    reading) is the part of the arm that it belongs to; the others are explained where they stand.
+    Class variables say the rest, ``family`` the part of the arm that it belongs to: friction,
+    body, static, transmission, geometry or reading.
 
     Raises:
         BadInput: It acts on another number of joints, or a field of its shape cannot be.
@@ -178,43 +166,27 @@ class Effect(ABC):
 
     name: ClassVar[str]
     family: ClassVar[str] = ""
-    # how many joints it acts on; 0: as many as it is given
-    arity: ClassVar[int] = 0
-    # whether each joint has coefficients of its own, which act on that joint only
-    jointwise: ClassVar[bool] = False
-    # coefficients that each joint has
-    terms: ClassVar[tuple[Term, ...]] = ()
-    # "link": its coefficients are changes of a link's own; "body": they are those of a further one
-    role: ClassVar[Literal["torque", "link", "body"]] = "torque"
+    arity: ClassVar[int] = 0  # how many joints it acts on; 0: as many as it is given
+    jointwise: ClassVar[bool] = False  # each joint has coefficients that act on it only
+    terms: ClassVar[tuple[Parameter, ...]] = ()  # its coefficients, once or on each joint
+    role: ClassVar[Role] = "torque"  # "link": changes of a link's own; "body": of a further one
     shapes: ClassVar[tuple[Shape, ...]] = ()
-    # whether its columns depend on the inertias and effects of the robot, not on its motion alone
-    depends_on_model: ClassVar[bool] = True
-    # whether its columns are made of the other effects' torque, as those of sensors are
-    acts_on_torque: ClassVar[bool] = False
-    # whether that torque is the given model's: one of all that was found would imitate its parts
-    of_given_torque: ClassVar[bool] = False
-    # whether a simulation from state to state knows it; others are taken along a known motion
-    of_state_alone: ClassVar[bool] = True
-    # whether `identify` estimates it by default, and whether most joints have it
-    standard: ClassVar[bool] = False
-    usual: ClassVar[bool] = False
-    # whether a model may get it beyond the standard one; those that bodies hold may not
-    further: ClassVar[bool] = True
-    # whether all drives of an arm may have it in one shape
-    shared: ClassVar[bool] = False
-    # whether joints that rest do not show it
-    needs_motion: ClassVar[bool] = False
-    # names of what it is when some coefficients are zero; of them what it can be at work for
-    contains: ClassVar[tuple[str, ...]] = ()
-    imitates: ClassVar[tuple[str, ...]] = ()
-    # experiment that tells it from a rival, by the rival's name; either of both says it
-    told: ClassVar[Mapping[str, str]] = {}
-    # what the error without it is drawn over
-    abscissa: ClassVar[str] = "own torque"
-    # property of a joint in files of models, the formats that have it, what it means otherwise
-    joint_property: ClassVar[str] = ""
-    formats: ClassVar[tuple[str, ...]] = ()
-    format_notes: ClassVar[Mapping[str, str]] = {}
+    depends_on_model: ClassVar[bool] = True  # columns rest on inertias or effects of the robot
+    acts_on_torque: ClassVar[bool] = False  # columns are those of a sensor of all other torque
+    of_given_torque: ClassVar[bool] = False  # that of the given model; else it imitates findings
+    of_state_alone: ClassVar[bool] = True  # a simulation knows it; others follow a known motion
+    standard: ClassVar[bool] = False  # `identify` estimates it by default
+    usual: ClassVar[bool] = False  # most joints have it
+    further: ClassVar[bool] = True  # a model may get it; not what bodies and gravity hold
+    shared: ClassVar[bool] = False  # all drives of an arm may have it in one shape
+    needs_motion: ClassVar[bool] = False  # joints that rest do not show it
+    contains: ClassVar[tuple[str, ...]] = ()  # what it is when some coefficients are zero
+    imitates: ClassVar[tuple[str, ...]] = ()  # what of that it can be at work for
+    told: ClassVar[tuple[tuple[str, str], ...]] = ()  # experiment, rivals it tells it from
+    abscissa: ClassVar[str] = "own torque"  # what the error without it is drawn over
+    joint_property: ClassVar[str] = ""  # what joints in files of a model have for it
+    formats: ClassVar[tuple[str, ...]] = ()  # of the files that have it
+    format_notes: ClassVar[Mapping[str, str]] = {}  # what it means there otherwise
 
     joints: tuple[str, ...]
     values: tuple[float, ...] | None = None
@@ -230,9 +202,24 @@ class Effect(ABC):
             if shape.positive and not getattr(self, shape.name) > 0:
                 raise BadInput(f"effect {self.name}: {shape.name} must be positive")
 
-    @abstractmethod
+    def owners(self, robot: Robot) -> tuple[str, ...]:
+        """Joints, pair or link that its terms belong to, as the names of its coefficients say."""
+        if self.jointwise or len(self.joints) == 1:
+            return self.joints
+        return ("-".join(self.joints) if self.arity else "common",)
+
+    @property
+    def own_terms(self) -> tuple[Parameter, ...]:
+        """The terms that it has in its shape."""
+        return self.terms
+
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Its coefficients, in the order of the columns."""
+        return tuple(
+            replace(term, name=f"{owner}.{term.name}")
+            for owner in self.owners(robot)
+            for term in self.own_terms
+        )
 
     @abstractmethod
     def columns(self, robot: Robot, motion: Motion) -> Array:
@@ -343,12 +330,15 @@ class Effect(ABC):
     @property
     def tuned(self) -> Shape | None:
         """What a fit may refine of its shape, if anything."""
-        return next((shape for shape in self.shapes if shape.positive and shape.tuned), None)
+        return next((shape for shape in self.shapes if shape.positive and not shape.trial), None)
 
     # whether to believe it
 
     def credible(self, robot: Robot, values: Array) -> bool:
         """Whether coefficients are of a size at which they mean what the effect says."""
+        for shape in self.shapes:
+            if shape.trial and not _NEAR[0] < values[0] / getattr(self, shape.name) < _NEAR[1]:
+                return False
         typical = [p.typical for p in self.parameters(robot)]
         most = np.array([np.inf if size is None else _LARGEST * size for size in typical])
         return bool((np.abs(values) < most).all())
@@ -404,8 +394,9 @@ class Effect(ABC):
         """What to do to tell it from another effect."""
         if cls.name == rival.name:
             return SAME
-        known = cls.told.get(rival.name) or rival.told.get(cls.name)
-        return known or BETWEEN.get(frozenset((cls.family, rival.family)), GENERAL)
+        pairs = ((cls.told, rival.name), (rival.told, cls.name))
+        known = (action for told, name in pairs for action, all_ in told if name in all_.split())
+        return next(known, BETWEEN.get(frozenset((cls.family, rival.family)), GENERAL))
 
     def drawn(self, label: str, x: Array) -> tuple[str, Array]:
         """Label and values of the quantity it is drawn over, NaN where not to be shown."""
@@ -421,19 +412,6 @@ class JointwiseEffect(Effect):
     @abstractmethod
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         """Torque per unit of each term for joint j, each of shape (n,)."""
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """Each joint's terms, joint by joint."""
-        return tuple(
-            Parameter(f"{joint}.{term.symbol}", term.unit, term.lower)
-            for joint in self.joints
-            for term in self.own_terms
-        )
-
-    @property
-    def own_terms(self) -> tuple[Term, ...]:
-        """The terms that it has in its shape."""
-        return self.terms
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Each joint's terms in that joint's row."""
@@ -471,6 +449,31 @@ class JointEffect(JointwiseEffect):
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         """Of the joint's state at every instant."""
         return self.of_state(motion.q[:, j], motion.dq[:, j], motion.ddq[:, j])
+
+
+class StandardEffect(JointEffect):
+    """Effect that most joints have and `identify` estimates by default."""
+
+    standard: ClassVar[bool] = True
+    usual: ClassVar[bool] = True
+    further: ClassVar[bool] = False
+
+
+class PairEffect(Effect):
+    """Effect between two joints, ``joints = (one, other)``."""
+
+    arity: ClassVar[int] = 2
+    depends_on_model: ClassVar[bool] = False
+
+    @classmethod
+    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+        """Of each joint with the next."""
+        return [(effect, 1) for pair in pairwise(robot.joints) for effect in cls.between(pair)]
+
+    @classmethod
+    def between(cls, pair: tuple[str, str]) -> Sequence[Self]:
+        """Shapes of the effect to consider; the usual one."""
+        return (cls(pair),)
 
 
 Kind = TypeVar("Kind", bound=Effect)

@@ -1,4 +1,4 @@
-"""Friction at the joints."""
+"""Friction at the joints, and of shafts that turn with two of them."""
 
 from __future__ import annotations
 
@@ -8,25 +8,17 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from excitant.robots.effects import experiments as by
 from excitant.robots.effects.base import (
     JointEffect,
     JointFacts,
     JointwiseEffect,
+    PairEffect,
+    Parameter,
     Shape,
-    Term,
+    StandardEffect,
     effect_values,
     within,
-)
-from excitant.robots.effects.experiments import (
-    AT_REST,
-    CURRENT,
-    HOLD_OTHER,
-    KINEMATICS,
-    LADDER,
-    LOADS,
-    REVERSALS,
-    SPEEDS,
-    WARM,
 )
 from excitant.robots.effects.reference import rigid_torque
 from excitant.robots.motion import Array, Motion
@@ -36,30 +28,26 @@ _SLOW = 0.4  # of a joint's highest speed: a Stribeck velocity beyond it is Coul
 
 
 @dataclass(frozen=True)
-class ViscousFriction(JointEffect):
+class ViscousFriction(StandardEffect):
     """τ = F_v q̇."""
 
-    name: ClassVar[str] = "viscous_friction"
-    family: ClassVar[str] = "friction"
-    terms: ClassVar[tuple[Term, ...]] = (Term("Fv", "N·m·s/rad", 0.0),)
-    standard: ClassVar[bool] = True
-    usual: ClassVar[bool] = True
-    further: ClassVar[bool] = False
-    abscissa: ClassVar[str] = "velocity"
-    joint_property: ClassVar[str] = "viscous"
-    formats: ClassVar[tuple[str, ...]] = ("urdf", "mjcf", "sdf")
-    told: ClassVar[Mapping[str, str]] = {
-        "coulomb_friction": LADDER,
-        "stribeck_friction": LADDER,
-        "nonlinear_viscous_friction": LADDER,
-        "time_delay": SPEEDS,
-        "thermal_friction_drift": WARM,
-        "asymmetric_friction": LADDER,
-        "torque_gain": CURRENT,
-        "load_dependent_friction": LOADS,
-        "friction_coupling": HOLD_OTHER,
-        "encoder_scale": KINEMATICS,
-    }
+    name = "viscous_friction"
+    family = "friction"
+    terms = (Parameter("Fv", "N·m·s/rad", 0.0),)
+    abscissa = "velocity"
+    joint_property = "viscous"
+    formats = ("urdf", "mjcf", "sdf")
+    told = (
+        (
+            by.LADDER,
+            "coulomb_friction stribeck_friction nonlinear_viscous_friction asymmetric_friction",
+        ),
+        (by.WARM, "thermal_friction_drift"),
+        (by.CURRENT, "torque_gain"),
+        (by.LOADS, "load_dependent_friction"),
+        (by.HOLD_OTHER, "friction_coupling"),
+        (by.KINEMATICS, "encoder_scale"),
+    )
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Velocity."""
@@ -67,33 +55,27 @@ class ViscousFriction(JointEffect):
 
 
 @dataclass(frozen=True)
-class CoulombFriction(JointEffect):
+class CoulombFriction(StandardEffect):
     """τ = F_c sign(q̇)."""
 
-    name: ClassVar[str] = "coulomb_friction"
-    family: ClassVar[str] = "friction"
-    terms: ClassVar[tuple[Term, ...]] = (Term("Fc", "N·m", 0.0),)
-    standard: ClassVar[bool] = True
-    usual: ClassVar[bool] = True
-    further: ClassVar[bool] = False
-    abscissa: ClassVar[str] = "velocity"
-    joint_property: ClassVar[str] = "coulomb"
-    formats: ClassVar[tuple[str, ...]] = ("urdf", "mjcf", "sdf")
+    name = "coulomb_friction"
+    family = "friction"
+    terms = (Parameter("Fc", "N·m", 0.0),)
+    abscissa = "velocity"
+    joint_property = "coulomb"
+    formats = ("urdf", "mjcf", "sdf")
     format_notes: ClassVar[Mapping[str, str]] = {
         "mjcf": "frictionloss is a soft constraint: it has its full value, against the motion, "
         "once a joint slides, and turns with the velocity within some milliseconds"
     }
-    told: ClassVar[Mapping[str, str]] = {
-        "stribeck_friction": LADDER,
-        "torque_offset": AT_REST,
-        "asymmetric_friction": AT_REST,
-        "presliding_hysteresis": REVERSALS,
-        "load_dependent_friction": LOADS,
-        "backlash": REVERSALS,
-        "friction_coupling": HOLD_OTHER,
-        "thermal_friction_drift": WARM,
-        "nonlinear_viscous_friction": LADDER,
-    }
+    told = (
+        (by.LADDER, "stribeck_friction nonlinear_viscous_friction"),
+        (by.AT_REST, "asymmetric_friction"),
+        (by.REVERSALS, "presliding_hysteresis backlash"),
+        (by.LOADS, "load_dependent_friction"),
+        (by.HOLD_OTHER, "friction_coupling"),
+        (by.WARM, "thermal_friction_drift"),
+    )
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Sign of the velocity."""
@@ -108,24 +90,19 @@ class StribeckFriction(JointEffect):
         velocity: Stribeck velocity v_s [rad/s].
     """
 
-    name: ClassVar[str] = "stribeck_friction"
-    family: ClassVar[str] = "friction"
-    terms: ClassVar[tuple[Term, ...]] = (Term("Fs", "N·m", 0.0),)
-    shapes: ClassVar[tuple[Shape, ...]] = (
-        Shape("velocity", "rad/s", most=lambda facts: _SLOW * facts.speed),
+    name = "stribeck_friction"
+    family = "friction"
+    terms = (Parameter("Fs", "N·m", 0.0),)
+    shapes = (Shape("velocity", "rad/s", most=lambda facts: _SLOW * facts.speed),)
+    shared = True
+    abscissa = "velocity"
+    told = (
+        (by.LADDER, "nonlinear_viscous_friction"),
+        (by.REVERSALS, "presliding_hysteresis backlash"),
+        (f"{by.LADDER}, at two payloads", "load_dependent_friction"),
+        (by.HOLD_OTHER, "friction_coupling"),
+        (by.WARM, "thermal_friction_drift"),
     )
-    shared: ClassVar[bool] = True
-    abscissa: ClassVar[str] = "velocity"
-    told: ClassVar[Mapping[str, str]] = {
-        "nonlinear_viscous_friction": LADDER,
-        "presliding_hysteresis": REVERSALS,
-        "load_dependent_friction": f"{LADDER}, at two payloads",
-        "backlash": REVERSALS,
-        "time_delay": SPEEDS,
-        "torque_offset": AT_REST,
-        "friction_coupling": HOLD_OTHER,
-        "thermal_friction_drift": WARM,
-    }
 
     velocity: float = 0.1
 
@@ -148,25 +125,24 @@ class AsymmetricFriction(JointEffect):
         viscous: Whether viscous friction differs too.
     """
 
-    name: ClassVar[str] = "asymmetric_friction"
-    family: ClassVar[str] = "friction"
-    contains: ClassVar[tuple[str, ...]] = ("torque_offset", "coulomb_friction", "viscous_friction")
-    imitates: ClassVar[tuple[str, ...]] = ("torque_offset",)
-    terms: ClassVar[tuple[Term, ...]] = (
-        Term("Fc_plus", "N·m"),
-        Term("Fc_minus", "N·m"),
-        Term("Fv_plus", "N·m·s/rad"),
-        Term("Fv_minus", "N·m·s/rad"),
+    name = "asymmetric_friction"
+    family = "friction"
+    contains = ("torque_offset", "coulomb_friction", "viscous_friction")
+    imitates = ("torque_offset",)
+    terms = (
+        Parameter("Fc_plus", "N·m"),
+        Parameter("Fc_minus", "N·m"),
+        Parameter("Fv_plus", "N·m·s/rad"),
+        Parameter("Fv_minus", "N·m·s/rad"),
     )
-    abscissa: ClassVar[str] = "velocity"
-    told: ClassVar[Mapping[str, str]] = {
-        "torque_offset": f"{AT_REST}, and once with the motor unpowered",
-        "stribeck_friction": LADDER,
-        "nonlinear_viscous_friction": LADDER,
-        "load_dependent_friction": LOADS,
-        "thermal_friction_drift": WARM,
-        "friction_coupling": HOLD_OTHER,
-    }
+    abscissa = "velocity"
+    told = (
+        (f"{by.AT_REST}, and once with the motor unpowered", "torque_offset"),
+        (by.LADDER, "stribeck_friction nonlinear_viscous_friction"),
+        (by.LOADS, "load_dependent_friction"),
+        (by.WARM, "thermal_friction_drift"),
+        (by.HOLD_OTHER, "friction_coupling"),
+    )
 
     viscous: bool = True
 
@@ -176,7 +152,7 @@ class AsymmetricFriction(JointEffect):
         return cls((joint,), viscous=False), cls((joint,))
 
     @property
-    def own_terms(self) -> tuple[Term, ...]:
+    def own_terms(self) -> tuple[Parameter, ...]:
         """Coulomb and, where asked for, viscous friction forward and backward."""
         return self.terms[: 2 + 2 * self.viscous]
 
@@ -200,14 +176,14 @@ class NonlinearViscousFriction(JointEffect):
         exponent: a, not one.
     """
 
-    name: ClassVar[str] = "nonlinear_viscous_friction"
-    family: ClassVar[str] = "friction"
-    contains: ClassVar[tuple[str, ...]] = ("viscous_friction",)  # exponent one
-    exponents: ClassVar[tuple[float, ...]] = (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)  # to try
-    terms: ClassVar[tuple[Term, ...]] = (Term("Fn", "N·m·(s/rad)^a"),)
-    shapes: ClassVar[tuple[Shape, ...]] = (Shape("exponent", "1"),)
-    shared: ClassVar[bool] = True
-    abscissa: ClassVar[str] = "velocity"
+    name = "nonlinear_viscous_friction"
+    family = "friction"
+    contains = ("viscous_friction",)  # exponent one
+    exponents = (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)  # to try
+    terms = (Parameter("Fn", "N·m·(s/rad)^a"),)
+    shapes = (Shape("exponent", "1"),)
+    shared = True
+    abscissa = "velocity"
 
     exponent: float = 2.0
 
@@ -230,20 +206,58 @@ class NonlinearViscousFriction(JointEffect):
 class LoadDependentFriction(JointwiseEffect):
     """τ = F_l |τ_load| sign(q̇) with the torque of the bodies as load."""
 
-    name: ClassVar[str] = "load_dependent_friction"
-    family: ClassVar[str] = "friction"
-    terms: ClassVar[tuple[Term, ...]] = (Term("Fl", "1", 0.0),)
-    shared: ClassVar[bool] = True
-    abscissa: ClassVar[str] = "load"
-    told: ClassVar[Mapping[str, str]] = {
-        "torque_gain": "repeat the motion backwards in time: friction turns its sign, a gain does "
-        "not; then with a known payload",
-        "presliding_hysteresis": f"{REVERSALS}, at two payloads",
-        "backlash": REVERSALS,
-        "nonlinear_viscous_friction": f"{LADDER}, at two payloads",
-        "friction_coupling": HOLD_OTHER,
-    }
+    name = "load_dependent_friction"
+    family = "friction"
+    terms = (Parameter("Fl", "1", 0.0),)
+    shared = True
+    abscissa = "load"
+    told = (
+        (
+            "repeat the motion backwards in time: friction turns its sign, a gain does "
+            "not; then with a known payload",
+            "torque_gain",
+        ),
+        (f"{by.REVERSALS}, at two payloads", "presliding_hysteresis"),
+        (by.REVERSALS, "backlash"),
+        (f"{by.LADDER}, at two payloads", "nonlinear_viscous_friction"),
+        (by.HOLD_OTHER, "friction_coupling"),
+    )
 
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         """Load with the velocity's sign."""
         return (np.abs(rigid_torque(robot, motion)[:, j]) * np.sign(motion.dq[:, j]),)
+
+
+@dataclass(frozen=True)
+class FrictionCoupling(PairEffect):
+    """Friction of a shaft that turns with both joints, at speed w = q̇_i + ρ q̇_k.
+
+    τ_i = F_v w + F_c sign(w), τ_k = ρ τ_i, as in wrists whose motors sit in the forearm
+    (Gautier, Janot, Vandanjon 2013, Stäubli TX40).
+
+    Attributes:
+        ratio: ρ.
+    """
+
+    name = "friction_coupling"
+    family = "friction"
+    terms = (Parameter("Fv", "N·m·s/rad", 0.0), Parameter("Fc", "N·m", 0.0))
+    shapes = (Shape("ratio", "1", positive=False),)
+    abscissa = "other velocity"
+    told = ((by.HOLD_OTHER, "inertia_coupling"),)
+
+    ratio: float = 1.0
+
+    @classmethod
+    def between(cls, pair: tuple[str, str]) -> Sequence[Self]:
+        """Shafts that turn with the sum or the difference of both."""
+        return cls(pair), cls(pair, ratio=-1.0)
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        """Speed and its sign in both rows."""
+        i, k = self.rows(robot)
+        speed = motion.dq[:, i] + self.ratio * motion.dq[:, k]
+        columns = np.zeros((len(motion), robot.nv, 2))
+        for row, lever in ((i, 1.0), (k, self.ratio)):
+            columns[:, row, 0], columns[:, row, 1] = lever * speed, lever * np.sign(speed)
+        return columns

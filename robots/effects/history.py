@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
-from excitant.robots.effects.base import JointFacts, JointwiseEffect, Shape, Term
-from excitant.robots.effects.experiments import LOCKED, REVERSALS, SPEEDS
+from excitant.robots.effects import experiments as by
+from excitant.robots.effects.base import JointFacts, JointwiseEffect, Parameter, Shape
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
@@ -28,20 +28,14 @@ class PreslidingHysteresis(JointwiseEffect):
         distance: δ, over which friction builds up [rad].
     """
 
-    name: ClassVar[str] = "presliding_hysteresis"
-    family: ClassVar[str] = "friction"
-    depends_on_model: ClassVar[bool] = False
-    terms: ClassVar[tuple[Term, ...]] = (Term("Fh", "N·m", 0.0),)
-    shapes: ClassVar[tuple[Shape, ...]] = (
-        Shape("distance", "rad", most=lambda facts: _SHORT * facts.reach),
-    )
-    shared: ClassVar[bool] = True
-    abscissa: ClassVar[str] = "reversal"
-    told: ClassVar[Mapping[str, str]] = {
-        "backlash": REVERSALS,
-        "time_delay": SPEEDS,
-        "joint_elasticity": LOCKED,
-    }
+    name = "presliding_hysteresis"
+    family = "friction"
+    depends_on_model = False
+    terms = (Parameter("Fh", "N·m", 0.0),)
+    shapes = (Shape("distance", "rad", most=lambda facts: _SHORT * facts.reach),)
+    shared = True
+    abscissa = "reversal"
+    told = ((by.REVERSALS, "backlash"),)
 
     distance: float = 0.01
 
@@ -83,7 +77,7 @@ class Bristles:
     z: Array
     q: Array
 
-    def __call__(self, q: Array, dq: Array) -> Array:
+    def __call__(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
         """Torque, shape (nv,) [N·m]."""
         return self.force * (self._state(q) - np.sign(dq))
 
@@ -119,15 +113,15 @@ class ThermalFrictionDrift(JointwiseEffect):
         start: t_0, when the arm was cold [s].
     """
 
-    name: ClassVar[str] = "thermal_friction_drift"
-    family: ClassVar[str] = "friction"
-    depends_on_model: ClassVar[bool] = False
-    shapes: ClassVar[tuple[Shape, ...]] = (Shape("time", "s", most=lambda facts: facts.duration),)
-    abscissa: ClassVar[str] = "time"
-    contains: ClassVar[tuple[str, ...]] = ("viscous_friction", "coulomb_friction")
-    terms: ClassVar[tuple[Term, ...]] = (
-        Term("Fv_cold", "N·m·s/rad"),
-        Term("Fc_cold", "N·m"),
+    name = "thermal_friction_drift"
+    family = "friction"
+    depends_on_model = False
+    shapes = (Shape("time", "s", most=lambda facts: facts.duration),)
+    abscissa = "time"
+    contains = ("viscous_friction", "coulomb_friction")
+    terms = (
+        Parameter("Fv_cold", "N·m·s/rad"),
+        Parameter("Fc_cold", "N·m"),
     )
 
     time: float = 60.0

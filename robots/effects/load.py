@@ -2,35 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
+from typing import Self
 
+from excitant.robots.effects import experiments as by
 from excitant.robots.effects.base import Effect, JointFacts, Parameter, within
-from excitant.robots.effects.experiments import UNLOADED
 from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import STANDARD, UNITS
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
+
+_BODY = tuple(zip(STANDARD, UNITS, strict=True))
 
 
 @dataclass(frozen=True)
 class AddedInertia(Effect):
     """Inertial parameters added to the link that one joint carries, about the joint frame."""
 
-    family: ClassVar[str] = "body"
-    arity: ClassVar[int] = 1
-    depends_on_model: ClassVar[bool] = False
-    further: ClassVar[bool] = False
-    prefix: ClassVar[str] = "delta_"
+    family = "body"
+    arity = 1
+    depends_on_model = False
+    further = False
+    terms = tuple(Parameter(f"delta_{name}", unit) for name, unit in _BODY)
 
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """The ten standard parameters, as increments."""
-        link = robot.links[self.rows(robot)[0]]
-        return tuple(
-            Parameter(f"{link}.{self.prefix}{name}", unit)
-            for name, unit in zip(STANDARD, UNITS, strict=True)
-        )
+    def owners(self, robot: Robot) -> tuple[str, ...]:
+        """The link."""
+        return (robot.links[self.rows(robot)[0]],)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """The link's columns of the regressor."""
@@ -48,8 +46,8 @@ class AddedInertia(Effect):
 class InertialParameters(AddedInertia):
     """A link's inertial parameters differ from the given ones."""
 
-    name: ClassVar[str] = "inertial_parameters"
-    role: ClassVar[Literal["link"]] = "link"
+    name = "inertial_parameters"
+    role = "link"
 
     def noun(self, robot: Robot) -> str:
         """With its link."""
@@ -70,10 +68,10 @@ class InertialParameters(AddedInertia):
 class Payload(AddedInertia):
     """A body held by the last link: mass, first moment and inertia about its joint frame."""
 
-    name: ClassVar[str] = "payload"
-    role: ClassVar[Literal["body"]] = "body"
-    prefix: ClassVar[str] = "payload_"
-    told: ClassVar[Mapping[str, str]] = {"inertial_parameters": UNLOADED}
+    name = "payload"
+    role = "body"
+    terms = tuple(Parameter(f"payload_{name}", unit) for name, unit in _BODY)
+    told = ((by.UNLOADED, "inertial_parameters"),)
 
     @classmethod
     def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:

@@ -5,31 +5,20 @@ All are linear in their coefficients to first order, at the given model's torque
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
 from excitant.exceptions import BadInput
+from excitant.robots.effects import experiments as by
 from excitant.robots.effects.base import (
     SIGN_DEVIATIONS,
     Effect,
     JointFacts,
     Parameter,
     Shape,
-    near_trial,
-)
-from excitant.robots.effects.experiments import (
-    KINEMATICS,
-    LEVEL,
-    LEVER,
-    LOADS,
-    SPEEDS,
-    TURNED,
-    UNLOADED,
-    WARM,
-    ZERO,
 )
 from excitant.robots.effects.reference import (
     carried_torque,
@@ -47,27 +36,22 @@ _METRE = 1e-3  # of the central difference; torque is quadratic in a placement, 
 
 
 @dataclass(frozen=True)
-class _SharedEffect(Effect):
-    """One coefficient for all joints it acts on."""
+class _GeometryEffect(Effect):
+    """A joint is elsewhere than its encoder or the model says."""
 
-    of_state_alone: ClassVar[bool] = False
-    further: ClassVar[bool] = False
-    symbol: ClassVar[str]
-    unit: ClassVar[str]
-    typical: ClassVar[float]
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """One coefficient, named after the joint, or after none where it is common."""
-        owner = self.joints[0] if len(self.joints) == 1 else "common"
-        return (Parameter(f"{owner}.{self.symbol}", self.unit, typical=self.typical),)
+    family = "geometry"
+    arity = 1
+    of_state_alone = False
+    further = False
 
 
 @dataclass(frozen=True)
-class _ReadingEffect(_SharedEffect):
+class _ReadingEffect(Effect):
     """One coefficient of the torque readings of one joint, or of all."""
 
-    family: ClassVar[str] = "reading"
-    acts_on_torque: ClassVar[bool] = True
+    family = "reading"
+    acts_on_torque = True
+    of_state_alone = False
 
     @classmethod
     def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
@@ -81,21 +65,19 @@ class _ReadingEffect(_SharedEffect):
 class TorqueGain(_ReadingEffect):
     """Reading = (1 + g) τ: the torque sensor's or the drive's constant is wrong."""
 
-    name: ClassVar[str] = "torque_gain"
-    of_given_torque: ClassVar[bool] = True
-    symbol: ClassVar[str] = "gain"
-    unit: ClassVar[str] = "1"
-    typical: ClassVar[float] = 0.5
-    abscissa: ClassVar[str] = "torque"
-    told: ClassVar[Mapping[str, str]] = {
-        "inertial_parameters": f"{LOADS}: a gain scales its torque too",
-        "payload": f"{LOADS} beside the unknown one",
-        "gravity_direction": f"{LEVEL}; {LOADS}",
-        "spring": LEVER,
-        "kinematic_error": f"{LOADS}; {KINEMATICS}",
-        "encoder_scale": KINEMATICS,
-        "encoder_offset": f"{ZERO}; {LOADS}",
-    }
+    name = "torque_gain"
+    further = False
+    of_given_torque = True
+    terms = (Parameter("gain", "1", typical=0.5),)
+    abscissa = "torque"
+    told = (
+        (f"{by.LOADS}: a gain scales its torque too", "inertial_parameters"),
+        (f"{by.LOADS} beside the unknown one", "payload"),
+        (f"{by.LEVEL}; {by.LOADS}", "gravity_direction"),
+        (f"{by.LOADS}; {by.KINEMATICS}", "kinematic_error"),
+        (by.KINEMATICS, "encoder_scale"),
+        (f"{by.ZERO}; {by.LOADS}", "encoder_offset"),
+    )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Torque of the model at these joints."""
@@ -120,20 +102,14 @@ class TimeDelay(_ReadingEffect):
         trial: Delay at which the column is the exact difference [s].
     """
 
-    name: ClassVar[str] = "time_delay"
-    further: ClassVar[bool] = True
-    symbol: ClassVar[str] = "delay"
-    unit: ClassVar[str] = "s"
-    typical: ClassVar[float] = 0.05
-    shapes: ClassVar[tuple[Shape, ...]] = (
-        Shape("trial", "s", positive=False, most=lambda facts: _LONGEST),
+    name = "time_delay"
+    terms = (Parameter("delay", "s", typical=0.05),)
+    shapes = (Shape("trial", "s", positive=False, trial=True, most=lambda facts: _LONGEST),)
+    abscissa = "torque rate"
+    told = (
+        (by.SPEEDS, "inertial_parameters encoder_scale"),
+        (by.WARM, "thermal_friction_drift"),
     )
-    abscissa: ClassVar[str] = "torque rate"
-    told: ClassVar[Mapping[str, str]] = {
-        "inertial_parameters": SPEEDS,
-        "encoder_scale": SPEEDS,
-        "thermal_friction_drift": WARM,
-    }
 
     trial: float = 1e-3
 
@@ -146,10 +122,6 @@ class TimeDelay(_ReadingEffect):
         super().__post_init__()
         if not self.trial:
             raise BadInput(f"effect {self.name}: trial must not be zero")
-
-    def credible(self, robot: Robot, values: Array) -> bool:
-        """Whether the delay is one that the trial delay's column is right for."""
-        return near_trial(float(values[0]), self.trial)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """(τ(t − d₀) − τ(t)) / d₀ at these joints."""
@@ -166,22 +138,20 @@ class TimeDelay(_ReadingEffect):
 
 
 @dataclass(frozen=True)
-class EncoderOffset(_SharedEffect):
+class EncoderOffset(_GeometryEffect):
     """True angle = reading + δ."""
 
-    name: ClassVar[str] = "encoder_offset"
-    family: ClassVar[str] = "geometry"
-    arity: ClassVar[int] = 1
-    symbol: ClassVar[str] = "offset_angle"
-    unit: ClassVar[str] = "rad"
-    typical: ClassVar[float] = 0.3
-    told: ClassVar[Mapping[str, str]] = {
-        "inertial_parameters": f"{ZERO}; the last joint's offset is a turned last link",
-        "payload": f"{ZERO}; or {UNLOADED}",
-        "gravity_direction": f"{TURNED}: tilt's phase follows q1, an encoder's offset does not",
-        "kinematic_error": KINEMATICS,
-        "encoder_scale": f"{ZERO}, and at the far end of its range",
-    }
+    name = "encoder_offset"
+    terms = (Parameter("offset_angle", "rad", typical=0.3),)
+    told = (
+        (f"{by.ZERO}; the last joint's offset is a turned last link", "inertial_parameters"),
+        (f"{by.ZERO}; or {by.UNLOADED}", "payload"),
+        (
+            f"{by.TURNED}: tilt's phase follows q1, an encoder's offset does not",
+            "gravity_direction",
+        ),
+        (f"{by.ZERO}, and at the far end of its range", "encoder_scale"),
+    )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Derivative of the torque by the angle."""
@@ -190,19 +160,12 @@ class EncoderOffset(_SharedEffect):
 
 
 @dataclass(frozen=True)
-class EncoderScale(_SharedEffect):
+class EncoderScale(_GeometryEffect):
     """True angle = (1 + s) reading."""
 
-    name: ClassVar[str] = "encoder_scale"
-    family: ClassVar[str] = "geometry"
-    arity: ClassVar[int] = 1
-    symbol: ClassVar[str] = "scale"
-    unit: ClassVar[str] = "1"
-    typical: ClassVar[float] = 0.3
-    told: ClassVar[Mapping[str, str]] = {
-        "inertial_parameters": KINEMATICS,
-        "kinematic_error": KINEMATICS,
-    }
+    name = "encoder_scale"
+    terms = (Parameter("scale", "1", typical=0.3),)
+    told = ((by.KINEMATICS, "inertial_parameters"),)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Derivative of the torque by the scale of angle, speed and acceleration."""
@@ -211,23 +174,16 @@ class EncoderScale(_SharedEffect):
 
 
 @dataclass(frozen=True)
-class KinematicError(Effect):
+class KinematicError(_GeometryEffect):
     """The joint sits elsewhere in its parent link than the model says."""
 
-    name: ClassVar[str] = "kinematic_error"
-    family: ClassVar[str] = "geometry"
-    arity: ClassVar[int] = 1
-    of_state_alone: ClassVar[bool] = False
-    further: ClassVar[bool] = False
-    told: ClassVar[Mapping[str, str]] = {
-        "inertial_parameters": f"{KINEMATICS}; or repeat the motion in another pose region",
-        "payload": UNLOADED,
-        "gravity_direction": f"{LEVEL}; {KINEMATICS}",
-    }
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """Translation in the parent's joint frame."""
-        return tuple(Parameter(f"{self.joints[0]}.d{axis}", "m", typical=0.1) for axis in "xyz")
+    name = "kinematic_error"
+    terms = tuple(Parameter(f"d{axis}", "m", typical=0.1) for axis in "xyz")
+    told = (
+        (f"{by.KINEMATICS}; or repeat the motion in another pose region", "inertial_parameters"),
+        (by.UNLOADED, "payload"),
+        (f"{by.LEVEL}; {by.KINEMATICS}", "gravity_direction"),
+    )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Central differences by the translation."""
@@ -254,22 +210,26 @@ def _moved(robot: Robot, j: int, step: Array) -> Robot:
 class GravityDirection(Effect):
     """Gravity points elsewhere in the base frame: the arm is mounted otherwise, or tilted."""
 
-    name: ClassVar[str] = "gravity_direction"
-    family: ClassVar[str] = "static"
-    further: ClassVar[bool] = False
-    told: ClassVar[Mapping[str, str]] = {
-        "inertial_parameters": f"{LEVEL}; or turn the first joint slowly with the arm stretched",
-        "payload": f"{UNLOADED}; {LEVEL}",
-    }
+    name = "gravity_direction"
+    terms = tuple(Parameter(f"d{axis}", "m/s²", typical=10.0) for axis in "xyz")
+    family = "static"
+    further = False
+    told = (
+        (
+            f"{by.LEVEL}; or turn the first joint slowly with the arm stretched",
+            "inertial_parameters",
+        ),
+        (f"{by.UNLOADED}; {by.LEVEL}", "payload"),
+    )
 
     @classmethod
     def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
         """One for the arm."""
         return [(cls(robot.joints), 1)]
 
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """Change of the gravity vector in the base frame."""
-        return tuple(Parameter(f"gravity.d{axis}", "m/s²", typical=10.0) for axis in "xyz")
+    def owners(self, robot: Robot) -> tuple[str, ...]:
+        """The arm's one gravity."""
+        return ("gravity",)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Static torque under unit gravity along each axis."""

@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
+from excitant.robots.effects import experiments as by
 from excitant.robots.effects.base import (
     Effect,
     JointEffect,
     JointFacts,
     Parameter,
     Shape,
-    Term,
-    near_trial,
-)
-from excitant.robots.effects.experiments import (
-    CLOCK,
-    LOCKED,
-    ORDERS,
-    SPEEDS,
-    STATIC,
-    TURNED,
-    UNLOADED,
-    UNPOWERED,
-    ZERO,
 )
 from excitant.robots.effects.reference import rigid_torque, torque_along, torque_derivatives
 from excitant.robots.motion import Array, Motion
@@ -47,22 +35,19 @@ class TorqueRipple(JointEffect):
         order: N, periods per turn of the joint.
     """
 
-    name: ClassVar[str] = "torque_ripple"
-    family: ClassVar[str] = "static"
-    terms: ClassVar[tuple[Term, ...]] = (
-        Term("ripple_cos", "N·m"),
-        Term("ripple_sin", "N·m"),
+    name = "torque_ripple"
+    family = "static"
+    terms = (
+        Parameter("ripple_cos", "N·m"),
+        Parameter("ripple_sin", "N·m"),
     )
-    shapes: ClassVar[tuple[Shape, ...]] = (Shape("order", "1/turn"),)
-    abscissa: ClassVar[str] = "position"
-    told: ClassVar[Mapping[str, str]] = {
-        "spring": STATIC,
-        "encoder_offset": ZERO,
-        "joint_elasticity": ORDERS,
-        "backlash": ORDERS,
-        "inertial_parameters": STATIC,
-        "payload": UNLOADED,
-    }
+    shapes = (Shape("order", "1/turn"),)
+    abscissa = "position"
+    told = (
+        (by.STATIC, "spring inertial_parameters"),
+        (by.ORDERS, "joint_elasticity backlash"),
+        (by.UNLOADED, "payload"),
+    )
 
     order: float = 1.0
 
@@ -94,9 +79,9 @@ class TorqueRipple(JointEffect):
         return [self.reshaped("order", self.order + s * _step(facts)) for s in _BESIDE]
 
     @property
-    def own_terms(self) -> tuple[Term, ...]:
+    def own_terms(self) -> tuple[Parameter, ...]:
         """Amplitudes, named after the order."""
-        return tuple(Term(f"{term.symbol}{self.order:.4g}", term.unit) for term in self.terms)
+        return tuple(Parameter(f"{term.name}{self.order:.4g}", term.unit) for term in self.terms)
 
     def drawn(self, label: str, x: Array) -> tuple[str, Array]:
         """Folded into one period."""
@@ -142,21 +127,20 @@ class Spring(JointEffect):
         lever: Whether it pulls a lever, as in counterbalanced shoulders.
     """
 
-    name: ClassVar[str] = "spring"
-    family: ClassVar[str] = "static"
-    contains: ClassVar[tuple[str, ...]] = ("torque_offset",)
-    usual: ClassVar[bool] = True
-    abscissa: ClassVar[str] = "position"
-    told: ClassVar[Mapping[str, str]] = {
-        "inertial_parameters": f"{UNPOWERED}; or tilt the base: gravity's part turns, a spring's "
-        "stays",
-        "payload": UNLOADED,
-        "gravity_direction": f"{TURNED}: a spring's torque stays",
-        "encoder_offset": ZERO,
-        "joint_elasticity": LOCKED,
-        "encoder_scale": ZERO,
-    }
-    terms: ClassVar[tuple[Term, ...]] = (Term("k", "N·m/rad"), Term("moment", "N·m"))
+    name = "spring"
+    family = "static"
+    contains = ("torque_offset",)
+    usual = True
+    abscissa = "position"
+    told = (
+        (
+            f"{by.UNPOWERED}; or tilt the base: gravity's part turns, a spring's stays",
+            "inertial_parameters",
+        ),
+        (by.UNLOADED, "payload"),
+        (f"{by.TURNED}: a spring's torque stays", "gravity_direction"),
+    )
+    terms = (Parameter("k", "N·m/rad"), Parameter("moment", "N·m"))
 
     lever: bool = False
 
@@ -166,11 +150,10 @@ class Spring(JointEffect):
         return cls((joint,)), cls((joint,), lever=True)
 
     @property
-    def own_terms(self) -> tuple[Term, ...]:
+    def own_terms(self) -> tuple[Parameter, ...]:
         """Stiffness and moment at zero, or amplitudes of cosine and sine."""
-        return (
-            tuple(Term(f"spring_{s}", "N·m") for s in ("cos", "sin")) if self.lever else self.terms
-        )
+        lever = tuple(Parameter(f"spring_{s}", "N·m") for s in ("cos", "sin"))
+        return lever if self.lever else self.terms
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Angle and one, or cosine and sine of the angle."""
@@ -181,15 +164,9 @@ class Spring(JointEffect):
 class _Lag(Effect):
     """The link lags behind the motor, on whose side the encoder sits."""
 
-    family: ClassVar[str] = "transmission"
-    arity: ClassVar[int] = 1
-    of_state_alone: ClassVar[bool] = False
-    symbol: ClassVar[str]
-    unit: ClassVar[str]
-
-    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
-        """One coefficient."""
-        return (Parameter(f"{self.joints[0]}.{self.symbol}", self.unit, 0.0),)
+    family = "transmission"
+    arity = 1
+    of_state_alone = False
 
     def _torque_along(self, robot: Robot, motion: Motion, lag: Array) -> Array:
         j = self.rows(robot)[0]
@@ -200,17 +177,12 @@ class _Lag(Effect):
 class JointElasticity(_Lag):
     """Link angle = motor angle − c τ with the compliance c = 1/k, to first order in c."""
 
-    name: ClassVar[str] = "joint_elasticity"
-    symbol: ClassVar[str] = "compliance"
-    unit: ClassVar[str] = "rad/(N·m)"
-    told: ClassVar[Mapping[str, str]] = {
-        "backlash": f"{LOCKED}: play yields at once, a spring in proportion",
-        "time_delay": f"{LOCKED}; {CLOCK}",
-        "encoder_offset": LOCKED,
-        "encoder_scale": LOCKED,
-        "inertial_parameters": LOCKED,
-        "payload": UNLOADED,
-    }
+    name = "joint_elasticity"
+    terms = (Parameter("compliance", "rad/(N·m)", 0.0),)
+    told = (
+        (f"{by.LOCKED}: play yields at once, a spring in proportion", "backlash"),
+        (by.UNLOADED, "payload"),
+    )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Change of the torque by a link angle that yields to the torque."""
@@ -229,13 +201,10 @@ class Backlash(_Lag):
         trial: Gap for which the flights are computed [rad].
     """
 
-    name: ClassVar[str] = "backlash"
-    symbol: ClassVar[str] = "gap"
-    unit: ClassVar[str] = "rad"
-    shapes: ClassVar[tuple[Shape, ...]] = (
-        Shape("trial", "rad", tuned=False, most=lambda facts: float(_GAPS[-1])),
-    )
-    told: ClassVar[Mapping[str, str]] = {"time_delay": SPEEDS}
+    name = "backlash"
+    terms = (Parameter("gap", "rad", 0.0),)
+    shapes = (Shape("trial", "rad", trial=True, most=lambda facts: float(_GAPS[-1])),)
+    told = ((by.SPEEDS, "time_delay"),)
 
     trial: float = 3e-3
 
@@ -243,10 +212,6 @@ class Backlash(_Lag):
     def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
         """Gaps up to a tenth of a radian."""
         return [cls((joint,), trial=float(gap)) for gap in _GAPS]
-
-    def credible(self, robot: Robot, values: Array) -> bool:
-        """Whether the gap is one that the trial gap's flights are right for."""
-        return near_trial(float(values[0]), self.trial)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Change of the torque by the lag, per gap."""

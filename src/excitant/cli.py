@@ -14,6 +14,7 @@ from excitant import motions, recordings
 from excitant.exceptions import BadInput, ExcitantError
 from excitant.options import Part, RobotName, Run, Seed, print_json, print_paths
 
+_EXTRAS = {"rosbags": "ros", "distributed": "cluster", "mujoco": "mjcf"}
 _SOLVERS = ("pin", "clarabel", "cvxpy", "numpy", "scipy")
 
 
@@ -89,6 +90,11 @@ def _line(error: Exception) -> str:
         return str(error)
     if isinstance(error, OSError):
         return f"{error.filename or 'file'}: {error.strerror or error}"
+    if (
+        isinstance(error, ModuleNotFoundError)
+        and (name := str(error.name).partition(".")[0]) in _EXTRAS
+    ):
+        return f"this needs {name}: pip install 'excitant[{_EXTRAS[name]}]'"
     what = " ".join(f"{type(error).__name__}: {error}".split())
     return f"a bug ({what}); please run it again with --debug and report what it prints"
 
@@ -156,24 +162,25 @@ def robots(
     show_robot(robot, part.robot(robot), mass, run)
 
 
-def report(folder: str, other: str | None = None, /, *, run: Run = Run()) -> None:
-    """Render the report of a run again, or compare two runs.
+def report(*folders: str, run: Run = Run()) -> None:
+    """Render the report of a run again, or compare runs.
 
     Args:
-        folder: Folder of a run.
-        other: Folder of another run of the same command: one page with both, and what differs.
+        folders: Folder of a run; of several runs of the same command: one page with all, and what
+            differs.
     """
     from excitant.reports import SavedRun, compare, load_run, save_run
 
-    result, series = load_run(folder)
-    if other is not None:
-        first, second = SavedRun(folder, result, series), SavedRun(other, *load_run(other))
-        result, series = compare(first, second)
-        run.finish(run.folder("compare", result["of"]), result, series, {})
+    if not folders:
+        raise BadInput("name the folder of a run, or several to compare")
+    if len(folders) > 1:
+        result = compare(*(SavedRun(folder, *load_run(folder)) for folder in folders))
+        run.finish(run.folder("compare", result["of"]), result, {}, {})
         return
     if run.output is not None:
-        raise BadInput("-o is where two runs are compared; name a second run, or leave -o out")
-    paths = save_run(folder, result, series)
+        raise BadInput("-o is where runs are compared; name a second run, or leave -o out")
+    result, series = load_run(folders[0])
+    paths, _ = save_run(folders[0], result, series)
     if run.json:
         print_json(result)
     else:

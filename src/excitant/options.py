@@ -222,12 +222,11 @@ class Run:
         from excitant.reports import brief, load_run, save_run
 
         result["files"] = [str(folder / name) for name in files]
-        paths = save_run(folder, result, series, files)
-        saved, _ = load_run(folder)
+        paths, page = save_run(folder, result, series, files)
         if self.json:
-            print_json(saved)
+            print_json(load_run(folder)[0])
         else:
-            print(brief(saved), end="\n\n")
+            print(brief(page), end="\n\n")
             print_paths(paths)
 
 

@@ -5,15 +5,19 @@ import re
 
 import pytest
 
-from excitant.reports import render
-from excitant.reports.diagnose_section import diagnose_section
+from excitant.reports import html, page_of
+from excitant.reports.diagnose import diagnose_section
+from excitant.reports.diagnose_figures import share_figure
 from excitant.reports.drawing import style
-from excitant.reports.given_error_figures import forward_blocks, share_figure
-from excitant.reports.model import Figure, Notes, Table
+from excitant.reports.page import Figure, Notes
 
 SHARES = {"constant": 0.02, "direction": 0.81, "velocity": 0.83, "position": 0.0, "load": 0.8,
           "reversal": 0.82}  # fmt: skip
 BANDS = {"slower": 0.0, "motion": 0.9, "faster": 0.1}
+
+
+def render(result, series):
+    return html(page_of(result, series))
 
 
 def shape(rms):
@@ -97,12 +101,17 @@ def test_any_number_of_joints_can_be_drawn(run, count):
         assert len(share_figure(result, "A").panels) == 2
 
 
+def wrong(result):
+    """Blocks on what is wrong with the given model, the forward simulation last."""
+    with style():
+        return diagnose_section(result, {}).parts[1].blocks
+
+
 def test_divergence_is_said(run):
     result, _ = copy.deepcopy(run)
     result["forward"]["joints"][0]["given"] = None
     result["forward"]["notes"] = ["The given model leaves the motion for good."]
-    table, notes = forward_blocks(result)
-    assert isinstance(table, Table)
+    table, notes = wrong(result)[-2:]
     assert table.rows[0][1].text == "diverges"
     assert table.rows[0][2].text == "2.00"
     assert isinstance(notes, Notes)
@@ -110,9 +119,9 @@ def test_divergence_is_said(run):
 
 def test_joints_where_the_extended_model_is_no_closer_are_named(run):
     result, _ = copy.deepcopy(run)
-    assert "closer on every joint" in forward_blocks(result)[0].caption
+    assert "closer on every joint" in wrong(result)[-1].caption
     result["forward"]["joints"][1]["extended"] = 0.06
-    caption = forward_blocks(result)[0].caption
+    caption = wrong(result)[-1].caption
     assert f"no closer at {result['forward']['joints'][1]['name']}" in caption
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from excitant.reports.drawing import axes, label_x, style, thin, timeline
-from excitant.reports.wording import number, percent, sentence, shorten, value_and_std
+from excitant.reports.values import number, percent, sentence, shorten, value_and_std
 
 
 @pytest.mark.parametrize("n", [1, 50, 401, 5000, 12345])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from excitant.exceptions import BadInput
-from excitant.reports import load_run, render, save_run, summarize
+from excitant.reports import html, load_run, page_of, save_run, summary
 
 OWN = ["report.html", "result.json", "series.npz", "summary.txt"]
 
@@ -19,15 +19,15 @@ def names(folder):
 
 @pytest.mark.slow
 def test_saved_run_renders_again_to_the_same_page(run, tmp_path):
-    paths = save_run(tmp_path / "run", *run)
+    paths, _ = save_run(tmp_path / "run", *run)
     result, series = load_run(tmp_path / "run")
     assert sorted(path.name for path in paths) == OWN == names(tmp_path / "run")
-    assert (tmp_path / "run/report.html").read_text("utf-8") == render(result, series)
-    assert (tmp_path / "run/summary.txt").read_text("utf-8") == summarize(result)
+    assert (tmp_path / "run/report.html").read_text("utf-8") == html(page_of(result, series))
+    assert (tmp_path / "run/summary.txt").read_text("utf-8") == summary(page_of(result, series))
 
 
 def test_saved_run_is_what_was_given(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("excitant.reports.run.render", lambda *_: "page")
+    monkeypatch.setattr("excitant.reports.run.html", lambda *_: "page")
     given, arrays = run
     save_run(tmp_path, given, arrays)
     result, series = load_run(tmp_path)
@@ -66,7 +66,7 @@ def test_time_since_the_epoch_keeps_its_resolution(tmp_path):
 
 def test_artefacts_stand_beside_the_report(make, tmp_path):
     files = {"model.yaml": "é: 1\n", "meshes/link.stl": b"\x00\xff"}
-    paths = save_run(tmp_path / "run", *make["identify"](), files)
+    paths, _ = save_run(tmp_path / "run", *make["identify"](), files)
     assert names(tmp_path / "run") == sorted([*OWN, "model.yaml", "link.stl"])
     assert all(path.is_file() for path in paths)
     assert (tmp_path / "run/model.yaml").read_bytes() == "é: 1\n".encode()
@@ -85,7 +85,7 @@ def fail(*_args, **_kwargs):
 
 
 def test_failed_rendering_writes_nothing(make, tmp_path, monkeypatch):
-    monkeypatch.setattr("excitant.reports.run.render", fail)
+    monkeypatch.setattr("excitant.reports.run.page_of", fail)
     with pytest.raises(RuntimeError, match="rendering failed"):
         save_run(tmp_path / "new/run", make["check"]()[0], {})
     assert list(tmp_path.iterdir()) == []

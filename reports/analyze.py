@@ -1,0 +1,461 @@
+"""Section on what can be identified: in principle, with a given motion, and link by link."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from excitant.reports.arm_figures import chain_figure, correlation_figure
+from excitant.reports.motion_figures import spectrum_figure
+from excitant.reports.page import (
+    FAIR,
+    GOOD,
+    PLAIN,
+    POOR,
+    Block,
+    Brief,
+    Cell,
+    Column,
+    Fact,
+    Facts,
+    Figure,
+    Folded,
+    Matrix,
+    Notes,
+    Part,
+    Parts,
+    Section,
+    Table,
+    estimates,
+    facts,
+    folded,
+    notes,
+    quality,
+    relative,
+    section,
+    table,
+)
+from excitant.reports.values import (
+    NONE,
+    Result,
+    Series,
+    at,
+    listing,
+    number,
+    number4,
+    percent,
+    plain,
+    real,
+    records,
+    sentence,
+    text,
+    words,
+)
+from excitant.robots.parameters import STANDARD
+
+_TONES = {"well": GOOD, "roughly": FAIR, "negligible": GOOD, "hardly": POOR, "not shown": POOR}
+_DECIDES = {"data": ("data", GOOD), "prior": ("prior", POOR), "physics": ("limit of physics", FAIR)}
+_CATEGORY = {
+    "unique": ("by\u00a0itself", GOOD),
+    "combined": ("in\u00a0combination", FAIR),
+    "unidentifiable": ("not\u00a0at\u00a0all", POOR),
+}
+_LEGEND = (
+    ("unique", "identifiable by itself"),
+    ("combined", "only in combination"),
+    ("none", "not identifiable"),
+)
+
+
+def analyze_section(result: Result, series: Series) -> Section:
+    """Identifiability link by link, and how well a motion determines each parameter."""
+    links = _links(result, series)
+    said = [sentence(note) for note in words(result, "notes") if note]
+    return section(
+        "Identifiability",
+        _lead(result),
+        [
+            ("Key figures", [_facts(result), notes(_basis(result)), notes(said, brief="")]),
+            ("Parameters by link", [_matrix(result), None if links else _link_table(result)]),
+            (
+                "With the given motion",
+                [
+                    _excitation(result),
+                    _missing(result),
+                    spectrum_figure(series),
+                    _practical(result),
+                ],
+            ),
+            (
+                "Least determined by the motion",
+                [_directions(result), correlation_figure(series), _correlations(result)],
+            ),
+            *links,
+        ],
+        _brief(result),
+    )
+
+
+def links_folded(found: Section, result: Result) -> Section:
+    """A section whose links stand in one part, each behind a line until it is opened."""
+    titles = {_title(link) for link in records(result, "links")}
+    links = [each for each in found.parts if each.title in titles]
+    if not links:
+        return found
+    folds = Part("Link by link", tuple(Folded(each.title, each.blocks) for each in links))
+    others = tuple(each for each in found.parts if each.title not in titles)
+    return replace(found, parts=(*others, folds))
+
+
+def _lead(result: Result) -> str:
+    unique, none = _counts(result)
+    total, base = real(result, "standard_parameters"), real(result, "base_parameters")
+    if total is None or base is None:
+        return "What torque can and cannot show of each link."
+    return (
+        f"Of {total:.0f} standard parameters, {unique} can be identified one by one and "
+        f"{none} not at all; the others appear only in combinations, "
+        f"{base:.0f} base parameters together."
+    )
+
+
+def _brief(result: Result) -> Brief:
+    unique, none = _counts(result)
+    total, base = (text(result, key) for key in ("standard_parameters", "base_parameters"))
+    lines = [(
+        "identifiable", f"{base} combinations of {total} parameters; {unique} parameters uniquely, "
+        f"{none} not at all",
+    )]  # fmt: skip
+    verdicts = [text(row, "verdict") for row in records(result, "practical")]
+    if weak := verdicts.count("hardly"):
+        lines.append(("", f"this motion hardly shows {weak} of {len(verdicts)} combinations"))
+    elif verdicts and "not_shown" not in verdicts:
+        lines.append(("", f"this motion shows all {len(verdicts)} combinations"))
+    return tuple(lines)
+
+
+def _counts(result: Result) -> tuple[int, int]:
+    """Parameters that can be identified one by one, and not at all."""
+    links = records(result, "links")
+    unique, none = (sum(len(words(k, n)) for k in links) for n in ("unique", "unidentifiable"))
+    return unique, none
+
+
+def _facts(result: Result) -> Facts | None:
+    rows = [row for link in records(result, "links") for row in records(link, "parameters")]
+    visible = [row for row in rows if text(row, "category") != "unidentifiable"]
+    decided = sum(text(row, "decided_by") == "prior" for row in visible)
+    hidden, kappa = len(records(result, "not_shown")), real(result, "condition_number")
+    total, base = (text(result, key) for key in ("standard_parameters", "base_parameters"))
+    judged = any(text(row, "decided_by") for row in rows)
+    return facts(
+        Fact("Parameters", total, "of all links, and of their joints' effects",
+             number=real(result, "standard_parameters")),
+        Fact("Base parameters", base, "combinations that torque can show",
+             number=real(result, "base_parameters")),
+        Fact("Condition number", number(kappa), "with the given motion", number=kappa),
+        Fact("Not shown by this motion", str(hidden) if records(result, "practical") else NONE,
+             f"of {base} base parameters", POOR if hidden else GOOD, hidden),
+        Fact("Decided by the prior", str(decided) if judged else NONE,
+             f"of {len(visible)} that torque contains, rather than by the data", number=decided),
+    )  # fmt: skip
+
+
+def _basis(result: Result) -> list[str]:
+    basis, near = text(result, "basis"), text(result, "structure", "by_a_hair")
+    holds = words(result, "structure", "circumstances")
+    return [
+        *([f"Holds for: {'; '.join(holds)}."] if holds else []),
+        *([sentence(near)] if near else []),
+        *([f"Standard deviations are {basis}."] if basis else []),
+    ]
+
+
+def _excitation(result: Result) -> Notes | None:
+    said = text(result, "persistency", "sentence")
+    verdict = isinstance(at(result, "persistency", "persistent"), bool)
+    return notes([sentence(f"this motion is {said}" if verdict else said)] if said else [])
+
+
+def _combined(link: Result) -> set[str]:
+    return {name for row in records(link, "combined") for name in words(row, "members")}
+
+
+def _matrix(result: Result) -> Matrix | None:
+    links = records(result, "links")
+    shared = {name for link in links for name in _combined(link)}
+    rows = tuple(
+        (text(link, "link"), tuple(_shown_as(link, symbol, shared) for symbol in STANDARD))
+        for link in links
+    )
+    if not rows:
+        return None
+    return Matrix(
+        "Link",
+        STANDARD,
+        rows,
+        "Each link's ten parameters: mass m [kg], first moment mc [kg·m], inertia I [kg·m²] about "
+        "the joint frame; links near the base show few of theirs because they move little.",
+        _LEGEND,
+    )
+
+
+def _shown_as(link: Result, symbol: str, shared: set[str]) -> str:
+    """How torque shows one parameter of a link, given those in combinations of any link."""
+    names = {f"{text(link, 'link')}.{symbol}", symbol}
+    if names & set(words(link, "unique")):
+        return "unique"
+    if names & set(words(link, "unidentifiable")):
+        return "none"
+    return "combined" if names & (shared | _combined(link)) else ""
+
+
+def _link_table(result: Result) -> Table | None:
+    rows: list[Result] = []
+    for link in records(result, "links"):
+        found = [
+            ("identifiable by itself", listing(words(link, "unique"), "")),
+            *(("only in combination", text(r, "expression")) for r in records(link, "combined")),
+            ("not identifiable", listing(words(link, "unidentifiable"), "")),
+        ]
+        rows += [
+            {"link": _title(link), "category": category, "expression": expression}
+            for category, expression in found
+            if expression
+        ]
+    return table(
+        rows,
+        [
+            ("name:Link", "link"),
+            ("text:Category", "category"),
+            ("expression:Parameters or combination", "expression"),
+        ],
+        "Which combinations the torque depends on; a combination is listed with the link whose "
+        "parameter leads it.",
+        "Parameters and combinations of every link",
+    )
+
+
+def _practical(result: Result) -> Table | None:
+    rows: list[Result] = [
+        {"k": str(k), **row} for k, row in enumerate(records(result, "practical"), start=1)
+    ]
+    return table(
+        rows,
+        [
+            ("number:No.", lambda r: text(r, "k")),
+            ("expression:Base parameter", "name"),
+            *estimates("number:Value (SI)", "number:± std (SI)"),
+            ("number:Relative std", relative),
+            ("text:Verdict", _determined),
+        ],
+        "How precisely this motion determines each base parameter. Relative standard deviation: "
+        "● below 5\u00a0%, ◐ below 30\u00a0%, ○ above.",
+        folded(f"All {len(rows)} base parameters", len(rows)),
+    )
+
+
+def _determined(row: Result) -> Cell:
+    """The verdict on a base parameter, in the tone of its relative std where it has none."""
+    verdict = plain(text(row, "verdict"))
+    return Cell(verdict or NONE, _TONES.get(verdict, quality(real(row, "rel_std"))))
+
+
+def _directions(result: Result) -> Table | None:
+    """Directions that the motion does not show, and those it shows worst."""
+
+    def share(row: Result) -> Cell:
+        rel = real(row, "rel_std")
+        return Cell("not seen", POOR) if rel is None else Cell(percent(rel), quality(rel), rel)
+
+    return table(
+        records(result, "directions"),
+        [
+            ("expression:Direction", "expression"),
+            ("number:Std relative to prior", share),
+            ("text:What it means", "meaning"),
+        ],
+        "Combinations of base parameters, each named by its first member, that this motion shows "
+        "worst; above 100\u00a0% the data say less than the prior.",
+    )
+
+
+def _correlations(result: Result) -> Table | None:
+    """Pairs of base parameters whose estimates are most correlated."""
+    names = [text(row, "name") for row in records(result, "practical")]
+    numbers = {name.split(" ")[0]: f"{k}: " for k, name in enumerate(names, start=1)}
+
+    def correlation(row: Result) -> Cell:
+        rho = real(row, "correlation")
+        size = abs(rho or 0.0)
+        return Cell(number(rho), POOR if size > 0.95 else FAIR if size > 0.8 else GOOD, rho)
+
+    def numbered(key: str) -> Callable[[Result], str]:
+        return lambda row: numbers.get(text(row, key), "") + text(row, key)
+
+    return table(
+        records(result, "correlations"),
+        [
+            ("name:Base parameter", numbered("first")),
+            ("name:goes with", numbered("second")),
+            ("number:Correlation", correlation),
+        ],
+        "The most correlated pairs, each base parameter named by its first member.",
+    )
+
+
+def _missing(result: Result) -> Table | None:
+    """Base parameters that the motion does not show, and what would."""
+    resting = words(result, "resting_joints")
+    return table(
+        records(result, "not_shown"),
+        [("expression:Not shown by this motion", "name"), ("text:Shown by", "needed")],
+        "These base parameters make no torque of their own in this motion: they keep their prior "
+        f"values{f'; at rest: {listing(resting)}' if resting else ''}.",
+    )
+
+
+def _links(result: Result, series: Series) -> Parts:
+    """One part for each link that lists its parameters."""
+    links = records(result, "links")
+    return [
+        (_title(link), _link(result, series, link, k, len(links)))
+        for k, link in enumerate(links)
+        if records(link, "parameters")
+    ]
+
+
+def _title(link: Result) -> str:
+    name, joint = text(link, "link"), text(link, "joint")
+    return f"{name} at {joint}" if joint not in ("", name) else name
+
+
+def _link(
+    result: Result, series: Series, link: Result, index: int, count: int
+) -> list[Block | None]:
+    return [
+        _place(series, link, index, count),
+        _parameters(link),
+        _combinations(result, link),
+        _needed(link),
+        _following(result, link),
+    ]
+
+
+def _place(series: Series, link: Result, index: int, count: int) -> Figure | None:
+    inertial = [row for row in records(link, "parameters") if _symbol(row) in STANDARD]
+    unique, combined, none = (
+        sum(text(row, "category") == category for row in inertial) for category in _CATEGORY
+    )
+    mass = next((number(at(row, "value")) for row in inertial if _symbol(row) == "m"), NONE)
+    caption = (
+        f"Link {index + 1} of {count}" + (f", {mass}\u00a0kg" if mass != NONE else "") + ". "
+        f"Of its ten parameters torque shows {unique} by themselves, {combined} only "
+        f"in combination and {none} not at all."
+    )
+    return chain_figure(series, index, text(link, "link"), caption)
+
+
+def _symbol(row: Result) -> str:
+    return text(row, "name").rpartition(".")[2]
+
+
+def _parameters(link: Result) -> Table | None:
+    """The table of parameters; columns that nothing is known for are left out."""
+    rows = records(link, "parameters")
+    motion = any(real(row, "std") is not None for row in rows)
+    influence = any(real(row, "prior_influence") is not None for row in rows)
+    said = "Inertia about the joint's frame; friction, offset and rotor inertia of its joint."
+    if motion:
+        said += " The prior of ±100\u00a0% of the link is counted in the standard deviation."
+    if influence:
+        said += (
+            " Follows prior: how far the value moves when its prior is moved, from 0, the data "
+            "decide, to 1, the prior alone does."
+        )
+    value: tuple[Column, ...] = (("number:Value", "value", number4),)
+    seen: tuple[Column, ...] = ()
+    if motion:
+        value = estimates()
+        seen = (("text:This motion determines it", _shown), ("number:Prior", "prior"))
+    if influence:
+        seen += (
+            ("number:Follows prior", "prior_influence", _share),
+            ("text:Decided by", _decided),
+        )
+    return table(
+        rows,
+        [
+            ("name:Parameter", _symbol),
+            *value,
+            ("text:Unit", "unit"),
+            ("text:Torque shows it", _category),
+            *seen,
+        ],
+        said,
+    )
+
+
+def _category(row: Result) -> Cell:
+    return Cell(*_CATEGORY.get(text(row, "category"), (NONE, PLAIN)))
+
+
+def _shown(row: Result) -> Cell:
+    if text(row, "category") != "unique":
+        return Cell(NONE)
+    word = plain(text(row, "verdict"))
+    value, std = real(row, "value"), real(row, "std_data")
+    share = f", ±{percent(std / abs(value))}" if value and std and word != "negligible" else ""
+    return Cell(word + share if word else NONE, _TONES.get(word, PLAIN))
+
+
+def _share(influence: object) -> str:
+    share = real(influence)
+    return NONE if share is None else f"{share:.2f}"
+
+
+def _decided(row: Result) -> Cell:
+    hidden = text(row, "category") == "unidentifiable"
+    return Cell(*_DECIDES.get("prior" if hidden else text(row, "decided_by"), (NONE, PLAIN)))
+
+
+def _combinations(result: Result, link: Result) -> Table | None:
+    """The combinations that its parameters are part of, and how well the motion shows them."""
+    known = {text(row, "name"): row for row in records(result, "practical")}
+    found = records(link, "combined")
+    rows: list[Result] = [
+        {"expression": text(row, "expression"), **known.get(text(row, "expression"), {})}
+        for row in found
+    ]
+    seen: tuple[Column, ...] = (*estimates(), ("text:Determined", _determined)) if known else ()
+    return table(
+        rows,
+        [("expression:Combination that torque shows", "expression"), *seen],
+        "Torque depends on these sums alone; how they divide among their members does not show.",
+        folded(f"Its {len(found)} combinations", len(found), 1),
+    )
+
+
+def _needed(link: Result) -> Table | None:
+    """What would show each parameter by itself, those with the same answer together."""
+    groups: dict[str, list[str]] = {}
+    for row in records(link, "parameters"):
+        if text(row, "needed"):
+            groups.setdefault(text(row, "needed"), []).append(_symbol(row))
+    rows: list[Result] = [{"names": names, "needed": what} for what, names in groups.items()]
+    return table(
+        rows,
+        [("name:To see by itself", "names"), ("text:This is needed", "needed")],
+        "Found by adding each experiment's rows and looking at rank and standard deviation again.",
+    )
+
+
+def _following(result: Result, link: Result) -> Notes | None:
+    """Which parameters would follow from one that is known from elsewhere."""
+    groups = result.get("follow_each_other")
+    own = {text(row, "name") for row in records(link, "parameters")}
+    return notes([
+        f"Once one of {', '.join(group)} is known from elsewhere, the data give the rest of them."
+        for group in (words(each) for each in (groups if isinstance(groups, list) else []))
+        if own & set(group)
+    ])  # fmt: skip

@@ -1,0 +1,466 @@
+"""Sections on a motion: designed, checked, or rehearsed on a virtual arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from excitant.reports.motion_figures import (
+    convergence_figure,
+    envelope_of,
+    motion_figure,
+    share_of_limit,
+    spectrum_figure,
+    weakest_figure,
+)
+from excitant.reports.page import (
+    FAIR,
+    GOOD,
+    PLAIN,
+    POOR,
+    Brief,
+    Cell,
+    Fact,
+    Facts,
+    Parts,
+    Section,
+    Table,
+    estimates,
+    facts,
+    files,
+    folded,
+    notes,
+    section,
+    table,
+)
+from excitant.reports.space_figure import space_figure
+from excitant.reports.values import (
+    NONE,
+    Result,
+    Series,
+    at,
+    change,
+    combination,
+    items,
+    joint_names,
+    listing,
+    number,
+    number4,
+    percent,
+    plain,
+    quantity,
+    real,
+    reals,
+    records,
+    sentence,
+    text,
+    whole,
+    words,
+)
+
+_CRITERIA = {
+    "condition": ("condition number", "least ratio of the extreme singular values of W"),
+    "d": ("D-optimal", "least volume of uncertainty: greatest determinant of WᵀW"),
+    "a": ("A-optimal", "least mean variance: least trace of (WᵀW)⁻¹"),
+    "e": ("E-optimal", "greatest least singular value of W"),
+}
+_COLUMNS = {
+    "friction": "of links, friction, offsets and rotors",
+    "inertial": "of the links only",
+}
+
+
+def design_section(result: Result, series: Series) -> Section:
+    """The designed motion: how well it excites, within which limits, and how it was found."""
+    return section(
+        "Excitation design",
+        _lead(result),
+        [
+            ("Key figures", [_facts(result), notes(words(result, "notes"), brief="")]),
+            ("One motion per link", [_link_motions(result)]),
+            *_motion(result, series),
+            (
+                "Least excited parameters",
+                [weakest_figure(result), _weakest(result), _directions(result)],
+            ),
+            ("The search", [convergence_figure(result), _starts(result)]),
+            ("Files", [files(words(result, "files"))]),
+        ],
+        _brief(result),
+    )
+
+
+def check_section(result: Result, series: Series) -> Section:
+    """Whether somebody's trajectory keeps the limits, and how well it excites."""
+    holds = at(result, "holds")
+    name = text(result, "trajectory") or "The trajectory"
+    lead, tone = f"{name} was checked.", PLAIN
+    if isinstance(holds, bool):
+        tone = GOOD if holds else POOR
+        keeps = "keeps all limits" if holds else "exceeds limits"
+        lead = f"{name} {keeps} of {text(result, 'robot') or 'the arm'}."
+    kappa = real(result, "condition_number")
+    return section(
+        "Trajectory check",
+        lead,
+        [
+            (
+                "Key figures",
+                [
+                    facts(
+                        Fact("Limits", {GOOD: "hold", POOR: "exceeded"}.get(tone, ""), "", tone),
+                        Fact("Condition number", number(kappa), _columns(result), number=kappa),
+                        _clearance(result),
+                        _duration(result),
+                    )
+                ],
+            ),
+            (
+                "Verdicts",
+                [notes([sentence(v) for v in words(result, "verdicts")])],
+            ),
+            *_motion(result, series),
+        ],
+        (
+            *zip(["checked", *[""] * 99], words(result, "verdicts"), strict=False),
+            ("", f"condition number {number(kappa)} ({text(result, 'columns')} columns)"),
+        ),
+    )
+
+
+def rehearse_section(result: Result, series: Series) -> Section:
+    """Whether a motion suffices, requirement by requirement."""
+    rows, passed = records(result, "items"), at(result, "passed") is True
+    met = sum(_met(row) for row in rows)
+    hidden = plain(text(result, "effect", "effect"))
+    return section(
+        "Rehearsal",
+        sentence(text(result, "headline")),
+        [
+            (
+                "Key figures",
+                [
+                    facts(
+                        Fact("Verdict", "go" if passed else "no go", "", GOOD if passed else POOR),
+                        Fact("Requirements met", f"{met} of {len(rows)}", number=met),
+                        _duration(result),
+                        Fact("Planted change", hidden, text(result, "effect", "joint")),
+                    )
+                ],
+            ),
+            ("What to change", [notes(words(result, "advice"), FAIR, brief="to change")]),
+            (
+                "Requirements",
+                [
+                    table(
+                        rows,
+                        [
+                            ("text:Met", lambda r: _verdict(_met(r), "met", "NOT MET")),
+                            ("name:Requirement", "name"),
+                            ("name:Joint", "joint"),
+                            ("text:Figures", "detail"),
+                        ],
+                        "The virtual arm has usual friction, rotor inertia, offsets and noise, and "
+                        "inertias off by up to 5 %; one more effect changes later. The motion must "
+                        "show all of it.",
+                        brief="",
+                    )
+                ],
+            ),
+            (
+                "Planted and recovered",
+                [
+                    table(
+                        [
+                            {**row, "value": at(row, "recovered")}
+                            for row in rows
+                            if real(row, "planted") is not None
+                            and real(row, "recovered") is not None
+                        ],
+                        [
+                            ("name:Quantity", "name"),
+                            ("name:Joint", "joint"),
+                            ("number:Planted", "planted", number4),
+                            *estimates("number:Recovered"),
+                            ("text:Unit", "unit"),
+                            ("number:Error", _error),
+                        ],
+                        "Every value planted in the arm and what was recovered of it.",
+                    )
+                ],
+            ),
+            (
+                "Motion of the virtual arm",
+                [motion_figure(joint_names(result), result, series)],
+            ),
+        ],
+        (("passed" if passed else "failed", text(result, "headline")),),
+    )
+
+
+def _met(row: Result) -> bool:
+    return at(row, "passed") is True
+
+
+def _verdict(holds: bool, yes: str, no: str) -> Cell:
+    return Cell(yes, GOOD) if holds else Cell(no, POOR)
+
+
+def _error(row: Result) -> Cell:
+    planted, value = real(row, "planted") or 0.0, real(row, "value") or 0.0
+    error = (value - planted) / abs(planted) if planted else None
+    return Cell(percent(error), GOOD if _met(row) else POOR, error)
+
+
+def _motion(result: Result, series: Series) -> Parts:
+    """Parts that a design and a check share."""
+    joints = joint_names(result)
+    return [
+        (
+            "Motion against limits",
+            [_limits(result), _joint_limits(result), motion_figure(joints, result, series)],
+        ),
+        ("Path of the tool", [space_figure(result, series)]),
+        ("Excitation of the parameters", [spectrum_figure(series)]),
+    ]
+
+
+def _brief(result: Result) -> Brief:
+    ends, scaled = (
+        change(*(at(result, key, which) for which in ("initial", "final")))
+        for key in ("condition_number", "condition_number_scaled")
+    )
+    used = max((ratio or 0.0 for ratio in _ratios(result)), default=None)
+    weak = [text(row, "name") for row in records(result, "weakest")[:3]]
+    return (
+        ("designed", f"condition number {ends}, limits used up to {percent(used, 4)}"),
+        *([("", f"with columns scaled {scaled}; excited least: {listing(weak)}")] if weak else []),
+    )
+
+
+def _lead(result: Result) -> str:
+    initial, final = (real(result, "condition_number", k) for k in ("initial", "final"))
+    duration, stages = real(result, "duration"), records(result, "link_by_link", "stages")
+    if final is None:
+        return f"A motion was designed for {text(result, 'robot') or 'the arm'}."
+    motion = "The motion" if duration is None else f"A motion of {quantity(duration, 's')}"
+    ratios = [x for x in _ratios(result) if x is not None]
+    holds = ""
+    if ratios:
+        worst = share_of_limit(max(ratios))
+        holds = f" All limits hold, used up to {worst}." if _holds(max(ratios)) else (
+            f" Limits are exceeded: {worst} of one is used.")  # fmt: skip
+    reached = f"a condition number of {number(final)}"
+    if stages:
+        return (
+            f"{len(stages)} motions, one per link, of {quantity(duration, 's')} in all, reach "
+            f"{reached} or less each (1 would be best).{holds}"
+        )
+    before = "" if initial is None else f", {number(initial)} at the start of the search"
+    return f"{motion} reaches {reached}{before} (1 would be best).{holds}"
+
+
+def _holds(ratio: float) -> bool:
+    """Whether a limit holds, up to rounding."""
+    return ratio <= 1 + 1e-9
+
+
+def _facts(result: Result) -> Facts | None:
+    stages = records(result, "link_by_link", "stages")
+    bound = real(result, "condition_number", "lower_bound")
+    kappa, scaled = (
+        [real(result, key, which) for which in ("initial", "final")]
+        for key in ("condition_number", "condition_number_scaled")
+    )
+    said = f"the worst of {len(stages)} links" if stages else f"from {number(kappa[0])}"
+    if bound is not None:
+        said += f"; no motion below {number(bound)}"
+    from_ = "" if scaled[0] is None else f"from {number(scaled[0])}; "
+    base, criterion = text(result, "base_parameters"), text(result, "criterion")
+    name, meaning = _CRITERIA.get(criterion, (plain(criterion), ""))
+    starts, iterations = len(records(result, "starts")), real(result, "iterations")
+    effort = [f"{starts} starts"] * bool(starts)
+    effort += [] if iterations is None else [f"{iterations:.0f} iterations"]
+    return facts(
+        Fact("Condition number", number(kappa[1]), said, number=kappa[1]),
+        Fact("Condition number, scaled", number(scaled[1]),
+             f"{from_}columns of W at unit length", number=scaled[1]),
+        _duration(result),
+        Fact("Base parameters", base, _columns(result), number=real(result, "base_parameters")),
+        Fact("Criterion", name, meaning),
+        _clearance(result),
+        Fact("Search", quantity(at(result, "wall_s"), "s"), ", ".join(effort), timing=True),
+    )  # fmt: skip
+
+
+def _duration(result: Result) -> Fact:
+    count, duration = real(result, "harmonics"), real(result, "duration")
+    series = ""
+    if count is not None:
+        spline = text(result, "series") == "spline"  # twice as many pieces as harmonics
+        series = f"spline of {2 * count:.0f} pieces" if spline else f"{count:.0f} harmonics"
+    return Fact("Duration", quantity(duration, "s"), series, number=duration)
+
+
+def _clearance(result: Result) -> Fact:
+    """Least distance, which holds between samples too."""
+    distance = real(result, "clearance_m")
+    at_least = NONE if distance is None else f"≥ {quantity(1e3 * distance, 'mm')}"
+    return Fact("Clearance", at_least, "to obstacles and itself, between samples too",
+                number=distance)  # fmt: skip
+
+
+def _columns(result: Result) -> str:
+    columns = text(result, "columns")
+    return _COLUMNS.get(columns, f"columns: {plain(columns)}" if columns else "")
+
+
+def _quantities(result: Result) -> list[str]:
+    limits = at(result, "limits")
+    return [str(name) for name in limits] if isinstance(limits, Mapping) else []
+
+
+def _ratios(result: Result) -> list[float | None]:
+    """Largest share of each quantity's limit; None where nothing is limited."""
+    found = []
+    for quantity_ in _quantities(result):
+        ratio = real(result, "limits", quantity_)
+        unlimited = ratio == 0 and at(result, "worst", quantity_) is None
+        found.append(None if unlimited else ratio)
+    return found
+
+
+def _limits(result: Result) -> Table | None:
+    names = items(result, "joints")
+
+    def joint(row: Result) -> str:
+        where = at(row, "joint")
+        known = isinstance(where, int) and 0 <= where < len(names)
+        return str(names[where]) if known else (text(row, "joint") or NONE)
+
+    def verdict(row: Result) -> Cell:
+        ratio = real(row, "ratio")
+        if ratio is None:
+            return Cell("no limit given")
+        return _verdict(_holds(ratio), "holds", "exceeded")
+
+    worst = [at(result, "worst", quantity_) for quantity_ in _quantities(result)]
+    rows: list[Result] = [
+        {"quantity": q, "ratio": ratio, "joint": at(where, "joint"), "t": at(where, "t")}
+        for q, ratio, where in zip(_quantities(result), _ratios(result), worst, strict=True)
+    ]
+    return table(
+        rows,
+        [
+            ("name:Quantity", "quantity"),
+            ("number:Share of limit", "ratio", share_of_limit),
+            ("text:Verdict", verdict),
+            ("text:Joint", joint),
+            ("number:At [s]", "t"),
+        ],
+        "The worst point of the continuous motion, also between samples: 100 % is the limit.",
+    )
+
+
+def _joint_limits(result: Result) -> Table | None:
+    """The certified share of each limit, joint by joint."""
+    certified, joints = at(result, "certified"), joint_names(result)
+    if not isinstance(certified, Mapping):
+        return None
+    quantities = [
+        str(q) for q in certified if any(isinstance(r, Mapping) for r in items(certified, q))
+    ]
+    rows: list[Result] = [
+        {"joint": joint}
+        | {q: e.ratio for q in quantities if (e := envelope_of(result, q, k)) is not None}
+        for k, joint in enumerate(joints)
+    ]
+    return table(
+        rows if quantities else [],
+        [
+            ("name:Joint", "joint"),
+            *((f"number:{plain(q).capitalize()}", q, share_of_limit) for q in quantities),
+        ],
+        "Certified share of every joint's limit: a limit used to 100 % bounds what the motion can "
+        "show; a dash means no limit.",
+        f"Share of the limits joint by joint ({len(joints)})",
+    )
+
+
+def _weakest(result: Result) -> Table | None:
+    """The weakest base parameters in full, with the standard deviation to expect."""
+    weights = reals(result, "joint_weights")
+    equal = not len(weights) or bool(np.all(weights == weights[0]))
+    weighted = "" if equal else " (joints differ as the noise given for the design)"
+    rows = records(result, "weakest")
+    return table(
+        rows,
+        [
+            ("expression:Base parameter", "expression"),
+            ("number:Std at start", "std_per_unit_noise_initial"),
+            ("number:Std designed", "std_per_unit_noise_final"),
+            ("text:Unit", "unit"),
+            ("number:Value in the model", "value"),
+        ],
+        "Standard deviation (std) by least squares from one period at 100 Hz, or 1000 samples if "
+        f"more, for white torque noise of 1 N·m{weighted}; it grows with the noise.",
+        "The same parameters in full, with the standard deviation to expect",
+    )
+
+
+def _directions(result: Result) -> Table | None:
+    """The least excited combinations of base parameters, before and after."""
+    rows: list[Result] = []
+    for key, name, own in (("final", "designed motion", "final"),
+                           ("initial", "start of the search", "initial")):  # fmt: skip
+        other = "initial" if own == "final" else "final"
+        rows += [
+            {**row, "of": name, own: at(row, "strength"), other: at(row, "other")}
+            for row in records(result, "weak_directions", key)
+        ]
+    return table(
+        rows,
+        [
+            ("name:Least excited by the", "of"),
+            ("expression:Combination of base parameters", combination),
+            ("number:Torque at start [N·m]", "initial"),
+            ("number:Torque designed [N·m]", "final"),
+        ],
+        "Combinations that change torque least (the last right singular vectors of W) and by how "
+        "much; members with a weight below 0.3 are behind the dots.",
+    )
+
+
+def _starts(result: Result) -> Table | None:
+    rows: list[Result] = [{"start": k, **row} for k, row in enumerate(records(result, "starts"))]
+    return table(
+        rows,
+        [
+            ("name:Start", lambda r: text(r, "start")),
+            ("number:Condition number", "condition_number", number4),
+            ("number:Iterations", "iterations", whole),
+            ("text:Status", lambda r: plain(text(r, "status")) or NONE),
+        ],
+        "Every start of the search and where it ended.",
+        folded(f"All {len(rows)} starts", len(rows), 8),
+    )
+
+
+def _link_motions(result: Result) -> Table | None:
+    return table(
+        records(result, "link_by_link", "stages"),
+        [
+            ("name:File", "file"),
+            ("name:Link", "link"),
+            ("number:Joints moving", lambda r: str(len(words(r, "moves")))),
+            ("number:Duration [s]", "duration"),
+            ("number:Base parameters", "base_parameters", whole),
+            ("number:Condition number, first", "condition_number.initial"),
+            ("number:Condition number", "condition_number.final"),
+            ("number:Condition number, scaled", "condition_number_scaled.final"),
+        ],
+        "Each motion shows the base parameters of its link in the torque of that link's joint "
+        "alone, the links further out being known by then; the figures below show the motions one "
+        "after the other.",
+    )

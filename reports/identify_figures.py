@@ -1,0 +1,346 @@
+"""Drawings of what options of identify add: on-line estimation, a payload, link by link."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from excitant.reports.drawing import (
+    AMBER,
+    BAND,
+    FITTED,
+    GIVEN,
+    GREEN,
+    LIGHT,
+    MEASURED,
+    axes,
+    draw_curve,
+    equal_axes,
+    label_y,
+    log_y,
+    panel,
+)
+from excitant.reports.page import Figure, Key, Panel
+from excitant.reports.torque_figures import bars
+from excitant.reports.values import (
+    Result,
+    Series,
+    array,
+    curve,
+    items,
+    joint_names,
+    number,
+    percent,
+    quantity,
+    real,
+    reals,
+    records,
+    shorten,
+    text,
+    value_and_std,
+)
+from excitant.robots.motion import Array
+from excitant.robots.parameters import STANDARD, pseudo_inertia
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ENOUGH = 1.0  # level at which the window knows as much as the prior
+_SHOWN = 6  # parameters drawn of links, and as many of joints, of the many that were estimated
+_BAND = 2.0  # standard deviations
+_DASHED = (0, (5, 3))
+_VIEWS = ((0, 2, "from the side"), (0, 1, "from above"))  # coordinates across and up
+_FRAME = 0.35  # of the drawing: length of the frame's axes
+_UNIFORM = 5.0  # squared semi-axis of a uniform ellipsoid over its variance
+_METHODS = (
+    ("given", "model as given", GIVEN),
+    ("all_at_once", "all links at once", GREEN),
+    ("link_by_link", "link by link", FITTED),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """Estimates over time: k looks at r base parameters.
+
+    Attributes:
+        t: Time of the looks, shape (k,) [s].
+        value: Estimates, shape (k, r).
+        std: Their standard deviations, shape (k, r).
+        names: Leading parameter of each, r of them.
+        units: Their units; empty where unknown.
+    """
+
+    t: Array
+    value: Array
+    std: Array
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+
+
+def history_of(result: Result, series: Series) -> History | None:
+    """Estimates of a run over time; None where it has none that fit together."""
+    t, rows = curve(series, "online_t"), records(result, "base_parameters")
+    if t is None or len(t) < 2:
+        return None
+    value, std = (array(series, f"online_{key}", len(t), len(rows)) for key in ("value", "std"))
+    if value is None or std is None:
+        return None
+    known = {text(row, "name"): text(row, "unit") for row in records(result, "parameters")}
+    names = tuple(_leading(text(row, "expression"), known) for row in rows)
+    return History(t, value, std, names, tuple(known.get(name, "") for name in names))
+
+
+def _leading(expression: str, known: dict[str, str]) -> str:
+    """The first parameter that an expression names."""
+    words = re.split(r"[ ·−+()]+", expression)
+    return next((word for word in words if word in known), expression)
+
+
+def excitation_levels(result: Result) -> tuple[Array, Array]:
+    """Times and excitation levels of the looks; NaN before a whole window."""
+    t = reals(result, "online", "history", "t")
+    level = reals(result, "online", "history", "excitation_level")
+    return (t, level) if len(t) == len(level) else (np.empty(0), np.empty(0))
+
+
+def uncertainty_figure(history: History | None) -> Figure | None:
+    """Standard deviation of every parameter relative to its first, over time."""
+    if history is None:
+        return None
+    first = history.std[0]
+    usable = np.isfinite(history.std).all(axis=0) & (first > 0) & (history.std > 0).all(axis=0)
+    if not usable.any():
+        return None
+    share = history.std[:, usable] / first[usable]
+    (ax,) = axes(2.5)
+    for column in share.T:
+        draw_curve(ax, history.t, [], column, color=LIGHT, lw=0.7)
+    middle = np.median(share, axis=1)
+    draw_curve(ax, history.t, [], middle, color=FITTED, lw=1.8)
+    log_y(ax)
+    _over_time(ax, history.t, "std / std at first look")
+    said = f"the median falls to {percent(middle[-1])} of its value at the first look"
+    caption = (
+        "Remaining uncertainty of each base parameter, relative to the first look one second "
+        f"in: {said}; a curve that stays level is a parameter that this motion does not show."
+    )
+    legend = (Key("line", FITTED, "median"), Key("line", LIGHT, "each base parameter"))
+    label = f"standard deviation over time of {usable.sum()} base parameters; {said}"
+    return Figure((panel(ax, label),), caption, legend)
+
+
+def _over_time(ax: Axes, t: Array, ordinate: str) -> None:
+    ax.set_xlim(t[0], t[-1])
+    ax.set_xlabel("time [s]")
+    label_y(ax, ordinate)
+
+
+def estimates_figure(history: History | None) -> Figure | None:
+    """Estimate and band over time of the parameters that the data taught most about."""
+    panels = [] if history is None else [_estimate_panel(history, k) for k in _chosen(history)]
+    if history is None or not panels:
+        return None
+    caption = (
+        f"Estimate ± {_BAND:g} standard deviations over time of the {len(panels)} base parameters "
+        f"(of {len(history.names)}) that the data taught most about, at most one of each link or "
+        "joint: the band should close around a level line. A title names the leading "
+        "parameter of its combination. Scaled to the second half of the time."
+    )
+    legend = (Key("line", FITTED, "estimate"), Key("box", BAND, "± 2 standard deviations"))
+    return Figure(tuple(panels), caption, legend)
+
+
+def _chosen(history: History) -> list[int]:
+    """Parameters that the data taught most about: of links and of joints, one of each at most."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        learnt = np.log(history.std[0] / history.std[-1])
+    order = np.argsort(-np.where(np.isfinite(learnt), learnt, -np.inf), kind="stable")
+    known = np.asarray(np.isfinite(history.value + history.std).all(axis=0))
+    best: dict[str, int] = {}
+    for k in order[known[order]]:
+        best.setdefault(history.names[k].rpartition(".")[0], int(k))
+    inertial = [k for k in best.values() if history.names[k].rpartition(".")[2] in STANDARD]
+    others = [k for k in best.values() if k not in inertial]
+    return [*sorted(inertial[:_SHOWN]), *sorted(others[:_SHOWN])]
+
+
+def _estimate_panel(history: History, k: int) -> Panel:
+    t, value, std = history.t, history.value[:, k], history.std[:, k]
+    (ax,) = axes(1.9, left=0.72)
+    low, high = value - _BAND * std, value + _BAND * std
+    late = slice(len(t) // 2, None)
+    bottom, top = float(low[late].min()), float(high[late].max())
+    room = 0.6 * (top - bottom) or 1.0
+    bottom, top = bottom - room, top + room
+    ax.fill_between(t, np.clip(low, bottom, top), np.clip(high, bottom, top), color=BAND, lw=0)
+    ax.plot(t, np.where((value > bottom) & (value < top), value, np.nan), color=FITTED, lw=1.2)
+    ax.set_ylim(bottom, top)
+    unit, name = history.units[k], history.names[k]
+    _over_time(ax, t, f"[{unit}]" if unit else "[SI]")
+    last = " ± ".join(value_and_std(value[-1], std[-1]))
+    return panel(ax, f"{name} over time, at the end {last} {unit}", shorten(name, 44))
+
+
+def excitation_figure(result: Result) -> Figure | None:
+    """How much the last seconds told at each look, and where that was too little."""
+    t, level = excitation_levels(result)
+    seen = np.isfinite(level) & (level > 0)
+    if seen.sum() < 2:
+        return None
+    t, level = t[seen], level[seen]
+    spans = _spans(t, level < ENOUGH)
+    (ax,) = axes(2.5)
+    for first, last in spans:
+        ax.axvspan(first, last, color=AMBER, alpha=0.25, lw=0)
+    ax.plot(t, level, "-o", color=FITTED, lw=1.3, ms=2.2)
+    ax.axhline(ENOUGH, color=MEASURED, lw=0.9, ls=_DASHED)
+    ax.set_ylim(min(0.5 * level.min(), 0.5), max(2 * level.max(), 2))
+    log_y(ax)
+    _over_time(ax, t, "excitation level [–]")
+    legend = [Key("line", FITTED, "weakest visible direction"), Key("dash", MEASURED, "enough")]
+    said = "never below it"
+    if spans:
+        legend.append(Key("box", "#f8e6bf", "not exciting enough"))
+        since = ", ".join(f"{first:.1f} s to {last:.1f} s" for first, last in spans[:4])
+        lacking = sum(last - first for first, last in spans)
+        said = (
+            f"not exciting enough from {since}{' and later again' if len(spans) > 4 else ''} "
+            f"({quantity(lacking, 's')} in all; a message's “since” is where its window began)"
+        )
+    caption = (
+        "Excitation level of the last seconds at each look: how many times more they tell about "
+        "the weakest direction that a fast motion of all joints shows than was known beforehand. "
+        f"Level 1 is enough; here {said}."
+    )
+    return Figure((panel(ax, f"excitation level over time; {said}"),), caption, tuple(legend))
+
+
+def _spans(t: Array, bad: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Intervals in which a condition held, from the look that saw it to the next that did not."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
+    return [
+        (float(t[first]), float(t[min(last, len(t) - 1)])) for first, last in edges.reshape(-1, 2)
+    ]
+
+
+def convergence_figure(result: Result) -> Figure | None:
+    """Torque uncertainty of the estimate beside the noise of a row, joint by joint."""
+    t, joints = reals(result, "online", "history", "t"), joint_names(result)
+    spread = _by_joint(result, "torque_uncertainty", len(t), len(joints))
+    noise = _by_joint(result, "noise", len(t), len(joints))
+    if len(t) < 2 or spread is None:
+        return None
+    unit = text(result, "unit") or "N·m"
+    panels = [
+        _convergence_panel(joint, t, spread[:, j], None if noise is None else noise[:, j], unit)
+        for j, joint in enumerate(joints)
+    ]
+    present = tuple(each for each in panels if each is not None)
+    if not present:
+        return None
+    caption = (
+        "Torque error that the uncertainty of the estimate makes on a fast motion of all joints "
+        f"[{unit}, rms]: the estimate has converged where it lies below the noise of one "
+        "row of data in every joint, because more rows then change no prediction visibly."
+    )
+    legend = [Key("line", FITTED, "torque uncertainty of the estimate")]
+    legend += [Key("dash", MEASURED, "noise of a row")] * (noise is not None)
+    return Figure(present, caption, tuple(legend))
+
+
+def _by_joint(result: Result, key: str, looks: int, joints: int) -> Array | None:
+    """A quantity of every look and joint, shape (looks, joints); None where it has another."""
+    rows = items(result, "online", "history", key)
+    if len(rows) != looks or not all(isinstance(r, Sequence) and len(r) == joints for r in rows):
+        return None
+    return np.array([[np.nan if (x := real(item)) is None else x for item in row] for row in rows])
+
+
+def _convergence_panel(
+    joint: str, t: Array, spread: Array, noise: Array | None, unit: str
+) -> Panel | None:
+    seen = np.isfinite(spread) & (spread > 0)
+    if seen.sum() < 2:
+        return None
+    (ax,) = axes(1.9)
+    ax.plot(t[seen], spread[seen], color=FITTED, lw=1.3)
+    said = f"{joint}: torque uncertainty falls to {quantity(spread[seen][-1], unit)}"
+    if noise is not None and np.isfinite(noise).any():
+        ax.plot(t, noise, color=MEASURED, lw=1.0, ls=_DASHED)
+        said += f", noise of a row {quantity(noise[np.isfinite(noise)][-1], unit)}"
+    log_y(ax)
+    _over_time(ax, t, "torque [N·m]" if unit != "A" else "current [A]")
+    return panel(ax, said, shorten(joint, 44))
+
+
+def payload_figure(payload: Result) -> Figure | None:
+    """The payload as a uniform ellipsoid in the frame of its joint, from two sides."""
+    phi = reals({"phi": [real(row, "value") for row in records(payload, "parameters")]}, "phi")
+    std = reals(payload, "centre_of_mass", "std")
+    mass, spread = (real(payload, "mass", key) or 0.0 for key in ("value", "std"))
+    known = phi.shape == (10,) and std.shape == (3,) and np.isfinite([*phi, *std]).all()
+    if not known or phi[0] <= 0 or mass < _BAND * spread:
+        return None
+    caption = (
+        "The payload in the frame of its joint, from the side and from above: the centre of mass "
+        "with a cross of ± 2 standard deviations, and the uniform ellipsoid of the same mass and "
+        "inertia, which shows about how large the body is. The axes of the frame start at the "
+        "joint."
+    )
+    legend = (
+        Key("dot", GIVEN, "centre of mass, ± 2 standard deviations"),
+        Key("box", BAND, "uniform ellipsoid of the same inertia"),
+        Key("line", MEASURED, "frame of the joint"),
+    )
+    return Figure(tuple(_payload_view(phi, std, *view) for view in _VIEWS), caption, legend)
+
+
+def _payload_view(phi: Array, std: Array, across: int, up: int, title: str) -> Panel:
+    from matplotlib.patches import Ellipse
+
+    P = pseudo_inertia(phi)
+    centre, names = P[:3, 3] / phi[0], ("xyz"[across], "xyz"[up])
+    S = (P[:3, :3] / phi[0] - np.outer(centre, centre))[np.ix_([across, up], [across, up])]
+    variance, turn = np.linalg.eigh(S)
+    semi = np.sqrt(_UNIFORM * np.maximum(variance, 0))
+    reach = np.sqrt(_UNIFORM * np.maximum(np.diag(S), 0))
+    c, s = centre[[across, up]], _BAND * std[[across, up]]
+    low, high = (np.minimum(0, c - np.maximum(reach, s)), np.maximum(0, c + np.maximum(reach, s)))
+    size = max(float((high - low).max()), 0.02)
+    (ax,) = axes(3.0)
+    angle = float(np.degrees(np.arctan2(turn[1, 1], turn[0, 1])))
+    ax.add_patch(
+        Ellipse((c[0], c[1]), 2 * semi[1], 2 * semi[0], angle=angle, fc=BAND, ec=FITTED, lw=0.9)
+    )
+    for tip, name in zip(_FRAME * size * np.eye(2), names, strict=True):
+        ax.annotate("", tip, (0, 0), arrowprops={"arrowstyle": "->", "color": MEASURED, "lw": 1.2})
+        ax.text(1.1 * tip[0], 1.1 * tip[1], name, ha="center", va="center", color=MEASURED)
+    ax.errorbar(c[0], c[1], xerr=s[0], yerr=s[1], fmt="o", ms=4, color=GIVEN, lw=1.2, capsize=2)
+    equal_axes(ax, low - 0.12 * size, np.maximum(high, 1.2 * _FRAME * size), 1.06)
+    ax.set_xlabel(f"{names[0]} [m]")
+    label_y(ax, f"{names[1]} [m]")
+    said = ", ".join(
+        f"{name} {quantity(1e3 * x, 'mm')} ± {number(1e3 * each, 2)}"
+        for name, x, each in zip(names, c, std[[across, up]], strict=True)
+    )
+    return panel(ax, f"payload {title}: centre of mass {said}", title)
+
+
+def link_bars(found: Result, unit: str) -> Figure | None:
+    """Errors of the model as given, of all links fitted at once and link by link."""
+
+    def pair(row: Result, key: str) -> tuple[float | None, float | None]:
+        rms, std = real(row, key), real(row, "measured_std")
+        return rms, (None if rms is None or not std else rms / std)
+
+    rows = records(found, "comparison", "joints")
+    errors = [(text(row, "name"), [pair(row, key) for key, _, _ in _METHODS]) for row in rows]
+    models = [(label, colour) for _, label, colour in _METHODS]
+    return bars(errors, unit, models, "Prediction error per joint on the hold-out, links fitted at "
+                "once and link by link from the same recordings")  # fmt: skip

@@ -1,0 +1,326 @@
+"""What a report is made of: the walks that write it as HTML or text know these blocks only."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from excitant.reports.values import (
+    NONE,
+    Result,
+    at,
+    listing,
+    number,
+    percent,
+    real,
+    text,
+    value_and_std,
+    words,
+)
+
+GOOD, FAIR, POOR, PLAIN = "good", "fair", "poor", ""
+_FORMATS = {
+    "urdf": "URDF",
+    "xml": "MuJoCo (MJCF)",
+    "sdf": "SDFormat, for Gazebo",
+    "yaml": "all effects, which excitant reads as a robot",
+    "json": "exact coefficients",
+    "csv": "samples at the control rate",
+}
+LONG = 12  # rows from which on a table of estimates is folded
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One table cell.
+
+    Attributes:
+        text: What it says.
+        tone: Judgement behind its colour: good, fair, poor or none.
+        value: The number written, by which runs are compared; None for words.
+    """
+
+    text: str
+    tone: str = PLAIN
+    value: float | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table that scrolls in its own container.
+
+    Attributes:
+        columns: Heading and kind of each column: ``number``, ``name``, ``text`` or ``expression``.
+        rows: Cells, one per column.
+        caption: One sentence that says what to see.
+        folded: When not empty, the table is behind this line until opened.
+        brief: Label under which the terminal shows every row as a line, its first cell when empty;
+            None where it shows none.
+    """
+
+    kind: ClassVar[str] = "table"
+
+    columns: tuple[tuple[str, str], ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    caption: str = ""
+    folded: str = ""
+    brief: str | None = None
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One drawing of a figure: its SVG element, what it shows in words, and its title."""
+
+    svg: str
+    label: str
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class Key:
+    """One item of a legend: a mark (``line``, ``dash``, ``box``, ``dot``) in a colour."""
+
+    mark: str
+    colour: str
+    label: str
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Small multiples that share a legend.
+
+    Attributes:
+        panels: The drawings; side by side where there is room.
+        caption: One sentence that says what to see.
+        legend: Of all panels.
+    """
+
+    kind: ClassVar[str] = "figure"
+
+    panels: tuple[Panel, ...]
+    caption: str
+    legend: tuple[Key, ...] = ()
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """Categories of things by row and column, e.g. parameters by link.
+
+    Attributes:
+        corner: Heading of the row names.
+        columns: Column names.
+        rows: Name and categories of each row.
+        caption: One sentence that says what to see.
+        legend: Category and its meaning.
+    """
+
+    kind: ClassVar[str] = "matrix"
+
+    corner: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[str, ...]], ...]
+    caption: str
+    legend: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One figure of merit.
+
+    Attributes:
+        label: What it is.
+        value: What it comes to.
+        remark: A few words more.
+        tone: Judgement behind its colour.
+        number: The number by which runs are compared, if it is one.
+        timing: Whether it changes from run to run of the same data, so that texts leave it out.
+    """
+
+    label: str
+    value: str
+    remark: str = ""
+    tone: str = PLAIN
+    number: float | None = None
+    timing: bool = False
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Figures of merit side by side."""
+
+    kind: ClassVar[str] = "facts"
+
+    facts: tuple[Fact, ...]
+
+
+@dataclass(frozen=True)
+class Notes:
+    """Sentences, as a list when there are several.
+
+    Attributes:
+        sentences: What they say.
+        tone: Judgement behind their colour, or ``lead`` for the headline of a page.
+        brief: Label under which the terminal shows them too; None where it does not.
+        paths: Whether they are files, which texts leave out.
+    """
+
+    kind: ClassVar[str] = "notes"
+
+    sentences: tuple[str, ...]
+    tone: str = PLAIN
+    brief: str | None = None
+    paths: bool = False
+
+
+@dataclass(frozen=True)
+class Folded:
+    """Blocks behind one line until it is opened."""
+
+    kind: ClassVar[str] = "folded"
+
+    title: str
+    blocks: tuple[Block, ...]
+
+
+Block = Table | Figure | Matrix | Facts | Notes | Folded
+Brief = tuple[tuple[str, str], ...]
+Parts = list[tuple[str, list[Block | None]]]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Titled blocks within a section."""
+
+    title: str
+    blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True)
+class Section:
+    """One verb's result.
+
+    Attributes:
+        title: Heading.
+        lead: The result in a sentence or two.
+        parts: What supports it.
+        brief: The result for the terminal: label and words of each line.
+    """
+
+    title: str
+    lead: str
+    parts: tuple[Part, ...]
+    brief: Brief = ()
+
+
+@dataclass(frozen=True)
+class Page:
+    """A whole report: title, subtitle, what comes first, the sections, and last words."""
+
+    title: str
+    subtitle: str
+    summary: tuple[Block, ...]
+    sections: tuple[Section, ...]
+    brief: Brief = ()
+
+
+Source = str | Callable[[Result], Cell | str]
+Column = tuple[str, Source] | tuple[str, Source, Callable[[Any], str]]
+
+
+def table(
+    rows: Sequence[Result],
+    columns: Sequence[Column | None],
+    caption: str = "",
+    folded: str = "",
+    *,
+    brief: str | None = None,
+) -> Table | None:
+    """A table of records; None without any.
+
+    Args:
+        rows: One record a row.
+        columns: Heading as ``kind:heading``, then where the cell comes from: a path of keys with
+            dots, or a function of the record; a third item writes what the path leads to. Columns
+            that are None are left out.
+        caption: One sentence that says what to see.
+        folded: Line behind which the table waits to be opened.
+        brief: Label under which the terminal shows it too.
+    """
+    if not rows:
+        return None
+    kept = [column for column in columns if column is not None]
+    heads = tuple((column[0].partition(":")[2], column[0].partition(":")[0]) for column in kept)
+    cells = tuple(tuple(_cell(row, *column) for column in kept) for row in rows)
+    return Table(heads, cells, caption, folded, brief)
+
+
+def _cell(
+    row: Result, head: str, source: Source, write: Callable[[Any], str] | None = None
+) -> Cell:
+    if not isinstance(source, str):
+        found = source(row)
+        return found if isinstance(found, Cell) else Cell(found)
+    keys = source.split(".")
+    value = at(row, *keys)
+    if write is None and head.startswith("number:"):
+        write = number
+    written = write(value) if write is not None else listing(words(row, *keys), text(row, *keys))
+    return Cell(written or NONE, PLAIN, real(value))
+
+
+def estimates(value: str = "number:Value", std: str = "number:± std") -> tuple[Column, Column]:
+    """Columns of a value and its standard deviation, both to the digits that the latter allows."""
+
+    def written(row: Result, which: int) -> Cell:
+        pair = (at(row, "value"), at(row, "std"))
+        return Cell(value_and_std(*pair)[which], PLAIN, real(pair[which]))
+
+    return (value, lambda row: written(row, 0)), (std, lambda row: written(row, 1))
+
+
+def relative(row: Result) -> Cell:
+    """Relative standard deviation of an estimate, with its tone."""
+    rel, value, std = (real(row, key) for key in ("rel_std", "value", "std"))
+    if rel is None and std is not None and value:
+        rel = abs(std / value)
+    return Cell(percent(rel), quality(rel), rel)
+
+
+def quality(rel_std: float | None) -> str:
+    """Tone of a relative standard deviation: below 5 % good, below 30 % fair, else poor."""
+    if rel_std is None:
+        return PLAIN
+    return GOOD if abs(rel_std) < 0.05 else FAIR if abs(rel_std) < 0.3 else POOR
+
+
+def folded(title: str, count: int, most: int = LONG) -> str:
+    """A line to fold a long table behind; empty for a short one."""
+    return title if count > most else ""
+
+
+def facts(*found: Fact | None) -> Facts | None:
+    """The facts that have a value."""
+    known = tuple(fact for fact in found if fact is not None and fact.value not in (NONE, ""))
+    return Facts(known) if known else None
+
+
+def notes(
+    sentences: Sequence[str], tone: str = PLAIN, *, brief: str | None = None, paths: bool = False
+) -> Notes | None:
+    """Sentences, or None without any."""
+    return Notes(tuple(sentences), tone, brief, paths) if sentences else None
+
+
+def files(names: Sequence[str]) -> Notes | None:
+    """The files that a run has written, and what reads them."""
+    said = ((name, _FORMATS.get(name.rpartition(".")[2])) for name in names)
+    return notes([f"{name}: {use}" if use else name for name, use in said], paths=True)
+
+
+def section(title: str, lead: str, parts: Parts, brief: Brief = ()) -> Section:
+    """A section without the blocks that are None and the parts that are left empty."""
+    kept = [(heading, tuple(b for b in blocks if b is not None)) for heading, blocks in parts]
+    return Section(
+        title, lead, tuple(Part(heading, blocks) for heading, blocks in kept if blocks), brief
+    )

@@ -1,0 +1,164 @@
+"""Two walks over a page: one self-contained HTML file, and lines of text."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from base64 import b64encode
+from collections.abc import Iterator, Sequence
+from functools import cache
+from importlib.resources import files
+from typing import TYPE_CHECKING
+
+from excitant.reports.page import Block, Facts, Folded, Matrix, Notes, Page, Section, Table
+from excitant.reports.values import NONE
+
+if TYPE_CHECKING:
+    import jinja2
+    from markupsafe import Markup
+
+_FIGURE = 12  # characters of a number in text
+_LABEL = 32
+_STEP = 10  # columns of words are a multiple of this wide, so that few changes move them
+_ASCII = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+
+
+def html(page: Page) -> str:
+    """A page as one HTML file: no network, figures inside.
+
+    Its one script enlarges figures; the page allows no other, and can do without it.
+    """
+    from markupsafe import Markup
+
+    script = _template("report.js")
+    digest = b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    template = _environment().get_template("report.html.j2")
+    return template.render(page=page, script=Markup(script), script_hash=f"sha256-{digest}")
+
+
+def _template(name: str) -> str:
+    return (files("excitant.reports") / "templates" / name).read_text("utf-8")
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    import jinja2
+    from markupsafe import Markup
+
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(_template),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters["drawing"] = Markup  # SVG of ours, its texts are escaped
+    environment.filters["breakable"] = _breakable
+    return environment
+
+
+def _breakable(name: str) -> Markup:
+    """A name, escaped, that may break after an underscore where lines are short."""
+    from markupsafe import Markup, escape
+
+    return Markup(str(escape(name)).replace("_", "_<wbr>"))
+
+
+def summary(page: Page) -> str:
+    """A page as text of fixed columns, so that two runs compare with ``diff``.
+
+    The layout follows the fit reports of lmfit. Figures are left out, and so are durations of the
+    computation and paths: a line changes only when what it says has changed.
+    """
+    lines = [f"[[{page.title}]]"]
+    for block in page.summary:
+        lines += _block(block)
+    for section in page.sections:
+        if len(page.sections) > 1:
+            lines += ["", f"[[{section.title}]]"]
+        lines += [f"    {section.lead}", *_parts(section)]
+    return "\n".join(_plain(line) for line in lines) + "\n"
+
+
+def brief(page: Page) -> str:
+    """What a page comes to, in a few lines for the terminal."""
+    lines = [line for section in page.sections for line in _brief(section)]
+    return "\n".join(f"{label:<12} {words}".rstrip() for label, words in (*lines, *page.brief))
+
+
+def _brief(section: Section) -> Iterator[tuple[str, str]]:
+    yield from section.brief
+    for block in (block for part in section.parts for block in part.blocks):
+        if isinstance(block, Notes) and block.brief is not None:
+            yield from ((block.brief, sentence) for sentence in block.sentences)
+        elif isinstance(block, Table) and block.brief is not None:
+            for row in block.rows:
+                label, cells = block.brief, list(zip(block.columns, row, strict=True))
+                if not label:
+                    label, cells = row[0].text, cells[1:]
+                known = [(kind, cell.text) for (_, kind), cell in cells if cell.text != NONE]
+                names = ", ".join(words for kind, words in known if kind == "name")
+                yield label, ": ".join([names, *(words for kind, words in known if kind != "name")])
+
+
+def _plain(line: str) -> str:
+    """A line without typography or breaks: what other programs read too."""
+    line = re.sub(r"×10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", lambda e: "e" + e[1].translate(_ASCII), line)
+    return re.sub(r"[\s\u00a0]", " ", line).replace("−", "-").rstrip()
+
+
+def _parts(section: Section) -> list[str]:
+    lines = []
+    for part in section.parts:
+        written = [line for block in part.blocks for line in _block(block)]
+        lines += [f"[[{part.title}]]", *written] if written else []
+    return lines
+
+
+def _block(block: Block) -> list[str]:
+    """Lines of one block; none for figures."""
+    match block:
+        case Notes():
+            label = f"{block.brief}: " if block.brief else ""
+            return [f"    {label}{said}" for said in block.sentences if not block.paths]
+        case Facts():
+            return [
+                f"    {fact.label:<{_LABEL}} = {fact.value}"
+                + (f"  ({fact.remark})" if fact.remark else "")
+                for fact in block.facts
+                if not fact.timing
+            ]
+        case Matrix():
+            return [
+                f"    {name:<{_LABEL}}   "
+                + ", ".join(f"{c} {k}" for c, k in zip(block.columns, kinds, strict=True) if k)
+                for name, kinds in block.rows
+            ]
+        case Folded():
+            return [f"  [{block.title}]", *(line for b in block.blocks for line in _block(b))]
+        case Table():
+            rows = [[cell.text for cell in row] for row in block.rows]
+            return table_lines(block.columns, rows, "    ")
+    return []
+
+
+def table_lines(
+    columns: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]], indent: str = ""
+) -> list[str]:
+    """A table as text, its head first; expressions, as long as they like, stand last.
+
+    Args:
+        columns: Heading and kind of each.
+        rows: Texts, one per column.
+        indent: What every line begins with.
+    """
+    order = sorted(range(len(columns)), key=lambda k: columns[k][1] == "expression")
+    written = [[" ".join(row[k].split()) for k in order] for row in rows]
+    lines = [indent] * (len(rows) + 1)
+    for k, (head, kind) in enumerate(columns[j] for j in order):
+        cells = [head, *("-" if row[k] == NONE else row[k] for row in written)]
+        width, side = -(-max(map(len, cells)) // _STEP) * _STEP, "<"
+        if kind == "number":
+            width, side = max(_FIGURE, len(head), *(len(c) for c in cells[1:])), ">"
+        lines = [f"{line}{cell:{side}{width}} " for line, cell in zip(lines, cells, strict=True)]
+    return [line.rstrip() for line in lines]

@@ -1,0 +1,224 @@
+"""Values of saved results: how they are read, any of them absent or null, and how written."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from excitant.robots.effects import plain as plain
+from excitant.robots.motion import Array
+
+Result = Mapping[str, Any]
+Series = Mapping[str, Array]
+
+NONE = "–"
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def at(value: Any, *keys: str) -> Any:
+    """The value under nested keys, or None as soon as one is missing."""
+    for key in keys:
+        if not isinstance(value, Mapping):
+            return None
+        value = value.get(key)
+    return value
+
+
+def items(value: Any, *keys: str) -> list[Any]:
+    """The list under nested keys, without its nulls; empty when there is none."""
+    found = at(value, *keys)
+    return [item for item in found if item is not None] if isinstance(found, list | tuple) else []
+
+
+def records(value: Any, *keys: str) -> list[Result]:
+    """The objects of the list under nested keys."""
+    return [item for item in items(value, *keys) if isinstance(item, Mapping)]
+
+
+def words(value: Any, *keys: str) -> list[str]:
+    """The list under nested keys as texts; one text alone counts as a list of one."""
+    found = at(value, *keys)
+    return [found] if isinstance(found, str) else [str(item) for item in items(value, *keys)]
+
+
+def text(value: Any, *keys: str) -> str:
+    """The value under nested keys as text, empty when there is none."""
+    found = at(value, *keys)
+    return "" if found is None else str(found)
+
+
+def real(value: Any, *keys: str) -> float | None:
+    """The finite number under nested keys, or None."""
+    found = at(value, *keys)
+    if isinstance(found, bool) or not isinstance(found, int | float | np.number):
+        return None
+    return float(found) if math.isfinite(found) else None
+
+
+def reals(value: Any, *keys: str) -> Array:
+    """The list of numbers under nested keys; nulls become NaN."""
+    found = at(value, *keys)
+    if not isinstance(found, list | tuple):
+        return np.empty(0)
+    return np.array([math.nan if (x := real(item)) is None else x for item in found], dtype=float)
+
+
+def median(rows: Sequence[Result], *keys: str) -> float | None:
+    """Median of a number over records, e.g. of an error over joints; None when none has it."""
+    found = [x for row in rows if (x := real(row, *keys)) is not None]
+    return float(np.median(found)) if found else None
+
+
+def joint_names(result: Result, *sources: str) -> list[str]:
+    """Joint names of a result: its ``joints``, else those of the first source that has any."""
+    for keys in (("joints",), *(source.split(".") for source in sources)):
+        found = items(result, *keys)
+        if found:
+            return [text(x, "name") if isinstance(x, Mapping) else str(x) for x in found]
+    return []
+
+
+def array(series: Series, key: str, *shape: int | None) -> Array | None:
+    """One series of this shape, None for any length; None when absent, other or nowhere finite."""
+    values = np.asarray(series.get(key, ""))
+    if not np.issubdtype(values.dtype, np.number) or values.ndim != len(shape):
+        return None
+    if any(n not in (None, m) for n, m in zip(shape, values.shape, strict=True)):
+        return None
+    found = values.astype(float)
+    return found if np.isfinite(found).any() else None
+
+
+def curve(series: Series, key: str, joint: int | None = None) -> Array | None:
+    """One series over rows, or its column of a joint; None when absent or nowhere finite."""
+    if joint is None:
+        return array(series, key, None)
+    table = array(series, key, None, None)
+    if table is None or joint >= table.shape[1]:
+        return None
+    return table[:, joint] if np.isfinite(table[:, joint]).any() else None
+
+
+def times(series: Series) -> Array | None:
+    """Time ``t``, shape (n,) [s]; None unless there are two finite instants or more."""
+    t = curve(series, "t")
+    return t if t is not None and len(t) > 1 and np.isfinite(t).all() else None
+
+
+def part(series: Series, name: str) -> dict[str, Array]:
+    """The series of one verb of a demo, saved under ``name/``."""
+    prefix = f"{name}/"
+    return {key[len(prefix) :]: value for key, value in series.items() if key.startswith(prefix)}
+
+
+def _positional(value: float, decimals: int) -> str:
+    written = f"{value:.{max(decimals, 0)}f}"
+    return written.replace("-", "−") if float(written) else written.lstrip("-")
+
+
+def power_of_ten(exponent: int) -> str:
+    """A power of ten with a raised exponent, e.g. ``10⁻³``."""
+    return "10" + str(exponent).translate(_SUPERSCRIPT)
+
+
+def number(value: object, digits: int = 3) -> str:
+    """A number with that many significant digits, a dash for none."""
+    x = real(value)
+    if x is None:
+        return NONE
+    if x == 0:
+        return "0"
+    exponent = int(f"{x:.{digits - 1}e}".split("e")[1])
+    if -4 <= exponent < 6:
+        return _positional(x, digits - 1 - exponent)
+    return f"{_positional(x / 10.0**exponent, digits - 1)}×{power_of_ten(exponent)}"
+
+
+def number4(value: object) -> str:
+    """A number with four significant digits."""
+    return number(value, 4)
+
+
+def whole(value: object) -> str:
+    """A count."""
+    x = real(value)
+    return NONE if x is None else f"{x:.0f}"
+
+
+def value_and_std(value: object, std: object) -> tuple[str, str]:
+    """A value to the decimals of its standard deviation, which has two significant digits."""
+    x, s = real(value), real(std)
+    if x is None or s is None or s <= 0:
+        return number(x, 4), number(s, 2)
+    decimals = 1 - math.floor(math.log10(s))
+    if not (decimals <= 6 and s < 1e5 and abs(x) < 1e6):
+        return number(x, 4), number(s, 2)
+    return _positional(x, decimals), _positional(s, decimals)
+
+
+def percent(value: object, digits: int = 2) -> str:
+    """A share as a percentage."""
+    x = real(value)
+    if x is None:
+        return NONE
+    share = 100 * x
+    if abs(share) >= 1000:
+        return ">\u00a0999\u00a0%" if share > 0 else "<\u00a0−999\u00a0%"
+    if abs(share) >= 10**digits:
+        return f"{_positional(share, 0)}\u00a0%"
+    return f"{number(share, digits)}\u00a0%"
+
+
+def quantity(value: object, unit: str, digits: int = 3) -> str:
+    """A number with its unit."""
+    return number(value, digits) if real(value) is None else f"{number(value, digits)}\u00a0{unit}"
+
+
+def change(before: object, after: object, write: Any = number) -> str:
+    """A number before and after, or whichever of both is known."""
+    known = [write(x) for x in (before, after) if real(x) is not None]
+    return " → ".join(known) or NONE
+
+
+def combination(direction: Result) -> str:
+    """A direction in parameter space as text, e.g. ``0.81·link1.Izz − 0.52·joint2.Fv + …``.
+
+    Args:
+        direction: ``members`` with ``name`` and ``coefficient``, and their ``share`` of it.
+    """
+    written = ""
+    for member in records(direction, "members"):
+        size = real(member, "coefficient") or 0.0
+        sign = (" − " if size < 0 else " + ") if written else ("−" if size < 0 else "")
+        written += f"{sign}{abs(size):.2f}·{text(member, 'name')}"
+    return written + (" + …" if (real(direction, "share") or 0.0) < 0.99 else "")
+
+
+def listing(names: Sequence[str], none: str = NONE) -> str:
+    """Names in one line."""
+    return ", ".join(names) if names else none
+
+
+def sentence(words: str) -> str:
+    """Words as a sentence, with a capital, a full stop and true minus signs.
+
+    A name with an underscore or before a colon keeps its small letter.
+    """
+    words = re.sub(r"(?<=\d)e([+-]\d+)", lambda e: f"×{power_of_ten(int(e[1]))}", words)
+    words = re.sub(r"(?<![\w.])-(?=\d)", "−", words)
+    capital = not set("_:") & set(words.split(" ", 1)[0])
+    first = words[:1].upper() if capital else words[:1]
+    return words and first + words[1:] + "." * (words[-1] not in ".!?")
+
+
+def shorten(name: str, length: int) -> str:
+    """A name that fits a figure: its middle gives way to an ellipsis."""
+    name = " ".join(name.split())
+    if len(name) <= length:
+        return name
+    head = length // 2
+    return f"{name[:head]}…{name[len(name) - (length - 1 - head) :]}"
