@@ -299,7 +299,7 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan | None) ->
         }
         for f in group
         for shape in f.effect.shapes
-        if shape.positive and shape.tuned
+        if shape.positive and not shape.trial
     ]
     rivals = {r.candidate.key: (f.effect, r) for f in group for r in f.rivals}
     return {
