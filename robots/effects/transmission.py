@@ -41,7 +41,7 @@ class TorqueRipple(JointEffect):
         Parameter("ripple_cos", "N·m"),
         Parameter("ripple_sin", "N·m"),
     )
-    shapes = (Shape("order", "1"),)
+    shapes = (Shape("order", "1/turn"),)
     abscissa = "position"
     told = (
         (by.STATIC, "spring inertial_parameters"),
