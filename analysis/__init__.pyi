@@ -1,6 +1,5 @@
 from .confirmation import Finding
 from .diagnosis import Diagnosis, diagnose
-from .diagnosis_result import diagnose_result, diagnose_series
 from .experiment import identify_shown
 from .identifiability import Identifiability, analyze
 
@@ -10,7 +9,5 @@ __all__ = [
     "Identifiability",
     "analyze",
     "diagnose",
-    "diagnose_result",
-    "diagnose_series",
     "identify_shown",
 ]
