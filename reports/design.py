@@ -27,6 +27,7 @@ from excitant.reports.page import (
     Section,
     Table,
     estimates,
+    fact,
     facts,
     files,
     folded,
@@ -55,6 +56,7 @@ from excitant.reports.values import (
     records,
     sentence,
     text,
+    unit_of,
     whole,
     words,
 )
@@ -65,10 +67,7 @@ _CRITERIA = {
     "a": ("A-optimal", "least mean variance: least trace of (WᵀW)⁻¹"),
     "e": ("E-optimal", "greatest least singular value of W"),
 }
-_COLUMNS = {
-    "friction": "of links, friction, offsets and rotors",
-    "inertial": "of the links only",
-}
+_COLUMNS = {"friction": "of links, friction, offsets and rotors", "inertial": "of the links only"}
 
 
 def design_section(result: Result, series: Series) -> Section:
@@ -110,16 +109,13 @@ def check_section(result: Result, series: Series) -> Section:
                 [
                     facts(
                         Fact("Limits", {GOOD: "hold", POOR: "exceeded"}.get(tone, ""), "", tone),
-                        Fact("Condition number", number(kappa), _columns(result), number=kappa),
+                        fact("Condition number", kappa, number, _columns(result)),
                         _clearance(result),
                         _duration(result),
                     )
                 ],
             ),
-            (
-                "Verdicts",
-                [notes([sentence(v) for v in words(result, "verdicts")])],
-            ),
+            ("Verdicts", [notes([sentence(v) for v in words(result, "verdicts")])]),
             *_motion(result, series),
         ],
         (
@@ -190,10 +186,7 @@ def rehearse_section(result: Result, series: Series) -> Section:
                     )
                 ],
             ),
-            (
-                "Motion of the virtual arm",
-                [motion_figure(joint_names(result), result, series)],
-            ),
+            ("Motion of the virtual arm", [motion_figure(joint_names(result), result, series)]),
         ],
         (("passed" if passed else "failed", text(result, "headline")),),
     )
@@ -249,8 +242,11 @@ def _lead(result: Result) -> str:
     holds = ""
     if ratios:
         worst = share_of_limit(max(ratios))
-        holds = f" All limits hold, used up to {worst}." if _holds(max(ratios)) else (
-            f" Limits are exceeded: {worst} of one is used.")  # fmt: skip
+        holds = (
+            f" All limits hold, used up to {worst}."
+            if _holds(max(ratios))
+            else (f" Limits are exceeded: {worst} of one is used.")
+        )
     reached = f"a condition number of {number(final)}"
     if stages:
         return (
@@ -276,22 +272,21 @@ def _facts(result: Result) -> Facts | None:
     said = f"the worst of {len(stages)} links" if stages else f"from {number(kappa[0])}"
     if bound is not None:
         said += f"; no motion below {number(bound)}"
-    from_ = "" if scaled[0] is None else f"from {number(scaled[0])}; "
-    base, criterion = text(result, "base_parameters"), text(result, "criterion")
+    since = "" if scaled[0] is None else f"from {number(scaled[0])}; "
+    criterion = text(result, "criterion")
     name, meaning = _CRITERIA.get(criterion, (plain(criterion), ""))
     starts, iterations = len(records(result, "starts")), real(result, "iterations")
     effort = [f"{starts} starts"] * bool(starts)
     effort += [] if iterations is None else [f"{iterations:.0f} iterations"]
     return facts(
-        Fact("Condition number", number(kappa[1]), said, number=kappa[1]),
-        Fact("Condition number, scaled", number(scaled[1]),
-             f"{from_}columns of W at unit length", number=scaled[1]),
+        fact("Condition number", kappa[1], number, said),
+        fact("Condition number, scaled", scaled[1], number, f"{since}columns of W at unit length"),
         _duration(result),
-        Fact("Base parameters", base, _columns(result), number=real(result, "base_parameters")),
+        fact("Base parameters", at(result, "base_parameters"), whole, _columns(result)),
         Fact("Criterion", name, meaning),
         _clearance(result),
         Fact("Search", quantity(at(result, "wall_s"), "s"), ", ".join(effort), timing=True),
-    )  # fmt: skip
+    )
 
 
 def _duration(result: Result) -> Fact:
@@ -300,15 +295,16 @@ def _duration(result: Result) -> Fact:
     if count is not None:
         spline = text(result, "series") == "spline"  # twice as many pieces as harmonics
         series = f"spline of {2 * count:.0f} pieces" if spline else f"{count:.0f} harmonics"
-    return Fact("Duration", quantity(duration, "s"), series, number=duration)
+    return fact("Duration", duration, unit_of("s"), series)
 
 
 def _clearance(result: Result) -> Fact:
     """Least distance, which holds between samples too."""
     distance = real(result, "clearance_m")
-    at_least = NONE if distance is None else f"≥ {quantity(1e3 * distance, 'mm')}"
-    return Fact("Clearance", at_least, "to obstacles and itself, between samples too",
-                number=distance)  # fmt: skip
+    remark = "to obstacles and itself, between samples too"
+    return fact(
+        "Clearance", distance, lambda d: f"≥ {quantity(1e3 * d, 'mm')}" if d else "", remark
+    )
 
 
 def _columns(result: Result) -> str:
@@ -412,8 +408,10 @@ def _weakest(result: Result) -> Table | None:
 def _directions(result: Result) -> Table | None:
     """The least excited combinations of base parameters, before and after."""
     rows: list[Result] = []
-    for key, name, own in (("final", "designed motion", "final"),
-                           ("initial", "start of the search", "initial")):  # fmt: skip
+    for key, name, own in (
+        ("final", "designed motion", "final"),
+        ("initial", "start of the search", "initial"),
+    ):
         other = "initial" if own == "final" else "final"
         rows += [
             {**row, "of": name, own: at(row, "strength"), other: at(row, "other")}

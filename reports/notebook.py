@@ -9,12 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from excitant.analysis import (
-    Diagnosis,
-    Identifiability,
-    diagnose_result,
-    diagnose_series,
-)
+from excitant.analysis import Diagnosis, Identifiability, diagnose_result, diagnose_series
 from excitant.analysis.rehearsal import Rehearsal
 from excitant.design import Design
 from excitant.exceptions import BadInput

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -176,6 +176,11 @@ def percent(value: object, digits: int = 2) -> str:
 def quantity(value: object, unit: str, digits: int = 3) -> str:
     """A number with its unit."""
     return number(value, digits) if real(value) is None else f"{number(value, digits)}\u00a0{unit}"
+
+
+def unit_of(unit: str, digits: int = 3) -> Callable[[object], str]:
+    """How quantities of a unit are written."""
+    return lambda value: quantity(value, unit, digits)
 
 
 def change(before: object, after: object, write: Any = number) -> str:

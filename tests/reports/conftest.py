@@ -93,7 +93,7 @@ OBSTACLES = [
      "rpy": [0.0, 0.0, 0.4]},
     {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [0.0, 0.9, 0.4]},
     {"name": "cell", "shape": "workspace", "low": [-0.9, -0.9, 0.0], "high": [0.9, 0.9, 1.3]},
-    {"name": "far wall", "shape": "box", "size": [1.0, 1.0, 1.0], "position": [40.0, 0.0, 0.0]},
+    {"name": "far wall", "shape": "box", "size": [1.0, 1.0, 1.0], "position": [40.0, 0.0, 0.0]}
 ]  # fmt: skip
 
 

@@ -38,7 +38,7 @@ def extra(make):
     ]
     result["online"] = {
         "delay_s": 0.03, "converged": True, "messages": messages, "history": history,
-        "differentiator": "",
+        "differentiator": ""
     }  # fmt: skip
     result["payload"] = payload()
     more = {"online_t": t, "online_value": value, "online_std": std}
@@ -111,7 +111,7 @@ def test_payload_in_words(extra):
     said = words(render(*extra))
     for part in (
         "1.5000 ± 0.0020 kg", "20.00 ± 0.10 mm", "200.0 ± 5.0 mm", "held by link7",
-        "Torque came as motor current", "Centre of mass along z is known to ±10 mm only.",
+        "Torque came as motor current", "Centre of mass along z is known to ±10 mm only."
     ):  # fmt: skip
         assert part in said, part
 
