@@ -92,34 +92,28 @@ def design_section(result: Result, series: Series) -> Section:
 
 def check_section(result: Result, series: Series) -> Section:
     """Whether somebody's trajectory keeps the limits, and how well it excites."""
-    holds = at(result, "holds")
-    name = text(result, "trajectory") or "The trajectory"
-    lead, tone = f"{name} was checked.", PLAIN
-    if isinstance(holds, bool):
-        tone = GOOD if holds else POOR
-        keeps = "keeps all limits" if holds else "exceeds limits"
-        lead = f"{name} {keeps} of {text(result, 'robot') or 'the arm'}."
-    kappa = real(result, "condition_number")
+    holds, kappa = at(result, "holds"), at(result, "condition_number")
+    name, said = text(result, "trajectory") or "The trajectory", words(result, "verdicts")
+    keeps, limits, tone = {
+        True: ("keeps all limits", "hold", GOOD),
+        False: ("exceeds limits", "exceeded", POOR),
+    }.get(holds, ("was checked against the limits", "", PLAIN))
+    key_figures = facts(
+        Fact("Limits", limits, "", tone),
+        fact("Condition number", kappa, number, _columns(result)),
+        _clearance(result),
+        _duration(result),
+    )
     return section(
         "Trajectory check",
-        lead,
+        f"{name} {keeps} of {text(result, 'robot') or 'the arm'}.",
         [
-            (
-                "Key figures",
-                [
-                    facts(
-                        Fact("Limits", {GOOD: "hold", POOR: "exceeded"}.get(tone, ""), "", tone),
-                        fact("Condition number", kappa, number, _columns(result)),
-                        _clearance(result),
-                        _duration(result),
-                    )
-                ],
-            ),
-            ("Verdicts", [notes([sentence(v) for v in words(result, "verdicts")])]),
+            ("Key figures", [key_figures]),
+            ("Verdicts", [notes([sentence(verdict) for verdict in said])]),
             *_motion(result, series),
         ],
         (
-            *zip(["checked", *[""] * 99], words(result, "verdicts"), strict=False),
+            *((("checked", "")[k > 0], verdict) for k, verdict in enumerate(said)),
             ("", f"condition number {number(kappa)} ({text(result, 'columns')} columns)"),
         ),
     )
@@ -128,67 +122,57 @@ def check_section(result: Result, series: Series) -> Section:
 def rehearse_section(result: Result, series: Series) -> Section:
     """Whether a motion suffices, requirement by requirement."""
     rows, passed = records(result, "items"), at(result, "passed") is True
+    headline, hidden = text(result, "headline"), plain(text(result, "effect", "effect"))
     met = sum(_met(row) for row in rows)
-    hidden = plain(text(result, "effect", "effect"))
+    key_figures = facts(
+        Fact("Verdict", "go" if passed else "no go", "", GOOD if passed else POOR),
+        Fact("Requirements met", f"{met} of {len(rows)}", number=met),
+        _duration(result),
+        Fact("Planted change", hidden, text(result, "effect", "joint")),
+    )
+    motion = motion_figure(joint_names(result), result, series)
     return section(
         "Rehearsal",
-        sentence(text(result, "headline")),
+        sentence(headline),
         [
-            (
-                "Key figures",
-                [
-                    facts(
-                        Fact("Verdict", "go" if passed else "no go", "", GOOD if passed else POOR),
-                        Fact("Requirements met", f"{met} of {len(rows)}", number=met),
-                        _duration(result),
-                        Fact("Planted change", hidden, text(result, "effect", "joint")),
-                    )
-                ],
-            ),
+            ("Key figures", [key_figures]),
             ("What to change", [notes(words(result, "advice"), FAIR, brief="to change")]),
-            (
-                "Requirements",
-                [
-                    table(
-                        rows,
-                        [
-                            ("text:Met", lambda r: _verdict(_met(r), "met", "NOT MET")),
-                            ("name:Requirement", "name"),
-                            ("name:Joint", "joint"),
-                            ("text:Figures", "detail"),
-                        ],
-                        "The virtual arm has usual friction, rotor inertia, offsets and noise, and "
-                        "inertias off by up to 5 %; one more effect changes later. The motion must "
-                        "show all of it.",
-                        brief="",
-                    )
-                ],
-            ),
-            (
-                "Planted and recovered",
-                [
-                    table(
-                        [
-                            {**row, "value": at(row, "recovered")}
-                            for row in rows
-                            if real(row, "planted") is not None
-                            and real(row, "recovered") is not None
-                        ],
-                        [
-                            ("name:Quantity", "name"),
-                            ("name:Joint", "joint"),
-                            ("number:Planted", "planted", number4),
-                            *estimates("number:Recovered"),
-                            ("text:Unit", "unit"),
-                            ("number:Error", _error),
-                        ],
-                        "Every value planted in the arm and what was recovered of it.",
-                    )
-                ],
-            ),
-            ("Motion of the virtual arm", [motion_figure(joint_names(result), result, series)]),
+            ("Requirements", [_requirements(rows)]),
+            ("Planted and recovered", [_recovered(rows)]),
+            ("Motion of the virtual arm", [motion]),
         ],
-        (("passed" if passed else "failed", text(result, "headline")),),
+        (("passed" if passed else "failed", headline),),
+    )
+
+
+def _requirements(rows: list[Result]) -> Table | None:
+    return table(
+        rows,
+        [
+            ("text:Met", lambda row: _verdict(_met(row), "met", "NOT MET")),
+            ("name:Requirement", "name"),
+            ("name:Joint", "joint"),
+            ("text:Figures", "detail"),
+        ],
+        "The virtual arm has usual friction, rotor inertia, offsets and noise, and inertias off by "
+        "up to 5 %; one more effect changes later. The motion must show all of it.",
+        brief="",
+    )
+
+
+def _recovered(rows: list[Result]) -> Table | None:
+    known = [r for r in rows if None not in (real(r, "planted"), real(r, "recovered"))]
+    return table(
+        [{**row, "value": at(row, "recovered")} for row in known],
+        [
+            ("name:Quantity", "name"),
+            ("name:Joint", "joint"),
+            ("number:Planted", "planted", number4),
+            *estimates("number:Recovered"),
+            ("text:Unit", "unit"),
+            ("number:Error", _error),
+        ],
+        "Every value planted in the arm and what was recovered of it.",
     )
 
 

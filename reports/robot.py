@@ -36,7 +36,6 @@ from excitant.reports.values import (
     real,
     reals,
     records,
-    sentence,
     text,
     unit_of,
     whole,
@@ -72,7 +71,7 @@ def robot_section(result: Result, series: Series) -> Section:
 
 def _said(result: Result, hint: bool) -> list[str]:
     return [
-        sentence(f"{listing(words(row, 'where'))}: {text(row, 'sentence')}")
+        f"{listing(words(row, 'where'))}: {text(row, 'sentence')}."
         for row in records(result, "warnings")
         if (at(row, "hint") is True) == hint
     ]

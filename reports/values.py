@@ -211,11 +211,11 @@ def listing(names: Sequence[str], none: str = NONE) -> str:
 def sentence(words: str) -> str:
     """Words as a sentence, with a capital, a full stop and true minus signs.
 
-    A name with an underscore or before a colon keeps its small letter.
+    A name with an underscore keeps its small letter.
     """
     words = re.sub(r"(?<=\d)e([+-]\d+)", lambda e: f"×{power_of_ten(int(e[1]))}", words)
     words = re.sub(r"(?<![\w.])-(?=\d)", "−", words)
-    capital = not set("_:") & set(words.split(" ", 1)[0])
+    capital = "_" not in words.split(" ", 1)[0]
     first = words[:1].upper() if capital else words[:1]
     return words and first + words[1:] + "." * (words[-1] not in ".!?")
 
