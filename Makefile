@@ -5,6 +5,7 @@ ARGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
+DEVELOPED := $(VENV)/.developed
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 .PHONY: help demo test lint docs lock clean
@@ -14,7 +15,7 @@ help:
 	@echo "make test   the test suite without the slow statistical tests"
 	@echo "make lint   ruff, mypy and the import rules"
 	@echo "make docs   the documentation as a site, in build/docs"
-	@echo "make lock   resolve pyproject.toml anew into requirements.lock"
+	@echo "make lock   resolve pyproject.toml anew into requirements.lock and requirements-dev.lock"
 	@echo "make clean  remove the virtual environment, caches and build products (keeps runs/)"
 	@echo
 	@echo "Options: ARGS='...' passed to demo or to pytest; PYTHON=python3.12 chooses the interpreter."
@@ -22,16 +23,16 @@ help:
 demo: $(INSTALLED)
 	$(BIN)/excitant demo $(ARGS)
 
-test: $(INSTALLED)
+test: $(DEVELOPED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 8 -m "not slow" $(ARGS)
 
-lint: $(INSTALLED)
+lint: $(DEVELOPED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-docs: $(INSTALLED)
+docs: $(DEVELOPED)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 	@echo "build/docs/index.html; with search: $(BIN)/python -m http.server -d build/docs"
 
@@ -44,23 +45,33 @@ $(INSTALLED): requirements.lock pyproject.toml
 	@test -e $@ || { echo "Creating $(VENV) with $$($(PYTHON) --version)"; \
 	  $(PYTHON) -m venv --clear $(VENV); }
 	@rm -f $@
-	@echo "Installing the packages pinned in requirements.lock (about 1.7 GB, some minutes)"
+	@echo "Installing what excitant needs to run, pinned in requirements.lock (about 1.2 GB)"
 	@$(PIP) install --requirement requirements.lock
 	@echo "Installing excitant from this folder"
 	@$(PIP) install --no-deps --no-build-isolation --editable .
 	@touch $@
 
+$(DEVELOPED): $(INSTALLED) requirements-dev.lock
+	@rm -f $@
+	@echo "Installing the tools of developers, pinned in requirements-dev.lock (about 0.4 GB)"
+	@$(PIP) install --requirement requirements-dev.lock
+	@touch $@
+
 # Resolved for the first release of the oldest Python, so that every pin exists for newer ones too.
+RESOLVE := build/lock/bin/python -m pip install --quiet --dry-run --ignore-installed \
+  --python-version 3.11.0 --only-binary :all: --report build/lock/report.json "setuptools>=77"
+PINS := build/lock/bin/python -c 'import json; \
+  packages = [p["metadata"] for p in json.load(open("build/lock/report.json"))["install"]]; \
+  pins = {p["name"].lower() + "==" + p["version"] for p in packages if p["name"] != "excitant"}; \
+  print("\# Written by make lock from pyproject.toml."); print("\n".join(sorted(pins)))'
+
 lock:
 	$(PYTHON) -m venv --clear build/lock
 	build/lock/bin/python -m pip install --quiet --upgrade pip
-	build/lock/bin/python -m pip install --quiet --dry-run --ignore-installed \
-	  --python-version 3.11.0 --only-binary :all: --report build/lock/report.json ".[dev]" "setuptools>=77"
-	build/lock/bin/python -c 'import json; \
-	  packages = [p["metadata"] for p in json.load(open("build/lock/report.json"))["install"]]; \
-	  pins = {p["name"].lower() + "==" + p["version"] for p in packages if p["name"] != "excitant"}; \
-	  head = "# Written by `make lock` from pyproject.toml, extra \"dev\" included.\n"; \
-	  open("requirements.lock", "w").write(head + "\n".join(sorted(pins)) + "\n")'
+	$(RESOLVE) ".[dev]"
+	$(PINS) > requirements-dev.lock
+	$(RESOLVE) . --constraint requirements-dev.lock
+	$(PINS) > requirements.lock
 	@rm -r build/lock
 
 clean:

@@ -2,9 +2,7 @@
 
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series
 from excitant.analysis.experiment import identify_shown
-from excitant.analysis.headline import headline
 from excitant.analysis.identifiability import Identifiability, analyze
 
 __all__ = [
@@ -13,8 +11,5 @@ __all__ = [
     "Identifiability",
     "analyze",
     "diagnose",
-    "diagnose_result",
-    "diagnose_series",
-    "headline",
     "identify_shown",
 ]

@@ -22,7 +22,7 @@ from excitant.analysis.selection import underlies
 from excitant.identify.accuracy import Series, series
 from excitant.identify.physical import EffectPrior, fit_physical
 from excitant.identify.preprocessing import Segment
-from excitant.identify.resting import identified_robot
+from excitant.identify.rows import identified_robot
 from excitant.robots.effects import Effect, merged
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import from_pseudo_inertia

@@ -17,7 +17,8 @@ from excitant.identify.estimate import Estimate
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.physical import EffectPrior, link_coordinates
 from excitant.identify.preprocessing import Segment
-from excitant.identify.rows import implausible_size, observation
+from excitant.identify.regression import observation
+from excitant.identify.rows import implausible_size
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot

@@ -24,11 +24,12 @@ from excitant.analysis.uncertainty import (
     without_rounding,
 )
 from excitant.exceptions import BadRobot
-from excitant.identify.estimate import Estimate, judged, whitened
+from excitant.identify.estimate import Estimate, judged
 from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import EffectPrior, fit_physical, prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.rows import FitRows, fit_rows, implausible_size, observation, split
+from excitant.identify.regression import dense, observation
+from excitant.identify.rows import FitRows, fit_rows, implausible_size, split
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, Motion, freeze
@@ -231,18 +232,14 @@ def identify_shown(
     data = split(recordings, validate)
     W = without_rounding(observation(robot, effects, data.train))
     rows = clean_rows(fit_rows(robot, effects, shown_base(column_names(robot, effects), W), data))
-    base = rows.base
-    fit = weighted_least_squares(rows.W[:, :, list(base.columns)], rows.tau, base.expressions)
-    R, z = whitened(rows.W, rows.tau, fit)
+    fit = weighted_least_squares(rows.reduced)
+    R, z = rows.regression.factor(fit.weight)
     physical = fit_physical(R, z, prior, rows.open_prior)
     return judged(robot, rows, fit, physical, (data.holdout,))
 
 
 def clean_rows(rows: FitRows) -> FitRows:
     """The rows without columns that are rounding alone, of which nothing is known beforehand."""
-    W = without_rounding(rows.W)
-    first = W.shape[2] - len(rows.open_prior.mean)
-    std = implausible_size(W[:, :, first:], rows.tau)
-    return replace(
-        rows, W=W, open_prior=EffectPrior(rows.open_prior.mean, std, rows.open_prior.lower)
-    )
+    known = rows.regression
+    clean = dense(without_rounding(known.W), known.tau, known.names, known.starts)
+    return replace(rows, regression=clean)

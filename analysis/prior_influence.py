@@ -18,7 +18,7 @@ import numpy as np
 import scipy.linalg
 
 from excitant.analysis.uncertainty import MotionInformation
-from excitant.identify.estimate import Estimate, whitened
+from excitant.identify.estimate import Estimate
 from excitant.identify.physical import (
     PRIOR_SIGMA,
     EffectPrior,
@@ -245,7 +245,7 @@ def refits(estimate: Estimate, rows: FitRows) -> Response:
         estimate: What was identified.
         rows: What it was fitted to.
     """
-    R, z = whitened(rows.W, rows.tau, estimate.least_squares)
+    R, z = rows.regression.factor(estimate.least_squares.weight)
     phi, effects = estimate.prior.reshape(-1, 10), rows.open_prior
     links = phi.size
 

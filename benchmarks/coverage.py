@@ -28,6 +28,7 @@ from excitant.design import random_trajectory
 from excitant.identify import Data, Recording
 from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.preprocessing import prepare
+from excitant.identify.regression import Regression
 from excitant.identify.rows import fit_rows
 from excitant.robots import BaseParameters, Robot, base_parameters, load_robot
 from excitant.robots.effects import standard_effects
@@ -132,16 +133,16 @@ def recorded(known: Truth, rng: np.random.Generator, seconds: float) -> Iterator
 def errors(known: Truth, seed: int, number: int, seconds: float) -> np.ndarray:
     """Error over standard deviation of every base parameter, shape (noises, r)."""
     rng = np.random.default_rng([seed, number])
-    W: np.ndarray | None = None
+    rows: Regression | None = None
     found = []
     for recording in recorded(known, rng, seconds):
         train = tuple(prepare(recording))
-        if W is None:  # the same positions make the same columns
+        if rows is None:  # the same positions make the same columns
             data = Data(train, (), recording.unit, train[0].cutoff_hz, "")
             effects = standard_effects(known.robot.joints)
-            W = fit_rows(known.robot, effects, known.base, data).W[:, :, known.base.columns]
+            rows = fit_rows(known.robot, effects, known.base, data).reduced
         tau = np.concatenate([segment.tau[segment.keep] for segment in train])
-        fit = weighted_least_squares(W, tau, known.base.expressions)
+        fit = weighted_least_squares(rows.with_torque(tau))
         found.append((fit.beta - known.beta) / np.sqrt(np.diag(fit.covariance)))
     return np.array(found)
 

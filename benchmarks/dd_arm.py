@@ -23,11 +23,17 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 import scipy.linalg
+from seed import (
+    TableEntry,
+    dd_arm,
+    dd_arm_chain,
+    dd_arm_parameters,
+    dd_arm_tables,
+)
 from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
 from excitant.identify import Data, Recording
-from excitant.identify.estimate import whitened
 from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import (
     PhysicalFit,
@@ -41,13 +47,6 @@ from excitant.identify.rows import FitRows, fit_rows
 from excitant.robots import Robot, base_parameters
 from excitant.robots.dh import parameter_map
 from excitant.robots.effects import CoulombFriction, ViscousFriction
-from excitant.robots.library.cmu_dd_arm_ii import (
-    TableEntry,
-    dd_arm,
-    dd_arm_chain,
-    dd_arm_parameters,
-    dd_arm_tables,
-)
 from excitant.robots.newton_euler import torque_matrix
 from excitant.robots.parameters import (
     STANDARD,
@@ -204,8 +203,8 @@ def recovery(seconds: float = 60.0, *, likely: bool = True, seed: int = 0) -> Re
     given, truth = dd_arm("initial"), dd_arm("estimated", likely=likely)
     rng = np.random.default_rng(seed)
     rows = fitted(given, simulated(truth, rng, seconds))
-    fit = weighted_least_squares(rows.W[:, :, rows.base.columns], rows.tau, rows.base.expressions)
-    R, z = whitened(rows.W, rows.tau, fit)
+    fit = weighted_least_squares(rows.reduced)
+    R, z = rows.regression.factor(fit.weight)
     prior = prior_parameters(given)
     found = fit_physical(R, z, prior, rows.open_prior)
     steps = null_steps(prior, rows, rng)

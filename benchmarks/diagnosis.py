@@ -27,14 +27,12 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import joblib  # noqa: E402
 import numpy as np  # noqa: E402
+from hidden_effects import KINDS, draw_effect, typical_trajectory  # noqa: E402
 
 from excitant.analysis.diagnosis import diagnose  # noqa: E402
-from excitant.analysis.diagnosis_result import diagnose_result  # noqa: E402
 from excitant.exceptions import ExcitantError  # noqa: E402
 from excitant.identify.recording import recording_from_table  # noqa: E402
 from excitant.robots import Robot, load_robot  # noqa: E402
-from excitant.robots.hidden import KINDS, draw_effect  # noqa: E402
-from excitant.robots.plant.habits import typical_trajectory  # noqa: E402
 from excitant.robots.torque import effect_values  # noqa: E402
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors, virtual_arm  # noqa: E402
 
@@ -106,7 +104,7 @@ def run(case: Case) -> dict[str, Any]:
     except ExcitantError as error:
         return {"case": vars(case), "not_drawn": str(error)}
     drawn = time.perf_counter()
-    result = diagnose_result(diagnose(robot, [train], validate=[held]))
+    result = diagnose(robot, [train], validate=[held]).result()
     found = [_brief(finding) for finding in result["findings"]]
     return {
         "case": vars(case),

@@ -17,7 +17,7 @@ over random states of the arm; and the worst joint's nrmse [%] of the torque of 
 known without noise. ``iv`` fits the columns of even samples with those of odd ones for
 instruments; ``wls half`` is weighted least squares of the same columns. ``oe`` simulates the model
 on the measured positions, as far as these themselves suggest; ``oe known`` on the commanded motion,
-which the arm follows exactly. ``ml`` averages the periods, of 10 s. The last line is the
+which the arm follows exactly. The last line is the
 Durbin-Wu-Hausman test on ``wls half``: its median chance that least squares is not biased.
 
 ``--bias D`` keeps one motion and draws only its noise, D times: the mean error over draws of each
@@ -29,7 +29,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.signal
@@ -38,11 +38,9 @@ from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
 from excitant.identify import Data, Recording
-from excitant.identify.estimators import ESTIMATORS, errors_in_variables, half_columns, oe, wls
-from excitant.identify.estimators.closed_loop import Reference, closed_loop
-from excitant.identify.estimators.of_rows import regression_of
-from excitant.identify.estimators.periodic import maximum_likelihood
-from excitant.identify.least_squares import LeastSquares
+from excitant.identify.estimators import errors_in_variables, half_regressions, irls, iv
+from excitant.identify.least_squares import LeastSquares, weighted_least_squares
+from excitant.identify.output_error import Reference, closed_loop, output_error
 from excitant.identify.preprocessing import prepare
 from excitant.identify.rows import fit_rows
 from excitant.robots import Motion
@@ -54,7 +52,7 @@ FILTERS = {"good": 10.0, "bad": 25.0}  # Hz
 KINDS = ("fine", "coloured", "outliers", "encoders")
 SHARE = 0.02  # of each joint's rms torque is noise
 BURST_S, BURST_SHARE, BURST_SIZE = 0.1, 0.03, 3.0
-METHODS = ("ols", "wls", "irls", "gls", "tls", "wls half", "iv", "oe", "oe known", "ml")
+METHODS = ("wls", "irls", "wls half", "iv", "oe", "oe known")
 Array = np.ndarray
 
 
@@ -147,20 +145,21 @@ def estimates(
     segments = tuple(prepare(recording, cutoff_hz))
     data = Data(segments, (), recording.unit, cutoff_hz, "")
     rows = fit_rows(known.robot, standard_effects(known.robot.joints), known.base, data)
-    problem = regression_of(rows)
-    W, Z = half_columns(known.robot, rows, [recording])
-    halves = replace(problem, W=W, instruments=Z)
+    even, odd = half_regressions(rows, [recording])
+
+    def simulated(**known_motion: Sequence[Reference]) -> LeastSquares:
+        loop = closed_loop(rows, [recording], **known_motion)
+        return output_error(loop.problem, loop.simulated).fit
+
     run: dict[str, Callable[[], LeastSquares]] = {
-        "wls half": lambda: wls(halves),
-        "iv": lambda: ESTIMATORS["iv"](halves),
-        "oe": lambda: oe(closed_loop(known.robot, rows, [recording]).problem),
-        "oe known": lambda: oe(
-            closed_loop(known.robot, rows, [recording], references=[motion]).problem
-        ),
-        "ml": lambda: maximum_likelihood(known.robot, rows, [recording]).fit,
+        "wls": lambda: weighted_least_squares(rows.reduced),
+        "irls": lambda: irls(rows.reduced),
+        "wls half": lambda: weighted_least_squares(even),
+        "iv": lambda: iv(even, odd),
+        "oe": simulated,
+        "oe known": lambda: simulated(references=[motion]),
     }
-    found = {name: run[name]() if name in run else ESTIMATORS[name](problem) for name in METHODS}
-    return found, errors_in_variables(W, problem.tau, Z)[1]
+    return {name: run[name]() for name in METHODS}, errors_in_variables(even, odd)[1]
 
 
 @dataclass(frozen=True)

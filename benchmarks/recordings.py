@@ -35,7 +35,7 @@ from excitant.analysis.enrichment import enrichment
 from excitant.exceptions import ExcitantError
 from excitant.identify import Estimate, Recording, identify, load_dataset
 from excitant.identify.accuracy import Accuracy, series
-from excitant.identify.rows import observation
+from excitant.identify.regression import observation
 from excitant.robots import Robot
 from excitant.robots.loading import load_robot
 from excitant.robots.parameters import violations
@@ -219,11 +219,10 @@ def robot_of_pendulum(mass: float, length: float) -> Robot:
         path.unlink()
 
 
-def outcome_of(split: Split, folder: Path, chosen: bool, *, asked: bool) -> Outcome:
-    """All rows of one split; with ``asked``, as the command does it: estimator and cut-offs too."""
+def outcome_of(split: Split, folder: Path, chosen: bool) -> Outcome:
+    """All rows of one split."""
     robot, fit, judge = loaded(split, folder)
-    options: dict[str, Any] = {"estimator": "auto", "tune": True} if asked else {}
-    options["cutoff_hz"] = split.cutoff_hz
+    options: dict[str, Any] = {"cutoff_hz": split.cutoff_hz}
     accuracy: dict[str, Accuracy] = {}
     consistent: dict[str, bool] = {}
     seconds: dict[str, float] = {}
@@ -314,16 +313,12 @@ def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sets", nargs="+", help="data sets (default: all)")
     parser.add_argument("--standard-only", action="store_true", help="choose no effects")
-    parser.add_argument(
-        "--plain", action="store_true",
-        help="weighted least squares at default cut-offs, without what the command chooses itself",
-    )  # fmt: skip
     args = parser.parse_args(words)
     with threadpool_limits(1):
         for split in SPLITS:
             if args.sets and split.dataset not in args.sets:
                 continue
-            report(outcome_of(split, data_folder(), not args.standard_only, asked=not args.plain))
+            report(outcome_of(split, data_folder(), not args.standard_only))
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(threads, "1")
 
 import numpy as np  # noqa: E402
+from hidden_effects import draw_effect, typical_trajectory  # noqa: E402
 
 from excitant.analysis.diagnosis import Diagnosis, Finding, diagnose  # noqa: E402
 from excitant.analysis.discrimination_plan import Plan, key, plan  # noqa: E402
@@ -30,8 +31,6 @@ from excitant.exceptions import ExcitantError  # noqa: E402
 from excitant.identify.recording import Recording, recording_from_table  # noqa: E402
 from excitant.robots import Robot, load_robot  # noqa: E402
 from excitant.robots.effects import Effect  # noqa: E402
-from excitant.robots.hidden import draw_effect  # noqa: E402
-from excitant.robots.plant.habits import typical_trajectory  # noqa: E402
 from excitant.robots.virtual_arm import (  # noqa: E402
     HiddenEffect,
     VirtualArm,

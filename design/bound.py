@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.linalg
 from threadpoolctl import threadpool_limits
 
 from excitant.design.feasible import random_trajectory
-from excitant.design.mixture import Mixture, Multipliers
-from excitant.design.relaxation import Relaxation, relaxation
-from excitant.design.states import numbered
+from excitant.design.relaxation import Multipliers, Relaxation, numbered, relaxation
 from excitant.exceptions import BadInput
-from excitant.robots.motion import Array, Motion, read_only
+from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
 
 BoundProgress = Callable[[float, float, float], None]
@@ -33,6 +32,13 @@ _SPARE = 80  # states kept beyond twice those with weight
 _ADDED = 0.02  # of the worst violation: states that violate more are added
 _SUPPORT = 1e-3  # of the largest weight
 _CLOSED = 2e-3  # relative distance of bound and ceiling to stop at
+_MULTIPLIER = 0.1  # largest of an equality row, in units of the typical tr M; 0.03 occurs
+
+_STEP = 0.95  # of the way to the boundary of the cone
+_ITERATIONS = 60
+_SLACK = 10.0  # the dual slacks begin at this multiple of the identity
+_FEASIBLE = 1e2  # residuals weigh so much more than the gap
+_PATIENCE = 5  # steps without progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +53,7 @@ class Bound:
         relaxation: What was relaxed.
         multipliers: The certificate, repaired: P, Q ⪰ 0, tr Q = 1, value² = tr P, and
             `slack` ≥ 0 at every feasible state.
-        states: States of the last master problem.
-        weights: Their weights in the best mixture, shape (n,).
-        iterations: Rounds of column generation.
-        wall_s: Time taken [s].
+        weights: Of the states in the best mixture, shape (n,).
         assumptions: One sentence: for which motions it holds, and how far it is certain.
     """
 
@@ -59,15 +62,11 @@ class Bound:
     history: Array
     relaxation: Relaxation
     multipliers: Multipliers
-    states: Motion
     weights: Array
-    iterations: int
-    wall_s: float
     assumptions: str
 
     def __post_init__(self) -> None:
-        for name in ("history", "weights"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        freeze(self, "history", "weights")
 
     def slack(self, motion: Motion) -> Array:
         """−⟨P − Q, M(x)⟩ − y·dφ/dt over the mean tr M at each state, shape (n,).
@@ -75,9 +74,8 @@ class Bound:
         The bound holds for motions through states where it is not negative.
         """
         M, rows = self.relaxation.matrices(motion), self.relaxation.rows(motion)
-        g = rows @ self.multipliers.y
-        for block, P, Q in zip(M, self.multipliers.P, self.multipliers.Q, strict=True):
-            g = g + np.einsum("nij,ij->n", block, P - Q)
+        difference = self.multipliers.P - self.multipliers.Q
+        g = rows @ self.multipliers.y + np.einsum("nij,ij->n", M, difference)
         slack: Array = -g / self.relaxation.unit
         return slack
 
@@ -88,7 +86,6 @@ def lower_bound(
     duration: float = 10.0,
     harmonics: int | None = 5,
     columns: str = "inertial",
-    criterion: str = "condition",
     seed: int = 0,
     time_limit: float = 60.0,
     progress: BoundProgress | None = None,
@@ -109,19 +106,23 @@ def lower_bound(
         duration: Period of the motion [s].
         harmonics: Number of harmonics H of its Fourier series; None for any motion whatever.
         columns: ``"inertial"`` or ``"friction"``.
-        criterion: Only ``"condition"`` has a bound.
         seed: Seed of all randomness.
         time_limit: Time after which the bound so far is returned [s].
         progress: Called after every round.
         pool: Feasible motions, for instance good trajectories, whose states to begin with.
 
     Raises:
-        BadInput: Another criterion, an option out of range, or a joint without limits.
+        BadInput: An option out of range, or a joint without limits.
         Infeasible: No motion keeps the limits.
         UnknownName: Other columns.
     """
     began = time.time()
-    _check(duration, harmonics, criterion, time_limit)
+    if not (np.isfinite(duration) and duration > 0):
+        raise BadInput(f"duration {duration} s is not a positive number")
+    if harmonics is not None and harmonics < 2:
+        raise BadInput(f"{harmonics} harmonics cannot be at rest at both ends; use at least 2")
+    if not time_limit > 0:
+        raise BadInput(f"time limit {time_limit} s is not positive")
     top = np.inf if harmonics is None else 2 * np.pi * harmonics / duration
     problem = relaxation(robot, columns, top, stationary=harmonics is not None)
     rng = np.random.default_rng(seed)
@@ -136,10 +137,7 @@ def lower_bound(
         history=np.array(search.history),
         relaxation=problem,
         multipliers=multipliers,
-        states=search.used,
-        weights=search.mixture.weights,
-        iterations=len(search.history),
-        wall_s=time.time() - began,
+        weights=search.weights,
         assumptions=_assumptions(robot, duration, harmonics, columns),
     )
 
@@ -159,9 +157,9 @@ class _Search:
         self.problem, self.rng, self.states = problem, rng, states
         self.began, self.time_limit, self.progress = began, time_limit, progress
         self.history: list[tuple[float, float]] = []
-        self.used = self.archive = states
+        self.archive = states
         self.best: Multipliers
-        self.mixture: Mixture
+        self.weights: Array
         self.bound = 0.0
         self.violation = np.inf
 
@@ -182,9 +180,7 @@ class _Search:
         """One master problem and one search for violating states; the ceiling."""
         early = len(self.history) < _LOOSE_ROUNDS
         tolerance, polish = (_LOOSE, 0) if early else (_TIGHT, _POLISH)
-        self.used = self.states
-        self.mixture = self.problem.mixture(self.used, tolerance)
-        multipliers = self.mixture.multipliers
+        self.weights, multipliers = mixture_of(self.problem, self.states, tolerance)
         ceiling = float(np.sqrt(multipliers.value))
         found, price = self.problem.worst(
             multipliers, self.starts(multipliers, _STARTS), _STEPS, _KEPT, polish
@@ -201,7 +197,7 @@ class _Search:
 
     def exchange(self, multipliers: Multipliers, found: Motion) -> None:
         """Add states; drop the worst-priced when there are many more than carry weight."""
-        w = self.mixture.weights
+        w = self.weights
         room = 2 * int((w > _SUPPORT * w.max()).sum()) + _SPARE
         if len(w) > room:
             order = np.argsort(-self.problem.price(multipliers, self.states))[:room]
@@ -224,18 +220,7 @@ class _Search:
             if worst <= self.violation:
                 break
             self.violation, self.archive = worst, _together([self.archive, found])
-        return self.problem.repaired(self.best, self.violation)
-
-
-def _check(duration: float, harmonics: int | None, criterion: str, time_limit: float) -> None:
-    if criterion != "condition":
-        raise BadInput(f"no lower bound for criterion '{criterion}', only for 'condition'")
-    if not (np.isfinite(duration) and duration > 0):
-        raise BadInput(f"duration {duration} s is not a positive number")
-    if harmonics is not None and harmonics < 2:
-        raise BadInput(f"{harmonics} harmonics cannot be at rest at both ends; use at least 2")
-    if not time_limit > 0:
-        raise BadInput(f"time limit {time_limit} s is not positive")
+        return self.best.repaired(self.violation)
 
 
 def _seeds(
@@ -278,3 +263,200 @@ def _assumptions(robot: Robot, duration: float, harmonics: int | None, columns: 
         f"limits, for the unscaled {columns} base columns; numerical, not a proof: states that "
         "would violate it are searched for by ascent from many starts, not exhaustively."
     )
+
+
+def mixture_of(problem: Relaxation, states: Motion, tolerance: float) -> tuple[Array, Multipliers]:
+    """Weights of the best mixture of states, shape (n,), and its multipliers."""
+    M = problem.matrices(states)
+    size = np.trace(M, axis1=1, axis2=2) + 1e-9 * problem.unit
+    rows = problem.rows(states) * (problem.unit / size)[:, None]
+    weights, found = best_mixture(
+        M / size[:, None, None], rows, bound=_MULTIPLIER, tolerance=tolerance
+    )
+    return weights / size, replace(found, y=found.y * problem.unit)
+
+
+def best_mixture(
+    M: Array, rows: Array, *, bound: float = 10.0, tolerance: float = 1e-6
+) -> tuple[Array, Multipliers]:
+    """Minimise κ over weights w ≥ 0 of states.
+
+        I ⪯ Σ w_k M_k ⪯ κ I,   Σ w_k a_k = 0 (softly)
+
+    The dual maximises tr P over P, Q ⪰ 0, tr Q = 1, |y| ≤ bound with ⟨P − Q, M_k⟩ + y·a_k ≤ 0
+    for every k. An equality row may be violated at the price ``bound`` per unit, which is what
+    bounds its multiplier. Primal-dual interior-point method, HKM direction with Mehrotra's
+    corrector (Helmberg, Rendl, Vanderbei, Wolkowicz 1996): its linear system has a row for every
+    state, that of a general conic solver one for every entry of M, which is 50 times slower.
+    Stopped at a loose tolerance, the multipliers are well inside the optimal face, as column
+    generation likes it.
+
+    Args:
+        M: Information of the states, shape (n, r, r).
+        rows: a, shape (n, m).
+        bound: Largest multiplier of an equality row.
+        tolerance: Relative gap to stop at.
+
+    Returns:
+        Weights of the states, shape (n,), and the dual solution.
+    """
+    n, m = rows.shape
+    programme = _Programme(M, rows, bound)
+    point = best = programme.start()
+    least, stalled = np.inf, 0
+    for _ in range(_ITERATIONS):
+        residual, merit = programme.residual(point)
+        if merit < least:
+            best, least, stalled = point, merit, 0
+        else:
+            stalled += 1
+        if merit < tolerance or stalled == _PATIENCE:
+            break
+        try:
+            point = point.moved(programme.newton(point, residual))
+        except np.linalg.LinAlgError:
+            break
+    P, Q = best.X / np.trace(best.X[1])
+    y = (best.x[n : n + m] - best.x[n + m : n + 2 * m]) / np.trace(best.X[1])
+    return np.maximum(best.v[:n], 0.0), Multipliers(P, Q, y)
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Primal X = (P, Q) and x, dual slacks S and s, dual variables v; or a direction of them."""
+
+    X: Array
+    x: Array
+    S: Array
+    s: Array
+    v: Array
+
+    def mu(self) -> float:
+        """⟨X, S⟩ + x·s over the order of the cone."""
+        order = len(self.x) + 2 * len(self.X[0])
+        return float(np.vdot(self.X, self.S) + self.x @ self.s) / order
+
+    def moved(self, step: _Point) -> _Point:
+        """As far along a step as it stays inside the cone, primal and dual apart."""
+        primal = min(1.0, _STEP * min(_reach(self.X, step.X), _reach_line(self.x, step.x)))
+        dual = min(1.0, _STEP * min(_reach(self.S, step.S), _reach_line(self.s, step.s)))
+        return _Point(
+            self.X + primal * step.X,
+            self.x + primal * step.x,
+            self.S + dual * step.S,
+            self.s + dual * step.s,
+            self.v + dual * step.v,
+        )
+
+
+class _Programme:
+    """min ⟨C, X⟩ over A X + L x = b, X ⪰ 0 with X = (P, Q) and x = (s, y⁺, y⁻, u) ≥ 0.
+
+    Equation k: ⟨M_k, Q − P⟩ − a_k·(y⁺ − y⁻) − s_k = 0; equation n: tr Q = 1; the
+    others: y⁺ + y⁻ + u = bound. The dual variables v are the weights, −κ and the prices paid.
+    """
+
+    def __init__(self, M: Array, rows: Array, bound: float) -> None:
+        n, m = rows.shape
+        self.M, self.n = M, n
+        self.flat = M.reshape(n, -1)
+        self.L = np.zeros((n + 1 + m, n + 3 * m))
+        self.L[:n, :n] = -np.eye(n)
+        self.L[:n, n : n + 2 * m] = np.hstack([-rows, rows])
+        self.L[n + 1 :, n:] = np.tile(np.eye(m), 3)
+        self.b = np.concatenate([np.zeros(n), [1.0], np.full(m, bound)])
+        self.C = np.stack([-np.eye(M.shape[1]), np.zeros(M.shape[1:])])
+
+    def start(self) -> _Point:
+        r = self.M.shape[1]
+        x = np.ones(self.L.shape[1])
+        x[self.n :] = self.b[-1] / 3
+        one = np.stack([np.eye(r)] * 2)
+        return _Point(one / r, x, _SLACK * one, np.full(len(x), _SLACK), np.zeros(len(self.b)))
+
+    def forward(self, X: Array, x: Array) -> Array:
+        """A X + L x, shape (equations,)."""
+        out: Array = self.L @ x
+        out[: self.n] += self.flat @ (X[1] - X[0]).ravel()
+        out[self.n] += np.trace(X[1])
+        return out
+
+    def adjoint(self, v: Array) -> tuple[Array, Array]:
+        """Aᵀ v and Lᵀ v."""
+        total = (v[: self.n] @ self.flat).reshape(self.M.shape[1:])
+        return np.stack([-total, total + v[self.n] * np.eye(len(total))]), self.L.T @ v
+
+    def residual(self, point: _Point) -> tuple[tuple[Array, Array], float]:
+        """Dual residuals of X and of x, and the distance from optimality."""
+        back, rest = self.adjoint(point.v)
+        dual, line = self.C - point.S - back, -point.s - rest
+        primal = self.b - self.forward(point.X, point.x)
+        size = max(float(np.abs(part).max()) for part in (primal, line, dual))
+        product = float(np.vdot(point.X, point.S) + point.x @ point.s)
+        gap = product / max(1.0, abs(float(np.vdot(point.X, self.C))))
+        return (dual, line), max(gap, _FEASIBLE * size)
+
+    def schur(self, X: Array, inverse: Array, ratio: Array) -> Array:
+        """A (X ⊗ S⁻¹) Aᵀ + L diag(ratio) Lᵀ, shape (equations, equations)."""
+        H: Array = (self.L * ratio) @ self.L.T
+        n = self.n
+        for left, right in zip(_root(inverse), _root(X), strict=True):
+            F = (left.T @ self.M @ right).reshape(n, -1)
+            H[:n, :n] += F @ F.T
+        trace = (left.T @ right).ravel()  # of Q, the second block
+        H[n, :n] += F @ trace
+        H[:n, n] += F @ trace
+        H[n, n] += trace @ trace
+        H[np.diag_indices_from(H)] *= 1 + 1e-13
+        return H
+
+    def newton(self, point: _Point, residual: tuple[Array, Array]) -> _Point:
+        """Predictor, then corrector, with one factorisation."""
+        dual, line = residual
+        inverse: Array = np.asarray(np.linalg.inv(point.S), float)
+        H = self.schur(point.X, inverse, point.x / point.s)
+        factor = scipy.linalg.cho_factor(H, lower=True, check_finite=False)
+
+        def direction(target: float, second: Array | float, second_line: Array | float) -> _Point:
+            T = target * inverse - point.X @ dual @ inverse - second
+            t = target / point.s - point.x * line / point.s - second_line
+            right = self.b - self.forward(_symmetric(T), t)
+            v = scipy.linalg.cho_solve(factor, right, check_finite=False)
+            v += scipy.linalg.cho_solve(factor, right - H @ v, check_finite=False)
+            back, rest = self.adjoint(v)
+            X = _symmetric(T + point.X @ back @ inverse) - point.X
+            x = t + point.x * rest / point.s - point.x
+            return _Point(X, x, dual - back, line - rest, v)
+
+        first = direction(0.0, 0.0, 0.0)
+        mu, after = point.mu(), point.moved(first).mu()
+        target = mu * min(1.0, max(after / mu, 0.0)) ** 3
+        return direction(target, first.X @ first.S @ inverse, first.x * first.s / point.s)
+
+
+def _reach(A: Array, D: Array) -> float:
+    """Largest step along D that keeps A + step·D positive semidefinite, shapes (2, r, r)."""
+    R = np.linalg.inv(_root(A))
+    low = float(np.linalg.eigvalsh(_symmetric(R @ D @ np.swapaxes(R, 1, 2)))[:, 0].min())
+    return np.inf if low >= 0 else -1 / low
+
+
+def _reach_line(x: Array, dx: Array) -> float:
+    down = dx < 0
+    return float(np.min(-x[down] / dx[down])) if down.any() else np.inf
+
+
+def _symmetric(A: Array) -> Array:
+    S: Array = (A + np.swapaxes(A, 1, 2)) / 2
+    return S
+
+
+def _root(A: Array) -> Array:
+    """R with R Rᵀ = A, shape (2, r, r)."""
+    try:
+        return np.asarray(np.linalg.cholesky(A), float)
+    except np.linalg.LinAlgError:
+        e, V = np.linalg.eigh(A)
+        floor = 1e-14 * np.maximum(e[:, -1:], 1e-300)
+        R: Array = V * np.sqrt(np.maximum(e, floor))[:, None, :]
+        return R

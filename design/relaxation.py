@@ -1,27 +1,272 @@
-"""The relaxation behind the lower bound: which states a motion can mix, and their price."""
+"""The relaxation behind the lower bound: states that a motion can mix, and their price."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from excitant.design.constraints import position_range
 from excitant.design.criterion import Information, information
-from excitant.design.mixture import Mixture, Multipliers, best_mixture
-from excitant.design.states import StateSpace, numbered, state_space
-from excitant.design.stationarity import TestFunctions, test_functions
+from excitant.exceptions import BadInput
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
+from excitant.robots.torque import torque
 
+Indices = npt.NDArray[np.intp]
+
+_TINY = 1e-9  # keeps the slope of an arc finite at its end
+_POSES = 500
+_SHRINKS = 25
 _STATES = 1000  # random states for scales and symmetries
 _SAME = 1e-9
 _TORQUE_PENALTY = 1e3
 _DRAWS = 30  # random points per point kept
 _STEPS = (0.05, 0.25, 1.0, 4.0)  # tried along every gradient, as multiples of the last step
 _IDENTITY_SHARE = 0.5
-_MULTIPLIER = 0.1  # largest of an equality row, in units of the typical tr M; 0.03 occurs
+_ONE, _SIN, _COS, _X, _XX = range(5)  # factors of test functions
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpace:
+    """The image of the cube u = (u₁, u₂, u₃) ∈ [−1, 1]^{3 nv}, less what torque forbids.
+
+    q = middle + half u₁, q̇ = b(q) u₂ and q̈ = c(q̇) u₃ joint by joint, where
+
+        b = min(speed, Ω √(half² − (q − middle)²)),   c = min(acceleration, Ω √(speed² − q̇²)).
+
+    For a finite Fourier series with harmonics up to Ω = Hω these are the inequalities of
+    Bernstein and Szegő; for any other motion Ω = ∞.
+
+    Attributes:
+        robot: The arm.
+        middle: Middle of each joint's range, shape (nv,).
+        half: Half the range; π for a joint that turns freely, shape (nv,).
+        bounded: Whether the joint has position limits, shape (nv,).
+        speed: Highest speed, shape (nv,).
+        acceleration: Highest acceleration, shape (nv,).
+        top: Ω, the highest angular frequency [rad/s].
+    """
+
+    robot: Robot
+    middle: Array
+    half: Array
+    bounded: Array
+    speed: Array
+    acceleration: Array
+    top: float
+
+    def motion(self, u: Array) -> Motion:
+        """States of points of the cube, shape (n, 3 nv), numbered instead of timed."""
+        u1, u2, u3 = np.split(u, 3, axis=1)
+        dq = self._speeds(u1)[0] * u2
+        return numbered(self.middle + self.half * u1, dq, self._accelerations(dq)[0] * u3)
+
+    def cube(self, motion: Motion) -> Array:
+        """Points of the cube for states, the nearest where a state is outside."""
+        u1 = (motion.q - self.middle) / self.half
+        u1 = np.where(self.bounded, np.clip(u1, -1, 1), np.mod(u1 + 1, 2) - 1)
+        u2 = np.clip(motion.dq / self._speeds(u1)[0], -1, 1)
+        u3 = np.clip(motion.ddq / self._accelerations(motion.dq)[0], -1, 1)
+        return np.concatenate([u1, u2, u3], axis=1)
+
+    def pull(self, u: Array, by_q: Array, by_dq: Array, by_ddq: Array) -> Array:
+        """Gradient by u from the gradients by q, q̇ and q̈."""
+        u1, u2, u3 = np.split(u, 3, axis=1)
+        b, db = self._speeds(u1)
+        c, dc = self._accelerations(b * u2)
+        by_dq = by_dq + by_ddq * u3 * dc
+        return np.concatenate([by_q * self.half + by_dq * u2 * db, by_dq * b, by_ddq * c], axis=1)
+
+    def excess(self, motion: Motion) -> Array:
+        """Largest torque over its limit at each state, shape (n,)."""
+        worst: Array = self.use(motion)[0].max(axis=1)
+        return worst
+
+    def use(self, motion: Motion) -> tuple[Array, Array]:
+        """Size of each torque over its limit, and its sign, both (n, nv)."""
+        tau = torque(self.robot, motion)
+        return np.abs(tau) / self.robot.limits.torque, np.sign(tau)
+
+    def slowed(self, motion: Motion) -> Motion:
+        """The states, time stretched until torque holds; those that gravity forbids left out."""
+        share = np.full(len(motion), np.nan)
+        share[self.excess(motion) <= 1] = 1.0
+        for factor in np.linspace(0.99, 0.0, _SHRINKS):
+            rest = np.flatnonzero(np.isnan(share))
+            if not len(rest):
+                break
+            slower = numbered(
+                motion.q[rest], factor * motion.dq[rest], factor**2 * motion.ddq[rest]
+            )
+            share[rest[self.excess(slower) <= 1]] = factor
+        keep, s = ~np.isnan(share), share[:, None]
+        return numbered(motion.q[keep], (s * motion.dq)[keep], (s**2 * motion.ddq)[keep])
+
+    def _speeds(self, u1: Array) -> tuple[Array, Array]:
+        """Limit b and its derivative by u₁."""
+        return _arc(u1, np.where(self.bounded, self.top * self.half, np.inf), self.speed)
+
+    def _accelerations(self, dq: Array) -> tuple[Array, Array]:
+        """Limit c and its derivative by q̇."""
+        c, dc = _arc(dq / self.speed, self.top * self.speed, self.acceleration)
+        return c, dc / self.speed
+
+
+def numbered(q: Array, dq: Array, ddq: Array) -> Motion:
+    """States that follow no time."""
+    return Motion(np.arange(len(q), dtype=float), q, dq, ddq)
+
+
+def state_space(robot: Robot, top: float) -> StateSpace:
+    """Feasible states of motions without angular frequencies above ``top`` [rad/s].
+
+    Raises:
+        BadInput: A joint's speed or acceleration, or a sliding joint's position, is unlimited.
+    """
+    middle, half = position_range(robot.limits)
+    bounded = np.isfinite(half)
+    _refuse(robot, ~bounded & ~robot.revolute, "slides without position limits")
+    half = np.where(bounded, half, np.pi)
+    speed = np.minimum(robot.limits.velocity, np.where(bounded, top * half, np.inf))
+    _refuse(robot, np.isinf(speed), "has no velocity limit")
+    acceleration = np.minimum(robot.limits.acceleration, top * speed)
+    if np.isinf(acceleration).any():
+        acceleration = np.minimum(acceleration, _torque_reach(robot, middle, half, speed))
+    _refuse(robot, np.isinf(acceleration), "has neither an acceleration nor torque limits")
+    return StateSpace(robot, middle, half, bounded, speed, acceleration, top)
+
+
+def _arc(x: Array, radius: Array, cap: Array) -> tuple[Array, Array]:
+    """min(radius √(1 − x²), cap) and its derivative by x."""
+    root = np.sqrt(np.maximum(1 - x**2, _TINY))
+    with np.errstate(invalid="ignore"):
+        arc, slope = radius * root, -radius * x / root
+    flat = ~(arc < cap)
+    return np.where(flat, cap, arc), np.where(flat, 0.0, slope)
+
+
+def _torque_reach(robot: Robot, middle: Array, half: Array, speed: Array) -> Array:
+    """Twice the largest acceleration that torque limits leave at random states, shape (nv,)."""
+    rng = np.random.default_rng(0)
+    q = middle + half * rng.uniform(-1, 1, (_POSES, robot.nv))
+    dq = speed * rng.uniform(-1, 1, q.shape)
+    at_rest = torque(robot, numbered(q, dq, np.zeros_like(q)))
+    columns = []
+    for unit in np.eye(robot.nv):
+        unit_torque = torque(robot, numbered(q, dq, np.broadcast_to(unit, q.shape)))
+        columns.append(unit_torque - at_rest)
+    inverse = np.linalg.inv(np.stack(columns, axis=2))
+    room = robot.limits.torque + np.abs(at_rest)
+    with np.errstate(invalid="ignore"):
+        reach = np.einsum("nij,nj->ni", np.abs(inverse), room)
+    most: Array = 2 * reach.max(axis=0)
+    return np.where(np.isnan(most), np.inf, most)
+
+
+def _refuse(robot: Robot, culprits: npt.NDArray[np.bool_], why: str) -> None:
+    if np.any(culprits):
+        joint = robot.joints[int(np.flatnonzero(culprits)[0])]
+        raise BadInput(
+            f"no lower bound for {robot.name}: joint {joint} {why}, so that the states it can "
+            "pass are unlimited; give the limit"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TestFunctions:
+    """Functions φ = f(q_j) q̇_i with f among 1, sin, cos (turning) or 1, x, x² (sliding joints).
+
+    Over a period, and from rest to rest, E[dφ/dt] = E[f′(q_j) q̇_j q̇_i + f(q_j) q̈_i] = 0: the
+    virial theorem where f = 1 or x, the balance of generalised momentum in general. Functions
+    even in q̇ would say nothing, for M is even, and a motion and its reverse count alike.
+
+    Attributes:
+        joints: Joint j of the factor, shape (m,).
+        factors: Kind of the factor f, shape (m,).
+        speeds: Joint i of the velocity, shape (m,).
+        scale: Divisor of each function, shape (m,).
+    """
+
+    joints: Indices
+    factors: Indices
+    speeds: Indices
+    scale: Array
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+    def rates(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """dφ/dt at n states, shape (n, m)."""
+        f, df, _ = self._factors(q)
+        rates: Array = df * dq[:, self.joints] * dq[:, self.speeds] + f * ddq[:, self.speeds]
+        return rates / self.scale
+
+    def gradient(self, q: Array, dq: Array, ddq: Array, y: Array) -> tuple[Array, Array, Array]:
+        """Derivatives of Σ y dφ/dt by q, q̇ and q̈, each of shape (n, nv)."""
+        f, df, ddf = self._factors(q)
+        j, i = (np.eye(q.shape[1])[index] for index in (self.joints, self.speeds))
+        y = y / self.scale
+        v, u, a = dq[:, self.joints], dq[:, self.speeds], ddq[:, self.speeds]
+        by_q = (y * (ddf * v * u + df * a)) @ j
+        by_dq = (y * df * u) @ j + (y * df * v) @ i
+        return by_q, by_dq, (y * f) @ i
+
+    def _factors(self, q: Array) -> tuple[Array, Array, Array]:
+        """f, f′ and f″ at n states, each of shape (n, m)."""
+        x, kind = q[:, self.joints], self.factors
+        sin, cos, zero, one = np.sin(x), np.cos(x), np.zeros_like(x), np.ones_like(x)
+        return (
+            np.choose(kind, [one, sin, cos, x, x * x]),
+            np.choose(kind, [zero, cos, -sin, one, 2 * x]),
+            np.choose(kind, [zero, -sin, -cos, zero, 2 * one]),
+        )
+
+
+def test_functions(shown: Indices, revolute: npt.NDArray[np.bool_]) -> TestFunctions:
+    """All test functions of an arm, unscaled.
+
+    Args:
+        shown: Joints whose position the torques depend on.
+        revolute: Whether each joint turns, shape (nv,).
+    """
+    factors = [(0, _ONE)]
+    for j in shown:
+        factors += [(int(j), kind) for kind in ((_SIN, _COS) if revolute[j] else (_X, _XX))]
+    table = np.array([(j, kind, i) for j, kind in factors for i in range(len(revolute))])
+    return TestFunctions(table[:, 0], table[:, 1], table[:, 2], np.ones(len(table)))
+
+
+@dataclass(frozen=True, eq=False)
+class Multipliers:
+    """Dual variables of the best mixture of states: a lower bound tr P on κ, when all agree.
+
+    Attributes:
+        P: Of Σ w M ⪰ I, positive semidefinite, shape (r, r).
+        Q: Of Σ w M ⪯ κ I, positive semidefinite with trace 1, shape (r, r).
+        y: Of the equality rows, shape (m,).
+    """
+
+    P: Array
+    Q: Array
+    y: Array
+
+    @property
+    def value(self) -> float:
+        """The bound on κ, tr P."""
+        return float(np.trace(self.P))
+
+    @property
+    def repair(self) -> Array:
+        """R = (I / r + Q) / 2 of trace 1, by which a violation is repaired."""
+        R: Array = _IDENTITY_SHARE * np.eye(len(self.Q)) / len(self.Q)
+        return R + (1 - _IDENTITY_SHARE) * self.Q
+
+    def repaired(self, violation: float) -> Multipliers:
+        """Multipliers that hold wherever the violation is at most this: Q + violation R."""
+        e = max(violation, 0.0)
+        return Multipliers(self.P / (1 + e), (self.Q + e * self.repair) / (1 + e), self.y / (1 + e))
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,27 +274,28 @@ class Relaxation:
     """Mixtures of feasible states in place of motions.
 
     M = ∫ M(x) dξ(x) over states x, with E[dφ/dt] = 0 for the test functions. Each M(x) is
-    averaged with its reverse in time, M(q, −q̇, q̈) = S M S with signs S: then M has a block of
-    columns even and one of columns odd in q̇.
+    averaged with its reverse in time, M(q, −q̇, q̈) = S M S with signs S: columns even and columns
+    odd in q̇ then have nothing in common.
 
     Attributes:
         information: What is to be made visible.
         space: The feasible states.
-        blocks: Base columns of each block.
+        odd: Whether each base column is odd in q̇, shape (r,).
         tests: Test functions, scaled; None for any motion whatever.
         unit: Typical tr M of a state.
     """
 
     information: Information
     space: StateSpace
-    blocks: tuple[npt.NDArray[np.intp], ...]
+    odd: npt.NDArray[np.bool_]
     tests: TestFunctions | None
     unit: float
 
-    def matrices(self, motion: Motion) -> list[Array]:
-        """M of each state by blocks, each of shape (n, p_b, p_b)."""
+    def matrices(self, motion: Motion) -> Array:
+        """M of each state, shape (n, r, r)."""
         Y = self.information.observation(motion)
-        return [np.swapaxes(Y[:, :, b], 1, 2) @ Y[:, :, b] for b in self.blocks]
+        M: Array = np.swapaxes(Y, 1, 2) @ Y * (self.odd[:, None] == self.odd)
+        return M
 
     def rows(self, motion: Motion) -> Array:
         """Rates of the test functions, shape (n, m)."""
@@ -57,51 +303,15 @@ class Relaxation:
             return np.zeros((len(motion), 0))
         return self.tests.rates(motion.q, motion.dq, motion.ddq)
 
-    def mixture(self, motion: Motion, tolerance: float) -> Mixture:
-        """The best mixture of these states."""
-        M = self.matrices(motion)
-        size = sum(np.trace(block, axis1=1, axis2=2) for block in M) + _SAME * self.unit
-        found = best_mixture(
-            [block / size[:, None, None] for block in M],
-            self.rows(motion) * (self.unit / size)[:, None],
-            bound=_MULTIPLIER,
-            tolerance=tolerance,
-        )
-        multipliers = replace(found.multipliers, y=found.multipliers.y * self.unit)
-        return replace(found, multipliers=multipliers, weights=found.weights / size)
-
     def price(self, multipliers: Multipliers, motion: Motion) -> Array:
         """Violation g / ⟨R, M⟩ at each state, shape (n,).
 
-        g = ⟨P − Q, M⟩ + y·dφ/dt must not be positive; R = (I/p + Q)/2 repairs it.
+        g = ⟨P − Q, M⟩ + y·dφ/dt must not be positive; R repairs it.
         """
-        Y, F = self.information.observation(motion), self.forms(multipliers)
-        g, size = (self._form(Y, form) for form in F)
-        if self.tests is not None:
-            g = g + self.rows(motion) @ multipliers.y
-        price: Array = g / (size + 1e-300)
+        Y = self.information.observation(motion)
+        g = _form(Y, multipliers.P - multipliers.Q) + self.rows(motion) @ multipliers.y
+        price: Array = g / (_form(Y, multipliers.repair) + 1e-300)
         return price
-
-    def forms(self, multipliers: Multipliers) -> tuple[list[Array], list[Array]]:
-        """P − Q and R by blocks."""
-        p = sum(len(b) for b in self.blocks)
-        return (
-            [P - Q for P, Q in zip(multipliers.P, multipliers.Q, strict=True)],
-            [
-                _IDENTITY_SHARE * np.eye(len(Q)) / p + (1 - _IDENTITY_SHARE) * Q
-                for Q in multipliers.Q
-            ],
-        )
-
-    def repaired(self, multipliers: Multipliers, violation: float) -> Multipliers:
-        """Multipliers that hold wherever the violation is at most this: Q + violation R."""
-        e = max(violation, 0.0)
-        R = self.forms(multipliers)[1]
-        return Multipliers(
-            tuple(P / (1 + e) for P in multipliers.P),
-            tuple((Q + e * r) / (1 + e) for Q, r in zip(multipliers.Q, R, strict=True)),
-            multipliers.y / (1 + e),
-        )
 
     def worst(
         self, multipliers: Multipliers, starts: Array, steps: int, kept: int, polish: int
@@ -159,13 +369,6 @@ class Relaxation:
         best: Array = u[np.argsort(-self._merit(multipliers, u))[:n]]
         return best
 
-    def _form(self, Y: Array, form: Sequence[Array]) -> Array:
-        """⟨form, M⟩ at each state."""
-        total = np.zeros(len(Y))
-        for b, F in zip(self.blocks, form, strict=True):
-            total += np.einsum("nij,nij->n", Y[:, :, b] @ F, Y[:, :, b])
-        return total
-
     def _merit(self, multipliers: Multipliers, u: Array) -> Array:
         motion = self.space.motion(u)
         over = np.maximum(self.space.excess(motion) - 1, 0.0)
@@ -176,11 +379,9 @@ class Relaxation:
         """Gradient of the merit by u (friction's share of the torque held fast)."""
         motion = self.space.motion(u)
         exact = self.information.linearise(motion)
-        price, (G, R) = self.price(multipliers, motion), self.forms(multipliers)
-        size = self._form(exact.Y, R) + 1e-300
-        T = np.zeros_like(exact.Y)
-        for b, g, r in zip(self.blocks, G, R, strict=True):
-            T[:, :, b] = exact.Y[:, :, b] @ g - price[:, None, None] * (exact.Y[:, :, b] @ r)
+        price, F = self.price(multipliers, motion), multipliers.P - multipliers.Q
+        size = _form(exact.Y, multipliers.repair) + 1e-300
+        T = exact.Y @ F - price[:, None, None] * (exact.Y @ multipliers.repair)
         T = 2 * T / size[:, None, None] - self._torque_slope(motion)
         slopes = [
             np.einsum("jnir,nir->nj", by, T, optimize=True)
@@ -202,6 +403,11 @@ class Relaxation:
         return product
 
 
+def _form(Y: Array, F: Array) -> Array:
+    """⟨F, YᵀY⟩ at each state, shape (n,)."""
+    return np.asarray(np.einsum("nij,nij->n", Y @ F, Y))
+
+
 def relaxation(robot: Robot, columns: str, top: float, *, stationary: bool) -> Relaxation:
     """The relaxation for motions without angular frequencies above ``top`` [rad/s].
 
@@ -217,13 +423,12 @@ def relaxation(robot: Robot, columns: str, top: float, *, stationary: bool) -> R
     Y = visible.observation(motion)
     back = visible.observation(numbered(motion.q, -motion.dq, motion.ddq))
     odd = np.abs(Y + back).max(axis=(0, 1)) < np.abs(Y - back).max(axis=(0, 1))
-    blocks = tuple(np.flatnonzero(part) for part in (~odd, odd) if part.any())
     tests = None
     if stationary:
         plain = test_functions(_shown(visible, motion, Y), robot.revolute)
         rates = plain.rates(motion.q, motion.dq, motion.ddq)
         tests = replace(plain, scale=np.sqrt((rates**2).mean(axis=0)))
-    return Relaxation(visible, space, blocks, tests, float((Y**2).sum(axis=(1, 2)).mean()))
+    return Relaxation(visible, space, odd, tests, float((Y**2).sum(axis=(1, 2)).mean()))
 
 
 def _shown(visible: Information, motion: Motion, Y: Array) -> npt.NDArray[np.intp]:

@@ -20,7 +20,6 @@ from excitant.identify.knowledge import Knowledge, load_knowledge
 from excitant.identify.monitor import Monitor, identify_online, replay
 from excitant.identify.online import OnlineEstimate, OnlineEstimator
 from excitant.identify.payload import PayloadEstimate, estimate_payload, identify_payload
-from excitant.identify.periods import Periods, periods_of
 from excitant.identify.recording import (
     Recording,
     read_chunks,
@@ -29,6 +28,7 @@ from excitant.identify.recording import (
     recording_from_raw,
     recording_from_table,
 )
+from excitant.identify.regression import Regression
 from excitant.identify.result import identify_result, identify_series
 from excitant.identify.rows import Data, split
 from excitant.identify.sequential import LinkByLink, identify_link_by_link
@@ -49,11 +49,11 @@ __all__ = [
     "OnlineEstimate",
     "OnlineEstimator",
     "PayloadEstimate",
-    "Periods",
     "Persistency",
     "Publication",
     "RawRecording",
     "Recording",
+    "Regression",
     "ZeroPhaseButterworth",
     "choose_differentiator",
     "estimate_payload",
@@ -69,7 +69,6 @@ __all__ = [
     "load_dataset",
     "load_knowledge",
     "model_files",
-    "periods_of",
     "persistency",
     "publication",
     "raw_recording",

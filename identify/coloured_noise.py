@@ -73,10 +73,12 @@ class JointRows:
         return np.asarray(scipy.fft.irfft(2 * cross, self.size)[: lags + 1] / self.W.shape[1])
 
 
-def joint_rows(W: Array) -> JointRows:
-    """Rows of one joint, shape (n, r), ready for `score_covariances`."""
-    used = np.flatnonzero((W != 0).any(axis=0))
-    columns, size = np.ascontiguousarray(W[:, used].T), scipy.fft.next_fast_len(2 * len(W), True)
+def joint_rows(W: Array, used: npt.NDArray[np.intp] | None = None) -> JointRows:
+    """Rows of one joint, shape (n, r), ready for `scores_of`; or those of the columns used."""
+    if used is None:
+        used = np.flatnonzero((W != 0).any(axis=0))
+        W = W[:, used]
+    columns, size = np.ascontiguousarray(W.T), scipy.fft.next_fast_len(2 * len(W), True)
     return JointRows(used, columns, scipy.fft.rfft(columns, size), size)
 
 
@@ -90,8 +92,12 @@ def score_covariances(W: Array, residual: Array, inverse: Array) -> tuple[Array,
         residual: Residuals of least squares, divided alike, shape (n, nv).
         inverse: A⁻¹ = (Σ_j W_jᵀ W_j)⁻¹, shape (r, r).
     """
-    n, lags = len(W), _lags(len(W))
-    rows = [joint_rows(W[:, j]) for j in range(W.shape[1])]
+    return scores_of([joint_rows(W[:, j]) for j in range(W.shape[1])], residual, inverse)
+
+
+def scores_of(rows: list[JointRows], residual: Array, inverse: Array) -> tuple[Array, Array]:
+    """`score_covariances` of columns that are kept joint by joint."""
+    n, lags = len(residual), _lags(len(residual))
     observed = autocovariance(residual, lags)
     gammas = list(observed.T)
     for _ in range(_ROUNDS):

@@ -7,21 +7,44 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify.importers.mapping import (
     ColumnMap,
-    Drive,
     column_map,
-    drive_from_entry,
+    drive_of,
     load_column_map,
 )
 from excitant.identify.importers.raw import SUFFIXES
 from excitant.identify.recording import Recording, read_recordings
 from excitant.robots.loading import load_robot
 from excitant.robots.robot import Robot
-from excitant.robots.yaml_entries import entries_of, yaml_content
+from excitant.robots.schema import RobotRecord, read_yaml
 
 _USUAL = (".parquet", ".csv")
+
+
+class KinematicsRecord(msgspec.Struct, frozen=True):
+    """The model of a data set: its file, and joints that are locked at 0."""
+
+    urdf: str | None = "robot.urdf"
+    lock: list[str] | None = None
+
+
+class TorqueRecord(msgspec.Struct, frozen=True):
+    """Prefix of the torque columns, such as ``tau`` or ``i``, and what one ampere makes."""
+
+    column: str | None = None
+    gains: Any = msgspec.field(name="drive_gain_Nm_per_A", default=None)
+
+
+class DatasetRecord(msgspec.Struct, frozen=True):
+    """What is read of a ``dataset.json``; what else it says is for people."""
+
+    kinematics: KinematicsRecord | None = None
+    torque: TorqueRecord | None = None
+    units: Any = None
 
 
 @dataclass(frozen=True)
@@ -108,46 +131,40 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
         robot = load_robot(spec)
         return Dataset(robot, mapping=_mapping(columns, _drive(folder)))
     sidecar = folder / "dataset.json"
-    content = _sidecar(sidecar)
-    kinematics, torque = (_entries(content, name, sidecar) for name in ("kinematics", "torque"))
-    name = kinematics.get("urdf", "robot.urdf")
-    candidates = [folder / str(name)] if name else []
-    candidates += [folder / "robot.yaml"]
+    record = DatasetRecord()
+    if sidecar.is_file():
+        record = read_yaml(sidecar, DatasetRecord, "a data set")
+    kinematics, torque = record.kinematics or KinematicsRecord(), record.torque or TorqueRecord()
+    candidates = [folder / name for name in (kinematics.urdf, "robot.yaml") if name]
     model = next((path for path in candidates if path.is_file()), None)
     if model is None:
         raise BadInput(
             f"{folder}: no robot model (robot.urdf or robot.yaml) in this folder; add one, or "
             f"give ROBOT and the paths of the recordings"
         )
-    lock, column = kinematics.get("lock") or [], torque.get("column")
-    if not isinstance(lock, list) or not all(isinstance(joint, str) for joint in lock):
-        raise BadInput(f"{sidecar}: 'kinematics.lock' must be a list of joints")
-    if not isinstance(column, str | None):
-        raise BadInput(f"{sidecar}: 'torque.column' must be a prefix such as 'tau' or 'i'")
     try:
-        robot = load_robot(model, lock=dict.fromkeys(lock, 0.0) or None)
+        robot = load_robot(model, lock=dict.fromkeys(kinematics.lock or [], 0.0) or None)
     except UnknownName as error:
         raise BadInput(f"{sidecar}: {error}") from None
     beside = folder / "columns.yaml"
     given = columns if columns is not None or not beside.is_file() else beside
-    drive = drive_from_entry(_gains(torque), str(sidecar)) or _drive(model)
-    return Dataset(robot, folder, column, _mapping(given, drive, content.get("units"), sidecar))
+    own = {"gain_Nm_per_A": torque.gains if isinstance(torque.gains, list) else None}
+    drive = drive_of(own, str(sidecar)) or _drive(model)
+    return Dataset(robot, folder, torque.column, _mapping(given, drive, record.units, sidecar))
 
 
-def _gains(torque: dict[str, Any]) -> dict[str, Any] | None:
-    gains = torque.get("drive_gain_Nm_per_A")
-    return {"gain_Nm_per_A": gains} if isinstance(gains, list) else None
-
-
-def _drive(model: Path) -> Drive | None:
-    """Drive constants of a robot.yaml, which `load_robot` has read without complaint."""
+def _drive(model: Path) -> tuple[float, ...] | None:
+    """Drive constants of a robot.yaml."""
     if model.suffix not in (".yaml", ".yml") or not model.is_file():
         return None
-    return drive_from_entry(entries_of(model, "a robot").get("drive"), str(model))
+    return drive_of(read_yaml(model, RobotRecord, "a robot").drive, str(model))
 
 
 def _mapping(
-    columns: str | Path | None, drive: Drive | None, units: object = None, sidecar: Path = Path()
+    columns: str | Path | None,
+    drive: tuple[float, ...] | None,
+    units: object = None,
+    sidecar: Path = Path(),
 ) -> ColumnMap | None:
     """The map in a file, completed by drive constants and units that are said elsewhere."""
     given = ColumnMap() if columns is None else load_column_map(columns)
@@ -156,19 +173,3 @@ def _mapping(
     if given.drive is None:
         given = replace(given, drive=drive)
     return given if given != ColumnMap() else None
-
-
-def _entries(content: dict[str, Any], name: str, sidecar: Path) -> dict[str, Any]:
-    entries = content.get(name) or {}
-    if not isinstance(entries, dict):
-        raise BadInput(f"{sidecar}: '{name}' must be an object, such as {{}}")
-    return entries
-
-
-def _sidecar(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        return {}
-    content = yaml_content(path, "a data set")
-    if not isinstance(content, dict):
-        raise BadInput(f"{path}: expected an object with 'kinematics' and 'torque'")
-    return content

@@ -33,7 +33,8 @@ from excitant.identify.accuracy import series
 from excitant.identify.least_squares import factorised, with_covariance
 from excitant.identify.preprocessing import Segment
 from excitant.identify.recording import Recording
-from excitant.identify.rows import observation, split
+from excitant.identify.regression import dense, observation
+from excitant.identify.rows import split
 from excitant.robots.base_parameters import base_parameters, independent_columns
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, freeze
@@ -337,7 +338,7 @@ def _covariance(exact: Array, current: Array, k: Array, theta: Array, shown: Mas
     residual = current - torque / k
     sigma = np.maximum(residual.std(axis=0), 1e-12)
     names = tuple(f"column {c}" for c in range(columns.shape[2]))
-    factor = factorised(columns, sigma, names)
+    factor = factorised(dense(columns, residual, names), sigma)
     fit = with_covariance(factor, np.zeros(columns.shape[2]), residual, sigma)
     covariance = _SPREAD**2 * np.eye(len(k))
     count = int(shown.sum())

@@ -8,29 +8,30 @@ from functools import cached_property
 
 import numpy as np
 
+from excitant.exceptions import UnknownName
 from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
-from excitant.identify.cutoff_harmonics import planned_harmonics
-from excitant.identify.cutoff_sensitivity import Sensitivity, sensitivity
-from excitant.identify.cutoff_study import Study
-from excitant.identify.estimator_choice import AUTO, EstimatorChoice
-from excitant.identify.estimators import DESCRIPTIONS, estimator_named
-from excitant.identify.estimators.of_rows import estimated
-from excitant.identify.fit_choices import plain_choices, tuned_choices
+from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.knowledge import Knowledge
-from excitant.identify.least_squares import LeastSquares, weighted_least_squares
+from excitant.identify.least_squares import LeastSquares
 from excitant.identify.physical import PhysicalFit, fit_physical, prior_parameters
 from excitant.identify.prediction import PredictionInterval, prediction_interval
 from excitant.identify.recording import Recording
-from excitant.identify.resting import identified_robot, resting, whitened
-from excitant.identify.rows import Data, FitRows, fit_rows, fitted, split
+from excitant.identify.rows import (
+    Data,
+    FitRows,
+    fit_rows,
+    fitted,
+    identified_robot,
+    split,
+    with_own_torque,
+)
+from excitant.identify.shapes import Shapes, refined_shapes
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
-
-__all__ = ["Estimate", "identified_robot", "identify", "judged", "notes_on", "whitened"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +56,7 @@ class Estimate:
         notes: What the user should know, as sentences.
         estimator: How the base parameters were estimated, in words.
         knowledge: What was taken for known of the bodies.
-        study: Cut-offs and dead zone of the fit; None where not asked for.
-        contest: How estimators compared; None where one was asked for.
+        shapes: Shapes of effects, refined where that fits better; None where there are none.
     """
 
     given: Robot
@@ -74,10 +74,9 @@ class Estimate:
     predicted: Array
     predicted_given: Array
     notes: tuple[str, ...]
-    estimator: str = DESCRIPTIONS["wls"]
+    estimator: str = ESTIMATORS["wls"]
     knowledge: Knowledge = field(default_factory=Knowledge)
-    study: Study | None = None
-    contest: EstimatorChoice | None = None
+    shapes: Shapes | None = None
 
     @property
     def phi(self) -> Array:
@@ -93,14 +92,6 @@ class Estimate:
             return np.asarray(observation_columns(self.model, effects, motion)[:, :, used], float)
 
         return read_only(np.concatenate([part.rows(columns) for part in self.data.validate]))
-
-    @cached_property
-    def sensitivity(self) -> Sensitivity | None:
-        """How the result depends on the cut-off; None without a study."""
-        if self.study is None:
-            return None
-        std = np.sqrt(np.diag(self.least_squares.covariance))
-        return sensitivity(self.study, self.holdout_columns, self.series, std)
 
     @cached_property
     def interval(self) -> PredictionInterval:
@@ -126,72 +117,56 @@ def identify(
     cutoff_hz: float | None = None,
     estimator: str = "wls",
     knowledge: Knowledge | None = None,
-    tune: bool = False,
-    harmonics_hz: float | Array | None = None,
+    harmonics_hz: float | None = None,
 ) -> Estimate:
     """Identify a robot from recordings.
 
     Weighted least squares on the base parameters gives noise levels and base estimates; the
     semidefinite fit then gives physically consistent standard parameters. With any other
     estimator, the semidefinite fit is to the torque that its base parameters predict on these
-    rows, weighted by the noise it found.
+    rows, weighted by the noise it found. Shapes of effects, in which torque is not linear, are
+    refined where that fits better (`excitant.identify.shapes`).
 
     Args:
         robot: The arm; its inertias are the prior.
         recordings: What to fit.
         validate: What to judge on; the last 30 % of each recording when empty.
         effects: Effects to estimate; friction, offset and rotor inertia when None.
-        cutoff_hz: Cut-off of the torque filter [Hz].
-        estimator: One of `excitant.identify.estimators.ESTIMATORS`, or ``"auto"``: chosen on an
-            inner hold-out (`excitant.identify.estimator_choice`).
-        tune: Choose cut-offs of joints and a velocity dead zone from the training data, and show
-            how the result depends on the cut-off (`excitant.identify.cutoff`). A cut-off
-            given is kept. Shapes of effects are refined (`excitant.identify.shapes`).
+        cutoff_hz: Cut-off of the torque filter [Hz]; see `excitant.identify.rows.split`.
+        estimator: One of `excitant.identify.estimators.ESTIMATORS`.
         knowledge: What is known of the bodies beforehand, and the kind of prior.
-        harmonics_hz: Highest harmonic of the motion as planned, for all joints or each [Hz]; with
-            `tune`, no cut-off below what it needs is chosen. Where None, it is looked for in
-            recordings that repeat.
+        harmonics_hz: Highest harmonic of the motion as planned [Hz]; without a cut-off given,
+            none is taken that filters its torque away.
 
     Raises:
-        BadInput: Knowledge that no body fulfils, or of links that the arm does not have;
-            frequencies that cannot be.
+        BadInput: Knowledge that no body fulfils, or of links that the arm does not have.
         BadRecording: Recordings that cannot be used.
         BadRobot: Links without mass, so no prior.
         UnknownName: There is no such estimator.
         RankDeficient: Motion that leaves base parameters undetermined.
-        Infeasible: The semidefinite solver failed.
+        Infeasible: The semidefinite solver failed, or an estimator does not converge.
     """
-    if estimator != AUTO:
-        estimator_named(estimator)  # refused before anything is computed
-    prior = prior_parameters(robot)
+    if estimator not in ESTIMATORS:
+        raise UnknownName("estimator", estimator, ESTIMATORS)
+    prior, known = prior_parameters(robot), knowledge or Knowledge()
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
-    data = split(recordings, validate, cutoff_hz)
-    base = base_parameters(robot, effects)
-    known = knowledge or Knowledge()
-    reference, rows = resting(robot, fit_rows(robot, effects, base, data), prior, known)
-    said, parts = notes_on(robot, prior, data, rows.gains), fitted(recordings, validate)
-    if tune:
-        planned = None if harmonics_hz is None else planned_harmonics(harmonics_hz, robot.nv)
-        chosen = tuned_choices(
-            reference, rows, parts, estimator, prior, known,
-            fixed=cutoff_hz is not None, harmonics=planned,
-        )  # fmt: skip
-    else:
-        chosen = plain_choices(reference, rows, parts, estimator)
-    rows, base, said = chosen.rows, chosen.rows.base, (*said, *chosen.notes)
-    if chosen.estimator == "wls":
-        fit = weighted_least_squares(rows.W[:, :, base.columns], rows.tau, base.expressions)
-        R, z = whitened(rows.W, rows.tau, fit)
-    else:
-        fit, notes = estimated(reference, rows, recordings, validate, chosen.estimator)
-        said, R = (*said, *notes), whitened(rows.W, rows.tau, fit)[0]
-        z = R[:, base.columns] @ fit.beta
+    data = split(recordings, validate, cutoff_hz, harmonics_hz)
+    rows = fit_rows(robot, effects, base_parameters(robot, effects), data)
+    rows = with_own_torque(rows, prior, known)
+    notes = notes_on(robot, prior, data, rows.gains)
+    shapes = refined_shapes(rows, prior, known)
+    if shapes is not None:
+        rows = shapes.rows(rows) if shapes.better else rows
+        notes += (shapes.sentence,)
+    fit, said = estimated(rows, fitted(recordings, validate), estimator)
+    R, z = rows.regression.factor(fit.weight)
+    if estimator != "wls":
+        z = R[:, rows.base.columns] @ fit.beta
     physical = fit_physical(R, z, prior, rows.open_prior, knowledge=known, links=robot.links)
-    found = judged(robot, rows, *chosen.widened(fit, physical), said)
-    words = DESCRIPTIONS[chosen.estimator]
-    return replace(
-        found, estimator=words, knowledge=known, study=chosen.study, contest=chosen.contest
-    )
+    if shapes is not None and shapes.better:
+        fit, physical = shapes.widened(fit, physical, rows.base)
+    found = judged(robot, rows, fit, physical, (*notes, *said))
+    return replace(found, estimator=ESTIMATORS[estimator], knowledge=known, shapes=shapes)
 
 
 def judged(
@@ -220,7 +195,7 @@ def judged(
         prior=read_only(prior_parameters(robot).ravel()),
         gains=read_only(gains),
         data=data,
-        train=_train_accuracy(model, rows, physical.x),
+        train=rows.measured.accuracy(rows.regression.torque(physical.x) / gains),
         validate=unseen.accuracy(predicted),
         baseline=unseen.accuracy(predicted_given),
         series=unseen,
@@ -230,17 +205,9 @@ def judged(
     )
 
 
-def _train_accuracy(model: Robot, rows: FitRows, x: Array) -> Accuracy:
-    """Accuracy on the training segments at the cut-off of judging, whatever rows were fitted."""
-    data = rows.data
-    if not data.tuned:
-        return rows.measured.accuracy(rows.W @ x / rows.gains)
-    return series(data.train).accuracy(predicted_torque(model, data.train) / rows.gains)
-
-
 def notes_on(robot: Robot, prior: Array, data: Data, gains: Array) -> tuple[str, ...]:
     """What the user should know of the hold-out, the prior and the unit of torque."""
-    notes = [data.holdout]
+    notes = [data.holdout, data.cutoff_why]
     moved = [
         link
         for link, given, used in zip(robot.links, robot.phi.reshape(-1, 10), prior, strict=True)

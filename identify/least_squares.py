@@ -9,7 +9,8 @@ import scipy.linalg
 import scipy.stats
 
 from excitant.exceptions import RankDeficient
-from excitant.identify.coloured_noise import score_covariances
+from excitant.identify.coloured_noise import joint_rows, scores_of
+from excitant.identify.regression import Regression, triangle
 from excitant.robots.motion import Array, freeze
 
 _ROUNDS = 4  # of re-estimating the noise of each joint; the weights settle in two or three
@@ -41,8 +42,78 @@ class LeastSquares:
     def __post_init__(self) -> None:
         freeze(self, "beta", "covariance", "sigma", "inflation")
 
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the estimate, shape (r,)."""
+        return np.sqrt(np.diag(self.covariance))
 
-def weighted_least_squares(W: Array, tau: Array, names: tuple[str, ...]) -> LeastSquares:
+    @property
+    def weight(self) -> Array:
+        """Weights of joints' rows with which squares are −2 log-likelihood, shape (nv,).
+
+        Autocorrelated residuals count by their number of independent samples.
+        """
+        return np.asarray(1 / (self.sigma * np.sqrt(self.inflation)), float)
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """QR factorisation of weighted columns, W_j / weight_j = Q_j R diag(norms).
+
+    Attributes:
+        problem: The columns and torque.
+        weight: Noise that rows were divided by, shape (nv,) [torque unit].
+        norms: Lengths of the weighted columns, shape (r,).
+        R: Shape (r, r).
+        z: Qᵀ of the weighted torque, shape (r,).
+    """
+
+    problem: Regression
+    weight: Array
+    norms: Array
+    R: Array
+    z: Array
+
+    def solve(self, z: Array | None = None) -> Array:
+        """β of least squares, shape (r,), of the problem's torque or of another z."""
+        x = scipy.linalg.solve_triangular(self.R, self.z if z is None else z)
+        return np.asarray(x / self.norms, float)
+
+    def information(self) -> Array:
+        """X_jᵀ X_j of each joint, X_j the weighted columns of unit length, shape (nv, r, r)."""
+        problem = self.problem
+        found = np.zeros((problem.nv, problem.p, problem.p))
+        for j, (index, R) in enumerate(zip(problem.index, problem.triangles, strict=True)):
+            X = R[:, :-1] / self.weight[j] / self.norms[index]
+            found[j][np.ix_(index, index)] = X.T @ X
+        return found
+
+
+def factorised(problem: Regression, weight: Array) -> Factor:
+    """Factorisation of columns, rows divided by their joint's noise.
+
+    Args:
+        problem: Columns and torque.
+        weight: Noise of each joint, shape (nv,) [torque unit].
+
+    Raises:
+        RankDeficient: Columns that are silent, or that others explain.
+    """
+    r, names = problem.p, problem.names
+    rows = problem.stacked(1 / weight)
+    norms = np.linalg.norm(rows[:, :r], axis=0)
+    silent = norms <= _SILENT * norms.max(initial=0.0)
+    if silent.any():
+        raise RankDeficient([names[k] for k in np.flatnonzero(silent)], _UNDETERMINED)
+    R = triangle(rows / np.append(norms, 1.0))
+    _, s, Vt = np.linalg.svd(R[:r, :r])
+    if len(R) < r or s[-1] < _DEPENDENT * s[0]:
+        weak = np.flatnonzero(np.abs(Vt[-1]) > 0.1)
+        raise RankDeficient([names[k] for k in weak], _UNDETERMINED)
+    return Factor(problem, weight, norms, R[:r, :r], R[:r, r])
+
+
+def weighted_least_squares(problem: Regression) -> LeastSquares:
     """Solve τ ≈ W β with one noise level per joint, estimated along the way.
 
     The covariance is A⁻¹ Ω A⁻¹ with A the information of rows taken for independent and Ω the
@@ -50,125 +121,24 @@ def weighted_least_squares(W: Array, tau: Array, names: tuple[str, ...]) -> Leas
     that slow structure in the residual does not count as many independent samples. It is widened by
     Student's t for the samples that the noise is known from, so that ± 1.96 standard deviations are
     a 95 % interval. Inflation is
-    tr(A⁻¹ Ω_j) / tr(A⁻¹ A_j), the mean of that effect over what joint j's rows determine.
-
-    Args:
-        W: Columns of the base parameters, shape (n, nv, r).
-        tau: Torque, shape (n, nv).
-        names: What the columns stand for, for messages.
+    tr(A⁻¹ Ω_j) / tr(A⁻¹ A_j), the mean of that effect over what joint j's rows determine
+    (Gautier 1997; Swevers et al. 1997).
 
     Raises:
         RankDeficient: The motion does not show some columns.
     """
-    settled = reweighted(W, tau, names, tau.std(axis=0), len(tau))
-    factor = settled.factor
-    fit = with_covariance(factor, settled.beta, settled.residual, factor.weight)
-    return replace(fit, sigma=settled.sigma)
-
-
-@dataclass(frozen=True, eq=False)
-class Settled:
-    """Least squares whose weights have settled.
-
-    Attributes:
-        factor: Factorisation of the weighted columns.
-        beta: Estimate, shape (r,).
-        residual: Torque less what the columns explain, shape (n, nv) [torque unit].
-        sigma: Its standard deviation per joint, shape (nv,) [torque unit].
-    """
-
-    factor: Factor
-    beta: Array
-    residual: Array
-    sigma: Array
-
-
-def reweighted(W: Array, tau: Array, names: tuple[str, ...], sigma: Array, n: int) -> Settled:
-    """Least squares of rows that stand for n rows, the noise of joints estimated along the way.
-
-    Args:
-        W: Columns, shape (m, nv, r): all rows, or a triangle of each joint's.
-        tau: Torque, shape (m, nv).
-        names: What the columns stand for, for messages.
-        sigma: First guess of each joint's noise, shape (nv,) [torque unit].
-        n: Number of rows of each joint.
-    """
-    sigma = np.maximum(sigma, SMALLEST)
+    sigma = np.maximum(problem.tau.std(axis=0), SMALLEST)
     for _ in range(_ROUNDS):
-        factor = factorised(W, sigma, names)
-        beta = factor.solve(tau)
-        residual = tau - W @ beta
-        sigma = noise_of(residual, len(beta), n)
-    return Settled(factor, beta, residual, sigma)
+        factor = factorised(problem, sigma)
+        beta = factor.solve()
+        residual = problem.residual(beta)
+        sigma = noise_of(residual, len(beta))
+    return replace(with_covariance(factor, beta, residual, factor.weight), sigma=sigma)
 
 
-@dataclass(frozen=True, eq=False)
-class Factor:
-    """QR factorisation of weighted columns X / σ = Q R diag(norms).
-
-    Attributes:
-        X: Weighted columns, each of unit length, shape (n, nv, r).
-        norms: Their lengths before, shape (r,).
-        Q: Shape (n nv, r).
-        R: Shape (r, r).
-        weight: Noise that rows were divided by, shape (nv,) [torque unit].
-    """
-
-    X: Array
-    norms: Array
-    Q: Array
-    R: Array
-    weight: Array
-
-    def solve(self, tau: Array) -> Array:
-        """β of least squares of torque, shape (n, nv) → (r,)."""
-        target = self.Q.T @ (tau / self.weight).ravel()
-        return np.asarray(scipy.linalg.solve_triangular(self.R, target) / self.norms, float)
-
-    def projected(self, values: Array) -> Array:
-        """Part of columns that X explains, weighted: (n, nv, k) → (n, nv, k)."""
-        flat = (values / self.weight[:, None]).reshape(len(self.Q), -1)
-        fitted = (self.Q @ (self.Q.T @ flat)).reshape(values.shape)
-        return np.asarray(fitted * self.weight[:, None], float)
-
-
-def factorised(X: Array, weight: Array, names: tuple[str, ...]) -> Factor:
-    """Factorisation of columns, rows divided by their joint's noise.
-
-    Args:
-        X: Shape (n, nv, r).
-        weight: Shape (nv,) [torque unit].
-        names: What the columns stand for.
-
-    Raises:
-        RankDeficient: Columns that are silent, or that others explain.
-    """
-    r = X.shape[2]
-    weighted = X / weight[:, None]
-    norms = np.linalg.norm(weighted, axis=(0, 1))
-    silent = norms <= _SILENT * norms.max(initial=0.0)
-    if silent.any():
-        raise RankDeficient([names[k] for k in np.flatnonzero(silent)], _UNDETERMINED)
-    weighted /= norms
-    Q, R = scipy.linalg.qr(weighted.reshape(-1, r), mode="economic")
-    _, s, Vt = np.linalg.svd(R)
-    if len(s) < r or s[-1] < _DEPENDENT * s[0]:
-        weak = np.flatnonzero(np.abs(Vt[-1]) > 0.1)
-        raise RankDeficient([names[k] for k in weak], _UNDETERMINED)
-    return Factor(weighted, norms, np.asarray(Q, float), np.asarray(R, float), weight)
-
-
-def noise_of(residual: Array, r: int, n: int | None = None) -> Array:
-    """Standard deviation of each joint's residual after r parameters, shape (nv,).
-
-    Args:
-        residual: Residuals, shape (m, nv).
-        r: Number of parameters.
-        n: Number of rows that they stand for; m when None.
-    """
-    n = len(residual) if n is None else n
-    size = n * residual.shape[1]
-    variance = (residual**2).sum(axis=0) / n * (size / max(size - r, 1))
+def noise_of(residual: Array, r: int) -> Array:
+    """Standard deviation of each joint's residual, shape (n, nv), after r parameters, (nv,)."""
+    variance = (residual**2).mean(axis=0) * (residual.size / max(residual.size - r, 1))
     return np.asarray(np.sqrt(np.maximum(variance, SMALLEST**2)), float)
 
 
@@ -177,9 +147,7 @@ def with_covariance(factor: Factor, beta: Array, error: Array, sigma: Array) -> 
 
     Every estimator here is, at its solution and to first order in the noise, least squares of some
     columns X_j with an error ε_j: β̂ − β = A⁻¹ Σ_j X_jᵀ ε_j, A = Σ_j X_jᵀ X_j. The columns are W
-    itself (ordinary and weighted), W with the slope of the influence (robust), W projected on the
-    instruments, or W corrected (total).
-
+    itself (weighted), W with the slope of the influence (robust), or W projected on instruments.
 
     Args:
         factor: Columns X_j.
@@ -187,39 +155,23 @@ def with_covariance(factor: Factor, beta: Array, error: Array, sigma: Array) -> 
         error: ε_j as the residual shows it, shape (n, nv) [torque unit].
         sigma: What to report as noise of each joint, shape (nv,) [torque unit].
     """
-    inverse = scipy.linalg.solve_triangular(factor.R, np.eye(len(beta)))
+    problem, inverse = factor.problem, scipy.linalg.solve_triangular(factor.R, np.eye(len(beta)))
     scaled = error / factor.weight
     size = max(float(np.sqrt((scaled**2).mean())), SMALLEST)  # far from underflow
-    scores, freedom = score_covariances(factor.X, scaled / size, inverse @ inverse.T)
-    return sandwiched(factor, beta, scores * size**2, freedom, sigma)
-
-
-def sandwiched(
-    factor: Factor, beta: Array, scores: Array, freedom: Array, sigma: Array
-) -> LeastSquares:
-    """An estimate with its covariance A⁻¹ Ω A⁻¹, given the covariance of its scores.
-
-    Args:
-        factor: Columns X_j.
-        beta: The estimate, shape (r,).
-        scores: Ω_j of X_jᵀ ε_j, each joint's part of Ω, shape (nv, r, r).
-        freedom: Degrees of freedom that they are known with, shape (nv,).
-        sigma: What to report as noise of each joint, shape (nv,) [torque unit].
-    """
-    inverse = scipy.linalg.solve_triangular(factor.R, np.eye(len(beta)))
+    rows = [
+        joint_rows(columns / factor.weight[j] / factor.norms[index], index)
+        for j, (index, columns) in enumerate(zip(problem.index, problem.columns, strict=True))
+    ]
+    scores, freedom = scores_of(rows, scaled / size, inverse @ inverse.T)
+    scores *= size**2
     root = inverse / factor.norms[:, None]
     parts = np.array([root @ (inverse.T @ each @ inverse) @ root.T for each in scores])
     widths = _widths(np.diagonal(parts, axis1=1, axis2=2), freedom)
     effect = traces(scores, inverse)
-    plain = traces(information(factor.X), inverse) * (sigma / factor.weight) ** 2
+    plain = traces(factor.information(), inverse) * (sigma / factor.weight) ** 2
     inflation = np.divide(effect, plain, out=np.ones(len(sigma)), where=plain > 0)
     covariance = parts.sum(axis=0) * np.outer(widths, widths)
     return LeastSquares(beta, covariance, sigma, np.maximum(inflation, 1.0))
-
-
-def information(X: Array) -> Array:
-    """X_jᵀ X_j of each joint, shape (nv, r, r)."""
-    return np.asarray(np.einsum("njr,njs->jrs", X, X, optimize=True), float)
 
 
 def traces(matrices: Array, inverse: Array) -> Array:

@@ -27,7 +27,8 @@ from excitant.identify.information import Information, gaussian, information_of,
 from excitant.identify.monitor import joined, replay
 from excitant.identify.physical import EffectPrior, KktResiduals, fit_physical
 from excitant.identify.recording import Recording
-from excitant.identify.rows import observation, split, torque_per_reading
+from excitant.identify.regression import observation
+from excitant.identify.rows import split, torque_per_reading
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, freeze

@@ -8,14 +8,13 @@ Every column of the regressor and the torque then pass one and the same zero-pha
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 import scipy.interpolate
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.differentiator_choice import FEWEST, position_spectrum
 from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth, low_pass
 from excitant.identify.recording import MINIMUM_DURATION, Recording
 from excitant.robots.motion import Array, Motion, freeze
@@ -27,8 +26,6 @@ _TOGETHER = 16  # columns filtered together: they fit into the processor's cache
 _AT_ONCE = 60_000  # instants whose columns are evaluated together
 _REMEMBERED = 4.0  # periods of its cut-off, after which a filter has forgotten
 _MOST_ROWS = 20_000  # of a segment: evenly taken of a longer one
-_SIGNS = 2.0  # standard deviations of noise that a velocity must exceed to have a sign
-_DIGITS = 9  # of a position that are not rounding
 _TIE = 1e-6  # of a stride: 1 kHz and 10 Hz give 25 whatever the rounding of time
 _SAME = 1e-5  # of a step: samples at regular time
 _GAP_STEPS, _GAP_TIME = 3.0, 0.05  # a gap is longer than both [median steps, s]
@@ -45,10 +42,6 @@ class Segment:
         tau_raw: Unfiltered torque at the same instants, shape (n, nv).
         cutoff_hz: Cut-off of the torque filter [Hz].
         keep: Instants that become rows: edges of the filter left out, decimated.
-        joint_cutoffs: Cut-offs of joints that have their own, shape (nv,) [Hz]; None where
-            `cutoff_hz` is that of all.
-        silent: Instants whose row of a joint says nothing and is set to zero, shape (n, nv); None
-            where all rows count.
     """
 
     name: str
@@ -57,11 +50,9 @@ class Segment:
     tau_raw: Array
     cutoff_hz: float
     keep: slice
-    joint_cutoffs: Array | None = None
-    silent: npt.NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
-        freeze(self, "tau", "tau_raw", *(() if self.joint_cutoffs is None else ("joint_cutoffs",)))
+        freeze(self, "tau", "tau_raw")
 
     @property
     def rate_hz(self) -> float:
@@ -69,10 +60,7 @@ class Segment:
         return float(1 / (self.motion.t[1] - self.motion.t[0]))
 
     def filtered(self, values: Array) -> Array:
-        """Pass columns, shape (n, ...), through the torque filter.
-
-        Where joints have cut-offs of their own, the shape is (n, nv, ...).
-        """
+        """Pass columns, shape (n, ...), through the torque filter."""
         return self._passed(values, slice(None))
 
     def rows(self, columns: Callable[[Motion], Array]) -> Array:
@@ -87,12 +75,9 @@ class Segment:
             return self._passed(columns(self.motion), self.keep)
         found = []
         for first in range(start, stop, own):
-            part = slice(max(0, first - reach), min(len(self.motion), first + own + reach))
-            shifted = slice(first - part.start, min(first + own, stop) - part.start, step)
-            silent = None if self.silent is None else self.silent[part]
-            cut = replace(self, motion=self.motion[part], tau=self.tau[part],
-                          tau_raw=self.tau_raw[part], keep=shifted, silent=silent)  # fmt: skip
-            found.append(cut._passed(columns(cut.motion), shifted))
+            part = slice(max(0, first - reach), first + own + reach)
+            kept = slice(first - part.start, min(first + own, stop) - part.start, step)
+            found.append(self._passed(columns(self.motion[part]), kept))
         return np.concatenate(found)
 
     def _passed(self, values: Array, kept: slice) -> Array:
@@ -100,18 +85,9 @@ class Segment:
         flat = values.reshape(len(values), -1)
         passed = np.zeros((len(flat[kept]), flat.shape[1]))
         live = np.flatnonzero((flat != 0).any(axis=0))
-        joint = live * values[0].shape[0] // flat.shape[1] if values.ndim > 1 else live
-        own = self.joint_cutoffs
-        hz = np.full(len(live), self.cutoff_hz) if own is None else own[joint]
-        for cutoff in np.unique(hz):
-            columns = live[hz == cutoff]
-            for some in np.array_split(columns, -(-len(columns) // _TOGETHER)):
-                filtered = low_pass(flat[:, some], float(cutoff), self.rate_hz)
-                passed[:, some] = filtered[kept]
-        found = passed.reshape(-1, *values.shape[1:])
-        if self.silent is not None:
-            found[self.silent[kept]] = 0.0
-        return found
+        for some in np.array_split(live, -(-len(live) // _TOGETHER) or 1):
+            passed[:, some] = low_pass(flat[:, some], self.cutoff_hz, self.rate_hz)[kept]
+        return passed.reshape(-1, *values.shape[1:])
 
     @property
     def t(self) -> Array:
@@ -119,28 +95,10 @@ class Segment:
         return self.motion.t[self.keep]
 
 
-@dataclass(frozen=True, eq=False)
-class Tuning:
-    """How rows are fitted, where joints differ.
-
-    Attributes:
-        cutoffs_hz: Cut-off of each joint's rows, shape (nv,) [Hz].
-        slowest: Speed of each joint below which a row says nothing, shape (nv,) [rad/s]; negative
-            where all rows count.
-    """
-
-    cutoffs_hz: Array
-    slowest: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "cutoffs_hz", "slowest")
-
-
 def prepare(
     recording: Recording,
     cutoff_hz: float | None = None,
     differentiator: Differentiator | None = None,
-    tuning: Tuning | None = None,
 ) -> list[Segment]:
     """Segments of a recording, split at gaps, filtered and differentiated.
 
@@ -150,7 +108,6 @@ def prepare(
             is lower, so that the filter of positions, twice as high, still filters.
         differentiator: From positions to the motion, in place of the Butterworth filter with
             a quintic spline; it must have no delay.
-        tuning: Cut-offs of joints' rows and slowest speeds that count.
 
     Raises:
         BadRecording: The cut-off is not below half the sampling rate, or no uninterrupted
@@ -158,7 +115,7 @@ def prepare(
     """
     step = float(np.median(np.diff(recording.t)))
     if cutoff_hz is None:
-        cutoff_hz = min(CUTOFF_HZ, 0.5 * _NYQUIST_SHARE / (POSITION_RATIO * step))
+        cutoff_hz = min(CUTOFF_HZ, default_cutoff(recording))
     if not 0 < cutoff_hz <= 0.5 * _NYQUIST_SHARE / step * (1 + 1e-9):
         raise BadRecording(
             recording.file,
@@ -167,13 +124,18 @@ def prepare(
         )
     parts = uninterrupted(recording.t)
     segments = [
-        _segment(recording, part, cutoff_hz, differentiator, tuning)
+        _segment(recording, part, cutoff_hz, differentiator)
         for part in parts
         if len(part) > 20 and recording.t[part[-1]] - recording.t[part[0]] >= MINIMUM_DURATION
     ]
     if not segments:
         raise BadRecording(recording.file, _too_short(recording, parts), column="t")
     return segments
+
+
+def default_cutoff(recording: Recording) -> float:
+    """Highest cut-off of torque at which positions, at twice that, are still filtered [Hz]."""
+    return 0.5 * _NYQUIST_SHARE / (POSITION_RATIO * float(np.median(np.diff(recording.t))))
 
 
 def uninterrupted(t: Array) -> list[npt.NDArray[np.intp]]:
@@ -223,7 +185,6 @@ def _segment(
     part: npt.NDArray[np.intp],
     cutoff_hz: float,
     differentiator: Differentiator | None,
-    tuning: Tuning | None,
 ) -> Segment:
     grid, q, tau = resampled(recording, part)
     step = float(np.median(np.diff(recording.t)))
@@ -235,7 +196,7 @@ def _segment(
     motion = differentiator(grid, q)
     edge = round(1 / (cutoff_hz * step))
     stride = max(int(1 / (4 * cutoff_hz * step) + _TIE), -(-len(grid) // _MOST_ROWS), 1)
-    segment = Segment(
+    return Segment(
         name=recording.name,
         motion=motion,
         tau=low_pass(tau, cutoff_hz, 1 / step),
@@ -243,51 +204,3 @@ def _segment(
         cutoff_hz=cutoff_hz,
         keep=slice(edge, len(grid) - edge, stride),
     )
-    return segment if tuning is None else tuned(segment, tuning)
-
-
-def tuned(segment: Segment, tuning: Tuning) -> Segment:
-    """The segment with rows as they are to be fitted; the instants of its rows stay."""
-    cutoffs, rate = tuning.cutoffs_hz, segment.rate_hz
-    silent = unclear(np.abs(segment.motion.dq) <= tuning.slowest, cutoffs, rate)
-    other = replace(segment, joint_cutoffs=cutoffs, silent=silent if silent.any() else None)
-    return replace(other, tau=other.filtered(segment.tau_raw))
-
-
-def joint_low_pass(values: Array, cutoffs_hz: Array, rate_hz: float) -> Array:
-    """Columns of joints, shape (n, nv, ...), each through its own zero-phase filter."""
-    passed = np.empty(values.shape)
-    for cutoff in np.unique(cutoffs_hz):
-        own = cutoffs_hz == cutoff
-        passed[:, own] = low_pass(values[:, own], float(cutoff), rate_hz)
-    return passed
-
-
-def unclear(
-    slow: npt.NDArray[np.bool_], cutoffs_hz: Array, rate_hz: float
-) -> npt.NDArray[np.bool_]:
-    """Rows of joints most of whose filter's weight lies on instants of unknown sign, (n, nv)."""
-    if not slow.any():
-        return slow
-    return np.asarray(joint_low_pass(slow.astype(float), cutoffs_hz, rate_hz) > 0.5, bool)
-
-
-def slowest_known(recording: Recording, position_cutoff_hz: float) -> Array:
-    """Speed below which the sign of each joint's velocity is not known, shape (nv,) [rad/s].
-
-    Twice the standard deviation of the velocity noise: the sign of a faster one is right in 97.7 %
-    of cases. The noise of a position is the floor of its spectrum, or that of its resolution where
-    that is larger (slow motion does not spread it over all frequencies), times the noise gain of
-    the differentiator. Zero where there are too few samples for a spectrum.
-    """
-    if len(recording.t) < FEWEST:
-        return np.zeros(recording.q.shape[1])
-    rate = (len(recording.t) - 1) / recording.duration
-    floor = position_spectrum(recording.t, recording.q).noise
-    steps = (np.diff(np.unique(np.round(column, _DIGITS))) for column in recording.q.T)
-    resolution = np.array([step.min(initial=np.inf) for step in steps])
-    resolution = np.where(np.isfinite(resolution), resolution, 0.0)
-    noise = np.maximum(floor, resolution / np.sqrt(12))
-    position_cutoff_hz = min(position_cutoff_hz, 0.5 * _NYQUIST_SHARE * rate)
-    gain = ZeroPhaseButterworth(position_cutoff_hz).noise_gain(rate)
-    return np.asarray(_SIGNS * noise * gain, float)

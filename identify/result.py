@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from excitant.identify.cutoff_result import contest_entries, study_entries
 from excitant.identify.essential import Essential, essential_parameters
 from excitant.identify.estimate import Estimate
 from excitant.identify.prediction import Coverage, coverage
@@ -29,8 +28,7 @@ def identify_result(estimate: Estimate) -> dict[str, Any]:
         "estimator": f"{estimate.estimator}, then physically consistent semidefinite fit",
         "effects": [effect.name for effect in estimate.model.effects],
         "cutoff_hz": estimate.data.cutoff_hz,
-        **study_entries(estimate.study, estimate.sensitivity, robot.joints),
-        **contest_entries(estimate.contest),
+        **({} if estimate.shapes is None else {"shapes": estimate.shapes.entry()}),
         "unit": estimate.data.unit,
         "holdout": estimate.data.holdout,
         "drive_gain_Nm_per_A": list(estimate.gains) if estimate.data.unit == "A" else None,

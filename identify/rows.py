@@ -1,25 +1,30 @@
-"""What is fitted and what is held out: recordings as rows of the identification problem."""
+"""What is fitted and what is held out, and the regression of an arm on it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from excitant.exceptions import BadRecording
 from excitant.identify.accuracy import Series, series
 from excitant.identify.current_gains import current_gains
-from excitant.identify.physical import EffectPrior
-from excitant.identify.preprocessing import Segment, prepare
+from excitant.identify.knowledge import Knowledge
+from excitant.identify.least_squares import weighted_least_squares
+from excitant.identify.physical import EffectPrior, fit_physical
+from excitant.identify.preprocessing import CUTOFF_HZ, Segment, default_cutoff, prepare
 from excitant.identify.recording import Recording
-from excitant.robots.base_parameters import BaseParameters
+from excitant.identify.regression import Regression, regression_of
+from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
-from excitant.robots.torque import observation_columns
 
 FIT_SHARE = 0.7  # of each recording is fitted when no hold-out is named
+_ROUNDS = 2  # until the torque that columns hold is that of the identified arm
+_PRODUCTS = 2.0  # times the highest harmonic of a motion: that of centrifugal torque
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +37,7 @@ class Data:
         unit: Unit of the torque columns, ``"N·m"`` or ``"A"``.
         cutoff_hz: Cut-off of the torque filter [Hz].
         holdout: What was held out, as a sentence.
-        tuned: The segments to fit with rows as they are fitted, where these differ from `train`,
-            whose rows are those that are judged; empty where they do not.
+        cutoff_why: Why that cut-off, as a sentence.
     """
 
     train: tuple[Segment, ...]
@@ -41,34 +45,52 @@ class Data:
     unit: str
     cutoff_hz: float
     holdout: str
-    tuned: tuple[Segment, ...] = ()
-
-    @property
-    def to_fit(self) -> tuple[Segment, ...]:
-        """Segments whose rows are fitted."""
-        return self.tuned or self.train
+    cutoff_why: str = ""
 
 
 def split(
     recordings: Sequence[Recording],
     validate: Sequence[Recording] = (),
     cutoff_hz: float | None = None,
+    harmonics_hz: float | None = None,
 ) -> Data:
     """Prepare recordings; without a hold-out, keep back the last 30 % of each.
+
+    Args:
+        recordings: What to fit.
+        validate: What to hold out.
+        cutoff_hz: Cut-off of the torque filter [Hz]. When None 10 Hz, or twice the highest
+            harmonic of the motion where that is higher, or a fifth of the slowest sampling rate
+            where that is lower.
+        harmonics_hz: Highest harmonic of the motion as planned [Hz], where that is known.
 
     Raises:
         BadRecording: Recordings in different units, or too short to split.
     """
     refuse_mixed_units((*recordings, *validate))
-    held = list(validate) or [held_out(r) for r in recordings]
-    sentence = holdout_sentence([r.name for r in validate])
+    held = list(validate) or [r.between(FIT_SHARE, 1, "last 30 %") for r in recordings]
     parts = fitted(recordings, validate)
+    why = "as given"
     if cutoff_hz is None:
-        cutoff_hz = min(prepare(r)[0].cutoff_hz for r in (*parts, *held))
+        wanted = max(CUTOFF_HZ, _PRODUCTS * (harmonics_hz or 0.0))
+        highest = min(default_cutoff(r) for r in (*parts, *held))
+        cutoff_hz = min(wanted, highest)
+        why = (
+            "a fifth of the lowest sampling rate, so that positions are still filtered at twice it"
+            if highest < wanted
+            else "twice the highest harmonic of the motion, for torque holds products of two speeds"
+            if wanted > CUTOFF_HZ
+            else "above the motion of arms and below their structural resonances"
+        )
     train, validated = (
         tuple(s for r in group for s in prepare(r, cutoff_hz)) for group in (parts, held)
     )
-    return Data(train, validated, recordings[0].unit, cutoff_hz, sentence)
+    names = ", ".join(r.name for r in validate)
+    sentence = names or "the last 30 % of each recording (no hold-out was named)"
+    return Data(
+        train, validated, recordings[0].unit, cutoff_hz, f"held out: {sentence}",
+        f"cut-off: {cutoff_hz:.3g} Hz ({why})",
+    )  # fmt: skip
 
 
 def refuse_mixed_units(recordings: Sequence[Recording]) -> None:
@@ -82,13 +104,6 @@ def refuse_mixed_units(recordings: Sequence[Recording]) -> None:
             )
 
 
-def holdout_sentence(names: Sequence[str]) -> str:
-    """What is held out, given the names of hold-outs, if any."""
-    if names:
-        return f"held out: {', '.join(names)}"
-    return "held out: the last 30 % of each recording (no hold-out was named)"
-
-
 def fitted(recordings: Sequence[Recording], validate: Sequence[Recording]) -> list[Recording]:
     """What is fitted: recordings as they are, or their first part where none is held out."""
     if validate:
@@ -96,63 +111,85 @@ def fitted(recordings: Sequence[Recording], validate: Sequence[Recording]) -> li
     return [r.between(0, FIT_SHARE, "first 70 %") for r in recordings]
 
 
-def held_out(recording: Recording) -> Recording:
-    """What is held out of a recording where no hold-out is named."""
-    return recording.between(FIT_SHARE, 1, "last 30 %")
-
-
 @dataclass(frozen=True, eq=False)
 class FitRows:
-    """What is fitted: filtered columns and torque of the training segments.
+    """The regression of an arm: of all its parameters on the training segments.
 
     Attributes:
+        robot: The arm; effects whose columns hold its torque take it from here.
         effects: Effects that are estimated.
         base: Base parameters of links and effects.
         data: Segments for fitting and for validation.
-        W: Columns of links and effects, shape (n, nv, p).
-        measured: Readings.
         gains: Torque per reading, shape (nv,) [N·m per reading].
-        open_prior: Nothing known of effects but their signs.
+        regression: Columns of all parameters of links and effects, and torque [N·m].
     """
 
+    robot: Robot
     effects: tuple[Effect, ...]
     base: BaseParameters
     data: Data
-    W: Array
-    measured: Series
     gains: Array
-    open_prior: EffectPrior
+    regression: Regression
+
+    @cached_property
+    def measured(self) -> Series:
+        """Readings."""
+        return series(self.data.train)
 
     @property
     def tau(self) -> Array:
         """Measured torque, shape (n, nv) [N·m]."""
-        return np.asarray(self.measured.measured * self.gains, float)
+        return self.regression.tau
+
+    @property
+    def W(self) -> Array:
+        """Columns of links and effects, shape (n, nv, p)."""
+        return self.regression.W
+
+    @property
+    def reduced(self) -> Regression:
+        """The regression of the base parameters."""
+        return self.regression.select(self.base.columns, self.base.expressions)
+
+    @property
+    def open_prior(self) -> EffectPrior:
+        """Nothing known of coefficients of effects but their signs."""
+        return open_prior(self.robot, self.effects, self.regression)
 
 
-def fit_rows(
-    robot: Robot, effects: tuple[Effect, ...], base: BaseParameters, data: Data
-) -> FitRows:
+def fit_rows(robot: Robot, effects: Sequence[Effect], base: BaseParameters, data: Data) -> FitRows:
     """The rows of the training segments."""
-    W, measured = observation(robot, effects, data.to_fit), series(data.to_fit)
-    gains = torque_per_reading(robot, base, W, measured, data.unit)
-    prior = open_prior(robot, effects, W, measured.measured * gains)
-    return FitRows(effects, base, data, W, measured, gains, prior)
+    regression = regression_of(robot, effects, data.train)
+    gains = np.ones(robot.nv)
+    if data.unit == "A":
+        gains = torque_per_reading(robot, base, regression.W, series(data.train), data.unit)
+        regression = regression.with_torque(regression.tau * gains)
+    return FitRows(robot, tuple(effects), base, data, gains, regression)
 
 
-def open_prior(robot: Robot, effects: Sequence[Effect], W: Array, tau: Array) -> EffectPrior:
-    """Nothing known of effects but their signs, from rows as in `FitRows`."""
-    std = implausible_size(W[:, :, 10 * robot.nv :], tau)
+def open_prior(robot: Robot, effects: Sequence[Effect], regression: Regression) -> EffectPrior:
+    """Nothing known of effects but their signs; their columns are the last of the regression."""
+    size = np.zeros(regression.p)
+    for index, columns in zip(regression.index, regression.columns, strict=True):
+        size[index] += (columns**2).sum(axis=0)
+    std = _implausible(np.sqrt(size / regression.tau.size)[10 * robot.nv :], regression.tau)
     lower = np.array([p.lower for e in effects for p in e.parameters(robot)])
     return EffectPrior(np.zeros_like(std), std, lower)
 
 
-def observation(robot: Robot, effects: Sequence[Effect], segments: Sequence[Segment]) -> Array:
-    """Filtered columns of links and effects at the rows of all segments, (n, nv, p)."""
+def implausible_size(columns: Array, tau: Array) -> Array:
+    """A hundred times the coefficient that would explain all torque, or 1e3 when silent.
 
-    def columns(motion: Motion) -> Array:
-        return observation_columns(robot, effects, motion)
+    Args:
+        columns: Columns of effects, shape (n, nv, e).
+        tau: Torque, shape (n, nv).
+    """
+    return _implausible(np.sqrt((columns**2).mean(axis=(0, 1))), tau)
 
-    return np.concatenate([segment.rows(columns) for segment in segments])
+
+def _implausible(size: Array, tau: Array) -> Array:
+    torque = np.sqrt((tau**2).mean())
+    return np.asarray(np.where(size > 0, 100 * torque / np.where(size > 0, size, 1.0), 1e3))
 
 
 def torque_per_reading(
@@ -164,13 +201,51 @@ def torque_per_reading(
     return current_gains(robot, base, W, measured.measured)[0]
 
 
-def implausible_size(columns: Array, tau: Array) -> Array:
-    """A hundred times the coefficient that would explain all torque, or 1e3 when silent.
+def with_own_torque(rows: FitRows, prior: Array, knowledge: Knowledge) -> FitRows:
+    """The rows with columns of effects that hold the torque of the identified arm.
+
+    Columns of load, delay or elasticity hold the torque of the arm, from which that of the given
+    one may be far off. The arm is identified without them first, then with those that it calls for
+    itself.
 
     Args:
-        columns: Columns of effects, shape (n, nv, e).
-        tau: Torque, shape (n, nv).
+        rows: What is fitted.
+        prior: Standard parameters of the prior, shape (nv, 10).
+        knowledge: What is known of the bodies.
     """
-    size = np.sqrt((columns**2).mean(axis=(0, 1)))
-    torque = np.sqrt((tau**2).mean())
-    return np.asarray(np.where(size > 0, 100 * torque / np.where(size > 0, size, 1.0), 1e3))
+    robot, effects = rows.robot, rows.effects
+    apart = tuple(e for e in effects if not e.depends_on_model)
+    if len(apart) == len(effects):
+        return rows
+    kept, at = list(range(10 * robot.nv)), 10 * robot.nv
+    for effect in effects:
+        count = len(effect.parameters(robot))
+        kept += range(at, at + count) if effect in apart else ()
+        at += count
+    base, regression = base_parameters(robot, apart), rows.regression.select(kept)
+    first = replace(rows, effects=apart, base=base, regression=regression)
+    reference = _identified(robot, first, prior, knowledge)
+    for round_ in range(_ROUNDS):
+        columns = regression_of(reference, effects, rows.data.train)
+        rows = replace(rows, robot=reference, regression=columns.with_torque(rows.tau))
+        if round_ + 1 < _ROUNDS:
+            reference = _identified(robot, rows, prior, knowledge)
+    return rows
+
+
+def _identified(robot: Robot, rows: FitRows, prior: Array, knowledge: Knowledge) -> Robot:
+    """The arm that weighted least squares and the semidefinite fit come to."""
+    fit = weighted_least_squares(rows.reduced)
+    R, z = rows.regression.factor(fit.weight)
+    found = fit_physical(R, z, prior, rows.open_prior, knowledge=knowledge, links=robot.links)
+    return identified_robot(robot, rows.effects, found.x)
+
+
+def identified_robot(robot: Robot, effects: Sequence[Effect], x: Array) -> Robot:
+    """The robot with identified inertias and effects; x as in `PhysicalFit`."""
+    valued, start = [], 10 * robot.nv
+    for effect in effects:
+        count = len(effect.parameters(robot))
+        valued.append(effect.with_values(x[start : start + count]))
+        start += count
+    return robot.with_parameters(x[: 10 * robot.nv]).with_effects(valued)

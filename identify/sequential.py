@@ -21,19 +21,19 @@ from excitant.identify.base_prior import base_prior
 from excitant.identify.cascade import Cascade, StageNoise, beginning, further
 from excitant.identify.combinations import Combinations, no_combinations
 from excitant.identify.current_gains import current_gains
-from excitant.identify.estimate import Estimate, identify, judged, whitened
+from excitant.identify.estimate import Estimate, identify, judged
 from excitant.identify.least_squares import LeastSquares
 from excitant.identify.missing_motion import needed_motion
 from excitant.identify.physical import fit_physical, prior_parameters
 from excitant.identify.recording import Recording
+from excitant.identify.regression import regression_of
 from excitant.identify.result import identify_result, identify_series
-from excitant.identify.rows import Data, FitRows, observation, open_prior, split
+from excitant.identify.rows import Data, FitRows, split
 from excitant.identify.standstill import Mask, dry_joints, moving, stilled
-from excitant.robots.base_parameters import BaseParameters, base_parameters, expression
+from excitant.robots.base_parameters import BaseParameters, base_parameters, expression, last_rows
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
-from excitant.robots.torque_rows import last_rows
 
 _NEGLIGIBLE = 0.05  # standard deviations of a combination: terms that matter less are not written
 _SOMETIMES = 0.1  # of the time that a joint moves: what happens more rarely is not mentioned
@@ -112,14 +112,14 @@ def link_rows(robot: Robot, effects: tuple[Effect, ...], data: Data) -> LinkRows
     train = tuple(stilled(s, m) for s, m in zip(data.train, moves, strict=True))
     data = replace(data, train=train)
     base = base_parameters(robot, effects)
-    W, measured = observation(robot, effects, train), series(train)
+    regression, measured = regression_of(robot, effects, train), series(train)
     used = np.concatenate([m[s.keep] for s, m in zip(train, moves, strict=True)])
     used = used | ~dry_joints(effects, robot.joints)
     gains, compared = np.ones(robot.nv), True
     if data.unit == "A":
-        gains, compared = current_gains(robot, base, W, measured.measured, used)
-    prior = open_prior(robot, effects, W, measured.measured * gains)
-    fit = FitRows(effects, base, data, W, measured, gains, prior)
+        gains, compared = current_gains(robot, base, regression.W, measured.measured, used)
+    regression = regression.with_torque(regression.tau * gains)
+    fit = FitRows(robot, effects, base, data, gains, regression)
     scale = np.sqrt(np.diag(base_prior(robot, effects, base).covariance))
     return LinkRows(fit, moves, used, last_rows(robot, effects, base), scale, compared)
 
@@ -331,7 +331,7 @@ def _with_prior(robot: Robot, rows: LinkRows, fit: LeastSquares) -> Estimate:
     """All rows at once with the given robot as prior, the noise that of the stages."""
     sigma = np.where(np.isfinite(fit.sigma), fit.sigma, np.inf)
     noise = LeastSquares(fit.beta, fit.covariance, sigma, fit.inflation)
-    R, z = whitened(rows.fit.W * rows.used[:, :, None], rows.fit.tau * rows.used, noise)
+    R, z = rows.fit.regression.counting(rows.used).factor(noise.weight)
     physical = fit_physical(R, z, prior_parameters(robot), rows.fit.open_prior)
     return judged(robot, rows.fit, fit, physical, ())
 

@@ -9,7 +9,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from excitant.analysis import Diagnosis, Identifiability, diagnose_result, diagnose_series
+from excitant.analysis import (
+    Diagnosis,
+    Identifiability,
+)
 from excitant.analysis.rehearsal import Rehearsal
 from excitant.design import Design
 from excitant.exceptions import BadInput
@@ -22,7 +25,7 @@ _CONTENTS: dict[type, tuple[Callable[[Any], Any], Callable[[Any], Any]]] = {
     Design: (Design.result, Design.series),
     Estimate: (identify_result, identify_series),
     Identifiability: (Identifiability.result, Identifiability.series),
-    Diagnosis: (diagnose_result, diagnose_series),
+    Diagnosis: (Diagnosis.result, Diagnosis.series),
     Rehearsal: (Rehearsal.result, Rehearsal.series),
 }
 _HEIGHT = 640  # pixels of the frame in a notebook

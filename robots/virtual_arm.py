@@ -12,23 +12,21 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pinocchio as pin
 
 from excitant.exceptions import BadInput
+from excitant.robots.parameters import inertia
 from excitant.robots.plant.controller import Trajectory
 from excitant.robots.plant.drawing import draw_hidden_effect
-from excitant.robots.plant.friction import Drives
-from excitant.robots.plant.hidden_effect import HiddenEffect
 from excitant.robots.plant.nominal import (
     ideal_sensors,
     industrial_sensors,
     nominal_truth,
     typical_torque,
 )
-from excitant.robots.plant.planting import plant
+from excitant.robots.plant.physics import Drives, Truth
+from excitant.robots.plant.planting import HiddenEffect, plant
 from excitant.robots.plant.run import Progress, simulate
 from excitant.robots.plant.sensors import Run, Sensors, recorded
-from excitant.robots.plant.truth import Truth
 from excitant.robots.robot import Robot
 
 __all__ = [
@@ -84,7 +82,7 @@ class VirtualArm:
     ) -> Run:
         """What happens on a trajectory; see `record`."""
         nominal, rate = nominal_truth(self.nominal), self.sensors.rate_hz
-        fine = self.truth.fine or np.isfinite(self.sensors.torque_cutoff_hz)
+        fine = self.truth.recorder.delay.any() or np.isfinite(self.sensors.torque_cutoff_hz)
         return simulate(
             self.nominal, (nominal.model, nominal.drives), self.truth.drawn(rng, warm + duration),
             trajectory, duration, rate, progress, warm=warm, fine=bool(fine),
@@ -168,6 +166,6 @@ def _perturbed(body: Any, rng: np.random.Generator, tolerance: float) -> Any:
     gyration = np.sqrt(max(np.trace(body.inertia), 0.0) / (2 * body.mass))
     mass, c = body.mass * (1 + factors[0]), np.array(body.lever)
     c += tolerance * gyration * shift / max(1.0, np.linalg.norm(shift))
-    inertia = body.inertia * (1 + factors[1]) + mass * (c @ c * np.eye(3) - np.outer(c, c))
+    I = body.inertia * (1 + factors[1]) + mass * (c @ c * np.eye(3) - np.outer(c, c))  # noqa: E741
     rows, columns = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]
-    return pin.Inertia.FromDynamicParameters(np.array([mass, *(mass * c), *inertia[rows, columns]]))
+    return inertia(np.array([mass, *(mass * c), *I[rows, columns]]))

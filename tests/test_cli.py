@@ -370,3 +370,13 @@ def test_as_a_process(here: Path) -> None:
     failed = subprocess.run([*command, "analyze", "planar_3r"], capture_output=True, text=True)
     assert (failed.returncode, failed.stdout) == (1, "")
     assert failed.stderr == "excitant: unknown robot 'planar_3r': did you mean 'planar_2r'?\n"
+
+
+def test_what_an_extra_brings_is_asked_for(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    (here / "run.mcap").write_bytes(b"")
+    line = refused(["identify", "planar_2r", "run.mcap"], here, capsys)
+    assert "pip install 'excitant[ros]'" in line

@@ -134,17 +134,14 @@ def tree(robot: Robot) -> Tree:
             for joint, value in zip(effect.joints, effect.values or (), strict=True):
                 own = properties[robot.joint_index(joint)]
                 own[effect.joint_property] = own.get(effect.joint_property, 0.0) + value
-    model, limits, data = robot.model, robot.limits, robot.model.createData()
-    pin.computeJointJacobians(model, data, np.zeros(robot.nv))
+    model, limits = robot.model, robot.limits
     bodies = tuple(
         Body(
             joint=joint,
             link=robot.links[j],
             parent=int(model.parents[j + 1]) - 1,
             placement=model.jointPlacements[j + 1].homogeneous,
-            axis=np.array_split(pin.getJointJacobian(model, data, j + 1, pin.LOCAL)[:, j], 2)[
-                int(robot.revolute[j])
-            ],
+            axis=_axis(robot, j),
             revolute=bool(robot.revolute[j]),
             phi=robot.phi[10 * j : 10 * j + 10],
             frames=_frames(robot, j + 1),
@@ -170,6 +167,15 @@ def _folded(robot: Robot) -> Robot:
     for effect in bodies:
         robot = effect.applied(robot)
     return robot.with_effects(kept)
+
+
+def _axis(robot: Robot, joint: int) -> Array:
+    """Direction of a joint in its own frame, shape (3,)."""
+    model, data = robot.model, robot.model.createData()
+    pin.computeJointJacobians(model, data, np.zeros(robot.nv))
+    # Pinocchio gives the Jacobian of a single joint as a vector
+    J = np.reshape(pin.getJointJacobian(model, data, joint + 1, pin.LOCAL), (6, -1))
+    return np.asarray(J[3:, joint] if robot.revolute[joint] else J[:3, joint], float)
 
 
 def _frames(robot: Robot, joint: int) -> tuple[Frame, ...]:

@@ -5,36 +5,50 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 
-from excitant.exceptions import BadInput, UnknownName
+from excitant.exceptions import BadInput
 from excitant.identify.importers.units import Unit, spelled, units_of
-from excitant.robots.motion import Array
-from excitant.robots.yaml_entries import finite_numbers, yaml_content
+from excitant.robots.schema import Finite, Name, convert, read_yaml
 
 ROLES = ("t", "q", "dq", "tau", "i")
-_KEYS = (*ROLES, "units", "sign", "drive", "topic")
-_DRIVE = ("gain_Nm_per_A", "gear_ratio")
+_Names = Name | Annotated[list[Name], msgspec.Meta(min_length=1)] | None
+_Units = str | Finite | list[str | Finite] | None
+_Constants = Finite | list[Finite] | None
 
 
-@dataclass(frozen=True)
-class Drive:
-    """What one ampere makes at the joint.
+class UnitsRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Per quantity one unit or one per joint; a number is how many SI units one is."""
 
-    Attributes:
-        gain: Torque constant per joint [N·m/A]; at the motor where there is a ratio.
-        gear_ratio: Turns of the motor per turn of the joint, ones where the gain is the joint's.
-    """
+    t: str | Finite | None = None
+    q: _Units = None
+    dq: _Units = None
+    tau: _Units = None
+    i: _Units = None
 
-    gain: tuple[float, ...]
-    gear_ratio: tuple[float, ...]
 
-    def gains(self) -> Array:
-        """Torque at the joint per ampere, shape (nv,) [N·m/A]."""
-        gains: Array = np.array(self.gain) * np.array(self.gear_ratio)
-        return gains
+class DriveRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Drive constants, one number per joint."""
+
+    gain: _Constants = msgspec.field(name="gain_Nm_per_A", default=None)
+    gear_ratio: _Constants = None
+
+
+class ColumnsRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A ``columns.yaml``; see `load_column_map`."""
+
+    t: _Names = None
+    q: _Names = None
+    dq: _Names = None
+    tau: _Names = None
+    i: _Names = None
+    units: Any = None
+    sign: dict[Name, float | dict[Name, float]] | None = None
+    drive: Any = None
+    topic: str | None = None
 
 
 @dataclass(frozen=True)
@@ -47,7 +61,7 @@ class ColumnMap:
             (from 1) or ``{joint}`` (its name), or what the columns' names have in common.
         units: Per quantity one unit or one per joint; a number is how many SI units one is.
         sign: +1 or −1 per quantity (``q, dq, tau``) and joint whose axis is logged reversed.
-        drive: Torque per ampere, where currents are to become torques.
+        drive: Torque at each joint per ampere [N·m/A], where currents are to become torques.
         topic: Topic of a bag.
         source: File it was read from.
     """
@@ -55,7 +69,7 @@ class ColumnMap:
     columns: Mapping[str, str | tuple[str, ...]] = field(default_factory=dict)
     units: Mapping[str, Unit | tuple[Unit, ...]] = field(default_factory=dict)
     sign: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    drive: Drive | None = None
+    drive: tuple[float, ...] | None = None
     topic: str | None = None
     source: str = "columns.yaml"
 
@@ -70,100 +84,69 @@ def load_column_map(path: str | Path) -> ColumnMap:
     Raises:
         BadInput: Unreadable, unknown entries or units, with the nearest that exists.
     """
-    return column_map(yaml_content(path, "what columns mean"), str(path))
+    return column_map(read_yaml(path, Any, "what columns mean"), str(path))
 
 
 def column_map(content: object, source: str) -> ColumnMap:
     """Column map from the content of a YAML file; see `load_column_map`."""
-    entries = _entries(content, source, "t: stamp, q: [...], tau: [...]", _KEYS)
-    topic = entries.get("topic")
-    if not isinstance(topic, str | None):
-        raise BadInput(f"{source}: 'topic' must be a name such as /joint_states")
+    record = convert(content, ColumnsRecord, source)
+    units = convert(record.units or {}, UnitsRecord, source, "units")
+    given = {role: getattr(record, role) for role in ROLES if getattr(record, role) is not None}
     return ColumnMap(
         columns={
-            role: _columns(role, entries[role], source)
-            for role in ROLES
-            if entries.get(role) is not None
+            role: tuple(map(str, names)) if isinstance(names, list) else str(names)
+            for role, names in given.items()
         },
-        units=_units(entries.get("units") or {}, source),
-        sign=_signs(entries.get("sign") or {}, source),
-        drive=drive_from_entry(entries.get("drive"), source),
-        topic=topic,
+        units={
+            role: tuple(_unit(role, each, source) for each in unit)
+            if isinstance(unit, list)
+            else _unit(role, unit, source)
+            for role in ROLES
+            if (unit := getattr(units, role)) is not None
+        },
+        sign=_signs(record.sign or {}, source),
+        drive=drive_of(record.drive, source),
+        topic=record.topic,
         source=source,
     )
 
 
-def drive_from_entry(content: object, source: str) -> Drive | None:
-    """Drive constants from ``{gain_Nm_per_A: [..], gear_ratio: [..]}``; None without gains.
+def drive_of(content: object, source: str) -> tuple[float, ...] | None:
+    """Torque at each joint per ampere [N·m/A] from ``{gain_Nm_per_A: [..], gear_ratio: [..]}``.
+
+    The gains are those of the motors where there are ratios. None without gains.
 
     Raises:
         BadInput: Unknown entries, or anything but finite numbers other than zero.
     """
-    if content is None:
+    record = convert(content or {}, DriveRecord, source, "drive")
+    if not record.gain:
         return None
-    example = "drive: {gain_Nm_per_A: [0.1], gear_ratio: [100]}"
-    entries = _entries(content, f"{source}: drive", example, _DRIVE)
-    values = {key: np.atleast_1d(finite_numbers(value)) for key, value in entries.items() if value}
-    for key, numbers in values.items():
-        if numbers.ndim != 1 or not np.isfinite(numbers).all() or (numbers == 0).any():
-            raise BadInput(f"{source}: drive: '{key}' must be one number per joint, none of them 0")
-    if "gain_Nm_per_A" not in values:
-        return None
-    gains = values["gain_Nm_per_A"]
-    ratios = values.get("gear_ratio", np.ones(len(gains)))
+    gains = np.atleast_1d(np.array(record.gain, float))
+    ratios = np.atleast_1d(np.array(record.gear_ratio or np.ones(len(gains)), float))
     if len(ratios) != len(gains):
         raise BadInput(f"{source}: drive: {len(gains)} gains and {len(ratios)} gear ratios")
-    return Drive(tuple(gains.tolist()), tuple(ratios.tolist()))
+    if not (gains * ratios).all():
+        raise BadInput(f"{source}: drive: no gain and no gear ratio may be 0")
+    return tuple((gains * ratios).tolist())
 
 
-def _entries(
-    content: object, source: str, example: str, known: tuple[str, ...] = ()
-) -> dict[Any, Any]:
-    if not isinstance(content, dict):
-        raise BadInput(f"{source}: expected entries such as {{{example}}}")
-    for key in content:
-        if known and key not in known:
-            what = "quantity" if known == ROLES else "entry"
-            raise BadInput(f"{source}: {UnknownName(what, str(key), known)}")
-    return content
-
-
-def _columns(role: str, value: object, source: str) -> str | tuple[str, ...]:
-    if isinstance(value, str | int) and not isinstance(value, bool):
-        return str(value)
-    if isinstance(value, list) and value and all(isinstance(v, str | int) for v in value):
-        return tuple(str(v) for v in value)
-    raise BadInput(f"{source}: '{role}' must be a column, a pattern, or a list of columns")
-
-
-def _units(content: object, source: str) -> dict[str, Unit | tuple[Unit, ...]]:
-    found: dict[str, Unit | tuple[Unit, ...]] = {}
-    for role, value in _entries(content, f"{source}: units", "q: deg", ROLES).items():
-        if isinstance(value, list) and role != "t":
-            found[role] = tuple(_unit(role, each, source) for each in value)
-        else:
-            found[role] = _unit(role, value, source)
-    return found
-
-
-def _unit(role: str, value: object, source: str) -> Unit:
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        if np.isfinite(value) and value != 0:
-            return float(value)
-    elif isinstance(value, str) and (unit := spelled(value)) in units_of(role):
-        return str(unit)
+def _unit(role: str, value: str | float, source: str) -> Unit:
+    unit = spelled(value) if isinstance(value, str) else float(value)
+    if unit and (isinstance(unit, float) or unit in units_of(role)):
+        return unit
     known = ", ".join(units_of(role))
     raise BadInput(f"{source}: {role} has no unit '{value}'; known: {known}, or a number")
 
 
-def _signs(content: object, source: str) -> dict[str, dict[str, float]]:
+def _signs(content: Mapping[Any, Any], source: str) -> dict[str, dict[str, float]]:
     found: dict[str, dict[str, float]] = {"q": {}, "dq": {}, "tau": {}}
-    for name, value in _entries(content, f"{source}: sign", "joint: -1").items():
+    for name, value in content.items():
         some = value if isinstance(value, dict) else {name: value}
         roles = [str(name)] if isinstance(value, dict) else list(found)
         for joint, sign in some.items():
-            if sign not in (1, -1) or isinstance(sign, bool) or roles[0] not in found:
+            if sign not in (1, -1) or roles[0] not in found:
                 raise BadInput(f"{source}: sign of '{joint}' must be 1 or -1, for q, dq or tau")
             for role in roles:
-                found[role][str(joint)] = float(sign)
+                found[role][str(joint)] = sign
     return found

@@ -169,7 +169,7 @@ def open_log(path: str | Path, *, topic: str | None = None) -> Table:
             from excitant.identify.importers.bags import bag_table
 
             return bag_table(path, topic)
-    except BadRecording:
+    except (BadRecording, ModuleNotFoundError):
         raise
     except Exception as error:  # readers of others raise anything on a damaged file
         raise unreadable(path, error) from None

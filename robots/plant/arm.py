@@ -21,9 +21,7 @@ import pinocchio as pin
 
 from excitant.robots.motion import Array
 from excitant.robots.plant.controller import BANDWIDTH, Controller
-from excitant.robots.plant.friction import LoadDependent
-from excitant.robots.plant.stiction import velocity_change
-from excitant.robots.plant.truth import Truth
+from excitant.robots.plant.physics import Truth
 
 
 class Arm:
@@ -35,7 +33,7 @@ class Arm:
     """
 
     def __init__(self, truth: Truth, h: float) -> None:
-        n, gears = truth.nv, truth.transmissions
+        n, gears = truth.nv, truth.gears
         self.truth, self.drives, self.h, self.n = truth, truth.drives, h, n
         self.size = n + len(gears)
         self.elastic = bool(gears)
@@ -59,7 +57,7 @@ class Arm:
         self.G = np.vstack([np.eye(self.size), shafts]) if truth.shafts else None
         self.drag = shafts.T @ (np.array([[s.viscous] for s in truth.shafts] or [[0.0]]) * shafts)
         self.constant += h / 2 * self.drag
-        self.loaded = any(isinstance(law, LoadDependent) for law in truth.dry)
+        self.loaded = any(law.loaded for law in truth.dry)
         self.bristles = [0.0] * len(truth.presliding)
         self.memory = [0.0] * len(truth.forces)
         self.tip: Array | None = None
@@ -76,9 +74,9 @@ class Arm:
         q = np.array(motor)
         for _ in range(20 if self.elastic else 0):
             g = pin.computeGeneralizedGravity(self.model, self.data, q)
-            for gear in self.truth.transmissions:
+            for gear in self.truth.gears:
                 q[gear.joint] = motor[gear.joint] - gear.deflection(float(g[gear.joint]))
-        return np.concatenate([q, [motor[gear.joint] for gear in self.truth.transmissions]])
+        return np.concatenate([q, [motor[gear.joint] for gear in self.truth.gears]])
 
     def read(self, x: Array, v: Array) -> tuple[Array, Array]:
         """What the encoders read."""
@@ -114,7 +112,7 @@ class Arm:
             dv = self._solve(K, passive, wanted, reaction, forward, v, backward)
         for i, contact in enumerate(self.truth.presliding):
             moved = h * (v + dv / 2)[self.motor[contact.joint]]
-            self.bristles[i] = contact.bristles.after(self.bristles[i], float(moved))
+            self.bristles[i] = contact.after(self.bristles[i], float(moved))
         return x + h * v + (h / 2) * dv, v + dv, dv / h
 
     def _solve(
@@ -196,7 +194,7 @@ class Arm:
 
     def _gears(self, x: Array, v: Array, K: Array, passive: Array, load: Array) -> None:
         """Torque of elastic gears, between motor m and link j, added in place."""
-        for m, gear in enumerate(self.truth.transmissions, start=self.n):
+        for m, gear in enumerate(self.truth.gears, start=self.n):
             j = gear.joint
             torque, stiffness, damping = gear.torque(float(x[m] - x[j]), float(v[m] - v[j]))
             implicit = self.h * (self.h / 4 * stiffness + damping / 2)
@@ -211,9 +209,9 @@ class Arm:
         h = self.h
         for contact, force in zip(self.truth.presliding, self.bristles, strict=True):
             m = self.motor[contact.joint]
-            ahead = contact.bristles.after(force, h / 2 * float(v[m]))
+            ahead = contact.after(force, h / 2 * float(v[m]))
             passive[m] += ahead
-            K[m, m] += h * h / 4 * contact.bristles.stiffness(ahead, float(v[m]))
+            K[m, m] += h * h / 4 * contact.stiffness(ahead, float(v[m]))
 
     def _dry(self, speed: Array, t: float, load: Array) -> tuple[Array, Array | None]:
         """Largest impulse of dry friction against either direction; None where both are equal."""
@@ -237,3 +235,81 @@ class Arm:
             forward = np.concatenate([forward, further])
             backward = None if backward is None else np.concatenate([backward, further])
         return forward, backward
+
+
+def velocity_change(
+    K: Array,
+    impulse: Array,
+    forward: Array,
+    v: Array,
+    backward: Array | None = None,
+    G: Array | None = None,
+) -> Array:
+    """Solution of K δ = impulse − Gᵀλ, at once where nothing stops; see `stick_or_slip`."""
+    w = v if G is None else G @ v
+    sign = np.sign(w)
+    dry = forward * sign if backward is None else np.where(w < 0, -backward, forward * sign)
+    delta = np.asarray(
+        np.linalg.solve(K, impulse - (dry if G is None else dry @ G)), dtype=np.float64
+    )
+    stops = (w + (delta if G is None else G @ delta)) * sign <= 0
+    return stick_or_slip(K, impulse, forward, v, backward, G) if stops.any() else delta
+
+
+def stick_or_slip(
+    K: Array,
+    impulse: Array,
+    forward: Array,
+    v: Array,
+    backward: Array | None = None,
+    G: Array | None = None,
+) -> Array:
+    """Velocity change of one step with set-valued friction, by active sets.
+
+    Solves K δ = impulse − Gᵀλ with −backward ≤ λ ≤ forward, where λ is at the bound that opposes
+    motion for every contact i whose velocity (G (v + δ))_i is not zero.
+
+    Args:
+        K: Mass matrix with implicit damping, shape (N, N) [kg·m²].
+        impulse: Impulse of everything but dry friction, shape (N,) [N·m·s].
+        forward: Largest impulse of friction against positive motion, shape (c,) [N·m·s].
+        v: Velocity before, shape (N,) [rad/s].
+        backward: The same against negative motion; ``forward`` when not given.
+        G: Velocity of each contact per velocity of the arm, shape (c, N), where the first N
+            contacts are those of the coordinates; these alone when not given.
+
+    Returns:
+        δ, shape (N,).
+    """
+    backward = forward if backward is None else backward
+    A: Array = np.asarray(np.linalg.inv(K), dtype=np.float64)
+    w, S, GA = (v, A, A) if G is None else (G @ v, G @ A @ G.T, G @ A)
+    slip = np.sign(w)
+    dry = np.maximum(forward, backward) > 0
+    stuck = (slip == 0) & dry
+    for _ in range(4 * len(w)):
+        friction = np.where(slip < 0, -backward, forward * slip)
+        friction[stuck] = 0.0
+        if stuck.any():
+            free = GA @ (impulse - (friction if G is None else friction @ G))
+            friction[stuck] = _holding(S[np.ix_(stuck, stuck)], (free + w)[stuck], G is None)
+        delta: Array = A @ (impulse - (friction if G is None else friction @ G))
+        own = stuck[: len(v)]
+        delta[own] = -v[own]
+        excess = np.where(stuck, np.maximum(friction - forward, -backward - friction), -np.inf)
+        worst = int(np.argmax(excess))
+        if excess[worst] > 1e-12 * (1.0 + max(forward[worst], backward[worst])):
+            stuck[worst], slip[worst] = False, np.sign(friction[worst])
+            continue
+        after = w + (delta if G is None else G @ delta)
+        reversed_ = ~stuck & dry & (after * slip < 0)
+        if not reversed_.any():
+            break
+        stuck |= reversed_
+    return delta
+
+
+def _holding(S: Array, velocity: Array, regular: bool) -> Array:
+    """Impulses that stop these contacts; the smallest where they are not unique."""
+    solve = np.linalg.solve(S, velocity) if regular else np.linalg.lstsq(S, velocity)[0]
+    return np.asarray(solve, dtype=np.float64)

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.robots.motion import Array
-from excitant.robots.plant.friction import Drives
+from excitant.robots.plant.physics import Drives
 from excitant.robots.robot import Robot
 
 Trajectory = Callable[[Array, int], Array]

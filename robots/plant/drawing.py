@@ -7,8 +7,8 @@ import pinocchio as pin
 
 from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD
-from excitant.robots.plant.hidden_effect import HiddenEffect
 from excitant.robots.plant.nominal import industrial_sensors, typical_motion, typical_torque
+from excitant.robots.plant.planting import HiddenEffect
 from excitant.robots.robot import Robot
 
 

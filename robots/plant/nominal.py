@@ -1,16 +1,24 @@
-"""The nominal arm as a truth of the plant, its typical torque, and sensors that suit it."""
+"""The nominal arm as a truth of the plant, its typical torque, and sensors that suit it.
+
+Effects that the nominal arm is known to have are read by their names and their parameters' names
+alone, never by their formulas.
+"""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from excitant.exceptions import BadRobot, UnknownName
 from excitant.robots.motion import Array, read_only
-from excitant.robots.plant.friction import Drives
-from excitant.robots.plant.known import described
-from excitant.robots.plant.planting import plant
+from excitant.robots.parameters import STANDARD
+from excitant.robots.plant.physics import Drives, Truth, rigid_truth
+from excitant.robots.plant.planting import HiddenEffect, plant
 from excitant.robots.plant.sensors import Sensors
-from excitant.robots.plant.truth import Truth, rigid_truth
 from excitant.robots.robot import Robot
 
 
@@ -21,7 +29,7 @@ def nominal_truth(robot: Robot) -> Truth:
         BadRobot: An effect without values.
         UnknownName: An effect that the virtual arm does not have.
     """
-    known = [hidden for effect in robot.effects for hidden in described(robot, effect)]
+    known = [hidden for effect in robot.effects for hidden in _described(robot, effect)]
     zeros = np.zeros(robot.nv)
     still = Drives(zeros, zeros, zeros, np.full(robot.nv, 0.1), zeros, zeros)
     return plant(rigid_truth(robot.model.copy(), still, robot.tip), robot.joints, known)
@@ -52,3 +60,80 @@ def typical_motion(robot: Robot) -> tuple[Array, Array, Array]:
     """Random states at half the limits of velocity and acceleration, each (200, nv)."""
     q, dq, ddq = robot.random_motion(np.random.default_rng(0), 200)
     return q, dq / 2, ddq / 2
+
+
+Numbers = Mapping[str, float]
+
+
+def _same(*names: str) -> Callable[[Numbers], dict[str, float]]:
+    return lambda x: {name: x[name] for name in names if name in x}
+
+
+def _ripple(x: Numbers) -> dict[str, float]:
+    """A cos(n q) + B sin(n q) as one sine."""
+    cosine, sine = (
+        next(value for name, value in x.items() if name.startswith(f"ripple_{part}"))
+        for part in ("cos", "sin")
+    )
+    amplitude, phase = math.hypot(cosine, sine), math.atan2(cosine, sine)
+    return {"amplitude": amplitude, "order": x["order"], "phase": phase}
+
+
+def _spring(x: Numbers) -> dict[str, float]:
+    """K q + c, or a cos q + b sin q, by the angle at which the torque vanishes."""
+    if "spring_cos" in x:
+        moment = math.hypot(x["spring_cos"], x["spring_sin"])
+        return {"moment": moment, "rest": -math.atan2(x["spring_cos"], x["spring_sin"])}
+    return {"stiffness": x["k"], "rest": -x["moment"] / x["k"] if x["k"] else 0.0}
+
+
+_TRANSLATION: dict[str, Callable[[Numbers], dict[str, float]]] = {
+    "viscous_friction": _same("Fv"),
+    "coulomb_friction": _same("Fc"),
+    "stribeck_friction": _same("Fs", "velocity"),
+    "asymmetric_friction": _same("Fc_plus", "Fc_minus", "Fv_plus", "Fv_minus"),
+    "nonlinear_viscous_friction": _same("Fn", "exponent"),
+    "load_dependent_friction": _same("Fl"),
+    "presliding_hysteresis": _same("Fh", "distance"),
+    "thermal_friction_drift": lambda x: {
+        "Fv": x["Fv_cold"], "Fc": x["Fc_cold"], "time": x["time"]
+    },
+    "rotor_inertia": _same("Ia"),
+    "torque_offset": _same("offset"),
+    "torque_ripple": _ripple,
+    "spring": _spring,
+    "friction_coupling": _same("Fv", "Fc", "ratio"),
+    "inertia_coupling": _same("Ic"),
+    "torque_gain": lambda x: {"gain": 1 + x["gain"]},
+    "time_delay": _same("delay"),
+    "payload": lambda x: {name: x[f"payload_{name}"] for name in STANDARD},
+    "inertial_parameters": lambda x: {name: x[f"delta_{name}"] for name in STANDARD},
+}  # fmt: skip
+_TOGETHER = ("friction_coupling", "inertia_coupling", "torque_gain", "time_delay")
+_SHAPES = ("velocity", "exponent", "distance", "time", "order", "ratio")
+
+
+def _described(robot: Robot, known: Any) -> list[HiddenEffect]:
+    """One effect of a nominal arm, joint by joint where it acts on each alone.
+
+    Raises:
+        BadRobot: It has no values.
+        UnknownName: The plant cannot have it as a known effect.
+    """
+    if known.name not in _TRANSLATION:
+        raise UnknownName("effect of a nominal virtual arm", known.name, _TRANSLATION)
+    if known.values is None:
+        raise BadRobot(robot.source, f"effect {known.name} has no values; give them")
+    symbols = [p.name.rsplit(".", 1)[-1] for p in known.parameters(robot)]
+    shape = {name: getattr(known, name) for name in _SHAPES if hasattr(known, name)}
+    together = known.name in _TOGETHER
+    groups = [known.joints] if together else [(joint,) for joint in known.joints]
+    width = len(symbols) // max(len(groups), 1)
+    rows = np.reshape(known.values, (len(groups), width)).tolist()
+    found = []
+    for k, (joints, row) in enumerate(zip(groups, rows, strict=True)):
+        numbers = dict(zip(symbols[k * width : (k + 1) * width], row, strict=True)) | shape
+        parameters = tuple(_TRANSLATION[known.name](numbers).items())
+        several = joints if len(joints) > 1 else ()
+        found.append(HiddenEffect(known.name, (*joints, "")[0], parameters, several))
+    return found

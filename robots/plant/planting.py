@@ -1,35 +1,79 @@
-"""Planting: from the name of a hidden effect and its parameters to physics of the plant."""
+"""Hidden effects by name, and planting them: from a name and parameters to physics of the plant."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
+import inspect
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots.motion import Array
-from excitant.robots.parameters import STANDARD
-from excitant.robots.plant.friction import (
-    Asymmetric,
+from excitant.robots.parameters import STANDARD, inertia
+from excitant.robots.plant.physics import (
     Bristles,
+    Cable,
     CoupledShaft,
-    LoadDependent,
-    PowerLaw,
-    Presliding,
-    Warming,
+    DryFriction,
+    Gear,
+    JointTorque,
+    Telegraph,
+    Truth,
+    Wall,
 )
-from excitant.robots.plant.hidden_effect import HiddenEffect
-from excitant.robots.plant.loads import Cable, Coil, Counterbalance, Ripple, Telegraph, Wall
 from excitant.robots.plant.sensors import Encoder, Recorder
-from excitant.robots.plant.transmission import Transmission
-from excitant.robots.plant.truth import Truth
+
+STRUCTURES = ("wall_contact", "cable_pull", "telegraph_torque", "sensor_crosstalk")
+"""What an ``unknown`` effect may be: no name of the vocabulary describes it."""
 
 _PAIRS = ("friction_coupling", "inertia_coupling", "sensor_crosstalk")
-Numbers = Mapping[str, float]
-Planter = Callable[[Truth, list[int], Numbers], Truth]
+Planter = Callable[..., Truth]
+"""Truth, indices of the joints, and the parameters of the effect by name; the truth with it."""
+
+
+@dataclass(frozen=True)
+class HiddenEffect:
+    """Something the true arm has and the nominal one has not.
+
+    Attributes:
+        effect: Name of the effect.
+        joint: Joint it acts on; for a payload the joint whose link holds it; empty for an effect
+            of the whole arm.
+        parameters: Names and values in SI units, as the functions of `PLANTERS` take them.
+        joints: All joints it acts on, where there are several.
+        structure: Which one, of an ``unknown`` effect.
+    """
+
+    effect: str
+    joint: str
+    parameters: tuple[tuple[str, float], ...]
+    joints: tuple[str, ...] = ()
+    structure: str = ""
+
+    @property
+    def kind(self) -> str:
+        """Structure of an unknown effect, else the name."""
+        return self.structure or self.effect
+
+    @property
+    def acts_on(self) -> tuple[str, ...]:
+        """Its joints, one or several."""
+        return self.joints or ((self.joint,) if self.joint else ())
+
+
+def parameters_of(kind: str) -> dict[str, float | None]:
+    """Parameters of a kind of effect with their usual values; None where there is none."""
+    if kind in ("payload", "inertial_parameters"):
+        return dict.fromkeys(STANDARD)
+    signature = inspect.signature(PLANTERS[kind]).parameters.values()
+    return {
+        p.name: None if p.default is p.empty else p.default
+        for p in signature
+        if p.kind is p.KEYWORD_ONLY
+    }
 
 
 def plant(truth: Truth, joints: tuple[str, ...], effects: Iterable[HiddenEffect]) -> Truth:
@@ -45,182 +89,286 @@ def plant(truth: Truth, joints: tuple[str, ...], effects: Iterable[HiddenEffect]
         BadInput: Parameters that the effect does not have, or lacks.
     """
     for effect in effects:
-        if effect.kind not in PLANTERS:
-            raise UnknownName("effect of a virtual arm", effect.kind, PLANTERS)
+        kind, given = effect.kind, dict(effect.parameters)
+        if kind not in PLANTERS:
+            raise UnknownName("effect of a virtual arm", kind, PLANTERS)
         for joint in effect.acts_on:
             if joint not in joints:
                 raise UnknownName("joint", joint, joints)
+        if kind in _PAIRS and len(effect.acts_on) != 2:
+            raise BadInput(f"virtual arm: {kind} acts on two joints; give both")
+        usual = parameters_of(kind)
+        for name in given:
+            if name not in usual:
+                raise UnknownName(f"parameter of {kind}", name, usual)
+        numbers = {**usual, **given}
+        missing = [name for name, x in numbers.items() if x is None or not np.isfinite(x)]
+        if missing:
+            raise BadInput(f"virtual arm: {kind} lacks {', '.join(missing)}")
         index = [joints.index(joint) for joint in effect.acts_on] or list(range(len(joints)))
-        if effect.kind in _PAIRS and len(effect.acts_on) != 2:
-            raise BadInput(f"virtual arm: {effect.kind} acts on two joints; give both")
-        truth = PLANTERS[effect.kind](truth, index, effect.numbers())
+        truth = PLANTERS[kind](truth, index, **numbers)
     return truth
 
 
-def _added_inertia(truth: Truth, joints: list[int], p: Numbers) -> Truth:
+def _added_inertia(truth: Truth, joints: list[int], **phi: float) -> Truth:
     model = truth.model.copy()
     for j in joints:
-        added = np.array([p[name] for name in STANDARD])
-        phi = model.inertias[j + 1].toDynamicParameters() + added
-        model.inertias[j + 1] = pin.Inertia.FromDynamicParameters(phi)
+        added = np.array([phi[name] for name in STANDARD])
+        model.inertias[j + 1] = inertia(model.inertias[j + 1].toDynamicParameters() + added)
     return replace(truth, model=model)
 
 
-def _tilted(truth: Truth, joints: list[int], p: Numbers) -> Truth:
+def _tilted(truth: Truth, joints: list[int], *, roll: float = 0.0, pitch: float = 0.0) -> Truth:
+    """The base turned about its x axis and then about the fixed y axis."""
     model = truth.model.copy()
-    base = pin.rpy.rpyToMatrix(p["roll"], p["pitch"], 0.0)
+    base = pin.rpy.rpyToMatrix(roll, pitch, 0.0)
     model.gravity.linear = base.T @ np.array(model.gravity.linear)
     return replace(truth, model=model)
 
 
-def _misplaced(truth: Truth, joints: list[int], p: Numbers) -> Truth:
+def _misplaced(
+    truth: Truth, joints: list[int], *, dx: float = 0.0, dy: float = 0.0, dz: float = 0.0,
+    rx: float = 0.0, ry: float = 0.0, rz: float = 0.0,
+) -> Truth:  # fmt: skip
+    """The joint's frame moved and turned in its parent's."""
     model = truth.model.copy()
-    turn = pin.rpy.rpyToMatrix(p["rx"], p["ry"], p["rz"])
+    turn = pin.rpy.rpyToMatrix(rx, ry, rz)
     for j in joints:
         T = model.jointPlacements[j + 1]
-        moved = np.array(T.translation) + np.array([p["dx"], p["dy"], p["dz"]])
+        moved = np.array(T.translation) + np.array([dx, dy, dz])
         model.jointPlacements[j + 1] = pin.SE3(turn @ np.array(T.rotation), moved)
     return replace(truth, model=model)
 
 
-def _drive(**rows: str) -> Planter:
-    """Plant parameters into rows of the drives: ``symbol=row``; velocities are set, not added."""
-
-    def planted(truth: Truth, joints: list[int], p: Numbers) -> Truth:
-        drives = {name: np.array(getattr(truth.drives, name)) for name in vars(truth.drives)}
-        for symbol, row in rows.items():
-            drives[row][joints] = p[symbol] + (0.0 if symbol == "velocity" else drives[row][joints])
-        model = truth.model.copy()
-        model.armature = np.array(drives["rotor"])
-        return replace(truth, model=model, drives=type(truth.drives)(**drives))
-
-    return planted
+def _driven(truth: Truth, joints: list[int], **added: float) -> Truth:
+    """The truth with other drives; values are added, but for a velocity, which is set."""
+    drives = {name: np.array(getattr(truth.drives, name)) for name in vars(truth.drives)}
+    for row, value in added.items():
+        drives[row][joints] = value + (0.0 if row == "stribeck_velocity" else drives[row][joints])
+    model = truth.model.copy()
+    model.armature = np.array(drives["rotor"])
+    return replace(truth, model=model, drives=type(truth.drives)(**drives))
 
 
-def _each(field: str, make: Callable[[int, Numbers], Any]) -> Planter:
-    """Add one thing per joint to a field of the truth."""
-
-    def planted(truth: Truth, joints: list[int], p: Numbers) -> Truth:
-        added: dict[str, Any] = {field: (*getattr(truth, field), *(make(j, p) for j in joints))}
-        return replace(truth, **added)
-
-    return planted
+def _viscous(truth: Truth, joints: list[int], *, Fv: float) -> Truth:
+    return _driven(truth, joints, viscous=Fv)
 
 
-def _presliding(truth: Truth, joints: list[int], p: Numbers) -> Truth:
+def _coulomb(truth: Truth, joints: list[int], *, Fc: float) -> Truth:
+    return _driven(truth, joints, coulomb=Fc)
+
+
+def _stribeck(truth: Truth, joints: list[int], *, Fs: float, velocity: float) -> Truth:
+    return _driven(truth, joints, stribeck=Fs, stribeck_velocity=velocity)
+
+
+def _rotor(truth: Truth, joints: list[int], *, Ia: float) -> Truth:
+    return _driven(truth, joints, rotor=Ia)
+
+
+def _offset(truth: Truth, joints: list[int], *, offset: float) -> Truth:
+    return _driven(truth, joints, offset=offset)
+
+
+def _dry(truth: Truth, joints: list[int], level: Any, loaded: bool = False) -> Truth:
+    return replace(truth, dry=(*truth.dry, *(DryFriction(j, level, loaded) for j in joints)))
+
+
+def _asymmetric(
+    truth: Truth, joints: list[int], *, Fc_plus: float = 0.0, Fc_minus: float = 0.0,
+    Fv_plus: float = 0.0, Fv_minus: float = 0.0,
+) -> Truth:  # fmt: skip
+    """F_c± + F_v± |q̇|, with other numbers for each direction; they may be negative."""
+
+    def level(speed: float, t: float, load: float) -> float:
+        forward = math.copysign(1.0, speed) > 0
+        dry, wet = (Fc_plus, Fv_plus) if forward else (Fc_minus, Fv_minus)
+        return dry + wet * abs(speed)
+
+    return _dry(truth, joints, level)
+
+
+def _power_law(truth: Truth, joints: list[int], *, Fn: float, exponent: float) -> Truth:
+    """F_n |q̇|^a: drag of grease."""
+    return _dry(truth, joints, lambda speed, t, load: float(Fn * abs(speed) ** exponent))
+
+
+def _load_dependent(truth: Truth, joints: list[int], *, Fl: float) -> Truth:
+    """F_l |τ_transmitted|: tooth friction."""
+    return _dry(truth, joints, lambda speed, t, load: Fl * abs(load), True)
+
+
+def _warming(
+    truth: Truth, joints: list[int], *, Fv: float = 0.0, Fc: float = 0.0, time: float
+) -> Truth:
+    """(F_c + F_v |q̇|) e^(−t/T): what cold grease adds until it is warm."""
+    return _dry(truth, joints, lambda speed, t, load: (Fc + Fv * abs(speed)) * math.exp(-t / time))
+
+
+def _presliding(truth: Truth, joints: list[int], *, Fh: float, distance: float) -> Truth:
+    """Hysteresis that takes F_h from the joint's Coulomb friction as far as that goes."""
     coulomb = np.array(truth.drives.coulomb)
-    coulomb[joints] = np.maximum(coulomb[joints] - p["Fh"], 0.0)
-    contacts = tuple(Presliding(j, Bristles(p["Fh"], p["distance"])) for j in joints)
-    drives = replace(truth.drives, coulomb=coulomb)
-    return replace(truth, drives=drives, presliding=(*truth.presliding, *contacts))
+    coulomb[joints] = np.maximum(coulomb[joints] - Fh, 0.0)
+    contacts = (*truth.presliding, *(Bristles(Fh, distance, j) for j in joints))
+    return replace(truth, drives=replace(truth.drives, coulomb=coulomb), presliding=contacts)
 
 
-def _shaft(truth: Truth, joints: list[int], p: Numbers) -> Truth:
-    shaft = CoupledShaft((joints[0], joints[1]), p["ratio"], p["Fv"], p["Fc"])
-    return replace(truth, shafts=(*truth.shafts, shaft))
+def _shaft(
+    truth: Truth, joints: list[int], *, Fv: float = 0.0, Fc: float = 0.0, ratio: float = 1.0
+) -> Truth:
+    return replace(
+        truth, shafts=(*truth.shafts, CoupledShaft((joints[0], joints[1]), ratio, Fv, Fc))
+    )
 
 
-def _coupled_rotors(truth: Truth, joints: list[int], p: Numbers) -> Truth:
+def _coupled_rotors(truth: Truth, joints: list[int], *, Ic: float) -> Truth:
     rotors, (j, k) = np.array(truth.rotors), joints
-    rotors[[j, k], [k, j]] += p["Ic"]
+    rotors[[j, k], [k, j]] += Ic
     return replace(truth, rotors=rotors)
 
 
-def _spring(truth: Truth, joints: list[int], p: Numbers) -> Truth:
-    coils = [Coil(j, p["stiffness"], p["rest"]) for j in joints if p["stiffness"]]
-    cranks = [Counterbalance(j, p["moment"], p["rest"]) for j in joints if p["moment"]]
-    return replace(truth, loads=(*truth.loads, *coils, *cranks))
+def _ripple(
+    truth: Truth, joints: list[int], *, amplitude: float, order: float, phase: float = 0.0
+) -> Truth:
+    """Cogging: A sin(n q + p), n periods per revolution of the joint."""
+
+    def torque(q: float, t: float) -> float:
+        return amplitude * math.sin(order * q + phase)
+
+    return replace(truth, loads=(*truth.loads, *(JointTorque(j, torque, True) for j in joints)))
 
 
-def _gear(truth: Truth, joints: list[int], p: Numbers) -> Truth:
+def _spring(
+    truth: Truth, joints: list[int], *, stiffness: float = 0.0, moment: float = 0.0,
+    rest: float = 0.0,
+) -> Truth:  # fmt: skip
+    """A coil between two links, k (q − q_0), or a balancer on a crank, m sin(q − q_0)."""
+
+    def coil(q: float, t: float) -> float:
+        return stiffness * (q - rest)
+
+    def crank(q: float, t: float) -> float:
+        return moment * math.sin(q - rest)
+
+    present = [law for law, size in ((coil, stiffness), (crank, moment)) if size]
+    loads = [JointTorque(j, law) for law in present for j in joints]
+    return replace(truth, loads=(*truth.loads, *loads))
+
+
+def _gear(
+    truth: Truth, joints: list[int], *, stiffness: float, damping: float = 0.0, motor: float = 0.0
+) -> Truth:
+    """An elastic gear; ``motor`` is inertia of the motor beside the rotor inertia."""
+    return _play(truth, joints, gap=0.0, stiffness=stiffness, damping=damping, motor=motor)
+
+
+def _play(
+    truth: Truth, joints: list[int], *, gap: float, stiffness: float, damping: float = 0.0,
+    motor: float = 0.0,
+) -> Truth:  # fmt: skip
     for j in joints:
-        if truth.drives.rotor[j] + p["motor"] <= 0:
+        if truth.drives.rotor[j] + motor <= 0:
             raise BadInput("virtual arm: an elastic joint needs inertia of its motor; give motor")
-        if any(gear.joint == j for gear in truth.transmissions):
+        if any(gear.joint == j for gear in truth.gears):
             raise BadInput("virtual arm: two elastic gears on one joint; give one, with its gap")
-    gears = (
-        Transmission(j, p["stiffness"], p["damping"], p.get("gap", 0.0), p["motor"]) for j in joints
-    )
-    return replace(truth, transmissions=(*truth.transmissions, *gears))
+    gears = (Gear(j, stiffness, damping, gap, motor) for j in joints)
+    return replace(truth, gears=(*truth.gears, *gears))
 
 
-def _encoder(truth: Truth, joints: list[int], p: Numbers) -> Truth:
-    scale, offset = np.array(truth.encoder.scale), np.array(truth.encoder.offset)
-    scale[joints] *= p.get("scale", 1.0)
-    offset[joints] += p.get("offset", 0.0)
-    return replace(truth, encoder=Encoder(scale, offset))
+def _encoder_scale(truth: Truth, joints: list[int], *, scale: float) -> Truth:
+    factor = np.array(truth.encoder.scale)
+    factor[joints] *= scale
+    return replace(truth, encoder=Encoder(factor, truth.encoder.offset))
 
 
-def _torque_gain(truth: Truth, joints: list[int], p: Numbers) -> Truth:
-    gain = np.array(truth.recorder.gain)
-    gain[joints] *= p["gain"]
-    return replace(truth, recorder=replace(truth.recorder, gain=gain))
+def _encoder_offset(truth: Truth, joints: list[int], *, offset: float) -> Truth:
+    shift = np.array(truth.encoder.offset)
+    shift[joints] += offset
+    return replace(truth, encoder=Encoder(truth.encoder.scale, shift))
 
 
-def _crosstalk(truth: Truth, joints: list[int], p: Numbers) -> Truth:
-    gain = np.array(truth.recorder.gain)
-    gain[joints[0], joints[1]] += p["gain"]
-    return replace(truth, recorder=replace(truth.recorder, gain=gain))
+def _torque_gain(truth: Truth, joints: list[int], *, gain: float) -> Truth:
+    gains = np.array(truth.recorder.gain)
+    gains[joints] *= gain
+    return replace(truth, recorder=replace(truth.recorder, gain=gains))
 
 
-def _delay(truth: Truth, joints: list[int], p: Numbers) -> Truth:
-    delay = np.array(truth.recorder.delay)
-    delay[joints] += p["delay"]
-    return replace(truth, recorder=replace(truth.recorder, delay=delay))
+def _crosstalk(truth: Truth, joints: list[int], *, gain: float) -> Truth:
+    """A share of the second joint's torque in the record of the first."""
+    gains = np.array(truth.recorder.gain)
+    gains[joints[0], joints[1]] += gain
+    return replace(truth, recorder=replace(truth.recorder, gain=gains))
 
 
-def _factor(truth: Truth, joints: list[int], p: Numbers) -> Truth:
-    factor: dict[str, Array] = {}
-    for name in ("q", "dq", "tau"):
+def _delay(truth: Truth, joints: list[int], *, delay: float) -> Truth:
+    """The torque is this late, or if negative the position."""
+    delays = np.array(truth.recorder.delay)
+    delays[joints] += delay
+    return replace(truth, recorder=replace(truth.recorder, delay=delays))
+
+
+def _factor(
+    truth: Truth, joints: list[int], *, q: float = 1.0, dq: float = 1.0, tau: float = 1.0
+) -> Truth:
+    """Factors on the columns."""
+    factor = {}
+    for name, value in (("q", q), ("dq", dq), ("tau", tau)):
         factor[name] = np.array(truth.recorder.factor.get(name, np.ones(truth.nv)))
-        factor[name][joints] *= p[name]
+        factor[name][joints] *= value
     return replace(truth, recorder=Recorder(truth.recorder.gain, truth.recorder.delay, factor))
 
 
-def _wall(truth: Truth, joints: list[int], p: Numbers) -> Truth:
-    normal = np.array([p["nx"], p["ny"], p["nz"]])
-    wall = Wall(normal / np.linalg.norm(normal), p["distance"], p["stiffness"], p["damping"])
+def _wall(
+    truth: Truth, joints: list[int], *, nx: float, ny: float, nz: float, distance: float,
+    stiffness: float, damping: float = 0.0,
+) -> Truth:  # fmt: skip
+    normal = np.array([nx, ny, nz])
+    wall = Wall(normal / np.linalg.norm(normal), distance, stiffness, damping)
     return replace(truth, forces=(*truth.forces, wall))
 
 
-def _cable(truth: Truth, joints: list[int], p: Numbers) -> Truth:
-    anchor = np.array([p["x"], p["y"], p["z"]])
-    cable = Cable(anchor, p["tension"], Bristles(p["friction"], p["distance"]))
+def _cable(
+    truth: Truth, joints: list[int], *, x: float, y: float, z: float, tension: float,
+    friction: float, distance: float,
+) -> Truth:  # fmt: skip
+    cable = Cable(np.array([x, y, z]), tension, Bristles(friction, distance))
     return replace(truth, forces=(*truth.forces, cable))
+
+
+def _telegraph(truth: Truth, joints: list[int], *, amplitude: float, rate: float) -> Truth:
+    return replace(truth, random=(*truth.random, *(Telegraph(j, amplitude, rate) for j in joints)))
 
 
 PLANTERS: dict[str, Planter] = {
     "inertial_parameters": _added_inertia,
     "payload": _added_inertia,
     "gravity_direction": _tilted,
-    "viscous_friction": _drive(Fv="viscous"),
-    "coulomb_friction": _drive(Fc="coulomb"),
-    "asymmetric_friction": _each(
-        "dry",
-        lambda j, p: Asymmetric(j, (p["Fc_plus"], p["Fc_minus"]), (p["Fv_plus"], p["Fv_minus"])),
-    ),
-    "stribeck_friction": _drive(Fs="stribeck", velocity="stribeck_velocity"),
-    "nonlinear_viscous_friction": _each("dry", lambda j, p: PowerLaw(j, p["Fn"], p["exponent"])),
-    "load_dependent_friction": _each("dry", lambda j, p: LoadDependent(j, p["Fl"])),
+    "viscous_friction": _viscous,
+    "coulomb_friction": _coulomb,
+    "asymmetric_friction": _asymmetric,
+    "stribeck_friction": _stribeck,
+    "nonlinear_viscous_friction": _power_law,
+    "load_dependent_friction": _load_dependent,
     "presliding_hysteresis": _presliding,
     "friction_coupling": _shaft,
-    "thermal_friction_drift": _each("dry", lambda j, p: Warming(j, p["Fc"], p["Fv"], p["time"])),
-    "rotor_inertia": _drive(Ia="rotor"),
+    "thermal_friction_drift": _warming,
+    "rotor_inertia": _rotor,
     "inertia_coupling": _coupled_rotors,
-    "torque_offset": _drive(offset="offset"),
+    "torque_offset": _offset,
     "torque_gain": _torque_gain,
-    "torque_ripple": _each("loads", lambda j, p: Ripple(j, p["amplitude"], p["order"], p["phase"])),
+    "torque_ripple": _ripple,
     "spring": _spring,
     "joint_elasticity": _gear,
-    "backlash": _gear,
+    "backlash": _play,
     "time_delay": _delay,
-    "encoder_offset": _encoder,
-    "encoder_scale": _encoder,
+    "encoder_offset": _encoder_offset,
+    "encoder_scale": _encoder_scale,
     "kinematic_error": _misplaced,
     "wrong_sign": _factor,
     "wrong_unit": _factor,
     "wall_contact": _wall,
     "cable_pull": _cable,
-    "telegraph_torque": _each("loads", lambda j, p: Telegraph(j, p["amplitude"], p["rate"])),
+    "telegraph_torque": _telegraph,
     "sensor_crosstalk": _crosstalk,
 }
+"""How each effect is planted, and each structure of an unknown one."""

@@ -11,9 +11,8 @@ from excitant.exceptions import BadInput, BadRobot
 from excitant.robots.motion import Array
 from excitant.robots.plant.arm import Arm
 from excitant.robots.plant.controller import Trajectory, tracking_controller
-from excitant.robots.plant.friction import Drives
+from excitant.robots.plant.physics import Drives, Truth
 from excitant.robots.plant.sensors import Run
-from excitant.robots.plant.truth import Truth
 from excitant.robots.robot import Robot
 
 Progress = Callable[[float], None]

@@ -14,6 +14,7 @@ from excitant import motions, recordings
 from excitant.exceptions import BadInput, ExcitantError
 from excitant.options import Part, RobotName, Run, Seed, print_json, print_paths
 
+_EXTRAS = {"rosbags": "ros", "distributed": "cluster", "mujoco": "mjcf"}
 _SOLVERS = ("pin", "clarabel", "cvxpy", "numpy", "scipy")
 
 
@@ -89,6 +90,11 @@ def _line(error: Exception) -> str:
         return str(error)
     if isinstance(error, OSError):
         return f"{error.filename or 'file'}: {error.strerror or error}"
+    if (
+        isinstance(error, ModuleNotFoundError)
+        and (name := str(error.name).partition(".")[0]) in _EXTRAS
+    ):
+        return f"this needs {name}: pip install 'excitant[{_EXTRAS[name]}]'"
     what = " ".join(f"{type(error).__name__}: {error}".split())
     return f"a bug ({what}); please run it again with --debug and report what it prints"
 

@@ -217,7 +217,6 @@ def _bound(found: Design, seed: int) -> dict[str, Any]:
             duration=found.duration,
             harmonics=None if isinstance(found.trajectory, SplineTrajectory) else found.harmonics,
             columns=found.columns,
-            criterion=found.criterion,
             seed=seed,
             time_limit=_BOUND_TIME,
             pool=[found.trajectory.motion(DENSE_HZ)],

@@ -26,7 +26,7 @@ from excitant.progress import progress_bar
 if TYPE_CHECKING:
     from excitant.identify import Dataset, DriveGains, Estimate, Recording
     from excitant.robots import Robot
-    from excitant.robots.effects import Effect, JointEffect
+    from excitant.robots.effects import Effect
 
 AUTO = "auto"
 
@@ -75,9 +75,10 @@ def identify(
         recordings: Parquet, CSV, NPZ, MAT, ROS bag or MCAP; all of the folder when none is named.
         effects: Effects to estimate, or auto: the standard ones and what an inner hold-out calls
             for. Default: viscous_friction,coulomb_friction,torque_offset,rotor_inertia.
-        estimator: Of the base parameters: see the reference for names.
-        trajectory: trajectory.json that the arm was told: no cut-off is chosen below what its
-            harmonics need. Without it, they are looked for in what repeats.
+        estimator: Of the base parameters: wls (weighted least squares, the default), irls (robust
+            against wrong torques), iv or oe (noisy positions).
+        trajectory: trajectory.json that the arm was told: without --cutoff, the cut-off is high
+            enough for the torque of its harmonics.
         knowledge: YAML with what is known of the bodies: masses, their sum, where centres of mass
             lie; and the kind of prior.
         formats: Files of the model beside URDF and model.yaml; default: mjcf,sdf.
@@ -96,8 +97,7 @@ def identify(
         load_knowledge,
         publication,
     )
-    from excitant.identify.estimator_choice import AUTO as CONTEST
-    from excitant.identify.estimators import estimator_named
+    from excitant.identify.estimators import ESTIMATORS
     from excitant.identify.export import FORMATS
     from excitant.identify.faults import read_checked
     from excitant.identify.rows import fitted
@@ -109,8 +109,8 @@ def identify(
             "trajectory": trajectory,
         },
     )  # fmt: skip
-    if estimator not in (None, CONTEST):
-        estimator_named(str(estimator))
+    if estimator is not None and estimator not in ESTIMATORS:
+        raise UnknownName("estimator", estimator, ESTIMATORS)
     for name in formats or ():
         if name not in FORMATS:
             raise UnknownName("format", name, FORMATS)
@@ -153,8 +153,7 @@ def identify(
                 arm,
                 fit,
                 **options,
-                estimator=estimator or CONTEST,
-                tune=True,
+                estimator=estimator or "wls",
                 knowledge=load_knowledge(knowledge, arm.links) if knowledge else None,
                 harmonics_hz=_highest_harmonic(trajectory, arm) if trajectory else None,
             )
@@ -231,12 +230,12 @@ def _highest_harmonic(path: str, robot: Robot) -> float:
     return planned.harmonics / planned.period
 
 
-def _named(names: Sequence[str] | None, robot: Robot) -> list[JointEffect] | None:
+def _named(names: Sequence[str] | None, robot: Robot) -> list[Effect] | None:
     if names is None:
         return None
-    from excitant.robots.effects import EFFECTS, JointEffect
+    from excitant.robots.effects import EFFECTS
 
-    known = {name: kind for name, kind in EFFECTS.items() if issubclass(kind, JointEffect)}
+    known = {name: kind for name, kind in EFFECTS.items() if kind.jointwise}
     for name in names:
         if name not in known:
             raise UnknownName("effect", name, known)
@@ -307,10 +306,10 @@ def _as_far_as_shown(
     from excitant.analysis import identify_shown
     from excitant.identify import identify as identify_robot
     from excitant.identify.recording import MINIMUM_DURATION
-    from excitant.identify.rows import held_out
+    from excitant.identify.rows import FIT_SHARE
 
     show_import(recordings)
-    brief = [r for r in recordings if held_out(r).duration < MINIMUM_DURATION]
+    brief = [r for r in recordings if (1 - FIT_SHARE) * r.duration < MINIMUM_DURATION]
     notes = [
         f"{r.name} lasts {r.duration:.3g} s, too short to hold a part of it back: all of it is "
         "analysed, and what so few rows say of the noise is rough; record longer"
@@ -343,7 +342,7 @@ def diagnose(
     """
     import numpy as np
 
-    from excitant.analysis import diagnosis, diagnosis_result, discrimination_plan
+    from excitant.analysis import diagnosis, discrimination_plan
     from excitant.design import trajectory_csv, trajectory_json
     from excitant.identify import model_files
     from excitant.identify.faults import read_checked
@@ -362,11 +361,11 @@ def diagnose(
         plan = discrimination_plan.plan(found, np.random.default_rng(0), time_limit=experiment_time)
     folder = run.folder("diagnose", dataset.robot.name)
     files = model_files(found.extension.model, "extended", "extended.yaml")
-    result = diagnosis_result.diagnose_result(found, plan)
+    result = found.result(plan)
     result |= {"import": imported, "faults": checked.entries()}
     result["notes"] += checked.notes
     result["extended"]["files"] = [str(folder / name) for name in files]
     for k, motion in enumerate(plan.motions, start=1):
         files[f"separate-{k}.csv"] = trajectory_csv(motion)
         files[f"separate-{k}.json"] = trajectory_json(motion, dataset.robot)
-    run.finish(folder, result, diagnosis_result.diagnose_series(found), files)
+    run.finish(folder, result, found.series(), files)

@@ -8,19 +8,19 @@ from pathlib import Path
 from excitant.options import Run, print_json
 from excitant.reports import page_of, summary, table_lines
 from excitant.robots import Robot, builtin_robots
+from excitant.robots.check import ModelCheck
 from excitant.robots.library.catalogue import arm_entry, catalogue, catalogue_rows
-from excitant.robots.model_check import check_model
-from excitant.robots.model_check_result import robot_result, robot_series
 
 
 def show_robot(name: str, robot: Robot, mass: float | None, run: Run) -> None:
     """One arm and what looks wrong in it, on the terminal, as JSON or as a page."""
-    result = robot_result(robot, check_model(robot, mass), mass)
+    check = ModelCheck(robot, mass)
+    result = check.result()
     if name in builtin_robots():
         entry = arm_entry(name)
         result |= {"kind": entry.kind, "sources": entry.sources}
     if run.output is not None:
-        run.finish(Path(run.output), result, robot_series(robot), {})
+        run.finish(Path(run.output), result, check.series(), {})
     elif run.json:
         print_json(result)
     else:

@@ -18,8 +18,7 @@ from excitant.cli import main
 from excitant.design import random_trajectory
 from excitant.identify import Recording, identify, load_dataset, recording_from_table
 from excitant.identify.knowledge import Knowledge
-from excitant.identify.resting import resting
-from excitant.identify.rows import fit_rows
+from excitant.identify.rows import fit_rows, with_own_torque
 from excitant.robots import Robot, base_parameters, load_robot
 from excitant.robots.effects import (
     EFFECTS,
@@ -183,16 +182,15 @@ def test_effects_of_the_motion_alone_need_no_identified_arm(
     of_motion = (*standard_effects(planar.joints), PreslidingHysteresis(planar.joints))
     of_torque = (*standard_effects(planar.joints), TimeDelay(planar.joints))
     same, other = (
-        resting(
-            planar,
+        with_own_torque(
             fit_rows(planar, effects, base_parameters(planar, effects), fit.data),
             prior,
             nothing,
         )
         for effects in (of_motion, of_torque)
     )
-    assert same[0] is planar
-    assert np.abs(other[0].phi - planar.phi).max() > 1e-3
+    assert same.robot is planar
+    assert np.abs(other.robot.phi - planar.phi).max() > 1e-3
 
 
 def test_the_command_chooses_effects(

@@ -10,7 +10,8 @@ import pytest
 from excitant.analysis.candidates import Observed, observed
 from excitant.identify import Recording
 from excitant.identify.accuracy import predicted_torque
-from excitant.identify.rows import observation, split
+from excitant.identify.regression import observation
+from excitant.identify.rows import split
 from excitant.robots import Robot
 from excitant.robots.effects import (
     CoulombFriction,

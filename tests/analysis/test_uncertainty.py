@@ -24,7 +24,6 @@ from excitant.analysis.uncertainty import (
 )
 from excitant.design import random_trajectory
 from excitant.identify import Recording, identify, recording_from_table
-from excitant.identify.estimate import whitened
 from excitant.identify.physical import EffectPrior, fit_physical, prior_parameters
 from excitant.identify.rows import fit_rows
 from excitant.robots import Motion, Robot, load_robot
@@ -290,7 +289,7 @@ def test_two_initial_values_that_agree_within_5_percent_show_nothing(judged) -> 
     """Two priors, far apart where the data see, alike where they do not: the tables agree."""
     robot, estimate, found = judged
     rows = fit_rows(robot, estimate.model.effects, estimate.base, estimate.data)
-    R, z = whitened(rows.W, rows.tau, estimate.least_squares)
+    R, z = rows.regression.factor(estimate.least_squares.weight)
     phi = prior_parameters(robot)
     prior, links = prior_of(phi, rows.open_prior), phi.size
     B = estimate.base.regrouping

@@ -64,7 +64,7 @@ def test_the_sidecar_locks_joints(folder: Path, planar: Robot) -> None:
 
 @pytest.mark.parametrize(
     ("content", "why"),
-    [("{", "not valid JSON"), ("[]", "expected an object"), (None, "")],
+    [("{", "not valid JSON"), ("[]", "expected entries"), (None, "")],
 )
 def test_a_bad_sidecar_is_refused(folder: Path, content: str | None, why: str) -> None:
     if content is None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from excitant.identify.essential import essential_parameters
 from excitant.identify.least_squares import weighted_least_squares
+from excitant.identify.regression import dense
 
 ZERO = [1, 4, 5, 9]
 R = 12
@@ -37,7 +38,7 @@ def test_planted_zeros_are_dropped_and_nothing_else(kind: str) -> None:
     all_found = 0
     for seed in range(40):
         W, tau, beta = draw(seed, kind)
-        fit = weighted_least_squares(W, tau, tuple(map(str, range(R))))
+        fit = weighted_least_squares(dense(W, tau, tuple(map(str, range(R)))))
         found = essential_parameters(fit.beta, fit.covariance)
         assert set(found.dropped) <= set(ZERO), seed  # the others are 8 or more deviations away
         assert sorted((*found.kept, *found.dropped)) == list(range(R))
@@ -78,7 +79,7 @@ def test_the_p_value_is_walds(seed: int, size: float) -> None:
 
 def test_units_do_not_matter() -> None:
     W, tau, _ = draw(1, "ar")
-    fit = weighted_least_squares(W, tau, tuple(map(str, range(R))))
+    fit = weighted_least_squares(dense(W, tau, tuple(map(str, range(R)))))
     unit = 10.0 ** np.arange(-6, 6)
     one = essential_parameters(fit.beta, fit.covariance)
     two = essential_parameters(fit.beta * unit, fit.covariance * np.outer(unit, unit))

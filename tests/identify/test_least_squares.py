@@ -8,6 +8,7 @@ import scipy.signal
 
 from excitant.exceptions import RankDeficient
 from excitant.identify.least_squares import autocorrelation_time, weighted_least_squares
+from excitant.identify.regression import dense
 
 N, NV, R = 800, 2, 5
 NAMES = tuple(f"beta{k}" for k in range(R))
@@ -36,7 +37,7 @@ def covered(rho: float, draws: int) -> float:
     """Share of 95 % intervals that hold the truth."""
     W, rng, hits = columns(), np.random.default_rng(1), 0
     for _ in range(draws):
-        fit = weighted_least_squares(W, W @ BETA + SIGMA * noise(rng, rho), NAMES)
+        fit = weighted_least_squares(dense(W, W @ BETA + SIGMA * noise(rng, rho), NAMES))
         error = np.abs(fit.beta - BETA) / np.sqrt(np.diag(fit.covariance))
         hits += int((error <= INSIDE).sum())
     return hits / (draws * R)
@@ -44,7 +45,7 @@ def covered(rho: float, draws: int) -> float:
 
 def test_noiseless_data_give_the_truth() -> None:
     W = columns()
-    fit = weighted_least_squares(W, W @ BETA, NAMES)
+    fit = weighted_least_squares(dense(W, W @ BETA, NAMES))
     np.testing.assert_allclose(fit.beta, BETA, rtol=1e-8)
     for values in (fit.beta, fit.covariance, fit.sigma, fit.inflation):
         assert not values.flags.writeable
@@ -70,7 +71,9 @@ def test_intervals_cover_the_truth_over_many_draws(rho: float) -> None:
 
 def test_noise_levels_and_correlation_are_found() -> None:
     W, rho = columns(), 0.8
-    fit = weighted_least_squares(W, W @ BETA + SIGMA * noise(np.random.default_rng(2), rho), NAMES)
+    fit = weighted_least_squares(
+        dense(W, W @ BETA + SIGMA * noise(np.random.default_rng(2), rho), NAMES)
+    )
     tau = (1 + rho) / (1 - rho)  # integrated autocorrelation time of AR(1)
     np.testing.assert_allclose(fit.sigma, SIGMA, rtol=4 * np.sqrt(tau / (2 * N)))
     np.testing.assert_allclose(fit.inflation, tau, rtol=0.5)
@@ -82,8 +85,8 @@ def test_the_unit_of_one_joint_does_not_matter() -> None:
     W = columns()
     tau = W @ BETA + SIGMA * noise(np.random.default_rng(3), 0.0)
     scale = np.array([1.0, 1000.0])
-    fit = weighted_least_squares(W, tau, NAMES)
-    scaled = weighted_least_squares(W * scale[:, None], tau * scale, NAMES)
+    fit = weighted_least_squares(dense(W, tau, NAMES))
+    scaled = weighted_least_squares(dense(W * scale[:, None], tau * scale, NAMES))
     np.testing.assert_allclose(scaled.beta, fit.beta, rtol=1e-8)
     np.testing.assert_allclose(scaled.covariance, fit.covariance, rtol=1e-6)
     np.testing.assert_allclose(scaled.sigma, fit.sigma * scale, rtol=1e-8)
@@ -92,7 +95,7 @@ def test_the_unit_of_one_joint_does_not_matter() -> None:
 def test_the_noisier_joint_counts_less() -> None:
     W = columns()
     tau = W @ BETA + SIGMA * noise(np.random.default_rng(4), 0.0)
-    fit = weighted_least_squares(W, tau, NAMES)
+    fit = weighted_least_squares(dense(W, tau, NAMES))
     A = (W / SIGMA[:, None]).reshape(-1, R)
     best = np.linalg.lstsq(A, (tau / SIGMA).ravel(), rcond=None)[0]
     std = np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
@@ -104,7 +107,7 @@ def test_a_column_that_the_motion_does_not_show_is_named() -> None:
     W = columns()
     W[:, :, 3] = 0.0
     with pytest.raises(RankDeficient, match="does not determine") as refusal:
-        weighted_least_squares(W, W @ BETA, NAMES)
+        weighted_least_squares(dense(W, W @ BETA, NAMES))
     assert refusal.value.names == ("beta3",)
 
 
@@ -112,5 +115,5 @@ def test_columns_that_the_motion_cannot_tell_apart_are_named() -> None:
     W = columns()
     W[:, :, 4] = 7 * W[:, :, 1]
     with pytest.raises(RankDeficient) as refusal:
-        weighted_least_squares(W, W @ BETA, NAMES)
+        weighted_least_squares(dense(W, W @ BETA, NAMES))
     assert set(refusal.value.names) == {"beta1", "beta4"}

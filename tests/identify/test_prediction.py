@@ -18,6 +18,7 @@ from excitant.identify.prediction import (
     prediction_interval,
     torque_std,
 )
+from excitant.identify.regression import dense
 from excitant.robots import Array, Robot
 from excitant.robots.virtual_arm import industrial_sensors
 
@@ -51,7 +52,7 @@ def test_intervals_hold_95_percent_of_unseen_readings(kind: str, n: int) -> None
         W, new = columns(rng, n), columns(rng, 200)
         beta = rng.normal(size=8)
         tau = W @ beta + noise(kind, rng, n)
-        fit = weighted_least_squares(W, tau, tuple("abcdefgh"))
+        fit = weighted_least_squares(dense(W, tau, tuple("abcdefgh")))
         found = prediction_interval(new, fit, tau - W @ fit.beta)
         unseen, predicted = new @ beta + noise(kind, rng, 200), new @ fit.beta
         hits.append(coverage(unseen, predicted, found.half_width).share)
@@ -70,7 +71,7 @@ def test_the_parameters_part_is_the_spread_of_predictions() -> None:
     predictions, announced = [], []
     for _ in range(300):
         tau = W @ beta + noise("ar", rng, 300)
-        fit = weighted_least_squares(W, tau, tuple("abcdefgh"))
+        fit = weighted_least_squares(dense(W, tau, tuple("abcdefgh")))
         predictions.append(new @ fit.beta)
         announced.append(torque_std(new, fit.covariance))
     ratio = np.mean(announced, axis=0) / np.std(predictions, axis=0)
@@ -109,7 +110,7 @@ def test_a_model_that_misses_something_covers_too_little() -> None:
     n = 600
     W, new, beta = columns(rng, n), columns(rng, n), rng.normal(size=8)
     tau = W @ beta + noise("white", rng, n)
-    fit = weighted_least_squares(W, tau, tuple("abcdefgh"))
+    fit = weighted_least_squares(dense(W, tau, tuple("abcdefgh")))
     found = prediction_interval(new, fit, tau - W @ fit.beta)
     honest = new @ beta + noise("white", rng, n)
     missed = honest + np.outer(np.sin(np.arange(n) / 50), [1.5, 0.0])

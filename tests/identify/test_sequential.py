@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from seed import dd_arm_chain
 
 from excitant.cli import main
 from excitant.design import random_trajectory
@@ -20,12 +21,11 @@ from excitant.identify.cascade import Cascade, beginning, further
 from excitant.identify.rows import split
 from excitant.identify.sequential import LinkByLink, link_rows, run_stages
 from excitant.robots import Motion, Robot, base_parameters, load_robot
+from excitant.robots.base_parameters import last_rows
 from excitant.robots.effects import CoulombFriction, standard_effects
-from excitant.robots.library.cmu_dd_arm_ii import dd_arm_chain
 from excitant.robots.newton_euler import torque_matrix
 from excitant.robots.regressor import regressor
 from excitant.robots.torque import observation_columns
-from excitant.robots.torque_rows import last_rows
 
 Array = np.ndarray
 
@@ -341,11 +341,6 @@ def test_command_writes_stages_and_comparison(planar: Robot, tmp_path: Path) -> 
         assert row["link_by_link"] < 1.2 * row["all_at_once"] < row["given"]
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "Link by link against all links at once" in page
-
-
-def test_online_is_another_way(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["identify", "planar_2r", "a.csv", "--link-by-link", "--online"]) == 1
-    assert "leave --online out" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -16,8 +16,7 @@ from excitant.reports.arm_figures import arm_figure
 from excitant.reports.drawing import style
 from excitant.reports.robot import robot_section
 from excitant.robots import builtin_robots, load_robot
-from excitant.robots.model_check import check_model
-from excitant.robots.model_check_result import robot_result, robot_series
+from excitant.robots.check import ModelCheck
 
 
 @pytest.fixture
@@ -36,7 +35,7 @@ def weak_urdf() -> str:
 def test_arms_have_a_picture(name: str) -> None:
     robot = load_robot(name)
     with style():
-        figure = arm_figure(robot_series(robot))
+        figure = arm_figure(ModelCheck(robot).series())
     assert figure is not None
     assert len(figure.panels) == 3
     assert len({panel.title for panel in figure.panels}) == 3
@@ -47,7 +46,7 @@ def test_arms_have_a_picture(name: str) -> None:
 
 
 def test_the_picture_shows_what_there_is() -> None:
-    series = robot_series(load_robot("ur10"))
+    series = ModelCheck(load_robot("ur10")).series()
     with style():
         whole = arm_figure(series)
         bare = arm_figure({**series, "zero_solids": np.empty((0, 8))})
@@ -67,7 +66,7 @@ def test_a_section_needs_no_key() -> None:
         empty = robot_section({"verb": "robots", "robot": "x"}, {})
     assert "look" in empty.lead
     robot = load_robot("panda")
-    result = robot_result(robot, check_model(robot))
+    result = ModelCheck(robot).result()
     for key in result:
         left = {k: None if k == key else v for k, v in result.items()}
         left["verb"] = "robots"

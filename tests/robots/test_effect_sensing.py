@@ -104,25 +104,6 @@ def test_kinematic_error_is_the_torque_with_the_joint_moved(
     assert tau.any() == (joint == "twist")
 
 
-def test_kinematic_error_of_a_planar_arm_is_a_longer_link(planar: Robot) -> None:
-    """∂τ/∂a₁ of an arm in a vertical plane whose second link has its mass along the link."""
-    motion = smooth(planar, np.arange(0, 1, 0.05))
-    m, mcx, *_ = planar.phi[10:]
-    a = float(planar.model.jointPlacements[2].translation[0])
-    q, dq, ddq = motion.q, motion.dq, motion.ddq
-    reach, across = mcx * np.cos(q[:, 1]), mcx * np.sin(q[:, 1])
-    turn = dq[:, 0] + dq[:, 1]
-    first = (
-        2 * m * a * ddq[:, 0]
-        + reach * (2 * ddq[:, 0] + ddq[:, 1])
-        - across * (turn**2 - dq[:, 0] ** 2)
-        + m * 9.81 * np.cos(q[:, 0])
-    )
-    second = reach * ddq[:, 0] + across * dq[:, 0] ** 2
-    column = KinematicError(planar.joints[1:]).columns(planar, motion)[:, :, 0]
-    close(column, np.column_stack([first, second]), 1e-9)
-
-
 def test_gravity_direction_is_the_static_torque_it_changes(
     arm: Robot, random_states: States
 ) -> None:

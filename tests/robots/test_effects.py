@@ -1,4 +1,4 @@
-"""Laws every effect obeys."""
+"""Laws every effect obeys, whatever it is; a new one is held to them once it is registered."""
 
 from __future__ import annotations
 
@@ -11,21 +11,26 @@ import pytest
 import yaml
 
 from excitant.exceptions import BadInput
+from excitant.identify.export.bodies import tree
 from excitant.robots import Motion, Robot, rigid_body_torque, torque
 from excitant.robots.effects import (
     EFFECTS,
     Effect,
-    JointEffect,
-    JointwiseEffect,
     effect_entries,
     effects_from_entries,
+    joint_facts,
+    merged,
+    proposals,
     standard_effects,
 )
+from excitant.robots.effects.experiments import BETWEEN
 from excitant.robots.parameters import STANDARD
+from excitant.robots.state_torque import REST, forward_model
 
 States = Callable[[Robot, int, int], Motion]
-JOINTWISE = sorted(name for name, kind in EFFECTS.items() if issubclass(kind, JointwiseEffect))
-MEMORYLESS = sorted(name for name, kind in EFFECTS.items() if issubclass(kind, JointEffect))
+JOINTWISE = sorted(name for name, kind in EFFECTS.items() if kind.jointwise)
+OF_THE_PAST = ("encoder_scale", "joint_elasticity", "backlash")
+CARRIED = ("gravity_direction", "payload", "inertial_parameters")
 SHAPES = {
     "stribeck_friction": {"velocity": 0.23},
     "nonlinear_viscous_friction": {"exponent": 0.7},
@@ -55,83 +60,190 @@ def valued(robot: Robot, kind: type[Effect], seed: int) -> Effect:
     return effect.with_values(rng.uniform(0.1, 2, len(effect.parameters(robot))))
 
 
-def test_vocabulary(kind: type[Effect]) -> None:
-    assert kind.name == next(name for name, effect in EFFECTS.items() if effect is kind)
+def close(found: np.ndarray, expected: np.ndarray, relative: float = 1e-12) -> None:
+    assert np.abs(found - expected).max() <= relative * np.abs(expected).max(initial=0.0)
+
+
+def test_vocabulary(kind: type[Effect], planar: Robot) -> None:
+    assert EFFECTS[kind.name] is kind
     assert len(EFFECTS) == 24
-    assert set(kind.contains) <= set(EFFECTS)
+    assert {*kind.contains, *(name for _, names in kind.told for name in names.split())} <= {
+        *EFFECTS
+    }
     assert set(kind.imitates) <= set(kind.contains)
+    assert frozenset((kind.family,)) in BETWEEN
+    assert kind.standard <= kind.usual <= kind.jointwise
+    effect = valued(planar, kind, 0)
+    given = [0.0] * len(effect.parameters(planar))
+    for said in (effect.noun(planar), effect.sentence(planar, effect.joints[:1], given)):
+        assert said == said.strip()
+        assert "_" not in said.replace(kind.name, "")
 
 
-@pytest.mark.parametrize("factor", [-2.7, 0.0, 1e3])
-def test_torque_is_linear_in_the_values(
-    arm: Robot, random_states: States, kind: type[Effect], factor: float
-) -> None:
-    motion = random_states(arm, 1, 6)
-    one, two = valued(arm, kind, 2), valued(arm, kind, 3)
-    sum_ = one.with_values(np.array(one.values) + factor * np.array(two.values))
-    expected = one.torque(arm, motion) + factor * two.torque(arm, motion)
-    scale = np.abs(one.torque(arm, motion)).max() + abs(factor) * np.abs(
-        two.torque(arm, motion)
-    ).max(initial=0.0)
-    assert np.abs(sum_.torque(arm, motion) - expected).max() <= 1e-12 * scale
-
-
-def test_columns_are_the_torque_per_value(
+def test_torque_is_columns_times_values(
     arm: Robot, random_states: States, kind: type[Effect]
 ) -> None:
-    motion, effect = random_states(arm, 2, 6), on(arm, kind)
-    columns = effect.columns(arm, motion)
-    count = len(effect.parameters(arm))
-    assert columns.shape == (6, arm.nv, count)
-    for k, unit in enumerate(np.eye(count)):
-        tau = effect.with_values(unit).torque(arm, motion)
-        assert np.abs(columns[:, :, k] - tau).max() <= 1e-12 * np.abs(tau).max(initial=0.0)
-
-
-def test_torque_of_the_robot_is_the_sum(
-    arm: Robot, random_states: States, kind: type[Effect]
-) -> None:
-    motion, effect = random_states(arm, 4, 6), valued(arm, kind, 4)
+    motion, effect = random_states(arm, 1, 6), valued(arm, kind, 2)
+    columns, tau = effect.columns(arm, motion), effect.torque(arm, motion)
+    assert columns.shape == (6, arm.nv, len(effect.values))
+    assert columns.any() or kind.name == "kinematic_error"  # none shows on a cart
+    expected = columns @ np.array(effect.values)
+    scale = np.abs(columns * np.array(effect.values)).max()
+    assert np.abs(tau - expected).max() <= 1e-12 * scale
     robot = arm.with_effects((*arm.effects, effect))
-    added = torque(robot, motion) - torque(arm, motion)
-    scale = np.abs(torque(robot, motion)).max()
-    assert np.abs(added - effect.torque(arm, motion)).max() <= 1e-12 * scale
+    whole = torque(robot, motion)
+    assert np.abs(whole - torque(arm, motion) - tau).max() <= 1e-12 * np.abs(whole).max()
+    with pytest.raises(ValueError, match="no values"):
+        effect.bare().torque(arm, motion)
 
 
 @pytest.mark.parametrize("name", JOINTWISE)
-def test_jointwise_effects_stay_at_their_joint(
+def test_jointwise_effects_are_those_of_each_joint(
     arm: Robot, random_states: States, name: str
 ) -> None:
-    motion = random_states(arm, 5, 6)
-    slow = Motion(motion.t, motion.q, motion.dq / 50, motion.ddq)
-    for j, joint in enumerate(arm.joints):
-        effect = EFFECTS[name]((joint,))
-        tau = effect.with_values(np.ones(len(effect.parameters(arm)))).torque(arm, slow)
-        assert not np.delete(tau, j, axis=1).any()
-        assert tau[:, j].any()
-
-
-@pytest.mark.parametrize("name", JOINTWISE)
-def test_jointwise_effects_of_many_joints_are_those_of_each(
-    arm: Robot, random_states: States, name: str
-) -> None:
-    motion = random_states(arm, 6, 6)
+    states = random_states(arm, 5, 6)
+    motion = Motion(states.t, states.q, states.dq / 50, states.ddq)
     together = EFFECTS[name](arm.joints)
-    alone = [EFFECTS[name]((joint,)) for joint in arm.joints]
+    alone = together.singles()
+    for j, effect in enumerate(alone):
+        columns = effect.columns(arm, motion)
+        assert not np.delete(columns, j, axis=1).any()
+        assert columns[:, j].any()
+        assert effect.affected(arm) == effect.rows(arm) == [j]
     columns = np.concatenate([effect.columns(arm, motion) for effect in alone], axis=2)
     np.testing.assert_array_equal(together.columns(arm, motion), columns)
     names = [p.name for effect in alone for p in effect.parameters(arm)]
     assert [p.name for p in together.parameters(arm)] == names
+    assert merged(alone) == [together]
 
 
-@pytest.mark.parametrize("name", MEMORYLESS)
-def test_memoryless_effects_do_not_know_the_order_of_instants(
-    arm: Robot, random_states: States, name: str
+def test_columns_depend_on_the_model_where_an_effect_says_so(
+    gantry: Robot, random_states: States, kind: type[Effect]
 ) -> None:
-    motion, effect = random_states(arm, 7, 8), valued(arm, EFFECTS[name], 7)
+    """On inertias or other effects, which never move what an effect of the motion alone does."""
+    motion, effect = random_states(gantry, 7, 8), on(gantry, kind)
+    other = gantry.with_parameters(2 * gantry.phi).with_effects(
+        [e.with_values([3.0] * gantry.nv) for e in standard_effects(gantry.joints)]
+    )
+    same = np.array_equal(effect.columns(gantry, motion), effect.columns(other, motion))
+    assert same != kind.depends_on_model
+
+
+def test_laws_know_no_order_of_instants(
+    gantry: Robot, random_states: States, kind: type[Effect]
+) -> None:
+    motion, effect = random_states(gantry, 7, 8), valued(gantry, kind, 7)
     order = np.random.default_rng(7).permutation(8)
-    shuffled = effect.torque(arm, motion[order])
-    np.testing.assert_array_equal(shuffled, effect.torque(arm, motion)[order])
+    if effect.law is not None:
+        shuffled = effect.torque(gantry, motion[order])
+        np.testing.assert_array_equal(shuffled, effect.torque(gantry, motion)[order])
+        columns = effect.law(motion.q[:, 0], motion.dq[:, 0], motion.ddq[:, 0])
+        np.testing.assert_array_equal(
+            np.transpose(columns), type(effect)(gantry.joints[:1]).columns(gantry, motion)[:, 0]
+        )
+
+
+def test_in_a_simulation_it_makes_the_torque_of_its_columns(
+    planar: Robot, random_states: States, kind: type[Effect]
+) -> None:
+    """At single states; with bodies and gravity in the model, and inertia in the mass matrix."""
+    effect = valued(planar.with_effects(()), kind, 3)
+    robot = planar.with_effects((effect,))
+    if kind.name in OF_THE_PAST:
+        with pytest.raises(BadInput, match=f"effect {kind.name} depends on the past"):
+            forward_model(robot)
+        return
+    model, inertia, state = forward_model(robot)
+    bodies = planar.with_model(model)
+    motion = random_states(planar, 9, 20)
+    assert (np.abs(motion.dq) > REST).all()
+    changed = rigid_body_torque(bodies, motion) - rigid_body_torque(planar, motion)
+    assert changed.any() == (kind.name in CARRIED)
+    if kind.name == "presliding_hysteresis":  # which has a state: see its own tests
+        return
+    for k in range(len(motion)):
+        at = motion[k : k + 1]
+        made = state(at.t[0], at.q[0], at.dq[0], at.ddq[0]) + inertia @ at.ddq[0] + changed[k]
+        expected = 0.0 if kind.acts_on_torque else effect.torque(robot, at)[0]
+        np.testing.assert_allclose(made, expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def proposed(ur10: Robot, random_states: States) -> list[tuple[Effect, int]]:
+    motion = random_states(ur10, 3, 200)
+    ripple = np.cos(9 * motion.q)
+    return proposals(ur10, joint_facts([motion], [slice(None)], ripple, 1e3))
+
+
+def test_every_effect_proposes_shapes_that_can_be(
+    ur10: Robot, proposed: list[tuple[Effect, int]], random_states: States, kind: type[Effect]
+) -> None:
+    own = [(effect, trials) for effect, trials in proposed if effect.name == kind.name]
+    assert own
+    assert len({effect for effect, _ in own}) == len(own)
+    facts = joint_facts([random_states(ur10, 3, 200)])
+    for effect, trials in own:
+        assert trials >= 1
+        assert effect.values is None
+        assert set(effect.joints) <= set(ur10.joints)
+        alike = [other for other, _ in own if other.joints == effect.joints]
+        seen = replace(facts[ur10.joint_index(effect.joints[0])], q=np.array([-1.0, 1.0]))
+        finer, others = effect.refined(alike, seen), effect.alternatives(seen)
+        assert effect in others
+        assert not set(finer) & {*alike}
+        for other in (*finer, *others):
+            assert (other.name, other.joints) == (effect.name, effect.joints)
+
+
+def test_a_joint_at_rest_is_asked_for_what_shows_there(planar: Robot) -> None:
+    t, zero = np.arange(5.0), np.zeros((5, 2))
+    facts = joint_facts([Motion(t, zero, zero, zero)])
+    resting = {effect.name for effect, _ in proposals(planar, facts)}
+    assert {"torque_offset", "inertial_parameters"} <= resting
+    assert not resting & {name for name in JOINTWISE if name != "torque_offset"}
+
+
+def test_what_is_believed_is_considered_again_with_shapes_beside_it(
+    ur10: Robot, proposed: list[tuple[Effect, int]], random_states: States
+) -> None:
+    motion = random_states(ur10, 3, 200)
+    facts = joint_facts([motion], [slice(None)], np.cos(9 * motion.q), 1e3)
+    grid = [e for e, _ in proposed if e.name == "stribeck_friction"][:8]
+    ripple = EFFECTS["torque_ripple"](ur10.joints[:1]).reshaped("order", 9.0)
+    found = proposals(ur10, facts, [(grid[3], 1), (ripple, 600)])
+    added = dict(found[len(proposed) :])
+    speeds = sorted(e.velocity for e in added if e.name == "stribeck_friction")
+    expected = np.concatenate(
+        [np.geomspace(grid[k].velocity, grid[k + 1].velocity, 4)[1:3] for k in (2, 3)]
+    )
+    np.testing.assert_allclose(speeds, expected, rtol=1e-12)
+    orders = sorted(e.order for e in added if e.name == "torque_ripple")
+    assert orders[1] == 9.0
+    assert orders[2] - 9.0 == pytest.approx(9.0 - orders[0])
+    assert {added[e] for e in added if e.name == "torque_ripple"} == {600}
+
+
+def test_ripple_is_looked_for_where_the_error_has_it(
+    ur10: Robot, proposed: list[tuple[Effect, int]]
+) -> None:
+    for joint in ur10.joints:
+        orders = [e.order for e, _ in proposed if e.name == "torque_ripple" and joint in e.joints]
+        assert min(abs(order - 9) for order in orders) < 0.5
+
+
+@pytest.mark.parametrize("file_format", ["urdf", "mjcf", "sdf"])
+def test_a_file_of_the_model_holds_it_or_says_that_it_does_not(
+    planar: Robot, kind: type[Effect], file_format: str
+) -> None:
+    effect = valued(planar, kind, 4)
+    arm = tree(planar.with_effects((effect,)))
+    said = "not in this file" in arm.comment(file_format, "model.yaml")
+    folded = kind.role != "torque"
+    assert said != (folded or file_format in kind.formats)
+    assert bool(kind.formats) == bool(kind.joint_property)
+    if kind.joint_property:
+        held = [body.properties[kind.joint_property] for body in arm.bodies]
+        np.testing.assert_allclose(held, effect.values)
 
 
 @pytest.mark.parametrize(
@@ -147,10 +259,8 @@ def test_effects_of_a_joints_place_reach_the_joints_before_it(
 
 
 def test_parameter_names_are_unique(arm: Robot) -> None:
-    effects = [on(arm, kind) for kind in EFFECTS.values()]
-    names = [p.name for effect in effects for p in effect.parameters(arm)]
+    names = [p.name for kind in EFFECTS.values() for p in on(arm, kind).parameters(arm)]
     assert len(set(names)) == len(names)
-    assert {type(e) for e in standard_effects(arm.joints)} <= {type(e) for e in effects}
 
 
 @pytest.mark.parametrize("name", ["payload", "inertial_parameters"])
@@ -162,33 +272,21 @@ def test_added_inertia_is_that_of_a_changed_link(
     phi = np.array(arm.phi)
     phi[-10:] *= 1.3
     expected = rigid_body_torque(arm.with_parameters(phi), motion)
-    tau = rigid_body_torque(arm, motion) + added.torque(arm, motion)
-    assert np.abs(tau - expected).max() <= 1e-9 * np.abs(expected).max()
-    names = [p.name for p in added.parameters(arm)]
-    assert [n.rsplit("_", 1)[1] for n in names] == list(STANDARD)
-
-
-def test_unknown_values_make_no_torque_up(
-    arm: Robot, random_states: States, kind: type[Effect]
-) -> None:
-    with pytest.raises(ValueError, match="no values"):
-        on(arm, kind).torque(arm, random_states(arm, 0, 1))
+    close(rigid_body_torque(arm, motion) + added.torque(arm, motion), expected, 1e-9)
+    close(rigid_body_torque(added.applied(arm), motion), expected, 1e-9)
+    assert [p.name.rsplit("_", 1)[1] for p in added.parameters(arm)] == list(STANDARD)
 
 
 def test_entries_read_back_to_the_same_effects(arm: Robot) -> None:
     effects = []
     for k, (name, kind) in enumerate(EFFECTS.items()):
         shaped = replace(on(arm, kind), **SHAPES.get(name, {}))
+        assert {field.name for field in fields(kind)} == {"joints", "values", *SHAPES.get(name, {})}
         values = np.random.default_rng(k).standard_normal(len(shaped.parameters(arm)))
         effects += [valued(arm, kind, k), shaped.with_values(values)]
     entries = effect_entries(effects)
     for written in (json.loads(json.dumps(entries)), yaml.safe_load(yaml.safe_dump(entries))):
         assert effects_from_entries(written, arm, "given") == tuple(effects)
-
-
-def test_every_shape_is_written(kind: type[Effect]) -> None:
-    shape = {field.name for field in fields(kind)} - {"joints", "values"}
-    assert shape == set(SHAPES.get(kind.name, {}))
 
 
 def test_joints_not_named_are_all_of_them(builtin: Robot) -> None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.signal
+from hidden_effects import FAULTS, KINDS, draw_effect, typical_trajectory, visible_size
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots import Robot, load_robot
-from excitant.robots.hidden import FAULTS, KINDS, draw_effect, visible_size
 from excitant.robots.parameters import violations
-from excitant.robots.plant.habits import typical_trajectory
-from excitant.robots.plant.hidden_effect import STRUCTURES
+from excitant.robots.plant.planting import STRUCTURES
 from excitant.robots.virtual_arm import (
     HiddenEffect,
     VirtualArm,

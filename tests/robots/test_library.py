@@ -11,10 +11,9 @@ import pytest
 from excitant.analysis import identifiability
 from excitant.design import random_trajectory
 from excitant.robots import Robot, builtin_robots, load_robot
+from excitant.robots.bodies import bent_pose, bodies, sketch, zero_pose
 from excitant.robots.geometry import scene
 from excitant.robots.library.catalogue import arm_entry, catalogue, catalogue_page
-from excitant.robots.model_check_bodies import bodies
-from excitant.robots.model_check_sketch import bent_pose, sketch, zero_pose
 from excitant.robots.parameters import violations
 from excitant.robots.virtual_arm import virtual_arm
 
@@ -89,10 +88,10 @@ def test_a_picture_shows_the_arm_where_it_is(builtin: Robot) -> None:
         assert ((low <= q) & (q <= high)).all()
         drawn = sketch(builtin, q)
         pin.framesForwardKinematics(model, data, q)
-        assert drawn.points[-1] == pytest.approx(data.oMf[builtin.tip].translation)
-        assert np.linalg.norm(drawn.axes, axis=1) == pytest.approx(np.ones(builtin.nv))
-        assert drawn.solids.shape[1] == 8
-        for joint, *_, radius in drawn.solids:
+        assert drawn["points"][-1] == pytest.approx(data.oMf[builtin.tip].translation)
+        assert np.linalg.norm(drawn["axes"], axis=1) == pytest.approx(np.ones(builtin.nv))
+        assert drawn["solids"].shape[1] == 8
+        for joint, *_, radius in drawn["solids"]:
             assert 0 <= joint <= builtin.nv
             assert radius > 0
 
@@ -111,10 +110,10 @@ def test_known_reach_and_weight() -> None:
     for name, length in {"ur5e": 0.425 + 0.3922, "ur3e": 0.24355 + 0.2132}.items():
         places = [p.translation for p in list(load_robot(name).model.jointPlacements)[1:]]
         assert abs(places[2][0]) + abs(places[3][0]) == pytest.approx(length)
-    iiwa = sketch(load_robot("iiwa14"), np.zeros(7)).points[-1]
+    iiwa = sketch(load_robot("iiwa14"), np.zeros(7))["points"][-1]
     assert iiwa == pytest.approx([0, 0, 0.36 + 0.42 + 0.4 + 0.126], abs=1e-9)  # to its flange
-    gen3 = sketch(load_robot("gen3"), np.zeros(7)).points[-1]
+    gen3 = sketch(load_robot("gen3"), np.zeros(7))["points"][-1]
     assert gen3[2] == pytest.approx(1.1873, abs=1e-3)
     tx40 = load_robot("tx40")
-    upright = sketch(tx40, np.array([0, -np.pi / 2, np.pi / 2, 0, 0, 0])).points
+    upright = sketch(tx40, np.array([0, -np.pi / 2, np.pi / 2, 0, 0, 0]))["points"]
     assert upright[-1][2] == pytest.approx(0.32 + 0.225 + 0.225 + 0.065)

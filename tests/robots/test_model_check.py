@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from excitant.robots import Robot, builtin_robots, load_robot
-from excitant.robots.model_check import check_model, total_mass
-from excitant.robots.model_check_bodies import bodies
-from excitant.robots.model_check_joints import gravity_peaks
+from excitant.robots.bodies import bodies
+from excitant.robots.check import ModelCheck, check_model, gravity_peaks
 from excitant.robots.urdf import robot_from_urdf
 
 HEALTHY = ("ur10", "ur5e", "planar_2r")
@@ -333,7 +332,8 @@ def test_gravity_peak_is_the_stretched_arm_level() -> None:
 
 def test_mass_is_compared_with_what_is_stated() -> None:
     robot = load_robot("tx40")
-    moving, total = total_mass(robot)
+    check = ModelCheck(robot)
+    moving, total = check.moving_mass, check.total_mass
     assert total == pytest.approx(moving + 4.2)  # its base states a mass
     assert found(robot, mass=27.0) == set()
     assert found(robot, mass=18.4) == {("total_mass", "tx40")}
@@ -356,4 +356,4 @@ def test_only_what_moves_and_what_stands_under_it_counts() -> None:
     carriers = {body.link: body.carrier for body in bodies(held)}
     assert carriers["wrist_3_link"] == "wrist_1_link"
     assert carriers["base_link"] == ""
-    assert total_mass(held)[0] == pytest.approx(total_mass(whole)[0])
+    assert ModelCheck(held).moving_mass == pytest.approx(ModelCheck(whole).moving_mass)

@@ -16,7 +16,6 @@ from excitant.exceptions import BadInput, ExcitantError
 from excitant.identify import recording_from_table
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import (
-    EFFECTS,
     CoulombFriction,
     Effect,
     EncoderScale,
@@ -193,7 +192,7 @@ def test_dry_friction_is_that_of_the_plant(ur10: Robot) -> None:
     wrong = forward_error(ur10.with_parameters(1.03 * ur10.phi), motion, seen.tau, bandwidth_hz=1.0)
     assert right.rms.max() < 1.5e-3
     assert wrong.rms.max() > 4 * right.rms.max()
-    assert right.simulation.error.shape == seen.q.shape
+    assert right.error.shape == seen.q.shape
 
 
 def test_a_joint_held_by_dry_friction_creeps_no_faster_than_rest(pendulum: Robot) -> None:
@@ -243,33 +242,6 @@ def test_the_motor_gives_what_inverse_dynamics_asks(effect: Effect, planar: Robo
     mean = np.array([np.convolve(column, window, "valid") for column in error.T])
     without = torque(robot, run.motion) - torque(believed, run.motion)
     assert np.sqrt((mean**2).mean()) < 0.05 * np.sqrt((without**2).mean())
-
-
-@pytest.mark.parametrize("name", sorted(EFFECTS))
-def test_every_effect_is_simulated_or_refused_by_name(name: str, planar: Robot) -> None:
-    kind, t = EFFECTS[name], np.arange(0, 0.2, 0.01)
-    joints = planar.joints[:1] if name in _OF_ONE else planar.joints
-    effect = kind(joints)
-    valued = effect.with_values(np.full(len(effect.parameters(planar)), 1e-3))
-    robot = planar.with_effects((valued,))
-    if name in ("encoder_scale", "joint_elasticity", "backlash"):
-        with pytest.raises(BadInput, match=f"effect {name} depends on the past"):
-            simulate(robot, smooth(planar, t), Controller())
-    else:
-        run = simulate(robot, smooth(planar, t), Controller())
-        assert np.abs(run.error).max() < 1e-2
-
-
-_OF_ONE = (
-    "payload",
-    "inertial_parameters",
-    "encoder_offset",
-    "encoder_scale",
-    "kinematic_error",
-    "gravity_direction",
-    "joint_elasticity",
-    "backlash",
-)
 
 
 def test_a_torque_sensor_does_not_move_the_arm(planar: Robot) -> None:

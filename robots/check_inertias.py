@@ -9,12 +9,12 @@ within. A tensor about the joint frame given as one about the centre of mass c s
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 
-from excitant.robots.model_check_bodies import Body
-from excitant.robots.model_check_warning import ModelWarning
+from excitant.robots.bodies import Body
 from excitant.robots.motion import Array
 from excitant.robots.parameters import violations
 from excitant.robots.robot import Robot
@@ -31,6 +31,26 @@ _EXCESS, _CLOSER = 0.75, 0.4  # a tensor about the joint: how far off, how much 
 _LEVER = 0.05  # of the arm: centres of mass nearer to the joint make no difference worth a word
 _SLIGHT = 0.01  # of a joint's torque: what changes less matters to none
 _ROUNDING = 1e-3  # relative violation that digits left out explain
+
+
+@dataclass(frozen=True)
+class ModelWarning:
+    """What looks wrong, where, and what to do about it.
+
+    Attributes:
+        check: Which check says so, e.g. ``placeholder_inertia``.
+        where: The links or joints concerned.
+        sentence: What was found and what to do, in one line.
+        hint: Whether it may well be right, or matters to no torque.
+    """
+
+    check: str
+    where: tuple[str, ...]
+    sentence: str
+    hint: bool = False
+
+    def __str__(self) -> str:
+        return f"{', '.join(self.where)}: {self.sentence}"
 
 
 def inertia_warnings(robot: Robot, bodies: Sequence[Body]) -> Iterator[ModelWarning]:
@@ -113,13 +133,9 @@ def _power_of_ten(value: float) -> bool:
     return value > 0 and abs(np.log10(value) - round(np.log10(value))) < 1e-9
 
 
-def _phi(body: Body) -> Array:
-    phi = pin.Inertia(body.mass, body.com, body.inertia).toDynamicParameters()
-    return np.asarray(phi)
-
-
 def _not_physical(robot: Robot, body: Body) -> ModelWarning | None:
-    found = violations(np.array([body.mass, 0, 0, 0, *_central(body)]), (body.link,))
+    central = body.inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    found = violations(np.array([body.mass, 0, 0, 0, *central]), (body.link,))
     if not found:
         return None
     why = found[0].removeprefix(f"{body.link}: ")
@@ -133,10 +149,6 @@ def _not_physical(robot: Robot, body: Body) -> ModelWarning | None:
         elif spread[0] > -_ROUNDING * spread[-1]:
             advice = "rounding may do this to a flat or thin link; give more digits"
     return ModelWarning("inertia_not_physical", (body.link,), f"{why}; {advice}")
-
-
-def _central(body: Body) -> Array:
-    return np.asarray(body.inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]])
 
 
 def _centre_outside(robot: Robot, body: Body) -> ModelWarning | None:
@@ -196,8 +208,8 @@ def _about_joint(robot: Robot, body: Body) -> ModelWarning | None:
 
 def _expected(body: Body) -> Array | None:
     """Second moment per mass of the solids, or of a bar to the next joint; None without either."""
-    if body.solid is not None:
-        return body.solid[1]
+    if body.solid_second_moment is not None:
+        return body.solid_second_moment
     far = body.points[int(np.argmax(np.linalg.norm(body.points, axis=1)))]
     length = float(np.linalg.norm(far))
     if length < 5 * _EXTENT:
@@ -248,10 +260,10 @@ def _moves_nothing(robot: Robot, body: Body, moment: Array) -> bool:
 
 def _across(robot: Robot, body: Body) -> ModelWarning | None:
     """An elongated inertia whose long axis lies across that of the solids."""
-    if body.solid is None:
+    if body.solid_second_moment is None:
         return None
     along = [_long_axis(S, ratio) for S, ratio in zip(
-        (body.solid[1], body.second_moment), _ELONGATED, strict=True)]  # fmt: skip
+        (body.solid_second_moment, body.second_moment), _ELONGATED, strict=True)]  # fmt: skip
     if along[0] is None or along[1] is None:
         return None
     angle = float(np.degrees(np.arccos(min(1.0, abs(float(along[0] @ along[1]))))))

@@ -1,23 +1,176 @@
-"""Joints whose axes, limits or torques look wrong."""
+"""Whether a robot's description can be right: inertias, axes, limits, and the arm's own weight."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from excitant.robots.model_check_warning import ModelWarning
+from excitant.robots.base_parameters import base_parameters
+from excitant.robots.bodies import Body, bent_pose, bodies, sketch, zero_pose
+from excitant.robots.check_inertias import ModelWarning, inertia_warnings
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
+_MASS = 0.05  # relative deviation from the stated mass that goes unsaid
+_BASE = 0.4  # of the stated mass: what a base that the model leaves out may weigh
+_SPOILS_WEIGHT = ("inertia_not_physical", "centre_of_mass")
 _POSES = 600  # random ones that the search for the largest gravity torque starts from
 _STEPS = 24  # positions that it tries of each joint in turn
 _ROUNDS = 2
 _UNIT = 1e-3  # deviation of an axis from length one that digits left out explain
 _LEVEL = 1e-9  # N·m: no gravity torque
 _EXACT = 1e-8  # rad: too little for a decision on what torque shows
+
+
+@dataclass(frozen=True, eq=False)
+class ModelCheck:
+    """What an arm's description says, and what looks wrong in it.
+
+    Attributes:
+        robot: The arm.
+        mass: What the whole arm weighs with its base, where that is known [kg].
+    """
+
+    robot: Robot
+    mass: float | None = None
+
+    @cached_property
+    def bodies(self) -> tuple[Body, ...]:
+        """The links as stated."""
+        return bodies(self.robot)
+
+    @cached_property
+    def gravity_peaks(self) -> Array:
+        """Largest gravity torque of each joint within the ranges, shape (nv,) [N·m or N]."""
+        return gravity_peaks(self.robot)[0]
+
+    @property
+    def moving_mass(self) -> float:
+        """Mass that the joints move [kg]."""
+        return float(self.robot.phi[::10].sum())
+
+    @property
+    def total_mass(self) -> float:
+        """The same with the base as far as the description states it [kg]."""
+        return self.moving_mass + sum(body.mass for body in self.bodies if not body.carrier)
+
+    @cached_property
+    def warnings(self) -> tuple[ModelWarning, ...]:
+        """Everything that looks wrong, hints last.
+
+        A warning names what is almost surely wrong or missing; a hint what may well be right.
+        """
+        robot = self.robot
+        found = [
+            *inertia_warnings(robot, self.bodies),
+            *axis_warnings(robot),
+            *limit_warnings(robot),
+            *self._mass_warnings(),
+        ]
+        if not any(warning.check in _SPOILS_WEIGHT for warning in found):
+            found += gravity_warnings(robot, self.gravity_peaks)
+        return tuple(sorted(found, key=lambda warning: warning.hint))
+
+    def _mass_warnings(self) -> Iterator[ModelWarning]:
+        moving, total, stated = self.moving_mass, self.total_mass, self.mass
+        if stated is None or abs(total - stated) <= _MASS * stated:
+            return
+        rest = stated - total
+        if total == moving and 0 < rest <= _BASE * stated:
+            yield ModelWarning(
+                "total_mass", (self.robot.name,),
+                f"its links weigh {moving:.4g} kg and its base states no mass; {stated:.4g} kg is "
+                f"right if the base weighs {rest:.3g} kg",
+                hint=True,
+            )  # fmt: skip
+            return
+        yield ModelWarning(
+            "total_mass", (self.robot.name,),
+            f"the description weighs {total:.4g} kg, {abs(rest):.3g} kg "
+            f"{'less' if rest > 0 else 'more'} than the {stated:.4g} kg stated; look for links "
+            "that lack mass, count twice or have another unit",
+        )  # fmt: skip
+
+    def result(self) -> dict[str, Any]:
+        """Joints, links, limits, effects and warnings, for ``result.json``."""
+        robot, limits = self.robot, self.robot.limits
+        joints = [
+            {
+                "name": joint,
+                "link": robot.links[j],
+                "kind": "revolute" if robot.revolute[j] else "prismatic",
+                "position": [_finite(x) for x in limits.position[j]],
+                "velocity": _finite(limits.velocity[j]),
+                "acceleration": _finite(limits.acceleration[j]),
+                "torque": _finite(limits.torque[j]),
+                "gravity_torque": _finite(self.gravity_peaks[j]),
+                "mass": float(robot.phi[10 * j]),
+            }
+            for j, joint in enumerate(robot.joints)
+        ]
+        values = [
+            {"effect": effect.name, "name": parameter.name, "value": value, "unit": parameter.unit}
+            for effect in robot.effects
+            if effect.values is not None
+            for parameter, value in zip(effect.parameters(robot), effect.values, strict=True)
+        ]
+        return {
+            "verb": "robots",
+            "robot": robot.name,
+            "name": robot.name,
+            "mass": self.moving_mass,
+            "total_mass": self.total_mass,
+            "stated_mass": self.mass,
+            "gravity": robot.gravity.tolist(),
+            "base_parameters": len(base_parameters(robot)),
+            "effects": [effect.name for effect in robot.effects],
+            "effect_values": values,
+            "warnings": [{**asdict(w), "where": list(w.where)} for w in self.warnings],
+            "joints": joints,
+            "links": [_link(body) for body in self.bodies],
+            "locked": dict(robot.locked),
+            "parameters": dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True)),
+            "notes": list(robot.notes),
+        }
+
+    def series(self) -> dict[str, Array]:
+        """What a picture of the arm needs: ``zero_`` and ``bent_`` with the keys of `sketch`."""
+        poses = {"zero": zero_pose(self.robot), "bent": bent_pose(self.robot)}
+        return {
+            f"{name}_{key}": array
+            for name, q in poses.items()
+            for key, array in sketch(self.robot, q).items()
+        }
+
+
+def check_model(robot: Robot, mass: float | None = None) -> tuple[ModelWarning, ...]:
+    """Everything in an arm's description that looks wrong; see `ModelCheck.warnings`."""
+    return ModelCheck(robot, mass).warnings
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _link(body: Body) -> dict[str, Any]:
+    moments = np.linalg.eigvalsh(body.inertia)
+    spread = np.linalg.eigvalsh(body.second_moment)[-1] if body.mass > 0 else 0.0
+    return {
+        "link": body.link,
+        "moves_with": body.carrier or None,
+        "mass": body.mass,
+        "com": body.com.tolist(),
+        "principal_moments": moments.tolist(),
+        "radius_of_gyration": float(np.sqrt(max(spread, 0.0))),
+        "size": body.size,
+        "solids": len(body.shapes),
+    }
 
 
 def axis_warnings(robot: Robot) -> Iterator[ModelWarning]:
@@ -72,10 +225,7 @@ def _rounded(root: ET.Element) -> Iterator[ModelWarning]:
 
 def _opposite(robot: Robot) -> Iterator[ModelWarning]:
     """Links of equal mass one after the other whose parallel axes point in opposite directions."""
-    data = robot.model.createData()
-    J = pin.computeJointJacobians(robot.model, data, np.zeros(robot.nv))
-    axes = np.where(robot.revolute[:, None], J[3:].T, J[:3].T)
-    phi = robot.phi.reshape(-1, 10)
+    axes, phi = robot.axes(np.zeros(robot.nv)), robot.phi.reshape(-1, 10)
     for j in range(robot.nv - 1):
         alike = np.allclose(phi[j, 0], phi[j + 1, 0], rtol=1e-9)
         own, next_own = (np.sort(np.abs(phi[k, [4, 6, 9]])) for k in (j, j + 1))
@@ -125,9 +275,8 @@ def limit_warnings(robot: Robot) -> Iterator[ModelWarning]:
             )  # fmt: skip
 
 
-def gravity_warnings(robot: Robot) -> Iterator[ModelWarning]:
+def gravity_warnings(robot: Robot, peak: Array) -> Iterator[ModelWarning]:
     """Joints that cannot hold the arm in every pose."""
-    peak, _ = gravity_peaks(robot)
     for joint, torque, limit, turns in zip(
         robot.joints, peak, robot.limits.torque, robot.revolute, strict=True
     ):

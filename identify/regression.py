@@ -1,0 +1,280 @@
+"""The weighted linear problem W x ≈ τ: filtered columns, joint by joint, built once.
+
+The columns of one joint are kept without those that are silent there: a joint feels its own link
+and those beyond, and its own friction, so that less than half of W is held. Everything that is
+computed from W many times over (weights of joints, parts of the time left out, columns added or
+left out) comes from products: [W_j τ_j]ᵀ[W_j τ_j] of each joint j and block of time, made when
+first asked for.
+
+    problem = regression_of(model, model.effects, segments)      # all columns, torque, segments
+    problem = problem.in_blocks(evenly(len(problem), 40))        # blocks of time
+    G = problem.gram(weight, problem.block != k)                 # without block k, (p + 1, p + 1)
+    R, z = problem.factor(weight)                                # ‖R x − z‖² is the weighted misfit
+    wider = problem.with_columns(more, names)                    # further effects
+    fit = weighted_least_squares(problem.select(base.columns))   # with noise and covariance
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from excitant.exceptions import BadInput
+from excitant.identify.preprocessing import Segment
+from excitant.robots.effects import Effect
+from excitant.robots.motion import Array, Motion, freeze, read_only
+from excitant.robots.robot import Robot
+from excitant.robots.torque import observation_columns
+
+Index = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """W x ≈ τ at n instants of nv joints.
+
+    Attributes:
+        names: What the columns stand for, p of them.
+        index: For each joint, which columns act on it, u of them.
+        columns: For each joint, those columns, shape (n, u).
+        tau: Torque, shape (n, nv) [N·m].
+        starts: First instant of every uninterrupted segment; the first is 0.
+        block: Block of time of every instant, shape (n,); all one when not given.
+    """
+
+    names: tuple[str, ...]
+    index: tuple[Index, ...]
+    columns: tuple[Array, ...]
+    tau: Array
+    starts: tuple[int, ...] = (0,)
+    block: Index | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, "tau")
+        if self.starts[:1] != (0,) or not (np.diff([*self.starts, len(self)]) > 0).all():
+            raise BadInput(
+                f"regression: segments start at {self.starts} of {len(self)} instants; begin "
+                "with 0, rise"
+            )
+        if not all(np.isfinite(values).all() for values in (*self.columns, self.tau)):
+            raise BadInput("regression: values that are no finite numbers; remove their instants")
+
+    def __len__(self) -> int:
+        return len(self.tau)
+
+    @property
+    def nv(self) -> int:
+        """Number of joints."""
+        return int(self.tau.shape[1])
+
+    @property
+    def p(self) -> int:
+        """Number of columns."""
+        return len(self.names)
+
+    @property
+    def segments(self) -> tuple[slice, ...]:
+        """Instants of every uninterrupted segment."""
+        ends = (*self.starts[1:], len(self))
+        return tuple(slice(*pair) for pair in zip(self.starts, ends, strict=True))
+
+    @property
+    def W(self) -> Array:
+        """All columns, zeros too, shape (n, nv, p)."""
+        found: Array = np.zeros((len(self), self.nv, self.p))
+        for j, (index, columns) in enumerate(zip(self.index, self.columns, strict=True)):
+            found[:, j, index] = columns
+        return found
+
+    def torque(self, x: Array) -> Array:
+        """W x, shape (p,) → (n, nv)."""
+        parts = zip(self.index, self.columns, strict=True)
+        return np.stack([columns @ x[index] for index, columns in parts], axis=1)
+
+    def residual(self, x: Array) -> Array:
+        """τ − W x, shape (n, nv)."""
+        return np.asarray(self.tau - self.torque(x), float)
+
+    # other problems
+
+    def select(self, columns: Sequence[int], names: Sequence[str] | None = None) -> Regression:
+        """The problem with some of its columns, in this order, and names for them."""
+        place = np.full(self.p, -1)
+        place[list(columns)] = np.arange(len(columns))
+        index, kept = [], []
+        for own, values in zip(self.index, self.columns, strict=True):
+            here = np.flatnonzero(place[own] >= 0)
+            here = here[np.argsort(place[own[here]])]
+            index.append(place[own[here]])
+            kept.append(read_only(values[:, here]))
+        named = tuple(names) if names is not None else tuple(self.names[k] for k in columns)
+        return replace(self, names=named, index=tuple(index), columns=tuple(kept))
+
+    def with_columns(self, more: Array, names: Sequence[str]) -> Regression:
+        """The problem with further columns, shape (n, nv, k)."""
+        index, wider = [], []
+        for j, (own, values) in enumerate(zip(self.index, self.columns, strict=True)):
+            acting = np.flatnonzero(more[:, j].any(axis=0))
+            index.append(np.concatenate([own, self.p + acting]))
+            wider.append(read_only(np.column_stack([values, more[:, j, acting]])))
+        return replace(self, names=(*self.names, *names), index=tuple(index), columns=tuple(wider))
+
+    def counting(self, rows: Mask) -> Regression:
+        """The problem with rows of joints that do not count set to zero, shape (n, nv)."""
+        columns = (v * rows[:, [j]] for j, v in enumerate(self.columns))
+        return replace(self, columns=tuple(map(read_only, columns)), tau=self.tau * rows)
+
+    def at(self, instants: slice) -> Regression:
+        """The problem at evenly taken instants, as one segment each as before."""
+        kept = np.arange(len(self))[instants]
+        starts = np.unique(np.searchsorted(kept, self.starts))
+        return replace(
+            self,
+            columns=tuple(read_only(values[instants]) for values in self.columns),
+            tau=self.tau[instants],
+            starts=tuple(int(k) for k in starts if k < len(kept)),
+            block=None if self.block is None else self.block[instants],
+        )
+
+    def with_torque(self, tau: Array) -> Regression:
+        """The same columns for another torque, shape (n, nv)."""
+        return replace(self, tau=tau)
+
+    def in_blocks(self, block: Index) -> Regression:
+        """The problem with blocks of time, shape (n,), numbered from 0."""
+        return replace(self, block=block)
+
+    # products
+
+    @cached_property
+    def grams(self) -> tuple[Array, ...]:
+        """Of each joint [W τ]ᵀ[W τ] in every block of time, shape (blocks, u + 1, u + 1)."""
+        block = np.zeros(len(self), np.intp) if self.block is None else self.block
+        rows = [np.flatnonzero(block == k) for k in range(int(block.max(initial=0)) + 1)]
+        found = []
+        for j, columns in enumerate(self.columns):
+            whole = np.column_stack([columns, self.tau[:, j]])
+            found.append(read_only([whole[k].T @ whole[k] for k in rows]))
+        return tuple(found)
+
+    def gram(self, weight: Array, blocks: Index | Mask | slice = slice(None)) -> Array:
+        """[W τ]ᵀ[W τ] of some blocks of time, rows of joints weighted, shape (p + 1, p + 1).
+
+        Args:
+            weight: Of the squares of each joint's rows, shape (nv,).
+            blocks: Which blocks.
+        """
+        total = np.zeros((self.p + 1, self.p + 1))
+        for w, index, own in zip(weight, self.index, self.grams, strict=True):
+            place = np.append(index, self.p)
+            total[np.ix_(place, place)] += w * own[blocks].sum(axis=0)
+        return total
+
+    def squares(self, x: Array) -> Array:
+        """Σ (τ − W x)² of each block and joint, from products, shape (blocks, nv)."""
+        found = []
+        for index, own in zip(self.index, self.grams, strict=True):
+            v = np.append(x[index], -1.0)
+            found.append(np.maximum(np.einsum("brs,r,s->b", own, v, v, optimize=True), 0.0))
+        return np.stack(found, axis=1)
+
+    @cached_property
+    def triangles(self) -> tuple[Array, ...]:
+        """Of each joint the triangle of [W τ], which keeps all digits, shape (≤ u + 1, u + 1)."""
+        pairs = enumerate(self.columns)
+        return tuple(triangle(np.column_stack([X, self.tau[:, j]])) for j, X in pairs)
+
+    def factor(self, weight: Array) -> tuple[Array, Array]:
+        """R and z with ‖R x − z‖² = Σ_j (w_j ‖τ_j − W_j x‖)².
+
+        Args:
+            weight: Of each joint's rows, shape (nv,).
+        """
+        R = triangle(self.stacked(weight))
+        return R[:, :-1], R[:, -1]
+
+    def stacked(self, weight: Array) -> Array:
+        """The weighted triangles of all joints over each other, shape (rows, p + 1)."""
+        parts = []
+        for w, index, own in zip(weight, self.index, self.triangles, strict=True):
+            part = np.zeros((len(own), self.p + 1))
+            part[:, np.append(index, self.p)] = w * own
+            parts.append(part)
+        return np.concatenate(parts)
+
+
+def triangle(A: Array) -> Array:
+    """R of A = Q R, without rows of zeros below, shape (min(n, m), m)."""
+    return np.asarray(scipy.linalg.qr(A, mode="r")[0][: A.shape[1]], float)
+
+
+def dense(W: Array, tau: Array, names: Sequence[str], starts: Sequence[int] = (0,)) -> Regression:
+    """The problem of columns of shape (n, nv, p) and torque of shape (n, nv).
+
+    Raises:
+        BadInput: Shapes, names or starts that do not fit, or values that are no numbers.
+    """
+    if W.ndim != 3 or tau.shape != W.shape[:2] or len(names) != W.shape[2]:
+        raise BadInput(
+            f"regression: columns of shape {W.shape} with torque of shape {tau.shape} and "
+            f"{len(names)} names; give (n, nv, p), (n, nv) and p"
+        )
+    index = tuple(np.flatnonzero(W[:, j].any(axis=0)) for j in range(W.shape[1]))
+    columns = tuple(read_only(W[:, j, own]) for j, own in enumerate(index))
+    return Regression(tuple(names), index, columns, tau, tuple(starts))
+
+
+def regression_of(
+    robot: Robot, effects: Sequence[Effect], segments: Sequence[Segment]
+) -> Regression:
+    """Columns of links and effects at the rows of segments, with the torque measured there.
+
+    Effects that rest on the torque of the arm take it from the robot.
+    """
+    names = [*robot.parameter_names, *(p.name for e in effects for p in e.parameters(robot))]
+    parts = [
+        dense(segment.rows(lambda m: observation_columns(robot, effects, m)), tau, names)
+        for segment in segments
+        for tau in [segment.tau[segment.keep]]
+    ]
+    return joined(parts)
+
+
+def joined(parts: Sequence[Regression]) -> Regression:
+    """One problem of problems with the same columns, segments one after the other."""
+    first = parts[0]
+    index, columns = [], []
+    for j in range(first.nv):
+        acting = np.unique(np.concatenate([part.index[j] for part in parts]))
+        found = np.zeros((sum(map(len, parts)), len(acting)))
+        begin = 0
+        for part in parts:
+            rows = slice(begin, begin + len(part))
+            found[rows, np.searchsorted(acting, part.index[j])] = part.columns[j]
+            begin += len(part)
+        index.append(acting)
+        columns.append(read_only(found))
+    sizes = np.cumsum([0, *map(len, parts)])[:-1]
+    starts = [int(k) + s for k, part in zip(sizes, parts, strict=True) for s in part.starts]
+    tau = np.concatenate([part.tau for part in parts])
+    return Regression(first.names, tuple(index), tuple(columns), tau, tuple(starts))
+
+
+def evenly(rows: int, parts: int) -> Index:
+    """Block of each of some rows, as equal as can be, shape (rows,)."""
+    return np.arange(rows) * parts // rows
+
+
+def observation(robot: Robot, effects: Sequence[Effect], segments: Sequence[Segment]) -> Array:
+    """Filtered columns of links and effects at the rows of all segments, (n, nv, p)."""
+
+    def columns(motion: Motion) -> Array:
+        return observation_columns(robot, effects, motion)
+
+    return np.concatenate([segment.rows(columns) for segment in segments])
