@@ -1,10 +1,8 @@
 """From recorded data to parameters."""
 
 from excitant.identify.dataset import Dataset, load_dataset
-from excitant.identify.differentiator_choice import choose_differentiator
 from excitant.identify.differentiators import (
     Differentiator,
-    FourierFit,
     LocalPolynomial,
     ZeroPhaseButterworth,
     five_point,
@@ -40,7 +38,6 @@ __all__ = [
     "Differentiator",
     "DriveGains",
     "Estimate",
-    "FourierFit",
     "Knowledge",
     "KnownPayload",
     "LinkByLink",
@@ -55,7 +52,6 @@ __all__ = [
     "Recording",
     "Regression",
     "ZeroPhaseButterworth",
-    "choose_differentiator",
     "estimate_payload",
     "five_point",
     "identify",
