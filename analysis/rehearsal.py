@@ -49,14 +49,6 @@ from excitant.robots.virtual_arm import (
 Path = Callable[[Array, int], Array]
 Progress = Callable[[float, str], None]
 
-_DRIVES = {
-    "viscous_friction": "viscous",
-    "coulomb_friction": "coulomb",
-    "torque_offset": "offset",
-    "rotor_inertia": "rotor",
-}
-"""Effects that every drive has, and the plant's array of each."""
-
 _CHANGES = ("payload", "viscous_friction", "coulomb_friction")
 _SHARE = {"viscous": 0.1, "coulomb": 0.04, "rotor": 0.1, "offset": 0.01}  # of the torque limit
 _TOLERANCE = 0.05  # of masses, centres of mass and inertias
@@ -238,14 +230,14 @@ def rehearsal_arm(robot: Robot, rng: np.random.Generator) -> VirtualArm:
 
 def _drives(robot: Robot, rng: np.random.Generator) -> list[Effect]:
     """Friction, offset and rotor inertia of all joints, as known or else as usual."""
-    known = robot.with_effects([e for e in robot.effects if e.name in _DRIVES])
+    known = robot.with_effects([e for e in robot.effects if e.standard])
     given, limit = nominal_truth(known).drives, robot.limits.torque
     strength = np.where(np.isfinite(limit), limit, 4 * typical_torque(robot))
     _, dq, ddq = (2 * np.abs(x).max(axis=0) for x in typical_motion(robot))  # close to the limits
     per_unit = {"viscous": dq, "rotor": ddq, "offset": rng.choice([-1.0, 1.0], robot.nv)}
     effects = []
     for effect in standard_effects(robot.joints):
-        drive = _DRIVES[effect.name]
+        drive = effect.joint_property
         own = getattr(given, drive)
         usual = _SHARE[drive] * strength / per_unit.get(drive, 1.0)
         effects.append(replace(effect, values=tuple(np.where(own != 0, own, usual).tolist())))
@@ -274,5 +266,5 @@ def planted_parameters(arm: VirtualArm, effects: tuple[Effect, ...]) -> Array:
         effects: Standard effects, each on all joints.
     """
     bodies = [body.toDynamicParameters() for body in list(arm.truth.model.inertias)[1:]]
-    drives = [getattr(arm.drives, _DRIVES[effect.name]) for effect in effects]
+    drives = [getattr(arm.drives, effect.joint_property) for effect in effects]
     return read_only(np.concatenate([*bodies, *drives]))

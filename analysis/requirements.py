@@ -12,7 +12,7 @@ from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.evidence import Candidate
 from excitant.exceptions import RankDeficient
 from excitant.identify import Estimate
-from excitant.robots.effects import plain, standard_effects
+from excitant.robots.effects import EFFECTS, plain, standard_effects
 from excitant.robots.motion import Array, Motion
 from excitant.robots.plant.nominal import typical_motion
 from excitant.robots.plant.sensors import Run
@@ -27,7 +27,6 @@ _WORSE = 1.1  # error of the model over that of the truth behind the same sensor
 _ELSEWHERE = 0.05  # of typical torque: error at motions within half the limits
 _FEEBLE = 0.3  # of its speed limit: a joint that should move more
 _HOPELESS = 5.0  # uncertainty beyond which a longer record alone will not do
-_MASSES = {"payload", "inertial_parameters", "rotor_inertia"}
 _UNLIMITED = 3.0  # rad/s, where there is no limit on speed
 
 
@@ -217,7 +216,8 @@ def diagnosis_item(situation: Situation, found: Diagnosis, change: HiddenEffect)
         named += f" (or {', '.join(_cause(rival.candidate) for rival in lead.rivals)})"
     right = lead.effect.name == change.effect and change.joint in lead.effect.joints
     others = {rival.candidate.effect.name for rival in lead.rivals}
-    alike = _MASSES if change.effect in _MASSES else set()
+    masses = {name for name, kind in EFFECTS.items() if kind.family == "body"}
+    alike = masses if change.effect in masses else set()
     passed = right and not lead.downgrade and others <= alike
     item = Item(
         "diagnosis", change.joint, passed, f"{planted}: {named}",

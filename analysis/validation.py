@@ -414,7 +414,7 @@ def _simulated(robot: Robot, gains: Array, found: list[tuple[Motion, Array]]) ->
     for motion, reading in found:
         tau = reading * gains - sum(e.torque(robot, motion) for e in along)
         try:
-            moved = forward_error(model, motion, tau, step=_COARSE).simulation
+            moved = forward_error(model, motion, tau, step=_COARSE)
         except Diverged as error:
             return Simulated(nothing, nothing, f"{error.joint} diverges", names)
         errors.append(np.stack([moved.error, motion.dq - moved.motion.dq]))

@@ -23,6 +23,13 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 import scipy.linalg
+from seed import (
+    TableEntry,
+    dd_arm,
+    dd_arm_chain,
+    dd_arm_parameters,
+    dd_arm_tables,
+)
 from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
@@ -40,13 +47,6 @@ from excitant.identify.rows import FitRows, fit_rows
 from excitant.robots import Robot, base_parameters
 from excitant.robots.dh import parameter_map
 from excitant.robots.effects import CoulombFriction, ViscousFriction
-from excitant.robots.library.cmu_dd_arm_ii import (
-    TableEntry,
-    dd_arm,
-    dd_arm_chain,
-    dd_arm_parameters,
-    dd_arm_tables,
-)
 from excitant.robots.newton_euler import torque_matrix
 from excitant.robots.parameters import (
     STANDARD,

@@ -40,11 +40,11 @@ from excitant.design.starts import Effort, connect, search
 from excitant.design.trajectory import Trajectory
 from excitant.exceptions import Infeasible
 from excitant.robots import Array, Robot
+from excitant.robots.base_parameters import last_rows
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.geometry import Scene
 from excitant.robots.geometry import scene as scene_of
 from excitant.robots.motion import read_only
-from excitant.robots.torque_rows import last_rows
 
 _STARTS = 6  # per motion
 _POSES = 200  # drawn for one that keeps clear

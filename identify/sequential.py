@@ -30,11 +30,10 @@ from excitant.identify.regression import regression_of
 from excitant.identify.result import identify_result, identify_series
 from excitant.identify.rows import Data, FitRows, split
 from excitant.identify.standstill import Mask, dry_joints, moving, stilled
-from excitant.robots.base_parameters import BaseParameters, base_parameters, expression
+from excitant.robots.base_parameters import BaseParameters, base_parameters, expression, last_rows
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
-from excitant.robots.torque_rows import last_rows
 
 _NEGLIGIBLE = 0.05  # standard deviations of a combination: terms that matter less are not written
 _SOMETIMES = 0.1  # of the time that a joint moves: what happens more rarely is not mentioned

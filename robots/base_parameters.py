@@ -17,19 +17,28 @@ from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.robot import Robot
-from excitant.robots.scale import LENGTH_POWERS, arm_length
 from excitant.robots.torque import column_names, observation_columns
 
 TOLERANCE = 1e-8  # of the longest column; double precision leaves about 1e-14
 _STATES = 600
+_PRESENT = 1e-10  # of a column's largest entry: the torque contains it
 _SLOWEST = -3.0  # decades below the limit, so that friction at low speed shows its shape
 _DIGITS = 12  # of a coefficient that random states leave certain
 _DENOMINATOR = 12  # largest of a fraction in an expression
+
+
+LENGTH_POWERS = read_only([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+"""Power of length in the unit of each standard parameter, shape (10,)."""
+
+
+def arm_length(robot: Robot) -> float:
+    """Length of an arm, from its first joint to its last along the links; 1 m when zero [m]."""
+    steps = [np.linalg.norm(place.translation) for place in list(robot.model.jointPlacements)[2:]]
+    return float(sum(steps)) or 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +191,7 @@ def observe(
     sizes = np.abs(W[:, :, :p]).max(axis=(1, 2), keepdims=True)
     W /= np.where(sizes > 0, sizes, 1.0)
     W = W if rows is None else W[:, rows]
-    R = scipy.linalg.qr(W.reshape(-1, W.shape[2]), mode="r")[0][: W.shape[2]]
+    R = np.linalg.qr(W.reshape(-1, W.shape[2]), mode="r")
     unit = _units(np.linalg.norm(R, axis=0), p)
     R = R / unit
     unit[:p] *= np.tile(length ** (2.0 - LENGTH_POWERS), robot.nv)
@@ -216,7 +225,7 @@ def regroup(observation: Observation, tolerance: float = TOLERANCE) -> BaseParam
         observation.names,
         found,
         read_only(B),
-        read_only(scipy.linalg.null_space(B)),
+        read_only(np.linalg.svd(B)[2][len(columns) :].T),
         (float(parts[columns].min(initial=1.0)), float(rejected.max(initial=0.0))),
     )
 
@@ -263,3 +272,20 @@ def categories(base: BaseParameters) -> tuple[str, ...]:
         "unidentifiable" if not s else "unique" if a else "combined"
         for s, a in zip(shown, alone, strict=True)
     )
+
+
+def last_rows(
+    robot: Robot, effects: Sequence[Effect], base: BaseParameters
+) -> npt.NDArray[np.intp]:
+    """The last joint whose torque contains each base parameter, shape (r,).
+
+    By Property 4 of Khosla (1987) no torque of a joint contains links before it. A base parameter
+    counts for the first link it can be written with, so this is that link's joint: what the
+    torque of joint i can show of it, once the links further out are known, are the base
+    parameters whose last row is i.
+    """
+    q, dq, ddq = robot.random_motion(np.random.default_rng(1), 100)
+    W = observation_columns(robot, effects, Motion(np.arange(100.0), q, dq, ddq))
+    size = np.abs(W[:, :, list(base.columns)]).max(axis=0)
+    present = size > _PRESENT * size.max(axis=0)
+    return np.asarray(robot.nv - 1 - np.argmax(present[::-1], axis=0), np.intp)

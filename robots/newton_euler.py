@@ -1,7 +1,7 @@
-"""The modified Newton-Euler recursion of Khosla (1987), and the classical one that judges it.
+"""The modified Newton-Euler recursion of Khosla (1987).
 
 P. K. Khosla, "Estimation of Robot Dynamics Parameters: Theory and Application",
-CMU-RI-TR-87-8, 1987. Its equations (1)–(9) are `classical_torque`. With the inertia about the
+CMU-RI-TR-87-8, 1987. Equations (1)–(9) are the classical recursion. With the inertia about the
 link frame instead of the centre of mass (10)–(14) they become linear in
 
     φ_i = (m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz)
@@ -256,54 +256,3 @@ def modified_torque(
         carried = own[:, i] + _times(pseudo_rotation(turn, motion.reach[:, i]), carried)
         g[:, i], turn = carried, motion.turn[:, i]
     return select_torque(chain, motion, g)
-
-
-def classical_torque(
-    chain: DHChain,
-    q: npt.ArrayLike,
-    dq: npt.ArrayLike,
-    ddq: npt.ArrayLike,
-    wrench: npt.ArrayLike | None = None,
-) -> Array:
-    """Torque by the classical recursion, eqs (1)–(9): motion and inertia of centres of mass.
-
-    It shares the forward recursion with `modified_torque` and nothing else; in m, c and the
-    central inertia it is not linear (the centre of mass enters as m c c').
-
-    Args:
-        chain: The arm with its parameters; masses not zero.
-        q: Positions, shape (n, nv) [rad or m].
-        dq: Velocities, shape (n, nv).
-        ddq: Accelerations, shape (n, nv).
-        wrench: As in `modified_torque`.
-
-    Returns:
-        Shape (n, nv) [N·m or N].
-    """
-    motion = forward_recursion(chain, q, dq, ddq)
-    m, c, central = central_parameters(chain.phi.reshape(-1, 10))
-    force, moment = np.split(_tip_wrench(len(motion.dv), wrench), 2, axis=1)
-    g = np.empty((*motion.dv.shape[:2], 6))
-    turn = np.broadcast_to(np.eye(3), (len(g), 3, 3))
-    for i in reversed(range(chain.nv)):
-        w, dw, reach = motion.omega[:, i], motion.domega[:, i], motion.reach[:, i]
-        F = m[i] * (motion.dv[:, i] + _swing(w, dw, np.broadcast_to(c[i], w.shape)))
-        N = dw @ central[i] + np.cross(w, w @ central[i])
-        force = _times(turn, force)
-        moment = _times(turn, moment) + np.cross(reach, force)
-        moment = moment + np.cross(motion.p[:, i] + c[i], F) + N
-        force = force + F
-        g[:, i], turn = np.concatenate([force, moment], axis=1), motion.turn[:, i]
-    return select_torque(chain, motion, g)
-
-
-def central_parameters(phi: npt.ArrayLike) -> tuple[Array, Array, Array]:
-    """Mass, centre of mass and inertia about it; (..., 10) to (...), (..., 3), (..., 3, 3)."""
-    phi = np.asarray(phi, float)
-    m = phi[..., 0]
-    c = phi[..., 1:4] / m[..., None]
-    frame = np.empty((*phi.shape[:-1], 3, 3))
-    for k, (i, j) in enumerate(_ELEMENTS):
-        frame[..., i, j] = frame[..., j, i] = phi[..., 4 + k]
-    square = np.sum(c * c, axis=-1)[..., None, None] * np.eye(3) - c[..., :, None] * c[..., None, :]
-    return m, c, frame - m[..., None, None] * square

@@ -107,6 +107,11 @@ class Simulation:
         """Commanded minus simulated positions, shape (n, nv) [rad or m]."""
         return read_only(self.command.q - self.motion.q)
 
+    @property
+    def rms(self) -> Array:
+        """Root mean square error of position per joint, shape (nv,) [rad or m]."""
+        return read_only(np.sqrt((self.error**2).mean(axis=0)))
+
 
 def simulate(
     robot: Robot,
@@ -150,24 +155,6 @@ def simulate(
     return Simulation(command, Motion(command.t, q[keep], dq[keep], ddq[keep]), tau[keep])
 
 
-@dataclass(frozen=True, eq=False)
-class ForwardError:
-    """How far a model leaves a recorded motion when the recorded torque drives it.
-
-    Attributes:
-        simulation: The model's motion beside the recorded one.
-        bandwidth_hz: Of the loop that holds the model on the recorded motion [Hz].
-    """
-
-    simulation: Simulation
-    bandwidth_hz: float
-
-    @property
-    def rms(self) -> Array:
-        """Root mean square error of position per joint, shape (nv,) [rad or m]."""
-        return read_only(np.sqrt((self.simulation.error**2).mean(axis=0)))
-
-
 def forward_error(
     robot: Robot,
     motion: Motion,
@@ -175,7 +162,7 @@ def forward_error(
     *,
     bandwidth_hz: float = LOOP_HZ,
     step: float = STEP,
-) -> ForwardError:
+) -> Simulation:
     """Drive the model with recorded torque, held on the recorded motion by a slow loop.
 
     Torque that the model does not need, or lacks, δτ, moves it by about δτ / (B ω²) below the
@@ -200,7 +187,7 @@ def forward_error(
     omega = 2 * np.pi * bandwidth_hz
     floor = np.sqrt((np.asarray(tau, float) ** 2).mean(axis=0)) / omega**2
     loop = Controller(omega, believed=robot, floor=floor)
-    return ForwardError(simulate(robot, motion, loop, applied=tau, step=step), bandwidth_hz)
+    return simulate(robot, motion, loop, applied=tau, step=step)
 
 
 def _check(robot: Robot, command: Motion, applied: Array | None, step: float) -> None:

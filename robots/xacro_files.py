@@ -10,19 +10,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import CodeType
 from typing import Any
-from unittest.mock import patch
 from xml.parsers.expat import ExpatError
-
-import xacro
-from xacro import substitution_args
 
 from excitant.exceptions import BadRobot, ExcitantError, UnknownName
 
 _REFUSALS = (
-    xacro.XacroException, ExpatError, OSError, ValueError, TypeError, KeyError, AttributeError,
-    SyntaxError, NameError, ZeroDivisionError, RuntimeError,
+    ExpatError, OSError, ValueError, TypeError, KeyError, AttributeError, SyntaxError, NameError,
+    ZeroDivisionError, RuntimeError,
 )  # fmt: skip
-"""What xacro raises: its own errors, and those of the expressions it evaluates."""
+"""What the expressions of a file raise, beside xacro's own errors."""
 
 
 def is_xacro(text: str) -> bool:
@@ -45,13 +41,15 @@ def urdf_from_xacro(
         BadRobot: A package that is not found, an argument that the file does not have or that it
             misses, or anything else that xacro refuses.
     """
+    import xacro
+
     path, given = Path(path), _Arguments(arguments)
     try:
         with _own_functions(path, packages), contextlib.redirect_stderr(io.StringIO()) as said:
             document = xacro.process_file(str(path), mappings=given)
     except ExcitantError:
         raise
-    except _REFUSALS as error:
+    except (xacro.XacroException, *_REFUSALS) as error:
         inner = getattr(error, "exc", None)
         if isinstance(inner, ExcitantError):
             raise inner from None
@@ -103,13 +101,23 @@ def _own_functions(path: Path, packages: Sequence[str | Path]) -> Iterator[None]
     def find(name: str) -> str:
         return str(package_folder(name, path, packages))
 
-    with (
-        patch.object(substitution_args, "_eval_find", find),
-        patch.dict(substitution_args._eval_dict, find=find),
-        patch.object(substitution_args, "_eval", _evaluated_substitution),
-        patch.object(xacro, "safe_eval", _evaluated),
-    ):
+    import xacro
+    from xacro import substitution_args
+
+    own = (
+        (substitution_args, "_eval_find", find),
+        (substitution_args, "_eval", _evaluated_substitution),
+        (substitution_args, "_eval_dict", {**substitution_args._eval_dict, "find": find}),
+        (xacro, "safe_eval", _evaluated),
+    )
+    before = [getattr(module, name) for module, name, _ in own]
+    for module, name, function in own:
+        setattr(module, name, function)
+    try:
         yield
+    finally:
+        for (module, name, _), function in zip(own, before, strict=True):
+            setattr(module, name, function)
 
 
 def _evaluated(expression: str, names: dict[str, Any]) -> Any:
@@ -120,6 +128,8 @@ def _evaluated(expression: str, names: dict[str, Any]) -> Any:
 
 def _evaluated_substitution(expression: str, context: dict[str, Any]) -> str:
     """Value of ``$(eval ..)``, which sees arguments, mathematics and conversions of types."""
+    from xacro import substitution_args
+
     known, given = substitution_args._eval_dict, context.setdefault("arg", {})
     arguments = {name: substitution_args.convert_value(x, "auto") for name, x in given.items()}
 

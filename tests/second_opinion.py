@@ -51,11 +51,11 @@ import scipy.linalg
 
 from excitant.analysis.structure import Held
 from excitant.exceptions import BadInput, UnknownName
+from excitant.robots.base_parameters import LENGTH_POWERS, arm_length
 from excitant.robots.dh import DHChain, dh_from_robot, inverse, moved_parameters
 from excitant.robots.motion import Array, freeze
 from excitant.robots.parameters import PSEUDO_INERTIA_BASIS, STANDARD, from_pseudo_inertia
 from excitant.robots.robot import Robot
-from excitant.robots.scale import LENGTH_POWERS, arm_length
 
 _TOLERANCE = 1e-8  # of unit vectors in lengths of the arm
 

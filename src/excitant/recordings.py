@@ -26,7 +26,7 @@ from excitant.progress import progress_bar
 if TYPE_CHECKING:
     from excitant.identify import Dataset, DriveGains, Estimate, Recording
     from excitant.robots import Robot
-    from excitant.robots.effects import Effect, JointEffect
+    from excitant.robots.effects import Effect
 
 AUTO = "auto"
 
@@ -230,12 +230,12 @@ def _highest_harmonic(path: str, robot: Robot) -> float:
     return planned.harmonics / planned.period
 
 
-def _named(names: Sequence[str] | None, robot: Robot) -> list[JointEffect] | None:
+def _named(names: Sequence[str] | None, robot: Robot) -> list[Effect] | None:
     if names is None:
         return None
-    from excitant.robots.effects import EFFECTS, JointEffect
+    from excitant.robots.effects import EFFECTS
 
-    known = {name: kind for name, kind in EFFECTS.items() if issubclass(kind, JointEffect)}
+    known = {name: kind for name, kind in EFFECTS.items() if kind.jointwise}
     for name in names:
         if name not in known:
             raise UnknownName("effect", name, known)

@@ -27,9 +27,9 @@ from excitant.robots import (
     load_robot,
     robot_from_dh,
 )
+from excitant.robots.base_parameters import LENGTH_POWERS, arm_length
 from excitant.robots.dh import moved_parameters
 from excitant.robots.effects import standard_effects
-from excitant.robots.scale import LENGTH_POWERS, arm_length
 from excitant.robots.urdf import robot_from_urdf
 
 SEEDS = st.integers(0, 2**32 - 1)

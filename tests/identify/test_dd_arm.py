@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import binom
-
-from excitant.robots import base_parameters
-from excitant.robots.dh import parameter_map
-from excitant.robots.library.cmu_dd_arm_ii import (
+from seed import (
     dd_arm,
     dd_arm_chain,
     dd_arm_parameters,
     dd_arm_tables,
 )
+
+from excitant.robots import base_parameters
+from excitant.robots.dh import parameter_map
 from excitant.robots.parameters import pseudo_inertia, violations
 
 

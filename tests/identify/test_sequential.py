@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from seed import dd_arm_chain
 
 from excitant.cli import main
 from excitant.design import random_trajectory
@@ -20,12 +21,11 @@ from excitant.identify.cascade import Cascade, beginning, further
 from excitant.identify.rows import split
 from excitant.identify.sequential import LinkByLink, link_rows, run_stages
 from excitant.robots import Motion, Robot, base_parameters, load_robot
+from excitant.robots.base_parameters import last_rows
 from excitant.robots.effects import CoulombFriction, standard_effects
-from excitant.robots.library.cmu_dd_arm_ii import dd_arm_chain
 from excitant.robots.newton_euler import torque_matrix
 from excitant.robots.regressor import regressor
 from excitant.robots.torque import observation_columns
-from excitant.robots.torque_rows import last_rows
 
 Array = np.ndarray
 

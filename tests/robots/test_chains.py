@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from second_opinion import parameter_nullspace
 
-from excitant.analysis.nullspace import parameter_nullspace
 from excitant.analysis.structure import structure
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots import (
@@ -20,8 +20,8 @@ from excitant.robots import (
     regressor,
     rigid_body_torque,
 )
+from excitant.robots.base_parameters import arm_length
 from excitant.robots.loading import RobotSpec
-from excitant.robots.scale import arm_length
 
 LINK = (
     '<link name="{0}"><inertial><origin xyz="0.05 0.02 {1}" rpy="0.1 0 0"/><mass value="{2}"/>'

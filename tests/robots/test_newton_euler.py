@@ -10,6 +10,14 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from seed import (
+    central_parameters,
+    classical_torque,
+    dd_arm,
+    dd_arm_chain,
+    dd_arm_parameters,
+    dd_arm_tables,
+)
 
 from excitant.robots import (
     DHChain,
@@ -23,15 +31,7 @@ from excitant.robots import (
     with_convention,
 )
 from excitant.robots.dh import parameter_map
-from excitant.robots.library.cmu_dd_arm_ii import (
-    dd_arm,
-    dd_arm_chain,
-    dd_arm_parameters,
-    dd_arm_tables,
-)
 from excitant.robots.newton_euler import (
-    central_parameters,
-    classical_torque,
     cross_matrix,
     forward_recursion,
     inertia_columns,

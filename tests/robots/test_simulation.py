@@ -192,7 +192,7 @@ def test_dry_friction_is_that_of_the_plant(ur10: Robot) -> None:
     wrong = forward_error(ur10.with_parameters(1.03 * ur10.phi), motion, seen.tau, bandwidth_hz=1.0)
     assert right.rms.max() < 1.5e-3
     assert wrong.rms.max() > 4 * right.rms.max()
-    assert right.simulation.error.shape == seen.q.shape
+    assert right.error.shape == seen.q.shape
 
 
 def test_a_joint_held_by_dry_friction_creeps_no_faster_than_rest(pendulum: Robot) -> None:

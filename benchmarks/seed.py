@@ -1,4 +1,6 @@
-"""The tables of the CMU DD Arm II (Khosla 1987, Tables 2 to 4): initial and estimated values.
+"""The seed's arm and the recursion that judges its own: tables and the classical Newton-Euler.
+
+Tables of the CMU DD Arm II (Khosla 1987, Tables 2 to 4): initial and estimated values.
 
 The arm itself is ``load_robot("cmu_dd_arm_ii")``; its file says what is printed, what is derived
 and what is assumed (all lengths are).
@@ -10,11 +12,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from excitant.robots.dh import DHChain, chain_from_record, moved_parameters, parameter_map
 from excitant.robots.loading import builtin_record, load_robot
 from excitant.robots.motion import Array
-from excitant.robots.newton_euler import central_parameters
+from excitant.robots.newton_euler import forward_recursion, select_torque
 from excitant.robots.parameters import STANDARD
 from excitant.robots.robot import Robot
 
@@ -119,3 +122,56 @@ def dd_arm(column: Column = "initial", *, likely: bool = False) -> Robot:
     """The built-in arm with the parameters of a column; see `dd_arm_parameters`."""
     phi = parameter_map(dd_arm_chain()) @ dd_arm_parameters(column, likely=likely)
     return load_robot(_NAME).with_parameters(phi)
+
+
+def classical_torque(
+    chain: DHChain,
+    q: npt.ArrayLike,
+    dq: npt.ArrayLike,
+    ddq: npt.ArrayLike,
+    wrench: npt.ArrayLike | None = None,
+) -> Array:
+    """Torque by the classical recursion, eqs (1)–(9): motion and inertia of centres of mass.
+
+    It shares the forward recursion with `modified_torque` and nothing else; in m, c and the
+    central inertia it is not linear (the centre of mass enters as m c c').
+
+    Args:
+        chain: The arm with its parameters; masses not zero.
+        q: Positions, shape (n, nv) [rad or m].
+        dq: Velocities, shape (n, nv).
+        ddq: Accelerations, shape (n, nv).
+        wrench: As in `modified_torque`.
+
+    Returns:
+        Shape (n, nv) [N·m or N].
+    """
+    motion = forward_recursion(chain, q, dq, ddq)
+    m, c, central = central_parameters(chain.phi.reshape(-1, 10))
+    force, moment = np.split(
+        np.broadcast_to(np.zeros(6) if wrench is None else wrench, (len(motion.dv), 6)), 2, axis=1
+    )
+    g = np.empty((*motion.dv.shape[:2], 6))
+    turn = np.broadcast_to(np.eye(3), (len(g), 3, 3))
+    for i in reversed(range(chain.nv)):
+        w, dw, reach = motion.omega[:, i], motion.domega[:, i], motion.reach[:, i]
+        F = m[i] * (motion.dv[:, i] + np.cross(dw, c[i]) + np.cross(w, np.cross(w, c[i])))
+        N = dw @ central[i] + np.cross(w, w @ central[i])
+        force = (turn @ force[..., None])[..., 0]
+        moment = (turn @ moment[..., None])[..., 0] + np.cross(reach, force)
+        moment = moment + np.cross(motion.p[:, i] + c[i], F) + N
+        force = force + F
+        g[:, i], turn = np.concatenate([force, moment], axis=1), motion.turn[:, i]
+    return select_torque(chain, motion, g)
+
+
+def central_parameters(phi: npt.ArrayLike) -> tuple[Array, Array, Array]:
+    """Mass, centre of mass and inertia about it; (..., 10) to (...), (..., 3), (..., 3, 3)."""
+    phi = np.asarray(phi, float)
+    m = phi[..., 0]
+    c = phi[..., 1:4] / m[..., None]
+    frame = np.empty((*phi.shape[:-1], 3, 3))
+    for k, (i, j) in enumerate(((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))):
+        frame[..., i, j] = frame[..., j, i] = phi[..., 4 + k]
+    square = np.sum(c * c, axis=-1)[..., None, None] * np.eye(3) - c[..., :, None] * c[..., None, :]
+    return m, c, frame - m[..., None, None] * square
