@@ -27,7 +27,6 @@ from excitant.identify.recording import (
     recording_from_table,
 )
 from excitant.identify.regression import Regression
-from excitant.identify.result import identify_result, identify_series
 from excitant.identify.rows import Data, split
 from excitant.identify.sequential import LinkByLink, identify_link_by_link
 
@@ -59,8 +58,6 @@ __all__ = [
     "identify_link_by_link",
     "identify_online",
     "identify_payload",
-    "identify_result",
-    "identify_series",
     "load_column_map",
     "load_dataset",
     "load_knowledge",

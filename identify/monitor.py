@@ -22,7 +22,6 @@ from excitant.identify.online import OnlineEstimate, OnlineEstimator, regular
 from excitant.identify.physical import fit_physical, prior_parameters
 from excitant.identify.preprocessing import uninterrupted
 from excitant.identify.recording import Recording
-from excitant.identify.result import identify_result
 from excitant.identify.rows import fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
@@ -248,7 +247,7 @@ class OnlineIdentification:
         looks = run.looks[:: max(1, -(-len(run.looks) // _KEPT))]
         if looks[-1] is not run.looks[-1]:
             looks = (*looks, run.looks[-1])
-        return identify_result(self.estimate) | {
+        return self.estimate.result() | {
             "estimator": "recursive least squares in square-root information form, on line; "
             "then physically consistent semidefinite fit",
             "online": {

@@ -18,14 +18,14 @@ from excitant.analysis import (
 from excitant.analysis.rehearsal import Rehearsal
 from excitant.design import Design
 from excitant.exceptions import BadInput
-from excitant.identify import Estimate, identify_result, identify_series
+from excitant.identify import Estimate
 from excitant.reports.run import REPORT, save_run
 
 Reportable = Design | Estimate | Identifiability | Diagnosis | Rehearsal
 
 _CONTENTS: dict[type, tuple[Callable[[Any], Any], Callable[[Any], Any]]] = {
     Design: (Design.result, Design.series),
-    Estimate: (identify_result, identify_series),
+    Estimate: (Estimate.result, Estimate.series),
     Identifiability: (Identifiability.result, Identifiability.series),
     Diagnosis: (diagnose_result, diagnose_series),
     Rehearsal: (Rehearsal.result, Rehearsal.series),
