@@ -1,20 +1,5 @@
 """What can be known, how well, and what the model gets wrong."""
 
-from excitant.analysis.confirmation import Finding
-from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series
-from excitant.analysis.experiment import identify_shown
-from excitant.analysis.headline import headline
-from excitant.analysis.identifiability import Identifiability, analyze
+import lazy_loader
 
-__all__ = [
-    "Diagnosis",
-    "Finding",
-    "Identifiability",
-    "analyze",
-    "diagnose",
-    "diagnose_result",
-    "diagnose_series",
-    "headline",
-    "identify_shown",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from excitant.analysis.candidates import (
-    Observed,
-    gather,
-    observed,
-    tolerance_metric,
-)
+from excitant.analysis.candidates import Observed, gather, observed, tolerance_metric
 from excitant.analysis.confirmation import (
     FLOOR,
     Extender,
@@ -25,19 +21,25 @@ from excitant.analysis.confirmation import (
     unextended,
 )
 from excitant.analysis.evidence import Key
+from excitant.analysis.evidence_curves import Curve, curve_of
 from excitant.analysis.explanation import reason_to_downgrade, rivals
+from excitant.analysis.headline import at_rest, headline, placeholders
 from excitant.analysis.residuals import Residual, residuals
 from excitant.analysis.selection import select
 from excitant.analysis.validation import Forward, Refit, forward, refit
-from excitant.identify.accuracy import Accuracy, Series, series
+from excitant.exceptions import ExcitantError
+from excitant.identify.accuracy import Accuracy, series
 from excitant.identify.physical import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.rows import Data, split, torque_per_reading
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.effects import plain, standard_effects
+from excitant.robots.effects import Effect, plain, standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from excitant.analysis.discrimination_plan import Plan
 
 _ROUNDS = 3  # until what the data call for no longer changes what effects rest on
 
@@ -76,9 +78,9 @@ class Diagnosis:
         return self.held.gains
 
     @property
-    def series(self) -> Series:
-        """Rows of the hold-out."""
-        return self.held.series
+    def measured(self) -> Array:
+        """Torque at the rows of the hold-out, shape (n, nv) [torque unit]."""
+        return self.held.series.measured
 
     @property
     def simulated(self) -> Array:
@@ -93,17 +95,17 @@ class Diagnosis:
     @property
     def left(self) -> Array:
         """What the extended model leaves there, shape (n, nv) [torque unit]."""
-        return np.asarray(self.series.measured - self.predicted, float)
+        return np.asarray(self.measured - self.predicted, float)
 
     @cached_property
     def simulation(self) -> Accuracy:
         """Accuracy of the given model on the hold-out."""
-        return self.series.accuracy(self.simulated)
+        return self.held.series.accuracy(self.simulated)
 
     @cached_property
     def extended(self) -> Accuracy:
         """Accuracy of the extended model on the hold-out."""
-        return self.series.accuracy(self.predicted)
+        return self.held.series.accuracy(self.predicted)
 
     @cached_property
     def position(self) -> Array:
@@ -135,6 +137,17 @@ class Diagnosis:
     def forward(self) -> Forward:
         """Both models simulated forward over short windows of the hold-out."""
         return forward(self.robot, self.extension.model, self.data.validate, self.gains)
+
+    @cached_property
+    def headline(self) -> str:
+        """The most important finding in one sentence, what is doubtful about it, and what else."""
+        return headline(self)
+
+    @cached_property
+    def curves(self) -> list[Curve]:
+        """The figure of evidence of each of `ordered`."""
+        firsts = (item if isinstance(item, Residual) else item[0] for item in self.ordered)
+        return [curve_of(self, each) for each in firsts]
 
     @cached_property
     def groups(self) -> list[list[Finding]]:
@@ -179,6 +192,84 @@ class Diagnosis:
         before, after = np.sqrt(np.mean(squares, axis=0)).tolist()
         return before, after
 
+    def result(self, plan: Plan | None = None) -> dict[str, Any]:
+        """Machine-readable result of `diagnose` (keys of DESIGN.md, section 5).
+
+        Args:
+            plan: Experiments that settle what is undecided; general actions without one.
+        """
+        notes = [*self.notes, placeholders(self), at_rest(self)]
+        pairs = zip(self.ordered, self.curves, strict=True)
+        return {
+            "verb": "diagnose",
+            "robot": self.robot.name,
+            "headline": self.headline,
+            "unit": self.data.unit,
+            "cutoff_hz": self.data.cutoff_hz,
+            "holdout": self.data.holdout,
+            "simulation": {"joints": self._joints(self.simulation)},
+            "faults": [],
+            "findings": [
+                (_unknown(self, item) if isinstance(item, Residual) else _cause(self, item, plan))
+                | {"figure": curve.labels(self.robot, self.data.unit)}
+                for item, curve in pairs
+            ],
+            "unexplained": [
+                {"joint": left.joint, "share": float(np.clip(1 - r2, 0, 1)), **left.unexplained()}
+                for left, r2 in zip(self.residuals, self.extended.r2, strict=True)
+            ],
+            "extended": {"joints": self._joints(self.extended)},
+            "error": {
+                "joints": [
+                    {
+                        "name": given.joint,
+                        **given.shown(),
+                        "left": left.shown(),
+                        "motion_hz": list(given.motion_hz),
+                    }
+                    for given, left in zip(self.given_residuals, self.residuals, strict=True)
+                ]
+            },
+            "refit": self._refit(),
+            "forward": self._forward(),
+            "waterfall": [{"label": label, "rms": size} for label, size in self.waterfall],
+            "notes": [note for note in notes if note],
+        }
+
+    def series(self) -> dict[str, Array]:
+        """Measured, simulated and extended torque on the hold-out, and the evidence per finding."""
+        arrays = {
+            "t": self.held.series.t,
+            "measured": self.measured,
+            "simulated": self.simulated,
+            "extended": self.predicted,
+        }
+        for k, curve in enumerate(self.curves):
+            for name in ("x", "residual", "fit", "rival"):
+                if (values := getattr(curve, name)) is not None:
+                    arrays[f"finding{k}_{name}"] = values
+        return arrays
+
+    def _joints(self, accuracy: Accuracy) -> list[dict[str, Any]]:
+        return [{"name": joint, **accuracy.entry(j)} for j, joint in enumerate(self.robot.joints)]
+
+    def _refit(self) -> dict[str, Any]:
+        try:
+            found = self.refit
+        except ExcitantError as error:
+            return {"sentence": f"Inertias could not be fitted alone: {error}"}
+        bodies = [f.effect for f in self.findings if f.effect.role != "torque"]
+        wrong = {self.robot.links[row] for effect in bodies for row in effect.rows(self.robot)}
+        joints, unit = self.robot.joints, self.data.unit
+        said = found.sentence(joints, unit, bool(self.findings), wrong)
+        return {"sentence": said, **found.result(joints)}
+
+    def _forward(self) -> dict[str, Any]:
+        try:
+            return self.forward.result(self.robot)
+        except ExcitantError as error:
+            return {"joints": [], "notes": [f"Not simulated forward: {error}"]}
+
     def _repr_html_(self) -> str:
         rows = [
             (f.effect.name, ", ".join(f.effect.joints), f.verdict, f.rms_before, f.rms_after)
@@ -186,6 +277,76 @@ class Diagnosis:
         ]
         heads = ("cause", "joints", "verdict", "rms error without it", "with it")
         return html_table(f"What the model of {self.robot.name} gets wrong", heads, rows)
+
+
+def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan | None) -> dict[str, Any]:
+    """One cause on the joints of a group."""
+    lead, robot = group[0], diagnosis.robot
+    before, after = diagnosis.before_and_after(group)
+    parameters = [
+        {"name": p.name, "value": value, "std": std, "unit": p.unit, "given": given}
+        for f in group
+        for p, value, std, given in zip(
+            f.effect.parameters(robot), f.effect.values or (), f.std, f.given, strict=True
+        )
+    ]
+    shapes = [
+        {
+            "name": f"{f.effect.joints[0]}.{shape.name}",
+            "value": getattr(f.effect, shape.name),
+            "std": None,
+            "unit": shape.unit,
+        }
+        for f in group
+        for shape in f.effect.shapes
+        if shape.positive and not shape.trial
+    ]
+    rivals = {r.candidate.key: (f.effect, r) for f in group for r in f.rivals}
+    return {
+        "effect": lead.effect.name,
+        "joints": [joint for f in group for joint in f.effect.joints],
+        "parameters": parameters + shapes,
+        "explained": sum(f.explained for f in group),
+        "holdout": {"rms_before": before, "rms_after": after},
+        "verdict": "named" if all(f.verdict == "named" for f in group) else "undecided",
+        "doubt": "; ".join(dict.fromkeys(f.downgrade for f in group if f.downgrade)),
+        "rivals": [
+            {
+                "effect": name,
+                "joints": list(joints),
+                "why": f"explains this motion as well (within {max(rival.deviations, 0.0):.1f} "
+                f"standard errors, signatures alike to |cos| = {rival.cosine:.2f})",
+                **_experiment(effect, rival.candidate.effect, plan),
+            }
+            for (name, joints), (effect, rival) in rivals.items()
+        ],
+    }
+
+
+def _experiment(found: Effect, rival: Effect, plan: Plan | None) -> dict[str, Any]:
+    """What to do about a rival, the expected difference in standard deviations, and the runs."""
+    settles = plan.of(found, rival) if plan is not None else None
+    return {
+        "experiment": settles.sentence if settles else found.told_from(rival),
+        "separation": settles.separation if settles else None,
+        "repetitions": settles.repetitions if settles else None,
+        "file": settles.file if settles else None,
+    }
+
+
+def _unknown(diagnosis: Diagnosis, left: Residual) -> dict[str, Any]:
+    """What no candidate explains."""
+    return {
+        "effect": "unknown",
+        "joints": [left.joint],
+        "parameters": [],
+        "explained": 0.0,
+        "share": diagnosis.share_of(left),
+        "holdout": {"rms_before": left.rms, "rms_after": left.rms},
+        "verdict": "unknown",
+        "structure": left.structure,
+        "rivals": [],
+    }
 
 
 def diagnose(

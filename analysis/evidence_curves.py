@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from excitant.analysis.confirmation import Finding
-from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.residuals import Residual, explanatory
 from excitant.robots.effects import plain, standard_effects
 from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from excitant.analysis.diagnosis import Diagnosis
 
 _REMAINS = {
     "": "time",
@@ -44,6 +48,14 @@ class Curve:
     residual: Array
     fit: Array | None = None
     rival: Array | None = None
+
+    def labels(self, robot: Robot, unit: str) -> dict[str, str]:
+        """What its axes are, as result.json says it; unit of torque."""
+        return {
+            "x_label": self.x_label,
+            "y_label": f"torque [{unit}]",
+            "joint": robot.joints[self.joint],
+        }
 
 
 def curve_of(diagnosis: Diagnosis, item: Finding | Residual) -> Curve:
@@ -110,7 +122,7 @@ def _abscissa(diagnosis: Diagnosis, domain: str, j: int, other: int = 0) -> tupl
     """Label and values of a quantity at the rows of the hold-out."""
     unit, name = diagnosis.data.unit, diagnosis.robot.joints[other]
     way_unit, far_unit = ("rad" if diagnosis.robot.revolute[k] else "m" for k in (j, other))
-    t, torque = diagnosis.series.t, diagnosis.predicted[:, j]
+    t, torque = diagnosis.held.series.t, diagnosis.predicted[:, j]
     way = np.sign(diagnosis.velocity[:, j])
     if domain == "reversal":
         where = explanatory(diagnosis.data.validate, diagnosis.predicted)

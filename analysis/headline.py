@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from excitant.analysis.confirmation import Finding
-from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.evidence import are_placeholders
 from excitant.analysis.residuals import Residual
 from excitant.robots.effects import plain
+
+if TYPE_CHECKING:
+    from excitant.analysis.diagnosis import Diagnosis
 
 _MOSTLY = 0.5  # of what findings explain, or of a joint's squared error
 _PLAINLY = 3.0  # times the noise

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -309,6 +310,25 @@ class Residual:
         if ratio > _SAID:
             return f"over {_SAID:.0f} times the noise"
         return f"{ratio:.{0 if ratio >= 10 else 1}f} times the noise"
+
+    def shown(self) -> dict[str, Any]:
+        """How large it is and where it shows, as result.json says it."""
+        return {
+            "rms": self.rms,
+            "shares": dict(self.shares),
+            "bands": dict(self.bands),
+            "telling": self.dominant,
+        }
+
+    def unexplained(self) -> dict[str, Any]:
+        """How much of it is more than noise, as result.json says it."""
+        return {
+            "rms": self.rms,
+            "noise_floor": self.floor,
+            "against_noise": self.against_noise,
+            "structure": self.structure,
+            "shows": dict(self.shares),
+        }
 
 
 def residuals(

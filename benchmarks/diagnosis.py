@@ -30,7 +30,6 @@ import numpy as np  # noqa: E402
 from hidden_effects import KINDS, draw_effect, typical_trajectory  # noqa: E402
 
 from excitant.analysis.diagnosis import diagnose  # noqa: E402
-from excitant.analysis.diagnosis_result import diagnose_result  # noqa: E402
 from excitant.exceptions import ExcitantError  # noqa: E402
 from excitant.identify.recording import recording_from_table  # noqa: E402
 from excitant.robots import Robot, load_robot  # noqa: E402
@@ -105,7 +104,7 @@ def run(case: Case) -> dict[str, Any]:
     except ExcitantError as error:
         return {"case": vars(case), "not_drawn": str(error)}
     drawn = time.perf_counter()
-    result = diagnose_result(diagnose(robot, [train], validate=[held]))
+    result = diagnose(robot, [train], validate=[held]).result()
     found = [_brief(finding) for finding in result["findings"]]
     return {
         "case": vars(case),

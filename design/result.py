@@ -17,7 +17,6 @@ from excitant.design.criterion import Information, condition_number
 from excitant.design.search import SearchState
 from excitant.design.trajectory import SplineTrajectory, Trajectory
 from excitant.robots import Array, BaseParameters, Motion, Robot, torque
-from excitant.robots.effects import standard_effects
 from excitant.robots.geometry import Scene
 from excitant.robots.motion import read_only
 from excitant.robots.parameters import UNITS
@@ -242,8 +241,8 @@ class Design:
         known = dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True))
         known |= effect_values(robot)
         beta = base.regrouping @ np.array([known.get(name, 0.0) for name in base.names])
-        effects = standard_effects(robot.joints) if self.columns == "friction" else ()
-        units = [*UNITS * robot.nv, *(p.unit for e in effects for p in e.parameters(robot))]
+        added = (p.unit for effect in self.information.effects for p in effect.parameters(robot))
+        units = [*UNITS * robot.nv, *added]
         return [
             {
                 "name": self._names[k],

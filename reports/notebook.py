@@ -12,8 +12,6 @@ from typing import Any
 from excitant.analysis import (
     Diagnosis,
     Identifiability,
-    diagnose_result,
-    diagnose_series,
 )
 from excitant.analysis.rehearsal import Rehearsal
 from excitant.design import Design
@@ -27,7 +25,7 @@ _CONTENTS: dict[type, tuple[Callable[[Any], Any], Callable[[Any], Any]]] = {
     Design: (Design.result, Design.series),
     Estimate: (Estimate.result, Estimate.series),
     Identifiability: (Identifiability.result, Identifiability.series),
-    Diagnosis: (diagnose_result, diagnose_series),
+    Diagnosis: (Diagnosis.result, Diagnosis.series),
     Rehearsal: (Rehearsal.result, Rehearsal.series),
 }
 _HEIGHT = 640  # pixels of the frame in a notebook

@@ -25,7 +25,6 @@ from typing import Any
 import pytest
 
 from excitant.analysis import diagnose
-from excitant.analysis.diagnosis_result import diagnose_result
 from excitant.cli import main
 from excitant.robots.effects import EFFECTS
 
@@ -196,9 +195,10 @@ def test_effect_of_the_page_is_identified(page: dict[str, Any]) -> None:
 
 def test_effect_of_the_page_is_diagnosed(page: dict[str, Any]) -> None:
     diagnosis = diagnose(page["given"], page["runs"][:1], validate=page["runs"][1:])
+    assert diagnosis.findings[0].verdict == "named"
     lead = diagnosis.findings[0].effect
     assert (lead.name, lead.joints) == ("taut_hose", ("joint2",))
     assert lead.angle == pytest.approx(0.4, abs=0.1)
     assert lead.values[0] == pytest.approx(12.0, rel=0.1)
-    (entry,) = [f for f in diagnose_result(diagnosis)["findings"] if f["effect"] == "taut_hose"]
+    (entry,) = [f for f in diagnosis.result()["findings"] if f["effect"] == "taut_hose"]
     assert entry["parameters"][0]["name"] == "joint2.hose"

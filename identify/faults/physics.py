@@ -62,7 +62,7 @@ class Torques:
         return float((self.rows[self.joints] * ratio).sum())
 
     def better(self, other: Fit, tests: int, freedom: int | None = None) -> bool:
-        """Whether another reading explains the torque beyond chance and doubt.
+        """Whether another reading explains the torque beyond chance.
 
         Args:
             other: The fit of the other reading.

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from excitant.analysis.diagnosis import diagnose
-from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series
 from excitant.analysis.identifiability import analyze
 from excitant.design import (
     design,
@@ -84,7 +83,7 @@ def run_demo(robot: Robot, seed: int, advance: Advance) -> Demo:
         "design": (found.result(), found.series()),
         "identify": (estimate.result(), estimate.series()),
         "analyze": (known.result(), known.series()),
-        "diagnose": (diagnose_result(diagnosis), diagnose_series(diagnosis)),
+        "diagnose": (diagnosis.result(), diagnosis.series()),
     }
     advance(0.95, "writing the report")
     return Demo(

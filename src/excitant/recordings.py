@@ -340,7 +340,7 @@ def diagnose(
     """
     import numpy as np
 
-    from excitant.analysis import diagnosis, diagnosis_result, discrimination_plan
+    from excitant.analysis import diagnosis, discrimination_plan
     from excitant.design import trajectory_csv, trajectory_json
     from excitant.identify import model_files
     from excitant.identify.faults import read_checked
@@ -359,11 +359,11 @@ def diagnose(
         plan = discrimination_plan.plan(found, np.random.default_rng(0), time_limit=experiment_time)
     folder = run.folder("diagnose", dataset.robot.name)
     files = model_files(found.extension.model, "extended", "extended.yaml")
-    result = diagnosis_result.diagnose_result(found, plan)
+    result = found.result(plan)
     result |= {"import": imported, "faults": checked.entries()}
     result["notes"] += checked.notes
     result["extended"]["files"] = [str(folder / name) for name in files]
     for k, motion in enumerate(plan.motions, start=1):
         files[f"separate-{k}.csv"] = trajectory_csv(motion)
         files[f"separate-{k}.json"] = trajectory_json(motion, dataset.robot)
-    run.finish(folder, result, diagnosis_result.diagnose_series(found), files)
+    run.finish(folder, result, found.series(), files)

@@ -11,7 +11,6 @@ import pytest
 
 from excitant.analysis.candidates import tolerance_metric
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.diagnosis_result import diagnose_result
 from excitant.analysis.discrimination import (
     Contest,
     Noise,
@@ -258,14 +257,14 @@ def test_an_action_is_named_where_no_motion_helps(undecided: Diagnosis) -> None:
     settles = found.experiments[key(lead.effect, rival)]
     assert settles.file is None
     assert "without the load" in settles.sentence
-    entries = diagnose_result(undecided, found)["findings"][0]["rivals"]
+    entries = undecided, found.result()["findings"][0]["rivals"]
     entry = next(e for e in entries if e["effect"] == rival.name)
     assert entry["experiment"] == settles.sentence
     assert (entry["separation"], entry["repetitions"], entry["file"]) == (None, None, None)
 
 
 def test_without_a_plan_actions_stand(undecided: Diagnosis) -> None:
-    [entry, *_] = diagnose_result(undecided)["findings"]
+    [entry, *_] = undecided.result()["findings"]
     for rival in entry["rivals"]:
         assert rival["experiment"] == EFFECTS[entry["effect"]].told_from(EFFECTS[rival["effect"]])
         assert rival["file"] is None

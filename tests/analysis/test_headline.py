@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.diagnosis_result import diagnose_result
 from excitant.analysis.evidence import are_placeholders
 from excitant.analysis.headline import at_rest, headline
 from excitant.identify import Recording
@@ -61,7 +60,7 @@ def test_what_is_hidden_is_found_without_inertias(ur10: Robot, runs: Runs) -> No
     effects = [finding.effect, *(r.candidate.effect for r in finding.rivals)]
     assert "torque_offset" in {e.name for e in effects if e.joints == (LIFT,)}
     assert (diagnosis.extended.nrmse < 0.05).all()
-    result = diagnose_result(diagnosis)
+    result = diagnosis.result()
     assert result["headline"].startswith("All links of the given model weigh 1 kg")
     assert "Beside inertias: " in result["headline"]
     assert any("fitted together with the causes" in note for note in result["notes"])

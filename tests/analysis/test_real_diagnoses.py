@@ -46,8 +46,8 @@ def errors(diagnosis: Diagnosis) -> tuple[Array, Array]:
     given, extended = (
         np.array([np.sqrt((e[rows] ** 2).mean()) for e, rows in zip(error.T, moves.T, strict=True)])
         for error in (
-            diagnosis.series.measured - diagnosis.simulated,
-            diagnosis.series.measured - diagnosis.predicted,
+            diagnosis.measured - diagnosis.simulated,
+            diagnosis.measured - diagnosis.predicted,
         )
     )
     return given, extended
@@ -59,7 +59,7 @@ def better(diagnosis: Diagnosis, factor: float) -> None:
     assert (extended < SAME * given).all(), dict(
         zip(diagnosis.robot.joints, extended / given, strict=True)
     )
-    size = diagnosis.series.measured.std(axis=0)
+    size = diagnosis.measured.std(axis=0)
     total = [float(np.sqrt(((e / size) ** 2).sum())) for e in (given, extended)]
     assert total[1] * factor < total[0], total
     model = diagnosis.extension.model

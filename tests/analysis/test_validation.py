@@ -9,8 +9,6 @@ import pytest
 
 from excitant.analysis.confirmation import held_out
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.diagnosis_result import diagnose_result, diagnose_series
-from excitant.analysis.headline import headline
 from excitant.analysis.residuals import BANDS, QUANTITIES
 from excitant.analysis.validation import LIKELY, refit, windows
 from excitant.identify import Recording
@@ -50,7 +48,7 @@ def test_inertias_alone_explain_a_payload(payload: Case) -> None:
     assert found.most_moved.link == diagnosis.robot.links[-1]
     assert found.most_moved.most > LIKELY
     assert found.most_moved.mass > 0
-    said = diagnose_result(diagnosis)["refit"]["sentence"]
+    said = diagnosis.result()["refit"]["sentence"]
     assert diagnosis.robot.links[-1] in said
     assert "among the findings" in said
     error = diagnosis.held.given
@@ -63,7 +61,7 @@ def test_inertias_alone_do_not_explain_friction(coulomb: Case) -> None:
     assert found.gain < 0.3
     j = diagnosis.robot.joint_index(hidden.joint)
     assert found.extended[j] < 0.5 * found.free[j]
-    assert "the cause is" in diagnose_result(diagnosis)["refit"]["sentence"]
+    assert "the cause is" in diagnosis.result()["refit"]["sentence"]
 
 
 def test_bodies_explain_no_more_than_free_parameters_where_they_are_fitted(payload: Case) -> None:
@@ -100,7 +98,7 @@ def test_windows_lie_within_what_the_filter_leaves_whole(payload: Case) -> None:
 
 def test_the_result_says_what_is_wrong(payload: Case) -> None:
     _, diagnosis = payload
-    result, robot = diagnose_result(diagnosis), diagnosis.robot
+    result, robot = diagnosis.result(), diagnosis.robot
     names = list(robot.joints)
     assert [row["name"] for row in result["error"]["joints"]] == names
     for row in result["error"]["joints"]:
@@ -117,8 +115,8 @@ def test_the_result_says_what_is_wrong(payload: Case) -> None:
 
 def test_every_curve_of_evidence_has_a_row_for_each_of_the_hold_out(coulomb: Case) -> None:
     _, diagnosis = coulomb
-    arrays = diagnose_series(diagnosis)
-    assert {len(values) for values in arrays.values()} == {len(diagnosis.series.t)}
+    arrays = diagnosis.series()
+    assert {len(values) for values in arrays.values()} == {len(diagnosis.held.series.t)}
     x, residual, fit = (arrays[f"finding0_{name}"] for name in ("x", "residual", "fit"))
     shown = np.isfinite(x)
     assert shown.any()
@@ -130,4 +128,4 @@ def test_a_finding_lowers_the_error_while_joints_move(coulomb: Case) -> None:
     _, diagnosis = coulomb
     before, after = diagnosis.before_and_after(diagnosis.findings[:1])
     assert after < before
-    assert f"{before:.2g} → {after:.2g}" in headline(diagnosis)
+    assert f"{before:.2g} → {after:.2g}" in diagnosis.headline

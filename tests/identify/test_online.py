@@ -146,7 +146,7 @@ def test_intervals_hold(planar: Robot, motion_of: MotionOf) -> None:
     arm = planar.with_effects([e.with_values(np.full(2, 0.3)) for e in effects])
     true = base_parameters(planar, effects).regrouping @ np.r_[planar.phi, np.full(4, 0.3)]
     z = []
-    for seed in range(20):
+    for seed in range(12):
         noise = SIGMA * np.random.default_rng(seed).standard_normal(motion.q.shape)
         online = estimator(planar, sigma=None)
         online.extend(T, motion.q, torque(arm, motion) + noise)
@@ -154,7 +154,7 @@ def test_intervals_hold(planar: Robot, motion_of: MotionOf) -> None:
         z.append((found.beta - true) / found.std)
     inside = np.mean(np.abs(z) < 1.96)
     # the parameters of one run are correlated: count the runs as the independent ones
-    assert inside > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 20)
+    assert inside > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 12)
 
 
 @pytest.mark.parametrize("shift", [-1, 0, 1])

@@ -343,11 +343,6 @@ def test_command_writes_stages_and_comparison(planar: Robot, tmp_path: Path) -> 
     assert "Link by link against all links at once" in page
 
 
-def test_online_is_another_way(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["identify", "planar_2r", "a.csv", "--link-by-link", "--online"]) == 1
-    assert "leave --online out" in capsys.readouterr().err
-
-
 @pytest.mark.slow
 def test_real_joints_moving_one_at_a_time(data_folder: Path) -> None:
     """UR10e: motor currents of single-joint runs, judged on motions of all joints."""
