@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.fft
-import scipy.stats
+import scipy
 
 from excitant.identify.least_squares import LeastSquares, autocorrelation_time
 from excitant.identify.preprocessing import Segment

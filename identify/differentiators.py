@@ -23,8 +23,7 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-import scipy.interpolate
-import scipy.signal
+import scipy
 
 from excitant.exceptions import BadInput
 from excitant.robots.motion import Array, Motion, freeze
