@@ -56,9 +56,12 @@ def typical_trajectory(robot: Robot, rng: np.random.Generator, duration: float) 
         spread = np.ptp(_cosines(omega, a, t, 0), axis=0)
         fastest, hardest = (np.abs(_cosines(omega, a, t, n)).max(axis=0) for n in (1, 2))
         a *= np.minimum.reduce(
-            [_REACH * (high - low) / spread, share * np.minimum(speed, 4.0) / fastest,
-             share * np.minimum(acceleration, 20.0) / hardest]
-        )  # fmt: skip
+            [
+                _REACH * (high - low) / spread,
+                share * np.minimum(speed, 4.0) / fastest,
+                share * np.minimum(acceleration, 20.0) / hardest,
+            ]
+        )
         swing = _cosines(omega, a, t, 0)
         start = rng.uniform(low - swing.min(axis=0), high - swing.max(axis=0))
         trajectory = _path(start, omega, a)
@@ -280,8 +283,9 @@ def _presliding(habit: Habits, rng: Rng) -> Recipe:
     most = 1.5 * habit.coulomb[j] if habit.coulomb[j] > 0 else 0.5 * rms(habit.tau[:, j])
     return Recipe(
         lambda s: effect_on("presliding_hysteresis", habit, j, Fh=s * size, distance=x),
-        3.0, most / size,
-    )  # fmt: skip
+        3.0,
+        most / size,
+    )
 
 
 def _coupled_friction(habit: Habits, rng: Rng) -> Recipe:
@@ -292,10 +296,15 @@ def _coupled_friction(habit: Habits, rng: Rng) -> Recipe:
     wet = dry / rms(habit.dq[:, j] + ratio * habit.dq[:, k])
     return Recipe(
         lambda s: effect_on(
-            "friction_coupling", habit, j, k,
-            Fv=s * share * wet, Fc=s * (1 - share) * dry, ratio=ratio,
+            "friction_coupling",
+            habit,
+            j,
+            k,
+            Fv=s * share * wet,
+            Fc=s * (1 - share) * dry,
+            ratio=ratio,
         )
-    )  # fmt: skip
+    )
 
 
 def _thermal(habit: Habits, rng: Rng) -> Recipe:
@@ -304,11 +313,15 @@ def _thermal(habit: Habits, rng: Rng) -> Recipe:
     wet = dry / rms(habit.dq[:, j])
     return Recipe(
         lambda s: effect_on(
-            "thermal_friction_drift", habit, j,
-            Fv=s * share * wet, Fc=s * (1 - share) * dry, time=time,
+            "thermal_friction_drift",
+            habit,
+            j,
+            Fv=s * share * wet,
+            Fc=s * (1 - share) * dry,
+            time=time,
         ),
         1.3,
-    )  # fmt: skip
+    )
 
 
 def _rotor(habit: Habits, rng: Rng) -> Recipe:
@@ -422,8 +435,9 @@ def _kinematic(habit: Habits, rng: Rng) -> Recipe:
     d *= 0.03 * habit.size / np.linalg.norm(d)
     return Recipe(
         lambda s: effect_on("kinematic_error", habit, j, dx=s * d[0], dy=s * d[1], dz=s * d[2]),
-        1.0, 6.0,
-    )  # fmt: skip
+        1.0,
+        6.0,
+    )
 
 
 def _tilt(habit: Habits, rng: Rng) -> Recipe:
@@ -432,8 +446,9 @@ def _tilt(habit: Habits, rng: Rng) -> Recipe:
         lambda s: effect_on(
             "gravity_direction", habit, roll=0.03 * s * np.cos(way), pitch=0.03 * s * np.sin(way)
         ),
-        1.0, 10.0,
-    )  # fmt: skip
+        1.0,
+        10.0,
+    )
 
 
 def _inertial(habit: Habits, rng: Rng) -> Recipe:
@@ -490,9 +505,13 @@ def _cable(habit: Habits, rng: Rng) -> Recipe:
 
     def make(s: float) -> HiddenEffect:
         return effect_on(
-            "cable_pull", habit, **x, tension=s * pull, friction=0.5 * s * pull,
+            "cable_pull",
+            habit,
+            **x,
+            tension=s * pull,
+            friction=0.5 * s * pull,
             distance=0.02 * habit.size,
-        )  # fmt: skip
+        )
 
     return Recipe(make, 1.0)
 
@@ -646,9 +665,13 @@ def visible_size(
 def _noiseless(sensors: Sensors) -> Sensors:
     still = np.zeros_like(sensors.torque_noise)
     return replace(
-        sensors, position_resolution=0.0, velocity_noise=0.0, torque_noise=still,
-        torque_resolution=still, velocity="tachometer",
-    )  # fmt: skip
+        sensors,
+        position_resolution=0.0,
+        velocity_noise=0.0,
+        torque_noise=still,
+        torque_resolution=still,
+        velocity="tachometer",
+    )
 
 
 def _torque_at(robot: Robot, truth: Truth, t: Array, q: Array, sensors: Sensors) -> Array:

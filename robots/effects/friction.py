@@ -93,7 +93,14 @@ class StribeckFriction(JointEffect):
     name = "stribeck_friction"
     family = "friction"
     terms = (Parameter("Fs", "N·m", 0.0),)
-    shapes = (Shape("velocity", "rad/s", most=lambda facts: _SLOW * facts.speed),)
+    shapes = (
+        Shape(
+            "velocity",
+            "rad/s",
+            grid=lambda facts: facts.speed * np.geomspace(0.01, _SLOW, 8),
+            most=lambda facts: _SLOW * facts.speed,
+        ),
+    )
     shared = True
     abscissa = "velocity"
     told = (
@@ -105,12 +112,6 @@ class StribeckFriction(JointEffect):
     )
 
     velocity: float = 0.1
-
-    @classmethod
-    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
-        """Stribeck speeds of 1 to 40 % of the highest speed."""
-        speeds = facts.speed * np.geomspace(0.01, _SLOW, 8)
-        return [cls((joint,), velocity=float(speed)) for speed in speeds]
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Bell around zero velocity with the velocity's sign."""
@@ -179,23 +180,12 @@ class NonlinearViscousFriction(JointEffect):
     name = "nonlinear_viscous_friction"
     family = "friction"
     contains = ("viscous_friction",)  # exponent one
-    exponents = (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)  # to try
     terms = (Parameter("Fn", "N·m·(s/rad)^a"),)
-    shapes = (Shape("exponent", "1"),)
+    shapes = (Shape("exponent", "1", grid=lambda facts: (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)),)
     shared = True
     abscissa = "velocity"
 
     exponent: float = 2.0
-
-    @classmethod
-    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
-        """Roots and powers."""
-        return [cls((joint,), exponent=a) for a in cls.exponents]
-
-    def alternatives(self, facts: JointFacts) -> list[Self]:
-        """Its own exponent, then all others to try."""
-        others = (a for a in self.exponents if a != self.exponent)
-        return [self.bare(), *(self.bare().reshaped("exponent", a) for a in others)]
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Power of the speed with the velocity's sign."""
