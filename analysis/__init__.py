@@ -1,15 +1,5 @@
 """What can be known, how well, and what the model gets wrong."""
 
-from excitant.analysis.confirmation import Finding
-from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.experiment import identify_shown
-from excitant.analysis.identifiability import Identifiability, analyze
+import lazy_loader
 
-__all__ = [
-    "Diagnosis",
-    "Finding",
-    "Identifiability",
-    "analyze",
-    "diagnose",
-    "identify_shown",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.regression import Index, Mask, Regression
@@ -277,8 +277,6 @@ class Evidence:
 
 @lru_cache(maxsize=4096)
 def _fisher_quantile(tail: float, size: int, freedom: int) -> float:
-    import scipy.stats
-
     return float(scipy.stats.f.isf(tail, size, freedom))
 
 

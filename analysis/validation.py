@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from excitant.analysis.candidates import TOLERANCE, Observed, tolerance_metric
 from excitant.analysis.confirmation import HeldOut
@@ -214,8 +214,6 @@ def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
         BadRobot: A link without mass.
         Infeasible: The semidefinite solver failed.
     """
-    import scipy.stats
-
     robot, Y, Yv = train.robot, train.links, held.observed.links
     base, prior = base_parameters(robot), prior_parameters(robot)
     B = base.regrouping

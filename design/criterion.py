@@ -17,7 +17,7 @@ from excitant.robots import (
     base_parameters,
     regressor_derivatives,
 )
-from excitant.robots.effects import standard_effects
+from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import freeze
 from excitant.robots.torque import observation_columns
 
@@ -52,6 +52,11 @@ class Information:
     def __post_init__(self) -> None:
         freeze(self, "weights", "earlier")
 
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Whose columns follow those of the links."""
+        return standard_effects(self.robot.joints) if self.columns == "friction" else ()
+
     def observation(self, motion: Motion, *, smooth: bool = False) -> Array:
         """Base columns at every instant, shape (n, nv, r).
 
@@ -59,9 +64,8 @@ class Information:
             motion: The motion.
             smooth: With tanh instead of the sign of velocity, as the derivatives have it.
         """
-        effects = standard_effects(self.robot.joints) if self.columns == "friction" else ()
-        Y = observation_columns(self.robot, effects, motion)
-        if smooth and effects:
+        Y = observation_columns(self.robot, self.effects, motion)
+        if smooth and self.effects:
             nv = self.robot.nv
             first = 11 * nv  # Coulomb columns, one per joint, follow the viscous ones
             j = np.arange(nv)

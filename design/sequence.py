@@ -41,7 +41,7 @@ from excitant.design.trajectory import Trajectory
 from excitant.exceptions import Infeasible
 from excitant.robots import Array, Robot
 from excitant.robots.base_parameters import last_rows
-from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.effects import Effect
 from excitant.robots.geometry import Scene
 from excitant.robots.geometry import scene as scene_of
 from excitant.robots.motion import read_only
@@ -193,17 +193,17 @@ def design_link_by_link(
     Args:
         robot: The arm; its limits and effects count.
         duration: Of each motion [s], or the shortest and the longest to choose from.
-        harmonics: As for `excitant.design.design`, of each motion.
-        series: ``"fourier"`` or ``"spline"``.
-        top_hz: Highest frequency up to which harmonics are added [Hz].
+        harmonics: As for `design`, of each motion.
+        series: As for `design`.
+        top_hz: As for `design`.
         criterion: Of the columns of each link in its own row.
-        columns: ``"friction"`` or ``"inertial"``.
-        scene: The arm's bodies among obstacles; None to leave clearance out.
-        clearance: Smallest distance that they keep [m].
+        columns: As for `design`.
+        scene: As for `design`.
+        clearance: As for `design`.
+        jobs: As for `design`.
+        cluster: As for `design`.
+        seed: As for `design`.
         starts: Searches per motion; 6 by default, or as many as fit in the time limit.
-        jobs: Number of processes; as many as processors by default.
-        cluster: Address of a Dask scheduler to search on instead.
-        seed: Seed of all randomness.
         time_limit: For all motions together, split evenly over those still to come [s].
         progress: Called whenever a search has news.
 
@@ -224,7 +224,7 @@ def design_link_by_link(
         "clearance": clearance,
     }
     goal = build_design(robot, **options).information
-    last = last_rows(robot, _effects(robot, columns), goal.base)
+    last = last_rows(robot, goal.effects, goal.base)
     joints = [j for j in reversed(range(robot.nv)) if (last == j).any()]
     pose = _resting_pose(robot, scene, clearance)
     motions = []
@@ -245,11 +245,13 @@ def design_link_by_link(
                 problem, effort, shortest, top_hz if harmonics is None else None
             )
             initial = problem.random(np.random.default_rng([seed, 0]))
-            found = (problem.trajectory(z) for z in best_solutions(searches, CANDIDATES))
-            drawn = [initial, *found]
+            drawn = [initial, *map(problem.trajectory, best_solutions(searches, CANDIDATES))]
             kept = _keeping(robot, [_whole(x, pose) for x in drawn], scene, clearance)
             seen = _of_link(goal, joint, last == joint)
-            motions.append(LinkMotion(joint, _best(kept, seen, criterion, scene, searches)))
+            values = [objective(seen.matrix(dense_motion(motion)), criterion) for motion in kept]
+            chosen = kept[int(np.argmin(values))]
+            found = Design(seen, criterion, kept[0], chosen, scene, searches, 0.0)
+            motions.append(LinkMotion(joint, found))
     wall = time.time() - began
     return LinkByLinkDesign(robot, columns, criterion, len(last), tuple(motions), wall)
 
@@ -261,13 +263,9 @@ def _problem(
     arm = _held(robot, joint, pose)
     around = None if scene is None else scene_of(arm, scene.obstacles)
     problem = build_design(arm, scene=around, **options)
-    base = problem.information.base
-    last = last_rows(arm, _effects(arm, options["columns"]), base)
-    return replace(problem, information=_of_link(problem.information, joint, last == joint))
-
-
-def _effects(robot: Robot, columns: str) -> tuple[Effect, ...]:
-    return standard_effects(robot.joints) if columns == "friction" else ()
+    seen = problem.information
+    last = last_rows(arm, seen.effects, seen.base)
+    return replace(problem, information=_of_link(seen, joint, last == joint))
 
 
 def _of_link(information: Information, joint: int, chosen: npt.NDArray[np.bool_]) -> Information:
@@ -286,12 +284,10 @@ def _keeping(
     robot: Robot, motions: Sequence[Trajectory], scene: Scene | None, clearance: float
 ) -> list[Trajectory]:
     """Motions shrunk to keep all limits of the whole arm, without those that cannot."""
-    shrunk = [within_limits(robot, motion) for motion in motions]
     kept = [
         motion
-        for motion in shrunk
-        if motion is not None
-        and (scene is None or motion_clearance(scene, motion).certified >= clearance)
+        for motion in (within_limits(robot, drawn) for drawn in motions)
+        if motion and (scene is None or motion_clearance(scene, motion).certified >= clearance)
     ]
     if not kept:
         worst = check(robot, motions[0]).worst
@@ -301,19 +297,6 @@ def _keeping(
             "bodies come too close, while the outer joints are held; relax limits or clearance",
         )
     return kept
-
-
-def _best(
-    motions: Sequence[Trajectory],
-    seen: Information,
-    criterion: str,
-    scene: Scene | None,
-    searches: tuple[SearchState, ...],
-) -> Design:
-    """The motion with the best exact figures, as a design; the first one is where it began."""
-    values = [objective(seen.matrix(dense_motion(motion)), criterion) for motion in motions]
-    chosen = motions[int(np.argmin(values))]
-    return Design(seen, criterion, motions[0], chosen, scene, searches, 0.0)
 
 
 def _teller(

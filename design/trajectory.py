@@ -8,13 +8,13 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
+import scipy
 from scipy.interpolate import BPoly, BSpline, PPoly
 
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, freeze, read_only
 
-_REST = 1e-9  # of the largest possible speed or acceleration of the series
+_REST = 1e-9  # of the largest coefficient at the highest frequency
 _DEGREE = 5  # of splines: jerk is continuous, and so is its rate
 
 
@@ -49,10 +49,6 @@ class Series(ABC):
     @abstractmethod
     def one(self) -> Array:
         """Coefficients of the constant 1, shape (c,)."""
-
-    @abstractmethod
-    def peaks(self, order: int) -> Array:
-        """Largest magnitude of each basis function's derivative, shape (c,)."""
 
     @abstractmethod
     def reach(self, bound: Array) -> Array:
@@ -135,11 +131,8 @@ class Trajectory(ABC):
     @property
     def at_rest(self) -> bool:
         """Whether q̇ = q̈ = 0 at t = 0 and t = period."""
-        size = np.abs(self.coefficients)
-        return all(
-            bool(np.all(np.abs(self(0.0, k)) <= _REST * (self.series.peaks(k) @ size) + 1e-300))
-            for k in (1, 2)
-        )
+        w, size = 2 * np.pi * self.harmonics / self.period, np.abs(self.coefficients).max()
+        return all(np.abs(self(0.0, k)).max() <= _REST * w**k * size for k in (1, 2))
 
     def at(self, t: npt.ArrayLike) -> Motion:
         """The motion at the given instants [s], shape (n,)."""
@@ -236,15 +229,14 @@ class FourierSeries(Series):
         one: Array = np.eye(self.size)[0]
         return one
 
-    def peaks(self, order: int) -> Array:
-        """Largest magnitude of each basis function's derivative, shape (1 + 2 H,)."""
-        w = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)
-        return np.concatenate([[float(order == 0)], w**order, w**order])
-
     def reach(self, bound: Array) -> Array:
         """Largest useful size of each coefficient alone, shape (1 + 2 H, nv)."""
-        with np.errstate(divide="ignore"):
-            each = [b / self.peaks(order)[:, None] for order, b in enumerate(bound)]
+        w = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)
+        each = []
+        for order, b in enumerate(bound):
+            peaks = np.concatenate([[float(order == 0)], w**order, w**order])
+            with np.errstate(divide="ignore"):
+                each.append(b / peaks[:, None])
         least: Array = np.min(each, axis=0)
         return least
 
@@ -279,11 +271,6 @@ class FourierTrajectory(Trajectory):
         if not self.period > 0:
             raise ValueError(f"period {self.period} is not positive")
 
-    @property
-    def harmonics(self) -> int:
-        """Number of harmonics."""
-        return len(self.cosine)
-
     @cached_property
     def coefficients(self) -> Array:
         """Offset, cosine and sine coefficients below one another, shape (1 + 2 H, nv)."""
@@ -292,7 +279,7 @@ class FourierTrajectory(Trajectory):
     @cached_property
     def series(self) -> FourierSeries:
         """The basis functions."""
-        return FourierSeries(self.period, self.harmonics)
+        return FourierSeries(self.period, len(self.cosine))
 
     def extremum_times(self, order: int = 0) -> Array:
         """Instants among which every extremum of a derivative lies, shape (2 H + 1, nv) [s].
@@ -302,9 +289,8 @@ class FourierTrajectory(Trajectory):
         Roots off the unit circle give instants too; they are no extrema and do no harm.
         """
         w = 2 * np.pi / self.period
-        scaled = FourierTrajectory(
-            self.offset, self.cosine, self.sine, 2 * np.pi
-        )  # in the angle θ = ωt, so that high derivatives keep their size
+        # in the angle θ = ωt high derivatives keep their size
+        scaled = FourierTrajectory(self.offset, self.cosine, self.sine, 2 * np.pi)
         theta = np.stack([_root_angles(scaled, order + 1, j) for j in range(self.nv)], axis=1)
         for _ in range(4):
             slope, curve = (scaled._along(theta, order + k) for k in (1, 2))
@@ -375,11 +361,6 @@ class SplineSeries(Series):
     def one(self) -> Array:
         """Coefficients of the constant 1, shape (pieces,)."""
         return np.ones(self.pieces)
-
-    def peaks(self, order: int) -> Array:
-        """Largest magnitude of each basis function's derivative, shape (pieces,)."""
-        t = np.linspace(0.0, self.period, 64 * self.pieces + 1)
-        return np.full(self.pieces, np.abs(self.basis(t, order)).max())
 
     def reach(self, bound: Array) -> Array:
         """Largest useful change of each coefficient, shape (pieces, nv): half the range.

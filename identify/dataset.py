@@ -12,7 +12,6 @@ import msgspec
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify.importers.mapping import (
     ColumnMap,
-    Drive,
     column_map,
     drive_of,
     load_column_map,
@@ -154,7 +153,7 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
     return Dataset(robot, folder, torque.column, _mapping(given, drive, record.units, sidecar))
 
 
-def _drive(model: Path) -> Drive | None:
+def _drive(model: Path) -> tuple[float, ...] | None:
     """Drive constants of a robot.yaml."""
     if model.suffix not in (".yaml", ".yml") or not model.is_file():
         return None
@@ -162,7 +161,10 @@ def _drive(model: Path) -> Drive | None:
 
 
 def _mapping(
-    columns: str | Path | None, drive: Drive | None, units: object = None, sidecar: Path = Path()
+    columns: str | Path | None,
+    drive: tuple[float, ...] | None,
+    units: object = None,
+    sidecar: Path = Path(),
 ) -> ColumnMap | None:
     """The map in a file, completed by drive constants and units that are said elsewhere."""
     given = ColumnMap() if columns is None else load_column_map(columns)

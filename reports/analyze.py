@@ -16,7 +16,6 @@ from excitant.reports.page import (
     Brief,
     Cell,
     Column,
-    Fact,
     Facts,
     Figure,
     Folded,
@@ -27,6 +26,7 @@ from excitant.reports.page import (
     Section,
     Table,
     estimates,
+    fact,
     facts,
     folded,
     notes,
@@ -40,6 +40,7 @@ from excitant.reports.values import (
     Result,
     Series,
     at,
+    items,
     listing,
     number,
     number4,
@@ -49,6 +50,7 @@ from excitant.reports.values import (
     records,
     sentence,
     text,
+    whole,
     words,
 )
 from excitant.robots.parameters import STANDARD
@@ -122,10 +124,13 @@ def _lead(result: Result) -> str:
 def _brief(result: Result) -> Brief:
     unique, none = _counts(result)
     total, base = (text(result, key) for key in ("standard_parameters", "base_parameters"))
-    lines = [(
-        "identifiable", f"{base} combinations of {total} parameters; {unique} parameters uniquely, "
-        f"{none} not at all",
-    )]  # fmt: skip
+    lines = [
+        (
+            "identifiable",
+            f"{base} combinations of {total} parameters; {unique} parameters uniquely, "
+            f"{none} not at all",
+        )
+    ]
     verdicts = [text(row, "verdict") for row in records(result, "practical")]
     if weak := verdicts.count("hardly"):
         lines.append(("", f"this motion hardly shows {weak} of {len(verdicts)} combinations"))
@@ -145,20 +150,19 @@ def _facts(result: Result) -> Facts | None:
     rows = [row for link in records(result, "links") for row in records(link, "parameters")]
     visible = [row for row in rows if text(row, "category") != "unidentifiable"]
     decided = sum(text(row, "decided_by") == "prior" for row in visible)
-    hidden, kappa = len(records(result, "not_shown")), real(result, "condition_number")
-    total, base = (text(result, key) for key in ("standard_parameters", "base_parameters"))
+    hidden = len(records(result, "not_shown")) if records(result, "practical") else None
+    keys = ("standard_parameters", "base_parameters", "condition_number")
+    total, base, kappa = (real(result, key) for key in keys)
+    of = f"of {whole(base)} base parameters"
+    decisive = f"of {len(visible)} that torque contains, rather than by the data"
     judged = any(text(row, "decided_by") for row in rows)
     return facts(
-        Fact("Parameters", total, "of all links, and of their joints' effects",
-             number=real(result, "standard_parameters")),
-        Fact("Base parameters", base, "combinations that torque can show",
-             number=real(result, "base_parameters")),
-        Fact("Condition number", number(kappa), "with the given motion", number=kappa),
-        Fact("Not shown by this motion", str(hidden) if records(result, "practical") else NONE,
-             f"of {base} base parameters", POOR if hidden else GOOD, hidden),
-        Fact("Decided by the prior", str(decided) if judged else NONE,
-             f"of {len(visible)} that torque contains, rather than by the data", number=decided),
-    )  # fmt: skip
+        fact("Parameters", total, whole, "of all links, and of their joints' effects"),
+        fact("Base parameters", base, whole, "combinations that torque can show"),
+        fact("Condition number", kappa, number, "with the given motion"),
+        fact("Not shown by this motion", hidden, whole, of, POOR if hidden else GOOD),
+        fact("Decided by the prior", decided if judged else None, whole, decisive),
+    )
 
 
 def _basis(result: Result) -> list[str]:
@@ -379,10 +383,7 @@ def _parameters(link: Result) -> Table | None:
         value = estimates()
         seen = (("text:This motion determines it", _shown), ("number:Prior", "prior"))
     if influence:
-        seen += (
-            ("number:Follows prior", "prior_influence", _share),
-            ("text:Decided by", _decided),
-        )
+        seen += (("number:Follows prior", "prior_influence", _share), ("text:Decided by", _decided))
     return table(
         rows,
         [
@@ -452,10 +453,7 @@ def _needed(link: Result) -> Table | None:
 
 def _following(result: Result, link: Result) -> Notes | None:
     """Which parameters would follow from one that is known from elsewhere."""
-    groups = result.get("follow_each_other")
     own = {text(row, "name") for row in records(link, "parameters")}
-    return notes([
-        f"Once one of {', '.join(group)} is known from elsewhere, the data give the rest of them."
-        for group in (words(each) for each in (groups if isinstance(groups, list) else []))
-        if own & set(group)
-    ])  # fmt: skip
+    groups = [words(group) for group in items(result, "follow_each_other")]
+    said = "Once one of {} is known from elsewhere, the data give the rest of them."
+    return notes([said.format(", ".join(group)) for group in groups if own & set(group)])

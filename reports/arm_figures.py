@@ -173,8 +173,16 @@ def _draw_chain(ax: Any, arm: _Arm, view: _View, size: float) -> None:
     for members in _clusters(flat[1:-1], _TOGETHER * size):
         x, y = flat[1:-1][members].mean(axis=0)
         label = ",".join(str(k + 1) for k in members)
-        ax.annotate(label, (x, y), (6, 6), textcoords="offset points", fontsize=8.5,
-                    color="#111111", zorder=6, bbox=_PAPER)  # fmt: skip
+        ax.annotate(
+            label,
+            (x, y),
+            (6, 6),
+            textcoords="offset points",
+            fontsize=8.5,
+            color="#111111",
+            zorder=6,
+            bbox=_PAPER,
+        )
 
 
 def _draw_axis(ax: Any, centre: Array, axis: Array, size: float) -> None:
@@ -185,9 +193,20 @@ def _draw_axis(ax: Any, centre: Array, axis: Array, size: float) -> None:
             ax.plot(*centre, "x", ms=5.5, color=GIVEN, mew=1.0, zorder=4)
         return
     tip = centre + _AXIS * size * axis[:2]
-    ax.annotate("", tip, centre, zorder=4,
-                arrowprops={"arrowstyle": "-|>", "color": GIVEN, "lw": 1.1, "shrinkA": 0,
-                            "shrinkB": 0, "mutation_scale": 7})  # fmt: skip
+    ax.annotate(
+        "",
+        tip,
+        centre,
+        zorder=4,
+        arrowprops={
+            "arrowstyle": "-|>",
+            "color": GIVEN,
+            "lw": 1.1,
+            "shrinkA": 0,
+            "shrinkB": 0,
+            "mutation_scale": 7,
+        },
+    )
 
 
 def _clusters(points: Array, near: float) -> list[list[int]]:

@@ -13,7 +13,6 @@ import numpy as np
 
 from excitant.exceptions import BadInput
 from excitant.reports.page import (
-    LONG,
     Block,
     Cell,
     Column,
@@ -46,6 +45,7 @@ from excitant.reports.values import (
 VERB = "compare"
 APART = 2.0  # standard deviations of a difference from which on estimates disagree
 _ERROR = re.compile(r"\b(rms|nrmse)\b|r²|error")  # what depends on the filter and on the rows
+_LONG = 60  # rows from which on a table is folded
 _NAMES = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
@@ -271,8 +271,8 @@ def comparison_page(result: Result) -> Page:
     blocks: list[Notes | None] = [notes(legend), notes([sentence(r) for r in remarks], "poor")]
     return Page(
         f"{name}: {robot}" if robot else name,
-        f"{len(runs)} runs of excitant {text(result, 'of')}; differences and ratios "
-        "are those to A.",
+        f"{len(runs)} runs of excitant {text(result, 'of')}; differences and ratios are those to "
+        f"A. {sections[0].lead if len(sections) == 1 else ''}",
         tuple(block for block in blocks if block is not None),
         tuple(sections),
         tuple(("note", remark) for remark in remarks),
@@ -323,4 +323,4 @@ def _table(found: Result, letters: Sequence[str]) -> Block | None:
         ):
             if any(real(x) is not None for row in rows for x in (at(row, key) or [])[k : k + 1]):
                 columns.append((f"number:{heading}", picked(key, k)))
-    return table(rows, columns, "", folded(f"All {len(rows)} figures", len(rows), LONG))
+    return table(rows, columns, "", folded(f"All {len(rows)} figures", len(rows), _LONG))

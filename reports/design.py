@@ -27,6 +27,7 @@ from excitant.reports.page import (
     Section,
     Table,
     estimates,
+    fact,
     facts,
     files,
     folded,
@@ -55,6 +56,7 @@ from excitant.reports.values import (
     records,
     sentence,
     text,
+    unit_of,
     whole,
     words,
 )
@@ -65,10 +67,7 @@ _CRITERIA = {
     "a": ("A-optimal", "least mean variance: least trace of (WᵀW)⁻¹"),
     "e": ("E-optimal", "greatest least singular value of W"),
 }
-_COLUMNS = {
-    "friction": "of links, friction, offsets and rotors",
-    "inertial": "of the links only",
-}
+_COLUMNS = {"friction": "of links, friction, offsets and rotors", "inertial": "of the links only"}
 
 
 def design_section(result: Result, series: Series) -> Section:
@@ -93,37 +92,28 @@ def design_section(result: Result, series: Series) -> Section:
 
 def check_section(result: Result, series: Series) -> Section:
     """Whether somebody's trajectory keeps the limits, and how well it excites."""
-    holds = at(result, "holds")
-    name = text(result, "trajectory") or "The trajectory"
-    lead, tone = f"{name} was checked.", PLAIN
-    if isinstance(holds, bool):
-        tone = GOOD if holds else POOR
-        keeps = "keeps all limits" if holds else "exceeds limits"
-        lead = f"{name} {keeps} of {text(result, 'robot') or 'the arm'}."
-    kappa = real(result, "condition_number")
+    holds, kappa = at(result, "holds"), at(result, "condition_number")
+    name, said = text(result, "trajectory") or "The trajectory", words(result, "verdicts")
+    keeps, limits, tone = {
+        True: ("keeps all limits", "hold", GOOD),
+        False: ("exceeds limits", "exceeded", POOR),
+    }.get(holds, ("was checked against the limits", "", PLAIN))
+    key_figures = facts(
+        Fact("Limits", limits, "", tone),
+        fact("Condition number", kappa, number, _columns(result)),
+        _clearance(result),
+        _duration(result),
+    )
     return section(
         "Trajectory check",
-        lead,
+        f"{name} {keeps} of {text(result, 'robot') or 'the arm'}.",
         [
-            (
-                "Key figures",
-                [
-                    facts(
-                        Fact("Limits", {GOOD: "hold", POOR: "exceeded"}.get(tone, ""), "", tone),
-                        Fact("Condition number", number(kappa), _columns(result), number=kappa),
-                        _clearance(result),
-                        _duration(result),
-                    )
-                ],
-            ),
-            (
-                "Verdicts",
-                [notes([sentence(v) for v in words(result, "verdicts")])],
-            ),
+            ("Key figures", [key_figures]),
+            ("Verdicts", [notes([sentence(verdict) for verdict in said])]),
             *_motion(result, series),
         ],
         (
-            *zip(["checked", *[""] * 99], words(result, "verdicts"), strict=False),
+            *((("checked", "")[k > 0], verdict) for k, verdict in enumerate(said)),
             ("", f"condition number {number(kappa)} ({text(result, 'columns')} columns)"),
         ),
     )
@@ -132,70 +122,57 @@ def check_section(result: Result, series: Series) -> Section:
 def rehearse_section(result: Result, series: Series) -> Section:
     """Whether a motion suffices, requirement by requirement."""
     rows, passed = records(result, "items"), at(result, "passed") is True
+    headline, hidden = text(result, "headline"), plain(text(result, "effect", "effect"))
     met = sum(_met(row) for row in rows)
-    hidden = plain(text(result, "effect", "effect"))
+    key_figures = facts(
+        Fact("Verdict", "go" if passed else "no go", "", GOOD if passed else POOR),
+        Fact("Requirements met", f"{met} of {len(rows)}", number=met),
+        _duration(result),
+        Fact("Planted change", hidden, text(result, "effect", "joint")),
+    )
+    motion = motion_figure(joint_names(result), result, series)
     return section(
         "Rehearsal",
-        sentence(text(result, "headline")),
+        sentence(headline),
         [
-            (
-                "Key figures",
-                [
-                    facts(
-                        Fact("Verdict", "go" if passed else "no go", "", GOOD if passed else POOR),
-                        Fact("Requirements met", f"{met} of {len(rows)}", number=met),
-                        _duration(result),
-                        Fact("Planted change", hidden, text(result, "effect", "joint")),
-                    )
-                ],
-            ),
+            ("Key figures", [key_figures]),
             ("What to change", [notes(words(result, "advice"), FAIR, brief="to change")]),
-            (
-                "Requirements",
-                [
-                    table(
-                        rows,
-                        [
-                            ("text:Met", lambda r: _verdict(_met(r), "met", "NOT MET")),
-                            ("name:Requirement", "name"),
-                            ("name:Joint", "joint"),
-                            ("text:Figures", "detail"),
-                        ],
-                        "The virtual arm has usual friction, rotor inertia, offsets and noise, and "
-                        "inertias off by up to 5 %; one more effect changes later. The motion must "
-                        "show all of it.",
-                        brief="",
-                    )
-                ],
-            ),
-            (
-                "Planted and recovered",
-                [
-                    table(
-                        [
-                            {**row, "value": at(row, "recovered")}
-                            for row in rows
-                            if real(row, "planted") is not None
-                            and real(row, "recovered") is not None
-                        ],
-                        [
-                            ("name:Quantity", "name"),
-                            ("name:Joint", "joint"),
-                            ("number:Planted", "planted", number4),
-                            *estimates("number:Recovered"),
-                            ("text:Unit", "unit"),
-                            ("number:Error", _error),
-                        ],
-                        "Every value planted in the arm and what was recovered of it.",
-                    )
-                ],
-            ),
-            (
-                "Motion of the virtual arm",
-                [motion_figure(joint_names(result), result, series)],
-            ),
+            ("Requirements", [_requirements(rows)]),
+            ("Planted and recovered", [_recovered(rows)]),
+            ("Motion of the virtual arm", [motion]),
         ],
-        (("passed" if passed else "failed", text(result, "headline")),),
+        (("passed" if passed else "failed", headline),),
+    )
+
+
+def _requirements(rows: list[Result]) -> Table | None:
+    return table(
+        rows,
+        [
+            ("text:Met", lambda row: _verdict(_met(row), "met", "NOT MET")),
+            ("name:Requirement", "name"),
+            ("name:Joint", "joint"),
+            ("text:Figures", "detail"),
+        ],
+        "The virtual arm has usual friction, rotor inertia, offsets and noise, and inertias off by "
+        "up to 5 %; one more effect changes later. The motion must show all of it.",
+        brief="",
+    )
+
+
+def _recovered(rows: list[Result]) -> Table | None:
+    known = [r for r in rows if None not in (real(r, "planted"), real(r, "recovered"))]
+    return table(
+        [{**row, "value": at(row, "recovered")} for row in known],
+        [
+            ("name:Quantity", "name"),
+            ("name:Joint", "joint"),
+            ("number:Planted", "planted", number4),
+            *estimates("number:Recovered"),
+            ("text:Unit", "unit"),
+            ("number:Error", _error),
+        ],
+        "Every value planted in the arm and what was recovered of it.",
     )
 
 
@@ -249,8 +226,11 @@ def _lead(result: Result) -> str:
     holds = ""
     if ratios:
         worst = share_of_limit(max(ratios))
-        holds = f" All limits hold, used up to {worst}." if _holds(max(ratios)) else (
-            f" Limits are exceeded: {worst} of one is used.")  # fmt: skip
+        holds = (
+            f" All limits hold, used up to {worst}."
+            if _holds(max(ratios))
+            else (f" Limits are exceeded: {worst} of one is used.")
+        )
     reached = f"a condition number of {number(final)}"
     if stages:
         return (
@@ -276,22 +256,21 @@ def _facts(result: Result) -> Facts | None:
     said = f"the worst of {len(stages)} links" if stages else f"from {number(kappa[0])}"
     if bound is not None:
         said += f"; no motion below {number(bound)}"
-    from_ = "" if scaled[0] is None else f"from {number(scaled[0])}; "
-    base, criterion = text(result, "base_parameters"), text(result, "criterion")
+    since = "" if scaled[0] is None else f"from {number(scaled[0])}; "
+    criterion = text(result, "criterion")
     name, meaning = _CRITERIA.get(criterion, (plain(criterion), ""))
     starts, iterations = len(records(result, "starts")), real(result, "iterations")
     effort = [f"{starts} starts"] * bool(starts)
     effort += [] if iterations is None else [f"{iterations:.0f} iterations"]
     return facts(
-        Fact("Condition number", number(kappa[1]), said, number=kappa[1]),
-        Fact("Condition number, scaled", number(scaled[1]),
-             f"{from_}columns of W at unit length", number=scaled[1]),
+        fact("Condition number", kappa[1], number, said),
+        fact("Condition number, scaled", scaled[1], number, f"{since}columns of W at unit length"),
         _duration(result),
-        Fact("Base parameters", base, _columns(result), number=real(result, "base_parameters")),
+        fact("Base parameters", at(result, "base_parameters"), whole, _columns(result)),
         Fact("Criterion", name, meaning),
         _clearance(result),
         Fact("Search", quantity(at(result, "wall_s"), "s"), ", ".join(effort), timing=True),
-    )  # fmt: skip
+    )
 
 
 def _duration(result: Result) -> Fact:
@@ -300,15 +279,16 @@ def _duration(result: Result) -> Fact:
     if count is not None:
         spline = text(result, "series") == "spline"  # twice as many pieces as harmonics
         series = f"spline of {2 * count:.0f} pieces" if spline else f"{count:.0f} harmonics"
-    return Fact("Duration", quantity(duration, "s"), series, number=duration)
+    return fact("Duration", duration, unit_of("s"), series)
 
 
 def _clearance(result: Result) -> Fact:
     """Least distance, which holds between samples too."""
     distance = real(result, "clearance_m")
-    at_least = NONE if distance is None else f"≥ {quantity(1e3 * distance, 'mm')}"
-    return Fact("Clearance", at_least, "to obstacles and itself, between samples too",
-                number=distance)  # fmt: skip
+    remark = "to obstacles and itself, between samples too"
+    return fact(
+        "Clearance", distance, lambda d: f"≥ {quantity(1e3 * d, 'mm')}" if d else "", remark
+    )
 
 
 def _columns(result: Result) -> str:
@@ -412,8 +392,10 @@ def _weakest(result: Result) -> Table | None:
 def _directions(result: Result) -> Table | None:
     """The least excited combinations of base parameters, before and after."""
     rows: list[Result] = []
-    for key, name, own in (("final", "designed motion", "final"),
-                           ("initial", "start of the search", "initial")):  # fmt: skip
+    for key, name, own in (
+        ("final", "designed motion", "final"),
+        ("initial", "start of the search", "initial"),
+    ):
         other = "initial" if own == "final" else "final"
         rows += [
             {**row, "of": name, own: at(row, "strength"), other: at(row, "other")}

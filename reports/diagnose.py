@@ -24,6 +24,7 @@ from excitant.reports.page import (
     Section,
     Table,
     estimates,
+    fact,
     facts,
     files,
     folded,
@@ -50,6 +51,7 @@ from excitant.reports.values import (
     records,
     sentence,
     text,
+    unit_of,
     whole,
     words,
 )
@@ -149,24 +151,27 @@ def _facts(result: Result) -> Facts | None:
         median(records(result, m, "joints"), "nrmse") for m in ("simulation", "extended")
     )
     after = after if _changed(result) else None
-    cutoff = real(result, "cutoff_hz")
+    errors = change(before, after, percent)
     return facts(
-        Fact("Hold-out error", change(before, after, percent), "nrmse, median over joints",
-             number=before if after is None else after),
-        Fact("Findings", str(len(findings)), ", ".join(counts) or "nothing stands out",
-             number=len(findings)),
-        Fact("Data faults", str(len(faults)), "", POOR if faults else GOOD, len(faults)),
-        Fact("Cut-off", quantity(cutoff, "Hz"), CUTOFF_REMARK, number=cutoff),
-    )  # fmt: skip
+        Fact("Hold-out error", errors, "nrmse, median over joints", number=after or before),
+        fact("Findings", len(findings), whole, ", ".join(counts) or "nothing stands out"),
+        fact("Data faults", len(faults), whole, "", POOR if faults else GOOD),
+        fact("Cut-off", at(result, "cutoff_hz"), unit_of("Hz"), CUTOFF_REMARK),
+    )
 
 
 def _finding_table(findings: list[Result], unit: str) -> Table | None:
     """All findings in a line each, most important first."""
     rows: list[Result] = []
     for k, finding in enumerate(findings, start=1):
-        known = {} if _unknown(finding) else {
-            "explained": at(finding, "explained"), "after": at(finding, "holdout", "rms_after")
-        }  # fmt: skip
+        known = (
+            {}
+            if _unknown(finding)
+            else {
+                "explained": at(finding, "explained"),
+                "after": at(finding, "holdout", "rms_after"),
+            }
+        )
         rows.append({**finding, "explained": None, "k": k, **known})
     return table(
         rows,

@@ -137,8 +137,17 @@ def _cell(ax: Axes, x: float, row: int, share: float | None, colour: str, framed
     )
     said = "–" if share is None else f"{100 * share:.0f}" if share < 9.995 else ">999"
     ink, weight = "white" if depth > _DARK else "#222222", "bold" if framed else "normal"
-    ax.text(x + 0.5, row + 0.52, said, ha="center", va="center", fontsize=7, zorder=4, color=ink,
-            fontweight=weight)  # fmt: skip
+    ax.text(
+        x + 0.5,
+        row + 0.52,
+        said,
+        ha="center",
+        va="center",
+        fontsize=7,
+        zorder=4,
+        color=ink,
+        fontweight=weight,
+    )
 
 
 def waterfall_figure(result: Result) -> Figure | None:

@@ -33,6 +33,7 @@ from excitant.reports.page import (
     Section,
     Table,
     estimates,
+    fact,
     facts,
     files,
     folded,
@@ -41,12 +42,7 @@ from excitant.reports.page import (
     section,
     table,
 )
-from excitant.reports.torque_figures import (
-    Curves,
-    error_bars,
-    over_holdout,
-    torque_figure,
-)
+from excitant.reports.torque_figures import Curves, error_bars, over_holdout, torque_figure
 from excitant.reports.values import (
     Result,
     Series,
@@ -65,7 +61,9 @@ from excitant.reports.values import (
     records,
     sentence,
     text,
+    unit_of,
     value_and_std,
+    whole,
     words,
 )
 
@@ -170,16 +168,17 @@ def _facts(result: Result) -> Facts | None:
     physical, tone = {True: ("yes", GOOD), False: ("no", POOR)}.get(consistent, ("", PLAIN))
     joints = Counter(plain(effect) for effect in words(result, "effects"))
     effects = [name if n == 1 else f"{name} ({n} joints)" for name, n in joints.items()]
-    count, cutoff = len(records(result, "base_parameters")), real(result, "cutoff_hz")
+    count = len(records(result, "base_parameters"))
+    error = "Hold-out error" if held else "Error of the fit"
+    remark = "given → identified; nrmse, median over joints"
     return facts(
-        Fact("Hold-out error" if held else "Error of the fit", change(before, after, percent),
-             "given → identified; nrmse, median over joints", number=after),
+        Fact(error, change(before, after, percent), remark, number=after),
         Fact("Physically consistent", physical, "every link is a body that can exist", tone),
-        Fact("Base parameters", str(count or ""), "all that torque can show", number=count),
-        Fact("Cut-off", quantity(cutoff, "Hz"), CUTOFF_REMARK, number=cutoff),
+        fact("Base parameters", count or None, whole, "all that torque can show"),
+        fact("Cut-off", at(result, "cutoff_hz"), unit_of("Hz"), CUTOFF_REMARK),
         Fact("Estimator", plain(text(result, "estimator"))),
         Fact("Effects", listing(effects), "besides the links' inertia"),
-    )  # fmt: skip
+    )
 
 
 def _bars(result: Result, unit: str) -> Figure | None:
@@ -245,11 +244,12 @@ def _essential(result: Result) -> Notes | None:
     few, every = (real(result, "essential", key) for key in ("nrmse_essential", "nrmse_all"))
     if not kept + dropped:
         return None
-    return Notes((
+    said = (
         f"{kept} of {kept + dropped} base parameters are essential: with the others at zero, least "
         f"squares misses {percent(few)} of the hold-out instead of {percent(every)} (median over "
-        "joints).",
-    ))  # fmt: skip
+        "joints)."
+    )
+    return Notes((said,))
 
 
 def _base_table(result: Result) -> Table | None:
@@ -360,17 +360,20 @@ def _stage(stage: Result) -> list[Block | None]:
             cells,
             [
                 ("expression:Combination", "expression"),
-                ("text:Verdict", lambda r: Cell("determined", GOOD) if "value" in r
-                 else Cell("not shown", FAIR)),
+                (
+                    "text:Verdict",
+                    lambda r: Cell("determined", GOOD) if "value" in r else Cell("not shown", FAIR),
+                ),
                 *estimates("number:Value (SI)", "number:± std (SI)"),
             ],
             "What the joint's own torque adds to what the links further out have shown already; "
             f"{left if missing else 'nothing of this link is left open'}.",
-            folded(f"{len(found)} combinations determined, {len(missing)} not shown",
-                   len(cells), 6),
+            folded(
+                f"{len(found)} combinations determined, {len(missing)} not shown", len(cells), 6
+            ),
         ),
         notes([f"To see the rest, {each}." for each in words(stage, "needed")], FAIR),
-    ]  # fmt: skip
+    ]
 
 
 def _payload(payload: Result | None) -> list[Block | None]:
@@ -388,13 +391,15 @@ def _payload(payload: Result | None) -> list[Block | None]:
                 ("name:Parameter", "name"),
                 *estimates(),
                 ("text:Unit", "unit"),
-                ("text:Decided by",
-                 lambda r: "expectation" if at(r, "prior_dominated") is True else "data"),
+                (
+                    "text:Decided by",
+                    lambda r: "expectation" if at(r, "prior_dominated") is True else "data",
+                ),
             ],
             "Standard parameters of the body about the frame of its joint, physically consistent. "
             "The motion does not show those decided by the expectation (a ball at the flange).",
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _payload_facts(payload: Result) -> Facts | None:
@@ -438,14 +443,12 @@ def _online_facts(result: Result) -> Facts | None:
     t, level = excitation_levels(result)
     judged = np.isfinite(level)
     share = float((level[judged] >= ENOUGH).mean()) if judged.any() else None
-    delay = real(result, "online", "delay_s")
+    delay_s = real(result, "online", "delay_s")
+    delay = None if delay_s is None else 1e3 * delay_s
+    converging = "every joint's torque is known better than one row of data shows it"
     return facts(
-        Fact("Converged", state, "every joint's torque is known better than one row of data shows "
-             "it", GOOD if state == "yes" else FAIR),
-        Fact("Exciting enough", percent(share), f"of the windows at {int(judged.sum())} looks",
-             number=share),
-        Fact("Delay", quantity(None if delay is None else 1e3 * delay, "ms"),
-             "age of the newest instant that the estimate speaks about", number=delay),
-        Fact("Duration", quantity(float(np.ptp(t)) if len(t) else None, "s"),
-             f"{len(t)} looks kept"),
-    )  # fmt: skip
+        Fact("Converged", state, converging, GOOD if state == "yes" else FAIR),
+        fact("Exciting enough", share, percent, f"of the windows at {judged.sum()} looks"),
+        fact("Delay", delay, unit_of("ms"), "age of the newest instant that the estimate is of"),
+        fact("Duration", np.ptp(t) if len(t) else None, unit_of("s"), f"{len(t)} looks kept"),
+    )

@@ -342,5 +342,10 @@ def link_bars(found: Result, unit: str) -> Figure | None:
     rows = records(found, "comparison", "joints")
     errors = [(text(row, "name"), [pair(row, key) for key, _, _ in _METHODS]) for row in rows]
     models = [(label, colour) for _, label, colour in _METHODS]
-    return bars(errors, unit, models, "Prediction error per joint on the hold-out, links fitted at "
-                "once and link by link from the same recordings")  # fmt: skip
+    return bars(
+        errors,
+        unit,
+        models,
+        "Prediction error per joint on the hold-out, links fitted at "
+        "once and link by link from the same recordings",
+    )

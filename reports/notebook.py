@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
-from excitant.analysis import (
-    Diagnosis,
-    Identifiability,
-)
-from excitant.analysis.rehearsal import Rehearsal
-from excitant.design import Design
 from excitant.exceptions import BadInput
-from excitant.identify import Estimate, identify_result, identify_series
-from excitant.reports.run import REPORT, save_run
+from excitant.reports.render import html
+from excitant.reports.run import as_saved
+from excitant.reports.sections import page_of
+from excitant.robots.motion import Array
 
-Reportable = Design | Estimate | Identifiability | Diagnosis | Rehearsal
 
-_CONTENTS: dict[type, tuple[Callable[[Any], Any], Callable[[Any], Any]]] = {
-    Design: (Design.result, Design.series),
-    Estimate: (identify_result, identify_series),
-    Identifiability: (Identifiability.result, Identifiability.series),
-    Diagnosis: (Diagnosis.result, Diagnosis.series),
-    Rehearsal: (Rehearsal.result, Rehearsal.series),
-}
+@runtime_checkable
+class Reportable(Protocol):
+    """What says of itself what a report shows: a design, an identifiability, a diagnosis, ..."""
+
+    def result(self) -> Mapping[str, Any]:
+        """What ``result.json`` says."""
+
+    def series(self) -> Mapping[str, Array]:
+        """The arrays that its figures draw."""
+
+
 _HEIGHT = 640  # pixels of the frame in a notebook
 
 
@@ -61,10 +59,6 @@ def report(noun: Reportable) -> Report:
     Raises:
         BadInput: Something else.
     """
-    if type(noun) not in _CONTENTS:
-        known = ", ".join(kind.__name__ for kind in _CONTENTS)
-        raise BadInput(f"a {type(noun).__name__} has no report; known: {known}")
-    result, series = _CONTENTS[type(noun)]
-    with TemporaryDirectory() as folder:
-        save_run(folder, result(noun), series(noun))
-        return Report((Path(folder) / REPORT).read_text(encoding="utf-8"))
+    if not isinstance(noun, Reportable):
+        raise BadInput(f"a {type(noun).__name__} has no report; give what a verb returned")
+    return Report(html(page_of(*as_saved(noun.result(), noun.series()))))

@@ -299,6 +299,14 @@ def folded(title: str, count: int, most: int = LONG) -> str:
     return title if count > most else ""
 
 
+def fact(
+    label: str, value: object, write: Callable[[Any], str], remark: str = "", tone: str = PLAIN
+) -> Fact:
+    """A figure of merit that is a number."""
+    known = real(value)
+    return Fact(label, NONE if known is None else write(known), remark, tone, known)
+
+
 def facts(*found: Fact | None) -> Facts | None:
     """The facts that have a value."""
     known = tuple(fact for fact in found if fact is not None and fact.value not in (NONE, ""))

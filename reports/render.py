@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import jinja2
     from markupsafe import Markup
 
-_FIGURE = 12  # characters of a number in text
+_FIGURE = 14  # characters of a number in text
 _LABEL = 32
 _STEP = 10  # columns of words are a multiple of this wide, so that few changes move them
 _ASCII = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")

@@ -13,10 +13,10 @@ from excitant.reports.page import (
     Block,
     Cell,
     Column,
-    Fact,
     Facts,
     Section,
     Table,
+    fact,
     facts,
     notes,
     section,
@@ -36,8 +36,9 @@ from excitant.reports.values import (
     real,
     reals,
     records,
-    sentence,
     text,
+    unit_of,
+    whole,
     words,
 )
 
@@ -70,7 +71,7 @@ def robot_section(result: Result, series: Series) -> Section:
 
 def _said(result: Result, hint: bool) -> list[str]:
     return [
-        sentence(f"{listing(words(row, 'where'))}: {text(row, 'sentence')}")
+        f"{listing(words(row, 'where'))}: {text(row, 'sentence')}."
         for row in records(result, "warnings")
         if (at(row, "hint") is True) == hint
     ]
@@ -100,21 +101,15 @@ def _count(n: int, what: str) -> str:
 
 def _facts(result: Result) -> Facts | None:
     found, hints = len(_said(result, False)), len(_said(result, True))
-    mass, joints, stated = (
-        real(result, "mass"),
-        records(result, "joints"),
-        at(result, "stated_mass"),
-    )
-    whole = f"{quantity(at(result, 'total_mass'), 'kg', 4)} with the base, as far as given"
-    whole += "" if real(stated) is None else f"; stated: {quantity(stated, 'kg', 4)}"
+    stated = real(result, "stated_mass")
+    mass = f"{quantity(at(result, 'total_mass'), 'kg', 4)} with the base, as far as given"
+    mass += "" if stated is None else f"; stated: {quantity(stated, 'kg', 4)}"
     return facts(
-        Fact("Joints", str(len(joints)), number=len(joints)),
-        Fact("Moving mass", quantity(mass, "kg", 4), whole, number=mass),
-        Fact("Base parameters", text(result, "base_parameters"), "of rigid links in this gravity",
-             number=real(result, "base_parameters")),
-        Fact("Warnings", str(found), f"and {_count(hints, 'hint')}", POOR if found else GOOD,
-             found),
-    )  # fmt: skip
+        fact("Joints", len(records(result, "joints")), whole),
+        fact("Moving mass", at(result, "mass"), unit_of("kg", 4), mass),
+        fact("Base parameters", at(result, "base_parameters"), whole, "of rigid links"),
+        fact("Warnings", found, whole, f"and {_count(hints, 'hint')}", POOR if found else GOOD),
+    )
 
 
 def _warnings(result: Result) -> list[Block | None]:
@@ -205,15 +200,17 @@ def _links(result: Result) -> Table | None:
             ("text:Moves with", carrier),
             ("number:Mass [kg]", "mass", number4),
             ("number:Centre of mass x, y, z [mm]", com),
-            ("number:Principal moments [kg·m²]",
-             lambda r: ", ".join(number(x) for x in reals(r, "principal_moments"))),
+            (
+                "number:Principal moments [kg·m²]",
+                lambda r: ", ".join(number(x) for x in reals(r, "principal_moments")),
+            ),
             ("number:Radius of gyration [mm]", "radius_of_gyration", milli),
             ("number:Size [mm]", "size", milli),
         ],
         "Links with mass: centre of mass in the link frame, moments about it. The radius of "
         "gyration is the largest over directions; a body of the link's size (diagonal of the box "
         "around its joints and solids) has less than half of that.",
-    )  # fmt: skip
+    )
 
 
 def _effects(result: Result) -> Table | None:

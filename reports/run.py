@@ -69,6 +69,13 @@ def save_run(
         raise BadInput(f"{directory}: cannot be written: {why}; choose another folder") from error
 
 
+def as_saved(
+    result: Mapping[str, Any], series: Mapping[str, Array]
+) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Result and series as they would be read back after saving."""
+    return json.loads(_dump(result)), _unpack(_pack(series))
+
+
 def load_run(directory: str | Path) -> tuple[dict[str, Any], dict[str, Array]]:
     """Result and series of a run directory.
 

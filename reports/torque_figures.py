@@ -131,8 +131,9 @@ def draw_band(ax: Axes, t: Array, joins: Sequence[int], centre: Array, half: Arr
         low = np.minimum.reduceat((centre - half)[:last], starts)
         high = np.maximum.reduceat((centre + half)[:last], starts)
         x = np.append(t[starts], t[last - 1])
-        ax.fill_between(x, np.append(low, low[-1]), np.append(high, high[-1]), color=BAND, lw=0,
-                        zorder=0.5)  # fmt: skip
+        ax.fill_between(
+            x, np.append(low, low[-1]), np.append(high, high[-1]), color=BAND, lw=0, zorder=0.5
+        )
 
 
 def error_bars(errors: Errors, unit: str, curves: Curves, what: str) -> Figure | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -178,6 +178,11 @@ def quantity(value: object, unit: str, digits: int = 3) -> str:
     return number(value, digits) if real(value) is None else f"{number(value, digits)}\u00a0{unit}"
 
 
+def unit_of(unit: str, digits: int = 3) -> Callable[[object], str]:
+    """How quantities of a unit are written."""
+    return lambda value: quantity(value, unit, digits)
+
+
 def change(before: object, after: object, write: Any = number) -> str:
     """A number before and after, or whichever of both is known."""
     known = [write(x) for x in (before, after) if real(x) is not None]
@@ -206,11 +211,11 @@ def listing(names: Sequence[str], none: str = NONE) -> str:
 def sentence(words: str) -> str:
     """Words as a sentence, with a capital, a full stop and true minus signs.
 
-    A name with an underscore or before a colon keeps its small letter.
+    A name with an underscore keeps its small letter.
     """
     words = re.sub(r"(?<=\d)e([+-]\d+)", lambda e: f"×{power_of_ten(int(e[1]))}", words)
     words = re.sub(r"(?<![\w.])-(?=\d)", "−", words)
-    capital = not set("_:") & set(words.split(" ", 1)[0])
+    capital = "_" not in words.split(" ", 1)[0]
     first = words[:1].upper() if capital else words[:1]
     return words and first + words[1:] + "." * (words[-1] not in ".!?")
 

@@ -114,8 +114,9 @@ def bodies(robot: Robot) -> tuple[Body, ...]:
                 if named.joints[str(joint.get("name"))].parent == name
             ]
             shapes = tuple(_shapes(link))
-            found.append(Body(name, carrier, *_inertia(link), np.array([np.zeros(3), *joints]),
-                              shapes))  # fmt: skip
+            found.append(
+                Body(name, carrier, *_inertia(link), np.array([np.zeros(3), *joints]), shapes)
+            )
     order = {link: k for k, link in enumerate(robot.links)}
     return tuple(sorted(found, key=lambda body: order.get(body.carrier, -1)))
 
@@ -234,5 +235,9 @@ def sketch(robot: Robot, q: Array) -> dict[str, Array]:
         for shape in body.shapes:
             solids.append([joint, *frame.act(shape.start), *frame.act(shape.end), shape.radius])
     found = np.array(solids) if solids else np.empty((0, 8))
-    return {"pose": np.asarray(q, float), "points": _points(robot, q), "axes": axes,
-            "solids": found}  # fmt: skip
+    return {
+        "pose": np.asarray(q, float),
+        "points": _points(robot, q),
+        "axes": axes,
+        "solids": found,
+    }

@@ -94,9 +94,10 @@ class Tree:
                 raise UnknownName("link", name, self.links)
         if tip is None:
             return [
-                joint for joint in self.joints.values()
+                joint
+                for joint in self.joints.values()
                 if base is None or base in {x.parent for x in self.ancestors(joint.child)}
-            ]  # fmt: skip
+            ]
         upward = self.ancestors(tip)
         names = [tip, *(joint.parent for joint in upward)]
         if base is not None and base not in names:

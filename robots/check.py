@@ -84,18 +84,20 @@ class ModelCheck:
         rest = stated - total
         if total == moving and 0 < rest <= _BASE * stated:
             yield ModelWarning(
-                "total_mass", (self.robot.name,),
+                "total_mass",
+                (self.robot.name,),
                 f"its links weigh {moving:.4g} kg and its base states no mass; {stated:.4g} kg is "
                 f"right if the base weighs {rest:.3g} kg",
                 hint=True,
-            )  # fmt: skip
+            )
             return
         yield ModelWarning(
-            "total_mass", (self.robot.name,),
+            "total_mass",
+            (self.robot.name,),
             f"the description weighs {total:.4g} kg, {abs(rest):.3g} kg "
             f"{'less' if rest > 0 else 'more'} than the {stated:.4g} kg stated; look for links "
             "that lack mass, count twice or have another unit",
-        )  # fmt: skip
+        )
 
     def result(self) -> dict[str, Any]:
         """Joints, links, limits, effects and warnings, for ``result.json``."""
@@ -185,20 +187,22 @@ def axis_warnings(robot: Robot) -> Iterator[ModelWarning]:
         length = float(np.linalg.norm([float(x) for x in text.split()]))
         if abs(length - 1) > _UNIT:
             yield ModelWarning(
-                "joint_axis", (joint,),
+                "joint_axis",
+                (joint,),
                 f'its axis "{text}" has length {length:.4g}; write a unit vector',
-            )  # fmt: skip
+            )
     yield from _rounded(root)
     for link in root.findall("link"):
         for mesh in link.iter("mesh"):
             scale = [float(x) for x in mesh.get("scale", "1 1 1").split()]
             if np.prod(scale) < 0:
                 yield ModelWarning(
-                    "mirrored_mesh", (str(link.get("name")),),
+                    "mirrored_mesh",
+                    (str(link.get("name")),),
                     f"a mesh of it is mirrored (scale {mesh.get('scale')}), which makes its frame "
                     "left-handed; mirror its inertia and axes too, or export the true part",
                     hint=True,
-                )  # fmt: skip
+                )
                 break
     yield from _opposite(robot)
 
@@ -216,11 +220,12 @@ def _rounded(root: ET.Element) -> Iterator[ModelWarning]:
     if found:
         text, meant = next(iter(found.values()))
         yield ModelWarning(
-            "rounded_angles", tuple(found),
+            "rounded_angles",
+            tuple(found),
             f"angles such as {text} are rounded; torque then depends, by a hair, on what the exact "
             f"one hides, and what hardly shows is identified badly; write {meant!r}",
             hint=True,
-        )  # fmt: skip
+        )
 
 
 def _opposite(robot: Robot) -> Iterator[ModelWarning]:
@@ -233,11 +238,12 @@ def _opposite(robot: Robot) -> Iterator[ModelWarning]:
         same_kind = robot.revolute[j] == robot.revolute[j + 1]
         if alike and same_kind and axes[j] @ axes[j + 1] < -1 + 1e-9:
             yield ModelWarning(
-                "opposite_axes", (robot.joints[j], robot.joints[j + 1]),
+                "opposite_axes",
+                (robot.joints[j], robot.joints[j + 1]),
                 "equal links whose parallel axes differ in sign only; check that the arm counts "
                 "these angles in opposite directions",
                 hint=True,
-            )  # fmt: skip
+            )
 
 
 def limit_warnings(robot: Robot) -> Iterator[ModelWarning]:
@@ -252,27 +258,30 @@ def limit_warnings(robot: Robot) -> Iterator[ModelWarning]:
         absent = [j for j, x in zip(robot.joints, values, strict=True) if not np.isfinite(x)]
         if absent:
             yield ModelWarning(
-                f"no_{name}_limit", tuple(absent),
+                f"no_{name}_limit",
+                tuple(absent),
                 f"no {name} limit, or zero, so that nothing bounds it here; give it in the "
                 f"<limit> [{unit}] or with --limits",
-            )  # fmt: skip
+            )
     for j, joint in enumerate(robot.joints):
         low, high = robot.limits.position[j]
         limit = elements.get(joint)
         if not np.isfinite([low, high]).all() and kinds.get(joint) != "continuous":
             given = "none" if limit is None else f"{limit.get('lower')} to {limit.get('upper')}"
             yield ModelWarning(
-                "position_limits", (joint,),
+                "position_limits",
+                (joint,),
                 f"its range ({given}) is empty or missing and was taken for unlimited; give lower "
                 "< upper, or make it continuous",
-            )  # fmt: skip
+            )
         elif low > 0 or high < 0:
             yield ModelWarning(
-                "zero_outside_limits", (joint,),
+                "zero_outside_limits",
+                (joint,),
                 f"its zero lies outside its range, {low:.4g} to {high:.4g}, so that the arm "
                 "cannot stand at zero; name another pose where one is asked for (--from, lock)",
                 hint=True,
-            )  # fmt: skip
+            )
 
 
 def gravity_warnings(robot: Robot, peak: Array) -> Iterator[ModelWarning]:
@@ -283,10 +292,11 @@ def gravity_warnings(robot: Robot, peak: Array) -> Iterator[ModelWarning]:
         if torque > limit:
             unit = "N·m" if turns else "N"
             yield ModelWarning(
-                "gravity", (joint,),
+                "gravity",
+                (joint,),
                 f"gravity takes up to {torque:.3g} {unit} of its {limit:.3g} {unit}, so that it "
                 "cannot hold the arm in every pose; check masses and effort limit",
-            )  # fmt: skip
+            )
 
 
 def gravity_peaks(robot: Robot) -> tuple[Array, Array]:

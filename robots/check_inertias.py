@@ -62,8 +62,13 @@ def inertia_warnings(robot: Robot, bodies: Sequence[Body]) -> Iterator[ModelWarn
     yield from alike
     named = {link for warning in alike for link in warning.where}
     checks: tuple[Callable[[Robot, Body], ModelWarning | None], ...] = (
-        _not_physical, _centre_outside, _light, _about_joint, _too_wide, _across,
-    )  # fmt: skip
+        _not_physical,
+        _centre_outside,
+        _light,
+        _about_joint,
+        _too_wide,
+        _across,
+    )
     for body in stated:
         if body.link in named:
             continue
@@ -84,9 +89,10 @@ def _without_inertia(robot: Robot, moving: Sequence[Body]) -> Iterator[ModelWarn
     for link, mass in masses.items():
         if mass == 0 and not any(b.given and b.carrier == link for b in moving):
             yield ModelWarning(
-                "no_inertia", (link,),
+                "no_inertia",
+                (link,),
                 "has no mass, and nothing fixed to it has; add its <inertial>",
-            )  # fmt: skip
+            )
 
 
 def _placeholders(robot: Robot, stated: Sequence[Body]) -> Iterator[ModelWarning]:
@@ -104,23 +110,26 @@ def _placeholders(robot: Robot, stated: Sequence[Body]) -> Iterator[ModelWarning
         ball = np.ptp(moments) <= 1e-9 * moments[-1]
         if _in_a_row(robot, links) > 2:
             yield ModelWarning(
-                "placeholder_inertia", links,
+                "placeholder_inertia",
+                links,
                 f"have one and the same inertia ({value}), perhaps a placeholder; {advice}",
-            )  # fmt: skip
+            )
         elif ball and _power_of_ten(body.mass) and _power_of_ten(float(moments[-1])):
             yield ModelWarning(
-                "placeholder_inertia", links,
+                "placeholder_inertia",
+                links,
                 f"{value} alike about all axes looks like a placeholder; {advice}",
-            )  # fmt: skip
+            )
     arm = float(robot.phi[::10].sum())
     masses = [float(robot.phi[10 * robot.links.index(body.link)]) for body in own]
     light = [(b.link, m) for b, m in zip(own, masses, strict=True) if 0 < m < _SHARE * arm]
     if light:
         yield ModelWarning(
-            "placeholder_inertia", tuple(link for link, _ in light),
+            "placeholder_inertia",
+            tuple(link for link, _ in light),
             f"no more than {1e3 * max(m for _, m in light):.3g} g, next to nothing of the arm's "
             f"{arm:.3g} kg; give the true mass, in kg",
-        )  # fmt: skip
+        )
 
 
 def _in_a_row(robot: Robot, links: Sequence[str]) -> int:
@@ -144,8 +153,10 @@ def _not_physical(robot: Robot, body: Body) -> ModelWarning | None:
         steiner = np.linalg.eigvalsh(body.second_moment + np.outer(body.com, body.com))
         spread = np.linalg.eigvalsh(body.second_moment)
         if steiner[0] > 0 and np.linalg.norm(body.com) > _EXTENT:
-            advice = "the parallel-axis term may be subtracted twice; give the tensor about the " \
-                     "centre of mass"  # fmt: skip
+            advice = (
+                "the parallel-axis term may be subtracted twice; give the tensor about the "
+                "centre of mass"
+            )
         elif spread[0] > -_ROUNDING * spread[-1]:
             advice = "rounding may do this to a flat or thin link; give more digits"
     return ModelWarning("inertia_not_physical", (body.link,), f"{why}; {advice}")
@@ -164,9 +175,10 @@ def _centre_outside(robot: Robot, body: Body) -> ModelWarning | None:
         return None
     c = " ".join(f"{x:.4g}" for x in body.com)
     return ModelWarning(
-        "centre_of_mass", (body.link,),
+        "centre_of_mass",
+        (body.link,),
         f"its centre of mass ({c}) m lies {where}; check signs, units (m, not mm) and the frame",
-    )  # fmt: skip
+    )
 
 
 def _length(metres: float) -> str:
@@ -182,10 +194,11 @@ def _light(robot: Robot, body: Body) -> ModelWarning | None:
     if not known or body.link != body.carrier or body.mass >= _LIGHT * body.size:
         return None
     return ModelWarning(
-        "placeholder_inertia", (body.link,),
+        "placeholder_inertia",
+        (body.link,),
         f"weighs {1e3 * body.mass:.3g} g over {_length(body.size)}, less than any arm's link; "
         "check the density of the CAD export and the unit (kg)",
-    )  # fmt: skip
+    )
 
 
 def _about_joint(robot: Robot, body: Body) -> ModelWarning | None:
@@ -200,10 +213,11 @@ def _about_joint(robot: Robot, body: Body) -> ModelWarning | None:
     if np.linalg.eigvalsh(reduced)[0] <= 0 or off < _EXCESS * size or near > _CLOSER * off:
         return None
     return ModelWarning(
-        "inertia_frame", (body.link,),
+        "inertia_frame",
+        (body.link,),
         "its tensor may be about the joint frame instead of the centre of mass: only without "
         "the parallel-axis term m(c²1 − ccᵀ) does it fit the link's extent; subtract that term",
-    )  # fmt: skip
+    )
 
 
 def _expected(body: Body) -> Array | None:
@@ -227,8 +241,10 @@ def _too_wide(robot: Robot, body: Body) -> ModelWarning | None:
     if radius < size and not body.shapes:
         return None
     word = "too large" if radius > size else "too small"
-    sentence = f"its inertia is {word} for {body.mass:.3g} kg: radius of gyration " \
-               f"{_length(radius)} in a link that measures {_length(size)}"  # fmt: skip
+    sentence = (
+        f"its inertia is {word} for {body.mass:.3g} kg: radius of gyration "
+        f"{_length(radius)} in a link that measures {_length(size)}"
+    )
     excess = (values[-1] - size**2 / 16) * body.mass * np.outer(vectors[:, -1], vectors[:, -1])
     if _moves_nothing(robot, body, excess):
         return ModelWarning(
@@ -262,8 +278,10 @@ def _across(robot: Robot, body: Body) -> ModelWarning | None:
     """An elongated inertia whose long axis lies across that of the solids."""
     if body.solid_second_moment is None:
         return None
-    along = [_long_axis(S, ratio) for S, ratio in zip(
-        (body.solid_second_moment, body.second_moment), _ELONGATED, strict=True)]  # fmt: skip
+    along = [
+        _long_axis(S, ratio)
+        for S, ratio in zip((body.solid_second_moment, body.second_moment), _ELONGATED, strict=True)
+    ]
     if along[0] is None or along[1] is None:
         return None
     angle = float(np.degrees(np.arccos(min(1.0, abs(float(along[0] @ along[1]))))))
@@ -271,11 +289,12 @@ def _across(robot: Robot, body: Body) -> ModelWarning | None:
         return None
     names = ["xyz"[int(np.argmax(np.abs(axis)))] for axis in along if axis is not None]
     return ModelWarning(
-        "inertia_axes", (body.link,),
+        "inertia_axes",
+        (body.link,),
         f"its inertia is that of a body along {names[1]}, its collision shapes lie along "
         f"{names[0]} ({angle:.0f}° apart); check the order of ixx, iyy, izz and the rpy of the "
         "<inertial> origin",
-    )  # fmt: skip
+    )
 
 
 def _long_axis(second_moment: Array, ratio: float) -> Array | None:

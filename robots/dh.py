@@ -365,9 +365,17 @@ def dh_from_robot(robot: Robot, convention: Convention = "standard") -> DHChain:
     frames, numbers = chain_through_axes(poses[:, :3, 3], axes, tip[:3, 3], convention)
     phi = moved_parameters(robot.phi.reshape(-1, 10), inverse(frames[1:]) @ poses).ravel()
     return DHChain(
-        robot.name, convention, robot.joints, robot.links, robot.revolute, *numbers, phi,
-        robot.gravity, base=frames[0], tool=inverse(frames[-1:])[0] @ tip,
-    )  # fmt: skip
+        robot.name,
+        convention,
+        robot.joints,
+        robot.links,
+        robot.revolute,
+        *numbers,
+        phi,
+        robot.gravity,
+        base=frames[0],
+        tool=inverse(frames[-1:])[0] @ tip,
+    )
 
 
 def robot_from_dh(chain: DHChain, limits: Limits | None = None, source: str | None = None) -> Robot:
@@ -437,9 +445,10 @@ def _collision(shape: Cylinder, frame: Array) -> ET.Element:
     element.append(origin_element(T[:3, :3], T[:3, 3]))
     numbers = {"radius": shape.radius} | ({"length": length} if length > 0 else {})
     ET.SubElement(
-        ET.SubElement(element, "geometry"), "cylinder" if length > 0 else "sphere",
+        ET.SubElement(element, "geometry"),
+        "cylinder" if length > 0 else "sphere",
         {key: repr(float(x)) for key, x in numbers.items()},
-    )  # fmt: skip
+    )
     return element
 
 
@@ -495,9 +504,12 @@ def _phi(row: DHRecord, link: str, source: str) -> Array:
         )
     mc = np.array(row.mc or (0.0, 0.0, 0.0)) if row.com is None else row.m * np.array(row.com)
     about = np.array(
-        [[tensor.xx, tensor.xy, tensor.xz], [tensor.xy, tensor.yy, tensor.yz],
-         [tensor.xz, tensor.yz, tensor.zz]]
-    )  # fmt: skip
+        [
+            [tensor.xx, tensor.xy, tensor.xz],
+            [tensor.xy, tensor.yy, tensor.yz],
+            [tensor.xz, tensor.yz, tensor.zz],
+        ]
+    )
     if row.I is None:
         c = mc / row.m
         about = about + row.m * (c @ c * np.eye(3) - np.outer(c, c))

@@ -80,9 +80,13 @@ def description_from_mjcf(path: str | Path) -> Description:
     ET.indent(writer.robot)
     x, y, z = model.opt.gravity.tolist()
     return Description(
-        ET.tostring(writer.robot, encoding="unicode") + "\n", (x, y, z),
-        writer.armature, writer.springs, *writer.constraints(), tuple(writer.notes),
-    )  # fmt: skip
+        ET.tostring(writer.robot, encoding="unicode") + "\n",
+        (x, y, z),
+        writer.armature,
+        writer.springs,
+        *writer.constraints(),
+        tuple(writer.notes),
+    )
 
 
 def _leave_out_drawing(spec: Any, path: str | Path) -> None:
@@ -182,10 +186,15 @@ class _Writer:
             else:
                 at, axis = pin.SE3(np.eye(3), model.jnt_pos[j].copy()), model.jnt_axis[j]
                 back = -float(model.qpos0[model.jnt_qposadr[j]]) * axis
-                turned = pin.SE3(pin.exp3(back) if kind == hinge else np.eye(3),
-                                 np.zeros(3) if kind == hinge else back)  # fmt: skip
-                word = "prismatic" if kind == slide else (
-                    "revolute" if model.jnt_limited[j] else "continuous")  # fmt: skip
+                turned = pin.SE3(
+                    pin.exp3(back) if kind == hinge else np.eye(3),
+                    np.zeros(3) if kind == hinge else back,
+                )
+                word = (
+                    "prismatic"
+                    if kind == slide
+                    else ("revolute" if model.jnt_limited[j] else "continuous")
+                )
                 start = (place * at * turned).homogeneous
                 element = joint_element(self.robot, self.joints[j], word, above, child, start)
                 ET.SubElement(element, "axis", xyz=numbers_text(axis))
@@ -214,8 +223,10 @@ class _Writer:
             self.armature[name] = armature
         if stiffness := float(model.jnt_stiffness[j]):
             self.springs[name] = (stiffness, float(model.qpos_spring[at]))
-        for key, terms in (("stiffness", model.jnt_stiffnesspoly[j]),
-                           ("damping", model.dof_dampingpoly[dof])):  # fmt: skip
+        for key, terms in (
+            ("stiffness", model.jnt_stiffnesspoly[j]),
+            ("damping", model.dof_dampingpoly[dof]),
+        ):
             if np.any(terms):
                 self.notes.append(f"joint {name}: {key} beyond its first number is left out")
         if name in self.followers:
@@ -228,15 +239,17 @@ class _Writer:
         model, mj = self.model, self.mujoco
         total, armature, damping = np.zeros(2), 0.0, 0.0
         drives = [
-            a for a in np.flatnonzero(model.actuator_trnid[:, 0] == j)
+            a
+            for a in np.flatnonzero(model.actuator_trnid[:, 0] == j)
             if model.actuator_trntype[a]
             in (int(mj.mjtTrn.mjTRN_JOINT), int(mj.mjtTrn.mjTRN_JOINTINPARENT))
-        ]  # fmt: skip
+        ]
         for a in drives:
             gear = float(model.actuator_gear[a, 0])
             force = _range(model.actuator_forcerange[a], model.actuator_forcelimited[a])
-            plain = (model.actuator_gaintype[a] == int(mj.mjtGain.mjGAIN_FIXED)
-                     and model.actuator_biastype[a] == int(mj.mjtBias.mjBIAS_NONE))  # fmt: skip
+            plain = model.actuator_gaintype[a] == int(
+                mj.mjtGain.mjGAIN_FIXED
+            ) and model.actuator_biastype[a] == int(mj.mjtBias.mjBIAS_NONE)
             gain = float(model.actuator_gainprm[a, 0])
             if plain and gain:
                 control = _range(model.actuator_ctrlrange[a], model.actuator_ctrllimited[a])

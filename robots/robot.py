@@ -140,8 +140,14 @@ class Robot:
     def _repr_html_(self) -> str:
         low, high = self.limits.position.T
         rows = zip(
-            self.joints, self.links, low.tolist(), high.tolist(), self.limits.velocity.tolist(),
-            self.limits.torque.tolist(), self.phi[::10].tolist(), strict=True,
-        )  # fmt: skip
+            self.joints,
+            self.links,
+            low.tolist(),
+            high.tolist(),
+            self.limits.velocity.tolist(),
+            self.limits.torque.tolist(),
+            self.phi[::10].tolist(),
+            strict=True,
+        )
         heads = ("joint", "link", "from", "to", "speed", "torque", "mass [kg]")
         return html_table(f"Robot {self.name}: {self.nv} joints, SI units", heads, rows)

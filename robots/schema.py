@@ -246,11 +246,18 @@ def _known(place: str) -> tuple[str, ...]:
 
 
 _RECORDS: dict[str, tuple[type[Record], ...]] = {
-    "limits": (LimitsRecord,), "dh": (DHRecord,), "base": (PlaceRecord,), "tool": (PlaceRecord,),
-    "I": (TensorRecord,), "Ic": (TensorRecord,), "collision": (CylinderRecord,),
+    "limits": (LimitsRecord,),
+    "dh": (DHRecord,),
+    "base": (PlaceRecord,),
+    "tool": (PlaceRecord,),
+    "I": (TensorRecord,),
+    "Ic": (TensorRecord,),
+    "collision": (CylinderRecord,),
     "obstacles": (ObstacleRecord,),
-    "box": (BoxRecord,), "sphere": (SphereRecord,), "workspace": (WorkspaceRecord,),
-}  # fmt: skip
+    "box": (BoxRecord,),
+    "sphere": (SphereRecord,),
+    "workspace": (WorkspaceRecord,),
+}
 
 
 def _fault(error: Exception) -> str:

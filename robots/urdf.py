@@ -313,8 +313,13 @@ def limits_in_urdf(robot: Robot) -> Robot:
         if name not in robot.joints:
             continue
         j = robot.joint_index(name)
-        numbers = dict(zip(_LIMIT_KEYS, (*limits.position[j], limits.torque[j],
-                                         limits.velocity[j]), strict=True))  # fmt: skip
+        numbers = dict(
+            zip(
+                _LIMIT_KEYS,
+                (*limits.position[j], limits.torque[j], limits.velocity[j]),
+                strict=True,
+            )
+        )
         if robot.revolute[j]:
             joint.set("type", "revolute")
             if np.isinf(limits.position[j]).all():

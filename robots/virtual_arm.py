@@ -84,9 +84,16 @@ class VirtualArm:
         nominal, rate = nominal_truth(self.nominal), self.sensors.rate_hz
         fine = self.truth.recorder.delay.any() or np.isfinite(self.sensors.torque_cutoff_hz)
         return simulate(
-            self.nominal, (nominal.model, nominal.drives), self.truth.drawn(rng, warm + duration),
-            trajectory, duration, rate, progress, warm=warm, fine=bool(fine),
-        )  # fmt: skip
+            self.nominal,
+            (nominal.model, nominal.drives),
+            self.truth.drawn(rng, warm + duration),
+            trajectory,
+            duration,
+            rate,
+            progress,
+            warm=warm,
+            fine=bool(fine),
+        )
 
     def record(
         self,

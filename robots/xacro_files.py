@@ -15,9 +15,17 @@ from xml.parsers.expat import ExpatError
 from excitant.exceptions import BadRobot, ExcitantError, UnknownName
 
 _REFUSALS = (
-    ExpatError, OSError, ValueError, TypeError, KeyError, AttributeError, SyntaxError, NameError,
-    ZeroDivisionError, RuntimeError,
-)  # fmt: skip
+    ExpatError,
+    OSError,
+    ValueError,
+    TypeError,
+    KeyError,
+    AttributeError,
+    SyntaxError,
+    NameError,
+    ZeroDivisionError,
+    RuntimeError,
+)
 """What the expressions of a file raise, beside xacro's own errors."""
 
 

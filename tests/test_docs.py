@@ -195,6 +195,7 @@ def test_effect_of_the_page_is_identified(page: dict[str, Any]) -> None:
 
 def test_effect_of_the_page_is_diagnosed(page: dict[str, Any]) -> None:
     diagnosis = diagnose(page["given"], page["runs"][:1], validate=page["runs"][1:])
+    assert diagnosis.findings[0].verdict == "named"
     lead = diagnosis.findings[0].effect
     assert (lead.name, lead.joints) == ("taut_hose", ("joint2",))
     assert lead.angle == pytest.approx(0.4, abs=0.1)

@@ -105,7 +105,7 @@ def test_a_report_is_a_whole_page_in_a_frame(shown: list[str], tmp_path: Path) -
     page = ex.report(ex.analyze(ex.load_robot("planar_2r")))
     assert page.save(tmp_path / "page.html").read_text("utf-8") == page.html
     assert not re.search(r"""(?:src|href)=["']https?:""", page.html)
-    with pytest.raises(ex.ExcitantError, match=r"a int has no report; known: Design, Estimate"):
+    with pytest.raises(ex.ExcitantError, match=r"a int has no report"):
         ex.report(3)  # type: ignore[arg-type]
 
 

@@ -247,7 +247,7 @@ def test_wheel_imports_with_nothing_else_installed(excitant_alone: Path, tmp_pat
     names = run(excitant_alone / "python", "-c", IMPORT_EVERYTHING, cwd=tmp_path).split()
     assert {f"excitant.{folder}" for folder in FOLDERS} <= set(names)
     printed = run(excitant_alone / "excitant", "robots", "ur10", cwd=tmp_path)
-    assert printed.startswith("ur10: 6 joints")
+    assert "6 joints" in printed
 
 
 @pytest.mark.slow

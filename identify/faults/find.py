@@ -174,7 +174,7 @@ def read_checked(
     faults, notes, recordings = _faults(dataset.robot, raws), [], []
     for name, raw in raws.items():
         for fault in faults[name]:
-            if "doubt" in fault.evidence:
+            if "unclear" in fault.evidence:
                 row, column = int(fault.evidence["rows"][0]), raw.columns.t[0]
                 raise BadRecording(raw.file, fault.detail, row=row, column=column)
         better, done = repair(raw, faults[name])

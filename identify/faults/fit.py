@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.interpolate
+import scipy
 
 from excitant.identify.differentiators import low_pass
 from excitant.identify.faults.log import Log, Rows
@@ -74,44 +74,6 @@ def _frequency(log: Log) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
-    """Filtered columns of everything that is free.
-
-    Attributes:
-        G: Columns of the links at rest, shape (N, nv, 10 nv).
-        D: What motion adds to them, same shape.
-        F: Columns of each joint's own effects, shape (N, nv, 4).
-        tau: Filtered torque, shape (N, nv).
-    """
-
-    G: Array
-    D: Array
-    F: Array
-    tau: Array
-
-
-def columns(robot: Robot, data: Smooth, factor: Array | float = 1.0) -> Columns:
-    """Columns of a motion, with positions of joints negated or scaled first.
-
-    Args:
-        robot: The arm.
-        data: Motion and torque.
-        factor: Factor of each joint's position, shape (nv,).
-    """
-    m = data.motion
-    q, dq, ddq = m.q * factor, m.dq * factor, m.ddq * factor
-    still = np.zeros_like(q)
-    G = regressor(robot, Motion(m.t, q, still, still))
-    D = regressor(robot, Motion(m.t, q, dq, ddq)) - G
-    F = np.stack([dq, np.sign(dq), ddq, np.ones_like(q)], axis=2)
-    edge = round(data.rate / data.cutoff)
-    kept = slice(edge, len(q) - edge)
-    cutoff = min(data.cutoff / 2, 0.45 * data.rate)
-    parts = (low_pass(x, cutoff, data.rate)[kept] for x in (G, D, F, data.tau))
-    return Columns(*parts)
-
-
-@dataclass(frozen=True, eq=False)
 class Fit:
     """Least squares of the torque on free parameters, those of the links shared by all joints.
 
@@ -125,29 +87,52 @@ class Fit:
 
 
 class Problem:
-    """Normal equations of `Columns`, assembled for any time factor and torque signs.
+    """Least squares of the filtered torque on everything that is free.
+
+    Normal equations, assembled for any time factor and torque signs.
+
+    Attributes:
+        joints: Joints whose torque is used.
+        G: Columns of the links at rest, shape (N, nv, 10 nv).
+        D: What motion adds to them, same shape.
+        F: Columns of each joint's own effects, shape (N, nv, 4).
+        tau: Filtered torque, shape (N, nv).
+        size: Mean square of each joint's torque, shape (nv,).
+        sigma: Error of each joint by parameters of its own, shape (nv,).
 
     Args:
-        c: The columns.
+        robot: The arm.
+        data: Motion and torque.
         joints: Joints whose torque is used.
+        factor: Factor of each joint's position, shape (nv,); velocities follow.
     """
 
-    def __init__(self, c: Columns, joints: list[int]) -> None:
-        self.c, self.joints, self.p = c, joints, c.G.shape[2]
-        self.rows, self.nv = c.tau.shape
-        self.size: Array = np.maximum((c.tau**2).mean(axis=0), 1e-300)
+    def __init__(
+        self, robot: Robot, data: Smooth, joints: list[int], factor: Array | float = 1.0
+    ) -> None:
+        q, dq, ddq = (x * factor for x in (data.motion.q, data.motion.dq, data.motion.ddq))
+        still = np.zeros_like(q)
+        G = regressor(robot, Motion(data.motion.t, q, still, still))
+        D = regressor(robot, Motion(data.motion.t, q, dq, ddq)) - G
+        F = np.stack([dq, np.sign(dq), ddq, np.ones_like(q)], axis=2)
+        edge, cutoff = round(data.rate / data.cutoff), min(data.cutoff / 2, 0.45 * data.rate)
+        filtered = (low_pass(x, cutoff, data.rate) for x in (G, D, F, data.tau))
+        self.G, self.D, self.F, self.tau = (x[edge : len(q) - edge] for x in filtered)
+        self.joints, self.p, self.nv = joints, self.G.shape[2], robot.nv
+        self.size: Array = np.maximum((self.tau**2).mean(axis=0), 1e-300)
         self._A, self._b = {}, {}
         alone = self.size.copy()
         for j in joints:
-            W, V = np.hstack([c.G[:, j], c.F[:, j]]), np.hstack([c.D[:, j], 0 * c.F[:, j]])
+            own, y = self.F[:, j], self.tau[:, j]
+            W, V = np.hstack([self.G[:, j], own]), np.hstack([self.D[:, j], 0 * own])
             self._A[j] = W.T @ W, W.T @ V + V.T @ W, V.T @ V
-            self._b[j] = W.T @ c.tau[:, j], V.T @ c.tau[:, j]
+            self._b[j] = W.T @ y, V.T @ y
             A, b = np.sum(self._A[j], axis=0), np.sum(self._b[j], axis=0)
             alone[j] = self._left(j, A, b, _solve(A, b))
-        self.sigma: Array = np.sqrt(alone)  # error of each joint by parameters of its own
+        self.sigma: Array = np.sqrt(alone)
 
     def _left(self, j: int, A: Array, b: Array, x: Array) -> float:
-        left = self.size[j] - (2 * b - A @ x) @ x / self.rows
+        left = self.size[j] - (2 * b - A @ x) @ x / len(self.tau)
         return float(max(left, 1e-10 * self.size[j]))
 
     def _members(self, j: int) -> Rows:
@@ -176,11 +161,11 @@ class Problem:
 
     def independent(self, fit: Fit) -> Array:
         """Independent rows of each joint's error, shape (nv,)."""
-        c, rows = self.c, np.ones(self.nv)
+        rows = np.ones(self.nv)
         for j in range(self.nv):
-            error = c.tau[:, j]
+            error = self.tau[:, j]
             if j in self.joints:
-                W = np.hstack([c.G[:, j] + c.D[:, j], c.F[:, j]])
+                W = np.hstack([self.G[:, j] + self.D[:, j], self.F[:, j]])
                 error = error - W @ fit.x[self._members(j)]
             if error.any():
                 rows[j] = len(error) / autocorrelation_time(error)

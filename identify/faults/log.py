@@ -8,8 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
-import scipy.ndimage
-import scipy.special
+import scipy
 
 from excitant.robots.motion import Array, freeze
 
@@ -20,6 +19,7 @@ ALARM = FALSE_ALARMS / 20
 """Share that one family of tests may raise; there are fewer than twenty of them."""
 Rows = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
+_AROUND = 101  # samples that say what is usual around one
 _SPAN = 4  # samples to either side of the one whose speed is asked
 
 
@@ -158,15 +158,15 @@ def tail_bound(values: Array, alarm: float = ALARM) -> float:
     return float((high + decay * max(np.log(0.1 * len(values) / alarm), 0.0)) ** 2)
 
 
-def normal_bound(tests: int, alarm: float = ALARM) -> float:
+def normal_bound(tests: int) -> float:
     """Level that the largest of many standard normal variables exceeds by chance."""
-    return float(-scipy.special.ndtri(alarm / (2 * max(tests, 1))))
+    return float(-scipy.special.ndtri(ALARM / (2 * max(tests, 1))))
 
 
-def local_scale(values: Array, half: int = 50) -> Array:
+def local_scale(values: Array) -> Array:
     """Running median of magnitudes, no less than a fifth of the upper quartile of all."""
     size = np.abs(values)
-    running = scipy.ndimage.median_filter(size, size=min(2 * half + 1, len(size)), mode="nearest")
+    running = scipy.ndimage.median_filter(size, size=min(_AROUND, len(size)), mode="nearest")
     return np.asarray(np.maximum(running, 0.2 * np.quantile(size, 0.75)), float)
 
 

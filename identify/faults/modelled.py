@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-import scipy.ndimage
-import scipy.special
+import scipy
 
 from excitant.exceptions import ExcitantError
 from excitant.identify.excitation import persistency
@@ -44,7 +43,7 @@ def not_measured(case: Torques) -> list[Fault]:
     """Joints whose torque has no error of its own, and those whose noise is that of the motion."""
     log, found = case.log, []
     own = {j: _own_noise(log.tau[:, j]) for j in case.joints}
-    missed = np.sqrt(case.fit.power) / np.maximum(case.problem.c.tau.std(axis=0), 1e-100)
+    missed = np.sqrt(case.fit.power) / np.maximum(case.problem.tau.std(axis=0), 1e-100)
     ideal = [j for j in case.joints
              if own[j] < _SMOOTH * np.ptp(log.tau[:, j]) and missed[j] < _IDEAL]  # fmt: skip
     if len(ideal) > _HALF * len(case.joints):
@@ -115,7 +114,7 @@ def wrong_frame(case: Torques) -> list[Fault]:
     """
     if (case.robot.phi[::10] <= 0).any():
         return []  # links without mass say nothing
-    joints, size = case.joints, case.problem.c.tau.var(axis=0)[case.joints]
+    joints, size = case.joints, case.problem.tau.var(axis=0)[case.joints]
     readings = (case.robot.phi, in_joint_frames(case.robot))
     as_read, moved = (_left(case, phi) for phi in readings)
     before, after = (np.sqrt(left / np.maximum(size, 1e-300)) for left in (as_read, moved))
@@ -159,7 +158,7 @@ def _placed(robot: Robot) -> list[tuple[Any, Any]]:
 
 def _left(case: Torques, phi: Array) -> Array:
     """Mean square of what a model and each joint's own effects leave, of the joints that count."""
-    c, left = case.problem.c, []
+    c, left = case.problem, []
     torque = (c.G + c.D) @ phi
     for j in case.joints:
         X = np.column_stack([torque[:, j], c.F[:, j]])

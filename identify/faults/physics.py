@@ -12,11 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
-import scipy.special
+import scipy
 
 from excitant.identify.faults.fault import Fault, Remedy
-from excitant.identify.faults.fit import Columns, Fit, Problem, Smooth, columns
+from excitant.identify.faults.fit import Fit, Problem, Smooth
 from excitant.identify.faults.log import ALARM, Log, normal_bound
 from excitant.identify.faults.velocity import RATES, slower
 from excitant.identify.least_squares import autocorrelation_time
@@ -62,7 +61,7 @@ class Torques:
         return float((self.rows[self.joints] * ratio).sum())
 
     def better(self, other: Fit, tests: int, freedom: int | None = None) -> bool:
-        """Whether another reading explains the torque beyond chance and doubt.
+        """Whether another reading explains the torque beyond chance.
 
         Args:
             other: The fit of the other reading.
@@ -78,11 +77,10 @@ class Torques:
 
 def torques(robot: Robot, log: Log, data: Smooth, dead: set[str]) -> Torques | None:
     """Prepare a log; None when no joint's torque can be used."""
-    c = columns(robot, data)
-    alive = [j for j in range(robot.nv) if log.joints[j] not in dead and np.ptp(c.tau[:, j]) > 0]
-    if not alive or len(c.tau) < 60:
+    alive = [j for j in range(robot.nv) if log.joints[j] not in dead and np.ptp(data.tau[:, j]) > 0]
+    problem = Problem(robot, data, alive)
+    if not alive or len(problem.tau) < 60:
         return None
-    problem = Problem(c, alive)
     fit = problem.fit()
     return Torques(robot, log, data, problem, fit, problem.independent(fit))
 
@@ -119,7 +117,7 @@ def _degrees(case: Torques) -> Fault | None:
     each = np.where(beyond, np.pi / 180, 1.0)
     every = np.where(turning, np.pi / 180, 1.0)
     options = [every] if beyond.all() else [every, each]
-    tried = [(Problem(columns(robot, case.data, o), case.joints).fit(), o) for o in options]
+    tried = [(Problem(robot, case.data, case.joints, o).fit(), o) for o in options]
     fit, factor = max(tried, key=lambda pair: case.gain(pair[0]))
     if not case.better(fit, len(tried)):
         return None
@@ -146,7 +144,7 @@ def _position_signs(case: Torques) -> list[tuple[float, Fault]]:
     for j in range(case.robot.nv):
         flip = np.ones(case.robot.nv)
         flip[j] = -1
-        problem = Problem(columns(case.robot, case.data, flip), case.joints)
+        problem = Problem(case.robot, case.data, case.joints, flip)
         for both, fit in ((False, problem.fit()), (True, problem.fit(sign=flip))):
             if not case.better(fit, tests):
                 continue
@@ -208,7 +206,7 @@ def _torque_signs(case: Torques) -> list[Fault]:
     τ_j = g τ_model + F_v q̇ + F_c sign q̇ + I_a q̈ + offset. Gain g and the power that friction takes
     must not be negative. One that is, beyond chance, flips the sign unless the other objects.
     """
-    c, log = case.problem.c, case.log
+    c, log = case.problem, case.log
     model = (c.G + c.D) @ case.robot.phi
     bound = normal_bound(2 * len(case.joints))
     found = []
@@ -236,7 +234,7 @@ def _torque_signs(case: Torques) -> list[Fault]:
     return found
 
 
-def _signs(c: Columns, model: Array, j: int) -> tuple[float, float, float]:
+def _signs(c: Problem, model: Array, j: int) -> tuple[float, float, float]:
     """Gain and friction power in standard errors (0 when within the error), variance explained."""
     dq, dry, ddq, one = c.F[:, j].T
     W, y = np.column_stack([model, dq, dry, ddq, one]), c.tau[:, j]

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
-import scipy.ndimage
+import scipy
 
 from excitant.identify.faults.fault import Fault, Remedy, dropped
 from excitant.identify.faults.log import Log, Mask, Rows, run_lengths, tail_bound
@@ -46,7 +46,7 @@ def stamp_faults(log: Log) -> tuple[list[Fault], Rows | None]:
     """
     order = _order_of(log)
     found = [_not_finite(log), _repeated(log, order), *_backward(log, order)]
-    return [fault for fault in found if fault is not None], None if order.doubt else order.starts
+    return [fault for fault in found if fault is not None], None if order.unclear else order.starts
 
 
 def counted(log: Log) -> bool:
@@ -168,7 +168,7 @@ class _Order:
         lost: Rows whose stamps fit nowhere.
         starts: Rows at which the clock starts anew.
         shifts: What is added to time from each of these rows on [s].
-        doubt: Why nothing can be done; empty where the above makes time rise.
+        unclear: Why nothing can be done; empty where the above makes time rise.
     """
 
     again: Rows = field(default_factory=_no_rows)
@@ -176,7 +176,7 @@ class _Order:
     lost: Rows = field(default_factory=_no_rows)
     starts: Rows = field(default_factory=_no_rows)
     shifts: tuple[float, ...] = ()
-    doubt: str = ""
+    unclear: str = ""
 
 
 def _order_of(log: Log) -> _Order:
@@ -265,7 +265,7 @@ def _cut(t: Array, q: Array, rows: Rows, again: Rows, step: float) -> _Order:
     middle = scipy.ndimage.median_filter(t[clear], 2 * _SHORT + 1, mode="nearest")
     falls = np.flatnonzero(np.diff(middle) < 0) + 1
     if not len(falls):
-        return _Order(again, doubt="its rows fit nowhere else")
+        return _Order(again, unclear="its rows fit nowhere else")
     reach = np.arange(-2 * _SHORT, 2 * _SHORT + 1)
     near = np.clip(falls[:, None] + reach, 1, len(clear) - 1)
     drops = np.diff(t[clear])[near - 1]
@@ -275,19 +275,19 @@ def _cut(t: Array, q: Array, rows: Rows, again: Rows, step: float) -> _Order:
     for own in parts if len(starts) * _OFTEN < len(rows) else []:
         settled = _settled(t[own], q[own], step)
         if settled is None:
-            return _Order(again, doubt=f"from row {own[0]} on its rows fit nowhere else")
+            return _Order(again, unclear=f"from row {own[0]} on its rows fit nowhere else")
         late.append(own[settled[0]])
         lost.append(own[settled[1]])
         stamps = np.sort(t[np.delete(own, settled[1])])
         rate = float(np.median(np.diff(stamps))) if len(stamps) > _SHORT else step
         if abs(rate / step - 1) > _RATE:
-            return _Order(again, doubt=f"from row {own[0]} on it takes other steps, {rate:.4g} s")
+            return _Order(again, unclear=f"from row {own[0]} on it takes other steps, {rate:.4g} s")
         brief += len(own) if stamps[-1] - stamps[0] < MINIMUM_DURATION else 0
         shifts.append(max(shifts[-1], end + _PAUSE * longest_step(step) - float(stamps[0])))
         end = float(stamps[-1]) + shifts[-1]
     if not late or brief > _BRIEF * len(rows):
-        doubt = f"it does so {len(starts)} times, mostly within {MINIMUM_DURATION:g} s"
-        return _Order(again, doubt=doubt)
+        why = f"it does so {len(starts)} times, mostly within {MINIMUM_DURATION:g} s"
+        return _Order(again, unclear=why)
     added = tuple(np.diff(shifts)[1:].tolist())
     return _Order(again, np.concatenate(late), np.concatenate(lost), starts, added)
 
@@ -339,13 +339,14 @@ def _backward(log: Log, order: _Order) -> list[Fault]:
     first = int(rows[back[0]])
     where = f"from {before[first]:.6g} to {t[first]:.6g} s in row {first}"
     found = []
-    if order.doubt:
+    if order.unclear:
         detail = (
-            f"time goes back in {len(back)} of {n} rows, first {where}; {order.doubt}, so that "
+            f"time goes back in {len(back)} of {n} rows, first {where}; {order.unclear}, so that "
             f"sorting or cutting would be a guess: cut the file by hand in row {first}, or correct "
             f"its time"
         )
-        evidence = {"rows": rows[back], "count": len(back), "channel": "t", "doubt": order.doubt}
+        evidence = {"rows": rows[back], "count": len(back), "channel": "t"}
+        evidence["unclear"] = order.unclear
         return [Fault("corrupt_rows", joints, detail, evidence)]
     if len(starts):
         start = int(starts[0])

@@ -11,7 +11,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import yaml
 
 from excitant.exceptions import BadInput, BadRecording
@@ -129,14 +128,13 @@ def resolve(
     if q is None:
         raise search.missing("q")
     unit = "A" if role == "i" else "N·m"
-    if role == "i" and (drive := search.mapping.drive) is not None:
-        gains = drive.gains()
+    if role == "i" and (gains := search.mapping.drive) is not None:
         if len(gains) != joints.count:
             raise BadInput(
                 f"{search.mapping.source}: drive has {len(gains)} gains, the robot has "
                 f"{joints.count} joints"
             )
-        factors = tuple((np.array(tau.factors) * gains).tolist())
+        factors = tuple(one * gain for one, gain in zip(tau.factors, gains, strict=True))
         unit, tau = "N·m", Channel(tau.columns, factors, f"{tau.shown or 'i'}, × drive gain = N·m")
     shown = [s for s in (t_shown, q.shown, dq.shown if dq else "", tau.shown) if s]
     notes = [f"columns: {'; '.join(shown)}"] if shown else []

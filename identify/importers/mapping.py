@@ -12,7 +12,6 @@ import numpy as np
 
 from excitant.exceptions import BadInput
 from excitant.identify.importers.units import Unit, spelled, units_of
-from excitant.robots.motion import Array
 from excitant.robots.schema import Finite, Name, convert, read_yaml
 
 ROLES = ("t", "q", "dq", "tau", "i")
@@ -53,24 +52,6 @@ class ColumnsRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @dataclass(frozen=True)
-class Drive:
-    """What one ampere makes at the joint.
-
-    Attributes:
-        gain: Torque constant per joint [N·m/A]; at the motor where there is a ratio.
-        gear_ratio: Turns of the motor per turn of the joint, ones where the gain is the joint's.
-    """
-
-    gain: tuple[float, ...]
-    gear_ratio: tuple[float, ...]
-
-    def gains(self) -> Array:
-        """Torque at the joint per ampere, shape (nv,) [N·m/A]."""
-        gains: Array = np.array(self.gain) * np.array(self.gear_ratio)
-        return gains
-
-
-@dataclass(frozen=True)
 class ColumnMap:
     """Where the quantities of a recording are; what it leaves out is guessed from names.
 
@@ -80,7 +61,7 @@ class ColumnMap:
             (from 1) or ``{joint}`` (its name), or what the columns' names have in common.
         units: Per quantity one unit or one per joint; a number is how many SI units one is.
         sign: +1 or −1 per quantity (``q, dq, tau``) and joint whose axis is logged reversed.
-        drive: Torque per ampere, where currents are to become torques.
+        drive: Torque at each joint per ampere [N·m/A], where currents are to become torques.
         topic: Topic of a bag.
         source: File it was read from.
     """
@@ -88,7 +69,7 @@ class ColumnMap:
     columns: Mapping[str, str | tuple[str, ...]] = field(default_factory=dict)
     units: Mapping[str, Unit | tuple[Unit, ...]] = field(default_factory=dict)
     sign: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    drive: Drive | None = None
+    drive: tuple[float, ...] | None = None
     topic: str | None = None
     source: str = "columns.yaml"
 
@@ -130,8 +111,10 @@ def column_map(content: object, source: str) -> ColumnMap:
     )
 
 
-def drive_of(content: object, source: str) -> Drive | None:
-    """Drive constants from ``{gain_Nm_per_A: [..], gear_ratio: [..]}``; None without gains.
+def drive_of(content: object, source: str) -> tuple[float, ...] | None:
+    """Torque at each joint per ampere [N·m/A] from ``{gain_Nm_per_A: [..], gear_ratio: [..]}``.
+
+    The gains are those of the motors where there are ratios. None without gains.
 
     Raises:
         BadInput: Unknown entries, or anything but finite numbers other than zero.
@@ -145,7 +128,7 @@ def drive_of(content: object, source: str) -> Drive | None:
         raise BadInput(f"{source}: drive: {len(gains)} gains and {len(ratios)} gear ratios")
     if not (gains * ratios).all():
         raise BadInput(f"{source}: drive: no gain and no gear ratio may be 0")
-    return Drive(tuple(gains.tolist()), tuple(ratios.tolist()))
+    return tuple((gains * ratios).tolist())
 
 
 def _unit(role: str, value: str | float, source: str) -> Unit:

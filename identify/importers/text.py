@@ -64,38 +64,29 @@ def text_table(path: Path) -> Table:
         kept = [k for k, name in enumerate(dialect.names) if columns is None or name in columns]
         with path.open(encoding=dialect.encoding, errors="replace") as stream:
             lines = _Lines(stream, dialect, str(path))
+            source: Any = lines
             try:
-                for part in _parsed(lines, dialect, rows or sys.maxsize, kept):
-                    yield part.set_axis([dialect.names[k] for k in kept], axis=1)
+                with pd.read_csv(
+                    source,
+                    sep=r"\s+" if dialect.separator == " " else dialect.separator,
+                    decimal=dialect.decimal,
+                    header=None,
+                    names=list(range(len(dialect.names))),
+                    usecols=kept,
+                    index_col=False,
+                    quoting=csv.QUOTE_MINIMAL if dialect.quoted else csv.QUOTE_NONE,
+                    skipinitialspace=True,
+                    engine="c",
+                    low_memory=False,
+                    chunksize=rows or sys.maxsize,
+                ) as parts:
+                    for part in parts:
+                        frame = _with_points(part.reset_index(drop=True), dialect.decimal)
+                        yield frame.set_axis([dialect.names[k] for k in kept], axis=1)
             except (ValueError, OSError, OverflowError) as error:
                 raise lines.refusal or unreadable(path, error) from None
 
     return Table(str(path), dialect.names, frames, dialect.labels, (_CUT,) if dialect.cut else ())
-
-
-def _parsed(
-    lines: _Lines, dialect: Dialect, rows: int, kept: Sequence[int]
-) -> Iterator[pd.DataFrame]:
-    if not lines.peek():
-        yield pd.DataFrame({k: pd.Series(dtype=float) for k in kept})
-        return
-    source: Any = lines
-    with pd.read_csv(
-        source,
-        sep=r"\s+" if dialect.separator == " " else dialect.separator,
-        decimal=dialect.decimal,
-        header=None,
-        names=list(range(len(dialect.names))),
-        usecols=list(kept),
-        index_col=False,
-        quoting=csv.QUOTE_MINIMAL if dialect.quoted else csv.QUOTE_NONE,
-        skipinitialspace=True,
-        engine="c",
-        low_memory=False,
-        chunksize=rows,
-    ) as parts:
-        for part in parts:
-            yield _with_points(part.reset_index(drop=True), dialect.decimal)
 
 
 def _with_points(frame: pd.DataFrame, decimal: str) -> pd.DataFrame:
@@ -125,18 +116,9 @@ class _Lines:
         self._row = 0
         for _ in range(dialect.skipped):
             stream.readline()
-        self._waiting = ""
-
-    def peek(self) -> str:
-        """The first rows, kept for the parser."""
-        self._waiting = self.read(1 << 12)
-        return self._waiting
 
     def read(self, size: int = -1) -> str:
         """About so many characters of whole rows; nothing at the end."""
-        if self._waiting:
-            text, self._waiting = self._waiting, ""
-            return text
         while lines := self._stream.readlines(max(size, 1 << 16)):
             if kept := [line for line in lines if self._is_row(line)]:
                 return "".join(kept)

@@ -128,14 +128,16 @@ class Shape:
         unit: Its unit.
         positive: Whether it must be; then a fit may refine it.
         trial: Whether it is the coefficient that the columns, not linear in it, are computed for.
-        most: Largest that counts given what a recording shows of the joint: beyond it the effect
-            becomes another. None where no others than those found come into question.
+        grid: Values to consider, by what recordings show of the joint.
+        most: Largest that counts, likewise: beyond it the effect becomes another. Without it,
+            values that may be instead of one found are those of the grid.
     """
 
     name: str
     unit: str
     positive: bool = True
     trial: bool = False
+    grid: Callable[[JointFacts], Iterable[float]] | None = None
     most: Callable[[JointFacts], float] | None = None
 
 
@@ -178,7 +180,6 @@ class Effect(ABC):
     standard: ClassVar[bool] = False  # `identify` estimates it by default
     usual: ClassVar[bool] = False  # most joints have it
     further: ClassVar[bool] = True  # a model may get it; not what bodies and gravity hold
-    shared: ClassVar[bool] = False  # all drives of an arm may have it in one shape
     needs_motion: ClassVar[bool] = False  # joints that rest do not show it
     contains: ClassVar[tuple[str, ...]] = ()  # what it is when some coefficients are zero
     imitates: ClassVar[tuple[str, ...]] = ()  # what of that it can be at work for
@@ -276,8 +277,12 @@ class Effect(ABC):
 
     @classmethod
     def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
-        """Shapes of the effect to consider at a joint; the usual one."""
-        return (cls((joint,)),)
+        """Shapes of the effect to consider at a joint: those of its grid, or the usual one."""
+        usual = cls((joint,))
+        for shape in cls.shapes:
+            if shape.grid is not None:
+                return [usual.reshaped(shape.name, float(value)) for value in shape.grid(facts)]
+        return [usual]
 
     @classmethod
     def searched(cls, facts: JointFacts) -> int:
@@ -315,11 +320,14 @@ class Effect(ABC):
         """The effect without values in its own shape and those that it may have as well."""
         own = self.bare()
         for shape in self.shapes:
+            value = getattr(own, shape.name)
             if shape.most is not None:
-                value = getattr(own, shape.name)
                 most = max(abs(value), shape.most(facts))
                 near = (times * value for times in _TIMES)
                 return [own.reshaped(shape.name, v) for v in near if abs(v) <= most]
+            if shape.grid is not None:
+                others = (v for v in shape.grid(facts) if v != value)
+                return [own, *(own.reshaped(shape.name, v) for v in others)]
         return [own]
 
     def reshaped(self, name: str, value: float) -> Self:

@@ -93,8 +93,14 @@ class StribeckFriction(JointEffect):
     name = "stribeck_friction"
     family = "friction"
     terms = (Parameter("Fs", "N·m", 0.0),)
-    shapes = (Shape("velocity", "rad/s", most=lambda facts: _SLOW * facts.speed),)
-    shared = True
+    shapes = (
+        Shape(
+            "velocity",
+            "rad/s",
+            grid=lambda facts: facts.speed * np.geomspace(0.01, _SLOW, 8),
+            most=lambda facts: _SLOW * facts.speed,
+        ),
+    )
     abscissa = "velocity"
     told = (
         (by.LADDER, "nonlinear_viscous_friction"),
@@ -105,12 +111,6 @@ class StribeckFriction(JointEffect):
     )
 
     velocity: float = 0.1
-
-    @classmethod
-    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
-        """Stribeck speeds of 1 to 40 % of the highest speed."""
-        speeds = facts.speed * np.geomspace(0.01, _SLOW, 8)
-        return [cls((joint,), velocity=float(speed)) for speed in speeds]
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Bell around zero velocity with the velocity's sign."""
@@ -179,23 +179,11 @@ class NonlinearViscousFriction(JointEffect):
     name = "nonlinear_viscous_friction"
     family = "friction"
     contains = ("viscous_friction",)  # exponent one
-    exponents = (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)  # to try
     terms = (Parameter("Fn", "N·m·(s/rad)^a"),)
-    shapes = (Shape("exponent", "1"),)
-    shared = True
+    shapes = (Shape("exponent", "1", grid=lambda facts: (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)),)
     abscissa = "velocity"
 
     exponent: float = 2.0
-
-    @classmethod
-    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
-        """Roots and powers."""
-        return [cls((joint,), exponent=a) for a in cls.exponents]
-
-    def alternatives(self, facts: JointFacts) -> list[Self]:
-        """Its own exponent, then all others to try."""
-        others = (a for a in self.exponents if a != self.exponent)
-        return [self.bare(), *(self.bare().reshaped("exponent", a) for a in others)]
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         """Power of the speed with the velocity's sign."""
@@ -209,7 +197,6 @@ class LoadDependentFriction(JointwiseEffect):
     name = "load_dependent_friction"
     family = "friction"
     terms = (Parameter("Fl", "1", 0.0),)
-    shared = True
     abscissa = "load"
     told = (
         (

@@ -32,18 +32,18 @@ class PreslidingHysteresis(JointwiseEffect):
     family = "friction"
     depends_on_model = False
     terms = (Parameter("Fh", "N·m", 0.0),)
-    shapes = (Shape("distance", "rad", most=lambda facts: _SHORT * facts.reach),)
-    shared = True
+    shapes = (
+        Shape(
+            "distance",
+            "rad",
+            grid=lambda facts: facts.reach * np.geomspace(3e-4, _SHORT, 8),
+            most=lambda facts: _SHORT * facts.reach,
+        ),
+    )
     abscissa = "reversal"
     told = ((by.REVERSALS, "backlash"),)
 
     distance: float = 0.01
-
-    @classmethod
-    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
-        """Distances of 0.03 to 10 % of the range."""
-        distances = facts.reach * np.geomspace(3e-4, _SHORT, 8)
-        return [cls((joint,), distance=float(distance)) for distance in distances]
 
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         """State of the bristles less the velocity's sign."""

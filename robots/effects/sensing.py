@@ -5,7 +5,7 @@ All are linear in their coefficients to first order, at the given model's torque
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -104,7 +104,16 @@ class TimeDelay(_ReadingEffect):
 
     name = "time_delay"
     terms = (Parameter("delay", "s", typical=0.05),)
-    shapes = (Shape("trial", "s", positive=False, trial=True, most=lambda facts: _LONGEST),)
+    shapes = (
+        Shape(
+            "trial",
+            "s",
+            positive=False,
+            trial=True,
+            grid=lambda facts: _DELAYS,
+            most=lambda facts: _LONGEST,
+        ),
+    )
     abscissa = "torque rate"
     told = (
         (by.SPEEDS, "inertial_parameters encoder_scale"),
@@ -112,11 +121,6 @@ class TimeDelay(_ReadingEffect):
     )
 
     trial: float = 1e-3
-
-    @classmethod
-    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
-        """Delays of either."""
-        return [cls((joint,), trial=delay) for delay in _DELAYS]
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -20,11 +20,10 @@ from excitant.robots.effects.reference import rigid_torque, torque_along, torque
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
-_GAPS = np.geomspace(3e-4, 0.1, 12)  # rad
+_GAPS = np.geomspace(3e-4, 0.1, 12).tolist()  # rad
 _ORDERS = 3  # of ripple at each joint, the best of all
 _MOST_ORDERS = 600
 _SLOWEST = 1e-3  # rad/s
-_BESIDE = (-1.0, 1.0)  # steps
 
 
 @dataclass(frozen=True)
@@ -75,8 +74,9 @@ class TorqueRipple(JointEffect):
         return len(_orders(facts))
 
     def refined(self, beside: Iterable[Effect], facts: JointFacts) -> list[Self]:
-        """The orders looked at beside its own."""
-        return [self.reshaped("order", self.order + s * _step(facts)) for s in _BESIDE]
+        """Orders at thirds of the way to the next ones that would be looked at."""
+        next_ones = (self.order - _step(facts), self.order + _step(facts))
+        return super().refined([self.reshaped("order", order) for order in next_ones], facts)
 
     @property
     def own_terms(self) -> tuple[Parameter, ...]:
@@ -203,15 +203,12 @@ class Backlash(_Lag):
 
     name = "backlash"
     terms = (Parameter("gap", "rad", 0.0),)
-    shapes = (Shape("trial", "rad", trial=True, most=lambda facts: float(_GAPS[-1])),)
+    shapes = (
+        Shape("trial", "rad", trial=True, grid=lambda facts: _GAPS, most=lambda facts: _GAPS[-1]),
+    )
     told = ((by.SPEEDS, "time_delay"),)
 
     trial: float = 3e-3
-
-    @classmethod
-    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
-        """Gaps up to a tenth of a radian."""
-        return [cls((joint,), trial=float(gap)) for gap in _GAPS]
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Change of the torque by the lag, per gap."""

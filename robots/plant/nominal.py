@@ -95,9 +95,7 @@ _TRANSLATION: dict[str, Callable[[Numbers], dict[str, float]]] = {
     "nonlinear_viscous_friction": _same("Fn", "exponent"),
     "load_dependent_friction": _same("Fl"),
     "presliding_hysteresis": _same("Fh", "distance"),
-    "thermal_friction_drift": lambda x: {
-        "Fv": x["Fv_cold"], "Fc": x["Fc_cold"], "time": x["time"]
-    },
+    "thermal_friction_drift": lambda x: {"Fv": x["Fv_cold"], "Fc": x["Fc_cold"], "time": x["time"]},
     "rotor_inertia": _same("Ia"),
     "torque_offset": _same("offset"),
     "torque_ripple": _ripple,
@@ -108,7 +106,7 @@ _TRANSLATION: dict[str, Callable[[Numbers], dict[str, float]]] = {
     "time_delay": _same("delay"),
     "payload": lambda x: {name: x[f"payload_{name}"] for name in STANDARD},
     "inertial_parameters": lambda x: {name: x[f"delta_{name}"] for name in STANDARD},
-}  # fmt: skip
+}
 _TOGETHER = ("friction_coupling", "inertia_coupling", "torque_gain", "time_delay")
 _SHAPES = ("velocity", "exponent", "distance", "time", "order", "ratio")
 

@@ -127,9 +127,16 @@ def _tilted(truth: Truth, joints: list[int], *, roll: float = 0.0, pitch: float 
 
 
 def _misplaced(
-    truth: Truth, joints: list[int], *, dx: float = 0.0, dy: float = 0.0, dz: float = 0.0,
-    rx: float = 0.0, ry: float = 0.0, rz: float = 0.0,
-) -> Truth:  # fmt: skip
+    truth: Truth,
+    joints: list[int],
+    *,
+    dx: float = 0.0,
+    dy: float = 0.0,
+    dz: float = 0.0,
+    rx: float = 0.0,
+    ry: float = 0.0,
+    rz: float = 0.0,
+) -> Truth:
     """The joint's frame moved and turned in its parent's."""
     model = truth.model.copy()
     turn = pin.rpy.rpyToMatrix(rx, ry, rz)
@@ -175,9 +182,14 @@ def _dry(truth: Truth, joints: list[int], level: Any, loaded: bool = False) -> T
 
 
 def _asymmetric(
-    truth: Truth, joints: list[int], *, Fc_plus: float = 0.0, Fc_minus: float = 0.0,
-    Fv_plus: float = 0.0, Fv_minus: float = 0.0,
-) -> Truth:  # fmt: skip
+    truth: Truth,
+    joints: list[int],
+    *,
+    Fc_plus: float = 0.0,
+    Fc_minus: float = 0.0,
+    Fv_plus: float = 0.0,
+    Fv_minus: float = 0.0,
+) -> Truth:
     """F_c± + F_v± |q̇|, with other numbers for each direction; they may be negative."""
 
     def level(speed: float, t: float, load: float) -> float:
@@ -239,9 +251,13 @@ def _ripple(
 
 
 def _spring(
-    truth: Truth, joints: list[int], *, stiffness: float = 0.0, moment: float = 0.0,
+    truth: Truth,
+    joints: list[int],
+    *,
+    stiffness: float = 0.0,
+    moment: float = 0.0,
     rest: float = 0.0,
-) -> Truth:  # fmt: skip
+) -> Truth:
     """A coil between two links, k (q − q_0), or a balancer on a crank, m sin(q − q_0)."""
 
     def coil(q: float, t: float) -> float:
@@ -263,9 +279,14 @@ def _gear(
 
 
 def _play(
-    truth: Truth, joints: list[int], *, gap: float, stiffness: float, damping: float = 0.0,
+    truth: Truth,
+    joints: list[int],
+    *,
+    gap: float,
+    stiffness: float,
+    damping: float = 0.0,
     motor: float = 0.0,
-) -> Truth:  # fmt: skip
+) -> Truth:
     for j in joints:
         if truth.drives.rotor[j] + motor <= 0:
             raise BadInput("virtual arm: an elastic joint needs inertia of its motor; give motor")
@@ -319,18 +340,32 @@ def _factor(
 
 
 def _wall(
-    truth: Truth, joints: list[int], *, nx: float, ny: float, nz: float, distance: float,
-    stiffness: float, damping: float = 0.0,
-) -> Truth:  # fmt: skip
+    truth: Truth,
+    joints: list[int],
+    *,
+    nx: float,
+    ny: float,
+    nz: float,
+    distance: float,
+    stiffness: float,
+    damping: float = 0.0,
+) -> Truth:
     normal = np.array([nx, ny, nz])
     wall = Wall(normal / np.linalg.norm(normal), distance, stiffness, damping)
     return replace(truth, forces=(*truth.forces, wall))
 
 
 def _cable(
-    truth: Truth, joints: list[int], *, x: float, y: float, z: float, tension: float,
-    friction: float, distance: float,
-) -> Truth:  # fmt: skip
+    truth: Truth,
+    joints: list[int],
+    *,
+    x: float,
+    y: float,
+    z: float,
+    tension: float,
+    friction: float,
+    distance: float,
+) -> Truth:
     cable = Cable(np.array([x, y, z]), tension, Bristles(friction, distance))
     return replace(truth, forces=(*truth.forces, cable))
 

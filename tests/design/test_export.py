@@ -1,10 +1,15 @@
 from __future__ import annotations
 
+import io
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
+from rosbags.highlevel import AnyReader
 
 from excitant.design import (
     FourierTrajectory,
@@ -13,7 +18,17 @@ from excitant.design import (
     trajectory_csv,
     trajectory_json,
 )
-from excitant.exceptions import BadInput
+from excitant.design.export import (
+    FORMATS,
+    TOPIC,
+    joint_trajectory_yaml,
+    mcap_bag,
+    npz,
+    urscript,
+    write_formats,
+)
+from excitant.design.trajectory import FourierSeries, Series, SplineSeries
+from excitant.exceptions import BadInput, UnknownName
 from excitant.robots import Motion, Robot
 
 
@@ -22,15 +37,15 @@ def trajectory(planar: Robot) -> FourierTrajectory:
     return random_trajectory(planar, np.random.default_rng(0), 3.0, 3)
 
 
-def test_json_round_trip_is_the_identity(
-    planar: Robot, trajectory: FourierTrajectory, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("series", [FourierSeries(3.0, 3), SplineSeries(3.0, 9)])
+def test_json_round_trip_is_the_identity(planar: Robot, series: Series, tmp_path: Path) -> None:
     path = tmp_path / "trajectory.json"
-    path.write_text(trajectory_json(trajectory, planar))
+    X = np.random.default_rng(0).normal(size=(series.size, 2))
+    path.write_text(trajectory_json(series.trajectory(X), planar))
     loaded = load_trajectory(path, planar)
-    assert isinstance(loaded, FourierTrajectory)
-    np.testing.assert_array_equal(loaded.coefficients, trajectory.coefficients)
-    assert loaded.period == trajectory.period
+    assert type(loaded) is type(series.trajectory(X))
+    np.testing.assert_array_equal(loaded.coefficients, X)
+    assert loaded.period == 3.0
 
 
 def test_csv_round_trip_is_the_identity(
@@ -120,10 +135,142 @@ def test_bad_json(
 def test_unreadable_files(planar: Robot, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="no such file"):
         load_trajectory(tmp_path / "none.csv", planar)
-    for name, content in (("a.json", b"{"), ("b.json", b"[1]"), ("c.json", b'{"period": 1}')):
+    for name, content in (
+        ("a.json", b"{"),
+        ("b.json", b"[1]"),
+        ("c.json", b'{"period": 1}'),
+        ("e.json", b'{"period": 2.0, "control_points": [[0, 0], [1, 1]]}'),
+    ):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(BadInput, match=name):
             load_trajectory(tmp_path / name, planar)
     (tmp_path / "d.csv").write_bytes(b"\xff\xfe\x00\x81")
     with pytest.raises(BadInput, match="not a readable text file"):
         load_trajectory(tmp_path / "d.csv", planar)
+
+
+FIELDS = ("positions", "velocities", "accelerations")
+NANOSECOND = 0.5e-9 + 1e-15  # of rounding, and of adding seconds to nanoseconds
+
+
+@pytest.fixture(scope="module")
+def six_joints(ur10: Robot) -> FourierTrajectory:
+    return random_trajectory(ur10, np.random.default_rng(0), 3.0, 3)
+
+
+@pytest.fixture(scope="module")
+def motion(six_joints: FourierTrajectory) -> Motion:
+    """Awkward numbers: times that are no multiples of 1 ns, tiny and huge values."""
+    motion = six_joints.motion(130.0)
+    q = np.array(motion.q)
+    q[5] = [1e-17, -1e-5, 1e22, -0.0, 1 / 3, 5e-324]
+    return replace(motion, q=q, t=motion.t + 7.0)
+
+
+def read_yaml(text: str) -> tuple[list[str], Motion]:
+    content = yaml.load(text, Loader=yaml.CSafeLoader)
+    times = [point["time_from_start"] for point in content["points"]]
+    values = [[point[field] for point in content["points"]] for field in FIELDS]
+    t = [d["sec"] + 1e-9 * d["nanosec"] for d in times]
+    return content["joint_names"], Motion(t, *values)
+
+
+def read_mcap(content: bytes, path: Path) -> tuple[list[str], Motion]:
+    """The motion as the rosbags reader of every ROS 2 log sees it."""
+    path.write_bytes(content)
+    with AnyReader([path]) as reader:
+        [(connection, _, raw)] = list(reader.messages())
+        message = reader.deserialize(raw, connection.msgtype)
+    assert connection.topic == TOPIC
+    values = [[getattr(point, field) for point in message.points] for field in FIELDS]
+    times = [point.time_from_start for point in message.points]
+    return message.joint_names, Motion([d.sec + 1e-9 * d.nanosec for d in times], *values)
+
+
+def assert_equal(read: tuple[list[str], Motion], motion: Motion, robot: Robot) -> None:
+    joints, found = read
+    assert joints == list(robot.joints)
+    assert np.abs(found.t - (motion.t - motion.t[0])).max() <= NANOSECOND
+    for name in ("q", "dq", "ddq"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(motion, name))
+
+
+def test_yaml_is_read_back_equal(ur10: Robot, motion: Motion) -> None:
+    text = joint_trajectory_yaml(motion, ur10)
+    assert_equal(read_yaml(text), motion, ur10)
+
+
+def test_yaml_is_the_message_that_ros_expects(ur10: Robot, motion: Motion) -> None:
+    content = yaml.safe_load(joint_trajectory_yaml(motion[:9], ur10))
+    assert list(content) == ["header", "joint_names", "points"]
+    assert content["joint_names"] == list(ur10.joints)
+    for point in content["points"]:
+        fields = ["positions", "velocities", "accelerations", "effort", "time_from_start"]
+        assert list(point) == fields
+        assert all(isinstance(x, float) for field in fields[:3] for x in point[field])
+        assert {type(v) for v in point["time_from_start"].values()} == {int}
+        assert 0 <= point["time_from_start"]["nanosec"] < 10**9
+
+
+def test_mcap_is_read_back_equal(ur10: Robot, motion: Motion, tmp_path: Path) -> None:
+    assert_equal(read_mcap(mcap_bag(motion, ur10), tmp_path / "bag.mcap"), motion, ur10)
+
+
+def test_npz_is_read_back_exactly(ur10: Robot, motion: Motion) -> None:
+    with np.load(io.BytesIO(npz(motion, ur10)), allow_pickle=False) as read:
+        assert tuple(read["joints"]) == ur10.joints
+        for name in ("t", "q", "dq", "ddq"):
+            np.testing.assert_array_equal(read[name], getattr(motion, name))
+
+
+def test_urscript_is_read_back_equal(ur10: Robot, six_joints: FourierTrajectory) -> None:
+    motion = six_joints.motion(125.0)
+    text = urscript(motion, ur10)
+    servo = re.findall(r"servoj\(\[(.*)\], t=([0-9.e+-]+),", text)
+    q = np.array([pose.split(",") for pose, _ in servo], float)
+    np.testing.assert_allclose(q, motion.q, rtol=0, atol=5.1e-13)
+    np.testing.assert_allclose([float(step) for _, step in servo], 1 / 125, atol=1e-11)
+    [first] = re.findall(r"movej\(\[(.*)\],", text)
+    np.testing.assert_array_equal(np.array(first.split(","), float), q[0])
+
+
+def test_urscript_goes_to_the_first_pose_before_it_servoes_and_stops_at_the_end(
+    ur10: Robot, six_joints: FourierTrajectory
+) -> None:
+    lines = [line.strip() for line in urscript(six_joints.motion(125.0), ur10).splitlines()]
+    verbs = [line.split("(")[0] for line in lines if not line.startswith("#")]
+    n = len(six_joints.motion(125.0))
+    assert verbs == ["def excitant_motion", "movej", *["servoj"] * n, "stopj", "end", verbs[-1]]
+    servo = [line for line in lines if line.startswith("servoj")]
+    assert all(line.endswith("t=0.008, lookahead_time=0.1, gain=300)") for line in servo)
+
+
+def test_urscript_refuses_other_arms_and_uneven_samples(
+    planar: Robot, ur10: Robot, motion: Motion
+) -> None:
+    with pytest.raises(BadInput, match="six turning joints, planar_2r has 2 joints"):
+        urscript(Motion(np.arange(2.0), *np.zeros((3, 2, 2))), planar)
+    with pytest.raises(BadInput, match="equidistant"):
+        urscript(motion[np.array([0, 1, 3, 4])], ur10)
+
+
+def test_write_formats_names_the_files(ur10: Robot, six_joints: FourierTrajectory) -> None:
+    files = write_formats(six_joints.motion(50.0), ur10, FORMATS, "approach")
+    assert list(files) == [f"approach.{s}" for s in ("yaml", "mcap", "script", "npz")]
+
+
+def test_write_formats_refuses(planar: Robot, ur10: Robot, motion: Motion) -> None:
+    with pytest.raises(UnknownName, match="unknown format 'mcp': did you mean 'mcap'"):
+        write_formats(motion, ur10, ["npz", "mcp"])
+    with pytest.raises(BadInput, match="motion has 6 joints, robot planar_2r has 2"):
+        write_formats(motion, planar, ["npz"])
+    with pytest.raises(BadInput, match="not finite"):
+        write_formats(replace(motion, q=motion.q * np.nan), ur10, ["npz"])
+    with pytest.raises(BadInput, match="at least two samples"):
+        write_formats(motion[:1], ur10, ["npz"])
+    with pytest.raises(BadInput, match="times that increase"):
+        write_formats(motion[np.array([0, 0])], ur10, ["npz"])
+    close = replace(motion[:2], t=np.array([0.0, 1e-10]))
+    for name in ("ros2", "mcap"):
+        with pytest.raises(BadInput, match="less than 1 ns apart"):
+            write_formats(close, ur10, [name])

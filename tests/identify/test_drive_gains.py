@@ -114,16 +114,6 @@ def test_gains_are_within_three_deviations_that_are_calibrated(
     assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.2
 
 
-def test_more_knowledge_of_the_payload_means_less_uncertainty(ur10_bench: Bench) -> None:
-    b = ur10_bench
-    free, held = b.rows(b.bare, 4), b.rows(b.loaded, 5)
-    found = [payload_gains(free, held, payload) for payload in PAYLOADS]
-    for each in found:
-        assert (np.abs(each.gains - b.gains) < 3.5 * each.std).all()
-    widths = [each.scale_std for each in found]
-    assert widths[2] < widths[1] < widths[0]
-
-
 def test_the_payloads_own_uncertainty_counts(planar_bench: Bench) -> None:
     b = planar_bench
     free, held = b.rows(b.bare, 6, 1e-4), b.rows(b.loaded, 7, 1e-4)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
+import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from excitant.cli import main
-from excitant.exceptions import BadInput, UnknownName
+from excitant.exceptions import BadInput
 from excitant.identify import Estimate, Recording, identify
 from excitant.identify.export import model_files, publication
 from excitant.robots import DHChain, Motion, Robot, load_robot, robot_from_dh, torque
@@ -208,14 +208,6 @@ def mujoco_inverse(loaded: Any, data: Any, order: np.ndarray, motion: Motion) ->
     return tau
 
 
-def test_mjcf_needs_the_torque_without_dry_friction(
-    model: Robot, motion: Motion, folder: Path
-) -> None:
-    loaded, data = mujoco_model(folder, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-    found = mujoco_inverse(loaded, data, mujoco_order(model, loaded), motion)
-    check(found, torque(with_only(model, *SMOOTH), motion), PRECISION["rigid"])
-
-
 def test_mjcf_needs_the_torque_of_dry_friction_where_joints_slide(
     model: Robot, motion: Motion, folder: Path
 ) -> None:
@@ -223,9 +215,21 @@ def test_mjcf_needs_the_torque_of_dry_friction_where_joints_slide(
     sliding = np.copysign(np.maximum(np.abs(motion.dq), 0.5), motion.dq)
     fast = Motion(motion.t, motion.q, sliding, 0.5 * motion.ddq / np.abs(motion.ddq).max())
     loaded, data = mujoco_model(folder, mujoco.mjtDisableBit.mjDSBL_LIMIT)
-    found = mujoco_inverse(loaded, data, mujoco_order(model, loaded), fast)
+    order = mujoco_order(model, loaded)
+    found = mujoco_inverse(loaded, data, order, fast)
     expected = torque(with_only(model, *SMOOTH, CoulombFriction), fast)
     check(found, expected, PRECISION["rigid"])
+    loaded.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    smooth = mujoco_inverse(loaded, data, order, motion)
+    check(smooth, torque(with_only(model, *SMOOTH), motion), PRECISION["rigid"])
+    for j, joint in enumerate(model.joints):
+        bounded = bool(np.isfinite(model.limits.position[j]).all())
+        assert loaded.joint(joint).limited[0] == bounded
+        if bounded:
+            np.testing.assert_allclose(loaded.joint(joint).range, model.limits.position[j])
+        limit = model.limits.torque[j]
+        if np.isfinite(limit):
+            np.testing.assert_allclose(loaded.actuator(joint).ctrlrange, [-limit, limit])
 
 
 def test_mjcf_moves_as_its_controls_say(model: Robot, motion: Motion, folder: Path) -> None:
@@ -260,18 +264,6 @@ def test_mjcf_puts_bodies_and_tools_where_pinocchio_does(
             place = thing.xpos
             np.testing.assert_allclose(place, pose.translation, atol=1e-12)
             np.testing.assert_allclose(thing.xmat.reshape(3, 3), pose.rotation, atol=1e-12)
-
-
-def test_mjcf_has_the_limits(model: Robot, folder: Path) -> None:
-    loaded, _ = mujoco_model(folder)
-    for j, joint in enumerate(model.joints):
-        bounded = bool(np.isfinite(model.limits.position[j]).all())
-        assert loaded.joint(joint).limited[0] == bounded
-        if bounded:
-            np.testing.assert_allclose(loaded.joint(joint).range, model.limits.position[j])
-        limit = model.limits.torque[j]
-        if np.isfinite(limit):
-            np.testing.assert_allclose(loaded.actuator(joint).ctrlrange, [-limit, limit])
 
 
 def test_mjcf_takes_currents_where_gains_are_known(model: Robot, motion: Motion) -> None:
@@ -354,29 +346,6 @@ def test_sdf_needs_the_torque_of_all_that_it_holds(
     found = Sdf((folder / "identified.sdf").read_text(encoding="utf-8")).torque(motion)
     expected = torque(with_only(model, *SMOOTH, CoulombFriction), motion)
     check(found, expected, PRECISION["rigid"])
-
-
-def test_sdf_needs_the_same_torque_in_drake(model: Robot, motion: Motion, folder: Path) -> None:
-    """Read by libsdformat; Drake has no Coulomb friction, and takes gravity from code."""
-    parsing = pytest.importorskip("pydrake.multibody.parsing", reason="Drake is not installed")
-    plants = pytest.importorskip("pydrake.multibody.plant")
-    tree = pytest.importorskip("pydrake.multibody.tree")
-    plant = plants.MultibodyPlant(0.0)
-    [instance] = parsing.Parser(plant).AddModels(str(folder / "identified.sdf"))
-    plant.mutable_gravity_field().set_gravity_vector(model.gravity)
-    plant.Finalize()
-    context = plant.CreateDefaultContext()
-    rows = [plant.GetJointByName(joint, instance).velocity_start() for joint in model.joints]
-    found = np.empty(motion.q.shape)
-    for k in range(len(motion)):
-        state = np.zeros((3, model.nv))
-        state[:, rows] = motion.q[k], motion.dq[k], motion.ddq[k]
-        plant.SetPositions(context, state[0])
-        plant.SetVelocities(context, state[1])
-        forces = tree.MultibodyForces(plant)
-        plant.CalcForceElementsContribution(context, forces)
-        found[k] = plant.CalcInverseDynamics(context, state[2], forces)[rows]
-    check(found, torque(with_only(model, *SMOOTH), motion), PRECISION["rigid"])
 
 
 def test_sdf_names_nothing_twice_and_has_the_limits(model: Robot, folder: Path) -> None:
@@ -466,15 +435,10 @@ def test_a_model_as_good_as_the_given_one_is_published(
 ) -> None:
     baseline = replace(estimate.validate, nrmse=estimate.validate.nrmse / factor)
     assert publication(replace(estimate, baseline=baseline)).published is published
-
-
-def test_a_joint_whose_torque_never_changed_does_not_decide(estimate: Estimate) -> None:
-    def still(accuracy: object) -> object:
-        return replace(accuracy, nrmse=np.array([accuracy.nrmse[0], np.nan]))
-
-    silent = replace(estimate, validate=still(estimate.validate), baseline=still(estimate.baseline))
-    assert publication(silent).published
-    assert not publication(worse(silent)).published
+    # a joint whose torque never changed does not decide
+    still = replace(estimate.validate, nrmse=np.array([estimate.validate.nrmse[0], np.nan]))
+    silent = replace(baseline, nrmse=np.array([baseline.nrmse[0], np.nan]))
+    assert publication(replace(estimate, validate=still, baseline=silent)).published is published
 
 
 def test_currents_are_published_with_their_gains(estimate: Estimate) -> None:
@@ -530,17 +494,9 @@ def test_command_refuses_an_unknown_format_before_it_works(
     assert "unknown format 'mjfc': did you mean 'mjcf'?" in capsys.readouterr().err
 
 
-def test_unknown_format_is_refused(planar: Robot) -> None:
-    with pytest.raises(UnknownName, match="did you mean 'mjcf'"):
-        model_files(planar, "arm", "arm.yaml", ["mjfc"])
-
-
-def test_effect_without_values_is_refused(planar: Robot) -> None:
+def test_payload_becomes_part_of_its_link(planar: Robot, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="viscous_friction has no values"):
         model_files(planar.with_effects([ViscousFriction(planar.joints)]), "arm", "arm.yaml")
-
-
-def test_payload_becomes_part_of_its_link(planar: Robot, tmp_path: Path) -> None:
     load = np.array([2.0, 0.1, 0, 0, 0.01, 0, 0.02, 0, 0, 0.02])
     held = planar.with_effects([Payload(planar.joints[-1:]).with_values(load)])
     for name, text in model_files(held, "arm", "arm.yaml").items():
@@ -613,21 +569,14 @@ def test_negative_friction_is_left_out_and_said_so(planar: Robot) -> None:
     np.testing.assert_array_equal(loaded.dof_armature, [0.0, 0.1])
 
 
-def benchmark(name: str) -> Any:
-    path = Path(__file__).resolve().parents[2] / "benchmarks" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_identified_mjcf_follows_the_recording_better(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.slow
+def test_identified_mjcf_follows_the_recording_better() -> None:
     """Under the same commands, feed-forward and position loop, in MuJoCo."""
-    benchmark("tracking").main(["--robots", "planar_2r", "--sets", "--bandwidth", "5", "20"])
-    lines = [line for line in capsys.readouterr().out.splitlines() if "ratio" in line]
-    ratios = [float(line.split("ratio")[1].split(";")[0]) for line in lines]
+    file = Path(__file__).resolve().parents[2] / "benchmarks" / "tracking.py"
+    words = ["--robots", "planar_2r", "--sets", "--bandwidth", "5", "20"]
+    said = subprocess.run(
+        [sys.executable, file, *words], capture_output=True, text=True, check=True
+    )
+    ratios = [float(x.split(";")[0]) for x in said.stdout.split("ratio")[1:]]
     assert len(ratios) == 2
     assert min(ratios) > 2

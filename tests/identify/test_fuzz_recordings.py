@@ -135,15 +135,8 @@ def assert_true(found: Recording, changes: int) -> None:
     assert (np.abs(delays - np.median(delays)) > 1e-6).sum() <= changes
 
 
-def check_bytes(
-    file: tuple[str, bytes], damages: Sequence[tuple[str, float, int]], pieces: bool
-) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"log{file[0]}"
-        path.write_bytes(damaged(file[1], damages))
-        found = attempt(path, pieces=pieces)
-    if found is not None:
-        assert_true(found, len(damages))
+def examples(few: int, many: int) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("count", [few, pytest.param(many, marks=pytest.mark.slow)])
 
 
 @each_kind
@@ -159,22 +152,21 @@ def test_an_undamaged_file_is_read(kind: str, files: Files, tmp_path: Path) -> N
 
 
 @each_kind
-@given(damages=DAMAGES, pieces=st.booleans())
-@settings(max_examples=10)
-def test_damaged_bytes(
-    kind: str, files: Files, damages: list[tuple[str, float, int]], pieces: bool
-) -> None:
-    check_bytes(files[kind], damages, pieces)
+@examples(10, 150)
+def test_damaged_bytes(kind: str, count: int, files: Files) -> None:
+    suffix, content = files[kind]
 
+    @settings(max_examples=count)
+    @given(damages=DAMAGES, pieces=st.booleans())
+    def check(damages: list[tuple[str, float, int]], pieces: bool) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"log{suffix}"
+            path.write_bytes(damaged(content, damages))
+            found = attempt(path, pieces=pieces)
+        if found is not None:
+            assert_true(found, len(damages))
 
-@pytest.mark.slow
-@each_kind
-@given(damages=DAMAGES, pieces=st.booleans())
-@settings(max_examples=150)
-def test_many_damaged_bytes(
-    kind: str, files: Files, damages: list[tuple[str, float, int]], pieces: bool
-) -> None:
-    check_bytes(files[kind], damages, pieces)
+    check()
 
 
 CELLS = st.one_of(
@@ -253,17 +245,14 @@ def check_edits(edits: Sequence[tuple[object, ...]], suffix: str) -> None:
     assert_true(found, sum(kind == "cell" for kind, *_ in edits))
 
 
-@given(edits=st.lists(EDITS, min_size=1, max_size=4), suffix=st.sampled_from([".csv", ".parquet"]))
-@settings(max_examples=50)
-def test_edited_tables(edits: list[tuple[object, ...]], suffix: str) -> None:
-    check_edits(edits, suffix)
+@examples(50, 400)
+def test_edited_tables(count: int) -> None:
+    @settings(max_examples=count)
+    @given(st.lists(EDITS, min_size=1, max_size=4), st.sampled_from([".csv", ".parquet"]))
+    def check(edits: list[tuple[object, ...]], suffix: str) -> None:
+        check_edits(edits, suffix)
 
-
-@pytest.mark.slow
-@given(edits=st.lists(EDITS, min_size=1, max_size=4), suffix=st.sampled_from([".csv", ".parquet"]))
-@settings(max_examples=400)
-def test_many_edited_tables(edits: list[tuple[object, ...]], suffix: str) -> None:
-    check_edits(edits, suffix)
+    check()
 
 
 VALUES = st.recursive(

@@ -45,6 +45,11 @@ def table(
     return pd.DataFrame(columns)
 
 
+def exact() -> pd.DataFrame:
+    """The motion under the names that need no guess."""
+    return table("t", "q{}", "dq{}", "tau{}", first=1)
+
+
 def assert_read(path: Path, robot: Robot, *, tau: np.ndarray = TAU, **options: Any) -> Any:
     recording = read_recording(path, robot, **options)
     np.testing.assert_allclose(recording.t, T, atol=1e-6)
@@ -166,12 +171,9 @@ def test_numbered_columns_follow_the_names_that_stand_beside_them(
 def test_separators_and_decimal_signs(
     separator: str, decimal: str, ur10: Robot, tmp_path: Path
 ) -> None:
-    log = table("t", "q{}", "dq{}", "tau{}", first=1)
-    quoted = separator == decimal  # as spreadsheets write it
-    log.to_csv(
-        tmp_path / "log.csv", sep=separator, decimal=decimal, index=False, quoting=int(quoted)
-    )
-    assert_read(tmp_path / "log.csv", ur10)
+    path, quoted = tmp_path / "log.csv", separator == decimal  # as spreadsheets write it
+    exact().to_csv(path, sep=separator, decimal=decimal, index=False, quoting=int(quoted))
+    assert_read(path, ur10)
 
 
 def test_comments_preambles_units_and_marks_of_encoding(ur10: Robot, tmp_path: Path) -> None:
@@ -182,12 +184,8 @@ def test_comments_preambles_units_and_marks_of_encoding(ur10: Robot, tmp_path: P
     content = "".join(["Cell 4; robot 2\n", "# rate 100 Hz\n", *body])
     for encoding in ("utf-8", "utf-8-sig", "utf-16", "cp1252"):
         (tmp_path / "log.csv").write_text(content.replace("Cell", "Straße"), encoding=encoding)
-        recording = assert_read(tmp_path / "log.csv", ur10)
-        assert "[deg]" in recording.notes[0]
-
-
-def test_a_header_behind_a_comment_sign(ur10: Robot, tmp_path: Path) -> None:
-    log = table("t", "q{}", "dq{}", "tau{}", first=1)
+        assert "[deg]" in assert_read(tmp_path / "log.csv", ur10).notes[0]
+    log = exact()
     np.savetxt(tmp_path / "log.txt", log, fmt="%.17g", header=" ".join(log.columns))
     assert_read(tmp_path / "log.txt", ur10)
 
@@ -218,15 +216,15 @@ TIMES: dict[str, tuple[str, Callable[[pd.Series], Any]]] = {
 @pytest.mark.parametrize("name", TIMES)
 def test_time_in_any_form(name: str, ur10: Robot, tmp_path: Path) -> None:
     column, stamps = TIMES[name]
-    log = table("t", "q{}", "dq{}", "tau{}", first=1)
+    log = exact()
     log["t"] = stamps(log["t"])
     log = log.rename(columns={"t": column})
     log.to_csv(tmp_path / "log.csv", index=False)
     assert_read(tmp_path / "log.csv", ur10)
     log.to_parquet(tmp_path / "log.parquet")
-    exact = assert_read(tmp_path / "log.parquet", ur10)
+    read = assert_read(tmp_path / "log.parquet", ur10)
     if "1970" in name and " s " not in f" {name}":  # integers keep every digit
-        np.testing.assert_allclose(exact.t, T, atol=1e-12)
+        np.testing.assert_allclose(read.t, T, atol=1e-12)
 
 
 KINDS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str | None]] = {
@@ -254,21 +252,13 @@ KINDS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str | None]] = {
 @pytest.mark.parametrize("name", KINDS)
 def test_columns_of_any_kind_are_read_or_refused(name: str, ur10: Robot, tmp_path: Path) -> None:
     change, refused = KINDS[name]
-    change(table("t", "q{}", "dq{}", "tau{}", first=1)).to_parquet(tmp_path / "log.parquet")
+    change(exact()).to_parquet(tmp_path / "log.parquet")
     if refused is None:
         assert_read(tmp_path / "log.parquet", ur10)
         return
     with pytest.raises(BadRecording, match="is not a finite number") as refusal:
         read_recording(tmp_path / "log.parquet", ur10)
     assert (refusal.value.row, refusal.value.column) == (0, refused)
-
-
-def test_irregular_time_is_kept(ur10: Robot, tmp_path: Path) -> None:
-    log = table("t", "q{}", "dq{}", "tau{}", first=1)
-    log["t"] = np.sort(np.random.default_rng(0).uniform(0, 3, 300))
-    log.to_parquet(tmp_path / "log.parquet")
-    read = read_recording(tmp_path / "log.parquet", ur10)
-    np.testing.assert_array_equal(read.t, log["t"] - log["t"][0])
 
 
 def test_a_map_converts_units_signs_and_currents(ur10: Robot, tmp_path: Path) -> None:
@@ -348,19 +338,18 @@ def test_npz_and_mat_hold_the_same_recording(ur10: Robot, tmp_path: Path) -> Non
         assert_read(tmp_path / "a.mat", ur10)
 
 
+ARRAYS: dict[str, tuple[dict[str, Any], str]] = {
+    "other lengths": ({"t": T, "q": Q[:-1], "tau": TAU}, "is 299 × 6, but there are 300 samples"),
+    "objects": ({"t": T, "q": np.array([{}], dtype=object)}, "cannot be read"),
+    "square": ({"t": T[:6], "q": Q[:6], "tau": TAU[:6]}, "rows or columns could be samples"),
+}
+
+
 def test_arrays_that_do_not_fit_are_refused(ur10: Robot, tmp_path: Path) -> None:
-    np.savez(tmp_path / "a.npz", t=T, q=Q[:-1], tau=TAU)
-    with pytest.raises(BadRecording, match="is 299 × 6, but there are 300 samples"):
-        read_recording(tmp_path / "a.npz", ur10)
-    np.savez(tmp_path / "a.npz", t=T, q=np.array([{}], dtype=object))
-    with pytest.raises(BadRecording, match="cannot be read"):
-        read_recording(tmp_path / "a.npz", ur10)
-    np.savez(tmp_path / "a.npz", t=T[:6], q=Q[:6], tau=TAU[:6])
-    with pytest.raises(BadRecording, match="rows or columns could be samples"):
-        read_recording(tmp_path / "a.npz", ur10)
-
-
-def test_mat_of_version_7_3_is_refused_with_what_to_do(ur10: Robot, tmp_path: Path) -> None:
+    for arrays, why in ARRAYS.values():
+        np.savez(tmp_path / "a.npz", **arrays)
+        with pytest.raises(BadRecording, match=why):
+            read_recording(tmp_path / "a.npz", ur10)
     for start in (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n"):
         (tmp_path / "a.mat").write_bytes(start + bytes(100))
         with pytest.raises(BadRecording, match="save it with save"):
@@ -443,7 +432,7 @@ def test_bags_that_leave_a_choice_or_lack_something(
 def test_parts_of_one_recording_become_one(
     ur10: Robot, write_bag: Callable[..., None], tmp_path: Path
 ) -> None:
-    log = table("t", "q{}", "dq{}", "tau{}", first=1)
+    log = exact()
     for k, rows in enumerate((slice(0, 90), slice(90, 210), slice(210, 300))):
         log[rows].to_csv(tmp_path / f"run_{k}.csv", index=False)
         write_bag(tmp_path / f"run_{k}.bag", "bag", rows=rows)
@@ -456,7 +445,7 @@ def test_parts_of_one_recording_become_one(
 
 
 def test_recordings_that_do_not_go_on_stay_apart(ur10: Robot, tmp_path: Path) -> None:
-    log = table("t", "q{}", "dq{}", "tau{}", first=1)
+    log = exact()
     for k, start in enumerate((0.0, 0.0, 100.0, 103.0)):
         log.assign(t=log["t"] + start).to_csv(tmp_path / f"run_{k}.csv", index=False)
     log.assign(t=log["t"] + 106.0).to_csv(tmp_path / "other.csv", index=False)
@@ -466,7 +455,7 @@ def test_recordings_that_do_not_go_on_stay_apart(ur10: Robot, tmp_path: Path) ->
 
 
 def test_speeds_that_cannot_be_used_are_left_out_with_a_note(ur10: Robot, tmp_path: Path) -> None:
-    log = table("t", "q{}", "dq{}", "tau{}", first=1)
+    log = exact()
     log.loc[5, "dq3"] = np.nan
     log.to_csv(tmp_path / "log.csv", index=False)
     recording = read_recording(tmp_path / "log.csv", ur10)
@@ -478,44 +467,37 @@ def test_speeds_that_cannot_be_used_are_left_out_with_a_note(ur10: Robot, tmp_pa
 
 
 def test_a_raw_recording_refuses_no_row(ur10: Robot, tmp_path: Path) -> None:
-    log = table("t", "q{}", "dq{}", "tau{}", first=1).astype(object)
-    log["temp"] = 30.0
+    log = exact().astype(object)
+    log["t"], log["temp"] = np.sort(np.random.default_rng(0).uniform(0, 3, 300)), 30.0
     log.loc[7, "t"] = log.loc[6, "t"]
     log.loc[9, "q2"] = "abc"
     log["tau4"] = 0.0
     log.to_csv(tmp_path / "log.csv", index=False)
     raw = raw_recording(tmp_path / "log.csv", ur10)
-    assert raw.t[7] == raw.t[6]
+    np.testing.assert_array_equal(raw.t, log["t"].to_numpy(float) - log["t"][0])
     assert np.isnan(raw.q[9, 1])
     assert raw.unreadable[9, "q2"] == "abc"
     assert set(raw.extras) == {"temp"}
     assert not any(values.flags.writeable for values in (raw.q, *raw.extras.values()))
 
 
-def test_a_row_of_another_length_is_refused_by_row(ur10: Robot, tmp_path: Path) -> None:
-    lines = table("t", "q{}", "dq{}", "tau{}", first=1).to_csv(index=False).splitlines()
-    for change, cells in ((lambda x: x.rpartition(",")[0], 18), (lambda x: f"{x},1", 20)):
-        bad = [*lines[:43], change(lines[43]), *lines[44:]]
-        (tmp_path / "log.csv").write_text("\n".join(bad) + "\n")
+def test_damaged_rows_and_columns(ur10: Robot, tmp_path: Path) -> None:
+    """Refused by row and column; a line that was cut is left out with a note."""
+    path, text = tmp_path / "log.csv", exact().to_csv(index=False)
+    lines = text.splitlines()
+    for line, cells in ((lines[43].rpartition(",")[0], 18), (f"{lines[43]},1", 20)):
+        path.write_text("\n".join([*lines[:43], line, *lines[44:]]) + "\n")
         with pytest.raises(BadRecording, match=f"{cells} cells where the header") as refusal:
-            read_recording(tmp_path / "log.csv", ur10)
+            read_recording(path, ur10)
         assert refusal.value.row == 42
-
-
-def test_a_line_that_was_cut_is_left_out_with_a_note(ur10: Robot, tmp_path: Path) -> None:
-    text = table("t", "q{}", "dq{}", "tau{}", first=1).to_csv(index=False)
-    (tmp_path / "log.csv").write_text(text[:-3])
-    recording = read_recording(tmp_path / "log.csv", ur10)
+    pd.concat([exact(), exact()[["q3"]]], axis=1).to_csv(path, index=False)
+    with pytest.raises(BadRecording) as refusal:
+        read_recording(path, ur10)
+    assert refusal.value.column == "q3"
+    path.write_text(text[:-3])
+    recording = read_recording(path, ur10)
     np.testing.assert_array_equal(recording.tau, TAU[:-1])
     assert any("last line left out" in note for note in recording.notes)
-
-
-def test_a_column_that_is_there_twice_is_refused(ur10: Robot, tmp_path: Path) -> None:
-    log = table("t", "q{}", "dq{}", "tau{}", first=1)
-    pd.concat([log, log[["q3"]]], axis=1).to_csv(tmp_path / "log.csv", index=False)
-    with pytest.raises(BadRecording) as refusal:
-        read_recording(tmp_path / "log.csv", ur10)
-    assert refusal.value.column == "q3"
 
 
 @pytest.mark.parametrize(

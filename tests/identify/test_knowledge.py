@@ -6,11 +6,9 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-import cvxpy as cp
 import numpy as np
 import pandas as pd
 import pytest
-import scipy.linalg
 import yaml
 
 from excitant.cli import main
@@ -29,17 +27,15 @@ from excitant.identify.physical import (
     EffectPrior,
     PhysicalFit,
     fit_physical,
-    link_coordinates,
     prior_parameters,
 )
 from excitant.robots import Array, Motion, Robot, load_robot
 from excitant.robots.effects import standard_effects
-from excitant.robots.parameters import PSEUDO_INERTIA_BASIS, pseudo_inertia
+from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.torque import observation_columns
 
 KKT = 1e-8
 NOISE = 0.1  # N·m
-NONE = EffectPrior(*(np.zeros(0),) * 3)
 
 
 class Data:
@@ -81,108 +77,6 @@ def assert_optimal(fit: PhysicalFit) -> None:
     assert fit.kkt.stationarity <= KKT
     assert fit.kkt.complementarity <= KKT
     assert fit.kkt.primal <= KKT
-
-
-def distance(kind: str, prior: Array, x: Array) -> float:
-    """Distance to the prior as in the docstring, from φ alone."""
-    total = 0.0
-    for known, values in zip(prior, x.reshape(prior.shape), strict=True):
-        P0, P = pseudo_inertia(known), pseudo_inertia(values)
-        if kind == "entropic":
-            M = np.linalg.solve(P0, P)
-            total += 2 * (np.trace(M) - np.linalg.slogdet(M)[1] - 4)
-        elif kind == "pullback":
-            L = np.linalg.inv(np.linalg.cholesky(P0))
-            total += float(((L @ P @ L.T - np.eye(4)) ** 2).sum())
-        else:
-            r = np.sqrt(np.trace(P0[:3, :3]) / known[0])
-            units = known[0] * np.array([1, r, r, r, *(r**2,) * 6])
-            total += float((((values - known) / units) ** 2).sum())
-    return total
-
-
-@pytest.mark.parametrize("kind", PRIORS)
-@pytest.mark.parametrize("noise", [1.0, 30.0])
-def test_no_body_near_the_solution_is_better(kind: str, noise: float, ur10_data: Data) -> None:
-    """Optimal by its own conditions, and by values of the objective at other bodies."""
-    d, rng = ur10_data, np.random.default_rng(1)
-    links = 10 * d.robot.nv
-    z = d.z + noise * rng.standard_normal(len(d.z))
-    fit = fit_physical(d.R, z, d.prior, d.effects, 0.5, knowledge=Knowledge(kind))
-    assert_optimal(fit)
-    assert (np.linalg.eigvalsh(pseudo_inertia(fit.x[:links].reshape(-1, 10)))[:, 0] > 0).all()
-
-    def value(x: Array) -> float:
-        effects = ((x[links:] - d.effects.mean) / d.effects.std) ** 2
-        misfit = float(((d.R @ x - z) ** 2).sum())
-        return misfit + distance(kind, d.prior, x[:links]) / 0.5**2 + float(effects.sum())
-
-    best = value(fit.x)
-    for _ in range(20):
-        root = np.eye(4) + 0.5 * rng.standard_normal((d.robot.nv, 4, 4))
-        Q = (root @ root.transpose(0, 2, 1))[:, *np.triu_indices(4)]
-        other = np.concatenate(
-            [link_coordinates(d.prior) @ Q.ravel(), rng.uniform(0, 3, len(d.effects.mean))]
-        )
-        for step in (1e-4, 1e-2, 0.5):
-            assert value(fit.x + step * (other - fit.x)) >= best - 1e-9 * abs(best)
-
-
-def test_entropic_fit_is_that_of_the_log_determinant(ur10_data: Data) -> None:
-    """Against the docstring's problem in φ, written down again for the solver."""
-    d = ur10_data
-    links = d.robot.nv
-    R, z = d.R[:, : 10 * links], d.R[:, : 10 * links] @ d.truth[: 10 * links]
-    fit = fit_physical(R, z, d.prior, NONE, 0.3, knowledge=Knowledge("entropic"))
-    unit = np.tile([1.0, 0.3, 0.3, 0.3, *(0.1,) * 6], links)
-    u = cp.Variable(10 * links)
-    terms = []
-    for k, known in enumerate(d.prior):
-        P = sum(u[10 * k + i] * unit[10 * k + i] * B for i, B in enumerate(PSEUDO_INERTIA_BASIS))
-        L = np.linalg.inv(np.linalg.cholesky(pseudo_inertia(known)))
-        terms.append(cp.trace(L @ P @ L.T) - cp.log_det(L @ P @ L.T))
-    objective = cp.sum_squares(R @ np.diag(unit) @ u - z) + 2 / 0.3**2 * sum(terms)
-    cp.Problem(cp.Minimize(objective)).solve(solver=cp.CLARABEL)
-    there = fit.x / unit
-    assert objective.value is not None
-    reached = float(objective.value)
-    u.value = there
-    assert float(objective.value) <= reached + 1e-6 * abs(reached)
-    np.testing.assert_allclose(fit.x[::10], (unit * there)[::10], rtol=1e-6)
-    assert_optimal(fit)
-
-
-@pytest.mark.parametrize("kind", PRIORS)
-def test_without_data_every_prior_is_its_own_answer(kind: str) -> None:
-    prior = prior_parameters(load_robot("ur10"))
-    fit = fit_physical(np.zeros((1, 60)), np.zeros(1), prior, NONE, knowledge=Knowledge(kind))
-    scale = np.abs(prior).max(axis=1, keepdims=True)
-    np.testing.assert_allclose(fit.x.reshape(6, 10) / scale, prior / scale, atol=1e-6)
-    np.testing.assert_allclose(fit.prior_share, 1.0, atol=1e-6)
-
-
-def test_coordinates_matter_to_the_euclidean_prior_alone() -> None:
-    """A body seen in another frame: two priors agree with themselves, the euclidean does not."""
-    prior = prior_parameters(load_robot("ur10"))[1:2]
-    turn = scipy.linalg.expm(np.cross(np.eye(3), [0.3, -0.5, 0.8]))
-    G = np.eye(4)
-    G[:3, :3], G[:3, 3] = turn, [0.1, -0.2, 0.3]
-    B = np.array([pseudo_inertia(e) for e in np.eye(10)])
-    moved = np.einsum("ab,kbc,dc->kad", G, B, G)
-    basis = np.array([b.ravel() for b in B]).T
-    M = np.linalg.lstsq(basis, moved.reshape(10, 16).T, rcond=None)[0]  # φ in the new frame
-    rng = np.random.default_rng(3)
-    R = rng.standard_normal((4, 10)) / np.abs(prior[0]).max()
-    z = R @ (1.4 * prior[0]) + 0.1
-    gaps = {}
-    for kind in PRIORS:
-        one = fit_physical(R, z, prior, NONE, knowledge=Knowledge(kind)).x
-        R2 = R @ np.linalg.inv(M)
-        two = fit_physical(R2, z, (M @ prior[0])[None], NONE, knowledge=Knowledge(kind)).x
-        gaps[kind] = np.abs(two - M @ one).max() / np.abs(one).max()
-    assert gaps["pullback"] < 1e-5
-    assert gaps["entropic"] < 1e-5
-    assert gaps["euclidean"] > 1e-3
 
 
 @pytest.mark.parametrize("kind", PRIORS)
@@ -388,14 +282,11 @@ def test_errors_name_file_key_and_remedy(tmp_path: Path, text: str, said: str) -
     assert str(refused.value).startswith(str(file))
 
 
-def test_missing_file_and_unknown_prior() -> None:
+def test_missing_file_unknown_prior_and_unknown_link(ur10_data: Data) -> None:
     with pytest.raises(BadInput, match="no such file; give a YAML file of what is known"):
         load_knowledge("nowhere.yaml", [])
     with pytest.raises(UnknownName, match="unknown prior"):
         Knowledge("flat")
-
-
-def test_knowledge_of_a_link_that_is_not_there(ur10_data: Data) -> None:
     with pytest.raises(BadInput, match="no link 'tail'"):
         ur10_data.fit(Knowledge(links={"tail": LinkKnowledge(mass=Quantity(1.0))}))
 

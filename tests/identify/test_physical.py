@@ -1,15 +1,16 @@
-"""The semidefinite fit is optimal, physically consistent and fast, whatever the data say."""
+"""The semidefinite fit is optimal, physically consistent and fast, whatever the data and prior."""
 
 from __future__ import annotations
 
 import time
 
+import cvxpy as cp
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+import scipy.linalg
 
 from excitant.exceptions import BadRobot, Infeasible
+from excitant.identify.knowledge import PRIORS, Knowledge
 from excitant.identify.physical import (
     EffectPrior,
     PhysicalFit,
@@ -18,10 +19,10 @@ from excitant.identify.physical import (
     link_weights,
     prior_parameters,
 )
-from excitant.robots import Motion, Robot, base_parameters, load_robot
+from excitant.robots import Array, Motion, Robot, base_parameters, load_robot
 from excitant.robots.base_parameters import categories
 from excitant.robots.effects import standard_effects
-from excitant.robots.parameters import pseudo_inertia, violations
+from excitant.robots.parameters import PSEUDO_INERTIA_BASIS, pseudo_inertia, violations
 from excitant.robots.torque import observation_columns
 from excitant.robots.urdf import robot_from_urdf
 
@@ -50,45 +51,92 @@ def assert_optimal_and_consistent(fit: PhysicalFit, links: int) -> None:
     assert (np.linalg.eigvalsh(P)[:, 0] > 0).all()
 
 
-@given(seed=st.integers(0, 10**6), noise=st.sampled_from([0.0, 0.1, 3.0]))
-@settings(max_examples=8)
-def test_optimal_and_consistent_whatever_the_data(seed: int, noise: float) -> None:
-    robot, rng = load_robot("planar_2r"), np.random.default_rng(seed)
+def distance(kind: str, prior: Array, x: Array) -> float:
+    """Distance to the prior as in the docstring, from φ alone."""
+    total = 0.0
+    for known, values in zip(prior, x.reshape(prior.shape), strict=True):
+        P0, P = pseudo_inertia(known), pseudo_inertia(values)
+        if kind == "entropic":
+            M = np.linalg.solve(P0, P)
+            total += 2 * (np.trace(M) - np.linalg.slogdet(M)[1] - 4)
+        elif kind == "pullback":
+            L = np.linalg.inv(np.linalg.cholesky(P0))
+            total += float(((L @ P @ L.T - np.eye(4)) ** 2).sum())
+        else:
+            r = np.sqrt(np.trace(P0[:3, :3]) / known[0])
+            units = known[0] * np.array([1, r, r, r, *(r**2,) * 6])
+            total += float((((values - known) / units) ** 2).sum())
+    return total
+
+
+class Problem:
+    """The docstring's problem at any parameters, its bodies from φ alone."""
+
+    def __init__(
+        self, R: Array, z: Array, prior: Array, effects: EffectPrior, kind: str, sigma: float
+    ) -> None:
+        self.R, self.z, self.prior, self.effects = R, z, prior, effects
+        self.kind, self.sigma = kind, sigma
+
+    def value(self, x: Array) -> float:
+        phi, theta = x[: self.prior.size], x[self.prior.size :]
+        known = (((theta - self.effects.mean) / self.effects.std) ** 2).sum()
+        misfit = ((self.R @ x - self.z) ** 2).sum()
+        return float(misfit + distance(self.kind, self.prior, phi) / self.sigma**2 + known)
+
+    def assert_no_feasible_descent(self, x: Array, rng: np.random.Generator, share: float) -> None:
+        """Convexity: no step from the solution towards a feasible point lowers the objective."""
+        best, links = self.value(x), len(self.prior)
+        size = np.linalg.norm(np.linalg.solve(link_coordinates(self.prior), x[: self.prior.size]))
+        for _ in range(20):
+            root = np.eye(4) + 0.5 * rng.standard_normal((links, 4, 4))
+            Q = (root @ root.transpose(0, 2, 1))[:, *np.triu_indices(4)].ravel()
+            body = link_coordinates(self.prior) @ Q * max(1.0, size / np.linalg.norm(Q))
+            other = np.concatenate([body, rng.uniform(0, 3, len(self.effects.mean))])
+            for step in (1e-6, 1e-4, 1e-2, 0.5):
+                assert self.value(x + step * (other - x)) >= best - share * abs(best)
+
+
+@pytest.mark.parametrize("kind", PRIORS)
+@pytest.mark.parametrize(("name", "noise"), [("ur10", 0.0), ("ur10", 30.0), ("planar_2r", 300.0)])
+def test_no_body_near_the_solution_is_better(kind: str, name: str, noise: float) -> None:
+    """Optimal by its own conditions, and by values of the objective at other bodies."""
+    robot, rng = load_robot(name), np.random.default_rng(1)
     effects = standard_effects(robot.joints)
-    R = rows(robot, effects, seed=seed) / 0.5
-    z = R[:, :20] @ robot.phi + noise * rng.standard_normal(len(R)) * np.abs(R).max()
+    R, known = rows(robot, effects) / 0.1, friction_prior(robot, effects)
     prior = prior_parameters(robot)
-    effect_prior = friction_prior(robot, effects)
-    fit = fit_physical(R, z, prior, effect_prior)
+    truth = (prior * rng.uniform(0.6, 1.5, (robot.nv, 1))).ravel()
+    z = R[:, : prior.size] @ truth + (1.0 + noise) * rng.standard_normal(len(R))
+    fit = fit_physical(R, z, prior, known, 0.5, knowledge=Knowledge(kind))
     assert_optimal_and_consistent(fit, robot.nv)
-    assert (fit.x[20:] >= effect_prior.lower - KKT * np.abs(fit.x[20:]).max()).all()
-    assert_no_feasible_descent(R, z, prior, effect_prior, fit, rng)
+    assert (fit.x[prior.size :] >= known.lower - KKT * np.abs(fit.x[prior.size :]).max()).all()
+    Problem(R, z, prior, known, kind, 0.5).assert_no_feasible_descent(fit.x, rng, 1e-9)
 
 
-def objective(R: np.ndarray, z: np.ndarray, prior: np.ndarray, e: EffectPrior, x: np.ndarray):
-    """Value of the docstring's problem, with Q from congruence rather than coordinates."""
-    links = len(prior)
-    total = float(((R @ x - z) ** 2).sum())
-    for known, values in zip(prior, x[: 10 * links].reshape(links, 10), strict=True):
+def test_entropic_fit_is_that_of_the_log_determinant() -> None:
+    """Against the docstring's problem in φ, written down again for the solver."""
+    robot = load_robot("ur10")
+    links, prior = robot.nv, prior_parameters(robot)
+    R = np.linalg.qr(rows(robot, ()), mode="r") / 0.1
+    factors = np.random.default_rng(0).uniform(0.6, 1.5, (links, 1))
+    z = R @ (prior * factors).ravel()
+    fit = fit_physical(R, z, prior, NONE, 0.3, knowledge=Knowledge("entropic"))
+    unit = np.tile([1.0, 0.3, 0.3, 0.3, *(0.1,) * 6], links)
+    u = cp.Variable(10 * links)
+    terms = []
+    for k, known in enumerate(prior):
+        P = sum(u[10 * k + i] * unit[10 * k + i] * B for i, B in enumerate(PSEUDO_INERTIA_BASIS))
         L = np.linalg.inv(np.linalg.cholesky(pseudo_inertia(known)))
-        total += float(((L @ pseudo_inertia(values) @ L.T - np.eye(4)) ** 2).sum())
-    return total + float((((x[10 * links :] - e.mean) / e.std) ** 2).sum())
-
-
-def assert_no_feasible_descent(R, z, prior, e, fit, rng) -> None:
-    """Convexity: no step from the solution towards a feasible point lowers the objective."""
-    links = len(prior)
-    best = objective(R, z, prior, e, fit.x)
-    scale = float(z @ z) + 1.0
-    for _ in range(10):
-        root = np.eye(4) + 0.5 * rng.standard_normal((links, 4, 4))
-        Q = (root @ root.transpose(0, 2, 1))[:, *np.triu_indices(4)]
-        other = np.concatenate(
-            [link_coordinates(prior) @ Q.ravel(), rng.uniform(0, 3, len(e.mean))]
-        )
-        for step in (1e-3, 1e-1, 1.0):
-            there = objective(R, z, prior, e, fit.x + step * (other - fit.x))
-            assert there >= best - 1e-8 * scale
+        terms.append(cp.trace(L @ P @ L.T) - cp.log_det(L @ P @ L.T))
+    objective = cp.sum_squares(R @ np.diag(unit) @ u - z) + 2 / 0.3**2 * sum(terms)
+    cp.Problem(cp.Minimize(objective)).solve(solver=cp.CLARABEL)
+    there = fit.x / unit
+    assert objective.value is not None
+    reached = float(objective.value)
+    u.value = there
+    assert float(objective.value) <= reached + 1e-6 * abs(reached)
+    np.testing.assert_allclose(fit.x[::10], (unit * there)[::10], rtol=1e-6)
+    assert_optimal_and_consistent(fit, links)
 
 
 @pytest.mark.parametrize("name", ["planar_2r", "ur10", "panda"])
@@ -150,12 +198,37 @@ def test_what_no_torque_shows_is_known_by_the_prior_alone() -> None:
     assert ((fit.prior_share >= 0) & (fit.prior_share <= 1)).all()
 
 
-def test_without_data_the_prior_is_the_answer() -> None:
+@pytest.mark.parametrize("kind", PRIORS)
+def test_without_data_every_prior_is_its_own_answer(kind: str) -> None:
     prior = prior_parameters(load_robot("ur10"))
-    fit = fit_physical(np.zeros((1, 60)), np.zeros(1), prior, NONE)
-    np.testing.assert_allclose(fit.prior_share, 1.0, atol=1e-9)
+    fit = fit_physical(np.zeros((1, 60)), np.zeros(1), prior, NONE, knowledge=Knowledge(kind))
     scale = np.abs(prior).max(axis=1, keepdims=True)
     np.testing.assert_allclose(fit.x.reshape(6, 10) / scale, prior / scale, atol=1e-6)
+    np.testing.assert_allclose(fit.prior_share, 1.0, atol=1e-6)
+
+
+def test_coordinates_matter_to_the_euclidean_prior_alone() -> None:
+    """A body seen in another frame: two priors agree with themselves, the euclidean does not."""
+    prior = prior_parameters(load_robot("ur10"))[1:2]
+    turn = scipy.linalg.expm(np.cross(np.eye(3), [0.3, -0.5, 0.8]))
+    G = np.eye(4)
+    G[:3, :3], G[:3, 3] = turn, [0.1, -0.2, 0.3]
+    B = np.array([pseudo_inertia(e) for e in np.eye(10)])
+    moved = np.einsum("ab,kbc,dc->kad", G, B, G)
+    basis = np.array([b.ravel() for b in B]).T
+    M = np.linalg.lstsq(basis, moved.reshape(10, 16).T, rcond=None)[0]  # φ in the new frame
+    rng = np.random.default_rng(3)
+    R = rng.standard_normal((4, 10)) / np.abs(prior[0]).max()
+    z = R @ (1.4 * prior[0]) + 0.1
+    gaps = {}
+    for kind in PRIORS:
+        one = fit_physical(R, z, prior, NONE, knowledge=Knowledge(kind)).x
+        R2 = R @ np.linalg.inv(M)
+        two = fit_physical(R2, z, (M @ prior[0])[None], NONE, knowledge=Knowledge(kind)).x
+        gaps[kind] = np.abs(two - M @ one).max() / np.abs(one).max()
+    assert gaps["pullback"] < 1e-5
+    assert gaps["entropic"] < 1e-5
+    assert gaps["euclidean"] > 1e-3
 
 
 def test_a_link_without_mass_is_refused_by_name() -> None:
@@ -202,18 +275,8 @@ def test_a_solver_at_the_end_of_its_digits_does_not_end_the_run(
     fit = fit_physical(R, z, prior, effects)
     assert fit.kkt.primal <= 1e-6
     assert violations(fit.x[: prior.size], tuple("abcdefg"[: len(prior)])) == []
-    best = objective(R, z, prior, effects, fit.x)
-    target = np.linalg.norm(np.linalg.solve(link_coordinates(prior), fit.x[: prior.size]))
-    rng = np.random.default_rng(0)
-    for _ in range(20):  # convexity: no step towards another body lowers the objective
-        root = np.eye(4) + 0.5 * rng.standard_normal((len(prior), 4, 4))
-        Q = (root @ root.transpose(0, 2, 1))[:, *np.triu_indices(4)].ravel()
-        other = np.concatenate(
-            [link_coordinates(prior) @ Q * target / np.linalg.norm(Q), effects.mean]
-        )
-        for step in (1e-6, 1e-3, 1e-1):
-            there = objective(R, z, prior, effects, fit.x + step * (other - fit.x))
-            assert there >= best * (1 - 1e-6)
+    problem = Problem(R, z, prior, effects, "pullback", 1.0)
+    problem.assert_no_feasible_descent(fit.x, np.random.default_rng(0), 1e-6)
 
 
 def test_what_no_scaling_solves_is_refused_in_one_line() -> None:

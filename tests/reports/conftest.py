@@ -1,4 +1,4 @@
-"""Made-up runs of every verb on a seven-joint arm, with the nulls and long names of real ones."""
+"""Made-up runs of every verb on a four-joint arm, with the nulls and long names of real ones."""
 
 from collections.abc import Callable
 from functools import cache
@@ -12,16 +12,14 @@ from excitant.reports import SavedRun, compare, html, page_of
 
 JOINTS = [
     "shoulder_pan_joint",
-    "shoulder_lift_joint",
-    "upper_arm_roll_joint",
     "elbow_joint",
     "right_arm_forearm_roll_actuator_joint_with_a_very_long_name",
-    "wrist_flex_joint",
     "wrist_roll_joint",
 ]
+NV = len(JOINTS)
 LINKS = [f"{joint.removesuffix('_joint')}_link" for joint in JOINTS]
 STANDARD = ["m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz"]
-SIZE = np.array([40.0, 85.0, 22.0, 30.0, 4.0, 3.0, 0.6])
+SIZE = np.array([40.0, 30.0, 4.0, 0.6])
 
 Run = tuple[dict[str, Any], dict[str, np.ndarray]]
 
@@ -29,7 +27,7 @@ Run = tuple[dict[str, Any], dict[str, np.ndarray]]
 def _motion(n: int, duration: float, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     t = np.linspace(0, duration, n)
     w = 2 * np.pi / duration * np.arange(1, 6)
-    a, b = rng.normal(size=(2, 5, 7)) / np.arange(1, 6)[:, None]
+    a, b = rng.normal(size=(2, 5, NV)) / np.arange(1, 6)[:, None]
     s, c = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
     q = s @ a + c @ b
     dq = (c * w) @ a - (s * w) @ b
@@ -41,7 +39,7 @@ def _expression(rng: np.random.Generator, link: int, terms: int) -> str:
     text = f"{LINKS[link]}.{STANDARD[int(rng.integers(10))]}"
     for _ in range(terms):
         sign = "+" if rng.random() < 0.6 else "−"
-        other = f"{LINKS[int(rng.integers(link, 7))]}.{STANDARD[int(rng.integers(10))]}"
+        other = f"{LINKS[int(rng.integers(link, NV))]}.{STANDARD[int(rng.integers(10))]}"
         text += f" {sign} {rng.random():.5g}·{other}"
     return text
 
@@ -56,8 +54,8 @@ def _visibility(rng: np.random.Generator) -> dict[str, Any]:
     """What a design shows worst, before and after."""
     weakest = [
         {
-            "name": f"{LINKS[k % 7]}.{STANDARD[k]}",
-            "expression": _expression(rng, k % 7, 25 if k == 3 else k % 4),
+            "name": f"{LINKS[k % NV]}.{STANDARD[k]}",
+            "expression": _expression(rng, k % NV, 25 if k == 3 else k % 4),
             "unit": "kg·m²",
             "value": None if k == 4 else float(rng.normal()),
             "information_initial": None if k == 5 else 0.01 * (1 + k),
@@ -72,8 +70,8 @@ def _visibility(rng: np.random.Generator) -> dict[str, Any]:
             "strength": 0.1 * (1 + k),
             "other": 0.01,
             "members": [
-                {"name": f"{LINKS[3]}.Izz", "coefficient": 0.81},
-                {"name": f"{JOINTS[4]}.Fv", "coefficient": -0.52},
+                {"name": f"{LINKS[1]}.Izz", "coefficient": 0.81},
+                {"name": f"{JOINTS[2]}.Fv", "coefficient": -0.52},
             ],
             "share": 0.93,
         }
@@ -81,7 +79,7 @@ def _visibility(rng: np.random.Generator) -> dict[str, Any]:
     ]
     return {
         "condition_number_scaled": {"initial": 90.4, "final": 6.21},
-        "joint_weights": [1.0] * 7,
+        "joint_weights": [1.0] * NV,
         "weakest": weakest,
         "weak_directions": {"initial": directions, "final": directions[:2]},
     }
@@ -89,12 +87,17 @@ def _visibility(rng: np.random.Generator) -> dict[str, Any]:
 
 OBSTACLES = [
     {"name": "table", "shape": "half_space", "normal": [0.0, 0.0, 1.0], "offset": -0.1},
-    {"name": "pillar", "shape": "box", "size": [0.2, 0.3, 0.9], "position": [0.9, 0.0, 0.45],
-     "rpy": [0.0, 0.0, 0.4]},
+    {
+        "name": "pillar",
+        "shape": "box",
+        "size": [0.2, 0.3, 0.9],
+        "position": [0.9, 0.0, 0.45],
+        "rpy": [0.0, 0.0, 0.4],
+    },
     {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [0.0, 0.9, 0.4]},
     {"name": "cell", "shape": "workspace", "low": [-0.9, -0.9, 0.0], "high": [0.9, 0.9, 1.3]},
     {"name": "far wall", "shape": "box", "size": [1.0, 1.0, 1.0], "position": [40.0, 0.0, 0.0]},
-]  # fmt: skip
+]
 
 
 def _space(q: np.ndarray) -> dict[str, np.ndarray]:
@@ -122,7 +125,7 @@ def design_run() -> Run:
     ]
     result = {
         "verb": "design",
-        "robot": "seven_joint_arm",
+        "robot": "made_up_arm",
         "joints": JOINTS,
         "duration": 10.0,
         "harmonics": 5,
@@ -132,13 +135,15 @@ def design_run() -> Run:
         "condition_number": {"initial": 171.2, "final": 9.31, "lower_bound": 6.02},
         "limits": ratios,
         "limit_values": {
-            "position": [[-1.02 * abs(q[:, j]).max(), 1.02 * abs(q[:, j]).max()] for j in range(7)],
+            "position": [
+                [-1.02 * abs(q[:, j]).max(), 1.02 * abs(q[:, j]).max()] for j in range(NV)
+            ],
             "velocity": (abs(dq).max(0) * 1.0).tolist(),
-            "acceleration": [*(abs(ddq).max(0) * 1.3)[:6].tolist(), None],
+            "acceleration": [*(abs(ddq).max(0) * 1.3)[:-1].tolist(), None],
             "torque": None,
         },
         "worst": {
-            "position": {"joint": JOINTS[4], "t": 3.21},
+            "position": {"joint": JOINTS[2], "t": 3.21},
             "velocity": {"joint": "elbow_joint", "t": 7.77},
             "acceleration": {"joint": 2, "t": None},
             "torque": None,
@@ -146,16 +151,16 @@ def design_run() -> Run:
         "certified": {
             "position": [
                 {"low": q[:, j].min(), "high": q[:, j].max(), "ratio": 0.98, "t": 3.2}
-                for j in range(7)
+                for j in range(NV)
             ],
             "velocity": [
                 {"low": -abs(dq[:, j]).max(), "high": abs(dq[:, j]).max(), "ratio": 1.0, "t": 7.77}
-                for j in range(7)
+                for j in range(NV)
             ],
-            "acceleration": [{"ratio": 0.77, "t": None}, *[None] * 6],
-            "torque": [None] * 7,
+            "acceleration": [{"ratio": 0.77, "t": None}, *[None] * (NV - 1)],
+            "torque": [None] * NV,
         },
-        "revolute": [True] * 6 + [False],
+        "revolute": [True] * (NV - 1) + [False],
         **_visibility(rng),
         "clearance_m": 0.043,
         "closest": {"bodies": ["forearm_0", "table"], "t": 5.0, "distance_m": 0.0434},
@@ -198,13 +203,13 @@ def identify_run() -> Run:
         (measured - identified).std(0),
     )
     given = given.copy()
-    given[:, 6] = np.nan
+    given[:, 3] = np.nan
     joints = [
         {
             "name": name,
             "train": _accuracy(0.95 * after[j], scale[j], raw=True),
-            "validate": None if j == 5 else _accuracy(after[j], scale[j], raw=True),
-            "baseline": None if j == 6 else _accuracy(before[j] * (60 if j == 4 else 1), scale[j]),
+            "validate": None if j == 0 else _accuracy(after[j], scale[j], raw=True),
+            "baseline": None if j == 3 else _accuracy(before[j] * (60 if j == 2 else 1), scale[j]),
         }
         for j, name in enumerate(JOINTS)
     ]
@@ -223,7 +228,7 @@ def identify_run() -> Run:
                     else float(10 ** rng.uniform(-5, 0)),
                     "unit": "kg" if k == 0 else "kg·m" if k < 4 else "kg·m²",
                     "category": category,
-                    "prior": None if j == 3 else float(rng.normal()),
+                    "prior": None if j == 1 else float(rng.normal()),
                     "prior_dominated": category != "unique",
                 }
             )
@@ -232,7 +237,7 @@ def identify_run() -> Run:
         value, std = float(rng.normal()), float(10 ** rng.uniform(-4, -0.3))
         base.append(
             {
-                "expression": _expression(rng, k % 7, 25 if k == 3 else int(rng.integers(6))),
+                "expression": _expression(rng, k % NV, 25 if k == 3 else int(rng.integers(6))),
                 "value": value,
                 "std": None if k == 9 else std,
                 "rel_std": None if k == 9 else abs(std / value),
@@ -240,7 +245,7 @@ def identify_run() -> Run:
         )
     result = {
         "verb": "identify",
-        "robot": "seven_joint_arm",
+        "robot": "made_up_arm",
         "estimator": "physical",
         "effects": ["viscous_friction", "coulomb_friction", "torque_offset"],
         "cutoff_hz": 12.5,
@@ -250,7 +255,7 @@ def identify_run() -> Run:
         "parameters": parameters,
         "base_parameters": base,
         "physical": {"consistent": True, "violations": []},
-        "notes": ["wrist_flex_joint moved too little in the hold-out to be judged there.", None],
+        "notes": ["wrist_roll_joint moved too little in the hold-out to be judged there.", None],
         "files": ["identified.urdf", "identified.xml", "model.yaml"],
     }
     return result, {"t": t, "measured": measured, "given": given, "identified": identified}
@@ -271,7 +276,7 @@ def analyze_run() -> Run:
         links.append(
             {
                 "link": link,
-                "joint": None if j == 6 else joint,
+                "joint": None if j == 3 else joint,
                 "unique": unique,
                 "combined": groups,
                 "unidentifiable": none,
@@ -279,7 +284,7 @@ def analyze_run() -> Run:
         )
     practical = [
         {
-            "name": _expression(rng, k % 7, k % 4),
+            "name": _expression(rng, k % NV, k % 4),
             "std": float(10 ** rng.uniform(-4, 0)),
             "rel_std": None if k == 4 else float(10 ** rng.uniform(-3, 1.5)),
             "verdict": ["good", "fair", "poor"][k % 3],
@@ -288,7 +293,7 @@ def analyze_run() -> Run:
     ]
     result = {
         "verb": "analyze",
-        "robot": "seven_joint_arm",
+        "robot": "made_up_arm",
         "standard_parameters": 70,
         "base_parameters": 43,
         "links": links,
@@ -323,9 +328,9 @@ def _findings() -> list[dict[str, Any]]:
     }
     second = {
         "effect": "inertial_parameters",
-        "joints": [JOINTS[4], "wrist_flex_joint"],
+        "joints": [JOINTS[2], "wrist_roll_joint"],
         "parameters": [
-            {"name": f"{LINKS[4]}.{s}", "value": 0.001234 * k, "std": 1e-5, "unit": "kg·m²"}
+            {"name": f"{LINKS[2]}.{s}", "value": 0.001234 * k, "std": 1e-5, "unit": "kg·m²"}
             for k, s in enumerate(STANDARD)
         ],
         "explained": 0.112,
@@ -334,9 +339,9 @@ def _findings() -> list[dict[str, Any]]:
         "rivals": [
             {
                 "effect": "payload",
-                "joints": [JOINTS[6]],
+                "joints": [JOINTS[3]],
                 "why": "A mass at the flange makes the torque of a heavier wrist link.",
-                "experiment": "Move wrist_flex_joint through ±1.5 rad at 0.2 rad/s, first with the "
+                "experiment": "Move wrist_roll_joint through ±1.5 rad at 0.2 rad/s, first with the "
                 "forearm level, then upright.",
             },
             {"effect": "rotor_inertia", "joints": None, "why": None, "experiment": None},
@@ -351,12 +356,12 @@ def diagnose_run() -> Run:
     rng = np.random.default_rng(4)
     t, dq, measured, given, extended = _holdout(rng)
     scale, before, after = measured.std(0), (measured - given).std(0), (measured - extended).std(0)
-    stribeck = 6 * np.sign(dq[:, 3]) * np.exp(-np.abs(dq[:, 3]) / 0.3) + 3 * np.sign(dq[:, 3])
+    stribeck = 6 * np.sign(dq[:, 1]) * np.exp(-np.abs(dq[:, 1]) / 0.3) + 3 * np.sign(dq[:, 1])
     result = {
         "verb": "diagnose",
         "headline": "elbow_joint has Stribeck friction that the model lacks; the inertia of the "
         "forearm is probably wrong too.",
-        "robot": "seven_joint_arm",
+        "robot": "made_up_arm",
         "unit": "N·m",
         "cutoff_hz": 12.5,
         "simulation": {
@@ -378,7 +383,7 @@ def diagnose_run() -> Run:
         "waterfall": [
             {"label": "as given", "rms": 4.62},
             {"label": "+ stribeck_friction at elbow_joint", "rms": 1.31},
-            {"label": f"+ inertial_parameters at {JOINTS[4]}, wrist_flex_joint", "rms": 1.18},
+            {"label": f"+ inertial_parameters at {JOINTS[2]}, wrist_roll_joint", "rms": 1.18},
             {"label": "+ unknown", "rms": None},
         ],
         "notes": ["Velocities below 0.05 rad/s are rare: presliding was not judged."],
@@ -388,7 +393,7 @@ def diagnose_run() -> Run:
         "measured": measured,
         "simulated": given,
         "extended": extended,
-        "finding0_x": dq[:, 3],
+        "finding0_x": dq[:, 1],
         "finding0_residual": stribeck + rng.normal(size=len(t)),
         "finding0_fit": stribeck,
         "finding1_x": np.cumsum(rng.normal(size=len(t))),
@@ -403,7 +408,7 @@ def check_run() -> Run:
     designed, _ = design_run()
     result = {
         "verb": "check",
-        "robot": "seven_joint_arm",
+        "robot": "made_up_arm",
         "trajectory": "somebody/trajectory.csv",
         "joints": JOINTS,
         "limits": {"position": 0.81, "velocity": 1.31, "acceleration": None, "torque": 0.5},
@@ -428,7 +433,7 @@ def demo_run() -> Run:
     }
     result: dict[str, Any] = {
         "verb": "demo",
-        "robot": "seven_joint_arm",
+        "robot": "made_up_arm",
         "seed": 7,
         "truth": {
             "effect": "stribeck_friction",
@@ -469,15 +474,15 @@ BUILDERS: dict[str, Callable[[], Run]] = {
 }
 
 
+@cache
+def _page(verb: str) -> str:
+    return html(page_of(*BUILDERS[verb]()))
+
+
 @pytest.fixture(params=list(BUILDERS))
 def run(request: pytest.FixtureRequest) -> Run:
     """A run of each verb."""
     return BUILDERS[request.param]()
-
-
-@cache
-def _page(verb: str) -> str:
-    return html(page_of(*BUILDERS[verb]()))
 
 
 @pytest.fixture(params=list(BUILDERS))
@@ -494,7 +499,19 @@ def file(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     return path
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make() -> dict[str, Callable[[], Run]]:
     """How to make a run, by verb."""
     return BUILDERS
+
+
+@pytest.fixture(scope="session")
+def written() -> Callable[[str], str]:
+    """The page of a verb's run as it is, written once for all tests."""
+    return _page
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawings are not written, which takes most of a page's time."""
+    monkeypatch.setattr("excitant.reports.drawing._svg", lambda *_: "<svg></svg>")

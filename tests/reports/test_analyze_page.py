@@ -54,9 +54,13 @@ def moved(arm):
     return found, through_json(found.result()), found.series()
 
 
-def test_every_link_has_its_section_with_its_drawing_and_parameters(moved, arm):
-    found, result, series = moved
-    page = render(result, series)
+@pytest.fixture(scope="module")
+def page(moved):
+    return render(*moved[1:])
+
+
+def test_every_link_has_its_section_with_its_drawing_and_parameters(moved, page, arm):
+    found, result, _ = moved
     labels = re.findall(r'<svg role="img" aria-label="([^"]*)"', page)
     for link, joint in zip(arm.links, arm.joints, strict=True):
         assert f"{link} at {joint}" in headings(page)
@@ -70,9 +74,8 @@ def test_every_link_has_its_section_with_its_drawing_and_parameters(moved, arm):
     assert "weigh or swing the link apart from the arm" in said
 
 
-def test_a_link_section_says_what_the_result_says(moved):
-    _, result, series = moved
-    page = render(result, series)
+def test_a_link_section_says_what_the_result_says(moved, page):
+    _, result, _ = moved
     _, section, _ = re.split(r"<h3[^>]*>(?=upper_|forearm_)", page)
     said = plain(section)
     assert "Link 2 of 6" in said
@@ -85,9 +88,9 @@ def test_a_link_section_says_what_the_result_says(moved):
     assert said.count("not at all") >= len(result["links"][1]["unidentifiable"])
 
 
-def test_what_the_motion_does_not_show_is_named_with_its_cure(moved):
-    _, result, series = moved
-    said = plain(render(result, series))
+def test_what_the_motion_does_not_show_is_named_with_its_cure(moved, page):
+    _, result, _ = moved
+    said = plain(page)
     lost = {row["name"] for row in result["not_shown"]}
     assert {"elbow_joint.Fv", "elbow_joint.Fc", "elbow_joint.Ia"} <= lost
     assert "moving elbow_joint, which rests" in said
@@ -109,8 +112,8 @@ def test_without_a_motion_there_is_structure_alone(arm):
     assert set(series) == {"chain"}
 
 
-def test_any_key_may_be_missing_or_null(moved, monkeypatch):
-    monkeypatch.setattr("excitant.reports.drawing._svg", lambda *_: "<svg></svg>")
+@pytest.mark.slow
+def test_any_key_may_be_missing_or_null(moved, undrawn):
     _, result, series = moved
     result = copy.deepcopy(result)
     result["links"] = result["links"][:2]

@@ -44,8 +44,8 @@ def saved():
     return found, result, series, render(result, series)
 
 
-def test_every_part_is_there_with_its_figure(make):
-    page = render(*make["design"]())
+def test_every_part_is_there_with_its_figure(written):
+    page = written("design")
     for part in PARTS:
         assert re.search(f"<h3[^>]*>{part}</h3>", page)
     said = " ".join(labels(page))
@@ -55,14 +55,14 @@ def test_every_part_is_there_with_its_figure(make):
         assert any(label.startswith(view) for label in labels(page))
 
 
-def test_worst_parameters_and_directions_are_named(make):
-    result, series = make["design"]()
-    said = words(render(result, series))
+def test_worst_parameters_and_directions_are_named(make, written):
+    result, _ = make["design"]()
+    said = words(written("design"))
     text = summary(page_of(result, {}))
     for row in result["weakest"]:
         assert row["expression"] in said
         assert row["expression"].replace("−", "-") in text
-    direction = "0.81·elbow_link.Izz − 0.52·" + result["joints"][4] + ".Fv + …"
+    direction = "0.81·elbow_link.Izz − 0.52·" + result["joints"][2] + ".Fv + …"
     assert said.count(direction) == 5
     assert text.count(direction.replace("−", "-")) == 5
     assert "6.21" in said
@@ -142,7 +142,7 @@ def test_page_of_a_design_without_a_scene(saved):
     assert any(label.startswith("from the side") for label in labels(page))
 
 
-def test_unlimited_joints_are_drawn_without_lines(make):
+def test_unlimited_joints_are_drawn_without_lines(make, undrawn):
     result, series = make["design"]()
     free = {k: v for k, v in result.items() if k not in ("limits", "limit_values", "certified")}
     with style():
@@ -155,7 +155,7 @@ def test_unlimited_joints_are_drawn_without_lines(make):
 def test_twelve_joints_fit_on_a_small_page(make):
     result, series = make["design"]()
     names = [f"{side}_{k}" for side in ("left", "right") for k in range(1, 7)]
-    wide = {key: np.hstack([series[key], series[key][:, :5]]) for key in ("q", "dq", "ddq", "tau")}
+    wide = {key: np.hstack([series[key]] * 3) for key in ("q", "dq", "ddq", "tau")}
     half = len(series["arm"][0]) // 2
     series["arm"][:, half] = np.nan
     both = {"other_tools": series["tool"][:, None] + 1.0}
@@ -169,12 +169,13 @@ def test_sliding_joints_have_their_own_units(make):
     result, series = make["design"]()
     with style():
         panels = motion_figure(result["joints"], result, series).panels
-    assert "velocity [m/s]" in panels[6].svg
-    assert "velocity [rad/s]" in panels[5].svg
+    assert "velocity [m/s]" in panels[3].svg
+    assert "velocity [rad/s]" in panels[2].svg
 
 
 def test_jerk_is_shown_when_it_is_there(make):
     result, series = make["design"]()
+    series = {key: series[key][::50] for key in ("t", "ddq")}
     series["dddq"] = np.gradient(series["ddq"], series["t"], axis=0)
     with style():
         panels = motion_figure(result["joints"], result, series).panels

@@ -93,7 +93,7 @@ def test_what_was_not_judged_is_a_dash(run):
     assert figure.panels[0].svg.count(">–</text>") == len(result["error"]["joints"])
 
 
-@pytest.mark.parametrize("count", [1, 2, 7])
+@pytest.mark.parametrize("count", [1, 4])
 def test_any_number_of_joints_can_be_drawn(run, count):
     result, _ = copy.deepcopy(run)
     result["error"]["joints"] = result["error"]["joints"][:count]
@@ -107,7 +107,7 @@ def wrong(result):
         return diagnose_section(result, {}).parts[1].blocks
 
 
-def test_divergence_is_said(run):
+def test_divergence_is_said(run, undrawn):
     result, _ = copy.deepcopy(run)
     result["forward"]["joints"][0]["given"] = None
     result["forward"]["notes"] = ["The given model leaves the motion for good."]
@@ -117,7 +117,7 @@ def test_divergence_is_said(run):
     assert isinstance(notes, Notes)
 
 
-def test_joints_where_the_extended_model_is_no_closer_are_named(run):
+def test_joints_where_the_extended_model_is_no_closer_are_named(run, undrawn):
     result, _ = copy.deepcopy(run)
     assert "closer on every joint" in wrong(result)[-1].caption
     result["forward"]["joints"][1]["extended"] = 0.06
@@ -126,16 +126,14 @@ def test_joints_where_the_extended_model_is_no_closer_are_named(run):
 
 
 @pytest.mark.parametrize("key", ["error", "refit", "forward"])
-def test_page_does_without(run, key):
-    result, series = copy.deepcopy(run)
+def test_page_does_without(run, key, undrawn):
+    result, _ = copy.deepcopy(run)
     for nothing in ({}, None):
         result[key] = nothing
-        assert "Error step by step" in titles(result, series)
-    del result[key]
-    assert "Error step by step" in titles(result, series)
+        assert "Error step by step" in titles(result, {})
 
 
-def test_small_findings_share_a_part(run):
+def test_small_findings_share_a_part(run, undrawn):
     result, series = copy.deepcopy(run)
     lead = result["findings"][0]
     result["findings"] = [{**lead, "explained": share} for share in (0.7, 0.2, 0.1, 0.05, 0.004)]
@@ -151,7 +149,7 @@ def test_small_findings_share_a_part(run):
     assert any(isinstance(block, Figure | Notes) for block in further.blocks[1].blocks)
 
 
-def test_nothing_found_shows_one_model(run):
+def test_nothing_found_shows_one_model(run, undrawn):
     result, series = copy.deepcopy(run)
     result["findings"] = []
     result["extended"]["joints"] = copy.deepcopy(result["simulation"]["joints"])
@@ -171,7 +169,7 @@ def summary_facts(result, series):
     return parts[0].blocks[0].facts
 
 
-def test_noise_is_said_in_a_sentence(run):
+def test_noise_is_said_in_a_sentence(run, undrawn):
     result, series = copy.deepcopy(run)
     names = [row["name"] for row in result["simulation"]["joints"]]
     result["unexplained"] = [{"joint": n, "share": 1e-4, "structure": "noise-like"} for n in names]
@@ -184,7 +182,7 @@ def test_noise_is_said_in_a_sentence(run):
     assert "Against the noise" not in [heading for heading, _ in table.columns]
 
 
-def test_an_unknown_cause_claims_no_share(run):
+def test_an_unknown_cause_claims_no_share(run, undrawn):
     result, series = copy.deepcopy(run)
     unknown = {"effect": "unknown", "joints": ["joint1"], "explained": 0.0, "verdict": "unknown",
                "structure": "structured: stays correlated over 0.4 s",

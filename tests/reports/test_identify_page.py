@@ -15,8 +15,7 @@ LOOKS, N = 24, 400
 CURVES = Curves("given", "model as given", "identified", "identified", "caption", band="half_width")
 
 
-@pytest.fixture
-def extra(make):
+def extra_run(make):
     """A run of identify with everything that --online and --payload add."""
     result, series = make["identify"]()
     rng, rows = np.random.default_rng(2), len(result["base_parameters"])
@@ -29,8 +28,8 @@ def extra(make):
         "value": value.tolist(),
         "std": std.tolist(),
         "excitation_level": [None] * 4 + level[4:].tolist(),
-        "torque_uncertainty": (np.exp(-t)[:, None] * np.ones(7)).tolist(),
-        "noise": (0.02 * np.ones((LOOKS, 7))).tolist(),
+        "torque_uncertainty": (np.exp(-t)[:, None] * np.ones(4)).tolist(),
+        "noise": (0.02 * np.ones((LOOKS, 4))).tolist(),
     }
     messages = [
         {"t": 4.0, "text": "converged: the estimate is surer of the torque than a row of data"},
@@ -38,7 +37,7 @@ def extra(make):
     ]
     result["online"] = {
         "delay_s": 0.03, "converged": True, "messages": messages, "history": history,
-        "differentiator": "",
+        "differentiator": ""
     }  # fmt: skip
     result["payload"] = payload()
     more = {"online_t": t, "online_value": value, "online_std": std}
@@ -66,6 +65,16 @@ def render(result, series):
     return html(page_of(result, series))
 
 
+@pytest.fixture
+def extra(make):
+    return extra_run(make)
+
+
+@pytest.fixture(scope="module")
+def page(make):
+    return render(*extra_run(make))
+
+
 def words(page):
     return re.sub(r"\s+", " ", re.sub(r"<style.*?</style>|<[^>]*>", "", page, flags=re.DOTALL))
 
@@ -74,8 +83,7 @@ def labels(page):
     return re.findall(r'<svg role="img" aria-label="([^"]*)"', page)
 
 
-def test_every_part_is_there_with_its_figure(extra, make):
-    page = render(*extra)
+def test_every_part_is_there_with_its_figure(page, written):
     parts = ("Payload", "On-line estimation", "Estimates over time", "Excitation over time",
              "Convergence")  # fmt: skip
     for part in parts:
@@ -85,12 +93,12 @@ def test_every_part_is_there_with_its_figure(extra, make):
                   "torque uncertainty falls", "payload from"):  # fmt: skip
         assert start in said, start
     assert "nan" not in re.sub(r"[a-z]*nan[a-z]+|[a-z]+nan[a-z]*", "", words(page).lower())
-    without = render(*make["identify"]())
+    without = written("identify")
     assert not any(re.search(f"<h3[^>]*>{part}</h3>", without) for part in parts)
 
 
-def test_spans_of_poor_excitation_are_named_and_messages_written(extra):
-    said = words(render(*extra))
+def test_spans_of_poor_excitation_are_named_and_messages_written(extra, page, undrawn):
+    said = words(page)
     assert "not exciting enough from 6.5 s to 9.0 s" in said
     assert "not exciting enough since 2.1 s: 3 of 40 visible &lt;directions&gt;" in said
     level = extra[0]["online"]["history"]["excitation_level"]
@@ -98,20 +106,20 @@ def test_spans_of_poor_excitation_are_named_and_messages_written(extra):
     assert "here never below it" in words(render(*extra))
 
 
-def test_estimates_shown_are_those_that_were_learnt(extra):
+def test_estimates_shown_are_those_that_were_learnt(page):
     """Of every link one parameter at most, and of every joint; with their units."""
-    titles = [label for label in labels(render(*extra)) if "over time, at the end" in label]
+    titles = [label for label in labels(page) if "over time, at the end" in label]
     owners = [title.split(" over time")[0].rpartition(".")[0] for title in titles]
     assert 0 < len(titles) <= 12
     assert len(set(owners)) == len(owners)
     assert all(re.search(r"± \S+ (kg|N)", title) for title in titles)
 
 
-def test_payload_in_words(extra):
-    said = words(render(*extra))
+def test_payload_in_words(page):
+    said = words(page)
     for part in (
         "1.5000 ± 0.0020 kg", "20.00 ± 0.10 mm", "200.0 ± 5.0 mm", "held by link7",
-        "Torque came as motor current", "Centre of mass along z is known to ±10 mm only.",
+        "Torque came as motor current", "Centre of mass along z is known to ±10 mm only."
     ):  # fmt: skip
         assert part in said, part
 
@@ -131,7 +139,7 @@ def test_payload_in_words(extra):
         lambda r, s: r["payload"].update(parameters=[], notes=None),
     ],
 )
-def test_what_is_missing_or_null_is_left_out(extra, damage):
+def test_what_is_missing_or_null_is_left_out(extra, damage, undrawn):
     damage(*extra)
     assert "Identification" in render(*extra)
 

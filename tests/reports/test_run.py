@@ -9,6 +9,7 @@ import pytest
 
 from excitant.exceptions import BadInput
 from excitant.reports import html, load_run, page_of, save_run, summary
+from excitant.reports.page import Page
 
 OWN = ["report.html", "result.json", "series.npz", "summary.txt"]
 
@@ -27,7 +28,7 @@ def test_saved_run_renders_again_to_the_same_page(run, tmp_path):
 
 
 def test_saved_run_is_what_was_given(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("excitant.reports.run.html", lambda *_: "page")
+    monkeypatch.setattr("excitant.reports.run.page_of", lambda *_: Page("", "", (), ()))
     given, arrays = run
     save_run(tmp_path, given, arrays)
     result, series = load_run(tmp_path)

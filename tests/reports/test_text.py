@@ -18,7 +18,7 @@ def changed(before, after):
     return [line for line in lines if line[:1] in "+-" and line[:3] not in ("+++", "---")]
 
 
-def test_summary_is_plain_lines(run):
+def test_summary_is_plain_lines(run, undrawn):
     text = text_of(run[0])
     assert text.startswith("[[")
     assert text.endswith("\n")
@@ -32,16 +32,16 @@ def test_summary_is_plain_lines(run):
         ("design", ("condition_number", "initial")),
         ("design", ("starts", 2, "condition_number")),
         ("check", ("limits", "velocity")),
-        ("identify", ("joints", 3, "validate", "rms")),
+        ("identify", ("joints", 2, "validate", "rms")),
         ("identify", ("parameters", 17, "value")),
         ("identify", ("base_parameters", 5, "std")),
         ("analyze", ("practical", 7, "rel_std")),
         ("diagnose", ("findings", 0, "parameters", 0, "value")),
-        ("diagnose", ("extended", "joints", 6, "r2")),
+        ("diagnose", ("extended", "joints", 3, "r2")),
     ],
 )
-@pytest.mark.parametrize("value", [123456.789, -1500.0, None])
-def test_one_changed_value_changes_only_its_lines(verb, path, value, make):
+@pytest.mark.parametrize("value", [123456.789, None])
+def test_one_changed_value_changes_only_its_lines(verb, path, value, make, undrawn):
     before, after = make[verb]()[0], make[verb]()[0]
     holder = after
     for key in path[:-1]:
@@ -62,7 +62,7 @@ def test_time_taken_and_paths_do_not_count(make):
     assert "99" in html(page_of(after, {}))
 
 
-def test_every_accuracy_parameter_and_finding_is_in_it(make):
+def test_every_accuracy_parameter_and_finding_is_in_it(make, undrawn):
     result = make["demo"]()[0]
     text = text_of(result)
     for row in result["diagnose"]["extended"]["joints"]:
@@ -71,7 +71,7 @@ def test_every_accuracy_parameter_and_finding_is_in_it(make):
         assert f"[[Finding {k + 1}: " in text
     for row in result["identify"]["base_parameters"]:
         assert row["expression"].replace("−", "-") in text
-    head, *rows = text.partition("[[Standard parameters]]")[2].splitlines()[1:72]
+    head, *rows = text.partition("[[Standard parameters]]")[2].splitlines()[1:42]
     for word in ("Parameter", "Value", "± std", "Relative std", "Category", "Decided by"):
         assert word in head
     assert len(rows) == len(result["identify"]["parameters"])
@@ -111,7 +111,7 @@ def test_terminal_shows_leads_and_what_is_marked():
     ]
 
 
-def test_terminal_says_what_every_verb_came_to(make):
+def test_terminal_says_what_every_verb_came_to(make, undrawn):
     for verb, words in {
         "design": "designed     condition number 171 → 9.31, limits used up to 100.0 %",
         "check": "checked      velocity of elbow_joint reaches 131 % of its limit",

@@ -333,8 +333,10 @@ def test_angles_are_radians_unless_said(tmp_path: Path) -> None:
 
 
 def test_joints_and_locks_of_the_file_apply(tmp_path: Path) -> None:
-    text = ARM.replace("limits: {position: [[-2, 2], [-2.5, 2.5], [0, 0.3]], velocity: 3, "
-                       "torque: [50, 30, 100]}", "limits: {velocity: [1, 2]}")  # fmt: skip
+    text = ARM.replace(
+        "limits: {position: [[-2, 2], [-2.5, 2.5], [0, 0.3]], velocity: 3, torque: [50, 30, 100]}",
+        "limits: {velocity: [1, 2]}",
+    )
     whole = load_robot(written(tmp_path, ARM))
     part = load_robot(written(tmp_path, text + "lock: {joint2: 0.3}\n"))
     assert part.joints == ("shoulder", "quill")

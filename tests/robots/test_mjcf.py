@@ -168,9 +168,14 @@ def geom_body(rng: np.random.Generator, number: int, compiler: str) -> str:
     """A body of random shapes, orientation, joint, and perhaps a given inertia."""
     angle = 1.0 if "radian" in compiler else 57.0
     numbers = lambda n, size=1.0: " ".join(map(str, rng.uniform(-size, size, n)))  # noqa: E731
-    turn = (f'quat="{numbers(4)}"', f'euler="{numbers(3, 3 * angle)}"', f'zaxis="{numbers(3)}"',
-            f'axisangle="{numbers(3)} {rng.uniform(-3, 3) * angle}"', f'xyaxes="{numbers(6)}"',
-            "")[rng.integers(6)]  # fmt: skip
+    turn = (
+        f'quat="{numbers(4)}"',
+        f'euler="{numbers(3, 3 * angle)}"',
+        f'zaxis="{numbers(3)}"',
+        f'axisangle="{numbers(3)} {rng.uniform(-3, 3) * angle}"',
+        f'xyaxes="{numbers(6)}"',
+        "",
+    )[rng.integers(6)]
     kind = ("sphere", "box", "capsule", "cylinder", "ellipsoid")[rng.integers(5)]
     size = " ".join(map(str, rng.uniform(0.02, 0.2, 3)))
     shapes = (
@@ -182,11 +187,15 @@ def geom_body(rng: np.random.Generator, number: int, compiler: str) -> str:
     given = ""
     if rng.random() < 0.4:
         a, b, c = rng.uniform(0.01, 0.02, 3)
-        given = (f'<inertial pos="{numbers(3)}" mass="{rng.uniform(0.1, 4)}" '
-                 f'diaginertia="{a} {b} {c}" {turn}/>')  # fmt: skip
-    joint = (f'<joint name="j{number}" type="{("hinge", "slide")[rng.integers(2)]}" '
-             f'axis="{numbers(3)}" pos="{numbers(3, 0.3)}" ref="{rng.uniform(-1, 1)}" '
-             f'damping="{rng.uniform(0, 2)}" armature="{rng.uniform(0, 1)}"/>')  # fmt: skip
+        given = (
+            f'<inertial pos="{numbers(3)}" mass="{rng.uniform(0.1, 4)}" '
+            f'diaginertia="{a} {b} {c}" {turn}/>'
+        )
+    joint = (
+        f'<joint name="j{number}" type="{("hinge", "slide")[rng.integers(2)]}" '
+        f'axis="{numbers(3)}" pos="{numbers(3, 0.3)}" ref="{rng.uniform(-1, 1)}" '
+        f'damping="{rng.uniform(0, 2)}" armature="{rng.uniform(0, 1)}"/>'
+    )
     return f'<body name="b{number}" pos="{numbers(3)}" {turn}>{joint}{given}{shapes}'
 
 
@@ -195,14 +204,25 @@ def geom_body(rng: np.random.Generator, number: int, compiler: str) -> str:
     angle=st.sampled_from(("radian", "degree")),
     sequence=st.sampled_from(("xyz", "ZYX", "zXz", "YzX")),
     geoms=st.sampled_from(("auto", "true")),
-    bounds=st.sampled_from(("", 'boundmass="2.5" boundinertia="0.02"', 'balanceinertia="true"',
-                            'settotalmass="7"', 'inertiagrouprange="0 3"')),
-)  # fmt: skip
+    bounds=st.sampled_from(
+        (
+            "",
+            'boundmass="2.5" boundinertia="0.02"',
+            'balanceinertia="true"',
+            'settotalmass="7"',
+            'inertiagrouprange="0 3"',
+        )
+    ),
+)
 @settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 def test_any_compiler_gives_the_torque_of_mujoco(
     tmp_path_factory: pytest.TempPathFactory,
-    seed: int, angle: str, sequence: str, geoms: str, bounds: str,
-) -> None:  # fmt: skip
+    seed: int,
+    angle: str,
+    sequence: str,
+    geoms: str,
+    bounds: str,
+) -> None:
     rng = np.random.default_rng(seed)
     compiler = (
         f'<compiler angle="{angle}" eulerseq="{sequence}" inertiafromgeom="{geoms}" {bounds}/>'
@@ -346,7 +366,11 @@ def test_missing_drawings_are_left_out(tmp_path: Path) -> None:
 
 def test_bodies_that_mujoco_builds(tmp_path: Path) -> None:
     path = tmp_path / "arm.xml"
-    path.write_text(ONE.format('<joint axis="0 1 0"/><replicate count="2" offset="0.5 0 0">'
-                               '<geom size="0.1"/></replicate>'))  # fmt: skip
+    path.write_text(
+        ONE.format(
+            '<joint axis="0 1 0"/><replicate count="2" offset="0.5 0 0">'
+            '<geom size="0.1"/></replicate>'
+        )
+    )
     robot = load_robot(path)
     assert robot.phi[0] == pytest.approx(2 * 1000 * 4 / 3 * np.pi * 1e-3, rel=1e-12)

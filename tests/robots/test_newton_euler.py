@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from second_opinion import grouping
 from seed import (
     central_parameters,
     classical_torque,
@@ -369,30 +370,28 @@ def own(M: np.ndarray, i: int) -> np.ndarray:
     return M[:, :, 10 * i : 10 * i + 10]
 
 
-def stacked_ranks(parts: list[np.ndarray]) -> list[int]:
-    """How many combinations each experiment adds to those before it."""
-    ranks = [rank(np.vstack(parts[: k + 1])) for k in range(len(parts))]
-    return np.diff([0, *ranks]).tolist()
-
-
-def test_cascade_of_joint_torques_recovers_the_base_set(dd: DHChain) -> None:
-    """Joints 1..i move, τ_i alone is read: 7 + 7 + 7 + 7 + 3 + 1 = 32."""
-    runs = list(zip(experiments(dd, "1..i", "one"), reversed(range(6)), strict=True))
-    assert [rank(own(M, i)[:, i]) for M, i in runs] == [7, 7, 7, 7, 3, 1]
-    assert stacked_ranks([M[:, i] for M, i in runs]) == [7, 7, 7, 7, 3, 1]
-
-
-def test_only_one_link_moves_read_literally(dd: DHChain) -> None:
-    """Joint i alone moves, the others hold one pose, τ_i alone is read: 14."""
-    runs = list(zip(experiments(dd, "i", "one"), reversed(range(6)), strict=True))
-    assert [rank(own(M, i)[:, i]) for M, i in runs] == [3, 3, 3, 3, 1, 1]
-
-
-def test_many_poses_make_up_for_most_of_it(dd: DHChain) -> None:
-    """Joint i alone moves, the others hold many poses: τ_i determines 30, τ_1..τ_i all 32."""
-    runs = list(zip(experiments(dd, "i", "many"), reversed(range(6)), strict=True))
-    assert sum(stacked_ranks([M[:, i] for M, i in runs])) == 30
-    assert sum(stacked_ranks([M[:, : i + 1].reshape(-1, 60) for M, i in runs])) == 32
+@pytest.mark.parametrize(
+    ("moving", "poses", "own_ranks", "alone", "together"),
+    [
+        ("1..i", "one", [7, 7, 7, 7, 3, 1], 32, 32),  # joints 1 to i move, τ_i alone is read
+        ("i", "one", [3, 3, 3, 3, 1, 1], None, None),  # joint i alone moves: read literally, 14
+        ("i", "many", None, 30, 32),  # the others hold many poses: τ_i, and τ_1 .. τ_i
+    ],
+)
+def test_what_a_cascade_of_experiments_recovers(
+    dd: DHChain,
+    moving: str,
+    poses: str,
+    own_ranks: list[int] | None,
+    alone: int | None,
+    together: int | None,
+) -> None:
+    runs = list(zip(experiments(dd, moving, poses), reversed(range(6)), strict=True))
+    if own_ranks is not None:
+        assert [rank(own(M, i)[:, i]) for M, i in runs] == own_ranks
+    if alone is not None:
+        assert rank(np.vstack([M[:, i] for M, i in runs])) == alone
+        assert rank(np.vstack([M[:, : i + 1].reshape(-1, 60) for M, i in runs])) == together
 
 
 @pytest.mark.parametrize(
@@ -450,42 +449,6 @@ def test_link_1_is_about_its_centre_of_mass(dd: DHChain) -> None:
 # How many base parameters, by rule
 
 
-def structural_count(chain: DHChain) -> int:
-    """Base parameters by the rules of Gautier and Khalil (1990), without any regressor.
-
-    In proximal frames: a revolute joint regroups YY, MZ, M; a prismatic one its six inertias.
-    Let r be the first revolute joint and m the first one after it with another direction.
-    Revolute joints before m keep ZZ of their inertia only, and lose MX, MY as well when their
-    axis is that of r, along gravity, with no sliding across it before. Prismatic joints between
-    r and m keep M alone if they slide along r's axis, else lose one component of M c; before r
-    they keep M alone.
-    """
-    frames = chain.frames(np.zeros((1, chain.nv)))[0, 1:]
-    axes, points = frames[:, :3, 2], frames[:, :3, 3]
-    turning = np.flatnonzero(chain.revolute)
-    first = int(turning[0]) if len(turning) else chain.nv
-
-    def along(u: np.ndarray, v: np.ndarray) -> bool:
-        return bool(np.linalg.norm(np.cross(u, v)) < 1e-9)
-
-    other = next((j for j in turning if not along(axes[j], axes[first])), chain.nv)
-    count = 0
-    for j in range(chain.nv):
-        if j < first:
-            count += 1
-        elif j >= other:
-            count += 7 if chain.revolute[j] else 4
-        elif chain.revolute[j]:
-            slides = [k for k in range(j) if not chain.revolute[k]]
-            same = along(points[j] - points[first], axes[first])
-            calm = along(chain.gravity, axes[first])
-            calm = calm and all(along(axes[k], axes[first]) for k in slides)
-            count += 1 if same and calm else 3
-        else:
-            count += 1 if along(axes[j], axes[first]) else 3
-    return count
-
-
 @pytest.mark.parametrize(
     ("name", "gravity", "count"),
     [
@@ -508,7 +471,7 @@ def test_base_parameters_counted_in_three_ways(
     x = np.array(robot.random_motion(np.random.default_rng(5), 200))
     assert len(base_parameters(robot)) == count
     assert rank(torque_matrix(chain, *x).reshape(-1, 10 * robot.nv)) == count
-    assert structural_count(chain) == count
+    assert len(grouping(robot)) == count
 
 
 @given(seed=SEEDS, nv=st.integers(1, 6))
@@ -525,4 +488,4 @@ def test_the_rule_holds_for_arms_of_right_angles(random_chain: Chains, seed: int
         gravity=np.array([[0, 0, -9.81], [2, 3, -9]][rng.integers(2)], float),
     )
     W = torque_matrix(chain, *states(seed, 100, nv)).reshape(-1, 10 * nv)
-    assert rank(W) == structural_count(chain)
+    assert rank(W) == len(grouping(robot_from_dh(chain)))

@@ -528,7 +528,7 @@ def test_dry_friction_of_joints_and_shafts_obeys_coulombs_law(
     K = root @ root.T + 0.1 * np.eye(n)
     G = np.vstack([np.eye(n), rng.standard_normal((shafts, n))])
     v = rng.choice([0.0, 1e-3, -1e-3, 1.0, -1.0], n)
-    forward, backward = rng.choice([0.1, 1.0, 10.0], (2, n + shafts))
+    forward, backward = rng.choice([0.0, 0.1, 1.0, 10.0], (2, n + shafts))
     impulse = rng.standard_normal(n) * rng.choice([0.1, 3.0, 30.0])
     delta = stick_or_slip(K, impulse, forward, v, backward, G)
     after = G @ (v + delta)
@@ -573,6 +573,11 @@ def test_every_effect_has_a_planter_and_refuses_wrong_parameters(robot: Robot) -
 @pytest.mark.parametrize(
     ("name", "joints", "shape", "values"),
     [
+        ("viscous_friction", 1, {}, [3.0]),
+        ("coulomb_friction", 1, {}, [4.0]),
+        ("stribeck_friction", 1, {"velocity": 0.12}, [3.0]),
+        ("torque_offset", 1, {}, [-2.0]),
+        ("rotor_inertia", 1, {}, [0.5]),
         ("asymmetric_friction", 1, {"viscous": True}, [2.0, 0.5, 1.0, 0.3]),
         ("nonlinear_viscous_friction", 1, {"exponent": 1.7}, [2.0]),
         ("load_dependent_friction", 1, {}, [0.3]),

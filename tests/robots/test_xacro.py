@@ -104,17 +104,33 @@ WRONG = {
     "package that is not there": (ARM, {}, [], r"no package 'parts'.*--package /path/to/parts"),
     "argument of another name": (ARM, {"lenght": "1"}, ["elsewhere"], "did you mean 'length'"),
     "argument without a value": (
-        ARM.replace("$(arg length)", "$(arg reach)"), {}, ["elsewhere"], "--xacro-arg NAME:=VALUE"),
+        ARM.replace("$(arg length)", "$(arg reach)"),
+        {},
+        ["elsewhere"],
+        "--xacro-arg NAME:=VALUE",
+    ),
     "argument without a default": (
-        ARM.replace(' default="0.5"', ""), {"length": "1"}, ["elsewhere"], "default"),
+        ARM.replace(' default="0.5"', ""),
+        {"length": "1"},
+        ["elsewhere"],
+        "default",
+    ),
     "value that is no number": (ARM, {"length": "long"}, ["elsewhere"], "length / 2"),
     "not XML": (ARM.replace("</robot>", ""), {}, ["elsewhere"], "cannot read"),
-    "macro that is not there": (ARM.replace("xacro:bar name", "xacro:rod name"), {}, ["elsewhere"],
-                                "xacro:rod"),
-    "file that is not there": (ARM.replace("links.xacro", "limbs.xacro"), {}, ["elsewhere"],
-                               "limbs.xacro"),
+    "macro that is not there": (
+        ARM.replace("xacro:bar name", "xacro:rod name"),
+        {},
+        ["elsewhere"],
+        "xacro:rod",
+    ),
+    "file that is not there": (
+        ARM.replace("links.xacro", "limbs.xacro"),
+        {},
+        ["elsewhere"],
+        "limbs.xacro",
+    ),
     "macros alone": (LINKS, {}, [], "only defines macros"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", WRONG)
@@ -177,13 +193,19 @@ def test_an_expression_reaches_nothing_but_values(
 @pytest.mark.parametrize(
     "expression",
     [
-        "${props.mass * 2}", "${props['mass'] + 1.5}", "${[2 * x for x in [1.5]][0]}",
-        "${dict(a=3)['a']}", "${math.sqrt(9)}", "${radians(180) / pi * 3}",
-        "${float('a 3'.split()[1])}", "${max(3, float(xacro.arg('length')))}",
-        "$(eval 2 * length + 2)", "$(eval max_mass if 2 > 1 else 0)",
+        "${props.mass * 2}",
+        "${props['mass'] + 1.5}",
+        "${[2 * x for x in [1.5]][0]}",
+        "${dict(a=3)['a']}",
+        "${math.sqrt(9)}",
+        "${radians(180) / pi * 3}",
+        "${float('a 3'.split()[1])}",
+        "${max(3, float(xacro.arg('length')))}",
+        "$(eval 2 * length + 2)",
+        "$(eval max_mass if 2 > 1 else 0)",
         "${python.sum(x * scale for x in [1.5])}",
     ],
-)  # fmt: skip
+)
 def test_expressions_of_values_are_evaluated(arm: Path, expression: str) -> None:
     (arm.parent / "props.yaml").write_text("mass: 1.5\n")
     arm.write_text(

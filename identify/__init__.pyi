@@ -1,0 +1,74 @@
+from .dataset import Dataset, load_dataset
+from .differentiators import (
+    Differentiator,
+    LocalPolynomial,
+    ZeroPhaseButterworth,
+    five_point,
+    savitzky_golay,
+)
+from .drive_gains import DriveGains, KnownPayload, identify_drive_gains
+from .estimate import Estimate, identify
+from .excitation import Persistency, persistency
+from .export import Publication, model_files, publication
+from .importers.mapping import ColumnMap, load_column_map
+from .importers.raw import RawRecording, raw_recording
+from .knowledge import Knowledge, load_knowledge
+from .monitor import Monitor, identify_online, replay
+from .online import OnlineEstimate, OnlineEstimator
+from .payload import PayloadEstimate, estimate_payload, identify_payload
+from .recording import (
+    Recording,
+    read_chunks,
+    read_recording,
+    read_recordings,
+    recording_from_raw,
+    recording_from_table,
+)
+from .regression import Regression
+from .rows import Data, split
+from .sequential import LinkByLink, identify_link_by_link
+
+__all__ = [
+    "ColumnMap",
+    "Data",
+    "Dataset",
+    "Differentiator",
+    "DriveGains",
+    "Estimate",
+    "Knowledge",
+    "KnownPayload",
+    "LinkByLink",
+    "LocalPolynomial",
+    "Monitor",
+    "OnlineEstimate",
+    "OnlineEstimator",
+    "PayloadEstimate",
+    "Persistency",
+    "Publication",
+    "RawRecording",
+    "Recording",
+    "Regression",
+    "ZeroPhaseButterworth",
+    "estimate_payload",
+    "five_point",
+    "identify",
+    "identify_drive_gains",
+    "identify_link_by_link",
+    "identify_online",
+    "identify_payload",
+    "load_column_map",
+    "load_dataset",
+    "load_knowledge",
+    "model_files",
+    "persistency",
+    "publication",
+    "raw_recording",
+    "read_chunks",
+    "read_recording",
+    "read_recordings",
+    "recording_from_raw",
+    "recording_from_table",
+    "replay",
+    "savitzky_golay",
+    "split",
+]
