@@ -9,8 +9,7 @@ from functools import cached_property, partial
 import numpy as np
 import numpy.typing as npt
 
-from excitant.design.clearance import pose_use
-from excitant.design.constraints import kinematic_limits
+from excitant.design.constraints import kinematic_limits, pose_use
 from excitant.design.criterion import Information, objective
 from excitant.design.feasible import random_start
 from excitant.design.trajectory import Series, Trajectory
