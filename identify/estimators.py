@@ -19,9 +19,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-import scipy.interpolate
-import scipy.linalg
-import scipy.stats
+import scipy
 
 from excitant.exceptions import BadInput, Infeasible, UnknownName
 from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth
@@ -311,14 +309,6 @@ class EverySecond:
     def delay(self, rate_hz: float) -> float:
         """That of the inner one [s]."""
         return self.inner.delay(rate_hz)
-
-    def gain(self, f: Array, rate_hz: float, order: int = 1) -> Array:
-        """That of the inner one: a quintic spline passes what half the samples can show."""
-        return self.inner.gain(f, rate_hz, order)
-
-    def noise_gain(self, rate_hz: float, order: int = 1) -> float:
-        """√2 times that of the inner one: half the samples, twice the density."""
-        return float(np.sqrt(2) * self.inner.noise_gain(rate_hz, order))
 
     def __call__(self, t: Array, q: Array) -> Motion:
         """Motion at all samples; q has shape (n, nv)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
@@ -92,8 +93,6 @@ def identify(
         identify_link_by_link,
         identify_online,
         identify_payload,
-        identify_result,
-        identify_series,
         load_knowledge,
         publication,
     )
@@ -157,7 +156,7 @@ def identify(
                 knowledge=load_knowledge(knowledge, arm.links) if knowledge else None,
                 harmonics_hz=_highest_harmonic(trajectory, arm) if trajectory else None,
             )
-        result, series = identify_result(estimate), {}
+        result, series = estimate.result(), {}
     if load.payload:
         unloaded = dataset.recordings(load.unloaded) if load.unloaded else []
         if drive is not None:
@@ -172,7 +171,7 @@ def identify(
     result["published"] = published.published
     result["notes"] += notes + ([published.note] if published.note else [])
     folder = run.folder("identify", estimate.given.name)
-    run.finish(folder, result, identify_series(estimate) | series, published.files)
+    run.finish(folder, result, estimate.series() | series, published.files)
     if published.note and not run.json:
         print(published.note)
 
@@ -273,12 +272,12 @@ def analyze(
 
     if trajectory and recording:
         raise BadInput("--trajectory and --recording exclude each other; leave one out")
-    dataset = part.dataset(robot, map)
-    arm = dataset.robot
+    dataset = part.dataset(robot, map) if recording or Path(robot).is_dir() else None
+    arm = part.robot(robot) if dataset is None else dataset.robot
     effects = standard_effects(arm.joints) if columns == "friction" else ()
     given: dict[str, Any] = {"noise": noise, "moving": moving, "measured": measured}
     notes: list[str] = []
-    if recording:
+    if dataset is not None and recording:
         import numpy as np
 
         given["estimate"], notes = _as_far_as_shown(arm, dataset.recordings(recording), effects)
