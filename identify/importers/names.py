@@ -18,15 +18,14 @@ _WORDS = {
     "i": "i current currents cur amperage iq",
 }
 _ROLES = {word: role for role, words in _WORDS.items() for word in words.split()}
-_MEASURED = frozenset("actual act measured meas msr real feedback fb present".split())
-_COMMANDED = frozenset(
+_QUALIFIERS = (
+    "actual act measured meas msr real feedback fb present",
     "target targets desired des commanded command cmd ref reference setpoint set goal planned "
-    "model predicted pred estimated est simulated sim".split()
-)
-_NEUTRAL = frozenset(
+    "model predicted pred estimated est simulated sim",
     "joint joints jnt j axis axes state states msg data value values log header relative rel "
-    "elapsed unix epoch utc in".split()
+    "elapsed unix epoch utc in",
 )
+_MEASURED, _COMMANDED, _NEUTRAL = (frozenset(words.split()) for words in _QUALIFIERS)
 PARTS_OF_TIME = {
     **dict.fromkeys(("sec", "secs", "seconds"), "s"),
     **dict.fromkeys(("nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds"), "ns"),
