@@ -20,8 +20,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
-import scipy.special
+import scipy
 
 from excitant.analysis.candidates import TOLERANCE, believed_columns, cause_columns
 from excitant.analysis.evidence import JointColumns, joint_columns, widened

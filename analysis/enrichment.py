@@ -21,7 +21,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
+import scipy
 
 from excitant.analysis.enrichment_rows import Candidate, Errors, Trial
 from excitant.analysis.enrichment_trial import trial_of

@@ -25,7 +25,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
+import scipy
 
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.robots.effects import Effect

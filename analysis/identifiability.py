@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 
-from excitant.analysis.experiment import Experiment, planned_experiment, recorded_experiment
 from excitant.analysis.next_experiment import (
     Candidate,
     Question,
     candidate_experiments,
     experiments_needed,
 )
-from excitant.analysis.prior_influence import STEP, PriorInfluence
 from excitant.analysis.structure import Structure, structure
 from excitant.analysis.uncertainty import (
     NOT_SHOWN,
@@ -32,9 +30,6 @@ from excitant.analysis.uncertainty import (
     weak_directions,
 )
 from excitant.exceptions import BadInput
-from excitant.identify.base_prior import base_prior
-from excitant.identify.estimate import Estimate
-from excitant.identify.excitation import Persistency, persistency
 from excitant.identify.prior_rule import KINDS
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
@@ -43,6 +38,12 @@ from excitant.robots.motion import Array, Motion, freeze, read_only
 from excitant.robots.parameters import UNITS
 from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values
+
+if TYPE_CHECKING:
+    from excitant.analysis.experiment import Experiment
+    from excitant.analysis.prior_influence import PriorInfluence
+    from excitant.identify.estimate import Estimate
+    from excitant.identify.excitation import Persistency
 
 _NAMED = 8  # parameters in a sentence
 _POSES = 400  # tried for the drawing
@@ -346,8 +347,12 @@ def analyze(
     rows = [j for j, name in enumerate(robot.joints) if measured is None or name in measured]
     given: Experiment | None = None
     if estimate is not None:
+        from excitant.analysis.experiment import recorded_experiment
+
         given = recorded_experiment(robot, found.base, estimate, rng)
     elif motion is not None:
+        from excitant.analysis.experiment import planned_experiment
+
         given = planned_experiment(robot, found.base, effects, motion, noise, rows)
     noise_of_all = _noise_of_all(robot, given, rows)
     still = [j for j, name in enumerate(robot.joints) if moving is not None and name not in moving]
@@ -360,6 +365,8 @@ def analyze(
         return Identifiability(robot, effects, found, table, follow)
     excitation = None
     if len(rows) == robot.nv:
+        from excitant.identify.excitation import persistency
+
         excitation = persistency(robot, given.motion, effects, sigma=noise_of_all)
     under = _under_motion(robot, effects, found.base, given, candidates, excitation)
     notes = (*_notes(found, under, table), *given.notes)
@@ -483,6 +490,8 @@ def _sizes(
     Without a prior, what makes as much torque as the noise.
     """
     if given.prior is not None:
+        from excitant.identify.base_prior import base_prior
+
         return np.asarray(np.sqrt(np.diag(base_prior(robot, effects, base).covariance)), float)
     loud = given.information.signal
     return np.asarray(1 / np.maximum(loud, 1e-6 * loud.max()), float)
@@ -509,6 +518,8 @@ def _notes(
 
 
 def _prior_notes(influence: PriorInfluence, table: Sequence[ParameterIdentifiability]) -> list[str]:
+    from excitant.analysis.prior_influence import STEP
+
     named = [entry for entry in table if entry.category != "unidentifiable"]
     prior, physics = (sum(e.decided_by == who for e in named) for who in ("prior", "physics"))
     notes = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from excitant.analysis.evidence import Index
 from excitant.robots.motion import Array

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from excitant.analysis.uncertainty import MotionInformation
 from excitant.identify.estimate import Estimate

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.ndimage
+import scipy
 
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.preprocessing import Segment

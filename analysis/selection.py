@@ -6,7 +6,7 @@ from collections.abc import Sequence, Set
 from functools import lru_cache
 
 import numpy as np
-import scipy.stats
+import scipy
 
 from excitant.analysis.evidence import Candidate, Evidence, Key, reweighed
 from excitant.robots.effects import Effect

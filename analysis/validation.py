@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from excitant.analysis.candidates import TOLERANCE, Observed, tolerance_metric
 from excitant.analysis.confirmation import HeldOut

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -94,7 +95,7 @@ def _torque_share(robot: Robot, trajectory: Trajectory, t: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Habits:
+class TypicalMotion:
     """A typical motion of an arm; arrays of samples have shape (n, nv).
 
     Attributes:
@@ -138,7 +139,9 @@ class Habits:
         return max(float(np.linalg.norm(self.tip, axis=1).max()), 0.1)
 
 
-def habits(robot: Robot, trajectory: Trajectory, duration: float, wanted: Array) -> Habits:
+def typical_motion(
+    robot: Robot, trajectory: Trajectory, duration: float, wanted: Array
+) -> TypicalMotion:
     """What an arm does on a motion.
 
     Args:
@@ -160,11 +163,11 @@ def habits(robot: Robot, trajectory: Trajectory, duration: float, wanted: Array)
         tip[k] = pin.updateFramePlacement(model, data, robot.tip).translation
     coulomb, rotor = truth.drives.coulomb, truth.drives.rotor
     mean = inertia.mean(axis=0)
-    return Habits(robot, q, dq, ddq, tau, load, tip, coulomb, mean, rotor, wanted)
+    return TypicalMotion(robot, q, dq, ddq, tau, load, tip, coulomb, mean, rotor, wanted)
 
 
 Rng = np.random.Generator
-Make = Callable[[float], HiddenEffect]
+Numbers = dict[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,14 +175,24 @@ class Recipe:
     """An effect that lacks only its size.
 
     Attributes:
-        make: The effect at a scale.
+        joints: Indices of the joints it acts on.
+        parameters: Its parameters at a scale.
         guess: Scale that may give what is wanted.
         most: Largest scale that such arms may have.
     """
 
-    make: Make
+    joints: tuple[int, ...]
+    parameters: Callable[[float], Numbers]
     guess: float = 1.0
     most: float = np.inf
+
+    def make(self, robot: Robot, kind: str, scale: float) -> HiddenEffect:
+        """The effect at a scale."""
+        names = tuple(robot.joints[j] for j in self.joints)
+        values = tuple((name, float(x)) for name, x in self.parameters(scale).items())
+        effect, structure = ("unknown", kind) if kind in STRUCTURES else (kind, "")
+        several = names if len(names) > 1 else ()
+        return HiddenEffect(effect, (*names, "")[0], values, several, structure)
 
 
 def rms(x: Array) -> float:
@@ -187,369 +200,269 @@ def rms(x: Array) -> float:
     return max(float(np.sqrt(np.mean(np.square(x)))), 1e-9)
 
 
-def either_way(rng: Rng) -> float:
-    """A sign by chance."""
+def _sign(rng: Rng) -> float:
     return float(rng.choice([-1.0, 1.0]))
 
 
-def effect_on(kind: str, habit: Habits, *joints: int, **parameters: float) -> HiddenEffect:
-    """The effect on joints by index, parameters as plain numbers."""
-    names = tuple(habit.robot.joints[j] for j in joints)
-    values = tuple((name, float(value)) for name, value in parameters.items())
-    effect, structure = ("unknown", kind) if kind in STRUCTURES else (kind, "")
-    first = names[0] if names else ""
-    return HiddenEffect(effect, first, values, names if len(names) > 1 else (), structure)
+def _any(m: TypicalMotion, rng: Rng) -> int:
+    return int(rng.integers(m.nv))
 
 
-def any_joint(habit: Habits, rng: Rng) -> int:
-    """A joint by chance."""
-    return int(rng.integers(habit.nv))
-
-
-def neighbours(habit: Habits, rng: Rng) -> tuple[int, int]:
-    """A joint and the next."""
-    j = int(rng.integers(max(habit.nv - 1, 1)))
+def _neighbours(m: TypicalMotion, rng: Rng) -> tuple[int, int]:
+    j = int(rng.integers(max(m.nv - 1, 1)))
     return j, j + 1
 
 
-def strong_joint(habit: Habits, rng: Rng) -> int:
-    """A joint by chance that moves much: where elastic gears bend."""
-    strong = np.flatnonzero(habit.inertia >= 0.1 * habit.inertia.max())
-    return int(rng.choice(strong))
+def _strong(m: TypicalMotion, rng: Rng) -> int:
+    """A joint that moves much inertia: where elastic gears bend."""
+    return int(rng.choice(np.flatnonzero(m.inertia >= 0.1 * m.inertia.max())))
 
 
-def one_or_all(habit: Habits, rng: Rng) -> tuple[int, ...]:
+def _one_or_all(m: TypicalMotion, rng: Rng) -> tuple[int, ...]:
     """A joint by chance, or one time in four all of them."""
-    return tuple(range(habit.nv)) if rng.random() < 0.25 else (any_joint(habit, rng),)
+    return tuple(range(m.nv)) if rng.random() < 0.25 else (_any(m, rng),)
 
 
-def _viscous(habit: Habits, rng: Rng) -> Recipe:
-    j = any_joint(habit, rng)
-    size = habit.wanted[j] / rms(habit.dq[:, j])
-    return Recipe(lambda s: effect_on("viscous_friction", habit, j, Fv=s * size))
+def _viscous(m: TypicalMotion, rng: Rng) -> Recipe:
+    j = _any(m, rng)
+    size = m.wanted[j] / rms(m.dq[:, j])
+    return Recipe((j,), lambda s: {"Fv": s * size})
 
 
-def _coulomb(habit: Habits, rng: Rng) -> Recipe:
-    j = any_joint(habit, rng)
-    return Recipe(lambda s: effect_on("coulomb_friction", habit, j, Fc=s * habit.wanted[j]))
+def _coulomb(m: TypicalMotion, rng: Rng) -> Recipe:
+    j = _any(m, rng)
+    return Recipe((j,), lambda s: {"Fc": s * m.wanted[j]})
 
 
-def _asymmetric(habit: Habits, rng: Rng) -> Recipe:
+def _asymmetric(m: TypicalMotion, rng: Rng) -> Recipe:
     """More friction in one direction, of both kinds."""
-    j, side, share = (
-        any_joint(habit, rng),
-        str(rng.choice(["plus", "minus"])),
-        rng.uniform(0.3, 0.7),
-    )
-    dry = habit.wanted[j]
-    wet = dry / rms(habit.dq[:, j])
-
-    def make(s: float) -> HiddenEffect:
-        values = {f"Fc_{side}": s * (1 - share) * dry, f"Fv_{side}": s * share * wet}
-        return effect_on("asymmetric_friction", habit, j, **values)
-
-    return Recipe(make, 1.4)
-
-
-def _stribeck(habit: Habits, rng: Rng) -> Recipe:
-    j, slow = any_joint(habit, rng), rng.uniform(0.05, 0.2)
-    v = slow * float(np.abs(habit.dq[:, j]).max())
+    j, side, share = _any(m, rng), str(rng.choice(["plus", "minus"])), rng.uniform(0.3, 0.7)
+    dry = m.wanted[j]
+    wet = dry / rms(m.dq[:, j])
     return Recipe(
-        lambda s: effect_on("stribeck_friction", habit, j, Fs=s * habit.wanted[j], velocity=v), 3.0
+        (j,),
+        lambda s: {f"Fc_{side}": s * (1 - share) * dry, f"Fv_{side}": s * share * wet},
+        1.4,
     )
 
 
-def _power_law(habit: Habits, rng: Rng) -> Recipe:
-    j = any_joint(habit, rng)
+def _stribeck(m: TypicalMotion, rng: Rng) -> Recipe:
+    j, slow = _any(m, rng), rng.uniform(0.05, 0.2)
+    v = slow * float(np.abs(m.dq[:, j]).max())
+    return Recipe((j,), lambda s: {"Fs": s * m.wanted[j], "velocity": v}, 3.0)
+
+
+def _power_law(m: TypicalMotion, rng: Rng) -> Recipe:
+    j = _any(m, rng)
     a = float(rng.choice([rng.uniform(0.3, 0.6), rng.uniform(1.6, 2.0)]))
-    size = habit.wanted[j] / rms(np.abs(habit.dq[:, j]) ** a)
-    return Recipe(
-        lambda s: effect_on("nonlinear_viscous_friction", habit, j, Fn=s * size, exponent=a)
-    )
+    size = m.wanted[j] / rms(np.abs(m.dq[:, j]) ** a)
+    return Recipe((j,), lambda s: {"Fn": s * size, "exponent": a})
 
 
-def _load_dependent(habit: Habits, rng: Rng) -> Recipe:
-    j = any_joint(habit, rng)
-    size = habit.wanted[j] / rms(habit.load[:, j])
-    return Recipe(
-        lambda s: effect_on("load_dependent_friction", habit, j, Fl=s * size), most=0.3 / size
-    )
+def _load_dependent(m: TypicalMotion, rng: Rng) -> Recipe:
+    j = _any(m, rng)
+    size = m.wanted[j] / rms(m.load[:, j])
+    return Recipe((j,), lambda s: {"Fl": s * size}, most=0.3 / size)
 
 
-def _presliding(habit: Habits, rng: Rng) -> Recipe:
+def _presliding(m: TypicalMotion, rng: Rng) -> Recipe:
     """At most one and a half times the dry friction there is, so that the hysteresis shows."""
-    j, x = any_joint(habit, rng), float(np.exp(rng.uniform(np.log(0.01), np.log(0.15))))
-    size = habit.wanted[j]
-    most = 1.5 * habit.coulomb[j] if habit.coulomb[j] > 0 else 0.5 * rms(habit.tau[:, j])
-    return Recipe(
-        lambda s: effect_on("presliding_hysteresis", habit, j, Fh=s * size, distance=x),
-        3.0,
-        most / size,
-    )
+    j, x = _any(m, rng), float(np.exp(rng.uniform(np.log(0.01), np.log(0.15))))
+    size = m.wanted[j]
+    most = 1.5 * m.coulomb[j] if m.coulomb[j] > 0 else 0.5 * rms(m.tau[:, j])
+    return Recipe((j,), lambda s: {"Fh": s * size, "distance": x}, 3.0, most / size)
 
 
-def _coupled_friction(habit: Habits, rng: Rng) -> Recipe:
+def _coupled_friction(m: TypicalMotion, rng: Rng) -> Recipe:
     """A shaft that turns with the sum or difference of neighbouring joints."""
-    j, k = neighbours(habit, rng)
-    ratio, share = either_way(rng), rng.uniform(0.3, 0.7)
-    dry = min(habit.wanted[j], habit.wanted[k])
-    wet = dry / rms(habit.dq[:, j] + ratio * habit.dq[:, k])
+    j, k = _neighbours(m, rng)
+    ratio, share = _sign(rng), rng.uniform(0.3, 0.7)
+    dry = min(m.wanted[j], m.wanted[k])
+    wet = dry / rms(m.dq[:, j] + ratio * m.dq[:, k])
     return Recipe(
-        lambda s: effect_on(
-            "friction_coupling",
-            habit,
-            j,
-            k,
-            Fv=s * share * wet,
-            Fc=s * (1 - share) * dry,
-            ratio=ratio,
-        )
+        (j, k), lambda s: {"Fv": s * share * wet, "Fc": s * (1 - share) * dry, "ratio": ratio}
     )
 
 
-def _thermal(habit: Habits, rng: Rng) -> Recipe:
-    j, share, time = any_joint(habit, rng), rng.uniform(0.3, 0.7), rng.uniform(6.0, 25.0)
-    dry = habit.wanted[j]
-    wet = dry / rms(habit.dq[:, j])
+def _thermal(m: TypicalMotion, rng: Rng) -> Recipe:
+    j, share, time = _any(m, rng), rng.uniform(0.3, 0.7), rng.uniform(6.0, 25.0)
+    dry = m.wanted[j]
+    wet = dry / rms(m.dq[:, j])
     return Recipe(
-        lambda s: effect_on(
-            "thermal_friction_drift",
-            habit,
-            j,
-            Fv=s * share * wet,
-            Fc=s * (1 - share) * dry,
-            time=time,
-        ),
-        1.3,
+        (j,), lambda s: {"Fv": s * share * wet, "Fc": s * (1 - share) * dry, "time": time}, 1.3
     )
 
 
-def _rotor(habit: Habits, rng: Rng) -> Recipe:
+def _rotor(m: TypicalMotion, rng: Rng) -> Recipe:
     """Only where no inertia of the links can pass for it."""
-    j = habit.robot.joint_index(str(rng.choice(separable_rotors(habit.robot))))
-    size = habit.wanted[j] / rms(habit.ddq[:, j])
-    return Recipe(lambda s: effect_on("rotor_inertia", habit, j, Ia=s * size))
+    j = m.robot.joint_index(str(rng.choice(separable_rotors(m.robot))))
+    size = m.wanted[j] / rms(m.ddq[:, j])
+    return Recipe((j,), lambda s: {"Ia": s * size})
 
 
-def _coupled_rotors(habit: Habits, rng: Rng) -> Recipe:
+def _coupled_rotors(m: TypicalMotion, rng: Rng) -> Recipe:
     """At most 60 % of what would make the mass matrix singular."""
-    j, k = neighbours(habit, rng)
-    sign, own = either_way(rng), habit.inertia + habit.rotor
-    size = min(habit.wanted[j] / rms(habit.ddq[:, k]), habit.wanted[k] / rms(habit.ddq[:, j]))
+    j, k = _neighbours(m, rng)
+    sign, own = _sign(rng), m.inertia + m.rotor
+    size = min(m.wanted[j] / rms(m.ddq[:, k]), m.wanted[k] / rms(m.ddq[:, j]))
     most = 0.6 * np.sqrt(own[j] * own[k]) / size
-    return Recipe(
-        lambda s: effect_on("inertia_coupling", habit, j, k, Ic=s * sign * size), 1.0, most
-    )
+    return Recipe((j, k), lambda s: {"Ic": s * sign * size}, 1.0, most)
 
 
-def _offset(habit: Habits, rng: Rng) -> Recipe:
-    j, sign = any_joint(habit, rng), either_way(rng)
-    return Recipe(lambda s: effect_on("torque_offset", habit, j, offset=s * sign * habit.wanted[j]))
+def _offset(m: TypicalMotion, rng: Rng) -> Recipe:
+    j, sign = _any(m, rng), _sign(rng)
+    return Recipe((j,), lambda s: {"offset": s * sign * m.wanted[j]})
 
 
-def _gain(habit: Habits, rng: Rng) -> Recipe:
-    joints, sign = one_or_all(habit, rng), either_way(rng)
-    size = min(habit.wanted[j] / rms(habit.tau[:, j]) for j in joints)
-    return Recipe(
-        lambda s: effect_on("torque_gain", habit, *joints, gain=1 + s * sign * size),
-        1.0,
-        0.4 / size,
-    )
+def _gain(m: TypicalMotion, rng: Rng) -> Recipe:
+    joints, sign = _one_or_all(m, rng), _sign(rng)
+    size = min(m.wanted[j] / rms(m.tau[:, j]) for j in joints)
+    return Recipe(joints, lambda s: {"gain": 1 + s * sign * size}, 1.0, 0.4 / size)
 
 
-def _ripple(habit: Habits, rng: Rng) -> Recipe:
+def _ripple(m: TypicalMotion, rng: Rng) -> Recipe:
     """Orders up to 60, and slow enough at typical speed to pass the filter."""
-    j, phase = any_joint(habit, rng), rng.uniform(-np.pi, np.pi)
-    fastest = np.clip(2 * np.pi * 6.0 / rms(habit.dq[:, j]), 2.0, 60.0)
+    j, phase = _any(m, rng), rng.uniform(-np.pi, np.pi)
+    fastest = np.clip(2 * np.pi * 6.0 / rms(m.dq[:, j]), 2.0, 60.0)
     order = float(np.round(np.exp(rng.uniform(0.0, np.log(fastest)))))
-    size = np.sqrt(2) * habit.wanted[j]
-    return Recipe(
-        lambda s: effect_on("torque_ripple", habit, j, amplitude=s * size, order=order, phase=phase)
-    )
+    size = np.sqrt(2) * m.wanted[j]
+    return Recipe((j,), lambda s: {"amplitude": s * size, "order": order, "phase": phase})
 
 
-def _spring(habit: Habits, rng: Rng) -> Recipe:
+def _spring(m: TypicalMotion, rng: Rng) -> Recipe:
     """A coil or a counterbalance."""
-    j, name = any_joint(habit, rng), str(rng.choice(["stiffness", "moment"]))
-    rest = float(habit.q[:, j].mean() + rng.uniform(-0.5, 0.5))
-    bent = habit.q[:, j] - rest
-    size = habit.wanted[j] / rms(bent if name == "stiffness" else np.sin(bent))
-    return Recipe(lambda s: effect_on("spring", habit, j, **{name: s * size}, rest=rest))
+    j, name = _any(m, rng), str(rng.choice(["stiffness", "moment"]))
+    rest = float(m.q[:, j].mean() + rng.uniform(-0.5, 0.5))
+    bent = m.q[:, j] - rest
+    size = m.wanted[j] / rms(bent if name == "stiffness" else np.sin(bent))
+    return Recipe((j,), lambda s: {name: s * size, "rest": rest})
 
 
-def _elasticity(habit: Habits, rng: Rng) -> Recipe:
+def _elasticity(m: TypicalMotion, rng: Rng) -> Recipe:
     """Softer with scale, down to a resonance of 3 Hz with the motor held."""
-    j, damping, motor = strong_joint(habit, rng), rng.uniform(0.03, 0.1), 0.0
-    inertia = habit.inertia[j]
-    if habit.rotor[j] <= 0:
-        motor = 0.2 * inertia
+    j, damping = _strong(m, rng), rng.uniform(0.03, 0.1)
+    inertia = m.inertia[j]
+    motor = 0.2 * inertia if m.rotor[j] <= 0 else 0.0
     stiff = inertia * (2 * np.pi * 12.0) ** 2
 
-    def make(s: float) -> HiddenEffect:
+    def parameters(s: float) -> Numbers:
         k = stiff / s
         c = 2 * damping * np.sqrt(k * inertia)
-        return effect_on("joint_elasticity", habit, j, stiffness=k, damping=c, motor=motor)
+        return {"stiffness": k, "damping": c, "motor": motor}
 
-    return Recipe(make, 1.0, 16.0)
-
-
-def _backlash(habit: Habits, rng: Rng) -> Recipe:
-    j = strong_joint(habit, rng)
-    inertia = habit.inertia[j]
-    stiff = inertia * (2 * np.pi * 25.0) ** 2
-    motor = 0.0 if habit.rotor[j] > 0 else 0.2 * inertia
-    c = 0.3 * np.sqrt(stiff * inertia)
-
-    def make(s: float) -> HiddenEffect:
-        return effect_on(
-            "backlash", habit, j, gap=0.01 * s, stiffness=stiff, damping=c, motor=motor
-        )
-
-    return Recipe(make, 1.0, 10.0)
+    return Recipe((j,), parameters, 1.0, 16.0)
 
 
-def _delay(habit: Habits, rng: Rng) -> Recipe:
+def _backlash(m: TypicalMotion, rng: Rng) -> Recipe:
+    j = _strong(m, rng)
+    inertia = m.inertia[j]
+    k = inertia * (2 * np.pi * 25.0) ** 2
+    gear = {
+        "stiffness": k,
+        "damping": 0.3 * np.sqrt(k * inertia),
+        "motor": 0.0 if m.rotor[j] > 0 else 0.2 * inertia,
+    }
+    return Recipe((j,), lambda s: {"gap": 0.01 * s, **gear}, 1.0, 10.0)
+
+
+def _delay(m: TypicalMotion, rng: Rng) -> Recipe:
     """Of the torque or of the position."""
-    joints, sign = one_or_all(habit, rng), either_way(rng)
-    return Recipe(
-        lambda s: effect_on("time_delay", habit, *joints, delay=s * sign * 0.01), 1.0, 6.0
-    )
+    joints, sign = _one_or_all(m, rng), _sign(rng)
+    return Recipe(joints, lambda s: {"delay": s * sign * 0.01}, 1.0, 6.0)
 
 
-def _encoder_offset(habit: Habits, rng: Rng) -> Recipe:
-    j, sign = any_joint(habit, rng), either_way(rng)
-    return Recipe(lambda s: effect_on("encoder_offset", habit, j, offset=s * sign * 0.05), 1.0, 8.0)
+def _encoder_offset(m: TypicalMotion, rng: Rng) -> Recipe:
+    j, sign = _any(m, rng), _sign(rng)
+    return Recipe((j,), lambda s: {"offset": s * sign * 0.05}, 1.0, 8.0)
 
 
-def _encoder_scale(habit: Habits, rng: Rng) -> Recipe:
-    j, sign = any_joint(habit, rng), either_way(rng)
-    return Recipe(
-        lambda s: effect_on("encoder_scale", habit, j, scale=1 + s * sign * 0.02), 1.0, 4.0
-    )
+def _encoder_scale(m: TypicalMotion, rng: Rng) -> Recipe:
+    j, sign = _any(m, rng), _sign(rng)
+    return Recipe((j,), lambda s: {"scale": 1 + s * sign * 0.02}, 1.0, 4.0)
 
 
-def _kinematic(habit: Habits, rng: Rng) -> Recipe:
+def _kinematic(m: TypicalMotion, rng: Rng) -> Recipe:
     """A joint that is not where the drawing says; never the first."""
-    j = int(rng.integers(min(1, habit.nv - 1), habit.nv))
+    j = int(rng.integers(min(1, m.nv - 1), m.nv))
     d = rng.standard_normal(3)
-    d *= 0.03 * habit.size / np.linalg.norm(d)
-    return Recipe(
-        lambda s: effect_on("kinematic_error", habit, j, dx=s * d[0], dy=s * d[1], dz=s * d[2]),
-        1.0,
-        6.0,
-    )
+    d *= 0.03 * m.size / np.linalg.norm(d)
+    return Recipe((j,), lambda s: {"dx": s * d[0], "dy": s * d[1], "dz": s * d[2]}, 1.0, 6.0)
 
 
-def _tilt(habit: Habits, rng: Rng) -> Recipe:
+def _tilt(m: TypicalMotion, rng: Rng) -> Recipe:
     way = rng.uniform(-np.pi, np.pi)
     return Recipe(
-        lambda s: effect_on(
-            "gravity_direction", habit, roll=0.03 * s * np.cos(way), pitch=0.03 * s * np.sin(way)
-        ),
-        1.0,
-        10.0,
+        (), lambda s: {"roll": 0.03 * s * np.cos(way), "pitch": 0.03 * s * np.sin(way)}, 1.0, 10.0
     )
 
 
-def _inertial(habit: Habits, rng: Rng) -> Recipe:
+def _inertial(m: TypicalMotion, rng: Rng) -> Recipe:
     """A link that is lighter or heavier throughout, or carries something beside its centre."""
-    j = any_joint(habit, rng)
-    body = list(habit.robot.model.inertias)[j + 1]
+    j = _any(m, rng)
+    body = list(m.robot.model.inertias)[j + 1]
     mass, way = max(float(body.mass), 0.1), str(rng.choice(["lighter", "heavier", "beside"]))
     phi = body.toDynamicParameters()
     if way == "beside" or body.mass <= 0:
-        lever = np.array(body.lever) + 0.1 * habit.size * rng.uniform(-1, 1, 3)
-        box = pin.Inertia.FromBox(mass, *(0.1 * habit.size * rng.uniform(0.5, 1.5, 3)))
+        lever = np.array(body.lever) + 0.1 * m.size * rng.uniform(-1, 1, 3)
+        box = pin.Inertia.FromBox(mass, *(0.1 * m.size * rng.uniform(0.5, 1.5, 3)))
         phi = pin.Inertia(mass, lever, box.inertia).toDynamicParameters()
     sign, most = (-1.0, 0.6) if way == "lighter" else (1.0, 1.0)
-
-    def make(s: float) -> HiddenEffect:
-        values = dict(zip(STANDARD, (s * sign * phi).tolist(), strict=True))
-        return effect_on("inertial_parameters", habit, j, **values)
-
-    return Recipe(make, 0.1, most)
+    return Recipe(
+        (j,), lambda s: dict(zip(STANDARD, (s * sign * phi).tolist(), strict=True)), 0.1, most
+    )
 
 
-def _payload(habit: Habits, rng: Rng) -> Recipe:
-    drawn = draw_payload(habit.robot, rng)
-
-    def make(s: float) -> HiddenEffect:
-        values = {name: s * value for name, value in drawn.parameters}
-        return effect_on("payload", habit, habit.nv - 1, **values)
-
-    return Recipe(make, 0.3, 3.0)
+def _payload(m: TypicalMotion, rng: Rng) -> Recipe:
+    drawn = draw_payload(m.robot, rng)
+    return Recipe((m.nv - 1,), lambda s: {n: s * x for n, x in drawn.parameters}, 0.3, 3.0)
 
 
-def _wall(habit: Habits, rng: Rng) -> Recipe:
+def _wall(m: TypicalMotion, rng: Rng) -> Recipe:
     """Touched during a fifth to a third of the typical motion."""
-    normal = rng.standard_normal(3) * (np.ptp(habit.tip, axis=0) > 0.02 * habit.size)
+    normal = rng.standard_normal(3) * (np.ptp(m.tip, axis=0) > 0.02 * m.size)
     normal /= max(float(np.linalg.norm(normal)), 1e-9)
-    distance = float(np.quantile(habit.tip @ normal, rng.uniform(0.67, 0.8)))
-    k = float(habit.wanted.max()) / (0.02 * habit.size**2)
-    n = dict(zip(("nx", "ny", "nz"), normal.tolist(), strict=True))
-
-    def make(s: float) -> HiddenEffect:
-        return effect_on(
-            "wall_contact", habit, **n, distance=distance, stiffness=s * k, damping=0.01 * s * k
-        )
-
-    return Recipe(make, 0.3, 50.0)
+    distance = float(np.quantile(m.tip @ normal, rng.uniform(0.67, 0.8)))
+    k = float(m.wanted.max()) / (0.02 * m.size**2)
+    place = dict(zip(("nx", "ny", "nz"), normal.tolist(), strict=True)) | {"distance": distance}
+    return Recipe((), lambda s: {**place, "stiffness": s * k, "damping": 0.01 * s * k}, 0.3, 50.0)
 
 
-def _cable(habit: Habits, rng: Rng) -> Recipe:
+def _cable(m: TypicalMotion, rng: Rng) -> Recipe:
     """Guided beside or above the base; its friction is half its tension."""
     place = rng.standard_normal(3)
-    place *= habit.size * rng.uniform(0.4, 0.9) / np.linalg.norm(place)
-    pull = float(habit.wanted.max()) / (0.5 * habit.size)
-    x = dict(zip(("x", "y", "z"), place.tolist(), strict=True))
-
-    def make(s: float) -> HiddenEffect:
-        return effect_on(
-            "cable_pull",
-            habit,
-            **x,
-            tension=s * pull,
-            friction=0.5 * s * pull,
-            distance=0.02 * habit.size,
-        )
-
-    return Recipe(make, 1.0)
+    place *= m.size * rng.uniform(0.4, 0.9) / np.linalg.norm(place)
+    pull = float(m.wanted.max()) / (0.5 * m.size)
+    guide = dict(zip(("x", "y", "z"), place.tolist(), strict=True))
+    slack = {"distance": 0.02 * m.size}
+    return Recipe((), lambda s: {**guide, "tension": s * pull, "friction": 0.5 * s * pull, **slack})
 
 
-def _telegraph(habit: Habits, rng: Rng) -> Recipe:
-    j, rate = any_joint(habit, rng), rng.uniform(0.7, 3.0)
-    return Recipe(
-        lambda s: effect_on("telegraph_torque", habit, j, amplitude=s * habit.wanted[j], rate=rate)
-    )
+def _telegraph(m: TypicalMotion, rng: Rng) -> Recipe:
+    j, rate = _any(m, rng), rng.uniform(0.7, 3.0)
+    return Recipe((j,), lambda s: {"amplitude": s * m.wanted[j], "rate": rate})
 
 
-def _crosstalk(habit: Habits, rng: Rng) -> Recipe:
+def _crosstalk(m: TypicalMotion, rng: Rng) -> Recipe:
     """From a joint that is not a neighbour, where there is one."""
-    j, k = (int(i) for i in rng.choice(habit.nv, 2, replace=False))
-    if abs(j - k) < 2 and habit.nv > 2:
-        k = (j + 2) % habit.nv
-    size = habit.wanted[j] / rms(habit.tau[:, k])
-    sign = either_way(rng)
-    return Recipe(
-        lambda s: effect_on("sensor_crosstalk", habit, j, k, gain=s * sign * size), 1.0, 0.6 / size
-    )
+    j, k = (int(i) for i in rng.choice(m.nv, 2, replace=False))
+    if abs(j - k) < 2 and m.nv > 2:
+        k = (j + 2) % m.nv
+    size, sign = m.wanted[j] / rms(m.tau[:, k]), _sign(rng)
+    return Recipe((j, k), lambda s: {"gain": s * sign * size}, 1.0, 0.6 / size)
 
 
-def _wrong_sign(habit: Habits, rng: Rng) -> Recipe:
-    j, torque = any_joint(habit, rng), rng.random() < 0.5
-    values = {"tau": -1.0} if torque else {"q": -1.0, "dq": -1.0}
-    return Recipe(lambda s: effect_on("wrong_sign", habit, j, **values))
+def _wrong_sign(m: TypicalMotion, rng: Rng) -> Recipe:
+    j, torque = _any(m, rng), rng.random() < 0.5
+    return Recipe((j,), lambda s: {"tau": -1.0} if torque else {"q": -1.0, "dq": -1.0})
 
 
-def _wrong_unit(habit: Habits, rng: Rng) -> Recipe:
+def _wrong_unit(m: TypicalMotion, rng: Rng) -> Recipe:
     """Degrees for radians, or N·mm for N·m, in all columns."""
-    degrees = 180 / np.pi
-    torque = rng.random() < 0.3
-    values = {"tau": 1000.0} if torque else {"q": degrees, "dq": degrees}
-    return Recipe(lambda s: effect_on("wrong_unit", habit, **values))
+    degrees, torque = 180 / np.pi, rng.random() < 0.3
+    return Recipe((), lambda s: {"tau": 1000.0} if torque else {"q": degrees, "dq": degrees})
 
 
-RECIPES: dict[str, Callable[[Habits, Rng], Recipe]] = {
+RECIPES: dict[str, Callable[[TypicalMotion, Rng], Recipe]] = {
     "inertial_parameters": _inertial,
     "payload": _payload,
     "gravity_direction": _tilt,
@@ -739,16 +652,23 @@ def draw_effect(
     if trajectory is None:
         trajectory = typical_trajectory(robot, rng, duration)
     sizes = [size] if size else _sizes(rng)
-    habit = habits(robot, trajectory, duration, sizes[0] * _noise_floor(sensors, _CUTOFF))
+    motion = typical_motion(robot, trajectory, duration, sizes[0] * _noise_floor(sensors, _CUTOFF))
     if kind in FAULTS:
-        return RECIPES[kind](habit, rng).make(1.0)
+        return RECIPES[kind](motion, rng).make(robot, kind, 1.0)
 
     def measure(effect: HiddenEffect) -> float:
-        return _shown(robot, effect, sensors, trajectory, duration)
+        """Visible size on an arm that is otherwise nominal; huge where it fails."""
+        rng = np.random.default_rng(0)
+        arm = virtual_arm(robot, rng, hidden=(effect,), sensors=sensors, tolerance=0.0)
+        try:
+            return visible_size(arm, trajectory, duration, rng).size
+        except BadInput:
+            return 1e6
 
     for wanted in sizes:
         for _ in range(_DRAWS):
-            found = _sized(RECIPES[kind](habit, rng), wanted, measure)
+            recipe = RECIPES[kind](motion, rng)
+            found = _sized(recipe, partial(recipe.make, robot, kind), wanted, measure)
             if found is not None:
                 return found
     raise BadInput(f"virtual arm: {robot.name} cannot show a {kind} of size {sizes[-1]:.3g}")
@@ -760,30 +680,17 @@ def _sizes(rng: np.random.Generator) -> list[float]:
     return [max(size * share, _SMALLEST) for share in (1.0, 0.4, 0.1)]
 
 
-def _shown(
-    robot: Robot,
-    effect: HiddenEffect,
-    sensors: Sensors,
-    trajectory: Trajectory,
-    duration: float,
-) -> float:
-    """Visible size of one effect on an arm that is otherwise nominal; huge where it fails."""
-    rng = np.random.default_rng(0)
-    arm = virtual_arm(robot, rng, hidden=(effect,), sensors=sensors, tolerance=0.0)
-    try:
-        return visible_size(arm, trajectory, duration, rng).size
-    except BadInput:
-        return 1e6
-
-
 def _sized(
-    recipe: Recipe, size: float, measure: Callable[[HiddenEffect], float]
+    recipe: Recipe,
+    make: Callable[[float], HiddenEffect],
+    size: float,
+    measure: Callable[[HiddenEffect], float],
 ) -> HiddenEffect | None:
     """Effect of a recipe at the scale that shows as much as wanted; None beyond its bounds."""
     scale = min(recipe.guess, recipe.most)
     known: list[tuple[float, float]] = []
     for _ in range(_TRIALS):
-        effect = recipe.make(scale)
+        effect = make(scale)
         shown = max(measure(effect), 1e-9)
         if abs(np.log(shown / size)) < np.log(_PRECISION):
             return effect

@@ -53,19 +53,6 @@ class Path:
         return np.array([0.0, 1.0])
 
 
-@dataclass(frozen=True, eq=False)
-class Obstruction:
-    """The first pose of a path that the arm may not take.
-
-    Attributes:
-        share: Where along the path, 0 to 1.
-        why: What is wrong there.
-    """
-
-    share: float
-    why: str
-
-
 def rounded_path(waypoints: Array, spacing: float = 1.0) -> Path:
     """Polyline with rounded corners: the variation-diminishing cubic spline (Schoenberg 1967).
 
@@ -101,10 +88,8 @@ def static_torque(robot: Robot, q: Array, direction: Array) -> Array:
     return torque(robot, _creeping(q, direction))
 
 
-def obstruction(
-    robot: Robot, path: Path, scene: Scene | None, clearance: float
-) -> Obstruction | None:
-    """Where the path comes too close to an obstacle or needs too much torque to hold still.
+def obstruction(robot: Robot, path: Path, scene: Scene | None, clearance: float) -> str | None:
+    """Where and why a path comes too close or needs too much torque to hold still, if it does.
 
     Args:
         robot: Arm with limits.
@@ -120,12 +105,14 @@ def obstruction(
         use = np.abs(largest_torque(robot, _creeping(q, path(s, 1)))) / robot.limits.torque
         k, j = np.unravel_index(int(use.argmax()), use.shape)
         if use[k, j] > HOLDING:
-            return Obstruction(float(s[k]), holding_refusal(robot, int(j), float(use[k, j])))
+            return f"{holding_refusal(robot, int(j), float(use[k, j]))} at {100 * s[k]:.3g} %"
     if scene is not None:
         distance = scene.distances(q).min(axis=1)
         for k in np.flatnonzero(~(distance >= clearance))[:1]:
-            why = f"clearance is {distance[k]:.4g} m, needed are {clearance:.4g} m"
-            return Obstruction(float(s[k]), why)
+            return (
+                f"clearance is {distance[k]:.4g} m, needed are {clearance:.4g} m, "
+                f"at {100 * s[k]:.3g} %"
+            )
     return None
 
 
@@ -145,7 +132,7 @@ def free_path(
     scene: Scene | None,
     clearance: float,
     rng: np.random.Generator,
-) -> Path | Obstruction:
+) -> Path | str:
     """The straight path, else one around what obstructs it, else what obstructs it.
 
     Args:

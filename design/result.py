@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.design.clearance import Clearance, clearance
@@ -153,8 +154,8 @@ class Design:
             "base_parameters": len(self.base),
             "criterion": self.criterion,
             "condition_number": {
-                "initial": _number(self.condition_initial),
-                "final": _number(self.condition_final),
+                "initial": _plain(self.condition_initial),
+                "final": _plain(self.condition_final),
                 "lower_bound": None,
             },
             "condition_number_scaled": {
@@ -169,7 +170,7 @@ class Design:
             },
             "limits": {use.quantity: use.ratio for use in self.limits.uses},
             "limit_values": {
-                use.quantity: _nested(getattr(robot.limits, use.quantity))
+                use.quantity: _plain(getattr(robot.limits, use.quantity))
                 for use in self.limits.uses
             },
             "worst": dict(zip((use.quantity for use in self.limits.uses), worst, strict=True)),
@@ -185,10 +186,10 @@ class Design:
                 {
                     "start": start.index,
                     "parent": start.parent,
-                    "condition_number": _number(start.condition),
+                    "condition_number": _plain(start.condition),
                     "status": start.status,
                     "iterations": start.iterations,
-                    "history": [_number(value) for value in start.history],
+                    "history": _plain(start.history),
                 }
                 for start in self.starts
             ],
@@ -367,11 +368,8 @@ def _telling_poses(tool: Array, t: Array, near: float | None) -> list[int]:
     return sorted(set(chosen))
 
 
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _nested(values: Array) -> list[Any]:
-    if values.ndim > 1:
-        return [_nested(row) for row in values]
-    return [_number(value) for value in values]
+def _plain(values: npt.ArrayLike) -> Any:
+    """Numbers, None for those that are not finite, in lists as deep as the array."""
+    found = np.array(values, object)
+    found[~np.isfinite(np.asarray(values, float))] = None
+    return found.tolist()

@@ -11,7 +11,6 @@ import numpy.typing as npt
 from excitant.design.constraints import LimitReport, LimitUse, check
 from excitant.design.path import (
     HOLDING,
-    Obstruction,
     Path,
     free_path,
     holding_refusal,
@@ -80,11 +79,10 @@ def approach(
         return _still(ends[0], np.array([0.0, 1.0 / rate_hz]))
     rng = np.random.default_rng(0) if rng is None else rng
     path = free_path(robot, ends[0], ends[1], scene, clearance, rng)
-    if isinstance(path, Obstruction):
+    if isinstance(path, str):
         raise Infeasible(
             name,
-            f"{path.why} at {100 * path.share:.3g} % of the straight line and no way around was "
-            "found; choose another pose",
+            f"{path} of the straight line and no way around was found; choose another pose",
         )
     return timed(robot, path, rate_hz, name)
 

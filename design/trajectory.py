@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
+import scipy
 from scipy.interpolate import BPoly, BSpline, PPoly
 
 from excitant.robots.html_table import html_table

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from excitant.identify.information import Information, gaussian
 from excitant.identify.physical import (

@@ -28,7 +28,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from excitant.identify.base_prior import BasePrior
 from excitant.identify.coloured_noise import score_covariances

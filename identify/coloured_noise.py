@@ -23,8 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.fft
-import scipy.linalg
+import scipy
 
 from excitant.robots.motion import Array
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
-import scipy.signal
+import scipy
 
 from excitant.exceptions import BadRecording
 from excitant.identify.preprocessing import (

@@ -20,8 +20,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
-import scipy.interpolate
-import scipy.signal
+import scipy
 
 from excitant.exceptions import BadInput
 from excitant.robots.motion import Array, Motion

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
-import scipy.linalg
+import scipy
 
 from excitant.exceptions import BadInput
 from excitant.identify.accuracy import series

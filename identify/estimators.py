@@ -19,9 +19,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-import scipy.interpolate
-import scipy.linalg
-import scipy.stats
+import scipy
 
 from excitant.exceptions import BadInput, Infeasible, UnknownName
 from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from excitant.exceptions import BadInput
 from excitant.identify.base_prior import BasePrior, base_prior, lively_motion

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
+import scipy
 from scipy.linalg import lapack
 
 from excitant.robots.motion import Array, freeze

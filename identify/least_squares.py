@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
-import scipy.stats
+import scipy
 
 from excitant.exceptions import RankDeficient
 from excitant.identify.coloured_noise import joint_rows, scores_of

@@ -22,8 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-import scipy.linalg
-import scipy.optimize
+import scipy
 
 from excitant.exceptions import BadInput
 from excitant.identify.physical import (

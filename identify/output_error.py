@@ -25,8 +25,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.interpolate
-import scipy.signal
+import scipy
 
 from excitant.exceptions import BadInput, Infeasible
 from excitant.identify.differentiators import low_pass

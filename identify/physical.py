@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from excitant.exceptions import BadInput, BadRobot
 from excitant.identify.knowledge import Knowledge, LinkKnowledge

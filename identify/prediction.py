@@ -12,8 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
-import scipy.stats
+import scipy
 
 from excitant.identify.least_squares import LeastSquares, autocorrelation_time
 from excitant.robots.motion import Array, freeze

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.interpolate
+import scipy
 
 from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth, low_pass

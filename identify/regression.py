@@ -22,7 +22,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
+import scipy
 
 from excitant.exceptions import BadInput
 from excitant.identify.preprocessing import Segment

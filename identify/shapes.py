@@ -18,8 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy.linalg
-import scipy.stats
+import scipy
 
 from excitant.exceptions import Infeasible, RankDeficient
 from excitant.identify.knowledge import Knowledge

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-import scipy.ndimage
+import scipy
 
 from excitant.identify.preprocessing import Segment
 from excitant.robots.effects import Effect

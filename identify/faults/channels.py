@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping
 
 import numpy as np
-import scipy.special
+import scipy
 
 from excitant.identify.faults.fault import Fault, Remedy, unwrap
 from excitant.identify.faults.log import (

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.interpolate
+import scipy
 
 from excitant.identify.differentiators import low_pass
 from excitant.identify.faults.log import Log, Rows

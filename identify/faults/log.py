@@ -8,8 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
-import scipy.ndimage
-import scipy.special
+import scipy
 
 from excitant.robots.motion import Array, freeze
 

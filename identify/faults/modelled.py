@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-import scipy.ndimage
-import scipy.special
+import scipy
 
 from excitant.exceptions import ExcitantError
 from excitant.identify.excitation import persistency

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.ndimage
+import scipy
 
 from excitant.identify.faults.fault import Fault, Remedy, dropped
 from excitant.identify.faults.log import ALARM, Log, Mask, Rows, local_scale, quantum, tail_bound

@@ -12,8 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
-import scipy.special
+import scipy
 
 from excitant.identify.faults.fault import Fault, Remedy
 from excitant.identify.faults.fit import Fit, Problem, Smooth

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
-import scipy.ndimage
+import scipy
 
 from excitant.identify.faults.fault import Fault, Remedy, dropped
 from excitant.identify.faults.log import Log, Mask, Rows, run_lengths, tail_bound

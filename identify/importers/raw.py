@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from excitant.exceptions import BadInput, BadRecording
+from excitant.identify.importers.bags import bag_table
 from excitant.identify.importers.columns import Channel, Columns, Joints, resolve
 from excitant.identify.importers.mapping import ColumnMap
 from excitant.identify.importers.tables import (
@@ -20,11 +21,19 @@ from excitant.identify.importers.tables import (
     parquet_table,
     unreadable,
 )
+from excitant.identify.importers.text import text_table
 from excitant.identify.importers.units import ISO, as_numbers, in_seconds, stamps_unit
 from excitant.robots.motion import Array, freeze, read_only
 from excitant.robots.robot import Robot
 
-SUFFIXES = (".parquet", ".pq", ".csv", ".txt", ".tsv", ".npz", ".mat", ".bag", ".mcap", ".db3")
+_READERS: dict[str, Callable[[Path], Table]] = {
+    **dict.fromkeys((".parquet", ".pq"), parquet_table),
+    **dict.fromkeys((".csv", ".txt", ".tsv"), text_table),
+    ".npz": npz_table,
+    ".mat": mat_table,
+}
+_BAGS = (".bag", ".mcap", ".db3")
+SUFFIXES = (*_READERS, *_BAGS)
 _REMEMBERED = 100  # unreadable cells whose text is kept
 _NUMBERED = re.compile(r"(.*?)(\d+)(\.[^.]*)?", re.ASCII)  # run_, 12, .csv
 _LONGEST_STEP = 10.0  # median steps between the last row of a part and the first of the next
@@ -156,26 +165,15 @@ def open_log(path: str | Path, *, topic: str | None = None) -> Table:
     if not path.exists():
         raise BadRecording(path, "no such file")
     suffix = ".bag" if is_bag_folder else path.suffix.lower()
+    if suffix not in SUFFIXES:
+        why = f"unknown format '{path.suffix}'; give .parquet or .csv, .npz, .mat, .bag or .mcap"
+        raise BadRecording(path, why)
     try:
-        if suffix in (".parquet", ".pq"):
-            return parquet_table(path)
-        if suffix in (".csv", ".txt", ".tsv"):
-            from excitant.identify.importers.text import text_table
-
-            return text_table(path)
-        if suffix in (".npz", ".mat"):
-            return npz_table(path) if suffix == ".npz" else mat_table(path)
-        if suffix in (".bag", ".mcap", ".db3"):
-            from excitant.identify.importers.bags import bag_table
-
-            return bag_table(path, topic)
+        return bag_table(path, topic) if suffix in _BAGS else _READERS[suffix](path)
     except (BadRecording, ModuleNotFoundError):
         raise
     except Exception as error:  # readers of others raise anything on a damaged file
         raise unreadable(path, error) from None
-    raise BadRecording(
-        path, f"unknown format '{path.suffix}'; give .parquet or .csv, .npz, .mat, .bag or .mcap"
-    )
 
 
 def _pieces(

@@ -24,7 +24,6 @@ _GAPS = np.geomspace(3e-4, 0.1, 12).tolist()  # rad
 _ORDERS = 3  # of ripple at each joint, the best of all
 _MOST_ORDERS = 600
 _SLOWEST = 1e-3  # rad/s
-_BESIDE = (-1.0, 1.0)  # steps
 
 
 @dataclass(frozen=True)
@@ -75,8 +74,9 @@ class TorqueRipple(JointEffect):
         return len(_orders(facts))
 
     def refined(self, beside: Iterable[Effect], facts: JointFacts) -> list[Self]:
-        """The orders looked at beside its own."""
-        return [self.reshaped("order", self.order + s * _step(facts)) for s in _BESIDE]
+        """Orders at thirds of the way to the next ones that would be looked at."""
+        next_ones = (self.order - _step(facts), self.order + _step(facts))
+        return super().refined([self.reshaped("order", order) for order in next_ones], facts)
 
     @property
     def own_terms(self) -> tuple[Parameter, ...]:

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
-import scipy.signal
+import scipy
 
 from excitant.exceptions import BadInput
 from excitant.robots.motion import Array, freeze, read_only

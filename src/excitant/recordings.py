@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
@@ -273,12 +274,12 @@ def analyze(
 
     if trajectory and recording:
         raise BadInput("--trajectory and --recording exclude each other; leave one out")
-    dataset = part.dataset(robot, map)
-    arm = dataset.robot
+    dataset = part.dataset(robot, map) if recording or Path(robot).is_dir() else None
+    arm = part.robot(robot) if dataset is None else dataset.robot
     effects = standard_effects(arm.joints) if columns == "friction" else ()
     given: dict[str, Any] = {"noise": noise, "moving": moving, "measured": measured}
     notes: list[str] = []
-    if recording:
+    if dataset is not None and recording:
         import numpy as np
 
         given["estimate"], notes = _as_far_as_shown(arm, dataset.recordings(recording), effects)

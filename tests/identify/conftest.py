@@ -8,10 +8,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
 
 from excitant.identify import Recording
 from excitant.robots import Motion, Robot, torque
@@ -72,6 +68,11 @@ def joint_states(
     Stamps count from 2023, or are zero in headers where time is negative. With ``hand``, messages
     of another node go to the same topics.
     """
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_typestore
+
     ros1 = kind == "bag"
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     state, header, time = (
