@@ -93,8 +93,6 @@ def identify(
         identify_link_by_link,
         identify_online,
         identify_payload,
-        identify_result,
-        identify_series,
         load_knowledge,
         publication,
     )
@@ -158,7 +156,7 @@ def identify(
                 knowledge=load_knowledge(knowledge, arm.links) if knowledge else None,
                 harmonics_hz=_highest_harmonic(trajectory, arm) if trajectory else None,
             )
-        result, series = identify_result(estimate), {}
+        result, series = estimate.result(), {}
     if load.payload:
         unloaded = dataset.recordings(load.unloaded) if load.unloaded else []
         if drive is not None:
@@ -173,7 +171,7 @@ def identify(
     result["published"] = published.published
     result["notes"] += notes + ([published.note] if published.note else [])
     folder = run.folder("identify", estimate.given.name)
-    run.finish(folder, result, identify_series(estimate) | series, published.files)
+    run.finish(folder, result, estimate.series() | series, published.files)
     if published.note and not run.json:
         print(published.note)
 
