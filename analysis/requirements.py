@@ -155,7 +155,7 @@ def coverage_item(situation: Situation, estimates: Sequence[Estimate], beta: Arr
 
 def prediction_item(situation: Situation, estimate: Estimate, beta: Array) -> Item:
     """Error on the hold-out close to that of the true parameters behind the same sensors."""
-    rows = estimate.series
+    rows = estimate.holdout
     floor = rows.accuracy(estimate.holdout_columns @ beta).rms
     worse = estimate.validate.rms / floor
     j = int(worse.argmax())

@@ -1,8 +1,6 @@
 from .dataset import Dataset, load_dataset
-from .differentiator_choice import choose_differentiator
 from .differentiators import (
     Differentiator,
-    FourierFit,
     LocalPolynomial,
     ZeroPhaseButterworth,
     five_point,
@@ -27,7 +25,6 @@ from .recording import (
     recording_from_table,
 )
 from .regression import Regression
-from .result import identify_result, identify_series
 from .rows import Data, split
 from .sequential import LinkByLink, identify_link_by_link
 
@@ -38,7 +35,6 @@ __all__ = [
     "Differentiator",
     "DriveGains",
     "Estimate",
-    "FourierFit",
     "Knowledge",
     "KnownPayload",
     "LinkByLink",
@@ -53,7 +49,6 @@ __all__ = [
     "Recording",
     "Regression",
     "ZeroPhaseButterworth",
-    "choose_differentiator",
     "estimate_payload",
     "five_point",
     "identify",
@@ -61,8 +56,6 @@ __all__ = [
     "identify_link_by_link",
     "identify_online",
     "identify_payload",
-    "identify_result",
-    "identify_series",
     "load_column_map",
     "load_dataset",
     "load_knowledge",

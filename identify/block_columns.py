@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadInput
-from excitant.identify.standstill import dry_joints
+from excitant.identify.preprocessing import dry_joints
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects.base import Effect, Law
 from excitant.robots.motion import Array, Motion

@@ -1,14 +1,17 @@
 """Differentiators: from sampled positions to velocity and acceleration.
 
-Every differentiator is a value with one interface (`Differentiator`): it says which part of a
-derivative it passes (``gain``), how much white noise of the positions it lets into the derivative
-(``noise_gain``), how late it is (``delay``), and it turns positions into a `Motion` at the
-instants of the samples.
-
+* `ZeroPhaseButterworth`: filter forward and backward, then a quintic spline; what recordings pass.
 * `LocalPolynomial`: least-squares polynomial through a moving window (Savitzky and Golay 1964);
-  `five_point` is Khosla's (1987, §5.1), f' = (−2f₋₂ − f₋₁ + f₁ + 2f₂) / (10T).
-* `ZeroPhaseButterworth`: filter forward and backward, then differences or a quintic spline.
-* `FourierFit`: all of a periodic motion at once (Swevers et al. 1997); time may be irregular.
+  `five_point` is Khosla's (1987, §5.1), f' = (−2f₋₂ − f₋₁ + f₁ + 2f₂) / (10T). The causal kind
+  serves a loop; `causal_polynomial` takes the window that suits the positions best.
+
+Positions are signal plus white noise. The noise level is the floor of the upper part of the
+periodogram; the signal is what stands out of the floor. A polynomial with gain g then makes the
+acceleration error
+
+    e² = ∫ S(f) (2πf)⁴ (g(f) − 1)² df + σ² · noise_gain²,
+
+lost signal plus noise let through, both known before anything is differentiated.
 """
 
 from __future__ import annotations
@@ -16,22 +19,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from math import factorial
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import BadInput
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array, Motion, freeze
 
 _IRREGULAR = 1e-3  # of a step: what counts as the same step
 _BUTTERWORTH_ORDER = 4
-_NOISE_BINS = 8193  # of the frequency axis where a noise gain has no closed form
+_FEWEST = 64  # samples of a spectrum
+_FLOOR_SHARE = 1 / 3  # of the frequency axis, its upper end, where arms do not move
+_TIME_SPAN = (0.004, 0.3)  # s: windows of polynomials that are worth a try
+_CANDIDATES = 12  # windows tried
 
 
 class Differentiator(Protocol):
-    """What every differentiator offers; orders 0, 1 and 2 are position to acceleration."""
+    """What every differentiator offers."""
 
     @property
     def name(self) -> str:
@@ -39,12 +45,6 @@ class Differentiator(Protocol):
 
     def delay(self, rate_hz: float) -> float:
         """Time between the newest sample it needs and the instant it speaks about [s]."""
-
-    def gain(self, f: Array, rate_hz: float, order: int = 1) -> Array:
-        """Response at frequencies f [Hz] relative to the true derivative; real, 1 is ideal."""
-
-    def noise_gain(self, rate_hz: float, order: int = 1) -> float:
-        """Standard deviation of the derivative per standard deviation of white noise [s⁻ᵒ]."""
 
     def __call__(self, t: Array, q: Array) -> Motion:
         """Motion at the samples; q has shape (n, nv).
@@ -66,7 +66,7 @@ def step_of(t: Array, who: str) -> float:
         worst = int(np.argmax(np.abs(steps - step)))
         raise BadInput(
             f"{who}: time is irregular ({steps[worst]:.4g} s after {t[worst]:.6g} s, "
-            f"else {step:.4g} s); resample it, or use a local polynomial or a Fourier fit"
+            f"else {step:.4g} s); resample it, or use a local polynomial"
         )
     return step
 
@@ -200,128 +200,152 @@ def _butterworth(cutoff_hz: float, rate_hz: float) -> Array:
 
 @dataclass(frozen=True)
 class ZeroPhaseButterworth:
-    """Butterworth filter of fourth order forward and backward, then a derivative.
+    """Butterworth filter of fourth order forward and backward, then a quintic spline.
 
     Attributes:
         cutoff_hz: Cut-off of one pass [Hz]; the gain there is one half.
-        scheme: ``"spline"`` differentiates the quintic spline through the filtered samples, which
-            is what recordings pass before identification; ``"central"`` takes central differences.
     """
 
     cutoff_hz: float
-    scheme: Literal["spline", "central"] = "spline"
 
     @property
     def name(self) -> str:
         """Name with its settings."""
-        kind = "quintic spline" if self.scheme == "spline" else "central differences"
-        return f"zero-phase Butterworth ({self.cutoff_hz:.4g} Hz) with {kind}"
+        return f"zero-phase Butterworth ({self.cutoff_hz:.4g} Hz) with quintic spline"
 
     def delay(self, rate_hz: float) -> float:
         """None, but it needs the whole recording."""
         return 0.0
 
-    def gain(self, f: Array, rate_hz: float, order: int = 1) -> Array:
-        """|H|² of one pass times the gain of the derivative."""
-        self._refuse_cutoff(rate_hz)
-        omega = 2 * np.pi * np.asarray(f, float) / rate_hz
-        ratio = np.tan(omega / 2) / np.tan(np.pi * self.cutoff_hz / rate_hz)
-        twice = 1 / (1 + ratio ** (2 * _BUTTERWORTH_ORDER))
-        return np.asarray(twice * _relative(self._difference(omega, order), omega, order), float)
-
-    def noise_gain(self, rate_hz: float, order: int = 1) -> float:
-        """Root of the mean square response over all frequencies up to half the rate."""
-        f = np.linspace(0, rate_hz / 2, _NOISE_BINS)
-        response = self.gain(f, rate_hz, order) * (2 * np.pi * f) ** order
-        return float(np.sqrt(np.trapezoid(response**2, f) / (rate_hz / 2)))
-
-    def _difference(self, omega: Array, order: int) -> npt.NDArray[np.complex128]:
-        """Response of spline or differences per sampling period."""
-        c1, c2 = np.cos(omega), np.cos(2 * omega)
-        if self.scheme == "central":
-            return np.asarray((1j * np.sin(omega)) ** order, complex)
-        through = (66 + 52 * c1 + 2 * c2) / 120  # quintic B-spline at the integers
-        first = 1j * (10 * np.sin(omega) + np.sin(2 * omega)) / 12
-        parts = (through, first, -1 + (2 * c1 + c2) / 3)
-        return np.asarray(parts[order] / through, complex)
-
-    def _refuse_cutoff(self, rate_hz: float) -> None:
-        if not 0 < self.cutoff_hz < rate_hz / 2:
-            raise BadInput(
-                f"{self.name}: the cut-off does not fit a rate of {rate_hz:.4g} Hz; "
-                f"choose one below {rate_hz / 2:.4g} Hz"
-            )
-
     def __call__(self, t: Array, q: Array) -> Motion:
         """Motion at the samples of regular time."""
         _refuse_short(t, 20, self.name)
         rate = 1 / step_of(t, self.name)
-        self._refuse_cutoff(rate)
+        if not 0 < self.cutoff_hz < rate / 2:
+            raise BadInput(
+                f"{self.name}: the cut-off does not fit a rate of {rate:.4g} Hz; "
+                f"choose one below {rate / 2:.4g} Hz"
+            )
         smooth = low_pass(q, self.cutoff_hz, rate)
-        if self.scheme == "central":
-            dq = np.gradient(smooth, 1 / rate, axis=0, edge_order=2)
-            return Motion(t, smooth, dq, np.gradient(dq, 1 / rate, axis=0, edge_order=2))
         spline = scipy.interpolate.make_interp_spline(t, smooth, k=5)
         return Motion(t, spline(t), spline(t, 1), spline(t, 2))
 
 
-@dataclass(frozen=True)
-class FourierFit:
-    """Least-squares Fourier series of a periodic motion: exact for one, whatever the sampling.
-
-    Gains are those of whole periods recorded at a regular rate, where the fit is a projection.
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Positions as signal and white noise.
 
     Attributes:
-        period: Duration of one period [s].
-        harmonics: Number of harmonics of 1 / period.
-        periods: Number of periods recorded, for the gains.
+        f: Frequencies, shape (m,) [Hz].
+        signal: Power density of the signal, zero where the noise could make what is seen,
+            shape (m, nv) [rad²/Hz].
+        noise: Standard deviation of the white noise of each joint, shape (nv,) [rad or m].
+        rate_hz: Sampling rate [Hz].
+        duration: Time recorded [s].
     """
 
-    period: float
-    harmonics: int
-    periods: int = 1
+    f: Array
+    signal: Array
+    noise: Array
+    rate_hz: float
+    duration: float
 
-    @property
-    def name(self) -> str:
-        """Name with its settings."""
-        return f"Fourier series ({self.harmonics} harmonics of {1 / self.period:.4g} Hz)"
+    def __post_init__(self) -> None:
+        freeze(self, "f", "signal", "noise")
 
-    def delay(self, rate_hz: float) -> float:
-        """None, but it needs whole periods."""
-        return 0.0
 
-    def gain(self, f: Array, rate_hz: float, order: int = 1) -> Array:
-        """1 at the harmonics it has, 0 at every other frequency of whole periods."""
-        multiple = np.asarray(f, float) * self.period
-        nearest = np.round(multiple)
-        width = 0.5 / self.periods  # frequencies that whole periods tell apart
-        inside = (np.abs(multiple - nearest) < width) & (nearest <= self.harmonics)
-        return np.asarray(inside, float)
+def position_spectrum(t: Array, q: Array) -> Spectrum:
+    """Signal and noise of positions, shape (n, nv).
 
-    def noise_gain(self, rate_hz: float, order: int = 1) -> float:
-        """√(2/n Σ_k (kω)²ᵒ), for order 0 with the mean besides; n samples."""
-        n = self.periods * self.period * rate_hz
-        omega = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)
-        mean = 1.0 if order == 0 else 0.0
-        return float(np.sqrt((mean + 2 * np.sum(omega ** (2 * order))) / n))
+    Irregular time is resampled linearly at its mean rate: noise then comes out a little low.
+    A bin counts as signal where noise alone would exceed it in one recording out of n.
 
-    def __call__(self, t: Array, q: Array) -> Motion:
-        """Motion at the samples; time may be irregular."""
-        _refuse_short(t, 2 * self.harmonics + 1, self.name)
-        omega = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)
-        angle = omega * (t - t[0])[:, None]
-        basis = np.hstack([np.ones((len(t), 1)), np.cos(angle), np.sin(angle)])
-        solution, _, rank, _ = np.linalg.lstsq(basis, q, rcond=1e-10)
-        if rank < basis.shape[1]:
-            raise BadInput(
-                f"{self.name}: {t[-1] - t[0]:.4g} s do not determine it; record a whole period"
-            )
-        a, b = np.split(solution[1:], 2)
-        w = omega[:, None]
-        cosine, sine = np.cos(angle), np.sin(angle)
-        return Motion(
-            t,
-            basis @ solution,
-            cosine @ (w * b) - sine @ (w * a),
-            -(cosine @ (w**2 * a)) - sine @ (w**2 * b),
+    Raises:
+        BadInput: Fewer than 64 samples.
+    """
+    if len(t) < _FEWEST:
+        raise BadInput(
+            f"choice of a differentiator: {len(t)} samples; at least {_FEWEST} are needed"
         )
+    grid = np.linspace(t[0], t[-1], len(t))
+    regular = np.column_stack([np.interp(grid, t, column) for column in q.T])
+    rate = (len(t) - 1) / (t[-1] - t[0])
+    f, power = scipy.signal.periodogram(
+        scipy.signal.detrend(regular, axis=0), fs=float(rate), window="hann", axis=0
+    )
+    upper = f > (1 - _FLOOR_SHARE) * rate / 2
+    floor = np.median(power[upper], axis=0) / np.log(2)  # exponential: median = mean · ln 2
+    stands_out = power > floor * 2 * np.log(len(f))
+    signal = np.where(stands_out & ~upper[:, None], np.maximum(power - floor, 0), 0.0)
+    noise = np.sqrt(floor * rate / 2)
+    return Spectrum(f, signal, noise, float(rate), float(t[-1] - t[0]))
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The differentiator chosen, and why.
+
+    Attributes:
+        differentiator: The choice.
+        error: Predicted acceleration error of each joint, shape (nv,) [rad/s²].
+        lost: Part of it that is signal lost [rad/s²].
+        noise: Part of it that is noise let through [rad/s²].
+        why: One sentence.
+    """
+
+    differentiator: LocalPolynomial
+    error: Array
+    lost: Array
+    noise: Array
+    why: str
+
+    def __post_init__(self) -> None:
+        freeze(self, "error", "lost", "noise")
+
+
+def predicted_error(polynomial: LocalPolynomial, spectrum: Spectrum) -> tuple[Array, Array]:
+    """Signal lost and noise let through in the acceleration, each of shape (nv,) [rad/s²]."""
+    f, rate = spectrum.f, spectrum.rate_hz
+    missing = (2 * np.pi * f) ** 4 * (polynomial.gain(f, rate, 2) - 1) ** 2
+    lost = np.sqrt(missing @ spectrum.signal * (f[1] - f[0]))
+    return lost, spectrum.noise * polynomial.noise_gain(rate, 2)
+
+
+def causal_polynomials(spectrum: Spectrum) -> list[LocalPolynomial]:
+    """Polynomials worth a try at this rate, windows in geometric steps."""
+    rate = spectrum.rate_hz
+    shortest, longest = (span * rate / 2 for span in _TIME_SPAN)
+    limit = (round(spectrum.duration * rate) - 1) // 4
+    widths = np.unique(np.geomspace(max(shortest, 2), max(longest, 4), _CANDIDATES).astype(int))
+    found = [five_point(causal=True)]
+    for m in (int(m) for m in widths if m <= limit):
+        degrees = [d for d in (2, 4) if d < 2 * m and (m, d) != (2, 2)]
+        found += [savitzky_golay(m, degree, causal=True) for degree in degrees]
+    return found
+
+
+def causal_polynomial(spectrum: Spectrum) -> Choice:
+    """The causal polynomial with the smallest predicted acceleration error.
+
+    Joints count relative to the acceleration their signal has.
+    """
+    options = causal_polynomials(spectrum)
+    f, width = spectrum.f, spectrum.f[1] - spectrum.f[0]
+    size = np.sqrt((2 * np.pi * f) ** 4 @ spectrum.signal * width)
+    moving = size > 0
+    weight = np.where(moving, 1 / np.where(moving, size, 1.0), 0.0 if moving.any() else 1.0)
+    parts = [predicted_error(option, spectrum) for option in options]
+    cost = [float(np.sum(weight**2 * (lost**2 + noise**2))) for lost, noise in parts]
+    order = np.argsort(cost)
+    best, (lost, noise) = options[order[0]], parts[order[0]]
+    total = np.sqrt(lost**2 + noise**2)
+    j = int(np.argmax(weight * total))
+    why = (
+        f"{best.name}: predicted acceleration error {total[j]:.3g} (signal lost {lost[j]:.3g}, "
+        f"noise {noise[j]:.3g}) at a position noise of {spectrum.noise[j]:.3g} of joint {j + 1}, "
+        "the joint where it weighs most"
+    )
+    if len(order) > 1:
+        second = np.hypot(*parts[order[1]])[j]
+        why += f"; next, {second:.3g} with {options[order[1]].name}"
+    return Choice(best, total, lost, noise, why)

@@ -5,16 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from excitant.exceptions import UnknownName
-from excitant.identify.accuracy import Accuracy, Series, predicted_torque, series
+from excitant.identify.accuracy import (
+    Accuracy,
+    Coverage,
+    PredictionInterval,
+    Series,
+    coverage,
+    predicted_torque,
+    prediction_interval,
+    series,
+)
 from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.knowledge import Knowledge
-from excitant.identify.least_squares import LeastSquares
+from excitant.identify.least_squares import LeastSquares, essential_parameters
 from excitant.identify.physical import PhysicalFit, fit_physical, prior_parameters
-from excitant.identify.prediction import PredictionInterval, prediction_interval
 from excitant.identify.recording import Recording
 from excitant.identify.rows import (
     Data,
@@ -26,10 +35,11 @@ from excitant.identify.rows import (
     with_own_torque,
 )
 from excitant.identify.shapes import Shapes, refined_shapes
-from excitant.robots.base_parameters import BaseParameters, base_parameters
+from excitant.robots.base_parameters import BaseParameters, base_parameters, categories
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, read_only
+from excitant.robots.parameters import UNITS, violations
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
 
@@ -50,7 +60,7 @@ class Estimate:
         train: Accuracy of the model on the fitted rows.
         validate: Accuracy of the model on the hold-out.
         baseline: Accuracy of the given robot on the hold-out.
-        series: Rows of the hold-out.
+        holdout: Rows of the hold-out.
         predicted: Torque of the model at those rows, shape (n, nv) [torque unit].
         predicted_given: Torque of the given robot at those rows [torque unit].
         notes: What the user should know, as sentences.
@@ -70,7 +80,7 @@ class Estimate:
     train: Accuracy
     validate: Accuracy
     baseline: Accuracy
-    series: Series
+    holdout: Series
     predicted: Array
     predicted_given: Array
     notes: tuple[str, ...]
@@ -99,6 +109,118 @@ class Estimate:
         predicted = predicted_torque(self.model, self.data.train) / self.gains
         residual = series(self.data.train).measured - predicted
         return prediction_interval(self.holdout_columns, self.least_squares, residual, self.gains)
+
+    def result(self) -> dict[str, Any]:
+        """Machine-readable result of `identify` (keys of DESIGN.md, section 5)."""
+        robot = self.given
+        broken = violations(self.phi, robot.links)
+        half_width = self.interval.half_width
+        held = coverage(self.holdout.measured, self.predicted, half_width)
+        return {
+            "verb": "identify",
+            "robot": robot.name,
+            "estimator": f"{self.estimator}, then physically consistent semidefinite fit",
+            "effects": [effect.name for effect in self.model.effects],
+            "cutoff_hz": self.data.cutoff_hz,
+            **({} if self.shapes is None else {"shapes": self.shapes.entry()}),
+            "unit": self.data.unit,
+            "holdout": self.data.holdout,
+            "drive_gain_Nm_per_A": list(self.gains) if self.data.unit == "A" else None,
+            "joints": [
+                {
+                    "name": joint,
+                    "train": self.train.entry(j),
+                    "validate": self.validate.entry(j) | {"interval95": self._interval(held, j)},
+                    "baseline": self.baseline.entry(j),
+                }
+                for j, joint in enumerate(robot.joints)
+            ],
+            "parameters": self._parameters(),
+            "base_parameters": self._base_parameters(),
+            "essential": self._essential(),
+            "physical": {
+                "consistent": not broken,
+                "violations": broken,
+                "kkt": vars(self.physical.kkt),
+            },
+            "knowledge": self.knowledge.entry(),
+            "notes": [
+                *self.notes,
+                *([self.knowledge.sentence] if self.knowledge.sentence else []),
+                *_missed(robot.joints, held),
+            ],
+        }
+
+    def series(self) -> dict[str, Array]:
+        """Measured, given and identified torque on the hold-out, each of shape (n, nv)."""
+        return {
+            "t": self.holdout.t,
+            "measured": self.holdout.measured,
+            "given": self.predicted_given,
+            "identified": self.predicted,
+            "half_width": self.interval.half_width,
+        }
+
+    def _interval(self, held: Coverage, joint: int) -> dict[str, float]:
+        """Mean half width of the 95 % intervals of one joint, and how many readings they hold."""
+        half, parameters = self.interval.half_width, self.interval.parameters
+        return {
+            "half_width": float(half[:, joint].mean()),
+            "half_width_parameters": float(1.96 * parameters[:, joint].mean()),
+            "coverage": float(held.share[joint]),
+        }
+
+    def _essential(self) -> dict[str, Any]:
+        """The fewest base parameters, and what the hold-out says of them (median over joints)."""
+        essential = essential_parameters(self.least_squares.beta, self.least_squares.covariance)
+        expressions, gains = self.base.expressions, self.gains
+        every, few = (
+            float(np.nanmedian(self.holdout.accuracy(self.holdout_columns @ b / gains).nrmse))
+            for b in (self.least_squares.beta, essential.beta)
+        )
+        return {
+            "kept": [expressions[k] for k in essential.kept],
+            "dropped": [expressions[k] for k in essential.dropped],
+            "p_value": essential.p_value,
+            "nrmse_all": every,
+            "nrmse_essential": few,
+        }
+
+    def _parameters(self) -> list[dict[str, Any]]:
+        robot, physical = self.given, self.physical
+        names = self.base.names
+        effects = [p for e in self.model.effects for p in e.parameters(robot)]
+        units = [*UNITS * robot.nv, *(p.unit for p in effects)]
+        owners = [link for link in robot.links for _ in UNITS]
+        owners += [p.name.rpartition(".")[0] for p in effects]
+        given = [*self.prior, *(None,) * len(effects)]
+        std = np.sqrt(np.diag(physical.covariance))
+        return [
+            {
+                "name": names[k],
+                "link": owners[k],
+                "value": float(physical.x[k]),
+                "std": float(std[k]),
+                "unit": units[k],
+                "category": category,
+                "prior": None if given[k] is None else float(given[k]),
+                "prior_dominated": category == "unidentifiable" or physical.prior_dominated[k],
+            }
+            for k, category in enumerate(categories(self.base))
+        ]
+
+    def _base_parameters(self) -> list[dict[str, Any]]:
+        fit = self.least_squares
+        std = np.sqrt(np.diag(fit.covariance))
+        return [
+            {
+                "expression": text,
+                "value": float(value),
+                "std": float(s),
+                "rel_std": float(s / abs(value)) if value else None,
+            }
+            for text, value, s in zip(self.base.expressions, fit.beta, std, strict=True)
+        ]
 
     def _repr_html_(self) -> str:
         columns = (self.baseline.rms, self.validate.rms, self.validate.nrmse, self.validate.r2)
@@ -198,7 +320,7 @@ def judged(
         train=rows.measured.accuracy(rows.regression.torque(physical.x) / gains),
         validate=unseen.accuracy(predicted),
         baseline=unseen.accuracy(predicted_given),
-        series=unseen,
+        holdout=unseen,
         predicted=read_only(predicted),
         predicted_given=read_only(predicted_given),
         notes=notes,
@@ -225,3 +347,15 @@ def notes_on(robot: Robot, prior: Array, data: Data, gains: Array) -> tuple[str,
             "given masses and is not determined by currents"
         )
     return tuple(notes)
+
+
+def _missed(joints: Sequence[str], held: Coverage) -> list[str]:
+    """What coverage far from 95 % says, as a sentence, where there is any."""
+    low = np.flatnonzero(held.too_few)
+    if not len(low):
+        return []
+    shares = ", ".join(f"{joints[int(j)]} {100 * held.share[j]:.0f} %" for j in low)
+    return [
+        f"95 % intervals of the predicted torque hold less of the hold-out ({shares}): the model "
+        "misses something there; `excitant diagnose` looks for its cause"
+    ]

@@ -310,14 +310,6 @@ class EverySecond:
         """That of the inner one [s]."""
         return self.inner.delay(rate_hz)
 
-    def gain(self, f: Array, rate_hz: float, order: int = 1) -> Array:
-        """That of the inner one: a quintic spline passes what half the samples can show."""
-        return self.inner.gain(f, rate_hz, order)
-
-    def noise_gain(self, rate_hz: float, order: int = 1) -> float:
-        """√2 times that of the inner one: half the samples, twice the density."""
-        return float(np.sqrt(2) * self.inner.noise_gain(rate_hz, order))
-
     def __call__(self, t: Array, q: Array) -> Motion:
         """Motion at all samples; q has shape (n, nv)."""
         seen = slice(self.first, None, 2)

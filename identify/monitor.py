@@ -10,14 +10,7 @@ import numpy as np
 
 from excitant.exceptions import BadRecording
 from excitant.identify.base_prior import BasePrior, base_prior, lively_motion
-from excitant.identify.differentiator_choice import choose_differentiator, position_spectrum
-from excitant.identify.differentiator_table import (
-    DifferentiatorTable,
-    differentiator_result,
-    differentiator_series,
-    differentiator_table,
-)
-from excitant.identify.differentiators import LocalPolynomial
+from excitant.identify.differentiators import causal_polynomial, position_spectrum
 from excitant.identify.estimate import Estimate, judged
 from excitant.identify.excitation import (
     ROWS_PER_SECOND,
@@ -29,7 +22,6 @@ from excitant.identify.online import OnlineEstimate, OnlineEstimator, regular
 from excitant.identify.physical import fit_physical, prior_parameters
 from excitant.identify.preprocessing import uninterrupted
 from excitant.identify.recording import Recording
-from excitant.identify.result import identify_result
 from excitant.identify.rows import fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
@@ -137,8 +129,6 @@ class OnlineRun:
 
     Attributes:
         recording: The recording.
-        robot: The arm, the prior.
-        effects: Effects estimated.
         differentiator: Why which differentiator was taken.
         looks: The monitor's looks, the last at the end of the recording.
         messages: Time [s] and text.
@@ -146,8 +136,6 @@ class OnlineRun:
     """
 
     recording: Recording
-    robot: Robot
-    effects: tuple[Effect, ...]
     differentiator: str
     looks: tuple[Look, ...]
     messages: tuple[tuple[float, str], ...]
@@ -168,7 +156,6 @@ def replay(
     prior: BasePrior | bool | None = None,
     forgetting: float | None = None,
     gains: Array | float = 1.0,
-    period: float = _PERIOD,
     progress: Callable[[float], None] | None = None,
 ) -> OnlineRun:
     """Estimate on line over a recording, as if its samples came one by one.
@@ -183,7 +170,6 @@ def replay(
         prior: What is known beforehand; the given robot when None, ``False`` for nothing.
         forgetting: Time constant [s]; nothing is forgotten when None.
         gains: Torque per reading [N·m per reading], shape (nv,).
-        period: Time between two looks of the monitor [s].
         progress: Told the fraction done.
 
     Raises:
@@ -194,9 +180,8 @@ def replay(
     t, q, tau = regular(recording)
     rate = 1 / float(np.median(np.diff(t)))
     longest = max(uninterrupted(t), key=len)
-    choice = choose_differentiator(t[longest], q[longest], causal=True)
-    assert isinstance(choice.differentiator, LocalPolynomial)  # the only causal kind
-    noise = position_spectrum(t[longest], q[longest]).noise
+    spectrum = position_spectrum(t[longest], q[longest])
+    choice, noise = causal_polynomial(spectrum), spectrum.noise
     estimator = OnlineEstimator(
         robot, effects, rate_hz=rate, differentiator=choice.differentiator,
         forgetting=forgetting, prior=prior, position_noise=noise, base=base,
@@ -207,17 +192,15 @@ def replay(
         estimator.push(float(t[k]), q[k], tau[k] * gains)
         if t[k] >= due and estimator.rows:
             looks.append(monitor.look())
-            due = t[k] + period
+            due = t[k] + _PERIOD
             if progress is not None:
                 progress(k / len(t))
     if not estimator.rows:
         raise BadRecording(recording.file, "too short or interrupted too often for on-line rows")
     if not looks or looks[-1].estimate.t < estimator.recent().motion.t[-1]:
         looks.append(monitor.look())
-    return OnlineRun(
-        recording, robot, effects, choice.why, tuple(looks), tuple(monitor.messages),
-        estimator.delay,
-    )  # fmt: skip
+    messages = tuple(monitor.messages)
+    return OnlineRun(recording, choice.why, tuple(looks), messages, estimator.delay)
 
 
 def joined(recordings: Sequence[Recording]) -> Recording:
@@ -256,7 +239,7 @@ class OnlineIdentification:
         looks = run.looks[:: max(1, -(-len(run.looks) // _KEPT))]
         if looks[-1] is not run.looks[-1]:
             looks = (*looks, run.looks[-1])
-        return identify_result(self.estimate) | {
+        return self.estimate.result() | {
             "estimator": "recursive least squares in square-root information form, on line; "
             "then physically consistent semidefinite fit",
             "online": {
@@ -275,23 +258,16 @@ class OnlineIdentification:
                     "noise": [look.estimate.sigma.tolist() for look in looks],
                 },
             },
-            "differentiators": differentiator_result(self._differentiators()),
         }
 
     def series(self) -> dict[str, Array]:
-        """For figures: estimates over time, ``online_t`` (k,), values and std (k, r).
-
-        And the curves of `excitant.identify.differentiator_table.differentiator_series`.
-        """
+        """For figures: estimates over time, ``online_t`` (k,), values and std (k, r)."""
         looks = [look.estimate for look in self.run.looks]
-        return differentiator_series(self._differentiators()) | {
+        return {
             "online_t": np.array([each.t for each in looks]),
             "online_value": np.array([each.beta for each in looks]),
             "online_std": np.array([each.std for each in looks]),
         }
-
-    def _differentiators(self) -> DifferentiatorTable:
-        return differentiator_table(self.run.recording, self.run.differentiator)
 
 
 def identify_online(

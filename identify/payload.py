@@ -2,8 +2,7 @@
 
 A body π on the last link adds K π to the base parameters of the arm, because its columns are
 those of that link: β_loaded = β_arm + K π. What the unloaded arm and the loaded arm each say of
-their base parameters therefore holds everything about the body, whether both were recorded,
-or the arm was identified before, or the loaded data still come in sample by sample:
+their base parameters therefore holds everything about the body:
 
     R_loaded (β + K π) ≈ z_loaded,    R_arm β ≈ z_arm.
 
@@ -20,15 +19,12 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.exceptions import BadInput
-from excitant.identify.accuracy import series
 from excitant.identify.base_prior import base_prior
-from excitant.identify.estimate import Estimate
 from excitant.identify.information import Information, gaussian, information_of, marginal
 from excitant.identify.monitor import joined, replay
 from excitant.identify.physical import EffectPrior, KktResiduals, fit_physical
 from excitant.identify.recording import Recording
-from excitant.identify.regression import observation
-from excitant.identify.rows import split, torque_per_reading
+from excitant.identify.rows import fit_rows, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, freeze
@@ -146,18 +142,16 @@ def identify_payload(
     loaded: Sequence[Recording],
     *,
     unloaded: Sequence[Recording] = (),
-    arm: Estimate | None = None,
     effects: Sequence[Effect] | None = None,
 ) -> PayloadEstimate:
     """What the arm carries in some recordings.
 
-    The unloaded arm is known from recordings, from an estimate, or else from the given model.
+    The unloaded arm is known from recordings, or else from the given model.
 
     Args:
         robot: The arm without its load.
         loaded: Recordings with the load.
         unloaded: Recordings of the same arm without it; any motion.
-        arm: An estimate of the arm without it, in place of recordings; it brings its effects.
         effects: Effects of the arm; friction, offset and rotor inertia when None.
 
     Raises:
@@ -165,24 +159,19 @@ def identify_payload(
         BadRecording: Recordings that cannot be used.
         Infeasible: The semidefinite solver failed.
     """
-    if arm is not None:
-        effects, base = arm.model.effects, arm.base
-    else:
-        effects = standard_effects(robot.joints) if effects is None else tuple(effects)
-        base = base_parameters(robot, effects)
+    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    base = base_parameters(robot, effects)
     unit = loaded[0].unit
-    if arm is None and not unloaded and unit == "A":
+    if not unloaded and unit == "A":
         raise BadInput(
             f"payload: {loaded[0].file} has currents, whose gain the load would be taken for; "
             "name recordings without load (--unloaded)"
         )
     if any(each.unit != unit for each in (*loaded, *unloaded)):
         raise BadInput("payload: recordings in N·m and in A; use recordings of one unit")
-    gains = arm.gains if arm is not None else np.ones(robot.nv)
-    if arm is None and unit == "A":
-        segments = split(unloaded, unloaded).train
-        W = observation(robot, effects, segments)
-        gains = torque_per_reading(robot, base, W, series(segments), unit)
+    gains: Array | float = 1.0
+    if unit == "A":
+        gains = fit_rows(robot, effects, base, split(unloaded, unloaded)).gains
 
     def replayed(recordings: Sequence[Recording]) -> Information:
         """What recordings say of the base parameters, without a prior."""
@@ -191,10 +180,7 @@ def identify_payload(
         )
         return run.estimate.data
 
-    if arm is not None:
-        known = gaussian(arm.least_squares.beta, arm.least_squares.covariance)
-        note = "the unloaded arm was identified before"
-    elif unloaded:
+    if unloaded:
         known, note = replayed(unloaded), "the unloaded arm was recorded"
     else:
         prior = base_prior(robot, effects, base)

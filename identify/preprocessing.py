@@ -3,12 +3,16 @@
 Positions pass a zero-phase Butterworth filter and are differentiated through a quintic spline.
 Every column of the regressor and the torque then pass one and the same zero-phase filter
 ("parallel filtering", Gautier 1997), friction columns too, and are decimated.
+
+A joint at rest with dry friction holds any torque within ± Coulomb of what motion would need, so
+its row says nothing. A row counts where the joint certainly moves within the reach of the torque
+filter (`moving`); a quick reversal counts too, because the filter spans both sides.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -17,18 +21,27 @@ import scipy
 from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth, low_pass
 from excitant.identify.recording import MINIMUM_DURATION, Recording
+from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.robot import Robot
 
 CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
 POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
 _NYQUIST_SHARE = 0.8
 _TOGETHER = 16  # columns filtered together: they fit into the processor's cache
 _AT_ONCE = 60_000  # instants whose columns are evaluated together
-_REMEMBERED = 4.0  # periods of its cut-off, after which a filter has forgotten
+_REMEMBERED = 6.0  # periods of its cut-off, after which a filter has forgotten
 _MOST_ROWS = 20_000  # of a segment: evenly taken of a longer one
 _TIE = 1e-6  # of a stride: 1 kHz and 10 Hz give 25 whatever the rounding of time
 _SAME = 1e-5  # of a step: samples at regular time
 _GAP_STEPS, _GAP_TIME = 3.0, 0.05  # a gap is longer than both [median steps, s]
+_TINY = 1e-12  # rad/s: either side of standstill
+_SHARE = 0.02  # of a joint's fastest motion in all recordings, below which it stands still
+_LEAST = 2e-3  # of its velocity limit, likewise: what a controller lets a held joint creep
+_TRAVEL = 1e-2  # rad or m, over a segment, likewise
+_FREE_SPEED = 3.0  # rad/s, where there is no limit
+
+Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,3 +217,51 @@ def _segment(
         cutoff_hz=cutoff_hz,
         keep=slice(edge, len(grid) - edge, stride),
     )
+
+
+def dry_joints(effects: Sequence[Effect], joints: Sequence[str]) -> Mask:
+    """Joints on which some effect jumps where the velocity changes sign, shape (nv,)."""
+    return np.array([_jumps(effects, joint) for joint in joints])
+
+
+def _jumps(effects: Sequence[Effect], joint: str) -> bool:
+    zero = np.zeros(1)
+    for effect in effects:
+        if effect.law is not None and joint in effect.joints:
+            ahead, behind = (effect.law(zero, zero + v, zero) for v in (_TINY, -_TINY))
+            if any(abs(a[0] - b[0]) > 1e-6 for a, b in zip(ahead, behind, strict=True)):
+                return True
+    return False
+
+
+def moving(robot: Robot, segments: Sequence[Segment]) -> list[Mask]:
+    """Instants at which each joint moves, one mask of shape (n, nv) per segment.
+
+    A joint moves where, within half a period of the filter's cut-off, it is faster than 2 % of
+    its fastest and than 0.2 % of its velocity limit, in segments in which it travels at all.
+    """
+    speeds = [np.abs(segment.motion.dq) for segment in segments]
+    fastest = np.max([speed.max(axis=0) for speed in speeds], axis=0)
+    limit = robot.limits.velocity
+    slow = np.maximum(_SHARE * fastest, _LEAST * np.where(limit < 1e3, limit, _FREE_SPEED))
+    masks = []
+    for segment, speed in zip(segments, speeds, strict=True):
+        width = 2 * round(segment.rate_hz / (2 * segment.cutoff_hz)) + 1
+        near = scipy.ndimage.maximum_filter1d(speed, width, axis=0)
+        travels = np.ptp(segment.motion.q, axis=0) > _TRAVEL
+        masks.append(np.asarray((near > slow) & travels, bool))
+    return masks
+
+
+def stilled(segment: Segment, moves: Mask) -> Segment:
+    """The segment with joints that never move in it held exactly, at their mean position.
+
+    Args:
+        segment: A segment.
+        moves: Instants at which each joint moves, shape (n, nv).
+    """
+    motion, still = segment.motion, ~moves.any(axis=0)
+    q, dq, ddq = (np.array(values) for values in (motion.q, motion.dq, motion.ddq))
+    q[:, still] = q[:, still].mean(axis=0)
+    dq[:, still] = ddq[:, still] = 0.0
+    return replace(segment, motion=Motion(motion.t, q, dq, ddq))

@@ -19,17 +19,15 @@ from excitant.exceptions import RankDeficient
 from excitant.identify.accuracy import series
 from excitant.identify.base_prior import base_prior
 from excitant.identify.cascade import Cascade, StageNoise, beginning, further
-from excitant.identify.combinations import Combinations, no_combinations
+from excitant.identify.combinations import Combinations, needed_motion, no_combinations
 from excitant.identify.current_gains import current_gains
 from excitant.identify.estimate import Estimate, identify, judged
 from excitant.identify.least_squares import LeastSquares
-from excitant.identify.missing_motion import needed_motion
 from excitant.identify.physical import fit_physical, prior_parameters
+from excitant.identify.preprocessing import Mask, dry_joints, moving, stilled
 from excitant.identify.recording import Recording
 from excitant.identify.regression import regression_of
-from excitant.identify.result import identify_result, identify_series
 from excitant.identify.rows import Data, FitRows, split
-from excitant.identify.standstill import Mask, dry_joints, moving, stilled
 from excitant.robots.base_parameters import BaseParameters, base_parameters, expression, last_rows
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array
@@ -202,9 +200,9 @@ class LinkByLink:
             "given": estimate.baseline.rms,
             "all_at_once": whole.validate.rms,
             "link_by_link": estimate.validate.rms,
-            "measured_std": estimate.series.measured.std(axis=0),
+            "measured_std": estimate.holdout.measured.std(axis=0),
         }
-        return identify_result(estimate) | {
+        return estimate.result() | {
             "estimator": "link by link from the last inward, each from its own joint's row with "
             "the outer links known; then physically consistent semidefinite fit",
             "link_by_link": {
@@ -224,7 +222,7 @@ class LinkByLink:
 
     def series(self) -> dict[str, Array]:
         """Measured torque and that of the models on the hold-out, each of shape (n, nv)."""
-        return identify_series(self.estimate) | {"all_at_once": self.all_at_once.predicted}
+        return self.estimate.series() | {"all_at_once": self.all_at_once.predicted}
 
 
 def identify_link_by_link(

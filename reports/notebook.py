@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from excitant.exceptions import BadInput
-from excitant.identify import Estimate, identify_result, identify_series
 from excitant.reports.render import html
 from excitant.reports.run import as_saved
 from excitant.reports.sections import page_of
@@ -51,7 +50,7 @@ class Report:
         return f'<iframe srcdoc="{escape(self.html)}" style="{frame}"></iframe>'
 
 
-def report(noun: Reportable | Estimate) -> Report:
+def report(noun: Reportable) -> Report:
     """The page that the command line would write of a result, figures included.
 
     Args:
@@ -60,8 +59,6 @@ def report(noun: Reportable | Estimate) -> Report:
     Raises:
         BadInput: Something else.
     """
-    if isinstance(noun, Estimate):
-        return Report(html(page_of(*as_saved(identify_result(noun), identify_series(noun)))))
     if not isinstance(noun, Reportable):
         raise BadInput(f"a {type(noun).__name__} has no report; give what a verb returned")
     return Report(html(page_of(*as_saved(noun.result(), noun.series()))))

@@ -63,15 +63,6 @@ class Body:
         """A property that cannot be negative in files, such as friction; 0 where there is none."""
         return max(self.properties.get(name, 0.0), 0.0)
 
-    @property
-    def central(self) -> tuple[float, Array, Array]:
-        """Mass, centre of mass (3,) and inertia about it (3, 3)."""
-        mass = float(self.phi[0])
-        lever = self.phi[1:4] / mass if mass else np.zeros(3)
-        xx, xy, yy, xz, yz, zz = self.phi[4:]
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        return mass, lever, inertia - mass * (lever @ lever * np.eye(3) - np.outer(lever, lever))
-
 
 @dataclass(frozen=True, eq=False)
 class Tree:

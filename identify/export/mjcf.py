@@ -8,6 +8,7 @@ import numpy as np
 
 from excitant.identify.export.bodies import Body, Frame, Tree, quaternion, written
 from excitant.robots.motion import Array
+from excitant.robots.parameters import inertia
 
 _THIN = 1e-3  # m: shorter distances between joints are not drawn
 
@@ -49,15 +50,15 @@ def mjcf_text(arm: Tree, complete: str, gains: Array | None = None) -> str:
 def _body(parent: ET.Element, body: Body) -> ET.Element:
     name = body.link if body.link != "world" else "world_"  # that of MuJoCo's own root
     element = ET.SubElement(parent, "body", {"name": name, **_pose(body.placement)})
-    mass, lever, inertia = body.central
-    moments, axes = np.linalg.eigh(inertia)
+    central = inertia(body.phi)
+    moments, axes = np.linalg.eigh(central.inertia)
     axes[:, 0] *= np.linalg.det(axes)
     ET.SubElement(
         element,
         "inertial",
-        pos=written(lever),
+        pos=written(central.lever),
         quat=written(quaternion(axes)),
-        mass=written(mass),
+        mass=written(central.mass),
         diaginertia=written(moments),
     )
     _joint(element, body)

@@ -9,6 +9,7 @@ import numpy as np
 
 from excitant.identify.export.bodies import Body, Frame, Tree, quaternion, written
 from excitant.robots.motion import Array
+from excitant.robots.parameters import inertia
 
 _BASE, _MOUNT = "base", "mount"
 
@@ -50,12 +51,12 @@ def _link(model: ET.Element, body: Body, name: str, joint: str) -> None:
     link = ET.SubElement(model, "link", name=name)
     ET.SubElement(link, "pose", relative_to=joint)
     inertial = ET.SubElement(link, "inertial")
-    mass, lever, inertia = body.central
-    _text(inertial, "pose", f"{written(lever)} 0 0 0")
-    _text(inertial, "mass", written(mass))
+    central = inertia(body.phi)
+    _text(inertial, "pose", f"{written(central.lever)} 0 0 0")
+    _text(inertial, "mass", written(central.mass))
     tensor = ET.SubElement(inertial, "inertia")
     for i, j in zip(*np.triu_indices(3), strict=True):
-        _text(tensor, f"i{'xyz'[i]}{'xyz'[j]}", written(inertia[i, j]))
+        _text(tensor, f"i{'xyz'[i]}{'xyz'[j]}", written(central.inertia[i, j]))
 
 
 def _joint(model: ET.Element, body: Body, name: str, parent: str, child: str) -> None:

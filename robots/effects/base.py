@@ -180,7 +180,6 @@ class Effect(ABC):
     standard: ClassVar[bool] = False  # `identify` estimates it by default
     usual: ClassVar[bool] = False  # most joints have it
     further: ClassVar[bool] = True  # a model may get it; not what bodies and gravity hold
-    shared: ClassVar[bool] = False  # all drives of an arm may have it in one shape
     needs_motion: ClassVar[bool] = False  # joints that rest do not show it
     contains: ClassVar[tuple[str, ...]] = ()  # what it is when some coefficients are zero
     imitates: ClassVar[tuple[str, ...]] = ()  # what of that it can be at work for

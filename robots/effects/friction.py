@@ -101,7 +101,6 @@ class StribeckFriction(JointEffect):
             most=lambda facts: _SLOW * facts.speed,
         ),
     )
-    shared = True
     abscissa = "velocity"
     told = (
         (by.LADDER, "nonlinear_viscous_friction"),
@@ -182,7 +181,6 @@ class NonlinearViscousFriction(JointEffect):
     contains = ("viscous_friction",)  # exponent one
     terms = (Parameter("Fn", "N·m·(s/rad)^a"),)
     shapes = (Shape("exponent", "1", grid=lambda facts: (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)),)
-    shared = True
     abscissa = "velocity"
 
     exponent: float = 2.0
@@ -199,7 +197,6 @@ class LoadDependentFriction(JointwiseEffect):
     name = "load_dependent_friction"
     family = "friction"
     terms = (Parameter("Fl", "1", 0.0),)
-    shared = True
     abscissa = "load"
     told = (
         (

@@ -40,7 +40,6 @@ class PreslidingHysteresis(JointwiseEffect):
             most=lambda facts: _SHORT * facts.reach,
         ),
     )
-    shared = True
     abscissa = "reversal"
     told = ((by.REVERSALS, "backlash"),)
 

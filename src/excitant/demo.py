@@ -18,8 +18,6 @@ from excitant.design import (
 )
 from excitant.identify import (
     identify,
-    identify_result,
-    identify_series,
     model_files,
     recording_from_table,
 )
@@ -83,7 +81,7 @@ def run_demo(robot: Robot, seed: int, advance: Advance) -> Demo:
     known = analyze(robot, estimate=estimate)
     verbs = {
         "design": (found.result(), found.series()),
-        "identify": (identify_result(estimate), identify_series(estimate)),
+        "identify": (estimate.result(), estimate.series()),
         "analyze": (known.result(), known.series()),
         "diagnose": (diagnosis.result(), diagnosis.series()),
     }

@@ -9,8 +9,7 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from excitant.identify.essential import essential_parameters
-from excitant.identify.least_squares import weighted_least_squares
+from excitant.identify.least_squares import essential_parameters, weighted_least_squares
 from excitant.identify.regression import dense
 
 ZERO = [1, 4, 5, 9]

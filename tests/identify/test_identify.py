@@ -13,8 +13,6 @@ from excitant.identify import (
     Estimate,
     Recording,
     identify,
-    identify_result,
-    identify_series,
     load_dataset,
     model_files,
 )
@@ -69,7 +67,7 @@ def test_written_files_reload_to_the_same_torque(ideal: Estimate, tmp_path: Path
 
 
 def test_the_result_has_the_agreed_keys(ideal: Estimate) -> None:
-    result, arrays = identify_result(ideal), identify_series(ideal)
+    result, arrays = ideal.result(), ideal.series()
     agreed = {"estimator", "effects", "cutoff_hz", "joints", "parameters", "base_parameters"}
     assert agreed | {"physical"} <= set(result)
     for joint in result["joints"]:
@@ -82,13 +80,13 @@ def test_the_result_has_the_agreed_keys(ideal: Estimate) -> None:
     unknown = [p for p in result["parameters"] if p["category"] == "unidentifiable"]
     assert unknown
     assert all(p["prior_dominated"] for p in unknown)
-    assert {len(values) for values in arrays.values()} == {len(ideal.series.t)}
+    assert {len(values) for values in arrays.values()} == {len(ideal.holdout.t)}
 
 
 def test_accuracy_is_what_its_words_say(ideal: Estimate) -> None:
-    error = ideal.series.measured - ideal.predicted
+    error = ideal.holdout.measured - ideal.predicted
     np.testing.assert_allclose(ideal.validate.rms, np.sqrt((error**2).mean(axis=0)))
-    spread = ideal.series.measured.std(axis=0)
+    spread = ideal.holdout.measured.std(axis=0)
     np.testing.assert_allclose(ideal.validate.r2, 1 - (ideal.validate.rms / spread) ** 2)
 
 
@@ -188,4 +186,4 @@ def test_real_ur10e_is_predicted_from_its_currents(data_folder: Path) -> None:
     assert violations(found.phi, dataset.robot.links) == []
     assert (found.gains > 0).all()
     assert (found.validate.r2 > 0.5).all(), found.validate.r2
-    assert identify_result(found)["drive_gain_Nm_per_A"] == list(found.gains)
+    assert found.result()["drive_gain_Nm_per_A"] == list(found.gains)

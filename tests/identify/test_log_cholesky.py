@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -111,41 +110,6 @@ class Stribeck:
                 [side, v, bell * side, fs * side * bell * 2 * v**2 / vs**3]
             )
         return tau.ravel() / self.noise, J.reshape(2 * n, 8) / self.noise
-
-
-def test_a_planted_stribeck_speed_is_recovered() -> None:
-    """Its error is what the announced standard deviation says, over many draws of the noise."""
-    robot, rng = load_robot("planar_2r"), np.random.default_rng(1)
-    n, noise = 600, 0.05
-    q, dq, ddq = robot.random_motion(rng, n)
-    dq[: n // 2] *= 0.05  # slow, where the bell is
-    motion = Motion(np.arange(n) / 100, q, dq, ddq)
-    prior = prior_parameters(robot)
-    body = (prior * np.array([[1.2], [0.8]])).ravel()
-    theta = np.array([2.0, 0.5, 1.5, 0.12, 1.0, 0.3, 0.6, 0.05])
-    data = robot.with_parameters(body)
-    rigid = np.array(
-        [pin.rnea(data.model, data.model.createData(), *s) for s in zip(q, dq, ddq, strict=True)]
-    )
-    side = np.tanh(dq / 1e-3)
-    f = theta.reshape(2, 4).T
-    friction = (f[0] + f[2] * np.exp(-((dq / f[3]) ** 2))) * side + f[1] * dq
-    R = regressor(robot, motion).reshape(-1, 20) / noise
-    mean = np.tile([1.0, 1.0, 1.0, 0.2], 2)
-    known = EffectPrior(mean, np.tile([1e2, 1e2, 1e2, 1e1], 2), np.tile([0.0, 0.0, 0.0, 1e-3], 2))
-    effects = nonlinear(Stribeck(dq, noise), known)
-    errors = []
-    for seed in range(12):
-        draw = np.random.default_rng([2, seed])
-        z = (rigid + friction + noise * draw.standard_normal((n, 2))).ravel() / noise
-        fit = fitted(R, z, prior, effects)
-        assert fit.kkt.stationarity < 1e-6
-        assert violations(fit.x[:20], robot.links) == []
-        errors.append((fit.x[20:] - theta) / np.sqrt(np.diag(fit.covariance)[20:]))
-        assert (np.sqrt(np.diag(fit.covariance)[[23, 27]]) < 0.1 * theta[[3, 7]]).all()
-    spread = np.sqrt(np.mean(np.square(errors)))
-    assert 0.75 < spread < 1.25  # 96 values: ± 3.5 standard deviations of their rms
-    assert np.abs(errors).max() < 4
 
 
 def test_the_jacobian_of_the_whole_is_exact() -> None:

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from excitant.identify import Recording, identify, identify_result, identify_series
-from excitant.identify.least_squares import LeastSquares, weighted_least_squares
-from excitant.identify.prediction import (
+from excitant.identify import Recording, identify
+from excitant.identify.accuracy import (
     PredictionInterval,
     coverage,
     independent_squares,
     prediction_interval,
     torque_std,
 )
+from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.regression import dense
 from excitant.robots import Array, Robot
 from excitant.robots.virtual_arm import industrial_sensors
@@ -132,19 +132,19 @@ def test_identify_reports_intervals_coverage_and_essential_parameters(
 ) -> None:
     excitation, holdout = runs(planar, 3, sensors=industrial_sensors(planar))
     found = identify(planar, [excitation], validate=[holdout])
-    result = identify_result(found)
+    result = found.result()
     for j, row in enumerate(result["joints"]):
         entry = row["validate"]["interval95"]
         assert entry["half_width"] == pytest.approx(found.interval.half_width[:, j].mean())
         assert 0 < entry["half_width_parameters"] < entry["half_width"]
-        outside = np.abs(found.series.measured - found.predicted) > found.interval.half_width
+        outside = np.abs(found.holdout.measured - found.predicted) > found.interval.half_width
         assert entry["coverage"] == pytest.approx(1 - outside[:, j].mean())
         assert entry["coverage"] > 0.85
     essential = result["essential"]
     assert sorted(essential["kept"] + essential["dropped"]) == sorted(found.base.expressions)
     assert essential["nrmse_essential"] < 1.2 * essential["nrmse_all"]
     assert essential["p_value"] >= 0.05
-    band = identify_series(found)["half_width"]
+    band = found.series()["half_width"]
     assert band.shape == found.predicted.shape
     np.testing.assert_allclose(band, found.interval.half_width)
 
@@ -159,7 +159,7 @@ def test_a_hidden_effect_of_the_hold_out_is_said_to_be_missed(
     pulled = tau[1] + np.outer(np.sin(other.t), [0.0, 0.5])  # somebody leans on the second joint
     honest = identify(planar, [train], validate=[replace(other, tau=tau[1])])
     leaned = identify(planar, [train], validate=[replace(other, tau=pulled)])
-    assert not any("misses something" in note for note in identify_result(honest)["notes"])
-    [said] = [n for n in identify_result(leaned)["notes"] if "misses something" in n]
+    assert not any("misses something" in note for note in honest.result()["notes"])
+    [said] = [n for n in leaned.result()["notes"] if "misses something" in n]
     assert planar.joints[1] in said
     assert planar.joints[0] not in said

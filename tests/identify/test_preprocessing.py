@@ -10,7 +10,8 @@ import pytest
 from excitant.exceptions import BadRecording
 from excitant.identify import Recording
 from excitant.identify.preprocessing import prepare
-from excitant.robots import Motion, Robot, rigid_body_torque
+from excitant.identify.rows import split
+from excitant.robots import Motion, Robot, load_robot, rigid_body_torque
 from excitant.robots.regressor import regressor
 
 RATE, CUTOFF = 256.0, 10.0  # a rate whose steps are exact in binary
@@ -137,3 +138,29 @@ def test_rows_leave_out_the_edges_and_stay_dense_enough() -> None:
     assert segment.t[0] - T[0] >= 1 / CUTOFF - 1 / RATE
     assert T[-1] - segment.t[-1] >= 1 / CUTOFF - 1 / RATE
     assert np.diff(segment.t).max() <= 1 / (4 * CUTOFF) + 1e-12  # twice the Nyquist rate
+
+
+def test_one_cut_off_and_one_sentence_why(exact: Callable[..., Recording]) -> None:
+    robot = load_robot("planar_2r")
+    fast, slow = (exact(robot, np.arange(0, 10, 1 / rate)) for rate in (200.0, 30.0))
+    for recordings, given, harmonics, expected, why in (
+        ([fast], None, None, 10.0, "above the motion of arms"),
+        ([fast], None, 3.0, 10.0, "above the motion of arms"),
+        ([fast], None, 8.0, 16.0, "twice the highest harmonic"),
+        ([fast, slow], None, None, 6.0, "a fifth of the lowest sampling rate"),
+        ([fast], 4.0, 8.0, 4.0, "as given"),
+    ):
+        data = split(recordings, cutoff_hz=given, harmonics_hz=harmonics)
+        assert data.cutoff_hz == pytest.approx(expected)
+        assert why in data.cutoff_why
+
+
+def test_columns_of_long_segments_are_those_of_the_whole(
+    exact: Callable[..., Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = load_robot("planar_2r")
+    [segment] = prepare(exact(robot, np.arange(0, 40, 0.01)), 5.0)
+    whole = segment.rows(lambda motion: regressor(robot, motion))
+    monkeypatch.setattr("excitant.identify.preprocessing._AT_ONCE", 700)
+    parts = segment.rows(lambda motion: regressor(robot, motion))
+    np.testing.assert_allclose(parts, whole, atol=1e-6 * np.abs(whole).max())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from excitant.analysis import identifiability
-from excitant.identify import Recording, identify, identify_result
+from excitant.identify import Recording, identify
 from excitant.identify.knowledge import Knowledge, LinkKnowledge, Quantity
 from excitant.identify.physical import EffectPrior, fit_physical, prior_parameters
 from excitant.identify.prior_rule import follows, linear_influence
@@ -85,7 +85,7 @@ def test_identify_and_analyze_say_the_same(
 ) -> None:
     [recording, _] = runs(planar, 3, sensors=industrial_sensors(planar))
     found = identify(planar, [recording])
-    said = {p["name"]: p["prior_dominated"] for p in identify_result(found)["parameters"]}
+    said = {p["name"]: p["prior_dominated"] for p in found.result()["parameters"]}
     analysis = identifiability.analyze(
         planar, effects=found.model.effects, estimate=found, rng=np.random.default_rng(0)
     )
@@ -97,7 +97,7 @@ def test_identify_and_analyze_say_the_same(
             assert said[row["name"]] == row["prior_dominated"], row
     missed = [
         p["name"]
-        for k, p in enumerate(identify_result(found)["parameters"])
+        for k, p in enumerate(found.result()["parameters"])
         if p["category"] == "combined" and said[p["name"]] and found.physical.prior_share[k] < 0.5
     ]
     assert all(p["prior_dominated"] for p in rows if p["name"] in missed)

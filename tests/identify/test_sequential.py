@@ -28,6 +28,11 @@ from excitant.robots.regressor import regressor
 from excitant.robots.torque import observation_columns
 
 Array = np.ndarray
+SIX = ("ur10", "cmu_dd_arm_ii")
+
+
+def slow(*values: Any) -> Any:
+    return pytest.param(*values, marks=pytest.mark.slow)
 
 
 @dataclass(frozen=True)
@@ -94,30 +99,6 @@ def recorded(
         rng.standard_normal(q.shape) if white else coloured(q.shape, rng)
     )
     return Recording(name, f"{name}.csv", t, q, tau)
-
-
-def random_arm(rng: np.random.Generator, joints: int) -> Any:
-    """Pinocchio's model of a chain of random placements and bodies, some joints sliding."""
-    model, parent = pin.Model(), 0
-    kinds = [pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelPZ]
-    for j in range(joints):
-        kind = kinds[rng.integers(len(kinds))]()
-        parent = model.addJoint(parent, kind, pin.SE3.Random(), f"joint{j}")
-        model.appendBodyToJoint(parent, pin.Inertia.Random(), pin.SE3.Identity())
-    return model
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_property_4_holds_for_any_chain(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    pin.seed(seed)
-    model = random_arm(rng, 2 + seed)
-    data = model.createData()
-    for _ in range(5):
-        Y = pin.computeJointTorqueRegressor(model, data, *rng.standard_normal((3, model.nv)))
-        for i in range(model.nv):
-            assert not Y[i, : 10 * i].any()
-            assert Y[i, 10 * i : 10 * i + 10].any()
 
 
 @pytest.mark.parametrize("name", ["ur10", "panda", "cmu_dd_arm_ii", "puma560"])
@@ -192,19 +173,18 @@ def calibration(robot: Robot, seeds: range, white: bool) -> Array:
     return np.concatenate(errors)
 
 
-@pytest.mark.parametrize("white", [True, False])
+@pytest.mark.parametrize(
+    ("name", "draws", "white"),
+    [
+        ("planar_2r", 12, True),
+        ("planar_2r", 12, False),
+        *(slow(name, 6, False) for name in SIX),
+    ],
+)
 def test_values_are_within_two_standard_deviations_as_often_as_they_should(
-    planar: Robot, white: bool
+    name: str, draws: int, white: bool
 ) -> None:
-    errors = calibration(planar, range(12), white)
-    assert 0.9 < np.mean(np.abs(errors) < 2) < 0.99
-    assert 0.85 < np.sqrt(np.mean(errors**2)) < 1.25
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["ur10", "cmu_dd_arm_ii"])
-def test_six_joint_arms_are_calibrated_too(name: str) -> None:
-    errors = calibration(load_robot(name), range(6), white=False)
+    errors = calibration(load_robot(name), range(draws), white)
     assert 0.9 < np.mean(np.abs(errors) < 2) < 0.99
     assert 0.85 < np.sqrt(np.mean(errors**2)) < 1.25
 
@@ -225,22 +205,23 @@ def rms_link_by_link_and_at_once(robot: Robot, seed: int, total: float) -> tuple
     return stages.estimate.validate.rms, at_once.validate.rms
 
 
-def test_predicts_as_well_as_all_at_once_in_the_same_time(planar: Robot) -> None:
-    pairs = [rms_link_by_link_and_at_once(planar, seed, 20.0) for seed in range(4)]
+@pytest.mark.parametrize(
+    ("name", "draws", "total"),
+    [
+        ("planar_2r", 4, 20.0),
+        *(slow(name, 1, 60.0) for name in SIX),
+    ],
+)
+def test_predicts_as_well_as_all_at_once_in_the_same_time(
+    name: str, draws: int, total: float
+) -> None:
+    robot = load_robot(name)
+    pairs = [rms_link_by_link_and_at_once(robot, seed, total) for seed in range(draws)]
     stages, at_once = (
         np.sqrt(np.mean(np.square(each), axis=0)) for each in zip(*pairs, strict=True)
     )
-    limit = planar.limits.torque
+    limit = robot.limits.torque
     noise = 0.01 * np.where(np.isfinite(limit), limit, 20.0)
-    assert (np.hypot(stages, noise) < 1.2 * np.hypot(at_once, noise)).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["ur10", "cmu_dd_arm_ii"])
-def test_six_joint_arms_predict_as_well_too(name: str) -> None:
-    robot = load_robot(name)
-    stages, at_once = rms_link_by_link_and_at_once(robot, 0, 60.0)
-    noise = 0.01 * robot.limits.torque
     assert (np.hypot(stages, noise) < 1.2 * np.hypot(at_once, noise)).all()
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from excitant.identify import Recording, identify, identify_result
+from excitant.identify import Recording, identify
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import fit_physical, prior_parameters
@@ -109,7 +109,7 @@ def test_identify_predicts_better_with_them_and_says_so(
     monkeypatch.setattr("excitant.identify.estimate.refined_shapes", lambda *_: None)
     before = identify(planar, [fit], validate=[held], effects=effects)
     assert (after.validate.rms < 0.5 * before.validate.rms).all()
-    entry = identify_result(after)["shapes"]
+    entry = after.result()["shapes"]
     assert entry["refined"]
     assert entry["objective"]["refined"] < entry["objective"]["given"]
     speeds = {e["joint"]: (e["value"], e["std"]) for e in entry["effects"]}
@@ -118,9 +118,9 @@ def test_identify_predicts_better_with_them_and_says_so(
     }
     assert in_model == {joint: value for joint, (value, _) in speeds.items()}
     assert any(note.startswith("shapes of effects refined") for note in after.notes)
-    assert "shapes" not in identify_result(before)
-    names = [p["name"] for p in identify_result(after)["parameters"]]
-    assert names == [p["name"] for p in identify_result(before)["parameters"]]
+    assert "shapes" not in before.result()
+    names = [p["name"] for p in after.result()["parameters"]]
+    assert names == [p["name"] for p in before.result()["parameters"]]
 
 
 def test_what_shapes_leave_open_widens_the_rest(planar: Robot) -> None:
