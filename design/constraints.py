@@ -1,4 +1,4 @@
-"""Limits of a motion on position, velocity, acceleration and torque, in continuous time."""
+"""Limits of a motion and its clearance from obstacles and itself, in continuous time."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 from excitant.design.trajectory import HermiteTrajectory, Trajectory
 from excitant.exceptions import BadInput, OutsideLimits
 from excitant.robots import Array, Limits, Motion, Robot
+from excitant.robots.geometry import Scene
 from excitant.robots.motion import freeze
 from excitant.robots.torque import largest_torque
 
@@ -21,6 +22,11 @@ _PER_HARMONIC = 100  # instants per period of the highest harmonic, for torque
 _PER_SAMPLE = 8  # instants per sampling interval of a recorded motion
 _SHRINKS = 30
 _ONE_SIDED = 4 * np.pi  # width given to a range that is bounded on one side only
+
+_RESOLUTION = 1e-3  # m: how sharply the smallest distance is bounded
+_INTERVALS = 200
+_LARGEST = 200_000  # poses; beyond them the bound stays looser than the resolution
+SCALE = 0.1  # m of missing clearance that count like a limit exceeded by its own size
 
 Extrema = tuple[Array, Array, Array, Array]  # smallest values, when; largest values, when; (nv,)
 
@@ -281,3 +287,72 @@ def _extrema(
         found.append((values[low], when[low], values[high], when[high]))
     lows, t_lows, highs, t_highs = np.array(found).T
     return lows, t_lows, highs, t_highs
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """Smallest distance over a continuous motion.
+
+    Attributes:
+        distance: Smallest distance found [m]; negative where bodies overlap.
+        certified: No instant has a smaller distance than this [m].
+        bodies: The two bodies.
+        time: When [s].
+    """
+
+    distance: float
+    certified: float
+    bodies: tuple[str, str]
+    time: float
+
+
+def clearance(scene: Scene, path: Trajectory | HermiteTrajectory) -> Clearance:
+    """Smallest distance over a continuous motion, by branch and bound in time.
+
+    Between two instants a pair's distance falls below neither end by more than half of what
+    its bodies can approach each other in that time, a bound from joint speeds and lever arms.
+
+    Args:
+        scene: The arm among its obstacles.
+        path: Trajectory (one period) or interpolated samples.
+    """
+    start, end, speed = _span(path)
+    t = np.linspace(start, end, _INTERVALS + 1)
+    distance = scene.distances(path(t))
+    approach = scene.speeds() @ speed  # m/s, per pair
+    left, right = distance[:-1], distance[1:]
+    begin, length = t[:-1], t[1] - t[0]
+    best, evaluated = _smallest(scene, distance, t), len(t)
+    while True:
+        bound = ((left + right - approach * length) / 2).min(axis=1)
+        open_ = bound < best.distance - _RESOLUTION
+        certified = min(best.distance - _RESOLUTION, float(bound.min(initial=np.inf)))
+        if not open_.any() or evaluated > _LARGEST:
+            return Clearance(best.distance, certified, best.bodies, best.time)
+        left, right, begin, length = left[open_], right[open_], begin[open_], length / 2
+        middle = scene.distances(path(begin + length))
+        evaluated += len(middle)
+        found = _smallest(scene, middle, begin + length)
+        best = min(best, found, key=lambda c: c.distance)
+        left, right = np.vstack([left, middle]), np.vstack([middle, right])
+        begin = np.concatenate([begin, begin + length])
+
+
+def _span(path: Trajectory | HermiteTrajectory) -> tuple[float, float, Array]:
+    """First and last instant [s] and a bound on each joint's speed in between."""
+    if isinstance(path, Trajectory):
+        return 0.0, path.period, np.abs(path.extrema(1)).max(axis=0)
+    t = path.samples.t
+    fine = np.linspace(t[0], t[-1], 20 * len(t))
+    return float(t[0]), float(t[-1]), 1.05 * np.abs(path(fine, 1)).max(axis=0)
+
+
+def _smallest(scene: Scene, distance: Array, t: Array) -> Clearance:
+    k, pair = np.unravel_index(int(np.argmin(distance)), distance.shape)
+    value = float(distance[k, pair])
+    return Clearance(value, value, scene.pairs[int(pair)], float(t[k]))
+
+
+def pose_use(scene: Scene, required: float, q: Array) -> Array:
+    """1 where a pose has the distance required; more where it has less, shape (n,)."""
+    return np.asarray(1 + (required - scene.distances(q).min(axis=1)) / SCALE)

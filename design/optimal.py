@@ -11,8 +11,8 @@ import joblib
 import numpy as np
 import numpy.typing as npt
 
-from excitant.design.clearance import clearance as motion_clearance
 from excitant.design.constraints import check, within_limits
+from excitant.design.constraints import clearance as motion_clearance
 from excitant.design.criterion import CRITERIA, condition_number, information, objective
 from excitant.design.problem import DesignProblem
 from excitant.design.result import Design, dense_motion

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from excitant.design.clearance import SCALE, pose_use
+from excitant.design.constraints import SCALE, pose_use
 from excitant.design.criterion import speed_scale
 from excitant.design.problem import DesignProblem
 from excitant.robots import Array, Motion, Robot, torque

@@ -9,9 +9,8 @@ from functools import cached_property, partial
 import numpy as np
 import numpy.typing as npt
 
-from excitant.design.clearance import pose_use
-from excitant.design.constraints import kinematic_limits
-from excitant.design.criterion import Information, objective
+from excitant.design.constraints import kinematic_limits, pose_use
+from excitant.design.criterion import Information
 from excitant.design.feasible import random_start
 from excitant.design.trajectory import Series, Trajectory
 from excitant.robots import Array, Motion, Robot
@@ -128,10 +127,6 @@ class DesignProblem:
     def information_matrix(self, z: Array, *, smooth: bool = True) -> Array:
         """M at the samples, shape (r, r)."""
         return self.information.matrix(motion_of(z, self.samples, self.sample_bases), smooth=smooth)
-
-    def objective(self, z: Array) -> float:
-        """Criterion to be minimised."""
-        return objective(self.information_matrix(z), self.criterion)
 
     @cached_property
     def grid_bases(self) -> tuple[Array, ...]:

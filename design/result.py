@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from excitant.design.clearance import Clearance, clearance
-from excitant.design.constraints import LimitReport, check
+from excitant.design.constraints import Clearance, LimitReport, check, clearance
 from excitant.design.criterion import Information, condition_number
 from excitant.design.search import SearchState
 from excitant.design.trajectory import SplineTrajectory, Trajectory

@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from excitant.design.clearance import clearance as motion_clearance
 from excitant.design.constraints import check, position_range, within_limits
+from excitant.design.constraints import clearance as motion_clearance
 from excitant.design.criterion import Information, objective
 from excitant.design.export import trajectory_csv, trajectory_json
 from excitant.design.optimal import (

@@ -78,7 +78,7 @@ def analyze_section(result: Result, series: Series) -> Section:
         _lead(result),
         [
             ("Key figures", [_facts(result), notes(_basis(result)), notes(said, brief="")]),
-            ("Parameters by link", [_matrix(result), None if links else _link_table(result)]),
+            ("Parameters by link", [_matrix(result)]),
             (
                 "With the given motion",
                 [
@@ -212,32 +212,6 @@ def _shown_as(link: Result, symbol: str, shared: set[str]) -> str:
     if names & set(words(link, "unidentifiable")):
         return "none"
     return "combined" if names & (shared | _combined(link)) else ""
-
-
-def _link_table(result: Result) -> Table | None:
-    rows: list[Result] = []
-    for link in records(result, "links"):
-        found = [
-            ("identifiable by itself", listing(words(link, "unique"), "")),
-            *(("only in combination", text(r, "expression")) for r in records(link, "combined")),
-            ("not identifiable", listing(words(link, "unidentifiable"), "")),
-        ]
-        rows += [
-            {"link": _title(link), "category": category, "expression": expression}
-            for category, expression in found
-            if expression
-        ]
-    return table(
-        rows,
-        [
-            ("name:Link", "link"),
-            ("text:Category", "category"),
-            ("expression:Parameters or combination", "expression"),
-        ],
-        "Which combinations the torque depends on; a combination is listed with the link whose "
-        "parameter leads it.",
-        "Parameters and combinations of every link",
-    )
 
 
 def _practical(result: Result) -> Table | None:

@@ -77,7 +77,7 @@ def diagnose_section(result: Result, series: Series) -> Section:
     unit = text(result, "unit") or "N·m"
     joints = joint_names(result, "simulation.joints", "extended.joints")
     findings, changed = records(result, "findings"), _changed(result)
-    lead = text(result, "headline") or _headline(findings)
+    lead = text(result, "headline")
     said = [sentence(note) for note in words(result, "notes") if note and note not in lead]
     curves = _CURVES if changed else replace(_CURVES, after="", caption=_ONE_MODEL)
     wrong = "What is wrong with the given model" if findings else "Error of the given model"
@@ -135,12 +135,6 @@ def _cause(finding: Result) -> str:
 def _unknown(finding: Result) -> bool:
     """Whether structure was found that no candidate explains."""
     return text(finding, "effect") == "unknown"
-
-
-def _headline(findings: list[Result]) -> str:
-    if not findings:
-        return "No effect beyond the model was found."
-    return f"The model lacks: {listing([_cause(finding) for finding in findings])}."
 
 
 def _facts(result: Result) -> Facts | None:

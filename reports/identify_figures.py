@@ -25,7 +25,7 @@ from excitant.reports.drawing import (
     log_y,
     panel,
 )
-from excitant.reports.page import Figure, Key, Panel
+from excitant.reports.page import Figure, Key, Panel, figure
 from excitant.reports.torque_figures import bars
 from excitant.reports.values import (
     Result,
@@ -143,9 +143,9 @@ def _over_time(ax: Axes, t: Array, ordinate: str) -> None:
 
 def estimates_figure(history: History | None) -> Figure | None:
     """Estimate and band over time of the parameters that the data taught most about."""
-    panels = [] if history is None else [_estimate_panel(history, k) for k in _chosen(history)]
-    if history is None or not panels:
+    if history is None:
         return None
+    panels = [_estimate_panel(history, k) for k in _chosen(history)]
     caption = (
         f"Estimate ± {_BAND:g} standard deviations over time of the {len(panels)} base parameters "
         f"(of {len(history.names)}) that the data taught most about, at most one of each link or "
@@ -153,7 +153,7 @@ def estimates_figure(history: History | None) -> Figure | None:
         "parameter of its combination. Scaled to the second half of the time."
     )
     legend = (Key("line", FITTED, "estimate"), Key("box", BAND, "± 2 standard deviations"))
-    return Figure(tuple(panels), caption, legend)
+    return figure(panels, caption, legend)
 
 
 def _chosen(history: History) -> list[int]:
@@ -241,9 +241,6 @@ def convergence_figure(result: Result) -> Figure | None:
         _convergence_panel(joint, t, spread[:, j], None if noise is None else noise[:, j], unit)
         for j, joint in enumerate(joints)
     ]
-    present = tuple(each for each in panels if each is not None)
-    if not present:
-        return None
     caption = (
         "Torque error that the uncertainty of the estimate makes on a fast motion of all joints "
         f"[{unit}, rms]: the estimate has converged where it lies below the noise of one "
@@ -251,7 +248,7 @@ def convergence_figure(result: Result) -> Figure | None:
     )
     legend = [Key("line", FITTED, "torque uncertainty of the estimate")]
     legend += [Key("dash", MEASURED, "noise of a row")] * (noise is not None)
-    return Figure(present, caption, tuple(legend))
+    return figure(panels, caption, legend)
 
 
 def _by_joint(result: Result, key: str, looks: int, joints: int) -> Array | None:

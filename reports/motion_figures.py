@@ -28,7 +28,7 @@ from excitant.reports.drawing import (
     timeline,
     whole_ticks,
 )
-from excitant.reports.page import Figure, Key, Panel
+from excitant.reports.page import Figure, Key, Panel, figure
 from excitant.reports.values import (
     Result,
     Series,
@@ -128,19 +128,16 @@ def motion_figure(joints: Sequence[str], result: Result, series: Series) -> Figu
     """Position, velocity, acceleration, jerk and torque of each joint against their limits."""
     rows = [row for row in _CURVES if any(_has(series, row[1], k) for k in range(len(joints)))]
     panels = [_panel(k, joint, rows, result, series) for k, joint in enumerate(joints)]
-    present = tuple(each for each in panels if each is not None)
-    if not present:
-        return None
     if not any(limit_of(result, row[0], k) for row in rows for k in range(len(joints))):
         caption = "The motion of every joint; the arm has no limits to compare it with."
-        return Figure(present, caption)
+        return figure(panels, caption)
     caption = _CERTIFIED if at(result, "certified") else _SAMPLED
     legend = (
         Key("dash", MEASURED, "limit"),
         Key("box", "#cfe3f1", "certified envelope"),
         Key("ring", MEASURED, "where it is touched"),
     )
-    return Figure(present, caption, legend)
+    return figure(panels, caption, legend)
 
 
 def _has(series: Series, key: str, joint: int) -> bool:
@@ -307,7 +304,7 @@ def weakest_figure(result: Result) -> Figure | None:
         ax.plot(after, k, "o", ms=5, color=FITTED)
     log_x(ax)
     ax.set_ylim(len(rows) - 0.4, -0.6)
-    ax.set_yticks(range(len(rows)), [shorten(text(row, "name"), 27) for row in rows], fontsize=8)
+    ax.set_yticks(range(len(rows)), [shorten(text(row, "name"), 25) for row in rows], fontsize=8)
     ax.set_xlabel("torque of its own [N·m per SI unit]", x=0.25)
     legend = [
         Key("dot" if key == "final" else "ring", colour, name)

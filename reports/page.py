@@ -320,6 +320,14 @@ def notes(
     return Notes(tuple(sentences), tone, brief, paths) if sentences else None
 
 
+def figure(
+    panels: Sequence[Panel | None], caption: str, legend: Sequence[Key] = ()
+) -> Figure | None:
+    """A figure of the panels that have data; None without any."""
+    present = tuple(panel for panel in panels if panel is not None)
+    return Figure(present, caption, tuple(legend)) if present else None
+
+
 def files(names: Sequence[str]) -> Notes | None:
     """The files that a run has written, and what reads them."""
     said = ((name, _FORMATS.get(name.rpartition(".")[2])) for name in names)

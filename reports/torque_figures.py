@@ -20,7 +20,7 @@ from excitant.reports.drawing import (
     percent_x,
     timeline,
 )
-from excitant.reports.page import Figure, Key, Panel
+from excitant.reports.page import Figure, Key, Panel, figure
 from excitant.reports.values import Series, curve, quantity, shorten, times
 from excitant.robots.motion import Array
 
@@ -64,9 +64,6 @@ def torque_figure(
 ) -> Figure | None:
     """Measured torque against the model before and after, the residual below, per joint."""
     panels = [_torque_panel(k, joint, series, unit, curves) for k, joint in enumerate(joints)]
-    present = tuple(each for each in panels if each is not None)
-    if not present:
-        return None
 
     def drawn(key: str) -> bool:
         return any(curve(series, key, k) is not None for k in range(len(joints)))
@@ -78,7 +75,7 @@ def torque_figure(
         *[Key("box", BAND, INTERVAL)] * drawn(curves.band),
     ]
     caption = curves.caption + _INTERVAL_CAPTION * drawn(curves.band)
-    return Figure(present, caption, tuple(legend))
+    return figure(panels, caption, legend)
 
 
 def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves) -> Panel | None:

@@ -127,7 +127,9 @@ def test_pendulum_agrees_with_a_dense_grid(pendulum: Robot, limited: Limited, ha
     assert_certificate_holds(bound)
 
 
-def below_every_trajectory(planar: Robot, limited: Limited, seed: int) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20))
+def test_never_above_a_trajectory(planar: Robot, limited: Limited, seed: int) -> None:
     rng = np.random.default_rng(seed)
     middle, half = rng.uniform(-2, 2, 2), rng.uniform(0.4, 2.0, 2)
     robot = limited(
@@ -150,18 +152,6 @@ def below_every_trajectory(planar: Robot, limited: Limited, seed: int) -> None:
     assert bound.value <= min(conditions)
     assert bound.value > 1.0
     assert_certificate_holds(bound, 2000)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(5))
-def test_never_above_a_trajectory(planar: Robot, limited: Limited, seed: int) -> None:
-    below_every_trajectory(planar, limited, seed)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(5, 20))
-def test_never_above_a_trajectory_at_length(planar: Robot, limited: Limited, seed: int) -> None:
-    below_every_trajectory(planar, limited, seed)
 
 
 @pytest.mark.slow

@@ -70,7 +70,7 @@ def test_result_and_series(found: Design) -> None:
     assert share.max() == pytest.approx(found.limits.torque.ratio, rel=1e-3)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_random_limits_hold_between_samples(planar: Robot, limited: Limited, seed: int) -> None:
     rng = np.random.default_rng(seed)
     middle, half = rng.uniform(-2, 2, 2), rng.uniform(0.5, 2.0, 2)
@@ -120,8 +120,8 @@ def test_number_of_processes_does_not_change_the_result(planar: Robot) -> None:
 @pytest.mark.parametrize("starts", [None, 500])
 def test_time_limit_returns_the_best_so_far(arm: Robot, starts: int | None) -> None:
     began = time.time()
-    result = design(arm, starts=starts, jobs=1, time_limit=2.0)
-    assert time.time() - began < 6.0
+    result = design(arm, starts=starts, jobs=1, time_limit=1.0)
+    assert time.time() - began < 5.0
     assert_limits_hold(result)
     assert result.condition_final < result.condition_initial
     assert result.starts[-1].status == "time limit"

@@ -11,7 +11,7 @@ from excitant.exceptions import BadInput
 from excitant.reports import SavedRun, brief, compare, html, page_of, save_run, summary
 from excitant.reports.compare import deviations
 from excitant.robots import load_robot
-from excitant.robots.model_check_result import robot_result
+from excitant.robots.check import ModelCheck
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 COMPARED = ("design", "check", "identify", "analyze", "diagnose", "demo")
@@ -135,7 +135,7 @@ def test_two_models_differ_in_what_was_changed():
         arm = load_robot("planar_2r")
         phi = arm.phi.copy()
         phi[10] *= mass
-        return robot_result(arm.with_parameters(phi), ())
+        return ModelCheck(arm.with_parameters(phi)).result()
 
     def differing(mass):
         result = compare(SavedRun("one", model(), {}), SavedRun("two", model(mass), {}))
