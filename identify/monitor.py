@@ -129,8 +129,6 @@ class OnlineRun:
 
     Attributes:
         recording: The recording.
-        robot: The arm, the prior.
-        effects: Effects estimated.
         differentiator: Why which differentiator was taken.
         looks: The monitor's looks, the last at the end of the recording.
         messages: Time [s] and text.
@@ -138,8 +136,6 @@ class OnlineRun:
     """
 
     recording: Recording
-    robot: Robot
-    effects: tuple[Effect, ...]
     differentiator: str
     looks: tuple[Look, ...]
     messages: tuple[tuple[float, str], ...]
@@ -160,7 +156,6 @@ def replay(
     prior: BasePrior | bool | None = None,
     forgetting: float | None = None,
     gains: Array | float = 1.0,
-    period: float = _PERIOD,
     progress: Callable[[float], None] | None = None,
 ) -> OnlineRun:
     """Estimate on line over a recording, as if its samples came one by one.
@@ -175,7 +170,6 @@ def replay(
         prior: What is known beforehand; the given robot when None, ``False`` for nothing.
         forgetting: Time constant [s]; nothing is forgotten when None.
         gains: Torque per reading [N·m per reading], shape (nv,).
-        period: Time between two looks of the monitor [s].
         progress: Told the fraction done.
 
     Raises:
@@ -198,17 +192,15 @@ def replay(
         estimator.push(float(t[k]), q[k], tau[k] * gains)
         if t[k] >= due and estimator.rows:
             looks.append(monitor.look())
-            due = t[k] + period
+            due = t[k] + _PERIOD
             if progress is not None:
                 progress(k / len(t))
     if not estimator.rows:
         raise BadRecording(recording.file, "too short or interrupted too often for on-line rows")
     if not looks or looks[-1].estimate.t < estimator.recent().motion.t[-1]:
         looks.append(monitor.look())
-    return OnlineRun(
-        recording, robot, effects, choice.why, tuple(looks), tuple(monitor.messages),
-        estimator.delay,
-    )  # fmt: skip
+    messages = tuple(monitor.messages)
+    return OnlineRun(recording, choice.why, tuple(looks), messages, estimator.delay)
 
 
 def joined(recordings: Sequence[Recording]) -> Recording:

@@ -51,8 +51,7 @@ class OnlineEstimate:
     Attributes:
         t: Instant it speaks about: the newest block [s].
         base: The base parameters.
-        information: Data and prior together, rows of unit noise.
-        data: Data alone, the same rows.
+        data: What the data alone say, rows of unit noise.
         beta: Estimate, shape (r,).
         covariance: Its covariance, shape (r, r).
         sigma: Standard deviation of each joint's row, shape (nv,) [torque unit].
@@ -61,7 +60,6 @@ class OnlineEstimate:
 
     t: float
     base: BaseParameters
-    information: Information
     data: Information
     beta: Array
     covariance: Array
@@ -311,7 +309,7 @@ class OnlineEstimator:
         known = np.abs(np.diag(total.R)).min() > 0
         covariance = total.covariance() if known else np.full((r, r), np.inf)
         t = float(rows.motion.t[-1])
-        return OnlineEstimate(t, self.base, total, data, beta, covariance, sigma, inflation)
+        return OnlineEstimate(t, self.base, data, beta, covariance, sigma, inflation)
 
     def _total(self, parts: list[Information], sigma: Array) -> tuple[Information, Information]:
         """Data of all joints, and data with the prior."""

@@ -121,8 +121,9 @@ def saturation(log: Log, robot: Robot) -> list[Fault]:
     """
     moved = np.asarray(log.moving.any(axis=1), bool)
     sides = [(j, sign) for j in range(log.nv) for sign in (1.0, -1.0)]
-    found = (_at_extreme(log, j, sign, moved) or _at_limit(log, robot, j, sign)
-             for j, sign in sides)  # fmt: skip
+    found = (
+        _at_extreme(log, j, sign, moved) or _at_limit(log, robot, j, sign) for j, sign in sides
+    )
     return [fault for fault in found if fault is not None]
 
 

@@ -44,8 +44,9 @@ def not_measured(case: Torques) -> list[Fault]:
     log, found = case.log, []
     own = {j: _own_noise(log.tau[:, j]) for j in case.joints}
     missed = np.sqrt(case.fit.power) / np.maximum(case.problem.tau.std(axis=0), 1e-100)
-    ideal = [j for j in case.joints
-             if own[j] < _SMOOTH * np.ptp(log.tau[:, j]) and missed[j] < _IDEAL]  # fmt: skip
+    ideal = [
+        j for j in case.joints if own[j] < _SMOOTH * np.ptp(log.tau[:, j]) and missed[j] < _IDEAL
+    ]
     if len(ideal) > _HALF * len(case.joints):
         worst, names = max(ideal, key=lambda j: missed[j]), log.names(ideal)
         detail = (
@@ -193,6 +194,10 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Fault | None
         f"in this time get less than {_TELLS:g} of the information that the given model already "
         f"has, the weakest {window.level:.2g} ({weakest}); move {', '.join(names)}"
     )
-    evidence = {"missing": missing, "visible": len(window.levels), "level": window.level,
-                "still": log.names(np.flatnonzero(still))}  # fmt: skip
+    evidence = {
+        "missing": missing,
+        "visible": len(window.levels),
+        "level": window.level,
+        "still": log.names(np.flatnonzero(still)),
+    }
     return Fault("poor_excitation", names, detail, evidence)

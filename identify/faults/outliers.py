@@ -54,8 +54,11 @@ def outliers(log: Log, jumps: Rows | None = None) -> list[Fault]:
         )
     for name, mask in far.items():
         mask[whole] = False
-        found += [_of_channel(log, name, j, np.flatnonzero(mask[:, j]))
-                  for j in range(log.nv) if mask[:, j].any()]  # fmt: skip
+        found += [
+            _of_channel(log, name, j, np.flatnonzero(mask[:, j]))
+            for j in range(log.nv)
+            if mask[:, j].any()
+        ]
     return found
 
 
@@ -69,11 +72,16 @@ def _of_channel(log: Log, name: str, j: int, rows: Rows) -> Fault:
         (joint,),
         f"{name} of {joint} is far from its neighbours in {len(rows)} of {len(log)} rows; worst "
         f"row {k} at t = {log.t[k]:.4g} s: {x[k]:.5g} where those around have {median[k]:.5g}",
-        {"channel": name, "rows": rows, "count": len(rows), "value": float(x[k]),
-         "around": float(median[k])},
+        {
+            "channel": name,
+            "rows": rows,
+            "count": len(rows),
+            "value": float(x[k]),
+            "around": float(median[k]),
+        },
         f"interpolates {name} of {joint} over these {len(rows)} rows",
         (Remedy("interpolate", name, (j,), rows),),
-    )  # fmt: skip
+    )
 
 
 def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:

@@ -153,12 +153,14 @@ def _position_signs(case: Torques) -> list[tuple[float, Fault]]:
             remedies = [Remedy("scale", name, (j,), factor=-1.0) for name in ("q", "dq")]
             remedies += [Remedy("scale", "tau", (j,), factor=-1.0)] if both else []
             fault = Fault(
-                "wrong_sign", (joint,),
+                "wrong_sign",
+                (joint,),
                 f"{what} of {joint} count the other way than the robot's: negated, "
                 f"{_compared(case, fit)}",
                 {"channel": what, "gain": case.gain(fit)},
-                f"negates {what} (and dq) of {joint}", tuple(remedies),
-            )  # fmt: skip
+                f"negates {what} (and dq) of {joint}",
+                tuple(remedies),
+            )
             found.append((case.gain(fit), fault))
     return found
 
@@ -172,9 +174,11 @@ def _rate(case: Torques) -> tuple[float, Fault] | None:
     start = float(np.log(max(_BROAD, key=lambda c: gain(float(np.log(c))))))
     step = float(np.log(_BROAD[1] / _BROAD[0]))
     best = scipy.optimize.minimize_scalar(
-        lambda x: -gain(x), bounds=(start - step, start + step), method="bounded",
+        lambda x: -gain(x),
+        bounds=(start - step, start + step),
+        method="bounded",
         options={"xatol": 1e-3, "maxiter": 25},
-    )  # fmt: skip
+    )
     c = float(np.exp(best.x))
     fit = case.problem.fit(s=c**2)
     near = [r for r in RATES if abs(c / r - 1) < _NEAR]

@@ -15,18 +15,32 @@ import yaml
 
 from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.importers.mapping import ColumnMap
-from excitant.identify.importers.names import Meaning, meaning
+from excitant.identify.importers.names import PARTS_OF_TIME, Meaning, meaning
 from excitant.identify.importers.tables import Table
 from excitant.identify.importers.units import Unit, factor
 from excitant.robots.robot import Robot
 
 _SAID = {"t": "time", "q": "positions", "dq": "speeds", "tau": "torques", "i": "currents"}
-_SECONDS = ("sec", "secs", "seconds")
-_NANOSECONDS = ("nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds")
-_NUMBERED = ("{}[{{0}}]", "{}_{{0}}", "{}.{{0}}", "{}{{0}}", "{}[{{1}}]", "{}_{{1}}", "{}.{{1}}",
-             "{}{{1}}")  # fmt: skip
-_NAMED = ("{{joint}}.{}", "{}.{{joint}}", "{{joint}}_{}", "{}_{{joint}}", "{{joint}}/{}",
-          "{}/{{joint}}", "{{joint}} {}", "{} {{joint}}")  # fmt: skip
+_NUMBERED = (
+    "{}[{{0}}]",
+    "{}_{{0}}",
+    "{}.{{0}}",
+    "{}{{0}}",
+    "{}[{{1}}]",
+    "{}_{{1}}",
+    "{}.{{1}}",
+    "{}{{1}}",
+)
+_NAMED = (
+    "{{joint}}.{}",
+    "{}.{{joint}}",
+    "{{joint}}_{}",
+    "{}_{{joint}}",
+    "{{joint}}/{}",
+    "{}/{{joint}}",
+    "{{joint}} {}",
+    "{} {{joint}}",
+)
 _Key = str | int | None
 
 
@@ -469,8 +483,8 @@ def _times(meanings: Sequence[Meaning]) -> tuple[tuple[tuple[str, ...], ...], st
     alone = [m for m in meanings if m.joint is None]
     plain = [m for m in alone if not m.words]
     seconds, nanoseconds = (
-        [m for m in alone if len(m.words) == 1 and m.words[0] in words]
-        for words in (_SECONDS, _NANOSECONDS)
+        [m for m in alone if len(m.words) == 1 and PARTS_OF_TIME.get(m.words[0]) == unit]
+        for unit in ("s", "ns")
     )
     if len(seconds) == len(nanoseconds) == 1:
         pair = (seconds[0].column, nanoseconds[0].column)

@@ -9,33 +9,28 @@ from dataclasses import dataclass, replace
 
 from excitant.identify.importers.units import spelled, units_of
 
-_ROLES = {
-    **dict.fromkeys(("t", "time", "times", "timestamp", "timestamps", "stamp", "stamps"), "t"),
-    **dict.fromkeys(
-        ("q", "pos", "position", "positions", "angle", "angles", "theta", "jointpos"), "q"
-    ),
-    **dict.fromkeys(
-        ("dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "dtheta", "omega",
-         "jointvel"), "dq"
-    ),
-    **dict.fromkeys(("ddq", "qdd", "qddot", "acc", "acceleration", "accelerations"), "ddq"),
-    **dict.fromkeys(("tau", "torque", "torques", "effort", "efforts", "trq", "moment"), "tau"),
-    **dict.fromkeys(("i", "current", "currents", "cur", "amperage", "iq"), "i"),
-}  # fmt: skip
-_MEASURED = frozenset(
-    ("actual", "act", "measured", "meas", "msr", "real", "feedback", "fb", "present")
+_WORDS = {
+    "t": "t time times timestamp timestamps stamp stamps",
+    "q": "q pos position positions angle angles theta jointpos",
+    "dq": "dq qd qdot vel velocity velocities speed speeds dtheta omega jointvel",
+    "ddq": "ddq qdd qddot acc acceleration accelerations",
+    "tau": "tau torque torques effort efforts trq moment",
+    "i": "i current currents cur amperage iq",
+}
+_ROLES = {word: role for role, words in _WORDS.items() for word in words.split()}
+_QUALIFIERS = (
+    "actual act measured meas msr real feedback fb present",
+    "target targets desired des commanded command cmd ref reference setpoint set goal planned "
+    "model predicted pred estimated est simulated sim",
+    "joint joints jnt j axis axes state states msg data value values log header relative rel "
+    "elapsed unix epoch utc in",
 )
-_COMMANDED = frozenset(
-    ("target", "targets", "desired", "des", "commanded", "command", "cmd", "ref", "reference",
-     "setpoint", "set", "goal", "planned", "model", "predicted", "pred", "estimated", "est",
-     "simulated", "sim")
-)  # fmt: skip
-_NEUTRAL = frozenset(
-    ("joint", "joints", "jnt", "j", "axis", "axes", "state", "states", "msg", "data", "value",
-     "values", "log", "header", "relative", "rel", "elapsed", "unix", "epoch", "utc", "in")
-)  # fmt: skip
-_PARTS_OF_TIME = {"sec": "s", "secs": "s", "nanosec": "ns", "nanosecs": "ns", "nsec": "ns",
-                  "nsecs": "ns", "nanoseconds": "ns", "seconds": "s"}  # fmt: skip
+_MEASURED, _COMMANDED, _NEUTRAL = (frozenset(words.split()) for words in _QUALIFIERS)
+PARTS_OF_TIME = {
+    **dict.fromkeys(("sec", "secs", "seconds"), "s"),
+    **dict.fromkeys(("nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds"), "ns"),
+}
+"""Words of the whole seconds, and of the nanoseconds, of a stamp in two columns."""
 _BRACKETS = re.compile(r"[\[({]([^\])}]*)[\])}]")
 _EXACT = re.compile(r"(q|dq|ddq|tau|i)(\d+)", re.ASCII)
 _PIECES = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z°µ]+|\d+|[^\W\d_]+")
@@ -110,7 +105,7 @@ def _words(column: str) -> tuple[list[str], str | None]:
         found = spelled(chunk) if len(chunk) > 1 or (chunk == "A" and len(chunks) > 1) else None
         if unit in ("rad", "deg", "rev", "m", "mm") and "s" in (chunk, found):
             unit = f"{unit}/s"
-        elif found is not None and chunk.lower() not in _PARTS_OF_TIME:
+        elif found is not None and chunk.lower() not in PARTS_OF_TIME:
             unit = unit or found
         elif chunk == "s" and words:
             unit = unit or "s"
@@ -118,7 +113,7 @@ def _words(column: str) -> tuple[list[str], str | None]:
             words += [piece.lower() for piece in _PIECES.findall(chunk)]
     if unit is None and len(words) > 1 and words[-1] not in _ROLES:
         found = spelled(words[-1]) if len(words[-1]) > 1 else None
-        if found is not None and words[-1] not in _PARTS_OF_TIME:
+        if found is not None and words[-1] not in PARTS_OF_TIME:
             return words[:-1], found
     return words, unit
 
@@ -144,7 +139,7 @@ def _role(words: list[str]) -> tuple[str | None, list[str], bool]:
     """The quantity, the other words, and whether "current" meant "present"."""
     roles = [(k, _ROLES[word]) for k, word in enumerate(words) if word in _ROLES]
     if not roles:
-        if any(word in _PARTS_OF_TIME for word in words):
+        if any(word in PARTS_OF_TIME for word in words):
             return "t", words, False
         return None, words, False
     current = len(roles) == 2 and roles[0][1] == "i" and words[roles[0][0]] == "current"

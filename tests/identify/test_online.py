@@ -26,7 +26,7 @@ from excitant.identify import (
 from excitant.identify.base_prior import base_prior
 from excitant.identify.information import InformationFilter, combined, gaussian, information_of
 from excitant.robots import Motion, Robot, base_parameters, torque
-from excitant.robots.effects import JointEffect, TorqueOffset, ViscousFriction
+from excitant.robots.effects import JointEffect, TorqueOffset, ViscousFriction, standard_effects
 from excitant.robots.torque import observation_columns
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors, virtual_arm
 
@@ -365,7 +365,7 @@ def test_irregular_time_gives_what_regular_time_gives(planar: Robot, motion_of: 
         run = replay(planar, Recording("r", "r.csv", t, motion.q, torque(planar, motion)))
         betas.append(run.estimate.beta)
     motion, base = motion_of(planar, T), run.estimate.base
-    W = observation_columns(planar, run.effects, motion)[:, :, base.columns]
+    W = observation_columns(planar, standard_effects(planar.joints), motion)[:, :, base.columns]
     smooth = torque(planar.with_effects(()), motion)
     # torque is interpolated linearly: off by h² / 8 times its second derivative
     curvature = np.abs(np.diff(smooth, 2, axis=0)).max() * RATE**2
