@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from excitant.analysis.evidence import Candidate, Evidence, calibrated, joint_columns, weigh
+from excitant.analysis.evidence import Candidate, Evidence, calibrated, weigh
 from excitant.analysis.residuals import moving
-from excitant.identify.physical import link_coordinates, link_weights
+from excitant.identify.physical import PRIOR_SIGMA, link_coordinates, link_weights
 from excitant.identify.preprocessing import Segment
+from excitant.identify.regression import dense
 from excitant.identify.rows import implausible_size
 from excitant.robots import effects as of
 from excitant.robots.effects import Effect, Parameter, joint_facts
@@ -90,7 +91,8 @@ def gather(
     tau: Array,
     metric: Array,
     believed: Sequence[Candidate] = (),
-    considered: Callable[[Effect], bool] = lambda effect: True,
+    *,
+    identified: bool = False,
 ) -> Evidence:
     """Evidence for all that may be wrong with a robot.
 
@@ -101,18 +103,23 @@ def gather(
         tau: Measured torque at the rows, shape (n, nv) [N·m].
         metric: Bodies that tolerances are relative to, shape (nv, 10).
         believed: Causes in the robot as understood so far.
-        considered: Which effects to consider.
+        identified: Whether all given values are as open as in an identification, and only effects
+            beyond the standard model are considered; else given values are right to ±10 %.
     """
     segments, Y = train.segments, train.links
-    given = np.concatenate([np.abs(e.values or ()) for e in robot.effects] or [np.zeros(0)])
     known = train.matrix(robot.effects)[:, :, 10 * robot.nv :]
-    blocks = [Y @ link_coordinates(metric), known * TOLERANCE * np.where(given > 0, given, 1e-9)]
-    weights = [link_weights(robot.nv, TOLERANCE) ** 2, np.ones(len(given))]
-    nuisance = start = 10 * robot.nv + len(given)
+    given = np.concatenate([np.abs(e.values or ()) for e in robot.effects] or [np.zeros(0)])
+    spread = TOLERANCE * np.where(given > 0, given, 1e-9)
+    if identified:
+        spread = implausible_size(known, tau)
+    blocks = [Y @ link_coordinates(metric), known * spread]
+    sigma = PRIOR_SIGMA if identified else TOLERANCE
+    weights = [link_weights(robot.nv, sigma) ** 2, np.ones(len(spread))]
+    nuisance = start = 10 * robot.nv + len(spread)
     candidates = []
     again = [(c.effect, c.trials) for c in believed]
     for effect, trials in proposals(robot, segments, tau - train.torque(), again):
-        if not considered(effect):
+        if identified and not effect.further:
             continue
         block = cause_columns(effect, robot, train.robot, segments, Y)
         if not block.any():
@@ -123,18 +130,18 @@ def gather(
         blocks.append(block @ scale)
         weights.append(weight)
         start = stop
-    step = segments[0].t[1] - segments[0].t[0]
-    counts = moving(segments)
+    names = [str(k) for k in range(start)]
+    residual = tau - train.by(robot).torque()
     evidence = weigh(
-        joint_columns(blocks, counts),
-        tau - train.by(robot).torque(),
-        counts,
+        dense(np.concatenate(blocks, axis=2), residual, names),
+        moving(segments),
         np.concatenate(weights),
         nuisance,
         candidates,
-        step,
+        segments[0].t[1] - segments[0].t[0],
+        by_share=identified,
     )
-    return calibrated(evidence, robot)
+    return evidence if identified else calibrated(evidence, robot)
 
 
 def cause_columns(

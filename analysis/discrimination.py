@@ -23,10 +23,11 @@ import numpy as np
 import scipy
 
 from excitant.analysis.candidates import TOLERANCE, believed_columns, cause_columns
-from excitant.analysis.evidence import JointColumns, joint_columns, widened
+from excitant.analysis.evidence import widened
 from excitant.analysis.residuals import moving
 from excitant.identify.physical import link_coordinates, link_weights
 from excitant.identify.preprocessing import Segment
+from excitant.identify.regression import dense
 from excitant.robots.effects import Effect, JointFacts, joint_facts
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.regressor import regressor
@@ -156,7 +157,7 @@ class Contest:
         if not self.recorded:
             size = max(at.stop for at in self.causes.values())
             return np.zeros((size, size))
-        return self._columns(self.recorded).gram(self.noise.weight)
+        return self._gram(self.recorded)
 
     @cached_property
     def imitations(self) -> tuple[Array, ...]:
@@ -197,7 +198,7 @@ class Contest:
     def information(self, motion: Motion) -> Array:
         """Information of a motion, shape (columns, columns)."""
         segment = along(motion, self.noise.cutoff_hz, self.rows_hz)
-        return self._columns((segment,), self._fastest).gram(self.noise.weight)
+        return self._gram((segment,), self._fastest)
 
     def separations(self, information: Array) -> list[Separation]:
         """Separation of every pair by what was recorded and a motion of this information."""
@@ -257,13 +258,15 @@ class Contest:
     def _beside(self, pair: Pair) -> list[int]:
         return [column for effect in pair.beside for column in self._places(effect)]
 
-    def _columns(
-        self, segments: Sequence[Segment], company: Sequence[Segment] = ()
-    ) -> JointColumns:
-        """All columns at the rows of segments, with the rows at rest left out."""
+    def _gram(self, segments: Sequence[Segment], company: Sequence[Segment] = ()) -> Array:
+        """Weighted products of all columns at the rows of segments, those at rest left out."""
         rows = sum(len(s.t) for s in segments)
-        counts = moving((*segments, *company))[:rows]
-        return joint_columns(list(self._blocks(segments)), counts)
+        W = np.concatenate(list(self._blocks(segments)), axis=2)
+        nothing = np.zeros(W.shape[:2])
+        problem = dense(W, nothing, [str(k) for k in range(W.shape[2])])
+        return problem.counting(moving((*segments, *company))[:rows]).gram(self.noise.weight)[
+            :-1, :-1
+        ]
 
     def _blocks(self, segments: Sequence[Segment]) -> Iterator[Array]:
         Y = np.concatenate([self._links(s) for s in segments])

@@ -21,18 +21,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from excitant.identify.least_squares import autocorrelation_time
+from excitant.identify.regression import Index, Mask, Regression
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, read_only
 from excitant.robots.robot import Robot
 
-Index = npt.NDArray[np.intp]
 Key = tuple[str, tuple[str, ...]]
 """Effect and joints."""
 
@@ -49,76 +48,6 @@ _FEWEST = 8  # such directions, to judge the tolerance by
 _MEDIAN = 0.4549  # of χ² with one degree of freedom
 _RANGE = (0.02, 1.0)  # of the tolerance
 _UNKNOWN = 400.0  # tolerances: a link may be twenty times as heavy as a placeholder
-
-
-@dataclass(frozen=True, eq=False)
-class JointColumns:
-    """Columns of shape (n, nv, p), most of which act on one joint only, kept joint by joint.
-
-    Attributes:
-        size: Number of columns p.
-        index: For each joint, which columns act on it.
-        rows: For each joint, those columns, shape (n, len(index)).
-    """
-
-    size: int
-    index: tuple[Index, ...]
-    rows: tuple[Array, ...]
-
-    @property
-    def nv(self) -> int:
-        """Number of joints."""
-        return len(self.rows)
-
-    def __len__(self) -> int:
-        return len(self.rows[0])
-
-    @cached_property
-    def grams(self) -> tuple[Array, ...]:
-        """Inner products of each joint's columns, shape (len(index), len(index))."""
-        return tuple(read_only(X.T @ X) for X in self.rows)
-
-    def acting(self, columns: slice) -> Iterator[tuple[int, Index]]:
-        """Joints that some columns act on, each with where these are among its own."""
-        for j, at in enumerate(self.index):
-            here = np.flatnonzero((at >= columns.start) & (at < columns.stop))
-            if len(here):
-                yield j, here
-
-    def moments(self, r: Array) -> Array:
-        """Inner products of all columns with torque (n, nv), joint by joint: (nv, p)."""
-        found = np.zeros((self.nv, self.size))
-        for j, (at, X) in enumerate(zip(self.index, self.rows, strict=True)):
-            found[j, at] = X.T @ r[:, j]
-        return found
-
-    def gram(self, weight: Array) -> Array:
-        """Inner products over all joints, weighted by joint, shape (p, p)."""
-        total = np.zeros((self.size, self.size))
-        for w, at, G in zip(weight, self.index, self.grams, strict=True):
-            total[np.ix_(at, at)] += w * G
-        return total
-
-    def torque(self, coordinates: Array) -> Array:
-        """All columns times coordinates, (p, ...) → (n, nv, ...)."""
-        used = np.asarray(coordinates.reshape(self.size, -1).any(axis=1))
-        parts = []
-        for at, X in zip(self.index, self.rows, strict=True):
-            here = np.flatnonzero(used[at])
-            parts.append(X[:, here] @ coordinates[at[here]])
-        return np.stack(parts, axis=1)
-
-
-def joint_columns(blocks: Sequence[Array], counts: npt.NDArray[np.bool_]) -> JointColumns:
-    """Blocks of columns, each of shape (n, nv, k), where rows count, (n, nv)."""
-    size = sum(block.shape[2] for block in blocks)
-    index, rows = [], []
-    for j in range(blocks[0].shape[1]):
-        whole = np.concatenate([block[:, j] for block in blocks], axis=1)
-        at = np.flatnonzero(whole.any(axis=0))
-        index.append(at)
-        rows.append(read_only(np.asfortranarray(whole[:, at] * counts[:, [j]])))
-    return JointColumns(size, tuple(index), tuple(rows))
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,10 +82,9 @@ class Evidence:
     """Weighted columns of all candidates, the nuisance always at work.
 
     Attributes:
-        columns: All columns, nuisance first.
-        residual: Residual of the given model, zero where rows do not count, shape (n, nv) [N·m].
+        problem: All columns, nuisance first, for the residual of the given model as torque;
+            rows that do not count are zero.
         counted: Number of rows that count, shape (nv,).
-        moments: Inner products of all columns with it, joint by joint, shape (nv, p).
         precision: Prior precision of each coordinate, shape (p,).
         nuisance: Number of leading columns that belong to the nuisance.
         candidates: What may be at work.
@@ -167,12 +95,12 @@ class Evidence:
         moment: Xᵀ Λ r, shape (p,).
         power: rᵀ Λ r.
         tolerance: Deviation of given bodies and effects over what is taken as usual.
+        by_share: Whether false alarms are a share of what is found (false discovery rate in
+            forward selection: Benjamini and Gavrilov 2009), instead of any at all.
     """
 
-    columns: JointColumns
-    residual: Array
+    problem: Regression
     counted: Array
-    moments: Array
     precision: Array
     nuisance: int
     candidates: tuple[Candidate, ...]
@@ -183,6 +111,7 @@ class Evidence:
     moment: Array
     power: float
     tolerance: tuple[float, float] = (1.0, 1.0)
+    by_share: bool = False
 
     @property
     def weight(self) -> Array:
@@ -227,7 +156,7 @@ class Evidence:
             assume_a="pos",
         )
         coordinates[active] = unit * scaled
-        return self.residual - self.columns.torque(coordinates)
+        return self.problem.residual(coordinates)
 
     def additions(self, chosen: Sequence[Candidate]) -> Array:
         """Fall of J by adding each of the candidates to a set, shape (candidates,)."""
@@ -244,12 +173,17 @@ class Evidence:
             falls[k] = rest[at] @ np.linalg.lstsq(G, rest[at], rcond=1e-10)[0]
         return falls
 
-    def threshold(self, candidate: Candidate) -> float:
+    def threshold(self, candidate: Candidate, beside: int = 0) -> float:
         """Fall of J over λ that a candidate must exceed, the search accounted for.
 
         The noise behind λ is known from as many blocks as there are, and half from theory.
+
+        Args:
+            candidate: What may be added.
+            beside: How many others are at work.
         """
-        tail = FALSE_ALARM / (len(self.candidates) * candidate.trials)
+        alarms = FALSE_ALARM * (1 + beside if self.by_share else 1)
+        tail = alarms / (len(self.candidates) * candidate.trials)
         size, blocks = candidate.size, len(self.blocks)
         return size * _fisher_quantile(tail, size, 2 * size * (blocks - 1))
 
@@ -267,7 +201,7 @@ class Evidence:
         )
         coordinates = np.zeros((len(self.moment), len(at)))
         coordinates[at], coordinates[active] = np.eye(len(at)), -B
-        S, e = self.columns.torque(coordinates), self.left([*chosen, candidate])
+        S, e = self.problem.torque(coordinates), self.left([*chosen, candidate])
         weighted = S * self.weight[:, None]
         scores = np.add.reduceat(np.einsum("njk,nj->nk", weighted, e), self.blocks)
         grams = np.add.reduceat(np.einsum("njk,njl->nkl", weighted, S), self.blocks)
@@ -306,13 +240,14 @@ class Evidence:
         """
         active = self.active(chosen)
         grams, crosses, moments, used = [], [], [], set[int]()
-        for j, here in self.columns.acting(cause.columns):
-            at, G, weight = self.columns.index[j], self.columns.grams[j], self.weight[j]
+        for j, here in self.acting(cause):
+            at, weight = self.problem.index[j], self.weight[j]
+            G = weight * self.problem.grams[j][0]
             cross = np.zeros((len(self.moment), len(here)))
-            cross[at] = weight * G[:, here]
-            grams.append(weight * G[np.ix_(here, here)] + np.diag(self.precision[at[here]]))
+            cross[at] = G[:-1, here]
+            grams.append(G[np.ix_(here, here)] + np.diag(self.precision[at[here]]))
             crosses.append(cross[active])
-            moments.append(weight * self.moments[j, at[here]])
+            moments.append(G[here, -1])
             used |= {*at[here].tolist()}
         if len(grams) < 2:
             return 0.0, 0
@@ -322,6 +257,13 @@ class Evidence:
         left = np.concatenate(moments) - cross.T @ known[:, -1]
         G = scipy.linalg.block_diag(*grams) - cross.T @ known[:, :-1]
         return float(left @ np.linalg.lstsq(G, left, rcond=1e-9)[0]), len(left) - len(used)
+
+    def acting(self, cause: Candidate) -> Iterator[tuple[int, Index]]:
+        """Joints that a cause's columns act on, each with where these are among the joint's own."""
+        for j, at in enumerate(self.problem.index):
+            here = np.flatnonzero((at >= cause.columns.start) & (at < cause.columns.stop))
+            if len(here):
+                yield j, here
 
     def active(self, chosen: Sequence[Candidate]) -> Index:
         """Columns that are at work with a set."""
@@ -335,8 +277,6 @@ class Evidence:
 
 @lru_cache(maxsize=4096)
 def _fisher_quantile(tail: float, size: int, freedom: int) -> float:
-    import scipy.stats
-
     return float(scipy.stats.f.isf(tail, size, freedom))
 
 
@@ -348,43 +288,44 @@ def _inverse_root(G: Array) -> Array:
 
 
 def weigh(
-    columns: JointColumns,
-    r: Array,
-    counts: npt.NDArray[np.bool_],
+    problem: Regression,
+    counts: Mask,
     precision: Array,
     nuisance: int,
     candidates: Sequence[Candidate],
     period: float,
+    *,
+    by_share: bool = False,
 ) -> Evidence:
     """Evidence from rows.
 
     Args:
-        columns: Columns, nuisance first.
-        r: Residual of the given model, shape (n, nv) [N·m].
+        problem: Columns, nuisance first, for the residual of the given model as torque.
         counts: Rows that count, shape (n, nv).
         precision: Prior precision of each column's coordinate, shape (p,).
         nuisance: Number of leading columns that are nuisance.
         candidates: What the other columns stand for.
         period: Time between rows [s].
+        by_share: Whether false alarms are a share of what is found.
     """
-    n, residual = len(r), read_only(r * counts)
+    n, nv = counts.shape
+    problem = problem.counting(counts)
     count = int(np.clip(n * period / _BLOCK_S, *_BLOCKS))
     blank = Evidence(
-        columns=columns,
-        residual=residual,
+        problem=problem,
         counted=read_only(np.maximum(counts.sum(axis=0), 1)),
-        moments=read_only(columns.moments(residual)),
         precision=read_only(precision),
         nuisance=nuisance,
         candidates=tuple(candidates),
         blocks=np.linspace(0, n, count, endpoint=False).astype(np.intp),
-        sigma=np.ones(r.shape[1]),
-        inflation=np.ones(r.shape[1]),
+        sigma=np.ones(nv),
+        inflation=np.ones(nv),
         gram=np.zeros(0),
         moment=np.zeros(0),
         power=0.0,
+        by_share=by_share,
     )
-    return reweighed(_with_noise(blank, residual), [])
+    return reweighed(_with_noise(blank, problem.tau), [])
 
 
 def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
@@ -406,14 +347,14 @@ def _with_noise(evidence: Evidence, e: Array) -> Evidence:
     """The same evidence with noise of the size and correlation of e, shape (n, nv)."""
     sigma = np.maximum(np.sqrt((e**2).sum(axis=0) / evidence.counted), 1e-9)
     inflation = np.array([autocorrelation_time(column) for column in e.T])
-    weight, r = 1 / (sigma**2 * inflation), evidence.residual
+    G = evidence.problem.gram(1 / (sigma**2 * inflation))
     return replace(
         evidence,
         sigma=read_only(sigma),
         inflation=read_only(inflation),
-        gram=read_only(evidence.columns.gram(weight)),
-        moment=read_only(weight @ evidence.moments),
-        power=float((weight * r**2).sum()),
+        gram=read_only(G[:-1, :-1]),
+        moment=read_only(G[:-1, -1]),
+        power=float(G[-1, -1]),
     )
 
 

@@ -370,8 +370,6 @@ def noise_floor(segments: Sequence[Segment], j: int) -> float:
     Its density is the median of the periodogram above the motion's band; zero where the rate
     leaves no such band.
     """
-    import scipy.signal
-
     power, weight = 0.0, 0
     for s in segments:
         n = len(s.tau_raw)
@@ -385,8 +383,6 @@ def noise_floor(segments: Sequence[Segment], j: int) -> float:
 
 def _fast(e: Array, rate_hz: float, cutoff_hz: float) -> float:
     """Rms that an error would have if its density below the cut-off were that close to it."""
-    import scipy.signal
-
     f, density = scipy.signal.welch(e, rate_hz, nperseg=min(_LONGEST // 4, len(e)))
     near = density[(f > _NEAR[0] * cutoff_hz) & (f < _NEAR[1] * cutoff_hz)]
     return float(np.sqrt(np.median(near) * _PASSED * cutoff_hz)) if len(near) else 0.0

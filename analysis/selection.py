@@ -1,15 +1,20 @@
-"""Which causes the evidence calls for, and which others would do as well."""
+"""Which causes the evidence calls for, and which effects to identify an arm with."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from functools import lru_cache
 
 import numpy as np
 import scipy
 
+from excitant.analysis.candidates import Observed, gather, observed, tolerance_metric
 from excitant.analysis.evidence import Candidate, Evidence, Key, reweighed
-from excitant.robots.effects import Effect
+from excitant.identify.accuracy import series
+from excitant.identify.estimate import identify
+from excitant.identify.physical import prior_parameters
+from excitant.identify.recording import Recording
+from excitant.robots.effects import Effect, merged, plain, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -21,6 +26,7 @@ _FADED = 0.5  # of what a cause brought when last looked at: then it is looked a
 _CANCELLED = 4.0  # times the squared error on its joints: a cause that others must take back
 _SHARE = 0.05  # of what a cause explains, at least, that joints on their own explain more
 _BY_CHANCE = 1e-3  # probability of as much when all joints agree
+_ROUNDS = 2  # of choosing effects: the second with what the first identified
 
 
 def select(
@@ -120,7 +126,7 @@ def _significant(
     evidence: Evidence, chosen: Sequence[Candidate], candidate: Candidate, fall: float
 ) -> bool:
     spread = evidence.dispersion(chosen, candidate)
-    return fall > spread * evidence.threshold(candidate)
+    return fall > spread * evidence.threshold(candidate, len(chosen))
 
 
 def _pruned(
@@ -208,14 +214,72 @@ def agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) ->
 def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool:
     """Whether a cause makes far more torque than there is to explain, which others take back."""
     made = there = 0.0
-    for j, here in evidence.columns.acting(cause.columns):
-        x = coordinates[evidence.columns.index[j][here]]
-        G = evidence.columns.grams[j][np.ix_(here, here)]
-        made += float(evidence.weight[j] * (x @ G @ x))
-        there += float(evidence.weight[j] * (evidence.residual[:, j] ** 2).sum())
+    for j, here in evidence.acting(cause):
+        x, G = coordinates[evidence.problem.index[j][here]], evidence.problem.grams[j][0]
+        made += float(evidence.weight[j] * (x @ G[np.ix_(here, here)] @ x))
+        there += float(evidence.weight[j] * G[-1, -1])
     return made > _CANCELLED * there
 
 
 def frictionless(robot: Robot) -> set[str]:
     """Joints that the model gives no friction."""
     return set(robot.joints) - {j for e in robot.effects if is_plain_friction(e) for j in e.joints}
+
+
+def choose_effects(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    *,
+    cutoff_hz: float | None = None,
+    progress: Callable[[float, str], None] = lambda fraction, words: None,
+) -> tuple[Effect, ...]:
+    """The standard effects and those that recordings call for beside them.
+
+    The evidence is that of a diagnosis, with bodies and standard effects as open as in an
+    identification. Effects that rest on torque take it from the arm identified so far, and shapes
+    are first searched over coarse grids, then between their points.
+
+    Args:
+        robot: The arm.
+        recordings: What is to be fitted; nothing that is held out.
+        cutoff_hz: Cut-off of the torque filter [Hz]; that of `identify` when None.
+        progress: Called with a fraction done and what was found.
+
+    Raises:
+        BadRecording: Recordings that cannot be used.
+        BadRobot: Links without mass, so no prior.
+        RankDeficient: Motion that leaves base parameters undetermined.
+        Infeasible: The semidefinite solver failed.
+    """
+    standard = effects = standard_effects(robot.joints)
+    metric = tolerance_metric(prior_parameters(robot))
+    chosen: list[Candidate] = []
+    train: Observed | None = None
+    for k in range(_ROUNDS):
+        estimate = identify(
+            robot, recordings, validate=recordings, effects=effects, cutoff_hz=cutoff_hz
+        )
+        if train is None:
+            train = observed(estimate.model, estimate.data.train)
+            tau = series(train.segments).measured * estimate.gains
+        rows = train.by(estimate.model)
+        evidence = gather(train.robot, rows, tau, metric, chosen, identified=True)
+        _, chosen = select(evidence, train.robot)
+        found = (*standard, *merged(c.effect for c in chosen))
+        progress((k + 1) / _ROUNDS, ", ".join(plain(e.name) for e in found[len(standard) :]))
+        if found == effects:
+            break
+        effects = found
+    return effects
+
+
+def described(effects: Sequence[Effect]) -> tuple[str, ...]:
+    """What was chosen beyond the standard effects, as sentences."""
+    said = []
+    for effect in effects:
+        if effect.standard:
+            continue
+        shapes = ", ".join(f"{s.name} {getattr(effect, s.name):.3g}" for s in effect.shapes)
+        where = f"{plain(effect.name)} at {', '.join(effect.joints)}"
+        said.append(f"effect added: {where}{f' ({shapes})' if shapes else ''}")
+    return tuple(said) or ("effects: the recordings call for none beyond the standard ones",)

@@ -214,8 +214,6 @@ def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
         BadRobot: A link without mass.
         Infeasible: The semidefinite solver failed.
     """
-    import scipy.stats
-
     robot, Y, Yv = train.robot, train.links, held.observed.links
     base, prior = base_parameters(robot), prior_parameters(robot)
     B = base.regrouping

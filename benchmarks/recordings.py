@@ -9,7 +9,7 @@ Every set and split of the recordings' own README (EXCITANT_DATA or ../shared/da
 * ``ols``: the same kind of fit made here, at the cut-off of the rows below: what a filter and a
   constraint change shows against it;
 * ``standard``: `identify` with standard effects, physically consistent;
-* ``chosen``: the same with effects chosen on an inner hold-out (`excitant.analysis.enrichment`);
+* ``chosen``: the same with effects that the data call for (`choose_effects`);
 * ``given``: the model as it comes.
 
 ``<`` marks a joint whose r2 is below the README's when both are rounded as there; the sum is that
@@ -31,7 +31,7 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from excitant.analysis.enrichment import enrichment
+from excitant.analysis.selection import choose_effects, described
 from excitant.exceptions import ExcitantError
 from excitant.identify import Estimate, Recording, identify, load_dataset
 from excitant.identify.accuracy import Accuracy, series
@@ -240,14 +240,14 @@ def outcome_of(split: Split, folder: Path, chosen: bool) -> Outcome:
     if chosen:
         start = time.perf_counter()
         try:
-            study = enrichment(robot, fit, cutoff_hz=split.cutoff_hz)
-            best = identify(robot, fit, validate=judge, effects=study.effects, **options)
+            effects = choose_effects(robot, fit, cutoff_hz=split.cutoff_hz)
+            best = identify(robot, fit, validate=judge, effects=effects, **options)
         except ExcitantError as error:
             failed["chosen"] = str(error)
         else:
             seconds["chosen"] = time.perf_counter() - start
             accuracy["chosen"], consistent["chosen"] = best.validate, possible(best)
-            found = tuple(step.sentence for step in study.steps)
+            found = described(effects)
     return Outcome(
         split, accuracy, consistent, seconds, found, standard.data.cutoff_hz,
         standard.data.unit, robot.joints, failed,

@@ -74,7 +74,7 @@ def identify(
     Args:
         robot: Built-in name, URDF, xacro, MJCF or robot.yaml, or a folder with dataset.json.
         recordings: Parquet, CSV, NPZ, MAT, ROS bag or MCAP; all of the folder when none is named.
-        effects: Effects to estimate, or auto: the standard ones and what an inner hold-out calls
+        effects: Effects to estimate, or auto: the standard ones and what the recordings call
             for. Default: viscous_friction,coulomb_friction,torque_offset,rotor_inertia.
         estimator: Of the base parameters: wls (weighted least squares, the default), irls (robust
             against wrong torques), iv or oe (noisy positions).
@@ -129,12 +129,13 @@ def identify(
     if drive is not None:
         fit, held = drive.torque(fit), drive.torque(held)
     if chosen:
-        from excitant.analysis.enrichment import enrichment
+        from excitant.analysis.selection import choose_effects, described
 
         with progress_bar("effects") as advance:
-            further = enrichment(arm, fitted(fit, held), cutoff_hz=data.cutoff, progress=advance)
-        options["effects"] = further.effects
-        notes += further.notes
+            options["effects"] = choose_effects(
+                arm, fitted(fit, held), cutoff_hz=data.cutoff, progress=advance
+            )
+        notes += described(options["effects"])
     options["validate"] = held
     estimate: Estimate
     if online:

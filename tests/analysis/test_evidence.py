@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -11,10 +13,10 @@ from excitant.analysis.evidence import (
     FALSE_ALARM,
     Candidate,
     Evidence,
-    joint_columns,
     reweighed,
     weigh,
 )
+from excitant.identify.regression import dense
 from excitant.robots.effects import StribeckFriction, TorqueOffset
 
 N, NV, NUISANCE = 1200, 2, 6
@@ -59,7 +61,8 @@ def weighed(
     precision: np.ndarray = PRECISION,
 ) -> Evidence:
     counts = np.ones(r.shape, dtype=bool) if counts is None else counts
-    return weigh(joint_columns([X], counts), r, counts, precision, NUISANCE, candidates(), PERIOD)
+    problem = dense(X, r, [str(k) for k in range(X.shape[2])])
+    return weigh(problem, counts, precision, NUISANCE, candidates(), PERIOD)
 
 
 def evidence(seed: int = 0, rho: float = 0.0, planted: float = 0.0, n: int = N) -> Evidence:
@@ -71,29 +74,6 @@ def called_for(e: Evidence) -> list[Candidate]:
     """Candidates that the evidence calls for when nothing has been taken up yet."""
     falls = zip(e.candidates, e.additions([]), strict=True)
     return [c for c, fall in falls if fall > e.dispersion([], c) * e.threshold(c)]
-
-
-@pytest.mark.parametrize("weight", [np.ones(3), np.array([0.3, 20.0, 1e-3])])
-def test_columns_kept_joint_by_joint_are_the_columns(weight: np.ndarray) -> None:
-    """One block on all joints, one on one, one on two, one nowhere; a joint that never counts."""
-    rng = np.random.default_rng(1)
-    blocks = [rng.standard_normal((40, 3, size)) for size in (4, 1, 2, 3)]
-    blocks[1][:, [0, 2]] = blocks[2][:, 1] = blocks[3][:] = 0.0
-    counts = rng.random((40, 3)) < [0.7, 1.0, 0.0]
-    dense, sparse = (
-        np.concatenate(blocks, axis=2) * counts[:, :, None],
-        joint_columns(blocks, counts),
-    )
-    assert (len(sparse), sparse.nv, sparse.size) == dense.shape
-    assert [len(at) for at in sparse.index] == [6, 5, 6]
-    gram = np.einsum("njk,j,njl->kl", dense, weight, dense)
-    np.testing.assert_allclose(sparse.gram(weight), gram, rtol=1e-12, atol=1e-12)
-    r = rng.standard_normal((40, 3))
-    moments = np.einsum("njk,nj->jk", dense, r)
-    np.testing.assert_allclose(sparse.moments(r), moments, rtol=1e-12, atol=1e-12)
-    for shape in ((10,), (10, 5)):
-        x = rng.standard_normal(shape)
-        np.testing.assert_allclose(sparse.torque(x), np.tensordot(dense, x, axes=1), atol=1e-12)
 
 
 @pytest.mark.parametrize("n", [3000, 1200, 400])
@@ -166,6 +146,9 @@ def test_threshold_asks_more_of_more_coefficients_shapes_and_fewer_blocks() -> N
     assert e.threshold(one) < e.threshold(three) < e.threshold(ten)
     assert e.threshold(Candidate(one.effect, one.columns, one.scale, 100)) > e.threshold(one)
     assert evidence(0, n=400).threshold(one) > e.threshold(one)
+    shared = replace(e, by_share=True)
+    assert shared.threshold(one) == e.threshold(one)
+    assert shared.threshold(one, 5) < shared.threshold(one, 1) < e.threshold(one, 5)
     # with blocks without end, F is χ² over its degrees of freedom
     assert e.threshold(ten) > scipy.stats.chi2.isf(FALSE_ALARM / len(e.candidates), 10)
 

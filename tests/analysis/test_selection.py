@@ -1,4 +1,4 @@
-"""Effects beyond the standard model are added where an arm has them, and where it has none not.
+"""Effects beyond the standard model are chosen where an arm has them, and where it has none not.
 
 The virtual arm shares no code with the effects that are fitted.
 """
@@ -6,14 +6,12 @@ The virtual arm shares no code with the effects that are fitted.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from excitant.analysis.enrichment import FLOOR, Enrichment, beyond_chance, enriched, enrichment
-from excitant.analysis.enrichment_trial import trial_of
+from excitant.analysis.selection import choose_effects, described
 from excitant.cli import main
 from excitant.design import random_trajectory
 from excitant.identify import Recording, identify, load_dataset, recording_from_table
@@ -22,18 +20,21 @@ from excitant.identify.rows import fit_rows, with_own_torque
 from excitant.robots import Robot, base_parameters, load_robot
 from excitant.robots.effects import (
     EFFECTS,
+    Effect,
     LoadDependentFriction,
     PreslidingHysteresis,
-    StribeckFriction,
     ThermalFrictionDrift,
     TimeDelay,
-    plain,
     standard_effects,
 )
 from excitant.robots.parameters import violations
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors, virtual_arm
 
 DURATION, RATE_HZ = 20.0, 125.0
+PLANTED = (
+    HiddenEffect("stribeck_friction", "joint1", (("Fs", 3.0), ("velocity", 0.15))),
+    HiddenEffect("presliding_hysteresis", "joint2", (("Fh", 2.0), ("distance", 0.05))),
+)
 
 
 def recorded(
@@ -52,97 +53,47 @@ def recorded(
     ]
 
 
-def hidden(kind: str, joint: str, **values: float) -> HiddenEffect:
-    return HiddenEffect(kind, joint, tuple(values.items()))
-
-
-PLANTED = (
-    hidden("stribeck_friction", "joint1", Fs=3.0, velocity=0.15),
-    hidden("presliding_hysteresis", "joint2", Fh=2.0, distance=0.05),
-)
-
-
 @pytest.fixture(scope="module")
 def two(planar: Robot) -> list[Recording]:
     """A motion to fit and one to judge, of an arm with both planted."""
     return recorded(planar, 0, PLANTED, count=2)
 
 
-@pytest.fixture(scope="module")
-def found(planar: Robot, two: list[Recording]) -> Enrichment:
-    return enrichment(planar, two[:1])
-
-
-def test_planted_effects_are_added_where_they_are(found: Enrichment) -> None:
-    added = {(step.effect.name, joint) for step in found.steps for joint in step.effect.joints}
-    assert ("stribeck_friction", "joint1") in added
-    assert ("presliding_hysteresis", "joint2") in added
-    assert found.effects[:4] == standard_effects(("joint1", "joint2"))
-    assert tuple(step.effect for step in found.steps) == found.effects[4:]
-
-
-def test_each_addition_pays_beyond_chance_and_floor(found: Enrichment) -> None:
-    assert len(found.steps) >= 2
-    for step in found.steps:
-        places = 2 / len(step.effect.joints)
-        assert step.fall > max(FLOOR, beyond_chance(places) * step.error)
-        assert plain(step.effect.name) in step.sentence
-    assert (found.after < 0.8 * found.before).all()
-
-
-def test_what_was_added_predicts_an_unseen_motion_better(
-    planar: Robot, two: list[Recording], found: Enrichment
+def test_planted_effects_are_chosen_and_predict_an_unseen_motion_better(
+    planar: Robot, two: list[Recording]
 ) -> None:
     fit, unseen = two[:1], two[1:]
+    effects = choose_effects(planar, fit)
+    assert effects[:4] == standard_effects(planar.joints)
+    chosen = {(effect.name, joint) for effect in effects[4:] for joint in effect.joints}
+    assert {(each.effect, each.joint) for each in PLANTED} <= chosen
+    assert len(described(effects)) == len(effects) - 4
+    assert all(said.startswith("effect added: ") for said in described(effects))
     plain = identify(planar, fit, validate=unseen)
-    better = identify(planar, fit, validate=unseen, effects=found.effects)
+    better = identify(planar, fit, validate=unseen, effects=effects)
     assert (better.validate.rms < 0.9 * plain.validate.rms).all()
     assert violations(better.phi, planar.links) == []
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_plain_arm_gets_the_standard_model(planar: Robot, seed: int) -> None:
-    fit = recorded(planar, 10 + seed)
-    assert enriched(planar, fit) == standard_effects(planar.joints)
-
-
-def test_a_recording_in_pieces_is_left_out_in_few_parts(planar: Robot) -> None:
-    """However many gaps it has, and with every row in one part and one block."""
-    (whole,) = recorded(planar, 10)
-    kept = (whole.t - whole.t[0]) % 2.5 > 0.1
-    pieces = replace(whole, t=whole.t[kept], q=whole.q[kept], tau=whole.tau[kept], dq=None)
-    fit = identify(planar, [pieces], validate=[pieces])
-    assert len(fit.data.train) == 8
-    trial = trial_of(planar, fit)
-    assert set(trial.folds) == set(range(5))
-    assert set(trial.blocks) == set(range(max(trial.blocks) + 1))
-    for block in set(trial.blocks):
-        assert len(set(trial.folds[trial.blocks == block])) == 1
-
-
-def test_where_nothing_is_added_it_is_said(planar: Robot) -> None:
-    same = enrichment(planar, recorded(planar, 10))
-    assert same.steps == ()
-    np.testing.assert_array_equal(same.before, same.after)
-    assert len(same.notes) == 1
+    effects = choose_effects(planar, recorded(planar, 10 + seed))
+    assert effects == standard_effects(planar.joints)
+    assert len(described(effects)) == 1
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ur10", "panda"])
 def test_plain_larger_arms_get_hardly_anything(name: str) -> None:
     robot = load_robot(name)
-    added = [
-        step.sentence
-        for seed in range(10)
-        for step in enrichment(robot, recorded(robot, seed)).steps
-    ]
-    assert len(added) <= 1, added
+    added = [choose_effects(robot, recorded(robot, seed))[4:] for seed in range(10)]
+    assert sum(map(len, added)) <= 1, added
 
 
 @pytest.mark.parametrize(
     "effect",
     [
-        StribeckFriction(("joint1",)),
+        EFFECTS["stribeck_friction"](("joint1",)),
         PreslidingHysteresis(("joint1", "joint2"), distance=0.02),
         LoadDependentFriction(("joint2",)),
         ThermalFrictionDrift(("joint1",), time=20.0),
@@ -152,15 +103,14 @@ def test_plain_larger_arms_get_hardly_anything(name: str) -> None:
     ],
     ids=lambda effect: effect.name,
 )
-def test_identify_takes_every_kind(planar: Robot, two: list[Recording], effect: object) -> None:
+def test_identify_takes_every_kind(planar: Robot, two: list[Recording], effect: Effect) -> None:
     """One more kind of effect never makes the fit of what it was fitted to worse."""
+    standard = standard_effects(planar.joints)
     plain = identify(planar, two[:1], validate=two[1:])
-    more = identify(
-        planar, two[:1], validate=two[1:], effects=(*standard_effects(planar.joints), effect)
-    )
-    size = (plain.train.rms / plain.least_squares.sigma) ** 2
-    assert ((more.train.rms / plain.least_squares.sigma) ** 2).sum() <= 1.01 * size.sum()
-    assert more.model.effects[4].name == effect.name  # type: ignore[attr-defined]
+    more = identify(planar, two[:1], validate=two[1:], effects=(*standard, effect))
+    before, after = (fit.train.rms / plain.least_squares.sigma for fit in (plain, more))
+    assert (after**2).sum() <= 1.01 * (before**2).sum()
+    assert more.model.effects[4].name == effect.name
 
 
 def test_effects_of_torque_take_it_from_the_identified_arm(two: list[Recording]) -> None:
@@ -215,7 +165,7 @@ def test_real_friction_is_found(data_folder: Path) -> None:
     (whole,) = dataset.recordings(["unisa_exciting"])
     fit, unseen = [whole.between(0, 0.6, "first")], [whole.between(0.6, 1, "rest")]
     plain = identify(dataset.robot, fit, validate=unseen)
-    found = enriched(dataset.robot, fit)
+    found = choose_effects(dataset.robot, fit)
     better = identify(dataset.robot, fit, validate=unseen, effects=found)
     assert better.validate.nrmse.sum() < 0.85 * plain.validate.nrmse.sum()
     assert violations(better.phi, dataset.robot.links) == []
