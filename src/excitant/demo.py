@@ -79,14 +79,14 @@ def run_demo(
     advance(0.95, "writing the report")
     [hidden] = arm.hidden
     truth = {"effect": hidden.effect, "joint": hidden.joint, "parameters": dict(hidden.parameters)}
-    about = {
+    about: dict[str, Any] = {
         "verb": "demo",
         "robot": robot.name,
         "seed": seed,
         "truth": truth,
         "verdict": _verdict(hidden, results["diagnose"]),
     }
-    files = {
+    files: dict[str, str | bytes] = {
         "trajectory.csv": trajectory_csv(found.trajectory),
         "trajectory.json": trajectory_json(found.trajectory, robot),
         "excitation.parquet": table_bytes(excitation, ".parquet"),
