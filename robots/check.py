@@ -48,7 +48,7 @@ class ModelCheck:
     @cached_property
     def gravity_peaks(self) -> Array:
         """Largest gravity torque of each joint within the ranges, shape (nv,) [N·m or N]."""
-        return gravity_peaks(self.robot)[0]
+        return gravity_peaks(self.robot)
 
     @property
     def moving_mass(self) -> float:
@@ -149,11 +149,6 @@ class ModelCheck:
             for name, q in poses.items()
             for key, array in sketch(self.robot, q).items()
         }
-
-
-def check_model(robot: Robot, mass: float | None = None) -> tuple[ModelWarning, ...]:
-    """Everything in an arm's description that looks wrong; see `ModelCheck.warnings`."""
-    return ModelCheck(robot, mass).warnings
 
 
 def _finite(value: float) -> float | None:
@@ -299,12 +294,8 @@ def gravity_warnings(robot: Robot, peak: Array) -> Iterator[ModelWarning]:
             )
 
 
-def gravity_peaks(robot: Robot) -> tuple[Array, Array]:
-    """Largest gravity torque of each joint within the ranges, found by search.
-
-    Returns:
-        Torques, shape (nv,) [N·m or N], and the pose of each, shape (nv, nv) [rad or m].
-    """
+def gravity_peaks(robot: Robot) -> Array:
+    """Largest gravity torque of each joint within the ranges, by search, (nv,) [N·m or N]."""
     model, data = robot.model, robot.model.createData()
 
     def weight(q: Array) -> Array:
@@ -324,4 +315,4 @@ def gravity_peaks(robot: Robot) -> tuple[Array, Array]:
                     q[k] = x
                     if (torque := weight(q)[j]) > peak[j]:
                         peak[j], best[j] = torque, q
-    return np.where(peak > _LEVEL, peak, 0.0), best
+    return np.where(peak > _LEVEL, peak, 0.0)

@@ -8,6 +8,7 @@ URDF has no word for is kept beside it: gravity, armatures, springs, loops.
 
 from __future__ import annotations
 
+import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -71,7 +72,9 @@ def description_from_mjcf(path: str | Path) -> Description:
         if not len(spec.worldbody.bodies):
             raise BadRobot(path, "its <worldbody> holds no bodies; give an MJCF of an arm")
         _leave_out_drawing(spec, path)
-        model = spec.compile()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of attributes that MuJoCo will drop
+            model = spec.compile()
     except (ValueError, RuntimeError) as error:
         why = " ".join(str(error).replace("XML Error:", "").replace("Error:", "").split())
         raise BadRobot(path, f"MuJoCo cannot read it: {why}") from None

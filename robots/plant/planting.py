@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.exceptions import BadInput, UnknownName
+from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD, inertia
 from excitant.robots.plant.physics import (
     Bristles,
@@ -108,6 +109,18 @@ def plant(truth: Truth, joints: tuple[str, ...], effects: Iterable[HiddenEffect]
         index = [joints.index(joint) for joint in effect.acts_on] or list(range(len(joints)))
         truth = PLANTERS[kind](truth, index, **numbers)
     return truth
+
+
+def _scaled(values: Array, at: Any, factor: float) -> Array:
+    changed = np.array(values)
+    changed[at] *= factor
+    return changed
+
+
+def _shifted(values: Array, at: Any, amount: float) -> Array:
+    changed = np.array(values)
+    changed[at] += amount
+    return changed
 
 
 def _added_inertia(truth: Truth, joints: list[int], **phi: float) -> Truth:
@@ -234,9 +247,7 @@ def _shaft(
 
 
 def _coupled_rotors(truth: Truth, joints: list[int], *, Ic: float) -> Truth:
-    rotors, (j, k) = np.array(truth.rotors), joints
-    rotors[[j, k], [k, j]] += Ic
-    return replace(truth, rotors=rotors)
+    return replace(truth, rotors=_shifted(truth.rotors, (joints, joints[::-1]), Ic))
 
 
 def _ripple(
@@ -297,34 +308,29 @@ def _play(
 
 
 def _encoder_scale(truth: Truth, joints: list[int], *, scale: float) -> Truth:
-    factor = np.array(truth.encoder.scale)
-    factor[joints] *= scale
+    factor = _scaled(truth.encoder.scale, joints, scale)
     return replace(truth, encoder=Encoder(factor, truth.encoder.offset))
 
 
 def _encoder_offset(truth: Truth, joints: list[int], *, offset: float) -> Truth:
-    shift = np.array(truth.encoder.offset)
-    shift[joints] += offset
+    shift = _shifted(truth.encoder.offset, joints, offset)
     return replace(truth, encoder=Encoder(truth.encoder.scale, shift))
 
 
 def _torque_gain(truth: Truth, joints: list[int], *, gain: float) -> Truth:
-    gains = np.array(truth.recorder.gain)
-    gains[joints] *= gain
+    gains = _scaled(truth.recorder.gain, joints, gain)
     return replace(truth, recorder=replace(truth.recorder, gain=gains))
 
 
 def _crosstalk(truth: Truth, joints: list[int], *, gain: float) -> Truth:
     """A share of the second joint's torque in the record of the first."""
-    gains = np.array(truth.recorder.gain)
-    gains[joints[0], joints[1]] += gain
+    gains = _shifted(truth.recorder.gain, tuple(joints), gain)
     return replace(truth, recorder=replace(truth.recorder, gain=gains))
 
 
 def _delay(truth: Truth, joints: list[int], *, delay: float) -> Truth:
     """The torque is this late, or if negative the position."""
-    delays = np.array(truth.recorder.delay)
-    delays[joints] += delay
+    delays = _shifted(truth.recorder.delay, joints, delay)
     return replace(truth, recorder=replace(truth.recorder, delay=delays))
 
 
@@ -334,8 +340,8 @@ def _factor(
     """Factors on the columns."""
     factor = {}
     for name, value in (("q", q), ("dq", dq), ("tau", tau)):
-        factor[name] = np.array(truth.recorder.factor.get(name, np.ones(truth.nv)))
-        factor[name][joints] *= value
+        before = truth.recorder.factor.get(name, np.ones(truth.nv))
+        factor[name] = _scaled(before, joints, value)
     return replace(truth, recorder=Recorder(truth.recorder.gain, truth.recorder.delay, factor))
 
 

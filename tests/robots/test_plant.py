@@ -6,7 +6,6 @@ must be the effect's own law, written here once more; for two-mass joints MuJoCo
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 
@@ -17,120 +16,15 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plant_recordings import RATE, Recorded, at, away_from_changes, hidden, swing, true_arm
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots import Motion, Robot, load_robot, torque
+from excitant.robots import Robot, load_robot, torque
 from excitant.robots.effects import EFFECTS
 from excitant.robots.plant.arm import stick_or_slip
 from excitant.robots.plant.physics import Bristles, Gear
-from excitant.robots.plant.planting import PLANTERS, STRUCTURES, parameters_of
-from excitant.robots.virtual_arm import HiddenEffect, Sensors, ideal_sensors, virtual_arm
-
-Trajectory = Callable[[np.ndarray, int], np.ndarray]
-
-RATE = 1000.0
-STENCIL = np.array([-1 / 60, 3 / 20, -3 / 4, 0, 3 / 4, -3 / 20, 1 / 60]) * RATE
-"""Central difference of sixth order."""
-SMOOTH = 1e-4
-"""Error of the midpoint rule relative to the largest torque: (ω h)² / 4, ω = 40 rad/s."""
-
-
-def swing(robot: Robot) -> Trajectory:
-    """Out and back with other periods for each joint, from rest, within limits."""
-    low, high = np.clip(robot.limits.position, -2.0, 2.0).T
-    omega = 2 * np.pi * (0.35 + 0.07 * np.arange(robot.nv))
-    speed = np.minimum(robot.limits.velocity, 3.0)
-    amplitude = np.minimum(0.35 * (high - low) / 2, 0.35 * speed / omega)
-
-    def trajectory(t: np.ndarray, order: int = 0) -> np.ndarray:
-        phase = np.outer(t, omega) + np.pi + order * np.pi / 2
-        position = (low + high) / 2 if order == 0 else 0.0
-        return position + amplitude * omega**order * np.cos(phase)
-
-    return trajectory
-
-
-def hidden(kind: str, *joints: str, **parameters: float) -> HiddenEffect:
-    effect, structure = ("unknown", kind) if kind in STRUCTURES else (kind, "")
-    several = joints if len(joints) > 1 else ()
-    return HiddenEffect(effect, (*joints, "")[0], tuple(parameters.items()), several, structure)
-
-
-def away_from_changes(flags: np.ndarray, width: int = 8) -> np.ndarray:
-    """Rows around which a flag stays what it is."""
-    same = np.ones(len(flags), dtype=bool)
-    for shift in range(-width, width + 1):
-        same &= np.roll(flags, shift) == flags
-    return same
-
-
-class Recorded:
-    """A recording with true sensors and what inverse dynamics says about it."""
-
-    def __init__(
-        self,
-        robot: Robot,
-        *effects: HiddenEffect,
-        duration: float = 2.0,
-        warm: float = 0.0,
-        trajectory: Trajectory | None = None,
-        sensors: Sensors | None = None,
-    ) -> None:
-        rng = np.random.default_rng(0)
-        sensors = sensors or ideal_sensors(robot, RATE)
-        arm = virtual_arm(robot, rng, hidden=effects, sensors=sensors, tolerance=0.0)
-        table = arm.record(trajectory or swing(robot), duration, rng, warm=warm)
-        self.robot, self.table = robot, table
-        n = range(1, robot.nv + 1)
-        q, dq, tau = (table[[f"{c}{j}" for j in n]].to_numpy() for c in ("q", "dq", "tau"))
-        windows = np.lib.stride_tricks.sliding_window_view(dq, 7, axis=0)
-        rows = slice(3, len(q) - 3)
-        self.t, self.q, self.dq, self.tau = (
-            table["t"].to_numpy()[rows],
-            q[rows],
-            dq[rows],
-            tau[rows],
-        )
-        self.ddq = windows @ STENCIL
-
-    def rigid(self, robot: Robot | None = None, q: np.ndarray | None = None) -> np.ndarray:
-        """Pinocchio's torque for the motion, without friction and rotors."""
-        model = (robot or self.robot).model
-        data, q = model.createData(), self.q if q is None else q
-        states = zip(q, self.dq, self.ddq, strict=True)
-        return np.array([pin.rnea(model, data, *state) for state in states])
-
-    def drives(self) -> np.ndarray:
-        """Torque of the nominal friction and rotors."""
-        known = {e.name: np.array(e.values) for e in self.robot.effects[:3]}
-        return (
-            known["viscous_friction"] * self.dq
-            + known["coulomb_friction"] * np.sign(self.dq)
-            + known["rotor_inertia"] * self.ddq
-        )
-
-    @property
-    def rest(self) -> np.ndarray:
-        """Recorded torque beside the nominal arm's, shape (n, nv)."""
-        return self.tau - self.rigid() - self.drives()
-
-    @property
-    def sliding(self) -> np.ndarray:
-        """Rows where the acceleration has no jump, from reversals or from the controller."""
-        calm = (np.abs(self.dq) > 1e-3).all(axis=1)
-        for speed in (*self.dq.T, *swing(self.robot)(self.t, 1).T):
-            calm &= away_from_changes(np.sign(speed))
-        calm[:40] = False
-        return calm
-
-    def agree(
-        self, expected: np.ndarray, share: float = 1e-3, where: np.ndarray | None = None
-    ) -> None:
-        """The rest is what is expected, wherever the arm slides."""
-        rows = self.sliding if where is None else self.sliding & where
-        assert rows.mean() > 0.4
-        tolerance = share * np.abs(expected[rows]).max() + SMOOTH * np.abs(self.tau).max()
-        assert np.abs((self.rest - expected)[rows]).max() <= tolerance
+from excitant.robots.plant.planting import PLANTERS, parameters_of
+from excitant.robots.virtual_arm import ideal_sensors, virtual_arm
 
 
 @pytest.fixture(scope="module", params=["ur10", "planar_2r"])
@@ -141,13 +35,6 @@ def robot(request: pytest.FixtureRequest) -> Robot:
 @pytest.fixture(scope="module")
 def ur10() -> Robot:
     return load_robot("ur10")
-
-
-def at(robot: Robot, j: int, values: np.ndarray) -> np.ndarray:
-    """These values in joint j, zero elsewhere."""
-    full = np.zeros((len(values), robot.nv))
-    full[:, j] = values
-    return full
 
 
 def test_the_arm_itself_is_what_inverse_dynamics_says(robot: Robot) -> None:
@@ -462,15 +349,7 @@ def test_an_elastic_joint_rings_at_its_resonance(pendulum: Robot) -> None:
     ][order]
     limits = bare.limits
     strong = type(limits)(limits.position, limits.velocity, limits.acceleration, [1e6])
-    rng = np.random.default_rng(0)
-    arm = virtual_arm(
-        bare.with_limits(strong),
-        rng,
-        hidden=(gear,),
-        sensors=ideal_sensors(bare, RATE),
-        tolerance=0,
-    )
-    run = arm.run(kick, 3.0, rng)
+    run = true_arm(bare.with_limits(strong), gear).run(kick, 3.0, np.random.default_rng(0))
     tail = (run.link - run.q)[600:, 0]
     up = np.flatnonzero((tail[:-1] < 0) & (tail[1:] >= 0))
     instants = up - tail[up] / (tail[up + 1] - tail[up])
@@ -484,11 +363,8 @@ def test_an_elastic_joint_rings_at_its_resonance(pendulum: Robot) -> None:
 def test_an_elastic_joint_sags_under_gravity(pendulum: Robot) -> None:
     """At rest the link hangs lower than its motor by τ_g / k."""
     gear = hidden("joint_elasticity", "joint", stiffness=500.0, damping=10.0, motor=0.4)
-    rng = np.random.default_rng(0)
-    sensors = ideal_sensors(pendulum, RATE)
-    arm = virtual_arm(pendulum, rng, hidden=(gear,), sensors=sensors, tolerance=0.0)
     place = lambda t, order=0: np.full((len(t), 1), 1.0 * (order == 0))  # noqa: E731
-    run = arm.run(place, 1.0, rng)
+    run = true_arm(pendulum, gear).run(place, 1.0, np.random.default_rng(0))
     weight = 4 * 9.81 * 0.5 * np.sin(run.link[-1, 0])
     assert run.q[-1, 0] - run.link[-1, 0] == pytest.approx(weight / 500.0, rel=1e-3)
     assert np.abs(run.link - run.link[0]).max() < 5e-4
@@ -498,9 +374,7 @@ def test_backlash_opens_by_its_gap_at_reversals(pendulum: Robot) -> None:
     """Without gravity the link trails by half the gap, on the side from which it is pushed."""
     gear = hidden("backlash", "joint", gap=0.02, stiffness=1e5, damping=60.0, motor=0.4)
     bare = pendulum.with_gravity([0.0, 0.0, 0.0])
-    rng = np.random.default_rng(0)
-    arm = virtual_arm(bare, rng, hidden=(gear,), sensors=ideal_sensors(bare, RATE), tolerance=0.0)
-    run = arm.run(chirp, 3.0, rng)
+    run = true_arm(bare, gear).run(chirp, 3.0, np.random.default_rng(0))
     play = (run.q - run.link)[:, 0]
     ddq = chirp(run.t, 2)[:, 0]
     touching = (np.abs(ddq) > 0.5 * np.abs(ddq).max()) & (run.t > 0.5)
@@ -600,7 +474,7 @@ def test_a_known_effect_is_the_one_that_is_fitted(
     run = Recorded(known)
     shaft = run.dq[:, 4] - run.dq[:, 5]  # that of the coupling, which may stick
     rows = run.sliding & away_from_changes(np.sign(shaft)) & (np.abs(shaft) > 1e-3)
-    motion = Motion(run.t, run.q, run.dq, run.ddq)
+    motion = run.motion
     expected = torque(known, motion)
     assert np.abs(expected - torque(ur10, motion))[rows].max() > 0.1
     tolerance = 0.01 * np.abs(expected[rows]).max(axis=0)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import mujoco
 import numpy as np
 import pandas as pd
 import pinocchio as pin
 import pytest
+from plant_recordings import RATE, SMOOTH, Recorded, hold, swing, true_arm
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots import (
@@ -17,7 +16,6 @@ from excitant.robots import (
     base_parameters,
     load_robot,
     torque,
-    virtual_arm,
 )
 from excitant.robots.effects import EFFECTS, RotorInertia
 from excitant.robots.parameters import violations
@@ -35,67 +33,6 @@ from excitant.robots.virtual_arm import (
     typical_torque,
 )
 from excitant.robots.virtual_arm import virtual_arm as build
-
-Trajectory = Callable[[np.ndarray, int], np.ndarray]
-
-RATE = 1000.0
-STENCIL = np.array([-1 / 60, 3 / 20, -3 / 4, 0, 3 / 4, -3 / 20, 1 / 60]) * RATE
-"""Central difference of sixth order."""
-SMOOTH = 1e-4
-"""Error of the plant's midpoint rule relative to the largest torque: (ω h)² / 4 with the
-controller's ω = 40 rad/s, the fastest there is in smooth motion, and h = 0.5 ms."""
-
-
-def swing(robot: Robot, share: float = 0.35) -> Trajectory:
-    """Out and back with other periods for each joint, from rest, within limits."""
-    low, high = np.clip(robot.limits.position, -2.0, 2.0).T
-    omega = 2 * np.pi * (0.35 + 0.07 * np.arange(robot.nv))
-    speed = np.minimum(robot.limits.velocity, 3.0)
-    amplitude = np.minimum(share * (high - low) / 2, share * speed / omega)
-
-    def trajectory(t: np.ndarray, order: int = 0) -> np.ndarray:
-        phase = np.outer(t, omega) + np.pi + order * np.pi / 2
-        position = (low + high) / 2 if order == 0 else 0.0
-        return position + amplitude * omega**order * np.cos(phase)
-
-    return trajectory
-
-
-def hold(robot: Robot) -> Trajectory:
-    """Standing still somewhere."""
-    low, high = np.clip(robot.limits.position, -2.0, 2.0).T
-    place = low + 0.4 * (high - low)
-    return lambda t, order=0: np.ones((len(t), 1)) * place * (order == 0)
-
-
-def motion_of(table: pd.DataFrame) -> tuple[Motion, np.ndarray]:
-    """Recorded motion and torque, without the rows that the difference quotient lacks."""
-    n = (table.shape[1] - 1) // 3
-    q, dq, tau = (table[[f"{c}{j + 1}" for j in range(n)]].to_numpy() for c in ("q", "dq", "tau"))
-    windows = np.lib.stride_tricks.sliding_window_view(dq, 7, axis=0)
-    rows = slice(3, len(q) - 3)
-    return Motion(table["t"].to_numpy()[rows], q[rows], dq[rows], windows @ STENCIL), tau[rows]
-
-
-def sliding(motion: Motion) -> np.ndarray:
-    """Rows away from any standstill, where the acceleration has no jump."""
-    sign = np.sign(motion.dq)
-    calm = np.abs(motion.dq) > 1e-3
-    for shift in range(-8, 9):
-        calm &= np.roll(sign, shift, axis=0) == sign
-    calm[:8] = calm[-8:] = False
-    return calm.all(axis=1)
-
-
-def clean(robot: Robot, hidden: tuple[HiddenEffect, ...] = ()) -> virtual_arm.VirtualArm:
-    """A virtual arm that is the nominal one but for the hidden effects, with true sensors."""
-    sensors = ideal_sensors(robot, RATE)
-    rng = np.random.default_rng(0)
-    return build(robot, rng, hidden=hidden, sensors=sensors, tolerance=0.0)
-
-
-def record(robot: Robot, *hidden: HiddenEffect, duration: float = 3.0) -> pd.DataFrame:
-    return clean(robot, hidden).record(swing(robot), duration, np.random.default_rng(0))
 
 
 def mujoco_torque(robot: Robot, motion: Motion) -> np.ndarray:
@@ -115,7 +52,8 @@ def mujoco_torque(robot: Robot, motion: Motion) -> np.ndarray:
 
 def mujoco_error(robot: Robot) -> float:
     """Largest difference of the recorded torque from MuJoCo's, relative to the largest torque."""
-    motion, tau = motion_of(record(robot))
+    run = Recorded(robot, duration=3.0)
+    motion, tau = run.motion, run.tau
     return float(np.abs(tau - mujoco_torque(robot, motion)).max() / np.abs(tau).max())
 
 
@@ -135,8 +73,8 @@ def test_half_the_step_leaves_a_quarter_of_the_error(
 
 def test_power_goes_into_energy_and_friction(builtin: Robot) -> None:
     """∫ τ·q̇ dt = ΔE + ∫ (F_v q̇² + F_c |q̇|) dt, with the rotors' kinetic energy in E."""
-    run = record(builtin)
-    motion, tau = motion_of(run)
+    run = Recorded(builtin, duration=3.0)
+    motion, tau = run.motion, run.tau
     data = builtin.model.createData()
     numbers = {effect.name: np.array(effect.values) for effect in builtin.effects}
     energy = [
@@ -156,8 +94,8 @@ def test_power_goes_into_energy_and_friction(builtin: Robot) -> None:
 
 def test_hidden_payload_is_a_heavier_last_link(builtin: Robot) -> None:
     payload = draw_payload(builtin)
-    motion, tau = motion_of(record(builtin, payload))
-    rows = sliding(motion)
+    run = Recorded(builtin, payload, duration=3.0)
+    motion, tau, rows = run.motion, run.tau, run.sliding
     formula = EFFECTS["payload"]((payload.joint,)).with_values([v for _, v in payload.parameters])
     expected = torque(builtin.with_effects((*builtin.effects, formula)), motion)
     difference = np.abs(tau - expected)[rows].max(axis=0)
@@ -172,7 +110,7 @@ def test_standing_arm_stands_still(builtin: Robot) -> None:
         HiddenEffect("coulomb_friction", joint, (("Fc", float(limit)),))
         for joint, limit in zip(builtin.joints, builtin.limits.torque, strict=True)
     )
-    run = clean(builtin, strong).record(hold(builtin), 0.5, np.random.default_rng(0))
+    run = true_arm(builtin, *strong).record(hold(builtin), 0.5, np.random.default_rng(0))
     assert (run.filter(regex=r"^dq").to_numpy() == 0).all()
     assert (run.filter(regex=r"^q").nunique() == 1).all()
 
@@ -180,7 +118,7 @@ def test_standing_arm_stands_still(builtin: Robot) -> None:
 def test_a_stuck_joint_stays_while_the_others_move(builtin: Robot) -> None:
     j = builtin.nv - 1
     grip = HiddenEffect("coulomb_friction", builtin.joints[j], (("Fc", 1e4),))
-    run = record(builtin, grip, duration=1.0)
+    run = Recorded(builtin, grip, duration=1.0).table
     assert run[f"q{j + 1}"].nunique() == 1
     assert (run[f"dq{j + 1}"] == 0).all()
     travel = run.filter(regex=r"^q").max() - run.filter(regex=r"^q").min()
@@ -312,14 +250,14 @@ def test_torque_never_exceeds_the_limits(builtin: Robot) -> None:
     weak = type(limits)(
         limits.position, limits.velocity, limits.acceleration, 0.5 * typical_torque(builtin)
     )
-    run = record(builtin.with_limits(weak), duration=0.5)
+    run = Recorded(builtin.with_limits(weak), duration=0.5).table
     tau = run.filter(regex=r"^tau").to_numpy()
     assert (np.abs(tau) <= weak.torque).all()
     assert (np.abs(tau) == weak.torque).any()
 
 
 def test_it_starts_where_the_trajectory_starts_and_follows_it(builtin: Robot) -> None:
-    run, trajectory = record(builtin), swing(builtin)
+    run, trajectory = Recorded(builtin, duration=3.0).table, swing(builtin)
     q = run.filter(regex=r"^q").to_numpy()
     assert np.array_equal(q[:1], trajectory(np.zeros(1), 0))
     assert np.abs(q - trajectory(run["t"].to_numpy(), 0)).max() < 5e-3
@@ -328,7 +266,7 @@ def test_it_starts_where_the_trajectory_starts_and_follows_it(builtin: Robot) ->
 def test_arm_without_rotors_bears_a_payload(builtin: Robot) -> None:
     """Light wrists get the stiffness that their motors can give: 5 % of the limit at 0.01 rad."""
     bare = builtin.with_effects(())
-    run = record(bare, draw_payload(builtin))
+    run = Recorded(bare, draw_payload(builtin), duration=3.0).table
     q = run.filter(regex=r"^q").to_numpy()
     assert np.abs(q - swing(bare)(run["t"].to_numpy(), 0)).max() < 0.05
 
@@ -348,19 +286,19 @@ def test_joint_that_moves_no_inertia_is_refused() -> None:
     robot = load_robot("planar_2r").with_effects(())
     empty = robot.with_parameters([*robot.phi[:10], 1e-16, *np.zeros(9)])
     with pytest.raises(BadRobot, match="joint2 moves nothing"):
-        clean(empty).record(hold(empty), 0.1, np.random.default_rng(0))
+        true_arm(empty).record(hold(empty), 0.1, np.random.default_rng(0))
 
 
 def test_progress_grows_to_one(builtin: Robot) -> None:
     told: list[float] = []
-    arm = clean(builtin)
+    arm = true_arm(builtin)
     arm.record(swing(builtin), 2.5, np.random.default_rng(0), told.append)
     assert told == sorted(told)
     assert told[-1] == 1.0
 
 
 def test_refusals(builtin: Robot) -> None:
-    arm, rng = clean(builtin), np.random.default_rng(0)
+    arm, rng = true_arm(builtin), np.random.default_rng(0)
     moving = swing(builtin)
     with pytest.raises(BadInput, match="starts at"):
         arm.record(lambda t, order: moving(t + 0.1, order), 1.0, rng)
