@@ -158,7 +158,7 @@ def _facts(result: Result) -> Facts | None:
     judged = any(text(row, "decided_by") for row in rows)
     return facts(
         fact("Parameters", total, whole, "of all links, and of their joints' effects"),
-        fact("Base parameters", base, whole, "combinations that torque can show"),
+        fact("Base parameters", base, whole, "identifiable combinations"),
         fact("Condition number", kappa, number, "with the given motion"),
         fact("Not shown by this motion", hidden, whole, of, POOR if hidden else GOOD),
         fact("Decided by the prior", decided if judged else None, whole, decisive),
@@ -328,8 +328,8 @@ def _place(series: Series, link: Result, index: int, count: int) -> Figure | Non
     mass = next((number(at(row, "value")) for row in inertial if _symbol(row) == "m"), NONE)
     caption = (
         f"Link {index + 1} of {count}" + (f", {mass}\u00a0kg" if mass != NONE else "") + ". "
-        f"Of its ten parameters torque shows {unique} by themselves, {combined} only "
-        f"in combination and {none} not at all."
+        f"Of its ten parameters, {unique} are identifiable individually, {combined} only in "
+        f"combination and {none} not at all."
     )
     return chain_figure(series, index, text(link, "link"), caption)
 
@@ -364,7 +364,7 @@ def _parameters(link: Result) -> Table | None:
             ("name:Parameter", _symbol),
             *value,
             ("text:Unit", "unit"),
-            ("text:Torque shows it", _category),
+            ("text:Identifiable", _category),
             *seen,
         ],
         said,
@@ -405,14 +405,14 @@ def _combinations(result: Result, link: Result) -> Table | None:
     seen: tuple[Column, ...] = (*estimates(), ("text:Determined", _determined)) if known else ()
     return table(
         rows,
-        [("expression:Combination that torque shows", "expression"), *seen],
-        "Torque depends on these sums alone; how they divide among their members does not show.",
+        [("expression:Identifiable combination", "expression"), *seen],
+        "Torque depends on these sums alone, not on how they divide among their members.",
         folded(f"Its {len(found)} combinations", len(found), 1),
     )
 
 
 def _needed(link: Result) -> Table | None:
-    """What would show each parameter by itself, those with the same answer together."""
+    """What would identify each parameter individually, those with the same answer together."""
     groups: dict[str, list[str]] = {}
     for row in records(link, "parameters"):
         if text(row, "needed"):
@@ -420,7 +420,7 @@ def _needed(link: Result) -> Table | None:
     rows: list[Result] = [{"names": names, "needed": what} for what, names in groups.items()]
     return table(
         rows,
-        [("name:To see by itself", "names"), ("text:This is needed", "needed")],
+        [("name:To identify individually", "names"), ("text:Required", "needed")],
         "Found by adding each experiment's rows and looking at rank and standard deviation again.",
     )
 

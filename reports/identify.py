@@ -173,8 +173,8 @@ def _facts(result: Result) -> Facts | None:
     remark = "given → identified; nrmse, median over joints"
     return facts(
         Fact(error, change(before, after, percent), remark, number=after),
-        Fact("Physically consistent", physical, "every link is a body that can exist", tone),
-        fact("Base parameters", count or None, whole, "all that torque can show"),
+        Fact("Physically consistent", physical, "positive mass and inertia of every link", tone),
+        fact("Base parameters", count or None, whole, "identifiable combinations"),
         fact("Cut-off", at(result, "cutoff_hz"), unit_of("Hz"), CUTOFF_REMARK),
         Fact("Estimator", plain(text(result, "estimator"))),
         Fact("Effects", listing(effects), "besides the links' inertia"),
@@ -239,7 +239,7 @@ def _intervals(result: Result, unit: str) -> Table | None:
 
 
 def _essential(result: Result) -> Notes | None:
-    """How many base parameters would do; None where that was not asked."""
+    """How many base parameters are essential; None where that was not asked."""
     kept, dropped = (len(words(result, "essential", key)) for key in ("kept", "dropped"))
     few, every = (real(result, "essential", key) for key in ("nrmse_essential", "nrmse_all"))
     if not kept + dropped:
@@ -372,7 +372,7 @@ def _stage(stage: Result) -> list[Block | None]:
                 f"{len(found)} combinations determined, {len(missing)} not shown", len(cells), 6
             ),
         ),
-        notes([f"To see the rest, {each}." for each in words(stage, "needed")], FAIR),
+        notes([f"To identify the rest, {each}." for each in words(stage, "needed")], FAIR),
     ]
 
 

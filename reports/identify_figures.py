@@ -142,13 +142,13 @@ def _over_time(ax: Axes, t: Array, ordinate: str) -> None:
 
 
 def estimates_figure(history: History | None) -> Figure | None:
-    """Estimate and band over time of the parameters that the data taught most about."""
+    """Estimate and band over time of the parameters that the data determined most."""
     if history is None:
         return None
     panels = [_estimate_panel(history, k) for k in _chosen(history)]
     caption = (
         f"Estimate ± {_BAND:g} standard deviations over time of the {len(panels)} base parameters "
-        f"(of {len(history.names)}) that the data taught most about, at most one of each link or "
+        f"(of {len(history.names)}) whose uncertainty fell most, at most one of each link or "
         "joint: the band should close around a level line. A title names the leading "
         "parameter of its combination. Scaled to the second half of the time."
     )
@@ -157,10 +157,10 @@ def estimates_figure(history: History | None) -> Figure | None:
 
 
 def _chosen(history: History) -> list[int]:
-    """Parameters that the data taught most about: of links and of joints, one of each at most."""
+    """Parameters whose uncertainty fell most: of links and of joints, one of each at most."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        learnt = np.log(history.std[0] / history.std[-1])
-    order = np.argsort(-np.where(np.isfinite(learnt), learnt, -np.inf), kind="stable")
+        gain = np.log(history.std[0] / history.std[-1])
+    order = np.argsort(-np.where(np.isfinite(gain), gain, -np.inf), kind="stable")
     known = np.asarray(np.isfinite(history.value + history.std).all(axis=0))
     best: dict[str, int] = {}
     for k in order[known[order]]:
@@ -188,7 +188,7 @@ def _estimate_panel(history: History, k: int) -> Panel:
 
 
 def excitation_figure(result: Result) -> Figure | None:
-    """How much the last seconds told at each look, and where that was too little."""
+    """Excitation of the last seconds at each look, and where it was too little."""
     t, level = excitation_levels(result)
     seen = np.isfinite(level) & (level > 0)
     if seen.sum() < 2:
@@ -214,8 +214,8 @@ def excitation_figure(result: Result) -> Figure | None:
             f"({quantity(lacking, 's')} in all; a message's “since” is where its window began)"
         )
     caption = (
-        "Excitation level of the last seconds at each look: how many times more they tell about "
-        "the weakest direction that a fast motion of all joints shows than was known beforehand. "
+        "Excitation level of the last seconds at each look: information about the weakest "
+        "direction that a fast motion of all joints shows, relative to what was known beforehand. "
         f"Level 1 is enough; here {said}."
     )
     return Figure((panel(ax, f"excitation level over time; {said}"),), caption, tuple(legend))

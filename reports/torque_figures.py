@@ -171,20 +171,20 @@ def bars(errors: Errors, unit: str, models: Sequence[tuple[str, str]], what: str
                 continue
             y = row + 0.045 * (count - 1) + step * (i - (count - 1) / 2)
             ax.barh(y, min(length, top), height=0.88 * step, color=colour)
-            said = quantity(pair[0], unit) + " (bar cut)" * (length > top * 1.0001)
-            ax.text(min(length, top) + 0.012 * top, y, said, va="center", ha="left", fontsize=8)
+            rms = quantity(pair[0], unit) + " (bar cut)" * (length > top * 1.0001)
+            ax.text(min(length, top) + 0.012 * top, y, rms, va="center", ha="left", fontsize=8)
     bar_axes(ax, len(errors) - (0.6 if count < 3 else 0.5), 1.38 * top)
     if shares:
         percent_x(ax)
     ax.set_xlabel(_SHARE if shares else f"rms [{unit}]")
-    told = [
+    said = [
         f"{label} {quantity(pairs[i][0], unit)} at {joint}"
         for joint, pairs in errors
         for i, (label, _) in enumerate(models)
     ]
     measure = "as a share of the measured torque's standard deviation" if shares else "as rms"
     return Figure(
-        (panel(ax, f"rms per joint: {'; '.join(told)}"),),
+        (panel(ax, f"rms per joint: {'; '.join(said)}"),),
         f"{what}, {measure}; beside each bar the rms [{unit}]: shorter is better.",
         tuple(Key("box", colour, label) for label, colour in models),
     )
