@@ -17,16 +17,7 @@ from excitant.robots.robot import Robot
 if TYPE_CHECKING:
     from excitant.analysis.diagnosis import Diagnosis
 
-_REMAINS = {
-    "": "time",
-    "constant": "time",
-    "direction": "velocity",
-    "velocity": "velocity",
-    "position": "position",
-    "load": "load",
-    "reversal": "reversal",
-    "time": "time",
-}
+_DRAWN_OVER = {"": "time", "constant": "time", "direction": "velocity"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +54,7 @@ def curve_of(diagnosis: Diagnosis, item: Finding | Residual) -> Curve:
     moves = diagnosis.held.moves
     if isinstance(item, Residual):
         j = diagnosis.robot.joint_index(item.joint)
-        label, x = _abscissa(diagnosis, _REMAINS[item.dominant], j)
+        label, x = _abscissa(diagnosis, _DRAWN_OVER.get(item.dominant, item.dominant), j)
         return Curve(j, label, np.where(moves[:, j], x, np.nan), diagnosis.left[:, j])
     j, other = _shown(diagnosis, item)
     torque = item.torque[:, j]

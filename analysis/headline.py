@@ -55,16 +55,11 @@ def headline(diagnosis: Diagnosis) -> str:
     """The most important finding in one sentence, what is doubtful about it, and what else."""
     order = diagnosis.ordered
     if not order:
-        return " ".join(
-            filter(
-                None,
-                (
-                    "No cause stands out: what the given model misses lies within the tolerance "
-                    "of its own values or within the noise.",
-                    at_rest(diagnosis),
-                ),
-            )
+        nothing = (
+            "No cause stands out: what the given model misses lies within the tolerance of its own "
+            "values or within the noise."
         )
+        return f"{nothing} {at_rest(diagnosis)}".rstrip()
     if isinstance(order[0], Residual):
         return _open(diagnosis, order[0])
     if placeholders(diagnosis):
@@ -75,8 +70,8 @@ def headline(diagnosis: Diagnosis) -> str:
     joints = [joint for f in lead for joint in f.effect.joints]
     before, after = diagnosis.before_and_after(lead)
     gain = f"hold-out error {before:.2g} → {after:.2g} {diagnosis.data.unit}"
-    said = f"{_in_words(lead[0], joints, diagnosis)}; {gain}.{_reservation(lead, diagnosis)}"
-    return f"{said}{_more(len(order) - 1)}"
+    said = lead[0].effect.sentence(diagnosis.robot, joints, lead[0].given)
+    return f"{said}; {gain}.{_reservation(lead, diagnosis)}{_more(len(order) - 1)}"
 
 
 def _open(diagnosis: Diagnosis, left: Residual) -> str:
@@ -157,16 +152,9 @@ def _apart_from(known: str, groups: Sequence[Sequence[Finding]], diagnosis: Diag
     if not groups:
         return ""
     lead = groups[0]
-    words = _in_words(lead[0], [j for f in lead for j in f.effect.joints], diagnosis)
+    joints = [joint for f in lead for joint in f.effect.joints]
+    words = lead[0].effect.sentence(diagnosis.robot, joints, lead[0].given)
+    if words.startswith(("A ", "The ")):
+        words = words[0].lower() + words[1:]
     verdict = "" if all(f.verdict == "named" for f in lead) else " (undecided)"
-    return f" Beside {known}: {_inside(words)}{verdict}."
-
-
-def _inside(words: str) -> str:
-    """A sentence as it stands within another."""
-    article = words.startswith(("A ", "The "))
-    return words[0].lower() + words[1:] if article else words
-
-
-def _in_words(finding: Finding, joints: Sequence[str], diagnosis: Diagnosis) -> str:
-    return finding.effect.sentence(diagnosis.robot, joints, finding.given)
+    return f" Beside {known}: {words}{verdict}."

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.analysis.uncertainty import ROUGHLY, deviations, triangle
-from excitant.identify.base_prior import lively_motion
+from excitant.identify.base_prior import reference_motion
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -93,7 +93,7 @@ def candidate_experiments(
         measured: Joints whose torque is measured.
     """
     rows = list(measured)
-    every_joint = lively_motion(robot, _DURATION, _RATE_HZ)
+    every_joint = reference_motion(robot, _DURATION, _RATE_HZ)
 
     def factor(arm: Robot, motion: Motion, of: Sequence[int]) -> Array:
         W = observation_columns(arm, effects, motion)[:, list(of)]
@@ -225,7 +225,7 @@ def scale_deviation(robot: Robot, effects: Sequence[Effect], sigma: Array) -> fl
         effects: Effects whose coefficients are unknown too.
         sigma: Noise of each joint, shape (nv,) [N·m].
     """
-    motion = lively_motion(robot, _DURATION, _RATE_HZ)
+    motion = reference_motion(robot, _DURATION, _RATE_HZ)
     W = observation_columns(robot, effects, motion)
     load = np.zeros(W.shape[2])
     load[10 * robot.nv - 10] = PAYLOAD_KG

@@ -163,7 +163,8 @@ class Refit:
             f"error off the hold-out ({quoted})"
         )
         if not self.possible:
-            return f"{said}, but no bodies can have the values it takes: the cause is elsewhere."
+            impossible = "no bodies can have the values that this takes"
+            return f"{said}, but {impossible}: the cause is elsewhere."
         move = self.most_moved
         if move.most <= LIKELY:
             return f"{said}, within what given values may be off."

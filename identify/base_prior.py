@@ -1,4 +1,4 @@
-"""What is known of base parameters before any data, and a lively motion to measure against."""
+"""What is known of base parameters before any data, and a reference motion to measure against."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values, observation_columns, torque
 
 _HARMONICS = 5
-_LIVELINESS = 0.5  # share of the limits on speed and acceleration that a lively motion uses
+_LIMIT_SHARE = 0.5  # share of the limits on speed and acceleration that a reference motion uses
 _FREE_SPEED, _FREE_ACCELERATION = 3.0, 10.0  # rad/s, rad/s² where there is no limit
 _RANGE = 0.9  # share of the position limits
 
@@ -47,7 +47,7 @@ class BasePrior:
         return gaussian(self.mean, self.covariance)
 
 
-def lively_motion(robot: Robot, duration: float, rate_hz: float) -> Motion:
+def reference_motion(robot: Robot, duration: float, rate_hz: float) -> Motion:
     """All joints moving at once at half their limits: what a motion of this length can show.
 
     Sums of five harmonics with fixed random phases around the middle of the position limits;
@@ -66,7 +66,7 @@ def lively_motion(robot: Robot, duration: float, rate_hz: float) -> Motion:
     speed = np.where(robot.limits.velocity < 1e3, robot.limits.velocity, _FREE_SPEED)
     limit = robot.limits.acceleration
     acceleration = np.where(limit < 1e4, limit, _FREE_ACCELERATION)
-    ends = (_RANGE * (high - low) / 2, _LIVELINESS * speed, _LIVELINESS * acceleration)
+    ends = (_RANGE * (high - low) / 2, _LIMIT_SHARE * speed, _LIMIT_SHARE * acceleration)
     largest = [np.abs(values).max(axis=0) for values in orders]
     scale = np.min([end / size for end, size in zip(ends, largest, strict=True)], axis=0)
     return Motion(t, (low + high) / 2 + scale * orders[0], scale * orders[1], scale * orders[2])
@@ -100,8 +100,8 @@ def base_prior(
 
 
 def _effect_sizes(robot: Robot, effects: Sequence[Effect]) -> Array:
-    """Coefficients that would make as much torque as a lively motion needs, shape (e,)."""
-    motion = lively_motion(robot, 10.0, 20.0)
+    """Coefficients that would make as much torque as a reference motion needs, shape (e,)."""
+    motion = reference_motion(robot, 10.0, 20.0)
     columns = observation_columns(robot, effects, motion)[:, :, 10 * robot.nv :]
     size = np.sqrt((columns**2).mean(axis=0))
     needed = np.sqrt((torque(robot, motion) ** 2).mean(axis=0))

@@ -4,7 +4,7 @@ Over a window, rows W of torque noise σ carry the information J = Σ Wᵀ σ⁻
 parameters. It is measured against what is known beforehand, P: the eigenvalues of LᵀJL,
 P = LLᵀ, say how many times more the window knows than the prior, direction by direction. Some
 directions no motion of the arm shows above the noise; they are left out by the same count for a
-lively motion of all joints that lasts as long (`lively_motion`). A motion is persistently
+reference motion of all joints that lasts as long (`reference_motion`). A motion is persistently
 exciting at level α over a window when in every such window no visible direction falls below α.
 Level 1 is what it takes to know a parameter better from the window than from the prior.
 """
@@ -18,17 +18,17 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import BadInput
-from excitant.identify.base_prior import BasePrior, base_prior, lively_motion
+from excitant.identify.base_prior import BasePrior, base_prior, reference_motion
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns, torque
 
-NOISE_SHARE = 0.01  # noise of a row in parts of the torque of a lively motion, when not known
+NOISE_SHARE = 0.01  # noise of a row in parts of the torque of a reference motion, when not known
 ROWS_PER_SECOND = 20.0  # independent rows of torque filtered at 10 Hz
 ENOUGH = 1.0  # the window knows as much as the prior
-_VISIBLE = 10.0  # level of a lively motion that makes a direction worth asking for
+_VISIBLE = 10.0  # level of a reference motion that makes a direction worth asking for
 _LISTED = 6  # weak directions that are spelt out
 
 
@@ -105,7 +105,7 @@ class ExcitationJudge:
         sigma: Noise of an independent row, shape (nv,) [torque unit].
         window: Length of the windows [s].
         basis: Visible directions, columns of L V, shape (r, v).
-        lively: A lively motion as long as the window.
+        reference: A reference motion as long as the window.
     """
 
     robot: Robot
@@ -114,7 +114,7 @@ class ExcitationJudge:
     sigma: Array
     window: float
     basis: Array
-    lively: Motion
+    reference: Motion
 
     def __post_init__(self) -> None:
         freeze(self, "sigma", "basis")
@@ -162,19 +162,19 @@ class ExcitationJudge:
         return float(min(1.0, ROWS_PER_SECOND * step)) if step > 0 else 1.0
 
     def _helpers(self, motion: Motion, V: Array) -> Array:
-        """Level of each weak direction if one joint moved lively, shape (nv, weak)."""
-        n = min(len(motion), len(self.lively))
+        """Level of each weak direction if one joint moved like that, shape (nv, weak)."""
+        n = min(len(motion), len(self.reference))
         thin = motion[np.linspace(0, len(motion) - 1, n).astype(int)]
-        lively = self.lively[np.linspace(0, len(self.lively) - 1, n).astype(int)]
+        reference = self.reference[np.linspace(0, len(self.reference) - 1, n).astype(int)]
         levels = np.empty((self.robot.nv, V.shape[1]))
         for j in range(self.robot.nv):
             parts = []
             for name in ("q", "dq", "ddq"):
                 values = np.array(getattr(thin, name))
-                values[:, j] = getattr(lively, name)[:, j]
+                values[:, j] = getattr(reference, name)[:, j]
                 parts.append(values)
-            seen = self.columns(Motion(lively.t, *parts)) @ V
-            levels[j] = self._weight(lively) * (seen**2).sum(axis=(0, 1))
+            seen = self.columns(Motion(reference.t, *parts)) @ V
+            levels[j] = self._weight(reference) * (seen**2).sum(axis=(0, 1))
         return levels
 
     def _joints(self, levels: Array) -> tuple[str, ...]:
@@ -213,21 +213,21 @@ def excitation_judge(
         effects: Effects to estimate; friction, offset and rotor inertia when None.
         window: Length of the windows [s].
         sigma: Noise of an independent row of torque, shape (nv,); 1 % of the torque of a
-            lively motion when None.
+            reference motion when None.
         base: Base parameters of robot and effects, where they are at hand.
         prior: What is known beforehand; the given robot when None.
     """
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     base = base_parameters(robot, effects) if base is None else base
     prior = base_prior(robot, effects, base) if prior is None else prior
-    lively = lively_motion(robot, window, ROWS_PER_SECOND if window > 2 else 40 / window)
+    reference = reference_motion(robot, window, ROWS_PER_SECOND if window > 2 else 40 / window)
     if sigma is None:
-        rms = np.sqrt((torque(robot, lively) ** 2).mean(axis=0))
+        rms = np.sqrt((torque(robot, reference) ** 2).mean(axis=0))
         sigma = NOISE_SHARE * np.maximum(rms, 1e-3 * rms.max())
     scale = np.sqrt(np.diag(prior.covariance))
     L = scale[:, None] * np.linalg.cholesky(prior.covariance / np.outer(scale, scale))
-    judge = ExcitationJudge(robot, effects, base, sigma, window, L, lively)
-    levels, V = scipy.linalg.eigh(judge._weight(lively) * _gram(judge.columns(lively)))
+    judge = ExcitationJudge(robot, effects, base, sigma, window, L, reference)
+    levels, V = scipy.linalg.eigh(judge._weight(reference) * _gram(judge.columns(reference)))
     return replace(judge, basis=L @ V[:, levels >= _VISIBLE])
 
 
@@ -272,7 +272,7 @@ def persistency(
 ) -> Persistency:
     """Whether a motion is persistently exciting, over which window, at which level.
 
-    What counts as visible is what a lively motion shows in the window asked for.
+    What counts as visible is what a reference motion shows in the window asked for.
 
     Args:
         robot: The arm.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from excitant.exceptions import BadRecording
-from excitant.identify.base_prior import BasePrior, base_prior, lively_motion
+from excitant.identify.base_prior import BasePrior, base_prior, reference_motion
 from excitant.identify.differentiators import causal_polynomial, position_spectrum
 from excitant.identify.estimate import Estimate, judged
 from excitant.identify.excitation import (
@@ -33,7 +33,7 @@ WINDOW = 8.0  # s of motion that the monitor looks at
 _BETWEEN = 1.0  # s set between recordings that follow each other
 _PERIOD = 0.5  # s between two looks
 _KEPT = 100  # looks written to result.json
-_LIVELY = 10.0  # s of lively motion over which the uncertainty of the torque is taken
+_REFERENCE = 10.0  # s of reference motion over which the uncertainty of the torque is taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Look:
     Attributes:
         estimate: The estimate.
         excitation: What the last seconds showed; None before a whole window.
-        uncertainty: Rms torque error that the uncertainty of the estimate makes on a lively
+        uncertainty: Rms torque error that the uncertainty of the estimate makes on a reference
             motion, shape (nv,) [torque unit].
     """
 
@@ -75,9 +75,9 @@ class Monitor:
         self.messages: list[tuple[float, str]] = []
         self._enough, self._converged = True, False
         robot, base = estimator.robot, estimator.base
-        motion = lively_motion(robot, _LIVELY, ROWS_PER_SECOND)
+        motion = reference_motion(robot, _REFERENCE, ROWS_PER_SECOND)
         columns = observation_columns(robot, estimator.effects, motion)
-        self._lively: Array = columns[:, :, base.columns]
+        self._reference: Array = columns[:, :, base.columns]
 
     def look(self) -> Look:
         """Look now, and say what has changed.
@@ -94,7 +94,7 @@ class Monitor:
     def _uncertainty(self, P: Array) -> Array:
         if not np.isfinite(P).all():
             return np.full(self.estimator.robot.nv, np.inf)
-        W = self._lively
+        W = self._reference
         variance = np.einsum("njr,rs,njs->nj", W, P, W, optimize=True).mean(axis=0)
         return np.asarray(np.sqrt(np.maximum(variance, 0)), float)
 
@@ -181,11 +181,17 @@ def replay(
     rate = 1 / float(np.median(np.diff(t)))
     longest = max(uninterrupted(t), key=len)
     spectrum = position_spectrum(t[longest], q[longest])
-    choice, noise = causal_polynomial(spectrum), spectrum.noise
+    choice = causal_polynomial(spectrum)
     estimator = OnlineEstimator(
-        robot, effects, rate_hz=rate, differentiator=choice.differentiator,
-        forgetting=forgetting, prior=prior, position_noise=noise, base=base,
-    )  # fmt: skip
+        robot,
+        effects,
+        rate_hz=rate,
+        differentiator=choice.differentiator,
+        forgetting=forgetting,
+        prior=prior,
+        position_noise=spectrum.noise,
+        base=base,
+    )
     measure = prior if isinstance(prior, BasePrior) else base_prior(robot, effects, base)
     monitor, looks, due = Monitor(estimator, measure), [], t[0] + 1.0
     for k in range(len(t)):
@@ -302,9 +308,14 @@ def identify_online(
     base = base_parameters(robot, effects)
     rows = fit_rows(robot, effects, base, data)
     run = replay(
-        robot, joined(fitted(recordings, validate)), effects=effects, base=base,
-        forgetting=forgetting, gains=rows.gains, progress=progress,
-    )  # fmt: skip
+        robot,
+        joined(fitted(recordings, validate)),
+        effects=effects,
+        base=base,
+        forgetting=forgetting,
+        gains=rows.gains,
+        progress=progress,
+    )
     last, known = run.estimate, run.estimate.data
     physical = fit_physical(known.R @ base.regrouping, known.z, prior, rows.open_prior)
     fit = LeastSquares(last.beta, last.covariance, last.sigma, last.inflation)

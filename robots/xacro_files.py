@@ -119,11 +119,14 @@ def _own_functions(path: Path, packages: Sequence[str | Path]) -> Iterator[None]
         (xacro, "safe_eval", _evaluated),
     )
     before = [getattr(module, name) for module, name, _ in own]
+    python = xacro._global_symbols["python"]
+    removed = {name: python.pop(name) for name in _LEADING_OUT}
     for module, name, function in own:
         setattr(module, name, function)
     try:
         yield
     finally:
+        python.update(removed)
         for (module, name, _), function in zip(own, before, strict=True):
             setattr(module, name, function)
 
@@ -149,7 +152,7 @@ def _evaluated_substitution(expression: str, context: dict[str, Any]) -> str:
 
 
 _ATTRIBUTE = "attribute of"  # no name that an expression could have
-_REFUSED = ("type", "vars")  # functions of xacro's that lead to everything else
+_LEADING_OUT = ("type", "vars")  # functions that xacro offers and that lead to everything else
 _UNSAFE = "an expression uses {}, which is refused as unsafe"
 
 
@@ -158,7 +161,7 @@ def _compiled(expression: str) -> CodeType:
     tree = ast.parse(expression.strip(), mode="eval")
     for node in ast.walk(tree):
         name = node.id if isinstance(node, ast.Name) else ""
-        if name.startswith("__") or name in _REFUSED:
+        if name.startswith("__"):
             raise ValueError(_UNSAFE.format(name))
     return compile(ast.fix_missing_locations(_Attributes().visit(tree)), "<expression>", "eval")
 
@@ -175,7 +178,7 @@ class _Attributes(ast.NodeTransformer):
 def _attribute(value: Any, name: str) -> Any:
     """An attribute of plain data or of one of xacro's name spaces; no other object has any."""
     plain = isinstance(value, (str, int, float, list, tuple, dict))
-    if not plain or name.startswith("_") or name in ("format", "format_map", *_REFUSED):
+    if not plain or name.startswith("_") or name in ("format", "format_map"):
         raise ValueError(_UNSAFE.format(f"{type(value).__name__}.{name}"))
     return getattr(value, name)
 

@@ -83,7 +83,7 @@ def test_the_written_recordings_give_the_same_diagnosis(
 def test_three_seeds_are_named_right(result: dict[str, Any]) -> None:
     silent: Callable[[float, str], None] = lambda fraction, words: None  # noqa: E731
     robot = load_robot("ur10")
-    others = [run_demo(robot, seed, silent).result for seed in range(2)]
+    others = [run_demo(robot, seed, silent)[0] for seed in range(2)]
     verdicts = [(v["seed"], v["truth"]["effect"], v["verdict"]) for v in (result, *others)]
     assert len(verdicts) == 3
     assert all(verdict["correct"] for *_, verdict in verdicts), verdicts

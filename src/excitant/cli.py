@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
 from typing import Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
@@ -131,8 +133,8 @@ def demo(
 
     arm = part.robot(robot)
     with progress_bar("demo") as advance:
-        outcome = run_demo(arm, seed, advance)
-    run.finish(run.folder("demo", arm.name), outcome.result, outcome.series, outcome.files)
+        result, series, files = run_demo(arm, seed, advance)
+    run.finish(run.folder("demo", arm.name), result, series, files)
 
 
 def robots(
@@ -149,17 +151,38 @@ def robots(
         robot: Built-in name, URDF, xacro, MJCF or robot.yaml.
         mass: What the whole arm weighs [kg], to compare with its description.
     """
-    from excitant.robot_commands import list_robots, show_robot
+    from excitant.reports import page_of, summary, table_lines
+    from excitant.robots import builtin_robots
+    from excitant.robots.check import ModelCheck
+    from excitant.robots.library.catalogue import arm_entry, catalogue, catalogue_rows
 
     if robot is None:
         for option, value in (("-o", run.output), ("--mass", mass)):
             if value is not None:
                 raise BadInput(f"{option} is about one arm; name it, e.g. excitant robots ur10")
-        list_robots(run.json)
+        if run.json:
+            arms = [
+                asdict(arm) | {"joints": arm.joints, "mass": arm.moving_mass} for arm in catalogue()
+            ]
+            print_json({"verb": "robots", "robots": arms})
+            return
+        heads, *rows = catalogue_rows()
+        kinds = ["number" if "[kg]" in head else "name" for head in heads]
+        print("\n".join(table_lines(list(zip(heads, kinds, strict=True)), rows)))
         return
     if mass is not None and not mass > 0:
         raise BadInput(f"--mass {mass:g} must be positive: what the whole arm weighs, in kg")
-    show_robot(robot, part.robot(robot), mass, run)
+    check = ModelCheck(part.robot(robot), mass)
+    result = check.result()
+    if robot in builtin_robots():
+        entry = arm_entry(robot)
+        result |= {"kind": entry.kind, "sources": entry.sources}
+    if run.output is not None:
+        run.finish(Path(run.output), result, check.series(), {})
+    elif run.json:
+        print_json(result)
+    else:
+        print(summary(page_of(result, {})), end="")
 
 
 def report(*folders: str, run: Run = Run()) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,22 +31,9 @@ _STARTS = 8
 _PERIODS = 2  # recorded of the excitation
 
 
-@dataclass(frozen=True, eq=False)
-class Demo:
-    """What the demo writes.
-
-    Attributes:
-        result: result.json with one entry per verb.
-        series: Arrays, keys prefixed by the verb.
-        files: Artefacts by name.
-    """
-
-    result: dict[str, Any]
-    series: dict[str, Array]
-    files: dict[str, str | bytes]
-
-
-def run_demo(robot: Robot, seed: int, advance: Advance) -> Demo:
+def run_demo(
+    robot: Robot, seed: int, advance: Advance
+) -> tuple[dict[str, Any], dict[str, Array], dict[str, str | bytes]]:
     """Design, run, identify, analyze and diagnose.
 
     The virtual arm differs from the given robot by some per cent in every value and by one
@@ -57,6 +43,9 @@ def run_demo(robot: Robot, seed: int, advance: Advance) -> Demo:
         robot: The robot as given, with its limits and effects.
         seed: Draws the hidden effect, its joint and size, and all noise.
         advance: Told how far it is.
+
+    Returns:
+        result.json with one entry per verb; arrays, keys prefixed by the verb; artefacts by name.
     """
     rng = np.random.default_rng(seed)
     arm = virtual_arm(robot, rng)
@@ -79,40 +68,33 @@ def run_demo(robot: Robot, seed: int, advance: Advance) -> Demo:
     advance(0.85, "diagnosing")
     diagnosis = diagnose(robot, [recording], validate=[held])
     known = analyze(robot, estimate=estimate)
-    verbs = {
-        "design": (found.result(), found.series()),
-        "identify": (estimate.result(), estimate.series()),
-        "analyze": (known.result(), known.series()),
-        "diagnose": (diagnosis.result(), diagnosis.series()),
+    verbs: dict[str, Any] = {
+        "design": found,
+        "identify": estimate,
+        "analyze": known,
+        "diagnose": diagnosis,
     }
+    results = {verb: noun.result() for verb, noun in verbs.items()}
+    series = {f"{v}/{key}": a for v, noun in verbs.items() for key, a in noun.series().items()}
     advance(0.95, "writing the report")
-    return Demo(
-        result={
-            "verb": "demo",
-            "robot": robot.name,
-            "seed": seed,
-            "truth": _truth(arm.hidden[0]),
-            "verdict": _verdict(arm.hidden[0], verbs["diagnose"][0]),
-            **{verb: result for verb, (result, _) in verbs.items()},
-        },
-        series={f"{v}/{key}": a for v, (_, arrays) in verbs.items() for key, a in arrays.items()},
-        files={
-            "trajectory.csv": trajectory_csv(found.trajectory),
-            "trajectory.json": trajectory_json(found.trajectory, robot),
-            "excitation.parquet": table_bytes(excitation, ".parquet"),
-            "holdout.parquet": table_bytes(holdout, ".parquet"),
-            **model_files(estimate.model, "identified", "model.yaml"),
-            **model_files(diagnosis.extension.model, "extended", "extended.yaml"),
-        },
-    )
-
-
-def _truth(hidden: HiddenEffect) -> dict[str, Any]:
-    return {
-        "effect": hidden.effect,
-        "joint": hidden.joint,
-        "parameters": dict(hidden.parameters),
+    [hidden] = arm.hidden
+    truth = {"effect": hidden.effect, "joint": hidden.joint, "parameters": dict(hidden.parameters)}
+    about: dict[str, Any] = {
+        "verb": "demo",
+        "robot": robot.name,
+        "seed": seed,
+        "truth": truth,
+        "verdict": _verdict(hidden, results["diagnose"]),
     }
+    files: dict[str, str | bytes] = {
+        "trajectory.csv": trajectory_csv(found.trajectory),
+        "trajectory.json": trajectory_json(found.trajectory, robot),
+        "excitation.parquet": table_bytes(excitation, ".parquet"),
+        "holdout.parquet": table_bytes(holdout, ".parquet"),
+        **model_files(estimate.model, "identified", "model.yaml"),
+        **model_files(diagnosis.extension.model, "extended", "extended.yaml"),
+    }
+    return about | results, series, files
 
 
 def _verdict(hidden: HiddenEffect, diagnosis: Mapping[str, Any]) -> dict[str, Any]:

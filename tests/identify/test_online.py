@@ -315,11 +315,11 @@ def test_the_monitor_says_since_when_and_which_joint(planar: Robot, motion_of: M
 
 def test_persistency_of_motions(planar: Robot, motion_of: MotionOf) -> None:
     motion = motion_of(planar, T)[::5]
-    lively = persistency(planar, motion, window=4.0)
-    assert lively.persistent
-    assert lively.level > 1
-    assert lively.shortest is not None
-    assert lively.shortest <= 6.0
+    reference = persistency(planar, motion, window=4.0)
+    assert reference.persistent
+    assert reference.level > 1
+    assert reference.shortest is not None
+    assert reference.shortest <= 6.0
     still = Motion(motion.t, np.tile(motion.q[0], (len(motion), 1)), 0 * motion.q, 0 * motion.q)
     silent = persistency(planar, still, window=4.0)
     assert not silent.persistent

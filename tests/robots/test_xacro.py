@@ -171,6 +171,7 @@ ESCAPES = {
     "format": "'{0.__class__}'.format(1)",
     "type": "python.type(1)",
     "vars": "python.vars(python.type(1))",
+    "vars by key": "python['vars'](python['type'])['__subclasses__']",
     "method of a function": "python.abs.__self__",
     "builtin": "exec('import os; os.system(&quot;touch ran&quot;)')",
     "frames of a run": "[g.gi_frame.f_back.f_back for g in [0]]",
@@ -204,6 +205,7 @@ def test_an_expression_reaches_nothing_but_values(
         "$(eval 2 * length + 2)",
         "$(eval max_mass if 2 > 1 else 0)",
         "${python.sum(x * scale for x in [1.5])}",
+        "${type * vars}",
     ],
 )
 def test_expressions_of_values_are_evaluated(arm: Path, expression: str) -> None:
@@ -212,6 +214,7 @@ def test_expressions_of_values_are_evaluated(arm: Path, expression: str) -> None
         ARM.replace('mass="3"', f'mass="{expression}"').replace(
             '<link name="base"/>',
             '<xacro:arg name="max_mass" default="3"/><xacro:property name="scale" value="2"/>'
+            '<xacro:property name="type" value="2"/><xacro:property name="vars" value="1.5"/>'
             """<xacro:property name="props" value="${xacro.load_yaml('props.yaml')}"/>"""
             '<link name="base"/>',
         )
