@@ -66,7 +66,7 @@ def titles(result, series):
         return [part.title for part in diagnose_section(result, series).parts]
 
 
-def test_page_says_what_is_wrong_with_the_given_model(run):
+def test_page_says_what_is_wrong_with_the_given_model(run, undrawn):
     page = render(*run)
     words = re.sub(r"<[^>]*>", " ", page)
     assert "What is wrong with the given model" in words
