@@ -19,13 +19,17 @@ from excitant.identify.importers.mapping import (
 )
 from excitant.identify.importers.raw import (
     SUFFIXES,
-    check_finite,
-    check_time,
     put_together,
     raw_recording,
     runs_of_parts,
 )
-from excitant.identify.recording import Recording, read_chunks, recording_from_raw
+from excitant.identify.recording import (
+    Recording,
+    check_finite,
+    check_time,
+    read_chunks,
+    recording_from_raw,
+)
 from excitant.robots.loading import load_robot
 from excitant.robots.robot import Robot
 from excitant.robots.schema import RobotRecord, read_yaml
