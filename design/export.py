@@ -105,8 +105,10 @@ def load_trajectory(path: str | Path, robot: Robot) -> Trajectory | Motion:
 
 def _from_json(path: Path, robot: Robot) -> Trajectory:
     content = read_yaml(path, dict[str, Any], "coefficients of a trajectory")
-    record = convert(
-        content, _SplineRecord if "control_points" in content else _FourierRecord, path
+    record = (
+        convert(content, _SplineRecord, path)
+        if "control_points" in content
+        else convert(content, _FourierRecord, path)
     )
     joints = record.joints
     if isinstance(joints, list) and len(joints) == robot.nv and tuple(joints) != robot.joints:

@@ -41,7 +41,7 @@ class Series(ABC):
 
     def trajectory(self, coefficients: npt.ArrayLike) -> Trajectory:
         """The motion with these coefficients, shape (c, nv)."""
-        return Trajectory(self, coefficients)
+        return Trajectory(self, np.asarray(coefficients, float))
 
     @abstractmethod
     def extremum_times(self, coefficients: Array, order: int) -> Array:
@@ -303,17 +303,20 @@ class FourierTrajectory(Trajectory):
     @property
     def offset(self) -> Array:
         """Mean position per joint, shape (nv,)."""
-        return self.coefficients[0]
+        offset: Array = self.coefficients[0]
+        return offset
 
     @property
     def cosine(self) -> Array:
         """Coefficients of the cosines, shape (harmonics, nv)."""
-        return self.coefficients[1 : 1 + self.harmonics]
+        cosine: Array = self.coefficients[1 : 1 + self.harmonics]
+        return cosine
 
     @property
     def sine(self) -> Array:
         """Coefficients of the sines, shape (harmonics, nv)."""
-        return self.coefficients[1 + self.harmonics :]
+        sine: Array = self.coefficients[1 + self.harmonics :]
+        return sine
 
 
 def from_coefficients(coefficients: npt.ArrayLike, period: float) -> FourierTrajectory:
