@@ -13,7 +13,7 @@ from .export import Publication, model_files, publication
 from .importers.mapping import ColumnMap, load_column_map
 from .importers.raw import RawRecording, raw_recording
 from .knowledge import Knowledge, load_knowledge
-from .monitor import Monitor, identify_online, replay
+from .monitor import Monitor, OnlineIdentification, identify_online
 from .online import OnlineEstimate, OnlineEstimator
 from .payload import PayloadEstimate, estimate_payload, identify_payload
 from .recording import (
@@ -42,6 +42,7 @@ __all__ = [
     "Monitor",
     "OnlineEstimate",
     "OnlineEstimator",
+    "OnlineIdentification",
     "PayloadEstimate",
     "Persistency",
     "Publication",
@@ -68,7 +69,6 @@ __all__ = [
     "read_recordings",
     "recording_from_raw",
     "recording_from_table",
-    "replay",
     "savitzky_golay",
     "split",
 ]
