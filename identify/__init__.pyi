@@ -1,4 +1,4 @@
-from .dataset import Dataset, load_dataset
+from .dataset import Dataset, load_dataset, read_recordings
 from .differentiators import (
     Differentiator,
     LocalPolynomial,
@@ -20,7 +20,6 @@ from .recording import (
     Recording,
     read_chunks,
     read_recording,
-    read_recordings,
     recording_from_raw,
     recording_from_table,
 )
