@@ -13,11 +13,9 @@ from excitant.exceptions import BadRecording
 from excitant.identify.importers.mapping import ColumnMap
 from excitant.identify.importers.raw import (
     RawRecording,
-    put_together,
     raw_of_table,
     raw_recording,
     read_raw_chunks,
-    runs_of_parts,
 )
 from excitant.identify.importers.tables import table_of_frame
 from excitant.robots.html_table import html_table
@@ -101,37 +99,6 @@ def read_recording(
         BadInput: A map of columns that does not fit the robot.
     """
     return recording_from_raw(raw_recording(path, robot, mapping, torque_column=torque_column))
-
-
-def read_recordings(
-    paths: Sequence[str | Path],
-    robot: Robot | int,
-    *,
-    mapping: ColumnMap | None = None,
-    torque_column: str | None = None,
-) -> list[Recording]:
-    """Recordings from logs, in order; files that are parts of one recording become one.
-
-    See `read_recording`, and `excitant.identify.importers.raw.runs_of_parts` for what a part is.
-    Logs that are too long to hold are low-passed and decimated as they are read, each a recording
-    of its own (`excitant.identify.decimation`).
-    """
-    from excitant.identify.decimation import decimated, too_long
-
-    if too_long(paths):
-        return [
-            decimated(read_chunks(path, robot, mapping=mapping, torque_column=torque_column))
-            for path in paths
-        ]
-    raws = [raw_recording(path, robot, mapping, torque_column=torque_column) for path in paths]
-    found = []
-    for parts in runs_of_parts(raws):
-        if len(parts) > 1:
-            for raw in parts:
-                check_finite(raw)
-                check_time(raw)
-        found.append(recording_from_raw(put_together(parts) if len(parts) > 1 else parts[0]))
-    return found
 
 
 def recording_from_table(
