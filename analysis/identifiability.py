@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 _NAMED = 8  # parameters in a sentence
 _POSES = 400  # tried for the drawing
-_BELOW = 0.3  # of the arm's size, how strongly points under the base count against a pose
+_BELOW = 0.3  # how strongly points under the base count against a pose
 
 
 @dataclass(frozen=True)
@@ -625,13 +625,19 @@ def _under(
 def chain(robot: Robot) -> Array:
     """Base, joints in order, and tip of an arm in a clear pose, shape (nv + 2, 3) [m].
 
-    Of random poses within the limits, always the same ones, the one whose joints are farthest
-    from those that are not their neighbours, with the arm above its base.
+    Of random poses within the limits, always the same ones, the one whose joints are seen farthest
+    from those that are not their neighbours, with the arm above its base. Joints that meet in a
+    point in every pose do not count.
     """
-    rng = np.random.default_rng(0)
-    q, _, _ = robot.random_motion(rng, _POSES)
-    poses = np.array([_points(robot, each) for each in q])
-    return read_only(poses[int(np.argmax([_clarity(points) for points in poses]))])
+    q, _, _ = robot.random_motion(np.random.default_rng(0), _POSES)
+    points = np.array([_points(robot, pose) for pose in q])
+    seen = points[:, :, [0, 2]]
+    pairs = np.triu_indices(points.shape[1], 2)
+    apart = np.linalg.norm(seen[:, pairs[0]] - seen[:, pairs[1]], axis=2)
+    apart = apart[:, apart.max(axis=0) > 1e-3 * apart.max(initial=1e-9)]
+    below = np.minimum(points[:, :, 2].min(axis=1), 0.0)
+    clarity = apart.min(axis=1, initial=np.inf) + _BELOW * below
+    return read_only(points[int(np.argmax(clarity))])
 
 
 def _points(robot: Robot, q: Array) -> Array:
@@ -639,14 +645,3 @@ def _points(robot: Robot, q: Array) -> Array:
     pin.framesForwardKinematics(model, data, np.asarray(q, float))
     joints = [data.oMi[j].translation.copy() for j in range(1, robot.nv + 1)]
     return np.array([np.zeros(3), *joints, data.oMf[robot.tip].translation.copy()])
-
-
-def _clarity(points: Array) -> float:
-    """Least distance of points that are two or more apart, from the side, relative to the arm."""
-    distances = np.linalg.norm(points[:, None, [0, 2]] - points[None, :, [0, 2]], axis=2)
-    apart = distances[np.triu_indices(len(points), 2)]
-    true = np.linalg.norm(points[:, None] - points[None], axis=2)[np.triu_indices(len(points), 2)]
-    size = max(float(true.max(initial=0.0)), 1e-9)
-    meant = true > 1e-3 * size  # joints that meet in a point stay together in every pose
-    least = float(apart[meant].min(initial=size)) / size
-    return least + _BELOW * float(min(points[:, 2].min(), 0.0)) / size

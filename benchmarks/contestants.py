@@ -1,17 +1,19 @@
-"""The contestants that make Fourier series, each in a process of its own.
+"""A design problem and the contestants that solve it, each in processes of its own.
 
 Called as ``python contestants.py NAME PROBLEM.json SETTINGS STEM``, SETTINGS being a JSON object
-of `Settings`; writes ``STEM.json`` and ``STEM.csv``, and prints a JSON object with ``runs``, the
-number of starts or draws.
+of `Settings`, a contestant that makes Fourier series or splines writes ``STEM.json`` and
+``STEM.csv`` and prints a JSON object with ``runs``, the number of its starts or draws.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,64 +21,159 @@ from typing import Any
 import joblib
 import numpy as np
 import pinocchio as pin
-from gradient import Descent, descend
 from joblib.externals.loky import get_reusable_executor
-from judge import Array
-from problem import Problem, load_problem
+from judge import States, left_columns, observation, random_states
 
-from excitant.design import (
-    FourierTrajectory,
-    check,
-    design,
-    random_trajectory,
-    trajectory_csv,
-    trajectory_json,
-)
+from excitant.design import design, random_trajectory, trajectory_csv, trajectory_json
+from excitant.exceptions import BadInput, BadRobot
+from excitant.robots import Robot, builtin_robots, load_limits, load_robot
 
-_SHRINKS = 60
+HERE = Path(__file__).resolve().parent
+_FIGAROH_TIMEOUT = 1800.0  # s
+_ATTEMPTS = 3  # initial guesses of FIGAROH per segment
+_PER_HARMONIC = 16  # samples by which random search judges
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A design problem, inertial columns, rigid bodies only.
+
+    Attributes:
+        name: Name of its file.
+        robot: The arm with the problem's limits and without effects.
+        duration: Duration of the motion [s].
+        harmonics: Number of harmonics of the Fourier contestants.
+        rate_hz: Rate at which motions are judged [Hz].
+        folder: Where ``robot.urdf`` and ``problem.json`` are written for the contestants.
+    """
+
+    name: str
+    robot: Robot
+    duration: float
+    harmonics: int
+    rate_hz: float
+    folder: Path
+
+    @property
+    def urdf(self) -> Path:
+        """The arm as a file."""
+        return self.folder / "robot.urdf"
+
+    @property
+    def file(self) -> Path:
+        """The problem as a file that names the arm's."""
+        return self.folder / "problem.json"
+
+    @property
+    def limits(self) -> dict[str, Any]:
+        """Limits in SI units, as lists; without those that there are not."""
+        named = {
+            name: getattr(self.robot.limits, name)
+            for name in ("position", "velocity", "acceleration", "torque")
+        }
+        return {name: value.tolist() for name, value in named.items() if np.isfinite(value).all()}
+
+    def write(self) -> None:
+        """Write the files that contestants and judges read."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.urdf.write_text(self.robot.urdf, encoding="utf-8")
+        content = {
+            "model": self.urdf.name,
+            "duration": self.duration,
+            "harmonics": self.harmonics,
+            "limits": self.limits,
+            "evaluate_hz": self.rate_hz,
+        }
+        self.file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def problems_folder() -> Path:
+    """Folder of the shared problems: EXCITANT_PROBLEMS, else ``../shared/problems``."""
+    return Path(os.environ.get("EXCITANT_PROBLEMS", HERE.parents[1] / "shared" / "problems"))
+
+
+def problem_file(name: str) -> Path:
+    """File of a problem given by path, or by name among the shared ones and our own.
+
+    Raises:
+        BadInput: There is none; lists those there are.
+    """
+    folders = (problems_folder(), HERE / "problems")
+    for file in (Path(name), *(folder / f"{Path(name).stem}.json" for folder in folders)):
+        if file.is_file():
+            return file
+    known = sorted(path.stem for folder in folders for path in folder.glob("*.json"))
+    missing = "" if folders[0].is_dir() else f"; no shared problems in {folders[0]}"
+    raise BadInput(
+        f"problem '{name}' is no file and none of {', '.join(known)}{missing}; give a file or set "
+        "EXCITANT_PROBLEMS"
+    )
+
+
+def load_problem(
+    path: Path, folder: Path | None = None, robot: str | None = None, harmonics: int | None = None
+) -> Problem:
+    """Problem of a JSON file: ``model``, ``duration``, ``harmonics``, ``limits``, ``evaluate_hz``.
+
+    Args:
+        path: The file; its ``model`` is a built-in arm or a path relative to it.
+        folder: Where the contestants' files go; beside the problem by default.
+        robot: Another arm under the same limits.
+        harmonics: Another number of harmonics.
+
+    Raises:
+        BadInput: Entries missing, or limits that leave position, velocity or torque open.
+        BadRobot: The arm has joints locked, which its URDF would not tell.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        model, duration = str(content["model"]), float(content["duration"])
+        harmonics = harmonics or int(content["harmonics"])
+        rate_hz = float(content.get("evaluate_hz", 100.0))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BadInput(f"problem {path}: {type(error).__name__} {error}") from None
+    if model not in builtin_robots():
+        model = str(path.parent / model)
+    arm = load_robot(robot or model).with_effects(())
+    arm = arm.with_limits(load_limits(path, arm)) if "limits" in content else arm
+    if arm.locked:
+        raise BadRobot(arm.source, "has locked joints; give a URDF without them")
+    problem = Problem(path.stem, arm, duration, harmonics, rate_hz, folder or path.parent)
+    unlimited = {"position", "velocity", "torque"} - problem.limits.keys()
+    if unlimited:
+        raise BadInput(f"problem {path}: joints without limits on {', '.join(sorted(unlimited))}")
+    return problem
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is common to the contestants.
+    """What is common to the contestants; see the options of ``design.py``.
 
     Attributes:
-        began: `time.time` at which the clock was started [s].
-        time_limit: Time from then on [s].
+        deadline: `time.time` at which to stop [s].
         jobs: Number of processes.
         seed: Seed of all randomness.
         harmonics: Number of harmonics.
     """
 
-    began: float
-    time_limit: float
+    deadline: float
     jobs: int
     seed: int
     harmonics: int
 
-    @property
-    def deadline(self) -> float:
-        """`time.time` at which to stop [s]."""
-        return self.began + self.time_limit
-
 
 Found = tuple[float, Any, int]
-"""Condition number, the trajectory (None if there is none), and the number of starts or draws."""
+"""Condition number, the trajectory, and the number of starts or draws."""
 
 
 def excitant(
-    problem: Problem,
-    settings: Settings,
-    *,
-    series: str = "fourier",
-    criterion: str = "condition",
-    search: bool = False,
+    problem: Problem, settings: Settings, *, series: str = "fourier", criterion: str = "condition"
 ) -> Found:
-    """Our own design; with a search for the number of harmonics if wanted."""
+    """Our own design; of splines with a search for the number of pieces."""
     found = design(
         problem.robot,
         duration=problem.duration,
-        harmonics=None if search else problem.harmonics,
+        harmonics=None if series == "spline" else problem.harmonics,
         series=series,
         criterion=criterion,
         columns="inertial",
@@ -87,91 +184,109 @@ def excitant(
     return found.condition_final, found.trajectory, len(found.starts)
 
 
-def random_search(problem: Problem, settings: Settings, job: int) -> Found:
-    """The best of random Fourier series within the limits."""
-    rng = np.random.default_rng([settings.seed, job])
-    best, draws = _Best(_descent(problem)), 0
-    while not draws or time.time() < settings.deadline:
-        best.offer(random_trajectory(problem.robot, rng, problem.duration, problem.harmonics))
-        draws += 1
-    return best.condition, best.trajectory, draws
-
-
-def gradient_search(problem: Problem, settings: Settings, job: int) -> Found:
-    """The best of many descents by L-BFGS, shrunk into the limits."""
-    rng = np.random.default_rng([settings.seed, job])
-    descent, starts = _descent(problem), 0
-    best = _Best(descent)
-    while not starts or time.time() < settings.deadline:
-        start = random_trajectory(problem.robot, rng, problem.duration, problem.harmonics)
-        X = descend(descent, start.coefficients, settings.deadline)
-        kept = shrunk(problem, X)
-        best.offer(start if kept is None else kept)
-        starts += 1
-    return best.condition, best.trajectory, starts
-
-
-def shrunk(problem: Problem, coefficients: Array) -> FourierTrajectory | None:
-    """The series shrunk towards its offset until it keeps the limits; None if that fails."""
-    amplitude = np.ones((len(coefficients), 1))
-    for _ in range(_SHRINKS):
-        X, H = amplitude * coefficients, len(coefficients) // 2
-        trajectory = FourierTrajectory(X[0], X[1 : 1 + H], X[1 + H :], problem.duration)
-        excess = check(problem.robot, trajectory).worst.ratio - 1
-        if excess <= 0:
-            return trajectory
-        amplitude[1:] *= 1 - min(1.05 * excess + 1e-7, 0.5)
-    return None
-
-
-class _Best:
-    """The best of the trajectories offered."""
-
-    def __init__(self, descent: Descent) -> None:
-        self.descent = descent
-        self.condition: float = np.inf
-        self.trajectory: FourierTrajectory | None = None
-
-    def offer(self, trajectory: FourierTrajectory) -> None:
-        condition = self.descent.condition(trajectory.coefficients)
-        if condition < self.condition:
-            self.condition, self.trajectory = condition, trajectory
-
-
-def _descent(problem: Problem) -> Descent:
-    model = pin.buildModelFromUrdf(str(problem.urdf))
-    return Descent(model, problem.limits, problem.harmonics, problem.duration)
-
-
-def _parallel(search: Callable[[Problem, Settings, int], Found]) -> Callable[..., Found]:
-    """The best of one search per process."""
-    return partial(_searched, search)
-
-
-def _searched(
-    search: Callable[[Problem, Settings, int], Found], problem: Problem, settings: Settings
-) -> Found:
+def random_search(problem: Problem, settings: Settings) -> Found:
+    """The best of random Fourier series within the limits, of all processes."""
     work = joblib.Parallel(settings.jobs)
-    file = problem.file
-    found = work(joblib.delayed(_loaded)(search, file, settings, k) for k in range(settings.jobs))
+    found = work(
+        joblib.delayed(_random_draws)(problem.file, settings, k) for k in range(settings.jobs)
+    )
     condition, trajectory, _ = min(found, key=lambda f: f[0])
     return condition, trajectory, sum(runs for _, _, runs in found)
 
 
-def _loaded(
-    search: Callable[[Problem, Settings, int], Found], file: Path, settings: Settings, job: int
-) -> Found:
-    """A search in another process, which reads the problem anew: models are not sent."""
-    return search(load_problem(file, harmonics=settings.harmonics), settings, job)
+def _random_draws(file: Path, settings: Settings, job: int) -> Found:
+    """The best draw of one process, which reads the problem anew: models are not sent."""
+    problem = load_problem(file, harmonics=settings.harmonics)
+    model, rng = pin.buildModelFromUrdf(str(problem.urdf)), np.random.default_rng(0)
+    columns = left_columns(observation(model, random_states(problem.limits, rng)))
+    rng = np.random.default_rng([settings.seed, job])
+    least, best, draws = np.inf, None, 0
+    while not draws or time.time() < settings.deadline:
+        drawn = random_trajectory(problem.robot, rng, problem.duration, problem.harmonics)
+        motion = drawn.sample(_PER_HARMONIC * problem.harmonics + 1)
+        W = observation(model, States(motion.q[:-1], motion.dq[:-1], motion.ddq[:-1]))
+        condition = float(np.linalg.cond(W[:, columns]))
+        if condition < least:
+            least, best = condition, drawn
+        draws += 1
+    return least, best, draws
 
 
 CONTESTANTS: dict[str, Callable[[Problem, Settings], Found]] = {
     "excitant": excitant,
     "a-optimal": partial(excitant, criterion="a"),
-    "spline": partial(excitant, series="spline", search=True),
-    "random": _parallel(random_search),
-    "l-bfgs": _parallel(gradient_search),
+    "spline": partial(excitant, series="spline"),
+    "random": random_search,
 }
+
+
+def answer(words: Sequence[str]) -> dict[str, Any]:
+    """The JSON object on the last line that a process prints, or ``error``."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    try:
+        done = subprocess.run(
+            words,
+            capture_output=True,
+            text=True,
+            env=environment,
+            timeout=_FIGAROH_TIMEOUT,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return {"error": str(error)}
+    try:
+        return dict(json.loads(done.stdout.strip().splitlines()[-1]))
+    except (ValueError, IndexError):
+        lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
+        return {"error": lines[-1]}
+
+
+def run_contestant(
+    problem: Problem, method: str, settings: Settings
+) -> tuple[tuple[Path, ...], str]:
+    """A contestant of ours in a process: the file it wrote, if any, and what it said."""
+    stem = problem.folder / f"{method}-{settings.harmonics}"
+    _clear(stem)
+    words = [method, str(problem.file), json.dumps(asdict(settings)), str(stem)]
+    said = answer([sys.executable, str(Path(__file__).resolve()), *words])
+    note = said["error"] if "error" in said else f"{said['runs']} starts"
+    return tuple(filter(Path.exists, (stem.with_suffix(".csv"),))), note
+
+
+def run_figaroh(
+    problem: Problem, python: Path, moves: int, segments: int, iterations: int, seed: int
+) -> tuple[tuple[Path, ...], str]:
+    """One run of FIGAROH: the file it wrote, if any, and what it said."""
+    stem = problem.folder / f"figaroh-{moves}-{seed}"
+    _clear(stem)
+    specification = {
+        "urdf": str(problem.urdf.resolve()),
+        "limits": problem.limits,
+        "segment_s": problem.duration / segments,
+        "segments": segments,
+        "moves": moves,
+        "rate_hz": problem.rate_hz,
+        "frequency_hz": 20,
+        "iterations": iterations,
+        "attempts": _ATTEMPTS,
+        "seed": seed,
+        "csv": str(stem.with_suffix(".csv").resolve()),
+    }
+    file = stem.with_suffix(".specification.json")
+    file.write_text(json.dumps(specification, indent=1), encoding="utf-8")
+    said = answer([str(python), str(HERE / "figaroh_driver.py"), str(file)])
+    if "error" in said:
+        note = f"seed {seed} failed: {said['error']}"
+    else:
+        converged = sum(said.get("converged", []))
+        note = f"seed {seed}: {said['solved']} of {segments} segments, {converged} converged"
+    return tuple(filter(Path.exists, (stem.with_suffix(".csv"),))), note
+
+
+def _clear(stem: Path) -> None:
+    """Forget the motion of an earlier run."""
+    for suffix in (".csv", ".json"):
+        stem.with_suffix(suffix).unlink(missing_ok=True)
 
 
 def main() -> int:
@@ -181,15 +296,8 @@ def main() -> int:
     problem = load_problem(Path(file), harmonics=settings.harmonics)
     _, trajectory, runs = CONTESTANTS[name](problem, settings)
     get_reusable_executor().shutdown(wait=True)
-    if trajectory is None:
-        print(json.dumps({"runs": runs}))
-        return 3
-    contents = {
-        "json": trajectory_json(trajectory, problem.robot),
-        "csv": trajectory_csv(trajectory, problem.rate_hz),
-    }
-    for suffix, content in contents.items():
-        Path(f"{stem}.{suffix}").write_text(content, encoding="utf-8")
+    Path(f"{stem}.json").write_text(trajectory_json(trajectory, problem.robot), encoding="utf-8")
+    Path(f"{stem}.csv").write_text(trajectory_csv(trajectory, problem.rate_hz), encoding="utf-8")
     print(json.dumps({"runs": runs}))
     return 0
 

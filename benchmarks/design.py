@@ -1,4 +1,4 @@
-"""excitant's design beside FIGAROH, random search and L-BFGS, on one problem in one run.
+"""excitant's design beside FIGAROH and random search, on one problem in one run.
 
 Every contestant gets the same arm, limits and duration, runs in processes of its own, and is
 judged by the same code, which is none of theirs: see README.md for what each column means.
@@ -7,23 +7,43 @@ judged by the same code, which is none of theirs: see README.md for what each co
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import math
+import os
+import resource
+import subprocess
 import sys
+import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import joblib
-from problem import Problem, load_problem, problem_file
-from runs import Run, fourier_run, run_figaroh
-from table import conditioning_table, noise_table
-from verdict import Verdict, external_judge, failed, judged
+import numpy as np
+import pinocchio as pin
+from contestants import (
+    CONTESTANTS,
+    Problem,
+    Settings,
+    load_problem,
+    problem_file,
+    problems_folder,
+    run_contestant,
+    run_figaroh,
+)
+from judge import DRAWS, ParameterError, conditioning, parameter_error, read_motion
 
-from excitant.exceptions import ExcitantError
+from excitant.design import check, load_trajectory
+from excitant.exceptions import BadInput, ExcitantError
 
-METHODS = ("excitant", "a-optimal", "spline", "random", "l-bfgs", "figaroh")
+METHODS = (*CONTESTANTS, "figaroh")
+_AGREE = 1e-6  # relative; both judges work in double precision, κ loses a few digits
+_REST = 1e-9
+NOISE = {"equal": "1 N·m on every joint", "limit": "1% of each joint's torque limit"}
 
 
 def arguments(words: Sequence[str] | None) -> argparse.Namespace:
@@ -33,7 +53,7 @@ def arguments(words: Sequence[str] | None) -> argparse.Namespace:
     add("--robot", help="another arm under the problem's limits: built-in name or URDF")
     add("--methods", nargs="+", choices=METHODS, default=METHODS)
     add("--harmonics", type=int, nargs="+", help="the problem's by default; the first is ours")
-    add("--time-limit", type=float, help="of every Fourier contestant [s] (30; quick: 5)")
+    add("--time-limit", type=float, help="of every contestant but FIGAROH [s] (30; quick: 5)")
     add("--jobs", type=int, default=joblib.cpu_count(), help="processes of every contestant")
     add("--seed", type=int, default=0)
     add("--figaroh-python", type=Path, help="Python that has figaroh and cyipopt installed")
@@ -46,107 +66,278 @@ def arguments(words: Sequence[str] | None) -> argparse.Namespace:
     add("-o", "--output", type=Path, help="folder of trajectories and result.json")
     add("--json", action="store_true", help="print result.json and nothing else")
     given = parser.parse_args(words)
-    for name, usual, quick in (
-        ("time_limit", 30.0, 5.0),
-        ("figaroh_seeds", 2, 1),
-        ("figaroh_iterations", 100, 10),
-    ):
+    usual = {"time_limit": (30.0, 5.0), "figaroh_seeds": (2, 1), "figaroh_iterations": (100, 10)}
+    for name, values in usual.items():
         if getattr(given, name) is None:
-            setattr(given, name, quick if given.quick else usual)
+            setattr(given, name, values[given.quick])
     return given
 
 
-def compete(problem: Problem, given: argparse.Namespace) -> list[Run]:
-    """One run after the other, ours first, so that none takes time from another."""
-    runs: list[Run] = []
-    for method in (m for m in METHODS if m in given.methods):
-        settings = given.harmonics or [problem.harmonics]
-        if method == "figaroh":
-            settings = figaroh_moves(problem, given)
-        elif method == "spline":  # searches the number of its pieces
-            settings = settings[:1]
-        for setting in settings:
-            runs.append(run(problem, given, method, setting))
-            tell(given, f"{method} {runs[-1].setting} done after {runs[-1].wall_s:.0f} s")
-    return runs
+@dataclass(frozen=True)
+class Row:
+    """One contestant's work and what the judges say of it; infinite or empty without a motion.
+
+    Attributes:
+        method: Contestant, of `METHODS`.
+        setting: Harmonics ``H=5``, or segments and moves ``2x5``, or ``search``.
+        wall_s: Time by the clock, from the start of the processes to their end [s].
+        cpu_s: Processor time of all processes together [s].
+        note: What the contestant said.
+        left: Condition number of the base columns chosen from left to right.
+        proj: Condition number of the projection on the row space.
+        base: Number of base parameters.
+        samples: Number of samples judged.
+        worst: Largest use of a limit over the continuous motion; at most 1 holds.
+        worst_where: The quantity and joint of it.
+        peak_ddq: Largest acceleration [rad/s²].
+        at_rest: Whether velocity and acceleration vanish at both ends.
+        errors: Parameter errors by kind of noise.
+    """
+
+    method: str
+    setting: str
+    wall_s: float
+    cpu_s: float
+    note: str
+    left: float = np.inf
+    proj: float = np.inf
+    base: int = 0
+    samples: int = 0
+    worst: float = np.inf
+    worst_where: str = ""
+    peak_ddq: float = np.inf
+    at_rest: bool = False
+    errors: dict[str, ParameterError] | None = None
+
+    @property
+    def label(self) -> str:
+        """Contestant with its setting."""
+        return f"{self.method} {self.setting}"
 
 
-def run(problem: Problem, given: argparse.Namespace, method: str, setting: int) -> Run:
-    if method == "figaroh":
-        return run_figaroh(problem, given, setting)
-    return fourier_run(problem, given, method, setting)
-
-
-def figaroh_moves(problem: Problem, given: argparse.Namespace) -> list[int]:
-    """Moves per segment: given, or of 2 s as in FIGAROH's example."""
-    return given.figaroh_moves or [max(2, round(problem.duration / given.figaroh_segments / 2.0))]
-
-
-def tell(given: argparse.Namespace, line: str) -> None:
-    if not given.json:
-        print(line, file=sys.stderr, flush=True)
-
-
-def judged_runs(problem: Problem, runs: Sequence[Run], judge: Path | None) -> list[Verdict]:
-    """A verdict on every run, on that of its tries which has the lowest condition number.
+def compete(problem: Problem, given: argparse.Namespace) -> list[Row]:
+    """One contestant after the other, ours first, so that none takes time from another.
 
     Raises:
         ExcitantError: Two motions differ in duration or rate, or the judges in their figures.
     """
-    verdicts = []
-    for run in runs:
-        tries = [judged(problem, run, file, judge) for file in run.files]
-        verdicts.append(min(tries, key=lambda v: v.left) if tries else failed(run))
-    samples = {verdict.samples for verdict in verdicts if verdict.samples}
+    rows = []
+    for method in (m for m in METHODS if m in given.methods):
+        settings = given.harmonics or [problem.harmonics]
+        if method == "figaroh":
+            two_seconds = max(2, round(problem.duration / given.figaroh_segments / 2.0))
+            settings = given.figaroh_moves or [two_seconds]
+        elif method == "spline":  # searches the number of its pieces
+            settings = settings[:1]
+        for setting in settings:
+            row, files = run(problem, given, method, setting)
+            tries = [judged(problem, row, file, given.judge) for file in files]
+            rows.append(min(tries, key=lambda tried: tried.left, default=row))
+            if not given.json:
+                print(f"{row.label} done after {row.wall_s:.0f} s", file=sys.stderr, flush=True)
+    samples = {row.samples for row in rows if row.samples}
     if len(samples) > 1:
         raise ExcitantError(f"motions of {sorted(samples)} samples cannot be compared")
-    return verdicts
+    return rows
 
 
-def result(problem: Problem, verdicts: Sequence[Verdict], judge: Path | None) -> dict[str, Any]:
+def run(
+    problem: Problem, given: argparse.Namespace, method: str, setting: int
+) -> tuple[Row, tuple[Path, ...]]:
+    """A contestant's row with its times, and tables of motions, of which the best counts."""
+    wall, cpu = time.perf_counter(), _children()
+    if method != "figaroh":
+        label = "search" if method == "spline" else f"H={setting}"
+        settings = Settings(time.time() + given.time_limit, given.jobs, given.seed, setting)
+        tries = [run_contestant(problem, method, settings)]
+    else:
+        label, python = f"{given.figaroh_segments}x{setting}", given.figaroh_python
+        if python is None and importlib.util.find_spec("figaroh") is None:
+            return Row(method, label, 0.0, 0.0, "not installed; give --figaroh-python"), ()
+        common = (python or Path(sys.executable), setting, given.figaroh_segments)
+        seeds = range(given.seed, given.seed + given.figaroh_seeds)
+        with ThreadPoolExecutor(given.jobs) as pool:
+            work = partial(run_figaroh, problem, *common, given.figaroh_iterations)
+            tries = list(pool.map(work, seeds))
+    times = time.perf_counter() - wall, _children() - cpu
+    files = tuple(file for found, _ in tries for file in found)
+    return Row(method, label, *times, "; ".join(note for _, note in tries)), files
+
+
+def _children() -> float:
+    """Processor time of ended child processes [s]."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def judged(problem: Problem, row: Row, file: Path, judge: Path | None) -> Row:
+    """The row with all figures of a motion.
+
+    The limits of a Fourier series or spline are judged by its coefficients, those of any other
+    motion along the quintic Hermite interpolant of its samples.
+
+    Raises:
+        ExcitantError: Both judges' condition numbers differ.
+    """
+    model = pin.buildModelFromUrdf(str(problem.urdf))
+    _, states = read_motion(file, problem.robot.nv)
+    found = conditioning(model, problem.limits, states)
+    left, proj = found.left, found.proj
+    if judge is not None:
+        left, proj = evaluated(problem, file, judge)
+        if abs(left - found.left) > _AGREE * left or abs(proj - found.proj) > _AGREE * proj:
+            raise ExcitantError(
+                f"{file}: {judge} finds {left}, {proj}; judge.py {found.left}, {found.proj}"
+            )
+    exact = file.with_suffix(".json")
+    use = check(
+        problem.robot, load_trajectory(exact if exact.exists() else file, problem.robot)
+    ).worst
+    ends = np.abs(np.vstack([states.dq[[0, -1]], states.ddq[[0, -1]]])).max()
+    torque = np.asarray(problem.limits["torque"], float)
+    sigma = {"equal": np.ones_like(torque), "limit": 0.01 * torque}
+    return replace(
+        row,
+        left=left,
+        proj=proj,
+        base=found.base,
+        samples=len(states.q),
+        worst=use.ratio,
+        worst_where=f"{use.quantity} {use.joint}",
+        peak_ddq=float(np.abs(states.ddq).max()),
+        at_rest=bool(ends <= _REST * np.abs(states.ddq).max()),
+        errors={k: parameter_error(model, problem.limits, states, s) for k, s in sigma.items()},
+    )
+
+
+def evaluated(problem: Problem, file: Path, judge: Path) -> tuple[float, float]:
+    """Condition numbers, left and proj, by an external judge in a process of its own."""
+    low, high = np.asarray(problem.limits["position"], float).T.tolist()
+    short = {"velocity": "dq", "torque": "tau", "acceleration": "ddq"}
+    named = {short[name]: x for name, x in problem.limits.items() if name in short}
+    limits, out = problem.folder / "judge-limits.json", file.with_suffix(".judged.json")
+    limits.write_text(json.dumps({"q_lo": low, "q_hi": high, **named}), encoding="utf-8")
+    words = [sys.executable, judge, problem.urdf, file, "--no-collision"]
+    words += ["--limits", limits, "--json", out]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [str(word) for word in words], capture_output=True, text=True, env=environment, check=False
+    )
+    if done.returncode:
+        raise ExcitantError(f"judge {judge}: {done.stderr.strip().splitlines()[-1]}")
+    condition = json.loads(out.read_text(encoding="utf-8"))["condition"]["inertial"]
+    return float(condition["left"]["raw"]), float(condition["proj"]["raw"])
+
+
+def reference(row: Row, rows: Sequence[Row]) -> Row | None:
+    """Our row that a row is compared with, if there is one.
+
+    That of as many harmonics; for a motion that is no Fourier series, the best of all ours that
+    accelerate no harder, or else the one that accelerates least.
+    """
+    if row.method != "figaroh":
+        same = (r for r in rows if r.method == "excitant" and r.setting == row.setting)
+        return next((r for r in same if r.samples), None)
+    ours = [r for r in rows if r.method not in ("random", "figaroh") and r.samples]
+    gentle = [r for r in ours if r.peak_ddq <= row.peak_ddq]
+    if gentle:
+        return min(gentle, key=lambda r: r.left)
+    return min(ours, key=lambda r: r.peak_ddq, default=None)
+
+
+def conditioning_table(rows: Sequence[Row]) -> list[str]:
+    """κ, use of the limits and time of every contestant, and its ratios to ours."""
+    lines = [
+        f"{'':20}{'κ left':>9}{'κ proj':>9}{'worst limit':>13}{'rest':>6}{'ddq':>7}"
+        f"{'wall s':>8}{'CPU s':>8}   other : excitant (κ, wall, CPU)",
+    ]
+    for row in rows:
+        times = f"{row.wall_s:8.1f}{row.cpu_s:8.1f}"
+        if not row.samples:
+            lines.append(f"{row.label:20}{'no motion':>44}{times}   {row.note}")
+            continue
+        ours, against = reference(row, rows), " " * 33
+        if ours is not None and row.method != "excitant":
+            ratios = (row.left / ours.left, row.wall_s / ours.wall_s, row.cpu_s / ours.cpu_s)
+            against = "".join(f"{ratio:6.2f}" for ratio in ratios) + f" {ours.label:<14}"
+        lines.append(
+            f"{row.label:20}{row.left:9.2f}{row.proj:9.2f}{row.worst:13.4f}"
+            f"{'yes' if row.at_rest else 'no':>6}{row.peak_ddq:7.1f}{times}"
+            f"{against}   {row.note}; closest: {row.worst_where}"
+        )
+    return lines
+
+
+def noise_table(rows: Sequence[Row]) -> list[str]:
+    """Parameter errors of every contestant with a motion, and the ratio of ours to them."""
+    lines = [
+        f"Base parameters fitted to {DRAWS} draws of torque noise: rms error scaled to torque, rms "
+        "error of torque on random states [N·m], std of the worst direction [SI]"
+    ]
+    for kind, name in NOISE.items():
+        lines.append(f"{'noise ' + name:50}   excitant : other")
+        for row in rows:
+            if row.errors is None:
+                continue
+            figures, ours = _figures(row, kind), reference(row, rows)
+            line = f"{row.label:20}" + "".join(f"{figure:10.4g}" for figure in figures)
+            if ours is not None and row.method != "excitant":
+                ratios = np.divide(_figures(ours, kind), figures)
+                line += "   " + "".join(f"{ratio:7.2f}" for ratio in ratios) + f" {ours.label}"
+            lines.append(line)
+    return lines
+
+
+def _figures(row: Row, kind: str) -> tuple[float, float, float]:
+    error = (row.errors or {})[kind]
+    return error.scaled, error.predicted, error.worst
+
+
+def result(problem: Problem, rows: Sequence[Row], judge: Path | None) -> dict[str, Any]:
+    """The content of ``result.json``; null for what there is no figure of."""
+    infinite = {key for key, value in vars(Row("", "", 0, 0, "")).items() if value == math.inf}
     return {
         "problem": problem.name,
         "robot": problem.robot.name,
         "duration": problem.duration,
         "rate_hz": problem.rate_hz,
         "judge": "evaluate.py" if judge else "judge.py",
-        "rows": [finite(asdict(verdict)) for verdict in verdicts],
+        "rows": [
+            {k: None if k in infinite and math.isinf(v) else v for k, v in asdict(row).items()}
+            for row in rows
+        ],
     }
 
 
-def finite(row: dict[str, Any]) -> dict[str, Any]:
-    """The row with null for what there is no figure of, as JSON wants it."""
-    lost = {key for key, value in row.items() if isinstance(value, float) and math.isinf(value)}
-    return {key: None if key in lost else value for key, value in row.items()}
-
-
-def report(problem: Problem, verdicts: Sequence[Verdict], given: argparse.Namespace) -> str:
+def report(problem: Problem, rows: Sequence[Row], given: argparse.Namespace) -> str:
     judge = "evaluate.py, confirmed by judge.py" if given.judge else "judge.py (no evaluate.py)"
     top = (
         f"{problem.name}: {problem.robot.name}, {problem.robot.nv} joints, {problem.duration:g} s, "
         f"judged at {problem.rate_hz:g} Hz by {judge}; {given.jobs} processes, seed {given.seed}, "
         f"time limit {given.time_limit:g} s"
     )
-    return "\n".join(["", top, "", *conditioning_table(verdicts), "", *noise_table(verdicts)])
+    return "\n".join(["", top, "", *conditioning_table(rows), "", *noise_table(rows)])
 
 
 def main(words: Sequence[str] | None = None) -> int:
     given = arguments(words)
     try:
-        given.judge = external_judge(given.judge)
+        if given.judge is None and (problems_folder() / "evaluate.py").is_file():
+            given.judge = problems_folder() / "evaluate.py"
+        elif given.judge is not None and not given.judge.is_file():
+            raise BadInput(f"judge {given.judge}: no such file")
         file = problem_file(given.problem)
-        usual = Path("runs") / f"benchmark-design-{file.stem}"
-        folder = given.output or usual
+        folder = given.output or Path("runs") / f"benchmark-design-{file.stem}"
         first = given.harmonics[0] if given.harmonics else None
         problem = load_problem(file, folder, given.robot, first)
         problem.write()
-        verdicts = judged_runs(problem, compete(problem, given), given.judge)
+        rows = compete(problem, given)
     except ExcitantError as error:
         print(f"benchmark: {error}", file=sys.stderr)
         return 1
-    content = json.dumps(result(problem, verdicts, given.judge), indent=1) + "\n"
+    content = json.dumps(result(problem, rows, given.judge), indent=1) + "\n"
     (folder / "result.json").write_text(content, encoding="utf-8")
-    print(content if given.json else report(problem, verdicts, given))
+    print(content if given.json else report(problem, rows, given))
     return 0
 
 

@@ -3,8 +3,8 @@
     OMP_NUM_THREADS=1 python benchmarks/estimators.py [--draws 2] [--seconds 30] [--json]
     OMP_NUM_THREADS=1 python benchmarks/estimators.py --bias 12 [--kinds fine encoders]
 
-Torque comes from Pinocchio's recursive Newton-Euler algorithm with the friction, offset and rotor
-inertia of `coverage.py`, in no way from the regressor that is fitted. Kinds of noise:
+Torque comes from Pinocchio's recursive Newton-Euler algorithm with friction, offset and rotor
+inertia written here, in no way from the regressor that is fitted. Kinds of noise:
 
     fine       encoders 2e-5 rad; torque: white noise, 2 % of each joint's rms
     coloured   the same, torque noise with a correlation time of 0.2 s
@@ -32,8 +32,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 import scipy.signal
-from coverage import HARMONICS, Truth, truth
 from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
@@ -43,11 +43,12 @@ from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.output_error import Reference, closed_loop, output_error
 from excitant.identify.preprocessing import prepare
 from excitant.identify.rows import fit_rows
-from excitant.robots import Motion
+from excitant.robots import BaseParameters, Motion, Robot, base_parameters, load_robot
 from excitant.robots.effects import standard_effects
 from excitant.robots.torque import observation_columns
 
 RATE_HZ = 250.0
+HARMONICS = 5
 FILTERS = {"good": 10.0, "bad": 25.0}  # Hz
 KINDS = ("fine", "coloured", "outliers", "encoders")
 SHARE = 0.02  # of each joint's rms torque is noise
@@ -66,6 +67,56 @@ def arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS, help="of noise")
     parser.add_argument("--json", action="store_true", help="figures as JSON")
     return parser.parse_args(words)
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """An arm of which everything is known.
+
+    Attributes:
+        robot: Its links.
+        viscous: Viscous friction, shape (nv,) [N·m·s/rad].
+        coulomb: Coulomb friction, shape (nv,) [N·m].
+        offset: Constant torque, shape (nv,) [N·m].
+        rotor: Rotor inertia, shape (nv,) [kg·m²].
+        base: Base parameters of links and effects.
+        beta: Their true values, shape (r,).
+    """
+
+    robot: Robot
+    viscous: Array
+    coulomb: Array
+    offset: Array
+    rotor: Array
+    base: BaseParameters
+    beta: Array
+
+    def torque(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """Torque of a motion, arrays of shape (n, nv)."""
+        model, data = self.robot.model, self.robot.model.createData()
+        links = np.array([pin.rnea(model, data, *state) for state in zip(q, dq, ddq, strict=True)])
+        friction = self.viscous * dq + self.coulomb * np.sign(dq)
+        return np.asarray(links + friction + self.offset + self.rotor * ddq)
+
+
+def truth(name: str) -> Truth:
+    """A built-in arm with friction and rotors drawn in proportion to its torques."""
+    robot, rng = load_robot(name).with_effects(()), np.random.default_rng(3)
+    states = zip(*robot.random_motion(rng, 200), strict=True)
+    data = robot.model.createData()
+    size = np.std([pin.rnea(robot.model, data, *state) for state in states], axis=0)
+    share = size * rng.uniform(0.5, 1.5, (4, robot.nv))
+    viscous, coulomb, offset, rotor = share * np.array([[0.03], [0.05], [0.01], [0.01]])
+    effects = standard_effects(robot.joints)
+    values = dict(zip(("Fv", "Fc", "offset", "Ia"), (viscous, coulomb, offset, rotor), strict=True))
+    coefficients = [
+        values[p.name.rpartition(".")[2]][robot.joint_index(p.name.rpartition(".")[0])]
+        for effect in effects
+        for p in effect.parameters(robot)
+    ]
+    base = base_parameters(robot, effects)
+    beta = base.regrouping @ np.concatenate([robot.phi, coefficients])
+    return Truth(robot, viscous, coulomb, offset, rotor, base, beta)
 
 
 def torque_noise(kind: str, rng: np.random.Generator, n: int, nv: int) -> Array:

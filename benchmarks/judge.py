@@ -1,5 +1,7 @@
 """Neutral judge of a motion: NumPy and Pinocchio only, nothing of excitant.
 
+Conditioning, and errors of base parameters fitted by weighted least squares to torque with noise.
+
 The condition number is that of the stacked joint torque regressor, rigid bodies only, unscaled.
 Base columns are chosen on random states within the limits, never on the motion itself:
 
@@ -21,6 +23,7 @@ Array = npt.NDArray[np.float64]
 
 _STATES = 600
 _INDEPENDENT = 1e-8  # of a column's own length
+DRAWS = 200  # of the noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,4 +115,55 @@ def conditioning(model: Any, limits: dict[str, Any], states: States) -> Conditio
     row_space = Vt[sizes > _INDEPENDENT * sizes[0]].T
     return Conditioning(
         float(np.linalg.cond(W[:, columns])), float(np.linalg.cond(W @ row_space)), len(columns)
+    )
+
+
+@dataclass(frozen=True)
+class ParameterError:
+    """Errors of the base parameters (chosen from left to right), over all draws of the noise.
+
+    Attributes:
+        scaled: Root mean square over draws and parameters of δβᵢ cᵢ [N·m], where cᵢ is the rms
+            of regressor column i over random states within the limits: the torque that the
+            error of one parameter makes there.
+        predicted: Root mean square of the torque error Y δβ of one joint over draws and the
+            same random states [N·m]; does not depend on the choice of base parameters.
+        worst: Standard deviation of the worst determined combination of unit length [SI].
+        misfit: Largest difference of the noise-free torque to W β, over the largest torque.
+    """
+
+    scaled: float
+    predicted: float
+    worst: float
+    misfit: float
+
+
+def parameter_error(
+    model: Any, limits: dict[str, Any], states: States, sigma: Array
+) -> ParameterError:
+    """Fit noisy torques of a motion, known exactly, ``DRAWS`` times.
+
+    Args:
+        model: The true arm.
+        limits: Limits within which the random states lie.
+        states: The motion.
+        sigma: Standard deviation of the torque noise per joint, shape (nv,) [N·m]; rows are
+            weighted by its inverse. Every motion of the same length meets the same noise.
+    """
+    reference = random_states(limits, np.random.default_rng(0))
+    Y = observation(model, reference)
+    columns = left_columns(Y)
+    Y = Y[:, columns]
+    beta = np.linalg.lstsq(Y, torques(model, reference).ravel())[0]
+    W, tau = observation(model, states)[:, columns], torques(model, states)
+    noisy = tau + sigma * np.random.default_rng(0).standard_normal((DRAWS, *tau.shape))
+    weight = np.tile(1 / sigma, len(tau))
+    inverse = np.linalg.pinv(weight[:, None] * W)
+    errors = (weight * noisy.reshape(DRAWS, -1)) @ inverse.T - beta
+    scale = np.sqrt(np.mean(Y**2, axis=0) * states.q.shape[1])
+    return ParameterError(
+        scaled=float(np.sqrt(np.mean((errors * scale) ** 2))),
+        predicted=float(np.sqrt(np.mean((errors @ Y.T) ** 2))),
+        worst=float(np.linalg.norm(inverse, 2)),
+        misfit=float(np.abs(W @ beta - tau.ravel()).max() / np.abs(tau).max()),
     )

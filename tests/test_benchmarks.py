@@ -16,7 +16,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "benchmarks"
-METHODS = ("excitant", "random", "l-bfgs")
+METHODS = ("excitant", "random")
 NEUTRAL = {"numpy", "pinocchio"}
 
 
@@ -111,13 +111,11 @@ def test_the_fitted_model_is_the_true_one_and_excitation_steadies_it(
     assert rows["excitant"]["errors"][kind]["worst"] < rows["random"]["errors"][kind]["worst"]
 
 
-@pytest.mark.parametrize("module", ["judge.py", "noise.py"])
-def test_the_judge_imports_nothing_of_the_optimisers(module: str) -> None:
-    tree = ast.parse((FOLDER / module).read_text(encoding="utf-8"))
+def test_the_judge_imports_nothing_of_the_optimisers() -> None:
+    tree = ast.parse((FOLDER / "judge.py").read_text(encoding="utf-8"))
     names = {a.name for node in ast.walk(tree) if isinstance(node, ast.Import) for a in node.names}
     names |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    foreign = {name.split(".")[0] for name in names} - set(sys.stdlib_module_names)
-    assert foreign - {"judge"} <= NEUTRAL
+    assert {name.split(".")[0] for name in names} - set(sys.stdlib_module_names) <= NEUTRAL
 
 
 def test_a_missing_problem_is_refused_by_name(tmp_path: Path) -> None:
@@ -126,30 +124,3 @@ def test_a_missing_problem_is_refused_by_name(tmp_path: Path) -> None:
     assert "no_such" in done.stderr
     assert "EXCITANT_PROBLEMS" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
-
-
-def test_gradient_of_the_descent_is_exact(folder: Path, rows: dict[str, dict[str, Any]]) -> None:
-    code = """
-import json, sys
-import numpy as np, pinocchio as pin
-from gradient import Descent
-limits = json.load(open(sys.argv[2]))["limits"]
-descent = Descent(pin.buildModelFromUrdf(sys.argv[1]), limits, 3, 4.0)
-z = np.random.default_rng(0).normal(size=10)
-step = 1e-6 * np.eye(10)
-slope = [(descent.value(z + e, 5.0)[0] - descent.value(z - e, 5.0)[0]) / 2e-6 for e in step]
-value, gradient = descent.value(z, 5.0)
-assert descent.value(z, 6.0)[0] > value, "penalty not at work"
-print(np.abs(gradient - slope).max() / np.abs(slope).max())
-"""
-    files = [str(folder / "robot.urdf"), str(folder / "problem.json")]
-    assert rows
-    done = subprocess.run(
-        [sys.executable, "-c", code, *files],
-        capture_output=True,
-        text=True,
-        cwd=FOLDER,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert float(done.stdout) < 1e-6

@@ -109,12 +109,13 @@ def test_bad_csv(planar: Robot, tmp_path: Path, lines: list[str], why: str) -> N
 @pytest.mark.parametrize(
     ("changes", "why"),
     [
-        ({"period": None}, "'period' holds a value that is not finite"),
-        ({"period": -1.0}, "period -1.0"),
-        ({"offset": [0.0]}, "'offset' has shape (1,)"),
+        ({"period": None}, "period: expected a number"),
+        ({"period": -1.0}, "period: expected a number above 0"),
+        ({"offset": [0.0]}, "shapes differ: offset (1,)"),
+        ({"offset": [0.0], "cosine": [[0.0]], "sine": [[0.0]]}, "has 1 joints, but planar_2r"),
         ({"cosine": [[0.0, 0.0]]}, "shapes differ: offset (2,), cosine (1, 2), sine (3, 2)"),
-        ({"sine": [["a", 0.0]]}, "'sine' is not a table of numbers"),
-        ({"cosine": [[0.0, float("nan")]] * 3}, "'cosine' holds a value that is not finite"),
+        ({"sine": [["a", 0.0]]}, "sine[0][0]: expected a number, got text"),
+        ({"cosine": [[0.0, float("nan")]] * 3}, "cosine[0][1]: expected a finite number"),
         ({"joints": ["a", "b"]}, "its joints a, b are not those of"),
     ],
 )

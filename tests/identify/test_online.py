@@ -12,7 +12,6 @@ import pytest
 import scipy.linalg
 
 from excitant.cli import main
-from excitant.design import random_trajectory
 from excitant.exceptions import BadInput
 from excitant.identify import (
     LocalPolynomial,
@@ -21,14 +20,19 @@ from excitant.identify import (
     Recording,
     identify_online,
     persistency,
-    replay,
 )
 from excitant.identify.base_prior import base_prior
 from excitant.identify.information import InformationFilter, combined, gaussian, information_of
+from excitant.identify.online import replayable
 from excitant.robots import Motion, Robot, base_parameters, torque
-from excitant.robots.effects import JointEffect, TorqueOffset, ViscousFriction, standard_effects
+from excitant.robots.effects import (
+    JointEffect,
+    Payload,
+    TorqueOffset,
+    ViscousFriction,
+    standard_effects,
+)
 from excitant.robots.torque import observation_columns
-from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors, virtual_arm
 
 RATE = 250.0
 T = np.arange(0, 12, 1 / RATE)
@@ -358,14 +362,16 @@ def test_a_recording_plays_through(planar: Robot, motion_of: MotionOf) -> None:
 
 
 def test_irregular_time_gives_what_regular_time_gives(planar: Robot, motion_of: MotionOf) -> None:
-    rng = np.random.default_rng(4)
-    betas = []
+    effects, rng, betas = standard_effects(planar.joints), np.random.default_rng(4), []
+    base = base_parameters(planar, effects)
     for t in (T, T + rng.uniform(-0.3, 0.3, len(T)) / RATE):
         motion = motion_of(planar, t)
-        run = replay(planar, Recording("r", "r.csv", t, motion.q, torque(planar, motion)))
-        betas.append(run.estimate.beta)
-    motion, base = motion_of(planar, T), run.estimate.base
-    W = observation_columns(planar, standard_effects(planar.joints), motion)[:, :, base.columns]
+        recording = Recording("r", "r.csv", t, motion.q, torque(planar, motion))
+        online, samples, _ = replayable(planar, recording, effects, base, gains=np.ones(2))
+        online.extend(*samples)
+        betas.append(online.estimate().beta)
+    motion = motion_of(planar, T)
+    W = observation_columns(planar, effects, motion)[:, :, base.columns]
     smooth = torque(planar.with_effects(()), motion)
     # torque is interpolated linearly: off by h² / 8 times its second derivative
     curvature = np.abs(np.diff(smooth, 2, axis=0)).max() * RATE**2
@@ -373,20 +379,21 @@ def test_irregular_time_gives_what_regular_time_gives(planar: Robot, motion_of: 
     assert np.abs(W @ (betas[0] - betas[1])).max() < 4 * allowed
 
 
-LOAD = (("m", 1.0), ("mcx", 0.2), ("mcy", 0.0), ("mcz", 0.0), ("Ixx", 0.01), ("Ixy", 0.0),
-        ("Iyy", 0.055), ("Ixz", 0.0), ("Iyz", 0.0), ("Izz", 0.055))  # fmt: skip
+LOAD = np.array([1.0, 0.2, 0.0, 0.0, 0.01, 0.0, 0.055, 0.0, 0.0, 0.055])
 
 
 @pytest.fixture(scope="module")
-def folder(planar: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(planar: Robot, motion_of: MotionOf, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The planar arm recorded without and with a load."""
     folder, rng = tmp_path_factory.mktemp("recordings"), np.random.default_rng(0)
-    load = HiddenEffect("payload", planar.joints[-1], LOAD)
-    for name, hidden in (("free", ()), ("held", (load,))):
-        sensors = industrial_sensors(planar, 200.0)
-        arm = virtual_arm(planar, rng, hidden=hidden, sensors=sensors, tolerance=0.0)
-        table = arm.record(random_trajectory(planar, rng, 10.0, 5), 10.0, rng)
-        table.to_csv(folder / f"{name}.csv", index=False)
+    motion = motion_of(planar, T)
+    load = Payload(planar.joints[-1:]).with_values(LOAD)
+    for name, effects in (("free", ()), ("held", (load,))):
+        tau = torque(planar.with_effects([*planar.effects, *effects]), motion)
+        noise = 0.02 * rng.standard_normal(tau.shape)
+        columns = np.column_stack([T, motion.q, tau + noise])
+        header = "t,q1,q2,tau1,tau2"
+        np.savetxt(folder / f"{name}.csv", columns, delimiter=",", header=header, comments="")
     return folder
 
 
