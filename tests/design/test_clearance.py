@@ -54,6 +54,25 @@ def test_gradient_is_that_of_the_distance(cell: Scene) -> None:
     assert checked > 50
 
 
+def test_gradient_of_an_arm_of_one_joint(tmp_path: Path) -> None:
+    arm = tmp_path / "pendulum.urdf"
+    arm.write_text(
+        """<robot name="pendulum"><link name="base"/><link name="arm">
+        <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>
+        </inertial><collision><origin xyz="0 0 -0.5"/><geometry><sphere radius="0.1"/></geometry>
+        </collision></link>
+        <joint name="hinge" type="revolute"><parent link="base"/><child link="arm"/>
+        <axis xyz="0 1 0"/><limit lower="-3" upper="3" velocity="6" effort="20"/></joint></robot>"""
+    )
+    wall = Obstacle("wall", "box", BoxRecord((0.1, 4.0, 4.0), (0.6, 0.0, 0.0)))
+    one = scene(load_robot(arm), (wall,))
+    assert one is not None
+    h, q = 1e-3, np.array([-0.7])
+    ends = [one.distances(q[None] + s * h)[0, 0] for s in (1, -1)]
+    _, gradient = one.gradient(q, 0)
+    np.testing.assert_allclose(gradient, [(ends[0] - ends[1]) / (2 * h)], atol=5e-3)
+
+
 def test_speeds_bound_every_gradient(cell: Scene) -> None:
     bound = cell.speeds()
     for q in np.random.default_rng(4).uniform(-3, 3, (15, 6)):
