@@ -121,11 +121,9 @@ def open_log(path: str | Path, mapping: ColumnMap | None = None) -> Table:
         why = f"unknown format '{path.suffix}'; give .parquet or .csv, .npz, .mat, .bag or .mcap"
         raise BadRecording(path, why)
     try:
-        return (
-            bag_table(path, mapping and mapping.topic)
-            if suffix in _BAGS
-            else _READERS[suffix](path)
-        )
+        if suffix in _BAGS:
+            return bag_table(path, mapping.topic if mapping else None)
+        return _READERS[suffix](path)
     except (BadRecording, ModuleNotFoundError):
         raise
     except Exception as error:  # readers of others raise anything on a damaged file
