@@ -195,21 +195,16 @@ def check_finite(raw: RawRecording, first_row: int = 0) -> None:
         raw: The log, or a part of it.
         first_row: Row of the log that its first row is.
     """
-    if all(np.isfinite(values).all() for values in (raw.t, raw.q, raw.tau)):
-        return
     values = np.column_stack([raw.t, raw.q, raw.tau])
     bad = ~np.isfinite(values)
+    if not bad.any():
+        return
     columns = [raw.columns.t[0], *raw.columns.q.columns, *raw.columns.tau.columns]
-    row = int(np.argmax(bad.any(axis=1)))
-    k = int(np.argmax(bad[row]))
+    row, k = np.argwhere(bad)[0].tolist()
     text = raw.unreadable.get((row, columns[k]), f"{values[row, k]:g}")
-    raise BadRecording(
-        raw.file,
-        f"value '{text}' is not a finite number "
-        f"({int(bad.any(axis=1).sum())} such rows); remove or repair them",
-        row=row + first_row,
-        column=columns[k],
-    )
+    why = f"value '{text}' is not a finite number ({int(bad.any(axis=1).sum())} such rows)"
+    why += "; remove or repair them"
+    raise BadRecording(raw.file, why, row=row + first_row, column=columns[k])
 
 
 def check_time(raw: RawRecording, first_row: int = 0, before: float | None = None) -> None:
@@ -220,19 +215,16 @@ def check_time(raw: RawRecording, first_row: int = 0, before: float | None = Non
         first_row: Row of the log that its first row is.
         before: Time of the row before [s].
     """
-    t = raw.t if before is None else np.concatenate([[before], raw.t])
-    steps = np.diff(t)
+    steps = np.diff(raw.t, prepend=-np.inf if before is None else before)
     if (steps > 0).all():
         return
     k = int(np.argmax(steps <= 0))
-    what = "repeats" if steps[k] == 0 else "goes back"
-    raise BadRecording(
-        raw.file,
-        f"time {what} ({t[k + 1]:.6g} after {t[k]:.6g} s); sort or remove those rows, which "
-        "--repair does where they fit",
-        row=k + first_row + (before is None),
-        column=raw.columns.t[0],
+    last = raw.t[k - 1] if k else before
+    why = (
+        f"time {'repeats' if steps[k] == 0 else 'goes back'} ({raw.t[k]:.6g} after {last:.6g} s); "
+        f"sort or remove those rows, which --repair does where they fit"
     )
+    raise BadRecording(raw.file, why, row=k + first_row, column=raw.columns.t[0])
 
 
 def check_alive(tau: Array, raw: RawRecording) -> None:
@@ -242,11 +234,9 @@ def check_alive(tau: Array, raw: RawRecording) -> None:
         tau: Torque, or the extremes of it, shape (n, nv).
         raw: The log that it comes from.
     """
-    dead = np.ptp(tau, axis=0) == 0
-    if dead.any():
-        k = int(np.argmax(dead))
-        raise BadRecording(
-            raw.file,
-            f"dead channel: {tau[0, k]:g} in every row; repair the sensor or lock this joint",
-            column=raw.columns.tau.columns[k],
+    dead = np.flatnonzero(np.ptp(tau, axis=0) == 0)
+    if len(dead):
+        why = (
+            f"dead channel: {tau[0, dead[0]]:g} in every row; repair the sensor or lock this joint"
         )
+        raise BadRecording(raw.file, why, column=raw.columns.tau.columns[dead[0]])

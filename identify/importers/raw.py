@@ -12,7 +12,7 @@ import pandas as pd
 
 from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.importers.bags import bag_table
-from excitant.identify.importers.columns import Channel, Columns, Joints, resolve
+from excitant.identify.importers.columns import Channel, Columns, resolve
 from excitant.identify.importers.mapping import ColumnMap
 from excitant.identify.importers.tables import (
     Table,
@@ -108,7 +108,7 @@ def raw_of_table(
     torque_column: str | None = None,
 ) -> RawRecording:
     """The raw recording of an opened log; see `raw_recording`."""
-    columns = resolve(table, Joints.of(robot), mapping=mapping, torque_column=torque_column)
+    columns = resolve(table, robot, mapping, torque_column)
     return next(_pieces(table, name, columns))
 
 
@@ -141,7 +141,7 @@ def read_raw_chunks(
     origin: tuple[float, float] | None = None
     for path in [paths] if isinstance(paths, str | Path) else paths:
         table = open_log(path, topic=mapping.topic if mapping else None)
-        columns = resolve(table, Joints.of(robot), mapping=mapping, torque_column=torque_column)
+        columns = resolve(table, robot, mapping, torque_column)
         for raw in _pieces(table, Path(path).stem, columns, rows, origin):
             origin = origin or raw.start
             yield raw
@@ -304,13 +304,11 @@ def _continues(before: RawRecording, raw: RawRecording) -> bool:
     """Whether a log is the next part of the one before."""
     one, other = Path(before.file), Path(raw.file)
     first, second = _NUMBERED.fullmatch(one.name), _NUMBERED.fullmatch(other.name)
-    if before.columns.names != raw.columns.names or before.unit != raw.unit:
+    alike = before.columns.names == raw.columns.names and before.unit == raw.unit
+    if not alike or one.parent != other.parent or first is None or second is None:
         return False
-    if one.parent != other.parent or first is None or second is None:
-        return False
-    if (first[1], first[3], int(first[2]) + 1) != (second[1], second[3], int(second[2])):
-        return False
-    if len(before.t) < 3 or not len(raw.t):
+    next_name = first[1], first[3], int(first[2]) + 1
+    if (second[1], second[3], int(second[2])) != next_name or len(before.t) < 3 or not len(raw.t):
         return False
     gap = _between(before, raw) - float(before.t[-1])
     return 0 < gap <= _LONGEST_STEP * float(np.median(np.diff(before.t)))
