@@ -468,9 +468,13 @@ def _entries(
     known |= effect_values(robot)
     base, units = found.base, parameter_units(robot, effects)
     R = base.regrouping if given is None else given.information.R
-    under, size = [dict[str, Any]() for _ in units], np.zeros(len(units))
+    figures: list[dict[str, Any]] = [
+        {"value": known.get(n), "prior": known.get(n)} for n in base.names
+    ]
+    size = np.zeros(len(units))
     if given is not None:
         under, size = _under(given, found)
+        figures = [before | now for before, now in zip(figures, under, strict=True)]
     wanted = experiments_needed(R, Question(np.eye(len(units)), size), candidates)
     expressions = np.array(base.expressions, object)
     return tuple(
@@ -482,7 +486,7 @@ def _entries(
             expressions=tuple(expressions[base.regrouping[:, k] != 0]),
             margin=float(found.margin[k]),
             needed=wanted[k],
-            **{"value": known.get(name), "prior": known.get(name)} | under[k],
+            **figures[k],
         )
         for k, name in enumerate(base.names)
     )
