@@ -7,18 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from excitant.reports.drawing import (
-    FITTED,
-    GIVEN,
-    LIGHT,
-    MEASURED,
-    WIDTH,
-    axes,
-    equal_axes,
-    label_y,
-    panel,
-    svg_panel,
-)
+from excitant.reports import drawing as draw
 from excitant.reports.page import Figure, Key, Panel
 from excitant.reports.values import Series, array
 from excitant.robots.motion import Array
@@ -91,9 +80,9 @@ def arm_figure(series: Series) -> Figure | None:
         "drawing: a joint that bends the other way or a link that lies elsewhere shows here."
     )
     legend = [
-        Key("line", MEASURED, "base, joints and tool in order"),
-        Key("line", GIVEN, "axes of the joints, positive direction"),
-        Key("dot", FITTED, "tool"),
+        Key("line", draw.MEASURED, "base, joints and tool in order"),
+        Key("line", draw.GIVEN, "axes of the joints, positive direction"),
+        Key("dot", draw.FITTED, "tool"),
     ]
     if len(zero.solids):
         legend.append(Key("box", _FILLS[0], "solids of the links"))
@@ -111,16 +100,16 @@ def _arm(series: Series, name: str) -> _Arm | None:
 
 
 def _panel(arm: _Arm, view: _View, title: str) -> Panel:
-    (ax,) = axes(_HEIGHT, left=0.6 if view.labels else 0.12)
-    size = equal_axes(ax, *_extent(arm, view), 1.14)
+    (ax,) = draw.axes(_HEIGHT, left=0.6 if view.labels else 0.12)
+    size = draw.equal_axes(ax, *_extent(arm, view), 1.14)
     if view.labels is None:
         ax.axis("off")
     else:
         ax.set_xlabel(f"{view.labels[0]} [m]")
-        label_y(ax, f"{view.labels[1]} [m]")
+        draw.label_y(ax, f"{view.labels[1]} [m]")
     _draw_solids(ax, arm, view)
     _draw_chain(ax, arm, view, size)
-    return panel(ax, f"the arm with {len(arm.axes)} joints {title}", title)
+    return draw.panel(ax, f"the arm with {len(arm.axes)} joints {title}", title)
 
 
 def _extent(arm: _Arm, view: _View) -> tuple[Array, Array]:
@@ -139,7 +128,9 @@ def _draw_solids(ax: Any, arm: _Arm, view: _View) -> None:
     for order, k in enumerate(np.argsort(depth)):
         joint, radius = int(arm.solids[k, 0]), float(arm.solids[k, 7])
         outline = _outline(arm.solids[k, 1:7].reshape(2, 3) @ view.screen.T, radius)
-        fill, edge = (_BASE, MEASURED) if joint == 0 else (_FILLS[joint % 2], _EDGES[joint % 2])
+        fill, edge = (
+            (_BASE, draw.MEASURED) if joint == 0 else (_FILLS[joint % 2], _EDGES[joint % 2])
+        )
         ax.fill(*outline.T, facecolor=fill, edgecolor=edge, lw=0.7, zorder=1 + 0.001 * order)
 
 
@@ -165,11 +156,11 @@ def _outline(ends: Array, radius: float) -> Array:
 
 def _draw_chain(ax: Any, arm: _Arm, view: _View, size: float) -> None:
     flat = arm.points @ view.screen[:2].T
-    ax.plot(*flat.T, color=MEASURED, lw=1.4, solid_joinstyle="round", zorder=3)
+    ax.plot(*flat.T, color=draw.MEASURED, lw=1.4, solid_joinstyle="round", zorder=3)
     for centre, axis in zip(flat[1:-1], arm.axes, strict=True):
         _draw_axis(ax, centre, view.screen @ axis, size)
-    ax.plot(*flat[1:-1].T, "o", ms=4.0, mec=MEASURED, mfc="white", mew=1.0, zorder=5)
-    ax.plot(*flat[-1], "o", ms=4.0, color=FITTED, zorder=5)
+    ax.plot(*flat[1:-1].T, "o", ms=4.0, mec=draw.MEASURED, mfc="white", mew=1.0, zorder=5)
+    ax.plot(*flat[-1], "o", ms=4.0, color=draw.FITTED, zorder=5)
     for members in _clusters(flat[1:-1], _TOGETHER * size):
         x, y = flat[1:-1][members].mean(axis=0)
         label = ",".join(str(k + 1) for k in members)
@@ -188,9 +179,9 @@ def _draw_chain(ax: Any, arm: _Arm, view: _View, size: float) -> None:
 def _draw_axis(ax: Any, centre: Array, axis: Array, size: float) -> None:
     """An arrow along the axis, or a ring where it points to the eye or away from it."""
     if np.linalg.norm(axis[:2]) < 0.3:
-        ax.plot(*centre, "o", ms=8.0, mfc="none", mec=GIVEN, mew=1.0, zorder=4)
+        ax.plot(*centre, "o", ms=8.0, mfc="none", mec=draw.GIVEN, mew=1.0, zorder=4)
         if axis[2] < 0:
-            ax.plot(*centre, "x", ms=5.5, color=GIVEN, mew=1.0, zorder=4)
+            ax.plot(*centre, "x", ms=5.5, color=draw.GIVEN, mew=1.0, zorder=4)
         return
     tip = centre + _AXIS * size * axis[:2]
     ax.annotate(
@@ -200,7 +191,7 @@ def _draw_axis(ax: Any, centre: Array, axis: Array, size: float) -> None:
         zorder=4,
         arrowprops={
             "arrowstyle": "-|>",
-            "color": GIVEN,
+            "color": draw.GIVEN,
             "lw": 1.1,
             "shrinkA": 0,
             "shrinkB": 0,
@@ -253,24 +244,24 @@ def chain_figure(series: Series, index: int, name: str, caption: str) -> Figure 
     if chain is None or not np.isfinite(chain).all() or index + 2 >= len(chain):
         return None
     flat, view = side_view(chain)
-    width, height = 72 * WIDTH, 72 * _LINK_HEIGHT
+    width, height = 72 * draw.WIDTH, 72 * _LINK_HEIGHT
     low, size = flat.min(axis=0), np.maximum(np.ptp(flat, axis=0), 1e-9)
     scale = 0.85 * float(np.min(np.array([width, height]) / np.maximum(size, 1e-3 * size.max())))
     points = (flat - low - size / 2) * [scale, -scale] + [width / 2, height / 2]
     own = points[index + 1 : index + 3]
     shapes = [
-        _line(points[[0, 0]] + [[-8.0, 0.0], [8.0, 0.0]], MEASURED, 3.0),
-        _line(points, LIGHT, 4.0),
-        *(_disc(p, 2.1, "#ffffff", MEASURED) for p in points[1:-1]),
-        _line(own, FITTED, 5.5),
-        _disc(own[0], 3.3, FITTED, "#ffffff"),
+        _line(points[[0, 0]] + [[-8.0, 0.0], [8.0, 0.0]], draw.MEASURED, 3.0),
+        _line(points, draw.LIGHT, 4.0),
+        *(_disc(point, 2.1, "#ffffff", draw.MEASURED) for point in points[1:-1]),
+        _line(own, draw.FITTED, 5.5),
+        _disc(own[0], 3.3, draw.FITTED, "#ffffff"),
     ]
-    legend = [Key("line", FITTED, "this link"), Key("dot", FITTED, "its joint")]
+    legend = [Key("line", draw.FITTED, "this link"), Key("dot", draw.FITTED, "its joint")]
     if np.ptp(own, axis=0).max() < 0.01 * np.ptp(points, axis=0).max():
         caption += " It has no length in this view: the next joint lies at the same place."
         legend = legend[1:]
     label = f"{name} in the chain, {view}"
-    return Figure((svg_panel(shapes, width, height, label),), caption, tuple(legend))
+    return Figure((draw.svg_panel(shapes, width, height, label),), caption, tuple(legend))
 
 
 def _line(points: Array, colour: str, width: float) -> str:
@@ -294,11 +285,11 @@ def correlation_figure(series: Series) -> Figure | None:
     from matplotlib.colors import LinearSegmentedColormap
 
     r = len(matrix)
-    (ax,) = axes(3.75, left=0.42)
+    (ax,) = draw.axes(3.75, left=0.42)
     ends = (0.5, r + 0.5)
     ax.imshow(
         np.nan_to_num(matrix),
-        cmap=LinearSegmentedColormap.from_list("signed", [FITTED, "#ffffff", GIVEN]),
+        cmap=LinearSegmentedColormap.from_list("signed", [draw.FITTED, "#ffffff", draw.GIVEN]),
         vmin=-1,
         vmax=1,
         interpolation="nearest",
@@ -309,12 +300,12 @@ def correlation_figure(series: Series) -> Figure | None:
     ax.set_xlabel("number of the base parameter")
     strong = int((np.abs(np.triu(matrix, 1)) > 0.9).sum())
     return Figure(
-        (panel(ax, f"correlations of {r} base parameters; {strong} pairs beyond 0.9"),),
+        (draw.panel(ax, f"correlations of {r} base parameters; {strong} pairs beyond 0.9"),),
         "Correlation of the estimates of each two base parameters, numbered as in the table of "
         "all: a strong colour off the diagonal means that this motion shows the two mostly "
         "together, so that one can make up for the other.",
         (
-            Key("box", GIVEN, "rise together (+1)"),
-            Key("box", FITTED, "one rises, the other falls (−1)"),
+            Key("box", draw.GIVEN, "rise together (+1)"),
+            Key("box", draw.FITTED, "one rises, the other falls (−1)"),
         ),
     )

@@ -12,35 +12,10 @@ from typing import Any
 import numpy as np
 
 from excitant.exceptions import BadInput
-from excitant.reports.page import (
-    Block,
-    Cell,
-    Column,
-    Facts,
-    Folded,
-    Notes,
-    Page,
-    Table,
-    folded,
-    notes,
-    section,
-    table,
-)
-from excitant.reports.values import (
-    NONE,
-    Result,
-    Series,
-    at,
-    curve,
-    listing,
-    number,
-    real,
-    records,
-    sentence,
-    text,
-    times,
-    words,
-)
+from excitant.reports import page as p
+from excitant.reports import values as v
+from excitant.reports.page import Block, Cell, Column, Facts, Folded, Notes, Page, Table
+from excitant.reports.values import NONE, Result, Series
 
 VERB = "compare"
 APART = 2.0  # standard deviations of a difference from which on estimates disagree
@@ -79,11 +54,11 @@ def compare(*runs: SavedRun) -> dict[str, Any]:
     from excitant.reports.sections import page_of
 
     first = runs[0]
-    verb = text(first.result, "verb")
+    verb = v.text(first.result, "verb")
     if not 2 <= len(runs) <= len(_NAMES):
         raise BadInput(f"{first.folder}: name 2 to {len(_NAMES)} runs to compare")
     for run in runs[1:]:
-        if (other := text(run.result, "verb")) != verb:
+        if (other := v.text(run.result, "verb")) != verb:
             raise BadInput(
                 f"{run.folder}: a run of '{other}', but {first.folder} is one of '{verb}'; "
                 "compare runs of one command"
@@ -97,7 +72,7 @@ def compare(*runs: SavedRun) -> dict[str, Any]:
     return {
         "verb": VERB,
         "of": verb,
-        "robot": listing(list(dict.fromkeys(text(run.result, "robot") for run in runs))),
+        "robot": v.listing(list(dict.fromkeys(v.text(run.result, "robot") for run in runs))),
         "runs": [
             {
                 "name": run.folder if names.count(name) > 1 else name,
@@ -121,7 +96,7 @@ def _remarks(runs: Sequence[SavedRun]) -> list[str]:
         ("columns", "The motions were judged by different columns, {}: condition numbers differ."),
     ):
         for part in (None, "design", "identify", "analyze", "diagnose"):  # a demo has all four
-            values = [text(run.result, *([part] if part else []), key) for run in runs]
+            values = [v.text(run.result, *([part] if part else []), key) for run in runs]
             if len(set(filter(None, values))) > 1:
                 found.append(said.format(" and ".join(dict.fromkeys(values))))
                 break
@@ -137,7 +112,7 @@ def _same_rows(series: Sequence[Series]) -> bool:
 
     def rows(each: Series) -> list[Any]:
         joints = range(np.asarray(each.get("measured", np.empty((0, 0)))).shape[-1])
-        return [times(each), *(curve(each, "measured", k) for k in joints)]
+        return [v.times(each), *(v.curve(each, "measured", k) for k in joints)]
 
     first, *others = (rows(each) for each in series)
     return all(
@@ -252,26 +227,29 @@ def deviations(
 
 def comparison_page(result: Result) -> Page:
     """Page of a comparison, from its saved result."""
-    runs, remarks = records(result, "runs"), words(result, "remarks")
+    runs, remarks = v.records(result, "runs"), v.words(result, "remarks")
     letters = list(_NAMES[: len(runs)])
     legend = [
-        f"{letter}: {text(run, 'name')}. {' '.join(words(run, 'leads'))}"
+        f"{letter}: {v.text(run, 'name')}. {' '.join(v.words(run, 'leads'))}"
         for letter, run in zip(letters, runs, strict=True)
     ]
     sections = [
-        section(
-            text(each, "title"),
+        p.section(
+            v.text(each, "title"),
             _count(each),
-            [(text(t, "part"), [_table(t, letters)]) for t in records(each, "tables")],
-            ((text(each, "title"), _count(each)),),
+            [(v.text(t, "part"), [_table(t, letters)]) for t in v.records(each, "tables")],
+            ((v.text(each, "title"), _count(each)),),
         )
-        for each in records(result, "sections")
+        for each in v.records(result, "sections")
     ]
-    robot, name = text(result, "robot"), "Comparison of runs"
-    blocks: list[Notes | None] = [notes(legend), notes([sentence(r) for r in remarks], "poor")]
+    robot, name = v.text(result, "robot"), "Comparison of runs"
+    blocks: list[Notes | None] = [
+        p.notes(legend),
+        p.notes([v.sentence(r) for r in remarks], "poor"),
+    ]
     return Page(
         f"{name}: {robot}" if robot else name,
-        f"{len(runs)} runs of excitant {text(result, 'of')}; differences and ratios are those to "
+        f"{len(runs)} runs of excitant {v.text(result, 'of')}; differences and ratios are those to "
         f"A. {sections[0].lead if len(sections) == 1 else ''}",
         tuple(block for block in blocks if block is not None),
         tuple(sections),
@@ -280,9 +258,9 @@ def comparison_page(result: Result) -> Page:
 
 
 def _count(each: Result) -> str:
-    rows = [row for part in records(each, "tables") for row in records(part, "rows")]
-    differ = sum(len(set(words(row, "written"))) > 1 for row in rows)
-    apart = [x for row in rows for x in at(row, "deviations") or () if real(x) is not None]
+    rows = [row for part in v.records(each, "tables") for row in v.records(part, "rows")]
+    differ = sum(len(set(v.words(row, "written"))) > 1 for row in rows)
+    apart = [x for row in rows for x in v.at(row, "deviations") or () if v.real(x) is not None]
     said = f"{differ} of {len(rows)} figures differ."
     if apart:
         far = sum(x > APART for x in apart)
@@ -295,23 +273,23 @@ def _count(each: Result) -> str:
 
 
 def _table(found: Result, letters: Sequence[str]) -> Block | None:
-    rows = records(found, "rows")
-    headings = list(dict.fromkeys(text(row, "figure") for row in rows))
+    rows = v.records(found, "rows")
+    headings = list(dict.fromkeys(v.text(row, "figure") for row in rows))
 
     def picked(key: str, k: int) -> Any:
         def cell(row: Result) -> Cell:
-            values = at(row, key) or []
-            value = real(values[k]) if k < len(values) else None
+            values = v.at(row, key) or []
+            value = v.real(values[k]) if k < len(values) else None
             poor = key == "deviations" and value is not None and value > APART
-            return Cell(number(value), "poor" if poor else "", value)
+            return Cell(v.number(value), "poor" if poor else "", value)
 
         return cell
 
     def written(k: int) -> Any:
-        return lambda row: (words(row, "written") + [NONE] * len(letters))[k]
+        return lambda row: (v.words(row, "written") + [NONE] * len(letters))[k]
 
     columns: list[Column | None] = [
-        (f"name:{text(found, 'of')}", "name"),
+        (f"name:{v.text(found, 'of')}", "name"),
         ("name:Quantity", "figure") if headings != [""] else None,
         *((f"number:{letter}", written(k)) for k, letter in enumerate(letters)),
     ]
@@ -321,6 +299,8 @@ def _table(found: Result, letters: Sequence[str]) -> Block | None:
             ("ratio", f"{letter} / A"),
             ("deviations", f"{letter} − A [std]"),
         ):
-            if any(real(x) is not None for row in rows for x in (at(row, key) or [])[k : k + 1]):
+            if any(
+                v.real(x) is not None for row in rows for x in (v.at(row, key) or [])[k : k + 1]
+            ):
                 columns.append((f"number:{heading}", picked(key, k)))
-    return table(rows, columns, "", folded(f"All {len(rows)} figures", len(rows), _LONG))
+    return p.table(rows, columns, "", p.folded(f"All {len(rows)} figures", len(rows), _LONG))

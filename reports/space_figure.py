@@ -9,33 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from excitant.reports.drawing import (
-    AMBER,
-    FITTED,
-    GREEN,
-    LIGHT,
-    MEASURED,
-    axes,
-    axes_3d,
-    equal_axes,
-    fill_3d,
-    label_y,
-    panel,
-    thin_path,
-)
+from excitant.reports import drawing as draw
+from excitant.reports import values as v
 from excitant.reports.page import Figure, Key, Panel
-from excitant.reports.values import (
-    Result,
-    Series,
-    array,
-    at,
-    listing,
-    quantity,
-    real,
-    reals,
-    records,
-    text,
-)
+from excitant.reports.values import Result, Series
 from excitant.robots.motion import Array
 
 _VIEWS = (("from above", 0, 1), ("from the side", 0, 2))
@@ -73,25 +50,25 @@ class _Cell:
 
 def space_figure(result: Result, series: Series) -> Figure | None:
     """The tool's path in perspective, and from above and from the side unless seen on edge."""
-    tool, arm = array(series, "tool", None, 3), array(series, "arm", None, None, 3)
+    tool, arm = v.array(series, "tool", None, 3), v.array(series, "arm", None, None, 3)
     if tool is None or not np.isfinite(tool).all():
         return None
     arm = np.empty((0, 1, 3)) if arm is None else arm
-    others = array(series, "other_tools", None, None, 3)
+    others = v.array(series, "other_tools", None, None, 3)
     paths = (tool, *(() if others is None else np.swapaxes(others, 0, 1)))
     every = np.concatenate([*paths, arm.reshape(-1, 3), np.zeros((1, 3))])
     low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
     centre, reach = (low + high) / 2, _MARGIN * float(np.linalg.norm(high - low)) / 2
-    obstacles = records(result, "obstacles")
-    bounded = [o for o in obstacles if text(o, "shape") != "half_space"]
+    obstacles = v.records(result, "obstacles")
+    bounded = [o for o in obstacles if v.text(o, "shape") != "half_space"]
     low, high = _extent(low, high, [solid_of(o, centre, reach, low, high) for o in bounded])
-    seen = [(text(o, "name"), solid_of(o, centre, reach, low, high)) for o in obstacles]
+    seen = [(v.text(o, "name"), solid_of(o, centre, reach, low, high)) for o in obstacles]
     solids = tuple(solid for _, solid in seen if solid is not None)
     low, high = _extent(low, high, solids)
     cell = _Cell(paths, arm, _near_pose(result, series, len(arm)), solids, low, high)
     names = [name for name, solid in seen if solid is not None]
     label = f"path of the tool with {len(arm)} poses of the arm"
-    label += f" and obstacles {listing(names)}" if names else ""
+    label += f" and obstacles {v.listing(names)}" if names else ""
     size = cell.high - cell.low
     panels = [_perspective(cell, label)]
     panels += [
@@ -107,11 +84,11 @@ def _legend(cell: _Cell) -> tuple[Key, ...]:
     some = len(cell.arm) > (cell.near is not None)
     inside = [solid.inside for solid in cell.solids]
     return (
-        Key("line", FITTED, "path of the tool"),
-        *[Key("line", LIGHT, "arm at some instants")] * some,
-        *[Key("line", MEASURED, "arm where the clearance is least")] * (cell.near is not None),
-        *[Key("dash", GREEN, "workspace of the tool")] * any(inside),
-        *[Key("box", AMBER, "obstacle")] * (not all(inside)),
+        Key("line", draw.FITTED, "path of the tool"),
+        *[Key("line", draw.LIGHT, "arm at some instants")] * some,
+        *[Key("line", draw.MEASURED, "arm where the clearance is least")] * (cell.near is not None),
+        *[Key("dash", draw.GREEN, "workspace of the tool")] * any(inside),
+        *[Key("box", draw.AMBER, "obstacle")] * (not all(inside)),
     )
 
 
@@ -121,20 +98,20 @@ def _caption(result: Result, cell: _Cell, hidden: list[str]) -> str:
     )
     tools = "tool" if len(cell.paths) == 1 else "tools"
     sentence = f"One period of the {tools} in the base frame, a space of {span}\u00a0m"
-    distance, bodies = real(result, "closest", "distance_m"), at(result, "closest", "bodies")
+    distance, bodies = v.real(result, "closest", "distance_m"), v.at(result, "closest", "bodies")
     if distance is not None and isinstance(bodies, list) and len(bodies) == 2:
         sentence += (
             f"; the closest bodies are {bodies[0]} and {bodies[1]}, "
-            f"{quantity(1000 * distance, 'mm')} apart "
-            f"in the sampled pose at {quantity(at(result, 'closest', 't'), 's')}"
+            f"{v.quantity(1000 * distance, 'mm')} apart "
+            f"in the sampled pose at {v.quantity(v.at(result, 'closest', 't'), 's')}"
         )
-    outside = f" Not in the picture, farther away: {listing(hidden)}." if hidden else ""
+    outside = f" Not in the picture, farther away: {v.listing(hidden)}." if hidden else ""
     return f"{sentence}.{outside}"
 
 
 def _near_pose(result: Result, series: Series, poses: int) -> int | None:
     """The pose at the instant of least clearance, if one is."""
-    when, t = real(result, "closest", "t"), array(series, "arm_t", poses)
+    when, t = v.real(result, "closest", "t"), v.array(series, "arm_t", poses)
     if when is None or t is None:
         return None
     k = int(np.abs(t - when).argmin())
@@ -154,7 +131,7 @@ def solid_of(
             its own.
         high: Greatest coordinates.
     """
-    shape = text(obstacle, "shape")
+    shape = v.text(obstacle, "shape")
     if shape == "box":
         return _box(obstacle, centre, reach)
     if shape == "sphere":
@@ -169,7 +146,7 @@ def solid_of(
 
 
 def _vector(obstacle: Result, key: str) -> Array | None:
-    values = reals(obstacle, key)
+    values = v.reals(obstacle, key)
     return values if values.shape == (3,) and np.isfinite(values).all() else None
 
 
@@ -185,7 +162,7 @@ def _box(obstacle: Result, centre: Array, reach: float) -> Solid | None:
     low, high = np.maximum(-size / 2, middle - reach), np.minimum(size / 2, middle + reach)
     if (low >= high).any():
         return None
-    faces, edges = ([position + p @ R.T for p in group] for group in _block(low, high))
+    faces, edges = ([position + each @ R.T for each in group] for group in _block(low, high))
     return Solid(tuple(faces), tuple(edges))
 
 
@@ -205,7 +182,7 @@ def _block(low: Array, high: Array) -> tuple[list[Array], list[Array]]:
 
 
 def _sphere(obstacle: Result, centre: Array, reach: float) -> Solid | None:
-    radius, position = real(obstacle, "radius"), _vector(obstacle, "position")
+    radius, position = v.real(obstacle, "radius"), _vector(obstacle, "position")
     if radius is None or position is None:
         return None
     if radius > reach or float(np.linalg.norm(position - centre)) > reach + radius:
@@ -217,7 +194,7 @@ def _sphere(obstacle: Result, centre: Array, reach: float) -> Solid | None:
 
 def _plane(obstacle: Result, low: Array, high: Array, reach: float) -> Solid | None:
     """The surface of a half-space beside a block; its sides run along the axes where they can."""
-    normal, offset = _vector(obstacle, "normal"), real(obstacle, "offset")
+    normal, offset = _vector(obstacle, "normal"), v.real(obstacle, "offset")
     if normal is None or offset is None or not normal.any():
         return None
     n, d = normal / np.linalg.norm(normal), offset / float(np.linalg.norm(normal))
@@ -227,9 +204,9 @@ def _plane(obstacle: Result, low: Array, high: Array, reach: float) -> Solid | N
         return None
     u = np.cross(n, np.eye(3)[int(np.abs(n).argmin())])
     u /= np.linalg.norm(u)
-    v = np.cross(n, u)
-    (a, b), (e, f) = (((corners @ w).min(), (corners @ w).max()) for w in (u, v))
-    loop = np.array([d * n + x * u + y * v for x, y in ((a, e), (a, f), (b, f), (b, e))])
+    w = np.cross(n, u)
+    (a, b), (e, f) = (((corners @ side).min(), (corners @ side).max()) for side in (u, w))
+    loop = np.array([d * n + x * u + y * w for x, y in ((a, e), (a, f), (b, f), (b, e))])
     return Solid((loop,), (np.vstack([loop, loop[:1]]),))
 
 
@@ -240,38 +217,40 @@ def _extent(low: Array, high: Array, solids: Sequence[Solid | None]) -> tuple[Ar
 
 
 def _perspective(cell: _Cell, label: str) -> Panel:
-    ax = axes_3d(cell.low, cell.high)
+    ax = draw.axes_3d(cell.low, cell.high)
     for solid in cell.solids:
-        fill_3d(ax, solid.faces, facecolor=AMBER, alpha=0.13, lw=0)
+        draw.fill_3d(ax, solid.faces, facecolor=draw.AMBER, alpha=0.13, lw=0)
     _draw(ax, cell, (0, 1, 2))
     for name in "xyz":
         getattr(ax, f"set_{name}label")(f"{name} [m]", labelpad=0 if name == "z" else -3)
-    return panel(ax, f"in perspective: {label}", "in perspective")
+    return draw.panel(ax, f"in perspective: {label}", "in perspective")
 
 
 def _view(cell: _Cell, label: str, name: str, x: int, y: int) -> Panel:
     from matplotlib.collections import PolyCollection
 
-    (ax,) = axes(3.3)
+    (ax,) = draw.axes(3.3)
     for solid in cell.solids:
         polygons = [face[:, [x, y]] for face in solid.faces]
-        ax.add_collection(PolyCollection(polygons, facecolor=AMBER, alpha=0.13, lw=0))
+        ax.add_collection(PolyCollection(polygons, facecolor=draw.AMBER, alpha=0.13, lw=0))
     _draw(ax, cell, (x, y))
-    equal_axes(ax, cell.low[[x, y]], cell.high[[x, y]], 1.06)
+    draw.equal_axes(ax, cell.low[[x, y]], cell.high[[x, y]], 1.06)
     ax.set_xlabel(f"{'xyz'[x]} [m]")
-    label_y(ax, f"{'xyz'[y]} [m]")
-    return panel(ax, label, name)
+    draw.label_y(ax, f"{'xyz'[y]} [m]")
+    return draw.panel(ax, label, name)
 
 
 def _draw(ax: Any, cell: _Cell, keep: Sequence[int]) -> None:
     """Lines in the plane or in space, whichever coordinates are kept."""
     for solid in cell.solids:
         for edge in solid.edges:
-            look = {"color": GREEN, "ls": (0, (5, 3))} if solid.inside else {"color": AMBER}
+            look = (
+                {"color": draw.GREEN, "ls": (0, (5, 3))} if solid.inside else {"color": draw.AMBER}
+            )
             ax.plot(*edge[:, keep].T, lw=0.9, **look)
     for k, pose in enumerate(cell.arm):
-        colour, width = (MEASURED, 2.0) if k == cell.near else (LIGHT, 1.6)
+        colour, width = (draw.MEASURED, 2.0) if k == cell.near else (draw.LIGHT, 1.6)
         ax.plot(*pose[:, keep].T, "o-", ms=2.6, color=colour, lw=width, solid_joinstyle="round")
     for path in cell.paths:
-        ax.plot(*thin_path(path)[:, keep].T, color=FITTED, lw=1.3)
-        ax.plot(*path[:1, keep].T, marker="o", ms=5, mfc="white", mec=FITTED, ls="none")
+        ax.plot(*draw.thin_path(path)[:, keep].T, color=draw.FITTED, lw=1.3)
+        ax.plot(*path[:1, keep].T, marker="o", ms=5, mfc="white", mec=draw.FITTED, ls="none")
