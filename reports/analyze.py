@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.arm_figures import chain_figure, correlation_figure
-from excitant.reports.motion_figures import spectrum_figure
+from excitant.reports.arm_figures import chain_figure
+from excitant.reports.motion_figures import correlation_figure, spectrum_figure
 from excitant.reports.page import (
     Block,
     Brief,

@@ -139,7 +139,7 @@ def _compared(pages: Sequence[Page], judged: bool) -> list[dict[str, Any]]:
         elif judged or not _ERROR.search(f"{name} {heading}".lower()):
             first, *others = [(cell.value, std) for cell, std in cells]
             pairs = [(first[0], value) for value, _ in others]
-            row["difference"] = [None if None in (x, y) else y - x for x, y in pairs]
+            row["difference"] = [None if x is None or y is None else y - x for x, y in pairs]
             row["ratio"] = [None if not x or y is None else y / x for x, y in pairs]
             row["deviations"] = [deviations(*first, *other) for other in others]
         tables.setdefault((part, of), []).append(row | {"values": values})

@@ -8,16 +8,15 @@ import numpy as np
 
 from excitant.reports import page as p
 from excitant.reports import values as v
+from excitant.reports.arm_figures import space_figure
 from excitant.reports.motion_figures import (
     convergence_figure,
     envelope_of,
     motion_figure,
     share_of_limit,
     spectrum_figure,
-    weakest_figure,
 )
 from excitant.reports.page import Brief, Cell, Fact, Facts, Parts, Section, Table
-from excitant.reports.space_figure import space_figure
 from excitant.reports.values import NONE, Result, Series
 
 _CRITERIA = {
@@ -38,10 +37,7 @@ def design_section(result: Result, series: Series) -> Section:
             ("Key figures", [_facts(result), p.notes(v.words(result, "notes"), brief="")]),
             ("One motion per link", [_link_motions(result)]),
             *_motion(result, series),
-            (
-                "Least excited parameters",
-                [weakest_figure(result), _weakest(result), _directions(result)],
-            ),
+            ("Least excited parameters", [_weakest(result), _directions(result)]),
             ("The search", [convergence_figure(result), _starts(result)]),
             ("Files", [p.files(v.words(result, "files"))]),
         ],
@@ -349,8 +345,8 @@ def _weakest(result: Result) -> Table | None:
             ("number:Value in the model", "value"),
         ],
         "Standard deviation (std) by least squares from one period at 100 Hz, or 1000 samples if "
-        f"more, for white torque noise of 1 N·m{weighted}; it grows with the noise.",
-        "The same parameters in full, with the standard deviation to expect",
+        f"more, for white torque noise of 1 N·m{weighted}; it grows with the noise. "
+        "Fv is viscous and Fc Coulomb friction, Ia the rotor's inertia.",
     )
 
 

@@ -215,9 +215,9 @@ def _essential(result: Result) -> Notes | None:
     if not kept + dropped:
         return None
     said = (
-        f"{kept} of {kept + dropped} base parameters are essential: with the others at zero, least "
-        f"squares misses {v.percent(few)} of the hold-out instead of {v.percent(every)} (median over "
-        "joints)."
+        f"{kept} of {kept + dropped} base parameters are essential: with the others at zero, "
+        f"least squares misses {v.percent(few)} of the hold-out instead of {v.percent(every)} "
+        "(median over joints)."
     )
     return Notes((said,))
 
@@ -318,7 +318,8 @@ def _stage(stage: Result) -> list[Block | None]:
     joint, used, rows = v.text(stage, "joint"), v.words(stage, "recordings"), v.real(stage, "rows")
     said = f"{joint} does not move."
     if used and rows is not None:
-        said = f"Torque of {joint}: {rows:.0f} rows of {v.listing(used)}; {joint} {v.text(stage, 'mode')}."
+        moves = f"{joint} {v.text(stage, 'mode')}"
+        said = f"Torque of {joint}: {rows:.0f} rows of {v.listing(used)}; {moves}."
     found, missing = v.records(stage, "determined"), v.words(stage, "missing")
     cells: list[Result] = [*found, *({"expression": each} for each in missing)]
     left = f"{len(missing)} more combinations of this link are not shown and keep the given value"

@@ -259,44 +259,6 @@ def _positive(series: Series, key: str) -> Array:
     return np.empty(0) if values is None else np.sort(values[values > 0])[::-1]
 
 
-def weakest_figure(result: Result) -> Figure | None:
-    """Torque that only the weakest base parameters explain, before and after the design."""
-    rows = [r for r in v.records(result, "weakest") if (v.real(r, "information_final") or 0) > 0]
-    if not rows:
-        return None
-    (ax,) = draw.axes(0.62 + 0.22 * len(rows), left=1.75)
-    started = False
-    for k, row in enumerate(rows):
-        before, after = (v.real(row, f"information_{key}") or 0.0 for key in ("initial", "final"))
-        if before > 0:
-            started = True
-            ax.plot([before, after], [k, k], color=draw.LIGHT, lw=1.6, zorder=1)
-            ax.plot(before, k, "o", ms=5, mec=draw.GIVEN, mfc="white", mew=1.1)
-        ax.plot(after, k, "o", ms=5, color=draw.FITTED)
-    draw.log_x(ax)
-    ax.set_ylim(len(rows) - 0.4, -0.6)
-    ax.set_yticks(
-        range(len(rows)), [v.shorten(v.text(row, "name"), 25) for row in rows], fontsize=8
-    )
-    ax.set_xlabel("torque of its own [N·m per SI unit]", x=0.25)
-    legend = [
-        Key("dot" if key == "final" else "ring", colour, name)
-        for key, colour, name in _BEFORE_AFTER
-        if started or key == "final"
-    ]
-    worst = [
-        f"{v.text(row, 'name')} {v.number(v.real(row, 'information_final'))}" for row in rows[:3]
-    ]
-    caption = (
-        f"The {len(rows)} base parameters that the designed motion excites least, each by the "
-        "torque per unit that no other parameter can imitate (root mean square over the motion): "
-        "far left means an uncertain estimate. Fv is viscous and Fc Coulomb friction, Ia the "
-        "rotor's inertia."
-    )
-    label = f"torque that only one parameter explains; least: {', '.join(worst)}"
-    return Figure((draw.panel(ax, label),), caption, tuple(legend))
-
-
 def convergence_figure(result: Result) -> Figure | None:
     """Condition number over the iterations of each start; the best start stands out."""
     starts = [(row, v.reals(row, "history")) for row in v.records(result, "starts")]
@@ -337,3 +299,37 @@ def convergence_figure(result: Result) -> Figure | None:
     if cut:
         caption += f" The time limit ended {cut} of these {len(starts)}: more time may find better."
     return Figure((draw.panel(ax, label),), caption, tuple(legend))
+
+
+def correlation_figure(series: Series) -> Figure | None:
+    """Correlations of the base parameters as a map of colours."""
+    matrix = v.array(series, "correlation", None, None)
+    if matrix is None or matrix.shape[0] != matrix.shape[1]:
+        return None
+    from matplotlib.colors import LinearSegmentedColormap
+
+    r = len(matrix)
+    (ax,) = draw.axes(3.75, left=0.42)
+    ends = (0.5, r + 0.5)
+    ax.imshow(
+        np.nan_to_num(matrix),
+        cmap=LinearSegmentedColormap.from_list("signed", [draw.FITTED, "#ffffff", draw.GIVEN]),
+        vmin=-1,
+        vmax=1,
+        interpolation="nearest",
+        extent=(*ends, *ends[::-1]),
+        aspect="equal",
+    )
+    ax.grid(visible=False)
+    ax.set_xlabel("number of the base parameter")
+    strong = int((np.abs(np.triu(matrix, 1)) > 0.9).sum())
+    return Figure(
+        (draw.panel(ax, f"correlations of {r} base parameters; {strong} pairs beyond 0.9"),),
+        "Correlation of the estimates of each two base parameters, numbered as in the table of "
+        "all: a strong colour off the diagonal means that this motion shows the two mostly "
+        "together, so that one can make up for the other.",
+        (
+            Key("box", draw.GIVEN, "rise together (+1)"),
+            Key("box", draw.FITTED, "one rises, the other falls (−1)"),
+        ),
+    )
