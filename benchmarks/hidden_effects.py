@@ -20,8 +20,12 @@ from excitant.exceptions import BadInput, UnknownName
 from excitant.robots.motion import Array, freeze
 from excitant.robots.parameters import STANDARD
 from excitant.robots.plant.controller import Trajectory
-from excitant.robots.plant.drawing import draw_payload, separable_rotors
-from excitant.robots.plant.nominal import industrial_sensors, nominal_truth
+from excitant.robots.plant.nominal import (
+    draw_payload,
+    industrial_sensors,
+    nominal_truth,
+    separable_rotors,
+)
 from excitant.robots.plant.physics import Truth
 from excitant.robots.plant.planting import STRUCTURES, HiddenEffect, plant
 from excitant.robots.plant.run import simulate

@@ -18,7 +18,6 @@ from excitant.design.timing import approach
 from excitant.design.trajectory import (
     FourierTrajectory,
     HermiteTrajectory,
-    SplineTrajectory,
     Trajectory,
     from_coefficients,
 )
@@ -34,7 +33,6 @@ __all__ = [
     "LimitReport",
     "LimitUse",
     "LinkByLinkDesign",
-    "SplineTrajectory",
     "Trajectory",
     "approach",
     "build_design",

@@ -175,7 +175,7 @@ def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
     path: Trajectory | HermiteTrajectory
     orders = range(robot.limits.orders)
     if isinstance(motion, Trajectory):
-        path, stops = motion, motion.extremum_times(0).ravel()
+        path, stops = motion, motion.extrema_in_time(0)[0].ravel()
         t = np.linspace(0.0, motion.period, _PER_HARMONIC * max(motion.harmonics, 1) + 1)
         found = [_exact_extrema(motion, order) for order in orders]
     else:

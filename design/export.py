@@ -10,16 +10,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import msgspec
 import numpy as np
 import yaml
 
-from excitant.design.trajectory import FourierTrajectory, SplineTrajectory, Trajectory
+from excitant.design.trajectory import FourierTrajectory, SplineSeries, Trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots import Array, Motion, Robot
+from excitant.robots.schema import Finite, Positive, convert, read_yaml
 
 TOPIC = "/joint_trajectory_controller/joint_trajectory"
 
-_COEFFICIENTS = {"fourier": ("offset", "cosine", "sine"), "spline": ("control_points",)}
 _KINDS = ("q", "dq", "ddq")
 _MESSAGE = "trajectory_msgs/msg/JointTrajectory"
 _FIELDS = ("positions", "velocities", "accelerations")
@@ -41,18 +42,44 @@ def trajectory_csv(trajectory: Trajectory, rate_hz: float = 100.0, repetitions: 
     return motion_csv(trajectory.motion(rate_hz, repetitions))
 
 
+class _FourierRecord(msgspec.Struct, frozen=True):
+    """A ``trajectory.json`` of a Fourier series; entries that it does not know are left out."""
+
+    period: Positive
+    offset: list[Finite]
+    cosine: list[list[Finite]]
+    sine: list[list[Finite]]
+    joints: Any = None
+
+    def trajectory(self) -> Trajectory:
+        return FourierTrajectory(self.offset, self.cosine, self.sine, self.period)
+
+
+class _SplineRecord(msgspec.Struct, frozen=True):
+    """A ``trajectory.json`` of a B-spline."""
+
+    period: Positive
+    control_points: list[list[Finite]]
+    joints: Any = None
+
+    def trajectory(self) -> Trajectory:
+        return SplineSeries(self.period, len(self.control_points)).trajectory(self.control_points)
+
+
 def trajectory_json(trajectory: Trajectory, robot: Robot) -> str:
     """The exact coefficients, with the names of the joints."""
-    form = "spline" if isinstance(trajectory, SplineTrajectory) else "fourier"
     content: dict[str, Any] = {
-        "format": form,
+        "format": trajectory.series.name,
         "robot": robot.name,
         "joints": list(robot.joints),
         "period": trajectory.period,
         "harmonics": trajectory.harmonics,
     }
-    for name in _COEFFICIENTS[form]:
-        content[name] = getattr(trajectory, name).tolist()
+    if isinstance(trajectory, FourierTrajectory):
+        for name in ("offset", "cosine", "sine"):
+            content[name] = getattr(trajectory, name).tolist()
+    else:
+        content["control_points"] = trajectory.coefficients.tolist()
     return json.dumps(content, indent=1) + "\n"
 
 
@@ -65,57 +92,39 @@ def load_trajectory(path: str | Path, robot: Robot) -> Trajectory | Motion:
             count from 0 after the header.
     """
     path = Path(path)
+    if path.suffix.lower() == ".json":
+        return _from_json(path, robot)
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise BadInput(f"trajectory {path}: no such file") from None
     except (OSError, UnicodeDecodeError):
         raise BadInput(f"trajectory {path}: not a readable text file; give CSV or JSON") from None
-    if path.suffix.lower() == ".json":
-        return _from_json(text, path, robot)
     return _from_csv(text, path, robot)
 
 
-def _from_json(text: str, path: Path, robot: Robot) -> Trajectory:
-    try:
-        content = json.loads(text)
-    except ValueError as error:
-        raise BadInput(f"trajectory {path}: not JSON ({error})") from None
-    names = _COEFFICIENTS["fourier"]
-    if not isinstance(content, dict):
-        raise BadInput(f"trajectory {path}: expected an object with {', '.join(names)}")
-    if "control_points" in content:
-        names = _COEFFICIENTS["spline"]
-    missing = [name for name in ("period", *names) if name not in content]
-    if missing:
-        raise BadInput(f"trajectory {path}: entry '{missing[0]}' is missing")
-    joints = content.get("joints")
+def _from_json(path: Path, robot: Robot) -> Trajectory:
+    content = read_yaml(path, dict[str, Any], "coefficients of a trajectory")
+    record = (
+        convert(content, _SplineRecord, path)
+        if "control_points" in content
+        else convert(content, _FourierRecord, path)
+    )
+    joints = record.joints
     if isinstance(joints, list) and len(joints) == robot.nv and tuple(joints) != robot.joints:
         raise BadInput(
             f"trajectory {path}: its joints {', '.join(map(str, joints))} are not those of "
             f"{robot.name} ({', '.join(robot.joints)})"
         )
-    arrays = [_numbers(content[name], name, path, robot) for name in (*names, "period")]
     try:
-        return (SplineTrajectory if len(names) == 1 else FourierTrajectory)(*arrays)  # type: ignore[arg-type]
+        trajectory = record.trajectory()
     except ValueError as error:
         raise BadInput(f"trajectory {path}: {error}") from None
-
-
-def _numbers(value: Any, name: str, path: Path, robot: Robot) -> Array:
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise BadInput(f"trajectory {path}: '{name}' is not a table of numbers") from None
-    dimensions = {"period": 0, "offset": 1}.get(name, 2)
-    if array.ndim != dimensions or (dimensions and array.shape[-1] != robot.nv):
+    if trajectory.nv != robot.nv:
         raise BadInput(
-            f"trajectory {path}: '{name}' has shape {array.shape}, but {robot.name} has "
-            f"{robot.nv} joints"
+            f"trajectory {path}: has {trajectory.nv} joints, but {robot.name} has {robot.nv}"
         )
-    if not np.isfinite(array).all():
-        raise BadInput(f"trajectory {path}: '{name}' holds a value that is not finite")
-    return array
+    return trajectory
 
 
 def _from_csv(text: str, path: Path, robot: Robot) -> Motion:

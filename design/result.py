@@ -15,7 +15,7 @@ import pinocchio as pin
 from excitant.design.constraints import Clearance, LimitReport, check, clearance
 from excitant.design.criterion import Information, condition_number
 from excitant.design.search import SearchState
-from excitant.design.trajectory import SplineTrajectory, Trajectory
+from excitant.design.trajectory import Trajectory
 from excitant.robots import Array, BaseParameters, Motion, Robot, torque
 from excitant.robots.geometry import Scene
 from excitant.robots.motion import read_only
@@ -148,7 +148,7 @@ class Design:
             "revolute": robot.revolute.tolist(),
             "duration": self.duration,
             "harmonics": self.harmonics,
-            "series": "spline" if isinstance(self.trajectory, SplineTrajectory) else "fourier",
+            "series": self.trajectory.series.name,
             "columns": self.columns,
             "base_parameters": len(self.base),
             "criterion": self.criterion,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,7 @@ _DEGREE = 5  # of splines: jerk is continuous, and so is its rate
 class Series(ABC):
     """Basis functions in time, of which a periodic joint motion is a combination."""
 
+    name: ClassVar[str]
     period: float
 
     @property
@@ -37,9 +39,13 @@ class Series(ABC):
     def basis(self, t: npt.ArrayLike, order: int = 0) -> Array:
         """The order-th time derivative of the basis functions, shape (n, c)."""
 
-    @abstractmethod
     def trajectory(self, coefficients: npt.ArrayLike) -> Trajectory:
         """The motion with these coefficients, shape (c, nv)."""
+        return Trajectory(self, np.asarray(coefficients, float))
+
+    @abstractmethod
+    def extremum_times(self, coefficients: Array, order: int) -> Array:
+        """Instants among which every extremum of a derivative lies, shape (k, nv) [s]."""
 
     @abstractmethod
     def resized(self, terms: int, period: float | None = None) -> Series:
@@ -73,6 +79,13 @@ class Series(ABC):
         ends = np.vstack([self.basis(0.0, order) for order in (1, 2)])
         return scipy.linalg.null_space(ends / np.abs(ends).max(axis=1, keepdims=True))
 
+    def along(self, times: Array, coefficients: Array, order: int) -> Array:
+        """A derivative of joint j at its own instants ``times[:, j]``, same shape (k, nv)."""
+        n, nv = times.shape
+        basis = self.basis(times.ravel(), order).reshape(n, nv, -1)
+        values: Array = np.einsum("njc,cj->nj", basis, coefficients, optimize=True)
+        return values
+
     def instants(self, per_term: int) -> Array:
         """Equidistant instants over one period, the end left out [s]."""
         n = per_term * self.terms
@@ -91,28 +104,30 @@ class Series(ABC):
         return coefficients
 
 
-class Trajectory(ABC):
+@dataclass(frozen=True, eq=False)
+class Trajectory:
     """Periodic joint motion, known at every instant with its derivatives.
 
     Attributes:
-        period: Duration of one period [s].
+        series: The basis functions, c of them.
+        coefficients: Coefficient of each, shape (c, nv) [rad or m].
     """
 
-    period: float
+    series: Series
+    coefficients: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "coefficients")
+        if self.coefficients.ndim != 2 or len(self.coefficients) != self.series.size:
+            raise ValueError(
+                f"coefficients have shape {self.coefficients.shape}, expected "
+                f"({self.series.size}, number of joints)"
+            )
 
     @property
-    @abstractmethod
-    def series(self) -> Series:
-        """The basis functions."""
-
-    @property
-    @abstractmethod
-    def coefficients(self) -> Array:
-        """Coefficient of each basis function, shape (c, nv) [rad or m]."""
-
-    @abstractmethod
-    def extremum_times(self, order: int = 0) -> Array:
-        """Instants among which every extremum of a derivative lies, shape (k, nv) [s]."""
+    def period(self) -> float:
+        """Duration of one period [s]."""
+        return self.series.period
 
     def __call__(self, t: npt.ArrayLike, order: int = 0) -> Array:
         """Evaluate the motion or its time derivative of the given order, shape (n, nv)."""
@@ -155,21 +170,14 @@ class Trajectory(ABC):
         return Motion(t, once.q[k], once.dq[k], once.ddq[k])
 
     def extrema_in_time(self, order: int = 0) -> tuple[Array, Array]:
-        """Instants of `extremum_times` and the derivative there, both (k, nv)."""
-        times = self.extremum_times(order)
-        return times, self._along(times, order)
+        """Instants among which every extremum of a derivative lies, and values there, (k, nv)."""
+        times = self.series.extremum_times(self.coefficients, order)
+        return times, self.series.along(times, self.coefficients, order)
 
     def extrema(self, order: int = 0) -> tuple[Array, Array]:
         """Exact smallest and largest value of a derivative per joint, each of shape (nv,)."""
         values = self.extrema_in_time(order)[1]
         return values.min(axis=0), values.max(axis=0)
-
-    def _along(self, times: Array, order: int) -> Array:
-        """Joint j evaluated at its own instants ``times[:, j]``, same shape."""
-        n, nv = times.shape
-        basis = self.series.basis(times.ravel(), order).reshape(n, nv, -1)
-        values: Array = np.einsum("njc,cj->nj", basis, self.coefficients, optimize=True)
-        return values
 
     def _repr_html_(self) -> str:
         low, high = self.extrema()
@@ -179,7 +187,9 @@ class Trajectory(ABC):
             acceleration.tolist(), strict=True,
         )  # fmt: skip
         heads = ("joint", "from", "to", "top speed", "top acceleration")
-        return html_table(f"{type(self).__name__} of {self.period:.4g} s, SI units", heads, rows)
+        return html_table(
+            f"{self.series.name} trajectory of {self.period:.4g} s, SI units", heads, rows
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,8 +201,12 @@ class FourierSeries(Series):
         harmonics: Number of harmonics H.
     """
 
+    name = "fourier"
     period: float
     harmonics: int
+
+    def __post_init__(self) -> None:
+        _require_positive(self.period)
 
     @property
     def size(self) -> int:
@@ -217,7 +231,26 @@ class FourierSeries(Series):
 
     def trajectory(self, coefficients: npt.ArrayLike) -> FourierTrajectory:
         """The motion with these coefficients, shape (1 + 2 H, nv)."""
-        return from_coefficients(coefficients, self.period)
+        X, H = np.asarray(coefficients, float), self.harmonics
+        return FourierTrajectory(X[0], X[1 : 1 + H], X[1 + H :], self.period)
+
+    def extremum_times(self, coefficients: Array, order: int) -> Array:
+        """Instants among which every extremum of a derivative lies, shape (2 H + 1, nv) [s].
+
+        They are the roots of the next derivative, a trigonometric polynomial: eigenvalues of
+        its companion matrix, polished by Newton's method; the start of the period is added.
+        Roots off the unit circle give instants too; they are no extrema and do no harm.
+        """
+        # in the angle θ = ωt high derivatives keep their size
+        scaled = FourierSeries(2 * np.pi, self.harmonics)
+        theta = np.stack([_root_angles(x, order + 1) for x in coefficients.T], axis=1)
+        for _ in range(4):
+            slope, curve = (scaled.along(theta, coefficients, order + k) for k in (1, 2))
+            step = np.divide(slope, curve, out=np.zeros_like(slope), where=np.abs(curve) > 1e-12)
+            theta = theta - np.where(np.abs(step) < 0.5 / max(self.harmonics, 1), step, 0.0)
+        w, start = 2 * np.pi / self.period, np.zeros(coefficients.shape[1])
+        times: Array = np.vstack([start, np.mod(theta, 2 * np.pi) / w])
+        return times
 
     def resized(self, terms: int, period: float | None = None) -> FourierSeries:
         """The same functions with another number of harmonics, or another period [s]."""
@@ -241,77 +274,65 @@ class FourierSeries(Series):
         return least
 
 
-@dataclass(frozen=True, eq=False)
 class FourierTrajectory(Trajectory):
     """Periodic joint motion as a finite Fourier series (Swevers et al. 1997, eq. 4).
 
     q(t) = offset + Σ_h cosine_h cos(hωt) + sine_h sin(hωt), with ω = 2π / period.
 
-    Attributes:
+    Args:
         offset: Mean position per joint, shape (nv,) [rad or m].
         cosine: Coefficients, shape (harmonics, nv) [rad or m].
         sine: Coefficients, shape (harmonics, nv) [rad or m].
         period: Duration of one period [s].
     """
 
-    offset: Array
-    cosine: Array
-    sine: Array
-    period: float
+    def __init__(
+        self,
+        offset: npt.ArrayLike,
+        cosine: npt.ArrayLike,
+        sine: npt.ArrayLike,
+        period: float,
+    ) -> None:
+        parts = [np.asarray(part, float) for part in (offset, cosine, sine)]
+        shapes = [part.shape for part in parts]
+        if len(shapes[0]) != 1 or shapes[1] != shapes[2] or shapes[1][1:] != shapes[0]:
+            names = zip(("offset", "cosine", "sine"), shapes, strict=True)
+            raise ValueError("shapes differ: " + ", ".join(f"{n} {shape}" for n, shape in names))
+        super().__init__(FourierSeries(float(period), len(parts[1])), np.vstack(parts))
 
-    def __post_init__(self) -> None:
-        freeze(self, "offset", "cosine", "sine")
-        object.__setattr__(self, "period", float(self.period))
-        shape = (len(self.cosine), *self.offset.shape)
-        if self.offset.ndim != 1 or self.cosine.shape != shape or self.sine.shape != shape:
-            raise ValueError(
-                f"shapes differ: offset {self.offset.shape}, cosine {self.cosine.shape}, "
-                f"sine {self.sine.shape}"
-            )
-        if not self.period > 0:
-            raise ValueError(f"period {self.period} is not positive")
+    @property
+    def offset(self) -> Array:
+        """Mean position per joint, shape (nv,)."""
+        offset: Array = self.coefficients[0]
+        return offset
 
-    @cached_property
-    def coefficients(self) -> Array:
-        """Offset, cosine and sine coefficients below one another, shape (1 + 2 H, nv)."""
-        return read_only(np.vstack([self.offset, self.cosine, self.sine]))
+    @property
+    def cosine(self) -> Array:
+        """Coefficients of the cosines, shape (harmonics, nv)."""
+        cosine: Array = self.coefficients[1 : 1 + self.harmonics]
+        return cosine
 
-    @cached_property
-    def series(self) -> FourierSeries:
-        """The basis functions."""
-        return FourierSeries(self.period, len(self.cosine))
-
-    def extremum_times(self, order: int = 0) -> Array:
-        """Instants among which every extremum of a derivative lies, shape (2 H + 1, nv) [s].
-
-        They are the roots of the next derivative, a trigonometric polynomial: eigenvalues of
-        its companion matrix, polished by Newton's method; the start of the period is added.
-        Roots off the unit circle give instants too; they are no extrema and do no harm.
-        """
-        w = 2 * np.pi / self.period
-        # in the angle θ = ωt high derivatives keep their size
-        scaled = FourierTrajectory(self.offset, self.cosine, self.sine, 2 * np.pi)
-        theta = np.stack([_root_angles(scaled, order + 1, j) for j in range(self.nv)], axis=1)
-        for _ in range(4):
-            slope, curve = (scaled._along(theta, order + k) for k in (1, 2))
-            step = np.divide(slope, curve, out=np.zeros_like(slope), where=np.abs(curve) > 1e-12)
-            theta = theta - np.where(np.abs(step) < 0.5 / max(self.harmonics, 1), step, 0.0)
-        times: Array = np.vstack([np.zeros(self.nv), np.mod(theta, 2 * np.pi) / w])
-        return times
+    @property
+    def sine(self) -> Array:
+        """Coefficients of the sines, shape (harmonics, nv)."""
+        sine: Array = self.coefficients[1 + self.harmonics :]
+        return sine
 
 
 def from_coefficients(coefficients: npt.ArrayLike, period: float) -> FourierTrajectory:
     """Trajectory from stacked offset, cosine and sine coefficients, shape (1 + 2 H, nv)."""
-    X = np.asarray(coefficients, float)
-    H = len(X) // 2
-    return FourierTrajectory(X[0], X[1 : 1 + H], X[1 + H :], period)
+    return FourierSeries(float(period), len(np.asarray(coefficients)) // 2).trajectory(coefficients)
 
 
-def _root_angles(trajectory: FourierTrajectory, order: int, joint: int) -> Array:
-    """Angles of all complex roots of one joint's derivative, padded to shape (2 H,)."""
-    H = trajectory.harmonics
-    h = np.arange(1, H + 1)
-    c = (1j * h) ** order * (trajectory.cosine[:, joint] - 1j * trajectory.sine[:, joint])
+def _require_positive(period: float) -> None:
+    if not period > 0:
+        raise ValueError(f"period {period} is not positive")
+
+
+def _root_angles(x: Array, order: int) -> Array:
+    """Angles of all complex roots of a derivative of coefficients (1 + 2 H,), padded to (2 H,)."""
+    H = len(x) // 2
+    c = (1j * np.arange(1, H + 1)) ** order * (x[1 : 1 + H] - 1j * x[1 + H :])
     size = np.abs(c)
     high = np.flatnonzero(size > 1e-13 * max(float(size.max(initial=0.0)), 1e-300))
     angles = np.zeros(2 * H)
@@ -324,15 +345,23 @@ def _root_angles(trajectory: FourierTrajectory, order: int, joint: int) -> Array
 
 @dataclass(frozen=True, eq=False)
 class SplineSeries(Series):
-    """Quintic B-splines on equidistant knots that close to a period.
+    """Quintic B-splines B(t / h − k) on equidistant knots that close to a period (de Boor 1978).
+
+    h = period / pieces; the coefficients are control points.
 
     Attributes:
         period: Duration of one period [s].
         pieces: Number of polynomial pieces, and of basis functions; at least 6.
     """
 
+    name = "spline"
     period: float
     pieces: int
+
+    def __post_init__(self) -> None:
+        _require_positive(self.period)
+        if self.pieces <= _DEGREE:
+            raise ValueError(f"{self.pieces} pieces: at least {_DEGREE + 1} are needed")
 
     @property
     def size(self) -> int:
@@ -349,9 +378,22 @@ class SplineSeries(Series):
         values: Array = self._unit(np.mod(t, self.period), nu=order)
         return values
 
-    def trajectory(self, coefficients: npt.ArrayLike) -> SplineTrajectory:
-        """The motion with these coefficients, shape (pieces, nv)."""
-        return SplineTrajectory(np.asarray(coefficients, float), self.period)
+    def extremum_times(self, coefficients: Array, order: int) -> Array:
+        """Instants among which every extremum of a derivative lies, shape (k, nv) [s].
+
+        The roots of the next derivative, piece by piece, and the knots.
+        """
+        knots = np.arange(self.pieces) * (self.period / self.pieces)
+        found = []
+        for points in coefficients.T:
+            spline = _periodic(points, self.period)
+            slope = PPoly.from_spline((spline.t, spline.c, _DEGREE)).derivative(order + 1)
+            roots = slope.roots(extrapolate=False)
+            inside = roots[np.isfinite(roots) & (roots >= 0) & (roots <= self.period)]
+            found.append(np.concatenate([knots, inside]))
+        length = max(len(times) for times in found)
+        padded = [np.pad(times, (0, length - len(times))) for times in found]
+        return read_only(np.stack(padded, axis=1))
 
     def resized(self, terms: int, period: float | None = None) -> SplineSeries:
         """The same functions with another number of terms, or another period [s]."""
@@ -368,60 +410,6 @@ class SplineSeries(Series):
         Velocity and acceleration limit differences of coefficients, not their size.
         """
         return np.tile(bound[0], (self.pieces, 1))
-
-
-@dataclass(frozen=True, eq=False)
-class SplineTrajectory(Trajectory):
-    """Periodic joint motion as a quintic B-spline on equidistant knots.
-
-    q(t) = Σ_k c_k B(t / h − k), periodic, with h = period / pieces (de Boor 1978).
-
-    Attributes:
-        control_points: c, one row per piece, shape (pieces, nv) [rad or m].
-        period: Duration of one period [s].
-    """
-
-    control_points: Array
-    period: float
-
-    def __post_init__(self) -> None:
-        freeze(self, "control_points")
-        object.__setattr__(self, "period", float(self.period))
-        if self.control_points.ndim != 2 or len(self.control_points) <= _DEGREE:
-            raise ValueError(
-                f"control points have shape {self.control_points.shape}; at least {_DEGREE + 1} "
-                "pieces are needed"
-            )
-        if not self.period > 0:
-            raise ValueError(f"period {self.period} is not positive")
-
-    @property
-    def coefficients(self) -> Array:
-        """The control points."""
-        return self.control_points
-
-    @cached_property
-    def series(self) -> SplineSeries:
-        """The basis functions."""
-        return SplineSeries(self.period, len(self.control_points))
-
-    def extremum_times(self, order: int = 0) -> Array:
-        """Instants among which every extremum of a derivative lies, shape (k, nv) [s].
-
-        The roots of the next derivative, piece by piece, and the knots.
-        """
-        pieces = len(self.control_points)
-        knots = np.arange(pieces) * (self.period / pieces)
-        found = []
-        for points in self.control_points.T:
-            spline = _periodic(points, self.period)
-            slope = PPoly.from_spline((spline.t, spline.c, _DEGREE)).derivative(order + 1)
-            roots = slope.roots(extrapolate=False)
-            inside = roots[np.isfinite(roots) & (roots >= 0) & (roots <= self.period)]
-            found.append(np.concatenate([knots, inside]))
-        length = max(len(times) for times in found)
-        padded = [np.pad(times, (0, length - len(times))) for times in found]
-        return read_only(np.stack(padded, axis=1))
 
 
 def _periodic(coefficients: Array, period: float) -> BSpline:

@@ -1,4 +1,4 @@
-from .dataset import Dataset, load_dataset
+from .dataset import Dataset, load_dataset, read_recordings
 from .differentiators import (
     Differentiator,
     LocalPolynomial,
@@ -13,14 +13,13 @@ from .export import Publication, model_files, publication
 from .importers.mapping import ColumnMap, load_column_map
 from .importers.raw import RawRecording, raw_recording
 from .knowledge import Knowledge, load_knowledge
-from .monitor import Monitor, identify_online, replay
+from .monitor import Monitor, OnlineIdentification, identify_online
 from .online import OnlineEstimate, OnlineEstimator
 from .payload import PayloadEstimate, estimate_payload, identify_payload
 from .recording import (
     Recording,
     read_chunks,
     read_recording,
-    read_recordings,
     recording_from_raw,
     recording_from_table,
 )
@@ -42,6 +41,7 @@ __all__ = [
     "Monitor",
     "OnlineEstimate",
     "OnlineEstimator",
+    "OnlineIdentification",
     "PayloadEstimate",
     "Persistency",
     "Publication",
@@ -68,7 +68,6 @@ __all__ = [
     "read_recordings",
     "recording_from_raw",
     "recording_from_table",
-    "replay",
     "savitzky_golay",
     "split",
 ]

@@ -25,6 +25,7 @@ robot; what is not shown stays at the given robot.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,22 +38,9 @@ from excitant.identify.least_squares import student_width
 from excitant.robots.motion import Array, freeze
 
 _SURER = 2.0  # times surer than the given robot: then the recordings decide
+_CLEAR = (0.3, 0.1, 1e-2, 1e-4, 1e-7)  # share of a leading parameter outside those before it
+_NOTHING = 1e-6  # coefficient, in units of the parameters' scale
 _ROUNDING = 1e-8  # of the clearest direction: less than rounding and interpolation leave
-
-
-@dataclass(frozen=True, eq=False)
-class StageNoise:
-    """Noise of a stage.
-
-    Attributes:
-        rows: Number of rows.
-        sigma: Its standard deviation [torque unit]; NaN without rows.
-        inflation: Rows that count as one independent row, at least 1.
-    """
-
-    rows: int
-    sigma: float
-    inflation: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +100,7 @@ def beginning(prior: BasePrior) -> Cascade:
     return Cascade(prior.mean, L, np.zeros((r, 0)), np.zeros(0), np.zeros((0, 0)))
 
 
-def further(known: Cascade, W: Array, tau: Array) -> tuple[Cascade, StageNoise]:
+def further(known: Cascade, W: Array, tau: Array) -> tuple[Cascade, float, float]:
     """One stage further inward.
 
     Args:
@@ -121,19 +109,20 @@ def further(known: Cascade, W: Array, tau: Array) -> tuple[Cascade, StageNoise]:
         tau: Its torque, shape (n,).
 
     Returns:
-        What is known then, and the noise of the stage.
+        What is known then, the noise of the rows [torque unit], NaN without rows, and how many
+        of them count as one independent row, at least 1.
     """
     if len(tau) == 0:
-        return known, StageNoise(0, np.nan, 1.0)
+        return known, np.nan, 1.0
     A, D = W @ known.L, known.D
     outer = A @ D
     target = tau - W @ known.mean - outer @ known.c
     size = float(np.linalg.norm(A))
     U, s, Vt = _directions(A - outer @ D.T, size)
-    scores, noise = _noise(_directions(A, size)[0], U, target)
+    scores, sigma, inflation = _noise(_directions(A, size)[0], U, target)
     shown = s >= _SURER * np.sqrt(np.diag(scores))
     if not shown.any():
-        return known, noise
+        return known, sigma, inflation
     U, s, V = U[:, shown], s[shown], Vt[shown].T
     own = scores[np.ix_(shown, shown)] / np.outer(s, s)
     H = U.T / s[:, None]
@@ -143,7 +132,7 @@ def further(known: Cascade, W: Array, tau: Array) -> tuple[Cascade, StageNoise]:
     c = np.concatenate([known.c, H @ target])
     V = V - D @ (D.T @ V)  # once more, against rounding
     V /= np.linalg.norm(V, axis=0)
-    return Cascade(known.mean, known.L, np.hstack([D, V]), c, P), noise
+    return Cascade(known.mean, known.L, np.hstack([D, V]), c, P), sigma, inflation
 
 
 def _directions(A: Array, size: float) -> tuple[Array, Array, Array]:
@@ -153,8 +142,8 @@ def _directions(A: Array, size: float) -> tuple[Array, Array, Array]:
     return U[:, keep], s[keep], Vt[keep]
 
 
-def _noise(every: Array, U: Array, target: Array) -> tuple[Array, StageNoise]:
-    """Covariance of the scores Uᵀε, widened for the samples that it is known from, and ε.
+def _noise(every: Array, U: Array, target: Array) -> tuple[Array, float, float]:
+    """Covariance of the scores Uᵀε, widened for the samples it is known from; size of ε; inflation.
 
     Args:
         every: Orthonormal basis of all that parameters can explain of the row, shape (n, m).
@@ -168,5 +157,54 @@ def _noise(every: Array, U: Array, target: Array) -> tuple[Array, StageNoise]:
     scores, freedom = score_covariances(every[:, None, :], residual[:, None] / sigma, np.eye(m))
     T = every.T @ U
     covariance = sigma**2 * student_width(freedom[0]) ** 2 * (T.T @ scores[0] @ T)
-    plain = max(float(np.trace(covariance)) / max(len(T.T), 1) / sigma**2, 1.0)
-    return covariance + floor**2 * np.eye(len(T.T)), StageNoise(n, sigma, plain)
+    inflation = max(float(np.trace(covariance)) / max(len(T.T), 1) / sigma**2, 1.0)
+    return covariance + floor**2 * np.eye(len(T.T)), sigma, inflation
+
+
+def led_combinations(
+    F: Array, leading: Sequence[int], rows: Array, scale: Array, preferred: Sequence[int]
+) -> tuple[Array, list[int]]:
+    """Combinations of base parameters in readable form, and further ones.
+
+    Args:
+        F: Coefficients, shape (k, r), each row with the coefficient 1 of a parameter that no other
+            row has and that leads it.
+        leading: The parameters that lead, k of them.
+        rows: Coefficients of the further combinations, independent of these, shape (m, r).
+        scale: Scale of each parameter, shape (r,).
+        preferred: Parameters that should lead, in this order; then the others.
+
+    Returns:
+        Coefficients of all, shape (k + m, r), and the parameters that lead them.
+    """
+    if len(rows) == 0:
+        return F, list(leading)
+    led = list(leading)
+    rest = (rows - rows[:, led] @ F) * scale
+    rest[:, led] = 0.0
+    Q = np.linalg.qr(rest.T)[0].T
+    order = [k for k in dict.fromkeys((*preferred, *range(len(scale)))) if k not in led]
+    added = _leading(Q, order)
+    new = np.linalg.solve(Q[:, added], Q)
+    new[np.abs(new) < _NOTHING] = 0.0
+    new[:, added] = np.eye(len(added))
+    new *= scale[added, None] / scale
+    return np.vstack([F, new]), led + added
+
+
+def _leading(Q: Array, order: Sequence[int]) -> list[int]:
+    """The first columns, in an order, that are clearly independent; as many as rows."""
+    chosen: list[int] = []
+    basis = np.zeros((len(Q), 0))
+    for clear in _CLEAR:
+        for k in order:
+            if len(chosen) == len(Q):
+                return chosen
+            if k in chosen:
+                continue
+            rest = Q[:, k] - basis @ (basis.T @ Q[:, k])
+            size = float(np.linalg.norm(rest))
+            if size > clear:
+                basis = np.column_stack([basis, rest / size])
+                chosen.append(k)
+    return chosen

@@ -10,14 +10,26 @@ from typing import Any
 import msgspec
 
 from excitant.exceptions import BadInput, UnknownName
+from excitant.identify.decimation import decimated, too_long
 from excitant.identify.importers.mapping import (
     ColumnMap,
     column_map,
     drive_of,
     load_column_map,
 )
-from excitant.identify.importers.raw import SUFFIXES
-from excitant.identify.recording import Recording, read_recordings
+from excitant.identify.importers.raw import (
+    SUFFIXES,
+    put_together,
+    raw_recording,
+    runs_of_parts,
+)
+from excitant.identify.recording import (
+    Recording,
+    check_finite,
+    check_time,
+    read_chunks,
+    recording_from_raw,
+)
 from excitant.robots.loading import load_robot
 from excitant.robots.robot import Robot
 from excitant.robots.schema import RobotRecord, read_yaml
@@ -173,3 +185,32 @@ def _mapping(
     if given.drive is None:
         given = replace(given, drive=drive)
     return given if given != ColumnMap() else None
+
+
+def read_recordings(
+    paths: Sequence[str | Path],
+    robot: Robot | int,
+    *,
+    mapping: ColumnMap | None = None,
+    torque_column: str | None = None,
+) -> list[Recording]:
+    """Recordings from logs, in order; files that are parts of one recording become one.
+
+    See `read_recording`, and `excitant.identify.importers.raw.runs_of_parts` for what a part is.
+    Logs that are too long to hold are low-passed and decimated as they are read, each a recording
+    of its own (`excitant.identify.decimation`).
+    """
+    if too_long(paths):
+        return [
+            decimated(read_chunks(path, robot, mapping=mapping, torque_column=torque_column))
+            for path in paths
+        ]
+    raws = [raw_recording(path, robot, mapping, torque_column=torque_column) for path in paths]
+    found = []
+    for parts in runs_of_parts(raws):
+        if len(parts) > 1:
+            for raw in parts:
+                check_finite(raw)
+                check_time(raw)
+        found.append(recording_from_raw(put_together(parts) if len(parts) > 1 else parts[0]))
+    return found

@@ -67,8 +67,7 @@ def decimated(pieces: Iterable[Recording]) -> Recording:
     Raises:
         BadRecording: No uninterrupted part is longer than the filter.
     """
-    found: list[tuple[Array, Array, Array]] = []
-    rest: tuple[Array, ...] = ()
+    samples, count, rest = np.empty((0, 0)), 0, tuple[Array, ...]()
     for piece in pieces:
         now: tuple[Array, ...] = (piece.t, piece.q, piece.tau)
         if not rest:
@@ -76,15 +75,29 @@ def decimated(pieces: Iterable[Recording]) -> Recording:
         else:
             now = tuple(np.concatenate(pair) for pair in zip(rest, now, strict=True))
         for part in uninterrupted(now[0]):
-            samples, used = passed(*(values[part] for values in now))
-            found += samples
+            found, used = passed(*(values[part] for values in now))
+            if count + len(found) > len(samples):
+                # one array that doubles: many small ones between large ones waste memory
+                grown = np.empty((2 * (count + len(found)), found.shape[1]))
+                if count:
+                    grown[:count] = samples[:count]
+                samples = grown
+            if len(found):
+                samples[count : count + len(found)] = found
+                count += len(found)
             rest = tuple(values[part][used:] for values in now)
-    if not found:
+    if not count:
         raise BadRecording(first.file, "no uninterrupted part is long enough", column="t")
-    t, q, tau = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    rate = 1 / float(np.median(np.diff(t)))
-    note = f"read in pieces, low-passed and decimated to {rate:.4g} Hz, for it is long"
-    return replace(first, t=t, q=q, tau=tau, dq=None, notes=(*first.notes, note))
+    t, nv = samples[:count, 0], first.q.shape[1]
+    note = f"read in pieces, low-passed and decimated to {passed.rate_hz:.4g} Hz, for it is long"
+    return replace(
+        first,
+        t=t,
+        q=samples[:count, 1 : nv + 1],
+        tau=samples[:count, nv + 1 :],
+        dq=None,
+        notes=(*first.notes, note),
+    )
 
 
 class _Filter:
@@ -108,23 +121,24 @@ class _Filter:
         )
         self.next: float | None = None  # when the next sample is due [s]
 
-    def __call__(
-        self, t: Array, q: Array, tau: Array
-    ) -> tuple[list[tuple[Array, Array, Array]], int]:
-        """Samples that these determine, if any, and how many of these are used up."""
+    @property
+    def rate_hz(self) -> float:
+        """Rate of what comes out [Hz]."""
+        return 1 / (self.factor * self.step)
+
+    def __call__(self, t: Array, q: Array, tau: Array) -> tuple[Array, int]:
+        """Samples [t, q, τ] that these determine, and how many of these are used up."""
         reach, every = self.half * self.step, self.factor * self.step
         if self.next is None or not t[0] - self.step < self.next - reach < t[-1]:
             self.next = float(t[0]) + reach
         count = int((t[-1] - reach - self.next) / every + 1 + 1e-6)
         if len(t) < 4 or count < 1:
-            return [], 0
+            return np.empty((0, 1 + 2 * q.shape[1])), 0
         n = (count - 1) * self.factor + 2 * self.half + 1
         grid = self.next - reach + self.step * np.arange(n)
         values = np.hstack(at_instants(t, q, tau, np.clip(grid, t[0], t[-1])))
         values = scipy.signal.oaconvolve(values, self.h[:, None], mode="valid", axes=0)
-        out = values[:: self.factor]
-        times = np.asarray(self.next + every * np.arange(count), float)
+        times = self.next + every * np.arange(count)
         self.next = float(times[-1] + every)
         used = int(np.searchsorted(t, self.next - reach - 3 * self.step))
-        nv = q.shape[1]
-        return [(times, out[:, :nv], out[:, nv:])], used
+        return np.column_stack([times, values[:: self.factor]]), used

@@ -58,26 +58,17 @@ class KnownPayload:
         mass: Its mass [kg].
         mass_std: Standard deviation of the mass [kg].
         centre: Its centre of mass in the frame of the last joint [m]; None where not known.
-        centre_std: Standard deviation of the centre along each axis [m].
-        inertia: Its inertia about the centre of mass, in that frame, Ixx, Ixy, Iyy, Ixz, Iyz, Izz
-            [kg·m²]; None where not known. Needs the centre.
     """
 
     mass: float
     mass_std: float = 0.0
     centre: tuple[float, float, float] | None = None
-    centre_std: float = 0.0
-    inertia: tuple[float, float, float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        if not self.mass > 0 or min(self.mass_std, self.centre_std) < 0:
+        if not self.mass > 0 or self.mass_std < 0:
             raise BadInput(
                 f"payload: {self.mass:g} ± {self.mass_std:g} kg; give a mass above 0 kg and "
-                "standard deviations that are not negative"
-            )
-        if self.inertia is not None and self.centre is None:
-            raise BadInput(
-                "payload: its inertia is of no use without its centre of mass; give both"
+                "a standard deviation that is not negative"
             )
 
     @property
@@ -86,27 +77,12 @@ class KnownPayload:
         if self.centre is None:
             return np.asarray(self.mass * np.eye(10)[0])
         point = pin.Inertia(self.mass, np.array(self.centre), np.zeros((3, 3)))
-        phi = np.asarray(point.toDynamicParameters(), float)
-        phi[4:] += self.inertia or np.zeros(6)
-        return phi
+        return np.asarray(point.toDynamicParameters(), float)
 
     @property
     def open_parameters(self) -> slice:
         """Standard parameters that are not known."""
-        if self.centre is None:
-            return slice(1, 10)
-        return slice(10, 10) if self.inertia is not None else slice(4, 10)
-
-    def moved(self) -> tuple[KnownPayload, ...]:
-        """Payloads that differ by a standard deviation of one thing that is known of it."""
-        others = []
-        if self.mass_std:
-            others.append(replace(self, mass=self.mass + self.mass_std))
-        if self.centre is not None and self.centre_std:
-            for step in self.centre_std * np.eye(3):
-                x, y, z = (self.centre + step).tolist()
-                others.append(replace(self, centre=(x, y, z)))
-        return tuple(others)
+        return slice(1, 10) if self.centre is None else slice(4, 10)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,21 +208,16 @@ def payload_gains(free: CurrentRows, loaded: CurrentRows, payload: KnownPayload)
     if (k <= 0).any():
         raise BadInput(f"{hardly}: the gains found are not positive")
     log_cov = _covariance(exact, current, k, theta, shown)
-    mean = np.where(shown, 1.0, 0.0) / shown.sum()
-    scale = float(mean @ log_cov @ mean)
-    variance = np.diag(log_cov).copy()
-    for other in payload.moved():
-        moved = _solved(_exact_columns(free, loaded, other, hardly), current)[0]
-        change = np.log(moved / k)
-        variance += change**2
-        scale += float(mean @ change) ** 2
-    if np.sqrt(scale) > _HARDLY:
+    mean = shown / shown.sum()
+    # all that is known of the payload, and with it every gain, grows in proportion to its mass
+    weighed = np.log1p(payload.mass_std / payload.mass) ** 2
+    scale = float(np.sqrt(mean @ log_cov @ mean + weighed))
+    if scale > _HARDLY:
         raise BadInput(
-            f"{hardly}: they fix the common scale of the drive gains to "
-            f"±{100 * np.sqrt(scale):.0f} % only"
+            f"{hardly}: they fix the common scale of the drive gains to ±{100 * scale:.0f} % only"
         )
-    seen = tuple(bool(each) for each in shown)
-    return DriveGains(k, k * np.sqrt(variance), seen, float(np.sqrt(scale)))
+    std = k * np.sqrt(np.diag(log_cov) + weighed)
+    return DriveGains(k, std, tuple(bool(each) for each in shown), scale)
 
 
 def _exact_columns(

@@ -95,19 +95,6 @@ class NonlinearEffects:
         freeze(self, "start")
 
 
-@dataclass(frozen=True, eq=False)
-class Refinement:
-    """A point from which the objective falls no further, or hardly.
-
-    Attributes:
-        fit: Standard parameters and θ there; its ``kkt`` says how close to a minimum that is.
-        objective: The objective at standard parameters and θ, shape (10 links + k,).
-    """
-
-    fit: PhysicalFit
-    objective: Callable[[Array], float]
-
-
 def refine_log_cholesky(
     R: Array,
     z: Array,
@@ -116,7 +103,7 @@ def refine_log_cholesky(
     bodies: Array,
     prior_sigma: float | Array = PRIOR_SIGMA,
     tolerance: float = _TOLERANCE,
-) -> Refinement:
+) -> tuple[PhysicalFit, Callable[[Array], float]]:
     """Descend from a consistent point, such as a semidefinite fit, as far as it pays.
 
     Args:
@@ -128,6 +115,10 @@ def refine_log_cholesky(
         bodies: Standard parameters to start from, consistent, shape (links, 10).
         prior_sigma: Relative uncertainty σ of the prior, for all links or for each.
         tolerance: Relative change of objective and parameters at which the descent ends.
+
+    Returns:
+        Standard parameters and θ there, whose ``kkt`` says how close to a minimum that is; and the
+        objective as a function of standard parameters and θ, shape (10 links + k,).
 
     Raises:
         BadInput: Columns, torque and prior that do not fit each other, or impossible bodies.
@@ -148,7 +139,7 @@ def refine_log_cholesky(
             gtol=tolerance,
             max_nfev=_EVALUATIONS,
         )
-    return Refinement(problem.fit(np.asarray(found.x, float)), problem.objective)
+    return problem.fit(np.asarray(found.x, float)), problem.objective
 
 
 class _Problem:

@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from excitant.exceptions import BadRecording
 from excitant.identify.base_prior import BasePrior, base_prior, reference_motion
-from excitant.identify.differentiators import causal_polynomial, position_spectrum
 from excitant.identify.estimate import Estimate, judged
 from excitant.identify.excitation import (
     ROWS_PER_SECOND,
@@ -18,19 +16,17 @@ from excitant.identify.excitation import (
     excitation_judge,
 )
 from excitant.identify.least_squares import LeastSquares
-from excitant.identify.online import OnlineEstimate, OnlineEstimator, regular
+from excitant.identify.online import OnlineEstimate, OnlineEstimator, joined, replayable
 from excitant.identify.physical import fit_physical, prior_parameters
-from excitant.identify.preprocessing import uninterrupted
 from excitant.identify.recording import Recording
 from excitant.identify.rows import fit_rows, fitted, split
-from excitant.robots.base_parameters import BaseParameters, base_parameters
+from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
 
 WINDOW = 8.0  # s of motion that the monitor looks at
-_BETWEEN = 1.0  # s set between recordings that follow each other
 _PERIOD = 0.5  # s between two looks
 _KEPT = 100  # looks written to result.json
 _REFERENCE = 10.0  # s of reference motion over which the uncertainty of the torque is taken
@@ -124,137 +120,38 @@ class Monitor:
 
 
 @dataclass(frozen=True, eq=False)
-class OnlineRun:
-    """A recording played through the estimator.
-
-    Attributes:
-        recording: The recording.
-        differentiator: Why which differentiator was taken.
-        looks: The monitor's looks, the last at the end of the recording.
-        messages: Time [s] and text.
-        delay: Age of the newest instant that the estimator can speak about [s].
-    """
-
-    recording: Recording
-    differentiator: str
-    looks: tuple[Look, ...]
-    messages: tuple[tuple[float, str], ...]
-    delay: float
-
-    @property
-    def estimate(self) -> OnlineEstimate:
-        """What is known at the end."""
-        return self.looks[-1].estimate
-
-
-def replay(
-    robot: Robot,
-    recording: Recording,
-    *,
-    effects: Sequence[Effect] | None = None,
-    base: BaseParameters | None = None,
-    prior: BasePrior | bool | None = None,
-    forgetting: float | None = None,
-    gains: Array | float = 1.0,
-    progress: Callable[[float], None] | None = None,
-) -> OnlineRun:
-    """Estimate on line over a recording, as if its samples came one by one.
-
-    The causal differentiator is the one that suits the positions of the recording best.
-
-    Args:
-        robot: The arm; the prior where no other is given.
-        recording: What was logged; resampled where its time is irregular.
-        effects: Effects to estimate; friction, offset and rotor inertia when None.
-        base: Base parameters of both, where they are at hand.
-        prior: What is known beforehand; the given robot when None, ``False`` for nothing.
-        forgetting: Time constant [s]; nothing is forgotten when None.
-        gains: Torque per reading [N·m per reading], shape (nv,).
-        progress: Told the fraction done.
-
-    Raises:
-        BadRecording: Too short for one row.
-    """
-    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
-    base = base_parameters(robot, effects) if base is None else base
-    t, q, tau = regular(recording)
-    rate = 1 / float(np.median(np.diff(t)))
-    longest = max(uninterrupted(t), key=len)
-    spectrum = position_spectrum(t[longest], q[longest])
-    choice = causal_polynomial(spectrum)
-    estimator = OnlineEstimator(
-        robot,
-        effects,
-        rate_hz=rate,
-        differentiator=choice.differentiator,
-        forgetting=forgetting,
-        prior=prior,
-        position_noise=spectrum.noise,
-        base=base,
-    )
-    measure = prior if isinstance(prior, BasePrior) else base_prior(robot, effects, base)
-    monitor, looks, due = Monitor(estimator, measure), [], t[0] + 1.0
-    for k in range(len(t)):
-        estimator.push(float(t[k]), q[k], tau[k] * gains)
-        if t[k] >= due and estimator.rows:
-            looks.append(monitor.look())
-            due = t[k] + _PERIOD
-            if progress is not None:
-                progress(k / len(t))
-    if not estimator.rows:
-        raise BadRecording(recording.file, "too short or interrupted too often for on-line rows")
-    if not looks or looks[-1].estimate.t < estimator.recent().motion.t[-1]:
-        looks.append(monitor.look())
-    messages = tuple(monitor.messages)
-    return OnlineRun(recording, choice.why, tuple(looks), messages, estimator.delay)
-
-
-def joined(recordings: Sequence[Recording]) -> Recording:
-    """Recordings one after the other, a second apart."""
-    if len(recordings) == 1:
-        return recordings[0]
-    times, start = [], 0.0
-    for recording in recordings:
-        times.append(recording.t - recording.t[0] + start)
-        start = float(times[-1][-1]) + _BETWEEN
-    return Recording(
-        name=", ".join(r.name for r in recordings),
-        file=recordings[0].file,
-        t=np.concatenate(times),
-        q=np.concatenate([r.q for r in recordings]),
-        tau=np.concatenate([r.tau for r in recordings]),
-        unit=recordings[0].unit,
-    )
-
-
-@dataclass(frozen=True, eq=False)
 class OnlineIdentification:
     """What was identified on line, judged as an estimate from the whole recording is.
 
     Attributes:
         estimate: Physically consistent model and its accuracy.
-        run: The estimator's way there.
+        looks: The monitor's looks on the way, the last at the end.
+        messages: Time [s] and text.
+        delay: Age of the newest instant that the estimator can speak about [s].
+        differentiator: Why which differentiator was taken.
     """
 
     estimate: Estimate
-    run: OnlineRun
+    looks: tuple[Look, ...]
+    messages: tuple[tuple[float, str], ...]
+    delay: float
+    differentiator: str
 
     def result(self) -> dict[str, Any]:
         """Machine-readable result: that of `identify`, and the way there under ``online``."""
-        run = self.run
-        looks = run.looks[:: max(1, -(-len(run.looks) // _KEPT))]
-        if looks[-1] is not run.looks[-1]:
-            looks = (*looks, run.looks[-1])
+        looks = list(self.looks[:: max(1, -(-len(self.looks) // _KEPT))])
+        if looks[-1] is not self.looks[-1]:
+            looks.append(self.looks[-1])
         return self.estimate.result() | {
             "estimator": "recursive least squares in square-root information form, on line; "
             "then physically consistent semidefinite fit",
             "online": {
-                "delay_s": run.delay,
-                "differentiator": run.differentiator,
-                "messages": [{"t": float(t), "text": text} for t, text in run.messages],
-                "converged": run.looks[-1].converged,
+                "delay_s": self.delay,
+                "differentiator": self.differentiator,
+                "messages": [{"t": float(t), "text": text} for t, text in self.messages],
+                "converged": looks[-1].converged,
                 "history": {
-                    "t": [float(look.estimate.t) for look in looks],
+                    "t": [look.estimate.t for look in looks],
                     "value": [look.estimate.beta.tolist() for look in looks],
                     "std": [look.estimate.std.tolist() for look in looks],
                     "excitation_level": [
@@ -268,7 +165,7 @@ class OnlineIdentification:
 
     def series(self) -> dict[str, Array]:
         """For figures: estimates over time, ``online_t`` (k,), values and std (k, r)."""
-        looks = [look.estimate for look in self.run.looks]
+        looks = [look.estimate for look in self.looks]
         return {
             "online_t": np.array([each.t for each in looks]),
             "online_value": np.array([each.beta for each in looks]),
@@ -307,17 +204,26 @@ def identify_online(
     data = split(recordings, validate, cutoff_hz)
     base = base_parameters(robot, effects)
     rows = fit_rows(robot, effects, base, data)
-    run = replay(
-        robot,
-        joined(fitted(recordings, validate)),
-        effects=effects,
-        base=base,
-        forgetting=forgetting,
-        gains=rows.gains,
-        progress=progress,
+    recording = joined(fitted(recordings, validate))
+    estimator, samples, why = replayable(
+        robot, recording, effects, base, gains=rows.gains, forgetting=forgetting
     )
-    last, known = run.estimate, run.estimate.data
+    monitor, looks = Monitor(estimator, base_prior(robot, effects, base)), []
+    due = samples[0][0] + 1.0
+    for k, (t, q, tau) in enumerate(zip(*samples, strict=True)):
+        estimator.push(float(t), q, tau)
+        if t >= due and estimator.rows:
+            looks.append(monitor.look())
+            due = t + _PERIOD
+            if progress is not None:
+                progress(k / len(samples[0]))
+    if not looks or looks[-1].estimate.t < estimator.recent().motion.t[-1]:
+        looks.append(monitor.look())
+    last = looks[-1].estimate
+    known = last.data
     physical = fit_physical(known.R @ base.regrouping, known.z, prior, rows.open_prior)
     fit = LeastSquares(last.beta, last.covariance, last.sigma, last.inflation)
-    estimate = judged(robot, rows, fit, physical, (data.holdout, run.differentiator))
-    return OnlineIdentification(estimate, run)
+    estimate = judged(robot, rows, fit, physical, (data.holdout, why))
+    return OnlineIdentification(
+        estimate, tuple(looks), tuple(monitor.messages), estimator.delay, why
+    )

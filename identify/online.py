@@ -22,16 +22,24 @@ import pinocchio as pin
 
 from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.base_prior import BasePrior, base_prior
-from excitant.identify.block_columns import BlockColumns
-from excitant.identify.differentiators import LocalPolynomial, savitzky_golay
+from excitant.identify.differentiators import (
+    LocalPolynomial,
+    causal_polynomial,
+    position_spectrum,
+    savitzky_golay,
+)
 from excitant.identify.information import Information, InformationFilter, combined
 from excitant.identify.least_squares import autocorrelation_time
-from excitant.identify.preprocessing import resampled, uninterrupted
+from excitant.identify.preprocessing import dry_joints, resampled, uninterrupted
 from excitant.identify.recording import Recording
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.effects.base import Law
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
+from excitant.robots.torque import observation_columns
+
+_Indices = npt.NDArray[np.intp]
 
 _WINDOW_S = 0.03  # half width of the differentiator that serves when none is given
 _BLOCK_S = 0.01  # block over which rows are averaged when none is given
@@ -41,7 +49,9 @@ _CORNERS = 5  # positions under the window between which a joint must go one way
 _ROUNDING = 1e-12  # rad: positions are never better than this
 _ROUNDS = 4  # of re-estimating the noise of each joint
 _RING = 4096  # samples between two moves of the buffer
+_BETWEEN = 1.0  # s set between recordings that follow each other
 _FEWEST = 5  # samples without a gap
+_STATES = 100  # random ones, for the structure of the columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +60,6 @@ class OnlineEstimate:
 
     Attributes:
         t: Instant it speaks about: the newest block [s].
-        base: The base parameters.
         data: What the data alone say, rows of unit noise.
         beta: Estimate, shape (r,).
         covariance: Its covariance, shape (r, r).
@@ -59,7 +68,6 @@ class OnlineEstimate:
     """
 
     t: float
-    base: BaseParameters
     data: Information
     beta: Array
     covariance: Array
@@ -111,6 +119,10 @@ class OnlineEstimator:
             through the window gives no row, because its dry friction could be anything.
         base: Base parameters of robot and effects, where they are at hand.
 
+    Attributes:
+        span: Number of samples that a row rests on.
+        rows: Number of rows (blocks) so far.
+
     Raises:
         BadInput: Options that do not fit, or an effect that depends on the past.
         BadRobot: A link without mass where the robot is the prior.
@@ -145,7 +157,7 @@ class OnlineEstimator:
         self._fade = 1.0 if forgetting is None else float(np.exp(-self.row_period / forgetting))
         noise = np.maximum(position_noise, _ROUNDING)
         self._still = _CERTAIN * np.sqrt(2) * np.broadcast_to(noise, (robot.nv,))
-        self._columns = BlockColumns(robot, self.effects, self.base, self.block)
+        self._columns = _BlockColumns(robot, self.effects, self.base, self.block)
         self._allocate()
 
     @property
@@ -157,11 +169,6 @@ class OnlineEstimator:
     def delay(self) -> float:
         """Age of the newest instant it can speak about [s]."""
         return self.differentiator.delay(self.rate_hz)
-
-    @property
-    def rows(self) -> int:
-        """Number of blocks so far."""
-        return self._blocks
 
     def _refuse_options(self, forgetting: float | None) -> None:
         if not self.differentiator.causal:
@@ -178,9 +185,9 @@ class OnlineEstimator:
         nv, r, m = self.robot.nv, len(self.base), self.differentiator.half_width
         kernels = [self.differentiator.kernel(k) * self.rate_hz**k for k in range(3)]
         self._kernels, self._middle, self._width = np.array(kernels), m, 2 * m + 1
-        self._span = self._width + self.block - 1  # samples that a block rests on
-        self._corners = np.linspace(-self._span, -1, _CORNERS).astype(int)
-        self._ring = np.zeros((_RING + self._span, 2 * nv))
+        self.span = self._width + self.block - 1  # samples that a block rests on
+        self._corners = np.linspace(-self.span, -1, _CORNERS).astype(int)
+        self._ring = np.zeros((_RING + self.span, 2 * nv))
         self._end, self._filled, self._clock = 0, 0, -np.inf
         self._model, self._data = self.robot.model, self.robot.model.createData()
         self._Y, self._tau, self._t_sum = np.zeros((nv, 10 * nv)), np.zeros(nv), 0.0
@@ -188,7 +195,7 @@ class OnlineEstimator:
         self._filters = [InformationFilter(used, r) for used in self._columns.used]
         self._picked = [np.append(used, r) for used in self._columns.used]
         self._ages, self._weight = [0] * nv, np.zeros(nv)
-        self._blocks, self._turn = 0, 0
+        self.rows, self._turn = 0, 0
         size = max(64, 4 * nv, round(RECENT / self.row_period))
         self._rows, self._used = np.zeros((size, nv, r + 1)), np.zeros((size, nv), bool)
         self._instants, self._middles = np.zeros(size), np.zeros((size, 3, nv))
@@ -213,8 +220,8 @@ class OnlineEstimator:
             self._restart()
         self._clock = t
         if self._end == len(self._ring):
-            self._ring[: self._span] = self._ring[-self._span :]
-            self._end = self._span
+            self._ring[: self.span] = self._ring[-self.span :]
+            self._end = self.span
         nv, row = self.robot.nv, self._ring[self._end]
         row[:nv], row[nv:] = q, tau
         self._end += 1
@@ -245,7 +252,7 @@ class OnlineEstimator:
             self._absorb_next()
 
     def _finish_block(self) -> None:
-        k, r, share = self._blocks % len(self._rows), len(self.base), 1 / self.block
+        k, r, share = self.rows % len(self._rows), len(self.base), 1 / self.block
         self._rows[k, :, :r] = self._columns(share * self._Y, self._states)
         self._rows[k, :, r] = share * self._tau
         if not np.isfinite(self._rows[k]).all():
@@ -254,10 +261,10 @@ class OnlineEstimator:
         self._used[k] = self._columns.certain(path, self._still)
         self._instants[k], self._middles[k] = share * self._t_sum, self._states[self.block // 2]
         self._weight = self._fade * self._weight + self._used[k]
-        self._blocks += 1
+        self.rows += 1
         self._inside, self._t_sum = 0, 0.0
         self._Y[:], self._tau[:] = 0.0, 0.0
-        if self.block == 1 or self._blocks - self._ages[self._turn] >= len(self._rows):
+        if self.block == 1 or self.rows - self._ages[self._turn] >= len(self._rows):
             self._absorb_next()
 
     def _absorb_next(self) -> None:
@@ -266,7 +273,7 @@ class OnlineEstimator:
 
     def _absorb(self, j: int) -> None:
         """Let a joint's triangle take in the rows that wait."""
-        age, now = self._ages[j], self._blocks
+        age, now = self._ages[j], self.rows
         if self._fade < 1:
             self._filters[j].forget(self._fade ** (now - age))
         self._ages[j] = now
@@ -284,10 +291,10 @@ class OnlineEstimator:
         Raises:
             BadInput: No row yet.
         """
-        if not self._blocks:
+        if not self.rows:
             raise BadInput("on-line estimation: no row yet; push more samples")
         size = len(self._rows)
-        k = np.arange(max(0, self._blocks - size), self._blocks) % size
+        k = np.arange(max(0, self.rows - size), self.rows) % size
         motion = Motion(self._instants[k], *self._middles[k].transpose(1, 0, 2))
         rows, r = self._rows[k], len(self.base)
         return RecentRows(motion, rows[:, :, :r], rows[:, :, r], self._used[k])
@@ -303,13 +310,19 @@ class OnlineEstimator:
             self._absorb(j)
         parts = [each.information() for each in self._filters]
         sigma, beta = self._noise(parts)
-        inflation = self._inflation(rows, beta)
+        residual = rows.tau - rows.W @ beta
+        inflation = np.array(
+            [
+                autocorrelation_time(residual[used, j]) if used.sum() > 20 else 1.0
+                for j, used in enumerate(rows.used.T)
+            ]
+        )
         data, total = self._total(parts, sigma * np.sqrt(inflation))
         beta, r = total.solve(), len(self.base)
         known = np.abs(np.diag(total.R)).min() > 0
         covariance = total.covariance() if known else np.full((r, r), np.inf)
         t = float(rows.motion.t[-1])
-        return OnlineEstimate(t, self.base, data, beta, covariance, sigma, inflation)
+        return OnlineEstimate(t, data, beta, covariance, sigma, inflation)
 
     def _total(self, parts: list[Information], sigma: Array) -> tuple[Information, Information]:
         """Data of all joints, and data with the prior."""
@@ -333,21 +346,166 @@ class OnlineEstimator:
         self._last_sigma = sigma
         return sigma, beta
 
-    def _inflation(self, rows: RecentRows, beta: Array) -> Array:
-        """Autocorrelation time of the recent residuals of each joint [rows]."""
-        residual = rows.tau - rows.W @ beta
-        return np.array(
-            [
-                autocorrelation_time(residual[used, j]) if used.sum() > 20 else 1.0
-                for j, used in enumerate(rows.used.T)
-            ]
+
+class _BlockColumns:
+    """Mean columns of a block of K states.
+
+    Effects whose shape is one formula for all joints are evaluated once for all of them.
+
+    Args:
+        robot: The arm.
+        effects: Effects to estimate; each must depend on the present state alone.
+        base: Base parameters of robot and effects.
+        block: K.
+
+    Attributes:
+        used: For every joint, the base columns that its row can contain.
+
+    Raises:
+        BadInput: An effect that depends on the past.
+    """
+
+    def __init__(
+        self, robot: Robot, effects: Sequence[Effect], base: BaseParameters, block: int
+    ) -> None:
+        self.robot, self._block, self._mean = robot, block, np.full(block, 1 / block)
+        chosen = np.array(base.columns, int)
+        self._links = chosen[chosen < 10 * robot.nv]
+        self._chosen = chosen[chosen >= 10 * robot.nv] - 10 * robot.nv
+        self._count = sum(len(effect.parameters(robot)) for effect in effects)
+        self._fast: dict[tuple[str, ...], tuple[_Indices, list[tuple[Law, _Indices]]]] = {}
+        self._slow: list[tuple[Effect, int]] = []
+        start = 0
+        for effect in effects:
+            if effect.law is not None:
+                _refuse_memory(effect.name, effect.law)
+                joints = np.array(effect.rows(robot), int)
+                terms = len(effect.parameters(robot)) // len(joints)
+                columns = start + terms * np.arange(len(joints)) + np.arange(terms)[:, None]
+                members = self._fast.setdefault(effect.joints, (joints, []))[1]
+                members.append((effect.law, joints * self._count + columns))
+            else:
+                self._slow.append((effect, start))
+            start += len(effect.parameters(robot))
+        self._dry = dry_joints(effects, robot.joints)
+        self.used = _structure(robot, effects, chosen)
+
+    def __call__(self, Y: Array, states: Array) -> Array:
+        """Mean columns, shape (nv, r).
+
+        Args:
+            Y: Mean regressor of the block, shape (nv, 10 nv).
+            states: Position, velocity and acceleration, shape (K, 3, nv).
+        """
+        F, mean = np.zeros((self.robot.nv, self._count)), self._mean
+        for joints, members in self._fast.values():
+            q, dq, ddq = states[:, :, joints].transpose(1, 0, 2).reshape(3, -1)
+            for law, cells in members:
+                for cell, values in zip(cells, law(q, dq, ddq), strict=True):
+                    F.put(cell, mean @ values.reshape(self._block, -1))
+        for slow, start in self._slow:
+            motion = Motion(np.arange(float(self._block)), *states.transpose(1, 0, 2))
+            columns = slow.columns(self.robot, motion).mean(axis=0)
+            F[:, start : start + columns.shape[1]] = columns
+        return np.concatenate([Y[:, self._links], F[:, self._chosen]], axis=1)
+
+    def certain(self, path: Array, least: Array) -> npt.NDArray[np.bool_]:
+        """Joints that go one way along a path, or have no dry friction, shape (nv,).
+
+        Args:
+            path: Positions, shape (k, nv).
+            least: Steps between them that are more than noise, shape (nv,).
+        """
+        steps = path[1:] - path[:-1]
+        one_way = (steps > least).all(axis=0) | (steps < -least).all(axis=0)
+        return np.asarray(one_way | ~self._dry, bool)
+
+
+def _structure(robot: Robot, effects: Sequence[Effect], columns: _Indices) -> list[_Indices]:
+    q, dq, ddq = robot.random_motion(np.random.default_rng(1), _STATES)
+    W = observation_columns(robot, effects, Motion(np.arange(float(_STATES)), q, dq, ddq))
+    present = np.abs(W[:, :, columns]).max(axis=0) > 0
+    return [np.flatnonzero(row) for row in present]
+
+
+def _refuse_memory(name: str, law: Law) -> None:
+    """Refuse an effect whose torque changes when the order of the samples does."""
+    rng = np.random.default_rng(2)
+    q, dq, ddq = rng.standard_normal((3, _STATES))
+    order = rng.permutation(_STATES)
+    plain, shuffled = law(q, dq, ddq), law(q[order], dq[order], ddq[order])
+    if not all(np.allclose(a[order], b) for a, b in zip(plain, shuffled, strict=True)):
+        raise BadInput(
+            f"on-line estimation: {name} depends on the past motion; leave it out, "
+            "or identify off line"
         )
 
 
-def regular(recording: Recording) -> tuple[Array, Array, Array]:
-    """Time, positions and torque at a regular rate between gaps; gaps stay."""
+def joined(recordings: Sequence[Recording]) -> Recording:
+    """Recordings one after the other, a second apart."""
+    if len(recordings) == 1:
+        return recordings[0]
+    times, start = [], 0.0
+    for recording in recordings:
+        times.append(recording.t - recording.t[0] + start)
+        start = float(times[-1][-1]) + _BETWEEN
+    return Recording(
+        name=", ".join(r.name for r in recordings),
+        file=recordings[0].file,
+        t=np.concatenate(times),
+        q=np.concatenate([r.q for r in recordings]),
+        tau=np.concatenate([r.tau for r in recordings]),
+        unit=recordings[0].unit,
+    )
+
+
+def replayable(
+    robot: Robot,
+    recording: Recording,
+    effects: tuple[Effect, ...],
+    base: BaseParameters,
+    *,
+    gains: Array,
+    forgetting: float | None = None,
+    prior: BasePrior | bool | None = None,
+) -> tuple[OnlineEstimator, tuple[Array, Array, Array], str]:
+    """An estimator for a recording, its samples at a regular rate, and why these velocities.
+
+    The causal differentiator is the one that suits the positions of the recording best.
+
+    Args:
+        robot: The arm; the prior where no other is given.
+        recording: What was logged; resampled where its time is irregular, gaps stay.
+        effects: Effects to estimate.
+        base: Base parameters of both.
+        gains: Torque per reading [N·m per reading], shape (nv,).
+        forgetting: Time constant [s]; nothing is forgotten when None.
+        prior: What is known beforehand; the given robot when None, ``False`` for nothing.
+
+    Returns:
+        The estimator; time, positions and torque of the samples to push; a sentence.
+
+    Raises:
+        BadRecording: Too short for one row.
+    """
     parts = [part for part in uninterrupted(recording.t) if len(part) >= _FEWEST]
     if not parts:
         raise BadRecording(recording.file, "no five samples without a gap", column="t")
-    times, positions, torques = zip(*(resampled(recording, part) for part in parts), strict=True)
-    return np.concatenate(times), np.concatenate(positions), np.concatenate(torques)
+    pieces = zip(*(resampled(recording, part) for part in parts), strict=True)
+    t, q, tau = (np.concatenate(piece) for piece in pieces)
+    longest = max(uninterrupted(t), key=len)
+    spectrum = position_spectrum(t[longest], q[longest])
+    choice = causal_polynomial(spectrum)
+    estimator = OnlineEstimator(
+        robot,
+        effects,
+        rate_hz=1 / float(np.median(np.diff(t))),
+        differentiator=choice.differentiator,
+        forgetting=forgetting,
+        prior=prior,
+        position_noise=spectrum.noise,
+        base=base,
+    )
+    if len(longest) < estimator.span:
+        raise BadRecording(recording.file, "too short or interrupted too often for on-line rows")
+    return estimator, (t, q, tau * gains), choice.why

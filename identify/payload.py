@@ -21,7 +21,7 @@ import pinocchio as pin
 from excitant.exceptions import BadInput
 from excitant.identify.base_prior import base_prior
 from excitant.identify.information import Information, gaussian, information_of, marginal
-from excitant.identify.monitor import joined, replay
+from excitant.identify.online import joined, replayable
 from excitant.identify.physical import EffectPrior, KktResiduals, fit_physical
 from excitant.identify.recording import Recording
 from excitant.identify.rows import fit_rows, split
@@ -169,19 +169,20 @@ def identify_payload(
         )
     if any(each.unit != unit for each in (*loaded, *unloaded)):
         raise BadInput("payload: recordings in N·m and in A; use recordings of one unit")
-    gains: Array | float = 1.0
+    gains = np.ones(robot.nv)
     if unit == "A":
         gains = fit_rows(robot, effects, base, split(unloaded, unloaded)).gains
 
-    def replayed(recordings: Sequence[Recording]) -> Information:
+    def data_alone(recordings: Sequence[Recording]) -> Information:
         """What recordings say of the base parameters, without a prior."""
-        run = replay(
-            robot, joined(recordings), effects=effects, base=base, prior=False, gains=gains
+        estimator, samples, _ = replayable(
+            robot, joined(recordings), effects, base, gains=gains, prior=False
         )
-        return run.estimate.data
+        estimator.extend(*samples)
+        return estimator.estimate().data
 
     if unloaded:
-        known, note = replayed(unloaded), "the unloaded arm was recorded"
+        known, note = data_alone(unloaded), "the unloaded arm was recorded"
     else:
         prior = base_prior(robot, effects, base)
         known = gaussian(prior.mean, _MODEL_ERROR**2 * prior.covariance)
@@ -189,7 +190,7 @@ def identify_payload(
             f"the given model stands for the unloaded arm, taken to be right to "
             f"{100 * _MODEL_ERROR:g} %; record the arm without load (--unloaded) to know better"
         )
-    found = estimate_payload(robot, base, replayed(loaded), known)
+    found = estimate_payload(robot, base, data_alone(loaded), known)
     return replace(found, notes=(note, *([_CURRENT] if unit == "A" else [])))
 
 

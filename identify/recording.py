@@ -9,16 +9,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from excitant.exceptions import BadRecording
+from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.importers.mapping import ColumnMap
-from excitant.identify.importers.raw import (
-    RawRecording,
-    put_together,
-    raw_of_table,
-    raw_recording,
-    read_raw_chunks,
-    runs_of_parts,
-)
+from excitant.identify.importers.raw import RawRecording, open_log, raw_pieces, raw_recording
 from excitant.identify.importers.tables import table_of_frame
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, freeze
@@ -103,37 +96,6 @@ def read_recording(
     return recording_from_raw(raw_recording(path, robot, mapping, torque_column=torque_column))
 
 
-def read_recordings(
-    paths: Sequence[str | Path],
-    robot: Robot | int,
-    *,
-    mapping: ColumnMap | None = None,
-    torque_column: str | None = None,
-) -> list[Recording]:
-    """Recordings from logs, in order; files that are parts of one recording become one.
-
-    See `read_recording`, and `excitant.identify.importers.raw.runs_of_parts` for what a part is.
-    Logs that are too long to hold are low-passed and decimated as they are read, each a recording
-    of its own (`excitant.identify.decimation`).
-    """
-    from excitant.identify.decimation import decimated, too_long
-
-    if too_long(paths):
-        return [
-            decimated(read_chunks(path, robot, mapping=mapping, torque_column=torque_column))
-            for path in paths
-        ]
-    raws = [raw_recording(path, robot, mapping, torque_column=torque_column) for path in paths]
-    found = []
-    for parts in runs_of_parts(raws):
-        if len(parts) > 1:
-            for raw in parts:
-                check_finite(raw)
-                check_time(raw)
-        found.append(recording_from_raw(put_together(parts) if len(parts) > 1 else parts[0]))
-    return found
-
-
 def recording_from_table(
     table: pd.DataFrame,
     robot: Robot | int,
@@ -144,8 +106,8 @@ def recording_from_table(
     torque_column: str | None = None,
 ) -> Recording:
     """Recording from a table in memory; see `read_recording`."""
-    source = table_of_frame(table, file)
-    return recording_from_raw(raw_of_table(source, name, robot, mapping, torque_column))
+    raw = next(raw_pieces(table_of_frame(table, file), robot, mapping, torque_column))
+    return recording_from_raw(replace(raw, name=name))
 
 
 def read_chunks(
@@ -159,28 +121,37 @@ def read_chunks(
     """A log larger than memory as recordings of some rows each, checked as `read_recording` does.
 
     What only the whole can show, a channel without signal or a log that is too short, is refused
-    after the last piece. See `excitant.identify.importers.raw.read_raw_chunks` for the arguments.
+    after the last piece.
+
+    Args:
+        paths: A log, or the files it was split into, in order.
+        robot: The arm, or its number of joints.
+        rows: Most rows of a piece.
+        mapping: What the user says about the columns.
+        torque_column: Prefix of the torque columns.
 
     Yields:
-        Pieces of at most ``rows`` samples; ``t`` counts from the first sample of the log.
+        Pieces of at least one row; ``t`` counts from the first sample of the log.
 
     Raises:
         BadRecording: As `read_recording`, when the piece at fault is reached.
         BadInput: ``rows`` below 1, or a map that does not fit the robot.
     """
+    if rows < 1:
+        raise BadInput(f"rows is {rows}; a piece must hold at least one row")
+    files = [paths] if isinstance(paths, str | Path) else list(paths)
     raw: RawRecording | None = None
-    extremes = np.zeros((0, 0))
-    end, first_row, file = None, 0, ""
-    for raw in read_raw_chunks(paths, robot, rows, mapping=mapping, torque_column=torque_column):
-        first_row = first_row if raw.file == file else 0
-        check_finite(raw, first_row)
-        check_time(raw, first_row, end)
-        seen = raw.tau if end is None else np.concatenate([extremes, raw.tau])
-        extremes = np.array([seen.min(axis=0), seen.max(axis=0)])
-        end, first_row, file = float(raw.t[-1]), first_row + len(raw.t), raw.file
-        yield unchecked(raw)
+    origin, end, extremes = None, None, np.zeros((0, 0))
+    for file in files:
+        table, first_row = open_log(file, mapping), 0
+        for raw in raw_pieces(table, robot, mapping, torque_column, rows, origin):
+            check_finite(raw, first_row)
+            check_time(raw, first_row, end)
+            seen = raw.tau if end is None else np.concatenate([extremes, raw.tau])
+            extremes = np.array([seen.min(axis=0), seen.max(axis=0)])
+            origin, end, first_row = raw.start, float(raw.t[-1]), first_row + len(raw.t)
+            yield unchecked(raw)
     if raw is None or end is None or end < MINIMUM_DURATION:
-        files = [paths] if isinstance(paths, str | Path) else list(paths)
         raise BadRecording(
             files[0] if files else "",
             f"too short: {end or 0.0:.3g} s, at least {MINIMUM_DURATION:g} s are needed",
@@ -228,21 +199,16 @@ def check_finite(raw: RawRecording, first_row: int = 0) -> None:
         raw: The log, or a part of it.
         first_row: Row of the log that its first row is.
     """
-    if all(np.isfinite(values).all() for values in (raw.t, raw.q, raw.tau)):
-        return
     values = np.column_stack([raw.t, raw.q, raw.tau])
     bad = ~np.isfinite(values)
+    if not bad.any():
+        return
     columns = [raw.columns.t[0], *raw.columns.q.columns, *raw.columns.tau.columns]
-    row = int(np.argmax(bad.any(axis=1)))
-    k = int(np.argmax(bad[row]))
+    row, k = np.argwhere(bad)[0].tolist()
     text = raw.unreadable.get((row, columns[k]), f"{values[row, k]:g}")
-    raise BadRecording(
-        raw.file,
-        f"value '{text}' is not a finite number "
-        f"({int(bad.any(axis=1).sum())} such rows); remove or repair them",
-        row=row + first_row,
-        column=columns[k],
-    )
+    why = f"value '{text}' is not a finite number ({int(bad.any(axis=1).sum())} such rows)"
+    why += "; remove or repair them"
+    raise BadRecording(raw.file, why, row=row + first_row, column=columns[k])
 
 
 def check_time(raw: RawRecording, first_row: int = 0, before: float | None = None) -> None:
@@ -253,19 +219,16 @@ def check_time(raw: RawRecording, first_row: int = 0, before: float | None = Non
         first_row: Row of the log that its first row is.
         before: Time of the row before [s].
     """
-    t = raw.t if before is None else np.concatenate([[before], raw.t])
-    steps = np.diff(t)
+    steps = np.diff(raw.t, prepend=-np.inf if before is None else before)
     if (steps > 0).all():
         return
     k = int(np.argmax(steps <= 0))
-    what = "repeats" if steps[k] == 0 else "goes back"
-    raise BadRecording(
-        raw.file,
-        f"time {what} ({t[k + 1]:.6g} after {t[k]:.6g} s); sort or remove those rows, which "
-        "--repair does where they fit",
-        row=k + first_row + (before is None),
-        column=raw.columns.t[0],
+    last = raw.t[k - 1] if k else before
+    why = (
+        f"time {'repeats' if steps[k] == 0 else 'goes back'} ({raw.t[k]:.6g} after {last:.6g} s); "
+        f"sort or remove those rows, which --repair does where they fit"
     )
+    raise BadRecording(raw.file, why, row=k + first_row, column=raw.columns.t[0])
 
 
 def check_alive(tau: Array, raw: RawRecording) -> None:
@@ -275,11 +238,9 @@ def check_alive(tau: Array, raw: RawRecording) -> None:
         tau: Torque, or the extremes of it, shape (n, nv).
         raw: The log that it comes from.
     """
-    dead = np.ptp(tau, axis=0) == 0
-    if dead.any():
-        k = int(np.argmax(dead))
-        raise BadRecording(
-            raw.file,
-            f"dead channel: {tau[0, k]:g} in every row; repair the sensor or lock this joint",
-            column=raw.columns.tau.columns[k],
+    dead = np.flatnonzero(np.ptp(tau, axis=0) == 0)
+    if len(dead):
+        why = (
+            f"dead channel: {tau[0, dead[0]]:g} in every row; repair the sensor or lock this joint"
         )
+        raise BadRecording(raw.file, why, column=raw.columns.tau.columns[dead[0]])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -68,12 +68,10 @@ def split(
         BadRecording: Recordings in different units, or too short to split.
     """
     refuse_mixed_units((*recordings, *validate))
-    held = list(validate) or [r.between(FIT_SHARE, 1, "last 30 %") for r in recordings]
-    parts = fitted(recordings, validate)
     why = "as given"
     if cutoff_hz is None:
         wanted = max(CUTOFF_HZ, _PRODUCTS * (harmonics_hz or 0.0))
-        highest = min(default_cutoff(r) for r in (*parts, *held))
+        highest = min(default_cutoff(r) for group in _parts(recordings, validate) for r in group)
         cutoff_hz = min(wanted, highest)
         why = (
             "a fifth of the lowest sampling rate, so that positions are still filtered at twice it"
@@ -83,7 +81,8 @@ def split(
             else "above the motion of arms and below their structural resonances"
         )
     train, validated = (
-        tuple(s for r in group for s in prepare(r, cutoff_hz)) for group in (parts, held)
+        tuple(s for r in group for s in prepare(r, cutoff_hz))
+        for group in _parts(recordings, validate)
     )
     names = ", ".join(r.name for r in validate)
     sentence = names or "the last 30 % of each recording (no hold-out was named)"
@@ -106,9 +105,19 @@ def refuse_mixed_units(recordings: Sequence[Recording]) -> None:
 
 def fitted(recordings: Sequence[Recording], validate: Sequence[Recording]) -> list[Recording]:
     """What is fitted: recordings as they are, or their first part where none is held out."""
+    return list(_parts(recordings, validate)[0])
+
+
+def _parts(
+    recordings: Sequence[Recording], validate: Sequence[Recording]
+) -> tuple[Iterable[Recording], Iterable[Recording]]:
+    """What is fitted and what is held out, one at a time, for long recordings fill the memory."""
     if validate:
-        return list(recordings)
-    return [r.between(0, FIT_SHARE, "first 70 %") for r in recordings]
+        return recordings, validate
+    return (
+        (r.between(0, FIT_SHARE, "first 70 %") for r in recordings),
+        (r.between(FIT_SHARE, 1, "last 30 %") for r in recordings),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,7 @@ import numpy.typing as npt
 from excitant.exceptions import RankDeficient
 from excitant.identify.accuracy import series
 from excitant.identify.base_prior import base_prior
-from excitant.identify.cascade import Cascade, StageNoise, beginning, further
-from excitant.identify.combinations import Combinations, needed_motion, no_combinations
+from excitant.identify.cascade import Cascade, beginning, further, led_combinations
 from excitant.identify.current_gains import current_gains
 from excitant.identify.estimate import Estimate, identify, judged
 from excitant.identify.least_squares import LeastSquares
@@ -30,11 +30,15 @@ from excitant.identify.regression import regression_of
 from excitant.identify.rows import Data, FitRows, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters, expression, last_rows
 from excitant.robots.effects import Effect, standard_effects
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
+from excitant.robots.torque import observation_columns
 
 _NEGLIGIBLE = 0.05  # standard deviations of a combination: terms that matter less are not written
 _SOMETIMES = 0.1  # of the time that a joint moves: what happens more rarely is not mentioned
+_STATES = 40  # at which a motion is tried, beyond the parameters sought
+_VISIBLE = 1e-6  # of the largest singular value
+_PAIRS = 10  # joints up to which pairs of them are tried
 _POSE = 0.1  # rad or m: positions that differ less are one pose
 
 
@@ -137,7 +141,9 @@ class Stage:
 
     Attributes:
         joint: Index of its joint, whose row was read.
-        noise: Rows and noise.
+        rows: Number of its rows that count.
+        noise: Their standard deviation [torque unit]; NaN without rows.
+        inflation: Rows that count as one independent row.
         recordings: Recordings with such rows.
         mode: Which joints moved with it, in words.
         determined: Combinations that the row adds to those of the links further out.
@@ -146,7 +152,9 @@ class Stage:
     """
 
     joint: int
-    noise: StageNoise
+    rows: int
+    noise: float
+    inflation: float
     recordings: tuple[str, ...]
     mode: str
     determined: tuple[Determined, ...]
@@ -158,10 +166,10 @@ class Stage:
         return {
             "link": robot.links[self.joint],
             "joint": robot.joints[self.joint],
-            "rows": self.noise.rows,
+            "rows": self.rows,
             "recordings": list(self.recordings),
             "mode": self.mode,
-            "noise": self.noise.sigma if np.isfinite(self.noise.sigma) else None,
+            "noise": self.noise if np.isfinite(self.noise) else None,
             "determined": [vars(each) for each in self.determined],
             "missing": list(self.missing),
             "needed": list(self.needed),
@@ -255,8 +263,8 @@ def identify_link_by_link(
     fit = LeastSquares(
         cascade.beta,
         cascade.covariance,
-        np.array([stage.noise.sigma for stage in reversed(stages)]),
-        np.array([stage.noise.inflation for stage in reversed(stages)]),
+        np.array([stage.noise for stage in reversed(stages)]),
+        np.array([stage.inflation for stage in reversed(stages)]),
     )
     known = cascade.information()
     physical = fit_physical(known.R @ rows.base.regrouping, known.z, prior, rows.fit.open_prior)
@@ -274,55 +282,92 @@ def run_stages(robot: Robot, rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]
     fit = rows.fit
     W, tau = fit.W[:, :, fit.base.columns], fit.tau
     known = beginning(base_prior(robot, fit.effects, fit.base))
-    listed, stages = no_combinations(len(fit.base)), []
+    F, leading, stages = np.zeros((0, len(fit.base))), list[int](), []
     for j in reversed(range(robot.nv)):
-        before = len(listed)
-        known, noise = further(known, W[rows.used[:, j], j], tau[rows.used[:, j], j])
+        before, counted = len(leading), rows.used[:, j]
+        known, noise, inflation = further(known, W[counted, j], tau[counted, j])
         own = np.flatnonzero(rows.last == j).tolist()
-        listed = listed.with_more(known.functionals[before:], rows.scale, own)
-        found = _determined(known, listed, before, rows)
-        stages.append(Stage(j, noise, rows.recordings(j), rows.mode(robot, j), found))
-    return known, tuple(_completed(robot, rows, listed, stage) for stage in stages)
+        F, leading = led_combinations(F, leading, known.functionals[before:], rows.scale, own)
+        found = _determined(known, F[before:], leading[before:], rows)
+        mode, names = rows.mode(robot, j), rows.recordings(j)
+        stages.append(Stage(j, int(counted.sum()), noise, inflation, names, mode, found))
+    return known, tuple(_completed(robot, rows, F, leading, stage) for stage in stages)
 
 
 def _determined(
-    known: Cascade, listed: Combinations, before: int, rows: LinkRows
+    known: Cascade, F: Array, leading: Sequence[int], rows: LinkRows
 ) -> tuple[Determined, ...]:
-    F, base = listed.F[before:], rows.base
-    values, covariance = known.of(F)
-    std = np.sqrt(np.diag(covariance))
+    base, (values, covariance) = rows.base, known.of(F)
     found = []
-    for row, leading, value, s in zip(F, listed.leading[before:], values, std, strict=True):
+    for row, lead, value, s in zip(F, leading, values, np.sqrt(np.diag(covariance)), strict=True):
         kept = np.where(np.abs(row) * rows.scale > _NEGLIGIBLE * s, row, 0.0)
-        kept[leading] = 1.0
-        text = expression(kept @ base.regrouping, base.names, base.columns[leading])
+        kept[lead] = 1.0
+        text = expression(kept @ base.regrouping, base.names, base.columns[lead])
         found.append(Determined(text, float(value), float(s)))
     return tuple(found)
 
 
-def _completed(robot: Robot, rows: LinkRows, listed: Combinations, stage: Stage) -> Stage:
+def _completed(
+    robot: Robot, rows: LinkRows, F: Array, leading: Sequence[int], stage: Stage
+) -> Stage:
     """The stage with what is still missing of its link, and the motion that would show it."""
     own = np.flatnonzero(rows.last == stage.joint)
-    missing = [k for k in own if k not in listed.leading]
+    missing = [k for k in own if k not in leading]
     if not missing:
         return stage
-    shown = [row for row, k in zip(listed.F, listed.leading, strict=True) if k in own]
-    sentence = needed_motion(
-        robot,
-        rows.fit.effects,
-        stage.joint,
-        [rows.base.columns[k] for k in own],
-        np.reshape(shown, (-1, len(rows.last)))[:, own],
-        rows.pose(stage.joint),
-        rows.scale[own],
-    )
-    outer = any(k not in listed.leading for k in np.flatnonzero(rows.last > stage.joint))
+    shown = F[[k in own for k in leading]][:, own]
+    sentence = _needed_motion(robot, rows, stage.joint, own, shown)
+    outer = any(k not in leading for k in np.flatnonzero(rows.last > stage.joint))
     condition = "; then complete the links further out" if outer else ""
     return replace(
         stage,
         missing=tuple(rows.base.expressions[k] for k in missing),
         needed=(sentence + condition,),
     )
+
+
+def _needed_motion(
+    robot: Robot, rows: LinkRows, joint: int, own: npt.NDArray[np.intp], shown: Array
+) -> str:
+    """The smallest change of the recordings whose torque of a joint shows all its parameters.
+
+    Tried in this order: the joint alone; at several positions of one other joint; together with
+    one; the same with two; together with all joints before it.
+
+    Args:
+        robot: The arm.
+        rows: The recordings; joints that are not mentioned stand as in them.
+        joint: The joint whose row is read; it moves.
+        own: Its base parameters, m of them.
+        shown: Combinations of them that are shown already, shape (k, m).
+    """
+    columns, scale = [rows.base.columns[k] for k in own], rows.scale[own]
+    pose, name = rows.pose(joint), robot.joints[joint]
+    others = [k for k in range(robot.nv) if k != joint]
+    changes: list[tuple[tuple[int, ...], tuple[int, ...]]] = [((), ())]  # moved, turned
+    for size in (1, 2) if robot.nv <= _PAIRS else (1,):
+        changes += [((), chosen) for chosen in combinations(others, size)]
+        changes += [(chosen, ()) for chosen in combinations(others, size)]
+    for moved, turned in (*changes, (tuple(range(joint)), ())):
+        count = len(own) + _STATES
+        q, dq, ddq = robot.random_motion(np.random.default_rng(0), count)
+        still = np.ones(robot.nv, bool)
+        still[[joint, *moved]] = False
+        dq[:, still] = ddq[:, still] = 0.0
+        still[list(turned)] = False
+        q[:, still] = pose[still]
+        motion = Motion(np.arange(float(count)), q, dq, ddq)
+        W = observation_columns(robot, rows.fit.effects, motion)[:, joint, columns]
+        parts = [A / max(float(np.linalg.norm(A)), 1e-300) for A in (W * scale, shown * scale)]
+        s = np.linalg.svd(np.vstack(parts), compute_uv=False)
+        if len(s) == len(own) and s[-1] > _VISIBLE * s[0]:
+            listed = " and ".join(robot.joints[k] for k in (*moved, *turned))
+            if turned:
+                return f"move {name} alone at several positions of {listed}"
+            if moved:
+                return f"move {name} together with {listed}"
+            return f"move {name} alone, farther or faster than here"
+    return f"move {name} together with all joints before it, at several positions of those after it"
 
 
 def _with_prior(robot: Robot, rows: LinkRows, fit: LeastSquares) -> Estimate:

@@ -206,15 +206,13 @@ class _Shaped:
         lower = np.concatenate([self.known.lower, np.full(count, -np.inf)])
         best = self._on_grids()
         theta = np.concatenate([start.x[self.links :], np.log(best)])
-        found = refine_log_cholesky(
+        fit, objective = refine_log_cholesky(
             self.R[:, : self.links], self.z, self.prior,
             NonlinearEffects(self.torque, EffectPrior(mean, std, lower), theta, self.alone),
             start.x[: self.links].reshape(-1, 10),
         )  # fmt: skip
         at_given = np.concatenate([start.x, np.log(given)])
-        return self._shapes(
-            given, found.fit, found.objective(at_given), found.objective(found.fit.x)
-        )
+        return self._shapes(given, fit, objective(at_given), objective(fit.x))
 
     def _on_grids(self) -> Array:
         """Each shape as it is given or, where that explains more, from the effect's own grid."""

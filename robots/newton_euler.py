@@ -220,39 +220,9 @@ def torque_matrix(chain: DHChain, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.
     return select_torque(chain, motion, wrench_matrix(chain, motion))
 
 
-def _tip_wrench(n: int, wrench: npt.ArrayLike | None) -> Array:
-    return np.broadcast_to(np.zeros(6) if wrench is None else np.asarray(wrench, float), (n, 6))
-
-
 def modified_torque(
-    chain: DHChain,
-    q: npt.ArrayLike,
-    dq: npt.ArrayLike,
-    ddq: npt.ArrayLike,
-    wrench: npt.ArrayLike | None = None,
+    chain: DHChain, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike
 ) -> Array:
-    """Torque by the modified recursion, eqs (10)–(17), link by link from the tip.
-
-    Args:
-        chain: The arm with its parameters.
-        q: Positions, shape (n, nv) [rad or m].
-        dq: Velocities, shape (n, nv).
-        ddq: Accelerations, shape (n, nv).
-        wrench: Force [N] and moment [N·m] that the tip exerts on its surroundings, in frame nv
-            about its origin, shape (6,) or (n, 6).
-
-    Returns:
-        Shape (n, nv) [N·m or N].
-    """
-    motion = forward_recursion(chain, q, dq, ddq)
-    own = _times(
-        kinematic_matrix(motion.p, motion.omega, motion.domega, motion.dv),
-        np.broadcast_to(chain.phi.reshape(-1, 10), (len(motion.dv), chain.nv, 10)),
-    )
-    g = np.empty_like(own)
-    carried = _tip_wrench(len(own), wrench)
-    turn = np.broadcast_to(np.eye(3), (len(own), 3, 3))
-    for i in reversed(range(chain.nv)):
-        carried = own[:, i] + _times(pseudo_rotation(turn, motion.reach[:, i]), carried)
-        g[:, i], turn = carried, motion.turn[:, i]
-    return select_torque(chain, motion, g)
+    """Torque M φ of the arm with its parameters, shape (n, nv) [N·m or N]."""
+    tau: Array = torque_matrix(chain, q, dq, ddq) @ chain.phi
+    return tau

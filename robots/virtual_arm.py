@@ -16,8 +16,8 @@ import pandas as pd
 from excitant.exceptions import BadInput
 from excitant.robots.parameters import inertia
 from excitant.robots.plant.controller import Trajectory
-from excitant.robots.plant.drawing import draw_hidden_effect
 from excitant.robots.plant.nominal import (
+    draw_hidden_effect,
     ideal_sensors,
     industrial_sensors,
     nominal_truth,

@@ -18,11 +18,11 @@ from excitant.identify.faults.channels import (
     wrapped_counters,
 )
 from excitant.identify.faults.fault import Fault, left_rows, repair
-from excitant.identify.faults.fit import smooth
+from excitant.identify.faults.fit import smooth, torque_fit
 from excitant.identify.faults.log import Log, Raw
 from excitant.identify.faults.modelled import not_measured, poor_excitation, wrong_frame
 from excitant.identify.faults.outliers import missing_values, outliers
-from excitant.identify.faults.physics import physics_faults, torques
+from excitant.identify.faults.physics import physics_faults
 from excitant.identify.faults.time import gap_fault, hidden_gaps, repeated_rows, stamp_faults
 from excitant.identify.faults.velocity import velocity_faults
 from excitant.identify.importers.raw import raw_recording
@@ -109,7 +109,7 @@ def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault
         torque = [
             f for f in channels if f.fault == "dead_channel" and f.evidence["channel"] == "tau"
         ]
-        case = torques(robot, log, data, {fault.joints[0] for fault in torque})
+        case = torque_fit(robot, log, data, {fault.joints[0] for fault in torque})
         found = [] if case is None else physics_faults(case)
         if found:
             log, _ = repair(log, found)

@@ -9,12 +9,13 @@ so that they mean the same whatever the unit of time.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy
 
 from excitant.identify.differentiators import low_pass
-from excitant.identify.faults.log import Log, Rows
+from excitant.identify.faults.log import ALARM, Log, Rows
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor
@@ -26,6 +27,7 @@ _ROWS = 1200  # at most
 _NYQUIST = 0.2  # of the sampling rate: highest cut-off
 _PER_JOINT = 4  # columns of each joint's own effects
 _RANK = 1e-10
+_HALVED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,25 +75,15 @@ def _frequency(log: Log) -> float:
     return float((speed / span[moved]).max() / (2 * np.pi))
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """Least squares of the torque on free parameters, those of the links shared by all joints.
-
-    Attributes:
-        x: Parameters of the links (those that show), then of each joint, shape (10 nv + 4 nv,).
-        power: Mean square of what is left of each joint's torque, shape (nv,).
-    """
-
-    x: Array
-    power: Array
-
-
-class Problem:
-    """Least squares of the filtered torque on everything that is free.
+class TorqueFit:
+    """Least squares of a log's filtered torque on everything that is free.
 
     Normal equations, assembled for any time factor and torque signs.
 
     Attributes:
+        robot: The arm.
+        log: The log.
+        data: The same, filtered.
         joints: Joints whose torque is used.
         G: Columns of the links at rest, shape (N, nv, 10 nv).
         D: What motion adds to them, same shape.
@@ -99,16 +91,18 @@ class Problem:
         tau: Filtered torque, shape (N, nv).
         size: Mean square of each joint's torque, shape (nv,).
         sigma: Error of each joint by parameters of its own, shape (nv,).
+        freedom: Parameters of the links and of each joint, 10 nv + 4 nv.
 
     Args:
         robot: The arm.
-        data: Motion and torque.
+        log: The log.
+        data: The same, filtered.
         joints: Joints whose torque is used.
         factor: Factor of each joint's position, shape (nv,); velocities follow.
     """
 
     def __init__(
-        self, robot: Robot, data: Smooth, joints: list[int], factor: Array | float = 1.0
+        self, robot: Robot, log: Log, data: Smooth, joints: list[int], factor: Array | float = 1.0
     ) -> None:
         q, dq, ddq = (x * factor for x in (data.motion.q, data.motion.dq, data.motion.ddq))
         still = np.zeros_like(q)
@@ -118,7 +112,8 @@ class Problem:
         edge, cutoff = round(data.rate / data.cutoff), min(data.cutoff / 2, 0.45 * data.rate)
         filtered = (low_pass(x, cutoff, data.rate) for x in (G, D, F, data.tau))
         self.G, self.D, self.F, self.tau = (x[edge : len(q) - edge] for x in filtered)
-        self.joints, self.p, self.nv = joints, self.G.shape[2], robot.nv
+        self.robot, self.log, self.data, self.joints = robot, log, data, joints
+        self.freedom = self.G.shape[2] + _PER_JOINT * robot.nv
         self.size: Array = np.maximum((self.tau**2).mean(axis=0), 1e-300)
         self._A, self._b = {}, {}
         alone = self.size.copy()
@@ -137,13 +132,17 @@ class Problem:
 
     def _members(self, j: int) -> Rows:
         """Indices of the parameters that act on joint j."""
-        own = self.p + _PER_JOINT * j
-        return np.append(np.arange(self.p), np.arange(own, own + _PER_JOINT))
+        p = self.G.shape[2]
+        return np.append(np.arange(p), p + _PER_JOINT * j + np.arange(_PER_JOINT))
 
-    def fit(self, s: float = 1.0, sign: Array | None = None) -> Fit:
-        """Parameters and errors with what motion adds times s, and torques times their sign."""
-        size = self.p + _PER_JOINT * self.nv
-        A, b = np.zeros((size, size)), np.zeros(size)
+    def fit(self, s: float = 1.0, sign: Array | None = None) -> tuple[Array, Array]:
+        """Fit with what motion adds times s, and torques times their sign.
+
+        Returns:
+            Parameters of the links (those that show), then of each joint, shape (10 nv + 4 nv,),
+            and mean square of what is left of each joint's torque, shape (nv,).
+        """
+        A, b = np.zeros((self.freedom, self.freedom)), np.zeros(self.freedom)
         parts = []
         for j in self.joints:
             still, mixed, moved = self._A[j]
@@ -157,19 +156,54 @@ class Problem:
         power = self.size.copy()
         for j, rows, own, side in parts:
             power[j] = self._left(j, own, side, x[rows])
-        return Fit(x, power)
+        return x, power
 
-    def independent(self, fit: Fit) -> Array:
+    @cached_property
+    def power(self) -> Array:
+        """What the log as it stands leaves of each joint's torque, mean square, shape (nv,)."""
+        return self.fit()[1]
+
+    @cached_property
+    def rows(self) -> Array:
         """Independent rows of each joint's error, shape (nv,)."""
-        rows = np.ones(self.nv)
-        for j in range(self.nv):
-            error = self.tau[:, j]
-            if j in self.joints:
-                W = np.hstack([self.G[:, j] + self.D[:, j], self.F[:, j]])
-                error = error - W @ fit.x[self._members(j)]
-            if error.any():
-                rows[j] = len(error) / autocorrelation_time(error)
+        rows, (x, _) = np.ones(self.robot.nv), self.fit()
+        for j in self.joints:
+            W = np.hstack([self.G[:, j] + self.D[:, j], self.F[:, j]])
+            error = self.tau[:, j] - W @ x[self._members(j)]
+            rows[j] = len(error) / autocorrelation_time(error) if error.any() else 1.0
         return rows
+
+    def gain(self, power: Array) -> float:
+        """Twice the log-likelihood ratio of another reading against the log as it stands."""
+        return float((self.rows * np.log(self.power / power))[self.joints].sum())
+
+    def better(self, power: Array, tests: int, freedom: int | None = None) -> bool:
+        """Whether another reading explains the torque beyond chance.
+
+        Args:
+            power: Mean squares that the other reading leaves, shape (nv,).
+            tests: Readings that were tried.
+            freedom: Parameters that it has more; where the models are not nested, and when None,
+                as many as the model has, since all of them can adapt to a wrong reading.
+        """
+        ratio = (power / self.power)[self.joints]
+        bound = float(scipy.special.chdtri(freedom or self.freedom, ALARM / tests))
+        return self.gain(power) > bound and bool(ratio.min() < _HALVED and ratio.max() < 2)
+
+
+def torque_fit(robot: Robot, log: Log, data: Smooth, dead: set[str]) -> TorqueFit | None:
+    """The fit of a log's torque; None when no joint's torque can be used."""
+    alive = [j for j in range(robot.nv) if log.joints[j] not in dead and np.ptp(data.tau[:, j]) > 0]
+    case = TorqueFit(robot, log, data, alive)
+    return case if alive and len(case.tau) >= 60 else None
+
+
+def scaled_least_squares(W: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Columns scaled to a mean square of 1, their coefficients, and what is left of y."""
+    size = np.sqrt((W**2).mean(axis=0))
+    W = W / np.where(size > 0, size, 1.0)
+    x = np.asarray(np.linalg.lstsq(W, y, rcond=_RANK)[0], float)
+    return W, x, y - W @ x
 
 
 def _solve(A: Array, b: Array) -> Array:

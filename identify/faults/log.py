@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
+from excitant.identify.importers.raw import RawRecording
+from excitant.identify.recording import Recording
 from excitant.robots.motion import Array, freeze
 
 CHANNELS = ("q", "dq", "tau")
@@ -21,30 +23,6 @@ Rows = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 _AROUND = 101  # samples that say what is usual around one
 _SPAN = 4  # samples to either side of the one whose speed is asked
-
-
-class Raw(Protocol):
-    """What a raw recording offers: arrays as logged, nothing refused."""
-
-    @property
-    def t(self) -> Array:
-        """Time, shape (n,) [s]."""
-
-    @property
-    def q(self) -> Array:
-        """Positions, shape (n, nv)."""
-
-    @property
-    def dq(self) -> Array | None:
-        """Velocities, shape (n, nv), where they were logged."""
-
-    @property
-    def tau(self) -> Array:
-        """Torque or current, shape (n, nv)."""
-
-    @property
-    def unit(self) -> str:
-        """Unit of the torque, N·m or A."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +97,10 @@ class Log:
     def moving(self) -> Mask:
         """Where a joint moves by several times its `grain` per sample, (n, nv)."""
         return np.asarray(np.abs(self.travel) > 4 * self.grain)
+
+
+Raw = Log | Recording | RawRecording
+"""What may have faults: arrays as logged, nothing refused."""
 
 
 def noise(x: Array) -> float:

@@ -22,9 +22,8 @@ import scipy
 from excitant.exceptions import ExcitantError
 from excitant.identify.excitation import persistency
 from excitant.identify.faults.fault import Fault
-from excitant.identify.faults.fit import Smooth
+from excitant.identify.faults.fit import Smooth, TorqueFit, scaled_least_squares
 from excitant.identify.faults.log import ALARM, Log, quantum
-from excitant.identify.faults.physics import Torques
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -39,11 +38,11 @@ _WORSE = 1.5  # times a joint's own error, at most
 _TELLS = 0.1  # of the prior's information: less makes nothing more certain by even 5 %
 
 
-def not_measured(case: Torques) -> list[Fault]:
+def not_measured(case: TorqueFit) -> list[Fault]:
     """Joints whose torque has no error of its own, and those whose noise is that of the motion."""
     log, found = case.log, []
     own = {j: _own_noise(log.tau[:, j]) for j in case.joints}
-    missed = np.sqrt(case.fit.power) / np.maximum(case.problem.tau.std(axis=0), 1e-100)
+    missed = np.sqrt(case.power) / np.maximum(case.tau.std(axis=0), 1e-100)
     ideal = [
         j for j in case.joints if own[j] < _SMOOTH * np.ptp(log.tau[:, j]) and missed[j] < _IDEAL
     ]
@@ -106,7 +105,7 @@ def _derived(log: Log, joints: list[int]) -> dict[int, float]:
     return found
 
 
-def wrong_frame(case: Torques) -> list[Fault]:
+def wrong_frame(case: TorqueFit) -> list[Fault]:
     """The given inertias, where they explain the torque only if read in the distal frames.
 
     Both readings get each joint's friction, offset, rotor inertia and a gain, so that neither the
@@ -115,7 +114,7 @@ def wrong_frame(case: Torques) -> list[Fault]:
     """
     if (case.robot.phi[::10] <= 0).any():
         return []  # links without mass say nothing
-    joints, size = case.joints, case.problem.tau.var(axis=0)[case.joints]
+    joints, size = case.joints, case.tau.var(axis=0)[case.joints]
     readings = (case.robot.phi, in_joint_frames(case.robot))
     as_read, moved = (_left(case, phi) for phi in readings)
     before, after = (np.sqrt(left / np.maximum(size, 1e-300)) for left in (as_read, moved))
@@ -157,16 +156,13 @@ def _placed(robot: Robot) -> list[tuple[Any, Any]]:
     return list(zip(places, bodies, strict=True))
 
 
-def _left(case: Torques, phi: Array) -> Array:
+def _left(case: TorqueFit, phi: Array) -> Array:
     """Mean square of what a model and each joint's own effects leave, of the joints that count."""
-    c, left = case.problem, []
-    torque = (c.G + c.D) @ phi
+    torque, left = (case.G + case.D) @ phi, []
     for j in case.joints:
-        X = np.column_stack([torque[:, j], c.F[:, j]])
-        size = np.sqrt((X**2).mean(axis=0))
-        X = X / np.where(size > 0, size, 1.0)
-        error = c.tau[:, j] - X @ np.linalg.lstsq(X, c.tau[:, j], rcond=1e-10)[0]
-        left.append(max(float((error**2).mean()), 1e-12 * float(case.problem.size[j])))
+        columns = np.column_stack([torque[:, j], case.F[:, j]])
+        error = scaled_least_squares(columns, case.tau[:, j])[2]
+        left.append(max(float((error**2).mean()), 1e-12 * float(case.size[j])))
     return np.array(left)
 
 

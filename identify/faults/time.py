@@ -9,8 +9,7 @@ no row. Anything else could mean several things, and nothing is done.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -34,6 +33,7 @@ _OFTEN = 50  # rows: a clock that starts anew more often than that does somethin
 _PAUSE = 10.0  # of the longest step that is no gap: what is put between parts
 _BACK = 1.5  # of a step: nearer to two steps than to one
 _WHOLE = 0.25  # how near to a whole number of samples a jump must be
+_NONE: Rows = np.zeros(0, np.intp)
 _LISTED = 5  # runs of rows that are spelt out
 
 
@@ -44,9 +44,13 @@ def stamp_faults(log: Log) -> tuple[list[Fault], Rows | None]:
         The faults, and the rows at which the clock starts anew; None where no repair brings the
         rows into the order of time.
     """
-    order = _order_of(log)
-    found = [_not_finite(log), _repeated(log, order), *_backward(log, order)]
-    return [fault for fault in found if fault is not None], None if order.unclear else order.starts
+    order, found = _order_of(log), []
+    if len(rows := np.flatnonzero(~np.isfinite(log.t))):
+        detail = f"{len(rows)} of {len(log)} time stamps are no numbers, first in row {rows[0]}"
+        found.append(dropped(log.joints, rows, detail, channel="t"))
+    if (repeated := _repeated(log, order)) is not None:
+        found.append(repeated)
+    return [*found, *_backward(log, order)], None if order.unclear else order.starts
 
 
 def counted(log: Log) -> bool:
@@ -154,12 +158,7 @@ def _around(rate: Array, half: int = 4) -> Array:
     return np.asarray(np.median(shifted, axis=0), float)
 
 
-def _no_rows() -> Rows:
-    return np.zeros(0, np.intp)
-
-
-@dataclass(frozen=True, eq=False)
-class _Order:
+class _Order(NamedTuple):
     """How rows come into the order of time. Rows count those of the log.
 
     Attributes:
@@ -171,10 +170,10 @@ class _Order:
         unclear: Why nothing can be done; empty where the above makes time rise.
     """
 
-    again: Rows = field(default_factory=_no_rows)
-    late: Rows = field(default_factory=_no_rows)
-    lost: Rows = field(default_factory=_no_rows)
-    starts: Rows = field(default_factory=_no_rows)
+    again: Rows = _NONE
+    late: Rows = _NONE
+    lost: Rows = _NONE
+    starts: Rows = _NONE
     shifts: tuple[float, ...] = ()
     unclear: str = ""
 
@@ -192,30 +191,33 @@ def _order_of(log: Log) -> _Order:
     if len(rows) < 2:
         return _Order(again)
     step = float(np.median(np.abs(np.diff(t[rows]))))
-    settled = _settled(t[rows], q[rows], step)
-    if settled is not None:
-        return _Order(again, rows[settled[0]], rows[settled[1]])
-    return _cut(t, q, rows, again, step)
+    settled = _settled(t, q, rows, step)
+    return _cut(t, q, rows, again, step) if settled is None else _Order(again, *settled)
 
 
-def _settled(t: Array, q: Array, step: float) -> tuple[Rows, Rows] | None:
-    """Rows that sorting puts right, and few rows to leave out; None when that is not all.
+def _settled(t: Array, q: Array, rows: Rows, step: float) -> tuple[Rows, Rows] | None:
+    """Of some rows those that sorting puts right, and few to leave out; None when that is not all.
 
     Args:
-        t: Finite stamps, shape (n,) [s].
-        q: Positions, shape (n, k).
+        t: Stamps of the log, shape (n,) [s].
+        q: Positions of the log, shape (n, nv).
+        rows: Rows with finite stamps.
         step: Usual step [s].
     """
+    t = t[rows]
     if (np.diff(t) > 0).all():
-        return _no_rows(), _no_rows()
+        return _NONE, _NONE
     moved = _stray(t, step)
-    moved[~moved] = _misplaced(t[~moved])
+    near = t[~moved]
+    behind = near < np.maximum.accumulate(near)
+    ahead = near > np.minimum.accumulate(near[::-1])[::-1]
+    moved[~moved] = behind if behind.sum() <= ahead.sum() else ahead
     order = np.argsort(t, kind="stable")
     unfit = np.zeros(len(t), bool)
-    unfit[order] = _unfit(t[order], q[order], order, moved[order], step)
+    unfit[order] = _unfit(t[order], q[rows[order]], order, moved[order], step)
     if unfit.sum() > max(_WRONG * len(t), 1) or run_lengths(unfit)[1].max(initial=0) > _SHORT:
         return None
-    return np.flatnonzero(moved & ~unfit), np.flatnonzero(unfit)
+    return rows[moved & ~unfit], rows[unfit]
 
 
 def _stray(t: Array, step: float) -> Mask:
@@ -224,20 +226,13 @@ def _stray(t: Array, step: float) -> Mask:
     return np.asarray(np.abs(t - around) > _STRAY * step, bool)
 
 
-def _misplaced(t: Array) -> Mask:
-    """Rows earlier than one before them, or later than one behind them if these are fewer."""
-    behind = t < np.maximum.accumulate(t)
-    ahead = t > np.minimum.accumulate(t[::-1])[::-1]
-    return np.asarray(behind if behind.sum() <= ahead.sum() else ahead, bool)
-
-
 def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:
     """Of rows sorted by time, the moved ones that do not belong where sorting puts them.
 
     Args:
         t: Sorted stamps, shape (n,) [s].
-        q: Positions in that order, shape (n, k).
-        order: Rows of the log in that order, shape (n,).
+        q: Positions in that order, shape (n, nv).
+        order: Which rows they were before, shape (n,).
         moved: Which of them were out of order, shape (n,).
         step: Usual step [s].
     """
@@ -270,34 +265,27 @@ def _cut(t: Array, q: Array, rows: Rows, again: Rows, step: float) -> _Order:
     near = np.clip(falls[:, None] + reach, 1, len(clear) - 1)
     drops = np.diff(t[clear])[near - 1]
     starts = np.unique(clear[near[np.arange(len(falls)), drops.argmin(axis=1)]])
-    parts = [rows[(rows >= a) & (rows < b)] for a, b in pairwise([0, *starts.tolist(), len(t)])]
+    often = f"it does so {len(starts)} times, mostly within {MINIMUM_DURATION:g} s"
+    if len(starts) * _OFTEN >= len(rows):
+        return _Order(again, unclear=often)
     late, lost, shifts, end, brief = [], [], [0.0], -np.inf, 0
-    for own in parts if len(starts) * _OFTEN < len(rows) else []:
-        settled = _settled(t[own], q[own], step)
+    for own in np.split(rows, np.searchsorted(rows, starts)):
+        settled = _settled(t, q, own, step)
         if settled is None:
             return _Order(again, unclear=f"from row {own[0]} on its rows fit nowhere else")
-        late.append(own[settled[0]])
-        lost.append(own[settled[1]])
-        stamps = np.sort(t[np.delete(own, settled[1])])
+        late.append(settled[0])
+        lost.append(settled[1])
+        stamps = np.sort(t[np.setdiff1d(own, settled[1])])
         rate = float(np.median(np.diff(stamps))) if len(stamps) > _SHORT else step
         if abs(rate / step - 1) > _RATE:
             return _Order(again, unclear=f"from row {own[0]} on it takes other steps, {rate:.4g} s")
         brief += len(own) if stamps[-1] - stamps[0] < MINIMUM_DURATION else 0
         shifts.append(max(shifts[-1], end + _PAUSE * longest_step(step) - float(stamps[0])))
         end = float(stamps[-1]) + shifts[-1]
-    if not late or brief > _BRIEF * len(rows):
-        why = f"it does so {len(starts)} times, mostly within {MINIMUM_DURATION:g} s"
-        return _Order(again, unclear=why)
+    if brief > _BRIEF * len(rows):
+        return _Order(again, unclear=often)
     added = tuple(np.diff(shifts)[1:].tolist())
     return _Order(again, np.concatenate(late), np.concatenate(lost), starts, added)
-
-
-def _not_finite(log: Log) -> Fault | None:
-    rows = np.flatnonzero(~np.isfinite(log.t))
-    if not len(rows):
-        return None
-    detail = f"{len(rows)} of {len(log)} time stamps are no numbers, first in row {rows[0]}"
-    return dropped(log.joints, rows, detail, channel="t")
 
 
 def _repeated(log: Log, order: _Order) -> Fault | None:
@@ -318,72 +306,59 @@ def _repeated(log: Log, order: _Order) -> Fault | None:
         )
     if len(order.again):
         parts.append(f"{len(order.again)} of {n} rows repeat time and values of earlier ones")
-    return Fault(
-        "duplicate_samples",
-        log.joints,
-        f"{'; '.join(parts)}; first row {rows[0]} at t = {log.t[rows[0]]:.4g} s",
-        {"rows": rows, "count": len(rows), "identical": int(same) + len(order.again)},
-        f"keeps the first of each and leaves {len(rows)} rows out",
-        (Remedy("drop", rows=rows),),
-    )
+    detail = f"{'; '.join(parts)}; first row {rows[0]} at t = {log.t[rows[0]]:.4g} s"
+    evidence = {"rows": rows, "count": len(rows), "identical": int(same) + len(order.again)}
+    done = f"keeps the first of each and leaves {len(rows)} rows out"
+    drop = Remedy("drop", rows=rows)
+    return Fault("duplicate_samples", log.joints, detail, evidence, done, (drop,))
 
 
 def _backward(log: Log, order: _Order) -> list[Fault]:
     """Faults of rows that are earlier than one before them, from how they come into order."""
-    t, n, joints, starts = log.t, len(log), log.joints, order.starts
-    rows = np.flatnonzero(np.isfinite(t))
-    back = np.flatnonzero(np.diff(t[rows]) < 0) + 1
-    if not len(back):
+    t, timed = log.t, np.flatnonzero(np.isfinite(log.t))
+    rows = timed[1:][np.diff(t[timed]) < 0]
+    if not len(rows):
         return []
-    before = dict(zip(rows[1:].tolist(), t[rows[:-1]].tolist(), strict=True))
-    first = int(rows[back[0]])
-    where = f"from {before[first]:.6g} to {t[first]:.6g} s in row {first}"
-    found = []
+
+    def fault(
+        rows: Rows, detail: str, done: str | None = None, *remedies: Remedy, **evidence: Any
+    ) -> Fault:
+        evidence = {"rows": rows, "count": len(rows), "channel": "t", **evidence}
+        return Fault("corrupt_rows", log.joints, detail, evidence, done, remedies)
+
+    def fall(row: int) -> str:
+        return f"from {t[timed[timed < row][-1]]:.6g} to {t[row]:.6g} s"
+
+    first, n, found = int(rows[0]), len(log), []
     if order.unclear:
         detail = (
-            f"time goes back in {len(back)} of {n} rows, first {where}; {order.unclear}, so that "
-            f"sorting or cutting would be a guess: cut the file by hand in row {first}, or correct "
-            f"its time"
+            f"time goes back in {len(rows)} of {n} rows, first {fall(first)} in row {first}; "
+            f"{order.unclear}, so that sorting or cutting would be a guess: cut the file by hand "
+            f"in row {first}, or correct its time"
         )
-        evidence = {"rows": rows[back], "count": len(back), "channel": "t"}
-        evidence["unclear"] = order.unclear
-        return [Fault("corrupt_rows", joints, detail, evidence)]
-    if len(starts):
-        start = int(starts[0])
-        found.append(
-            Fault(
-                "corrupt_rows",
-                joints,
-                f"the clock starts anew in {_listed(starts)}, first from {before[start]:.6g} to "
-                f"{t[start]:.6g} s, and runs on at the same rate, as in recordings written one "
-                f"after the other",
-                {"rows": starts, "count": len(starts), "channel": "t", "shifts": order.shifts},
-                f"cuts the recording into {len(starts) + 1} parts at {_listed(starts)}",
-                tuple(
-                    Remedy("shift", "t", rows=starts[k : k + 1], factor=shift)
-                    for k, shift in enumerate(order.shifts)
-                ),
-            )
+        return [fault(rows, detail, unclear=order.unclear)]
+    if len(starts := order.starts):
+        detail = (
+            f"the clock starts anew in {_listed(starts)}, first {fall(int(starts[0]))}, and runs "
+            f"on at the same rate, as in recordings written one after the other"
         )
-    done, remedies = [], []
+        done = f"cuts the recording into {len(starts) + 1} parts at {_listed(starts)}"
+        remedies = [
+            Remedy("shift", "t", rows=starts[k : k + 1], factor=shift)
+            for k, shift in enumerate(order.shifts)
+        ]
+        found.append(fault(starts, detail, done, *remedies, shifts=order.shifts))
+    sentences, steps = [], []
     if len(order.late):
-        done.append(f"sorts {_listed(order.late)} by time, where they fit")
-        remedies.append(Remedy("sort", "t", rows=order.late))
+        sentences.append(f"sorts {_listed(order.late)} by time, where they fit")
+        steps.append(Remedy("sort", "t", rows=order.late))
     if len(order.lost):
-        done.append(f"leaves {_listed(order.lost)} out")
-        remedies.append(Remedy("drop", rows=order.lost))
-    if done:
-        rows = np.union1d(order.late, order.lost)
-        found.append(
-            Fault(
-                "corrupt_rows",
-                joints,
-                f"time goes back: {len(rows)} of {n} rows are out of order, first {where}",
-                {"rows": rows, "count": len(rows), "channel": "t", "late": len(order.late)},
-                " and ".join(done),
-                tuple(remedies),
-            )
-        )
+        sentences.append(f"leaves {_listed(order.lost)} out")
+        steps.append(Remedy("drop", rows=order.lost))
+    if steps:
+        moved, where = np.union1d(order.late, order.lost), f"first {fall(first)} in row {first}"
+        detail = f"time goes back: {len(moved)} of {n} rows are out of order, {where}"
+        found.append(fault(moved, detail, " and ".join(sentences), *steps, late=len(order.late)))
     return found
 
 

@@ -7,9 +7,8 @@ all joints at once where the time runs c times too fast.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+import scipy
 
 from excitant.identify.faults.fault import Fault, Remedy
 from excitant.identify.faults.log import Log, normal_bound
@@ -35,58 +34,48 @@ RATES = (0.5, 2.0, 0.25, 4.0, 1e-3, 1e3, 1e-6, 1e6, 1e-9, 1e9)
 
 def velocity_faults(log: Log) -> list[Fault]:
     """Faults that show in the velocity against the position."""
-    found = _slopes(log)
-    common = found.common
+    b, error, follows = _slopes(log)
+    bound = normal_bound(log.nv)
+    wrong = [j for j in follows if abs(b[j] - 1) > max(_MARGIN, bound * error[j])]
+    # the factor that all moving joints share, when more than one moves
+    common = float(np.median(b[follows])) if len(follows) > 1 and wrong == follows else None
+    if common is not None and (np.abs(b[follows] / common - 1) >= _MARGIN).any():
+        common = None
     if counted(log):
         return [_counted(log, common)]
-    if found.wrong and (change := _rate_change(log)) is not None:
+    if wrong and (change := _rate_change(log)) is not None:
         return [change]
-    if common is not None and common > 0 and _named(common, _UNITS | _POSITION_UNITS) is None:
-        return [_rate(log, common, found)]
-    return [_of_joint(log, j, float(found.b[j]), float(found.error[j])) for j in found.wrong]
-
-
-@dataclass(frozen=True, eq=False)
-class _Slopes:
-    """How velocity and position agree.
-
-    Attributes:
-        b: Slope of ∫q̇ dt against Δq, nan where the joint does not move, shape (nv,).
-        error: Its standard error, shape (nv,).
-        wrong: Joints whose slope differs from 1 by more than chance and margin.
-        follows: Joints whose velocity is in proportion to the change of position.
-    """
-
-    b: Array
-    error: Array
-    wrong: tuple[int, ...]
-    follows: tuple[int, ...]
-
-    @property
-    def common(self) -> float | None:
-        """The factor that all moving joints share, when more than one moves."""
-        b = self.b[list(self.follows)]
-        if len(b) < 2 or len(self.wrong) < len(b):
-            return None
-        middle = float(np.median(b))
-        return middle if (np.abs(b / middle - 1) < _MARGIN).all() else None
+    if common is None or common <= 0 or _named(common, _UNITS | _POSITION_UNITS) is not None:
+        return [_of_joint(log, j, float(b[j]), float(error[j])) for j in wrong]
+    factor = next((c for c in RATES if abs(common / c - 1) < _NEAR), common)
+    detail = (
+        f"the time runs {common:.4g} times too {'slow' if common > 1 else 'fast'} for the motion: "
+        f"∫dq dt is {common:.4g} ± {np.nanmedian(error):.2g} times the change of q at all "
+        f"{len(follows)} moving joints; the median step is {log.step:.4g} s, "
+        f"{log.step / factor:.4g} s would fit"
+    )
+    return [slower(log, factor, detail, factor=common, slopes=b, errors=error)]
 
 
 def _windows(log: Log, dq: Array) -> tuple[int, Array, Array]:
     """Rows of a window, Δq and ∫q̇ dt over windows, each of shape (windows, nv)."""
     w = min(max(_WINDOW_ROWS, round(_WINDOW_S / log.step)), len(log) // 20)
-    rate = (dq[1:] + dq[:-1]) / 2 * np.diff(log.t)[:, None]
-    way = np.concatenate([np.zeros((1, log.nv)), np.cumsum(rate, axis=0)])
+    way = scipy.integrate.cumulative_trapezoid(dq, log.t, axis=0, initial=0)
     return w, np.diff(log.q[::w], axis=0), np.diff(way[::w], axis=0)
 
 
-def _slopes(log: Log) -> _Slopes:
-    """Regression of ∫q̇ dt on Δq, joint by joint."""
+def _slopes(log: Log) -> tuple[Array, Array, list[int]]:
+    """Regression of ∫q̇ dt on Δq, joint by joint.
+
+    Returns:
+        Slopes, nan where a joint does not move, and their standard errors, each of shape (nv,);
+        joints whose velocity is in proportion to the change of position.
+    """
     b, error = np.full((2, log.nv), np.nan)
+    follows: list[int] = []
     if log.dq is None or len(log) < 5 * _WINDOW_ROWS:
-        return _Slopes(b, error, (), ())
+        return b, error, follows
     _, dq, dv = _windows(log, log.dq)
-    follows = []
     for j, (x, y) in enumerate(zip(dq.T, dv.T, strict=True)):
         clear = np.abs(x) > _CLEAR * log.grain[j]
         if clear.sum() < _ENOUGH or np.ptp(y) == 0:
@@ -95,9 +84,7 @@ def _slopes(log: Log) -> _Slopes:
         error[j] = np.sqrt(((y - b[j] * x) ** 2 * x**2).sum()) / (x @ x)
         if abs(x @ y) > _FOLLOWS * np.sqrt((x @ x) * (y @ y)):
             follows.append(j)
-    bound = normal_bound(log.nv)
-    wrong = tuple(j for j in follows if abs(b[j] - 1) > max(_MARGIN, bound * error[j]))
-    return _Slopes(b, error, wrong, tuple(follows))
+    return b, error, follows
 
 
 def _rate_change(log: Log) -> Fault | None:
@@ -138,17 +125,6 @@ def _counted(log: Log, common: float | None) -> Fault:
         return Fault("wrong_sample_rate", log.joints, detail, {"step": 1.0})
     detail += f"; q and dq agree at a step of {1 / common:.4g} s ({common:.4g} Hz)"
     return slower(log, common, detail, step=1.0)
-
-
-def _rate(log: Log, common: float, found: _Slopes) -> Fault:
-    factor = next((c for c in RATES if abs(common / c - 1) < _NEAR), common)
-    detail = (
-        f"the time runs {common:.4g} times too {'slow' if common > 1 else 'fast'} for the motion: "
-        f"∫dq dt is {common:.4g} ± {np.nanmedian(found.error):.2g} times the change of q at all "
-        f"{len(found.follows)} moving joints; the median step is {log.step:.4g} s, "
-        f"{log.step / factor:.4g} s would fit"
-    )
-    return slower(log, factor, detail, factor=common, slopes=found.b, errors=found.error)
 
 
 def slower(log: Log, factor: float, detail: str, /, **evidence: object) -> Fault:

@@ -8,8 +8,9 @@ the log is refused with the map to write.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import yaml
 
@@ -21,32 +22,20 @@ from excitant.identify.importers.units import Unit, factor
 from excitant.robots.robot import Robot
 
 _SAID = {"t": "time", "q": "positions", "dq": "speeds", "tau": "torques", "i": "currents"}
-_NUMBERED = (
-    "{}[{{0}}]",
-    "{}_{{0}}",
-    "{}.{{0}}",
-    "{}{{0}}",
-    "{}[{{1}}]",
-    "{}_{{1}}",
-    "{}.{{1}}",
-    "{}{{1}}",
+_NUMBERED = tuple(
+    form.replace("0", first)
+    for first in "01"
+    for form in ("{}[{{0}}]", "{}_{{0}}", "{}.{{0}}", "{}{{0}}")
 )
-_NAMED = (
-    "{{joint}}.{}",
-    "{}.{{joint}}",
-    "{{joint}}_{}",
-    "{}_{{joint}}",
-    "{{joint}}/{}",
-    "{}/{{joint}}",
-    "{{joint}} {}",
-    "{} {{joint}}",
+_NAMED = tuple(
+    form.replace(".", sign) for sign in "._/ " for form in ("{{joint}}.{}", "{}.{{joint}}")
 )
 _Key = str | int | None
 
 
 @dataclass(frozen=True)
 class Joints:
-    """The joints that a recording must hold.
+    """The joints that a recording must hold: how many, and of an arm their names and kinds.
 
     Attributes:
         count: How many.
@@ -57,13 +46,6 @@ class Joints:
     count: int
     names: tuple[str, ...] = ()
     revolute: tuple[bool, ...] = ()
-
-    @classmethod
-    def of(cls, robot: Robot | int) -> Joints:
-        """Joints of a robot, or as many without names."""
-        if isinstance(robot, int):
-            return cls(robot)
-        return cls(robot.nv, robot.joints, tuple(bool(turns) for turns in robot.revolute))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -117,8 +99,7 @@ class Columns:
 
 def resolve(
     table: Table,
-    joints: Joints,
-    *,
+    robot: Robot | int,
     mapping: ColumnMap | None = None,
     torque_column: str | None = None,
 ) -> Columns:
@@ -126,7 +107,7 @@ def resolve(
 
     Args:
         table: The log.
-        joints: The arm's joints.
+        robot: The arm, or its number of joints.
         mapping: What the user says.
         torque_column: Prefix of the torque columns, ``tau`` for ``tau1, tau2, ...``.
 
@@ -134,6 +115,10 @@ def resolve(
         BadRecording: A column is missing, or could be several; says what to write.
         BadInput: The map does not fit the robot.
     """
+    if isinstance(robot, int):
+        joints = Joints(robot)
+    else:
+        joints = Joints(robot.nv, robot.joints, tuple(bool(turns) for turns in robot.revolute))
     search = _Search(table, joints, mapping or ColumnMap())
     t, t_shown = search.time()
     q = search.channel("q")
@@ -141,13 +126,9 @@ def resolve(
     dq = search.channel("dq", optional=True)
     if q is None:
         raise search.missing("q")
-    unit = "A" if role == "i" else "N·m"
-    if role == "i" and (gains := search.mapping.drive) is not None:
-        if len(gains) != joints.count:
-            raise BadInput(
-                f"{search.mapping.source}: drive has {len(gains)} gains, the robot has "
-                f"{joints.count} joints"
-            )
+    unit, gains = "A" if role == "i" else "N·m", search.mapping.drive
+    if role == "i" and gains is not None:
+        search.expect_all("drive has {} gains", gains)
         factors = tuple(one * gain for one, gain in zip(tau.factors, gains, strict=True))
         unit, tau = "N·m", Channel(tau.columns, factors, f"{tau.shown or 'i'}, × drive gain = N·m")
     shown = [s for s in (t_shown, q.shown, dq.shown if dq else "", tau.shown) if s]
@@ -162,84 +143,71 @@ def resolve(
     return read
 
 
-@dataclass(frozen=True)
 class _Group:
     """Columns of one quantity whose names differ by the joint only.
 
     Attributes:
         role: Quantity.
-        members: Meaning per joint's number or name.
         words: What else the names hold.
-        exact: Whether the columns are named ``q1, q2, ...``.
+        members: Meaning per joint's number or name.
         twice: A column of a joint that has another one.
+        exact: Whether the columns are named ``q1, q2, ...``.
+        keys: Under which key each joint of the robot should be.
+        full: Whether every joint has one column; numbered columns of more joints are another arm's.
     """
 
-    role: str
-    members: Mapping[_Key, Meaning]
-    words: tuple[str, ...] = ()
-    exact: bool = False
-    twice: str | None = None
-
-    @classmethod
-    def of(cls, role: str, words: tuple[str, ...], found: Sequence[tuple[_Key, Meaning]]) -> _Group:
-        members: dict[_Key, Meaning] = {}
-        twice = None
+    def __init__(
+        self, role: str, joints: Joints, found: Sequence[tuple[_Key, Meaning]], *words: str
+    ) -> None:
+        self.role, self.words, self.joints = role, words, joints
+        self.members: dict[_Key, Meaning] = {}
+        self.twice: str | None = None
         for joint, m in found:
-            twice = m.column if joint in members else twice
-            members.setdefault(joint, m)
+            self.twice = m.column if joint in self.members else self.twice
+            self.members.setdefault(joint, m)
         form = re.compile(rf"{role}[1-9]\d*", re.ASCII)
-        numbered = not any(isinstance(joint, str) for joint in members)
-        exact = numbered and all(form.fullmatch(m.column) for _, m in found)
-        return cls(role, members, words, exact, twice)
-
-    def keys(self, joints: Joints) -> list[_Key]:
-        """Under which key each joint should be."""
-        if any(isinstance(joint, str) for joint in self.members):
-            return list(joints.names)
-        if joints.count == 1 and None in self.members:
-            return [None]
+        named = any(isinstance(joint, str) for joint in self.members)
+        self.exact = not named and all(form.fullmatch(m.column) for _, m in found)
         first = 0 if 0 in self.members else 1
-        return [first + k for k in range(joints.count)]
+        self.keys: list[_Key] = [first + k for k in range(joints.count)]
+        if named:
+            self.keys = list(joints.names)
+        elif joints.count == 1 and None in self.members:
+            self.keys = [None]
+        held = set(self.keys) <= set(self.members) and (named or len(self.members) == joints.count)
+        self.full = held and self.twice is None
 
-    def full(self, joints: Joints) -> bool:
-        """Whether every joint has one column; numbered columns of more joints are another arm's."""
-        keys = self.keys(joints)
-        named = isinstance(keys[0], str)
-        held = set(keys) <= set(self.members) and (named or len(self.members) == len(keys))
-        return held and self.twice is None
-
-    def columns(self, joints: Joints) -> tuple[str, ...]:
+    @property
+    def columns(self) -> tuple[str, ...]:
         """Columns in the robot's order."""
-        return tuple(self.members[key].column for key in self.keys(joints))
+        return tuple(self.members[key].column for key in self.keys)
 
-    def check(self, joints: Joints, file: str, prefix: str | None = None) -> None:
+    def check(self, file: str, prefix: str | None = None) -> None:
         """Refuse another number of joints, holes and surplus."""
         if self.twice is not None:
             why = "names a joint that another column names too; rename or remove one"
             raise BadRecording(file, why, column=self.twice)
         numbers = sorted(k for k in self.members if isinstance(k, int))
-        count = len(numbers)
+        count, expected = len(numbers), self.joints.count
         run = count and numbers[0] in (0, 1) and numbers[-1] - numbers[0] == count - 1
-        if self.role == "q" and run and count != joints.count:
+        if self.role == "q" and run and count != expected:
             first, last = (self.members[k].column for k in (numbers[0], numbers[-1]))
             span = f"{first}..{last}" if count > 1 else first
-            raise BadRecording(
-                file,
-                f"has {count} joint{'s' if count > 1 else ''} ({span}), the robot has "
-                f"{joints.count}; give the recording of this robot, or lock the joints that it "
-                f"leaves out",
+            why = (
+                f"has {count} joint{'s' if count > 1 else ''} ({span}), the robot has {expected}; "
+                f"give the recording of this robot, or lock the joints that it leaves out"
             )
-        for key in self.keys(joints):
+            raise BadRecording(file, why)
+        for key in self.keys:
             if key not in self.members:
                 column = f"{prefix}{key}" if prefix is not None else self._name(key)
                 raise BadRecording(file, "is missing; rename or add it", column=column)
-        if count > joints.count:
-            raise BadRecording(
-                file,
-                f"belongs to no joint: the robot has {joints.count}; remove it or give the "
-                f"right robot",
-                column=self.members[numbers[-1]].column,
+        if count > expected:
+            column = self.members[numbers[-1]].column
+            why = (
+                f"belongs to no joint: the robot has {expected}; remove it or give the right robot"
             )
+            raise BadRecording(file, why, column=column)
 
     def _name(self, key: _Key) -> str:
         """What the column of a joint would be called."""
@@ -273,7 +241,7 @@ class _Search:
                 f"is not among them; give the right robot, or lock this joint",
             )
         used = [m for m in _meanings(table, joints) if m.role is not None and not m.commanded]
-        alike: dict[tuple[object, ...], list[tuple[_Key, Meaning]]] = {}
+        alike: dict[tuple[Any, ...], list[tuple[_Key, Meaning]]] = {}
         for m in used:
             joint = m.joint
             if isinstance(joint, int) and joints.names:
@@ -281,10 +249,8 @@ class _Search:
             sort = (m.role, m.words, isinstance(joint, str), m.measured, m.term)
             alike.setdefault(sort, []).append((joint, m))
         self.groups: dict[str, list[_Group]] = {}
-        for members in alike.values():
-            m = members[0][1]
-            group = _Group.of(str(m.role), m.words, members)
-            self.groups.setdefault(group.role, []).append(group)
+        for (role, words, *_), members in alike.items():
+            self.groups.setdefault(role, []).append(_Group(role, joints, members, *words))
         for groups in self.groups.values():
             groups.sort(key=lambda group: (not group.exact, len(group.words)))
         self.times, unit = _times([m for m in used if m.role == "t"])
@@ -321,8 +287,8 @@ class _Search:
             group = self._chosen(role, optional)
             if group is None:
                 return None
-            columns, exact = group.columns(self.joints), group.exact
-            hints = tuple(group.members[key].unit for key in group.keys(self.joints))
+            columns, exact = group.columns, group.exact
+            hints = tuple(group.members[key].unit for key in group.keys)
         factors = self._factors(role, hints)
         units = self.mapping.units.get(role, hints[0])
         if exact and units is None:
@@ -338,13 +304,12 @@ class _Search:
                 f"{self.mapping.source}: both 'tau' and 'i' are given; keep the measured one"
             )
         if not said and prefix is not None:
-            role = "i" if prefix == "i" else "tau"
-            form = re.compile(rf"{re.escape(prefix)}([1-9]\d*)", re.ASCII)
-            found = [(int(m[1]), name) for name in self.table.names if (m := form.fullmatch(name))]
-            group = _Group(role, {k: Meaning(name, role, k) for k, name in found})
-            group.check(self.joints, self.table.file, prefix)
-            factors = self._factors(role, (None,) * self.joints.count)
-            return role, Channel(group.columns(self.joints), factors)
+            role, form = "i" if prefix == "i" else "tau", rf"{re.escape(prefix)}([1-9]\d*)"
+            found = ((name, re.fullmatch(form, name, re.ASCII)) for name in self.table.names)
+            members = [(int(m[1]), Meaning(name, role, int(m[1]))) for name, m in found if m]
+            group = _Group(role, self.joints, members)
+            group.check(self.table.file, prefix)
+            return role, Channel(group.columns, self._factors(role, (None,) * self.joints.count))
         exact = [r for r in ("tau", "i") if any(g.exact for g in self.groups.get(r, ()))]
         for role in said or exact or ("tau", "i"):
             channel = self.channel(role)
@@ -352,22 +317,25 @@ class _Search:
                 return role, channel
         raise self.missing("tau")
 
-    def _clear(self, role: str) -> list[_Group]:
-        """Groups that hold a quantity by their name alone, those named exactly first."""
-        groups = self.groups.get(role, [])
-        return [g for g in groups if g.exact] or [g for g in groups if not g.words]
+    def expect_all(self, what: str, values: Sequence[object]) -> None:
+        """Refuse a map that says something of another number of joints than the robot has."""
+        if len(values) != self.joints.count:
+            said, count = what.format(len(values)), self.joints.count
+            raise BadInput(f"{self.mapping.source}: {said}, the robot has {count} joints")
 
     def _chosen(self, role: str, optional: bool) -> _Group | None:
-        groups = self._clear(role)
-        full = [group for group in groups if group.full(self.joints)]
+        """The columns that hold a quantity by their name alone, those named exactly first."""
+        found = self.groups.get(role, [])
+        groups = [g for g in found if g.exact] or [g for g in found if not g.words]
+        full = [group for group in groups if group.full]
         if len(full) == 1:
             return full[0]
         if optional or not groups:
             return None
         if full:
-            raise self._ambiguous(role, [", ".join(g.columns(self.joints)[:2]) for g in full])
+            raise self._ambiguous(role, [", ".join(g.columns[:2]) for g in full])
         group = max(groups, key=lambda g: len(g.members))
-        group.check(self.joints, self.table.file)
+        group.check(self.table.file)
         return group
 
     def _given(self, role: str, given: str | tuple[str, ...]) -> tuple[str, ...]:
@@ -381,11 +349,7 @@ class _Search:
             forms = [_expanded(form.format(given), joints) for form in (*named, *_NUMBERED)]
             there = [form for form in forms if set(form) <= set(names)]
             columns = there[0] if there else columns if joints.count == 1 else forms[-1]
-        if len(columns) != joints.count:
-            raise BadInput(
-                f"{self.mapping.source}: '{role}' names {len(columns)} columns, the robot has "
-                f"{joints.count} joints"
-            )
+        self.expect_all(f"'{role}' names {{}} columns", columns)
         self._there(columns)
         return columns
 
@@ -400,11 +364,7 @@ class _Search:
         joints, source = self.joints, self.mapping.source
         given = self.mapping.units.get(role, tuple(hints))
         units = given if isinstance(given, tuple) else (given,) * joints.count
-        if len(units) != joints.count:
-            raise BadInput(
-                f"{source}: units of {role}: {len(units)} given, the robot has {joints.count} "
-                f"joints"
-            )
+        self.expect_all(f"units of {role}: {{}} given", units)
         signs = self.mapping.sign.get("tau" if role == "i" else role, {})
         for joint in signs:
             if joint not in joints.labels:
@@ -430,8 +390,8 @@ class _Search:
         content: dict[str, object] = {"t": t[0] if len(t) == 1 else t}
         torque = next((role for role in ("tau", "i") if self.groups.get(role)), "tau")
         for role in ("q", torque):
-            full = [g for g in self.groups.get(role, ()) if g.full(self.joints)]
-            content[role] = list(full[0].columns(self.joints)) if full else "?"
+            full = [g for g in self.groups.get(role, ()) if g.full]
+            content[role] = list(full[0].columns) if full else "?"
         text: str = yaml.safe_dump(
             content, default_flow_style=True, sort_keys=False, width=1 << 20, allow_unicode=True
         )

@@ -162,17 +162,30 @@ def dialect_of(path: Path) -> Dialect:
     for separator in _SEPARATORS:
         first = _first_row(lines, separator)
         if first is not None:
-            return _described(lines, first, separator, encoding, cut)
-    header = next((line for line in lines if line.strip()), "")
-    separator = max(_SEPARATORS, key=lambda sign: len(_cells(header, sign)))
-    names = _cells(header, separator)
-    if len(names) < 2:
-        raise BadRecording(
-            path,
-            "cannot be read (no line of names followed by numbers); give a table with named "
-            "columns",
-        )
-    return Dialect(encoding, separator, ".", tuple(names), lines.index(header) + 1)
+            break
+    else:
+        header = next((line for line in lines if line.strip()), "")
+        separator = max(_SEPARATORS, key=lambda sign: len(_cells(header, sign)))
+        names = _cells(header, separator)
+        if len(names) < 2:
+            why = "cannot be read (no line of names followed by numbers); give a table with named"
+            raise BadRecording(path, f"{why} columns")
+        return Dialect(encoding, separator, ".", tuple(names), lines.index(header) + 1)
+    some = [line for line in lines[first : first + 200] if not line.startswith(_COMMENTS)]
+    rows = [_cells(line, separator) for line in some]
+    cells = [cell for cells in rows for cell in cells]
+    commas = sum(bool(_COMMA.fullmatch(cell)) for cell in cells)
+    points = sum("." in cell and bool(_POINT.fullmatch(cell)) for cell in cells)
+    names = _header(lines[:first], separator) or list(map(str, range(len(rows[0]))))
+    if len(rows[0]) == len(names) + 1 and rows[0][-1] == "":
+        names.append("")
+    labels = {}
+    for k, name in enumerate(names):
+        match, texts = _NAME_OF_JOINT.fullmatch(name), {row[k] for row in rows if len(row) > k}
+        if match and len(texts) == 1 and not _is_number(text := texts.pop()):
+            labels[int(match[1])] = text
+    decimal, quoted = "," if commas > points else ".", '"' in some[0]
+    return Dialect(encoding, separator, decimal, tuple(names), first, quoted, cut, labels)
 
 
 def _head(path: Path) -> tuple[str, str, bool]:
@@ -215,7 +228,7 @@ def _is_number(cell: str) -> bool:
 def _first_row(lines: Sequence[str], separator: str) -> int | None:
     """The first line of numbers, when the line of names before it has as many cells.
 
-    A few of the numbers may be damaged, or dates.
+    A few of the numbers may be damaged, or dates. A separator at the end of a line makes no cell.
     """
     for k, line in enumerate(lines):
         cells = _cells(line, separator)
@@ -223,58 +236,25 @@ def _first_row(lines: Sequence[str], separator: str) -> int | None:
             continue
         if 2 * sum(map(_is_number, cells)) <= len(cells):
             continue
-        header = _header(lines[:k], separator)
-        fits = header is None or _width(_cells(header, separator)) == _width(cells)
-        return k if fits or separator == "," else None
+        names = _header(lines[:k], separator)
+        width, expected = (len(some) - (some[-1:] == [""]) for some in (cells, names))
+        return k if not names or width == expected or separator == "," else None
     return None
 
 
-def _width(cells: Sequence[str]) -> int:
-    """Number of cells; a separator at the end of a line makes none."""
-    return len(cells) - (cells[-1] == "")
+def _header(above: Sequence[str], separator: str) -> list[str]:
+    """Names in the line above the first row, with units of a row of units in brackets.
 
-
-def _header(above: Sequence[str], separator: str) -> str | None:
-    """The line of names above the first row, without a comment sign; None when there is none."""
-    for line in reversed(above):
-        plain = line.lstrip("".join(_COMMENTS)).strip("\r\n")
-        if plain.strip() and len(_cells(plain, separator)) > 1:
-            return plain.strip() if separator == " " else plain
-    return None
-
-
-def _described(lines: Sequence[str], row: int, separator: str, encoding: str, cut: bool) -> Dialect:
-    some = [line for line in lines[row : row + 200] if not line.startswith(_COMMENTS)]
-    rows = [_cells(line, separator) for line in some]
-    cells = [cell for cells in rows for cell in cells]
-    commas = sum(bool(_COMMA.fullmatch(cell)) for cell in cells)
-    points = sum("." in cell and bool(_POINT.fullmatch(cell)) for cell in cells)
-    names = _names(lines[:row], separator) or list(map(str, range(len(rows[0]))))
-    if len(rows[0]) == len(names) + 1 and rows[0][-1] == "":
-        names.append("")
-    decimal, quoted = "," if commas > points else ".", '"' in some[0]
-    labels = _labels(names, rows)
-    return Dialect(encoding, separator, decimal, tuple(names), row, quoted, cut, labels)
-
-
-def _names(above: Sequence[str], separator: str) -> list[str]:
-    """Names of the header, with units of a row of units below it in brackets."""
+    Without a comment sign before them; empty when there are none.
+    """
     for upper, lower in pairwise([line for line in above if line.strip()][-2:]):
         cells = [cell.strip("[]() ") for cell in _cells(lower, separator)]
         units = [cell for cell in cells if cell not in ("", "-")]
         named = _cells(upper, separator)
         if units and all(map(spelled, units)) and len(named) == len(cells):
             return [f"{n} [{u}]" if spelled(u) else n for n, u in zip(named, cells, strict=True)]
-    header = _header(above, separator)
-    return _cells(header, separator) if header else []
-
-
-def _labels(names: Sequence[str], rows: Sequence[Sequence[str]]) -> dict[int, str]:
-    """Joints' names by number, of columns such as ``name_0`` that hold one text throughout."""
-    labels = {}
-    for k, name in enumerate(names):
-        match = _NAME_OF_JOINT.fullmatch(name)
-        texts = {row[k] for row in rows if len(row) > k}
-        if match and len(texts) == 1 and not _is_number(text := texts.pop()):
-            labels[int(match[1])] = text
-    return labels
+    for line in reversed(above):
+        plain = line.lstrip("".join(_COMMENTS))
+        if plain.strip() and len(names := _cells(plain, separator)) > 1:
+            return names
+    return []

@@ -16,7 +16,6 @@ from excitant.robots.effects.base import (
     proposals,
     registered,
 )
-from excitant.robots.effects.drive import InertiaCoupling, RotorInertia, TorqueOffset
 from excitant.robots.effects.friction import (
     AsymmetricFriction,
     CoulombFriction,
@@ -27,7 +26,13 @@ from excitant.robots.effects.friction import (
     ViscousFriction,
 )
 from excitant.robots.effects.history import PreslidingHysteresis, ThermalFrictionDrift
-from excitant.robots.effects.load import AddedInertia, InertialParameters, Payload
+from excitant.robots.effects.inertia import (
+    AddedInertia,
+    InertiaCoupling,
+    InertialParameters,
+    Payload,
+    RotorInertia,
+)
 from excitant.robots.effects.sensing import (
     EncoderOffset,
     EncoderScale,
@@ -41,6 +46,7 @@ from excitant.robots.effects.transmission import (
     Backlash,
     JointElasticity,
     Spring,
+    TorqueOffset,
     TorqueRipple,
 )
 

@@ -20,8 +20,8 @@ from excitant.robots.effects.base import (
     effect_values,
     within,
 )
-from excitant.robots.effects.reference import rigid_torque
 from excitant.robots.motion import Array, Motion
+from excitant.robots.regressor import rigid_torque
 from excitant.robots.robot import Robot
 
 _SLOW = 0.4  # of a joint's highest speed: a Stribeck velocity beyond it is Coulomb friction

@@ -20,13 +20,13 @@ from excitant.robots.effects.base import (
     Parameter,
     Shape,
 )
-from excitant.robots.effects.reference import (
+from excitant.robots.motion import Array, Motion
+from excitant.robots.regressor import (
     carried_torque,
     gravity_torque,
+    rigid_body_torque,
     torque_along,
 )
-from excitant.robots.motion import Array, Motion
-from excitant.robots.regressor import rigid_body_torque
 from excitant.robots.robot import Robot
 
 _DELAYS = (-0.05, -0.02, -0.005, 0.002, 0.005, 0.01, 0.02, 0.04, 0.08)  # s

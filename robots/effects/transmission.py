@@ -1,10 +1,10 @@
-"""Effects of what lies between motor and link: springs, elasticity, play, ripple."""
+"""Static torque and what lies between motor and link: offset, springs, ripple, elasticity, play."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -15,15 +15,47 @@ from excitant.robots.effects.base import (
     JointFacts,
     Parameter,
     Shape,
+    StandardEffect,
 )
-from excitant.robots.effects.reference import rigid_torque, torque_along, torque_derivatives
 from excitant.robots.motion import Array, Motion
+from excitant.robots.regressor import rigid_torque, torque_along, torque_derivatives
 from excitant.robots.robot import Robot
 
 _GAPS = np.geomspace(3e-4, 0.1, 12).tolist()  # rad
 _ORDERS = 3  # of ripple at each joint, the best of all
 _MOST_ORDERS = 600
 _SLOWEST = 1e-3  # rad/s
+
+
+@dataclass(frozen=True)
+class TorqueOffset(StandardEffect):
+    """τ = τ_0: constant torque, current-sensor offset or asymmetric Coulomb friction."""
+
+    name = "torque_offset"
+    family = "static"
+    terms = (Parameter("offset", "N·m"),)
+    needs_motion = False
+    abscissa = "time"
+    joint_property = "offset"
+    formats = ("mjcf",)
+    format_notes: ClassVar[Mapping[str, str]] = {
+        "mjcf": "torque offsets are the bias of the actuators: they act on controls, and are not "
+        "part of what mj_inverse returns"
+    }
+    told = (
+        (
+            "repeat the motion in another posture: an offset does not turn with gravity",
+            "inertial_parameters",
+        ),
+        ("repeat the motion without the load: an offset stays", "payload"),
+        (by.STATIC, "spring torque_ripple"),
+        (f"{by.TURNED}: an offset stays, tilt turns along", "gravity_direction"),
+        (f"{by.ZERO}; {by.UNPOWERED}", "encoder_offset"),
+    )
+
+    def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
+        """One."""
+        return (np.ones_like(dq),)
 
 
 @dataclass(frozen=True)

@@ -69,6 +69,8 @@ def parameters_of(kind: str) -> dict[str, float | None]:
     """Parameters of a kind of effect with their usual values; None where there is none."""
     if kind in ("payload", "inertial_parameters"):
         return dict.fromkeys(STANDARD)
+    if kind in DRIVES:
+        return dict.fromkeys(DRIVES[kind])
     signature = inspect.signature(PLANTERS[kind]).parameters.values()
     return {
         p.name: None if p.default is p.empty else p.default
@@ -160,34 +162,26 @@ def _misplaced(
     return replace(truth, model=model)
 
 
-def _driven(truth: Truth, joints: list[int], **added: float) -> Truth:
+DRIVES = {
+    "viscous_friction": {"Fv": "viscous"},
+    "coulomb_friction": {"Fc": "coulomb"},
+    "stribeck_friction": {"Fs": "stribeck", "velocity": "stribeck_velocity"},
+    "rotor_inertia": {"Ia": "rotor"},
+    "torque_offset": {"offset": "offset"},
+}
+"""Parameters of effects that change numbers of the drives, and which."""
+
+
+def _driven(truth: Truth, joints: list[int], **given: float) -> Truth:
     """The truth with other drives; values are added, but for a velocity, which is set."""
-    drives = {name: np.array(getattr(truth.drives, name)) for name in vars(truth.drives)}
-    for row, value in added.items():
-        drives[row][joints] = value + (0.0 if row == "stribeck_velocity" else drives[row][joints])
+    drives = {name: np.array(values) for name, values in vars(truth.drives).items()}
+    rows = {name: row for kind in DRIVES.values() for name, row in kind.items()}
+    for name, value in given.items():
+        row = rows[name]
+        drives[row][joints] = value + (0.0 if name == "velocity" else drives[row][joints])
     model = truth.model.copy()
     model.armature = np.array(drives["rotor"])
     return replace(truth, model=model, drives=type(truth.drives)(**drives))
-
-
-def _viscous(truth: Truth, joints: list[int], *, Fv: float) -> Truth:
-    return _driven(truth, joints, viscous=Fv)
-
-
-def _coulomb(truth: Truth, joints: list[int], *, Fc: float) -> Truth:
-    return _driven(truth, joints, coulomb=Fc)
-
-
-def _stribeck(truth: Truth, joints: list[int], *, Fs: float, velocity: float) -> Truth:
-    return _driven(truth, joints, stribeck=Fs, stribeck_velocity=velocity)
-
-
-def _rotor(truth: Truth, joints: list[int], *, Ia: float) -> Truth:
-    return _driven(truth, joints, rotor=Ia)
-
-
-def _offset(truth: Truth, joints: list[int], *, offset: float) -> Truth:
-    return _driven(truth, joints, offset=offset)
 
 
 def _dry(truth: Truth, joints: list[int], level: Any, loaded: bool = False) -> Truth:
@@ -381,21 +375,17 @@ def _telegraph(truth: Truth, joints: list[int], *, amplitude: float, rate: float
 
 
 PLANTERS: dict[str, Planter] = {
+    **dict.fromkeys(DRIVES, _driven),
     "inertial_parameters": _added_inertia,
     "payload": _added_inertia,
     "gravity_direction": _tilted,
-    "viscous_friction": _viscous,
-    "coulomb_friction": _coulomb,
     "asymmetric_friction": _asymmetric,
-    "stribeck_friction": _stribeck,
     "nonlinear_viscous_friction": _power_law,
     "load_dependent_friction": _load_dependent,
     "presliding_hysteresis": _presliding,
     "friction_coupling": _shaft,
     "thermal_friction_drift": _warming,
-    "rotor_inertia": _rotor,
     "inertia_coupling": _coupled_rotors,
-    "torque_offset": _offset,
     "torque_gain": _torque_gain,
     "torque_ripple": _ripple,
     "spring": _spring,

@@ -154,7 +154,7 @@ def robots(
     from excitant.reports import page_of, summary, table_lines
     from excitant.robots import builtin_robots
     from excitant.robots.check import ModelCheck
-    from excitant.robots.library.catalogue import arm_entry, catalogue, catalogue_rows
+    from excitant.robots.library import arm_entry, catalogue, catalogue_rows
 
     if robot is None:
         for option, value in (("-o", run.output), ("--mass", mass)):

@@ -209,13 +209,13 @@ def _earlier(robot: Robot, recordings: Sequence[str] | None) -> list[Motion]:
 
 def _bound(found: Design, seed: int) -> dict[str, Any]:
     """Numerical lower bound on what any such motion could reach, as entries of the result."""
-    from excitant.design import SplineTrajectory, lower_bound
+    from excitant.design import lower_bound
 
     with progress_bar("bound") as advance:
         bound = lower_bound(
             found.robot,
             duration=found.duration,
-            harmonics=None if isinstance(found.trajectory, SplineTrajectory) else found.harmonics,
+            harmonics=None if found.trajectory.series.name == "spline" else found.harmonics,
             columns=found.columns,
             seed=seed,
             time_limit=_BOUND_TIME,

@@ -257,7 +257,7 @@ def test_an_action_is_named_where_no_motion_helps(undecided: Diagnosis) -> None:
     settles = found.experiments[key(lead.effect, rival)]
     assert settles.file is None
     assert "without the load" in settles.sentence
-    entries = undecided, found.result()["findings"][0]["rivals"]
+    entries = undecided.result(found)["findings"][0]["rivals"]
     entry = next(e for e in entries if e["effect"] == rival.name)
     assert entry["experiment"] == settles.sentence
     assert (entry["separation"], entry["repetitions"], entry["file"]) == (None, None, None)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from excitant.design import FourierTrajectory, HermiteTrajectory, SplineTrajectory, Trajectory
+from excitant.design import FourierTrajectory, HermiteTrajectory, Trajectory
 from excitant.design.trajectory import FourierSeries, Series, SplineSeries
 
 KINDS = st.sampled_from(["fourier", "spline"])
@@ -117,8 +117,8 @@ def test_refuses_coefficients_of_different_shape() -> None:
         FourierTrajectory(np.zeros(2), np.zeros((3, 2)), np.zeros((4, 2)), 1.0)
     with pytest.raises(ValueError, match="period"):
         FourierTrajectory(np.zeros(2), np.zeros((3, 2)), np.zeros((3, 2)), 0.0)
-    with pytest.raises(ValueError, match="at least 6 pieces"):
-        SplineTrajectory(np.zeros((5, 2)), 1.0)
+    with pytest.raises(ValueError, match="at least 6 are needed"):
+        SplineSeries(1.0, 5)
 
 
 def test_hermite_interpolant_reproduces_samples_and_converges() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -83,11 +82,7 @@ def ur10_bench(motion_of: MotionOf) -> Bench:
     return Bench("ur10", motion_of)
 
 
-PAYLOADS = (
-    KnownPayload(MASS),
-    KnownPayload(MASS, centre=CENTRE),
-    KnownPayload(MASS, centre=CENTRE, inertia=INERTIA),
-)
+PAYLOADS = (KnownPayload(MASS), KnownPayload(MASS, centre=CENTRE))
 
 
 def test_without_noise_the_gains_are_exact(ur10_bench: Bench) -> None:
@@ -104,7 +99,7 @@ def test_gains_are_within_three_deviations_that_are_calibrated(
     planar_bench: Bench, payload: KnownPayload
 ) -> None:
     b, errors = planar_bench, []
-    for draw in range(40):
+    for draw in range(30):
         free, held = b.rows(b.bare, 2 * draw), b.rows(b.loaded, 2 * draw + 1)
         found = payload_gains(free, held, payload)
         errors.append((found.gains - b.gains) / found.std)
@@ -123,10 +118,6 @@ def test_the_payloads_own_uncertainty_counts(planar_bench: Bench) -> None:
     # a payload twice as heavy as it was said to be makes gains half as large
     wrong = payload_gains(free, held, KnownPayload(MASS / 2))
     np.testing.assert_allclose(wrong.gains, b.gains / 2, rtol=1e-3)
-    # 0.1 mm of its centre
-    placed = KnownPayload(MASS, centre=CENTRE, centre_std=1e-4)
-    exact = payload_gains(free, held, replace(placed, centre_std=0.0))
-    assert (payload_gains(free, held, placed).std > exact.std).all()
 
 
 def test_a_gain_that_does_not_show_is_said_to_be_another_s(ur10_bench: Bench) -> None:
@@ -156,21 +147,11 @@ def test_a_payload_too_small_to_show_is_refused(planar_bench: Bench) -> None:
         ({"mass": 0.0}, "mass above 0"),
         ({"mass": float("nan")}, "mass above 0"),
         ({"mass": 1.0, "mass_std": -1.0}, "not negative"),
-        ({"mass": 1.0, "inertia": INERTIA}, "give both"),
     ],
 )
 def test_payloads_that_cannot_be(values: dict, said: str) -> None:
     with pytest.raises(BadInput, match=said):
         KnownPayload(**values)
-
-
-def test_what_is_known_is_that_of_pinocchio() -> None:
-    spread = np.diag([INERTIA[0], INERTIA[2], INERTIA[5]])
-    body = pin.Inertia(MASS, np.array(CENTRE), spread).toDynamicParameters()
-    np.testing.assert_allclose(PAYLOADS[2].known, body, atol=1e-12)
-    point = pin.Inertia(MASS, np.array(CENTRE), np.zeros((3, 3))).toDynamicParameters()
-    np.testing.assert_allclose(PAYLOADS[1].known, point, atol=1e-12)
-    np.testing.assert_allclose(PAYLOADS[0].known, MASS * np.eye(10)[0])
 
 
 @pytest.fixture(scope="module")

@@ -63,7 +63,7 @@ def fitted(
     R: Array, z: Array, prior: Array, effects: NonlinearEffects, sigma: float = 1.0
 ) -> PhysicalFit:
     """From the prior on, to the minimum."""
-    return refine_log_cholesky(R, z, prior, effects, prior, sigma, tolerance=1e-15).fit
+    return refine_log_cholesky(R, z, prior, effects, prior, sigma, tolerance=1e-15)[0]
 
 
 def silent(rows: int) -> NonlinearEffects:

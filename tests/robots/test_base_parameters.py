@@ -10,26 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from excitant.robots import Motion, Robot, base_parameters, load_robot, regressor
+from excitant.robots import Motion, Robot, base_parameters, regressor
 from excitant.robots.base_parameters import categories, coefficient_text
 from excitant.robots.effects import StribeckFriction, standard_effects
 from excitant.robots.torque import column_names, observation_columns
 
 States = Callable[[Robot, int, int], Motion]
-
-
-@pytest.mark.parametrize(
-    ("name", "gravity", "count"),
-    [
-        ("planar_2r", (0, 0, -9.81), 6),
-        ("planar_2r", (0, -9.81, 0), 4),
-        ("planar_2r", (0, 0, 0), 4),
-        ("ur10", (0, 0, -9.81), 36),
-        ("panda", (0, 0, -9.81), 43),
-    ],
-)
-def test_known_counts(name: str, gravity: tuple[float, ...], count: int) -> None:
-    assert len(base_parameters(load_robot(name).with_gravity(gravity))) == count
 
 
 def test_a_tilted_base_shows_more(builtin: Robot) -> None:
@@ -59,12 +45,6 @@ def test_base_columns_are_independent(arm: Robot, random_states: States) -> None
     assert np.linalg.matrix_rank(W / np.linalg.norm(W, axis=0)) == len(base)
 
 
-def test_expressions_are_the_same_every_time(arm: Robot) -> None:
-    first, second = base_parameters(arm), base_parameters(arm)
-    assert first.expressions == second.expressions
-    assert len(set(first.expressions)) == len(first)
-
-
 @settings(max_examples=5)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_text_does_not_depend_on_the_draw_of_states(arm: Robot, seed: int) -> None:
@@ -80,16 +60,11 @@ def test_text_does_not_depend_on_the_draw_of_states(arm: Robot, seed: int) -> No
     ("value", "text"),
     [
         (1.0, "1"),
-        (2.0, "2"),
-        (0.5, "0.5"),
         (1 / 3, "1/3"),
-        (2 / 7, "2/7"),
         (1.75, "1.75"),
-        (0.36, "0.36"),
         (0.0825**2, "0.0068062"),
         (0.1234, "0.1234"),
         (np.sqrt(2), "1.4142"),
-        (123.456, "123.46"),
         (2.5e-7, "2.5e-07"),
     ],
 )

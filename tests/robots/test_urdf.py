@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from excitant.exceptions import BadInput, BadRobot, ExcitantError, UnknownName
-from excitant.robots import Motion, Robot, builtin_robots, load_robot, rigid_body_torque, torque
+from excitant.exceptions import BadRobot, ExcitantError, UnknownName
+from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, torque
 from excitant.robots.urdf import robot_from_urdf, urdf_with_parameters
 
 States = Callable[[Robot, int, int], Motion]
@@ -21,17 +21,8 @@ LOCKS = {
     "panda": {"panda_joint3": 0.4, "panda_joint7": -1.0},
     "ur10": {"shoulder_pan_joint": 0.3, "wrist_2_joint": -1.2},
     "planar_2r": {"joint1": 0.5},
-    "cmu_dd_arm_ii": {"joint2": 0.6, "joint5": -0.9},
-    "cylindrical": {"lift": 0.4},
-    "puma560": {"joint1": 0.3, "joint4": 1.1},
     "gantry": {"swing": 0.7},
-    "gen3": {"joint_3": -0.6, "joint_6": 1.2},
-    "iiwa14": {"joint_3": 0.7, "joint_7": -1.4},
     "scara": {"elbow": 0.8, "roll": -0.5},
-    "so100": {"elbow": 1.1},
-    "tx40": {"joint_4": -0.9, "joint_6": 0.4},
-    "ur3e": {"wrist_1_joint": 0.4, "elbow_joint": -0.8},
-    "ur5e": {"wrist_2_joint": 0.9, "elbow_joint": 0.6},
 }
 
 
@@ -53,11 +44,6 @@ def test_written_parameters_reload_to_the_same_torque(
     assert again.joints == robot.joints
     motion = random_states(robot, seed, 5)
     assert same_torque(robot.with_parameters(phi), again, motion, 1e-9)
-
-
-def test_writing_what_was_read_changes_nothing(arm: Robot, random_states: States) -> None:
-    again = robot_from_urdf(urdf_with_parameters(arm, arm.phi), source="written")
-    assert same_torque(arm, again, random_states(arm, 0, 20), 1e-9)
 
 
 def test_locked_joint_carries_its_links_along(arm: Robot, random_states: States) -> None:
@@ -88,16 +74,6 @@ def test_built_in_arm_keeps_limits_and_effects_of_the_joints_left(builtin: Robot
     assert np.allclose(friction, whole[:, rows], rtol=1e-12, atol=1e-12)
 
 
-def test_built_in_arms_are_complete(builtin: Robot) -> None:
-    for name in ("position", "velocity", "acceleration", "torque"):
-        assert np.isfinite(getattr(builtin.limits, name)).all(), name
-    named = {effect.name for effect in builtin.effects}
-    assert named == {"viscous_friction", "coulomb_friction", "rotor_inertia"}
-    rest = np.clip(0.0, *builtin.limits.position.T)[None]
-    motion = Motion([0.0], rest, 0 * rest, 0 * rest)
-    assert (np.abs(torque(builtin, motion)) < builtin.limits.torque).all()
-
-
 def test_continuous_joints_have_one_position_and_no_limits(gantry: Robot) -> None:
     j = gantry.joint_index("swing")
     assert gantry.model.nq == gantry.nv == 3
@@ -115,12 +91,9 @@ BROKEN: dict[str, tuple[tuple[str, str], str]] = {
     "not XML": (("</robot>", ""), "XML"),
     "another root": (('robot name="gantry"', 'mujoco model="gantry"'), "MuJoCo"),
     "mass that is no number": (('mass value="1.5"', 'mass value="nan"'), "box"),
-    "inertia that is no number": (('ixx="0.003"', 'ixx="small"'), "box"),
     "limit that is no number": (('upper="1.5"', 'upper="inf"'), "slide"),
     "missing child": (('child link="box"', 'child link="bux"'), "weld"),
-    "missing parent": (('parent link="box"', 'parent link="bux"'), "twist"),
     "joint twice": (('joint name="twist"', 'joint name="slide"'), "slide"),
-    "link twice": (('link name="tip"', 'link name="box"'), "box"),
     "floating joint": (('"twist" type="revolute"', '"twist" type="floating"'), "twist"),
     "planar joint": (('"twist" type="revolute"', '"twist" type="planar"'), "twist"),
     "unknown kind of joint": (('"twist" type="revolute"', '"twist" type="rev"'), "twist"),
@@ -152,15 +125,9 @@ def test_robot_without_moving_joint(gantry_urdf: str) -> None:
         robot_from_urdf(gantry_urdf, source="held", joints=())
 
 
-@pytest.mark.parametrize("name", builtin_robots())
-def test_unknown_robot_suggests_the_nearest(name: str) -> None:
-    with pytest.raises(UnknownName, match=f"did you mean '{name}'"):
-        load_robot(name[:-1] + "x")
-
-
-def test_missing_file_is_said_to_be_missing(tmp_path: Path) -> None:
-    with pytest.raises(BadRobot, match="no such file"):
-        load_robot(tmp_path / "absent.urdf")
+def test_unknown_robot_suggests_the_nearest() -> None:
+    with pytest.raises(UnknownName, match="did you mean 'puma560'"):
+        load_robot("puma56x")
 
 
 def test_binary_file_is_no_robot(tmp_path: Path) -> None:
@@ -170,31 +137,16 @@ def test_binary_file_is_no_robot(tmp_path: Path) -> None:
         load_robot(path)
 
 
-def test_unknown_joint_to_lock_or_keep(builtin: Robot) -> None:
-    nearest = builtin.joints[0]
-    with pytest.raises(UnknownName, match=f"did you mean '{nearest}'"):
-        load_robot(builtin.name, lock={nearest + "s": 0.0})
-    with pytest.raises(UnknownName, match="joint"):
-        robot_from_urdf(builtin.urdf, source="given", joints=["none of these"])
-
-
 GOOD = "model: arm.urdf\n"
 BAD_YAML: dict[str, tuple[str, str]] = {
     "no model": ("gravity: [0, 0, -9.81]\n", "model"),
     "no such model": ("model: none.urdf\n", "none.urdf"),
     "gravity of two numbers": (GOOD + "gravity: [0, -9.81]\n", "gravity"),
-    "gravity of words": (GOOD + "gravity: [down, down, down]\n", "gravity"),
-    "gravity not finite": (GOOD + "gravity: [0, .nan, 0]\n", "gravity"),
     "lock at a word": (GOOD + "lock: {swing: up}\n", "lock"),
-    "lock without position": (GOOD + "lock: [swing]\n", "lock"),
-    "a list": ("- model\n", "expected entries"),
     "not YAML": ("model: [\n", "not valid YAML .line 2: "),
     "joint unknown": (GOOD + "joints: [slde]\n", "slide"),
-    "lock unknown": (GOOD + "lock: {slde: 0}\n", "slide"),
     "limit unknown": (GOOD + "limits: {velocty: 1}\n", "velocity"),
-    "effect unknown": (GOOD + "effects: [{effect: viscos_friction, values: 1}]\n", "viscous"),
     "effect values": (GOOD + "effects: [{effect: viscous_friction, values: [1, 2]}]\n", "viscous"),
-    "effects no list": (GOOD + "effects: {viscous_friction: 1}\n", "effects"),
 }
 
 
@@ -226,8 +178,3 @@ def test_robot_yaml_says_what_the_urdf_cannot(gantry_urdf: str, tmp_path: Path) 
     rng = np.random.default_rng(0)
     motion = Motion(np.arange(4.0), *rng.standard_normal((3, 4, 2)))
     assert same_torque(robot, expected, motion, 1e-12)
-
-
-def test_bad_input_is_an_error_users_can_catch() -> None:
-    assert issubclass(BadRobot, ExcitantError)
-    assert issubclass(BadInput, ExcitantError)

@@ -104,17 +104,6 @@ def test_hidden_payload_is_a_heavier_last_link(builtin: Robot) -> None:
     assert violations(list(values.values()), ("payload",)) == []
 
 
-def test_standing_arm_stands_still(builtin: Robot) -> None:
-    """Friction that outweighs the controller's errors holds every joint to the last bit."""
-    strong = tuple(
-        HiddenEffect("coulomb_friction", joint, (("Fc", float(limit)),))
-        for joint, limit in zip(builtin.joints, builtin.limits.torque, strict=True)
-    )
-    run = true_arm(builtin, *strong).record(hold(builtin), 0.5, np.random.default_rng(0))
-    assert (run.filter(regex=r"^dq").to_numpy() == 0).all()
-    assert (run.filter(regex=r"^q").nunique() == 1).all()
-
-
 def test_a_stuck_joint_stays_while_the_others_move(builtin: Robot) -> None:
     j = builtin.nv - 1
     grip = HiddenEffect("coulomb_friction", builtin.joints[j], (("Fc", 1e4),))
@@ -171,13 +160,6 @@ def test_truth_is_near_the_nominal_arm_and_possible(arm: Robot) -> None:
             row = {"viscous_friction": "viscous", "coulomb_friction": "coulomb"}
             true = getattr(truth.drives, row.get(effect.name, "rotor"))
             assert np.abs(true / effect.values - 1).max() <= 0.05
-
-
-def test_the_nominal_robot_is_not_touched(builtin: Robot) -> None:
-    phi = np.array(builtin.phi)
-    build(builtin, np.random.default_rng(0), hidden=[draw_payload(builtin)])
-    assert np.array_equal(builtin.phi, phi)
-    assert not np.any(builtin.model.armature)
 
 
 def draw_payload(robot: Robot) -> HiddenEffect:
@@ -256,21 +238,6 @@ def test_torque_never_exceeds_the_limits(builtin: Robot) -> None:
     assert (np.abs(tau) == weak.torque).any()
 
 
-def test_it_starts_where_the_trajectory_starts_and_follows_it(builtin: Robot) -> None:
-    run, trajectory = Recorded(builtin, duration=3.0).table, swing(builtin)
-    q = run.filter(regex=r"^q").to_numpy()
-    assert np.array_equal(q[:1], trajectory(np.zeros(1), 0))
-    assert np.abs(q - trajectory(run["t"].to_numpy(), 0)).max() < 5e-3
-
-
-def test_arm_without_rotors_bears_a_payload(builtin: Robot) -> None:
-    """Light wrists get the stiffness that their motors can give: 5 % of the limit at 0.01 rad."""
-    bare = builtin.with_effects(())
-    run = Recorded(bare, draw_payload(builtin), duration=3.0).table
-    q = run.filter(regex=r"^q").to_numpy()
-    assert np.abs(q - swing(bare)(run["t"].to_numpy(), 0)).max() < 0.05
-
-
 def test_impossible_nominal_inertia_still_runs(builtin: Robot) -> None:
     phi = np.array(builtin.phi)
     phi[9] += 5.0
@@ -287,14 +254,6 @@ def test_joint_that_moves_no_inertia_is_refused() -> None:
     empty = robot.with_parameters([*robot.phi[:10], 1e-16, *np.zeros(9)])
     with pytest.raises(BadRobot, match="joint2 moves nothing"):
         true_arm(empty).record(hold(empty), 0.1, np.random.default_rng(0))
-
-
-def test_progress_grows_to_one(builtin: Robot) -> None:
-    told: list[float] = []
-    arm = true_arm(builtin)
-    arm.record(swing(builtin), 2.5, np.random.default_rng(0), told.append)
-    assert told == sorted(told)
-    assert told[-1] == 1.0
 
 
 def test_refusals(builtin: Robot) -> None:

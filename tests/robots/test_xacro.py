@@ -109,20 +109,7 @@ WRONG = {
         ["elsewhere"],
         "--xacro-arg NAME:=VALUE",
     ),
-    "argument without a default": (
-        ARM.replace(' default="0.5"', ""),
-        {"length": "1"},
-        ["elsewhere"],
-        "default",
-    ),
     "value that is no number": (ARM, {"length": "long"}, ["elsewhere"], "length / 2"),
-    "not XML": (ARM.replace("</robot>", ""), {}, ["elsewhere"], "cannot read"),
-    "macro that is not there": (
-        ARM.replace("xacro:bar name", "xacro:rod name"),
-        {},
-        ["elsewhere"],
-        "xacro:rod",
-    ),
     "file that is not there": (
         ARM.replace("links.xacro", "limbs.xacro"),
         {},
@@ -152,15 +139,6 @@ def test_a_plain_urdf_takes_no_arguments(tmp_path: Path, gantry_urdf: str) -> No
     path.write_text(gantry_urdf)
     with pytest.raises(BadRobot, match="no xacro arguments"):
         load_robot(path, xacro_args={"length": "1"})
-
-
-def test_finding_packages_leaves_xacro_as_it_was(arm: Path) -> None:
-    from xacro import substitution_args
-
-    before = substitution_args._eval_find
-    with pytest.raises(BadRobot):
-        load_robot(arm)
-    assert substitution_args._eval_find is before
 
 
 ESCAPES = {

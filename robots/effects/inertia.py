@@ -1,13 +1,22 @@
-"""Effects of mass that the given links do not have."""
+"""Inertia that the given links do not have: of bodies, rotors and gears."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
+
+import numpy as np
 
 from excitant.robots.effects import experiments as by
-from excitant.robots.effects.base import Effect, JointFacts, Parameter, within
+from excitant.robots.effects.base import (
+    Effect,
+    JointFacts,
+    PairEffect,
+    Parameter,
+    StandardEffect,
+    within,
+)
 from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import STANDARD, UNITS
 from excitant.robots.regressor import regressor
@@ -93,3 +102,54 @@ class Payload(AddedInertia):
     def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
         """With its mass."""
         return f"A payload of {self._known()[0]:.2f} kg on the last link is missing from the model"
+
+
+@dataclass(frozen=True)
+class RotorInertia(StandardEffect):
+    """τ = I_a q̈: rotor and gear inertia at the joint side."""
+
+    name = "rotor_inertia"
+    family = "body"
+    terms = (Parameter("Ia", "kg·m²", 0.0),)
+    abscissa = "acceleration"
+    joint_property = "rotor"
+    formats = ("mjcf", "sdf")
+    format_notes: ClassVar[Mapping[str, str]] = {
+        "sdf": "rotor inertia is written as drake:rotor_inertia, which Drake reads and Gazebo "
+        "passes over"
+    }
+    told = (
+        (
+            "move the joint with the outer joints folded and stretched; for a first "
+            "joint, and those parallel to it, only the data sheet tells",
+            "inertial_parameters",
+        ),
+        (f"find the resonance by a chirp; {by.LOCKED}", "joint_elasticity"),
+        ("hold the joint at several angles: a spring pulls at rest, inertia does not", "spring"),
+        (by.HOLD_OTHER, "inertia_coupling"),
+        (f"{by.LEVER}; {by.DATA_SHEET}", "torque_gain"),
+        (by.UNLOADED, "payload"),
+        (by.SECOND, "time_delay torque_ripple"),
+        (by.DATA_SHEET, "kinematic_error"),
+    )
+
+    def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
+        """Acceleration."""
+        return (ddq,)
+
+
+@dataclass(frozen=True)
+class InertiaCoupling(PairEffect):
+    """τ_i = I q̈_k, τ_k = I q̈_i: a rotor that turns with both joints."""
+
+    name = "inertia_coupling"
+    family = "body"
+    terms = (Parameter("Ic", "kg·m²"),)
+    abscissa = "other acceleration"
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        """Each joint's acceleration in the other's row."""
+        i, k = self.rows(robot)
+        columns = np.zeros((len(motion), robot.nv, 1))
+        columns[:, i, 0], columns[:, k, 0] = motion.ddq[:, k], motion.ddq[:, i]
+        return columns
