@@ -60,7 +60,6 @@ class OnlineEstimate:
 
     Attributes:
         t: Instant it speaks about: the newest block [s].
-        base: The base parameters.
         data: What the data alone say, rows of unit noise.
         beta: Estimate, shape (r,).
         covariance: Its covariance, shape (r, r).
@@ -69,7 +68,6 @@ class OnlineEstimate:
     """
 
     t: float
-    base: BaseParameters
     data: Information
     beta: Array
     covariance: Array
@@ -312,13 +310,19 @@ class OnlineEstimator:
             self._absorb(j)
         parts = [each.information() for each in self._filters]
         sigma, beta = self._noise(parts)
-        inflation = self._inflation(rows, beta)
+        residual = rows.tau - rows.W @ beta
+        inflation = np.array(
+            [
+                autocorrelation_time(residual[used, j]) if used.sum() > 20 else 1.0
+                for j, used in enumerate(rows.used.T)
+            ]
+        )
         data, total = self._total(parts, sigma * np.sqrt(inflation))
         beta, r = total.solve(), len(self.base)
         known = np.abs(np.diag(total.R)).min() > 0
         covariance = total.covariance() if known else np.full((r, r), np.inf)
         t = float(rows.motion.t[-1])
-        return OnlineEstimate(t, self.base, data, beta, covariance, sigma, inflation)
+        return OnlineEstimate(t, data, beta, covariance, sigma, inflation)
 
     def _total(self, parts: list[Information], sigma: Array) -> tuple[Information, Information]:
         """Data of all joints, and data with the prior."""
@@ -341,16 +345,6 @@ class OnlineEstimator:
             sigma = np.maximum(np.sqrt(share * squares / count), floor)
         self._last_sigma = sigma
         return sigma, beta
-
-    def _inflation(self, rows: RecentRows, beta: Array) -> Array:
-        """Autocorrelation time of the recent residuals of each joint [rows]."""
-        residual = rows.tau - rows.W @ beta
-        return np.array(
-            [
-                autocorrelation_time(residual[used, j]) if used.sum() > 20 else 1.0
-                for j, used in enumerate(rows.used.T)
-            ]
-        )
 
 
 class _BlockColumns:

@@ -109,20 +109,6 @@ def test_known_masses_hold_exactly_or_as_far_as_they_are_sure(kind: str, ur10_da
     np.testing.assert_allclose(masses(unsure, d.robot), masses(free, d.robot), rtol=1e-4)
 
 
-def test_knowing_the_true_masses_brings_the_truth_closer(ur10_data: Data) -> None:
-    d = ur10_data
-    true = d.truth[: 10 * d.robot.nv].reshape(-1, 10)
-    about = {
-        link: LinkKnowledge(mass=Quantity(float(values[0])))
-        for link, values in zip(d.robot.links, true, strict=True)
-    }
-    gap = [
-        np.linalg.norm(d.fit(k).x[: true.size].reshape(-1, 10)[:, :4] - true[:, :4])
-        for k in (Knowledge(), Knowledge(links=about))
-    ]
-    assert gap[1] < 0.5 * gap[0]
-
-
 @pytest.mark.parametrize("kind", PRIORS)
 def test_centres_of_mass_stay_where_they_are_known_to_be(kind: str, ur10_data: Data) -> None:
     d = ur10_data

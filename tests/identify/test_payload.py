@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,33 +33,24 @@ PHI = np.array([MASS, *(MASS * CENTRE), *ABOUT_JOINT[[0, 0, 1, 0, 1, 2], [0, 1, 
 MotionOf = Callable[..., Motion]
 
 
-@dataclass(frozen=True)
-class PointToPoint:
-    """Task motion: quintic moves between poses with a rest after each."""
-
-    poses: Array
-    move: float = 1.4
-    rest: float = 0.2
-
-    def __call__(self, t: Array, order: int) -> Array:
-        leg = np.minimum((t // (self.move + self.rest)).astype(int), len(self.poses) - 2)
-        x = np.clip((t - leg * (self.move + self.rest)) / self.move, 0, 1)[:, None]
-        shape = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
-        step = self.poses[leg + 1] - self.poses[leg]
-        if order == 0:
-            return self.poses[leg] + shape(x) * step
-        return np.asarray(shape.deriv(order)(x) / self.move**order * step)
-
-
-def task(robot: Robot, rng: np.random.Generator, move: float = 1.4) -> PointToPoint:
-    """Moves to seven poses within six tenths of the position range and the speed limits."""
+def task(robot: Robot, rng: np.random.Generator) -> Callable[[Array, int], Array]:
+    """Quintic moves to seven poses in six tenths of the range, within speed limits, with rests."""
+    move, leg = 1.4, 1.6  # s
     low, high = np.clip(robot.limits.position, -np.pi, np.pi).T
-    poses = [(low + high) / 2]
+    found = [(low + high) / 2]
     for target in (low + high) / 2 + 0.3 * (high - low) * rng.uniform(-1, 1, (7, robot.nv)):
-        step = target - poses[-1]
+        step = target - found[-1]
         fastest = np.max(np.abs(step) * 1.875 / move / robot.limits.velocity)
-        poses.append(poses[-1] + step * min(1.0, 0.9 / fastest))
-    return PointToPoint(np.array(poses), move)
+        found.append(found[-1] + step * min(1.0, 0.9 / fastest))
+    poses, shape = np.array(found), np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
+
+    def at(t: Array, order: int) -> Array:
+        k = np.minimum((t // leg).astype(int), len(poses) - 2)
+        x = np.clip((t - k * leg) / move, 0, 1)[:, None]
+        change = shape.deriv(order)(x) / move**order * (poses[k + 1] - poses[k])
+        return np.asarray(change + (poses[k] if order == 0 else 0.0))
+
+    return at
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +70,7 @@ def held(panda: Robot) -> tuple[Recording, Recording]:
     rng = np.random.default_rng(8)
     tables = {
         "task": loaded.record(task(panda, rng), 10.0, rng),
-        "free": free.record(random_trajectory(panda, rng, 10.0, 5), 20.0, rng),
+        "free": free.record(random_trajectory(panda, rng, 10.0, 5), 10.0, rng),
     }
     made = {k: recording_from_table(v, 7, file=f"{k}.csv", name=k) for k, v in tables.items()}
     return made["task"], made["free"]

@@ -128,7 +128,7 @@ def cascade_of(W: Array, tau: Array, prior: BasePrior) -> Cascade:
 def test_covariance_against_monte_carlo(planar: Robot) -> None:
     rng, effects = np.random.default_rng(0), standard_effects(planar.joints)
     base = base_parameters(planar, effects)
-    t = np.arange(0, 20, 0.1)
+    t = np.arange(0, 10, 0.1)
     path = random_trajectory(planar, rng, 10.0, 5)
     motion = Motion(t, *(path(t, order) for order in range(3)))
     W = observation_columns(planar, effects, motion)[:, :, list(base.columns)]
