@@ -560,9 +560,7 @@ def test_drawn_effects_are_of_every_kind_and_show(planar: Robot) -> None:
     for one in drawn:
         parameters = dict(one.parameters)
         shape = {k: parameters.pop(k) for k in ("velocity",) if k in parameters}
-        effect = EFFECTS[one.effect]((one.joint,), **shape).with_values(
-            [*parameters.values()]
-        )
+        effect = EFFECTS[one.effect]((one.joint,), **shape).with_values([*parameters.values()])
         at = slow if shape else half
         size = np.sqrt(np.mean(effect.torque(planar, at) ** 2, axis=0))
         assert (size >= 0.05 * typical).any(), one
