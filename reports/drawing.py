@@ -207,7 +207,7 @@ def log_y(ax: Axes) -> None:
     ax.yaxis.set_major_formatter(_log_tick)
 
 
-def _tick(value: float, _position: int | None = None) -> str:
+def _tick(value: float, _position: float | None = None) -> str:
     if abs(value) < 1e-12:
         return "0"
     if 1e-3 <= abs(value) < 1e5:
@@ -216,7 +216,7 @@ def _tick(value: float, _position: int | None = None) -> str:
     return f"{value / 10.0**exponent:.3g}×{power_of_ten(exponent)}".replace("-", "−")
 
 
-def _log_tick(value: float, _position: int | None = None) -> str:
+def _log_tick(value: float, _position: float | None = None) -> str:
     exponent = round(math.log10(value)) if value > 0 else 0
     if value > 0 and abs(exponent) > 3 and math.isclose(value, 10.0**exponent):
         return power_of_ten(exponent)
