@@ -39,7 +39,7 @@ def cluster() -> Iterator[str]:
 
 @pytest.mark.slow
 def test_a_cluster_finds_what_processes_find(planar: Robot, cluster: str) -> None:
-    options = {"duration": 5.0, "harmonics": 3, "starts": 4, "seed": 2}
+    options = {"duration": 5.0, "harmonics": 3, "starts": 2, "seed": 2}
     here = design(planar, jobs=1, **options)  # type: ignore[arg-type]
     there = design(planar, cluster=cluster, **options)  # type: ignore[arg-type]
     np.testing.assert_array_equal(here.trajectory.coefficients, there.trajectory.coefficients)
