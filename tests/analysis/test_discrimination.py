@@ -271,6 +271,9 @@ def test_an_action_is_named_where_no_motion_helps(undecided: Diagnosis) -> None:
 
 def test_without_a_plan_actions_stand(undecided: Diagnosis) -> None:
     [entry, *_] = undecided.result()["findings"]
+    assert entry["joints"] == [undecided.robot.joints[-1]]
+    assert entry["verdict"] == "undecided"
+    assert all(rival["why"] for rival in entry["rivals"])
     for rival in entry["rivals"]:
         assert rival["experiment"] == EFFECTS[entry["effect"]].told_from(EFFECTS[rival["effect"]])
         assert rival["file"] is None

@@ -49,6 +49,7 @@ def test_an_error_at_rest_is_told(resting: float, in_motion: float, said: str) -
     assert headline(diagnosis).endswith(at_rest(diagnosis))
 
 
+@pytest.mark.slow
 def test_what_is_hidden_is_found_without_inertias(ur10: Robot, runs: Runs) -> None:
     """Links that all weigh the same say nothing: no axis is moved to make up for masses."""
     recordings = runs(ur10, 2, (OFFSET,), industrial_sensors(ur10), 0.03, duration=15.0)

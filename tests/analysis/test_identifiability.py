@@ -62,11 +62,11 @@ def test_uncertainty_shrinks_with_the_root_of_the_samples(ur10: Robot) -> None:
 
 
 def test_a_recording_gives_its_own_uncertainty(
-    ur10: Robot, runs: Callable[..., list[Recording]]
+    planar: Robot, runs: Callable[..., list[Recording]]
 ) -> None:
-    recording, held = runs(ur10, 0)
-    estimate = identify(ur10, [recording], validate=[held])
-    found = analyze(ur10, estimate=estimate)
+    recording, held = runs(planar, 0)
+    estimate = identify(planar, [recording], validate=[held])
+    found = analyze(planar, estimate=estimate)
     std = np.sqrt(np.diag(estimate.least_squares.covariance))
     np.testing.assert_array_equal([p.std for p in found.practical], std)
     assert found.motion is not None
