@@ -52,7 +52,7 @@ _BELOW = 0.3  # how strongly points under the base count against a pose
 
 @dataclass(frozen=True)
 class ParameterIdentifiability:
-    """One standard parameter or effect coefficient in the table of an arm.
+    """One standard parameter or effect coefficient.
 
     Attributes:
         name: Its name.
@@ -60,14 +60,14 @@ class ParameterIdentifiability:
         unit: Its unit.
         category: ``unique``, ``combined`` or ``unidentifiable``.
         expressions: Base parameters that it is part of.
+        margin: Factor on the tolerance of all rank decisions that changes its category.
         needed: What would show it by itself; empty where that is shown already.
         value: Estimate, or the value of the model as given; None if neither is known.
         prior: Value before any data; None if there is none.
-        std: Standard deviation with the prior, ±100 % of each link, counted in; None without
-            a motion.
-        std_data: Standard deviation from the data alone; inf where they do not show it by
-            itself; None without a motion.
+        std: Standard deviation with the prior counted in; None without a motion.
+        std_data: The same from the data alone; inf where they do not show it by itself.
         influence: How far it follows the prior, 0 to 1; None without a motion or prior.
+        moves: The same by kind of perturbation of the prior.
         decided_by: ``data``, ``prior`` or ``physics`` (the limit of what a body can have); empty
             without a motion or prior.
         verdict: In a word, how well the motion determines it by itself; empty without a motion.
@@ -78,12 +78,14 @@ class ParameterIdentifiability:
     unit: str
     category: str
     expressions: tuple[str, ...]
+    margin: float
     needed: str
     value: float | None = None
     prior: float | None = None
     std: float | None = None
     std_data: float | None = None
     influence: float | None = None
+    moves: dict[str, float] | None = None
     decided_by: str = ""
     verdict: str = ""
 
@@ -97,6 +99,18 @@ class ParameterIdentifiability:
         """Whether the prior decides it: nothing shows it, or it follows the prior."""
         return self.category == "unidentifiable" or self.decided_by == "prior"
 
+    def result(self) -> dict[str, Any]:
+        """What ``result.json`` says of it."""
+        same = ("name", "unit", "category", "value", "std", "rel_std", "std_data", "prior")
+        return {key: getattr(self, key) for key in (*same, "prior_dominated", "margin")} | {
+            "verdict": self.verdict or None,
+            "prior_influence": self.influence,
+            "decided_by": self.decided_by or None,
+            "prior_moves": self.moves,
+            "expression": "; ".join(self.expressions) or None,
+            "needed": self.needed or None,
+        }
+
 
 @dataclass(frozen=True, eq=False)
 class PracticalIdentifiability:
@@ -108,7 +122,6 @@ class PracticalIdentifiability:
         practical: Each base parameter.
         directions: Directions of the base parameters that are not seen or seen worst.
         correlation: Of the base parameters, shape (r, r).
-        needed: What would show each base parameter; empty where the motion does.
         influence: How the prior decides; None where the arm's links give no prior.
         noise: Torque noise of each joint that was assumed or found, shape (nv,) [N·m].
         resting: Joints that do not move.
@@ -121,7 +134,6 @@ class PracticalIdentifiability:
     practical: tuple[Practical, ...]
     directions: tuple[Direction, ...]
     correlation: Array
-    needed: tuple[str, ...]
     influence: PriorInfluence | None
     noise: Array
     resting: tuple[str, ...]
@@ -133,53 +145,26 @@ class PracticalIdentifiability:
 
     def result(self, base: BaseParameters) -> dict[str, Any]:
         """Everything as plain values; ``base`` names the base parameters."""
-        names = [base.names[k] for k in base.columns]
-        rows = list(zip(self.practical, self.needed, strict=True))
-        influence = self.influence
+        names, influence = [base.names[k] for k in base.columns], self.influence
+        practical = [p.result() for p in self.practical]
+        lost = [row for row in practical if row["verdict"] == NOT_SHOWN]
         return {
-            "condition_number": _finite(self.condition_number),
-            "practical": [
-                {
-                    "name": p.expression,
-                    "value": p.value,
-                    "std": _finite(p.std),
-                    "rel_std": p.rel_std,
-                    "verdict": p.verdict,
-                    "needed": what or None,
-                }
-                for p, what in rows
-            ],
+            "condition_number": self.condition_number,
+            "practical": practical,
             "basis": self.basis,
-            "noise": self.noise.tolist(),
-            "resting_joints": list(self.resting),
-            "not_shown": [
-                {"name": p.expression, "needed": what or None}
-                for p, what in rows
-                if np.isinf(p.std)
-            ],
-            "directions": [
-                {
-                    "expression": d.expression,
-                    "meaning": d.meaning,
-                    "rel_std": _finite(d.std),
-                    "members": [
-                        {"name": name, "change": change, "unit": unit}
-                        for name, change, unit in d.members
-                    ],
-                    "share": d.share,
-                }
-                for d in self.directions
-            ],
+            "noise": self.noise,
+            "resting_joints": self.resting,
+            "not_shown": [{key: row[key] for key in ("name", "needed")} for row in lost],
+            "directions": [d.result() for d in self.directions],
             "correlations": [
                 {"first": names[i], "second": names[j], "correlation": rho}
                 for i, j, rho in largest_correlations(self.correlation)
             ],
-            "persistency": None if self.persistency is None else _persistency(self.persistency),
-            "prior_perturbation": None
-            if influence is None
-            else {
+            "persistency": self.persistency and self.persistency.result(),
+            "prior_perturbation": influence
+            and {
                 "refits": influence.refits,
-                "largest_base_move_in_std": float(influence.base_move.max(initial=0.0)),
+                "largest_base_move_in_std": influence.base_move.max(initial=0.0),
             },
         }
 
@@ -229,64 +214,38 @@ class Identifiability:
     def result(self) -> dict[str, Any]:
         """Everything as plain values: what ``result.json`` says (DESIGN, section 5)."""
         links = zip(self.robot.links, self.robot.joints, strict=True)
+        without: dict[str, Any] = {"condition_number": None, "practical": [], "basis": ""}
         return {
             "verb": "analyze",
             "robot": self.robot.name,
             "standard_parameters": len(self.base.names),
             "base_parameters": len(self.base),
-            "gap": list(self.base.gap),
+            "gap": self.base.gap,
             "structure": {
-                "circumstances": list(self.structure.circumstances),
-                "close": list(self.structure.close),
+                "circumstances": self.structure.circumstances,
+                "close": self.structure.close,
                 "by_a_hair": self.structure.marginal,
             },
             "links": [self._link(link, joint) for link, joint in links],
-            "follow_each_other": [list(group) for group in self.follow],
-            "condition_number": None,
-            "practical": [],
-            "basis": "",
-            **(self.motion.result(self.base) if self.motion else {}),
+            "follow_each_other": self.follow,
+            **(self.motion.result(self.base) if self.motion else without),
             "notes": list(self.notes),
         }
 
     def _link(self, link: str, joint: str) -> dict[str, Any]:
         base, own = self.base, [k for k, e in enumerate(self.entries) if e.owner in (link, joint)]
-        grouped = zip(base.regrouping, base.expressions, strict=True)
-        combined = [
-            {"expression": text, "members": [base.names[k] for k in np.flatnonzero(row)]}
-            for row, text in grouped
-            if np.count_nonzero(row) > 1 and row[own].any()
-        ]
-        rows = [self._parameter(k) for k in own]
-        named = {
-            category: [row["name"] for row in rows if row["category"] == category]
-            for category in ("unique", "unidentifiable")
-        }
-        return {"link": link, "joint": joint, **named, "combined": combined, "parameters": rows}
-
-    def _parameter(self, k: int) -> dict[str, Any]:
-        entry, influence = self.entries[k], self.motion.influence if self.motion else None
-        moves = None
-        if influence is not None:
-            ratios = zip(KINDS, influence.ratio[:, k].tolist(), strict=True)
-            moves = {kind.replace(" ", "_"): _finite(ratio) for kind, ratio in ratios}
+        entries = [self.entries[k] for k in own]
         return {
-            "name": entry.name,
-            "unit": entry.unit,
-            "category": entry.category,
-            "value": entry.value,
-            "std": entry.std,
-            "rel_std": entry.rel_std,
-            "std_data": _finite(entry.std_data),
-            "verdict": entry.verdict or None,
-            "prior": entry.prior,
-            "prior_influence": entry.influence,
-            "decided_by": entry.decided_by or None,
-            "prior_dominated": entry.prior_dominated,
-            "prior_moves": moves,
-            "expression": "; ".join(entry.expressions) or None,
-            "margin": float(self.structure.margin[k]),
-            "needed": entry.needed or None,
+            "link": link,
+            "joint": joint,
+            "unique": [e.name for e in entries if e.category == "unique"],
+            "unidentifiable": [e.name for e in entries if e.category == "unidentifiable"],
+            "combined": [
+                {"expression": text, "members": [base.names[k] for k in np.flatnonzero(row)]}
+                for row, text in zip(base.regrouping, base.expressions, strict=True)
+                if np.count_nonzero(row) > 1 and row[own].any()
+            ],
+            "parameters": [e.result() for e in entries],
         }
 
     def series(self) -> dict[str, Array]:
@@ -358,7 +317,7 @@ def analyze(
     still = [j for j, name in enumerate(robot.joints) if moving is not None and name not in moving]
     rests, pose = (still, np.zeros(robot.nv)) if given is None else (given.resting, given.pose)
     candidates = candidate_experiments(robot, effects, noise_of_all, rests, pose, rows)
-    table = entries(robot, effects, found.base, found.category, candidates, given)
+    table = _entries(robot, effects, found, candidates, given)
     shown = found.base.regrouping if given is None else given.information.R
     follow = tuple(tuple(found.base.names[k] for k in group) for group in dependent_groups(shown))
     if given is None:
@@ -371,53 +330,6 @@ def analyze(
     under = _under_motion(robot, effects, found.base, given, candidates, excitation)
     notes = (*_notes(found, under, table), *given.notes)
     return Identifiability(robot, effects, found, table, follow, under, notes)
-
-
-def _finite(value: float | None) -> float | None:
-    return float(value) if value is not None and np.isfinite(value) else None
-
-
-def _persistency(found: Persistency) -> dict[str, Any]:
-    """Whether a motion is persistently exciting, over which window, and what it lacks."""
-    weakest = found.weakest
-    return {
-        "persistent": found.persistent,
-        "level": _finite(found.level),
-        "window_s": float(found.window),
-        "shortest_window_s": found.shortest,
-        "visible": len(weakest.levels),
-        "missing": weakest.missing,
-        "joints": list(weakest.joints),
-        "weak": [
-            {"parameters": list(w.parameters), "level": float(w.level), "joints": list(w.joints)}
-            for w in weakest.weak
-        ],
-        "sentence": _persistency_sentence(found),
-    }
-
-
-def _persistency_sentence(found: Persistency) -> str:
-    weakest, visible = found.weakest, len(found.weakest.levels)
-    if not visible:
-        return "no motion of this arm shows any parameter above the noise"
-    if found.persistent:
-        text = (
-            f"persistently exciting over {found.window:.3g} s at level {found.level:.3g}: all "
-            f"{visible} visible combinations become better known than they were"
-        )
-        if found.shortest is not None and found.shortest < found.window:
-            text += f"; windows of {found.shortest:.3g} s are enough"
-        return text
-    text = (
-        f"not persistently exciting over {found.window:.3g} s: from {weakest.start:.3g} to "
-        f"{weakest.end:.3g} s {weakest.missing} of {visible} visible combinations are missing "
-        f"(level {found.level:.2g})"
-    )
-    if weakest.weak:
-        text += f", first of all {weakest.weak[0].parameters[0]}"
-    if weakest.joints:
-        text += f"; move {', '.join(weakest.joints)}"
-    return text
 
 
 def _refuse_contradictions(
@@ -466,14 +378,14 @@ def _under_motion(
     plain = np.linalg.qr(given.W[:, :, columns].reshape(-1, len(base)), mode="r")
     std, quiet = np.array([p.std for p in found]), np.array([p.negligible for p in found])
     size = size_to_resolve(given.beta, std, quiet, seen.signal)
+    wanted = experiments_needed(seen.R, Question(base.regrouping, size), candidates)
     units = [parameter_units(robot, effects)[k] for k in columns]
     return PracticalIdentifiability(
         condition_number=np.inf if len(seen.unseen) else float(np.linalg.cond(plain)),
         singular_values=read_only(np.linalg.svd(scaled, compute_uv=False)),
-        practical=found,
+        practical=tuple(replace(p, needed=what) for p, what in zip(found, wanted, strict=True)),
         directions=weak_directions(base, units, seen, _sizes(robot, effects, base, given)),
         correlation=correlation(seen.covariance),
-        needed=experiments_needed(seen.R, Question(base.regrouping, size), candidates),
         influence=given.influence,
         noise=given.sigma,
         resting=tuple(robot.joints[j] for j in given.resting),
@@ -505,9 +417,9 @@ def _notes(
         verb = "rests" if len(under.resting) == 1 else "rest"
         notes.append(f"{', '.join(under.resting)} {verb} in this motion")
     lost: dict[str, list[str]] = {}
-    for k, (parameter, what) in enumerate(zip(under.practical, under.needed, strict=True)):
+    for k, parameter in zip(base.columns, under.practical, strict=True):
         if parameter.verdict == NOT_SHOWN:
-            lost.setdefault(what, []).append(base.names[base.columns[k]])
+            lost.setdefault(parameter.needed, []).append(base.names[k])
     for what, names in lost.items():
         more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
         notes.append(
@@ -544,82 +456,69 @@ def parameter_units(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
     return (*UNITS * robot.nv, *(p.unit for e in effects for p in e.parameters(robot)))
 
 
-def entries(
+def _entries(
     robot: Robot,
     effects: Sequence[Effect],
-    base: BaseParameters,
-    category: Sequence[str],
+    found: Structure,
     candidates: Sequence[Candidate],
-    given: Experiment | None = None,
+    given: Experiment | None,
 ) -> tuple[ParameterIdentifiability, ...]:
-    """Every parameter of ``base.names``.
-
-    Args:
-        robot: The arm.
-        effects: Effects whose coefficients are unknown too.
-        base: Base parameters, of p parameters.
-        category: Of each of the p parameters.
-        candidates: Experiments that could be added.
-        given: A motion or recording.
-    """
+    """Every parameter of the base's names, with what a motion or recording says of it."""
     known = dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True))
     known |= effect_values(robot)
-    units, expressions = parameter_units(robot, effects), np.array(base.expressions, object)
-    unknown = Question(np.eye(len(units)), np.zeros(len(units)))
-    wanted = (
-        experiments_needed(base.regrouping, unknown, candidates)
-        if given is None
-        else ("",) * len(units)
-    )
-    plain = tuple(
+    base, units = found.base, parameter_units(robot, effects)
+    R = base.regrouping if given is None else given.information.R
+    figures: list[dict[str, Any]] = [
+        {"value": known.get(n), "prior": known.get(n)} for n in base.names
+    ]
+    size = np.zeros(len(units))
+    if given is not None:
+        under, size = _under(given, found)
+        figures = [before | now for before, now in zip(figures, under, strict=True)]
+    wanted = experiments_needed(R, Question(np.eye(len(units)), size), candidates)
+    expressions = np.array(base.expressions, object)
+    return tuple(
         ParameterIdentifiability(
-            name,
-            name.rpartition(".")[0],
-            units[k],
-            category[k],
-            tuple(expressions[base.regrouping[:, k] != 0]),
-            wanted[k],
-            value=known.get(name),
-            prior=known.get(name),
+            name=name,
+            owner=name.rpartition(".")[0],
+            unit=units[k],
+            category=found.category[k],
+            expressions=tuple(expressions[base.regrouping[:, k] != 0]),
+            margin=float(found.margin[k]),
+            needed=wanted[k],
+            **figures[k],
         )
         for k, name in enumerate(base.names)
     )
-    return plain if given is None else _under(given, base, plain, candidates)
 
 
-def _under(
-    given: Experiment,
-    base: BaseParameters,
-    plain: Sequence[ParameterIdentifiability],
-    candidates: Sequence[Candidate],
-) -> tuple[ParameterIdentifiability, ...]:
-    """The entries with what a motion says of them."""
-    p, columns = len(plain), list(base.columns)
-    alone = np.array([entry.category == "unique" for entry in plain])
-    std = np.where(alone, given.information.std(np.eye(p)[:, columns]), np.inf)
+def _under(given: Experiment, found: Structure) -> tuple[list[dict[str, Any]], Array]:
+    """What a motion says of each parameter, and the size its deviation is to be small beside."""
+    p, influence = len(found.category), given.influence
+    alone = np.array(found.category) == "unique"
+    std = np.where(alone, given.information.std(np.eye(p)[:, list(found.base.columns)]), np.inf)
     quiet = (np.abs(given.x) + 2 * std) * np.maximum(given.signal, 1e-300) < 1
-    size = size_to_resolve(given.x, std, quiet, given.signal)
-    wanted = experiments_needed(given.information.R, Question(np.eye(p), size), candidates)
-    overall, decided = np.zeros(p), ("",) * p
-    if given.influence is not None:
-        overall, decided = given.influence.overall, given.influence.decided_by
-    means = None if given.prior is None else given.prior.mean[: 10 * given.prior.links]
-    return tuple(
-        replace(
-            entry,
-            needed=wanted[k],
-            value=float(given.x[k]) if given.known[k] else None,
-            prior=entry.prior if means is None or k >= len(means) else float(means[k]),
-            std=None if given.std is None else float(given.std[k]),
-            std_data=float(std[k]),
-            influence=None if given.influence is None else float(overall[k]),
-            decided_by=decided[k],
-            verdict=verdict(float(std[k]), float(given.x[k]), bool(quiet[k]))
-            if alone[k]
-            else entry.category,
+    under: list[dict[str, Any]] = [
+        {
+            "value": x if known else None,
+            "std_data": s,
+            "verdict": verdict(s, x, q) if unique else category,
+        }
+        for x, known, s, q, unique, category in zip(
+            given.x.tolist(), given.known, std.tolist(), quiet, alone, found.category, strict=True
         )
-        for k, entry in enumerate(plain)
-    )
+    ]
+    for k, row in enumerate(under):
+        if given.prior is not None and k < 10 * given.prior.links:
+            row["prior"] = float(given.prior.mean[k])
+        if given.std is not None:
+            row["std"] = float(given.std[k])
+        if influence is not None:
+            kinds = (kind.replace(" ", "_") for kind in KINDS)
+            row["moves"] = dict(zip(kinds, influence.ratio[:, k].tolist(), strict=True))
+            row["influence"] = float(influence.overall[k])
+            row["decided_by"] = influence.decided_by[k]
+    return under, size_to_resolve(given.x, std, quiet, given.signal)
 
 
 def chain(robot: Robot) -> Array:

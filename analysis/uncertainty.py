@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -224,12 +225,14 @@ class Practical:
         std: Standard deviation of its estimate; inf when the motion does not show it.
         negligible: Whether its torque stays below the noise whatever value within two standard
             deviations it has.
+        needed: What would show it; empty where the motion does.
     """
 
     expression: str
     value: float
     std: float
     negligible: bool
+    needed: str = ""
 
     @property
     def rel_std(self) -> float | None:
@@ -240,6 +243,11 @@ class Practical:
     def verdict(self) -> str:
         """``well`` (to 10 %), ``roughly`` (to 30 %), ``negligible``, ``hardly``, ``not_shown``."""
         return verdict(self.std, self.value, self.negligible)
+
+    def result(self) -> dict[str, Any]:
+        """What ``result.json`` says of it."""
+        figures = {key: getattr(self, key) for key in ("value", "std", "rel_std", "verdict")}
+        return {"name": self.expression, **figures, "needed": self.needed or None}
 
 
 def verdict(std: float, value: float, negligible: bool) -> str:
@@ -329,6 +337,12 @@ class Direction:
             f"{name} may rise by {abs(change):.2g} {unit} while {_listed(moves)}: "
             "torque changes by no more than the noise"
         )
+
+    def result(self) -> dict[str, Any]:
+        """What ``result.json`` says of it."""
+        members = [dict(zip(("name", "change", "unit"), m, strict=True)) for m in self.members]
+        said = {key: getattr(self, key) for key in ("expression", "meaning", "share")}
+        return {**said, "rel_std": self.std, "members": members}
 
 
 def _listed(words: Sequence[str]) -> str:

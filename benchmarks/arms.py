@@ -1,25 +1,23 @@
 """Whether any serial arm loads, gets a motion within its limits, and shows its parameters by it.
 
-    python benchmarks/arms.py [--data FOLDER] [--also FILE[@[BASE:]TIP] ...] [-o FILE]
+    python benchmarks/arms.py [--data FOLDER] [--also FILE[@[BASE:]TIP] ...]
 
 Arms and arms of larger robots of ``example-robot-data``, and any other URDF, xacro or MJCF file
 named with ``--also``. For each: load it, design for ``--time-limit`` seconds from one start, check
 every limit over the continuous motion, and see what the motion shows. Where a model has no limits,
-those of `ASSUMED` are put in and named. Rows are kept in FILE as they come; a run that is started
-again goes on from there. ``thin`` counts parameters that are told apart by a hair, as where a model
-rounds right angles: its condition number says more about the rounding than about the motion.
+those of `ASSUMED` are put in and named. ``thin`` counts parameters told apart by a hair, as where a
+model rounds right angles: its condition number says more about that than about the motion.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import site
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -127,22 +125,6 @@ ARMS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Row:
-    """How one arm fared; ``verdict`` is ``ok`` or says why not."""
-
-    name: str
-    joints: str = ""
-    load_s: float = float("nan")
-    condition: float = float("nan")
-    base_parameters: int = 0
-    thin: int = 0
-    unseen: int = 0
-    assumed: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    verdict: str = ""
-
-
 def with_assumed_limits(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
     """The robot with `ASSUMED` limits where nothing else bounds its motion."""
     limits, assumed = robot.limits, []
@@ -160,43 +142,38 @@ def with_assumed_limits(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
     return robot.with_limits(limits), tuple(assumed)
 
 
-def attempt(case: Case, path: Path, time_limit: float) -> Row:
-    """Load, design, check, analyze."""
-    start = time.perf_counter()
-    row = Row(case.name)
+def attempt(case: Case, path: Path, time_limit: float) -> tuple[str, str]:
+    """Load, design, check, analyze: the figures as text, and ``ok`` or why not."""
+    start, figures = time.perf_counter(), ""
     try:
         robot = load_robot(path, joints=case.joints, base=case.base, tip=case.tip)
         kinds = "".join("R" if turns else "P" for turns in robot.revolute)
-        row = replace(row, joints=kinds, load_s=time.perf_counter() - start, notes=robot.notes)
+        figures = f"{kinds:10} {time.perf_counter() - start:6.2f}"
         robot, assumed = with_assumed_limits(robot)
-        row = replace(row, assumed=assumed)
-        return designed(robot, row, time_limit)
+        more, verdict = designed(robot, time_limit)
+        extra = f" (assumed: {', '.join(assumed)})" if assumed else ""
+        return figures + more + extra, verdict
     except ExcitantError as error:
-        return replace(row, verdict=str(error).replace(f"{path.parent}/", ""))
+        return figures, str(error).replace(f"{path.parent}/", "")
 
 
-def designed(robot: Robot, row: Row, time_limit: float) -> Row:
+def designed(robot: Robot, time_limit: float) -> tuple[str, str]:
     options = {"starts": 1, "jobs": 1, "time_limit": time_limit}
+    note = ""
     try:
         found = design(robot, scene=scene(robot), **options)
-    except Infeasible as error:
-        found = design(robot, scene=None, **options)
-        row = replace(row, notes=(*row.notes, f"designed without clearance: {error}"))
+    except Infeasible:
+        found, note = design(robot, scene=None, **options), " (without clearance)"
     motion = found.trajectory.motion(50.0)
-    tau = torque(robot, motion)
-    noise = np.maximum(NOISE * np.abs(tau).max(axis=0), 1e-6)
+    noise = np.maximum(NOISE * np.abs(torque(robot, motion)).max(axis=0), 1e-6)
     shown = analyze(
         robot, effects=standard_effects(robot.joints), motion=motion, noise=noise.tolist()
     )
     unseen = sum(p.verdict == NOT_SHOWN for p in shown.practical)
+    thin = len(shown.structure.close)
+    figures = f" {found.condition_final:8.3g} {len(found.base):4d} {thin:4d} {unseen:6d}{note}"
     held = found.limits.hold
-    verdict = "a limit is exceeded" if not held else "not all shown" if unseen else "ok"
-    return replace(
-        row, condition=found.condition_final,
-        base_parameters=len(found.base), thin=len(shown.structure.close),
-        unseen=unseen,
-        verdict=verdict,
-    )  # fmt: skip
+    return figures, "a limit is exceeded" if not held else "not all shown" if unseen else "ok"
 
 
 def cases(folder: Path | None, also: list[str], only: list[str]) -> Iterator[tuple[Case, Path]]:
@@ -210,20 +187,6 @@ def cases(folder: Path | None, also: list[str], only: list[str]) -> Iterator[tup
         yield Case(file, tip or None, base or None), Path(file)
 
 
-HEADER = (
-    f"{'arm':46} {'joints':10} {'load s':>6} {'κ':>8} {'base':>4} {'thin':>4} {'unseen':>6}"
-    "  verdict"
-)
-
-
-def line(row: Row) -> str:
-    extra = f" (assumed: {', '.join(row.assumed)})" if row.assumed else ""
-    return (
-        f"{row.name[:46]:46} {row.joints:10} {row.load_s:6.2f} {row.condition:8.3g} "
-        f"{row.base_parameters:4d} {row.thin:4d} {row.unseen:6d}  {row.verdict}{extra}"
-    )
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--data", help="folder of example-robot-data's robots")
@@ -232,25 +195,18 @@ def main() -> int:
     )
     parser.add_argument("--only", nargs="*", default=[], help="parts of names")
     parser.add_argument("--time-limit", type=float, default=5.0, help="for each design [s]")
-    parser.add_argument("-o", "--output", type=Path, help="file of rows, one JSON object a line")
     given = parser.parse_args()
     folder = data_folder(given.data)
     if folder is None:
         print("no example-robot-data: install it, or name its folder with --data")
-    done: dict[str, Row] = {}
-    if given.output and given.output.is_file():
-        rows = map(json.loads, given.output.read_text().splitlines())
-        done = {entry["name"]: Row(**entry) for entry in rows}
-    print(HEADER)
+    print(f"{'arm':46} {'joints':10} load s        κ base thin unseen  verdict")
+    verdicts = []
     for case, path in cases(folder, given.also, given.only):
-        if case.name not in done:
-            done[case.name] = attempt(case, path, given.time_limit)
-            if given.output:
-                with given.output.open("a") as file:
-                    file.write(json.dumps(asdict(done[case.name])) + "\n")
-        print(line(done[case.name]), flush=True)
-    failed = [row for row in done.values() if row.verdict != "ok"]
-    print(f"{len(done)} arms, {len(done) - len(failed)} ok, {len(failed)} not")
+        figures, verdict = attempt(case, path, given.time_limit)
+        verdicts.append(verdict)
+        print(f"{case.name[:46]:46} {figures}  {verdict}", flush=True)
+    failed = len(verdicts) - verdicts.count("ok")
+    print(f"{len(verdicts)} arms, {len(verdicts) - failed} ok, {failed} not")
     return 1 if failed else 0
 
 

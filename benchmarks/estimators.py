@@ -1,6 +1,6 @@
 """What each estimator makes of a UR10 whose parameters are known.
 
-    OMP_NUM_THREADS=1 python benchmarks/estimators.py [--draws 2] [--seconds 30] [--json]
+    OMP_NUM_THREADS=1 python benchmarks/estimators.py [--draws 2] [--seconds 30]
     OMP_NUM_THREADS=1 python benchmarks/estimators.py --bias 12 [--kinds fine encoders]
 
 Torque comes from Pinocchio's recursive Newton-Euler algorithm with friction, offset and rotor
@@ -27,7 +27,6 @@ parameter, divided by its own standard deviation, rms over parameters: about 1 w
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -65,7 +64,6 @@ def arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--bias", type=int, metavar="D", help="bias over D draws of noise")
     parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS, help="of noise")
-    parser.add_argument("--json", action="store_true", help="figures as JSON")
     return parser.parse_args(words)
 
 
@@ -213,21 +211,10 @@ def estimates(
     return {name: run[name]() for name in METHODS}, errors_in_variables(even, odd)[1]
 
 
-@dataclass(frozen=True)
-class Cell:
-    """Figures of one method, kind of noise and filter; see the head of this file."""
-
-    method: str
-    kind: str
-    filtering: str
-    scaled: float
-    nrmse: float
-
-
 def cells(
     name: str, draws: int, seconds: float, seed: int, kinds: Sequence[str]
-) -> Iterator[tuple[list[Cell], str, str, float]]:
-    """Cells of one kind of noise and filter at a time, with the test's median chance."""
+) -> Iterator[tuple[str, dict[str, tuple[float, float]], float]]:
+    """Of each kind of noise and filter both figures by method, and the test's median chance."""
     known = truth(name)
     held = judge(known, seed)
     for kind in kinds:
@@ -238,13 +225,12 @@ def cells(
         ]
         for filtering, cutoff_hz in FILTERS.items():
             runs = [estimates(known, *recording, cutoff_hz) for recording in recordings]
-            made = []
+            figures = {}
             for method in METHODS:
                 errors = [held.errors(fits[method]) for fits, _ in runs]
                 scaled = float(np.sqrt(np.mean([e**2 for e, _ in errors])))
-                nrmse = float(np.mean([worst for _, worst in errors]))
-                made.append(Cell(method, kind, filtering, scaled, nrmse))
-            yield made, kind, filtering, float(np.median([p for _, p in runs]))
+                figures[method] = scaled, float(np.mean([worst for _, worst in errors]))
+            yield f"{kind}, {filtering}", figures, float(np.median([p for _, p in runs]))
 
 
 def biases(name: str, draws: int, seconds: float, seed: int, kinds: Sequence[str]) -> Iterator[str]:
@@ -270,37 +256,21 @@ def _mean_over_deviation(errors: Array) -> float:
     return float(np.sqrt(((errors.mean(axis=0) / deviation) ** 2).mean()))
 
 
-def table(found: Sequence[Cell], chances: dict[tuple[str, str], float]) -> Iterator[str]:
-    """Scaled error [N·m] and nrmse [%], a column per kind of noise and filter."""
-    settings = list(chances)
-    yield f"{'':10}" + "".join(f"{kind + ', ' + how:>20}" for kind, how in settings)
-    yield f"{'':10}" + f"{'N·m':>10}{'%':>10}" * len(settings)
-    for method in METHODS:
-        own = {(c.kind, c.filtering): c for c in found if c.method == method}
-        yield f"{method:10}" + "".join(
-            f"{own[s].scaled:10.3f}{100 * own[s].nrmse:10.2f}" for s in settings
-        )
-    yield f"{'test, p':10}" + "".join(f"{chances[s]:20.2g}" for s in settings)
-
-
 def main(words: Sequence[str] | None = None) -> None:
     args = arguments(words)
-    found: list[Cell] = []
-    chances: dict[tuple[str, str], float] = {}
+    options = (args.seconds, args.seed, args.kinds)
     with threadpool_limits(1):
         if args.bias is not None:
-            for line in biases(args.robot, args.bias, args.seconds, args.seed, args.kinds):
+            for line in biases(args.robot, args.bias, *options):
                 print(line, flush=True)
             return
-        for made, kind, filtering, chance in cells(
-            args.robot, args.draws, args.seconds, args.seed, args.kinds
-        ):
-            found += made
-            chances[kind, filtering] = chance
-    if args.json:
-        print(json.dumps([vars(cell) for cell in found]))
-    else:
-        print("\n".join(table(found, chances)))
+        settings = list(cells(args.robot, args.draws, *options))
+    print(f"{'':10}" + "".join(f"{name:>20}" for name, _, _ in settings))
+    print(f"{'':10}" + f"{'N·m':>10}{'%':>10}" * len(settings))
+    for method in METHODS:
+        row = [figures[method] for _, figures, _ in settings]
+        print(f"{method:10}" + "".join(f"{x:10.3f}{100 * nrmse:10.2f}" for x, nrmse in row))
+    print(f"{'test, p':10}" + "".join(f"{chance:20.2g}" for _, _, chance in settings))
 
 
 if __name__ == "__main__":

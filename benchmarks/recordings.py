@@ -23,7 +23,7 @@ import json
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -121,37 +121,6 @@ SPLITS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """What was reached on one split.
-
-    Attributes:
-        split: The split.
-        accuracy: By row of the table.
-        consistent: Whether the models are physically consistent, by row.
-        seconds: Time that each row took.
-        effects: What was chosen beyond the standard model, in words.
-        cutoff_hz: Cut-off of judging [Hz].
-        unit: Unit of torque.
-        joints: Names.
-    """
-
-    split: Split
-    accuracy: dict[str, Accuracy]
-    consistent: dict[str, bool]
-    seconds: dict[str, float]
-    effects: tuple[str, ...]
-    cutoff_hz: float
-    unit: str
-    joints: tuple[str, ...]
-    failed: dict[str, str] = field(default_factory=dict)
-
-    def below(self, row: str) -> list[bool]:
-        """Joints at which a row is below the README's figure, rounded as there."""
-        r2 = np.round(self.accuracy[row].r2, DIGITS)
-        return [bool(ours < theirs) for ours, theirs in zip(r2, self.split.readme, strict=False)]
-
-
 def data_folder() -> Path:
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     return Path(os.environ.get("EXCITANT_DATA", beside))
@@ -219,41 +188,6 @@ def robot_of_pendulum(mass: float, length: float) -> Robot:
         path.unlink()
 
 
-def outcome_of(split: Split, folder: Path, chosen: bool) -> Outcome:
-    """All rows of one split."""
-    robot, fit, judge = loaded(split, folder)
-    options: dict[str, Any] = {"cutoff_hz": split.cutoff_hz}
-    accuracy: dict[str, Accuracy] = {}
-    consistent: dict[str, bool] = {}
-    seconds: dict[str, float] = {}
-    failed: dict[str, str] = {}
-    start = time.perf_counter()
-    standard = identify(robot, fit, validate=judge, **options)
-    seconds["standard"] = time.perf_counter() - start
-    accuracy |= {
-        "given": standard.baseline,
-        "ols": unconstrained(standard),
-        "standard": standard.validate,
-    }
-    consistent["standard"] = possible(standard)
-    found: tuple[str, ...] = ()
-    if chosen:
-        start = time.perf_counter()
-        try:
-            effects = choose_effects(robot, fit, cutoff_hz=split.cutoff_hz)
-            best = identify(robot, fit, validate=judge, effects=effects, **options)
-        except ExcitantError as error:
-            failed["chosen"] = str(error)
-        else:
-            seconds["chosen"] = time.perf_counter() - start
-            accuracy["chosen"], consistent["chosen"] = best.validate, possible(best)
-            found = described(effects)
-    return Outcome(
-        split, accuracy, consistent, seconds, found, standard.data.cutoff_hz,
-        standard.data.unit, robot.joints, failed,
-    )  # fmt: skip
-
-
 def unconstrained(estimate: Estimate) -> Accuracy:
     """Accuracy of the base parameters of weighted least squares, nothing constrained."""
     data = estimate.data
@@ -270,43 +204,56 @@ def possible(estimate: Estimate) -> bool:
     return signs and not violations(estimate.phi, estimate.given.links)
 
 
-def report(outcome: Outcome) -> None:
-    split = outcome.split
-    print(f"\n{split.title}  [judged at {outcome.cutoff_hz:.3g} Hz, {outcome.unit}]", flush=True)
+def report(split: Split, folder: Path, chosen: bool) -> None:
+    """Fit and print all rows of one split."""
+    robot, fit, judge = loaded(split, folder)
+    start = time.perf_counter()
+    standard = identify(robot, fit, validate=judge, cutoff_hz=split.cutoff_hz)
+    rows = {
+        "given": (standard.baseline, ""),
+        "ols": (unconstrained(standard), ""),
+        "standard": (standard.validate, _said(standard, start)),
+    }
+    cutoff_hz, unit = standard.data.cutoff_hz, standard.data.unit
+    print(f"\n{split.title}  [judged at {cutoff_hz:.3g} Hz, {unit}]", flush=True)
     if split.note:
         print(f"  {split.note}")
+    closing: list[str] = []
+    if chosen:
+        start = time.perf_counter()
+        try:
+            effects = choose_effects(robot, fit, cutoff_hz=split.cutoff_hz)
+            best = identify(robot, fit, validate=judge, effects=effects, cutoff_hz=split.cutoff_hz)
+            rows["chosen"] = (best.validate, _said(best, start))
+            closing = [f"    + {sentence}" for sentence in described(effects)]
+        except ExcitantError as error:
+            closing = [f"  chosen    failed: {error}"]
+    total = float(np.sqrt(1 - np.minimum(split.readme or [1], 1 - 0.5 * 10.0**-DIGITS)).sum())
     if split.readme:
-        nrmse = np.sqrt(1 - np.minimum(split.readme, 1 - 0.5 * 10.0**-DIGITS))
-        _line("readme", np.array(split.readme), nrmse, [False] * len(split.readme), "")
-    total = float(np.sqrt(1 - np.minimum(split.readme or [1], 0.9995)).sum())
-    for row, a in outcome.accuracy.items():
-        extra = f"  ratio {a.nrmse.sum() / total:.3f}" if split.readme else ""
-        if row in outcome.consistent:
-            extra += f"  consistent: {'yes' if outcome.consistent[row] else 'NO'}"
-        if row in outcome.seconds:
-            extra += f"  {outcome.seconds[row]:.0f} s"
-        below = outcome.below(row) if split.readme else [False] * len(a.r2)
-        _line(row, a.r2, a.nrmse, below, extra)
-    for row, why in outcome.failed.items():
-        print(f"  {row:<9} failed: {why}")
-    for sentence in outcome.effects:
-        print(f"    + {sentence}")
+        _line("readme", np.array(split.readme), total, [False] * len(split.readme), "")
+    for row, (accuracy, said) in rows.items():
+        ratio = f"  ratio {accuracy.nrmse.sum() / total:.3f}" if split.readme else ""
+        below = [False] * len(accuracy.r2)
+        if split.readme:
+            below = (np.round(accuracy.r2, DIGITS) < np.array(split.readme)).tolist()
+        _line(row, accuracy.r2, accuracy.nrmse.sum(), below, ratio + said)
+    print("\n".join(closing), end="\n" if closing else "")
     if split.published_rms:
-        _published(outcome)
+        spread = standard.validate.rms / standard.validate.nrmse
+        errors = {"published": np.array(split.published_rms)}
+        for row, rms in (errors | {row: a.rms for row, (a, _) in rows.items()}).items():
+            cells = " ".join(f"{v:7.3f} " for v in rms)
+            print(f"  rms {row:<9}{cells}  Σ nrmse {(rms / spread).sum():.3f}", flush=True)
 
 
-def _line(row: str, r2: np.ndarray, nrmse: np.ndarray, below: Sequence[bool], extra: str) -> None:
+def _said(estimate: Estimate, start: float) -> str:
+    consistent = "yes" if possible(estimate) else "NO"
+    return f"  consistent: {consistent}  {time.perf_counter() - start:.0f} s"
+
+
+def _line(row: str, r2: np.ndarray, nrmse: float, below: Sequence[bool], extra: str) -> None:
     cells = " ".join(f"{v:7.4f}{'<' if b else ' '}" for v, b in zip(r2, below, strict=True))
-    print(f"  {row:<9}{cells}  Σ nrmse {nrmse.sum():.3f}{extra}", flush=True)
-
-
-def _published(outcome: Outcome) -> None:
-    published = np.array(outcome.split.published_rms)
-    spread = outcome.accuracy["standard"].rms / outcome.accuracy["standard"].nrmse
-    rows = {"published": published, **{k: a.rms for k, a in outcome.accuracy.items()}}
-    for row, rms in rows.items():
-        cells = " ".join(f"{v:7.3f} " for v in rms)
-        print(f"  rms {row:<9}{cells}  Σ nrmse {(rms / spread).sum():.3f}", flush=True)
+    print(f"  {row:<9}{cells}  Σ nrmse {nrmse:.3f}{extra}", flush=True)
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -318,7 +265,7 @@ def main(words: Sequence[str] | None = None) -> None:
         for split in SPLITS:
             if args.sets and split.dataset not in args.sets:
                 continue
-            report(outcome_of(split, data_folder(), not args.standard_only))
+            report(split, data_folder(), not args.standard_only)
 
 
 if __name__ == "__main__":

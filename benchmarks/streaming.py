@@ -1,6 +1,6 @@
 """Identify a log larger than memory: peak memory, and samples per second against a bare loop.
 
-    OMP_NUM_THREADS=1 python benchmarks/streaming.py [--samples 10000000] [--format parquet|csv]
+    OMP_NUM_THREADS=1 python benchmarks/streaming.py [--samples 10000000]
 
 A log of the built-in panda at 1 kHz, with friction, offsets, rotor inertia and noise, is written
 piece by piece and identified in a process of its own, whose peak memory is read when it has ended:
@@ -13,6 +13,7 @@ processor time (user and system; one thread), which other work on the machine di
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import subprocess
 import sys
@@ -25,7 +26,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pyarrow as pa
-import pyarrow.csv
 import pyarrow.parquet
 from threadpoolctl import threadpool_limits
 
@@ -45,7 +45,6 @@ def arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--samples", type=int, default=10_000_000)
     parser.add_argument("--robot", default="panda")
-    parser.add_argument("--format", choices=("parquet", "csv"), default="parquet")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--identify", type=Path, help=argparse.SUPPRESS)
     return parser.parse_args(words)
@@ -76,16 +75,6 @@ def pieces(
         columns |= {f"q{j + 1}": q[:, j] for j in range(motion.nv)}
         columns |= {f"tau{j + 1}": measured[:, j] for j in range(motion.nv)}
         yield pa.table(columns)
-
-
-def write(path: Path, tables: Iterator[pa.Table]) -> None:
-    first = next(tables)
-    parquet = path.suffix == ".parquet"
-    kind = pa.parquet.ParquetWriter if parquet else pa.csv.CSVWriter
-    with kind(path, first.schema) as writer:
-        writer.write_table(first)
-        for table in tables:
-            writer.write_table(table)
 
 
 def bare_loop(robot: Robot, motion: Motion, tau: np.ndarray) -> tuple[float, float]:
@@ -132,8 +121,11 @@ def main(words: Sequence[str] | None = None) -> None:
     robot, rng = load_robot(args.robot), np.random.default_rng(args.seed)
     motion, tau = period(robot, rng)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"log.{args.format}"
-        write(path, pieces(motion, tau, args.samples, rng))
+        path, tables = Path(folder) / "log.parquet", pieces(motion, tau, args.samples, rng)
+        first = next(tables)
+        with pa.parquet.ParquetWriter(path, first.schema) as writer:
+            for table in itertools.chain([first], tables):
+                writer.write_table(table)
         size = path.stat().st_size / 1e6
         with threadpool_limits(1):
             before = bare_loop(robot, motion, tau)

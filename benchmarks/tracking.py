@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -38,12 +37,8 @@ _LOST = 2.0  # rad or m: the model has run away
 _YIELD = 0.2  # rad or m: the loop bears the recorded torque there
 
 
-@dataclass(frozen=True, eq=False)
-class Case:
-    """An estimate and where its recording came from."""
-
-    name: str
-    estimate: Estimate
+Case = tuple[str, Estimate]
+"""Where a recording came from, and its estimate."""
 
 
 def arguments(words: Sequence[str] | None) -> argparse.Namespace:
@@ -68,14 +63,14 @@ def simulated(name: str, seed: int) -> Case:
         runs.append(recording_from_table(table, robot.nv, file=f"{run}.parquet", name=run))
     hidden = arm.hidden[0]
     found = identify(robot, runs[:1], validate=runs[1:])
-    return Case(f"{name}, virtual, hides {hidden.effect} at {hidden.joint}", found)
+    return f"{name}, virtual, hides {hidden.effect} at {hidden.joint}", found
 
 
 def recorded(folder: Path) -> list[Case]:
     """The recordings of a folder, each fitted on its first 70 %."""
     dataset = load_dataset(folder)
     return [
-        Case(f"{folder.name}, {recording.name}", identify(dataset.robot, [recording]))
+        (f"{folder.name}, {recording.name}", identify(dataset.robot, [recording]))
         for recording in dataset.recordings([])
     ]
 
@@ -146,13 +141,13 @@ def tracking(
 
 
 def report(case: Case, bandwidths: Sequence[float]) -> None:
-    found = case.estimate
+    name, found = case
     gains = found.gains if found.data.unit == "A" else None
     given, identified = (loaded(robot, gains) for robot in (found.given, found.model))
     segments = found.data.validate
     inertia = (mean_inertia(given, segments[0]) + mean_inertia(identified, segments[0])) / 2
     nrmse = [float(np.nansum(x.nrmse)) for x in (found.baseline, found.validate)]
-    print(f"\n{case.name}: hold-out nrmse, sum of joints, {nrmse[0]:.3g} → {nrmse[1]:.3g}")
+    print(f"\n{name}: hold-out nrmse, sum of joints, {nrmse[0]:.3g} → {nrmse[1]:.3g}")
     torque = np.sqrt(np.mean((segments[0].tau * found.gains) ** 2, axis=0))
     for omega in bandwidths:
         stiffness = np.maximum(omega**2 * inertia, torque / _YIELD)

@@ -12,7 +12,8 @@ Level 1 is what it takes to know a parameter better from the window than from th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -260,6 +261,46 @@ class Persistency:
     def weakest(self) -> WindowExcitation:
         """The window that shows least."""
         return min(self.windows, key=lambda each: (-each.missing, each.level))
+
+    @property
+    def sentence(self) -> str:
+        """What it means, in words."""
+        weakest, visible = self.weakest, len(self.weakest.levels)
+        if not visible:
+            return "no motion of this arm shows any parameter above the noise"
+        if self.persistent:
+            text = (
+                f"persistently exciting over {self.window:.3g} s at level {self.level:.3g}: all "
+                f"{visible} visible combinations become better known than they were"
+            )
+            if self.shortest is not None and self.shortest < self.window:
+                text += f"; windows of {self.shortest:.3g} s are enough"
+            return text
+        text = (
+            f"not persistently exciting over {self.window:.3g} s: from {weakest.start:.3g} to "
+            f"{weakest.end:.3g} s {weakest.missing} of {visible} visible combinations are missing "
+            f"(level {self.level:.2g})"
+        )
+        if weakest.weak:
+            text += f", first of all {weakest.weak[0].parameters[0]}"
+        if weakest.joints:
+            text += f"; move {', '.join(weakest.joints)}"
+        return text
+
+    def result(self) -> dict[str, Any]:
+        """What ``result.json`` says of it."""
+        weakest = self.weakest
+        return {
+            "persistent": self.persistent,
+            "level": self.level,
+            "window_s": self.window,
+            "shortest_window_s": self.shortest,
+            "visible": len(weakest.levels),
+            "missing": weakest.missing,
+            "joints": weakest.joints,
+            "weak": [asdict(direction) for direction in weakest.weak],
+            "sentence": self.sentence,
+        }
 
 
 def persistency(

@@ -9,14 +9,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from excitant.exceptions import BadRecording
+from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.importers.mapping import ColumnMap
-from excitant.identify.importers.raw import (
-    RawRecording,
-    raw_of_table,
-    raw_recording,
-    read_raw_chunks,
-)
+from excitant.identify.importers.raw import RawRecording, open_log, raw_pieces, raw_recording
 from excitant.identify.importers.tables import table_of_frame
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, freeze
@@ -111,8 +106,8 @@ def recording_from_table(
     torque_column: str | None = None,
 ) -> Recording:
     """Recording from a table in memory; see `read_recording`."""
-    source = table_of_frame(table, file)
-    return recording_from_raw(raw_of_table(source, name, robot, mapping, torque_column))
+    raw = next(raw_pieces(table_of_frame(table, file), robot, mapping, torque_column))
+    return recording_from_raw(replace(raw, name=name))
 
 
 def read_chunks(
@@ -126,28 +121,37 @@ def read_chunks(
     """A log larger than memory as recordings of some rows each, checked as `read_recording` does.
 
     What only the whole can show, a channel without signal or a log that is too short, is refused
-    after the last piece. See `excitant.identify.importers.raw.read_raw_chunks` for the arguments.
+    after the last piece.
+
+    Args:
+        paths: A log, or the files it was split into, in order.
+        robot: The arm, or its number of joints.
+        rows: Most rows of a piece.
+        mapping: What the user says about the columns.
+        torque_column: Prefix of the torque columns.
 
     Yields:
-        Pieces of at most ``rows`` samples; ``t`` counts from the first sample of the log.
+        Pieces of at least one row; ``t`` counts from the first sample of the log.
 
     Raises:
         BadRecording: As `read_recording`, when the piece at fault is reached.
         BadInput: ``rows`` below 1, or a map that does not fit the robot.
     """
+    if rows < 1:
+        raise BadInput(f"rows is {rows}; a piece must hold at least one row")
+    files = [paths] if isinstance(paths, str | Path) else list(paths)
     raw: RawRecording | None = None
-    extremes = np.zeros((0, 0))
-    end, first_row, file = None, 0, ""
-    for raw in read_raw_chunks(paths, robot, rows, mapping=mapping, torque_column=torque_column):
-        first_row = first_row if raw.file == file else 0
-        check_finite(raw, first_row)
-        check_time(raw, first_row, end)
-        seen = raw.tau if end is None else np.concatenate([extremes, raw.tau])
-        extremes = np.array([seen.min(axis=0), seen.max(axis=0)])
-        end, first_row, file = float(raw.t[-1]), first_row + len(raw.t), raw.file
-        yield unchecked(raw)
+    origin, end, extremes = None, None, np.zeros((0, 0))
+    for file in files:
+        table, first_row = open_log(file, mapping), 0
+        for raw in raw_pieces(table, robot, mapping, torque_column, rows, origin):
+            check_finite(raw, first_row)
+            check_time(raw, first_row, end)
+            seen = raw.tau if end is None else np.concatenate([extremes, raw.tau])
+            extremes = np.array([seen.min(axis=0), seen.max(axis=0)])
+            origin, end, first_row = raw.start, float(raw.t[-1]), first_row + len(raw.t)
+            yield unchecked(raw)
     if raw is None or end is None or end < MINIMUM_DURATION:
-        files = [paths] if isinstance(paths, str | Path) else list(paths)
         raise BadRecording(
             files[0] if files else "",
             f"too short: {end or 0.0:.3g} s, at least {MINIMUM_DURATION:g} s are needed",

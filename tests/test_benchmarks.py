@@ -37,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def rows(folder: Path) -> dict[str, dict[str, Any]]:
-    options = ["--time-limit", "3", "--jobs", "2", "-o", str(folder), "--json"]
+    options = ["--time-limit", "1", "--jobs", "2", "-o", str(folder), "--json"]
     done = run("--problem", "planar_2r", "--methods", *METHODS, *options)
     assert done.returncode == 0, done.stderr
     assert json.loads((folder / "result.json").read_text()) == json.loads(done.stdout)
@@ -84,7 +84,7 @@ def test_every_contestant_has_a_row_with_a_motion_within_the_limits(
         assert 0 < row["worst"] <= 1
         assert row["at_rest"]
         assert row["cpu_s"] > 0
-        assert row["wall_s"] >= 3
+        assert row["wall_s"] >= 1
 
 
 def test_the_condition_number_is_that_of_torques_by_another_way(

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from excitant.exceptions import BadInput, BadRecording
+from excitant.exceptions import BadRecording
 from excitant.identify.importers.bags import bag_table
 from excitant.identify.importers.columns import Channel, Columns, resolve
 from excitant.identify.importers.mapping import ColumnMap
@@ -96,63 +96,15 @@ def raw_recording(
         BadRecording: A file that cannot be read, or columns that could mean several things.
         BadInput: A map that does not fit the robot.
     """
-    table = open_log(path, topic=mapping.topic if mapping else None)
-    return raw_of_table(table, Path(path).stem, robot, mapping, torque_column)
+    return next(raw_pieces(open_log(path, mapping), robot, mapping, torque_column))
 
 
-def raw_of_table(
-    table: Table,
-    name: str,
-    robot: Robot | int,
-    mapping: ColumnMap | None = None,
-    torque_column: str | None = None,
-) -> RawRecording:
-    """The raw recording of an opened log; see `raw_recording`."""
-    columns = resolve(table, robot, mapping, torque_column)
-    return next(_pieces(table, name, columns))
-
-
-def read_raw_chunks(
-    paths: str | Path | Sequence[str | Path],
-    robot: Robot | int,
-    rows: int = 100_000,
-    *,
-    mapping: ColumnMap | None = None,
-    torque_column: str | None = None,
-) -> Iterator[RawRecording]:
-    """Pieces of a log larger than memory, as they are: nothing is checked.
-
-    Args:
-        paths: A log, or the files it was split into, in order.
-        robot: The arm, or its number of joints.
-        rows: Most rows of a piece.
-        mapping: What the user says about the columns.
-        torque_column: Prefix of the torque columns.
-
-    Yields:
-        Pieces of at least one row; ``t`` counts from the first row of the log.
-
-    Raises:
-        BadRecording: A file that cannot be read, or columns that could mean several things.
-        BadInput: ``rows`` below 1, or a map that does not fit the robot.
-    """
-    if rows < 1:
-        raise BadInput(f"rows is {rows}; a piece must hold at least one row")
-    origin: tuple[float, float] | None = None
-    for path in [paths] if isinstance(paths, str | Path) else paths:
-        table = open_log(path, topic=mapping.topic if mapping else None)
-        columns = resolve(table, robot, mapping, torque_column)
-        for raw in _pieces(table, Path(path).stem, columns, rows, origin):
-            origin = origin or raw.start
-            yield raw
-
-
-def open_log(path: str | Path, *, topic: str | None = None) -> Table:
+def open_log(path: str | Path, mapping: ColumnMap | None = None) -> Table:
     """The log in a file, or in the folder of a ROS 2 bag, by its suffix.
 
     Args:
         path: Parquet, CSV, NPZ, MAT (up to version 7.2), ROS 1 or 2 bag, MCAP.
-        topic: Topic of a bag's ``sensor_msgs/JointState``, where it has several.
+        mapping: What the user says, such as the topic of a bag that has several.
 
     Raises:
         BadRecording: No such file, an unknown format, or not readable as what it claims to be.
@@ -169,17 +121,20 @@ def open_log(path: str | Path, *, topic: str | None = None) -> Table:
         why = f"unknown format '{path.suffix}'; give .parquet or .csv, .npz, .mat, .bag or .mcap"
         raise BadRecording(path, why)
     try:
-        return bag_table(path, topic) if suffix in _BAGS else _READERS[suffix](path)
+        if suffix in _BAGS:
+            return bag_table(path, mapping.topic if mapping else None)
+        return _READERS[suffix](path)
     except (BadRecording, ModuleNotFoundError):
         raise
     except Exception as error:  # readers of others raise anything on a damaged file
         raise unreadable(path, error) from None
 
 
-def _pieces(
+def raw_pieces(
     table: Table,
-    name: str,
-    columns: Columns,
+    robot: Robot | int,
+    mapping: ColumnMap | None = None,
+    torque_column: str | None = None,
     rows: int | None = None,
     origin: tuple[float, float] | None = None,
 ) -> Iterator[RawRecording]:
@@ -187,17 +142,23 @@ def _pieces(
 
     Args:
         table: The log.
-        name: Name for tables and figures.
-        columns: Which columns are which.
+        robot: The arm, or how many joints it has.
+        mapping: What the user says about the columns.
+        torque_column: Prefix of the torque columns.
         rows: Most rows of a piece.
         origin: Time that becomes 0, whole and remaining seconds; that of the first row when None.
+
+    Raises:
+        BadRecording: Columns that could mean several things, or a row that cannot be read.
+        BadInput: A map that does not fit the robot.
     """
-    narrow = rows is not None or table.joined
-    found: Columns | None = None
-    for frame in table.frames(rows, columns.names if narrow else None):
+    logged = resolve(table, robot, mapping, torque_column)
+    columns: Columns | None = None
+    narrow = logged.names if rows is not None or table.joined else None
+    for frame in table.frames(rows, narrow):
         if rows is not None and frame.empty:
             continue
-        columns = found = found or _timed(columns, frame)
+        columns = columns or _timed(logged, frame)
         texts: dict[tuple[int, str], str] = {}
         whole, rest = in_seconds(frame[columns.t[0]], columns.t_unit)
         if len(columns.t) == 2:
@@ -211,7 +172,7 @@ def _pieces(
         with np.errstate(invalid="ignore", over="ignore"):
             t = (whole - origin[0]) + (rest - origin[1])
         yield RawRecording(
-            name=name,
+            name=Path(table.file).stem,
             file=table.file,
             t=t,
             q=_channel(frame, columns.q, texts),

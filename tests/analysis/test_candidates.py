@@ -42,7 +42,7 @@ def effects(robot: Robot) -> list[Effect]:
     ]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def rows(planar: Robot, runs: Runs) -> Observed:
     recordings = runs(planar, 3, (), industrial_sensors(planar), 0.03)
     return observed(planar, split(recordings[:1], recordings[1:], None).train)

@@ -11,7 +11,7 @@ import pytest
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.evidence import are_placeholders
-from excitant.analysis.headline import at_rest, headline
+from excitant.analysis.explanation import at_rest, headline
 from excitant.identify import Recording
 from excitant.robots import Robot
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
@@ -49,6 +49,7 @@ def test_an_error_at_rest_is_told(resting: float, in_motion: float, said: str) -
     assert headline(diagnosis).endswith(at_rest(diagnosis))
 
 
+@pytest.mark.slow
 def test_what_is_hidden_is_found_without_inertias(ur10: Robot, runs: Runs) -> None:
     """Links that all weigh the same say nothing: no axis is moved to make up for masses."""
     recordings = runs(ur10, 2, (OFFSET,), industrial_sensors(ur10), 0.03, duration=15.0)

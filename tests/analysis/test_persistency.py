@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
@@ -53,7 +51,7 @@ def test_the_resting_joint_is_named(ur10: Robot, joint: int) -> None:
     assert all(ur10.joints[joint] in direction.joints for direction in found.weakest.weak)
     said = analyze(ur10, effects=effects, motion=motion).result()["persistency"]
     assert said["sentence"].endswith(f"move {', '.join(said['joints'])}")
-    assert json.loads(json.dumps(said, allow_nan=False)) == said
+    assert said["missing"] == found.weakest.missing
 
 
 def test_the_window_in_which_it_rests_is_found(ur10: Robot) -> None:

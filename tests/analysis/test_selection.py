@@ -75,7 +75,7 @@ def test_planted_effects_are_chosen_and_predict_an_unseen_motion_better(
     assert violations(better.phi, planar.links) == []
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
 def test_a_plain_arm_gets_the_standard_model(planar: Robot, seed: int) -> None:
     effects = choose_effects(planar, recorded(planar, 10 + seed))
     assert effects == standard_effects(planar.joints)
@@ -86,8 +86,8 @@ def test_a_plain_arm_gets_the_standard_model(planar: Robot, seed: int) -> None:
 @pytest.mark.parametrize("name", ["ur10", "panda"])
 def test_plain_larger_arms_get_hardly_anything(name: str) -> None:
     robot = load_robot(name)
-    added = [choose_effects(robot, recorded(robot, seed))[4:] for seed in range(10)]
-    assert sum(map(len, added)) <= 1, added
+    added = [choose_effects(robot, recorded(robot, seed))[4:] for seed in range(5)]
+    assert sum(map(len, added)) == 0, added
 
 
 @pytest.mark.parametrize(
@@ -144,12 +144,12 @@ def test_effects_of_the_motion_alone_need_no_identified_arm(
 
 
 def test_the_command_chooses_effects(
-    planar: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    two: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rng = np.random.default_rng(3)
-    arm = virtual_arm(planar, rng, hidden=PLANTED, sensors=industrial_sensors(planar, RATE_HZ))
-    file = tmp_path / "run.csv"
-    arm.record(random_trajectory(planar, rng, DURATION, 5), DURATION, rng).to_csv(file, index=False)
+    run, file = two[0], tmp_path / "run.csv"
+    columns = np.column_stack([run.t, run.q, run.dq, run.tau])
+    header = "t,q1,q2,dq1,dq2,tau1,tau2"
+    np.savetxt(file, columns, delimiter=",", header=header, comments="")
     words = ["identify", "planar_2r", str(file), "--effects", "auto", "-o", str(tmp_path / "out")]
     assert main(words) == 0
     text = (tmp_path / "out" / "result.json").read_text(encoding="utf-8")
@@ -159,6 +159,7 @@ def test_the_command_chooses_effects(
     assert "--effects auto" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_real_friction_is_found(data_folder: Path) -> None:
     """A current-controlled arm's last 40 %, predicted with the effects its first 60 % call for."""
     dataset = load_dataset(data_folder / "ur10")

@@ -36,8 +36,8 @@ def payload(ur10: Robot, runs: Runs) -> Case:
 
 
 @pytest.fixture(scope="module")
-def coulomb(ur10: Robot, runs: Runs) -> Case:
-    return case("coulomb_friction", ur10, runs)
+def coulomb(planar: Robot, runs: Runs) -> Case:
+    return case("coulomb_friction", planar, runs)
 
 
 def test_inertias_alone_explain_a_payload(payload: Case) -> None:

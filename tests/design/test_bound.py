@@ -13,7 +13,7 @@ from excitant.design import condition_number, design, random_trajectory
 from excitant.design.bound import Bound, best_mixture, lower_bound, mixture_of
 from excitant.design.relaxation import Relaxation, numbered
 from excitant.exceptions import BadInput
-from excitant.robots import Motion, Robot, load_robot
+from excitant.robots import Robot, load_robot
 
 Limited = Callable[..., Robot]
 
@@ -128,7 +128,7 @@ def test_pendulum_agrees_with_a_dense_grid(pendulum: Robot, limited: Limited, ha
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_never_above_a_trajectory(planar: Robot, limited: Limited, seed: int) -> None:
     rng = np.random.default_rng(seed)
     middle, half = rng.uniform(-2, 2, 2), rng.uniform(0.4, 2.0, 2)
@@ -176,24 +176,16 @@ def test_tighter_limits_never_lower_the_bound(planar: Robot, limited: Limited) -
 
 
 @pytest.mark.slow
-def test_certificate_of_a_six_joint_arm(ur10: Robot, limited: Limited) -> None:
+def test_bound_of_a_six_joint_arm_is_far_above_one(ur10: Robot, limited: Limited) -> None:
     robot = limited(ur10, position=[-np.pi, np.pi], acceleration=10.0)
-    rng = np.random.default_rng(1)
-    pool = [random_trajectory(robot, rng, 10.0, 5).sample(200)]
+    pool = [random_trajectory(robot, np.random.default_rng(1), 10.0, 5).sample(200)]
     told: list[tuple[float, float, float]] = []
-    bound = lower_bound(robot, time_limit=8.0, pool=pool, progress=lambda *x: told.append(x))
+    bound = lower_bound(robot, time_limit=60.0, pool=pool, progress=lambda *x: told.append(x))
+    assert bound.value > 7.6 / 4
     assert_certificate_holds(bound)
     assert len(told) == len(bound.history)
     assert np.all(np.diff(bound.history[:, 1]) >= 0)
     assert "not a proof" in bound.assumptions
-
-
-@pytest.mark.slow
-def test_bound_of_a_six_joint_arm_is_far_above_one(ur10: Robot, limited: Limited) -> None:
-    robot = limited(ur10, position=[-np.pi, np.pi], acceleration=10.0)
-    bound = lower_bound(robot, time_limit=60.0)
-    assert bound.value > 7.6 / 4
-    assert_certificate_holds(bound)
 
 
 @pytest.mark.slow
@@ -236,4 +228,3 @@ def test_refuses_what_it_cannot_bound(planar: Robot, limited: Limited) -> None:
         lower_bound(limited(planar, velocity=np.inf), harmonics=None)
     with pytest.raises(BadInput, match="joints"):
         lower_bound(planar, pool=[numbered(*np.zeros((3, 4, 3)))])
-    assert isinstance(numbered(*np.zeros((3, 1, 2))), Motion)

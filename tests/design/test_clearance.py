@@ -9,7 +9,7 @@ from excitant.design import clearance, design, from_coefficients
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Robot, load_robot
 from excitant.robots.geometry import Obstacle, Scene, load_obstacles, scene
-from excitant.robots.schema import BoxRecord, HalfSpaceRecord, SphereRecord
+from excitant.robots.schema import BoxRecord, HalfSpaceRecord, SphereRecord, WorkspaceRecord
 
 FLOOR = Obstacle("floor", "half_space", HalfSpaceRecord((0.0, 0.0, 1.0), -0.15))
 
@@ -59,18 +59,20 @@ def test_gradient_of_an_arm_of_one_joint(tmp_path: Path) -> None:
     arm.write_text(
         """<robot name="pendulum"><link name="base"/><link name="arm">
         <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>
-        </inertial><collision><origin xyz="0 0 -0.5"/><geometry><sphere radius="0.1"/></geometry>
-        </collision></link>
+        </inertial></link><link name="tip"/>
         <joint name="hinge" type="revolute"><parent link="base"/><child link="arm"/>
-        <axis xyz="0 1 0"/><limit lower="-3" upper="3" velocity="6" effort="20"/></joint></robot>"""
+        <axis xyz="0 1 0"/><limit lower="-3" upper="3" velocity="6" effort="20"/></joint>
+        <joint name="end" type="fixed"><parent link="arm"/><child link="tip"/>
+        <origin xyz="0 0 -0.5"/></joint></robot>"""
     )
-    wall = Obstacle("wall", "box", BoxRecord((0.1, 4.0, 4.0), (0.6, 0.0, 0.0)))
-    one = scene(load_robot(arm), (wall,))
+    room = Obstacle("room", "workspace", WorkspaceRecord((-1.0,) * 3, (1.0,) * 3))
+    one = scene(load_robot(arm), (room,))
     assert one is not None
-    h, q = 1e-3, np.array([-0.7])
-    ends = [one.distances(q[None] + s * h)[0, 0] for s in (1, -1)]
-    _, gradient = one.gradient(q, 0)
-    np.testing.assert_allclose(gradient, [(ends[0] - ends[1]) / (2 * h)], atol=5e-3)
+    h, q = 1e-3, np.array([0.7])
+    above, below = (one.distances(q[None] + s * h)[0] for s in (1, -1))
+    slopes = [one.gradient(q, pair)[1] for pair in range(len(one.pairs))]
+    np.testing.assert_allclose(np.ravel(slopes), (above - below) / (2 * h), atol=5e-3)
+    assert np.abs(slopes).max() > 0.2
 
 
 def test_speeds_bound_every_gradient(cell: Scene) -> None:

@@ -4,25 +4,15 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from limit_use import limit_shares
 
 from excitant.design import FourierTrajectory, check, random_trajectory
 from excitant.design.constraints import KINEMATIC
 from excitant.exceptions import BadInput, Infeasible
-from excitant.robots import Motion, Robot, torque
+from excitant.robots import Robot, torque
 from excitant.robots.effects import CoulombFriction, ViscousFriction
 
 Limited = Callable[..., Robot]
-
-
-def dense_ratios(robot: Robot, motion: Motion) -> dict[str, np.ndarray]:
-    low, high = robot.limits.position.T
-    sizes = {
-        "position": np.abs(motion.q - (low + high) / 2) / ((high - low) / 2),
-        "velocity": np.abs(motion.dq) / robot.limits.velocity,
-        "acceleration": np.abs(motion.ddq) / robot.limits.acceleration,
-        "torque": np.abs(torque(robot, motion)) / robot.limits.torque,
-    }
-    return {name: size.max(axis=0) for name, size in sizes.items()}
 
 
 @pytest.mark.parametrize("friction", [False, True])
@@ -34,7 +24,7 @@ def test_ratios_cover_dense_sampling(
     robot = limited(ur10, acceleration=12.0).with_effects(effects if friction else ())
     trajectory = random_trajectory(robot, np.random.default_rng(4), 6.0, 6)
     report = check(robot, trajectory.motion(100) if sampled else trajectory)
-    exact = dense_ratios(robot, trajectory.sample(100_001))
+    exact = limit_shares(robot, trajectory.sample(100_001))
     for use in report.uses:
         # the dense samples miss the edge of a friction jump by up to one step of 60 µs
         jumps = friction and use.quantity == "torque"
@@ -105,7 +95,7 @@ def test_refuses_another_number_of_joints(planar: Robot, ur10: Robot) -> None:
         check(planar, trajectory.at([0.0]))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_random_trajectories_hold_every_limit(ur10: Robot, limited: Limited, seed: int) -> None:
     rng = np.random.default_rng(seed)
     middle, half = rng.uniform(-2, 2, 6), rng.uniform(0.3, 3.0, 6)
@@ -119,11 +109,8 @@ def test_random_trajectories_hold_every_limit(ur10: Robot, limited: Limited, see
         trajectory = random_trajectory(robot, rng, duration, harmonics)
         assert trajectory.at_rest
         assert check(robot, trajectory).hold
-
-
-def test_weak_motors_get_a_feasible_random_trajectory(ur10: Robot, limited: Limited) -> None:
-    robot = limited(ur10, torque=ur10.limits.torque * 0.15)
-    assert check(robot, random_trajectory(robot, np.random.default_rng(0), 10.0, 5)).hold
+    weak = limited(ur10, torque=ur10.limits.torque * 0.15)
+    assert check(weak, random_trajectory(weak, rng, 10.0, 5)).hold
 
 
 def test_gravity_above_the_torque_limit_names_the_joint(ur10: Robot, limited: Limited) -> None:

@@ -196,12 +196,10 @@ def assert_equal(read: tuple[list[str], Motion], motion: Motion, robot: Robot) -
         np.testing.assert_array_equal(getattr(found, name), getattr(motion, name))
 
 
-def test_yaml_is_read_back_equal(ur10: Robot, motion: Motion) -> None:
-    text = joint_trajectory_yaml(motion, ur10)
-    assert_equal(read_yaml(text), motion, ur10)
-
-
-def test_yaml_is_the_message_that_ros_expects(ur10: Robot, motion: Motion) -> None:
+def test_yaml_is_the_message_that_ros_expects_and_is_read_back_equal(
+    ur10: Robot, motion: Motion
+) -> None:
+    assert_equal(read_yaml(joint_trajectory_yaml(motion, ur10)), motion, ur10)
     content = yaml.safe_load(joint_trajectory_yaml(motion[:9], ur10))
     assert list(content) == ["header", "joint_names", "points"]
     assert content["joint_names"] == list(ur10.joints)
@@ -213,18 +211,17 @@ def test_yaml_is_the_message_that_ros_expects(ur10: Robot, motion: Motion) -> No
         assert 0 <= point["time_from_start"]["nanosec"] < 10**9
 
 
-def test_mcap_is_read_back_equal(ur10: Robot, motion: Motion, tmp_path: Path) -> None:
+def test_mcap_and_npz_are_read_back_equal(ur10: Robot, motion: Motion, tmp_path: Path) -> None:
     assert_equal(read_mcap(mcap_bag(motion, ur10), tmp_path / "bag.mcap"), motion, ur10)
-
-
-def test_npz_is_read_back_exactly(ur10: Robot, motion: Motion) -> None:
     with np.load(io.BytesIO(npz(motion, ur10)), allow_pickle=False) as read:
         assert tuple(read["joints"]) == ur10.joints
         for name in ("t", "q", "dq", "ddq"):
             np.testing.assert_array_equal(read[name], getattr(motion, name))
 
 
-def test_urscript_is_read_back_equal(ur10: Robot, six_joints: FourierTrajectory) -> None:
+def test_urscript_goes_to_the_first_pose_and_is_read_back_equal(
+    ur10: Robot, six_joints: FourierTrajectory
+) -> None:
     motion = six_joints.motion(125.0)
     text = urscript(motion, ur10)
     servo = re.findall(r"servoj\(\[(.*)\], t=([0-9.e+-]+),", text)
@@ -233,17 +230,11 @@ def test_urscript_is_read_back_equal(ur10: Robot, six_joints: FourierTrajectory)
     np.testing.assert_allclose([float(step) for _, step in servo], 1 / 125, atol=1e-11)
     [first] = re.findall(r"movej\(\[(.*)\],", text)
     np.testing.assert_array_equal(np.array(first.split(","), float), q[0])
-
-
-def test_urscript_goes_to_the_first_pose_before_it_servoes_and_stops_at_the_end(
-    ur10: Robot, six_joints: FourierTrajectory
-) -> None:
-    lines = [line.strip() for line in urscript(six_joints.motion(125.0), ur10).splitlines()]
-    verbs = [line.split("(")[0] for line in lines if not line.startswith("#")]
-    n = len(six_joints.motion(125.0))
-    assert verbs == ["def excitant_motion", "movej", *["servoj"] * n, "stopj", "end", verbs[-1]]
-    servo = [line for line in lines if line.startswith("servoj")]
-    assert all(line.endswith("t=0.008, lookahead_time=0.1, gain=300)") for line in servo)
+    lines = [line.strip() for line in text.splitlines() if "#" not in line]
+    verbs = [line.split("(")[0] for line in lines]
+    pattern = ["def excitant_motion", "movej", *["servoj"] * len(q), "stopj", "end"]
+    assert verbs == [*pattern, "excitant_motion"]
+    assert all(line.endswith("lookahead_time=0.1, gain=300)") for line in lines[2:-3])
 
 
 def test_urscript_refuses_other_arms_and_uneven_samples(

@@ -36,12 +36,9 @@ def test_lone_torque_is_the_part_of_a_column_outside_the_others() -> None:
         others = np.delete(W, k, axis=1)
         rest = W[:, k] - others @ np.linalg.lstsq(others, W[:, k], rcond=None)[0]
         assert size == pytest.approx(np.linalg.norm(rest) / np.sqrt(40), rel=1e-6)
-
-
-def test_lone_torque_of_what_cannot_be_told_apart_is_nothing() -> None:
-    W = np.random.default_rng(1).normal(size=(30, 3))
+    W = W[:, :3]
     W[:, 2] = W[:, 0] - W[:, 1]
-    assert lone_torque(W.T @ W / 30).max() < 1e-6
+    assert lone_torque(W.T @ W / 40).max() < 1e-5 * np.abs(W).max()
 
 
 def test_scaled_condition_number_does_not_depend_on_units() -> None:

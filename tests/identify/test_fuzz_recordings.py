@@ -103,15 +103,12 @@ def damaged(content: bytes, damages: Sequence[tuple[str, float, int]]) -> bytes:
 
 def attempt(path: Path, *, pieces: bool = False) -> Recording | None:
     """The recording; None when it is refused in one line that names the file."""
-    parts: list[Recording] = []
-    refusal = ""
     try:
         if not pieces:
             return read_recording(path, ROBOT)
         parts = list(read_chunks(path, ROBOT, 60))
     except ExcitantError as error:
         refusal = str(error)
-    if refusal:
         assert path.name in refusal
         assert "\n" not in refusal
         return None
@@ -228,29 +225,24 @@ def edited(table: pd.DataFrame, edits: Sequence[tuple[object, ...]]) -> pd.DataF
     return table
 
 
-def check_edits(edits: Sequence[tuple[object, ...]], suffix: str) -> None:
-    table = edited(TABLE.copy(), edits)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"log{suffix}"
-        if suffix == ".csv":
-            table.to_csv(path, index=False)
-        else:
-            try:
-                table.to_parquet(path)
-            except Exception:  # a table that Parquet cannot hold
-                return
-        found = attempt(path)
-    if found is None or any(name in ("q1 [deg]",) for kind, *_, name in edits if kind == "rename"):
-        return
-    assert_true(found, sum(kind == "cell" for kind, *_ in edits))
-
-
 @examples(50, 400)
 def test_edited_tables(count: int) -> None:
     @settings(max_examples=count)
     @given(st.lists(EDITS, min_size=1, max_size=4), st.sampled_from([".csv", ".parquet"]))
     def check(edits: list[tuple[object, ...]], suffix: str) -> None:
-        check_edits(edits, suffix)
+        table = edited(TABLE.copy(), edits)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"log{suffix}"
+            if suffix == ".csv":
+                table.to_csv(path, index=False)
+            else:
+                try:
+                    table.to_parquet(path)
+                except Exception:  # a table that Parquet cannot hold
+                    return
+            found = attempt(path)
+        if found is not None and not any(e[0] == "rename" and e[2] == "q1 [deg]" for e in edits):
+            assert_true(found, sum(kind == "cell" for kind, *_ in edits))
 
     check()
 

@@ -1,7 +1,6 @@
 """The page of an analysis: one section for each link, and what a motion leaves open, in words."""
 
 import copy
-import json
 import re
 
 import numpy as np
@@ -10,8 +9,10 @@ import pytest
 from excitant.analysis.identifiability import analyze
 from excitant.design import random_trajectory
 from excitant.reports import brief, html, page_of, save_run
-from excitant.reports.arm_figures import chain_figure, correlation_figure, side_view
+from excitant.reports.arm_figures import chain_figure, side_view
 from excitant.reports.drawing import style
+from excitant.reports.motion_figures import correlation_figure
+from excitant.reports.run import as_saved
 from excitant.robots import Motion, load_robot
 from excitant.robots.effects import standard_effects
 
@@ -30,8 +31,8 @@ def headings(page):
 
 
 def through_json(result):
-    """What a saved run gives back; infinity and NaN would not survive it."""
-    return json.loads(json.dumps(result, allow_nan=False))
+    """What a saved run gives back."""
+    return as_saved(result, {})[0]
 
 
 def motion_of(robot, resting=None):
