@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from excitant.robots.bodies import Body
 from excitant.robots.motion import Array
-from excitant.robots.parameters import violations
+from excitant.robots.parameters import elements, violations
 from excitant.robots.robot import Robot
 
 _OUTSIDE = {True: 0.15, False: 0.5}  # of the link's size, with and without solids
@@ -143,8 +143,7 @@ def _power_of_ten(value: float) -> bool:
 
 
 def _not_physical(robot: Robot, body: Body) -> ModelWarning | None:
-    central = body.inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-    found = violations(np.array([body.mass, 0, 0, 0, *central]), (body.link,))
+    found = violations(np.array([body.mass, 0, 0, 0, *elements(body.inertia)]), (body.link,))
     if not found:
         return None
     why = found[0].removeprefix(f"{body.link}: ")
@@ -261,8 +260,7 @@ def _moves_nothing(robot: Robot, body: Body, moment: Array) -> bool:
         return False
     k = robot.links.index(body.link)
     phi = robot.phi.copy()
-    tensor = np.trace(moment) * np.eye(3) - moment
-    phi[10 * k + 4 : 10 * k + 10] -= tensor[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    phi[10 * k + 4 : 10 * k + 10] -= elements(np.trace(moment) * np.eye(3) - moment)
     other = robot.with_parameters(phi).model
     states = zip(*robot.random_motion(np.random.default_rng(0), 5), strict=True)
     tau = [

@@ -44,7 +44,7 @@ import pinocchio as pin
 from excitant.exceptions import BadRobot
 from excitant.robots.limits import Limits
 from excitant.robots.motion import Array, freeze, read_only
-from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
+from excitant.robots.parameters import elements, from_pseudo_inertia, pseudo_inertia, steiner
 from excitant.robots.robot import Robot
 from excitant.robots.schema import DHRecord, PlaceRecord, RobotRecord
 from excitant.robots.urdf import (
@@ -512,8 +512,8 @@ def _phi(row: DHRecord, link: str, source: str) -> Array:
     )
     if row.I is None:
         c = mc / row.m
-        about = about + row.m * (c @ c * np.eye(3) - np.outer(c, c))
-    return np.concatenate([[row.m], mc, about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+        about = about + steiner(row.m, c)
+    return np.concatenate([[row.m], mc, elements(about)])
 
 
 def _place(record: PlaceRecord, unit: float) -> Array:

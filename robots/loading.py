@@ -35,13 +35,7 @@ class RobotSpec:
     """Everything that says which robot is meant; `load_robot` takes it as one thing.
 
     Attributes:
-        path: Built-in name, URDF, xacro, MJCF or ``robot.yaml``.
-        joints: Joints to keep; all others are held.
-        base: Link that the chain starts from.
-        tip: Link that the chain ends at.
-        lock: Joints to hold and their positions [rad or m].
-        xacro_args: Values of the arguments of a xacro file.
-        packages: Folders in which ``$(find name)`` of a xacro file looks.
+        path: Built-in name, URDF, xacro, MJCF or ``robot.yaml``; all else as of `load_robot`.
     """
 
     path: str | Path

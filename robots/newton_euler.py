@@ -36,7 +36,7 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.robots.dh import DHChain
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array
 
 _Z = np.array([0.0, 0.0, 1.0])
 _ELEMENTS = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
@@ -64,9 +64,6 @@ class LinkMotion:
     omega: Array
     domega: Array
     dv: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "turn", "axis", "p", "reach", "omega", "domega", "dv")
 
 
 def cross_matrix(v: npt.ArrayLike) -> Array:
@@ -99,11 +96,7 @@ def forward_recursion(
 ) -> LinkMotion:
     """Velocities and accelerations from the base outward, eqs (1)–(3), with v̇_0 = −g.
 
-    Args:
-        chain: The arm; standard or modified.
-        q: Positions, shape (n, nv) [rad or m].
-        dq: Velocities, shape (n, nv).
-        ddq: Accelerations, shape (n, nv).
+    Positions, velocities and accelerations have shape (n, nv).
     """
     dq, ddq = np.asarray(dq, float), np.asarray(ddq, float)
     T = chain.poses(q)
@@ -141,14 +134,7 @@ def _swing(omega: Array, domega: Array, lever: Array) -> Array:
 def kinematic_matrix(p: Array, omega: Array, domega: Array, dv: Array) -> Array:
     """K_i: force and moment per unit of each standard parameter of the link.
 
-    Args:
-        p: Lever of the moment, shape (..., 3) [m]; see `LinkMotion`.
-        omega: Angular velocity, shape (..., 3) [rad/s].
-        domega: Angular acceleration, shape (..., 3) [rad/s²].
-        dv: Acceleration of the frame's origin minus gravity, shape (..., 3) [m/s²].
-
-    Returns:
-        Shape (..., 6, 10).
+    From what `LinkMotion` says of it, each of shape (..., 3), to shape (..., 6, 10).
     """
     spin, arm = cross_matrix(omega), cross_matrix(p)
     swing = cross_matrix(domega) + spin @ spin

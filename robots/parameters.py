@@ -56,8 +56,17 @@ def from_pseudo_inertia(P: npt.ArrayLike) -> Array:
     P = np.asarray(P, float)
     sigma = P[..., :3, :3]
     inertia = np.trace(sigma, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - sigma
-    rows, columns = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]
-    return np.concatenate([P[..., 3, 3:], P[..., :3, 3], inertia[..., rows, columns]], axis=-1)
+    return np.concatenate([P[..., 3, 3:], P[..., :3, 3], elements(inertia)], axis=-1)
+
+
+def elements(tensor: Array) -> Array:
+    """(I_xx, I_xy, I_yy, I_xz, I_yz, I_zz) of tensors, shape (..., 3, 3) to (..., 6)."""
+    return tensor[..., [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+
+
+def steiner(mass: float, c: Array) -> Array:
+    """M (c² 1 − c cᵀ): what a tensor about the centre of mass lacks of one about −c, (3, 3)."""
+    return np.asarray(mass * (c @ c * np.eye(3) - np.outer(c, c)))
 
 
 def inertia(phi: npt.ArrayLike) -> pin.Inertia:

@@ -18,6 +18,7 @@ from excitant.exceptions import BadRobot
 from excitant.robots.chains import Choice, held_joints, tree
 from excitant.robots.limits import Limits
 from excitant.robots.motion import Array
+from excitant.robots.parameters import elements, steiner
 from excitant.robots.robot import Robot
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -43,11 +44,10 @@ def robot_from_urdf(
         text: The URDF.
         source: Where it came from, for messages.
         name: Name of the arm; the URDF's own when not given.
-        joints: Joints to keep; all others are held. All joints when not given.
-        base: Keep only the joints that this link carries.
-        tip: Keep only the joints on the way to this link; what it carries goes along.
-        lock: Joints to hold and their positions [rad or m]; those that are not kept are held at
-            zero, or where the joint puts them that they follow.
+        joints: Joints to keep; this, ``base``, ``tip`` and ``lock`` are as of `load_robot`.
+        base: Link that the chain starts from.
+        tip: Link that the chain ends at.
+        lock: Joints to hold and their positions [rad or m].
         loops: Pairs of links that are tied together outside the tree.
         gravity: Gravity in the base frame [m/s²].
 
@@ -172,14 +172,11 @@ def number(text: str, key: str, owner: ET.Element, source: str) -> float:
         value = float(text)
     except ValueError:
         value = np.nan
-    if not np.isfinite(value):
-        raise BadRobot(
-            source, f"{owner.tag} '{owner.get('name')}': {key}=\"{text}\" is not a number"
-        )
+    why = "" if np.isfinite(value) else "not a number"
     if abs(value) > _LARGEST and key not in _LIMIT_KEYS:
-        raise BadRobot(
-            source, f"{owner.tag} '{owner.get('name')}': {key}=\"{text}\" is beyond any arm's size"
-        )
+        why = "beyond any arm's size"
+    if why:
+        raise BadRobot(source, f"{owner.tag} '{owner.get('name')}': {key}=\"{text}\" is {why}")
     return value
 
 
@@ -359,10 +356,7 @@ def inertial_element(phi: Array) -> ET.Element:
     """``<inertial>`` of standard parameters about the link's frame, shape (10,)."""
     mass = phi[0]
     lever = phi[1:4] / mass if mass else np.zeros(3)
-    xx, xy, yy, xz, yz, zz = phi[4:] - mass * (
-        lever @ lever * np.array([1.0, 0, 1, 0, 0, 1])
-        - np.outer(lever, lever)[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-    )
+    xx, xy, yy, xz, yz, zz = phi[4:] - elements(steiner(mass, lever))
     element = ET.Element("inertial")
     ET.SubElement(element, "origin", xyz=numbers_text(lever), rpy="0 0 0")
     ET.SubElement(element, "mass", value=repr(float(mass)))

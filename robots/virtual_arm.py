@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from excitant.exceptions import BadInput
-from excitant.robots.parameters import inertia
+from excitant.robots.parameters import elements, inertia, steiner
 from excitant.robots.plant.controller import Trajectory
 from excitant.robots.plant.nominal import (
     draw_hidden_effect,
@@ -173,6 +173,5 @@ def _perturbed(body: Any, rng: np.random.Generator, tolerance: float) -> Any:
     gyration = np.sqrt(max(np.trace(body.inertia), 0.0) / (2 * body.mass))
     mass, c = body.mass * (1 + factors[0]), np.array(body.lever)
     c += tolerance * gyration * shift / max(1.0, np.linalg.norm(shift))
-    I = body.inertia * (1 + factors[1]) + mass * (c @ c * np.eye(3) - np.outer(c, c))  # noqa: E741
-    rows, columns = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]
-    return inertia(np.array([mass, *(mass * c), *I[rows, columns]]))
+    tensor = body.inertia * (1 + factors[1]) + steiner(mass, c)
+    return inertia(np.array([mass, *(mass * c), *elements(tensor)]))

@@ -96,23 +96,19 @@ def joint_facts(
     unexplained: Array | None = None,
     cutoff_hz: float = np.inf,
 ) -> tuple[JointFacts, ...]:
-    """What recordings show of each joint; nothing is too large where there are none.
+    """What recordings show of each joint; the rest where a model leaves torque at some rows."""
 
-    Args:
-        motions: Motion of each recording.
-        rows: Rows of each that `unexplained` is given at.
-        unexplained: What a model so far leaves of the torque there, shape (n, nv) [N·m].
-        cutoff_hz: Of the filter that it has passed [Hz].
-    """
-    q, dq = (np.concatenate([getattr(m, name) for m in motions]) for name in ("q", "dq"))
+    def joined(parts: Sequence[Motion]) -> tuple[Array, Array]:
+        return np.concatenate([m.q for m in parts]), np.concatenate([m.dq for m in parts])
+
+    q, dq = joined(motions)
     speed, reach = np.abs(dq).max(axis=0).tolist(), np.ptp(q, axis=0).tolist()
     start = min(float(m.t[0]) for m in motions)
     duration = max(float(m.t[-1]) for m in motions) - start
     facts = [JointFacts(*of, start, duration) for of in zip(speed, reach, strict=True)]
     if unexplained is None:
         return tuple(facts)
-    kept = [motion[part] for motion, part in zip(motions, rows, strict=True)]
-    q, dq = (np.concatenate([getattr(m, name) for m in kept]) for name in ("q", "dq"))
+    q, dq = joined([motion[part] for motion, part in zip(motions, rows, strict=True)])
     return tuple(
         replace(seen, q=q[:, j], dq=dq[:, j], unexplained=unexplained[:, j], cutoff_hz=cutoff_hz)
         for j, seen in enumerate(facts)

@@ -65,10 +65,6 @@ def typical_motion(robot: Robot) -> tuple[Array, Array, Array]:
 Numbers = Mapping[str, float]
 
 
-def _same(*names: str) -> Callable[[Numbers], dict[str, float]]:
-    return lambda x: {name: x[name] for name in names if name in x}
-
-
 def _ripple(x: Numbers) -> dict[str, float]:
     """A cos(n q) + B sin(n q) as one sine."""
     cosine, sine = (
@@ -87,23 +83,18 @@ def _spring(x: Numbers) -> dict[str, float]:
     return {"stiffness": x["k"], "rest": -x["moment"] / x["k"] if x["k"] else 0.0}
 
 
-_TRANSLATION: dict[str, Callable[[Numbers], dict[str, float]]] = {
-    "viscous_friction": _same("Fv"),
-    "coulomb_friction": _same("Fc"),
-    "stribeck_friction": _same("Fs", "velocity"),
-    "asymmetric_friction": _same("Fc_plus", "Fc_minus", "Fv_plus", "Fv_minus"),
-    "nonlinear_viscous_friction": _same("Fn", "exponent"),
-    "load_dependent_friction": _same("Fl"),
-    "presliding_hysteresis": _same("Fh", "distance"),
+_ALIKE = (
+    *("viscous_friction", "coulomb_friction", "stribeck_friction", "asymmetric_friction"),
+    *("nonlinear_viscous_friction", "load_dependent_friction", "presliding_hysteresis"),
+    *("rotor_inertia", "torque_offset", "friction_coupling", "inertia_coupling", "time_delay"),
+)
+"""Effects whose parameters have the same names and meaning in the plant."""
+_TRANSLATION: dict[str, Callable[[Numbers], Numbers]] = {
+    **dict.fromkeys(_ALIKE, lambda x: x),
     "thermal_friction_drift": lambda x: {"Fv": x["Fv_cold"], "Fc": x["Fc_cold"], "time": x["time"]},
-    "rotor_inertia": _same("Ia"),
-    "torque_offset": _same("offset"),
     "torque_ripple": _ripple,
     "spring": _spring,
-    "friction_coupling": _same("Fv", "Fc", "ratio"),
-    "inertia_coupling": _same("Ic"),
     "torque_gain": lambda x: {"gain": 1 + x["gain"]},
-    "time_delay": _same("delay"),
     "payload": lambda x: {name: x[f"payload_{name}"] for name in STANDARD},
     "inertial_parameters": lambda x: {name: x[f"delta_{name}"] for name in STANDARD},
 }

@@ -25,7 +25,6 @@ from excitant.robots.plant.physics import (
     Truth,
     Wall,
 )
-from excitant.robots.plant.sensors import Encoder, Recorder
 
 STRUCTURES = ("wall_contact", "cable_pull", "telegraph_torque", "sensor_crosstalk")
 """What an ``unknown`` effect may be: no name of the vocabulary describes it."""
@@ -302,13 +301,13 @@ def _play(
 
 
 def _encoder_scale(truth: Truth, joints: list[int], *, scale: float) -> Truth:
-    factor = _scaled(truth.encoder.scale, joints, scale)
-    return replace(truth, encoder=Encoder(factor, truth.encoder.offset))
+    scales = _scaled(truth.encoder.scale, joints, scale)
+    return replace(truth, encoder=replace(truth.encoder, scale=scales))
 
 
 def _encoder_offset(truth: Truth, joints: list[int], *, offset: float) -> Truth:
-    shift = _shifted(truth.encoder.offset, joints, offset)
-    return replace(truth, encoder=Encoder(truth.encoder.scale, shift))
+    offsets = _shifted(truth.encoder.offset, joints, offset)
+    return replace(truth, encoder=replace(truth.encoder, offset=offsets))
 
 
 def _torque_gain(truth: Truth, joints: list[int], *, gain: float) -> Truth:
@@ -332,11 +331,10 @@ def _factor(
     truth: Truth, joints: list[int], *, q: float = 1.0, dq: float = 1.0, tau: float = 1.0
 ) -> Truth:
     """Factors on the columns."""
-    factor = {}
-    for name, value in (("q", q), ("dq", dq), ("tau", tau)):
-        before = truth.recorder.factor.get(name, np.ones(truth.nv))
-        factor[name] = _scaled(before, joints, value)
-    return replace(truth, recorder=Recorder(truth.recorder.gain, truth.recorder.delay, factor))
+    before, ones = truth.recorder.factor, np.ones(truth.nv)
+    given = {"q": q, "dq": dq, "tau": tau}
+    factor = {name: _scaled(before.get(name, ones), joints, x) for name, x in given.items()}
+    return replace(truth, recorder=replace(truth.recorder, factor=factor))
 
 
 def _wall(

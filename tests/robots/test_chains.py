@@ -132,14 +132,6 @@ def test_the_chosen_joints_move_and_all_else_is_carried(path: Path, kind: str) -
     assert np.abs(rigid_body_torque(robot, motion) - tau).max() <= 1e-10 * np.abs(tau).max()
 
 
-def test_tool_and_gravity_are_those_of_the_chain(path: Path) -> None:
-    left = load_robot(path, tip="left_elbow")
-    assert left.model.frames[left.tip].name == "left_elbow"
-    assert load_robot(path, tip="right_elbow").model.frames[left.tip].name != "left_thumb"
-    named = load_robot(path, joints=joints("left"))
-    assert named.model.frames[named.tip].parentJoint == named.nv
-
-
 def test_a_follower_off_the_chain_is_held_where_it_belongs(path: Path) -> None:
     robot = load_robot(path, tip="left_elbow", lock={"right_thumb_joint": 0.02})
     held = dict(robot.locked)
@@ -239,11 +231,3 @@ def test_robot_yaml_chooses_a_chain(path: Path) -> None:
     assert dict(part.locked)["lift"] == 0.2
     with pytest.raises(UnknownName):
         load_robot(file, joints=["right_elbow_joint"])
-
-
-def test_part_of_a_built_in_arm() -> None:
-    robot = load_robot("panda", joints=["panda_joint2", "panda_joint4"], lock={"panda_joint3": 0.3})
-    assert robot.joints == ("panda_joint2", "panda_joint4")
-    assert dict(robot.locked)["panda_joint3"] == 0.3
-    whole = load_robot("panda")
-    assert robot.limits.torque.tolist() == whole.limits.torque[[1, 3]].tolist()

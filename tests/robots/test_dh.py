@@ -26,7 +26,7 @@ from excitant.robots import (
     urdf_from_dh,
     with_convention,
 )
-from excitant.robots.dh import CONVENTIONS, Convention, Cylinder, inverse, moved_parameters
+from excitant.robots.dh import CONVENTIONS, Convention, Cylinder
 from excitant.robots.geometry import scene
 from excitant.robots.newton_euler import modified_torque
 from excitant.robots.urdf import robot_from_urdf
@@ -92,33 +92,6 @@ def test_the_other_convention_is_the_same_arm(
     assert np.allclose(tips(other, motion.q), tips(chain, motion.q), rtol=0, atol=1e-12)
     again = with_convention(other, convention)
     assert close(chain_torque(again, motion), chain_torque(chain, motion))
-
-
-@given(seed=SEEDS)
-def test_moved_parameters_are_those_of_the_same_body(random_bodies: Bodies, seed: int) -> None:
-    """There and back is the identity, and a body of points moves with its points."""
-    rng = np.random.default_rng(seed)
-    T = rotation(0, rng.uniform(-3, 3)) @ rotation(2, rng.uniform(-3, 3))
-    T[:3, 3] = rng.standard_normal(3)
-    phi = random_bodies(seed, 2).reshape(2, 10)
-    there = moved_parameters(phi, T)
-    assert np.allclose(moved_parameters(there, inverse(T)), phi, rtol=0, atol=1e-12)
-    points, masses = rng.standard_normal((6, 3)), rng.uniform(0.1, 1, 6)
-    assert np.allclose(
-        moved_parameters(of_points(points, masses), T),
-        of_points(points @ T[:3, :3].T + T[:3, 3], masses),
-        rtol=1e-12,
-        atol=1e-12,
-    )
-
-
-def of_points(points: np.ndarray, masses: np.ndarray) -> np.ndarray:
-    inertia = sum(
-        m * (x @ x * np.eye(3) - np.outer(x, x)) for m, x in zip(masses, points, strict=True)
-    )
-    return np.array(
-        [masses.sum(), *(masses @ points), *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
-    )
 
 
 # Robots to chains and back

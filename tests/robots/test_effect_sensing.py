@@ -12,7 +12,6 @@ import scipy.interpolate
 from excitant.robots import Motion, Robot, rigid_body_torque, torque
 from excitant.robots.effects import (
     Backlash,
-    CoulombFriction,
     EncoderOffset,
     EncoderScale,
     GravityDirection,
@@ -24,7 +23,6 @@ from excitant.robots.effects import (
     ViscousFriction,
 )
 from excitant.robots.effects.transmission import play
-from excitant.robots.regressor import carried_torque
 from excitant.robots.urdf import robot_from_urdf
 
 States = Callable[[Robot, int, int], Motion]
@@ -164,13 +162,6 @@ def test_torque_gain_is_a_share_of_all_torque_but_its_own(planar: Robot) -> None
     bare = planar.with_effects(())
     tau = effect.torque(bare, motion)[:, j]
     np.testing.assert_allclose(tau, gain * rigid_body_torque(bare, motion)[:, j], rtol=1e-12)
-
-
-def test_carried_torque_leaves_effects_without_values_out(planar: Robot) -> None:
-    motion = smooth(planar, np.arange(0, 1, 0.1))
-    robot = planar.with_effects((CoulombFriction(planar.joints),))
-    np.testing.assert_array_equal(carried_torque(robot, motion), rigid_body_torque(planar, motion))
-    assert not carried_torque(robot, motion).flags.writeable
 
 
 def yielding(robot: Robot, motion: Motion, j: int, compliance: float) -> np.ndarray:

@@ -247,18 +247,6 @@ def test_a_file_of_the_model_holds_it_or_says_that_it_does_not(
         np.testing.assert_allclose(held, effect.values)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["encoder_offset", "encoder_scale", "kinematic_error", "joint_elasticity", "backlash"],
-)
-def test_effects_of_a_joints_place_reach_the_joints_before_it(
-    gantry: Robot, random_states: States, name: str
-) -> None:
-    motion = random_states(gantry, 8, 30)
-    columns = EFFECTS[name](gantry.joints[-1:]).columns(gantry, motion)
-    assert columns.any(axis=(0, 2)).all()
-
-
 def test_parameter_names_are_unique(ur10: Robot) -> None:
     names = [p.name for kind in EFFECTS.values() for p in on(ur10, kind).parameters(ur10)]
     assert len(set(names)) == len(names)

@@ -7,7 +7,7 @@ import pytest
 import scipy.signal
 from hidden_effects import FAULTS, KINDS, draw_effect, typical_trajectory, visible_size
 
-from excitant.exceptions import BadInput, UnknownName
+from excitant.exceptions import UnknownName
 from excitant.robots import Robot, load_robot
 from excitant.robots.parameters import violations
 from excitant.robots.plant.planting import STRUCTURES
@@ -149,6 +149,3 @@ def test_refusals(planar: Robot) -> None:
     rng = np.random.default_rng(0)
     with pytest.raises(UnknownName, match="did you mean 'payload'"):
         draw_effect(planar, rng, "payloads")
-    weightless = planar.with_gravity([0.0, 0.0, 0.0])
-    with pytest.raises(BadInput, match="cannot show a gravity_direction"):
-        draw_effect(weightless, rng, "gravity_direction", 5.0, duration=1.0)

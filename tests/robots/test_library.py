@@ -12,21 +12,11 @@ from excitant.design import random_trajectory
 from excitant.robots import Robot, builtin_robots, load_robot
 from excitant.robots.bodies import bent_pose, bodies, sketch, zero_pose
 from excitant.robots.geometry import scene
-from excitant.robots.library import arm_entry, catalogue, catalogue_page
+from excitant.robots.library import arm_entry, catalogue_page
 from excitant.robots.parameters import violations
 from excitant.robots.virtual_arm import virtual_arm
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def test_there_are_arms_of_many_kinds() -> None:
-    arms = {arm.name: arm for arm in catalogue()}
-    assert len(arms) >= 13
-    assert {arm.joints for arm in arms.values()} >= {2, 3, 4, 5, 6, 7}
-    assert {arms[name].prismatic for name in ("scara", "cylindrical", "ur5e")} == {0, 1, 2}
-    kinds = " ".join(arm.kind for arm in arms.values())
-    for kind in ("collaborative", "industrial", "SCARA", "servo", "torque sensors"):
-        assert kind in kinds
 
 
 def test_the_page_of_arms_is_current() -> None:

@@ -15,7 +15,6 @@ from excitant.exceptions import BadRobot, ExcitantError
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import CoulombFriction
 from excitant.robots.geometry import scene
-from excitant.robots.urdf import robot_from_urdf, urdf_with_parameters
 
 SAME = 1e-8  # of the largest torque
 ONE = '<mujoco><worldbody><body name="a">{}</body></worldbody></mujoco>'
@@ -147,16 +146,6 @@ def test_limits_and_friction_are_those_of_mujoco(full: Path) -> None:
         assert np.allclose(found, expected, rtol=1e-14), name
 
 
-def test_its_urdf_alone_has_the_same_rigid_bodies(full: Path) -> None:
-    robot = load_robot(full)
-    again = robot_from_urdf(
-        urdf_with_parameters(robot, robot.phi), source="written", gravity=robot.gravity
-    )
-    motion = states(robot)
-    tau = torque(robot.with_effects(()), motion)
-    assert np.abs(torque(again, motion) - tau).max() <= 1e-9 * np.abs(tau).max()
-
-
 def test_shapes_that_touch_are_collision_shapes(full: Path) -> None:
     found = scene(load_robot(full))
     assert found is not None
@@ -258,22 +247,6 @@ def test_inertia_of_a_mesh_is_that_of_its_volume(tmp_path: Path, frame: str) -> 
         <geom type="mesh" mesh="wedge" mass="2"/></body></body></worldbody></mujoco>"""
     )
     assert_same_torque(path, load_robot(path))
-
-
-def test_included_files_and_classes_of_bodies(tmp_path: Path) -> None:
-    (tmp_path / "parts").mkdir()
-    (tmp_path / "parts" / "defaults.xml").write_text(
-        "<mujocoinclude><default><default class='light'><geom density='300'/></default></default>"
-        "</mujocoinclude>"
-    )
-    path = tmp_path / "arm.xml"
-    path.write_text(
-        "<mujoco><include file='parts/defaults.xml'/><worldbody><body name='a' childclass='light'>"
-        "<joint name='j' axis='0 1 0'/><geom size='0.1' pos='0.3 0 0'/></body></worldbody></mujoco>"
-    )
-    robot = load_robot(path)
-    assert robot.phi[0] == pytest.approx(300 * 4 / 3 * np.pi * 1e-3, rel=1e-12)
-    assert_same_torque(path, robot)
 
 
 GRIPPER = """

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from second_opinion import grouping
 from seed import (
-    central_parameters,
     classical_torque,
     dd_arm,
     dd_arm_chain,
@@ -34,7 +33,6 @@ from excitant.robots.dh import parameter_map
 from excitant.robots.newton_euler import (
     cross_matrix,
     forward_recursion,
-    inertia_columns,
     kinematic_matrix,
     modified_torque,
     pseudo_rotation,
@@ -82,31 +80,6 @@ def test_both_recursions_are_what_pinocchio_says(
 
 
 # The paper's properties
-
-
-def central_torque(chain: DHChain, x: np.ndarray, c: np.ndarray, m: float) -> np.ndarray:
-    """Classical torque with the last link's mass and centre moved, its central inertia kept."""
-    _, _, central = central_parameters(chain.phi[-10:])
-    inertia = central + m * (c @ c * np.eye(3) - np.outer(c, c))
-    last = [m, *(m * c), *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
-    return classical_torque(chain.with_parameters([*chain.phi[:-10], *last]), *x)
-
-
-@given(seed=SEEDS)
-def test_classical_parameters_linear_in_mass_quadratic_in_centre_of_mass(
-    random_chain: Chains, seed: int
-) -> None:
-    """Why the modified form: in (m, c, I_C) torque is linear in m and I_C, quadratic in c."""
-    chain, x = random_chain(seed, 4), states(seed, 4, 4)
-    chain = replace(chain, revolute=np.ones(4, dtype=bool))
-    step, c = np.array([0.3, -0.2, 0.4]), np.array([0.1, 0.2, -0.1])
-    masses = [central_torque(chain, x, c, m) for m in (1.0, 2.0, 3.0)]
-    scale = np.abs(masses).max()
-    assert np.abs(np.diff(masses, 2, axis=0)).max() <= EXACT * scale
-    moved = [central_torque(chain, x, c + k * step, 2.0) for k in range(4)]
-    scale = np.abs(moved).max()
-    assert np.abs(np.diff(moved, 2, axis=0)).max() > 1e-4 * scale
-    assert np.abs(np.diff(moved, 3, axis=0)).max() <= EXACT * scale
 
 
 @given(seed=SEEDS, nv=st.integers(2, 9), convention=CONVENTIONS)
@@ -187,19 +160,6 @@ def test_the_printed_kinematic_matrix_is_wrong(random_chain: Chains) -> None:
         once = torque_with(chain, (q, dq, ddq), form)
         twice = torque_with(chain, (q, 2 * dq, 4 * ddq), form)
         assert close(twice, 4 * once, 1e-9) == scales
-
-
-def test_the_printed_last_block_has_the_wrong_size() -> None:
-    """[ω×][ω×] is 3 × 3 where I has six elements; [ω×][·ω] is meant: ω × (I ω)."""
-    rng = np.random.default_rng(0)
-    omega, elements = rng.standard_normal(3), rng.standard_normal(6)
-    spin = cross_matrix(omega)
-    assert (spin @ spin).shape != (3, 6) == (spin @ inertia_columns(omega)).shape
-    xx, xy, yy, xz, yz, zz = elements
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    assert np.allclose(inertia_columns(omega) @ elements, inertia @ omega, rtol=1e-13)
-    expected = np.cross(omega, inertia @ omega)
-    assert np.allclose(spin @ inertia_columns(omega) @ elements, expected, rtol=1e-13)
 
 
 # The CMU DD Arm II

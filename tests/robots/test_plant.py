@@ -6,7 +6,6 @@ must be the effect's own law, written here once more; for two-mass joints MuJoCo
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 
@@ -17,64 +16,48 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plant_recordings import RATE, Recorded, at, away_from_changes, hidden, swing, true_arm
+from plant_recordings import (
+    RATE,
+    SMOOTH,
+    Recorded,
+    at,
+    away_from_changes,
+    hidden,
+    hold,
+    swing,
+    true_arm,
+)
 
-from excitant.exceptions import BadInput, UnknownName
-from excitant.robots import Robot, torque
-from excitant.robots.effects import EFFECTS
-from excitant.robots.plant.arm import stick_or_slip
-from excitant.robots.plant.physics import Bristles, Gear
-from excitant.robots.plant.planting import PLANTERS, parameters_of
-from excitant.robots.virtual_arm import ideal_sensors, virtual_arm
+from excitant.exceptions import BadInput, BadRobot, UnknownName
+from excitant.robots import (
+    Motion,
+    Robot,
+    base_parameters,
+    load_robot,
+    torque,
+)
+from excitant.robots.effects import EFFECTS, RotorInertia
+from excitant.robots.parameters import violations
+from excitant.robots.plant import run as plant_run
+from excitant.robots.plant.arm import Arm, stick_or_slip
+from excitant.robots.plant.controller import tracking_controller
+from excitant.robots.plant.planting import PLANTERS, parameters_of, plant
+from excitant.robots.virtual_arm import (
+    HiddenEffect,
+    Sensors,
+    draw_hidden_effect,
+    ideal_sensors,
+    industrial_sensors,
+    nominal_truth,
+    typical_torque,
+    virtual_arm,
+)
+from excitant.robots.virtual_arm import virtual_arm as build
 
 
 @pytest.fixture(scope="module")
 def robot(planar: Robot) -> Robot:
     return planar
-
-
-Law = Callable[[np.ndarray, np.ndarray], np.ndarray]
-LAWS: list[tuple[str, dict[str, float], Law]] = [
-    (
-        "asymmetric_friction",
-        {"Fc_plus": 2.0, "Fc_minus": -0.2, "Fv_plus": 1.5, "Fv_minus": 3.0},
-        lambda q, v: np.where(v > 0, 2.0 + 1.5 * v, 0.2 + 3.0 * v),
-    ),
-    *(
-        (
-            "nonlinear_viscous_friction",
-            {"Fn": 3.0, "exponent": exponent},
-            lambda q, v, exponent=exponent: 3.0 * np.abs(v) ** exponent * np.sign(v),
-        )
-        for exponent in (0.3, 2.0)
-    ),
-    (
-        "torque_ripple",
-        {"amplitude": 2.0, "order": 9.0, "phase": 0.4},
-        lambda q, v: 2.0 * np.sin(9.0 * q + 0.4),
-    ),
-    ("spring", {"stiffness": 8.0, "rest": 0.3}, lambda q, v: 8.0 * (q - 0.3)),
-    ("spring", {"moment": 5.0, "rest": -0.2}, lambda q, v: 5.0 * np.sin(q + 0.2)),
-]
-
-
-@pytest.mark.parametrize(("kind", "parameters", "law"), LAWS)
-def test_torque_by_a_joints_own_state(
-    robot: Robot, kind: str, parameters: dict[str, float], law: Law
-) -> None:
-    """Beside a spring of the other joint: effects add."""
-    coil = hidden("spring", robot.joints[0], stiffness=6.0)
-    run = Recorded(robot, hidden(kind, robot.joints[1], **parameters), coil)
-    expected = at(robot, 1, law(run.q[:, 1], run.dq[:, 1])) + at(robot, 0, 6.0 * run.q[:, 0])
-    # nearer to rest a small exponent is too steep for a step to follow
-    fast = np.abs(run.dq[:, 1]) > 0.02
-    run.agree(expected, 1e-3 if kind == "spring" else 3e-3, fast)
-
-
-def test_load_dependent_friction(robot: Robot) -> None:
-    """Proportional to what the gear carries: the torque of the links, not of the rotor."""
-    run = Recorded(robot, hidden("load_dependent_friction", robot.joints[1], Fl=0.1))
-    run.agree(at(robot, 1, 0.1 * np.abs(run.rigid()[:, 1]) * np.sign(run.dq[:, 1])), 3e-3)
 
 
 def test_thermal_friction_drift(robot: Robot) -> None:
@@ -86,28 +69,11 @@ def test_thermal_friction_drift(robot: Robot) -> None:
         run.agree(at(robot, 0, level), 3e-3)
 
 
-def test_friction_of_a_coupled_shaft(robot: Robot) -> None:
-    """Viscous and dry friction at q̇_j + r q̇_k, felt by j as it is and by k times r."""
-    j, k = robot.nv - 2, robot.nv - 1
-    names = robot.joints[j], robot.joints[k]
-    run = Recorded(robot, hidden("friction_coupling", *names, Fv=0.8, Fc=1.2, ratio=-0.7))
-    w = run.dq[:, j] - 0.7 * run.dq[:, k]
-    torque = 0.8 * w + 1.2 * np.sign(w)
-    expected = at(robot, j, torque) - at(robot, k, 0.7 * torque)
-    run.agree(expected, 3e-3, away_from_changes(np.sign(w)))
-
-
 def test_a_jammed_shaft_couples_the_joints(ur10: Robot) -> None:
     """With dry friction that nothing overcomes, q̇_j + r q̇_k stays zero while both joints move."""
     run = Recorded(ur10, hidden("friction_coupling", *ur10.joints[4:], Fc=1e3, ratio=1.0))
     assert np.abs(run.dq[:, 4]).max() > 0.05
     assert np.abs(run.dq[:, 4] + run.dq[:, 5]).max() < 1e-9
-
-
-def test_coupled_rotors(robot: Robot) -> None:
-    j, k = robot.nv - 2, robot.nv - 1
-    run = Recorded(robot, hidden("inertia_coupling", robot.joints[j], robot.joints[k], Ic=0.03))
-    run.agree(at(robot, j, 0.03 * run.ddq[:, k]) + at(robot, k, 0.03 * run.ddq[:, j]), 1e-2)
 
 
 def test_a_tilted_base_turns_gravity(ur10: Robot) -> None:
@@ -176,42 +142,6 @@ def test_columns_with_wrong_sign_and_unit(robot: Robot) -> None:
     )
     degrees = Recorded(robot, hidden("wrong_unit", q=180 / np.pi)).table
     assert np.allclose(degrees.filter(regex="^q"), np.rad2deg(true.filter(regex="^q")))
-
-
-def test_presliding_keeps_to_dahls_law(ur10: Robot) -> None:
-    """dF/dx = (F_h − F sign ẋ) / x_h along the recorded positions; F_h replaces dry friction."""
-    run = Recorded(ur10, hidden("presliding_hysteresis", ur10.joints[1], Fh=15.0, distance=0.03))
-    force, forces = 0.0, []
-    for dx in np.diff(run.table["q2"].to_numpy(), prepend=run.table["q2"][0]):
-        for _ in range(10):
-            force += dx / 10 * (15.0 - force * np.sign(dx)) / 0.03
-        forces.append(force)
-    rest = run.rest[:, 1] + 15.0 * np.sign(run.dq[:, 1])  # the nominal level, taken over
-    error = (rest - np.array(forces)[3:-3])[run.sliding]
-    assert run.sliding.mean() > 0.5
-    assert np.abs(error).max() <= 0.01 * 15.0
-    assert np.sqrt(np.mean(error**2)) <= 3e-3 * 15.0
-
-
-@given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=50)
-def test_bristles_depend_on_the_path_not_on_its_pace(seed: int) -> None:
-    """A closed cycle takes work; a slide cut into pieces ends where one slide does."""
-    rng = np.random.default_rng(seed)
-    bristles = Bristles(float(rng.uniform(0.1, 10)), float(rng.uniform(1e-3, 0.1)))
-    force, way = float(rng.uniform(-1, 1)) * bristles.level, float(rng.uniform(-0.3, 0.3))
-    cut = force
-    for piece in way * rng.dirichlet(np.ones(5)):
-        cut = bristles.after(cut, float(piece))
-    assert cut == pytest.approx(bristles.after(force, way), rel=1e-9, abs=1e-12)
-    path = np.sin(np.linspace(0, 6 * np.pi, 3001)) * 0.05
-    forces = [force]
-    for dx in np.diff(path):
-        forces.append(bristles.after(forces[-1], float(dx)))
-    f = np.array(forces)
-    work = np.sum((f[1:] + f[:-1]) / 2 * np.diff(path))
-    assert work > 0
-    assert np.abs(f).max() <= bristles.level * (1 + 1e-12)
 
 
 def test_a_wall_pushes_only_where_it_is(ur10: Robot) -> None:
@@ -379,15 +309,6 @@ def test_backlash_opens_by_its_gap_at_reversals(pendulum: Robot) -> None:
     assert np.median(np.abs(play[touching])) == pytest.approx(0.01, rel=0.1)
 
 
-def test_a_gear_with_play_never_pulls() -> None:
-    gear = Gear(0, 1000.0, 5.0, 0.02)
-    assert gear.torque(0.005, 3.0) == (0.0, 0.0, 0.0)
-    assert gear.torque(0.011, -3.0) == (0.0, 0.0, 0.0)
-    assert gear.torque(-0.02, 0.0)[0] == pytest.approx(-10.0)
-    for load in (-3.0, 0.0, 3.0):
-        assert gear.torque(gear.deflection(load), 0.0)[0] == pytest.approx(load)
-
-
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 6), shafts=st.integers(0, 2))
 @settings(max_examples=200)
 def test_dry_friction_of_joints_and_shafts_obeys_coulombs_law(
@@ -439,7 +360,8 @@ def test_every_effect_has_a_planter_and_refuses_wrong_parameters(robot: Robot) -
         ("stribeck_friction", 1, {"velocity": 0.12}, [3.0]),
         ("torque_offset", 1, {}, [-2.0]),
         ("rotor_inertia", 1, {}, [0.5]),
-        ("asymmetric_friction", 1, {"viscous": True}, [2.0, 0.5, 1.0, 0.3]),
+        ("asymmetric_friction", 1, {"viscous": True}, [2.0, -0.2, 1.5, 3.0]),
+        ("nonlinear_viscous_friction", 1, {"exponent": 0.7}, [2.0]),
         ("nonlinear_viscous_friction", 1, {"exponent": 1.7}, [2.0]),
         ("load_dependent_friction", 1, {}, [0.3]),
         ("presliding_hysteresis", 1, {"distance": 0.02}, [0.6]),
@@ -487,3 +409,227 @@ def test_a_drive_filters_and_an_encoder_is_differentiated(robot: Robot) -> None:
     assert not [name for name in silent if name.startswith("dq")]
     with pytest.raises(BadInput, match="tachometer, encoder or none"):
         replace(plain, velocity="gyro")
+
+
+def mujoco_torque(robot: Robot, motion: Motion) -> np.ndarray:
+    compiler = '<mujoco><compiler balanceinertia="false" fusestatic="false"/></mujoco>'
+    model = mujoco.MjModel.from_xml_string(robot.urdf.replace("</robot>", compiler + "</robot>"))
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
+    data, tau = mujoco.MjData(model), np.empty(motion.q.shape)
+    rows = [model.joint(joint).dofadr[0] for joint in robot.joints]
+    for k in range(len(motion)):
+        data.qpos[rows], data.qvel[rows] = motion.q[k], motion.dq[k]
+        data.qacc[rows] = motion.ddq[k]
+        mujoco.mj_inverse(model, data)
+        tau[k] = data.qfrc_inverse[rows]
+    return tau
+
+
+def mujoco_error(robot: Robot) -> float:
+    """Largest difference of the recorded torque from MuJoCo's, relative to the largest torque."""
+    run = Recorded(robot, duration=3.0)
+    motion, tau = run.motion, run.tau
+    return float(np.abs(tau - mujoco_torque(robot, motion)).max() / np.abs(tau).max())
+
+
+def test_frictionless_arm_needs_the_torque_that_mujoco_says(arm: Robot) -> None:
+    assert mujoco_error(arm.with_effects(())) <= SMOOTH
+
+
+def test_half_the_step_leaves_a_quarter_of_the_error(
+    ur10: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bare, errors = ur10.with_effects(()), []
+    for step in (5e-4, 2.5e-4):
+        monkeypatch.setattr(plant_run, "_STEP", step)
+        errors.append(mujoco_error(bare))
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.2)
+
+
+def test_power_goes_into_energy_and_friction(builtin: Robot) -> None:
+    """∫ τ·q̇ dt = ΔE + ∫ (F_v q̇² + F_c |q̇|) dt, with the rotors' kinetic energy in E."""
+    run = Recorded(builtin, duration=3.0)
+    motion, tau = run.motion, run.tau
+    data = builtin.model.createData()
+    numbers = {effect.name: np.array(effect.values) for effect in builtin.effects}
+    energy = [
+        pin.computeKineticEnergy(builtin.model, data, q, dq)
+        + pin.computePotentialEnergy(builtin.model, data, q)
+        + numbers["rotor_inertia"] @ dq**2 / 2
+        for q, dq in zip(motion.q, motion.dq, strict=True)
+    ]
+    friction = numbers["viscous_friction"] * motion.dq**2
+    friction += numbers["coulomb_friction"] * np.abs(motion.dq)
+    power = np.sum(tau * motion.dq - friction, axis=1)
+    work = np.concatenate([[0.0], np.cumsum((power[1:] + power[:-1]) / 2 / RATE)])
+    lost = np.abs(np.array(energy) - energy[0] - work).max()
+    exchanged = np.sum(np.abs(power)) / RATE
+    assert lost <= 2e-4 * exchanged
+
+
+def test_hidden_payload_is_a_heavier_last_link(builtin: Robot) -> None:
+    payload = draw_payload(builtin)
+    run = Recorded(builtin, payload, duration=3.0)
+    motion, tau, rows = run.motion, run.tau, run.sliding
+    formula = EFFECTS["payload"]((payload.joint,)).with_values([v for _, v in payload.parameters])
+    expected = torque(builtin.with_effects((*builtin.effects, formula)), motion)
+    difference = np.abs(tau - expected)[rows].max(axis=0)
+    assert (difference <= 1e-3 * np.abs(expected).max(axis=0)).all()
+    values = dict(payload.parameters)
+    assert violations(list(values.values()), ("payload",)) == []
+
+
+def test_a_stuck_joint_stays_while_the_others_move(planar: Robot) -> None:
+    j = planar.nv - 1
+    grip = HiddenEffect("coulomb_friction", planar.joints[j], (("Fc", 1e4),))
+    run = Recorded(planar, grip, duration=1.0).table
+    assert run[f"q{j + 1}"].nunique() == 1
+    assert (run[f"dq{j + 1}"] == 0).all()
+    travel = run.filter(regex=r"^q").max() - run.filter(regex=r"^q").min()
+    assert (travel.drop(f"q{j + 1}") > 0.01).all()
+
+
+def test_a_sliding_joint_comes_to_rest_without_creep_or_chatter() -> None:
+    """With its motor off, a pendulum with dry friction stops, and then never moves again."""
+    robot = load_robot("planar_2r").with_gravity([0.0, 0.0, 0.0])
+    limits = robot.limits
+    powerless = type(limits)(limits.position, limits.velocity, limits.acceleration, [1e-9, 1e-9])
+    bare = robot.with_limits(powerless).with_effects(())
+    rows = {"viscous_friction": 0.6, "coulomb_friction": 0.8}
+    drives = tuple(
+        HiddenEffect(name, joint, ((symbol, rows[name]),))
+        for joint in bare.joints
+        for name, symbol in (("viscous_friction", "Fv"), ("coulomb_friction", "Fc"))
+    )
+    nominal = nominal_truth(bare)
+    step = Arm(plant(nominal, bare.joints, drives), 5e-4)
+    control = tracking_controller(bare, nominal.model, nominal.drives, hold(bare), np.zeros(1))
+    state = (np.zeros(2), np.array([1.0, -2.0]), np.zeros(2))
+    speeds = []
+    for _ in range(4000):
+        state = step.step(*state, control, 0)
+        speeds.append(state[1])
+    moving = np.abs(np.array(speeds)).max(axis=1) > 0
+    stopped = int(np.argmin(moving))
+    assert 0 < stopped < 4000
+    assert not moving[stopped:].any()
+
+
+def test_same_seed_same_recording(planar: Robot) -> None:
+    def once(seed: int) -> pd.DataFrame:
+        rng = np.random.default_rng(seed)
+        return build(planar, rng).record(swing(planar), 0.5, rng)
+
+    pd.testing.assert_frame_equal(once(3), once(3), check_exact=True)
+    assert not once(3).equals(once(4))
+
+
+def test_truth_is_near_the_nominal_arm_and_possible(arm: Robot) -> None:
+    for seed in range(10):
+        truth = build(arm, np.random.default_rng(seed), hidden=())
+        phi = np.concatenate([b.toDynamicParameters() for b in list(truth.model.inertias)[1:]])
+        assert violations(phi, arm.links) == []
+        masses = phi[::10] / arm.phi[::10] - 1
+        assert 0 < np.abs(masses).max() <= 0.03
+        for effect in arm.effects:
+            row = {"viscous_friction": "viscous", "coulomb_friction": "coulomb"}
+            true = getattr(truth.drives, row.get(effect.name, "rotor"))
+            assert np.abs(true / effect.values - 1).max() <= 0.05
+
+
+def draw_payload(robot: Robot) -> HiddenEffect:
+    drawn = (draw_hidden_effect(robot, np.random.default_rng(seed)) for seed in range(100))
+    return next(effect for effect in drawn if effect.effect == "payload")
+
+
+def test_drawn_effects_are_of_every_kind_and_show(planar: Robot) -> None:
+    drawn = [draw_hidden_effect(planar, np.random.default_rng(seed)) for seed in range(60)]
+    assert {effect.effect for effect in drawn} == {
+        "viscous_friction",
+        "coulomb_friction",
+        "stribeck_friction",
+        "torque_offset",
+        "rotor_inertia",
+        "payload",
+    }
+    motion = Motion(np.arange(200.0), *planar.random_motion(np.random.default_rng(1), 200))
+    half = Motion(motion.t, motion.q, motion.dq / 2, motion.ddq / 2)
+    slow = Motion(motion.t, motion.q, motion.dq / 40, motion.ddq / 2)
+    typical, noise = typical_torque(planar), industrial_sensors(planar).torque_noise
+    for one in drawn:
+        parameters = dict(one.parameters)
+        shape = {k: parameters.pop(k) for k in ("velocity",) if k in parameters}
+        effect = EFFECTS[one.effect]((one.joint,), **shape).with_values([*parameters.values()])
+        at = slow if shape else half
+        size = np.sqrt(np.mean(effect.torque(planar, at) ** 2, axis=0))
+        assert (size >= 0.05 * typical).any(), one
+        assert (size >= 3 * noise).any(), one
+        assert (size <= np.maximum(typical, 6 * noise)).all(), one
+
+
+def test_rotor_inertia_is_drawn_only_where_it_can_be_told(planar: Robot) -> None:
+    """Its column must not be a combination of the columns of the links."""
+    drawn = (draw_hidden_effect(planar, np.random.default_rng(seed)) for seed in range(60))
+    joints = {effect.joint for effect in drawn if effect.effect == "rotor_inertia"}
+    rigid = len(base_parameters(planar))
+    separable = {
+        joint
+        for joint in planar.joints
+        if len(base_parameters(planar, [RotorInertia((joint,))])) > rigid
+    }
+    assert planar.joints[0] not in separable
+    assert joints == separable
+
+
+def test_recording_has_the_columns_rate_and_noise_of_its_sensors(planar: Robot) -> None:
+    nv = planar.nv
+    noise, step = np.full(nv, 0.2), np.full(nv, 0.05)
+    sensors = Sensors(200.0, 1e-3, 0.01, noise, step)
+    kwargs = {"hidden": (), "tolerance": 0.0}
+    real = build(planar, np.random.default_rng(0), sensors=sensors, **kwargs)
+    true = build(planar, np.random.default_rng(0), sensors=ideal_sensors(planar, 200.0), **kwargs)
+    seen, truth = (a.record(swing(planar), 2.0, np.random.default_rng(1)) for a in (real, true))
+    numbers = range(1, nv + 1)
+    assert list(seen) == ["t", *(f"{c}{j}" for c in ("q", "dq", "tau") for j in numbers)]
+    assert np.allclose(seen["t"], np.arange(401) / 200, rtol=0, atol=1e-12)
+    error = seen - truth
+    assert np.abs(error.filter(regex=r"^q")).to_numpy().max() <= 0.5e-3 + 1e-12
+    assert error.filter(regex=r"^dq").to_numpy().std() == pytest.approx(0.01, rel=0.1)
+    assert error.filter(regex=r"^tau").to_numpy().std() == pytest.approx(0.2, rel=0.1)
+    counts = seen.filter(regex=r"^tau").to_numpy() / 0.05
+    assert np.allclose(counts, np.round(counts), atol=1e-6)
+
+
+def test_torque_never_exceeds_the_limits(planar: Robot) -> None:
+    limits = planar.limits
+    weak = type(limits)(
+        limits.position, limits.velocity, limits.acceleration, 0.5 * typical_torque(planar)
+    )
+    run = Recorded(planar.with_limits(weak), duration=0.5).table
+    tau = run.filter(regex=r"^tau").to_numpy()
+    assert (np.abs(tau) <= weak.torque).all()
+    assert (np.abs(tau) == weak.torque).any()
+
+
+def test_joint_that_moves_no_inertia_is_refused() -> None:
+    robot = load_robot("planar_2r").with_effects(())
+    empty = robot.with_parameters([*robot.phi[:10], 1e-16, *np.zeros(9)])
+    with pytest.raises(BadRobot, match="joint2 moves nothing"):
+        true_arm(empty).record(hold(empty), 0.1, np.random.default_rng(0))
+
+
+def test_refusals(planar: Robot) -> None:
+    arm, rng = true_arm(planar), np.random.default_rng(0)
+    moving = swing(planar)
+    with pytest.raises(BadInput, match="starts at"):
+        arm.record(lambda t, order: moving(t + 0.1, order), 1.0, rng)
+    with pytest.raises(BadInput, match="shorter than one sample"):
+        arm.record(moving, 0.0, rng)
+    with pytest.raises(UnknownName, match="did you mean 'payload'"):
+        build(planar, rng, hidden=[HiddenEffect("payloads", planar.joints[0], ())])
+    with pytest.raises(UnknownName, match="joint"):
+        build(planar, rng, hidden=[HiddenEffect("rotor_inertia", "elsewhere", (("Ia", 1.0),))])
+    empty = planar.with_effects([EFFECTS["viscous_friction"](planar.joints)])
+    with pytest.raises(BadRobot, match="viscous_friction has no values"):
+        build(empty, rng)

@@ -1,17 +1,21 @@
-"""Reading robots, refusing what is none, and writing inertias back."""
+"""URDFs: reading, writing, and refusing in one line what is damaged or no robot."""
 
 from __future__ import annotations
 
+import re
+import struct
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from excitant.exceptions import BadRobot, ExcitantError, UnknownName
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, torque
+from excitant.robots.geometry import scene
 from excitant.robots.urdf import robot_from_urdf, urdf_with_parameters
 
 States = Callable[[Robot, int, int], Motion]
@@ -178,3 +182,174 @@ def test_robot_yaml_says_what_the_urdf_cannot(gantry_urdf: str, tmp_path: Path) 
     rng = np.random.default_rng(0)
     motion = Motion(np.arange(4.0), *rng.standard_normal((3, 4, 2)))
     assert same_torque(robot, expected, motion, 1e-12)
+
+
+def states(robot: Robot) -> Motion:
+    return Motion(np.arange(8.0), *robot.random_motion(np.random.default_rng(0), 8))
+
+
+def test_links_may_be_called_as_joints(gantry: Robot, gantry_urdf: str) -> None:
+    """Names of links change nothing, even where Pinocchio cannot hold two of one name."""
+    text = gantry_urdf
+    for link, joint in (("cart", "slide"), ("arm", "swing"), ("hand", "twist")):
+        text = re.sub(rf'(link(?: name)?=?"?){link}"', rf'\g<1>{joint}"', text)
+    assert '<link name="slide">' in text
+    robot = robot_from_urdf(text, source="same.urdf", lock={"swing": 0.3})
+    assert robot.joints == robot.links == ("slide", "twist")
+    part = robot_from_urdf(gantry_urdf, source="gantry.urdf", lock={"swing": 0.3})
+    motion = states(part)
+    tau = rigid_body_torque(part, motion)
+    assert np.abs(rigid_body_torque(robot, motion) - tau).max() <= 1e-12 * np.abs(tau).max()
+    written = robot_from_urdf(
+        urdf_with_parameters(robot, robot.phi), source="written", lock={"swing": 0.3}
+    )
+    assert np.abs(rigid_body_torque(written, motion) - tau).max() <= 1e-9 * np.abs(tau).max()
+
+
+def test_a_robot_without_a_name_is_called_as_its_file(tmp_path: Path, gantry_urdf: str) -> None:
+    path = tmp_path / "unnamed.urdf"
+    path.write_text(gantry_urdf.replace('<robot name="gantry">', "<robot>"))
+    assert load_robot(path).name == "unnamed"
+
+
+def test_a_file_without_links_is_said_to_have_none() -> None:
+    with pytest.raises(BadRobot, match="no <link>"):
+        robot_from_urdf('<robot name="empty"/>', source="empty.urdf")
+
+
+def test_a_link_that_hangs_from_two_joints_is_refused(gantry_urdf: str) -> None:
+    second = (
+        '<joint name="brace" type="revolute"><parent link="rail"/><child link="hand"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    with pytest.raises(BadRobot, match="'hand' hangs from two joints, 'twist' and 'brace'"):
+        robot_from_urdf(gantry_urdf.replace("</robot>", second), source="loop.urdf")
+
+
+def wedge(path: Path) -> None:
+    """A tetrahedron as binary STL."""
+    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.3]], np.float32)
+    faces = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]
+    triangles = (struct.pack("<12fH", 0, 0, 0, *corners[list(f)].ravel(), 0) for f in faces)
+    path.write_bytes(bytes(80) + struct.pack("<I", 4) + b"".join(triangles))
+
+
+def test_meshes_beside_the_file_are_found_from_anywhere(
+    tmp_path: Path, gantry_urdf: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "model" / "meshes").mkdir(parents=True)
+    wedge(tmp_path / "model" / "meshes" / "wedge.stl")
+    shape = '<collision><geometry><mesh filename="meshes/wedge.stl"/></geometry></collision></link>'
+    path = tmp_path / "model" / "gantry.urdf"
+    path.write_text(gantry_urdf.replace("</link>", shape))
+    monkeypatch.chdir(tmp_path)
+    found = scene(load_robot(path))
+    assert found is not None
+    gap = found.distances(states(found.robot).q)
+    assert np.isfinite(gap).all()
+    path.write_text(gantry_urdf.replace("</link>", shape.replace("wedge", "gone")))
+    assert scene(load_robot(path)) is None
+
+
+URDF = """<?xml version="1.0"?>
+<robot name="three">
+  <link name="world"/>
+  <link name="base"><inertial><origin xyz="0 0 0.1" rpy="0 0 0"/><mass value="4"/>
+    <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.05"/></inertial></link>
+  <link name="upper"><inertial><origin xyz="0.1 0 0.2" rpy="0 0.3 0"/><mass value="3"/>
+    <inertia ixx="0.1" ixy="0.01" ixz="0" iyy="0.12" iyz="0" izz="0.03"/></inertial></link>
+  <link name="fore"><inertial><origin xyz="0 0 0.15" rpy="0 0 0"/><mass value="2"/>
+    <inertia ixx="0.05" ixy="0" ixz="0" iyy="0.05" iyz="0" izz="0.01"/></inertial>
+    <collision><geometry><cylinder radius="0.05" length="0.3"/></geometry></collision></link>
+  <link name="tool"/>
+  <joint name="fixed" type="fixed"><parent link="world"/><child link="base"/></joint>
+  <joint name="pan" type="revolute"><parent link="base"/><child link="upper"/>
+    <origin xyz="0 0 0.2" rpy="0 0 0"/><axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" velocity="2" effort="100"/>
+    <dynamics damping="1" friction="2"/></joint>
+  <joint name="lift" type="prismatic"><parent link="upper"/><child link="fore"/>
+    <origin xyz="0 0 0.4" rpy="1.57 0 0"/><axis xyz="0 1 0"/>
+    <limit lower="-0.5" upper="0.5" velocity="1" effort="80"/></joint>
+  <joint name="grip" type="fixed"><parent link="fore"/><child link="tool"/>
+    <origin xyz="0 0 0.3"/></joint>
+</robot>
+"""
+VALUES = ("nan", "inf", "-inf", "-1", "0", "1e308", "1e-308", "", "abc", "1,5", "0x10", "٣")
+
+
+@st.composite
+def damaged(draw: st.DrawFn) -> bytes:
+    """The description with one to three kinds of damage."""
+    text = URDF
+    for _ in range(draw(st.integers(1, 3))):
+        kind = draw(st.sampled_from(("number", "word", "cut", "line", "twice", "swap", "bytes")))
+        lines = text.splitlines()
+        k = draw(st.integers(0, len(lines) - 1))
+        if kind == "number":
+            found = list(re.finditer(r'(?<=["\s])-?\d+\.?\d*(?=["\s])', text))
+            if found:
+                at = draw(st.sampled_from(found))
+                text = text[: at.start()] + draw(st.sampled_from(VALUES)) + text[at.end() :]
+        elif kind == "word":
+            found = list(re.finditer(r"[A-Za-z_]+", text))
+            if found:
+                at, other = draw(st.sampled_from(found)), draw(st.sampled_from(found))
+                text = text[: at.start()] + other.group() + text[at.end() :]
+        elif kind == "cut":
+            text = text[: draw(st.integers(0, len(text)))]
+        elif kind == "line":
+            text = "\n".join(lines[:k] + lines[k + 1 :])
+        elif kind == "twice":
+            text = "\n".join([*lines[: k + 1], *lines[k:]])
+        elif kind == "swap":
+            other_line = draw(st.integers(0, len(lines) - 1))
+            lines[k], lines[other_line] = lines[other_line], lines[k]
+            text = "\n".join(lines)
+        else:
+            raw, at_byte = bytearray(text.encode()), draw(st.integers(0, max(len(text) - 1, 0)))
+            if raw:
+                raw[at_byte % len(raw)] = draw(st.integers(0, 255))
+            return bytes(raw)
+        if not text:
+            break
+    return text.encode()
+
+
+def check(content: bytes) -> None:
+    """Refused in one line that names the file, or an arm that works."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.urdf"
+        path.write_bytes(content)
+        try:
+            robot = load_robot(path)
+        except ExcitantError as error:
+            said = str(error)
+            assert "arm.urdf" in said, said
+            assert "\n" not in said, said
+            assert "Traceback" not in said
+            return
+    assert robot.nv >= 1
+    assert len(set(robot.joints)) == robot.nv
+    rng = np.random.default_rng(0)
+    q, dq, ddq = rng.uniform(-1, 1, (3, 5, robot.nv))
+    motion = Motion(np.arange(5.0), q, dq, ddq)
+    assert np.isfinite(robot.phi).all()
+    assert np.isfinite(torque(robot, motion)).all()
+    low, high = robot.limits.position.T
+    assert not (low > high).any()
+    assert not (robot.limits.velocity < 0).any()
+    assert not (robot.limits.torque < 0).any()
+
+
+@given(content=damaged())
+@example(content=URDF.encode())
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+def test_damaged_descriptions_are_refused_or_work(content: bytes) -> None:
+    check(content)
+
+
+@pytest.mark.slow
+@given(content=damaged())
+@settings(max_examples=2000, suppress_health_check=[HealthCheck.too_slow])
+def test_many_damaged_descriptions_are_refused_or_work(content: bytes) -> None:
+    check(content)
