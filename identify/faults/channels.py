@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import islice, product
 
 import numpy as np
 import scipy
@@ -34,12 +35,12 @@ _HELD = 25  # samples
 _COUNTERS = (2.0**8, 2.0**10, 2.0**12, 2.0**16, 2.0**32)
 
 
-def dead_channels(log: Log) -> list[Fault]:
+def dead_channels(log: Log) -> Iterator[Fault]:
     """Channels that are constant, only noise, or stop for a while, though the joint moves."""
     tests = (_constant, _white, _stretch)
-    channels = [(name, x[:, j], j) for name, x in log.channels() for j in range(log.nv)]
-    found = [next(filter(None, (test(log, *c) for test in tests)), None) for c in channels]
-    return [fault for fault in found if fault is not None]
+    for (name, x), j in product(log.channels(), range(log.nv)):
+        found = (fault for test in tests if (fault := test(log, name, x[:, j], j)) is not None)
+        yield from islice(found, 1)
 
 
 def _dead(log: Log, name: str, j: int, detail: str, **evidence: object) -> Fault:
@@ -112,7 +113,7 @@ def _stretch(log: Log, name: str, x: Array, j: int) -> Fault | None:
     return _dead(log, name, j, detail, value=value, start=t, seconds=seconds)
 
 
-def saturation(log: Log, robot: Robot) -> list[Fault]:
+def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
     """Torque that stays at its extreme value while the motion goes on.
 
     Of a channel that is not cut off no more samples lie exactly at the extreme value than in the
@@ -120,11 +121,10 @@ def saturation(log: Log, robot: Robot) -> list[Fault]:
     smooth peak spends longer there. The excess is tested as a Poisson count.
     """
     moved = np.asarray(log.moving.any(axis=1), bool)
-    sides = [(j, sign) for j in range(log.nv) for sign in (1.0, -1.0)]
-    found = (
-        _at_extreme(log, j, sign, moved) or _at_limit(log, robot, j, sign) for j, sign in sides
-    )
-    return [fault for fault in found if fault is not None]
+    for j, sign in product(range(log.nv), (1.0, -1.0)):
+        fault = _at_extreme(log, j, sign, moved) or _at_limit(log, robot, j, sign)
+        if fault is not None:
+            yield fault
 
 
 def _at_extreme(log: Log, j: int, sign: float, moved: Mask) -> Fault | None:
@@ -167,28 +167,24 @@ def _at_limit(log: Log, robot: Robot, j: int, sign: float) -> Fault | None:
     )
 
 
-def held_channels(log: Log) -> list[Fault]:
+def held_channels(log: Log) -> Iterator[Fault]:
     """Channels that are refreshed more seldom than they are logged.
 
     Changes of a measured channel are distributed without a peak at zero: no change at all is
     rarer than a small one. Where it is more frequent by far more than chance, values were held.
     """
-    found = []
     for name, x in log.channels():
         held = {j: share for j in range(log.nv) if (share := _held_share(log, x[:, j], j)) > 0}
         if held:
             worst, joints = max(held, key=lambda j: held[j]), log.names(held)
-            found.append(
-                Fault(
-                    "duplicate_samples",
-                    joints,
-                    f"{name} of {', '.join(joints)} is held: {held[worst]:.1%} of its samples at "
-                    f"{log.joints[worst]} repeat the one before exactly while the joint moves, "
-                    f"though the others change by many steps of its resolution",
-                    {"channel": name, "share": list(held.values())},
-                )
+            yield Fault(
+                "duplicate_samples",
+                joints,
+                f"{name} of {', '.join(joints)} is held: {held[worst]:.1%} of its samples at "
+                f"{log.joints[worst]} repeat the one before exactly while the joint moves, though "
+                f"the others change by many steps of its resolution",
+                {"channel": name, "share": list(held.values())},
             )
-    return found
 
 
 def _held_share(log: Log, x: Array, j: int) -> float:
@@ -208,32 +204,29 @@ def _held_share(log: Log, x: Array, j: int) -> float:
     return none / len(change) if excess > 0 and none > 0.02 * len(change) else 0.0
 
 
-def wrapped_counters(log: Log) -> list[Fault]:
+def wrapped_counters(log: Log) -> Iterator[Fault]:
     """Channels whose negative values were logged as a counter's upper half, or that wrap.
 
     A wrapped channel jumps by the full range of the counter, a power of two of its steps (a full
     turn for positions), leaves the middle of its range empty, and is smooth without the jumps.
     """
-    found = []
-    for name, x, j in ((n, x[:, j], j) for n, x in log.channels() for j in range(log.nv)):
+    for (name, values), j in product(log.channels(), range(log.nv)):
+        x = values[:, j]
         size = _wrap(x, name == "q")
         if size is None:
             continue
         jumps = int((np.abs(np.diff(x)) > size / 2).sum())
         high = int((x > x.min() + size / 2).sum())
         what = "are a turn off" if name == "q" else "are negative ones logged unsigned"
-        found.append(
-            Fault(
-                "corrupt_rows",
-                log.names([j]),
-                f"{name} of {log.joints[j]} jumps {jumps} times by {size:.6g}, the range of a "
-                f"counter: {high} of {len(log)} values {what}",
-                {"channel": name, "range": size, "jumps": jumps, "count": high},
-                f"takes {size:.6g} off where the counter wrapped",
-                (Remedy("unwrap", name, (j,), factor=size),),
-            )
+        yield Fault(
+            "corrupt_rows",
+            log.names([j]),
+            f"{name} of {log.joints[j]} jumps {jumps} times by {size:.6g}, the range of a counter: "
+            f"{high} of {len(log)} values {what}",
+            {"channel": name, "range": size, "jumps": jumps, "count": high},
+            f"takes {size:.6g} off where the counter wrapped",
+            (Remedy("unwrap", name, (j,), factor=size),),
         )
-    return found
 
 
 def _wrap(x: Array, position: bool) -> float | None:

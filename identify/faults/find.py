@@ -23,7 +23,7 @@ from excitant.identify.faults.log import Log, Raw
 from excitant.identify.faults.modelled import not_measured, poor_excitation, wrong_frame
 from excitant.identify.faults.outliers import missing_values, outliers
 from excitant.identify.faults.physics import physics_faults
-from excitant.identify.faults.time import gap_fault, hidden_gaps, repeated_rows, stamp_faults
+from excitant.identify.faults.time import gap_faults, hidden_gaps, repeated_rows, stamp_faults
 from excitant.identify.faults.velocity import velocity_faults
 from excitant.identify.importers.raw import raw_recording
 from excitant.identify.recording import Recording, recording_from_raw
@@ -76,28 +76,27 @@ class _CheckedRows:
             return
         parts = self.log.t[np.isin(self._rows, starts)]
         if len(self.log) >= _SHORTEST:
-            self._note(gap_fault(self.log, parts))
-        self._step(missing_values(self.log))
+            self._note(*gap_faults(self.log, parts))
+        self._step(*missing_values(self.log))
         if len(self.log) < _SHORTEST:
             return
-        self._step(repeated_rows(self.log))
+        self._step(*repeated_rows(self.log))
         self._step(*wrapped_counters(self.log))
-        hidden = hidden_gaps(self.log)
-        self._note(*held_channels(self.log), hidden)
-        self._step(*outliers(self.log, None if hidden is None else hidden.evidence["rows"]))
+        hidden = list(hidden_gaps(self.log))
+        self._note(*held_channels(self.log), *hidden)
+        self._step(*outliers(self.log, hidden[0].evidence["rows"] if hidden else None))
         cuts = np.split(np.arange(len(self.log)), np.searchsorted(self.log.t, parts))
         self.longest = self.log.take(max(cuts, key=len)) if len(cuts) > 1 else self.log
 
-    def _note(self, *faults: Fault | None) -> None:
-        self.found += [fault.at(self._rows) for fault in faults if fault is not None]
+    def _note(self, *faults: Fault) -> None:
+        self.found += [fault.at(self._rows) for fault in faults]
 
-    def _step(self, *faults: Fault | None) -> None:
+    def _step(self, *faults: Fault) -> None:
         """Note faults, and go on with the log as their repair would leave it."""
         self._note(*faults)
-        seen = [fault for fault in faults if fault is not None]
-        if seen:
-            left = left_rows(self.log.t, seen)
-            self.log = self.log.take(left) if len(left) < 2 else repair(self.log, seen)[0]
+        if faults:
+            left = left_rows(self.log.t, faults)
+            self.log = self.log.take(left) if len(left) < 2 else repair(self.log, faults)[0]
             self._rows = self._rows[left]
 
 
@@ -116,8 +115,7 @@ def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault
             data = smooth(log) or data
         elif case is not None:
             found = [*not_measured(case), *wrong_frame(case)]
-    poor = poor_excitation(robot, log, data)
-    return [*found, *([poor] if poor is not None else [])]
+    return [*found, *poor_excitation(robot, log, data)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ could be, so that nothing but the torque tells.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -38,9 +39,9 @@ _WORSE = 1.5  # times a joint's own error, at most
 _TELLS = 0.1  # of the prior's information: less makes nothing more certain by even 5 %
 
 
-def not_measured(case: TorqueFit) -> list[Fault]:
+def not_measured(case: TorqueFit) -> Iterator[Fault]:
     """Joints whose torque has no error of its own, and those whose noise is that of the motion."""
-    log, found = case.log, []
+    log = case.log
     own = {j: _own_noise(log.tau[:, j]) for j in case.joints}
     missed = np.sqrt(case.power) / np.maximum(case.tau.std(axis=0), 1e-100)
     ideal = [
@@ -55,7 +56,7 @@ def not_measured(case: TorqueFit) -> list[Fault]:
             f"{max(own[j] for j in ideal):.1g} {log.unit}"
         )
         evidence = {"missed": missed[ideal], "noise": [own[j] for j in ideal]}
-        found.append(Fault("not_measured", names, detail, evidence))
+        yield Fault("not_measured", names, detail, evidence)
     copied = _derived(log, case.joints)
     if len(copied) > _HALF * len(case.joints):
         worst, names = max(copied, key=lambda j: copied[j]), log.names(copied)
@@ -64,8 +65,7 @@ def not_measured(case: TorqueFit) -> list[Fault]:
             f"to {copied[worst]:.1%} of the variance of its noise ({log.joints[worst]}) is "
             f"that of the differentiated positions and velocities"
         )
-        found.append(Fault("not_measured", names, detail, {"explained": list(copied.values())}))
-    return found
+        yield Fault("not_measured", names, detail, {"explained": list(copied.values())})
 
 
 def _own_noise(x: Array) -> float:
@@ -105,7 +105,7 @@ def _derived(log: Log, joints: list[int]) -> dict[int, float]:
     return found
 
 
-def wrong_frame(case: TorqueFit) -> list[Fault]:
+def wrong_frame(case: TorqueFit) -> Iterator[Fault]:
     """The given inertias, where they explain the torque only if read in the distal frames.
 
     Both readings get each joint's friction, offset, rotor inertia and a gain, so that neither the
@@ -113,7 +113,7 @@ def wrong_frame(case: TorqueFit) -> list[Fault]:
     convention.
     """
     if (case.robot.phi[::10] <= 0).any():
-        return []  # links without mass say nothing
+        return  # links without mass say nothing
     joints, size = case.joints, case.tau.var(axis=0)[case.joints]
     readings = (case.robot.phi, in_joint_frames(case.robot))
     as_read, moved = (_left(case, phi) for phi in readings)
@@ -121,7 +121,7 @@ def wrong_frame(case: TorqueFit) -> list[Fault]:
     gain = float((case.rows[joints] * np.log(as_read / moved)).sum())
     clear = gain > scipy.special.chdtri(1, ALARM) and after.sum() < _BETTER * before.sum()
     if not clear or (after > _WORSE * before).any() or np.median(after**2) > 1 - _EXPLAINED:
-        return []
+        return
     best = int(np.argmin(after / before))
     detail = (
         f"the inertias of the given model are those about the distal frames, at the next "
@@ -131,7 +131,7 @@ def wrong_frame(case: TorqueFit) -> list[Fault]:
         f"(likelihood ratio {gain:.3g}); move them to the joints' frames in the robot's file"
     )
     evidence = {"nrmse_as_read": before, "nrmse_moved": after, "gain": gain}
-    return [Fault("wrong_frame", case.log.joints, detail, evidence)]
+    yield Fault("wrong_frame", case.log.joints, detail, evidence)
 
 
 def in_joint_frames(robot: Robot) -> Array:
@@ -166,22 +166,23 @@ def _left(case: TorqueFit, phi: Array) -> Array:
     return np.array(left)
 
 
-def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Fault | None:
+def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fault]:
     """Directions of the base parameters that the motion shows worse than they are known."""
     span = np.ptp(log.q, axis=0)
     still = span <= 50 * log.grain
     if data is None:
         if not still.all() and span.any():
-            return None
+            return
         detail = f"no joint moves: positions vary by at most {span.max():.3g}"
-        return Fault("poor_excitation", log.joints, detail, {"span": span})
+        yield Fault("poor_excitation", log.joints, detail, {"span": span})
+        return
     try:
         window = persistency(robot, data.motion).weakest
     except ExcitantError:
         return None  # the arm has no inertia to compare with
     missing = int((window.levels < _TELLS).sum())
     if not missing:
-        return None
+        return
     lacking = tuple(j for j in log.joints if j in window.joints)
     names = lacking or log.names(np.flatnonzero(still)) or log.joints
     weakest = ", ".join(window.weak[0].parameters) if window.weak else "all"
@@ -196,4 +197,4 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Fault | None
         "level": window.level,
         "still": log.names(np.flatnonzero(still)),
     }
-    return Fault("poor_excitation", names, detail, evidence)
+    yield Fault("poor_excitation", names, detail, evidence)

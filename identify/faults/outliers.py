@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import scipy
 
@@ -17,13 +19,13 @@ _GAP = 1.75  # steps: the interpolation does not reach across
 _MANY = 0.5  # of all channels: the row is at fault, not a channel
 
 
-def missing_values(log: Log) -> Fault | None:
+def missing_values(log: Log) -> Iterator[Fault]:
     """Rows with values that are no finite numbers."""
     bad = [~np.isfinite(x) for _, x in log.channels()]
     rows = np.flatnonzero(np.any([b.any(axis=1) for b in bad], axis=0))
     if not len(rows):
-        return None
-    return dropped(
+        return
+    yield dropped(
         log.names(np.flatnonzero(np.any([b.any(axis=0) for b in bad], axis=0))),
         rows,
         f"{len(rows)} of {len(log)} rows hold values that are no finite numbers, first row "
@@ -31,7 +33,7 @@ def missing_values(log: Log) -> Fault | None:
     )
 
 
-def outliers(log: Log, jumps: Rows | None = None) -> list[Fault]:
+def outliers(log: Log, jumps: Rows | None = None) -> Iterator[Fault]:
     """Single values or short bursts far off their neighbours, and positions that jump.
 
     Args:
@@ -41,25 +43,17 @@ def outliers(log: Log, jumps: Rows | None = None) -> list[Fault]:
     far = _outlying(log, jumps)
     count, total = sum(mask.sum(axis=1) for mask in far.values()), log.nv * len(far)
     whole = np.flatnonzero(count > _MANY * total)
-    found = []
     if len(whole):
-        found.append(
-            dropped(
-                log.joints,
-                whole,
-                f"{len(whole)} of {len(log)} rows are far from their neighbours in most columns, "
-                f"as rows with shifted columns are; first row {whole[0]} at "
-                f"t = {log.t[whole[0]]:.4g} s",
-            )
+        yield dropped(
+            log.joints,
+            whole,
+            f"{len(whole)} of {len(log)} rows are far from their neighbours in most columns, as "
+            f"rows with shifted columns are; first row {whole[0]} at t = {log.t[whole[0]]:.4g} s",
         )
     for name, mask in far.items():
         mask[whole] = False
-        found += [
-            _of_channel(log, name, j, np.flatnonzero(mask[:, j]))
-            for j in range(log.nv)
-            if mask[:, j].any()
-        ]
-    return found
+        for j in np.flatnonzero(mask.any(axis=0)):
+            yield _of_channel(log, name, int(j), np.flatnonzero(mask[:, j]))
 
 
 def _of_channel(log: Log, name: str, j: int, rows: Rows) -> Fault:

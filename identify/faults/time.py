@@ -9,6 +9,7 @@ no row. Anything else could mean several things, and nothing is done.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,9 +49,11 @@ def stamp_faults(log: Log) -> tuple[list[Fault], Rows | None]:
     if len(rows := np.flatnonzero(~np.isfinite(log.t))):
         detail = f"{len(rows)} of {len(log)} time stamps are no numbers, first in row {rows[0]}"
         found.append(dropped(log.joints, rows, detail, channel="t"))
-    if (repeated := _repeated(log, order)) is not None:
-        found.append(repeated)
-    return [*found, *_backward(log, order)], None if order.unclear else order.starts
+    return [
+        *found,
+        *_repeated(log, order),
+        *_backward(log, order),
+    ], None if order.unclear else order.starts
 
 
 def counted(log: Log) -> bool:
@@ -58,7 +61,7 @@ def counted(log: Log) -> bool:
     return bool(len(log) > 3 and (np.diff(log.t) == 1.0).all())
 
 
-def gap_fault(log: Log, starts: Array) -> Fault | None:
+def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
     """Samples that are missing between stamps, for a log in the order of time.
 
     A step counts as a gap when it is nearer to a whole number ≥ 2 of median steps than to one,
@@ -71,16 +74,16 @@ def gap_fault(log: Log, starts: Array) -> Fault | None:
     """
     steps = np.diff(log.t) / log.step
     if len(steps) < 3:
-        return None
+        return
     steps[np.searchsorted(log.t, starts) - 1] = 1.0
     padded = np.concatenate([[1.0], steps, [1.0]])
     pairs = np.minimum(padded[:-2], padded[2:]) + steps
     at = np.flatnonzero((steps > _BACK) & (pairs > _BACK + 1))
     if not len(at):
-        return None
+        return
     missing = int(np.round(steps[at] - 1).sum())
     k = int(at[np.argmax(steps[at])])
-    return Fault(
+    yield Fault(
         "dropped_samples",
         log.joints,
         f"{len(at)} gaps in time, about {missing} samples missing of {len(log) + missing}; the "
@@ -90,7 +93,7 @@ def gap_fault(log: Log, starts: Array) -> Fault | None:
     )
 
 
-def repeated_rows(log: Log) -> Fault | None:
+def repeated_rows(log: Log) -> Iterator[Fault]:
     """Rows that repeat all values of the row before, with a stamp of their own.
 
     Counted only where some joint moves by several resolutions per sample, so that not one
@@ -100,9 +103,9 @@ def repeated_rows(log: Log) -> Fault | None:
     moved = np.asarray(log.moving.any(axis=1), bool)
     rows = np.flatnonzero(same & (moved[1:] | moved[:-1])) + 1
     if len(rows) < 3:
-        return None
+        return
     starts, lengths = run_lengths(same)
-    return dropped(
+    yield dropped(
         log.joints,
         rows,
         f"{len(rows)} of {len(log)} rows ({len(rows) / len(log):.2%}) repeat every value of the "
@@ -113,7 +116,7 @@ def repeated_rows(log: Log) -> Fault | None:
     )
 
 
-def hidden_gaps(log: Log) -> Fault | None:
+def hidden_gaps(log: Log) -> Iterator[Fault]:
     """Rows that are missing though the stamps run on.
 
     All joints then jump by a whole number m of samples: m is estimated from all joints by least
@@ -122,7 +125,7 @@ def hidden_gaps(log: Log) -> Fault | None:
     rate = np.diff(log.q, axis=0) / np.diff(log.t)[:, None]
     n = len(rate)
     if n < 30:
-        return None
+        return
     speed = _around(rate)
     scale = np.median(np.abs(rate - speed), axis=0) / 0.6745 + 1e-12 * np.abs(rate).max(axis=0)
     scale = np.maximum(scale, 2 * log.quantum / log.step / np.sqrt(12))
@@ -138,9 +141,9 @@ def hidden_gaps(log: Log) -> Fault | None:
     rows = np.flatnonzero((z > tail_bound(z)) & whole & alone & several & (shared > 0.95))
     rows = rows[(rows > 5) & (rows < n - 6)]
     if not len(rows):
-        return None
+        return
     missing = int(np.round(m[rows]).sum())
-    return Fault(
+    yield Fault(
         "dropped_samples",
         log.joints,
         f"all joints jump together in {len(rows)} places by whole numbers of samples, about "
@@ -288,14 +291,14 @@ def _cut(t: Array, q: Array, rows: Rows, again: Rows, step: float) -> _Order:
     return _Order(again, np.concatenate(late), np.concatenate(lost), starts, added)
 
 
-def _repeated(log: Log, order: _Order) -> Fault | None:
+def _repeated(log: Log, order: _Order) -> Iterator[Fault]:
     """Rows with the stamp of an earlier row: the one before, or any that has all its values."""
     timed = np.flatnonzero(np.isfinite(log.t))
     still = np.flatnonzero(np.diff(log.t[timed]) == 0)
     before, beside = timed[still], timed[still + 1]
     rows = np.union1d(beside, order.again)
     if not len(rows):
-        return None
+        return
     same = np.all([(x[beside] == x[before]).all(axis=1) for _, x in log.channels()], axis=0).sum()
     n, found = len(log), len(rows) - len(order.again)
     parts = []
@@ -310,7 +313,7 @@ def _repeated(log: Log, order: _Order) -> Fault | None:
     evidence = {"rows": rows, "count": len(rows), "identical": int(same) + len(order.again)}
     done = f"keeps the first of each and leaves {len(rows)} rows out"
     drop = Remedy("drop", rows=rows)
-    return Fault("duplicate_samples", log.joints, detail, evidence, done, (drop,))
+    yield Fault("duplicate_samples", log.joints, detail, evidence, done, (drop,))
 
 
 def _backward(log: Log, order: _Order) -> list[Fault]:
