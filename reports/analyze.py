@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from excitant.reports.arm_figures import chain_figure, correlation_figure
-from excitant.reports.motion_figures import spectrum_figure
+from excitant.reports import page as p
+from excitant.reports import values as v
+from excitant.reports.arm_figures import chain_figure
+from excitant.reports.motion_figures import correlation_figure, spectrum_figure
 from excitant.reports.page import (
-    FAIR,
-    GOOD,
-    PLAIN,
-    POOR,
     Block,
     Brief,
     Cell,
@@ -25,42 +23,26 @@ from excitant.reports.page import (
     Parts,
     Section,
     Table,
-    estimates,
-    fact,
-    facts,
-    folded,
-    notes,
-    quality,
-    relative,
-    section,
-    table,
 )
-from excitant.reports.values import (
-    NONE,
-    Result,
-    Series,
-    at,
-    items,
-    listing,
-    number,
-    number4,
-    percent,
-    plain,
-    real,
-    records,
-    sentence,
-    text,
-    whole,
-    words,
-)
+from excitant.reports.values import NONE, Result, Series
 from excitant.robots.parameters import STANDARD
 
-_TONES = {"well": GOOD, "roughly": FAIR, "negligible": GOOD, "hardly": POOR, "not shown": POOR}
-_DECIDES = {"data": ("data", GOOD), "prior": ("prior", POOR), "physics": ("limit of physics", FAIR)}
+_TONES = {
+    "well": p.GOOD,
+    "roughly": p.FAIR,
+    "negligible": p.GOOD,
+    "hardly": p.POOR,
+    "not shown": p.POOR,
+}
+_DECIDES = {
+    "data": ("data", p.GOOD),
+    "prior": ("prior", p.POOR),
+    "physics": ("limit of physics", p.FAIR),
+}
 _CATEGORY = {
-    "unique": ("by\u00a0itself", GOOD),
-    "combined": ("in\u00a0combination", FAIR),
-    "unidentifiable": ("not\u00a0at\u00a0all", POOR),
+    "unique": ("by\u00a0itself", p.GOOD),
+    "combined": ("in\u00a0combination", p.FAIR),
+    "unidentifiable": ("not\u00a0at\u00a0all", p.POOR),
 }
 _LEGEND = (
     ("unique", "identifiable by itself"),
@@ -72,12 +54,12 @@ _LEGEND = (
 def analyze_section(result: Result, series: Series) -> Section:
     """Identifiability link by link, and how well a motion determines each parameter."""
     links = _links(result, series)
-    said = [sentence(note) for note in words(result, "notes") if note]
-    return section(
+    said = [v.sentence(note) for note in v.words(result, "notes") if note]
+    return p.section(
         "Identifiability",
         _lead(result),
         [
-            ("Key figures", [_facts(result), notes(_basis(result)), notes(said, brief="")]),
+            ("Key figures", [_facts(result), p.notes(_basis(result)), p.notes(said, brief="")]),
             ("Parameters by link", [_matrix(result)]),
             (
                 "With the given motion",
@@ -100,7 +82,7 @@ def analyze_section(result: Result, series: Series) -> Section:
 
 def links_folded(found: Section, result: Result) -> Section:
     """A section whose links stand in one part, each behind a line until it is opened."""
-    titles = {_title(link) for link in records(result, "links")}
+    titles = {_title(link) for link in v.records(result, "links")}
     links = [each for each in found.parts if each.title in titles]
     if not links:
         return found
@@ -111,7 +93,7 @@ def links_folded(found: Section, result: Result) -> Section:
 
 def _lead(result: Result) -> str:
     unique, none = _counts(result)
-    total, base = real(result, "standard_parameters"), real(result, "base_parameters")
+    total, base = v.real(result, "standard_parameters"), v.real(result, "base_parameters")
     if total is None or base is None:
         return "What torque can and cannot show of each link."
     return (
@@ -123,7 +105,7 @@ def _lead(result: Result) -> str:
 
 def _brief(result: Result) -> Brief:
     unique, none = _counts(result)
-    total, base = (text(result, key) for key in ("standard_parameters", "base_parameters"))
+    total, base = (v.text(result, key) for key in ("standard_parameters", "base_parameters"))
     lines = [
         (
             "identifiable",
@@ -131,7 +113,7 @@ def _brief(result: Result) -> Brief:
             f"{none} not at all",
         )
     ]
-    verdicts = [text(row, "verdict") for row in records(result, "practical")]
+    verdicts = [v.text(row, "verdict") for row in v.records(result, "practical")]
     if weak := verdicts.count("hardly"):
         lines.append(("", f"this motion hardly shows {weak} of {len(verdicts)} combinations"))
     elif verdicts and "not_shown" not in verdicts:
@@ -141,55 +123,55 @@ def _brief(result: Result) -> Brief:
 
 def _counts(result: Result) -> tuple[int, int]:
     """Parameters that can be identified one by one, and not at all."""
-    links = records(result, "links")
-    unique, none = (sum(len(words(k, n)) for k in links) for n in ("unique", "unidentifiable"))
+    links = v.records(result, "links")
+    unique, none = (sum(len(v.words(k, n)) for k in links) for n in ("unique", "unidentifiable"))
     return unique, none
 
 
 def _facts(result: Result) -> Facts | None:
-    rows = [row for link in records(result, "links") for row in records(link, "parameters")]
-    visible = [row for row in rows if text(row, "category") != "unidentifiable"]
-    decided = sum(text(row, "decided_by") == "prior" for row in visible)
-    hidden = len(records(result, "not_shown")) if records(result, "practical") else None
+    rows = [row for link in v.records(result, "links") for row in v.records(link, "parameters")]
+    visible = [row for row in rows if v.text(row, "category") != "unidentifiable"]
+    decided = sum(v.text(row, "decided_by") == "prior" for row in visible)
+    hidden = len(v.records(result, "not_shown")) if v.records(result, "practical") else None
     keys = ("standard_parameters", "base_parameters", "condition_number")
-    total, base, kappa = (real(result, key) for key in keys)
-    of = f"of {whole(base)} base parameters"
+    total, base, kappa = (v.real(result, key) for key in keys)
+    of = f"of {v.whole(base)} base parameters"
     decisive = f"of {len(visible)} that torque contains, rather than by the data"
-    judged = any(text(row, "decided_by") for row in rows)
-    return facts(
-        fact("Parameters", total, whole, "of all links, and of their joints' effects"),
-        fact("Base parameters", base, whole, "identifiable combinations"),
-        fact("Condition number", kappa, number, "with the given motion"),
-        fact("Not shown by this motion", hidden, whole, of, POOR if hidden else GOOD),
-        fact("Decided by the prior", decided if judged else None, whole, decisive),
+    judged = any(v.text(row, "decided_by") for row in rows)
+    return p.facts(
+        p.fact("Parameters", total, v.whole, "of all links, and of their joints' effects"),
+        p.fact("Base parameters", base, v.whole, "identifiable combinations"),
+        p.fact("Condition number", kappa, v.number, "with the given motion"),
+        p.fact("Not shown by this motion", hidden, v.whole, of, p.POOR if hidden else p.GOOD),
+        p.fact("Decided by the prior", decided if judged else None, v.whole, decisive),
     )
 
 
 def _basis(result: Result) -> list[str]:
-    basis, near = text(result, "basis"), text(result, "structure", "by_a_hair")
-    holds = words(result, "structure", "circumstances")
+    basis, near = v.text(result, "basis"), v.text(result, "structure", "by_a_hair")
+    holds = v.words(result, "structure", "circumstances")
     return [
         *([f"Holds for: {'; '.join(holds)}."] if holds else []),
-        *([sentence(near)] if near else []),
+        *([v.sentence(near)] if near else []),
         *([f"Standard deviations are {basis}."] if basis else []),
     ]
 
 
 def _excitation(result: Result) -> Notes | None:
-    said = text(result, "persistency", "sentence")
-    verdict = isinstance(at(result, "persistency", "persistent"), bool)
-    return notes([sentence(f"this motion is {said}" if verdict else said)] if said else [])
+    said = v.text(result, "persistency", "sentence")
+    verdict = isinstance(v.at(result, "persistency", "persistent"), bool)
+    return p.notes([v.sentence(f"this motion is {said}" if verdict else said)] if said else [])
 
 
 def _combined(link: Result) -> set[str]:
-    return {name for row in records(link, "combined") for name in words(row, "members")}
+    return {name for row in v.records(link, "combined") for name in v.words(row, "members")}
 
 
 def _matrix(result: Result) -> Matrix | None:
-    links = records(result, "links")
+    links = v.records(result, "links")
     shared = {name for link in links for name in _combined(link)}
     rows = tuple(
-        (text(link, "link"), tuple(_shown_as(link, symbol, shared) for symbol in STANDARD))
+        (v.text(link, "link"), tuple(_shown_as(link, symbol, shared) for symbol in STANDARD))
         for link in links
     )
     if not rows:
@@ -206,48 +188,50 @@ def _matrix(result: Result) -> Matrix | None:
 
 def _shown_as(link: Result, symbol: str, shared: set[str]) -> str:
     """How torque shows one parameter of a link, given those in combinations of any link."""
-    names = {f"{text(link, 'link')}.{symbol}", symbol}
-    if names & set(words(link, "unique")):
+    names = {f"{v.text(link, 'link')}.{symbol}", symbol}
+    if names & set(v.words(link, "unique")):
         return "unique"
-    if names & set(words(link, "unidentifiable")):
+    if names & set(v.words(link, "unidentifiable")):
         return "none"
     return "combined" if names & (shared | _combined(link)) else ""
 
 
 def _practical(result: Result) -> Table | None:
     rows: list[Result] = [
-        {"k": str(k), **row} for k, row in enumerate(records(result, "practical"), start=1)
+        {"k": str(k), **row} for k, row in enumerate(v.records(result, "practical"), start=1)
     ]
-    return table(
+    return p.table(
         rows,
         [
-            ("number:No.", lambda r: text(r, "k")),
+            ("number:No.", lambda r: v.text(r, "k")),
             ("expression:Base parameter", "name"),
-            *estimates("number:Value (SI)", "number:± std (SI)"),
-            ("number:Relative std", relative),
+            *p.estimates("number:Value (SI)", "number:± std (SI)"),
+            ("number:Relative std", p.relative),
             ("text:Verdict", _determined),
         ],
         "How precisely this motion determines each base parameter. Relative standard deviation: "
         "● below 5\u00a0%, ◐ below 30\u00a0%, ○ above.",
-        folded(f"All {len(rows)} base parameters", len(rows)),
+        p.folded(f"All {len(rows)} base parameters", len(rows)),
     )
 
 
 def _determined(row: Result) -> Cell:
     """The verdict on a base parameter, in the tone of its relative std where it has none."""
-    verdict = plain(text(row, "verdict"))
-    return Cell(verdict or NONE, _TONES.get(verdict, quality(real(row, "rel_std"))))
+    verdict = v.plain(v.text(row, "verdict"))
+    return Cell(verdict or NONE, _TONES.get(verdict, p.quality(v.real(row, "rel_std"))))
 
 
 def _directions(result: Result) -> Table | None:
     """Directions that the motion does not show, and those it shows worst."""
 
     def share(row: Result) -> Cell:
-        rel = real(row, "rel_std")
-        return Cell("not seen", POOR) if rel is None else Cell(percent(rel), quality(rel), rel)
+        rel = v.real(row, "rel_std")
+        return (
+            Cell("not seen", p.POOR) if rel is None else Cell(v.percent(rel), p.quality(rel), rel)
+        )
 
-    return table(
-        records(result, "directions"),
+    return p.table(
+        v.records(result, "directions"),
         [
             ("expression:Direction", "expression"),
             ("number:Std relative to prior", share),
@@ -260,19 +244,19 @@ def _directions(result: Result) -> Table | None:
 
 def _correlations(result: Result) -> Table | None:
     """Pairs of base parameters whose estimates are most correlated."""
-    names = [text(row, "name") for row in records(result, "practical")]
+    names = [v.text(row, "name") for row in v.records(result, "practical")]
     numbers = {name.split(" ")[0]: f"{k}: " for k, name in enumerate(names, start=1)}
 
     def correlation(row: Result) -> Cell:
-        rho = real(row, "correlation")
+        rho = v.real(row, "correlation")
         size = abs(rho or 0.0)
-        return Cell(number(rho), POOR if size > 0.95 else FAIR if size > 0.8 else GOOD, rho)
+        return Cell(v.number(rho), p.POOR if size > 0.95 else p.FAIR if size > 0.8 else p.GOOD, rho)
 
     def numbered(key: str) -> Callable[[Result], str]:
-        return lambda row: numbers.get(text(row, key), "") + text(row, key)
+        return lambda row: numbers.get(v.text(row, key), "") + v.text(row, key)
 
-    return table(
-        records(result, "correlations"),
+    return p.table(
+        v.records(result, "correlations"),
         [
             ("name:Base parameter", numbered("first")),
             ("name:goes with", numbered("second")),
@@ -284,27 +268,27 @@ def _correlations(result: Result) -> Table | None:
 
 def _missing(result: Result) -> Table | None:
     """Base parameters that the motion does not show, and what would."""
-    resting = words(result, "resting_joints")
-    return table(
-        records(result, "not_shown"),
+    resting = v.words(result, "resting_joints")
+    return p.table(
+        v.records(result, "not_shown"),
         [("expression:Not shown by this motion", "name"), ("text:Shown by", "needed")],
         "These base parameters make no torque of their own in this motion: they keep their prior "
-        f"values{f'; at rest: {listing(resting)}' if resting else ''}.",
+        f"values{f'; at rest: {v.listing(resting)}' if resting else ''}.",
     )
 
 
 def _links(result: Result, series: Series) -> Parts:
     """One part for each link that lists its parameters."""
-    links = records(result, "links")
+    links = v.records(result, "links")
     return [
         (_title(link), _link(result, series, link, k, len(links)))
         for k, link in enumerate(links)
-        if records(link, "parameters")
+        if v.records(link, "parameters")
     ]
 
 
 def _title(link: Result) -> str:
-    name, joint = text(link, "link"), text(link, "joint")
+    name, joint = v.text(link, "link"), v.text(link, "joint")
     return f"{name} at {joint}" if joint not in ("", name) else name
 
 
@@ -321,28 +305,28 @@ def _link(
 
 
 def _place(series: Series, link: Result, index: int, count: int) -> Figure | None:
-    inertial = [row for row in records(link, "parameters") if _symbol(row) in STANDARD]
+    inertial = [row for row in v.records(link, "parameters") if _symbol(row) in STANDARD]
     unique, combined, none = (
-        sum(text(row, "category") == category for row in inertial) for category in _CATEGORY
+        sum(v.text(row, "category") == category for row in inertial) for category in _CATEGORY
     )
-    mass = next((number(at(row, "value")) for row in inertial if _symbol(row) == "m"), NONE)
+    mass = next((v.number(v.at(row, "value")) for row in inertial if _symbol(row) == "m"), NONE)
     caption = (
         f"Link {index + 1} of {count}" + (f", {mass}\u00a0kg" if mass != NONE else "") + ". "
         f"Of its ten parameters, {unique} are identifiable individually, {combined} only in "
         f"combination and {none} not at all."
     )
-    return chain_figure(series, index, text(link, "link"), caption)
+    return chain_figure(series, index, v.text(link, "link"), caption)
 
 
 def _symbol(row: Result) -> str:
-    return text(row, "name").rpartition(".")[2]
+    return v.text(row, "name").rpartition(".")[2]
 
 
 def _parameters(link: Result) -> Table | None:
     """The table of parameters; columns that nothing is known for are left out."""
-    rows = records(link, "parameters")
-    motion = any(real(row, "std") is not None for row in rows)
-    influence = any(real(row, "prior_influence") is not None for row in rows)
+    rows = v.records(link, "parameters")
+    motion = any(v.real(row, "std") is not None for row in rows)
+    influence = any(v.real(row, "prior_influence") is not None for row in rows)
     said = "Inertia about the joint's frame; friction, offset and rotor inertia of its joint."
     if motion:
         said += " The prior of ±100\u00a0% of the link is counted in the standard deviation."
@@ -351,14 +335,14 @@ def _parameters(link: Result) -> Table | None:
             " Follows prior: how far the value moves when its prior is moved, from 0, the data "
             "decide, to 1, the prior alone does."
         )
-    value: tuple[Column, ...] = (("number:Value", "value", number4),)
+    value: tuple[Column, ...] = (("number:Value", "value", v.number4),)
     seen: tuple[Column, ...] = ()
     if motion:
-        value = estimates()
+        value = p.estimates()
         seen = (("text:This motion determines it", _shown), ("number:Prior", "prior"))
     if influence:
         seen += (("number:Follows prior", "prior_influence", _share), ("text:Decided by", _decided))
-    return table(
+    return p.table(
         rows,
         [
             ("name:Parameter", _symbol),
@@ -372,53 +356,53 @@ def _parameters(link: Result) -> Table | None:
 
 
 def _category(row: Result) -> Cell:
-    return Cell(*_CATEGORY.get(text(row, "category"), (NONE, PLAIN)))
+    return Cell(*_CATEGORY.get(v.text(row, "category"), (NONE, p.PLAIN)))
 
 
 def _shown(row: Result) -> Cell:
-    if text(row, "category") != "unique":
+    if v.text(row, "category") != "unique":
         return Cell(NONE)
-    word = plain(text(row, "verdict"))
-    value, std = real(row, "value"), real(row, "std_data")
-    share = f", ±{percent(std / abs(value))}" if value and std and word != "negligible" else ""
-    return Cell(word + share if word else NONE, _TONES.get(word, PLAIN))
+    word = v.plain(v.text(row, "verdict"))
+    value, std = v.real(row, "value"), v.real(row, "std_data")
+    share = f", ±{v.percent(std / abs(value))}" if value and std and word != "negligible" else ""
+    return Cell(word + share if word else NONE, _TONES.get(word, p.PLAIN))
 
 
 def _share(influence: object) -> str:
-    share = real(influence)
+    share = v.real(influence)
     return NONE if share is None else f"{share:.2f}"
 
 
 def _decided(row: Result) -> Cell:
-    hidden = text(row, "category") == "unidentifiable"
-    return Cell(*_DECIDES.get("prior" if hidden else text(row, "decided_by"), (NONE, PLAIN)))
+    hidden = v.text(row, "category") == "unidentifiable"
+    return Cell(*_DECIDES.get("prior" if hidden else v.text(row, "decided_by"), (NONE, p.PLAIN)))
 
 
 def _combinations(result: Result, link: Result) -> Table | None:
     """The combinations that its parameters are part of, and how well the motion shows them."""
-    known = {text(row, "name"): row for row in records(result, "practical")}
-    found = records(link, "combined")
+    known = {v.text(row, "name"): row for row in v.records(result, "practical")}
+    found = v.records(link, "combined")
     rows: list[Result] = [
-        {"expression": text(row, "expression"), **known.get(text(row, "expression"), {})}
+        {"expression": v.text(row, "expression"), **known.get(v.text(row, "expression"), {})}
         for row in found
     ]
-    seen: tuple[Column, ...] = (*estimates(), ("text:Determined", _determined)) if known else ()
-    return table(
+    seen: tuple[Column, ...] = (*p.estimates(), ("text:Determined", _determined)) if known else ()
+    return p.table(
         rows,
         [("expression:Identifiable combination", "expression"), *seen],
         "Torque depends on these sums alone, not on how they divide among their members.",
-        folded(f"Its {len(found)} combinations", len(found), 1),
+        p.folded(f"Its {len(found)} combinations", len(found), 1),
     )
 
 
 def _needed(link: Result) -> Table | None:
     """What would identify each parameter individually, those with the same answer together."""
     groups: dict[str, list[str]] = {}
-    for row in records(link, "parameters"):
-        if text(row, "needed"):
-            groups.setdefault(text(row, "needed"), []).append(_symbol(row))
+    for row in v.records(link, "parameters"):
+        if v.text(row, "needed"):
+            groups.setdefault(v.text(row, "needed"), []).append(_symbol(row))
     rows: list[Result] = [{"names": names, "needed": what} for what, names in groups.items()]
-    return table(
+    return p.table(
         rows,
         [("name:To identify individually", "names"), ("text:Required", "needed")],
         "Found by adding each experiment's rows and looking at rank and standard deviation again.",
@@ -427,7 +411,7 @@ def _needed(link: Result) -> Table | None:
 
 def _following(result: Result, link: Result) -> Notes | None:
     """Which parameters would follow from one that is known from elsewhere."""
-    own = {text(row, "name") for row in records(link, "parameters")}
-    groups = [words(group) for group in items(result, "follow_each_other")]
+    own = {v.text(row, "name") for row in v.records(link, "parameters")}
+    groups = [v.words(group) for group in v.items(result, "follow_each_other")]
     said = "Once one of {} is known from elsewhere, the data give the rest of them."
-    return notes([said.format(", ".join(group)) for group in groups if own & set(group)])
+    return p.notes([said.format(", ".join(group)) for group in groups if own & set(group)])

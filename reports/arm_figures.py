@@ -1,37 +1,38 @@
-"""Pictures of an arm, of one link in it, and of how its base parameters go together."""
+"""An arm, one link in it, and the path of its tool through the cell, from several sides."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import product
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from excitant.reports.drawing import (
-    FITTED,
-    GIVEN,
-    LIGHT,
-    MEASURED,
-    WIDTH,
-    axes,
-    equal_axes,
-    label_y,
-    panel,
-    svg_panel,
-)
+from excitant.reports import drawing as draw
+from excitant.reports import values as v
 from excitant.reports.page import Figure, Key, Panel
-from excitant.reports.values import Series, array
+from excitant.reports.values import Result, Series
 from excitant.robots.motion import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _FILLS = ("#c3dcec", "#e3e7ea")  # by turns, so that neighbours differ
 _EDGES = ("#7fb0cf", "#aab2b8")
 _BASE = "#8a9299"
 _ROUND = np.linspace(0, 2 * np.pi, 33)
+_CIRCLE = np.column_stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros_like(_ROUND)])
+_FACES_OF_BLOCK = np.array(
+    [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+)
+_EDGES_OF_BLOCK = [(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k & bit]
 _AXIS = 0.13  # of the picture: length of a joint's axis
-_PAPER = {"boxstyle": "square,pad=0.08", "fc": "white", "ec": "none", "alpha": 0.75}
 _TOGETHER = 0.09  # of the picture: joints nearer than this share a label
-_HEIGHT, _LINK_HEIGHT = 3.3, 1.75  # inch
+_MARGIN = 1.35  # of the arm's reach: what is shown of large obstacles
 _FLAT = 0.05  # of the arm's extent: below it there is nothing to see in that direction
+_ON_EDGE = 0.02  # of the whole extent of a cell, likewise
+_HEIGHT, _LINK_HEIGHT = 3.3, 1.75  # inch
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +42,37 @@ class _View:
     Attributes:
         name: In words.
         screen: Right, up and toward the eye as rows, shape (3, 3).
-        labels: What the abscissa and the ordinate are; empty in perspective.
+        labels: What the abscissa and the ordinate are; None obliquely.
     """
 
     name: str
     screen: Array
     labels: tuple[str, str] | None = None
+
+    def axes(self, points: Array, room: float) -> tuple[Axes, float]:
+        """Axes with one scale in which these points (n, 3) fit, and their shorter side [m]."""
+        (ax,) = draw.axes(_HEIGHT, left=0.6 if self.labels else 0.12)
+        flat = points @ self.screen[:2].T
+        size = draw.equal_axes(ax, flat.min(axis=0), flat.max(axis=0), room)
+        if self.labels is None:
+            ax.axis("off")
+        else:
+            ax.set_xlabel(f"{self.labels[0]} [m]")
+            draw.label_y(ax, f"{self.labels[1]} [m]")
+        return ax, size
+
+
+def _oblique(azimuth: float, elevation: float) -> Array:
+    a, e = np.radians([azimuth, elevation])
+    eye = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    right = np.array([-np.sin(a), np.cos(a), 0.0])
+    return np.array([right, np.cross(eye, right), eye])
+
+
+_SIDE = _View("from the side", np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), ("x", "z"))
+_FRONT = _View("from the front", np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), ("y", "z"))
+_ABOVE = _View("from above", np.eye(3), ("x", "y"))
+_CORNER = _View("obliquely", _oblique(-50.0, 22.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,20 +83,11 @@ class _Arm:
     axes: Array
     solids: Array
 
-
-def _oblique(azimuth: float, elevation: float) -> Array:
-    a, e = np.radians([azimuth, elevation])
-    eye = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    right = np.array([-np.sin(a), np.cos(a), 0.0])
-    return np.array([right, np.cross(eye, right), eye])
-
-
-_SIDES = (
-    _View("from the side", np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), ("x", "z")),
-    _View("from the front", np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), ("y", "z")),
-    _View("from above", np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]), ("x", "y")),
-)
-_CORNER = _View("obliquely", _oblique(-50.0, 22.0))
+    def outermost(self, view: _View) -> Array:
+        """Points between which all of it lies in a view, shape (n, 3)."""
+        sides = np.vstack([view.screen[:2], -view.screen[:2]])
+        ends, radii = self.solids[:, 1:7].reshape(-1, 2, 1, 3), self.solids[:, 7]
+        return np.vstack([self.points, (ends + radii[:, None, None, None] * sides).reshape(-1, 3)])
 
 
 def arm_figure(series: Series) -> Figure | None:
@@ -78,30 +95,33 @@ def arm_figure(series: Series) -> Figure | None:
     zero, bent = _arm(series, "zero"), _arm(series, "bent")
     if zero is None:
         return None
-    count = len(zero.axes)
-    areas = [float(np.prod(np.subtract(*_extent(zero, view)[::-1]))) for view in _SIDES]
-    views = [view for k, view in enumerate(_SIDES) if k != int(np.argmin(areas))]
-    panels = [_panel(zero, view, f"at zero, {view.name}") for view in views]
+    views = [_SIDE, _FRONT, _ABOVE]
+    views.remove(min(views, key=lambda each: _area(zero.outermost(each), each)))
+    panels = [_arm_panel(zero, view, f"at zero, {view.name}") for view in views]
     if bent is not None:
-        panels.append(_panel(bent, _CORNER, f"bent, {_CORNER.name}"))
+        panels.append(_arm_panel(bent, _CORNER, f"bent, {_CORNER.name}"))
     solids = "and its collision solids" if len(zero.solids) else "as lines"
     caption = (
-        f"The arm with its {count} joints numbered from the base, {solids}: at zero, or as near to "
-        "it as its ranges allow, and in a bent pose. Compare the zero pose with the maker's "
-        "drawing: a joint that bends the other way or a link that lies elsewhere shows here."
+        f"The arm with its {len(zero.axes)} joints numbered from the base, {solids}: at zero, or "
+        "as near to it as its ranges allow, and in a bent pose. Compare the zero pose with "
+        "the maker's drawing: a joint that bends the other way or a link that lies elsewhere shows "
+        "here."
     )
-    legend = [
-        Key("line", MEASURED, "base, joints and tool in order"),
-        Key("line", GIVEN, "axes of the joints, positive direction"),
-        Key("dot", FITTED, "tool"),
-    ]
-    if len(zero.solids):
-        legend.append(Key("box", _FILLS[0], "solids of the links"))
-    return Figure(tuple(panels), caption, tuple(legend))
+    legend = (
+        Key("line", draw.MEASURED, "base, joints and tool in order"),
+        Key("line", draw.GIVEN, "axes of the joints, positive direction"),
+        Key("dot", draw.FITTED, "tool"),
+        *[Key("box", _FILLS[0], "solids of the links")] * bool(len(zero.solids)),
+    )
+    return Figure(tuple(panels), caption, legend)
+
+
+def _area(points: Array, view: _View) -> float:
+    return float(np.prod(np.ptp(points @ view.screen[:2].T, axis=0)))
 
 
 def _arm(series: Series, name: str) -> _Arm | None:
-    points, directions = (array(series, f"{name}_{key}", None, 3) for key in ("points", "axes"))
+    points, directions = (v.array(series, f"{name}_{key}", None, 3) for key in ("points", "axes"))
     solids = np.asarray(series.get(f"{name}_solids", np.empty((0, 8))), dtype=float)
     if points is None or directions is None or len(points) != len(directions) + 2:
         return None
@@ -110,37 +130,23 @@ def _arm(series: Series, name: str) -> _Arm | None:
     return _Arm(*parts) if known else None
 
 
-def _panel(arm: _Arm, view: _View, title: str) -> Panel:
-    (ax,) = axes(_HEIGHT, left=0.6 if view.labels else 0.12)
-    size = equal_axes(ax, *_extent(arm, view), 1.14)
-    if view.labels is None:
-        ax.axis("off")
-    else:
-        ax.set_xlabel(f"{view.labels[0]} [m]")
-        label_y(ax, f"{view.labels[1]} [m]")
-    _draw_solids(ax, arm, view)
-    _draw_chain(ax, arm, view, size)
-    return panel(ax, f"the arm with {len(arm.axes)} joints {title}", title)
-
-
-def _extent(arm: _Arm, view: _View) -> tuple[Array, Array]:
-    flat = arm.points @ view.screen[:2].T
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    for solid in arm.solids:
-        ends = solid[1:7].reshape(2, 3) @ view.screen[:2].T
-        low = np.minimum(low, ends.min(axis=0) - solid[7])
-        high = np.maximum(high, ends.max(axis=0) + solid[7])
-    return low, high
-
-
-def _draw_solids(ax: Any, arm: _Arm, view: _View) -> None:
-    """Outlines of the solids, far ones first."""
+def _arm_panel(arm: _Arm, view: _View, title: str) -> Panel:
+    ax, size = view.axes(arm.outermost(view), 1.14)
     depth = arm.solids[:, 1:7].reshape(-1, 2, 3).mean(axis=1) @ view.screen[2]
-    for order, k in enumerate(np.argsort(depth)):
-        joint, radius = int(arm.solids[k, 0]), float(arm.solids[k, 7])
-        outline = _outline(arm.solids[k, 1:7].reshape(2, 3) @ view.screen.T, radius)
-        fill, edge = (_BASE, MEASURED) if joint == 0 else (_FILLS[joint % 2], _EDGES[joint % 2])
+    for order, solid in enumerate(arm.solids[np.argsort(depth)]):
+        joint, outline = int(solid[0]), _outline(solid[1:7].reshape(2, 3) @ view.screen.T, solid[7])
+        fill, edge = _FILLS[joint % 2], _EDGES[joint % 2]
+        if joint == 0:
+            fill, edge = _BASE, draw.MEASURED
         ax.fill(*outline.T, facecolor=fill, edgecolor=edge, lw=0.7, zorder=1 + 0.001 * order)
+    flat = arm.points @ view.screen[:2].T
+    ax.plot(*flat.T, color=draw.MEASURED, lw=1.4, solid_joinstyle="round", zorder=3)
+    for centre, axis in zip(flat[1:-1], arm.axes @ view.screen.T, strict=True):
+        _draw_axis(ax, centre, axis, size)
+    ax.plot(*flat[1:-1].T, "o", ms=4.0, mec=draw.MEASURED, mfc="white", mew=1.0, zorder=5)
+    ax.plot(*flat[-1], "o", ms=4.0, color=draw.FITTED, zorder=5)
+    _number_joints(ax, flat[1:-1], _TOGETHER * size)
+    return draw.panel(ax, f"the arm with {len(arm.axes)} joints {title}", title)
 
 
 def _outline(ends: Array, radius: float) -> Array:
@@ -157,69 +163,38 @@ def _outline(ends: Array, radius: float) -> Array:
     z = along / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
     x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     x /= np.linalg.norm(x)
-    circle = radius * (np.outer(np.cos(_ROUND), x) + np.outer(np.sin(_ROUND), np.cross(z, x)))
+    circle = radius * _CIRCLE @ np.array([x, np.cross(z, x), z])
     rim = (ends[:, None] + circle)[..., :2].reshape(-1, 2)
     outline: Array = rim[ConvexHull(rim).vertices]
     return outline
 
 
-def _draw_chain(ax: Any, arm: _Arm, view: _View, size: float) -> None:
-    flat = arm.points @ view.screen[:2].T
-    ax.plot(*flat.T, color=MEASURED, lw=1.4, solid_joinstyle="round", zorder=3)
-    for centre, axis in zip(flat[1:-1], arm.axes, strict=True):
-        _draw_axis(ax, centre, view.screen @ axis, size)
-    ax.plot(*flat[1:-1].T, "o", ms=4.0, mec=MEASURED, mfc="white", mew=1.0, zorder=5)
-    ax.plot(*flat[-1], "o", ms=4.0, color=FITTED, zorder=5)
-    for members in _clusters(flat[1:-1], _TOGETHER * size):
-        x, y = flat[1:-1][members].mean(axis=0)
-        label = ",".join(str(k + 1) for k in members)
-        ax.annotate(
-            label,
-            (x, y),
-            (6, 6),
-            textcoords="offset points",
-            fontsize=8.5,
-            color="#111111",
-            zorder=6,
-            bbox=_PAPER,
-        )
-
-
 def _draw_axis(ax: Any, centre: Array, axis: Array, size: float) -> None:
     """An arrow along the axis, or a ring where it points to the eye or away from it."""
     if np.linalg.norm(axis[:2]) < 0.3:
-        ax.plot(*centre, "o", ms=8.0, mfc="none", mec=GIVEN, mew=1.0, zorder=4)
+        ax.plot(*centre, "o", ms=8.0, mfc="none", mec=draw.GIVEN, mew=1.0, zorder=4)
         if axis[2] < 0:
-            ax.plot(*centre, "x", ms=5.5, color=GIVEN, mew=1.0, zorder=4)
+            ax.plot(*centre, "x", ms=5.5, color=draw.GIVEN, mew=1.0, zorder=4)
         return
+    look = {"arrowstyle": "-|>", "color": draw.GIVEN, "lw": 1.1, "mutation_scale": 7}
     tip = centre + _AXIS * size * axis[:2]
-    ax.annotate(
-        "",
-        tip,
-        centre,
-        zorder=4,
-        arrowprops={
-            "arrowstyle": "-|>",
-            "color": GIVEN,
-            "lw": 1.1,
-            "shrinkA": 0,
-            "shrinkB": 0,
-            "mutation_scale": 7,
-        },
-    )
+    ax.annotate("", tip, centre, zorder=4, arrowprops={**look, "shrinkA": 0, "shrinkB": 0})
 
 
-def _clusters(points: Array, near: float) -> list[list[int]]:
-    """Indices of points that lie together in the picture."""
+def _number_joints(ax: Axes, points: Array, near: float) -> None:
+    """Number the joints, those that lie together in the picture with one label."""
     groups: list[list[int]] = []
     for k, point in enumerate(points):
-        for group in groups:
-            if np.linalg.norm(points[group[0]] - point) < near:
-                group.append(k)
-                break
-        else:
-            groups.append([k])
-    return groups
+        close = (g for g in groups if np.linalg.norm(points[g[0]] - point) < near)
+        group = next(close, None)
+        if group is None:
+            groups.append(group := [])
+        group.append(k)
+    paper = {"boxstyle": "square,pad=0.08", "fc": "white", "ec": "none", "alpha": 0.75}
+    look: Any = {"textcoords": "offset points", "fontsize": 8.5, "color": "#111111", "bbox": paper}
+    for group in groups:
+        x, y = points[group].mean(axis=0)
+        ax.annotate(",".join(str(k + 1) for k in group), (x, y), (6, 6), zorder=6, **look)
 
 
 def side_view(chain: Array) -> tuple[Array, str]:
@@ -231,13 +206,11 @@ def side_view(chain: Array) -> tuple[Array, str]:
     Returns:
         Points in the picture, shape (points, 2), and the view in words.
     """
-    size = float(np.ptp(chain, axis=0).max())
-    level = chain[:, :2] - chain[:, :2].mean(axis=0)
-    along = np.linalg.svd(level)[2][0]
+    if np.ptp(chain[:, 2]) <= _FLAT * float(np.ptp(chain, axis=0).max()):
+        return chain[:, :2], "from above"
+    along = np.linalg.svd(chain[:, :2] - chain[:, :2].mean(axis=0))[2][0]
     along = along * np.sign(along[np.argmax(np.abs(along))])
-    if np.ptp(chain[:, 2]) > _FLAT * size:
-        return np.column_stack([chain[:, :2] @ along, chain[:, 2]]), "from the side"
-    return chain[:, :2], "from above"
+    return np.column_stack([chain[:, :2] @ along, chain[:, 2]]), "from the side"
 
 
 def chain_figure(series: Series, index: int, name: str, caption: str) -> Figure | None:
@@ -249,28 +222,28 @@ def chain_figure(series: Series, index: int, name: str, caption: str) -> Figure 
         name: Of the link.
         caption: One sentence that says what to see.
     """
-    chain = array(series, "chain", None, 3)
+    chain = v.array(series, "chain", None, 3)
     if chain is None or not np.isfinite(chain).all() or index + 2 >= len(chain):
         return None
     flat, view = side_view(chain)
-    width, height = 72 * WIDTH, 72 * _LINK_HEIGHT
+    width, height = 72 * draw.WIDTH, 72 * _LINK_HEIGHT
     low, size = flat.min(axis=0), np.maximum(np.ptp(flat, axis=0), 1e-9)
     scale = 0.85 * float(np.min(np.array([width, height]) / np.maximum(size, 1e-3 * size.max())))
     points = (flat - low - size / 2) * [scale, -scale] + [width / 2, height / 2]
     own = points[index + 1 : index + 3]
     shapes = [
-        _line(points[[0, 0]] + [[-8.0, 0.0], [8.0, 0.0]], MEASURED, 3.0),
-        _line(points, LIGHT, 4.0),
-        *(_disc(p, 2.1, "#ffffff", MEASURED) for p in points[1:-1]),
-        _line(own, FITTED, 5.5),
-        _disc(own[0], 3.3, FITTED, "#ffffff"),
+        _line(points[[0, 0]] + [[-8.0, 0.0], [8.0, 0.0]], draw.MEASURED, 3.0),
+        _line(points, draw.LIGHT, 4.0),
+        *(_disc(point, 2.1, "#ffffff", draw.MEASURED) for point in points[1:-1]),
+        _line(own, draw.FITTED, 5.5),
+        _disc(own[0], 3.3, draw.FITTED, "#ffffff"),
     ]
-    legend = [Key("line", FITTED, "this link"), Key("dot", FITTED, "its joint")]
+    legend = [Key("line", draw.FITTED, "this link"), Key("dot", draw.FITTED, "its joint")]
     if np.ptp(own, axis=0).max() < 0.01 * np.ptp(points, axis=0).max():
         caption += " It has no length in this view: the next joint lies at the same place."
         legend = legend[1:]
     label = f"{name} in the chain, {view}"
-    return Figure((svg_panel(shapes, width, height, label),), caption, tuple(legend))
+    return Figure((draw.svg_panel(shapes, width, height, label),), caption, tuple(legend))
 
 
 def _line(points: Array, colour: str, width: float) -> str:
@@ -286,35 +259,192 @@ def _disc(centre: Array, radius: float, fill: str, edge: str) -> str:
     return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{fill}" stroke="{edge}"/>'
 
 
-def correlation_figure(series: Series) -> Figure | None:
-    """Correlations of the base parameters as a map of colours."""
-    matrix = array(series, "correlation", None, None)
-    if matrix is None or matrix.shape[0] != matrix.shape[1]:
-        return None
-    from matplotlib.colors import LinearSegmentedColormap
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """An obstacle as what is drawn of it.
 
-    r = len(matrix)
-    (ax,) = axes(3.75, left=0.42)
-    ends = (0.5, r + 0.5)
-    ax.imshow(
-        np.nan_to_num(matrix),
-        cmap=LinearSegmentedColormap.from_list("signed", [FITTED, "#ffffff", GIVEN]),
-        vmin=-1,
-        vmax=1,
-        interpolation="nearest",
-        extent=(*ends, *ends[::-1]),
-        aspect="equal",
+    Attributes:
+        faces: Polygons, each of shape (corners, 3) [m].
+        edges: Lines, each of shape (points, 3) [m].
+        inside: Whether the tool stays inside, as in a workspace.
+    """
+
+    faces: tuple[Array, ...]
+    edges: tuple[Array, ...]
+    inside: bool = False
+
+
+def space_figure(result: Result, series: Series) -> Figure | None:
+    """The tool's path with poses of the arm, obliquely and from the sides not seen on edge."""
+    tool, arm = v.array(series, "tool", None, 3), v.array(series, "arm", None, None, 3)
+    if tool is None or not np.isfinite(tool).all():
+        return None
+    arm = np.empty((0, 1, 3)) if arm is None else arm
+    others = v.array(series, "other_tools", None, None, 3)
+    paths = (tool, *(() if others is None else np.swapaxes(others, 0, 1)))
+    every = np.concatenate([*paths, arm.reshape(-1, 3), np.zeros((1, 3))])
+    box = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+    centre, reach = (box[0] + box[1]) / 2, _MARGIN * float(np.linalg.norm(box[1] - box[0])) / 2
+    obstacles = v.records(result, "obstacles")
+    # half-spaces have no end of their own: they are drawn beside all the rest
+    bounded = [o for o in obstacles if v.text(o, "shape") != "half_space"]
+    box = _around(box, [solid_of(o, centre, reach, *box) for o in bounded])
+    seen = [(v.text(o, "name"), solid_of(o, centre, reach, *box)) for o in obstacles]
+    solids = [solid for _, solid in seen if solid is not None]
+    box = _around(box, solids)
+    near = _near_pose(result, series, len(arm))
+    names = [name for name, solid in seen if solid is not None]
+    label = f"path of the tool with {len(arm)} poses of the arm"
+    label += f" and obstacles {v.listing(names)}" if names else ""
+    panels = []
+    for view in (_CORNER, _ABOVE, _SIDE):
+        size = np.ptp(np.array(box) @ view.screen[:2].T, axis=0)
+        if view is _CORNER or size.min() > _ON_EDGE * float(np.max(box[1] - box[0])):
+            ax, _ = view.axes(np.array(list(product(*zip(*box, strict=True)))), 1.06)
+            _draw_cell(ax, view, paths, arm, near, solids)
+            if view is _CORNER:
+                _draw_base(ax, view, float(np.max(box[1] - box[0])))
+            panels.append(draw.panel(ax, f"{view.name}: {label}", view.name))
+    inside = [solid.inside for solid in solids]
+    legend = (
+        Key("line", draw.FITTED, "path of the tool"),
+        *[Key("line", draw.LIGHT, "arm at some instants")] * (len(arm) > (near is not None)),
+        *[Key("line", draw.MEASURED, "arm where the clearance is least")] * (near is not None),
+        *[Key("dash", draw.GREEN, "workspace of the tool")] * any(inside),
+        *[Key("box", draw.AMBER, "obstacle")] * (not all(inside)),
     )
-    ax.grid(visible=False)
-    ax.set_xlabel("number of the base parameter")
-    strong = int((np.abs(np.triu(matrix, 1)) > 0.9).sum())
-    return Figure(
-        (panel(ax, f"correlations of {r} base parameters; {strong} pairs beyond 0.9"),),
-        "Correlation of the estimates of each two base parameters, numbered as in the table of "
-        "all: a strong colour off the diagonal means that this motion shows the two mostly "
-        "together, so that one can make up for the other.",
-        (
-            Key("box", GIVEN, "rise together (+1)"),
-            Key("box", FITTED, "one rises, the other falls (−1)"),
-        ),
-    )
+    hidden = [name for name, solid in seen if solid is None]
+    return Figure(tuple(panels), _caption(result, paths, hidden), legend)
+
+
+def _draw_cell(
+    ax: Axes,
+    view: _View,
+    paths: Sequence[Array],
+    arm: Array,
+    near: int | None,
+    solids: Sequence[Solid],
+) -> None:
+    from matplotlib.collections import PolyCollection
+
+    flat = view.screen[:2].T
+    for solid in solids:
+        polygons = [face @ flat for face in solid.faces]
+        ax.add_collection(PolyCollection(polygons, facecolor=draw.AMBER, alpha=0.13, lw=0))
+        colour, stroke = (draw.GREEN, (0, (5, 3))) if solid.inside else (draw.AMBER, "-")
+        for edge in solid.edges:
+            ax.plot(*(edge @ flat).T, lw=0.9, color=colour, ls=stroke)
+    for k, pose in enumerate(arm):
+        colour, width = (draw.MEASURED, 2.0) if k == near else (draw.LIGHT, 1.6)
+        ax.plot(*(pose @ flat).T, "o-", ms=2.6, color=colour, lw=width, solid_joinstyle="round")
+    for path in paths:
+        ax.plot(*(draw.thin_path(path) @ flat).T, color=draw.FITTED, lw=1.3)
+        ax.plot(*(path[:1] @ flat).T, marker="o", ms=5, mfc="white", mec=draw.FITTED, ls="none")
+
+
+def _draw_base(ax: Any, view: _View, extent: float) -> None:
+    """The axes of the base frame, as long as a power of ten that fits, with their length."""
+    length = 10.0 ** np.floor(np.log10(0.5 * extent))
+    for name, tip in zip("xyz", length * view.screen[:2].T, strict=True):
+        ax.plot([0, tip[0]], [0, tip[1]], color="#222222", lw=1.2, zorder=4)
+        ax.text(*(1.12 * tip), name, ha="center", va="center", fontsize=8, zorder=4)
+    ax.set_title(f"base frame, axes of {length:g} [m]", loc="left", fontsize=8, y=0.0)
+
+
+def _caption(result: Result, paths: Sequence[Array], hidden: list[str]) -> str:
+    span = " and ".join(" × ".join(f"{x:.2f}" for x in np.ptp(path, axis=0)) for path in paths)
+    tools = "tool" if len(paths) == 1 else "tools"
+    sentence = f"One period of the {tools} in the base frame, a space of {span}\u00a0m"
+    distance, bodies = v.real(result, "closest", "distance_m"), v.words(result, "closest", "bodies")
+    if distance is not None and len(bodies) == 2:
+        sentence += (
+            f"; the closest bodies are {bodies[0]} and {bodies[1]}, "
+            f"{v.quantity(1000 * distance, 'mm')} apart "
+            f"in the sampled pose at {v.quantity(v.at(result, 'closest', 't'), 's')}"
+        )
+    outside = f" Not in the picture, farther away: {v.listing(hidden)}." if hidden else ""
+    return f"{sentence}.{outside}"
+
+
+def _near_pose(result: Result, series: Series, poses: int) -> int | None:
+    """The pose at the instant of least clearance, if one is."""
+    when, t = v.real(result, "closest", "t"), v.array(series, "arm_t", poses)
+    if when is None or t is None:
+        return None
+    k = int(np.abs(t - when).argmin())
+    return k if abs(t[k] - when) < 0.05 else None
+
+
+def _around(box: tuple[Array, Array], solids: Sequence[Solid | None]) -> tuple[Array, Array]:
+    """Corners of the least block around a block and solids."""
+    points = np.vstack([*box, *(edge for s in solids if s is not None for edge in s.edges)])
+    return points.min(axis=0), points.max(axis=0)
+
+
+def solid_of(
+    obstacle: Result, centre: Array, reach: float, low: Array, high: Array
+) -> Solid | None:
+    """What is drawn of an obstacle within reach of a point; None when nothing is.
+
+    Args:
+        obstacle: Its ``shape`` with the values of an obstacle file.
+        centre: Middle of the picture, shape (3,) [m].
+        reach: How far from there obstacles are drawn [m].
+        low: Least coordinates of what else is drawn, shape (3,); a half-space has no end of
+            its own.
+        high: Greatest coordinates.
+    """
+    import pinocchio as pin
+
+    def vector(key: str, default: Any = None) -> Array | None:
+        values = v.reals(obstacle, key)
+        return values if values.shape == (3,) and np.isfinite(values).all() else default
+
+    position, radius = vector("position"), v.real(obstacle, "radius")
+    match v.text(obstacle, "shape"):
+        case "box" if (size := vector("size")) is not None and position is not None:
+            R = pin.rpy.rpyToMatrix(vector("rpy", np.zeros(3)))
+            middle = R.T @ (centre - position)
+            first, last = (
+                np.maximum(-size / 2, middle - reach),
+                np.minimum(size / 2, middle + reach),
+            )
+            return None if (first >= last).any() else _block(first, last, R, position)
+        case "workspace" if (first := vector("low")) is not None and (
+            last := vector("high")
+        ) is not None:
+            ends = np.maximum(first, centre - reach), np.minimum(last, centre + reach)
+            return Solid((), _block(*ends, np.eye(3), np.zeros(3)).edges, inside=True)
+        case "sphere" if radius is not None and position is not None:
+            if radius > reach or float(np.linalg.norm(position - centre)) > reach + radius:
+                return None
+            circles = tuple(position + radius * np.roll(_CIRCLE, k, axis=1) for k in range(3))
+            return Solid(circles, circles)
+        case "half_space" if (normal := vector("normal")) is not None and normal.any():
+            return _plane(normal, v.real(obstacle, "offset"), low, high, reach)
+    return None
+
+
+def _block(low: Array, high: Array, R: Array, origin: Array) -> Solid:
+    """A block along the axes of a frame."""
+    corners = origin + np.array(list(product(*zip(low, high, strict=True)))) @ R.T
+    return Solid(tuple(corners[_FACES_OF_BLOCK]), tuple(corners[_EDGES_OF_BLOCK]))
+
+
+def _plane(
+    normal: Array, offset: float | None, low: Array, high: Array, reach: float
+) -> Solid | None:
+    """The surface of a half-space beside a block; its sides run along the axes where they can."""
+    if offset is None:
+        return None
+    n, d = normal / np.linalg.norm(normal), offset / float(np.linalg.norm(normal))
+    corners = np.array(list(product(*zip(low, high, strict=True))))
+    gap = corners @ n - d
+    if min(abs(gap.min()), abs(gap.max())) > reach and gap.min() * gap.max() > 0:
+        return None
+    u = np.cross(n, np.eye(3)[int(np.abs(n).argmin())])
+    u /= np.linalg.norm(u)
+    w = np.cross(n, u)
+    (a, b), (e, f) = (((corners @ side).min(), (corners @ side).max()) for side in (u, w))
+    loop = np.array([d * n + x * u + y * w for x, y in ((a, e), (a, f), (b, f), (b, e))])
+    return Solid((loop,), (np.vstack([loop, loop[:1]]),))

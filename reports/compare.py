@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
@@ -12,40 +12,16 @@ from typing import Any
 import numpy as np
 
 from excitant.exceptions import BadInput
-from excitant.reports.page import (
-    Block,
-    Cell,
-    Column,
-    Facts,
-    Folded,
-    Notes,
-    Page,
-    Table,
-    folded,
-    notes,
-    section,
-    table,
-)
-from excitant.reports.values import (
-    NONE,
-    Result,
-    Series,
-    at,
-    curve,
-    listing,
-    number,
-    real,
-    records,
-    sentence,
-    text,
-    times,
-    words,
-)
+from excitant.reports import page as p
+from excitant.reports import values as v
+from excitant.reports.page import Cell, Facts, Folded, Notes, Page, Table
+from excitant.reports.values import NONE, Result, Series
 
 VERB = "compare"
 APART = 2.0  # standard deviations of a difference from which on estimates disagree
 _ERROR = re.compile(r"\b(rms|nrmse)\b|r²|error")  # what depends on the filter and on the rows
 _LONG = 60  # rows from which on a table is folded
+_HEADINGS = (("difference", "{} − A"), ("ratio", "{} / A"), ("deviations", "{} − A [std]"))
 _NAMES = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
@@ -79,11 +55,11 @@ def compare(*runs: SavedRun) -> dict[str, Any]:
     from excitant.reports.sections import page_of
 
     first = runs[0]
-    verb = text(first.result, "verb")
+    verb = v.text(first.result, "verb")
     if not 2 <= len(runs) <= len(_NAMES):
         raise BadInput(f"{first.folder}: name 2 to {len(_NAMES)} runs to compare")
     for run in runs[1:]:
-        if (other := text(run.result, "verb")) != verb:
+        if (other := v.text(run.result, "verb")) != verb:
             raise BadInput(
                 f"{run.folder}: a run of '{other}', but {first.folder} is one of '{verb}'; "
                 "compare runs of one command"
@@ -97,7 +73,7 @@ def compare(*runs: SavedRun) -> dict[str, Any]:
     return {
         "verb": VERB,
         "of": verb,
-        "robot": listing(list(dict.fromkeys(text(run.result, "robot") for run in runs))),
+        "robot": v.listing(list(dict.fromkeys(v.text(run.result, "robot") for run in runs))),
         "runs": [
             {
                 "name": run.folder if names.count(name) > 1 else name,
@@ -121,7 +97,7 @@ def _remarks(runs: Sequence[SavedRun]) -> list[str]:
         ("columns", "The motions were judged by different columns, {}: condition numbers differ."),
     ):
         for part in (None, "design", "identify", "analyze", "diagnose"):  # a demo has all four
-            values = [text(run.result, *([part] if part else []), key) for run in runs]
+            values = [v.text(run.result, *([part] if part else []), key) for run in runs]
             if len(set(filter(None, values))) > 1:
                 found.append(said.format(" and ".join(dict.fromkeys(values))))
                 break
@@ -137,7 +113,7 @@ def _same_rows(series: Sequence[Series]) -> bool:
 
     def rows(each: Series) -> list[Any]:
         joints = range(np.asarray(each.get("measured", np.empty((0, 0)))).shape[-1])
-        return [times(each), *(curve(each, "measured", k) for k in joints)]
+        return [v.times(each), *(v.curve(each, "measured", k) for k in joints)]
 
     first, *others = (rows(each) for each in series)
     return all(
@@ -148,97 +124,58 @@ def _same_rows(series: Sequence[Series]) -> bool:
 
 
 def _compared(pages: Sequence[Page], judged: bool) -> list[dict[str, Any]]:
-    """Sections with those tables of theirs that more than one page has, compared."""
-    found = []
-    walked = [dict(_tables(page)) for page in pages]
-    for title in dict.fromkeys(key[0] for tables in walked for key in tables):
-        names = dict.fromkeys(key for tables in walked for key in tables if key[0] == title)
-        parts = [
-            {"part": key[1], "of": key[2], "rows": rows}
-            for key in names
-            if (rows := _rows([tables.get(key) for tables in walked], judged))
-        ]
-        found.append({"title": title, "tables": parts})
-    return found
-
-
-_TableKey = tuple[str, str, str]  # section, part, heading of the first column of names
-
-
-def _tables(page: Page) -> Iterator[tuple[_TableKey, Table]]:
-    """Every table of a page, facts written as one, under its section and part."""
-    for each in page.sections:
-        for part in each.parts:
-            for block in _unfolded(part.blocks):
-                if isinstance(block, Facts):
-                    cells = tuple(
-                        (Cell(fact.label), Cell(fact.value, value=fact.number))
-                        for fact in block.facts
-                        if not fact.timing
-                    )
-                    block = Table((("Figure", "name"), ("", "number")), cells)
-                if isinstance(block, Table) and (names := _named(block)):
-                    yield (each.title, part.title, block.columns[names[0]][0]), block
-
-
-def _unfolded(blocks: Sequence[Block]) -> Iterator[Block]:
-    for block in blocks:
-        yield from _unfolded(block.blocks) if isinstance(block, Folded) else (block,)
-
-
-def _named(found: Table) -> list[int]:
-    """Columns that name a row."""
-    return [k for k, (_, kind) in enumerate(found.columns) if kind in ("name", "expression")]
-
-
-def _cells(found: Table | None) -> dict[tuple[str, str], tuple[Cell, float | None]]:
-    """Cells by row and column, those of values with the standard deviation beside them."""
-    cells: dict[tuple[str, str], tuple[Cell, float | None]] = {}
-    for row in found.rows if found is not None else ():
-        assert found is not None
-        names = _named(found)
-        name = ", ".join(row[k].text for k in names if row[k].text != NONE)
-        prior = any(cell.text in ("prior", "expectation") for cell in row)
-        for k, cell in enumerate(row):
-            if k in names:
-                continue
-            beside = found.columns[k + 1][0] if k + 1 < len(row) else ""
-            std = row[k + 1].value if beside.startswith("± std") and not prior else None
-            cells.setdefault((name, found.columns[k][0]), (cell, std))
-    return cells
-
-
-def _rows(tables: Sequence[Table | None], judged: bool) -> list[dict[str, Any]]:
-    """What the tables of some runs say of the same row and column."""
-    walked = [_cells(each) for each in tables]
-    rows = []
-    for name, heading in dict.fromkeys(key for cells in walked for key in cells):
-        found = [cells.get((name, heading), (None, None)) for cells in walked]
-        written = [NONE if cell is None else cell.text for cell, _ in found]
-        values = [None if cell is None else cell.value for cell, _ in found]
+    """Figures by section and table, each with what every page says and how far that differs."""
+    walked = [_figures(page) for page in pages]
+    sections: dict[str, dict[tuple[str, str], list[dict[str, Any]]]] = {}
+    for key in dict.fromkeys(key for figures in walked for key in figures):
+        title, part, of, name, heading = key
+        tables = sections.setdefault(title, {})
+        cells = [figures.get(key, (Cell(NONE), None)) for figures in walked]
+        written, values = ([getattr(cell, k) for cell, _ in cells] for k in ("text", "value"))
         row: dict[str, Any] = {"name": name, "figure": heading, "written": written}
         if all(value is None for value in values):
             if len(set(written)) == 1:
                 continue  # words that all runs share
         elif judged or not _ERROR.search(f"{name} {heading}".lower()):
-            row |= _differences(values, [std for _, std in found])
-        rows.append(row | {"values": values})
-    return rows
+            first, *others = [(cell.value, std) for cell, std in cells]
+            pairs = [(first[0], value) for value, _ in others]
+            row["difference"] = [None if x is None or y is None else y - x for x, y in pairs]
+            row["ratio"] = [None if not x or y is None else y / x for x, y in pairs]
+            row["deviations"] = [deviations(*first, *other) for other in others]
+        tables.setdefault((part, of), []).append(row | {"values": values})
+    return [
+        {"title": title, "tables": [{"part": p, "of": o, "rows": r} for (p, o), r in found.items()]}
+        for title, found in sections.items()
+    ]
 
 
-def _differences(
-    values: Sequence[float | None], stds: Sequence[float | None]
-) -> dict[str, list[float | None]]:
-    """Differences and ratios to the first value, and differences in standard deviations."""
-    first, *others = values
-    pairs = [(first, other) for other in others]
-    return {
-        "difference": [None if a is None or b is None else b - a for a, b in pairs],
-        "ratio": [None if not a or b is None else b / a for a, b in pairs],
-        "deviations": [
-            deviations(first, stds[0], b, std) for b, std in zip(others, stds[1:], strict=True)
-        ],
-    }
+def _figures(page: Page) -> dict[tuple[str, ...], tuple[Cell, float | None]]:
+    """Cells by section, part, kind of row, row and column, with the std beside them."""
+    figures: dict[tuple[str, ...], tuple[Cell, float | None]] = {}
+    blocks = [
+        (s.title, part.title, b) for s in page.sections for part in s.parts for b in part.blocks
+    ]
+    while blocks:
+        title, part, block = blocks.pop(0)
+        if isinstance(block, Folded):
+            blocks = [*((title, part, each) for each in block.blocks), *blocks]
+        elif isinstance(block, Facts):
+            known = [fact for fact in block.facts if not fact.timing]
+            rows = tuple((Cell(x.label), Cell(x.value, value=x.number)) for x in known)
+            block = Table((("Figure", "name"), ("", "number")), rows)
+        if not isinstance(block, Table):
+            continue
+        heads, kinds = [head for head, _ in block.columns], [kind for _, kind in block.columns]
+        names = [k for k, kind in enumerate(kinds) if kind in ("name", "expression")]
+        for row in block.rows if names else ():
+            name = ", ".join(row[k].text for k in names if row[k].text != NONE)
+            prior = any(cell.text in ("prior", "expectation") for cell in row)
+            beside = [*(None if prior else cell.value for cell in row[1:]), None]
+            for head, nearby, cell, std in zip(heads, [*heads[1:], ""], row, beside, strict=True):
+                if head not in [heads[k] for k in names]:
+                    found = (cell, std if nearby.startswith("± std") else None)
+                    figures.setdefault((title, part, heads[names[0]], name, head), found)
+    return figures
 
 
 def deviations(
@@ -252,26 +189,29 @@ def deviations(
 
 def comparison_page(result: Result) -> Page:
     """Page of a comparison, from its saved result."""
-    runs, remarks = records(result, "runs"), words(result, "remarks")
+    runs, remarks = v.records(result, "runs"), v.words(result, "remarks")
     letters = list(_NAMES[: len(runs)])
     legend = [
-        f"{letter}: {text(run, 'name')}. {' '.join(words(run, 'leads'))}"
+        f"{letter}: {v.text(run, 'name')}. {' '.join(v.words(run, 'leads'))}"
         for letter, run in zip(letters, runs, strict=True)
     ]
     sections = [
-        section(
-            text(each, "title"),
+        p.section(
+            v.text(each, "title"),
             _count(each),
-            [(text(t, "part"), [_table(t, letters)]) for t in records(each, "tables")],
-            ((text(each, "title"), _count(each)),),
+            [(v.text(t, "part"), [_table(t, letters)]) for t in v.records(each, "tables")],
+            ((v.text(each, "title"), _count(each)),),
         )
-        for each in records(result, "sections")
+        for each in v.records(result, "sections")
     ]
-    robot, name = text(result, "robot"), "Comparison of runs"
-    blocks: list[Notes | None] = [notes(legend), notes([sentence(r) for r in remarks], "poor")]
+    robot, name = v.text(result, "robot"), "Comparison of runs"
+    blocks: list[Notes | None] = [
+        p.notes(legend),
+        p.notes([v.sentence(r) for r in remarks], "poor"),
+    ]
     return Page(
         f"{name}: {robot}" if robot else name,
-        f"{len(runs)} runs of excitant {text(result, 'of')}; differences and ratios are those to "
+        f"{len(runs)} runs of excitant {v.text(result, 'of')}; differences and ratios are those to "
         f"A. {sections[0].lead if len(sections) == 1 else ''}",
         tuple(block for block in blocks if block is not None),
         tuple(sections),
@@ -280,9 +220,9 @@ def comparison_page(result: Result) -> Page:
 
 
 def _count(each: Result) -> str:
-    rows = [row for part in records(each, "tables") for row in records(part, "rows")]
-    differ = sum(len(set(words(row, "written"))) > 1 for row in rows)
-    apart = [x for row in rows for x in at(row, "deviations") or () if real(x) is not None]
+    rows = [row for part in v.records(each, "tables") for row in v.records(part, "rows")]
+    differ = sum(len(set(v.words(row, "written"))) > 1 for row in rows)
+    apart = [x for row in rows for x in v.at(row, "deviations") or () if v.real(x) is not None]
     said = f"{differ} of {len(rows)} figures differ."
     if apart:
         far = sum(x > APART for x in apart)
@@ -294,33 +234,29 @@ def _count(each: Result) -> str:
     return said
 
 
-def _table(found: Result, letters: Sequence[str]) -> Block | None:
-    rows = records(found, "rows")
-    headings = list(dict.fromkeys(text(row, "figure") for row in rows))
+def _table(found: Result, letters: Sequence[str]) -> Table | None:
+    rows = v.records(found, "rows")
 
-    def picked(key: str, k: int) -> Any:
-        def cell(row: Result) -> Cell:
-            values = at(row, key) or []
-            value = real(values[k]) if k < len(values) else None
-            poor = key == "deviations" and value is not None and value > APART
-            return Cell(number(value), "poor" if poor else "", value)
+    def values(key: str, k: int) -> list[float | None]:
+        return [v.real((v.at(row, key) or [None] * len(letters))[k]) for row in rows]
 
-        return cell
+    def cells(key: str, k: int) -> list[Cell]:
+        far = [key == "deviations" and (x or 0.0) > APART for x in values(key, k)]
+        return [
+            Cell(v.number(x), p.POOR if f else p.PLAIN, x)
+            for x, f in zip(values(key, k), far, strict=True)
+        ]
 
-    def written(k: int) -> Any:
-        return lambda row: (words(row, "written") + [NONE] * len(letters))[k]
-
-    columns: list[Column | None] = [
-        (f"name:{text(found, 'of')}", "name"),
-        ("name:Quantity", "figure") if headings != [""] else None,
-        *((f"number:{letter}", written(k)) for k, letter in enumerate(letters)),
-    ]
+    columns = [(v.text(found, "of"), "name", [Cell(v.text(row, "name")) for row in rows])]
+    if any(v.text(row, "figure") for row in rows):
+        columns.append(("Quantity", "name", [Cell(v.text(row, "figure")) for row in rows]))
+    for k, letter in enumerate(letters):
+        written = [Cell(v.words(row, "written")[k]) for row in rows]
+        columns.append((letter, "number", written))
     for k, letter in enumerate(letters[1:]):
-        for key, heading in (
-            ("difference", f"{letter} − A"),
-            ("ratio", f"{letter} / A"),
-            ("deviations", f"{letter} − A [std]"),
-        ):
-            if any(real(x) is not None for row in rows for x in (at(row, key) or [])[k : k + 1]):
-                columns.append((f"number:{heading}", picked(key, k)))
-    return table(rows, columns, "", folded(f"All {len(rows)} figures", len(rows), _LONG))
+        for key, heading in _HEADINGS:
+            if any(x is not None for x in values(key, k)):
+                columns.append((heading.format(letter), "number", cells(key, k)))
+    heads = tuple((heading, kind) for heading, kind, _ in columns)
+    body = tuple(zip(*(each for _, _, each in columns), strict=True))
+    return Table(heads, body, "", p.folded(f"All {len(rows)} figures", len(rows), _LONG))

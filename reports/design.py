@@ -6,60 +6,18 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from excitant.reports import page as p
+from excitant.reports import values as v
+from excitant.reports.arm_figures import space_figure
 from excitant.reports.motion_figures import (
     convergence_figure,
     envelope_of,
     motion_figure,
     share_of_limit,
     spectrum_figure,
-    weakest_figure,
 )
-from excitant.reports.page import (
-    FAIR,
-    GOOD,
-    PLAIN,
-    POOR,
-    Brief,
-    Cell,
-    Fact,
-    Facts,
-    Parts,
-    Section,
-    Table,
-    estimates,
-    fact,
-    facts,
-    files,
-    folded,
-    notes,
-    section,
-    table,
-)
-from excitant.reports.space_figure import space_figure
-from excitant.reports.values import (
-    NONE,
-    Result,
-    Series,
-    at,
-    change,
-    combination,
-    items,
-    joint_names,
-    listing,
-    number,
-    number4,
-    percent,
-    plain,
-    quantity,
-    real,
-    reals,
-    records,
-    sentence,
-    text,
-    unit_of,
-    whole,
-    words,
-)
+from excitant.reports.page import Brief, Cell, Fact, Facts, Parts, Section, Table
+from excitant.reports.values import NONE, Result, Series
 
 _CRITERIA = {
     "condition": ("condition number", "least ratio of the extreme singular values of W"),
@@ -72,19 +30,16 @@ _COLUMNS = {"friction": "of links, friction, offsets and rotors", "inertial": "o
 
 def design_section(result: Result, series: Series) -> Section:
     """The designed motion: how well it excites, within which limits, and how it was found."""
-    return section(
+    return p.section(
         "Excitation design",
         _lead(result),
         [
-            ("Key figures", [_facts(result), notes(words(result, "notes"), brief="")]),
+            ("Key figures", [_facts(result), p.notes(v.words(result, "notes"), brief="")]),
             ("One motion per link", [_link_motions(result)]),
             *_motion(result, series),
-            (
-                "Least excited parameters",
-                [weakest_figure(result), _weakest(result), _directions(result)],
-            ),
+            ("Least excited parameters", [_weakest(result), _directions(result)]),
             ("The search", [convergence_figure(result), _starts(result)]),
-            ("Files", [files(words(result, "files"))]),
+            ("Files", [p.files(v.words(result, "files"))]),
         ],
         _brief(result),
     )
@@ -92,51 +47,51 @@ def design_section(result: Result, series: Series) -> Section:
 
 def check_section(result: Result, series: Series) -> Section:
     """Whether somebody's trajectory keeps the limits, and how well it excites."""
-    holds, kappa = at(result, "holds"), at(result, "condition_number")
-    name, said = text(result, "trajectory") or "The trajectory", words(result, "verdicts")
+    holds, kappa = v.at(result, "holds"), v.at(result, "condition_number")
+    name, said = v.text(result, "trajectory") or "The trajectory", v.words(result, "verdicts")
     keeps, limits, tone = {
-        True: ("keeps all limits", "hold", GOOD),
-        False: ("exceeds limits", "exceeded", POOR),
-    }.get(holds, ("was checked against the limits", "", PLAIN))
-    key_figures = facts(
+        True: ("keeps all limits", "hold", p.GOOD),
+        False: ("exceeds limits", "exceeded", p.POOR),
+    }.get(holds, ("was checked against the limits", "", p.PLAIN))
+    key_figures = p.facts(
         Fact("Limits", limits, "", tone),
-        fact("Condition number", kappa, number, _columns(result)),
+        p.fact("Condition number", kappa, v.number, _columns(result)),
         _clearance(result),
         _duration(result),
     )
-    return section(
+    return p.section(
         "Trajectory check",
-        f"{name} {keeps} of {text(result, 'robot') or 'the arm'}.",
+        f"{name} {keeps} of {v.text(result, 'robot') or 'the arm'}.",
         [
             ("Key figures", [key_figures]),
-            ("Verdicts", [notes([sentence(verdict) for verdict in said])]),
+            ("Verdicts", [p.notes([v.sentence(verdict) for verdict in said])]),
             *_motion(result, series),
         ],
         (
             *((("checked", "")[k > 0], verdict) for k, verdict in enumerate(said)),
-            ("", f"condition number {number(kappa)} ({text(result, 'columns')} columns)"),
+            ("", f"condition number {v.number(kappa)} ({v.text(result, 'columns')} columns)"),
         ),
     )
 
 
 def rehearse_section(result: Result, series: Series) -> Section:
     """Whether a motion suffices, requirement by requirement."""
-    rows, passed = records(result, "items"), at(result, "passed") is True
-    headline, hidden = text(result, "headline"), plain(text(result, "effect", "effect"))
+    rows, passed = v.records(result, "items"), v.at(result, "passed") is True
+    headline, hidden = v.text(result, "headline"), v.plain(v.text(result, "effect", "effect"))
     met = sum(_met(row) for row in rows)
-    key_figures = facts(
-        Fact("Verdict", "go" if passed else "no go", "", GOOD if passed else POOR),
+    key_figures = p.facts(
+        Fact("Verdict", "go" if passed else "no go", "", p.GOOD if passed else p.POOR),
         Fact("Requirements met", f"{met} of {len(rows)}", number=met),
         _duration(result),
-        Fact("Planted change", hidden, text(result, "effect", "joint")),
+        Fact("Planted change", hidden, v.text(result, "effect", "joint")),
     )
-    motion = motion_figure(joint_names(result), result, series)
-    return section(
+    motion = motion_figure(v.joint_names(result), result, series)
+    return p.section(
         "Rehearsal",
-        sentence(headline),
+        v.sentence(headline),
         [
             ("Key figures", [key_figures]),
-            ("What to change", [notes(words(result, "advice"), FAIR, brief="to change")]),
+            ("What to change", [p.notes(v.words(result, "advice"), p.FAIR, brief="to change")]),
             ("Requirements", [_requirements(rows)]),
             ("Planted and recovered", [_recovered(rows)]),
             ("Motion of the virtual arm", [motion]),
@@ -146,7 +101,7 @@ def rehearse_section(result: Result, series: Series) -> Section:
 
 
 def _requirements(rows: list[Result]) -> Table | None:
-    return table(
+    return p.table(
         rows,
         [
             ("text:Met", lambda row: _verdict(_met(row), "met", "NOT MET")),
@@ -161,14 +116,14 @@ def _requirements(rows: list[Result]) -> Table | None:
 
 
 def _recovered(rows: list[Result]) -> Table | None:
-    known = [r for r in rows if None not in (real(r, "planted"), real(r, "recovered"))]
-    return table(
-        [{**row, "value": at(row, "recovered")} for row in known],
+    known = [r for r in rows if None not in (v.real(r, "planted"), v.real(r, "recovered"))]
+    return p.table(
+        [{**row, "value": v.at(row, "recovered")} for row in known],
         [
             ("name:Quantity", "name"),
             ("name:Joint", "joint"),
-            ("number:Planted", "planted", number4),
-            *estimates("number:Recovered"),
+            ("number:Planted", "planted", v.number4),
+            *p.estimates("number:Recovered"),
             ("text:Unit", "unit"),
             ("number:Error", _error),
         ],
@@ -177,22 +132,22 @@ def _recovered(rows: list[Result]) -> Table | None:
 
 
 def _met(row: Result) -> bool:
-    return at(row, "passed") is True
+    return v.at(row, "passed") is True
 
 
 def _verdict(holds: bool, yes: str, no: str) -> Cell:
-    return Cell(yes, GOOD) if holds else Cell(no, POOR)
+    return Cell(yes, p.GOOD) if holds else Cell(no, p.POOR)
 
 
 def _error(row: Result) -> Cell:
-    planted, value = real(row, "planted") or 0.0, real(row, "value") or 0.0
+    planted, value = v.real(row, "planted") or 0.0, v.real(row, "value") or 0.0
     error = (value - planted) / abs(planted) if planted else None
-    return Cell(percent(error), GOOD if _met(row) else POOR, error)
+    return Cell(v.percent(error), p.GOOD if _met(row) else p.POOR, error)
 
 
 def _motion(result: Result, series: Series) -> Parts:
     """Parts that a design and a check share."""
-    joints = joint_names(result)
+    joints = v.joint_names(result)
     return [
         (
             "Motion against limits",
@@ -205,23 +160,27 @@ def _motion(result: Result, series: Series) -> Parts:
 
 def _brief(result: Result) -> Brief:
     ends, scaled = (
-        change(*(at(result, key, which) for which in ("initial", "final")))
+        v.change(*(v.at(result, key, which) for which in ("initial", "final")))
         for key in ("condition_number", "condition_number_scaled")
     )
     used = max((ratio or 0.0 for ratio in _ratios(result)), default=None)
-    weak = [text(row, "name") for row in records(result, "weakest")[:3]]
+    weak = [v.text(row, "name") for row in v.records(result, "weakest")[:3]]
     return (
-        ("designed", f"condition number {ends}, limits used up to {percent(used, 4)}"),
-        *([("", f"with columns scaled {scaled}; excited least: {listing(weak)}")] if weak else []),
+        ("designed", f"condition number {ends}, limits used up to {v.percent(used, 4)}"),
+        *(
+            [("", f"with columns scaled {scaled}; excited least: {v.listing(weak)}")]
+            if weak
+            else []
+        ),
     )
 
 
 def _lead(result: Result) -> str:
-    initial, final = (real(result, "condition_number", k) for k in ("initial", "final"))
-    duration, stages = real(result, "duration"), records(result, "link_by_link", "stages")
+    initial, final = (v.real(result, "condition_number", k) for k in ("initial", "final"))
+    duration, stages = v.real(result, "duration"), v.records(result, "link_by_link", "stages")
     if final is None:
-        return f"A motion was designed for {text(result, 'robot') or 'the arm'}."
-    motion = "The motion" if duration is None else f"A motion of {quantity(duration, 's')}"
+        return f"A motion was designed for {v.text(result, 'robot') or 'the arm'}."
+    motion = "The motion" if duration is None else f"A motion of {v.quantity(duration, 's')}"
     ratios = [x for x in _ratios(result) if x is not None]
     holds = ""
     if ratios:
@@ -231,13 +190,13 @@ def _lead(result: Result) -> str:
             if _holds(max(ratios))
             else (f" Limits are exceeded: {worst} of one is used.")
         )
-    reached = f"a condition number of {number(final)}"
+    reached = f"a condition number of {v.number(final)}"
     if stages:
         return (
-            f"{len(stages)} motions, one per link, of {quantity(duration, 's')} in all, reach "
+            f"{len(stages)} motions, one per link, of {v.quantity(duration, 's')} in all, reach "
             f"{reached} or less each (1 would be best).{holds}"
         )
-    before = "" if initial is None else f", {number(initial)} at the start of the search"
+    before = "" if initial is None else f", {v.number(initial)} at the start of the search"
     return f"{motion} reaches {reached}{before} (1 would be best).{holds}"
 
 
@@ -247,57 +206,59 @@ def _holds(ratio: float) -> bool:
 
 
 def _facts(result: Result) -> Facts | None:
-    stages = records(result, "link_by_link", "stages")
-    bound = real(result, "condition_number", "lower_bound")
+    stages = v.records(result, "link_by_link", "stages")
+    bound = v.real(result, "condition_number", "lower_bound")
     kappa, scaled = (
-        [real(result, key, which) for which in ("initial", "final")]
+        [v.real(result, key, which) for which in ("initial", "final")]
         for key in ("condition_number", "condition_number_scaled")
     )
-    said = f"the worst of {len(stages)} links" if stages else f"from {number(kappa[0])}"
+    said = f"the worst of {len(stages)} links" if stages else f"from {v.number(kappa[0])}"
     if bound is not None:
-        said += f"; no motion below {number(bound)}"
-    since = "" if scaled[0] is None else f"from {number(scaled[0])}; "
-    criterion = text(result, "criterion")
-    name, meaning = _CRITERIA.get(criterion, (plain(criterion), ""))
-    starts, iterations = len(records(result, "starts")), real(result, "iterations")
+        said += f"; no motion below {v.number(bound)}"
+    since = "" if scaled[0] is None else f"from {v.number(scaled[0])}; "
+    criterion = v.text(result, "criterion")
+    name, meaning = _CRITERIA.get(criterion, (v.plain(criterion), ""))
+    starts, iterations = len(v.records(result, "starts")), v.real(result, "iterations")
     effort = [f"{starts} starts"] * bool(starts)
     effort += [] if iterations is None else [f"{iterations:.0f} iterations"]
-    return facts(
-        fact("Condition number", kappa[1], number, said),
-        fact("Condition number, scaled", scaled[1], number, f"{since}columns of W at unit length"),
+    return p.facts(
+        p.fact("Condition number", kappa[1], v.number, said),
+        p.fact(
+            "Condition number, scaled", scaled[1], v.number, f"{since}columns of W at unit length"
+        ),
         _duration(result),
-        fact("Base parameters", at(result, "base_parameters"), whole, _columns(result)),
+        p.fact("Base parameters", v.at(result, "base_parameters"), v.whole, _columns(result)),
         Fact("Criterion", name, meaning),
         _clearance(result),
-        Fact("Search", quantity(at(result, "wall_s"), "s"), ", ".join(effort), timing=True),
+        Fact("Search", v.quantity(v.at(result, "wall_s"), "s"), ", ".join(effort), timing=True),
     )
 
 
 def _duration(result: Result) -> Fact:
-    count, duration = real(result, "harmonics"), real(result, "duration")
+    count, duration = v.real(result, "harmonics"), v.real(result, "duration")
     series = ""
     if count is not None:
-        spline = text(result, "series") == "spline"  # twice as many pieces as harmonics
+        spline = v.text(result, "series") == "spline"  # twice as many pieces as harmonics
         series = f"spline of {2 * count:.0f} pieces" if spline else f"{count:.0f} harmonics"
-    return fact("Duration", duration, unit_of("s"), series)
+    return p.fact("Duration", duration, v.unit_of("s"), series)
 
 
 def _clearance(result: Result) -> Fact:
     """Least distance, which holds between samples too."""
-    distance = real(result, "clearance_m")
+    distance = v.real(result, "clearance_m")
     remark = "to obstacles and itself, between samples too"
-    return fact(
-        "Clearance", distance, lambda d: f"≥ {quantity(1e3 * d, 'mm')}" if d else "", remark
+    return p.fact(
+        "Clearance", distance, lambda d: f"≥ {v.quantity(1e3 * d, 'mm')}" if d else "", remark
     )
 
 
 def _columns(result: Result) -> str:
-    columns = text(result, "columns")
-    return _COLUMNS.get(columns, f"columns: {plain(columns)}" if columns else "")
+    columns = v.text(result, "columns")
+    return _COLUMNS.get(columns, f"columns: {v.plain(columns)}" if columns else "")
 
 
 def _quantities(result: Result) -> list[str]:
-    limits = at(result, "limits")
+    limits = v.at(result, "limits")
     return [str(name) for name in limits] if isinstance(limits, Mapping) else []
 
 
@@ -305,32 +266,32 @@ def _ratios(result: Result) -> list[float | None]:
     """Largest share of each quantity's limit; None where nothing is limited."""
     found = []
     for quantity_ in _quantities(result):
-        ratio = real(result, "limits", quantity_)
-        unlimited = ratio == 0 and at(result, "worst", quantity_) is None
+        ratio = v.real(result, "limits", quantity_)
+        unlimited = ratio == 0 and v.at(result, "worst", quantity_) is None
         found.append(None if unlimited else ratio)
     return found
 
 
 def _limits(result: Result) -> Table | None:
-    names = items(result, "joints")
+    names = v.items(result, "joints")
 
     def joint(row: Result) -> str:
-        where = at(row, "joint")
+        where = v.at(row, "joint")
         known = isinstance(where, int) and 0 <= where < len(names)
-        return str(names[where]) if known else (text(row, "joint") or NONE)
+        return str(names[where]) if known else (v.text(row, "joint") or NONE)
 
     def verdict(row: Result) -> Cell:
-        ratio = real(row, "ratio")
+        ratio = v.real(row, "ratio")
         if ratio is None:
             return Cell("no limit given")
         return _verdict(_holds(ratio), "holds", "exceeded")
 
-    worst = [at(result, "worst", quantity_) for quantity_ in _quantities(result)]
+    worst = [v.at(result, "worst", quantity_) for quantity_ in _quantities(result)]
     rows: list[Result] = [
-        {"quantity": q, "ratio": ratio, "joint": at(where, "joint"), "t": at(where, "t")}
+        {"quantity": q, "ratio": ratio, "joint": v.at(where, "joint"), "t": v.at(where, "t")}
         for q, ratio, where in zip(_quantities(result), _ratios(result), worst, strict=True)
     ]
-    return table(
+    return p.table(
         rows,
         [
             ("name:Quantity", "quantity"),
@@ -345,22 +306,22 @@ def _limits(result: Result) -> Table | None:
 
 def _joint_limits(result: Result) -> Table | None:
     """The certified share of each limit, joint by joint."""
-    certified, joints = at(result, "certified"), joint_names(result)
+    certified, joints = v.at(result, "certified"), v.joint_names(result)
     if not isinstance(certified, Mapping):
         return None
     quantities = [
-        str(q) for q in certified if any(isinstance(r, Mapping) for r in items(certified, q))
+        str(q) for q in certified if any(isinstance(r, Mapping) for r in v.items(certified, q))
     ]
     rows: list[Result] = [
         {"joint": joint}
         | {q: e.ratio for q in quantities if (e := envelope_of(result, q, k)) is not None}
         for k, joint in enumerate(joints)
     ]
-    return table(
+    return p.table(
         rows if quantities else [],
         [
             ("name:Joint", "joint"),
-            *((f"number:{plain(q).capitalize()}", q, share_of_limit) for q in quantities),
+            *((f"number:{v.plain(q).capitalize()}", q, share_of_limit) for q in quantities),
         ],
         "Certified share of every joint's limit: a limit used to 100 % bounds what the motion can "
         "show; a dash means no limit.",
@@ -370,11 +331,11 @@ def _joint_limits(result: Result) -> Table | None:
 
 def _weakest(result: Result) -> Table | None:
     """The weakest base parameters in full, with the standard deviation to expect."""
-    weights = reals(result, "joint_weights")
+    weights = v.reals(result, "joint_weights")
     equal = not len(weights) or bool(np.all(weights == weights[0]))
     weighted = "" if equal else " (joints differ as the noise given for the design)"
-    rows = records(result, "weakest")
-    return table(
+    rows = v.records(result, "weakest")
+    return p.table(
         rows,
         [
             ("expression:Base parameter", "expression"),
@@ -384,8 +345,8 @@ def _weakest(result: Result) -> Table | None:
             ("number:Value in the model", "value"),
         ],
         "Standard deviation (std) by least squares from one period at 100 Hz, or 1000 samples if "
-        f"more, for white torque noise of 1 N·m{weighted}; it grows with the noise.",
-        "The same parameters in full, with the standard deviation to expect",
+        f"more, for white torque noise of 1 N·m{weighted}; it grows with the noise. "
+        "Fv is viscous and Fc Coulomb friction, Ia the rotor's inertia.",
     )
 
 
@@ -398,14 +359,14 @@ def _directions(result: Result) -> Table | None:
     ):
         other = "initial" if own == "final" else "final"
         rows += [
-            {**row, "of": name, own: at(row, "strength"), other: at(row, "other")}
-            for row in records(result, "weak_directions", key)
+            {**row, "of": name, own: v.at(row, "strength"), other: v.at(row, "other")}
+            for row in v.records(result, "weak_directions", key)
         ]
-    return table(
+    return p.table(
         rows,
         [
             ("name:Least excited by the", "of"),
-            ("expression:Combination of base parameters", combination),
+            ("expression:Combination of base parameters", v.combination),
             ("number:Torque at start [N·m]", "initial"),
             ("number:Torque designed [N·m]", "final"),
         ],
@@ -415,29 +376,29 @@ def _directions(result: Result) -> Table | None:
 
 
 def _starts(result: Result) -> Table | None:
-    rows: list[Result] = [{"start": k, **row} for k, row in enumerate(records(result, "starts"))]
-    return table(
+    rows: list[Result] = [{"start": k, **row} for k, row in enumerate(v.records(result, "starts"))]
+    return p.table(
         rows,
         [
-            ("name:Start", lambda r: text(r, "start")),
-            ("number:Condition number", "condition_number", number4),
-            ("number:Iterations", "iterations", whole),
-            ("text:Status", lambda r: plain(text(r, "status")) or NONE),
+            ("name:Start", lambda r: v.text(r, "start")),
+            ("number:Condition number", "condition_number", v.number4),
+            ("number:Iterations", "iterations", v.whole),
+            ("text:Status", lambda r: v.plain(v.text(r, "status")) or NONE),
         ],
         "Every start of the search and where it ended.",
-        folded(f"All {len(rows)} starts", len(rows), 8),
+        p.folded(f"All {len(rows)} starts", len(rows), 8),
     )
 
 
 def _link_motions(result: Result) -> Table | None:
-    return table(
-        records(result, "link_by_link", "stages"),
+    return p.table(
+        v.records(result, "link_by_link", "stages"),
         [
             ("name:File", "file"),
             ("name:Link", "link"),
-            ("number:Joints moving", lambda r: str(len(words(r, "moves")))),
+            ("number:Joints moving", lambda r: str(len(v.words(r, "moves")))),
             ("number:Duration [s]", "duration"),
-            ("number:Base parameters", "base_parameters", whole),
+            ("number:Base parameters", "base_parameters", v.whole),
             ("number:Condition number, first", "condition_number.initial"),
             ("number:Condition number", "condition_number.final"),
             ("number:Condition number, scaled", "condition_number_scaled.final"),

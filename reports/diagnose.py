@@ -6,13 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from excitant.reports import page as p
+from excitant.reports import values as v
 from excitant.reports.diagnose_figures import evidence_figure, share_figure, waterfall_figure
 from excitant.reports.identify import CUTOFF_REMARK, fault_table
 from excitant.reports.page import (
-    FAIR,
-    GOOD,
-    PLAIN,
-    POOR,
     Block,
     Cell,
     Column,
@@ -23,38 +21,9 @@ from excitant.reports.page import (
     Parts,
     Section,
     Table,
-    estimates,
-    fact,
-    facts,
-    files,
-    folded,
-    notes,
-    section,
-    table,
 )
 from excitant.reports.torque_figures import Curves, error_bars, over_holdout, torque_figure
-from excitant.reports.values import (
-    NONE,
-    Result,
-    Series,
-    at,
-    change,
-    joint_names,
-    listing,
-    median,
-    number,
-    number4,
-    percent,
-    plain,
-    quantity,
-    real,
-    records,
-    sentence,
-    text,
-    unit_of,
-    whole,
-    words,
-)
+from excitant.reports.values import NONE, Result, Series
 
 _NOISE = "noise-like"  # what a diagnosis calls a residual without structure
 _LEADING = 3  # findings that are shown without opening a fold
@@ -74,14 +43,14 @@ _ONE_MODEL = (
 
 def diagnose_section(result: Result, series: Series) -> Section:
     """The diagnosis: faults, findings in order of importance with evidence, what stays open."""
-    unit = text(result, "unit") or "N·m"
-    joints = joint_names(result, "simulation.joints", "extended.joints")
-    findings, changed = records(result, "findings"), _changed(result)
-    lead = text(result, "headline")
-    said = [sentence(note) for note in words(result, "notes") if note and note not in lead]
+    unit = v.text(result, "unit") or "N·m"
+    joints = v.joint_names(result, "simulation.joints", "extended.joints")
+    findings, changed = v.records(result, "findings"), _changed(result)
+    lead = v.text(result, "headline")
+    said = [v.sentence(note) for note in v.words(result, "notes") if note and note not in lead]
     curves = _CURVES if changed else replace(_CURVES, after="", caption=_ONE_MODEL)
     wrong = "What is wrong with the given model" if findings else "Error of the given model"
-    return section(
+    return p.section(
         "Diagnosis",
         lead,
         [
@@ -90,11 +59,11 @@ def diagnose_section(result: Result, series: Series) -> Section:
                 wrong,
                 [
                     share_figure(result, unit, changed),
-                    notes(words(result, "refit", "sentence")),
+                    p.notes(v.words(result, "refit", "sentence")),
                     _refit(result, unit),
                     _moves(result),
                     _forward(result, changed),
-                    notes(words(result, "forward", "notes")),
+                    p.notes(v.words(result, "forward", "notes")),
                 ],
             ),
             ("Error step by step", [waterfall_figure(result) if changed else None]),
@@ -105,10 +74,10 @@ def diagnose_section(result: Result, series: Series) -> Section:
             ),
             (over_holdout(unit), [torque_figure(joints, series, unit, curves)]),
             ("Not explained", _unexplained(result)),
-            ("Notes", [notes(said)]),
-            ("Files", [files(words(result, "extended", "files"))]),
+            ("Notes", [p.notes(said)]),
+            ("Files", [p.files(v.words(result, "extended", "files"))]),
         ],
-        (("diagnosed", text(result, "headline")),),
+        (("diagnosed", v.text(result, "headline")),),
     )
 
 
@@ -116,41 +85,41 @@ def _pairs(result: Result) -> list[Result]:
     """Errors of both models, one record a joint."""
     found: dict[str, dict[str, object]] = {}
     for model in ("simulation", "extended"):
-        for row in records(result, model, "joints"):
-            found.setdefault(text(row, "name"), {"name": text(row, "name")})[model] = row
+        for row in v.records(result, model, "joints"):
+            found.setdefault(v.text(row, "name"), {"name": v.text(row, "name")})[model] = row
     return list(found.values())
 
 
 def _changed(result: Result) -> bool:
     """Whether the extended model predicts otherwise than the given one; not if nothing is named."""
-    errors = [[real(r, m, "rms") for m in ("simulation", "extended")] for r in _pairs(result)]
+    errors = [[v.real(r, m, "rms") for m in ("simulation", "extended")] for r in _pairs(result)]
     return any(after is not None and after != before for before, after in errors)
 
 
 def _cause(finding: Result) -> str:
     """The effect of a finding in words."""
-    return "unknown cause" if _unknown(finding) else plain(text(finding, "effect"))
+    return "unknown cause" if _unknown(finding) else v.plain(v.text(finding, "effect"))
 
 
 def _unknown(finding: Result) -> bool:
     """Whether structure was found that no candidate explains."""
-    return text(finding, "effect") == "unknown"
+    return v.text(finding, "effect") == "unknown"
 
 
 def _facts(result: Result) -> Facts | None:
-    findings, faults = records(result, "findings"), records(result, "faults")
-    verdicts = [text(finding, "verdict") for finding in findings]
+    findings, faults = v.records(result, "findings"), v.records(result, "faults")
+    verdicts = [v.text(finding, "verdict") for finding in findings]
     counts = [f"{n} {word}" for word in dict.fromkeys(verdicts) if (n := verdicts.count(word))]
     before, after = (
-        median(records(result, m, "joints"), "nrmse") for m in ("simulation", "extended")
+        v.median(v.records(result, m, "joints"), "nrmse") for m in ("simulation", "extended")
     )
     after = after if _changed(result) else None
-    errors = change(before, after, percent)
-    return facts(
+    errors = v.change(before, after, v.percent)
+    return p.facts(
         Fact("Hold-out error", errors, "nrmse, median over joints", number=after or before),
-        fact("Findings", len(findings), whole, ", ".join(counts) or "nothing stands out"),
-        fact("Data faults", len(faults), whole, "", POOR if faults else GOOD),
-        fact("Cut-off", at(result, "cutoff_hz"), unit_of("Hz"), CUTOFF_REMARK),
+        p.fact("Findings", len(findings), v.whole, ", ".join(counts) or "nothing stands out"),
+        p.fact("Data faults", len(faults), v.whole, "", p.POOR if faults else p.GOOD),
+        p.fact("Cut-off", v.at(result, "cutoff_hz"), v.unit_of("Hz"), CUTOFF_REMARK),
     )
 
 
@@ -162,18 +131,18 @@ def _finding_table(findings: list[Result], unit: str) -> Table | None:
             {}
             if _unknown(finding)
             else {
-                "explained": at(finding, "explained"),
-                "after": at(finding, "holdout", "rms_after"),
+                "explained": v.at(finding, "explained"),
+                "after": v.at(finding, "holdout", "rms_after"),
             }
         )
         rows.append({**finding, "explained": None, "k": k, **known})
-    return table(
+    return p.table(
         rows,
         [
-            ("number:#", lambda r: text(r, "k")),
+            ("number:#", lambda r: v.text(r, "k")),
             ("name:Effect", _cause),
             ("name:Joints", "joints"),
-            ("number:Explains", "explained", percent),
+            ("number:Explains", "explained", v.percent),
             (f"number:rms without it [{unit}]", "holdout.rms_before"),
             (f"number:rms with it [{unit}]", "after"),
             ("text:Verdict", _verdict),
@@ -185,8 +154,8 @@ def _finding_table(findings: list[Result], unit: str) -> Table | None:
 
 
 def _verdict(finding: Result) -> Cell:
-    verdict = text(finding, "verdict")
-    return Cell(verdict or NONE, {"named": GOOD, "undecided": FAIR}.get(verdict, PLAIN))
+    verdict = v.text(finding, "verdict")
+    return Cell(verdict or NONE, {"named": p.GOOD, "undecided": p.FAIR}.get(verdict, p.PLAIN))
 
 
 def _finding_parts(findings: list[Result], series: Series, unit: str) -> Parts:
@@ -194,7 +163,7 @@ def _finding_parts(findings: list[Result], series: Series, unit: str) -> Parts:
     parts: Parts = []
     others: list[Block | None] = []
     for k, finding in enumerate(findings):
-        joints = listing(words(finding, "joints"), "")
+        joints = v.listing(v.words(finding, "joints"), "")
         title = f"Finding {k + 1}: {_cause(finding)}{' at ' * bool(joints)}{joints}"
         blocks: list[Block | None] = [
             Notes((_sentence(finding, unit),)),
@@ -205,8 +174,8 @@ def _finding_parts(findings: list[Result], series: Series, unit: str) -> Parts:
         if k < _LEADING or _unknown(finding):
             parts.append((title, blocks))
         else:
-            share, verdict = real(finding, "explained"), text(finding, "verdict")
-            aside = [percent(share)] * (share is not None) + [verdict] * bool(verdict)
+            share, verdict = v.real(finding, "explained"), v.text(finding, "verdict")
+            aside = [v.percent(share)] * (share is not None) + [verdict] * bool(verdict)
             title += f" ({', '.join(aside)})" if aside else ""
             others.append(Folded(title, tuple(block for block in blocks if block is not None)))
     return [*parts, ("Further findings", others)]
@@ -214,43 +183,43 @@ def _finding_parts(findings: list[Result], series: Series, unit: str) -> Parts:
 
 def _sentence(finding: Result, unit: str) -> str:
     if _unknown(finding):
-        structure = text(finding, "structure").removeprefix("structured: ")
+        structure = v.text(finding, "structure").removeprefix("structured: ")
         said = "Structure is left over that no candidate explains"
         return f"{said}: it {structure}." if structure else f"{said}."
-    before, after = (real(finding, "holdout", f"rms_{key}") for key in ("before", "after"))
-    effect, share = _cause(finding), real(finding, "explained")
+    before, after = (v.real(finding, "holdout", f"rms_{key}") for key in ("before", "after"))
+    effect, share = _cause(finding), v.real(finding, "explained")
     said = f"{effect[:1].upper()}{effect[1:]} was found."
     if before is not None and after is not None:
-        where = "these joints" if len(words(finding, "joints")) > 1 else "this joint"
+        where = "these joints" if len(v.words(finding, "joints")) > 1 else "this joint"
         said = (
             f"Without it, everything else that was found being kept, the rms on the hold-out at "
-            f"{where} is {quantity(before, unit)} instead of {quantity(after, unit)}."
+            f"{where} is {v.quantity(before, unit)} instead of {v.quantity(after, unit)}."
         )
     if share is not None:
-        said += f" That is {percent(share)} of the squared error that the given model leaves"
+        said += f" That is {v.percent(share)} of the squared error that the given model leaves"
         said += ": other findings rest on it." if share > 1 else "."
-    if reason := text(finding, "doubt"):
+    if reason := v.text(finding, "doubt"):
         said += f" It is not decided: {reason}."
-    elif text(finding, "verdict") == "undecided":
+    elif v.text(finding, "verdict") == "undecided":
         said += " It is not decided: the effects below explain these data as well."
     return said
 
 
 def _parameters(finding: Result) -> Table | None:
-    rows = records(finding, "parameters")
-    given = any(real(p, "given") is not None for p in rows)
-    fixed = any(real(p, "std") is None for p in rows)
-    return table(
+    rows = v.records(finding, "parameters")
+    given = any(v.real(row, "given") is not None for row in rows)
+    fixed = any(v.real(row, "std") is None for row in rows)
+    return p.table(
         rows,
         [
             ("name:Parameter", "name"),
             ("number:Given", "given") if given else None,
-            *estimates("number:Fitted"),
+            *p.estimates("number:Fitted"),
             ("text:Unit", "unit", _unit),
         ],
         f"{'Value in the given model, and f' if given else 'F'}itted value with its standard "
         "deviation" + (" (a dash: chosen from a grid, or held)." if fixed else "."),
-        folded(f"All {len(rows)} fitted parameters", len(rows)),
+        p.folded(f"All {len(rows)} fitted parameters", len(rows)),
     )
 
 
@@ -259,19 +228,19 @@ def _unit(unit: object) -> str:
 
 
 def _rivals(finding: Result) -> Table | None:
-    rows = records(finding, "rivals")
+    rows = v.records(finding, "rivals")
     # an experiment's sentence may already hold what separation and repetitions say
     said = all(
-        real(r, "separation") is None or "separates by" in text(r, "experiment") for r in rows
+        v.real(r, "separation") is None or "separates by" in v.text(r, "experiment") for r in rows
     )
     runs: tuple[Column, ...] = (
         ("number:Separation [σ]", "separation"),
-        ("number:Runs", "repetitions", whole),
+        ("number:Runs", "repetitions", v.whole),
     )
-    return table(
+    return p.table(
         rows,
         [
-            ("name:Rival", "effect", lambda effect: plain(effect or "")),
+            ("name:Rival", "effect", lambda effect: v.plain(effect or "")),
             ("name:Joints", "joints"),
             ("text:Why it cannot be excluded", "why"),
             ("text:Experiment that settles it", "experiment"),
@@ -285,8 +254,8 @@ def _rivals(finding: Result) -> Table | None:
 
 
 def _refit(result: Result, unit: str) -> Table | None:
-    return table(
-        records(result, "refit", "joints"),
+    return p.table(
+        v.records(result, "refit", "joints"),
         [
             ("name:Joint", "name"),
             (f"number:Given, rms [{unit}]", "given"),
@@ -302,15 +271,15 @@ def _refit(result: Result, unit: str) -> Table | None:
 
 def _moves(result: Result) -> Table | None:
     def deviations(key: str) -> Column:
-        return ("number:in std", f"deviations.{key}", lambda x: number(x, 2))
+        return ("number:in std", f"deviations.{key}", lambda x: v.number(x, 2))
 
     def inertia(row: Result) -> Cell:
-        factor = real(row, "inertia")
+        factor = v.real(row, "inertia")
         share = None if factor is None else 100 * float(np.expm1(factor))
-        return Cell(number(share, 2), PLAIN, share)
+        return Cell(v.number(share, 2), p.PLAIN, share)
 
-    return table(
-        records(result, "refit", "links"),
+    return p.table(
+        v.records(result, "refit", "links"),
         [
             ("name:Link", "link"),
             ("number:Mass [kg]", "mass_kg"),
@@ -328,24 +297,24 @@ def _moves(result: Result) -> Table | None:
 
 def _forward(result: Result, changed: bool) -> Table | None:
     """Both models simulated forward under the recorded torque."""
-    rows = records(result, "forward", "joints")
-    units = listing(list(dict.fromkeys(text(row, "unit") for row in rows)))
-    count, length = (real(result, "forward", key) for key in ("windows", "window_s"))
-    loop = quantity(at(result, "forward", "bandwidth_hz"), "Hz", 1)
+    rows = v.records(result, "forward", "joints")
+    units = v.listing(list(dict.fromkeys(v.text(row, "unit") for row in rows)))
+    count, length = (v.real(result, "forward", key) for key in ("windows", "window_s"))
+    loop = v.quantity(v.at(result, "forward", "bandwidth_hz"), "Hz", 1)
     models = ("given", "extended") if changed else ("given",)
     worse = [
-        text(row, "name")
+        v.text(row, "name")
         for row in rows
-        if (given := real(row, "given")) is not None
-        and (real(row, "extended") or float("inf")) > given
+        if (given := v.real(row, "given")) is not None
+        and (v.real(row, "extended") or float("inf")) > given
     ]
     closer = " The extended model stays closer on every joint."
     if worse:
         closer = (
-            f" The extended model is no closer at {listing(worse)}: there its dry friction near "
+            f" The extended model is no closer at {v.listing(worse)}: there its dry friction near "
             "rest, or overestimated effects, move the joint more than the findings help."
         )
-    return table(
+    return p.table(
         rows,
         [
             ("name:Joint", "name"),
@@ -353,21 +322,21 @@ def _forward(result: Result, changed: bool) -> Table | None:
             *((f"number:Velocity, {m} [m{units}/s]", f"velocity.{m}", _milli) for m in models),
         ],
         f"Simulated forward under the recorded torque over {count or 0:.0f} windows of "
-        f"{quantity(length, 's', 2)} of the hold-out: rms by which the model leaves the recorded "
+        f"{v.quantity(length, 's', 2)} of the hold-out: rms by which the model leaves the recorded "
         f"motion, held on it by {'the same' if changed else 'a'} loop of {loop}."
         f"{closer if changed else ''}",
     )
 
 
 def _milli(value: object) -> str:
-    x = real(value)
-    return "diverges" if x is None else number(1e3 * x)
+    x = v.real(value)
+    return "diverges" if x is None else v.number(1e3 * x)
 
 
 def _bars(result: Result, unit: str, changed: bool) -> Block | None:
     models = ("simulation", "extended") if changed else ("simulation",)
     errors = [
-        (text(row, "name"), [(real(row, m, "rms"), real(row, m, "nrmse")) for m in models])
+        (v.text(row, "name"), [(v.real(row, m, "rms"), v.real(row, m, "nrmse")) for m in models])
         for row in _pairs(result)
     ]
     return error_bars(errors, unit, _CURVES, "Prediction error per joint on the hold-out")
@@ -375,14 +344,14 @@ def _bars(result: Result, unit: str, changed: bool) -> Block | None:
 
 def _joint_table(result: Result, unit: str, changed: bool) -> Table | None:
     models = [("Given", "simulation"), ("Extended", "extended")][: 1 + changed]
-    cutoff = real(result, "cutoff_hz")
-    same = "" if cutoff is None else f", all after the same filter ({quantity(cutoff, 'Hz')})"
+    cutoff = v.real(result, "cutoff_hz")
+    same = "" if cutoff is None else f", all after the same filter ({v.quantity(cutoff, 'Hz')})"
     measures = (
-        (f"rms [{unit}]", "rms", number),
-        ("nrmse", "nrmse", percent),
-        ("r²", "r2", number4),
+        (f"rms [{unit}]", "rms", v.number),
+        ("nrmse", "nrmse", v.percent),
+        ("r²", "r2", v.number4),
     )
-    return table(
+    return p.table(
         _pairs(result),
         [
             ("name:Joint", "name"),
@@ -398,18 +367,18 @@ def _joint_table(result: Result, unit: str, changed: bool) -> Table | None:
 
 
 def _unexplained(result: Result) -> list[Block | None]:
-    rows = records(result, "unexplained")
-    sized = any(text(row, "against_noise") for row in rows)
-    noise = bool(rows) and all(text(row, "structure") == _NOISE for row in rows)
+    rows = v.records(result, "unexplained")
+    sized = any(v.text(row, "against_noise") for row in rows)
+    noise = bool(rows) and all(v.text(row, "structure") == _NOISE for row in rows)
     return [
-        notes(["The residual looks like noise at every joint."] if noise else [], GOOD),
-        table(
+        p.notes(["The residual looks like noise at every joint."] if noise else [], p.GOOD),
+        p.table(
             rows,
             [
                 ("name:Joint", "joint"),
-                ("number:Share", "share", percent),
+                ("number:Share", "share", v.percent),
                 ("text:Against the noise", "against_noise") if sized else None,
-                ("text:Structure", lambda r: text(r, "structure").removeprefix("structured: ")),
+                ("text:Structure", lambda r: v.text(r, "structure").removeprefix("structured: ")),
             ],
             "What everything found leaves: share of the measured torque's variance, its size "
             "against the noise while the joint moves, and what it varies with.",

@@ -8,37 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from excitant.reports.drawing import (
-    FITTED,
-    GIVEN,
-    LIGHT,
-    MEASURED,
-    PURPLE,
-    axes,
-    few_ticks,
-    label_x,
-    label_y,
-    panel,
-    percent_x,
-)
+from excitant.reports import drawing as draw
+from excitant.reports import values as v
 from excitant.reports.page import Figure, Key, Panel
 from excitant.reports.torque_figures import bar_axes
-from excitant.reports.values import (
-    Result,
-    Series,
-    at,
-    curve,
-    listing,
-    number,
-    percent,
-    plain,
-    quantity,
-    real,
-    records,
-    shorten,
-    text,
-    words,
-)
+from excitant.reports.values import Result, Series
 from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
@@ -64,7 +38,7 @@ def share_figure(result: Result, unit: str, changed: bool = True) -> Figure | No
         unit: Of the torque.
         changed: Whether the extended model differs; else only the given one is shown.
     """
-    joints = records(result, "error", "joints")
+    joints = v.records(result, "error", "joints")
     if not joints:
         return None
     panels = [_shares(joints, False, "model as given", unit)]
@@ -86,7 +60,7 @@ def share_figure(result: Result, unit: str, changed: bool = True) -> Figure | No
 def _shares(joints: list[Result], left: bool, title: str, unit: str) -> Panel:
     names, count = (*_DOMAINS, *_BANDS), len(joints)
     height = max(_ROW * count, _LEAST) + _TOP + _BELOW
-    (ax,) = axes(height, left=_LEFT, top=_TOP)
+    (ax,) = draw.axes(height, left=_LEFT, top=_TOP)
     box = ax.get_position()
     rows = _ROW * count / height
     ax.set_position((box.x0, 1 - _TOP / height - rows, box.width, rows))
@@ -94,25 +68,25 @@ def _shares(joints: list[Result], left: bool, title: str, unit: str) -> Panel:
     for side in ax.spines.values():
         side.set_visible(False)
     for row, joint in enumerate(joints):
-        source = at(joint, "left") if left else joint
-        rms, before = real(source, "rms"), real(joint, "rms")
-        size = quantity(rms, unit, 2)
+        source = v.at(joint, "left") if left else joint
+        rms, before = v.real(source, "rms"), v.real(joint, "rms")
+        size = v.quantity(rms, unit, 2)
         if left and before and rms is not None:
-            size += f", {percent(rms / before)} of it"
-        said = f"{shorten(text(joint, 'name'), 20)}\n{size}"
+            size += f", {v.percent(rms / before)} of it"
+        said = f"{v.shorten(v.text(joint, 'name'), 20)}\n{size}"
         ax.text(-0.15, row + 0.5, said, ha="right", va="center", fontsize=7.2, linespacing=1.05)
         for column, name in enumerate(names):
             group = "shares" if name in _DOMAINS else "bands"
-            colour, framed = FITTED if left else GIVEN, name == text(source, "telling")
-            _cell(ax, _at(column), row, real(source, group, name), colour, framed)
+            colour, framed = draw.FITTED if left else draw.GIVEN, name == v.text(source, "telling")
+            _cell(ax, _at(column), row, v.real(source, group, name), colour, framed)
     for column, name in enumerate(names):
         ax.text(_at(column) + 0.35, -0.12, name, rotation=50, ha="left", va="bottom", fontsize=7.5)
     ax.set_xlim(0, _at(len(names) - 1) + 1)
     ax.set_ylim(count, 0)
     ax.set_xticks([])
     ax.set_yticks([])
-    worst = "; ".join(f"{text(j, 'name')} by {text(j, 'telling') or 'unknown'}" for j in joints)
-    return panel(ax, f"share of the squared error by quantity, {title}: {worst}", title)
+    worst = "; ".join(f"{v.text(j, 'name')} by {v.text(j, 'telling') or 'unknown'}" for j in joints)
+    return draw.panel(ax, f"share of the squared error by quantity, {title}: {worst}", title)
 
 
 def _at(column: int) -> float:
@@ -156,10 +130,10 @@ def waterfall_figure(result: Result) -> Figure | None:
     The smaller effects at the end are one step.
     """
     steps = []
-    for row in records(result, "waterfall"):
-        effect, where, joints = text(row, "label").partition(" at ")
-        if (rms := real(row, "rms")) is not None:
-            steps.append((plain(effect) + where + joints, rms))
+    for row in v.records(result, "waterfall"):
+        effect, where, joints = v.text(row, "label").partition(" at ")
+        if (rms := v.real(row, "rms")) is not None:
+            steps.append((v.plain(effect) + where + joints, rms))
     small = len(steps) - _STEPS
     if small > 1:
         merged = (f"+ {small} smaller causes", steps[-2][1])
@@ -167,30 +141,30 @@ def waterfall_figure(result: Result) -> Figure | None:
     if len(steps) < 2:
         return None
     top = max(rms for _, rms in steps) or 1.0
-    (ax,) = axes(0.44 * len(steps) + 0.52, left=0.14)
+    (ax,) = draw.axes(0.44 * len(steps) + 0.52, left=0.14)
     before = 0.0
     for row_, (label, rms) in enumerate(steps):
         end = max(rms, before)
-        ax.text(0, row_ - 0.3, shorten(label, 52), va="center", ha="left")
-        ax.barh(row_ + 0.06, rms, height=0.26, color=FITTED if row_ else GIVEN)
+        ax.text(0, row_ - 0.3, v.shorten(label, 52), va="center", ha="left")
+        ax.barh(row_ + 0.06, rms, height=0.26, color=draw.FITTED if row_ else draw.GIVEN)
         if end > rms:
-            ax.barh(row_ + 0.06, end - rms, left=rms, height=0.26, color=LIGHT)
-        ax.text(end + 0.012 * top, row_ + 0.06, percent(rms, 3), va="center", fontsize=8)
+            ax.barh(row_ + 0.06, end - rms, left=rms, height=0.26, color=draw.LIGHT)
+        ax.text(end + 0.012 * top, row_ + 0.06, v.percent(rms, 3), va="center", fontsize=8)
         before = rms
     bar_axes(ax, len(steps) - 0.65, 1.27 * top)
     ax.set_xlabel("error on the hold-out, share of the given model's")
-    few_ticks(ax.xaxis, 5)
+    draw.few_ticks(ax.xaxis, 5)
     ax.set_xticks([x for x in ax.get_xticks() if 0 <= x <= top])
-    percent_x(ax)
-    said = "; ".join(f"{label} {percent(rms, 3)}" for label, rms in steps)
+    draw.percent_x(ax)
+    said = "; ".join(f"{label} {v.percent(rms, 3)}" for label, rms in steps)
     return Figure(
-        (panel(ax, f"error on the hold-out step by step: {said}"),),
+        (draw.panel(ax, f"error on the hold-out step by step: {said}"),),
         "Error on the hold-out after each effect that was added, every joint relative to the "
         "model as given: long grey pieces are effects that matter.",
         (
-            Key("box", GIVEN, "model as given"),
-            Key("box", FITTED, "what remains"),
-            Key("box", LIGHT, "removed by this effect"),
+            Key("box", draw.GIVEN, "model as given"),
+            Key("box", draw.FITTED, "what remains"),
+            Key("box", draw.LIGHT, "removed by this effect"),
         ),
     )
 
@@ -198,7 +172,7 @@ def waterfall_figure(result: Result) -> Figure | None:
 def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> Figure | None:
     """Residual before an effect was added, over the quantity that shows it, and the fit."""
     x, residual, fit, rival = (
-        curve(series, f"finding{index}_{key}") for key in ("x", "residual", "fit", "rival")
+        v.curve(series, f"finding{index}_{key}") for key in ("x", "residual", "fit", "rival")
     )
     if x is None or residual is None or len(x) != len(residual):
         return None
@@ -208,30 +182,34 @@ def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> F
     order = np.flatnonzero(seen)[np.argsort(x[seen], kind="stable")]
     fit, rival = (y if y is not None and len(y) == len(x) else None for y in (fit, rival))
     x, residual = x[order], residual[order]
-    rivals = [plain(text(each, "effect")) for each in records(finding, "rivals")]
-    (ax,) = axes(2.6)
+    rivals = [v.plain(v.text(each, "effect")) for each in v.records(finding, "rivals")]
+    (ax,) = draw.axes(2.6)
     step = max(1, len(x) // _POINTS)
     # one small picture: thousands of points would make the page heavy
     ax.scatter(x[::step], residual[::step], s=5, c="#9aa0a6", alpha=0.35, lw=0, rasterized=True)
-    legend, shown = [Key("dot", LIGHT, "residual before")], [residual]
+    legend, shown = [Key("dot", draw.LIGHT, "residual before")], [residual]
     binned = len(x) >= 4 * _MEDIANS
     if binned:
-        legend.append(Key("dot", MEASURED, "median in bins"))
+        legend.append(Key("dot", draw.MEASURED, "median in bins"))
     if fit is not None:
-        shown.append(_curve(ax, x, fit[order], color=FITTED, lw=1.8))
-        legend.append(Key("line", FITTED, "fitted effect"))
+        shown.append(_curve(ax, x, fit[order], color=draw.FITTED, lw=1.8))
+        legend.append(Key("line", draw.FITTED, "fitted effect"))
     if rival is not None and rivals:
-        shown.append(_curve(ax, x, rival[order], color=PURPLE, lw=1.5, ls=(0, (3, 2))))
-        legend.append(Key("dash", PURPLE, f"{rivals[0]} instead, fitted to these points"))
+        shown.append(_curve(ax, x, rival[order], color=draw.PURPLE, lw=1.5, ls=(0, (3, 2))))
+        legend.append(Key("dash", draw.PURPLE, f"{rivals[0]} instead, fitted to these points"))
     if binned:
-        ax.plot(*_along(x, residual, _MEDIANS), "o", ms=4, color=MEASURED, mec="white", mew=0.7)
+        ax.plot(
+            *_along(x, residual, _MEDIANS), "o", ms=4, color=draw.MEASURED, mec="white", mew=0.7
+        )
     _limits(ax, x, np.concatenate(shown))
-    effect, x_label = plain(text(finding, "effect")), text(finding, "figure", "x_label")
+    effect, x_label = v.plain(v.text(finding, "effect")), v.text(finding, "figure", "x_label")
     x_label = x_label or "quantity that shows it"
-    label_x(ax, x_label)
-    label_y(ax, text(finding, "figure", "y_label") or f"residual [{unit}]")
-    joint = text(finding, "figure", "joint") or listing(words(finding, "joints"), "all joints")
-    rms = number(np.sqrt(np.mean(residual**2)))
+    draw.label_x(ax, x_label)
+    draw.label_y(ax, v.text(finding, "figure", "y_label") or f"residual [{unit}]")
+    joint = v.text(finding, "figure", "joint") or v.listing(
+        v.words(finding, "joints"), "all joints"
+    )
+    rms = v.number(np.sqrt(np.mean(residual**2)))
     caption = (
         f"Residual at {joint} without {effect}, everything else that was found being kept, against "
         f"{x_label}: the blue curve is the fitted effect, and should run through the "
@@ -247,7 +225,7 @@ def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> F
             "from zero are what no candidate describes."
         )
     label = f"{joint}: residual (rms {rms} {unit}) against {x_label}, with the fitted {effect}"
-    return Figure((panel(ax, label, joint),), caption, tuple(legend))
+    return Figure((draw.panel(ax, label, joint),), caption, tuple(legend))
 
 
 def _along(x: Array, y: Array, bins: int, fewest: int | None = None) -> tuple[Array, Array]:

@@ -26,7 +26,6 @@ from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 MEASURED, GIVEN, FITTED = "#4d4d4d", "#d55e00", "#0072b2"
@@ -100,16 +99,6 @@ def _begin() -> None:
         _open.set(None)
 
 
-def _figure(height: float) -> Figure:
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    _begin()
-    figure = Figure(figsize=(WIDTH, height))
-    FigureCanvasSVG(figure)
-    return figure
-
-
 def axes(
     height: float,
     ratios: Sequence[float] = (1,),
@@ -126,9 +115,12 @@ def axes(
         top: Margin above the first axes [inch].
         space: Between the axes, as a share of their mean height.
     """
-    from matplotlib.ticker import FuncFormatter
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
 
-    figure = _figure(height)
+    _begin()
+    figure = Figure(figsize=(WIDTH, height))
+    FigureCanvasSVG(figure)
     grid = figure.subplots(
         len(ratios),
         1,
@@ -147,40 +139,10 @@ def axes(
     for ax in found:
         few_ticks(ax.yaxis, 4)
         few_ticks(ax.xaxis, 6)
-        ax.yaxis.set_major_formatter(FuncFormatter(_tick))
-        ax.xaxis.set_major_formatter(FuncFormatter(_tick))
+        ax.yaxis.set_major_formatter(_tick)
+        ax.xaxis.set_major_formatter(_tick)
     figure.align_ylabels(found)
     return found
-
-
-def axes_3d(low: Array, high: Array) -> Any:
-    """Axes in space with one scale for all directions.
-
-    Args:
-        low: Least coordinates to be shown, shape (3,).
-        high: Greatest coordinates, shape (3,).
-    """
-    from matplotlib.ticker import FuncFormatter
-
-    figure = _figure(3.3)
-    ax: Any = figure.add_axes((-0.03, 0.0, 1.0, 1.07), projection="3d")
-    middle, half = (low + high) / 2, 0.52 * np.maximum(high - low, 0.5 * float(np.max(high - low)))
-    ax.set_box_aspect(half.tolist(), zoom=0.86)
-    ax.view_init(elev=24, azim=-56)
-    for k, axis in enumerate((ax.xaxis, ax.yaxis, ax.zaxis)):
-        getattr(ax, f"set_{'xyz'[k]}lim")(middle[k] - half[k], middle[k] + half[k])
-        few_ticks(axis, 2 if half[k] <= 0.6 * half.max() else 4, min_n_ticks=1)
-        axis.set_major_formatter(FuncFormatter(_tick))
-        axis.set_pane_color((0.975, 0.978, 0.98, 1.0))
-        axis.set_tick_params(pad=-1 if k < 2 else 1, labelsize=8)
-    return ax
-
-
-def fill_3d(ax: Any, faces: Sequence[Array], **look: Any) -> None:
-    """Fill plane polygons in space, each of shape (corners, 3)."""
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
-
-    ax.add_collection3d(Poly3DCollection(list(faces), **look))
 
 
 def ink(colour: str) -> str:
@@ -230,34 +192,22 @@ def label_x(ax: Axes, words: str) -> None:
 
 def percent_x(ax: Axes) -> None:
     """Label the abscissa, which holds shares, in per cent."""
-    from matplotlib.ticker import FuncFormatter
-
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{100 * x:.6g}\u00a0%" if x else "0"))
+    ax.xaxis.set_major_formatter(lambda x, _: f"{100 * x:.6g}\u00a0%" if x else "0")
 
 
 def log_y(ax: Axes) -> None:
     """Make the ordinate logarithmic, with powers of ten or plain numbers as labels."""
+    from matplotlib.ticker import LogLocator, NullLocator
+
     ax.set_yscale("log")
-    _log_axis(ax.yaxis, ax.get_ylim())
-
-
-def log_x(ax: Axes) -> None:
-    """Make the abscissa logarithmic, with powers of ten or plain numbers as labels."""
-    ax.set_xscale("log")
-    _log_axis(ax.xaxis, ax.get_xlim())
-
-
-def _log_axis(axis: Axis, limits: tuple[float, float]) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
-    lower, upper = sorted(limits)
+    lower, upper = sorted(ax.get_ylim())
     decades = math.log10(upper / lower) if lower > 0 else 1.0
-    axis.set_major_locator(LogLocator(subs=(1.0,) if decades > 2 else (1.0, 2.0, 5.0)))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(_log_tick))
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0,) if decades > 2 else (1.0, 2.0, 5.0)))
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.yaxis.set_major_formatter(_log_tick)
 
 
-def _tick(value: float, _position: int | None = None) -> str:
+def _tick(value: float, _position: float | None = None) -> str:
     if abs(value) < 1e-12:
         return "0"
     if 1e-3 <= abs(value) < 1e5:
@@ -266,7 +216,7 @@ def _tick(value: float, _position: int | None = None) -> str:
     return f"{value / 10.0**exponent:.3g}×{power_of_ten(exponent)}".replace("-", "−")
 
 
-def _log_tick(value: float, _position: int | None = None) -> str:
+def _log_tick(value: float, _position: float | None = None) -> str:
     exponent = round(math.log10(value)) if value > 0 else 0
     if value > 0 and abs(exponent) > 3 and math.isclose(value, 10.0**exponent):
         return power_of_ten(exponent)

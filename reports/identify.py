@@ -6,6 +6,8 @@ from collections import Counter
 
 import numpy as np
 
+from excitant.reports import page as p
+from excitant.reports import values as v
 from excitant.reports.identify_figures import (
     ENOUGH,
     convergence_figure,
@@ -18,10 +20,6 @@ from excitant.reports.identify_figures import (
     uncertainty_figure,
 )
 from excitant.reports.page import (
-    FAIR,
-    GOOD,
-    PLAIN,
-    POOR,
     Block,
     Brief,
     Cell,
@@ -32,40 +30,9 @@ from excitant.reports.page import (
     Parts,
     Section,
     Table,
-    estimates,
-    fact,
-    facts,
-    files,
-    folded,
-    notes,
-    relative,
-    section,
-    table,
 )
 from excitant.reports.torque_figures import Curves, error_bars, over_holdout, torque_figure
-from excitant.reports.values import (
-    Result,
-    Series,
-    at,
-    change,
-    joint_names,
-    listing,
-    median,
-    number,
-    number4,
-    percent,
-    plain,
-    quantity,
-    real,
-    reals,
-    records,
-    sentence,
-    text,
-    unit_of,
-    value_and_std,
-    whole,
-    words,
-)
+from excitant.reports.values import Result, Series
 
 CUTOFF_REMARK = "errors are judged below it; measured and predicted torque are filtered alike"
 _FEW = 3  # notes that may stand among the key figures
@@ -84,54 +51,54 @@ _CURVES = Curves(
 
 def identify_section(result: Result, series: Series) -> Section:
     """The identified model: errors before and after, and each parameter with its uncertainty."""
-    joints, unit = joint_names(result), text(result, "unit") or "N·m"
-    said = [sentence(n) for n in words(result, "notes") if n and n != text(result, "holdout")]
+    joints, unit = v.joint_names(result), v.text(result, "unit") or "N·m"
+    said = [v.sentence(n) for n in v.words(result, "notes") if n and n != v.text(result, "holdout")]
     few = len(said) <= _FEW
-    return section(
+    return p.section(
         "Identification",
         _lead(result),
         [
-            ("Key figures", [_facts(result), notes(said) if few else None]),
+            ("Key figures", [_facts(result), p.notes(said) if few else None]),
             ("Data faults", [fault_table(result)]),
             *_link_by_link(result, unit),
-            ("Payload", _payload(at(result, "payload"))),
+            ("Payload", _payload(v.at(result, "payload"))),
             ("Error per joint", [_bars(result, unit), _joint_table(result, unit)]),
             (
                 over_holdout(unit),
                 [torque_figure(joints, series, unit, _CURVES), _intervals(result, unit)],
             ),
-            ("Notes on the fit", [None if few else notes(said)]),
+            ("Notes on the fit", [None if few else p.notes(said)]),
             *_online(result, series),
             ("Base parameters", [_essential(result), _base_table(result)]),
             ("Standard parameters", [_parameter_table(result)]),
             ("Physical consistency", [_physical(result)]),
-            ("Files", [files(words(result, "files"))]),
+            ("Files", [p.files(v.words(result, "files"))]),
         ],
         _brief(result, unit),
     )
 
 
 def _brief(result: Result, unit: str) -> Brief:
-    rows = records(result, "joints")
+    rows = v.records(result, "joints")
     given, found = (
-        sum(real(row, kind, "rms") or 0.0 for row in rows) for kind in ("baseline", "validate")
+        sum(v.real(row, kind, "rms") or 0.0 for row in rows) for kind in ("baseline", "validate")
     )
-    consistent = at(result, "physical", "consistent")
+    consistent = v.at(result, "physical", "consistent")
     said = (
-        f"hold-out error, sum of joints, {number(given)} → {number(found)} {unit}, median r² "
-        f"{number(median(rows, 'validate', 'r2'), 4)}, "
+        f"hold-out error, sum of joints, {v.number(given)} → {v.number(found)} {unit}, median r² "
+        f"{v.number(v.median(rows, 'validate', 'r2'), 4)}, "
         f"{'physically consistent' if consistent else 'not physical'}"
     )
-    return ("identified", said), ("", text(result, "holdout"))
+    return ("identified", said), ("", v.text(result, "holdout"))
 
 
 def fault_table(result: Result) -> Table | None:
     """Data faults with their evidence; None without any."""
-    return table(
-        records(result, "faults"),
+    return p.table(
+        v.records(result, "faults"),
         [
             ("name:Recording", "recording"),
-            ("name:Data fault", lambda r: Cell(plain(text(r, "fault")), POOR)),
+            ("name:Data fault", lambda r: Cell(v.plain(v.text(r, "fault")), p.POOR)),
             ("name:Joints", "joints"),
             ("text:Detail", "detail"),
         ],
@@ -141,43 +108,43 @@ def fault_table(result: Result) -> Table | None:
 
 
 def _held_out(result: Result) -> bool:
-    return any(at(row, "validate") is not None for row in records(result, "joints"))
+    return any(v.at(row, "validate") is not None for row in v.records(result, "joints"))
 
 
 def _lead(result: Result) -> str:
-    rows = records(result, "joints")
-    before, after = (median(rows, key, "nrmse") for key in ("baseline", "validate"))
+    rows = v.records(result, "joints")
+    before, after = (v.median(rows, key, "nrmse") for key in ("baseline", "validate"))
     where = "on the hold-out"
     if after is None:
-        after, where = median(rows, "train", "nrmse"), "on the fitted data (nothing was held out)"
-    subject = f"The identified model of {text(result, 'robot') or 'the arm'}"
+        after, where = v.median(rows, "train", "nrmse"), "on the fitted data (nothing was held out)"
+    subject = f"The identified model of {v.text(result, 'robot') or 'the arm'}"
     if after is None:
         return f"{subject} is described below."
-    instead = "" if before is None else f" instead of {percent(before)} with the model as given"
-    held = sentence(text(result, "holdout"))
+    instead = "" if before is None else f" instead of {v.percent(before)} with the model as given"
+    held = v.sentence(v.text(result, "holdout"))
     return (
-        f"{subject} misses {percent(after)} of the measured torque {where}{instead} "
+        f"{subject} misses {v.percent(after)} of the measured torque {where}{instead} "
         f"(rms over standard deviation, median over joints).{f' {held}' if held else ''}"
     )
 
 
 def _facts(result: Result) -> Facts | None:
-    rows, held = records(result, "joints"), _held_out(result)
-    before, after = (median(rows, k, "nrmse") for k in ("baseline", ("train", "validate")[held]))
-    consistent = at(result, "physical", "consistent")
-    physical, tone = {True: ("yes", GOOD), False: ("no", POOR)}.get(consistent, ("", PLAIN))
-    joints = Counter(plain(effect) for effect in words(result, "effects"))
+    rows, held = v.records(result, "joints"), _held_out(result)
+    before, after = (v.median(rows, k, "nrmse") for k in ("baseline", ("train", "validate")[held]))
+    consistent = v.at(result, "physical", "consistent")
+    physical, tone = {True: ("yes", p.GOOD), False: ("no", p.POOR)}.get(consistent, ("", p.PLAIN))
+    joints = Counter(v.plain(effect) for effect in v.words(result, "effects"))
     effects = [name if n == 1 else f"{name} ({n} joints)" for name, n in joints.items()]
-    count = len(records(result, "base_parameters"))
+    count = len(v.records(result, "base_parameters"))
     error = "Hold-out error" if held else "Error of the fit"
     remark = "given → identified; nrmse, median over joints"
-    return facts(
-        Fact(error, change(before, after, percent), remark, number=after),
+    return p.facts(
+        Fact(error, v.change(before, after, v.percent), remark, number=after),
         Fact("Physically consistent", physical, "positive mass and inertia of every link", tone),
-        fact("Base parameters", count or None, whole, "identifiable combinations"),
-        fact("Cut-off", at(result, "cutoff_hz"), unit_of("Hz"), CUTOFF_REMARK),
-        Fact("Estimator", plain(text(result, "estimator"))),
-        Fact("Effects", listing(effects), "besides the links' inertia"),
+        p.fact("Base parameters", count or None, v.whole, "identifiable combinations"),
+        p.fact("Cut-off", v.at(result, "cutoff_hz"), v.unit_of("Hz"), CUTOFF_REMARK),
+        Fact("Estimator", v.plain(v.text(result, "estimator"))),
+        Fact("Effects", v.listing(effects), "besides the links' inertia"),
     )
 
 
@@ -186,10 +153,13 @@ def _bars(result: Result, unit: str) -> Figure | None:
     after = "validate" if held else "train"
     errors = [
         (
-            text(row, "name"),
-            [(real(row, model, "rms"), real(row, model, "nrmse")) for model in ("baseline", after)],
+            v.text(row, "name"),
+            [
+                (v.real(row, model, "rms"), v.real(row, model, "nrmse"))
+                for model in ("baseline", after)
+            ],
         )
-        for row in records(result, "joints")
+        for row in v.records(result, "joints")
     ]
     return error_bars(
         errors,
@@ -202,17 +172,17 @@ def _bars(result: Result, unit: str) -> Figure | None:
 def _joint_table(result: Result, unit: str) -> Table | None:
     held = _held_out(result)
     judged, where = ("validate", "hold-out") if held else ("train", "fitted data")
-    cutoff = real(result, "cutoff_hz")
-    same = "" if cutoff is None else f" after the same filter ({quantity(cutoff, 'Hz')})"
-    return table(
-        records(result, "joints"),
+    cutoff = v.real(result, "cutoff_hz")
+    same = "" if cutoff is None else f" after the same filter ({v.quantity(cutoff, 'Hz')})"
+    return p.table(
+        v.records(result, "joints"),
         [
             ("name:Joint", "name"),
             (f"number:Model as given, rms [{unit}]", "baseline.rms"),
             (f"number:Identified, rms [{unit}]", f"{judged}.rms"),
             (f"number:Unfiltered rms [{unit}]", f"{judged}.rms_raw"),
-            ("number:nrmse", f"{judged}.nrmse", percent),
-            ("number:r²", f"{judged}.r2", number4),
+            ("number:nrmse", f"{judged}.nrmse", v.percent),
+            ("number:r²", f"{judged}.r2", v.number4),
             (f"number:Fitted data, rms [{unit}]", "train.rms") if held else None,
         ],
         f"Prediction error on the {where}{same}, of the model as given and as identified"
@@ -224,13 +194,13 @@ def _joint_table(result: Result, unit: str) -> Table | None:
 def _intervals(result: Result, unit: str) -> Table | None:
     """Width and coverage of the intervals per joint; None where a run has none."""
     key = "validate.interval95"
-    return table(
-        [r for r in records(result, "joints") if real(r, *key.split("."), "half_width")],
+    return p.table(
+        [r for r in v.records(result, "joints") if v.real(r, *key.split("."), "half_width")],
         [
             ("name:Joint", "name"),
             (f"number:95\u00a0% interval of a reading, ± [{unit}]", f"{key}.half_width"),
             (f"number:of which by the parameters, ± [{unit}]", f"{key}.half_width_parameters"),
-            ("number:Hold-out inside", f"{key}.coverage", percent),
+            ("number:Hold-out inside", f"{key}.coverage", v.percent),
         ],
         "How far off a new reading may be by the fitted data, with parameters and coloured noise "
         "counted; far less than 95\u00a0% of the hold-out inside means that the model lacks "
@@ -240,50 +210,50 @@ def _intervals(result: Result, unit: str) -> Table | None:
 
 def _essential(result: Result) -> Notes | None:
     """How many base parameters are essential; None where that was not asked."""
-    kept, dropped = (len(words(result, "essential", key)) for key in ("kept", "dropped"))
-    few, every = (real(result, "essential", key) for key in ("nrmse_essential", "nrmse_all"))
+    kept, dropped = (len(v.words(result, "essential", key)) for key in ("kept", "dropped"))
+    few, every = (v.real(result, "essential", key) for key in ("nrmse_essential", "nrmse_all"))
     if not kept + dropped:
         return None
     said = (
-        f"{kept} of {kept + dropped} base parameters are essential: with the others at zero, least "
-        f"squares misses {percent(few)} of the hold-out instead of {percent(every)} (median over "
-        "joints)."
+        f"{kept} of {kept + dropped} base parameters are essential: with the others at zero, "
+        f"least squares misses {v.percent(few)} of the hold-out instead of {v.percent(every)} "
+        "(median over joints)."
     )
     return Notes((said,))
 
 
 def _base_table(result: Result) -> Table | None:
-    rows = records(result, "base_parameters")
-    units = any(text(row, "unit") for row in rows)
+    rows = v.records(result, "base_parameters")
+    units = any(v.text(row, "unit") for row in rows)
     si = "" if units else " (SI)"
-    return table(
+    return p.table(
         rows,
         [
             ("expression:Base parameter", "expression"),
-            *estimates(f"number:Value{si}", f"number:± std{si}"),
-            ("number:Relative std", relative),
+            *p.estimates(f"number:Value{si}", f"number:± std{si}"),
+            ("number:Relative std", p.relative),
             ("text:Unit", "unit") if units else None,
         ],
         "The combinations of parameters that the torque depends on. Relative standard deviation: "
         "● below 5\u00a0%, ◐ below 30\u00a0%, ○ above; near zero it is large by nature.",
-        folded(f"All {len(rows)} base parameters", len(rows)),
+        p.folded(f"All {len(rows)} base parameters", len(rows)),
     )
 
 
 def _parameter_table(result: Result) -> Table | None:
-    rows = records(result, "parameters")
-    counts = Counter(plain(text(row, "category")) for row in rows if text(row, "category"))
+    rows = v.records(result, "parameters")
+    counts = Counter(v.plain(v.text(row, "category")) for row in rows if v.text(row, "category"))
     categories = ", ".join(f"{n} {category}" for category, n in counts.items()) or "values"
-    return table(
+    return p.table(
         rows,
         [
-            ("name:Parameter", lambda r: text(r, "name").removeprefix(f"{text(r, 'link')}.")),
+            ("name:Parameter", lambda r: v.text(r, "name").removeprefix(f"{v.text(r, 'link')}.")),
             ("name:Link", "link"),
-            *estimates(),
-            ("number:Relative std", relative),
+            *p.estimates(),
+            ("number:Relative std", p.relative),
             ("text:Unit", "unit"),
-            ("number:Prior", "prior", number4),
-            ("text:Category", "category", lambda c: plain(c or "")),
+            ("number:Prior", "prior", v.number4),
+            ("text:Category", "category", lambda c: v.plain(c or "")),
             ("text:Decided by", _decided),
         ],
         "Values decided by the prior are those the data leave open: they complete the model, but "
@@ -293,33 +263,33 @@ def _parameter_table(result: Result) -> Table | None:
 
 
 def _decided(row: Result) -> str:
-    return "prior" if at(row, "prior_dominated") is True else "data"
+    return "prior" if v.at(row, "prior_dominated") is True else "data"
 
 
 def _physical(result: Result) -> Notes | None:
-    violations = words(result, "physical", "violations")
-    if not violations and at(result, "physical", "consistent") is True:
+    violations = v.words(result, "physical", "violations")
+    if not violations and v.at(result, "physical", "consistent") is True:
         said = "Every link has positive mass and an inertia that a body of positive density has."
-        return Notes((said,), GOOD)
-    return notes(violations, POOR)
+        return Notes((said,), p.GOOD)
+    return p.notes(violations, p.POOR)
 
 
 def _link_by_link(result: Result, unit: str) -> Parts:
     """Parts of the page that `identify --link-by-link` adds; none without its result."""
-    found = at(result, "link_by_link")
-    stages = records(found, "stages")
+    found = v.at(result, "link_by_link")
+    stages = v.records(found, "stages")
     if not stages:
         return []
-    determined, total = real(found, "determined"), real(found, "base_parameters")
-    each = " + ".join(str(len(records(stage, "determined"))) for stage in stages)
+    determined, total = v.real(found, "determined"), v.real(found, "base_parameters")
+    each = " + ".join(str(len(v.records(stage, "determined"))) for stage in stages)
     count = Fact(
         "Combinations determined",
-        f"{text(found, 'determined')} of {text(found, 'base_parameters')}",
+        f"{v.text(found, 'determined')} of {v.text(found, 'base_parameters')}",
         f"{each}, from the last link inward",
-        GOOD if determined is not None and determined == total else FAIR,
+        p.GOOD if determined is not None and determined == total else p.FAIR,
     )
-    comparison = table(
-        records(found, "comparison", "joints"),
+    comparison = p.table(
+        v.records(found, "comparison", "joints"),
         [
             ("name:Joint", "name"),
             (f"number:Model as given, rms [{unit}]", "given"),
@@ -327,52 +297,53 @@ def _link_by_link(result: Result, unit: str) -> Parts:
             (f"number:Link by link, rms [{unit}]", "link_by_link"),
             ("number:Link by link / at once", _ratio),
         ],
-        f"All links at once: {text(found, 'comparison', 'all_at_once')}.",
+        f"All links at once: {v.text(found, 'comparison', 'all_at_once')}.",
     )
     return [
         (
             "Link by link against all links at once",
             [Facts((count,)), link_bars(found, unit), comparison],
         ),
-        *((f"Link {text(stage, 'link')}", _stage(stage)) for stage in stages),
+        *((f"Link {v.text(stage, 'link')}", _stage(stage)) for stage in stages),
     ]
 
 
 def _ratio(row: Result) -> Cell:
-    whole, stages = real(row, "all_at_once"), real(row, "link_by_link")
-    ratio = stages / whole if whole and stages is not None else None
-    return Cell(number(ratio), PLAIN, ratio)
+    together, stages = v.real(row, "all_at_once"), v.real(row, "link_by_link")
+    ratio = stages / together if together and stages is not None else None
+    return Cell(v.number(ratio), p.PLAIN, ratio)
 
 
 def _stage(stage: Result) -> list[Block | None]:
-    joint, used, rows = text(stage, "joint"), words(stage, "recordings"), real(stage, "rows")
+    joint, used, rows = v.text(stage, "joint"), v.words(stage, "recordings"), v.real(stage, "rows")
     said = f"{joint} does not move."
     if used and rows is not None:
-        said = (
-            f"Torque of {joint}: {rows:.0f} rows of {listing(used)}; {joint} {text(stage, 'mode')}."
-        )
-    found, missing = records(stage, "determined"), words(stage, "missing")
+        moves = f"{joint} {v.text(stage, 'mode')}"
+        said = f"Torque of {joint}: {rows:.0f} rows of {v.listing(used)}; {moves}."
+    found, missing = v.records(stage, "determined"), v.words(stage, "missing")
     cells: list[Result] = [*found, *({"expression": each} for each in missing)]
     left = f"{len(missing)} more combinations of this link are not shown and keep the given value"
     return [
         Notes((said,)),
-        table(
+        p.table(
             cells,
             [
                 ("expression:Combination", "expression"),
                 (
                     "text:Verdict",
-                    lambda r: Cell("determined", GOOD) if "value" in r else Cell("not shown", FAIR),
+                    lambda r: (
+                        Cell("determined", p.GOOD) if "value" in r else Cell("not shown", p.FAIR)
+                    ),
                 ),
-                *estimates("number:Value (SI)", "number:± std (SI)"),
+                *p.estimates("number:Value (SI)", "number:± std (SI)"),
             ],
             "What the joint's own torque adds to what the links further out have shown already; "
             f"{left if missing else 'nothing of this link is left open'}.",
-            folded(
+            p.folded(
                 f"{len(found)} combinations determined, {len(missing)} not shown", len(cells), 6
             ),
         ),
-        notes([f"To identify the rest, {each}." for each in words(stage, "needed")], FAIR),
+        p.notes([f"To identify the rest, {each}." for each in v.words(stage, "needed")], p.FAIR),
     ]
 
 
@@ -382,18 +353,18 @@ def _payload(payload: Result | None) -> list[Block | None]:
         return []
     return [
         _payload_facts(payload),
-        notes([sentence(each) for each in words(payload, "shortcomings")], FAIR),
-        notes([sentence(each) for each in words(payload, "notes")]),
+        p.notes([v.sentence(each) for each in v.words(payload, "shortcomings")], p.FAIR),
+        p.notes([v.sentence(each) for each in v.words(payload, "notes")]),
         payload_figure(payload),
-        table(
-            records(payload, "parameters"),
+        p.table(
+            v.records(payload, "parameters"),
             [
                 ("name:Parameter", "name"),
-                *estimates(),
+                *p.estimates(),
                 ("text:Unit", "unit"),
                 (
                     "text:Decided by",
-                    lambda r: "expectation" if at(r, "prior_dominated") is True else "data",
+                    lambda r: "expectation" if v.at(r, "prior_dominated") is True else "data",
                 ),
             ],
             "Standard parameters of the body about the frame of its joint, physically consistent. "
@@ -403,31 +374,31 @@ def _payload(payload: Result | None) -> list[Block | None]:
 
 
 def _payload_facts(payload: Result) -> Facts | None:
-    m, s = real(payload, "mass", "value"), real(payload, "mass", "std")
+    m, s = v.real(payload, "mass", "value"), v.real(payload, "mass", "std")
     if m is None:
         return None
-    tone = PLAIN if s is None else GOOD if _BAND * s <= 0.02 * abs(m) else FAIR
-    remark = f"one standard deviation; held by {text(payload, 'link')}"
-    found = [Fact("Mass", f"{' ± '.join(value_and_std(m, s))}\u00a0kg", remark, tone, m)]
-    centre, std = (1e3 * reals(payload, "centre_of_mass", key) for key in ("value", "std"))
+    tone = p.PLAIN if s is None else p.GOOD if _BAND * s <= 0.02 * abs(m) else p.FAIR
+    remark = f"one standard deviation; held by {v.text(payload, 'link')}"
+    found = [Fact("Mass", f"{' ± '.join(v.value_and_std(m, s))}\u00a0kg", remark, tone, m)]
+    centre, std = (1e3 * v.reals(payload, "centre_of_mass", key) for key in ("value", "std"))
     for axis, c, each in zip("xyz", centre, std, strict=False):
-        value = f"{' ± '.join(value_and_std(c, each))}\u00a0mm"
-        tone = GOOD if _BAND * each <= 3 else FAIR
+        value = f"{' ± '.join(v.value_and_std(c, each))}\u00a0mm"
+        tone = p.GOOD if _BAND * each <= 3 else p.FAIR
         found.append(Fact(f"Centre of mass, {axis}", value, "in the frame of its joint", tone, c))
-    return facts(*found)
+    return p.facts(*found)
 
 
 def _online(result: Result, series: Series) -> Parts:
     """Parts of the page that `identify --online` adds; none without its result."""
-    if at(result, "online") is None:
+    if v.at(result, "online") is None:
         return []
     history = history_of(result, series)
-    rows = records(result, "online", "messages")
-    messages = table(
+    rows = v.records(result, "online", "messages")
+    messages = p.table(
         rows,
-        [("number:Time [s]", "t", number4), ("text:Message", "text")],
+        [("number:Time [s]", "t", v.number4), ("text:Message", "text")],
         "What the monitor said while the samples came in; it speaks when something changes.",
-        folded(f"All {len(rows)} messages of the monitor", len(rows), _MESSAGES),
+        p.folded(f"All {len(rows)} messages of the monitor", len(rows), _MESSAGES),
     )
     return [
         ("On-line estimation", [_online_facts(result), messages]),
@@ -438,17 +409,19 @@ def _online(result: Result, series: Series) -> Parts:
 
 
 def _online_facts(result: Result) -> Facts | None:
-    converged = at(result, "online", "converged")
+    converged = v.at(result, "online", "converged")
     state = {True: "yes", False: "not yet"}.get(converged, "")
     t, level = excitation_levels(result)
     judged = np.isfinite(level)
     share = float((level[judged] >= ENOUGH).mean()) if judged.any() else None
-    delay_s = real(result, "online", "delay_s")
+    delay_s = v.real(result, "online", "delay_s")
     delay = None if delay_s is None else 1e3 * delay_s
     converging = "every joint's torque is known better than one row of data shows it"
-    return facts(
-        Fact("Converged", state, converging, GOOD if state == "yes" else FAIR),
-        fact("Exciting enough", share, percent, f"of the windows at {judged.sum()} looks"),
-        fact("Delay", delay, unit_of("ms"), "age of the newest instant that the estimate is of"),
-        fact("Duration", np.ptp(t) if len(t) else None, unit_of("s"), f"{len(t)} looks kept"),
+    return p.facts(
+        Fact("Converged", state, converging, p.GOOD if state == "yes" else p.FAIR),
+        p.fact("Exciting enough", share, v.percent, f"of the windows at {judged.sum()} looks"),
+        p.fact(
+            "Delay", delay, v.unit_of("ms"), "age of the newest instant that the estimate is of"
+        ),
+        p.fact("Duration", np.ptp(t) if len(t) else None, v.unit_of("s"), f"{len(t)} looks kept"),
     )

@@ -10,40 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from excitant.reports.drawing import (
-    AMBER,
-    BAND,
-    FITTED,
-    GIVEN,
-    GREEN,
-    LIGHT,
-    MEASURED,
-    axes,
-    draw_curve,
-    equal_axes,
-    label_y,
-    log_y,
-    panel,
-)
+from excitant.reports import drawing as draw
+from excitant.reports import values as v
 from excitant.reports.page import Figure, Key, Panel, figure
 from excitant.reports.torque_figures import bars
-from excitant.reports.values import (
-    Result,
-    Series,
-    array,
-    curve,
-    items,
-    joint_names,
-    number,
-    percent,
-    quantity,
-    real,
-    reals,
-    records,
-    shorten,
-    text,
-    value_and_std,
-)
+from excitant.reports.values import Result, Series
 from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD, pseudo_inertia
 
@@ -58,9 +29,9 @@ _VIEWS = ((0, 2, "from the side"), (0, 1, "from above"))  # coordinates across a
 _FRAME = 0.35  # of the drawing: length of the frame's axes
 _UNIFORM = 5.0  # squared semi-axis of a uniform ellipsoid over its variance
 _METHODS = (
-    ("given", "model as given", GIVEN),
-    ("all_at_once", "all links at once", GREEN),
-    ("link_by_link", "link by link", FITTED),
+    ("given", "model as given", draw.GIVEN),
+    ("all_at_once", "all links at once", draw.GREEN),
+    ("link_by_link", "link by link", draw.FITTED),
 )
 
 
@@ -85,14 +56,14 @@ class History:
 
 def history_of(result: Result, series: Series) -> History | None:
     """Estimates of a run over time; None where it has none that fit together."""
-    t, rows = curve(series, "online_t"), records(result, "base_parameters")
+    t, rows = v.curve(series, "online_t"), v.records(result, "base_parameters")
     if t is None or len(t) < 2:
         return None
-    value, std = (array(series, f"online_{key}", len(t), len(rows)) for key in ("value", "std"))
+    value, std = (v.array(series, f"online_{key}", len(t), len(rows)) for key in ("value", "std"))
     if value is None or std is None:
         return None
-    known = {text(row, "name"): text(row, "unit") for row in records(result, "parameters")}
-    names = tuple(_leading(text(row, "expression"), known) for row in rows)
+    known = {v.text(row, "name"): v.text(row, "unit") for row in v.records(result, "parameters")}
+    names = tuple(_leading(v.text(row, "expression"), known) for row in rows)
     return History(t, value, std, names, tuple(known.get(name, "") for name in names))
 
 
@@ -104,8 +75,8 @@ def _leading(expression: str, known: dict[str, str]) -> str:
 
 def excitation_levels(result: Result) -> tuple[Array, Array]:
     """Times and excitation levels of the looks; NaN before a whole window."""
-    t = reals(result, "online", "history", "t")
-    level = reals(result, "online", "history", "excitation_level")
+    t = v.reals(result, "online", "history", "t")
+    level = v.reals(result, "online", "history", "excitation_level")
     return (t, level) if len(t) == len(level) else (np.empty(0), np.empty(0))
 
 
@@ -118,27 +89,27 @@ def uncertainty_figure(history: History | None) -> Figure | None:
     if not usable.any():
         return None
     share = history.std[:, usable] / first[usable]
-    (ax,) = axes(2.5)
+    (ax,) = draw.axes(2.5)
     for column in share.T:
-        draw_curve(ax, history.t, [], column, color=LIGHT, lw=0.7)
+        draw.draw_curve(ax, history.t, [], column, color=draw.LIGHT, lw=0.7)
     middle = np.median(share, axis=1)
-    draw_curve(ax, history.t, [], middle, color=FITTED, lw=1.8)
-    log_y(ax)
+    draw.draw_curve(ax, history.t, [], middle, color=draw.FITTED, lw=1.8)
+    draw.log_y(ax)
     _over_time(ax, history.t, "std / std at first look")
-    said = f"the median falls to {percent(middle[-1])} of its value at the first look"
+    said = f"the median falls to {v.percent(middle[-1])} of its value at the first look"
     caption = (
         "Remaining uncertainty of each base parameter, relative to the first look one second "
         f"in: {said}; a curve that stays level is a parameter that this motion does not show."
     )
-    legend = (Key("line", FITTED, "median"), Key("line", LIGHT, "each base parameter"))
+    legend = (Key("line", draw.FITTED, "median"), Key("line", draw.LIGHT, "each base parameter"))
     label = f"standard deviation over time of {usable.sum()} base parameters; {said}"
-    return Figure((panel(ax, label),), caption, legend)
+    return Figure((draw.panel(ax, label),), caption, legend)
 
 
 def _over_time(ax: Axes, t: Array, ordinate: str) -> None:
     ax.set_xlim(t[0], t[-1])
     ax.set_xlabel("time [s]")
-    label_y(ax, ordinate)
+    draw.label_y(ax, ordinate)
 
 
 def estimates_figure(history: History | None) -> Figure | None:
@@ -152,7 +123,10 @@ def estimates_figure(history: History | None) -> Figure | None:
         "joint: the band should close around a level line. A title names the leading "
         "parameter of its combination. Scaled to the second half of the time."
     )
-    legend = (Key("line", FITTED, "estimate"), Key("box", BAND, "± 2 standard deviations"))
+    legend = (
+        Key("line", draw.FITTED, "estimate"),
+        Key("box", draw.BAND, "± 2 standard deviations"),
+    )
     return figure(panels, caption, legend)
 
 
@@ -172,19 +146,19 @@ def _chosen(history: History) -> list[int]:
 
 def _estimate_panel(history: History, k: int) -> Panel:
     t, value, std = history.t, history.value[:, k], history.std[:, k]
-    (ax,) = axes(1.9, left=0.72)
+    (ax,) = draw.axes(1.9, left=0.72)
     low, high = value - _BAND * std, value + _BAND * std
     late = slice(len(t) // 2, None)
     bottom, top = float(low[late].min()), float(high[late].max())
     room = 0.6 * (top - bottom) or 1.0
     bottom, top = bottom - room, top + room
-    ax.fill_between(t, np.clip(low, bottom, top), np.clip(high, bottom, top), color=BAND, lw=0)
-    ax.plot(t, np.where((value > bottom) & (value < top), value, np.nan), color=FITTED, lw=1.2)
+    ax.fill_between(t, np.clip(low, bottom, top), np.clip(high, bottom, top), color=draw.BAND, lw=0)
+    ax.plot(t, np.where((value > bottom) & (value < top), value, np.nan), color=draw.FITTED, lw=1.2)
     ax.set_ylim(bottom, top)
     unit, name = history.units[k], history.names[k]
     _over_time(ax, t, f"[{unit}]" if unit else "[SI]")
-    last = " ± ".join(value_and_std(value[-1], std[-1]))
-    return panel(ax, f"{name} over time, at the end {last} {unit}", shorten(name, 44))
+    last = " ± ".join(v.value_and_std(value[-1], std[-1]))
+    return draw.panel(ax, f"{name} over time, at the end {last} {unit}", v.shorten(name, 44))
 
 
 def excitation_figure(result: Result) -> Figure | None:
@@ -195,15 +169,18 @@ def excitation_figure(result: Result) -> Figure | None:
         return None
     t, level = t[seen], level[seen]
     spans = _spans(t, level < ENOUGH)
-    (ax,) = axes(2.5)
+    (ax,) = draw.axes(2.5)
     for first, last in spans:
-        ax.axvspan(first, last, color=AMBER, alpha=0.25, lw=0)
-    ax.plot(t, level, "-o", color=FITTED, lw=1.3, ms=2.2)
-    ax.axhline(ENOUGH, color=MEASURED, lw=0.9, ls=_DASHED)
+        ax.axvspan(first, last, color=draw.AMBER, alpha=0.25, lw=0)
+    ax.plot(t, level, "-o", color=draw.FITTED, lw=1.3, ms=2.2)
+    ax.axhline(ENOUGH, color=draw.MEASURED, lw=0.9, ls=_DASHED)
     ax.set_ylim(min(0.5 * level.min(), 0.5), max(2 * level.max(), 2))
-    log_y(ax)
+    draw.log_y(ax)
     _over_time(ax, t, "excitation level [–]")
-    legend = [Key("line", FITTED, "weakest visible direction"), Key("dash", MEASURED, "enough")]
+    legend = [
+        Key("line", draw.FITTED, "weakest visible direction"),
+        Key("dash", draw.MEASURED, "enough"),
+    ]
     said = "never below it"
     if spans:
         legend.append(Key("box", "#f8e6bf", "not exciting enough"))
@@ -211,14 +188,14 @@ def excitation_figure(result: Result) -> Figure | None:
         lacking = sum(last - first for first, last in spans)
         said = (
             f"not exciting enough from {since}{' and later again' if len(spans) > 4 else ''} "
-            f"({quantity(lacking, 's')} in all; a message's “since” is where its window began)"
+            f"({v.quantity(lacking, 's')} in all; a message's “since” is where its window began)"
         )
     caption = (
         "Excitation level of the last seconds at each look: information about the weakest "
         "direction that a fast motion of all joints shows, relative to what was known beforehand. "
         f"Level 1 is enough; here {said}."
     )
-    return Figure((panel(ax, f"excitation level over time; {said}"),), caption, tuple(legend))
+    return Figure((draw.panel(ax, f"excitation level over time; {said}"),), caption, tuple(legend))
 
 
 def _spans(t: Array, bad: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:
@@ -231,12 +208,12 @@ def _spans(t: Array, bad: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:
 
 def convergence_figure(result: Result) -> Figure | None:
     """Torque uncertainty of the estimate beside the noise of a row, joint by joint."""
-    t, joints = reals(result, "online", "history", "t"), joint_names(result)
+    t, joints = v.reals(result, "online", "history", "t"), v.joint_names(result)
     spread = _by_joint(result, "torque_uncertainty", len(t), len(joints))
     noise = _by_joint(result, "noise", len(t), len(joints))
     if len(t) < 2 or spread is None:
         return None
-    unit = text(result, "unit") or "N·m"
+    unit = v.text(result, "unit") or "N·m"
     panels = [
         _convergence_panel(joint, t, spread[:, j], None if noise is None else noise[:, j], unit)
         for j, joint in enumerate(joints)
@@ -246,17 +223,19 @@ def convergence_figure(result: Result) -> Figure | None:
         f"[{unit}, rms]: the estimate has converged where it lies below the noise of one "
         "row of data in every joint, because more rows then change no prediction visibly."
     )
-    legend = [Key("line", FITTED, "torque uncertainty of the estimate")]
-    legend += [Key("dash", MEASURED, "noise of a row")] * (noise is not None)
+    legend = [Key("line", draw.FITTED, "torque uncertainty of the estimate")]
+    legend += [Key("dash", draw.MEASURED, "noise of a row")] * (noise is not None)
     return figure(panels, caption, legend)
 
 
 def _by_joint(result: Result, key: str, looks: int, joints: int) -> Array | None:
     """A quantity of every look and joint, shape (looks, joints); None where it has another."""
-    rows = items(result, "online", "history", key)
+    rows = v.items(result, "online", "history", key)
     if len(rows) != looks or not all(isinstance(r, Sequence) and len(r) == joints for r in rows):
         return None
-    return np.array([[np.nan if (x := real(item)) is None else x for item in row] for row in rows])
+    return np.array(
+        [[np.nan if (x := v.real(item)) is None else x for item in row] for row in rows]
+    )
 
 
 def _convergence_panel(
@@ -265,22 +244,24 @@ def _convergence_panel(
     seen = np.isfinite(spread) & (spread > 0)
     if seen.sum() < 2:
         return None
-    (ax,) = axes(1.9)
-    ax.plot(t[seen], spread[seen], color=FITTED, lw=1.3)
-    said = f"{joint}: torque uncertainty falls to {quantity(spread[seen][-1], unit)}"
+    (ax,) = draw.axes(1.9)
+    ax.plot(t[seen], spread[seen], color=draw.FITTED, lw=1.3)
+    said = f"{joint}: torque uncertainty falls to {v.quantity(spread[seen][-1], unit)}"
     if noise is not None and np.isfinite(noise).any():
-        ax.plot(t, noise, color=MEASURED, lw=1.0, ls=_DASHED)
-        said += f", noise of a row {quantity(noise[np.isfinite(noise)][-1], unit)}"
-    log_y(ax)
+        ax.plot(t, noise, color=draw.MEASURED, lw=1.0, ls=_DASHED)
+        said += f", noise of a row {v.quantity(noise[np.isfinite(noise)][-1], unit)}"
+    draw.log_y(ax)
     _over_time(ax, t, "torque [N·m]" if unit != "A" else "current [A]")
-    return panel(ax, said, shorten(joint, 44))
+    return draw.panel(ax, said, v.shorten(joint, 44))
 
 
 def payload_figure(payload: Result) -> Figure | None:
     """The payload as a uniform ellipsoid in the frame of its joint, from two sides."""
-    phi = reals({"phi": [real(row, "value") for row in records(payload, "parameters")]}, "phi")
-    std = reals(payload, "centre_of_mass", "std")
-    mass, spread = (real(payload, "mass", key) or 0.0 for key in ("value", "std"))
+    phi = v.reals(
+        {"phi": [v.real(row, "value") for row in v.records(payload, "parameters")]}, "phi"
+    )
+    std = v.reals(payload, "centre_of_mass", "std")
+    mass, spread = (v.real(payload, "mass", key) or 0.0 for key in ("value", "std"))
     known = phi.shape == (10,) and std.shape == (3,) and np.isfinite([*phi, *std]).all()
     if not known or phi[0] <= 0 or mass < _BAND * spread:
         return None
@@ -291,9 +272,9 @@ def payload_figure(payload: Result) -> Figure | None:
         "joint."
     )
     legend = (
-        Key("dot", GIVEN, "centre of mass, ± 2 standard deviations"),
-        Key("box", BAND, "uniform ellipsoid of the same inertia"),
-        Key("line", MEASURED, "frame of the joint"),
+        Key("dot", draw.GIVEN, "centre of mass, ± 2 standard deviations"),
+        Key("box", draw.BAND, "uniform ellipsoid of the same inertia"),
+        Key("line", draw.MEASURED, "frame of the joint"),
     )
     return Figure(tuple(_payload_view(phi, std, *view) for view in _VIEWS), caption, legend)
 
@@ -310,34 +291,46 @@ def _payload_view(phi: Array, std: Array, across: int, up: int, title: str) -> P
     c, s = centre[[across, up]], _BAND * std[[across, up]]
     low, high = (np.minimum(0, c - np.maximum(reach, s)), np.maximum(0, c + np.maximum(reach, s)))
     size = max(float((high - low).max()), 0.02)
-    (ax,) = axes(3.0)
+    (ax,) = draw.axes(3.0)
     angle = float(np.degrees(np.arctan2(turn[1, 1], turn[0, 1])))
     ax.add_patch(
-        Ellipse((c[0], c[1]), 2 * semi[1], 2 * semi[0], angle=angle, fc=BAND, ec=FITTED, lw=0.9)
+        Ellipse(
+            (c[0], c[1]),
+            2 * semi[1],
+            2 * semi[0],
+            angle=angle,
+            fc=draw.BAND,
+            ec=draw.FITTED,
+            lw=0.9,
+        )
     )
     for tip, name in zip(_FRAME * size * np.eye(2), names, strict=True):
-        ax.annotate("", tip, (0, 0), arrowprops={"arrowstyle": "->", "color": MEASURED, "lw": 1.2})
-        ax.text(1.1 * tip[0], 1.1 * tip[1], name, ha="center", va="center", color=MEASURED)
-    ax.errorbar(c[0], c[1], xerr=s[0], yerr=s[1], fmt="o", ms=4, color=GIVEN, lw=1.2, capsize=2)
-    equal_axes(ax, low - 0.12 * size, np.maximum(high, 1.2 * _FRAME * size), 1.06)
+        ax.annotate(
+            "", tip, (0, 0), arrowprops={"arrowstyle": "->", "color": draw.MEASURED, "lw": 1.2}
+        )
+        ax.text(1.1 * tip[0], 1.1 * tip[1], name, ha="center", va="center", color=draw.MEASURED)
+    ax.errorbar(
+        c[0], c[1], xerr=s[0], yerr=s[1], fmt="o", ms=4, color=draw.GIVEN, lw=1.2, capsize=2
+    )
+    draw.equal_axes(ax, low - 0.12 * size, np.maximum(high, 1.2 * _FRAME * size), 1.06)
     ax.set_xlabel(f"{names[0]} [m]")
-    label_y(ax, f"{names[1]} [m]")
+    draw.label_y(ax, f"{names[1]} [m]")
     said = ", ".join(
-        f"{name} {quantity(1e3 * x, 'mm')} ± {number(1e3 * each, 2)}"
+        f"{name} {v.quantity(1e3 * x, 'mm')} ± {v.number(1e3 * each, 2)}"
         for name, x, each in zip(names, c, std[[across, up]], strict=True)
     )
-    return panel(ax, f"payload {title}: centre of mass {said}", title)
+    return draw.panel(ax, f"payload {title}: centre of mass {said}", title)
 
 
 def link_bars(found: Result, unit: str) -> Figure | None:
     """Errors of the model as given, of all links fitted at once and link by link."""
 
     def pair(row: Result, key: str) -> tuple[float | None, float | None]:
-        rms, std = real(row, key), real(row, "measured_std")
+        rms, std = v.real(row, key), v.real(row, "measured_std")
         return rms, (None if rms is None or not std else rms / std)
 
-    rows = records(found, "comparison", "joints")
-    errors = [(text(row, "name"), [pair(row, key) for key, _, _ in _METHODS]) for row in rows]
+    rows = v.records(found, "comparison", "joints")
+    errors = [(v.text(row, "name"), [pair(row, key) for key, _, _ in _METHODS]) for row in rows]
     models = [(label, colour) for _, label, colour in _METHODS]
     return bars(
         errors,

@@ -8,55 +8,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from excitant.reports.drawing import (
-    AMBER,
-    FITTED,
-    GIVEN,
-    GREEN,
-    LIGHT,
-    MEASURED,
-    PURPLE,
-    SKY,
-    axes,
-    draw_curve,
-    few_ticks,
-    ink,
-    label_y,
-    log_x,
-    log_y,
-    panel,
-    timeline,
-    whole_ticks,
-)
+from excitant.reports import drawing as draw
+from excitant.reports import values as v
 from excitant.reports.page import Figure, Key, Panel, figure
-from excitant.reports.values import (
-    Result,
-    Series,
-    at,
-    curve,
-    items,
-    number,
-    percent,
-    real,
-    reals,
-    records,
-    shorten,
-    text,
-    times,
-)
+from excitant.reports.values import Result, Series
 from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _CURVES = (
-    ("position", "q", FITTED, ("rad", "m")),
-    ("velocity", "dq", GREEN, ("rad/s", "m/s")),
-    ("acceleration", "ddq", PURPLE, ("rad/s²", "m/s²")),
-    ("jerk", "dddq", SKY, ("rad/s³", "m/s³")),
-    ("torque", "tau", GIVEN, ("N·m", "N")),
+    ("position", "q", draw.FITTED, ("rad", "m")),
+    ("velocity", "dq", draw.GREEN, ("rad/s", "m/s")),
+    ("acceleration", "ddq", draw.PURPLE, ("rad/s²", "m/s²")),
+    ("jerk", "dddq", draw.SKY, ("rad/s³", "m/s³")),
+    ("torque", "tau", draw.GIVEN, ("N·m", "N")),
 )
-_BEFORE_AFTER = (("initial", GIVEN, "start of the search"), ("final", FITTED, "designed motion"))
+_BEFORE_AFTER = (
+    ("initial", draw.GIVEN, "start of the search"),
+    ("final", draw.FITTED, "designed motion"),
+)
 _ROW, _ABOVE, _BELOW = 0.56, 0.22, 0.42  # inch: curve, its heading, the time axis
 _NEAR = 0.15  # share of a limit from which on the limit is drawn in
 _DASHED = (0, (4, 3))
@@ -92,36 +63,36 @@ class Envelope:
 
 def envelope_of(result: Result, name: str, joint: int) -> Envelope | None:
     """The certified envelope of a quantity of a joint, or None where there is no limit."""
-    rows, limits = at(result, "certified", name), limit_of(result, name, joint)
+    rows, limits = v.at(result, "certified", name), limit_of(result, name, joint)
     row = rows[joint] if isinstance(rows, list) and joint < len(rows) else None
-    names, worst = items(result, "joints"), at(result, "worst", name)
-    if row is None and joint < len(names) and at(worst, "joint") in (names[joint], joint):
-        row = {"ratio": at(result, "limits", name), "t": at(worst, "t")}
-    low, high, ratio = (real(row, key) for key in ("low", "high", "ratio"))
+    names, worst = v.items(result, "joints"), v.at(result, "worst", name)
+    if row is None and joint < len(names) and v.at(worst, "joint") in (names[joint], joint):
+        row = {"ratio": v.at(result, "limits", name), "t": v.at(worst, "t")}
+    low, high, ratio = (v.real(row, key) for key in ("low", "high", "ratio"))
     if ratio is None:
         return None
     if (low is None or high is None) and limits is not None:
         centre, half = (limits[0] + limits[1]) / 2, (limits[1] - limits[0]) / 2
         low, high = centre - ratio * half, centre + ratio * half
-    return None if low is None or high is None else Envelope(low, high, ratio, real(row, "t"))
+    return None if low is None or high is None else Envelope(low, high, ratio, v.real(row, "t"))
 
 
 def limit_of(result: Result, name: str, joint: int) -> tuple[float, float] | None:
     """Lower and upper limit of a quantity of a joint, or None where it has none."""
-    values = at(result, "limit_values", name)
+    values = v.at(result, "limit_values", name)
     value = values[joint] if isinstance(values, list) and joint < len(values) else None
     if isinstance(value, list) and len(value) == 2:
-        lower, upper = real(value[0]), real(value[1])
+        lower, upper = v.real(value[0]), v.real(value[1])
     else:
-        upper = real(value)
+        upper = v.real(value)
         lower = None if upper is None else -upper
     return None if lower is None or upper is None or lower >= upper else (lower, upper)
 
 
 def share_of_limit(ratio: object) -> str:
     """A share of a limit as a percentage, near the limit to a hundredth."""
-    near = abs((real(ratio) or 0.0) - 1) <= 5e-3
-    return percent(ratio, 4 if near else 3)
+    near = abs((v.real(ratio) or 0.0) - 1) <= 5e-3
+    return v.percent(ratio, 4 if near else 3)
 
 
 def motion_figure(joints: Sequence[str], result: Result, series: Series) -> Figure | None:
@@ -131,17 +102,17 @@ def motion_figure(joints: Sequence[str], result: Result, series: Series) -> Figu
     if not any(limit_of(result, row[0], k) for row in rows for k in range(len(joints))):
         caption = "The motion of every joint; the arm has no limits to compare it with."
         return figure(panels, caption)
-    caption = _CERTIFIED if at(result, "certified") else _SAMPLED
+    caption = _CERTIFIED if v.at(result, "certified") else _SAMPLED
     legend = (
-        Key("dash", MEASURED, "limit"),
+        Key("dash", draw.MEASURED, "limit"),
         Key("box", "#cfe3f1", "certified envelope"),
-        Key("ring", MEASURED, "where it is touched"),
+        Key("ring", draw.MEASURED, "where it is touched"),
     )
     return figure(panels, caption, legend)
 
 
 def _has(series: Series, key: str, joint: int) -> bool:
-    t, values = times(series), curve(series, key, joint)
+    t, values = v.times(series), v.curve(series, key, joint)
     return t is not None and values is not None and len(values) == len(t)
 
 
@@ -153,31 +124,31 @@ def _panel(
     series: Series,
 ) -> Panel | None:
     """The curves of one joint one above the other."""
-    t = times(series)
+    t = v.times(series)
     if t is None or not any(_has(series, row[1], k) for row in rows):
         return None
-    time, joins = timeline(t)
+    time, joins = draw.timeline(t)
     height = len(rows) * (_ROW + _ABOVE) + _BELOW
-    stack = axes(height, [1.0] * len(rows), top=_ABOVE, space=_ABOVE / _ROW)
-    turns = items(result, "revolute")
+    stack = draw.axes(height, [1.0] * len(rows), top=_ABOVE, space=_ABOVE / _ROW)
+    turns = v.items(result, "revolute")
     slides = k < len(turns) and turns[k] is False
     said = []
     for ax, (name, key, colour, units) in zip(stack, rows, strict=True):
         ax.set_title(
-            f"{name} [{units[slides]}]", loc="left", fontsize=8.5, pad=2.5, color=ink(colour)
+            f"{name} [{units[slides]}]", loc="left", fontsize=8.5, pad=2.5, color=draw.ink(colour)
         )
-        values = curve(series, key, k) if _has(series, key, k) else None
+        values = v.curve(series, key, k) if _has(series, key, k) else None
         if values is None:
             ax.set_yticks([])
             continue
-        draw_curve(ax, time, joins, values, color=colour, lw=1.1)
+        draw.draw_curve(ax, time, joins, values, color=colour, lw=1.1)
         remark = _against(ax, time, t, values, colour, result, name, k)
         ax.set_title(remark, loc="right", fontsize=8.5, pad=2.5, color="#5a626a")
         said.append(f"{name} {remark}")
-        few_ticks(ax.yaxis, 3)
+        draw.few_ticks(ax.yaxis, 3)
     stack[-1].set_xlim(time[0], time[-1])
     stack[-1].set_xlabel("time [s]")
-    return panel(stack[0], f"{joint} over time: {', '.join(said)}", shorten(joint, 60))
+    return draw.panel(stack[0], f"{joint} over time: {', '.join(said)}", v.shorten(joint, 60))
 
 
 def _against(
@@ -203,7 +174,7 @@ def _against(
         far = max(abs(lowest - centre), abs(highest - centre)) < _NEAR * half
         if not far:
             for limit in limits:
-                ax.axhline(limit, color=MEASURED, lw=1.0, ls=_DASHED)
+                ax.axhline(limit, color=draw.MEASURED, lw=1.0, ls=_DASHED)
             lowest, highest = min(lowest, limits[0]), max(highest, limits[1])
     pad = 0.1 * max(highest - lowest, 1e-9)
     ax.set_ylim(lowest - pad, highest + pad)
@@ -242,7 +213,7 @@ def _remark(
     share = share_of_limit(ratio)
     if not far or limits is None:
         return f"{share} of limit"
-    low, high = (number(limit) for limit in limits)
+    low, high = (v.number(limit) for limit in limits)
     return f"{share} of limit {f'±{high}' if limits[0] == -limits[1] else f'{low} to {high}'}"
 
 
@@ -255,21 +226,21 @@ def spectrum_figure(series: Series) -> Figure | None:
     ]
     designed = bool(found)
     if not designed and len(sizes := _positive(series, "singular_values")):
-        found = [("final", sizes, MEASURED, "this motion")]
+        found = [("final", sizes, draw.MEASURED, "this motion")]
     if not found:
         return None
-    (ax,) = axes(2.5)
+    (ax,) = draw.axes(2.5)
     said, legend = [], []
     for key, sizes, colour, name in found:
         fill, mark = (colour, "dot") if key == "final" else ("none", "ring")
         ax.plot(1 + np.arange(len(sizes)), sizes, "o", ms=3.6, mec=colour, mfc=fill, mew=0.9)
-        said.append(f"{name}: {len(sizes)} values, ratio {number(sizes[0] / sizes[-1])}")
+        said.append(f"{name}: {len(sizes)} values, ratio {v.number(sizes[0] / sizes[-1])}")
         legend.append(Key(mark, colour, name))
-    log_y(ax)
+    draw.log_y(ax)
     ax.set_xlim(left=0)
-    whole_ticks(ax)
+    draw.whole_ticks(ax)
     ax.set_xlabel("direction in parameter space, best seen first")
-    label_y(ax, "singular value [N·m]" if designed else "singular value [–]")
+    draw.label_y(ax, "singular value [N·m]" if designed else "singular value [–]")
     caption = (
         "Singular values of the observation matrix W/√n, the torque by which each direction of "
         "the base parameters shows: the design lifts the weakest, on the right, and the ratio of "
@@ -278,87 +249,87 @@ def spectrum_figure(series: Series) -> Figure | None:
         else "Singular values of the normalised observation matrix: directions far below the "
         "others are hardly seen in this motion, and their estimates are uncertain."
     )
-    drawing = panel(ax, f"singular values; {'; '.join(said)}")
+    drawing = draw.panel(ax, f"singular values; {'; '.join(said)}")
     return Figure((drawing,), caption, tuple(legend) if designed else ())
 
 
 def _positive(series: Series, key: str) -> Array:
     """The positive values of a series, greatest first."""
-    values = curve(series, key)
+    values = v.curve(series, key)
     return np.empty(0) if values is None else np.sort(values[values > 0])[::-1]
-
-
-def weakest_figure(result: Result) -> Figure | None:
-    """Torque that only the weakest base parameters explain, before and after the design."""
-    rows = [r for r in records(result, "weakest") if (real(r, "information_final") or 0) > 0]
-    if not rows:
-        return None
-    (ax,) = axes(0.62 + 0.22 * len(rows), left=1.75)
-    started = False
-    for k, row in enumerate(rows):
-        before, after = (real(row, f"information_{key}") or 0.0 for key in ("initial", "final"))
-        if before > 0:
-            started = True
-            ax.plot([before, after], [k, k], color=LIGHT, lw=1.6, zorder=1)
-            ax.plot(before, k, "o", ms=5, mec=GIVEN, mfc="white", mew=1.1)
-        ax.plot(after, k, "o", ms=5, color=FITTED)
-    log_x(ax)
-    ax.set_ylim(len(rows) - 0.4, -0.6)
-    ax.set_yticks(range(len(rows)), [shorten(text(row, "name"), 25) for row in rows], fontsize=8)
-    ax.set_xlabel("torque of its own [N·m per SI unit]", x=0.25)
-    legend = [
-        Key("dot" if key == "final" else "ring", colour, name)
-        for key, colour, name in _BEFORE_AFTER
-        if started or key == "final"
-    ]
-    worst = [f"{text(row, 'name')} {number(real(row, 'information_final'))}" for row in rows[:3]]
-    caption = (
-        f"The {len(rows)} base parameters that the designed motion excites least, each by the "
-        "torque per unit that no other parameter can imitate (root mean square over the motion): "
-        "far left means an uncertain estimate. Fv is viscous and Fc Coulomb friction, Ia the "
-        "rotor's inertia."
-    )
-    label = f"torque that only one parameter explains; least: {', '.join(worst)}"
-    return Figure((panel(ax, label),), caption, tuple(legend))
 
 
 def convergence_figure(result: Result) -> Figure | None:
     """Condition number over the iterations of each start; the best start stands out."""
-    starts = [(row, reals(row, "history")) for row in records(result, "starts")]
+    starts = [(row, v.reals(row, "history")) for row in v.records(result, "starts")]
     starts = [(row, h) for row, h in starts if np.isfinite(h).any() and len(h) > 1]
     if not starts:
         return None
-    ends = [real(row, "condition_number") or float(h[np.isfinite(h)][-1]) for row, h in starts]
+    ends = [v.real(row, "condition_number") or float(h[np.isfinite(h)][-1]) for row, h in starts]
     best = int(np.argmin(ends))
-    (ax,) = axes(2.3)
+    (ax,) = draw.axes(2.3)
     for k, (_, history) in sorted(enumerate(starts), key=lambda pair: pair[0] == best):
-        colour, width = (FITTED, 1.6) if k == best else (LIGHT, 1.0)
+        colour, width = (draw.FITTED, 1.6) if k == best else (draw.LIGHT, 1.0)
         ax.plot(np.arange(len(history)), history, color=colour, lw=width)
         last = int(np.flatnonzero(np.isfinite(history))[-1])
         ax.plot(last, history[last], "o", ms=3, color=colour)
-    legend = [Key("line", FITTED, "best start")]
+    legend = [Key("line", draw.FITTED, "best start")]
     if len(starts) > 1:
-        legend.append(Key("line", LIGHT, "other starts"))
-    bound = real(result, "condition_number", "lower_bound")
+        legend.append(Key("line", draw.LIGHT, "other starts"))
+    bound = v.real(result, "condition_number", "lower_bound")
     if bound is not None and bound > 0:
-        ax.axhline(bound, color=AMBER, lw=1.2, ls=_DASHED)
-        legend.append(Key("dash", AMBER, "proven lower bound"))
+        ax.axhline(bound, color=draw.AMBER, lw=1.2, ls=_DASHED)
+        legend.append(Key("dash", draw.AMBER, "proven lower bound"))
     reached: Array = np.concatenate([h[np.isfinite(h)] for _, h in starts])
     if reached.min() > 0 and reached.max() > 8 * reached.min():
-        log_y(ax)
+        draw.log_y(ax)
     ax.set_xlim(left=0)
-    whole_ticks(ax)
+    draw.whole_ticks(ax)
     ax.set_xlabel("iteration")
-    label_y(ax, "condition number [–]")
+    draw.label_y(ax, "condition number [–]")
     label = (
         f"condition number over iterations of {len(starts)} starts; "
-        f"best ends at {number(ends[best])}"
+        f"best ends at {v.number(ends[best])}"
     )
     caption = (
         "Each start of the optimisation, a dot where it ended: several that end at the same height "
         "suggest that a much better motion does not exist."
     )
-    cut = sum(text(row, "status").replace("_", " ") == "time limit" for row, _ in starts)
+    cut = sum(v.text(row, "status").replace("_", " ") == "time limit" for row, _ in starts)
     if cut:
         caption += f" The time limit ended {cut} of these {len(starts)}: more time may find better."
-    return Figure((panel(ax, label),), caption, tuple(legend))
+    return Figure((draw.panel(ax, label),), caption, tuple(legend))
+
+
+def correlation_figure(series: Series) -> Figure | None:
+    """Correlations of the base parameters as a map of colours."""
+    matrix = v.array(series, "correlation", None, None)
+    if matrix is None or matrix.shape[0] != matrix.shape[1]:
+        return None
+    from matplotlib.colors import LinearSegmentedColormap
+
+    r = len(matrix)
+    (ax,) = draw.axes(3.75, left=0.42)
+    ends = (0.5, r + 0.5)
+    ax.imshow(
+        np.nan_to_num(matrix),
+        cmap=LinearSegmentedColormap.from_list("signed", [draw.FITTED, "#ffffff", draw.GIVEN]),
+        vmin=-1,
+        vmax=1,
+        interpolation="nearest",
+        extent=(*ends, *ends[::-1]),
+        aspect="equal",
+    )
+    ax.grid(visible=False)
+    ax.set_xlabel("number of the base parameter")
+    strong = int((np.abs(np.triu(matrix, 1)) > 0.9).sum())
+    return Figure(
+        (draw.panel(ax, f"correlations of {r} base parameters; {strong} pairs beyond 0.9"),),
+        "Correlation of the estimates of each two base parameters, numbered as in the table of "
+        "all: a strong colour off the diagonal means that this motion shows the two mostly "
+        "together, so that one can make up for the other.",
+        (
+            Key("box", draw.GIVEN, "rise together (+1)"),
+            Key("box", draw.FITTED, "one rises, the other falls (−1)"),
+        ),
+    )

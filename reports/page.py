@@ -6,18 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from excitant.reports.values import (
-    NONE,
-    Result,
-    at,
-    listing,
-    number,
-    percent,
-    real,
-    text,
-    value_and_std,
-    words,
-)
+from excitant.reports import values as v
+from excitant.reports.values import NONE, Result
 
 GOOD, FAIR, POOR, PLAIN = "good", "fair", "poor", ""
 _FORMATS = {
@@ -262,29 +252,31 @@ def _cell(
         found = source(row)
         return found if isinstance(found, Cell) else Cell(found)
     keys = source.split(".")
-    value = at(row, *keys)
+    value = v.at(row, *keys)
     if write is None and head.startswith("number:"):
-        write = number
-    written = write(value) if write is not None else listing(words(row, *keys), text(row, *keys))
-    return Cell(written or NONE, PLAIN, real(value))
+        write = v.number
+    written = (
+        write(value) if write is not None else v.listing(v.words(row, *keys), v.text(row, *keys))
+    )
+    return Cell(written or NONE, PLAIN, v.real(value))
 
 
 def estimates(value: str = "number:Value", std: str = "number:± std") -> tuple[Column, Column]:
     """Columns of a value and its standard deviation, both to the digits that the latter allows."""
 
     def written(row: Result, which: int) -> Cell:
-        pair = (at(row, "value"), at(row, "std"))
-        return Cell(value_and_std(*pair)[which], PLAIN, real(pair[which]))
+        pair = (v.at(row, "value"), v.at(row, "std"))
+        return Cell(v.value_and_std(*pair)[which], PLAIN, v.real(pair[which]))
 
     return (value, lambda row: written(row, 0)), (std, lambda row: written(row, 1))
 
 
 def relative(row: Result) -> Cell:
     """Relative standard deviation of an estimate, with its tone."""
-    rel, value, std = (real(row, key) for key in ("rel_std", "value", "std"))
+    rel, value, std = (v.real(row, key) for key in ("rel_std", "value", "std"))
     if rel is None and std is not None and value:
         rel = abs(std / value)
-    return Cell(percent(rel), quality(rel), rel)
+    return Cell(v.percent(rel), quality(rel), rel)
 
 
 def quality(rel_std: float | None) -> str:
@@ -303,7 +295,7 @@ def fact(
     label: str, value: object, write: Callable[[Any], str], remark: str = "", tone: str = PLAIN
 ) -> Fact:
     """A figure of merit that is a number."""
-    known = real(value)
+    known = v.real(value)
     return Fact(label, NONE if known is None else write(known), remark, tone, known)
 
 

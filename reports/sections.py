@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from excitant.exceptions import BadInput
+from excitant.reports import values as v
 from excitant.reports.analyze import analyze_section, links_folded
 from excitant.reports.compare import VERB as COMPARE
 from excitant.reports.compare import comparison_page
@@ -14,24 +15,7 @@ from excitant.reports.drawing import style
 from excitant.reports.identify import identify_section
 from excitant.reports.page import GOOD, POOR, Block, Fact, Page, Section, facts, notes
 from excitant.reports.robot import robot_section
-from excitant.reports.values import (
-    NONE,
-    Result,
-    Series,
-    at,
-    change,
-    listing,
-    median,
-    number,
-    part,
-    percent,
-    plain,
-    quantity,
-    real,
-    records,
-    text,
-    words,
-)
+from excitant.reports.values import NONE, Result, Series
 
 _SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
     "design": design_section,
@@ -56,7 +40,7 @@ def page_of(result: Result, series: Series) -> Page:
     Raises:
         BadInput: The result's ``verb`` is none that has a report.
     """
-    verb = text(result, "verb")
+    verb = v.text(result, "verb")
     if verb not in _VERBS:
         raise BadInput(f"result.json: verb '{verb}' has no report; known: {', '.join(_VERBS)}")
     with style():
@@ -64,19 +48,21 @@ def page_of(result: Result, series: Series) -> Page:
             return _demo_page(result, series)
         if verb == COMPARE:
             return comparison_page(result)
-        only, robot = _SECTIONS[verb](result, series), text(result, "robot")
+        only, robot = _SECTIONS[verb](result, series), v.text(result, "robot")
     return Page(f"{only.title}: {robot}" if robot else only.title, only.lead, (), (only,))
 
 
 def _demo_page(result: Result, series: Series) -> Page:
-    robot, seed = text(result, "robot"), text(result, "seed")
+    robot, seed = v.text(result, "robot"), v.text(result, "seed")
     sections = tuple(
-        links_folded(build({"robot": robot, **at(result, verb)}, part(series, verb)), result[verb])
+        links_folded(
+            build({"robot": robot, **v.at(result, verb)}, v.part(series, verb)), result[verb]
+        )
         for verb, build in _SECTIONS.items()
-        if isinstance(at(result, verb), dict)
+        if isinstance(v.at(result, verb), dict)
     )
-    headline = text(result, "diagnose", "headline")
-    hidden, named = _hidden(result), at(result, "verdict", "correct") is True
+    headline = v.text(result, "diagnose", "headline")
+    hidden, named = _hidden(result), v.at(result, "verdict", "correct") is True
     blocks: list[Block | None] = [
         notes([headline] if headline else [], "lead"),
         facts(hidden, _verdict(result), _holdout(result), _condition(result)),
@@ -93,12 +79,12 @@ def _demo_page(result: Result, series: Series) -> Page:
 
 
 def _hidden(result: Result) -> Fact:
-    effect, joint = plain(text(result, "truth", "effect")), text(result, "truth", "joint")
-    values, units = at(result, "truth", "parameters"), _units(result)
+    effect, joint = v.plain(v.text(result, "truth", "effect")), v.text(result, "truth", "joint")
+    values, units = v.at(result, "truth", "parameters"), _units(result)
     said = [
-        f"{name} = {value if isinstance(value, str) else quantity(value, units.get(name, ''))}"
+        f"{name} = {value if isinstance(value, str) else v.quantity(value, units.get(name, ''))}"
         for name, value in (values.items() if isinstance(values, dict) else ())
-        if isinstance(value, str) or real(value) is not None
+        if isinstance(value, str) or v.real(value) is not None
     ]
     remark = ", ".join(said[:_FEW]) + (", …" if len(said) > _FEW else "")
     return Fact("Hidden effect", f"{effect}{' at ' * bool(joint)}{joint}", remark)
@@ -106,16 +92,21 @@ def _hidden(result: Result) -> Fact:
 
 def _units(result: Result) -> dict[str, str]:
     """Units of parameters by the last part of their names."""
-    found = [p for f in records(result, "diagnose", "findings") for p in records(f, "parameters")]
-    found += records(result, "identify", "parameters")
-    named = {text(p, "name").rpartition(".")[2]: text(p, "unit") for p in found}
+    found = [
+        row for f in v.records(result, "diagnose", "findings") for row in v.records(f, "parameters")
+    ]
+    found += v.records(result, "identify", "parameters")
+    named = {v.text(row, "name").rpartition(".")[2]: v.text(row, "unit") for row in found}
     return {name: unit for name, unit in named.items() if unit != "1"}
 
 
 def _verdict(result: Result) -> Fact:
-    correct, label = at(result, "verdict", "correct"), "Named by the diagnosis"
-    joints, effect = words(result, "verdict", "joints"), plain(text(result, "verdict", "effect"))
-    named = f"{effect} at {listing(joints)}" if joints else effect
+    correct, label = v.at(result, "verdict", "correct"), "Named by the diagnosis"
+    joints, effect = (
+        v.words(result, "verdict", "joints"),
+        v.plain(v.text(result, "verdict", "effect")),
+    )
+    named = f"{effect} at {v.listing(joints)}" if joints else effect
     if not isinstance(correct, bool):
         return Fact(label, NONE)
     if correct:
@@ -125,25 +116,26 @@ def _verdict(result: Result) -> Fact:
 
 def _holdout(result: Result) -> Fact:
     """Error of the hidden effect's joint without and with it, else of all joints."""
-    diagnosis, joint = at(result, "diagnose"), text(result, "truth", "joint")
-    unit, label = text(diagnosis, "unit") or "N·m", "Hold-out error, before → after"
+    diagnosis, joint = v.at(result, "diagnose"), v.text(result, "truth", "joint")
+    unit, label = v.text(diagnosis, "unit") or "N·m", "Hold-out error, before → after"
     found = [
-        (at(finding, "holdout", "rms_before"), at(finding, "holdout", "rms_after"))
-        for finding in records(diagnosis, "findings")
-        if text(finding, "effect") == text(result, "truth", "effect")
-        and joint in words(finding, "joints")
-        and real(finding, "holdout", "rms_after") is not None
+        (v.at(finding, "holdout", "rms_before"), v.at(finding, "holdout", "rms_after"))
+        for finding in v.records(diagnosis, "findings")
+        if v.text(finding, "effect") == v.text(result, "truth", "effect")
+        and joint in v.words(finding, "joints")
+        and v.real(finding, "holdout", "rms_after") is not None
     ]
     if found:
         without, with_it = found[0]
-        change_ = f"{number(without)} → {quantity(with_it, unit)}"
+        change_ = f"{v.number(without)} → {v.quantity(with_it, unit)}"
         return Fact(label, change_, "rms without the finding and with it")
     before, after = (
-        median(records(diagnosis, model, "joints"), "nrmse") for model in ("simulation", "extended")
+        v.median(v.records(diagnosis, model, "joints"), "nrmse")
+        for model in ("simulation", "extended")
     )
-    return Fact(label, change(before, after, percent), "nrmse, median over joints")
+    return Fact(label, v.change(before, after, v.percent), "nrmse, median over joints")
 
 
 def _condition(result: Result) -> Fact:
-    ends = [at(result, "design", "condition_number", key) for key in ("initial", "final")]
-    return Fact("Condition number", change(*ends), "of the designed motion")
+    ends = [v.at(result, "design", "condition_number", key) for key in ("initial", "final")]
+    return Fact("Condition number", v.change(*ends), "of the designed motion")

@@ -8,18 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from excitant.reports.drawing import (
-    BAND,
-    FITTED,
-    GIVEN,
-    MEASURED,
-    axes,
-    draw_curve,
-    label_y,
-    panel,
-    percent_x,
-    timeline,
-)
+from excitant.reports import drawing as draw
 from excitant.reports.page import Figure, Key, Panel, figure
 from excitant.reports.values import Series, curve, quantity, shorten, times
 from excitant.robots.motion import Array
@@ -69,10 +58,10 @@ def torque_figure(
         return any(curve(series, key, k) is not None for k in range(len(joints)))
 
     legend = [
-        Key("line", MEASURED, "measured"),
-        *[Key("line", GIVEN, curves.before_label)] * drawn(curves.before),
-        *[Key("line", FITTED, curves.after_label)] * drawn(curves.after),
-        *[Key("box", BAND, INTERVAL)] * drawn(curves.band),
+        Key("line", draw.MEASURED, "measured"),
+        *[Key("line", draw.GIVEN, curves.before_label)] * drawn(curves.before),
+        *[Key("line", draw.FITTED, curves.after_label)] * drawn(curves.after),
+        *[Key("box", draw.BAND, INTERVAL)] * drawn(curves.band),
     ]
     caption = curves.caption + _INTERVAL_CAPTION * drawn(curves.band)
     return figure(panels, caption, legend)
@@ -82,9 +71,9 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
     t, measured = times(series), curve(series, "measured", k)
     if t is None or measured is None or len(measured) != len(t):
         return None
-    time, joins = timeline(t)
-    torque, residual = axes(2.7, (1.55, 1))
-    draw_curve(torque, time, joins, measured, color=MEASURED, lw=1.3)
+    time, joins = draw.timeline(t)
+    torque, residual = draw.axes(2.7, (1.55, 1))
+    draw.draw_curve(torque, time, joins, measured, color=draw.MEASURED, lw=1.3)
     residual.axhline(0, color="#8a8f94", lw=0.7)
     said = []
     half, after = (_of_rows(series, key, k, len(t)) for key in (curves.band, curves.after))
@@ -93,22 +82,22 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
         draw_band(residual, time, joins, np.zeros(len(t)), half)
         said.append(f"{INTERVAL} ±{quantity(float(half.mean()), unit)}")
     for key, label, colour in (
-        (curves.before, curves.before_label, GIVEN),
-        (curves.after, curves.after_label, FITTED),
+        (curves.before, curves.before_label, draw.GIVEN),
+        (curves.after, curves.after_label, draw.FITTED),
     ):
         model = _of_rows(series, key, k, len(t))
         if model is None:
             continue
-        draw_curve(torque, time, joins, model, color=colour, lw=0.9)
-        draw_curve(residual, time, joins, measured - model, color=colour, lw=0.8)
+        draw.draw_curve(torque, time, joins, model, color=colour, lw=0.9)
+        draw.draw_curve(residual, time, joins, measured - model, color=colour, lw=0.8)
         finite = (measured - model)[np.isfinite(measured - model)]
         rms = float(np.sqrt(np.mean(finite**2))) if len(finite) else None
         said.append(f"{label} leaves rms {quantity(rms, unit)}")
-    label_y(torque, f"torque [{unit}]" if unit != "A" else "current [A]")
-    label_y(residual, f"residual [{unit}]")
+    draw.label_y(torque, f"torque [{unit}]" if unit != "A" else "current [A]")
+    draw.label_y(residual, f"residual [{unit}]")
     residual.set_xlabel("time [s]")
     residual.set_xlim(time[0], time[-1])
-    return panel(torque, f"{joint}: measured torque over time; {'; '.join(said)}", joint)
+    return draw.panel(torque, f"{joint}: measured torque over time; {'; '.join(said)}", joint)
 
 
 def _of_rows(series: Series, key: str, joint: int, n: int) -> Array | None:
@@ -129,13 +118,13 @@ def draw_band(ax: Axes, t: Array, joins: Sequence[int], centre: Array, half: Arr
         high = np.maximum.reduceat((centre + half)[:last], starts)
         x = np.append(t[starts], t[last - 1])
         ax.fill_between(
-            x, np.append(low, low[-1]), np.append(high, high[-1]), color=BAND, lw=0, zorder=0.5
+            x, np.append(low, low[-1]), np.append(high, high[-1]), color=draw.BAND, lw=0, zorder=0.5
         )
 
 
 def error_bars(errors: Errors, unit: str, curves: Curves, what: str) -> Figure | None:
     """Errors of the model before and after, without the latter where it is unknown."""
-    models = [(curves.before_label, GIVEN), (curves.after_label, FITTED)]
+    models = [(curves.before_label, draw.GIVEN), (curves.after_label, draw.FITTED)]
     changed = any(rms is not None for _, pairs in errors for rms, _ in pairs[1:])
     return bars(errors, unit, models[: 1 + changed], what)
 
@@ -162,7 +151,7 @@ def bars(errors: Errors, unit: str, models: Sequence[tuple[str, str]], what: str
     top = min(max(known), max(1.5, 4 * float(np.median(known)))) if shares else max(known)
     top = top or 1.0
     step = 0.25 if count < 3 else 0.23
-    (ax,) = axes((0.24 + 0.13 * count) * len(errors) + 0.52, left=0.14)
+    (ax,) = draw.axes((0.24 + 0.13 * count) * len(errors) + 0.52, left=0.14)
     for row, (joint, pairs) in enumerate(errors):
         ax.text(0, row - 0.36, shorten(joint, 40), va="center", ha="left")
         for i, (pair, (_, colour)) in enumerate(zip(pairs, models, strict=False)):
@@ -175,7 +164,7 @@ def bars(errors: Errors, unit: str, models: Sequence[tuple[str, str]], what: str
             ax.text(min(length, top) + 0.012 * top, y, rms, va="center", ha="left", fontsize=8)
     bar_axes(ax, len(errors) - (0.6 if count < 3 else 0.5), 1.38 * top)
     if shares:
-        percent_x(ax)
+        draw.percent_x(ax)
     ax.set_xlabel(_SHARE if shares else f"rms [{unit}]")
     said = [
         f"{label} {quantity(pairs[i][0], unit)} at {joint}"
@@ -184,7 +173,7 @@ def bars(errors: Errors, unit: str, models: Sequence[tuple[str, str]], what: str
     ]
     measure = "as a share of the measured torque's standard deviation" if shares else "as rms"
     return Figure(
-        (panel(ax, f"rms per joint: {'; '.join(said)}"),),
+        (draw.panel(ax, f"rms per joint: {'; '.join(said)}"),),
         f"{what}, {measure}; beside each bar the rms [{unit}]: shorter is better.",
         tuple(Key("box", colour, label) for label, colour in models),
     )

@@ -9,8 +9,9 @@ import pytest
 from excitant.analysis.identifiability import analyze
 from excitant.design import random_trajectory
 from excitant.reports import brief, html, page_of, save_run
-from excitant.reports.arm_figures import chain_figure, correlation_figure, side_view
+from excitant.reports.arm_figures import chain_figure, side_view
 from excitant.reports.drawing import style
+from excitant.reports.motion_figures import correlation_figure
 from excitant.reports.run import as_saved
 from excitant.robots import Motion, load_robot
 from excitant.robots.effects import standard_effects

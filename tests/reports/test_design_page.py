@@ -7,9 +7,9 @@ import pytest
 
 from excitant.design import design
 from excitant.reports import html, page_of, summary
+from excitant.reports.arm_figures import solid_of, space_figure
 from excitant.reports.drawing import style
 from excitant.reports.motion_figures import envelope_of, motion_figure
-from excitant.reports.space_figure import solid_of, space_figure
 from excitant.robots import Limits, load_robot
 
 PARTS = (
@@ -49,9 +49,9 @@ def test_every_part_is_there_with_its_figure(written):
     for part in PARTS:
         assert re.search(f"<h3[^>]*>{part}</h3>", page)
     said = " ".join(labels(page))
-    for word in ("velocity", "torque", "singular values", "only one parameter", "iterations"):
+    for word in ("velocity", "torque", "singular values", "iterations"):
         assert word in said
-    for view in ("in perspective", "from above", "from the side"):
+    for view in ("obliquely", "from above", "from the side"):
         assert any(label.startswith(view) for label in labels(page))
 
 
