@@ -44,9 +44,9 @@ _FEASIBLE = 1e-6  # violation in units of the restriction; far below the margin
 _SOLVED, _ALMOST = "Solved", "AlmostSolved"  # states of the solver with a solution
 _STEPS = 100  # Newton steps with log-determinants
 _EXACT = 1e-8  # squared Newton decrement, from which one more full step is exact to rounding
-_STATIONARY = 1e-3  # gradient left at what counts as an optimum, relative to that of the data
 _NEARLY = 0.1  # the same, while log-determinants weigh more than they should
 _FACTOR = 8.0  # by which they weigh less then
+_STATIONARY = 1e-3  # gradient left at what counts as an optimum, relative to that of the data
 _ROUNDING = 1e-13  # of the objective
 _ENOUGH = 1e-3  # of the decrease that the slope promises
 _SHORTEST = 1e-6  # share of a step
@@ -242,6 +242,7 @@ def solve(program: Program, centre: Array) -> Solution:
         return _quadratic(program, centre)
     # log-determinants are weighed ever less, from where their second order at the centre holds
     F, t = program.triangle()
+    program = replace(program, A=F, z=t, C=np.zeros((0, len(centre))), d=np.zeros(0))
     excess = float(np.sum((F @ centre - t)[: len(centre)] ** 2))
     factor = max(1.0, excess / float(program.entropy.min()))
     heavier = replace(program, entropy=factor * program.entropy)
