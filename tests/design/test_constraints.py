@@ -109,11 +109,8 @@ def test_random_trajectories_hold_every_limit(ur10: Robot, limited: Limited, see
         trajectory = random_trajectory(robot, rng, duration, harmonics)
         assert trajectory.at_rest
         assert check(robot, trajectory).hold
-
-
-def test_weak_motors_get_a_feasible_random_trajectory(ur10: Robot, limited: Limited) -> None:
-    robot = limited(ur10, torque=ur10.limits.torque * 0.15)
-    assert check(robot, random_trajectory(robot, np.random.default_rng(0), 10.0, 5)).hold
+    weak = limited(ur10, torque=ur10.limits.torque * 0.15)
+    assert check(weak, random_trajectory(weak, rng, 10.0, 5)).hold
 
 
 def test_gravity_above_the_torque_limit_names_the_joint(ur10: Robot, limited: Limited) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from limit_use import limit_shares
 
-from excitant.design import Design, check, design
+from excitant.design import Design, design
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Robot
 
@@ -106,11 +106,11 @@ def test_every_criterion_improves_its_own_value(planar: Robot, criterion: str) -
 
 def test_number_of_processes_does_not_change_the_result(planar: Robot) -> None:
     one, two = (
-        design(planar, duration=5.0, harmonics=3, starts=4, jobs=jobs, seed=2) for jobs in (1, 2)
+        design(planar, duration=5.0, harmonics=2, starts=3, jobs=jobs, seed=2) for jobs in (1, 2)
     )
     np.testing.assert_array_equal(one.trajectory.coefficients, two.trajectory.coefficients)
     assert [s.history for s in one.starts] == [s.history for s in two.starts]
-    other = design(planar, duration=5.0, harmonics=3, starts=1, jobs=1, seed=3)
+    other = design(planar, duration=5.0, harmonics=2, starts=1, jobs=1, seed=3)
     assert not np.array_equal(one.trajectory.coefficients, other.trajectory.coefficients)
 
 
@@ -168,15 +168,9 @@ def test_refuses_impossible_options(planar: Robot) -> None:
         design(planar, starts=0)
 
 
-def test_check_agrees_with_the_report(found: Design) -> None:
-    sampled = check(found.robot, found.trajectory.motion(200.0))
-    for ours, theirs in zip(found.limits.uses, sampled.uses, strict=True):
-        np.testing.assert_allclose(theirs.ratios, ours.ratios, rtol=1e-4)
-
-
 def test_a_spline_design_keeps_all_limits(planar: Robot, limited: Limited) -> None:
     robot = limited(planar, acceleration=8.0, jerk=15.0)
-    found = design(robot, duration=6.0, harmonics=6, series="spline", starts=4, jobs=1)
+    found = design(robot, duration=6.0, harmonics=5, series="spline", starts=2, jobs=1)
     assert found.trajectory.series.name == "spline"
     assert found.trajectory.at_rest
     assert found.limits.hold

@@ -112,7 +112,7 @@ def test_the_period_is_chosen_between_two(planar: Robot) -> None:
 def test_torque_holds_for_every_mass_within_the_uncertainty(ur10: Robot, limited: Limited) -> None:
     nominal = limited(ur10, acceleration=10.0, torque=0.45 * ur10.limits.torque)
     wary = nominal.with_limits(replace(nominal.limits, mass_uncertainty=0.2))
-    found = design(wary, harmonics=3, columns="inertial", starts=2, jobs=1, seed=1)
+    found = design(wary, harmonics=3, columns="inertial", starts=1, jobs=1, seed=1)
     assert 0.98 < found.limits.torque.ratio <= 1.0
     motion, rng = found.trajectory.motion(400.0), np.random.default_rng(0)
     for _ in range(50):
