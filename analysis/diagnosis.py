@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +22,13 @@ from excitant.analysis.confirmation import (
 )
 from excitant.analysis.evidence import Key
 from excitant.analysis.evidence_curves import Curve, curve_of
-from excitant.analysis.explanation import reason_to_downgrade, rivals
-from excitant.analysis.headline import at_rest, headline, placeholders
+from excitant.analysis.explanation import (
+    at_rest,
+    headline,
+    placeholders,
+    reason_to_downgrade,
+    rivals,
+)
 from excitant.analysis.residuals import Residual, residuals
 from excitant.analysis.selection import select
 from excitant.analysis.validation import Forward, Refit, forward, refit
@@ -316,22 +321,19 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan | None) ->
                 "joints": list(joints),
                 "why": f"explains this motion as well (within {max(rival.deviations, 0.0):.1f} "
                 f"standard errors, signatures alike to |cos| = {rival.cosine:.2f})",
-                **_experiment(effect, rival.candidate.effect, plan),
+                **_advice(effect, rival.candidate.effect, plan),
             }
             for (name, joints), (effect, rival) in rivals.items()
         ],
     }
 
 
-def _experiment(found: Effect, rival: Effect, plan: Plan | None) -> dict[str, Any]:
+def _advice(found: Effect, rival: Effect, plan: Plan | None) -> dict[str, Any]:
     """What to do about a rival, the expected difference in standard deviations, and the runs."""
-    settles = plan.of(found, rival) if plan is not None else None
-    return {
-        "experiment": settles.sentence if settles else found.told_from(rival),
-        "separation": settles.separation if settles else None,
-        "repetitions": settles.repetitions if settles else None,
-        "file": settles.file if settles else None,
-    }
+    if plan is not None:
+        return asdict(plan.of(found, rival))
+    nothing = dict.fromkeys(("separation", "repetitions", "file"))
+    return {"experiment": found.told_from(rival), **nothing}
 
 
 def _unknown(diagnosis: Diagnosis, left: Residual) -> dict[str, Any]:

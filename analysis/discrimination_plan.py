@@ -2,45 +2,362 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from excitant.analysis.candidates import tolerance_metric
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
-from excitant.analysis.discrimination import Contest, Noise, Pair
-from excitant.analysis.discrimination_motion import Discriminating, discriminating_motions
+from excitant.analysis.discrimination import Contest, Noise, Pair, Separation, needed
 from excitant.analysis.selection import is_plain_friction
-from excitant.design import FourierTrajectory
+from excitant.design import CLEARANCE, FourierTrajectory, clearance, random_trajectory
+from excitant.design.constraints import kinematic_limits, position_range, within_limits
+from excitant.design.feasible import torque_use
+from excitant.design.trajectory import FourierSeries, from_coefficients
 from excitant.exceptions import Infeasible
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.physical import prior_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.geometry import Scene, scene
+from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
 _MATTERS = 0.01  # share of the given model's error that a finding explains, at least
 _DURATION = 20.0  # s of a motion
 _NEAREST = 0.01  # m: a recording that comes nearer says that the collision shapes are too rough
+HOPELESS = 4.0  # Δ below which no motion is worth running
+_SCREENED, _REFINED = 48, 48  # motions judged, at most
+_SCREENING = 0.5  # of the time, at most
+_PLENTY = 6.0  # times the Δ that is needed: more is of no use
+_MUCH_BETTER = 1.5  # times the Δ of a motion must another promise to be run too
+_TOP_HZ = 2.5  # fastest reversals
+_WAVES = (3, 5, 10, 20)  # harmonics of random motions
+_HELD = 0.5  # probability that a joint of no interest stands still
+_SMALLEST = 0.01  # of the limits: smallest movement of a joint of interest
+_SHRINKS, _DRAWS = 6, 8
+_TORQUE_SHARE = 0.98
+_ROOM = 0.97  # of the limits at the samples
+_POSES = 60  # looked at for clearance before it is certified
+
+
+@dataclass(frozen=True, eq=False)
+class Discriminating:
+    """A motion with what it tells apart.
+
+    Attributes:
+        trajectory: The motion, within all limits.
+        separations: One per pair of the contest.
+    """
+
+    trajectory: FourierTrajectory
+    separations: tuple[Separation, ...]
+
+    @property
+    def deltas(self) -> Array:
+        """Δ of each pair, shape (pairs,)."""
+        return np.array([s.delta for s in self.separations])
+
+
+def discriminating_motions(
+    contest: Contest,
+    rng: np.random.Generator,
+    *,
+    duration: float = 20.0,
+    most: int = 3,
+    time_limit: float = 15.0,
+    scene: Scene | None = None,
+) -> tuple[list[Discriminating], Array]:
+    """Motions that tell rivals apart, the most telling first.
+
+    Many motions are judged: random ones at several frequencies, and joints of interest that
+    reverse within a swelling envelope, from tiny to large, others held or moving. The one that
+    settles most pairs is improved by random changes until its smallest Δ is plenty; pairs that it
+    leaves open get another.
+
+    Args:
+        contest: The rivals.
+        rng: Source of randomness.
+        duration: Period of each motion [s].
+        most: Number of motions, at most.
+        time_limit: Time after which the best so far is taken [s].
+        scene: Bodies that must keep apart; None to leave clearance out.
+
+    Returns:
+        The motions, and for each pair the largest Δ of all motions judged, shape (pairs,).
+    """
+    deadline = time.monotonic() + time_limit
+    series = FourierSeries(duration, max(max(_WAVES), round(_TOP_HZ * duration)))
+    robot = within_recording(contest.robot, [segment.motion for segment in contest.recorded])
+    search = _Search(contest, robot, series, scene, rng)
+    pool = search.screened(time.monotonic() + _SCREENING * time_limit)
+    highest = np.max([np.zeros(len(contest.pairs)), *(m.deltas for m in pool)], axis=0)
+    open_, motions = highest > HOPELESS, list[Discriminating]()
+    while open_.any() and len(motions) < most:
+        best = search.best(pool, open_)
+        served = open_ & (best.deltas > HOPELESS) if best is not None else open_ & False
+        if best is None or not served.any():
+            break
+        shares = most - len(motions) if (open_ & ~served).any() else 1
+        left = max(deadline - time.monotonic(), 0.0)
+        best = search.improved(best, served, time.monotonic() + left / shares)
+        motions.append(search.counted(best))
+        open_ &= (best.deltas < needed()) & (highest > _MUCH_BETTER * best.deltas)
+        highest = np.maximum(highest, best.deltas)
+    return motions, highest
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    contest: Contest
+    robot: Robot
+    series: FourierSeries
+    scene: Scene | None
+    rng: np.random.Generator
+
+    @cached_property
+    def instants(self) -> tuple[Array, list[Array]]:
+        """When motions are judged, and the basis of q, q̇ and q̈ then."""
+        t = self.contest.instants(self.series.period)
+        return t, [self.series.basis(t, order) for order in range(3)]
+
+    @cached_property
+    def samples(self) -> tuple[Array, list[Array]]:
+        """When limits are looked at, and the basis of q and its derivatives then."""
+        t = np.linspace(0.0, self.series.period, 8 * self.series.harmonics + 1)
+        return t, [self.series.basis(t, order) for order in range(4)]
+
+    def screened(self, until: float) -> list[Discriminating]:
+        """Motions of all kinds, judged; at least one where there is any."""
+        pool: list[Discriminating] = []
+        for trajectory in self.drawn(_SCREENED):
+            pool.append(self.judged(trajectory))
+            if time.monotonic() > until:
+                break
+        return pool
+
+    def drawn(self, count: int) -> Iterator[FourierTrajectory]:
+        """Motions of all kinds, in turn; those that find no way into the limits left out."""
+        for k in range(count):
+            if k % 4 == 0:
+                try:
+                    harmonics = _WAVES[(k // 4) % len(_WAVES)]
+                    period = self.series.period
+                    wave = random_trajectory(self.robot, self.rng, period, harmonics)
+                    yield from_coefficients(self._padded(wave), period)
+                except Infeasible:
+                    continue
+            elif (found := self._sweep()) is not None:
+                yield found
+
+    def judged(self, trajectory: FourierTrajectory) -> Discriminating:
+        """A motion with its separations."""
+        information = self.contest.information(self._motion(trajectory))
+        return Discriminating(trajectory, tuple(self.contest.separations(information)))
+
+    def counted(self, motion: Discriminating) -> Discriminating:
+        """The same motion with the runs that each pair needs."""
+        information = self.contest.information(self._motion(motion.trajectory))
+        return replace(motion, separations=tuple(self.contest.counted(information)))
+
+    def _motion(self, trajectory: FourierTrajectory) -> Motion:
+        t, bases = self.instants
+        return Motion(t, *(basis @ trajectory.coefficients for basis in bases))
+
+    def best(self, pool: list[Discriminating], open_: Array) -> Discriminating | None:
+        """The motion of a pool that tells most of what is open, of those that keep the limits."""
+        for motion in sorted(pool, key=lambda m: -_worth(m.deltas[open_])):
+            if self._clear(motion.trajectory) and self._kept(motion.trajectory) is not None:
+                return motion
+        return None
+
+    def improved(self, motion: Discriminating, served: Array, until: float) -> Discriminating:
+        """A motion whose smallest Δ among the pairs it serves is larger, by random changes."""
+        step, steps = 0.5, [motion]
+        for _ in range(_REFINED):
+            least = motion.deltas[served].min()
+            if least > _PLENTY * needed() or time.monotonic() > until:
+                break
+            changed = self._changed(motion.trajectory, step)
+            other = None if changed is None else self.judged(changed)
+            if other is not None and other.deltas[served].min() > least:
+                motion, step = other, min(1.5 * step, 1.0)
+                steps.append(motion)
+            else:
+                step = max(0.85 * step, 0.05)
+        for motion in reversed(steps):
+            if (kept := self._kept(motion.trajectory)) is not None:
+                return motion if kept is motion.trajectory else self.judged(kept)
+        return steps[0]
+
+    def _kept(self, trajectory: FourierTrajectory) -> FourierTrajectory | None:
+        """The trajectory within all limits, certified; None where that fails."""
+        kept = within_limits(self.robot, trajectory)
+        if kept is None or not isinstance(kept, FourierTrajectory):
+            return None
+        apart = self.scene is None or clearance(self.scene, kept).certified >= CLEARANCE
+        return kept if apart else None
+
+    def _clear(self, trajectory: FourierTrajectory) -> bool:
+        """Whether poses along a trajectory keep their distance."""
+        if self.scene is None:
+            return True
+        poses = trajectory(np.linspace(0.0, trajectory.period, _POSES))
+        return bool(self.scene.distances(poses).min() > CLEARANCE)
+
+    def _padded(self, trajectory: FourierTrajectory) -> Array:
+        """Coefficients of a trajectory of fewer harmonics in the series, shape (c, nv)."""
+        X, H = np.zeros((self.series.size, trajectory.nv)), self.series.harmonics
+        X[0] = trajectory.offset
+        X[1 : 1 + trajectory.harmonics] = trajectory.cosine
+        X[1 + H : 1 + H + trajectory.harmonics] = trajectory.sine
+        return X
+
+    @property
+    def _interest(self) -> set[int]:
+        """Joints of any rival, where that is not a matter of all of them."""
+        joints: set[int] = set()
+        for pair in self.contest.pairs:
+            for effect in (pair.found, pair.rival):
+                if len(effect.joints) < self.robot.nv:
+                    joints |= {self.robot.joint_index(joint) for joint in effect.joints}
+        return joints or set(range(self.robot.nv))
+
+    def _sweep(self) -> FourierTrajectory | None:
+        """Joints of interest reverse within a swelling envelope; the others rest or wave."""
+        series = self.series
+        middle, half = position_range(self.robot.limits)
+        for _ in range(_DRAWS):
+            X = np.zeros((series.size, self.robot.nv))
+            share = np.zeros(self.robot.nv)
+            for j in range(self.robot.nv):
+                if j in self._interest:
+                    X[:, j] = envelope(series, self.rng)
+                    share[j] = np.exp(self.rng.uniform(np.log(_SMALLEST), 0.0))
+                elif self.rng.uniform() > _HELD:
+                    X[:, j] = wave(series, self.rng)
+                    share[j] = self.rng.uniform(0.3, 1.0)
+            pose = middle + self.rng.uniform(-0.8, 0.8, self.robot.nv) * half
+            if (found := self._fitted(X, pose, share)) is not None:
+                return found
+        return None
+
+    def _changed(self, trajectory: FourierTrajectory, step: float) -> FourierTrajectory | None:
+        """A motion nearby: another pose, larger or smaller movements, other waves."""
+        series, rng = self.series, self.rng
+        X, half = trajectory.coefficients.copy(), position_range(self.robot.limits)[1]
+        pose = X[0] + step * 0.3 * half * rng.normal(size=self.robot.nv) * (rng.uniform() < 0.5)
+        X[0] = 0.0
+        for j in range(self.robot.nv):
+            if rng.uniform() < 0.5:
+                X[:, j] *= np.exp(step * rng.normal())
+            if rng.uniform() < 0.3:
+                fresh = envelope(series, rng) if rng.uniform() < 0.5 else wave(series, rng)
+                X[:, j] += step * rng.uniform() * np.linalg.norm(X[:, j]) * fresh
+        return self._fitted(X, pose)
+
+    def _fitted(
+        self, X: Array, pose: Array, share: Array | None = None
+    ) -> FourierTrajectory | None:
+        """A movement about a pose, made as large as a share of the limits, or to keep them."""
+        t, bases = self.samples
+        middle, half = position_range(self.robot.limits)
+        bound = kinematic_limits(self.robot.limits)[1].copy()
+        bound[0] = np.maximum(half - np.abs(pose - middle), 0.02 * half)
+        pose = np.clip(pose, middle - half + bound[0], middle + half - bound[0])
+        reach = np.array([np.abs(basis @ X).max(axis=0) for basis in bases])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = np.where(reach > 0, bound / reach, np.inf).min(axis=0)
+        room = np.where(np.isfinite(room), _ROOM * room, 0.0)
+        X = X * (np.minimum(room, 1.0) if share is None else share * room)
+        for _ in range(_SHRINKS):
+            whole = X + self.series.constant(pose)
+            use = torque_use(self.robot, Motion(t, *(basis @ whole for basis in bases[:3])))
+            if use.max() <= _TORQUE_SHARE:
+                found = from_coefficients(whole, self.series.period)
+                return found if self._clear(found) else None
+            X = X * 0.7
+        return None
+
+
+def _worth(deltas: Array) -> float:
+    """How much a motion settles: pairs first, then how well."""
+    if not len(deltas):
+        return -np.inf
+    return float(np.log(np.clip(deltas, 0.1, _PLENTY * needed())).sum())
+
+
+def envelope(series: FourierSeries, rng: np.random.Generator) -> Array:
+    """((1 − cos ωt) / 2)^p cos(kωt + φ): reversals that swell and fade, shape (c,), norm 1.
+
+    With p ≥ 2 it is at rest at both ends; its peak speeds range from nothing to the highest.
+    """
+    p = int(rng.integers(2, 5))
+    top = max(series.harmonics - p, 1)
+    k = min(round(float(np.exp(rng.uniform(np.log(2), np.log(max(top, 3)))))), top)
+    n = 4 * series.harmonics + 4
+    angle = 2 * np.pi * np.arange(n) / n
+    values = ((1 - np.cos(angle)) / 2) ** p * np.cos(k * angle + rng.uniform(0, 2 * np.pi))
+    spectrum = np.fft.rfft(values)[1 : series.harmonics + 1] * 2 / n
+    return _at_rest(series, np.concatenate([[0.0], spectrum.real, -spectrum.imag]))
+
+
+def wave(series: FourierSeries, rng: np.random.Generator) -> Array:
+    """A few random harmonics, low ones mostly, shape (c,), norm 1."""
+    h = np.arange(1, series.harmonics + 1)
+    top = np.exp(rng.uniform(np.log(2), np.log(series.harmonics)))
+    size = np.where(h <= max(top, 3), 1 / h ** rng.uniform(0, 2), 0.0)
+    x = rng.normal(size=2 * series.harmonics) * np.concatenate([size, size])
+    return _at_rest(series, np.concatenate([[0.0], x]))
+
+
+def _at_rest(series: FourierSeries, x: Array) -> Array:
+    x = series.rest @ (series.rest.T @ x)
+    x[0] = 0.0
+    norm = np.linalg.norm(x)
+    return np.asarray(x / norm if norm > 0 else x, float)
+
+
+def within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
+    """The arm, limits that it does not state set to what the recording reached."""
+    limits = robot.limits
+    if not recorded:
+        return robot
+    q = np.concatenate([m.q for m in recorded])
+    speed, push = (
+        np.max([np.abs(getattr(m, name)).max(axis=0) for m in recorded], axis=0)
+        for name in ("dq", "ddq")
+    )
+    reached = np.column_stack([q.min(axis=0), q.max(axis=0)])
+    unbounded = ~np.isfinite(limits.position).all(axis=1, keepdims=True)
+    known = replace(
+        limits,
+        position=np.where(unbounded, reached, limits.position),
+        velocity=np.where(np.isfinite(limits.velocity), limits.velocity, speed),
+        acceleration=np.where(np.isfinite(limits.acceleration), limits.acceleration, push),
+    )
+    return robot.with_limits(known)
+
 
 Key = tuple[str, tuple[str, ...], str, tuple[str, ...]]
 """Name and joints of the cause found, and of its rival."""
 
 
 @dataclass(frozen=True)
-class Experiment:
-    """What settles one pair of rivals.
+class Advice:
+    """What settles one pair of rivals, with the names that ``result.json`` has.
 
     Attributes:
-        sentence: What to do.
+        experiment: What to do, as a sentence.
         separation: Expected difference in standard deviations of the noise; None for an action.
         repetitions: Runs that are needed; None for an action.
         file: Motion to run; None for an action.
     """
 
-    sentence: str
+    experiment: str
     separation: float | None = None
     repetitions: int | None = None
     file: str | None = None
@@ -55,13 +372,13 @@ class Plan:
         motions: What to run, in the order of their files ``separate-1``, ….
     """
 
-    experiments: Mapping[Key, Experiment] = field(default_factory=dict)
+    experiments: Mapping[Key, Advice] = field(default_factory=dict)
     motions: tuple[FourierTrajectory, ...] = ()
 
-    def of(self, found: Effect, rival: Effect) -> Experiment:
+    def of(self, found: Effect, rival: Effect) -> Advice:
         """What settles a pair; the general action where no motion was looked for."""
         known = self.experiments.get(key(found, rival))
-        return known or Experiment(found.told_from(rival))
+        return known or Advice(found.told_from(rival))
 
 
 def key(found: Effect, rival: Effect) -> Key:
@@ -182,17 +499,17 @@ def _experiment(
     index: int,
     best: Discriminating | None,
     motions: Sequence[Discriminating],
-) -> Experiment:
+) -> Advice:
     """The motion to run for a pair, or the action where none helps."""
     action = pair.found.told_from(pair.rival)
     if best is None:
-        return Experiment(f"no motion within the limits was found to tell them apart: {action}")
+        return Advice(f"no motion within the limits was found to tell them apart: {action}")
     separated, runs = best.separations[index], best.separations[index].repetitions
     file = f"separate-{motions.index(best) + 1}.csv"
     often = "one run is enough" if runs == 1 else f"{runs} runs are needed, or else: {action}"
     does = described(best.trajectory, robot)
     apart = f"separates by {separated.deviations:.3g} standard deviations"
-    return Experiment(f"run {file} ({does}): {apart}; {often}", separated.deviations, runs, file)
+    return Advice(f"run {file} ({does}): {apart}; {often}", separated.deviations, runs, file)
 
 
 def described(trajectory: FourierTrajectory, robot: Robot) -> str:

@@ -7,7 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from excitant.analysis.next_experiment import PAYLOAD_KG, resting_joints, scale_deviation
+from excitant.analysis.next_experiment import (
+    PAYLOAD_KG,
+    known_values,
+    resting_joints,
+    scale_deviation,
+)
 from excitant.analysis.prior_influence import (
     Prior,
     PriorInfluence,
@@ -34,7 +39,7 @@ from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
-from excitant.robots.torque import column_names, effect_values, observation_columns, torque
+from excitant.robots.torque import column_names, observation_columns, torque
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +112,7 @@ def planned_experiment(
     rows = list(range(robot.nv) if measured is None else measured)
     sigma = torque_noise(robot, noise)[rows]
     W = observation_columns(robot, effects, motion)[:, rows]
-    seen, known = motion_information(base, W, sigma), effect_values(robot)
-    coefficients = base.names[10 * robot.nv :]
-    x = np.concatenate([robot.phi, [known.get(name, 0.0) for name in coefficients]])
+    seen, (x, known) = motion_information(base, W, sigma), known_values(robot, effects)
     notes: tuple[str, ...] = ()
     prior, influence = None, None
     try:
@@ -125,7 +128,7 @@ def planned_experiment(
         sigma=sigma,
         information=seen,
         x=x,
-        known=(*(True,) * (10 * robot.nv), *(name in known for name in coefficients)),
+        known=tuple(known),
         beta=base.regrouping @ x,
         prior=prior,
         std=None if prior is None else prior.posterior_std(seen.R),
@@ -167,6 +170,19 @@ def recorded_experiment(
         np.random.default_rng(0) if rng is None else rng,
         refits(estimate, rows) if rng is not None else None,
     )
+    notes = []
+    if flat := prior.at_limit(estimate.physical.x):
+        names = ", ".join(robot.links[k] for k in flat)
+        notes.append(
+            f"at the limit of what a body can have: {names}; the data alone would go beyond"
+        )
+    if estimate.data.unit == "A":
+        notes.append(
+            "torque came as current: all values hang on one common scale that currents do not "
+            f"show; a known payload of {PAYLOAD_KG:g} kg would show it to "
+            f"±{100 * scale_deviation(robot, effects, sigma):.2g} % in ten seconds of motion of "
+            "all joints"
+        )
     return Experiment(
         W=rows.W,
         sigma=sigma,
@@ -181,26 +197,7 @@ def recorded_experiment(
         motion=max((s.motion for s in estimate.data.train), key=len),
         pose=q.mean(axis=0),
         basis="from the residual of the recording, with its autocorrelation",
-        notes=(
-            *_limit_note(robot, prior.at_limit(estimate.physical.x)),
-            *(_scale_note(robot, effects, sigma) if estimate.data.unit == "A" else ()),
-        ),
-    )
-
-
-def _limit_note(robot: Robot, flat: Sequence[int]) -> tuple[str, ...]:
-    if not flat:
-        return ()
-    names = ", ".join(robot.links[k] for k in flat)
-    return (f"at the limit of what a body can have: {names}; the data alone would go beyond",)
-
-
-def _scale_note(robot: Robot, effects: Sequence[Effect], sigma: Array) -> tuple[str, ...]:
-    std = scale_deviation(robot, effects, sigma)
-    return (
-        "torque came as current: all values hang on one common scale that currents do not show; "
-        f"a known payload of {PAYLOAD_KG:g} kg would show it to ±{100 * std:.2g} % "
-        "in ten seconds of motion of all joints",
+        notes=tuple(notes),
     )
 
 

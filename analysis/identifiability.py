@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 
-from excitant.analysis.next_experiment import (
-    Candidate,
-    Question,
-    candidate_experiments,
-    experiments_needed,
-)
+from excitant.analysis.next_experiment import candidate_experiments, experiments_needed
 from excitant.analysis.structure import Structure, structure
 from excitant.analysis.uncertainty import (
     NOT_SHOWN,
@@ -368,7 +363,7 @@ def _under_motion(
     effects: Sequence[Effect],
     base: BaseParameters,
     given: Experiment,
-    candidates: Sequence[Candidate],
+    candidates: Mapping[str, Array],
     excitation: Persistency | None,
 ) -> PracticalIdentifiability:
     columns, seen = list(base.columns), given.information
@@ -378,7 +373,7 @@ def _under_motion(
     plain = np.linalg.qr(given.W[:, :, columns].reshape(-1, len(base)), mode="r")
     std, quiet = np.array([p.std for p in found]), np.array([p.negligible for p in found])
     size = size_to_resolve(given.beta, std, quiet, seen.signal)
-    wanted = experiments_needed(seen.R, Question(base.regrouping, size), candidates)
+    wanted = experiments_needed(seen.R, base.regrouping, size, candidates)
     units = [parameter_units(robot, effects)[k] for k in columns]
     return PracticalIdentifiability(
         condition_number=np.inf if len(seen.unseen) else float(np.linalg.cond(plain)),
@@ -460,7 +455,7 @@ def _entries(
     robot: Robot,
     effects: Sequence[Effect],
     found: Structure,
-    candidates: Sequence[Candidate],
+    candidates: Mapping[str, Array],
     given: Experiment | None,
 ) -> tuple[ParameterIdentifiability, ...]:
     """Every parameter of the base's names, with what a motion or recording says of it."""
@@ -475,7 +470,7 @@ def _entries(
     if given is not None:
         under, size = _under(given, found)
         figures = [before | now for before, now in zip(figures, under, strict=True)]
-    wanted = experiments_needed(R, Question(np.eye(len(units)), size), candidates)
+    wanted = experiments_needed(R, np.eye(len(units)), size, candidates)
     expressions = np.array(base.expressions, object)
     return tuple(
         ParameterIdentifiability(

@@ -11,13 +11,12 @@ all drive gains is one more unknown, and a known payload is what shows it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
 
-from excitant.analysis.uncertainty import ROUGHLY, deviations, triangle
+from excitant.analysis.uncertainty import ROUGHLY, deviations, listed, triangle
 from excitant.identify.base_prior import reference_motion
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion
@@ -34,41 +33,6 @@ NEVER = "never by joint torques"
 APART = f"{NEVER} or base forces: weigh or swing the link apart from the arm"
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """An experiment that could be added.
-
-    Attributes:
-        what: The experiment, as words that complete "shown by …".
-        R: Factor of its whitened rows alone, shape (p, p).
-        joint: The joint that it moves, where it is one that rests.
-    """
-
-    what: str
-    R: Array
-    joint: str | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Question:
-    """Combinations of parameters that are to become visible.
-
-    Attributes:
-        A: Combinations, shape (m, p).
-        size: Value of each, to which its standard deviation is compared, shape (m,); 0 if
-            showing it at all is enough.
-    """
-
-    A: Array
-    size: Array
-
-    def answered(self, R: Array) -> tuple[Array, Array]:
-        """Which are shown, and which also to 30 %, each of shape (m,)."""
-        std = deviations(R, self.A)
-        shown = np.isfinite(std)
-        return shown, shown & ((self.size == 0) | (std <= ROUGHLY * np.abs(self.size)))
-
-
 def resting_joints(q: Array) -> tuple[int, ...]:
     """Joints whose positions, shape (n, nv), do not change."""
     return tuple(int(j) for j in np.flatnonzero(np.ptp(q, axis=0) < _RESTS))
@@ -81,7 +45,7 @@ def candidate_experiments(
     rests: Sequence[int],
     pose: Array,
     measured: Sequence[int],
-) -> list[Candidate]:
+) -> dict[str, Array]:
     """Experiments that could be added, the easiest first.
 
     Args:
@@ -91,44 +55,32 @@ def candidate_experiments(
         rests: Joints that rested so far.
         pose: Where they rest, shape (nv,) [rad or m].
         measured: Joints whose torque is measured.
+
+    Returns:
+        By words that complete "shown by ...", the factor of the whitened rows, shape (p, p).
     """
-    rows = list(measured)
     every_joint = reference_motion(robot, _DURATION, _RATE_HZ)
 
-    def factor(arm: Robot, motion: Motion, of: Sequence[int]) -> Array:
-        W = observation_columns(arm, effects, motion)[:, list(of)]
-        return triangle(W, sigma[list(of)])
+    def factor(arm: Robot, motion: Motion = every_joint, others: Sequence[int] = ()) -> Array:
+        rows = [*measured, *others]
+        return triangle(observation_columns(arm, effects, motion)[:, rows], sigma[rows])
 
-    found = [
-        Candidate(
-            f"moving {robot.joints[j]}, which rests",
-            factor(robot, _holding(every_joint, [k for k in rests if k != j], pose), rows),
-            robot.joints[j],
-        )
-        for j in rests
-    ]
-    names = _listed([robot.joints[j] for j in rests])
-    every = (
-        f"moving {names} together" if len(rests) > 1 else "a wider and faster motion of all joints"
-    )
-    if len(rests) != 1:
-        found.append(Candidate(every, factor(robot, every_joint, rows)))
-    found += [
-        Candidate(f"measuring the torque of {name}", factor(robot, every_joint, [*rows, j]))
-        for j, name in enumerate(robot.joints)
-        if j not in rows
-    ]
+    found = {}
+    for j in rests:
+        held = _holding(every_joint, [k for k in rests if k != j], pose)
+        found[f"moving {robot.joints[j]}, which rests"] = factor(robot, held)
+    if len(rests) > 1:
+        found[f"moving {listed([robot.joints[j] for j in rests])} together"] = factor(robot)
+    elif not rests:
+        found["a wider and faster motion of all joints"] = factor(robot)
+    for j, name in enumerate(robot.joints):
+        if j not in measured:
+            found[f"measuring the torque of {name}"] = factor(robot, others=[j])
     sensor = f"{NEVER}; by a force and torque sensor under the base"
     tilts, others = _tilts(robot), sum(len(effect.parameters(robot)) for effect in effects)
-    return [
-        *found,
-        *(Candidate(f"the base {how}", factor(arm, every_joint, rows)) for how, arm in tilts),
-        Candidate(sensor, base_sensor(robot, every_joint, others)),
-        *(
-            Candidate(f"{sensor}, {how}", base_sensor(arm, every_joint, others))
-            for how, arm in tilts
-        ),
-    ]
+    found |= {f"the base {how}": factor(arm) for how, arm in tilts}
+    found[sensor] = base_sensor(robot, every_joint, others)
+    return found | {f"{sensor}, {how}": base_sensor(arm, every_joint, others) for how, arm in tilts}
 
 
 def _tilts(robot: Robot) -> list[tuple[str, Robot]]:
@@ -182,36 +134,46 @@ def base_sensor(robot: Robot, motion: Motion, others: int) -> Array:
 
 
 def experiments_needed(
-    R: Array, question: Question, candidates: Sequence[Candidate]
+    R: Array, A: Array, size: Array, candidates: Mapping[str, Array]
 ) -> tuple[str, ...]:
-    """What would show each combination that is asked for; empty where it is shown already.
+    """What would show each of m combinations of parameters; empty where it is shown already.
 
     The first candidate that shows it to 30 %, else the first that shows it at all.
 
     Args:
         R: Factor of the whitened rows so far, shape (rows, p).
-        question: The combinations.
-        candidates: Experiments that could be added, the easiest first.
+        A: Combinations, shape (m, p).
+        size: Value of each, to which its standard deviation is compared, shape (m,); 0 if
+            showing it at all is enough.
+        candidates: Factors of experiments that could be added, the easiest first.
     """
-    shown, precise = question.answered(R)
-    tried = [question.answered(np.vstack([R, candidate.R])) for candidate in candidates]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        times = (deviations(R, question.A) / (ROUGHLY * np.abs(question.size))) ** 2
+    enough = np.where(size == 0, np.inf, ROUGHLY * np.abs(size))
+    now = deviations(R, A)
+    tried = {what: deviations(np.vstack([R, more]), A) for what, more in candidates.items()}
     answers = []
-    for k in range(len(question.A)):
-        good = [c.what for c, (_, now) in zip(candidates, tried, strict=True) if now[k]]
-        some = [c.what for c, (now, _) in zip(candidates, tried, strict=True) if now[k]]
-        if precise[k]:
+    for k, (std, limit) in enumerate(zip(now, enough, strict=True)):
+        some = [what for what, with_it in tried.items() if np.isfinite(with_it[k])]
+        good = [what for what in some if tried[what][k] <= limit]
+        times = (std / limit) ** 2 if np.isfinite(std) else np.inf
+        if np.isfinite(std) and std <= limit:
             answers.append("")
-        elif shown[k] and times[k] <= _REPEATS:
-            answers.append(f"about {int(np.ceil(times[k]))} times as much of this motion")
+        elif times <= _REPEATS:
+            answers.append(f"about {int(np.ceil(times))} times as much of this motion")
         elif good:
             answers.append(good[0])
-        elif shown[k]:
+        elif np.isfinite(std):
             answers.append("less torque noise: too small beside it in any motion tried")
         else:
             answers.append(f"{some[0]}, and then roughly" if some else APART)
     return tuple(answers)
+
+
+def known_values(robot: Robot, effects: Sequence[Effect]) -> tuple[Array, list[bool]]:
+    """Values of all parameters, zero where not known, and which are known, each of shape (p,)."""
+    known = effect_values(robot)
+    names = [p.name for effect in effects for p in effect.parameters(robot)]
+    x = np.concatenate([robot.phi, [known.get(name, 0.0) for name in names]])
+    return x, [True] * len(robot.phi) + [name in known for name in names]
 
 
 def scale_deviation(robot: Robot, effects: Sequence[Effect], sigma: Array) -> float:
@@ -229,13 +191,7 @@ def scale_deviation(robot: Robot, effects: Sequence[Effect], sigma: Array) -> fl
     W = observation_columns(robot, effects, motion)
     load = np.zeros(W.shape[2])
     load[10 * robot.nv - 10] = PAYLOAD_KG
-    known = effect_values(robot)
-    others = [known.get(p.name, 0.0) for e in effects for p in e.parameters(robot)]
-    x = np.concatenate([robot.phi, others])
+    x = known_values(robot, effects)[0]
     rows = [np.concatenate([W, -(W @ values)[:, :, None]], axis=2) for values in (x, x + load)]
     R = triangle(np.concatenate(rows), sigma)
     return float(deviations(R, np.eye(len(load) + 1)[-1:])[0])
-
-
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

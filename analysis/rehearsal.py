@@ -8,7 +8,7 @@ payload or more friction, and the diagnosis of the identified model must name th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -19,12 +19,9 @@ from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.requirements import (
     Item,
     Situation,
-    coverage_item,
     diagnosis_item,
-    friction_items,
     limit_items,
-    other_motions_item,
-    prediction_item,
+    recovery_items,
     undetermined_item,
 )
 from excitant.exceptions import RankDeficient
@@ -161,7 +158,11 @@ def rehearse(
     common = (robot, duration, arm, change, run)
     items = limit_items(situation)
     tell(0.15, "running it slower")
-    slow = _slower(path), duration / _SLOWER
+
+    def slower(t: npt.ArrayLike, order: int = 0) -> Array:
+        return _SLOWER**order * path(_SLOWER * np.asarray(t, float), order)
+
+    slow = slower, duration / _SLOWER
     held = _recording(arm, arm.run(*slow, rng), "slower", rng)
     tell(0.35, "identifying")
     try:
@@ -170,7 +171,8 @@ def rehearse(
             reading = _recording(arm, run, "motion", rng)
             estimates.append(identify(robot, [reading], validate=[held]))
     except RankDeficient as error:
-        return Rehearsal(*common, (*items, undetermined_item(situation, error)))
+        items.append(undetermined_item(situation, error))
+        return Rehearsal(*common, tuple(items))
     tell(0.55, "running it on the changed arm")
     later = changed(arm, change)
     recordings = [
@@ -179,30 +181,10 @@ def rehearse(
     ]
     tell(0.8, "diagnosing")
     found = diagnose(estimates[0].model, recordings[:1], validate=recordings[1:])
-    items = (*items, *_recovered(situation, estimates), diagnosis_item(situation, found, change))
-    return Rehearsal(*common, items, estimates[0], found)
-
-
-def _recovered(situation: Situation, estimates: Sequence[Estimate]) -> tuple[Item, ...]:
-    """Whether estimates agree with the arm."""
-    robot = situation.robot
-    planted = planted_parameters(situation.arm, standard_effects(robot.joints))
-    beta = estimates[0].base.regrouping @ planted
-    return (
-        *friction_items(situation, estimates[0], beta),
-        coverage_item(situation, estimates, beta),
-        prediction_item(situation, estimates[0], beta),
-        other_motions_item(situation, estimates[0], beta),
-    )
-
-
-def _slower(path: Path) -> Path:
-    """The same path at 80 % of the speed."""
-
-    def slow(t: npt.ArrayLike, order: int = 0) -> Array:
-        return _SLOWER**order * path(_SLOWER * np.asarray(t, float), order)
-
-    return slow
+    planted = planted_parameters(arm, standard_effects(robot.joints))
+    items += recovery_items(situation, estimates, planted)
+    items.append(diagnosis_item(situation, found, change))
+    return Rehearsal(*common, tuple(items), estimates[0], found)
 
 
 def _recording(arm: VirtualArm, run: Run, name: str, rng: np.random.Generator) -> Recording:
@@ -222,10 +204,9 @@ def rehearsal_arm(robot: Robot, rng: np.random.Generator) -> VirtualArm:
     need can be compared with them.
     """
     free = replace(robot.limits, torque=np.full(robot.nv, np.inf))
-    return virtual_arm(
-        robot.with_limits(free).with_effects(_drives(robot, rng)), rng, hidden=(),
-        tolerance=_TOLERANCE, sensors=industrial_sensors(robot.with_effects(())),
-    )  # fmt: skip
+    given = robot.with_limits(free).with_effects(_drives(robot, rng))
+    sensors = industrial_sensors(robot.with_effects(()))
+    return virtual_arm(given, rng, hidden=(), tolerance=_TOLERANCE, sensors=sensors)
 
 
 def _drives(robot: Robot, rng: np.random.Generator) -> list[Effect]:

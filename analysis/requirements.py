@@ -57,6 +57,10 @@ class Item:
     unit: str = ""
 
 
+def _item(name: str, joint: str, passed: bool, detail: str, advice: str) -> Item:
+    return Item(name, joint, bool(passed), detail, "" if passed else advice)
+
+
 @dataclass(frozen=True, eq=False)
 class Situation:
     """What all items look at: the robot as given, the arm, and its run of the motion."""
@@ -89,9 +93,9 @@ class Situation:
         return f"record {times}, or design a motion with more harmonics"
 
 
-def limit_items(situation: Situation) -> tuple[Item, ...]:
+def limit_items(situation: Situation) -> list[Item]:
     """Limits kept by what the arm does, friction and tracking errors included."""
-    limits, run = situation.robot.limits, situation.run
+    limits, run, items = situation.robot.limits, situation.run, []
     bounded = np.isfinite(limits.position).all(axis=1)
     low, high = np.where(bounded, limits.position.T, 0.0)
     half = np.where(bounded, (high - low) / 2, np.inf)
@@ -100,76 +104,76 @@ def limit_items(situation: Situation) -> tuple[Item, ...]:
         "velocity": np.abs(run.dq).max(axis=0) / limits.velocity,
         "torque": np.abs(run.tau).max(axis=0) / limits.torque,
     }
-    return tuple(_limit(situation, name, share) for name, share in shares.items())
+    for name, share in shares.items():
+        joint, worst = situation.robot.joints[int(share.argmax())], float(share.max())
+        speed = 1 / max(worst, 1.0) ** (0.5 if name == "torque" else 1.0)
+        advice = f"play the motion at {100 * min(speed, 0.99):.0f} % of its speed"
+        if name == "position":
+            advice = f"make the motion of {joint} smaller"
+        detail = f"{100 * worst:.1f} % of the limit used"
+        items.append(_item(f"{name} limits", joint, worst <= 1 + _OVER, detail, advice))
+    return items
 
 
-def _limit(situation: Situation, name: str, share: Array) -> Item:
-    joint, worst = situation.robot.joints[int(share.argmax())], float(share.max())
-    passed = worst <= 1 + _OVER
-    slower = np.sqrt(1 / worst) if name == "torque" else 1 / worst
-    advice = "" if passed else (
-        f"make the motion of {joint} smaller" if name == "position"
-        else f"play the motion at {100 * min(slower, 0.99):.0f} % of its speed"
-    )  # fmt: skip
-    return Item(f"{name} limits", joint, passed, f"{100 * worst:.1f} % of the limit used", advice)
-
-
-def friction_items(situation: Situation, estimate: Estimate, beta: Array) -> tuple[Item, ...]:
-    """Viscous and Coulomb friction of every joint, each known to 10 %."""
-    names = [estimate.base.names[k] for k in estimate.base.columns]
-    std = np.sqrt(np.diag(estimate.least_squares.covariance))
-    found = []
-    for effect in standard_effects(situation.robot.joints)[:2]:
-        for joint, parameter in zip(
-            situation.robot.joints, effect.parameters(situation.robot), strict=True
-        ):
-            k = names.index(parameter.name)
-            value, true, s = estimate.least_squares.beta[k], beta[k], std[k]
-            lack = max(abs(value - true), 1.96 * s) / (_KNOWN * abs(true))
-            found.append(
-                Item(
-                    plain(effect.name), joint, bool(lack <= 1),
-                    f"planted {true:.4g}, recovered {value:.4g} ± {s:.2g} {parameter.unit}",
-                    "" if lack <= 1 else situation.faster(joint, lack),
-                    float(true), float(value), float(s), parameter.unit,
-                )
-            )  # fmt: skip
-    return tuple(found)
-
-
-def coverage_item(situation: Situation, estimates: Sequence[Estimate], beta: Array) -> Item:
-    """Stated intervals hold what was planted."""
-    inside = [
-        np.abs(e.least_squares.beta - beta) <= 1.96 * np.sqrt(np.diag(e.least_squares.covariance))
-        for e in estimates
+def recovery_items(situation: Situation, estimates: Sequence[Estimate], x: Array) -> list[Item]:
+    """What estimates from several readings recover of the arm's parameters x, shape (p,)."""
+    estimate, beta = estimates[0], estimates[0].base.regrouping @ x
+    return [
+        *_friction(situation, estimate, beta),
+        _coverage(situation, estimates, beta),
+        _prediction(situation, estimate, beta),
+        _other_motions(situation, estimate, beta),
     ]
-    share, cases = float(np.mean(inside)), int(np.size(inside))
-    passed = share >= _COVERED
-    return Item(
-        "base parameters", "", passed,
-        f"{100 * share:.1f} % of {cases} cases within their 95 % intervals "
-        f"({len(beta)} parameters, {len(estimates)} readings)",
-        "" if passed else situation.faster(),
-    )  # fmt: skip
 
 
-def prediction_item(situation: Situation, estimate: Estimate, beta: Array) -> Item:
+def _std(estimate: Estimate) -> Array:
+    return np.asarray(np.sqrt(np.diag(estimate.least_squares.covariance)), float)
+
+
+def _friction(situation: Situation, estimate: Estimate, beta: Array) -> list[Item]:
+    """Viscous and Coulomb friction of every joint, each known to 10 %."""
+    robot, items = situation.robot, []
+    names = [estimate.base.names[k] for k in estimate.base.columns]
+    for effect in standard_effects(robot.joints)[:2]:
+        for joint, parameter in zip(robot.joints, effect.parameters(robot), strict=True):
+            k = names.index(parameter.name)
+            each = beta[k], estimate.least_squares.beta[k], _std(estimate)[k]
+            true, value, std = map(float, each)
+            lack = max(abs(value - true), 1.96 * std) / (_KNOWN * abs(true))
+            unit, advice = parameter.unit, situation.faster(joint, lack)
+            detail = f"planted {true:.4g}, recovered {value:.4g} ± {std:.2g} {unit}"
+            item = _item(plain(effect.name), joint, lack <= 1, detail, advice)
+            items.append(replace(item, planted=true, recovered=value, std=std, unit=unit))
+    return items
+
+
+def _coverage(situation: Situation, estimates: Sequence[Estimate], beta: Array) -> Item:
+    """Stated intervals hold what was planted."""
+    inside = [np.abs(e.least_squares.beta - beta) <= 1.96 * _std(e) for e in estimates]
+    share = float(np.mean(inside))
+    detail = (
+        f"{100 * share:.1f} % of {np.size(inside)} cases within their 95 % intervals "
+        f"({len(beta)} parameters, {len(estimates)} readings)"
+    )
+    return _item("base parameters", "", share >= _COVERED, detail, situation.faster())
+
+
+def _prediction(situation: Situation, estimate: Estimate, beta: Array) -> Item:
     """Error on the hold-out close to that of the true parameters behind the same sensors."""
-    rows = estimate.holdout
-    floor = rows.accuracy(estimate.holdout_columns @ beta).rms
-    worse = estimate.validate.rms / floor
+    robot, rms = situation.robot, estimate.validate.rms
+    floor = estimate.holdout.accuracy(estimate.holdout_columns @ beta).rms
+    worse = rms / floor
     j = int(worse.argmax())
-    passed, joint = bool(worse[j] <= _WORSE), situation.robot.joints[j]
-    unit = "N·m" if situation.robot.revolute[j] else "N"
-    return Item(
-        "torque on the hold-out", joint, passed,
-        f"rms error {estimate.validate.rms[j]:.3g} {unit}, of which noise leaves {floor[j]:.3g} "
-        f"{unit} even to the true parameters",
-        "" if passed else situation.faster(lack=float(worse[j] / _WORSE)),
-    )  # fmt: skip
+    unit = "N·m" if robot.revolute[j] else "N"
+    detail = (
+        f"rms error {rms[j]:.3g} {unit}, of which noise leaves {floor[j]:.3g} {unit} even to the "
+        "true parameters"
+    )
+    advice = situation.faster(lack=float(worse[j] / _WORSE))
+    return _item("torque on the hold-out", robot.joints[j], worse[j] <= _WORSE, detail, advice)
 
 
-def other_motions_item(situation: Situation, estimate: Estimate, beta: Array) -> Item:
+def _other_motions(situation: Situation, estimate: Estimate, beta: Array) -> Item:
     """Error at states within half the limits, which the motion need not have shown."""
     robot, base = situation.robot, estimate.base
     q, dq, ddq = typical_motion(robot)
@@ -178,27 +182,22 @@ def other_motions_item(situation: Situation, estimate: Estimate, beta: Array) ->
     torque = np.sqrt(np.mean((W @ beta) ** 2, axis=0))
     share = np.sqrt(np.mean((W @ (estimate.least_squares.beta - beta)) ** 2, axis=0)) / torque
     j = int(share.argmax())
-    passed = bool(share[j] <= _ELSEWHERE)
-    std = np.sqrt(np.diag(estimate.least_squares.covariance))
-    unsure = np.sqrt(np.mean(W[:, j] ** 2, axis=0)) * std
+    unsure = np.sqrt(np.mean(W[:, j] ** 2, axis=0)) * _std(estimate)
     weak = base.names[base.columns[int(unsure.argmax())]]
-    return Item(
-        "torque at other motions", robot.joints[j], passed,
-        f"rms error {100 * share[j]:.2g} % of the torque at half the limits, "
-        f"known least: {weak}",
-        "" if passed else situation.faster(lack=float(share[j] / _ELSEWHERE)),
-    )  # fmt: skip
+    detail = (
+        f"rms error {100 * share[j]:.2g} % of the torque at half the limits, known least: {weak}"
+    )
+    advice = situation.faster(lack=float(share[j] / _ELSEWHERE))
+    passed = share[j] <= _ELSEWHERE
+    return _item("torque at other motions", robot.joints[j], passed, detail, advice)
 
 
 def undetermined_item(situation: Situation, error: RankDeficient) -> Item:
     """The motion does not determine the parameters at all."""
     names = ", ".join(error.names[:4]) + (", ..." if len(error.names) > 4 else "")
     weakest = situation.robot.joints[int(situation.use.argmin())]
-    return Item(
-        "identification", weakest, False,
-        f"the motion leaves {len(error.names)} parameters undetermined: {names}",
-        situation.faster(weakest),
-    )  # fmt: skip
+    detail = f"the motion leaves {len(error.names)} parameters undetermined: {names}"
+    return _item("identification", weakest, False, detail, situation.faster(weakest))
 
 
 def diagnosis_item(situation: Situation, found: Diagnosis, change: HiddenEffect) -> Item:
@@ -207,22 +206,19 @@ def diagnosis_item(situation: Situation, found: Diagnosis, change: HiddenEffect)
     A payload is inertia by another name: that other inertia explains it as well is no fault.
     """
     planted = f"{plain(change.effect)} on {change.joint}"
+    advice = situation.faster(change.joint)
     if not found.findings:
-        return Item("diagnosis", change.joint, False, f"{planted}: nothing was named",
-                    situation.faster(change.joint))  # fmt: skip
+        return _item("diagnosis", change.joint, False, f"{planted}: nothing was named", advice)
     lead = found.findings[0]
     named = f"{lead.verdict} {_cause(lead)}"
     if lead.rivals:
         named += f" (or {', '.join(_cause(rival.candidate) for rival in lead.rivals)})"
     right = lead.effect.name == change.effect and change.joint in lead.effect.joints
-    others = {rival.candidate.effect.name for rival in lead.rivals}
     masses = {name for name, kind in EFFECTS.items() if kind.family == "body"}
     alike = masses if change.effect in masses else set()
-    passed = right and not lead.downgrade and others <= alike
-    item = Item(
-        "diagnosis", change.joint, passed, f"{planted}: {named}",
-        "" if passed else situation.faster(change.joint),
-    )  # fmt: skip
+    others = {rival.candidate.effect.name for rival in lead.rivals} - alike
+    passed = right and not lead.downgrade and not others
+    item = _item("diagnosis", change.joint, passed, f"{planted}: {named}", advice)
     if not right or lead.effect.values is None:
         return item
     return replace(

@@ -325,7 +325,7 @@ class Direction:
         if not np.isfinite(self.std):
             if len(self.members) == 1:
                 return f"{name} changes no torque of this motion"
-            others = _listed([f"{other} by {c:.2g}" for other, c, _ in self.members[1:]])
+            others = listed([f"{other} by {c:.2g}" for other, c, _ in self.members[1:]])
             return f"{name} by 1 with {others} (SI units) changes no torque of this motion"
         if len(self.members) == 1:
             return f"{name} may be {abs(change):.2g} {unit} off without showing above the noise"
@@ -334,7 +334,7 @@ class Direction:
             for other, c, u in self.members[1:]
         ]
         return (
-            f"{name} may rise by {abs(change):.2g} {unit} while {_listed(moves)}: "
+            f"{name} may rise by {abs(change):.2g} {unit} while {listed(moves)}: "
             "torque changes by no more than the noise"
         )
 
@@ -345,7 +345,8 @@ class Direction:
         return {**said, "rel_std": self.std, "members": members}
 
 
-def _listed(words: Sequence[str]) -> str:
+def listed(words: Sequence[str]) -> str:
+    """Words with commas and ``and``."""
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 

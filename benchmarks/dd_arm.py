@@ -29,6 +29,7 @@ from seed import (
     dd_arm_chain,
     dd_arm_parameters,
     dd_arm_tables,
+    parameter_map,
 )
 from threadpoolctl import threadpool_limits
 
@@ -45,7 +46,6 @@ from excitant.identify.physical import (
 from excitant.identify.preprocessing import prepare
 from excitant.identify.rows import FitRows, fit_rows
 from excitant.robots import Robot, base_parameters
-from excitant.robots.dh import parameter_map
 from excitant.robots.effects import CoulombFriction, ViscousFriction
 from excitant.robots.newton_euler import torque_matrix
 from excitant.robots.parameters import (

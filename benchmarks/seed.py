@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from excitant.robots.dh import DHChain, chain_from_record, moved_parameters, parameter_map
+from excitant.robots.dh import DHChain, chain_from_record, joint_frames, moved_parameters
 from excitant.robots.loading import builtin_record, load_robot
 from excitant.robots.motion import Array
 from excitant.robots.newton_euler import forward_recursion, select_torque
@@ -175,3 +175,12 @@ def central_parameters(phi: npt.ArrayLike) -> tuple[Array, Array, Array]:
         frame[..., i, j] = frame[..., j, i] = phi[..., 4 + k]
     square = np.sum(c * c, axis=-1)[..., None, None] * np.eye(3) - c[..., :, None] * c[..., None, :]
     return m, c, frame - m[..., None, None] * square
+
+
+def parameter_map(chain: DHChain) -> Array:
+    """B with φ(joint frames) = B φ(link frames), shape (10 nv, 10 nv)."""
+    B = np.zeros((10 * chain.nv, 10 * chain.nv))
+    for i, T in enumerate(joint_frames(chain)):
+        part = slice(10 * i, 10 * i + 10)
+        B[part, part] = moved_parameters(np.eye(10), T).T
+    return B

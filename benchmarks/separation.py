@@ -140,7 +140,7 @@ def run_case(
     after = diagnose(robot, [first, *runs], validate=[held]) if runs else before
     log |= {
         "after": _brief(after),
-        "experiments": [[*k, e.sentence] for k, e in proposed.experiments.items()],
+        "experiments": [[*k, e.experiment] for k, e in proposed.experiments.items()],
     }
     return list(_outcomes(before, after, proposed, hidden)), log
 

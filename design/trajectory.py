@@ -188,7 +188,9 @@ class Trajectory:
         )  # fmt: skip
         heads = ("joint", "from", "to", "top speed", "top acceleration")
         return html_table(
-            f"{self.series.name} trajectory of {self.period:.4g} s, SI units", heads, rows
+            f"{self.series.name.capitalize()} trajectory of {self.period:.4g} s, SI units",
+            heads,
+            rows,
         )
 
 

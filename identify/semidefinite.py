@@ -8,20 +8,16 @@ metric: Lee, Wensing, Park 2020).
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
 
+import clarabel
 import numpy as np
 import scipy
 
 from excitant.exceptions import Infeasible
 from excitant.robots.motion import Array
 from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
-
-if TYPE_CHECKING:
-    import cvxpy as cp
 
 MARGIN = 1e-4  # smallest eigenvalue of Q: no link shrinks below this part of its reference
 FIT = "physically consistent fit"
@@ -30,14 +26,27 @@ _SVEC = np.where(_UPPER[0] == _UPPER[1], 1.0, np.sqrt(2.0))  # Σ (w · upper(Q)
 _UNITS = np.zeros((10, 4, 4))
 for _k, (_i, _j) in enumerate(zip(*_UPPER, strict=True)):
     _UNITS[_k, _i, _j] = _UNITS[_k, _j, _i] = 1.0
+# the solver's triangle of a symmetric matrix, column by column, as a vector of the same norm
+_TRIANGLE = np.tril_indices(4)
+_OF_TRIANGLE = np.where(_TRIANGLE[0] == _TRIANGLE[1], 1.0, np.sqrt(2.0))
 
+_CONES = {
+    "nonnegative": clarabel.NonnegativeConeT,
+    "zero": clarabel.ZeroConeT,
+    "second_order": clarabel.SecondOrderConeT,
+    "semidefinite": lambda _: clarabel.PSDTriangleConeT(4),
+}
 _TOLERANCES = (1e-10, 1e-8, 1e-7)  # of the conic solver: the tightest that rounding allows
 _SCALINGS = ((1.0, True), (1e-3, True), (1e-3, False))  # of the unit of length; equilibration
 _PRECISE = 1e-2  # posterior standard deviations from the optimum, or
 _NEAR = 1e-4  # this part of the way from the fit without restrictions
 _FEASIBLE = 1e-6  # violation in units of the restriction; far below the margin
-_STEPS = 20  # Newton steps with log-determinants
+_SOLVED, _ALMOST = "Solved", "AlmostSolved"  # states of the solver with a solution
+_STEPS = 100  # Newton steps with log-determinants
 _EXACT = 1e-8  # squared Newton decrement, from which one more full step is exact to rounding
+_NEARLY = 0.1  # the same, while log-determinants weigh more than they should
+_FACTOR = 8.0  # by which they weigh less then
+_STATIONARY = 1e-3  # gradient left at what counts as an optimum, relative to that of the data
 _ROUNDING = 1e-13  # of the objective
 _ENOUGH = 1e-3  # of the decrease that the slope promises
 _SHORTEST = 1e-6  # share of a step
@@ -74,7 +83,7 @@ class Restriction:
 
     Attributes:
         cone: ``"nonnegative"``, ``"zero"``, ``"second_order"`` (first value ≥ norm of the rest) or
-            ``"semidefinite"`` (the rows of a symmetric 4×4 matrix).
+            ``"semidefinite"`` (triangle of a 4×4 matrix, off-diagonal terms times √2, shape (10,)).
         G: Shape (m, p).
         h: Shape (m,).
         name: What it says, for messages; empty where it cannot be in contradiction.
@@ -89,30 +98,13 @@ class Restriction:
         """G y − h, shape (m,)."""
         return np.asarray(self.G @ y - self.h)
 
-    def condition(self, slack: cp.Expression) -> cp.Constraint:
-        """The restriction of an expression for G y − h."""
-        import cvxpy as cp
-
-        if self.cone == "semidefinite":
-            return cp.reshape(slack, (4, 4), order="C") >> 0
-        if self.cone == "second_order":
-            return cp.SOC(slack[0], slack[1:])
-        return slack == 0 if self.cone == "zero" else slack >= 0
-
-    def multiplier(self, dual: Any) -> Array:
-        """λ with the gradient of the objective = Σ Gᵀ λ, from the solver's dual value."""
-        if self.cone == "semidefinite":
-            return np.ravel((dual + dual.T) / 2)
-        if self.cone == "second_order":
-            return np.concatenate([np.ravel(part) for part in dual])
-        values = np.ravel(np.asarray(dual, float))
-        return -values if self.cone == "zero" else values
-
     def violation(self, y: Array) -> float:
         """By how much it is missed, in its own units; negative where there is room."""
         slack = self.slack(y)
         if self.cone == "semidefinite":
-            return -float(np.linalg.eigvalsh(slack.reshape(4, 4))[0])
+            Q = np.zeros((4, 4))
+            Q[_TRIANGLE] = slack / _OF_TRIANGLE
+            return -float(np.linalg.eigvalsh(Q)[0])
         if self.cone == "second_order":
             return float(np.linalg.norm(slack[1:]) - slack[0])
         return float(np.abs(slack).max() if self.cone == "zero" else -slack.min())
@@ -120,10 +112,10 @@ class Restriction:
 
 def definite(links: int, margin: float, p: int) -> tuple[Restriction, ...]:
     """Q_k ⪰ margin for the links that p coordinates begin with."""
-    selections = np.zeros((links, 16, p))
-    for k in range(links):
-        selections[k, :, 10 * k : 10 * k + 10] = _UNITS.reshape(10, 16).T
-    return tuple(Restriction("semidefinite", G, margin * np.eye(4).ravel()) for G in selections)
+    triangle = _OF_TRIANGLE[:, None] * _UNITS[:, *_TRIANGLE].T
+    h = margin * np.eye(4)[_TRIANGLE]
+    G = [np.pad(triangle, ((0, 0), (10 * k, p - 10 * k - 10))) for k in range(links)]
+    return tuple(Restriction("semidefinite", each, h) for each in G)
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,14 +240,33 @@ def solve(program: Program, centre: Array) -> Solution:
     """
     if not len(program.entropy):
         return _quadratic(program, centre)
-    y = _conic(program, centre)
-    if not np.isfinite(program.value(y)):
-        raise Infeasible(FIT, "the conic solver gives a body that cannot be; " + _ADVICE)
+    # log-determinants are weighed ever less, from where their second order at the centre holds
+    F, t = program.triangle()
+    program = replace(program, A=F, z=t, C=np.zeros((0, len(centre))), d=np.zeros(0))
+    excess = float(np.sum((F @ centre - t)[: len(centre)] ** 2))
+    factor = max(1.0, excess / float(program.entropy.min()))
+    heavier = replace(program, entropy=factor * program.entropy)
+    bodies = definite(len(program.entropy), MARGIN, len(centre))
+    restrictions = (*bodies, *program.restrictions)
+    y = _quadratic(replace(heavier.local(centre), restrictions=restrictions), centre).y
+    while factor > 1.0:
+        y = _newton(replace(program, entropy=factor * program.entropy), y, _NEARLY).y
+        factor /= _FACTOR
+    found = _newton(program, y, _EXACT)
+    if found.kkt(program).stationarity > _STATIONARY:
+        raise Infeasible(
+            FIT, "Newton's method reaches no optimum of the log-determinants; " + _ADVICE
+        )
+    return found
+
+
+def _newton(program: Program, y: Array, precision: float) -> Solution:
+    """Minimiser with log-determinants to a squared Newton decrement, from a feasible point."""
     for _ in range(_STEPS):
         found = _quadratic(program.local(y), y)
         step = found.y - y
         decrease, value = -float(program.gradient(y) @ step), program.value(y)
-        if decrease <= max(_EXACT * float(program.entropy.min()), _ROUNDING * abs(value)):
+        if decrease <= max(precision * float(program.entropy.min()), _ROUNDING * abs(value)):
             return found if np.isfinite(program.value(found.y)) else Solution(y, found.multipliers)
         share = 1.0
         while program.value(y + share * step) > value - _ENOUGH * share * decrease:
@@ -264,33 +275,6 @@ def solve(program: Program, centre: Array) -> Solution:
                 return Solution(y, found.multipliers)
         y = y + share * step
     return Solution(y, found.multipliers)
-
-
-def _conic(program: Program, centre: Array) -> Array:
-    """Minimiser with log-determinants to the tolerance of the conic solver, shape (p,).
-
-    Solved in the coordinates U (y − centre), U a QR factor of data and prior to second order. An
-    inaccurate solution will do: Newton's method makes it exact.
-    """
-    import cvxpy as cp
-
-    near, p, links = program.local(centre), len(centre), len(program.entropy)
-    U = np.linalg.qr(np.vstack([near.A, near.C]), mode="r")
-    factor, target = program.triangle()
-    step = scipy.linalg.solve_triangular(U, np.eye(p))
-    v = cp.Variable(p)
-    misfit = (factor @ step) @ v + (factor @ centre - target)
-    objective = cp.sum_squares(misfit)
-    for w, body in zip(program.entropy, definite(links, 0.0, p), strict=True):
-        Q = cp.reshape((body.G @ step) @ v + body.slack(centre), (4, 4), order="C")
-        objective += w * (cp.trace(Q) - cp.log_det(Q))
-    conditions = [r.condition((r.G @ step) @ v + r.slack(centre)) for r in program.restrictions]
-    y = centre
-    for status in _solved(cp.Problem(cp.Minimize(objective), conditions)):
-        y = centre + step @ v.value
-        if status == cp.OPTIMAL:
-            break
-    return np.asarray(y)
 
 
 def _quadratic(program: Program, centre: Array) -> Solution:
@@ -312,7 +296,7 @@ def _quadratic(program: Program, centre: Array) -> Solution:
             error = _distance_to_optimum(program, U, free, found)
             moved = float(np.linalg.norm(U @ (found.y - free)))
             missed = max(r.violation(found.y) for r in program.restrictions)
-            done = status == "optimal" and scale == 1.0
+            done = status == _SOLVED and scale == 1.0
             if done or (missed <= _FEASIBLE and error <= max(_PRECISE, _NEAR * moved)):
                 checked.append((error, found))
             if done:
@@ -330,31 +314,33 @@ def _attempts(
     program: Program, U: Array, free: Array, unit: float, equilibrate: bool
 ) -> Iterator[tuple[str, Solution]]:
     """Status and solution at ever looser tolerances, in units of U (y − y₀)."""
-    import cvxpy as cp
-
     step = unit * scipy.linalg.solve_triangular(U, np.eye(len(free)))
-    v = cp.Variable(len(free))
-    conditions = [r.condition((r.G @ step) @ v + r.slack(free)) for r in program.restrictions]
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(v)), conditions)
-    for status in _solved(problem, equilibrate):
-        pairs = zip(program.restrictions, conditions, strict=True)
-        pushes = tuple(r.multiplier(c.dual_value) * unit**2 for r, c in pairs)
-        yield status, Solution(free + step @ v.value, pushes)
-
-
-def _solved(problem: cp.Problem, equilibrate: bool = True) -> Iterator[str]:
-    """Status at ever looser tolerances, where the problem then has values."""
-    import cvxpy as cp
-
     for tolerance in _TOLERANCES:
-        limits = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), tolerance)
-        try:
-            with warnings.catch_warnings(action="ignore"):  # the status says it
-                problem.solve(solver=cp.CLARABEL, equilibrate_enable=equilibrate, **limits)
-        except cp.SolverError:
-            continue
-        if problem.variables()[0].value is not None:
-            yield problem.status
+        settings = clarabel.DefaultSettings()
+        settings.equilibrate_enable = equilibrate
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+        status, v, pushes = _conic(program.restrictions, step, free, 2.0, settings)
+        if status in (_SOLVED, _ALMOST):
+            yield status, Solution(free + step @ v, tuple(push * unit**2 for push in pushes))
+
+
+def _conic(
+    restrictions: Sequence[Restriction],
+    step: Array,
+    start: Array,
+    curvature: float,
+    settings: clarabel.DefaultSettings,
+) -> tuple[str, Array, list[Array]]:
+    """Status, v and multipliers of min ½ curvature ‖v‖² with y = start + step v restricted."""
+    n = step.shape[1]
+    P = scipy.sparse.csc_matrix(curvature * scipy.sparse.identity(n))
+    A = scipy.sparse.csc_matrix(-np.vstack([r.G for r in restrictions]) @ step)
+    b = np.concatenate([r.slack(start) for r in restrictions])
+    sizes = [len(r.h) for r in restrictions]
+    cones = [_CONES[r.cone](size) for r, size in zip(restrictions, sizes, strict=True)]
+    settings.verbose = False
+    found = clarabel.DefaultSolver(P, np.zeros(n), A, b, cones, settings).solve()
+    return str(found.status), np.array(found.x), np.split(np.array(found.z), np.cumsum(sizes)[:-1])
 
 
 def _distance_to_optimum(program: Program, U: Array, free: Array, found: Solution) -> float:
@@ -386,13 +372,7 @@ def contradiction(restrictions: Sequence[Restriction]) -> tuple[str, ...]:
 
 
 def _fulfillable(restrictions: Sequence[Restriction]) -> bool:
-    import cvxpy as cp
-
-    y = cp.Variable(restrictions[0].G.shape[1])
-    problem = cp.Problem(cp.Minimize(0), [r.condition(r.G @ y - r.h) for r in restrictions])
-    try:
-        with warnings.catch_warnings(action="ignore"):
-            problem.solve(solver=cp.CLARABEL)
-    except cp.SolverError:
-        return False
-    return problem.status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)
+    p = restrictions[0].G.shape[1]
+    settings = clarabel.DefaultSettings()
+    status, *_ = _conic(restrictions, np.eye(p), np.zeros(p), 0.0, settings)
+    return status in (_SOLVED, _ALMOST)

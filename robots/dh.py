@@ -207,15 +207,6 @@ def joint_frames(chain: DHChain) -> Array:
     return inner
 
 
-def parameter_map(chain: DHChain) -> Array:
-    """B with φ(joint frames) = B φ(link frames), shape (10 nv, 10 nv)."""
-    B = np.zeros((10 * chain.nv, 10 * chain.nv))
-    for i, T in enumerate(joint_frames(chain)):
-        part = slice(10 * i, 10 * i + 10)
-        B[part, part] = moved_parameters(np.eye(10), T).T
-    return B
-
-
 def chain_through_axes(
     points: Array, axes: Array, tip: Array, convention: Convention
 ) -> tuple[Array, tuple[Array, Array, Array, Array]]:

@@ -182,9 +182,7 @@ def _reaches(scene: Scene) -> Array:
     return reach
 
 
-def scene(
-    robot: Robot, obstacles: Sequence[Obstacle] = (), package_dirs: Sequence[str] = ()
-) -> Scene | None:
+def scene(robot: Robot, obstacles: Sequence[Obstacle] = ()) -> Scene | None:
     """Collision scene of a robot; None when no motion can bring two of its shapes together.
 
     Meshes count with their convex hulls, which takes a hundredth of the time. Meshes that are not
@@ -194,15 +192,12 @@ def scene(
     Args:
         robot: The arm; its URDF's ``<collision>`` elements count.
         obstacles: Bodies in the cell.
-        package_dirs: Folders for ``package://`` mesh addresses.
     """
     root = ET.fromstring(robot.urdf)
-    _find_meshes(root, robot, package_dirs)
+    _find_meshes(root, robot)
     model, reference, locked = full_model(root, robot)
     text = ET.tostring(root, encoding="unicode")
-    geometry = pin.buildGeomFromUrdfString(
-        model, text, pin.GeometryType.COLLISION, package_dirs=list(package_dirs)
-    )
+    geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     _make_convex(geometry)
     boxed = {name for o in obstacles if o.tool_only for name, _, _ in o.bodies()}
     if not len(geometry.geometryObjects) and not boxed:
@@ -275,17 +270,16 @@ def _make_convex(geometry: Any) -> None:
         body.geometry = mesh.convex
 
 
-def _find_meshes(root: ET.Element, robot: Robot, package_dirs: Sequence[str]) -> None:
+def _find_meshes(root: ET.Element, robot: Robot) -> None:
     """Name mesh files by their full paths; remove collision shapes whose mesh is not there."""
-    folders = [Path(robot.source).parent, *(Path(p) for p in package_dirs)]
+    folder = Path(robot.source).parent
     for link in root.findall("link"):
         for collision in link.findall("collision"):
             mesh = collision.find("geometry/mesh")
             if mesh is None:
                 continue
             name = str(mesh.get("filename")).removeprefix("package://").removeprefix("file://")
-            found = next((f / name for f in folders if (f / name).is_file()), None)
-            if found is None:
-                link.remove(collision)
+            if (folder / name).is_file():
+                mesh.set("filename", str((folder / name).resolve()))
             else:
-                mesh.set("filename", str(found.resolve()))
+                link.remove(collision)

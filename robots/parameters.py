@@ -126,16 +126,15 @@ def isotropic(phi: npt.ArrayLike) -> Array:
     return from_pseudo_inertia(P)
 
 
-def nearest_consistent(phi: npt.ArrayLike, relative_floor: float = 1e-4) -> Array:
+def nearest_consistent(phi: npt.ArrayLike) -> Array:
     """Parameters of one link moved to the nearest pseudo-inertia bounded away from singular.
 
-    The second-moment matrix about the centre of mass is clipped at ``relative_floor`` times
+    The second-moment matrix about the centre of mass is clipped at 1e-4 of
     its largest eigenvalue (or, for a point mass, at a radius of gyration of 1 cm); mass and
     first moment are kept.
 
     Args:
         phi: Standard parameters of one link with positive mass, shape (10,).
-        relative_floor: Smallest eigenvalue allowed, relative to the largest.
     """
     P = pseudo_inertia(phi)
     mass, first = P[3, 3], P[:3, 3]
@@ -143,7 +142,7 @@ def nearest_consistent(phi: npt.ArrayLike, relative_floor: float = 1e-4) -> Arra
         raise ValueError(f"mass {mass} kg is not positive")
     values, vectors = np.linalg.eigh(P[:3, :3] - np.outer(first, first) / mass)
     radius = 0.01  # m: a link is not a point
-    floor = max(relative_floor * values[-1], relative_floor * mass * radius**2)
+    floor = 1e-4 * max(values[-1], mass * radius**2)
     if values[-1] <= 0:
         floor = mass * radius**2
     if values[0] >= floor:

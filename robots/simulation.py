@@ -1,6 +1,6 @@
 """Forward dynamics of a model: what a robot with its effects does under a joint controller.
 
-    M(q) q̈ + b(q, q̇) + τ_e(t, q, q̇) = τ,    τ = τ_ff + B (ω² (q_d − q) + 2 ζ ω (q̇_d − q̇))
+    M(q) q̈ + b(q, q̇) + τ_e(t, q, q̇) = τ,    τ = τ_ff + B (ω² (q_d − q) + 2 ω (q̇_d − q̇))
 
 with the rotors in M, Coriolis, centrifugal and gravity torque b, and the torque τ_e of the effects
 (`excitant.robots.state_torque`, which says how dry friction is smoothed near rest). A step is one
@@ -60,19 +60,17 @@ class Controller:
 
     Attributes:
         omega: ω, natural frequency of the error, one for all joints or shape (nv,) [rad/s].
-        zeta: ζ, its damping ratio.
         believed: The robot whose inverse dynamics on the commanded motion gives τ_ff, and whose
             mass matrix at the commanded positions is B; the simulated one itself when None.
         floor: Smallest diagonal of B, for joints that move little, 0 or shape (nv,) [kg·m²].
     """
 
     omega: Array | float = 40.0
-    zeta: float = 1.0
     believed: Robot | None = None
     floor: Array | float = 0.0
 
     def gains(self, robot: Robot, q: Array) -> tuple[Array, Array]:
-        """B ω² and 2 ζ B ω at commanded positions, each (n, nv, nv) [N·m/rad, N·m·s/rad]."""
+        """B ω² and 2 B ω at commanded positions, each (n, nv, nv) [N·m/rad, N·m·s/rad]."""
         model, rotors, _ = forward_model(self.believed or robot)
         data, B = model.createData(), np.empty((len(q), robot.nv, robot.nv))
         for k, pose in enumerate(q):
@@ -81,7 +79,7 @@ class Controller:
         j = np.arange(robot.nv)
         B[:, j, j] = np.maximum(B[:, j, j], self.floor)
         omega = np.broadcast_to(np.asarray(self.omega, float), robot.nv)
-        return B * omega**2, 2 * self.zeta * B * omega
+        return B * omega**2, 2 * B * omega
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,29 +61,24 @@ WORKING = {
 
 
 @pytest.mark.parametrize("name", WORKING)
-def test_a_verb_writes_its_report_and_says_where(
+def test_a_verb_writes_its_report_and_prints_the_result(
     name: str, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([*WORKING[name].split(), "-o", "out"]) == 0
-    written = {p.name for p in (here / "out").iterdir()}
-    assert written >= REPORT
+    assert main([*WORKING[name].split(), "--json", "-o", "out"]) == 0
     out, err = capsys.readouterr()
-    assert all(f"out/{name}" in out for name in written)
-    assert err == ""
     result = json.loads((here / "out" / "result.json").read_text(encoding="utf-8"))
+    assert (json.loads(out), err) == (result, "")
     assert result["verb"] == name.split()[0]
+    assert {p.name for p in (here / "out").iterdir()} >= REPORT
     assert all((here / file).is_file() for file in result["files"])
     page = (here / "out" / "report.html").read_text(encoding="utf-8")
     assert not re.search(r"""(?:src|href)=["']https?:""", page)
 
 
-@pytest.mark.parametrize("name", WORKING)
-def test_json_prints_the_result_and_nothing_else(
-    name: str, here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*WORKING[name].split(), "--json", "-o", "out"]) == 0
+def test_a_verb_says_where_its_report_is(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*WORKING["identify"].split(), "-o", "out"]) == 0
     out, err = capsys.readouterr()
-    assert json.loads(out) == json.loads((here / "out" / "result.json").read_text("utf-8"))
+    assert all(f"out/{path.name}" in out for path in (here / "out").iterdir())
     assert err == ""
 
 
@@ -103,8 +98,7 @@ def test_a_report_is_rendered_again(here: Path, capsys: pytest.CaptureFixture[st
     assert {p.name: p.read_bytes() for p in (here / "out").iterdir()} == before
 
 
-@pytest.mark.parametrize("suffix", ["csv", "parquet"])
-@pytest.mark.parametrize("hidden", [False, True])
+@pytest.mark.parametrize(("suffix", "hidden"), [("csv", False), ("parquet", True)])
 def test_simulate_records_what_identify_reads(
     suffix: str, hidden: bool, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -143,8 +137,7 @@ def test_robots_lists_and_shows(capsys: pytest.CaptureFixture[str]) -> None:
     shown = json.loads(capsys.readouterr().out)
     assert [j["name"] for j in shown["joints"]] == list(load_robot("ur10").joints)
     assert main(["robots"]) == 0
-    assert all(name in capsys.readouterr().out for name in ["ur10"])
-    assert main(["robots", "ur10"]) == 0
+    assert "ur10" in capsys.readouterr().out
 
 
 Edit = Callable[[pd.DataFrame], pd.DataFrame]
@@ -190,7 +183,7 @@ def refused(words: list[str], here: Path, capsys: pytest.CaptureFixture[str]) ->
         (name, verb)
         for verb in ("identify", "diagnose", "analyze")
         for name in RECORDINGS
-        if (name, verb) != ("too short to hold out", "analyze")
+        if verb == "identify" or name in ("missing column", "NaN row")
     ],
 )
 def test_a_bad_recording_is_refused_in_one_line(
@@ -337,24 +330,17 @@ def test_a_bug_is_owned_in_one_line(
         main(["--debug", *words])
 
 
-def test_an_interrupt_ends_with_one_line(
-    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("excitant.identify.identify", interrupted)
-    assert "interrupted" in refused(["identify", "planar_2r", "one.csv", "-o", "out"], here, capsys)
-
-
-def test_an_interrupt_that_a_library_wraps_is_one_still(
-    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_an_interrupt_ends_with_one_line_though_a_library_wraps_it(
+    wrapped: bool, here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_: object, **__: object) -> None:
         try:
             raise KeyboardInterrupt
         except KeyboardInterrupt as error:
-            raise ImportError("numpy failed to import") from error
+            if wrapped:
+                raise ImportError("numpy failed to import") from error
+            raise
 
     monkeypatch.setattr("excitant.identify.identify", interrupted)
     assert "interrupted" in refused(["identify", "planar_2r", "one.csv", "-o", "out"], here, capsys)

@@ -79,7 +79,7 @@ def shown() -> list[str]:
 
 def test_every_noun_shows_itself(shown: list[str]) -> None:
     titles = [
-        "Robot planar_2r: 2 joints", "FourierTrajectory of 8 s", "Recording run: ",
+        "Robot planar_2r: 2 joints", "Fourier trajectory of 8 s", "Recording run: ",
         "Estimate of planar_2r", "Identifiability of planar_2r", "What the model of planar_2r",
     ]  # fmt: skip
     assert len(shown) == len(titles) + 1

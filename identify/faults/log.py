@@ -145,11 +145,17 @@ def normal_bound(tests: int) -> float:
     return float(-scipy.special.ndtri(ALARM / (2 * max(tests, 1))))
 
 
+def running_median(x: Array, window: int) -> Array:
+    """Median of so many samples around each one, column by column, shape as given."""
+    size = min(window, len(x))
+    columns = [scipy.ndimage.median_filter(column, size, mode="nearest") for column in x.T]
+    return np.column_stack(columns)
+
+
 def local_scale(values: Array) -> Array:
-    """Running median of magnitudes, no less than a fifth of the upper quartile of all."""
+    """Running median of magnitudes by column, no less than a fifth of their upper quartile."""
     size = np.abs(values)
-    running = scipy.ndimage.median_filter(size, size=min(_AROUND, len(size)), mode="nearest")
-    return np.asarray(np.maximum(running, 0.2 * np.quantile(size, 0.75)), float)
+    return np.maximum(running_median(size, _AROUND), 0.2 * np.quantile(size, 0.75, axis=0))
 
 
 def run_lengths(same: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

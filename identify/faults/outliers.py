@@ -8,7 +8,16 @@ import numpy as np
 import scipy
 
 from excitant.identify.faults.fault import Fault, Remedy, dropped
-from excitant.identify.faults.log import ALARM, Log, Mask, Rows, local_scale, quantum, tail_bound
+from excitant.identify.faults.log import (
+    ALARM,
+    Log,
+    Mask,
+    Rows,
+    local_scale,
+    quantum,
+    running_median,
+    tail_bound,
+)
 from excitant.robots.motion import Array
 
 _PATTERN = np.array([1 / 6, -2 / 3, 1.0, -2 / 3, 1 / 6])  # residual around one outlier
@@ -58,8 +67,8 @@ def outliers(log: Log, jumps: Rows | None = None) -> Iterator[Fault]:
 
 def _of_channel(log: Log, name: str, j: int, rows: Rows) -> Fault:
     """The fault of single values of one channel of joint j."""
-    x, joint = getattr(log, name)[:, j], log.joints[j]
-    median = scipy.ndimage.median_filter(x, size=min(_WINDOW, len(x)), mode="nearest")
+    values, joint = getattr(log, name), log.joints[j]
+    x, median = values[:, j], running_median(values, _WINDOW)[:, j]
     k = int(rows[np.argmax(np.abs(x - median)[rows])])
     return Fault(
         "corrupt_rows",
@@ -97,19 +106,14 @@ def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:
         around = np.clip(np.asarray(jumps)[:, None] + np.arange(-2, 4), 0, len(log) - 1)
         for values in r.values():
             values[around] = 0.0
-    joints = range(log.nv)
     alarm = ALARM / (log.nv * len(r))
-    far = {
-        name: np.column_stack([_far(x[:, j], r[name][:, j], alarm) for j in joints])
-        for name, x in log.channels()
-    }
-    far["q"] &= np.column_stack([_impossible(log, j, r["q"][:, j]) for j in joints])
+    far = {name: _far(x, r[name], alarm) for name, x in log.channels()}
+    far["q"] &= _impossible(log, r["q"])
     for name, x in log.channels():
         if name != "q":
-            far[name] &= np.column_stack([_apart(x[:, j], r[name][:, j]) for j in joints])
-    if "dq" in far:
-        against = np.column_stack([_contradicted(log, j, r["dq"][:, j]) for j in joints])
-        real = far["dq"] & ~against
+            far[name] &= _apart(x, r[name])
+    if log.dq is not None:
+        real = far["dq"] & ~_contradicted(log, log.dq, r["dq"])
         shared = (_near(far["dq"]).sum(axis=1) > 1) & ~_near(far["q"]).any(axis=1)
         jolts = _near((real.any(axis=1) | shared)[:, None], _JOLT)
         far["dq"] &= ~jolts
@@ -124,35 +128,38 @@ def _near(mask: Mask, reach: int = 1) -> Mask:
 
 
 def _far(x: Array, r: Array, alarm: float) -> Mask:
-    z = np.abs(r) / np.maximum(local_scale(r), 1e-12 * (np.ptp(x) or 1.0))
-    floor = max(quantum(x), 1e-9 * float(np.ptp(x)))
-    return np.asarray((z > tail_bound(z[z > 0], alarm)) & (np.abs(r) > 3 * floor), bool)
+    """Whether values are farther off than by chance, and by more than their resolution."""
+    span = np.ptp(x, axis=0)
+    z = np.abs(r) / np.maximum(local_scale(r), 1e-12 * np.where(span > 0, span, 1.0))
+    bound = [tail_bound(column[column > 0], alarm) for column in z.T]
+    floor = np.maximum([quantum(column) for column in x.T], 1e-9 * span)
+    return np.asarray((z > bound) & (np.abs(r) > 3 * floor), bool)
 
 
 def _apart(x: Array, r: Array) -> Mask:
     """Whether values stand apart from the running median; unknown, so no, at the ends."""
-    median = scipy.ndimage.median_filter(x, size=min(_WINDOW, len(x)), mode="nearest")
-    apart = np.abs(x - median) > 0.5 * np.abs(r)
+    apart = np.abs(x - running_median(x, _WINDOW)) > 0.5 * np.abs(r)
     reach = _WINDOW // 2
     apart[:reach], apart[len(x) - reach :] = False, False
     return np.asarray(apart, bool)
 
 
-def _impossible(log: Log, j: int, r: Array) -> Mask:
+def _impossible(log: Log, r: Array) -> Mask:
     """Whether a position cannot have been where it was logged."""
-    change = np.abs(np.diff(log.q[:, j], prepend=log.q[:1, j]))
-    jump = change > 3 * np.quantile(change, 0.99)
+    change = np.abs(np.diff(log.q, axis=0, prepend=log.q[:1]))
+    jump = change > 3 * np.quantile(change, 0.99, axis=0)
     jump[:-1] |= jump[1:]
-    off = np.abs(r) > 0.5 * np.abs(log.travel[:, j])
-    return np.asarray(off & ((_alike(r) > _LIKE) | jump), bool)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(r, ((2, 2), (0, 0))), 5, axis=0)
+    size = np.linalg.norm(windows, axis=-1) * np.linalg.norm(_PATTERN)
+    alike = np.abs(windows @ _PATTERN) / np.maximum(size, 1e-300)
+    return np.asarray((np.abs(r) > 0.5 * np.abs(log.travel)) & ((alike > _LIKE) | jump), bool)
 
 
-def _contradicted(log: Log, j: int, r: Array) -> Mask:
+def _contradicted(log: Log, dq: Array, r: Array) -> Mask:
     """Whether the positions around a velocity speak against it."""
-    way = np.zeros(len(log))
-    way[1:-1] = (log.q[2:, j] - log.q[:-2, j]) / (log.t[2:] - log.t[:-2])
-    speed = np.asarray(log.dq)[:, j]
-    return np.asarray(np.abs(speed - way) > 0.5 * np.abs(r) + 3 * log.grain[j] / log.step, bool)
+    way = np.zeros_like(dq)
+    way[1:-1] = (log.q[2:] - log.q[:-2]) / (log.t[2:] - log.t[:-2])[:, None]
+    return np.asarray(np.abs(dq - way) > 0.5 * np.abs(r) + 3 * log.grain / log.step, bool)
 
 
 def _distance(t: Array, x: Array) -> Array:
@@ -175,10 +182,3 @@ def _distance(t: Array, x: Array) -> Array:
         rows = np.flatnonzero(wide) - shift
         r[np.clip(rows, 0, n - 1)] = 0.0
     return r
-
-
-def _alike(r: Array) -> Array:
-    """Cosine between the distances around each value and those around one outlier, (n,)."""
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(r, 2), 5)
-    size = np.linalg.norm(windows, axis=1) * np.linalg.norm(_PATTERN)
-    return np.asarray(np.abs(windows @ _PATTERN) / np.maximum(size, 1e-300), float)

@@ -17,7 +17,7 @@ from excitant.exceptions import BadInput, ExcitantError
 from excitant.options import Part, RobotName, Run, Seed, print_json, print_paths
 
 _EXTRAS = {"rosbags": "ros", "distributed": "cluster", "mujoco": "mjcf"}
-_SOLVERS = ("pin", "clarabel", "cvxpy", "numpy", "scipy")
+_SOLVERS = ("pin", "clarabel", "numpy", "scipy")
 
 
 def _version() -> str:

@@ -20,8 +20,14 @@ from excitant.analysis.discrimination import (
     repetitions,
     separation,
 )
-from excitant.analysis.discrimination_motion import HOPELESS, discriminating_motions
-from excitant.analysis.discrimination_plan import Plan, described, key, plan
+from excitant.analysis.discrimination_plan import (
+    HOPELESS,
+    Plan,
+    described,
+    discriminating_motions,
+    key,
+    plan,
+)
 from excitant.design import FourierTrajectory, check
 from excitant.identify import Recording
 from excitant.identify.physical import prior_parameters
@@ -256,10 +262,10 @@ def test_an_action_is_named_where_no_motion_helps(undecided: Diagnosis) -> None:
     found = plan(undecided, np.random.default_rng(0), time_limit=3.0)
     settles = found.experiments[key(lead.effect, rival)]
     assert settles.file is None
-    assert "without the load" in settles.sentence
+    assert "without the load" in settles.experiment
     entries = undecided.result(found)["findings"][0]["rivals"]
     entry = next(e for e in entries if e["effect"] == rival.name)
-    assert entry["experiment"] == settles.sentence
+    assert entry["experiment"] == settles.experiment
     assert (entry["separation"], entry["repetitions"], entry["file"]) == (None, None, None)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.evidence import are_placeholders
-from excitant.analysis.headline import at_rest, headline
+from excitant.analysis.explanation import at_rest, headline
 from excitant.identify import Recording
 from excitant.robots import Robot
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors

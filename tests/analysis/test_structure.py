@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -276,39 +277,9 @@ def test_nearly_parallel_axes_are_by_a_hair(planar: Robot) -> None:
 
 
 def evaluated(text: str, values: Mapping[str, float]) -> float:
-    """Value of an expression: names and letters by their values."""
-    total, sign = 0.0, 1.0
-    depth, start, parts = 0, 0, []
-    for at, letter in enumerate(text):
-        depth += (letter == "(") - (letter == ")")
-        if letter in "−+" and depth == 0 and at > 0:
-            parts.append(text[start:at])
-            start = at
-    for part in (*parts, text[start:]):
-        sign = -1.0 if part.strip().startswith("−") else 1.0
-        product = sign
-        for factor in part.strip().lstrip("−+ ").split("·"):
-            if factor.startswith("("):
-                signed = factor[1:-1].replace("− ", "−").replace("+ ", "").split()
-                product *= sum(
-                    (-1 if x[0] == "−" else 1) * power(x.lstrip("−"), values) for x in signed
-                )
-            else:
-                product *= power(factor, values)
-        total += product
-    return total
-
-
-def power(factor: str, values: Mapping[str, float]) -> float:
-    name = factor.removesuffix("²")
-    if name in values:
-        value = values[name]
-    elif "/" in name:
-        top, _, bottom = name.partition("/")
-        value = float(top) / float(bottom)
-    else:
-        value = float(name)
-    return value**2 if factor.endswith("²") else value
+    """Value of an expression with names by their values."""
+    text = re.sub(r"[A-Za-z_]\w*\.\w+", lambda name: str(values[name[0]]), text)
+    return float(eval(text.translate(str.maketrans({"−": "-", "·": "*", "²": "**2"}))))
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -381,19 +352,15 @@ def test_at_rest_only_gravity_speaks(ur10: Robot) -> None:
     assert len(structure(ur10.with_gravity((0, 0, 0)), moving=[], held="any").base) == 0
 
 
-def test_fewer_joints_show_no_more(panda_like: Robot) -> None:
-    every = structure(panda_like)
-    for joint in panda_like.joints:
-        moving = [name for name in panda_like.joints if name != joint]
-        fewer = structure(panda_like, moving=moving, held="any")
+def test_fewer_joints_show_no_more() -> None:
+    robot = load_robot("panda")
+    every = structure(robot)
+    for joint in robot.joints:
+        moving = [name for name in robot.joints if name != joint]
+        fewer = structure(robot, moving=moving, held="any")
         assert len(fewer.base) <= len(every.base)
         # what the whole motion does not show, part of it does not either
         assert np.abs(fewer.base.regrouping @ every.base.null_space).max() < 1e-9
-
-
-@pytest.fixture(scope="module")
-def panda_like() -> Robot:
-    return load_robot("panda")
 
 
 def test_unknown_joints_are_refused(ur10: Robot) -> None:
@@ -405,22 +372,16 @@ def test_unknown_joints_are_refused(ur10: Robot) -> None:
         parameter_nullspace(ur10, moving=[], held={"elbow": 1.0})
 
 
-FORK = """<robot name="fork"><link name="root"/>{links}
-  <joint name="a" type="revolute"><parent link="root"/><child link="x"/><axis xyz="0 0 1"/>
-    <limit lower="-1" upper="1" velocity="1" effort="1"/></joint>
-  <joint name="b" type="revolute"><parent link="x"/><child link="y"/><axis xyz="0 1 0"/>
-    <limit lower="-1" upper="1" velocity="1" effort="1"/></joint>
-  <joint name="c" type="revolute"><parent link="x"/><child link="z"/><axis xyz="1 0 0"/>
-    <limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
-
-
 def test_branches_are_counted() -> None:
-    inertial = (
-        '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-        "</inertial>"
-    )
-    links = "".join(f'<link name="{name}">{inertial}</link>' for name in "xyz")
-    robot = robot_from_urdf(FORK.format(links=links), source="fork.urdf")
+    body = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    text = '<robot name="fork"><link name="root"/>'
+    for parent, child, axis in (("root", "x", "0 0 1"), ("x", "y", "0 1 0"), ("x", "z", "1 0 0")):
+        text += (
+            f'<link name="{child}">{body}</inertial></link><joint name="to_{child}" '
+            f'type="revolute"><parent link="{parent}"/><child link="{child}"/><axis xyz="{axis}"/>'
+            '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+        )
+    robot = robot_from_urdf(f"{text}</robot>", source="fork.urdf")
     assert len(structure(robot).base) == 15
     assert parameter_nullspace(robot).shown == (1, 7, 7)
 

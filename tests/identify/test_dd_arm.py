@@ -13,10 +13,10 @@ from seed import (
     dd_arm_chain,
     dd_arm_parameters,
     dd_arm_tables,
+    parameter_map,
 )
 
 from excitant.robots import base_parameters
-from excitant.robots.dh import parameter_map
 from excitant.robots.parameters import pseudo_inertia, violations
 
 

@@ -81,20 +81,6 @@ def test_a_spring_shows_by_its_own_law(planar: Robot) -> None:
     assert seen.size == np.inf
 
 
-def test_one_of_two_effects_is_measured_beside_the_other(planar: Robot) -> None:
-    rng = np.random.default_rng(4)
-    trajectory = typical_trajectory(planar, rng, DURATION)
-    offset = HiddenEffect("torque_offset", planar.joints[0], (("offset", 2.0),))
-    drag = HiddenEffect("viscous_friction", planar.joints[1], (("Fv", 1.0),))
-    arm = arm_with(planar, offset, drag)
-    seen = visible_size(arm, trajectory, DURATION, rng, [offset])
-    assert seen.rms[0] == pytest.approx(2.0, rel=0.02)
-    assert seen.rms[1] < 0.02
-    both = visible_size(arm, trajectory, DURATION, rng)
-    assert both.rms[0] == pytest.approx(2.0, rel=0.02)
-    assert both.rms[1] > 0.2
-
-
 @pytest.mark.parametrize(
     ("kind", "size"), [("torque_ripple", 2.5), ("encoder_scale", 8.0), ("payload", 25.0)]
 )
@@ -121,14 +107,6 @@ def assert_shows(robot: Robot, kind: str, size: float, seed: int) -> None:
 def test_every_kind_shows_as_much_as_wanted(kind: str) -> None:
     name = ("ur10", "panda", "puma560", "planar_2r")[EVERY.index(kind) % 4]
     assert_shows(load_robot(name), kind, 8.0, EVERY.index(kind))
-
-
-def test_the_same_seed_draws_the_same_effect(planar: Robot) -> None:
-    one, other, third = (
-        draw_effect(planar, np.random.default_rng(seed), "coulomb_friction", duration=1.5)
-        for seed in (5, 5, 6)
-    )
-    assert one == other != third
 
 
 @pytest.mark.parametrize("fault", FAULTS)

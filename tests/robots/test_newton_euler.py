@@ -16,6 +16,7 @@ from seed import (
     dd_arm_chain,
     dd_arm_parameters,
     dd_arm_tables,
+    parameter_map,
 )
 
 from excitant.robots import (
@@ -29,7 +30,6 @@ from excitant.robots import (
     robot_from_dh,
     with_convention,
 )
-from excitant.robots.dh import parameter_map
 from excitant.robots.newton_euler import (
     cross_matrix,
     forward_recursion,
@@ -242,28 +242,6 @@ def test_what_a_cascade_of_experiments_recovers(
     if alone is not None:
         assert rank(np.vstack([M[:, i] for M, i in runs])) == alone
         assert rank(np.vstack([M[:, : i + 1].reshape(-1, 60) for M, i in runs])) == together
-
-
-@pytest.mark.parametrize(
-    ("offset", "ranks"), [("a", [7, 7, 7, 5, 3, 1]), ("d", [7, 7, 6, 5, 3, 1])]
-)
-def test_what_many_poses_and_inner_torques_show_of_the_moving_link(
-    dd: DHChain, offset: str, ranks: list[int]
-) -> None:
-    """30 if the p3 that the tables demand is across joint 3, 29 if it is along it (as assumed).
-
-    Along joint 3 it gives the weight of link 4 no lever of its own. The tables, 46 columns and
-    32 base parameters, are the same for both.
-    """
-    third = np.arange(6) == 2
-    lengths = {key: np.where(third, 0.1 * (key == offset), getattr(dd, key)) for key in ("a", "d")}
-    arm = replace(dd, **lengths)
-    runs = list(zip(experiments(arm, "i", "many"), reversed(range(6)), strict=True))
-    assert [rank(own(M, i)[:, : i + 1].reshape(-1, 10)) for M, i in runs] == ranks
-    W = torque_matrix(arm, *states(1, 200, 6)).reshape(-1, 60)
-    norms = np.linalg.norm(W, axis=0)
-    assert np.sum(norms > 1e-12 * norms.max()) == 47
-    assert rank(W) == 32
 
 
 def test_seven_columns_of_links_1_and_2_hold_four_combinations(dd: DHChain) -> None:

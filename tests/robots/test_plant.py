@@ -1,7 +1,7 @@
-"""Each effect of the plant against an expectation that owes nothing to the plant.
+"""Laws of the plant, judged by what owes nothing to it.
 
 Recorded torque minus Pinocchio's inverse dynamics of the nominal bodies at the recorded motion
-must be the effect's own law, written here once more; for two-mass joints MuJoCo simulates them.
+must be the effect's own law; MuJoCo simulates two-mass joints, and energy must balance.
 """
 
 from __future__ import annotations
@@ -52,7 +52,6 @@ from excitant.robots.virtual_arm import (
     typical_torque,
     virtual_arm,
 )
-from excitant.robots.virtual_arm import virtual_arm as build
 
 
 @pytest.fixture(scope="module")
@@ -519,7 +518,7 @@ def test_a_sliding_joint_comes_to_rest_without_creep_or_chatter() -> None:
 def test_same_seed_same_recording(planar: Robot) -> None:
     def once(seed: int) -> pd.DataFrame:
         rng = np.random.default_rng(seed)
-        return build(planar, rng).record(swing(planar), 0.5, rng)
+        return virtual_arm(planar, rng).record(swing(planar), 0.5, rng)
 
     pd.testing.assert_frame_equal(once(3), once(3), check_exact=True)
     assert not once(3).equals(once(4))
@@ -527,7 +526,7 @@ def test_same_seed_same_recording(planar: Robot) -> None:
 
 def test_truth_is_near_the_nominal_arm_and_possible(arm: Robot) -> None:
     for seed in range(10):
-        truth = build(arm, np.random.default_rng(seed), hidden=())
+        truth = virtual_arm(arm, np.random.default_rng(seed), hidden=())
         phi = np.concatenate([b.toDynamicParameters() for b in list(truth.model.inertias)[1:]])
         assert violations(phi, arm.links) == []
         masses = phi[::10] / arm.phi[::10] - 1
@@ -587,8 +586,10 @@ def test_recording_has_the_columns_rate_and_noise_of_its_sensors(planar: Robot) 
     noise, step = np.full(nv, 0.2), np.full(nv, 0.05)
     sensors = Sensors(200.0, 1e-3, 0.01, noise, step)
     kwargs = {"hidden": (), "tolerance": 0.0}
-    real = build(planar, np.random.default_rng(0), sensors=sensors, **kwargs)
-    true = build(planar, np.random.default_rng(0), sensors=ideal_sensors(planar, 200.0), **kwargs)
+    real = virtual_arm(planar, np.random.default_rng(0), sensors=sensors, **kwargs)
+    true = virtual_arm(
+        planar, np.random.default_rng(0), sensors=ideal_sensors(planar, 200.0), **kwargs
+    )
     seen, truth = (a.record(swing(planar), 2.0, np.random.default_rng(1)) for a in (real, true))
     numbers = range(1, nv + 1)
     assert list(seen) == ["t", *(f"{c}{j}" for c in ("q", "dq", "tau") for j in numbers)]
@@ -627,9 +628,11 @@ def test_refusals(planar: Robot) -> None:
     with pytest.raises(BadInput, match="shorter than one sample"):
         arm.record(moving, 0.0, rng)
     with pytest.raises(UnknownName, match="did you mean 'payload'"):
-        build(planar, rng, hidden=[HiddenEffect("payloads", planar.joints[0], ())])
+        virtual_arm(planar, rng, hidden=[HiddenEffect("payloads", planar.joints[0], ())])
     with pytest.raises(UnknownName, match="joint"):
-        build(planar, rng, hidden=[HiddenEffect("rotor_inertia", "elsewhere", (("Ia", 1.0),))])
+        virtual_arm(
+            planar, rng, hidden=[HiddenEffect("rotor_inertia", "elsewhere", (("Ia", 1.0),))]
+        )
     empty = planar.with_effects([EFFECTS["viscous_friction"](planar.joints)])
     with pytest.raises(BadRobot, match="viscous_friction has no values"):
-        build(empty, rng)
+        virtual_arm(empty, rng)
