@@ -10,7 +10,6 @@ from excitant.reports import values as v
 from excitant.reports.arm_figures import chain_figure
 from excitant.reports.motion_figures import correlation_figure, spectrum_figure
 from excitant.reports.page import (
-    Block,
     Brief,
     Cell,
     Column,
@@ -281,7 +280,16 @@ def _links(result: Result, series: Series) -> Parts:
     """One part for each link that lists its parameters."""
     links = v.records(result, "links")
     return [
-        (_title(link), _link(result, series, link, k, len(links)))
+        (
+            _title(link),
+            [
+                _place(series, link, k, len(links)),
+                _parameters(link),
+                _combinations(result, link),
+                _needed(link),
+                _following(result, link),
+            ],
+        )
         for k, link in enumerate(links)
         if v.records(link, "parameters")
     ]
@@ -290,18 +298,6 @@ def _links(result: Result, series: Series) -> Parts:
 def _title(link: Result) -> str:
     name, joint = v.text(link, "link"), v.text(link, "joint")
     return f"{name} at {joint}" if joint not in ("", name) else name
-
-
-def _link(
-    result: Result, series: Series, link: Result, index: int, count: int
-) -> list[Block | None]:
-    return [
-        _place(series, link, index, count),
-        _parameters(link),
-        _combinations(result, link),
-        _needed(link),
-        _following(result, link),
-    ]
 
 
 def _place(series: Series, link: Result, index: int, count: int) -> Figure | None:
@@ -341,22 +337,21 @@ def _parameters(link: Result) -> Table | None:
         value = p.estimates()
         seen = (("text:This motion determines it", _shown), ("number:Prior", "prior"))
     if influence:
-        seen += (("number:Follows prior", "prior_influence", _share), ("text:Decided by", _decided))
+        seen += (
+            ("number:Follows prior", "prior_influence", _hundredths),
+            ("text:Decided by", _decided),
+        )
     return p.table(
         rows,
         [
             ("name:Parameter", _symbol),
             *value,
             ("text:Unit", "unit"),
-            ("text:Identifiable", _category),
+            ("text:Identifiable", lambda r: Cell(*_CATEGORY.get(v.text(r, "category"), (NONE,)))),
             *seen,
         ],
         said,
     )
-
-
-def _category(row: Result) -> Cell:
-    return Cell(*_CATEGORY.get(v.text(row, "category"), (NONE, p.PLAIN)))
 
 
 def _shown(row: Result) -> Cell:
@@ -368,14 +363,13 @@ def _shown(row: Result) -> Cell:
     return Cell(word + share if word else NONE, _TONES.get(word, p.PLAIN))
 
 
-def _share(influence: object) -> str:
-    share = v.real(influence)
-    return NONE if share is None else f"{share:.2f}"
+def _hundredths(share: object) -> str:
+    return NONE if v.real(share) is None else f"{share:.2f}"
 
 
 def _decided(row: Result) -> Cell:
     hidden = v.text(row, "category") == "unidentifiable"
-    return Cell(*_DECIDES.get("prior" if hidden else v.text(row, "decided_by"), (NONE, p.PLAIN)))
+    return Cell(*_DECIDES.get("prior" if hidden else v.text(row, "decided_by"), (NONE,)))
 
 
 def _combinations(result: Result, link: Result) -> Table | None:

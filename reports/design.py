@@ -274,6 +274,10 @@ def _ratios(result: Result) -> list[float | None]:
 
 def _limits(result: Result) -> Table | None:
     names = v.items(result, "joints")
+    rows: list[Result] = [
+        {"t": None, **(v.at(result, "worst", q) or {}), "quantity": q, "ratio": ratio}
+        for q, ratio in zip(_quantities(result), _ratios(result), strict=True)
+    ]
 
     def joint(row: Result) -> str:
         where = v.at(row, "joint")
@@ -282,15 +286,9 @@ def _limits(result: Result) -> Table | None:
 
     def verdict(row: Result) -> Cell:
         ratio = v.real(row, "ratio")
-        if ratio is None:
-            return Cell("no limit given")
-        return _verdict(_holds(ratio), "holds", "exceeded")
+        held = Cell("no limit given")
+        return held if ratio is None else _verdict(_holds(ratio), "holds", "exceeded")
 
-    worst = [v.at(result, "worst", quantity_) for quantity_ in _quantities(result)]
-    rows: list[Result] = [
-        {"quantity": q, "ratio": ratio, "joint": v.at(where, "joint"), "t": v.at(where, "t")}
-        for q, ratio, where in zip(_quantities(result), _ratios(result), worst, strict=True)
-    ]
     return p.table(
         rows,
         [
@@ -352,16 +350,14 @@ def _weakest(result: Result) -> Table | None:
 
 def _directions(result: Result) -> Table | None:
     """The least excited combinations of base parameters, before and after."""
-    rows: list[Result] = []
-    for key, name, own in (
-        ("final", "designed motion", "final"),
-        ("initial", "start of the search", "initial"),
-    ):
-        other = "initial" if own == "final" else "final"
-        rows += [
-            {**row, "of": name, own: v.at(row, "strength"), other: v.at(row, "other")}
-            for row in v.records(result, "weak_directions", key)
-        ]
+    rows: list[Result] = [
+        {**row, "of": name, key: v.at(row, "strength"), other: v.at(row, "other")}
+        for key, other, name in (
+            ("final", "initial", "designed motion"),
+            ("initial", "final", "start of the search"),
+        )
+        for row in v.records(result, "weak_directions", key)
+    ]
     return p.table(
         rows,
         [

@@ -26,6 +26,7 @@ from excitant.reports.torque_figures import Curves, error_bars, over_holdout, to
 from excitant.reports.values import NONE, Result, Series
 
 _NOISE = "noise-like"  # what a diagnosis calls a residual without structure
+_WHAT = "Prediction error per joint on the hold-out"
 _LEADING = 3  # findings that are shown without opening a fold
 _CURVES = Curves(
     "simulated",
@@ -49,6 +50,7 @@ def diagnose_section(result: Result, series: Series) -> Section:
     lead = v.text(result, "headline")
     said = [v.sentence(note) for note in v.words(result, "notes") if note and note not in lead]
     curves = _CURVES if changed else replace(_CURVES, after="", caption=_ONE_MODEL)
+    models = ("simulation", "extended")[: 1 + changed]
     wrong = "What is wrong with the given model" if findings else "Error of the given model"
     return p.section(
         "Diagnosis",
@@ -70,7 +72,10 @@ def diagnose_section(result: Result, series: Series) -> Section:
             *_finding_parts(findings, series, unit),
             (
                 "Error per joint",
-                [_bars(result, unit, changed), _joint_table(result, unit, changed)],
+                [
+                    error_bars(_pairs(result), models, unit, _CURVES, _WHAT),
+                    _joint_table(result, unit, changed),
+                ],
             ),
             (over_holdout(unit), [torque_figure(joints, series, unit, curves)]),
             ("Not explained", _unexplained(result)),
@@ -331,15 +336,6 @@ def _forward(result: Result, changed: bool) -> Table | None:
 def _milli(value: object) -> str:
     x = v.real(value)
     return "diverges" if x is None else v.number(1e3 * x)
-
-
-def _bars(result: Result, unit: str, changed: bool) -> Block | None:
-    models = ("simulation", "extended") if changed else ("simulation",)
-    errors = [
-        (v.text(row, "name"), [(v.real(row, m, "rms"), v.real(row, m, "nrmse")) for m in models])
-        for row in _pairs(result)
-    ]
-    return error_bars(errors, unit, _CURVES, "Prediction error per joint on the hold-out")
 
 
 def _joint_table(result: Result, unit: str, changed: bool) -> Table | None:

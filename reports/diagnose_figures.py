@@ -94,34 +94,20 @@ def _at(column: int) -> float:
 
 
 def _cell(ax: Axes, x: float, row: int, share: float | None, colour: str, framed: bool) -> None:
+    """One share as a box of a shade, framed where it is the one to look at."""
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Rectangle
 
     depth = min(max(share or 0.0, 0.0), 1.0)
-    ax.add_patch(
-        Rectangle(
-            (x + 0.03, row + 0.05),
-            0.94,
-            0.9,
-            facecolor=[1 - depth * (1 - part) for part in to_rgb(colour)],
-            edgecolor="#222222" if framed else "#d8dadd",
-            lw=1.5 if framed else 0.5,
-            zorder=3 if framed else 2,
-        )
+    shade = [1 - depth * (1 - part) for part in to_rgb(colour)]
+    frame: Any = (
+        {"ec": "#222222", "lw": 1.5, "zorder": 3} if framed else {"ec": "#d8dadd", "lw": 0.5}
     )
+    ax.add_patch(Rectangle((x + 0.03, row + 0.05), 0.94, 0.9, fc=shade, **{"zorder": 2, **frame}))
     said = "–" if share is None else f"{100 * share:.0f}" if share < 9.995 else ">999"
     ink, weight = "white" if depth > _DARK else "#222222", "bold" if framed else "normal"
-    ax.text(
-        x + 0.5,
-        row + 0.52,
-        said,
-        ha="center",
-        va="center",
-        fontsize=7,
-        zorder=4,
-        color=ink,
-        fontweight=weight,
-    )
+    look: Any = {"ha": "center", "va": "center", "fontsize": 7, "zorder": 4}
+    ax.text(x + 0.5, row + 0.52, said, color=ink, fontweight=weight, **look)
 
 
 def waterfall_figure(result: Result) -> Figure | None:
@@ -187,21 +173,21 @@ def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> F
     step = max(1, len(x) // _POINTS)
     # one small picture: thousands of points would make the page heavy
     ax.scatter(x[::step], residual[::step], s=5, c="#9aa0a6", alpha=0.35, lw=0, rasterized=True)
-    legend, shown = [Key("dot", draw.LIGHT, "residual before")], [residual]
+    legend = [Key("dot", draw.LIGHT, "residual before")]
     binned = len(x) >= 4 * _MEDIANS
     if binned:
         legend.append(Key("dot", draw.MEASURED, "median in bins"))
     if fit is not None:
-        shown.append(_curve(ax, x, fit[order], color=draw.FITTED, lw=1.8))
+        _curve(ax, x, fit[order], color=draw.FITTED, lw=1.8)
         legend.append(Key("line", draw.FITTED, "fitted effect"))
     if rival is not None and rivals:
-        shown.append(_curve(ax, x, rival[order], color=draw.PURPLE, lw=1.5, ls=(0, (3, 2))))
+        _curve(ax, x, rival[order], color=draw.PURPLE, lw=1.5, ls=(0, (3, 2)))
         legend.append(Key("dash", draw.PURPLE, f"{rivals[0]} instead, fitted to these points"))
     if binned:
         ax.plot(
             *_along(x, residual, _MEDIANS), "o", ms=4, color=draw.MEASURED, mec="white", mew=0.7
         )
-    _limits(ax, x, np.concatenate(shown))
+    ax.margins(0.04)
     effect, x_label = v.plain(v.text(finding, "effect")), v.text(finding, "figure", "x_label")
     x_label = x_label or "quantity that shows it"
     draw.label_x(ax, x_label)
@@ -249,16 +235,8 @@ def _along(x: Array, y: Array, bins: int, fewest: int | None = None) -> tuple[Ar
     return centres, medians
 
 
-def _curve(ax: Axes, x: Array, y: Array, **look: Any) -> Array:
-    """Draw a fitted effect along the abscissa, broken where nothing was measured; its values."""
+def _curve(ax: Axes, x: Array, y: Array, **look: Any) -> None:
+    """Draw a fitted effect along the abscissa, broken where nothing was measured."""
     along, height = _along(x, y, _CURVE, 1)
     gaps = np.flatnonzero(np.diff(along, prepend=along[:1]) > _WIDE * np.ptp(along))
     ax.plot(np.insert(along, gaps, np.nan), np.insert(height, gaps, np.nan), **look)
-    return height[np.isfinite(height)]
-
-
-def _limits(ax: Axes, x: Array, y: Array) -> None:
-    for values, setter in ((x, ax.set_xlim), (y, ax.set_ylim)):
-        lower, upper = float(values.min()), float(values.max())
-        margin = 0.04 * (upper - lower) or 1.0
-        setter(lower - margin, upper + margin)

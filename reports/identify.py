@@ -150,23 +150,9 @@ def _facts(result: Result) -> Facts | None:
 
 def _bars(result: Result, unit: str) -> Figure | None:
     held = _held_out(result)
-    after = "validate" if held else "train"
-    errors = [
-        (
-            v.text(row, "name"),
-            [
-                (v.real(row, model, "rms"), v.real(row, model, "nrmse"))
-                for model in ("baseline", after)
-            ],
-        )
-        for row in v.records(result, "joints")
-    ]
-    return error_bars(
-        errors,
-        unit,
-        _CURVES,
-        f"Prediction error per joint on the {'hold-out' if held else 'fitted data'}",
-    )
+    models = ("baseline", "validate" if held else "train")
+    what = f"Prediction error per joint on the {'hold-out' if held else 'fitted data'}"
+    return error_bars(v.records(result, "joints"), models, unit, _CURVES, what)
 
 
 def _joint_table(result: Result, unit: str) -> Table | None:
@@ -254,16 +240,15 @@ def _parameter_table(result: Result) -> Table | None:
             ("text:Unit", "unit"),
             ("number:Prior", "prior", v.number4),
             ("text:Category", "category", lambda c: v.plain(c or "")),
-            ("text:Decided by", _decided),
+            (
+                "text:Decided by",
+                lambda r: "prior" if v.at(r, "prior_dominated") is True else "data",
+            ),
         ],
         "Values decided by the prior are those the data leave open: they complete the model, but "
         "were not measured.",
         f"All {len(rows)} parameters: {categories}",
     )
-
-
-def _decided(row: Result) -> str:
-    return "prior" if v.at(row, "prior_dominated") is True else "data"
 
 
 def _physical(result: Result) -> Notes | None:
@@ -362,10 +347,7 @@ def _payload(payload: Result | None) -> list[Block | None]:
                 ("name:Parameter", "name"),
                 *p.estimates(),
                 ("text:Unit", "unit"),
-                (
-                    "text:Decided by",
-                    lambda r: "expectation" if v.at(r, "prior_dominated") is True else "data",
-                ),
+                ("text:Decided by", "prior_dominated", lambda p: "expectation" if p else "data"),
             ],
             "Standard parameters of the body about the frame of its joint, physically consistent. "
             "The motion does not show those decided by the expectation (a ball at the flange).",

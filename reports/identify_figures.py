@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -63,14 +62,10 @@ def history_of(result: Result, series: Series) -> History | None:
     if value is None or std is None:
         return None
     known = {v.text(row, "name"): v.text(row, "unit") for row in v.records(result, "parameters")}
-    names = tuple(_leading(v.text(row, "expression"), known) for row in rows)
+    expressions = [v.text(row, "expression") for row in rows]
+    words = ((each, re.split(r"[ ·−+()]+", each)) for each in expressions)
+    names = tuple(next((word for word in found if word in known), each) for each, found in words)
     return History(t, value, std, names, tuple(known.get(name, "") for name in names))
-
-
-def _leading(expression: str, known: dict[str, str]) -> str:
-    """The first parameter that an expression names."""
-    words = re.split(r"[ ·−+()]+", expression)
-    return next((word for word in words if word in known), expression)
 
 
 def excitation_levels(result: Result) -> tuple[Array, Array]:
@@ -230,12 +225,9 @@ def convergence_figure(result: Result) -> Figure | None:
 
 def _by_joint(result: Result, key: str, looks: int, joints: int) -> Array | None:
     """A quantity of every look and joint, shape (looks, joints); None where it has another."""
-    rows = v.items(result, "online", "history", key)
-    if len(rows) != looks or not all(isinstance(r, Sequence) and len(r) == joints for r in rows):
-        return None
-    return np.array(
-        [[np.nan if (x := v.real(item)) is None else x for item in row] for row in rows]
-    )
+    rows = [v.reals({key: row}, key) for row in v.items(result, "online", "history", key)]
+    fits = len(rows) == looks and all(len(row) == joints for row in rows)
+    return np.array(rows) if fits else None
 
 
 def _convergence_panel(
@@ -324,18 +316,13 @@ def _payload_view(phi: Array, std: Array, across: int, up: int, title: str) -> P
 
 def link_bars(found: Result, unit: str) -> Figure | None:
     """Errors of the model as given, of all links fitted at once and link by link."""
-
-    def pair(row: Result, key: str) -> tuple[float | None, float | None]:
-        rms, std = v.real(row, key), v.real(row, "measured_std")
-        return rms, (None if rms is None or not std else rms / std)
-
-    rows = v.records(found, "comparison", "joints")
-    errors = [(v.text(row, "name"), [pair(row, key) for key, _, _ in _METHODS]) for row in rows]
-    models = [(label, colour) for _, label, colour in _METHODS]
-    return bars(
-        errors,
-        unit,
-        models,
-        "Prediction error per joint on the hold-out, links fitted at "
-        "once and link by link from the same recordings",
+    errors = []
+    for row in v.records(found, "comparison", "joints"):
+        every, std = [v.real(row, key) for key, _, _ in _METHODS], v.real(row, "measured_std")
+        shares = [None if rms is None or not std else rms / std for rms in every]
+        errors.append((v.text(row, "name"), list(zip(every, shares, strict=True))))
+    what = (
+        "Prediction error per joint on the hold-out, links fitted at once and link by link from "
+        "the same recordings"
     )
+    return bars(errors, unit, [(label, colour) for _, label, colour in _METHODS], what)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -142,7 +142,8 @@ def _panel(
             ax.set_yticks([])
             continue
         draw.draw_curve(ax, time, joins, values, color=colour, lw=1.1)
-        remark = _against(ax, time, t, values, colour, result, name, k)
+        limits, within = limit_of(result, name, k), envelope_of(result, name, k)
+        remark = _against(ax, time, t, values, colour, limits, within)
         ax.set_title(remark, loc="right", fontsize=8.5, pad=2.5, color="#5a626a")
         said.append(f"{name} {remark}")
         draw.few_ticks(ax.yaxis, 3)
@@ -157,64 +158,35 @@ def _against(
     t: Array,
     values: Array,
     colour: str,
-    result: Result,
-    name: str,
-    joint: int,
+    limits: tuple[float, float] | None,
+    within: Envelope | None,
 ) -> str:
     """Limit lines, certified band and its point of contact; what they say in words."""
-    limits, within = limit_of(result, name, joint), envelope_of(result, name, joint)
     lowest, highest = float(np.nanmin(values)), float(np.nanmax(values))
+    ratio = None if within is None else within.ratio
     if within is not None:
         ax.axhspan(within.low, within.high, color=colour, alpha=0.11, lw=0)
         lowest, highest = min(lowest, within.low), max(highest, within.high)
-        _mark_contact(ax, time, t, values, colour, within)
-    far = False
+        if within.t is not None:
+            near = int(np.abs(t - within.t).argmin())
+            edge = min((within.high, within.low), key=lambda each: abs(values[near] - each))
+            ring: Any = {"ms": 5.5, "mfc": "none", "mec": colour, "mew": 1.2}
+            ax.plot(time[near] + within.t - t[near], edge, "o", **ring)
+    far = ""
     if limits is not None:
         centre, half = (limits[0] + limits[1]) / 2, (limits[1] - limits[0]) / 2
-        far = max(abs(lowest - centre), abs(highest - centre)) < _NEAR * half
-        if not far:
+        if ratio is None:
+            ratio = float(np.nanmax(np.abs(values - centre))) / half
+        if max(abs(lowest - centre), abs(highest - centre)) < _NEAR * half:
+            low, high = (v.number(limit) for limit in limits)
+            far = f" ±{high}" if limits[0] == -limits[1] else f" {low} to {high}"
+        else:
             for limit in limits:
                 ax.axhline(limit, color=draw.MEASURED, lw=1.0, ls=_DASHED)
             lowest, highest = min(lowest, limits[0]), max(highest, limits[1])
     pad = 0.1 * max(highest - lowest, 1e-9)
     ax.set_ylim(lowest - pad, highest + pad)
-    return _remark(limits, within, values, far)
-
-
-def _mark_contact(
-    ax: Axes, time: Array, t: Array, values: Array, colour: str, within: Envelope
-) -> None:
-    if within.t is None:
-        return
-    nearest = int(np.abs(t - within.t).argmin())
-    up = abs(values[nearest] - within.high) <= abs(values[nearest] - within.low)
-    ax.plot(
-        time[nearest] + within.t - t[nearest],
-        within.high if up else within.low,
-        "o",
-        ms=5.5,
-        mfc="none",
-        mec=colour,
-        mew=1.2,
-    )
-
-
-def _remark(
-    limits: tuple[float, float] | None, within: Envelope | None, values: Array, far: bool
-) -> str:
-    """Share of the limit, and the limit where it is not drawn."""
-    if within is not None:
-        ratio = within.ratio
-    elif limits is not None:
-        centre, half = (limits[0] + limits[1]) / 2, (limits[1] - limits[0]) / 2
-        ratio = float(np.nanmax(np.abs(values - centre))) / half
-    else:
-        return "no limit"
-    share = share_of_limit(ratio)
-    if not far or limits is None:
-        return f"{share} of limit"
-    low, high = (v.number(limit) for limit in limits)
-    return f"{share} of limit {f'±{high}' if limits[0] == -limits[1] else f'{low} to {high}'}"
+    return "no limit" if ratio is None else f"{share_of_limit(ratio)} of limit{far}"
 
 
 def spectrum_figure(series: Series) -> Figure | None:

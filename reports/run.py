@@ -7,9 +7,9 @@ import json
 import math
 import os
 import secrets
+import shutil
 import zipfile
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -52,9 +52,10 @@ def save_run(
         BadInput: A name or value cannot be saved, or the directory cannot be written.
     """
     directory = Path(directory)
-    contents = {name: _encoded(data) for name, data in (files or {}).items()}
-    for name in contents:
+    contents = {}
+    for name, data in (files or {}).items():
         _refuse_name(name)
+        contents[name] = data.encode() if isinstance(data, str) else bytes(data)
     encoded, packed = _dump(result), _pack(series)
     read, arrays = json.loads(encoded), _unpack(packed)
     contents[SERIES] = packed
@@ -107,10 +108,6 @@ def _content(path: Path) -> bytes:
         raise BadInput(f"{path}: missing; the run is incomplete, run the command again") from None
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
-
-
-def _encoded(data: str | bytes) -> bytes:
-    return data.encode() if isinstance(data, str) else bytes(data)
 
 
 def _refuse_name(name: str) -> None:
@@ -181,47 +178,24 @@ def _unpack(packed: bytes) -> dict[str, Array]:
 
 def write_all(directory: Path, contents: Mapping[str, bytes]) -> list[Path]:
     """Write all files or none; the folder is made when missing."""
-    made: list[Path] = []
+    missing = [folder for folder in (directory, *directory.parents) if not folder.exists()]
     staged: list[tuple[Path, Path]] = []
-    fresh = not directory.exists()
     try:
         for name, data in contents.items():
             path = directory / name
-            _make(path.parent, made)
-            staged.append((_stage(path, data), path))
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+            staged.append((temporary, path))
+            with temporary.open("xb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
         for temporary, path in staged:
             os.replace(temporary, path)
     except BaseException:
-        for temporary, path in staged:
+        for temporary, _ in staged:
             temporary.unlink(missing_ok=True)
-            if fresh:
-                path.unlink(missing_ok=True)
-        for folder in reversed(made):
-            with suppress(OSError):
-                folder.rmdir()
+        if missing:
+            shutil.rmtree(missing[-1], ignore_errors=True)
         raise
     return [path for _, path in staged]
-
-
-def _make(folder: Path, made: list[Path]) -> None:
-    missing = []
-    while not folder.exists():
-        missing.append(folder)
-        folder = folder.parent
-    for each in reversed(missing):
-        each.mkdir()
-        made.append(each)
-
-
-def _stage(path: Path, data: bytes) -> Path:
-    """The content on disk under a temporary name beside its final one."""
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    try:
-        with temporary.open("xb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    return temporary

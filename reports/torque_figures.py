@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from excitant.reports import drawing as draw
+from excitant.reports import values as v
 from excitant.reports.page import Figure, Key, Panel, figure
-from excitant.reports.values import Series, curve, quantity, shorten, times
+from excitant.reports.values import Result, Series
 from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def torque_figure(
     panels = [_torque_panel(k, joint, series, unit, curves) for k, joint in enumerate(joints)]
 
     def drawn(key: str) -> bool:
-        return any(curve(series, key, k) is not None for k in range(len(joints)))
+        return any(v.curve(series, key, k) is not None for k in range(len(joints)))
 
     legend = [
         Key("line", draw.MEASURED, "measured"),
@@ -68,7 +69,7 @@ def torque_figure(
 
 
 def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves) -> Panel | None:
-    t, measured = times(series), curve(series, "measured", k)
+    t, measured = v.times(series), v.curve(series, "measured", k)
     if t is None or measured is None or len(measured) != len(t):
         return None
     time, joins = draw.timeline(t)
@@ -80,7 +81,7 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
     if half is not None and np.isfinite(half).all() and after is not None:
         draw_band(torque, time, joins, after, half)
         draw_band(residual, time, joins, np.zeros(len(t)), half)
-        said.append(f"{INTERVAL} ±{quantity(float(half.mean()), unit)}")
+        said.append(f"{INTERVAL} ±{v.quantity(float(half.mean()), unit)}")
     for key, label, colour in (
         (curves.before, curves.before_label, draw.GIVEN),
         (curves.after, curves.after_label, draw.FITTED),
@@ -92,7 +93,7 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
         draw.draw_curve(residual, time, joins, measured - model, color=colour, lw=0.8)
         finite = (measured - model)[np.isfinite(measured - model)]
         rms = float(np.sqrt(np.mean(finite**2))) if len(finite) else None
-        said.append(f"{label} leaves rms {quantity(rms, unit)}")
+        said.append(f"{label} leaves rms {v.quantity(rms, unit)}")
     draw.label_y(torque, f"torque [{unit}]" if unit != "A" else "current [A]")
     draw.label_y(residual, f"residual [{unit}]")
     residual.set_xlabel("time [s]")
@@ -102,7 +103,7 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
 
 def _of_rows(series: Series, key: str, joint: int, n: int) -> Array | None:
     """One joint's column of n rows; None where a run has none."""
-    found = curve(series, key, joint)
+    found = v.curve(series, key, joint)
     return found if found is not None and len(found) == n else None
 
 
@@ -122,11 +123,17 @@ def draw_band(ax: Axes, t: Array, joins: Sequence[int], centre: Array, half: Arr
         )
 
 
-def error_bars(errors: Errors, unit: str, curves: Curves, what: str) -> Figure | None:
-    """Errors of the model before and after, without the latter where it is unknown."""
-    models = [(curves.before_label, draw.GIVEN), (curves.after_label, draw.FITTED)]
+def error_bars(
+    rows: Sequence[Result], models: Sequence[str], unit: str, curves: Curves, what: str
+) -> Figure | None:
+    """Errors of the models before and after, by joint, as each record holds them by model."""
+    labels = [(curves.before_label, draw.GIVEN), (curves.after_label, draw.FITTED)][: len(models)]
+    errors = [
+        (v.text(row, "name"), [(v.real(row, m, "rms"), v.real(row, m, "nrmse")) for m in models])
+        for row in rows
+    ]
     changed = any(rms is not None for _, pairs in errors for rms, _ in pairs[1:])
-    return bars(errors, unit, models[: 1 + changed], what)
+    return bars(errors, unit, labels[: 1 + changed], what)
 
 
 def bars(errors: Errors, unit: str, models: Sequence[tuple[str, str]], what: str) -> Figure | None:
@@ -153,21 +160,21 @@ def bars(errors: Errors, unit: str, models: Sequence[tuple[str, str]], what: str
     step = 0.25 if count < 3 else 0.23
     (ax,) = draw.axes((0.24 + 0.13 * count) * len(errors) + 0.52, left=0.14)
     for row, (joint, pairs) in enumerate(errors):
-        ax.text(0, row - 0.36, shorten(joint, 40), va="center", ha="left")
+        ax.text(0, row - 0.36, v.shorten(joint, 40), va="center", ha="left")
         for i, (pair, (_, colour)) in enumerate(zip(pairs, models, strict=False)):
             length = pair[shares]
             if length is None:
                 continue
             y = row + 0.045 * (count - 1) + step * (i - (count - 1) / 2)
             ax.barh(y, min(length, top), height=0.88 * step, color=colour)
-            rms = quantity(pair[0], unit) + " (bar cut)" * (length > top * 1.0001)
+            rms = v.quantity(pair[0], unit) + " (bar cut)" * (length > top * 1.0001)
             ax.text(min(length, top) + 0.012 * top, y, rms, va="center", ha="left", fontsize=8)
     bar_axes(ax, len(errors) - (0.6 if count < 3 else 0.5), 1.38 * top)
     if shares:
         draw.percent_x(ax)
     ax.set_xlabel(_SHARE if shares else f"rms [{unit}]")
     said = [
-        f"{label} {quantity(pairs[i][0], unit)} at {joint}"
+        f"{label} {v.quantity(pairs[i][0], unit)} at {joint}"
         for joint, pairs in errors
         for i, (label, _) in enumerate(models)
     ]
