@@ -25,7 +25,7 @@ from excitant.analysis.requirements import (
     undetermined_item,
 )
 from excitant.exceptions import RankDeficient
-from excitant.identify import Estimate, Recording, identify, recording_from_table
+from excitant.identify import Estimate, Recording, identify_robot, recording_from_table
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, read_only
@@ -166,10 +166,10 @@ def rehearse(
     held = _recording(arm, arm.run(*slow, rng), "slower", rng)
     tell(0.35, "identifying")
     try:
-        estimates = [identify(robot, [_recording(arm, run, "motion", rng)], validate=[held])]
+        estimates = [identify_robot(robot, [_recording(arm, run, "motion", rng)], validate=[held])]
         for _ in range(max(_READINGS, -(-_CASES // len(estimates[0].base))) - 1):
             reading = _recording(arm, run, "motion", rng)
-            estimates.append(identify(robot, [reading], validate=[held]))
+            estimates.append(identify_robot(robot, [reading], validate=[held]))
     except RankDeficient as error:
         items.append(undetermined_item(situation, error))
         return Rehearsal(*common, tuple(items))

@@ -11,7 +11,7 @@ import scipy
 from excitant.analysis.candidates import Observed, gather, observed, tolerance_metric
 from excitant.analysis.evidence import Candidate, Evidence, Key, reweighed
 from excitant.identify.accuracy import series
-from excitant.identify.estimate import identify
+from excitant.identify.estimate import identify_robot
 from excitant.identify.physical import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.robots.effects import Effect, merged, plain, standard_effects
@@ -256,7 +256,7 @@ def choose_effects(
     chosen: list[Candidate] = []
     train: Observed | None = None
     for k in range(_ROUNDS):
-        estimate = identify(
+        estimate = identify_robot(
             robot, recordings, validate=recordings, effects=effects, cutoff_hz=cutoff_hz
         )
         if train is None:

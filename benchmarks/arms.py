@@ -24,7 +24,7 @@ import numpy as np
 
 from excitant.analysis.identifiability import analyze
 from excitant.analysis.uncertainty import NOT_SHOWN
-from excitant.design import design
+from excitant.design import design_trajectory
 from excitant.exceptions import ExcitantError, Infeasible
 from excitant.robots import Robot, load_robot, torque
 from excitant.robots.effects import standard_effects
@@ -161,9 +161,9 @@ def designed(robot: Robot, time_limit: float) -> tuple[str, str]:
     options = {"starts": 1, "jobs": 1, "time_limit": time_limit}
     note = ""
     try:
-        found = design(robot, scene=scene(robot), **options)
+        found = design_trajectory(robot, scene=scene(robot), **options)
     except Infeasible:
-        found, note = design(robot, scene=None, **options), " (without clearance)"
+        found, note = design_trajectory(robot, scene=None, **options), " (without clearance)"
     motion = found.trajectory.motion(50.0)
     noise = np.maximum(NOISE * np.abs(torque(robot, motion)).max(axis=0), 1e-6)
     shown = analyze(

@@ -24,7 +24,7 @@ import pinocchio as pin
 from joblib.externals.loky import get_reusable_executor
 from judge import States, left_columns, observation, random_states
 
-from excitant.design import design, random_trajectory, trajectory_csv, trajectory_json
+from excitant.design import design_trajectory, random_trajectory, trajectory_csv, trajectory_json
 from excitant.exceptions import BadInput, BadRobot
 from excitant.robots import Robot, builtin_robots, load_limits, load_robot
 
@@ -170,7 +170,7 @@ def excitant(
     problem: Problem, settings: Settings, *, series: str = "fourier", criterion: str = "condition"
 ) -> Found:
     """Our own design; of splines with a search for the number of pieces."""
-    found = design(
+    found = design_trajectory(
         problem.robot,
         duration=problem.duration,
         harmonics=None if series == "spline" else problem.harmonics,

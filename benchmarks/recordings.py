@@ -33,7 +33,7 @@ from threadpoolctl import threadpool_limits
 
 from excitant.analysis.selection import choose_effects, described
 from excitant.exceptions import ExcitantError
-from excitant.identify import Estimate, Recording, identify, load_dataset
+from excitant.identify import Estimate, Recording, identify_robot, load_dataset
 from excitant.identify.accuracy import Accuracy, series
 from excitant.identify.regression import observation
 from excitant.robots import Robot
@@ -208,7 +208,7 @@ def report(split: Split, folder: Path, chosen: bool) -> None:
     """Fit and print all rows of one split."""
     robot, fit, judge = loaded(split, folder)
     start = time.perf_counter()
-    standard = identify(robot, fit, validate=judge, cutoff_hz=split.cutoff_hz)
+    standard = identify_robot(robot, fit, validate=judge, cutoff_hz=split.cutoff_hz)
     rows = {
         "given": (standard.baseline, ""),
         "ols": (unconstrained(standard), ""),
@@ -223,7 +223,9 @@ def report(split: Split, folder: Path, chosen: bool) -> None:
         start = time.perf_counter()
         try:
             effects = choose_effects(robot, fit, cutoff_hz=split.cutoff_hz)
-            best = identify(robot, fit, validate=judge, effects=effects, cutoff_hz=split.cutoff_hz)
+            best = identify_robot(
+                robot, fit, validate=judge, effects=effects, cutoff_hz=split.cutoff_hz
+            )
             rows["chosen"] = (best.validate, _said(best, start))
             closing = [f"    + {sentence}" for sentence in described(effects)]
         except ExcitantError as error:

@@ -30,7 +30,7 @@ import pyarrow.parquet
 from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
-from excitant.identify import identify, read_recordings
+from excitant.identify import identify_robot, read_recordings
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import standard_effects
 
@@ -100,7 +100,7 @@ def identified(name: str, path: Path) -> dict[str, Any]:
     robot = load_robot(name)
     with threadpool_limits(1):
         clock, start = time.perf_counter(), time.process_time()
-        estimate = identify(robot, read_recordings([path], robot))
+        estimate = identify_robot(robot, read_recordings([path], robot))
         seconds, clock = time.process_time() - start, time.perf_counter() - clock
     status = Path("/proc/self/status")
     peak = [x.split()[1] for x in status.read_text().splitlines() if "VmHWM" in x]

@@ -25,7 +25,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
-from excitant.identify import Estimate, Recording, identify, load_dataset, recording_from_table
+from excitant.identify import (
+    Estimate,
+    Recording,
+    identify_robot,
+    load_dataset,
+    recording_from_table,
+)
 from excitant.identify.export import model_files
 from excitant.identify.preprocessing import Segment
 from excitant.robots import Robot, load_robot
@@ -62,7 +68,7 @@ def simulated(name: str, seed: int) -> Case:
         table = arm.record(random_trajectory(robot, rng, 10.0, 5), 10.0, rng)
         runs.append(recording_from_table(table, robot.nv, file=f"{run}.parquet", name=run))
     hidden = arm.hidden[0]
-    found = identify(robot, runs[:1], validate=runs[1:])
+    found = identify_robot(robot, runs[:1], validate=runs[1:])
     return f"{name}, virtual, hides {hidden.effect} at {hidden.joint}", found
 
 
@@ -70,7 +76,7 @@ def recorded(folder: Path) -> list[Case]:
     """The recordings of a folder, each fitted on its first 70 %."""
     dataset = load_dataset(folder)
     return [
-        (f"{folder.name}, {recording.name}", identify(dataset.robot, [recording]))
+        (f"{folder.name}, {recording.name}", identify_robot(dataset.robot, [recording]))
         for recording in dataset.recordings([])
     ]
 

@@ -11,7 +11,7 @@ from excitant.design.export import (
     write_formats,
 )
 from excitant.design.feasible import random_trajectory
-from excitant.design.optimal import CLEARANCE, build_design, design
+from excitant.design.optimal import CLEARANCE, build_design, design_trajectory
 from excitant.design.result import Design
 from excitant.design.sequence import LinkByLinkDesign, design_link_by_link
 from excitant.design.timing import approach
@@ -39,8 +39,8 @@ __all__ = [
     "check",
     "clearance",
     "condition_number",
-    "design",
     "design_link_by_link",
+    "design_trajectory",
     "from_coefficients",
     "information",
     "load_trajectory",

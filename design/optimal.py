@@ -79,7 +79,7 @@ def _series(name: str, duration: float, harmonics: int) -> Series:
     return FourierSeries(float(duration), harmonics)
 
 
-def design(
+def design_trajectory(
     robot: Robot,
     *,
     duration: float | tuple[float, float] = 10.0,

@@ -7,7 +7,7 @@ from .differentiators import (
     savitzky_golay,
 )
 from .drive_gains import DriveGains, KnownPayload, identify_drive_gains
-from .estimate import Estimate, identify
+from .estimate import Estimate, identify_robot
 from .excitation import Persistency, persistency
 from .export import Publication, model_files, publication
 from .importers.mapping import ColumnMap, load_column_map
@@ -18,8 +18,8 @@ from .online import OnlineEstimate, OnlineEstimator
 from .payload import PayloadEstimate, estimate_payload, identify_payload
 from .recording import (
     Recording,
+    load_recording,
     read_chunks,
-    read_recording,
     recording_from_raw,
     recording_from_table,
 )
@@ -51,20 +51,20 @@ __all__ = [
     "ZeroPhaseButterworth",
     "estimate_payload",
     "five_point",
-    "identify",
     "identify_drive_gains",
     "identify_link_by_link",
     "identify_online",
     "identify_payload",
+    "identify_robot",
     "load_column_map",
     "load_dataset",
     "load_knowledge",
+    "load_recording",
     "model_files",
     "persistency",
     "publication",
     "raw_recording",
     "read_chunks",
-    "read_recording",
     "read_recordings",
     "recording_from_raw",
     "recording_from_table",

@@ -196,7 +196,7 @@ def read_recordings(
 ) -> list[Recording]:
     """Recordings from logs, in order; files that are parts of one recording become one.
 
-    See `read_recording`, and `excitant.identify.importers.raw.runs_of_parts` for what a part is.
+    See `load_recording`, and `excitant.identify.importers.raw.runs_of_parts` for what a part is.
     Logs that are too long to hold are low-passed and decimated as they are read, each a recording
     of its own (`excitant.identify.decimation`).
     """

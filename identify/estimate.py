@@ -230,7 +230,7 @@ class Estimate:
         return html_table(title, heads, rows)
 
 
-def identify(
+def identify_robot(
     robot: Robot,
     recordings: Sequence[Recording],
     *,

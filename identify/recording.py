@@ -73,7 +73,7 @@ class Recording:
         return html_table(title, heads, rows)
 
 
-def read_recording(
+def load_recording(
     path: str | Path,
     robot: Robot | int,
     *,
@@ -105,7 +105,7 @@ def recording_from_table(
     mapping: ColumnMap | None = None,
     torque_column: str | None = None,
 ) -> Recording:
-    """Recording from a table in memory; see `read_recording`."""
+    """Recording from a table in memory; see `load_recording`."""
     raw = next(raw_pieces(table_of_frame(table, file), robot, mapping, torque_column))
     return recording_from_raw(replace(raw, name=name))
 
@@ -118,7 +118,7 @@ def read_chunks(
     mapping: ColumnMap | None = None,
     torque_column: str | None = None,
 ) -> Iterator[Recording]:
-    """A log larger than memory as recordings of some rows each, checked as `read_recording` does.
+    """A log larger than memory as recordings of some rows each, checked as `load_recording` does.
 
     What only the whole can show, a channel without signal or a log that is too short, is refused
     after the last piece.
@@ -134,7 +134,7 @@ def read_chunks(
         Pieces of at least one row; ``t`` counts from the first sample of the log.
 
     Raises:
-        BadRecording: As `read_recording`, when the piece at fault is reached.
+        BadRecording: As `load_recording`, when the piece at fault is reached.
         BadInput: ``rows`` below 1, or a map that does not fit the robot.
     """
     if rows < 1:

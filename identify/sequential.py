@@ -21,7 +21,7 @@ from excitant.identify.accuracy import series
 from excitant.identify.base_prior import base_prior
 from excitant.identify.cascade import Cascade, beginning, further, led_combinations
 from excitant.identify.current_gains import current_gains
-from excitant.identify.estimate import Estimate, identify, judged
+from excitant.identify.estimate import Estimate, identify_robot, judged
 from excitant.identify.least_squares import LeastSquares
 from excitant.identify.physical import fit_physical, prior_parameters
 from excitant.identify.preprocessing import Mask, dry_joints, moving, stilled
@@ -270,7 +270,9 @@ def identify_link_by_link(
     physical = fit_physical(known.R @ rows.base.regrouping, known.z, prior, rows.fit.open_prior)
     estimate = judged(robot, rows.fit, fit, physical, _notes(rows, stages))
     try:
-        whole = identify(robot, recordings, validate=validate, effects=effects, cutoff_hz=cutoff_hz)
+        whole = identify_robot(
+            robot, recordings, validate=validate, effects=effects, cutoff_hz=cutoff_hz
+        )
         refusal = ""
     except RankDeficient as error:
         whole, refusal = _with_prior(robot, rows, fit), str(error)

@@ -120,12 +120,13 @@ def test_names_are_those_of_the_packages() -> None:
     for name in ex.__all__:
         assert getattr(ex, name) is not None
         assert name in dir(ex)
-    from excitant.design import design
-    from excitant.identify import identify, read_recording
 
-    assert ex.design_trajectory is design
-    assert ex.identify_robot is identify
-    assert ex.load_recording is read_recording
+    from excitant.design import design_trajectory
+    from excitant.identify import identify_robot, load_recording
+
+    assert ex.design_trajectory is design_trajectory
+    assert ex.identify_robot is identify_robot
+    assert ex.load_recording is load_recording
     with pytest.raises(AttributeError, match="no attribute 'load_robots'"):
         ex.load_robots  # noqa: B018
 

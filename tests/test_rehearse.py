@@ -21,7 +21,7 @@ from excitant.analysis.requirements import Situation, limit_items
 from excitant.cli import main
 from excitant.design import (
     FourierTrajectory,
-    design,
+    design_trajectory,
     from_coefficients,
     random_trajectory,
     trajectory_csv,
@@ -33,7 +33,9 @@ from excitant.robots.effects import standard_effects
 
 @pytest.fixture(scope="module")
 def motion(planar: Robot) -> FourierTrajectory:
-    found = design(planar, duration=10.0, harmonics=4, starts=1, jobs=1, seed=1).trajectory
+    found = design_trajectory(
+        planar, duration=10.0, harmonics=4, starts=1, jobs=1, seed=1
+    ).trajectory
     assert isinstance(found, FourierTrajectory)
     return found
 

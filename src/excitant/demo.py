@@ -10,13 +10,13 @@ import numpy as np
 from excitant.analysis.diagnosis import diagnose
 from excitant.analysis.identifiability import analyze
 from excitant.design import (
-    design,
+    design_trajectory,
     random_trajectory,
     trajectory_csv,
     trajectory_json,
 )
 from excitant.identify import (
-    identify,
+    identify_robot,
     model_files,
     recording_from_table,
 )
@@ -50,7 +50,7 @@ def run_demo(
     rng = np.random.default_rng(seed)
     arm = virtual_arm(robot, rng)
     advance(0.02, "designing the excitation")
-    found = design(
+    found = design_trajectory(
         robot, duration=_DURATION, harmonics=_HARMONICS, starts=_STARTS, seed=seed,
         progress=lambda done, total, kappa, ratio: advance(
             0.02 + 0.5 * done / (total or 1), f"designing the excitation, κ {kappa:.4g}"
@@ -64,7 +64,7 @@ def run_demo(
         for table, name in ((excitation, "excitation"), (holdout, "holdout"))
     )
     advance(0.75, "identifying")
-    estimate = identify(robot, [recording], validate=[held])
+    estimate = identify_robot(robot, [recording], validate=[held])
     advance(0.85, "diagnosing")
     diagnosis = diagnose(robot, [recording], validate=[held])
     known = analyze(robot, estimate=estimate)

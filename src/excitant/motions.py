@@ -88,9 +88,9 @@ def design(
         seed: Draws the starts.
         time_limit: Return the best so far after this time [s].
     """
-    from excitant.design import design as design_trajectory
     from excitant.design import (
         design_link_by_link,
+        design_trajectory,
         motion_csv,
         trajectory_csv,
         trajectory_json,

@@ -88,11 +88,11 @@ def identify(
         link_by_link: From the last link inward, each from its own joint's torque.
         forgetting: With --online: time constant of forgetting [s]; default: nothing is forgotten.
     """
-    from excitant.identify import identify as identify_robot
     from excitant.identify import (
         identify_link_by_link,
         identify_online,
         identify_payload,
+        identify_robot,
         load_knowledge,
         publication,
     )
@@ -304,7 +304,7 @@ def _as_far_as_shown(
     show is asked for, not how well the estimate predicts.
     """
     from excitant.analysis import identify_shown
-    from excitant.identify import identify as identify_robot
+    from excitant.identify import identify_robot
     from excitant.identify.recording import MINIMUM_DURATION
     from excitant.identify.rows import FIT_SHARE
 

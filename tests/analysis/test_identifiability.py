@@ -10,7 +10,7 @@ import pytest
 from excitant.analysis.identifiability import analyze
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput, UnknownName
-from excitant.identify import Recording, identify
+from excitant.identify import Recording, identify_robot
 from excitant.robots import Limits, Motion, Robot, load_robot
 from excitant.robots.effects import standard_effects
 from excitant.robots.torque import observation_columns
@@ -65,7 +65,7 @@ def test_a_recording_gives_its_own_uncertainty(
     planar: Robot, runs: Callable[..., list[Recording]]
 ) -> None:
     recording, held = runs(planar, 0)
-    estimate = identify(planar, [recording], validate=[held])
+    estimate = identify_robot(planar, [recording], validate=[held])
     found = analyze(planar, estimate=estimate)
     std = np.sqrt(np.diag(estimate.least_squares.covariance))
     np.testing.assert_array_equal([p.std for p in found.practical], std)

@@ -14,7 +14,7 @@ import pytest
 from excitant.analysis.selection import choose_effects, described
 from excitant.cli import main
 from excitant.design import random_trajectory
-from excitant.identify import Recording, identify, load_dataset, recording_from_table
+from excitant.identify import Recording, identify_robot, load_dataset, recording_from_table
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.rows import fit_rows, with_own_torque
 from excitant.robots import Robot, base_parameters, load_robot
@@ -69,8 +69,8 @@ def test_planted_effects_are_chosen_and_predict_an_unseen_motion_better(
     assert {(each.effect, each.joint) for each in PLANTED} <= chosen
     assert len(described(effects)) == len(effects) - 4
     assert all(said.startswith("effect added: ") for said in described(effects))
-    plain = identify(planar, fit, validate=unseen)
-    better = identify(planar, fit, validate=unseen, effects=effects)
+    plain = identify_robot(planar, fit, validate=unseen)
+    better = identify_robot(planar, fit, validate=unseen, effects=effects)
     assert (better.validate.rms < 0.9 * plain.validate.rms).all()
     assert violations(better.phi, planar.links) == []
 
@@ -105,8 +105,8 @@ def test_plain_larger_arms_get_hardly_anything() -> None:
 def test_identify_takes_every_kind(planar: Robot, two: list[Recording], effect: Effect) -> None:
     """One more kind of effect never makes the fit of what it was fitted to worse."""
     standard = standard_effects(planar.joints)
-    plain = identify(planar, two[:1], validate=two[1:])
-    more = identify(planar, two[:1], validate=two[1:], effects=(*standard, effect))
+    plain = identify_robot(planar, two[:1], validate=two[1:])
+    more = identify_robot(planar, two[:1], validate=two[1:], effects=(*standard, effect))
     before, after = (fit.train.rms / plain.least_squares.sigma for fit in (plain, more))
     assert (after**2).sum() <= 1.01 * (before**2).sum()
     assert more.model.effects[4].name == effect.name
@@ -117,7 +117,7 @@ def test_effects_of_torque_take_it_from_the_identified_arm(two: list[Recording])
     planar = load_robot("planar_2r")
     heavy = planar.with_parameters(5 * planar.phi)
     effects = (*standard_effects(planar.joints), LoadDependentFriction(planar.joints))
-    fits = [identify(r, two[:1], validate=two[1:], effects=effects) for r in (planar, heavy)]
+    fits = [identify_robot(r, two[:1], validate=two[1:], effects=effects) for r in (planar, heavy)]
     near, far = (fit.model.effects[4].values for fit in fits)
     np.testing.assert_allclose(near, far, atol=0.02)  # the prior still differs
     np.testing.assert_allclose(fits[0].validate.nrmse, fits[1].validate.nrmse, rtol=0.05)
@@ -126,7 +126,7 @@ def test_effects_of_torque_take_it_from_the_identified_arm(two: list[Recording])
 def test_effects_of_the_motion_alone_need_no_identified_arm(
     planar: Robot, two: list[Recording]
 ) -> None:
-    fit = identify(planar, two[:1], validate=two[1:])
+    fit = identify_robot(planar, two[:1], validate=two[1:])
     prior, nothing = fit.prior.reshape(-1, 10), Knowledge()
     of_motion = (*standard_effects(planar.joints), PreslidingHysteresis(planar.joints))
     of_torque = (*standard_effects(planar.joints), TimeDelay(planar.joints))
@@ -164,8 +164,8 @@ def test_real_friction_is_found(data_folder: Path) -> None:
     dataset = load_dataset(data_folder / "ur10")
     (whole,) = dataset.recordings(["unisa_exciting"])
     fit, unseen = [whole.between(0, 0.6, "first")], [whole.between(0.6, 1, "rest")]
-    plain = identify(dataset.robot, fit, validate=unseen)
+    plain = identify_robot(dataset.robot, fit, validate=unseen)
     found = choose_effects(dataset.robot, fit)
-    better = identify(dataset.robot, fit, validate=unseen, effects=found)
+    better = identify_robot(dataset.robot, fit, validate=unseen, effects=found)
     assert better.validate.nrmse.sum() < 0.85 * plain.validate.nrmse.sum()
     assert violations(better.phi, dataset.robot.links) == []

@@ -23,7 +23,7 @@ from excitant.analysis.uncertainty import (
     weak_directions,
 )
 from excitant.design import random_trajectory
-from excitant.identify import Recording, identify, recording_from_table
+from excitant.identify import Recording, identify_robot, recording_from_table
 from excitant.identify.physical import EffectPrior, fit_physical, prior_parameters
 from excitant.identify.rows import fit_rows
 from excitant.robots import Motion, Robot, load_robot
@@ -260,7 +260,7 @@ def test_a_known_payload_shows_the_scale_of_currents(
 def judged(runs: Runs):
     robot = load_robot("planar_2r")
     recording, held = runs(robot, 0)
-    estimate = identify(robot, [recording], validate=[held])
+    estimate = identify_robot(robot, [recording], validate=[held])
     return robot, estimate, analyze(robot, estimate=estimate, rng=np.random.default_rng(0))
 
 

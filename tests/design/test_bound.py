@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from excitant.design import condition_number, design, random_trajectory
+from excitant.design import condition_number, design_trajectory, random_trajectory
 from excitant.design.bound import Bound, best_mixture, lower_bound, mixture_of
 from excitant.design.relaxation import Relaxation, numbered
 from excitant.exceptions import BadInput
@@ -145,7 +145,9 @@ def test_never_above_a_trajectory(planar: Robot, limited: Limited, seed: int) ->
         robot, duration=duration, harmonics=harmonics, columns=columns, time_limit=4.0
     )
     information = bound.relaxation.information
-    found = design(robot, duration=duration, harmonics=harmonics, columns=columns, starts=3, jobs=1)
+    found = design_trajectory(
+        robot, duration=duration, harmonics=harmonics, columns=columns, starts=3, jobs=1
+    )
     trajectories = [found.trajectory]
     trajectories += [random_trajectory(robot, rng, duration, harmonics) for _ in range(50)]
     conditions = [condition_number(information.matrix(x.sample(401))) for x in trajectories]

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from excitant.design import clearance, design, from_coefficients
+from excitant.design import clearance, design_trajectory, from_coefficients
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Robot, load_robot
 from excitant.robots.geometry import Obstacle, Scene, load_obstacles, scene
@@ -89,8 +89,8 @@ def test_design_keeps_the_clearance() -> None:
     )  # before the arm: half of its reach is gone
     around = scene(robot, (wall,))
     assert around is not None
-    free = design(robot, columns="inertial", harmonics=3, starts=2, jobs=1)
-    kept = design(
+    free = design_trajectory(robot, columns="inertial", harmonics=3, starts=2, jobs=1)
+    kept = design_trajectory(
         robot, columns="inertial", harmonics=3, starts=2, jobs=1, scene=around, clearance=0.03
     )
     assert clearance(around, free.trajectory).distance < 0.03  # the wall matters
@@ -105,7 +105,7 @@ def test_a_cell_without_room_is_refused() -> None:
     robot = load_robot("planar_2r")
     everywhere = Obstacle("rock", "sphere", SphereRecord(5.0, (0.0, 0.0, 0.0)))
     with pytest.raises(Infeasible, match="too close to an obstacle"):
-        design(robot, starts=1, jobs=1, scene=scene(robot, (everywhere,)))
+        design_trajectory(robot, starts=1, jobs=1, scene=scene(robot, (everywhere,)))
 
 
 def test_a_robot_without_shapes_has_no_scene(robot_without_shapes: Robot) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from limit_use import limit_shares
 
-from excitant.design import Design, design
+from excitant.design import Design, design_trajectory
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Robot
 
@@ -32,7 +32,7 @@ def arm(ur10: Robot, limited: Limited) -> Robot:
 
 @pytest.fixture(scope="module")
 def found(arm: Robot) -> Design:
-    return design(arm, columns="inertial", harmonics=4, starts=2, jobs=1, seed=3)
+    return design_trajectory(arm, columns="inertial", harmonics=4, starts=2, jobs=1, seed=3)
 
 
 def test_improves_on_random_and_holds_every_limit(found: Design) -> None:
@@ -78,14 +78,14 @@ def test_random_limits_hold_between_samples(planar: Robot, limited: Limited, see
         acceleration=rng.uniform(5, 20, 2),
         torque=planar.limits.torque * rng.uniform(0.6, 1.0, 2),
     )
-    result = design(robot, duration=5.0, harmonics=4, starts=2, jobs=1, seed=seed)
+    result = design_trajectory(robot, duration=5.0, harmonics=4, starts=2, jobs=1, seed=seed)
     assert_limits_hold(result)
     assert result.condition_final < result.condition_initial
 
 
 def test_torque_limits_bind_and_hold(arm: Robot, limited: Limited) -> None:
     weak = limited(arm, torque=arm.limits.torque * 0.25)
-    result = design(weak, columns="inertial", harmonics=4, starts=1, jobs=1, seed=1)
+    result = design_trajectory(weak, columns="inertial", harmonics=4, starts=1, jobs=1, seed=1)
     assert_limits_hold(result)
     assert result.limits.torque.ratio > 0.999
     assert result.condition_final < result.condition_initial / 5
@@ -93,7 +93,7 @@ def test_torque_limits_bind_and_hold(arm: Robot, limited: Limited) -> None:
 
 @pytest.mark.parametrize("criterion", ["d", "a", "e"])
 def test_every_criterion_improves_its_own_value(planar: Robot, criterion: str) -> None:
-    result = design(planar, criterion=criterion, harmonics=3, starts=1, jobs=1)
+    result = design_trajectory(planar, criterion=criterion, harmonics=3, starts=1, jobs=1)
     values = {
         "d": lambda e: np.log(e).sum(),
         "a": lambda e: -np.log((1 / e).sum()),
@@ -106,18 +106,19 @@ def test_every_criterion_improves_its_own_value(planar: Robot, criterion: str) -
 
 def test_number_of_processes_does_not_change_the_result(planar: Robot) -> None:
     one, two = (
-        design(planar, duration=5.0, harmonics=2, starts=3, jobs=jobs, seed=2) for jobs in (1, 2)
+        design_trajectory(planar, duration=5.0, harmonics=2, starts=3, jobs=jobs, seed=2)
+        for jobs in (1, 2)
     )
     np.testing.assert_array_equal(one.trajectory.coefficients, two.trajectory.coefficients)
     assert [s.history for s in one.starts] == [s.history for s in two.starts]
-    other = design(planar, duration=5.0, harmonics=2, starts=1, jobs=1, seed=3)
+    other = design_trajectory(planar, duration=5.0, harmonics=2, starts=1, jobs=1, seed=3)
     assert not np.array_equal(one.trajectory.coefficients, other.trajectory.coefficients)
 
 
 @pytest.mark.parametrize("starts", [None, 500])
 def test_time_limit_returns_the_best_so_far(arm: Robot, starts: int | None) -> None:
     began = time.time()
-    result = design(arm, starts=starts, jobs=1, time_limit=1.0)
+    result = design_trajectory(arm, starts=starts, jobs=1, time_limit=1.0)
     assert time.time() - began < 5.0
     assert_limits_hold(result)
     assert result.condition_final < result.condition_initial
@@ -125,7 +126,7 @@ def test_time_limit_returns_the_best_so_far(arm: Robot, starts: int | None) -> N
 
 
 def test_no_time_at_all_returns_the_first_trajectory(arm: Robot) -> None:
-    result = design(arm, columns="inertial", starts=1, jobs=1, time_limit=0.0)
+    result = design_trajectory(arm, columns="inertial", starts=1, jobs=1, time_limit=0.0)
     assert result.condition_final == pytest.approx(result.condition_initial, rel=1e-9)
     assert {start.status for start in result.starts} == {"time limit"}
     assert_limits_hold(result)
@@ -136,7 +137,7 @@ def test_interrupt_returns_the_best_so_far(arm: Robot) -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
     assert threading.current_thread() is threading.main_thread()
-    result = design(arm, columns="inertial", starts=20, jobs=1, progress=stop)
+    result = design_trajectory(arm, columns="inertial", starts=20, jobs=1, progress=stop)
     assert_limits_hold(result)
     assert result.condition_final < result.condition_initial
     assert {start.status for start in result.starts} == {"interrupted"}
@@ -144,7 +145,9 @@ def test_interrupt_returns_the_best_so_far(arm: Robot) -> None:
 
 def test_progress_tells_what_is_reached(planar: Robot) -> None:
     told: list[tuple[int, int | None, float, float]] = []
-    result = design(planar, harmonics=3, starts=4, jobs=1, progress=lambda *news: told.append(news))
+    result = design_trajectory(
+        planar, harmonics=3, starts=4, jobs=1, progress=lambda *news: told.append(news)
+    )
     assert told[-1][0] <= told[-1][1] == 4
     conditions = [news[2] for news in told]
     assert conditions == sorted(conditions, reverse=True)
@@ -155,22 +158,22 @@ def test_progress_tells_what_is_reached(planar: Robot) -> None:
 def test_infeasible_names_joint_and_limit(planar: Robot, limited: Limited) -> None:
     robot = limited(planar, torque=[1.0, 100.0], position=[[-0.2, 0.2], [-0.2, 0.2]])
     with pytest.raises(Infeasible, match=f"torque limit of {planar.joints[0]}") as error:
-        design(robot, starts=1, jobs=1)
+        design_trajectory(robot, starts=1, jobs=1)
     assert "position limits" in str(error.value)
 
 
 def test_refuses_impossible_options(planar: Robot) -> None:
     with pytest.raises(BadInput, match="at least 2"):
-        design(planar, harmonics=1)
+        design_trajectory(planar, harmonics=1)
     with pytest.raises(BadInput, match="duration"):
-        design(planar, duration=-1.0)
+        design_trajectory(planar, duration=-1.0)
     with pytest.raises(BadInput, match="starts"):
-        design(planar, starts=0)
+        design_trajectory(planar, starts=0)
 
 
 def test_a_spline_design_keeps_all_limits(planar: Robot, limited: Limited) -> None:
     robot = limited(planar, acceleration=8.0, jerk=15.0)
-    found = design(robot, duration=6.0, harmonics=5, series="spline", starts=2, jobs=1)
+    found = design_trajectory(robot, duration=6.0, harmonics=5, series="spline", starts=2, jobs=1)
     assert found.trajectory.series.name == "spline"
     assert found.trajectory.at_rest
     assert found.limits.hold

@@ -15,7 +15,7 @@ from excitant.design import (
     build_design,
     check,
     condition_number,
-    design,
+    design_trajectory,
     information,
     random_trajectory,
 )
@@ -40,15 +40,15 @@ def cluster() -> Iterator[str]:
 @pytest.mark.slow
 def test_a_cluster_finds_what_processes_find(planar: Robot, cluster: str) -> None:
     options = {"duration": 5.0, "harmonics": 3, "starts": 2, "seed": 2}
-    here = design(planar, jobs=1, **options)  # type: ignore[arg-type]
-    there = design(planar, cluster=cluster, **options)  # type: ignore[arg-type]
+    here = design_trajectory(planar, jobs=1, **options)  # type: ignore[arg-type]
+    there = design_trajectory(planar, cluster=cluster, **options)  # type: ignore[arg-type]
     np.testing.assert_array_equal(here.trajectory.coefficients, there.trajectory.coefficients)
 
 
 def test_no_cluster_is_one_line(planar: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("excitant.design.starts._PATIENCE", "1s")
     with pytest.raises(BadInput, match=r"cluster tcp://127\.0\.0\.1:9: no Dask scheduler"):
-        design(planar, cluster="tcp://127.0.0.1:9", starts=1)
+        design_trajectory(planar, cluster="tcp://127.0.0.1:9", starts=1)
 
 
 def test_noise_weights_equations(planar: Robot) -> None:
@@ -74,8 +74,8 @@ def test_what_next_makes_up_for_what_a_recording_lacks(planar: Robot) -> None:
         once, q=once.q * [0, 1], dq=np.column_stack([still, once.dq[:, 1]]), ddq=once.ddq * [0, 1]
     )
     options = {"duration": 5.0, "harmonics": 3, "columns": "inertial", "starts": 4, "jobs": 1}
-    knowing = design(planar, earlier=[alone] * 10, **options)  # type: ignore[arg-type]
-    unknowing = design(planar, **options)  # type: ignore[arg-type]
+    knowing = design_trajectory(planar, earlier=[alone] * 10, **options)  # type: ignore[arg-type]
+    unknowing = design_trajectory(planar, **options)  # type: ignore[arg-type]
     both = information(planar, "inertial", earlier=[alone] * 10, duration=5.0)
     values = [condition_number(both.matrix(x.trajectory.sample(500))) for x in (knowing, unknowing)]
     assert knowing.condition_final == pytest.approx(values[0], rel=0.02)
@@ -86,9 +86,9 @@ def test_what_next_makes_up_for_what_a_recording_lacks(planar: Robot) -> None:
 def test_harmonics_are_added_while_they_pay(planar: Robot, limited: Limited) -> None:
     tight = limited(planar, position=[[-0.5, 0.5], [-0.4, 0.4]])
     options = {"duration": 6.0, "columns": "inertial", "starts": 4, "jobs": 1}
-    few = design(tight, harmonics=5, **options)  # type: ignore[arg-type]
+    few = design_trajectory(tight, harmonics=5, **options)  # type: ignore[arg-type]
     for series in ("fourier", "spline"):
-        more = design(tight, harmonics=None, series=series, top_hz=2.5, **options)  # type: ignore[arg-type]
+        more = design_trajectory(tight, harmonics=None, series=series, top_hz=2.5, **options)  # type: ignore[arg-type]
         assert more.limits.hold
         assert more.trajectory.at_rest
         assert 5 < more.harmonics <= 15
@@ -99,12 +99,12 @@ def test_harmonics_are_added_while_they_pay(planar: Robot, limited: Limited) -> 
 @pytest.mark.slow
 def test_the_period_is_chosen_between_two(planar: Robot) -> None:
     options = {"harmonics": 3, "columns": "inertial", "starts": 4, "jobs": 1}
-    found = design(planar, duration=(1.0, 10.0), **options)  # type: ignore[arg-type]
-    ends = [design(planar, duration=T, **options) for T in (1.0, 10.0)]  # type: ignore[arg-type]
+    found = design_trajectory(planar, duration=(1.0, 10.0), **options)  # type: ignore[arg-type]
+    ends = [design_trajectory(planar, duration=T, **options) for T in (1.0, 10.0)]  # type: ignore[arg-type]
     assert 1.0 <= found.duration <= 10.0
     assert found.condition_final <= 1.05 * min(end.condition_final for end in ends)
     with pytest.raises(BadInput, match="shorter one first"):
-        design(planar, duration=(5.0, 1.0))
+        design_trajectory(planar, duration=(5.0, 1.0))
     with pytest.raises(UnknownName, match="series"):
         build_design(planar, series="chebyshev")
 
@@ -112,7 +112,7 @@ def test_the_period_is_chosen_between_two(planar: Robot) -> None:
 def test_torque_holds_for_every_mass_within_the_uncertainty(ur10: Robot, limited: Limited) -> None:
     nominal = limited(ur10, acceleration=10.0, torque=0.45 * ur10.limits.torque)
     wary = nominal.with_limits(replace(nominal.limits, mass_uncertainty=0.2))
-    found = design(wary, harmonics=3, columns="inertial", starts=1, jobs=1, seed=1)
+    found = design_trajectory(wary, harmonics=3, columns="inertial", starts=1, jobs=1, seed=1)
     assert 0.98 < found.limits.torque.ratio <= 1.0
     motion, rng = found.trajectory.motion(400.0), np.random.default_rng(0)
     for _ in range(50):
@@ -145,7 +145,7 @@ def test_the_tool_stays_in_its_workspace(ur10: Robot, tmp_path: Path) -> None:
     path.write_text("- workspace: {low: [-1.3, -0.6, 0.1], high: [1.3, 0.9, 1.6]}\n")
     surroundings = scene(ur10, load_obstacles(path))
     assert surroundings is not None
-    found = design(
+    found = design_trajectory(
         ur10, harmonics=3, columns="inertial", scene=surroundings, clearance=0.0, starts=1, jobs=1
     )
     model, data = ur10.model, ur10.model.createData()

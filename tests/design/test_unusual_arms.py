@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 from limit_use import limit_shares
 
-from excitant.design import Design, design
+from excitant.design import Design, design_trajectory
 from excitant.exceptions import Infeasible
 from excitant.robots import Array, Limits, Robot, load_robot
 
@@ -53,7 +53,7 @@ def test_three_joints_one_of_them_sliding(tmp_path: Path) -> None:
             {"parent": "link2", "axis": "0 1 0", "xyz": "0.3 0 0"},
         ],
     )
-    found = design(robot, duration=5.0, harmonics=4, starts=2, jobs=1)
+    found = design_trajectory(robot, duration=5.0, harmonics=4, starts=2, jobs=1)
     assert found.condition_final < 0.5 * found.condition_initial
     assert_holds(robot, found)
 
@@ -67,7 +67,7 @@ def test_a_dual_arm_of_twelve_joints(tmp_path: Path) -> None:
             xyz = f"0 {y} 0.5" if k == 0 else "0.1 0 0.25"
             joints.append({"parent": parent, "axis": axis, "xyz": xyz})
     robot = loaded(tmp_path, joints)
-    found = design(
+    found = design_trajectory(
         robot, duration=10.0, harmonics=3, columns="inertial", starts=1, jobs=1, time_limit=5.0
     )
     assert robot.nv == 12
@@ -112,8 +112,8 @@ def test_random_limits_hold_or_are_refused_by_name(planar: Robot) -> None:
         if culprit:
             refused += 1
             with pytest.raises(Infeasible, match=f"torque limit of {culprit}"):
-                design(robot, seed=seed, **options)  # type: ignore[arg-type]
+                design_trajectory(robot, seed=seed, **options)  # type: ignore[arg-type]
             continue
-        found = design(robot, seed=seed, **options)  # type: ignore[arg-type]
+        found = design_trajectory(robot, seed=seed, **options)  # type: ignore[arg-type]
         assert_holds(robot, found)
     assert 8 < refused < 48

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from excitant.design import Design, design
+from excitant.design import Design, design_trajectory
 from excitant.design.result import lone_torque, scaled_condition_number, weak_directions
 from excitant.robots import Robot
 from excitant.robots.geometry import load_obstacles, scene
@@ -26,7 +26,7 @@ OBSTACLES = [
 
 @pytest.fixture(scope="module")
 def found(planar: Robot) -> Design:
-    return design(planar, harmonics=3, starts=2, jobs=1, noise=[1.0, 4.0])
+    return design_trajectory(planar, harmonics=3, starts=2, jobs=1, noise=[1.0, 4.0])
 
 
 def test_lone_torque_is_the_part_of_a_column_outside_the_others() -> None:

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from excitant.exceptions import BadRecording
-from excitant.identify import Recording, decimation, identify, read_recordings
+from excitant.identify import Recording, decimation, identify_robot, read_recordings
 from excitant.identify.decimation import decimated
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import standard_effects
@@ -46,7 +46,7 @@ def test_the_estimate_is_that_of_all_samples(
     assert 160 <= 1 / np.median(np.diff(thin.t)) < 200
     assert (np.diff(thin.t) > 0).all()
     assert int((np.diff(thin.t) > 1).sum()) == gap
-    expected, found = (identify(robot, [each]) for each in (whole, thin))
+    expected, found = (identify_robot(robot, [each]) for each in (whole, thin))
     std = np.sqrt(np.diag(expected.least_squares.covariance))
     moved = np.abs(found.least_squares.beta - expected.least_squares.beta) / std
     # rows at other instants, and ends of parts lost

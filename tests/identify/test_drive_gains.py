@@ -16,8 +16,8 @@ from excitant.exceptions import BadInput
 from excitant.identify import (
     KnownPayload,
     Recording,
-    identify,
     identify_drive_gains,
+    identify_robot,
 )
 from excitant.identify.drive_gains import CurrentRows, DriveGains, payload_gains
 from excitant.robots import Array, Motion, Robot, base_parameters, load_robot
@@ -172,7 +172,7 @@ def test_recordings_of_currents_become_torques(
     entry = drive.result()
     assert entry["drive_gain_Nm_per_A"] == drive.gains.tolist()
     assert entry["drive_gain_shown"] == [True, True]
-    found = identify(wrong, drive.torque([free]))
+    found = identify_robot(wrong, drive.torque([free]))
     assert found.data.unit == "N·m"
     base, beta = found.base, found.base.regrouping[:, :20] @ b.robot.phi
     inertial = [k for k, c in enumerate(base.columns) if c < 20]

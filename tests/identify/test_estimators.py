@@ -13,7 +13,7 @@ import scipy.signal
 
 from excitant.cli import main
 from excitant.exceptions import BadInput, RankDeficient, UnknownName
-from excitant.identify import Recording, Regression, identify
+from excitant.identify import Recording, Regression, identify_robot
 from excitant.identify.differentiators import ZeroPhaseButterworth
 from excitant.identify.estimators import (
     ESTIMATORS,
@@ -246,7 +246,7 @@ def noisy(exact: Callable[..., Recording]) -> Recording:
 @every
 def test_a_robot_is_identified_by_every_estimator(name: str, noisy: Recording) -> None:
     robot = load_robot("planar_2r")
-    found = identify(robot, [noisy], estimator=name)
+    found = identify_robot(robot, [noisy], estimator=name)
     assert found.validate.nrmse.max() < 0.02  # of noise that the filter left
     assert violations(found.phi, robot.links) == []
     assert np.linalg.eigvalsh(found.least_squares.covariance).min() > 0
@@ -257,7 +257,7 @@ def test_a_robot_is_identified_by_every_estimator(name: str, noisy: Recording) -
 
 def test_the_default_identifies_bit_for_bit_as_by_hand(noisy: Recording) -> None:
     robot = load_robot("planar_2r")
-    found = identify(robot, [noisy])
+    found = identify_robot(robot, [noisy])
     rows = fit_rows(robot, standard_effects(robot.joints), found.base, split([noisy]))
     fit = weighted_least_squares(rows.reduced)
     R, z = rows.regression.factor(fit.weight)
@@ -270,21 +270,21 @@ def test_a_motion_known_exactly_needs_no_instruments(exact: Callable[..., Record
     """At a rate at which interpolation between every second sample leaves no error."""
     robot = load_robot("planar_2r")
     recording = exact(robot, np.arange(0, 10, 1 / 512))
-    found = identify(robot, [recording], estimator="iv")
+    found = identify_robot(robot, [recording], estimator="iv")
     assert "no errors of it to be tested" in found.notes[-1]
-    known = identify(robot, [recording]).least_squares
+    known = identify_robot(robot, [recording]).least_squares
     std = np.sqrt(np.diag(known.covariance))
     assert (np.abs(found.least_squares.beta - known.beta) <= 1e-2 * std).all()
 
 
 def test_a_rate_too_low_for_every_second_sample_is_refused(noisy: Recording) -> None:
     with pytest.raises(BadInput, match=r"choose one up to 25.6 Hz"):
-        identify(load_robot("planar_2r"), [noisy], cutoff_hz=40.0, estimator="iv")
+        identify_robot(load_robot("planar_2r"), [noisy], cutoff_hz=40.0, estimator="iv")
 
 
 def test_the_estimator_is_refused_by_name(noisy: Recording) -> None:
     with pytest.raises(UnknownName, match="unknown estimator 'huber'"):
-        identify(load_robot("planar_2r"), [noisy], estimator="huber")
+        identify_robot(load_robot("planar_2r"), [noisy], estimator="huber")
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from excitant.cli import main
 from excitant.exceptions import BadInput
-from excitant.identify import Estimate, Recording, identify
+from excitant.identify import Estimate, Recording, identify_robot
 from excitant.identify.export import model_files, publication
 from excitant.robots import DHChain, Motion, Robot, load_robot, robot_from_dh, torque
 from excitant.robots.effects import (
@@ -384,7 +384,7 @@ def test_any_chain_needs_the_same_torque_in_every_format(seed: int) -> None:
 def estimate(planar: Robot, exact: Callable[..., Recording]) -> Estimate:
     """An identified arm whose description was 30 % off."""
     recording = exact(planar, np.arange(0, 12, 1 / 100))
-    return identify(planar.with_parameters(1.3 * planar.phi), [recording])
+    return identify_robot(planar.with_parameters(1.3 * planar.phi), [recording])
 
 
 def test_a_worse_model_is_not_published_unless_forced(estimate: Estimate) -> None:

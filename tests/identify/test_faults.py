@@ -19,7 +19,7 @@ import pandas as pd
 import pytest
 
 from excitant.exceptions import BadRecording
-from excitant.identify import Recording, identify, load_dataset
+from excitant.identify import Recording, identify_robot, load_dataset
 from excitant.identify.faults import (
     FAULTS,
     Fault,
@@ -394,8 +394,10 @@ def test_a_clock_that_starts_anew_is_a_cut(
     if later != 0.003:
         return
     validate = [recording(plants.recorded(planar, 2), "held")]
-    apart = identify(planar, [recording(clean, "a"), recording(second, "b")], validate=validate)
-    found = identify(planar, [repaired], validate=validate)
+    apart = identify_robot(
+        planar, [recording(clean, "a"), recording(second, "b")], validate=validate
+    )
+    found = identify_robot(planar, [repaired], validate=validate)
     assert len(found.data.train) == 2
     std = np.sqrt(np.diag(apart.least_squares.covariance))
     difference = np.abs(found.least_squares.beta - apart.least_squares.beta)

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from excitant.exceptions import ExcitantError
-from excitant.identify import Recording, load_column_map, read_chunks, read_recording
+from excitant.identify import Recording, load_column_map, load_recording, read_chunks
 from excitant.robots import load_robot
 
 N = 250
@@ -105,7 +105,7 @@ def attempt(path: Path, *, pieces: bool = False) -> Recording | None:
     """The recording; None when it is refused in one line that names the file."""
     try:
         if not pieces:
-            return read_recording(path, ROBOT)
+            return load_recording(path, ROBOT)
         parts = list(read_chunks(path, ROBOT, 60))
     except ExcitantError as error:
         refusal = str(error)
@@ -269,7 +269,7 @@ def test_maps_of_any_content(content: dict[str, object]) -> None:
         log.write_bytes(_csv())
         found, refusal = None, ""
         try:
-            found = read_recording(log, ROBOT, mapping=load_column_map(path))
+            found = load_recording(log, ROBOT, mapping=load_column_map(path))
         except ExcitantError as error:
             refusal = str(error)
     if found is None:

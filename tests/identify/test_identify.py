@@ -12,7 +12,7 @@ from excitant.exceptions import RankDeficient
 from excitant.identify import (
     Estimate,
     Recording,
-    identify,
+    identify_robot,
     load_dataset,
     model_files,
 )
@@ -27,7 +27,7 @@ def ideal(request: pytest.FixtureRequest, runs: Runs) -> Estimate:
     """An arm whose values are off by some per cent, seen by true sensors."""
     robot = load_robot(request.param)
     excitation, holdout = runs(robot, 0, tolerance=0.03)
-    return identify(robot, [excitation], validate=[holdout])
+    return identify_robot(robot, [excitation], validate=[holdout])
 
 
 def test_a_virtual_arm_is_predicted_on_another_motion(ideal: Estimate) -> None:
@@ -96,7 +96,7 @@ def test_exact_data_of_bodies_give_exact_predictions(
     bare, t = ur10.with_effects(()), np.arange(0, 20, 1 / 128)
     prior = bare.with_parameters((bare.phi.reshape(6, 10) * 1.2).ravel())
     recording = exact(bare, t)
-    found = identify(prior, [recording], effects=())
+    found = identify_robot(prior, [recording], effects=())
     # what is left are the edges, where the position filter does not know what came before
     assert (found.validate.nrmse <= 5e-3).all()
     assert (found.baseline.nrmse >= 0.15).all()
@@ -114,7 +114,9 @@ def test_an_arm_of_one_joint_is_identified_and_written(
         <axis xyz="0 1 0"/><limit lower="-3" upper="3" velocity="6" effort="20"/></joint></robot>"""
     )
     robot = load_robot(arm)
-    found = identify(robot.with_parameters(1.2 * robot.phi), [exact(robot, np.arange(0, 20, 0.01))])
+    found = identify_robot(
+        robot.with_parameters(1.2 * robot.phi), [exact(robot, np.arange(0, 20, 0.01))]
+    )
     assert (found.validate.nrmse <= 5e-3).all()
     for name, text in model_files(found.model, "identified", "model.yaml").items():
         (tmp_path / name).write_text(text, encoding="utf-8")
@@ -131,7 +133,7 @@ def test_a_motion_that_hides_parameters_is_refused_by_name(
     q[:, 1] = 0.3
     still = Recording("still", "still.csv", recording.t, q, recording.tau)
     with pytest.raises(RankDeficient, match=r"joint2\.Fv"):
-        identify(planar, [still])
+        identify_robot(planar, [still])
 
 
 def test_drive_gains_are_recovered_from_current(ur10: Robot, runs: Runs) -> None:
@@ -141,7 +143,7 @@ def test_drive_gains_are_recovered_from_current(ur10: Robot, runs: Runs) -> None
     currents = [
         Recording(r.name, r.file, r.t, r.q, r.tau / gains, "A") for r in (excitation, holdout)
     ]
-    found = identify(ur10, currents[:1], validate=currents[1:])
+    found = identify_robot(ur10, currents[:1], validate=currents[1:])
     # the scale rests on the given masses, which are the true ones here; the last joint turns a
     # balanced link, whose torque its rotor could make, so its gain stays near those of the others
     np.testing.assert_allclose(found.gains[:5], gains[:5], rtol=0.02)
@@ -149,7 +151,7 @@ def test_drive_gains_are_recovered_from_current(ur10: Robot, runs: Runs) -> None
     assert any("drive gains" in note for note in found.notes)
     assert found.validate.nrmse.mean() < 0.03
     heavier = ur10.with_parameters(1.25 * ur10.phi)
-    scaled = identify(heavier, currents[:1], validate=currents[1:]).gains
+    scaled = identify_robot(heavier, currents[:1], validate=currents[1:]).gains
     np.testing.assert_allclose(scaled, 1.25 * found.gains, rtol=0.01)
 
 
@@ -159,17 +161,17 @@ def test_current_and_torque_of_one_arm_say_the_same(ur10: Robot, runs: Runs) -> 
         Recording(r.name, r.file, r.t[k], r.q[k], r.tau[k], "N·m") for r in runs(ur10, 2)
     )
     gain = 12.0
-    found = identify(ur10, [excitation], validate=[holdout])
+    found = identify_robot(ur10, [excitation], validate=[holdout])
     currents = [
         Recording(r.name, r.file, r.t, r.q, r.tau / gain, "A") for r in (excitation, holdout)
     ]
-    other = identify(ur10, currents[:1], validate=currents[1:])
+    other = identify_robot(ur10, currents[:1], validate=currents[1:])
     np.testing.assert_allclose(other.validate.nrmse, found.validate.nrmse, atol=1e-3)
 
 
 def test_real_ur10_is_no_worse_than_the_reference(data_folder: Path) -> None:
     dataset = load_dataset(data_folder / "ur10")
-    found = identify(dataset.robot, dataset.recordings([]))
+    found = identify_robot(dataset.robot, dataset.recordings([]))
     reference = np.array([3.34, 3.39, 2.24, 0.88, 0.46, 1.14])  # N·m, same rows and cut-off
     assert (found.validate.rms <= 1.05 * reference).all(), found.validate.rms
     assert found.validate.rms.sum() < reference.sum()
@@ -181,7 +183,7 @@ def test_real_ur10e_is_predicted_from_its_currents(data_folder: Path) -> None:
     dataset = load_dataset(data_folder / "ur10e")
     train = dataset.recordings(["id_12harm_30s", "id_14harm_unloaded"])
     [held] = dataset.recordings(["val_ptp_10_points"])
-    found = identify(dataset.robot, train, validate=[held])
+    found = identify_robot(dataset.robot, train, validate=[held])
     assert found.data.unit == "A"
     assert violations(found.phi, dataset.robot.links) == []
     assert (found.gains > 0).all()

@@ -20,8 +20,8 @@ from excitant.identify import (
     ColumnMap,
     load_column_map,
     load_dataset,
+    load_recording,
     raw_recording,
-    read_recording,
     read_recordings,
 )
 from excitant.identify.importers.mapping import column_map
@@ -51,7 +51,7 @@ def exact() -> pd.DataFrame:
 
 
 def assert_read(path: Path, robot: Robot, *, tau: np.ndarray = TAU, **options: Any) -> Any:
-    recording = read_recording(path, robot, **options)
+    recording = load_recording(path, robot, **options)
     np.testing.assert_allclose(recording.t, T, atol=1e-6)
     np.testing.assert_allclose(recording.q, Q, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(recording.dq, DQ, rtol=1e-12, atol=1e-12)
@@ -99,7 +99,7 @@ def test_what_was_commanded_is_never_taken_for_measured(
         rest = both.drop(columns=[f"{missing}{k}" for k in range(6)])
         rest.to_csv(tmp_path / "rest.csv", index=False)
         with pytest.raises(BadRecording, match="--map"):
-            read_recording(tmp_path / "rest.csv", ur10)
+            load_recording(tmp_path / "rest.csv", ur10)
 
 
 @pytest.mark.parametrize("extra", ["angle_{}", "actual_pos_{}"])
@@ -111,20 +111,20 @@ def test_an_ambiguous_guess_is_refused_with_a_map_that_settles_it(
         log[extra.format(k)] = Q[:, k] + 1
     log.to_csv(tmp_path / "log.csv", index=False)
     with pytest.raises(BadRecording, match="positions could be") as refusal:
-        read_recording(tmp_path / "log.csv", ur10)
+        load_recording(tmp_path / "log.csv", ur10)
     text = str(refusal.value)
     assert "\n" not in text
     written = yaml.safe_load(text[text.index("such as") + 7 :])
     mapping = write_yaml(tmp_path / "columns.yaml", {**written, "q": "pos_{0}"})
     assert_read(tmp_path / "log.csv", ur10, mapping=mapping)
     as_suggested = write_yaml(tmp_path / "columns.yaml", written)
-    assert read_recording(tmp_path / "log.csv", ur10, mapping=as_suggested).q.shape == (300, 6)
+    assert load_recording(tmp_path / "log.csv", ur10, mapping=as_suggested).q.shape == (300, 6)
 
 
 def test_a_torque_of_another_kind_is_not_guessed(ur10: Robot, tmp_path: Path) -> None:
     table("time", "q_{}", "qd_{}", "tau_motor_{}").to_csv(tmp_path / "log.csv", index=False)
     with pytest.raises(BadRecording, match="tau_motor_0") as refusal:
-        read_recording(tmp_path / "log.csv", ur10)
+        load_recording(tmp_path / "log.csv", ur10)
     text = str(refusal.value)
     (tmp_path / "columns.yaml").write_text(text[text.index("such as") + 7 :])
     assert_read(tmp_path / "log.csv", ur10, mapping=load_column_map(tmp_path / "columns.yaml"))
@@ -162,7 +162,7 @@ def test_numbered_columns_follow_the_names_that_stand_beside_them(
     pd.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
     assert_read(tmp_path / "log.csv", ur10)
     with pytest.raises(BadRecording, match="joint 'panda_joint1' of the robot is not among them"):
-        read_recording(tmp_path / "log.csv", load_robot("panda"))
+        load_recording(tmp_path / "log.csv", load_robot("panda"))
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ def test_comments_preambles_units_and_marks_of_encoding(ur10: Robot, tmp_path: P
 def test_without_a_header_columns_are_named_by_number(ur10: Robot, tmp_path: Path) -> None:
     np.savetxt(tmp_path / "log.csv", table("t", "q{}", "dq{}", "tau{}"), "%.17g", ",")
     with pytest.raises(BadRecording, match="--map"):
-        read_recording(tmp_path / "log.csv", ur10)
+        load_recording(tmp_path / "log.csv", ur10)
     numbers = {"t": 0, "q": [*range(1, 7)], "dq": [*range(7, 13)], "tau": [*range(13, 19)]}
     mapping = write_yaml(tmp_path / "columns.yaml", numbers)
     assert_read(tmp_path / "log.csv", ur10, mapping=mapping)
@@ -257,7 +257,7 @@ def test_columns_of_any_kind_are_read_or_refused(name: str, ur10: Robot, tmp_pat
         assert_read(tmp_path / "log.parquet", ur10)
         return
     with pytest.raises(BadRecording, match="is not a finite number") as refusal:
-        read_recording(tmp_path / "log.parquet", ur10)
+        load_recording(tmp_path / "log.parquet", ur10)
     assert (refusal.value.row, refusal.value.column) == (0, refused)
 
 
@@ -308,7 +308,7 @@ def test_a_bad_map_is_refused_by_what_is_wrong(name: str, ur10: Robot, tmp_path:
     content, why = BAD_MAPS[name]
     table("time", "q_{}", "qd_{}", "tau_{}").to_csv(tmp_path / "log.csv", index=False)
     with pytest.raises(ExcitantError) as refusal:
-        read_recording(
+        load_recording(
             tmp_path / "log.csv", ur10, mapping=write_yaml(tmp_path / "columns.yaml", content)
         )
     assert why in str(refusal.value)
@@ -346,11 +346,11 @@ def test_arrays_that_do_not_fit_are_refused(ur10: Robot, tmp_path: Path) -> None
     for arrays, why in ARRAYS.values():
         np.savez(tmp_path / "a.npz", **arrays)
         with pytest.raises(BadRecording, match=why):
-            read_recording(tmp_path / "a.npz", ur10)
+            load_recording(tmp_path / "a.npz", ur10)
     for start in (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n"):
         (tmp_path / "a.mat").write_bytes(start + bytes(100))
         with pytest.raises(BadRecording, match="save it with save"):
-            read_recording(tmp_path / "a.mat", ur10)
+            load_recording(tmp_path / "a.mat", ur10)
 
 
 def test_lists_in_parquet(ur10: Robot, tmp_path: Path) -> None:
@@ -360,7 +360,7 @@ def test_lists_in_parquet(ur10: Robot, tmp_path: Path) -> None:
     log.at[7, "q"] = Q[7, :5]
     log.to_parquet(tmp_path / "a.parquet")
     with pytest.raises(BadRecording, match="holds 5 values, the first row 6") as refusal:
-        read_recording(tmp_path / "a.parquet", ur10)
+        load_recording(tmp_path / "a.parquet", ur10)
     assert (refusal.value.row, refusal.value.column) == (7, "q")
 
 
@@ -402,7 +402,7 @@ def test_bags_are_read_by_joint_name(
     current = column_map({"i": "effort", "units": {"i": "mA"}}, "columns.yaml")
     assert assert_read(bag, ur10, mapping=current, tau=TAU * 1e-3).unit == "A"
     with pytest.raises(BadRecording, match="joint 'panda_joint1' of the robot is not among them"):
-        read_recording(bag, load_robot("panda"))
+        load_recording(bag, load_robot("panda"))
 
 
 def test_bags_that_leave_a_choice_or_lack_something(
@@ -410,17 +410,17 @@ def test_bags_that_leave_a_choice_or_lack_something(
 ) -> None:
     write_bag(tmp_path / "two", "mcap", topics=("/left/joint_states", "/right/joint_states"))
     with pytest.raises(BadRecording, match="topic: /left/joint_states"):
-        read_recording(tmp_path / "two", ur10)
+        load_recording(tmp_path / "two", ur10)
     right = ColumnMap(topic="/right/joint_states")
     assert_read(tmp_path / "two", ur10, mapping=right)
     with pytest.raises(BadRecording, match="no joint states on /none; topics with them: /left"):
-        read_recording(tmp_path / "two", ur10, mapping=ColumnMap(topic="/none"))
+        load_recording(tmp_path / "two", ur10, mapping=ColumnMap(topic="/none"))
     write_bag(tmp_path / "commands", "mcap", topics=("/joint_command",))
     with pytest.raises(BadRecording, match="topic: /joint_command"):
-        read_recording(tmp_path / "commands", ur10)
+        load_recording(tmp_path / "commands", ur10)
     write_bag(tmp_path / "weak", "mcap", effort=False)
     with pytest.raises(BadRecording, match=r"no torque|not a finite number"):
-        read_recording(tmp_path / "weak", ur10)
+        load_recording(tmp_path / "weak", ur10)
     write_bag(tmp_path / "unstamped", "mcap", stamped=False)
     notes = assert_read(tmp_path / "unstamped", ur10).notes
     assert any("time of recording" in note or "that of recording" in note for note in notes)
@@ -455,7 +455,7 @@ def test_speeds_that_cannot_be_used_are_left_out_with_a_note(ur10: Robot, tmp_pa
     log = exact()
     log.loc[5, "dq3"] = np.nan
     log.to_csv(tmp_path / "log.csv", index=False)
-    recording = read_recording(tmp_path / "log.csv", ur10)
+    recording = load_recording(tmp_path / "log.csv", ur10)
     assert recording.dq is None
     assert recording.notes == ("speeds left out: row 5 holds no finite number",)
 
@@ -483,14 +483,14 @@ def test_damaged_rows_and_columns(ur10: Robot, tmp_path: Path) -> None:
     for line, cells in ((lines[43].rpartition(",")[0], 18), (f"{lines[43]},1", 20)):
         path.write_text("\n".join([*lines[:43], line, *lines[44:]]) + "\n")
         with pytest.raises(BadRecording, match=f"{cells} cells where the header") as refusal:
-            read_recording(path, ur10)
+            load_recording(path, ur10)
         assert refusal.value.row == 42
     pd.concat([exact(), exact()[["q3"]]], axis=1).to_csv(path, index=False)
     with pytest.raises(BadRecording) as refusal:
-        read_recording(path, ur10)
+        load_recording(path, ur10)
     assert refusal.value.column == "q3"
     path.write_text(text[:-3])
-    recording = read_recording(path, ur10)
+    recording = load_recording(path, ur10)
     np.testing.assert_array_equal(recording.tau, TAU[:-1])
     assert any("last line left out" in note for note in recording.notes)
 

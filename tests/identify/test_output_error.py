@@ -10,7 +10,7 @@ import pytest
 
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput, Infeasible
-from excitant.identify import Recording, identify, recording_from_table
+from excitant.identify import Recording, identify_robot, recording_from_table
 from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.output_error import ClosedLoop, closed_loop, output_error
 from excitant.identify.regression import Regression, dense
@@ -197,7 +197,7 @@ def test_settings_that_do_not_fit_are_refused(
 
 def test_identify_says_how_it_simulated(planar: Robot) -> None:
     recording = recorded(planar, 0, encoder=2e-4)
-    found = identify(planar, [recording], validate=[recording], estimator="oe")
+    found = identify_robot(planar, [recording], validate=[recording], estimator="oe")
     said = " ".join(found.notes)
     assert "simulated on the measured motion up to" in said
     assert "converged after" in said

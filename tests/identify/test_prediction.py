@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from excitant.identify import Recording, identify
+from excitant.identify import Recording, identify_robot
 from excitant.identify.accuracy import (
     PredictionInterval,
     coverage,
@@ -131,7 +131,7 @@ def test_identify_reports_intervals_coverage_and_essential_parameters(
     planar: Robot, runs: Callable[..., list[Recording]]
 ) -> None:
     excitation, holdout = runs(planar, 3, sensors=industrial_sensors(planar))
-    found = identify(planar, [excitation], validate=[holdout])
+    found = identify_robot(planar, [excitation], validate=[holdout])
     result = found.result()
     for j, row in enumerate(result["joints"]):
         entry = row["validate"]["interval95"]
@@ -157,8 +157,8 @@ def test_a_hidden_effect_of_the_hold_out_is_said_to_be_missed(
     tau = [r.tau + 0.05 * rng.standard_normal(r.tau.shape) for r in (train, other)]
     train = replace(train, tau=tau[0])
     pulled = tau[1] + np.outer(np.sin(other.t), [0.0, 0.5])  # somebody leans on the second joint
-    honest = identify(planar, [train], validate=[replace(other, tau=tau[1])])
-    leaned = identify(planar, [train], validate=[replace(other, tau=pulled)])
+    honest = identify_robot(planar, [train], validate=[replace(other, tau=tau[1])])
+    leaned = identify_robot(planar, [train], validate=[replace(other, tau=pulled)])
     assert not any("misses something" in note for note in honest.result()["notes"])
     [said] = [n for n in leaned.result()["notes"] if "misses something" in n]
     assert planar.joints[1] in said

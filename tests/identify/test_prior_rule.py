@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from excitant.analysis import identifiability
-from excitant.identify import Recording, identify
+from excitant.identify import Recording, identify_robot
 from excitant.identify.knowledge import Knowledge, LinkKnowledge, Quantity
 from excitant.identify.physical import EffectPrior, fit_physical, prior_parameters
 from excitant.identify.prior_rule import follows, linear_influence
@@ -84,7 +84,7 @@ def test_identify_and_analyze_say_the_same(
     planar: Robot, runs: Callable[..., list[Recording]]
 ) -> None:
     [recording, _] = runs(planar, 3, sensors=industrial_sensors(planar))
-    found = identify(planar, [recording])
+    found = identify_robot(planar, [recording])
     said = {p["name"]: p["prior_dominated"] for p in found.result()["parameters"]}
     analysis = identifiability.analyze(
         planar, effects=found.model.effects, estimate=found, rng=np.random.default_rng(0)

@@ -21,8 +21,8 @@ from excitant.exceptions import BadInput, BadRecording
 from excitant.identify import (
     ColumnMap,
     Recording,
+    load_recording,
     read_chunks,
-    read_recording,
     recording_from_table,
     split,
 )
@@ -76,7 +76,7 @@ def test_a_bad_table_is_refused_where_it_is_bad(
             mixed = bad.map(lambda v: isinstance(v, str)).any()
             bad.astype({c: str if mixed[c] else float for c in bad}).to_parquet(path)
         with pytest.raises(BadRecording) as refusal:
-            read_recording(path, 2)
+            load_recording(path, 2)
         error, text = refusal.value, str(refusal.value)
         assert (error.file, error.row, error.column) == (str(path), row, column)
         assert all(part in text for part in (str(path), advice, f"row {row}" if row else ""))
@@ -98,7 +98,7 @@ def test_a_bad_file_is_refused_by_name(name: str, tmp_path: Path) -> None:
     if content is not None:
         (tmp_path / name).write_bytes(content)
     with pytest.raises(BadRecording, match=why) as refusal:
-        read_recording(tmp_path / name, 2)
+        load_recording(tmp_path / name, 2)
     assert name in str(refusal.value)
     assert "\n" not in str(refusal.value)
 
@@ -164,7 +164,7 @@ def test_pieces_put_together_are_the_whole(
     columns = {"q1": "a", "q2": "b"}
     log = table.assign(t=stamps, dq1=1.0, dq2=2.0).rename(columns=columns)
     path, mapping = write(log, tmp_path / f"log{suffix}"), ColumnMap({"q": ("b", "a")})
-    whole = read_recording(path, 2, mapping=mapping)
+    whole = load_recording(path, 2, mapping=mapping)
     np.testing.assert_allclose(whole.t, table.t, atol=1e-12)
     parts = list(read_chunks(path, 2, rows, mapping=mapping))
     assert all(len(part.t) <= rows for part in parts)

@@ -15,7 +15,7 @@ from seed import dd_arm_chain
 
 from excitant.cli import main
 from excitant.design import random_trajectory
-from excitant.identify import Recording, identify, identify_link_by_link, load_dataset
+from excitant.identify import Recording, identify_link_by_link, identify_robot, load_dataset
 from excitant.identify.base_prior import BasePrior, base_prior
 from excitant.identify.cascade import Cascade, beginning, further
 from excitant.identify.rows import split
@@ -201,7 +201,7 @@ def rms_link_by_link_and_at_once(robot: Robot, seed: int, total: float) -> tuple
     whole = recorded(robot, truth, rng, duration=total, name="whole")
     unseen = replace(recorded(robot, truth, rng, share=0.0), name="unseen")
     stages = identify_link_by_link(robot, motions, validate=[unseen])
-    at_once = identify(robot, [whole], validate=[unseen])
+    at_once = identify_robot(robot, [whole], validate=[unseen])
     return stages.estimate.validate.rms, at_once.validate.rms
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from excitant.identify import Recording, identify
+from excitant.identify import Recording, identify_robot
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import fit_physical, prior_parameters
@@ -105,9 +105,9 @@ def test_identify_predicts_better_with_them_and_says_so(
 ) -> None:
     fit, held = (recorded(planar, seed, stribeck(0.04, 0.3)) for seed in (1, 2))
     effects = (*standard_effects(planar.joints), StribeckFriction(planar.joints))
-    after = identify(planar, [fit], validate=[held], effects=effects)
+    after = identify_robot(planar, [fit], validate=[held], effects=effects)
     monkeypatch.setattr("excitant.identify.estimate.refined_shapes", lambda *_: None)
-    before = identify(planar, [fit], validate=[held], effects=effects)
+    before = identify_robot(planar, [fit], validate=[held], effects=effects)
     assert (after.validate.rms < 0.5 * before.validate.rms).all()
     entry = after.result()["shapes"]
     assert entry["refined"]

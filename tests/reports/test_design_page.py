@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from excitant.design import design
+from excitant.design import design_trajectory
 from excitant.reports import html, page_of, summary
 from excitant.reports.arm_figures import solid_of, space_figure
 from excitant.reports.drawing import style
@@ -39,7 +39,7 @@ def saved():
     robot = load_robot("planar_2r")
     limits = robot.limits
     free = Limits(limits.position, limits.velocity, limits.acceleration, limits.torque * np.inf)
-    found = design(robot.with_limits(free), harmonics=3, starts=2, jobs=1, criterion="d")
+    found = design_trajectory(robot.with_limits(free), harmonics=3, starts=2, jobs=1, criterion="d")
     result, series = found.result(), found.series()
     return found, result, series, render(result, series)
 

@@ -15,7 +15,7 @@ import yaml
 from excitant.analysis.identifiability import analyze
 from excitant.analysis.uncertainty import NOT_SHOWN
 from excitant.cli import main
-from excitant.design import design
+from excitant.design import design_trajectory
 from excitant.exceptions import BadInput
 from excitant.robots import Motion, Robot, load_limits, load_robot, rigid_body_torque, torque
 from excitant.robots.limits import require_limits
@@ -55,7 +55,7 @@ def test_any_arm_gets_a_motion_that_shows_it(kind: str) -> None:
             require_limits(robot)
         robot = robot.with_limits(replace(robot.limits, velocity=np.full(robot.nv, 2.5)))
     require_limits(robot)
-    found = design(robot, starts=1, jobs=1, time_limit=2.0)
+    found = design_trajectory(robot, starts=1, jobs=1, time_limit=2.0)
     assert found.limits.hold
     motion = found.trajectory.motion(50.0)
     noise = 0.01 * np.abs(torque(robot, motion)).max(axis=0)

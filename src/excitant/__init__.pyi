@@ -1,0 +1,49 @@
+from .analysis import Diagnosis, Identifiability, analyze, diagnose
+from .analysis.rehearsal import rehearse
+from .design import (
+    Design,
+    FourierTrajectory,
+    design_trajectory,
+    load_trajectory,
+    random_trajectory,
+)
+from .exceptions import ExcitantError
+from .identify import (
+    Estimate,
+    Recording,
+    identify_robot,
+    load_dataset,
+    load_recording,
+    recording_from_table,
+)
+from .reports.notebook import report
+from .robots import Robot, builtin_robots, load_robot
+from .robots.virtual_arm import virtual_arm
+
+__version__: str
+
+__all__ = [
+    "Design",
+    "Diagnosis",
+    "Estimate",
+    "ExcitantError",
+    "FourierTrajectory",
+    "Identifiability",
+    "Recording",
+    "Robot",
+    "__version__",
+    "analyze",
+    "builtin_robots",
+    "design_trajectory",
+    "diagnose",
+    "identify_robot",
+    "load_dataset",
+    "load_recording",
+    "load_robot",
+    "load_trajectory",
+    "random_trajectory",
+    "recording_from_table",
+    "rehearse",
+    "report",
+    "virtual_arm",
+]
