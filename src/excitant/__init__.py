@@ -10,5 +10,9 @@ import lazy_loader
 
 __version__ = "0.1.0"
 
-__getattr__, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)
-__all__ = [*_, "__version__"]
+__getattr__, _, _names = lazy_loader.attach_stub(__name__, __file__)
+__all__ = [*_names, "__version__"]
+
+
+def __dir__() -> list[str]:
+    return __all__
