@@ -12,17 +12,12 @@ from typing import Any
 import numpy as np
 
 from excitant.exceptions import BadInput
-from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.page import Cell, Facts, Folded, Notes, Page, Table
+from excitant.reports.page import Cell, Facts, Folded, Page, Table
+from excitant.reports.sections import COMPARE, NAMES, page_of
 from excitant.reports.values import NONE, Result, Series
 
-VERB = "compare"
-APART = 2.0  # standard deviations of a difference from which on estimates disagree
 _ERROR = re.compile(r"\b(rms|nrmse)\b|r²|error")  # what depends on the filter and on the rows
-_LONG = 60  # rows from which on a table is folded
-_HEADINGS = (("difference", "{} − A"), ("ratio", "{} / A"), ("deviations", "{} − A [std]"))
-_NAMES = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
 @dataclass(frozen=True)
@@ -52,26 +47,24 @@ def compare(*runs: SavedRun) -> dict[str, Any]:
     Raises:
         BadInput: Fewer than two runs, more than there are letters, or runs of different commands.
     """
-    from excitant.reports.sections import page_of
-
     first = runs[0]
     verb = v.text(first.result, "verb")
-    if not 2 <= len(runs) <= len(_NAMES):
-        raise BadInput(f"{first.folder}: name 2 to {len(_NAMES)} runs to compare")
+    if not 2 <= len(runs) <= len(NAMES):
+        raise BadInput(f"{first.folder}: name 2 to {len(NAMES)} runs to compare")
     for run in runs[1:]:
         if (other := v.text(run.result, "verb")) != verb:
             raise BadInput(
                 f"{run.folder}: a run of '{other}', but {first.folder} is one of '{verb}'; "
                 "compare runs of one command"
             )
-    if verb == VERB:
+    if verb == COMPARE:
         raise BadInput(f"{first.folder}: a comparison already; name the runs themselves")
     pages = [page_of(run.result, {}) for run in runs]
     remarks = _remarks(runs)
     judged = not any("error" in remark for remark in remarks)
     names = [PurePath(run.folder).name for run in runs]
     return {
-        "verb": VERB,
+        "verb": COMPARE,
         "of": verb,
         "robot": v.listing(list(dict.fromkeys(v.text(run.result, "robot") for run in runs))),
         "runs": [
@@ -185,78 +178,3 @@ def deviations(
     if a is None or b is None or not std_a or not std_b:
         return None
     return abs(b - a) / math.hypot(std_a, std_b)
-
-
-def comparison_page(result: Result) -> Page:
-    """Page of a comparison, from its saved result."""
-    runs, remarks = v.records(result, "runs"), v.words(result, "remarks")
-    letters = list(_NAMES[: len(runs)])
-    legend = [
-        f"{letter}: {v.text(run, 'name')}. {' '.join(v.words(run, 'leads'))}"
-        for letter, run in zip(letters, runs, strict=True)
-    ]
-    sections = [
-        p.section(
-            v.text(each, "title"),
-            _count(each),
-            [(v.text(t, "part"), [_table(t, letters)]) for t in v.records(each, "tables")],
-            ((v.text(each, "title"), _count(each)),),
-        )
-        for each in v.records(result, "sections")
-    ]
-    robot, name = v.text(result, "robot"), "Comparison of runs"
-    blocks: list[Notes | None] = [
-        p.notes(legend),
-        p.notes([v.sentence(r) for r in remarks], "poor"),
-    ]
-    return Page(
-        f"{name}: {robot}" if robot else name,
-        f"{len(runs)} runs of excitant {v.text(result, 'of')}; differences and ratios are those to "
-        f"A. {sections[0].lead if len(sections) == 1 else ''}",
-        tuple(block for block in blocks if block is not None),
-        tuple(sections),
-        tuple(("note", remark) for remark in remarks),
-    )
-
-
-def _count(each: Result) -> str:
-    rows = [row for part in v.records(each, "tables") for row in v.records(part, "rows")]
-    differ = sum(len(set(v.words(row, "written"))) > 1 for row in rows)
-    apart = [x for row in rows for x in v.at(row, "deviations") or () if v.real(x) is not None]
-    said = f"{differ} of {len(rows)} figures differ."
-    if apart:
-        far = sum(x > APART for x in apart)
-        said += (
-            f" {far} of {len(apart)} estimates lie more than two standard deviations of their "
-            f"difference apart; by chance about {0.0455 * len(apart):.0f} would, if the runs' data "
-            "are independent."
-        )
-    return said
-
-
-def _table(found: Result, letters: Sequence[str]) -> Table | None:
-    rows = v.records(found, "rows")
-
-    def values(key: str, k: int) -> list[float | None]:
-        return [v.real((v.at(row, key) or [None] * len(letters))[k]) for row in rows]
-
-    def cells(key: str, k: int) -> list[Cell]:
-        far = [key == "deviations" and (x or 0.0) > APART for x in values(key, k)]
-        return [
-            Cell(v.number(x), p.POOR if f else p.PLAIN, x)
-            for x, f in zip(values(key, k), far, strict=True)
-        ]
-
-    columns = [(v.text(found, "of"), "name", [Cell(v.text(row, "name")) for row in rows])]
-    if any(v.text(row, "figure") for row in rows):
-        columns.append(("Quantity", "name", [Cell(v.text(row, "figure")) for row in rows]))
-    for k, letter in enumerate(letters):
-        written = [Cell(v.words(row, "written")[k]) for row in rows]
-        columns.append((letter, "number", written))
-    for k, letter in enumerate(letters[1:]):
-        for key, heading in _HEADINGS:
-            if any(x is not None for x in values(key, k)):
-                columns.append((heading.format(letter), "number", cells(key, k)))
-    heads = tuple((heading, kind) for heading, kind, _ in columns)
-    body = tuple(zip(*(each for _, _, each in columns), strict=True))
-    return Table(heads, body, "", p.folded(f"All {len(rows)} figures", len(rows), _LONG))

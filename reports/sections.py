@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from excitant.exceptions import BadInput
+from excitant.reports import page as p
 from excitant.reports import values as v
 from excitant.reports.analyze import analyze_section, links_folded
-from excitant.reports.compare import VERB as COMPARE
-from excitant.reports.compare import comparison_page
 from excitant.reports.design import check_section, design_section, rehearse_section
 from excitant.reports.diagnose import diagnose_section
 from excitant.reports.drawing import style
 from excitant.reports.identify import identify_section
-from excitant.reports.page import GOOD, POOR, Block, Fact, Page, Section, facts, notes
+from excitant.reports.page import (
+    GOOD,
+    POOR,
+    Block,
+    Cell,
+    Fact,
+    Notes,
+    Page,
+    Section,
+    Table,
+    facts,
+    notes,
+)
 from excitant.reports.robot import robot_section
 from excitant.reports.values import NONE, Result, Series
 
@@ -26,6 +37,11 @@ _SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
     "robots": robot_section,
     "rehearse": rehearse_section,
 }
+COMPARE = "compare"
+NAMES = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+APART = 2.0  # standard deviations of a difference from which on estimates disagree
+_LONG = 60  # rows from which on a table is folded
+_HEADINGS = (("difference", "{} − A"), ("ratio", "{} / A"), ("deviations", "{} − A [std]"))
 _VERBS = (*_SECTIONS, "demo", COMPARE)
 _FEW = 3  # parameters of a hidden effect that are written out
 
@@ -47,7 +63,7 @@ def page_of(result: Result, series: Series) -> Page:
         if verb == "demo":
             return _demo_page(result, series)
         if verb == COMPARE:
-            return comparison_page(result)
+            return _comparison_page(result)
         only, robot = _SECTIONS[verb](result, series), v.text(result, "robot")
     return Page(f"{only.title}: {robot}" if robot else only.title, only.lead, (), (only,))
 
@@ -139,3 +155,78 @@ def _holdout(result: Result) -> Fact:
 def _condition(result: Result) -> Fact:
     ends = [v.at(result, "design", "condition_number", key) for key in ("initial", "final")]
     return Fact("Condition number", v.change(*ends), "of the designed motion")
+
+
+def _comparison_page(result: Result) -> Page:
+    """Page of a comparison, from its saved result."""
+    runs, remarks = v.records(result, "runs"), v.words(result, "remarks")
+    letters = list(NAMES[: len(runs)])
+    legend = [
+        f"{letter}: {v.text(run, 'name')}. {' '.join(v.words(run, 'leads'))}"
+        for letter, run in zip(letters, runs, strict=True)
+    ]
+    sections = [
+        p.section(
+            v.text(each, "title"),
+            _count(each),
+            [(v.text(t, "part"), [_table(t, letters)]) for t in v.records(each, "tables")],
+            ((v.text(each, "title"), _count(each)),),
+        )
+        for each in v.records(result, "sections")
+    ]
+    robot, name = v.text(result, "robot"), "Comparison of runs"
+    blocks: list[Notes | None] = [
+        p.notes(legend),
+        p.notes([v.sentence(r) for r in remarks], "poor"),
+    ]
+    return Page(
+        f"{name}: {robot}" if robot else name,
+        f"{len(runs)} runs of excitant {v.text(result, 'of')}; differences and ratios are those to "
+        f"A. {sections[0].lead if len(sections) == 1 else ''}",
+        tuple(block for block in blocks if block is not None),
+        tuple(sections),
+        tuple(("note", remark) for remark in remarks),
+    )
+
+
+def _count(each: Result) -> str:
+    rows = [row for part in v.records(each, "tables") for row in v.records(part, "rows")]
+    differ = sum(len(set(v.words(row, "written"))) > 1 for row in rows)
+    apart = [x for row in rows for x in v.at(row, "deviations") or () if v.real(x) is not None]
+    said = f"{differ} of {len(rows)} figures differ."
+    if apart:
+        far = sum(x > APART for x in apart)
+        said += (
+            f" {far} of {len(apart)} estimates lie more than two standard deviations of their "
+            f"difference apart; by chance about {0.0455 * len(apart):.0f} would, if the runs' data "
+            "are independent."
+        )
+    return said
+
+
+def _table(found: Result, letters: Sequence[str]) -> Table | None:
+    rows = v.records(found, "rows")
+
+    def values(key: str, k: int) -> list[float | None]:
+        return [v.real((v.at(row, key) or [None] * len(letters))[k]) for row in rows]
+
+    def cells(key: str, k: int) -> list[Cell]:
+        far = [key == "deviations" and (x or 0.0) > APART for x in values(key, k)]
+        return [
+            Cell(v.number(x), p.POOR if f else p.PLAIN, x)
+            for x, f in zip(values(key, k), far, strict=True)
+        ]
+
+    columns = [(v.text(found, "of"), "name", [Cell(v.text(row, "name")) for row in rows])]
+    if any(v.text(row, "figure") for row in rows):
+        columns.append(("Quantity", "name", [Cell(v.text(row, "figure")) for row in rows]))
+    for k, letter in enumerate(letters):
+        written = [Cell(v.words(row, "written")[k]) for row in rows]
+        columns.append((letter, "number", written))
+    for k, letter in enumerate(letters[1:]):
+        for key, heading in _HEADINGS:
+            if any(x is not None for x in values(key, k)):
+                columns.append((heading.format(letter), "number", cells(key, k)))
+    heads = tuple((heading, kind) for heading, kind, _ in columns)
+    body = tuple(zip(*(each for _, _, each in columns), strict=True))
+    return Table(heads, body, "", p.folded(f"All {len(rows)} figures", len(rows), _LONG))
