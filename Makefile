@@ -45,7 +45,7 @@ $(INSTALLED): requirements.lock pyproject.toml
 	@test -e $@ || { echo "Creating $(VENV) with $$($(PYTHON) --version)"; \
 	  $(PYTHON) -m venv --clear $(VENV); }
 	@rm -f $@
-	@echo "Installing what excitant needs to run, pinned in requirements.lock (about 1.2 GB)"
+	@echo "Installing what excitant needs to run, pinned in requirements.lock (about 1.0 GB)"
 	@$(PIP) install --requirement requirements.lock
 	@echo "Installing excitant from this folder"
 	@$(PIP) install --no-deps --no-build-isolation --editable .
@@ -53,7 +53,7 @@ $(INSTALLED): requirements.lock pyproject.toml
 
 $(DEVELOPED): $(INSTALLED) requirements-dev.lock
 	@rm -f $@
-	@echo "Installing the tools of developers, pinned in requirements-dev.lock (about 0.4 GB)"
+	@echo "Installing the tools of developers, pinned in requirements-dev.lock (about 0.5 GB)"
 	@$(PIP) install --requirement requirements-dev.lock
 	@touch $@
 
