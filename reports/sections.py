@@ -205,10 +205,10 @@ def _count(each: Result) -> str:
 
 
 def _table(found: Result, letters: Sequence[str]) -> Table | None:
-    rows = v.records(found, "rows")
+    rows, missing = v.records(found, "rows"), [None] * len(letters)
 
     def values(key: str, k: int) -> list[float | None]:
-        return [v.real((v.at(row, key) or [None] * len(letters))[k]) for row in rows]
+        return [v.real([*(v.at(row, key) or ()), *missing][k]) for row in rows]
 
     def cells(key: str, k: int) -> list[Cell]:
         far = [key == "deviations" and (x or 0.0) > APART for x in values(key, k)]
@@ -221,7 +221,7 @@ def _table(found: Result, letters: Sequence[str]) -> Table | None:
     if any(v.text(row, "figure") for row in rows):
         columns.append(("Quantity", "name", [Cell(v.text(row, "figure")) for row in rows]))
     for k, letter in enumerate(letters):
-        written = [Cell(v.words(row, "written")[k]) for row in rows]
+        written = [Cell([*v.words(row, "written"), *[v.NONE] * len(letters)][k]) for row in rows]
         columns.append((letter, "number", written))
     for k, letter in enumerate(letters[1:]):
         for key, heading in _HEADINGS:

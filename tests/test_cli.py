@@ -321,7 +321,7 @@ def test_a_bug_is_owned_in_one_line(
     def broken(*_: object, **__: object) -> None:
         raise IndexError("list index\nout of range")
 
-    monkeypatch.setattr("excitant.identify.identify", broken)
+    monkeypatch.setattr("excitant.identify.identify_robot", broken)
     words = ["identify", "planar_2r", "one.csv", "-o", "out"]
     line = refused(words, here, capsys)
     assert "bug (IndexError: list index out of range)" in line
@@ -342,7 +342,7 @@ def test_an_interrupt_ends_with_one_line_though_a_library_wraps_it(
                 raise ImportError("numpy failed to import") from error
             raise
 
-    monkeypatch.setattr("excitant.identify.identify", interrupted)
+    monkeypatch.setattr("excitant.identify.identify_robot", interrupted)
     assert "interrupted" in refused(["identify", "planar_2r", "one.csv", "-o", "out"], here, capsys)
 
 

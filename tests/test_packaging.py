@@ -53,7 +53,8 @@ def shipped_modules() -> set[Path]:
     folders = [ROOT / folder for folder in FOLDERS]
     found = {file.relative_to(ROOT) for folder in folders for file in folder.rglob("*.py")}
     found |= {file.relative_to(ROOT) for folder in folders for file in folder.rglob("*.pyi")}
-    return found | {Path(file.name) for file in (ROOT / "src/excitant").glob("*.py")}
+    top = (ROOT / "src/excitant").glob("*.py*")
+    return found | {Path(file.name) for file in top if file.suffix in (".py", ".pyi")}
 
 
 def data_files() -> set[Path]:
