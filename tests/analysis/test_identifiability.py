@@ -11,6 +11,7 @@ from excitant.analysis.identifiability import analyze
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Recording, identify_robot
+from excitant.reports.run import as_saved
 from excitant.robots import Limits, Motion, Robot, load_robot
 from excitant.robots.effects import standard_effects
 from excitant.robots.torque import observation_columns
@@ -93,6 +94,8 @@ def test_a_motion_at_rest_shows_what_gravity_does_and_no_more(ur10: Robot) -> No
     result = found.result()
     assert len(result["not_shown"]) == len(hidden)
     assert any("does not show" in note for note in result["notes"])
+    saved, _ = as_saved(found.result(), {})
+    assert saved["condition_number"] is None
 
 
 def test_circumstances_that_contradict_each_other_are_refused(ur10: Robot) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from excitant.analysis.identifiability import analyze
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput
 from excitant.identify.excitation import persistency
+from excitant.reports.run import as_saved
 from excitant.robots import Motion, Robot
 from excitant.robots.effects import standard_effects
 
@@ -52,6 +55,8 @@ def test_the_resting_joint_is_named(ur10: Robot, joint: int) -> None:
     said = analyze(ur10, effects=effects, motion=motion).result()["persistency"]
     assert said["sentence"].endswith(f"move {', '.join(said['joints'])}")
     assert said["missing"] == found.weakest.missing
+    saved = as_saved({"persistency": said}, {})[0]["persistency"]
+    assert json.loads(json.dumps(saved, allow_nan=False)) == saved
 
 
 def test_the_window_in_which_it_rests_is_found(ur10: Robot) -> None:
