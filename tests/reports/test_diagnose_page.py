@@ -7,7 +7,7 @@ import pytest
 
 from excitant.reports import html, page_of
 from excitant.reports.diagnose import diagnose_section
-from excitant.reports.diagnose_figures import share_figure
+from excitant.reports.error_figures import share_figure
 from excitant.reports.drawing import style
 from excitant.reports.page import Figure, Notes
 
