@@ -13,8 +13,13 @@ from .export import Publication, model_files, publication
 from .importers.mapping import ColumnMap, load_column_map
 from .importers.raw import RawRecording, raw_recording
 from .knowledge import Knowledge, load_knowledge
-from .monitor import Monitor, OnlineIdentification, identify_online
-from .online import OnlineEstimate, OnlineEstimator
+from .online import (
+    Monitor,
+    OnlineEstimate,
+    OnlineEstimator,
+    OnlineIdentification,
+    identify_online,
+)
 from .payload import PayloadEstimate, estimate_payload, identify_payload
 from .recording import (
     Recording,

@@ -21,7 +21,7 @@ import pinocchio as pin
 from excitant.exceptions import BadInput
 from excitant.identify.base_prior import base_prior
 from excitant.identify.information import Information, gaussian, information_of, marginal
-from excitant.identify.online import joined, replayable
+from excitant.identify.online import replayable
 from excitant.identify.physical import EffectPrior, KktResiduals, fit_physical
 from excitant.identify.recording import Recording
 from excitant.identify.rows import fit_rows, split
@@ -176,7 +176,7 @@ def identify_payload(
     def data_alone(recordings: Sequence[Recording]) -> Information:
         """What recordings say of the base parameters, without a prior."""
         estimator, samples, _ = replayable(
-            robot, joined(recordings), effects, base, gains=gains, prior=False
+            robot, recordings, effects, base, gains=gains, prior=False
         )
         estimator.extend(*samples)
         return estimator.estimate().data
