@@ -6,7 +6,7 @@ from .differentiators import (
     five_point,
     savitzky_golay,
 )
-from .drive_gains import DriveGains, KnownPayload, identify_drive_gains
+from .drive_gains import DriveGains, KnownPayload
 from .estimate import Estimate, identify_robot
 from .excitation import Persistency, persistency
 from .export import Publication, model_files, publication
@@ -20,7 +20,12 @@ from .online import (
     OnlineIdentification,
     identify_online,
 )
-from .payload import PayloadEstimate, estimate_payload, identify_payload
+from .payload import (
+    PayloadEstimate,
+    estimate_payload,
+    identify_drive_gains,
+    identify_payload,
+)
 from .recording import (
     Recording,
     load_recording,
