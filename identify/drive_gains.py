@@ -338,7 +338,8 @@ def _eliminated(
     """
     rows = [w * T for w, T in zip(weight, triangles, strict=True)]
     X, currents = (
-        np.vstack([T[:, :-1] for T in rows]), scipy.linalg.block_diag(*(T[:, -1:] for T in rows))
+        np.vstack([T[:, :-1] for T in rows]),
+        scipy.linalg.block_diag(*(T[:, -1:] for T in rows)),
     )
     norms = np.linalg.norm(X, axis=0)
     Q, R = np.linalg.qr(X / norms)
