@@ -271,5 +271,7 @@ def identify_drive_gains(
     base = base_parameters(robot, effects)
     free = split(recordings, validate, cutoff_hz)
     held = split(loaded, loaded, free.cutoff_hz)
-    rows = (regression_of(robot, effects, data.train).select(base.columns) for data in (free, held))
-    return payload_gains(*rows, payload, _body(robot, base))
+    without, with_it = (
+        regression_of(robot, effects, data.train).select(base.columns) for data in (free, held)
+    )
+    return payload_gains(without, with_it, payload, _body(robot, base))
