@@ -16,8 +16,8 @@ from __future__ import annotations
 import numpy as np
 
 from excitant.identify.least_squares import autocorrelation_time
-from excitant.identify.physical import link_coordinates, link_weights, prior_parameters
 from excitant.identify.preprocessing import Mask
+from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot

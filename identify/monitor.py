@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from excitant.identify.base_prior import BasePrior, base_prior, reference_motion
 from excitant.identify.estimate import Estimate, judged
 from excitant.identify.excitation import (
     ROWS_PER_SECOND,
@@ -17,7 +16,8 @@ from excitant.identify.excitation import (
 )
 from excitant.identify.least_squares import LeastSquares
 from excitant.identify.online import OnlineEstimate, OnlineEstimator, joined, replayable
-from excitant.identify.physical import fit_physical, prior_parameters
+from excitant.identify.physical import fit_physical
+from excitant.identify.prior import BasePrior, base_prior, prior_parameters, reference_motion
 from excitant.identify.recording import Recording
 from excitant.identify.rows import fit_rows, fitted, split
 from excitant.robots.base_parameters import base_parameters

@@ -21,7 +21,6 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.base_prior import BasePrior, base_prior
 from excitant.identify.differentiators import (
     LocalPolynomial,
     causal_polynomial,
@@ -31,6 +30,7 @@ from excitant.identify.differentiators import (
 from excitant.identify.information import Information, InformationFilter, combined
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.preprocessing import dry_joints, resampled, uninterrupted
+from excitant.identify.prior import BasePrior, base_prior
 from excitant.identify.recording import Recording
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
