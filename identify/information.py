@@ -86,17 +86,6 @@ def gaussian(mean: Array, covariance: Array) -> Information:
     return information_of(A, A @ mean)
 
 
-def marginal(information: Information, keep: slice) -> Information:
-    """What is known of the last parameters once the ones before are free.
-
-    Args:
-        information: About all parameters.
-        keep: Parameters of interest, a slice that ends at the last one.
-    """
-    R, z = information.R[keep, keep], information.z[keep]
-    return Information(R, z, information.rest)
-
-
 class InformationFilter:
     """Information that grows row by row and may be forgotten; the state of a recursion.
 

@@ -1,4 +1,4 @@
-"""What an arm carries: ten parameters of a body on the last link, on top of an identified arm.
+"""What recordings with a payload tell: the payload on an arm that is known, or the drive gains.
 
 A body π on the last link adds K π to the base parameters of the arm, because its columns are
 those of that link: β_loaded = β_arm + K π. What the unloaded arm and the loaded arm each say of
@@ -19,11 +19,13 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.exceptions import BadInput
-from excitant.identify.information import Information, gaussian, information_of, marginal
-from excitant.identify.online import joined, replayable
+from excitant.identify.drive_gains import DriveGains, KnownPayload, payload_gains
+from excitant.identify.information import Information, gaussian, information_of
+from excitant.identify.online import replayable
 from excitant.identify.physical import fit_physical
 from excitant.identify.prior import EffectPrior, base_prior
 from excitant.identify.recording import Recording
+from excitant.identify.regression import regression_of
 from excitant.identify.rows import fit_rows, split
 from excitant.identify.semidefinite import KktResiduals
 from excitant.robots.base_parameters import BaseParameters, base_parameters
@@ -63,7 +65,7 @@ class PayloadEstimate:
     covariance: Array
     prior_share: Array
     kkt: KktResiduals
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "phi", "covariance", "prior_share")
@@ -117,22 +119,16 @@ class PayloadEstimate:
 
     def result(self) -> dict[str, Any]:
         """Entries of result.json."""
-        rows = zip(STANDARD, self.phi, self.std, UNITS, self.prior_share, strict=True)
+        rows = zip(STANDARD, self.phi.tolist(), self.std.tolist(), UNITS, strict=True)
+        parameters = [dict(zip(("name", "value", "std", "unit"), row, strict=True)) for row in rows]
+        for entry, share in zip(parameters, self.prior_share, strict=True):
+            entry["prior_dominated"] = bool(share > 0.5)
         centre, std = self.centre.tolist(), self.centre_std.tolist()
         return {
             "link": self.link,
             "mass": {"value": self.mass, "std": self.mass_std, "unit": "kg"},
             "centre_of_mass": {"value": centre, "std": std, "unit": "m"},
-            "parameters": [
-                {
-                    "name": name,
-                    "value": float(value),
-                    "std": float(spread),
-                    "unit": unit,
-                    "prior_dominated": bool(share > 0.5),
-                }
-                for name, value, spread, unit, share in rows
-            ],
+            "parameters": parameters,
             "shortcomings": list(self.shortcomings),
             "notes": list(self.notes),
         }
@@ -162,7 +158,7 @@ def identify_payload(
     """
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     base = base_parameters(robot, effects)
-    unit = loaded[0].unit
+    unit, gains = loaded[0].unit, np.ones(robot.nv)
     if not unloaded and unit == "A":
         raise BadInput(
             f"payload: {loaded[0].file} has currents, whose gain the load would be taken for; "
@@ -170,14 +166,13 @@ def identify_payload(
         )
     if any(each.unit != unit for each in (*loaded, *unloaded)):
         raise BadInput("payload: recordings in N·m and in A; use recordings of one unit")
-    gains = np.ones(robot.nv)
     if unit == "A":
         gains = fit_rows(robot, effects, base, split(unloaded, unloaded)).gains
 
     def data_alone(recordings: Sequence[Recording]) -> Information:
         """What recordings say of the base parameters, without a prior."""
         estimator, samples, _ = replayable(
-            robot, joined(recordings), effects, base, gains=gains, prior=False
+            robot, recordings, effects, base, gains=gains, prior=False
         )
         estimator.extend(*samples)
         return estimator.estimate().data
@@ -217,7 +212,7 @@ def estimate_payload(
     ball = pin.Inertia(mass, tip, 2 * mass * _RADIUS**2 * np.eye(3)).toDynamicParameters()
     nothing = EffectPrior(np.zeros(0), np.zeros(0), np.zeros(0))
     fit = fit_physical(about.R, about.z, ball[None], nothing, prior_sigma=_OPEN)
-    return PayloadEstimate(robot.links[-1], fit.x, fit.covariance, fit.prior_share, fit.kkt, ())
+    return PayloadEstimate(robot.links[-1], fit.x, fit.covariance, fit.prior_share, fit.kkt)
 
 
 def payload_information(
@@ -231,6 +226,53 @@ def payload_information(
                 f"payload: information about {part.R.shape[0]} parameters, the arm has {r} base "
                 "parameters; use one set of effects for both"
             )
-    K = base.regrouping[:, 10 * (robot.nv - 1) : 10 * robot.nv]
+    K = _body(robot, base)
     A = np.block([[loaded.R, loaded.R @ K], [arm.R, np.zeros((r, 10))]])
-    return marginal(information_of(A, np.concatenate([loaded.z, arm.z])), slice(r, r + 10))
+    joint = information_of(A, np.concatenate([loaded.z, arm.z]))
+    return Information(joint.R[r:, r:], joint.z[r:], joint.rest)
+
+
+def _body(robot: Robot, base: BaseParameters) -> Array:
+    """What a body on the last link adds to the base parameters, K of shape (r, 10)."""
+    return base.regrouping[:, 10 * (robot.nv - 1) : 10 * robot.nv]
+
+
+def identify_drive_gains(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    loaded: Sequence[Recording],
+    payload: KnownPayload,
+    *,
+    validate: Sequence[Recording] = (),
+    effects: Sequence[Effect] | None = None,
+    cutoff_hz: float | None = None,
+) -> DriveGains:
+    """Drive gains of an arm whose motor currents were recorded.
+
+    Args:
+        robot: The arm without the payload; its masses are of no account.
+        recordings: Currents without the payload; what `identify` fits of them is used.
+        loaded: Currents with the payload.
+        payload: What is known of it.
+        validate: As given to `identify`.
+        effects: Effects of the arm; friction, offset and rotor inertia when None.
+        cutoff_hz: Cut-off of the filter [Hz].
+
+    Raises:
+        BadInput: Recordings that are no currents, or a payload that hardly shows in them.
+        BadRecording: Recordings that cannot be used.
+    """
+    for recording in (*recordings, *loaded):
+        if recording.unit != "A":
+            raise BadInput(
+                f"payload: {recording.file} holds torque in {recording.unit}, for which no drive "
+                "gain is needed; --payload-recording is for motor currents"
+            )
+    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    base = base_parameters(robot, effects)
+    free = split(recordings, validate, cutoff_hz)
+    held = split(loaded, loaded, free.cutoff_hz)
+    without, with_it = (
+        regression_of(robot, effects, data.train).select(base.columns) for data in (free, held)
+    )
+    return payload_gains(without, with_it, payload, _body(robot, base))

@@ -10,7 +10,7 @@ import numpy as np
 
 from excitant.exceptions import BadRecording
 from excitant.identify.accuracy import Series, series
-from excitant.identify.current_gains import current_gains
+from excitant.identify.drive_gains import current_gains
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import fit_physical

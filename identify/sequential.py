@@ -19,7 +19,7 @@ import numpy.typing as npt
 from excitant.exceptions import RankDeficient
 from excitant.identify.accuracy import series
 from excitant.identify.cascade import Cascade, beginning, further, led_combinations
-from excitant.identify.current_gains import current_gains
+from excitant.identify.drive_gains import current_gains
 from excitant.identify.estimate import Estimate, identify_robot, judged
 from excitant.identify.least_squares import LeastSquares
 from excitant.identify.physical import fit_physical

@@ -335,7 +335,7 @@ def test_irregular_time_gives_what_regular_time_gives(planar: Robot, motion_of: 
     for t in (T, T + rng.uniform(-0.3, 0.3, len(T)) / RATE):
         motion = motion_of(planar, t)
         recording = Recording("r", "r.csv", t, motion.q, torque(planar, motion))
-        online, samples, _ = replayable(planar, recording, effects, base, gains=np.ones(2))
+        online, samples, _ = replayable(planar, [recording], effects, base, gains=np.ones(2))
         online.extend(*samples)
         betas.append(online.estimate().beta)
     motion = motion_of(planar, T)
