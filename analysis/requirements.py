@@ -14,11 +14,10 @@ from excitant.exceptions import RankDeficient
 from excitant.identify import Estimate
 from excitant.robots.effects import EFFECTS, plain, standard_effects
 from excitant.robots.motion import Array, Motion
-from excitant.robots.plant.nominal import typical_motion
 from excitant.robots.plant.sensors import Run
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
-from excitant.robots.virtual_arm import HiddenEffect, VirtualArm
+from excitant.robots.virtual_arm import HiddenEffect, VirtualArm, typical_motion
 
 _OVER = 0.05  # of a limit: an arm that tracks a motion overshoots it a little
 _KNOWN = 0.1  # of a friction coefficient: to which it must be known

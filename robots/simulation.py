@@ -94,7 +94,10 @@ class StateTorque:
         return np.maximum(slope, 0.0)
 
     def _rest(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
-        return np.sum([effect(t, q, dq, ddq) for effect in self.others], axis=0)
+        tau = np.zeros_like(q)
+        for effect in self.others:
+            tau += effect(t, q, dq, ddq)
+        return tau
 
     def _smoothed(self, t: float, q: Array, dq: Array, ddq: Array, sign: Array) -> Array:
         slow = np.abs(dq) < REST
@@ -179,7 +182,9 @@ def _inertia(robot: Robot, effect: Effect) -> Array:
 
     def asked(ddq: Array, order: npt.NDArray[np.intp] = natural) -> Array:
         """Torque in the probed states, whose times are in some order."""
-        motion = Motion(0.01 * order, q[order], dq[order], np.tile(ddq, (_PROBES, 1)))
+        motion = Motion(
+            0.01 * np.asarray(order, float), q[order], dq[order], np.tile(ddq, (_PROBES, 1))
+        )
         return effect.torque(robot, motion)
 
     base, order = asked(0 * unit[0]), rng.permutation(_PROBES)
