@@ -2,8 +2,7 @@
 
 Row τ_i contains no parameter of links before i (Property 4), so the row of the last joint alone
 identifies the last link, the row before it the link before, with the outer one known, and so on.
-Recordings in which one joint or a few move are enough for what they show; what they do not show
-stays at the given robot, and the motion that would show it is named.
+What the recordings do not show stays at the given robot, and the motion that would is named.
 
 Base parameters are counted from the given robot in units of its uncertainty, β = β₀ + L y with
 y ~ N(0, 1). The stages so far know c = Dᵀ y, D orthonormal, with covariance P. Rows of joint i,
@@ -19,10 +18,8 @@ no row of an outer joint is needed again; what is not known of them reaches η w
     cov(c, η) = [ P       −P Gᵀ           ]
                 [ −G P    H Γ Hᵀ + G P Gᵀ ],
 
-Γ the covariance of coloured noise ε. It is known from what no value of any parameter explains of
-the row: the residual itself holds errors of outer values too. To weigh the rows by
-(Γ + A D P Dᵀ Aᵀ)⁻¹ instead would serve η a little better and torque worse: it allows for outer
-values that the model, which keeps them, does not have.
+Γ the covariance of coloured noise ε, known from what no value of any parameter explains of the
+row: the residual itself holds errors of outer values too.
 """
 
 from __future__ import annotations
@@ -40,7 +37,7 @@ from excitant.exceptions import RankDeficient
 from excitant.identify.base_prior import BasePrior, base_prior
 from excitant.identify.coloured_noise import score_covariances
 from excitant.identify.drive_gains import current_gains
-from excitant.identify.estimate import Estimate, identify_robot, judged
+from excitant.identify.estimate import Estimate, identify_robot, judged, notes_on
 from excitant.identify.information import Information, gaussian
 from excitant.identify.least_squares import LeastSquares, student_width
 from excitant.identify.physical import fit_physical, prior_parameters
@@ -68,21 +65,13 @@ _POSE = 0.1  # rad or m: positions that differ less are one pose
 
 @dataclass(frozen=True, eq=False)
 class Cascade:
-    """What the stages so far know of the r base parameters.
+    """What the stages so far know of the r base parameters."""
 
-    Attributes:
-        mean: β₀, shape (r,).
-        L: Square root of the given robot's covariance, shape (r, r).
-        D: Directions known, orthonormal, shape (r, k).
-        c: Their values, shape (k,).
-        P: Their covariance, shape (k, k).
-    """
-
-    mean: Array
-    L: Array
-    D: Array
-    c: Array
-    P: Array
+    mean: Array  # β₀, shape (r,)
+    L: Array  # square root of the given robot's covariance, shape (r, r)
+    D: Array  # directions known, orthonormal, shape (r, k)
+    c: Array  # their values, shape (k,)
+    P: Array  # their covariance, shape (k, k)
 
     def __post_init__(self) -> None:
         freeze(self, "mean", "L", "D", "c", "P")
@@ -118,19 +107,11 @@ def beginning(prior: BasePrior) -> Cascade:
 
 
 def further(known: Cascade, W: Array, tau: Array) -> tuple[Cascade, float, float]:
-    """One stage further inward.
+    """One stage further inward, from rows of its joint, shape (n, r), and its torque, (n,).
 
     A direction counts as shown when its standard deviation is at most half of that of the given
-    robot.
-
-    Args:
-        known: What the outer stages know.
-        W: Rows of the stage's joint, shape (n, r).
-        tau: Its torque, shape (n,).
-
-    Returns:
-        What is known then, the noise of the rows [torque unit], NaN without rows, and how many
-        of them count as one independent row, at least 1.
+    robot. Beside what is known then: the noise of the rows [torque unit], NaN without rows, and
+    how many of them count as one independent row, at least 1.
     """
     if len(tau) == 0:
         return known, np.nan, 1.0
@@ -165,10 +146,7 @@ def _directions(A: Array, size: float) -> tuple[Array, Array, Array]:
 def _noise(every: Array, U: Array, target: Array) -> tuple[Array, float, float]:
     """Covariance of the scores Uᵀε, widened for the samples it is known from; size of ε; inflation.
 
-    Args:
-        every: Orthonormal basis of all that parameters can explain of the row, shape (n, m).
-        U: Part of it, shape (n, k).
-        target: Torque, with what is known subtracted, shape (n,).
+    U, shape (n, k), is part of the orthonormal basis of all that parameters can explain, (n, m).
     """
     n, m = every.shape
     residual = target - every @ (every.T @ target)
@@ -184,18 +162,10 @@ def _noise(every: Array, U: Array, target: Array) -> tuple[Array, float, float]:
 def _led_combinations(
     F: Array, led: list[int], rows: Array, scale: Array, preferred: Sequence[int]
 ) -> tuple[Array, list[int]]:
-    """Combinations of base parameters in readable form, and further ones.
+    """Combinations F β in readable form, shape (k, r), with further independent ones, (m, r).
 
-    Args:
-        F: Coefficients, shape (k, r), each row with the coefficient 1 of a parameter that no other
-            row has and that leads it.
-        led: The parameters that lead, k of them.
-        rows: Coefficients of the further combinations, independent of these, shape (m, r).
-        scale: Scale of each parameter, shape (r,).
-        preferred: Parameters that should lead, in this order; then the others.
-
-    Returns:
-        Coefficients of all, shape (k + m, r), and the parameters that lead them.
+    In each, one parameter leads: its coefficient is 1, and no later combination has it. Those
+    preferred lead first, in this order.
     """
     if len(rows) == 0:
         return F, led
@@ -226,21 +196,13 @@ def _clearly_independent(Q: Array, order: Sequence[int]) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class LinkRows(FitRows):
-    """Rows of all recordings, and which count; a joint still in all of a segment is held exactly.
+    """Rows of recordings, and which count; a joint still in all of a segment is held exactly."""
 
-    Attributes:
-        moves: Instants at which joints move, per segment at its full rate, each (n, nv).
-        used: Rows that count: of moving joints, and of those without dry friction, (n, nv).
-        last: The last joint whose row holds each base parameter, shape (r,).
-        scale: Uncertainty of the given robot's base parameters, shape (r,).
-        compared: Whether drive gains rest on rows of several joints.
-    """
-
-    moves: tuple[Mask, ...]
-    used: Mask
-    last: npt.NDArray[np.intp]
-    scale: Array
-    compared: bool
+    moves: tuple[Mask, ...]  # instants at which joints move, per segment at its full rate, (n, nv)
+    used: Mask  # rows that count: of moving joints, and of those without dry friction, (n, nv)
+    last: npt.NDArray[np.intp]  # joint, the last whose row holds each base parameter, shape (r,)
+    scale: Array  # uncertainty of the given robot's base parameters, shape (r,)
+    compared: bool  # whether drive gains rest on rows of several joints
 
     def recordings(self, joint: int) -> tuple[str, ...]:
         """Recordings in which rows of a joint count."""
@@ -311,29 +273,17 @@ class Determined:
 
 @dataclass(frozen=True)
 class Stage:
-    """One link.
+    """One link."""
 
-    Attributes:
-        joint: Index of its joint, whose row was read.
-        rows: Number of its rows that count.
-        noise: Their standard deviation [torque unit]; NaN without rows.
-        inflation: Rows that count as one independent row.
-        recordings: Recordings with such rows.
-        mode: Which joints moved with it, in words.
-        determined: Combinations that the row adds to those of the links further out.
-        missing: Base parameters of the link that no row of the recordings shows.
-        needed: The motion that would show them, as sentences.
-    """
-
-    joint: int
-    rows: int
-    noise: float
-    inflation: float
-    recordings: tuple[str, ...]
-    mode: str
-    determined: tuple[Determined, ...]
-    missing: tuple[str, ...] = ()
-    needed: tuple[str, ...] = ()
+    joint: int  # index of its joint, whose row was read
+    rows: int  # number of its rows that count
+    noise: float  # their standard deviation [torque unit]; NaN without rows
+    inflation: float  # rows that count as one independent row
+    recordings: tuple[str, ...]  # that have such rows
+    mode: str  # which joints moved with it, in words
+    determined: tuple[Determined, ...]  # what the row adds to the links further out
+    missing: tuple[str, ...] = ()  # base parameters of the link that no recording shows
+    needed: tuple[str, ...] = ()  # the motion that would show them, as sentences
 
     def result(self, robot: Robot) -> dict[str, Any]:
         """Entry of result.json."""
@@ -417,17 +367,8 @@ def identify_link_by_link(
 ) -> LinkByLink:
     """Identify a robot from the last link inward, and compare with all links at once.
 
-    Args:
-        robot: The arm; its inertias are the prior.
-        recordings: What to fit; one joint, a few or all may move.
-        validate: What to judge on; the last 30 % of each recording when empty.
-        effects: Effects to estimate; friction, offset and rotor inertia when None.
-        cutoff_hz: Cut-off of the torque filter [Hz].
-
-    Raises:
-        BadRecording: Recordings that cannot be used.
-        BadRobot: Links without mass, so no prior.
-        Infeasible: The semidefinite solver failed.
+    One joint, a few or all may move. Args and errors are those of `identify_robot`, but no motion
+    is refused for what it leaves undetermined.
     """
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     prior = prior_parameters(robot)
@@ -437,7 +378,7 @@ def identify_link_by_link(
     fit = LeastSquares(cascade.beta, cascade.covariance, noise, inflation)
     known = cascade.information()
     physical = fit_physical(known.R @ rows.base.regrouping, known.z, prior, rows.open_prior)
-    estimate = judged(robot, rows, fit, physical, _notes(rows, stages))
+    estimate = judged(robot, rows, fit, physical, _notes(rows, stages, prior))
     try:
         whole = identify_robot(
             robot, recordings, validate=validate, effects=effects, cutoff_hz=cutoff_hz
@@ -498,11 +439,8 @@ def _completed(rows: LinkRows, F: Array, leading: Sequence[int], stage: Stage) -
 def _needed_motion(rows: LinkRows, joint: int, own: npt.NDArray[np.intp], shown: Array) -> str:
     """The smallest change of the recordings whose torque of a joint shows all its parameters.
 
-    Args:
-        rows: The recordings; joints that are not mentioned stand as in them.
-        joint: The joint whose row is read; it moves.
-        own: Its base parameters, m of them.
-        shown: Combinations of them that are shown already, shape (k, m).
+    Of its own base parameters, m of them, combinations of shape (k, m) are shown already. Joints
+    that are not mentioned stand as in the recordings.
     """
     robot, scale = rows.robot, rows.scale[own]
     columns, count = [rows.base.columns[k] for k in own], len(own) + _STATES
@@ -529,11 +467,7 @@ def _needed_motion(rows: LinkRows, joint: int, own: npt.NDArray[np.intp], shown:
 
 
 def _changes(nv: int, joint: int) -> Iterator[tuple[tuple[int, ...], tuple[int, ...]]]:
-    """Joints that move too and those at several positions, the smallest change first.
-
-    The joint alone; at several positions of one other joint; together with one; the same with
-    two; together with all joints before it.
-    """
+    """Joints that move too and those at several positions, the smallest change first."""
     yield (), ()
     others = [k for k in range(nv) if k != joint]
     for size in (1, 2) if nv <= _PAIRS else (1,):
@@ -542,27 +476,19 @@ def _changes(nv: int, joint: int) -> Iterator[tuple[tuple[int, ...], tuple[int, 
     yield tuple(range(joint)), ()
 
 
-def _notes(rows: LinkRows, stages: Sequence[Stage]) -> tuple[str, ...]:
-    data, count = rows.data, sum(len(stage.determined) for stage in stages)
-    rest = "" if count == len(rows.base) else "; the rest stays at the given robot"
-    notes = [
-        data.holdout,
-        f"link by link, these recordings determine {count} of {len(rows.base)} base "
-        f"combinations{rest}",
-    ]
-    gains = ", ".join(f"{k:.3g}" for k in rows.gains)
-    if data.unit == "A" and rows.compared:
-        notes.append(
-            "torque came as motor current; drive gains relative to each other were estimated "
-            f"({gains} N·m/A); their common scale rests on the given masses and is not "
-            "determined by currents"
-        )
-    elif data.unit == "A":
-        notes.append(
+def _notes(rows: LinkRows, stages: Sequence[Stage], prior: Array) -> tuple[str, ...]:
+    count, r = sum(len(stage.determined) for stage in stages), len(rows.base)
+    rest = "" if count == r else "; the rest stays at the given robot"
+    notes = notes_on(rows.robot, prior, rows.data, rows.gains)
+    if not rows.compared:
+        gains = ", ".join(f"{k:.3g}" for k in rows.gains)
+        notes = (
+            *notes[:-1],
             "torque came as motor current, and joints that move one at a time do not show their "
             f"drives' gains relative to each other: they ({gains} N·m/A) rest on the given "
             "masses, and on each other where masses hardly load the joint. A joint's own current "
             "is predicted alike for any gain; what outer links cost inner joints, and values in "
-            "N·m, kg or kg·m², are as good as these gains"
+            "N·m, kg or kg·m², are as good as these gains",
         )
-    return tuple(notes)
+    said = f"link by link, these recordings determine {count} of {r} base combinations{rest}"
+    return (notes[0], said, *notes[1:])
