@@ -34,10 +34,11 @@ import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import RankDeficient
+from excitant.identify.coloured_noise import score_covariances
 from excitant.identify.drive_gains import current_gains
 from excitant.identify.estimate import Estimate, identify_robot, judged, notes_on
 from excitant.identify.information import Information, gaussian
-from excitant.identify.least_squares import LeastSquares, score_covariances, student_width
+from excitant.identify.least_squares import LeastSquares, student_width
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Mask, dry_joints, moving, stilled
 from excitant.identify.prior import BasePrior, base_prior, prior_parameters
