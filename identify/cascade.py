@@ -31,10 +31,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from excitant.identify.base_prior import BasePrior
 from excitant.identify.coloured_noise import score_covariances
 from excitant.identify.information import Information, gaussian
 from excitant.identify.least_squares import student_width
+from excitant.identify.prior import BasePrior
 from excitant.robots.motion import Array, freeze
 
 _SURER = 2.0  # times surer than the given robot: then the recordings decide

@@ -35,8 +35,8 @@ import scipy
 
 from excitant.exceptions import BadInput
 from excitant.identify.least_squares import autocorrelation_time, factorised, with_covariance
-from excitant.identify.physical import link_coordinates, link_weights, prior_parameters
 from excitant.identify.preprocessing import Mask
+from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, dense
 from excitant.robots.base_parameters import BaseParameters, independent_columns

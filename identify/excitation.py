@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import BadInput
-from excitant.identify.base_prior import BasePrior, base_prior, reference_motion
+from excitant.identify.prior import BasePrior, base_prior, reference_motion
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, Motion, freeze

@@ -22,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.base_prior import BasePrior, base_prior, reference_motion
 from excitant.identify.differentiators import (
     LocalPolynomial,
     causal_polynomial,
@@ -33,8 +32,9 @@ from excitant.identify.estimate import Estimate, judged
 from excitant.identify.excitation import ROWS_PER_SECOND, WindowExcitation, excitation_judge
 from excitant.identify.information import Information, InformationFilter, combined
 from excitant.identify.least_squares import LeastSquares, autocorrelation_time
-from excitant.identify.physical import fit_physical, prior_parameters
+from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Mask, dry_joints, resampled, uninterrupted
+from excitant.identify.prior import BasePrior, base_prior, prior_parameters, reference_motion
 from excitant.identify.recording import Recording
 from excitant.identify.rows import fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters

@@ -19,14 +19,15 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.exceptions import BadInput
-from excitant.identify.base_prior import base_prior
 from excitant.identify.drive_gains import DriveGains, KnownPayload, payload_gains
 from excitant.identify.information import Information, gaussian, information_of
 from excitant.identify.online import replayable
-from excitant.identify.physical import EffectPrior, KktResiduals, fit_physical
+from excitant.identify.physical import fit_physical
+from excitant.identify.prior import EffectPrior, base_prior
 from excitant.identify.recording import Recording
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import fit_rows, split
+from excitant.identify.semidefinite import KktResiduals
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, freeze

@@ -18,13 +18,13 @@ import numpy.typing as npt
 
 from excitant.exceptions import RankDeficient
 from excitant.identify.accuracy import series
-from excitant.identify.base_prior import base_prior
 from excitant.identify.cascade import Cascade, beginning, further, led_combinations
 from excitant.identify.drive_gains import current_gains
 from excitant.identify.estimate import Estimate, identify_robot, judged
 from excitant.identify.least_squares import LeastSquares
-from excitant.identify.physical import fit_physical, prior_parameters
+from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Mask, dry_joints, moving, stilled
+from excitant.identify.prior import base_prior, prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import Data, FitRows, split

@@ -21,9 +21,9 @@ from excitant.identify import (
     identify_online,
     persistency,
 )
-from excitant.identify.base_prior import base_prior
 from excitant.identify.information import InformationFilter, combined, gaussian, information_of
 from excitant.identify.online import replayable
+from excitant.identify.prior import base_prior
 from excitant.robots import Motion, Robot, base_parameters, torque
 from excitant.robots.effects import (
     JointEffect,

@@ -16,8 +16,8 @@ from seed import dd_arm_chain
 from excitant.cli import main
 from excitant.design import random_trajectory
 from excitant.identify import Recording, identify_link_by_link, identify_robot, load_dataset
-from excitant.identify.base_prior import BasePrior, base_prior
 from excitant.identify.cascade import Cascade, beginning, further
+from excitant.identify.prior import BasePrior, base_prior
 from excitant.identify.rows import split
 from excitant.identify.sequential import LinkByLink, link_rows, run_stages
 from excitant.robots import Motion, Robot, base_parameters, load_robot
