@@ -20,8 +20,9 @@ from excitant.analysis.explanation import Rival
 from excitant.analysis.residuals import Mask, moving, noise_floor
 from excitant.analysis.selection import underlies
 from excitant.identify.accuracy import Series, series
-from excitant.identify.physical import EffectPrior, fit_physical
+from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment
+from excitant.identify.prior import EffectPrior
 from excitant.identify.rows import identified_robot
 from excitant.robots.effects import Effect, merged
 from excitant.robots.motion import Array, read_only

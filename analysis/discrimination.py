@@ -25,8 +25,8 @@ import scipy
 from excitant.analysis.candidates import TOLERANCE, believed_columns, cause_columns
 from excitant.analysis.evidence import widened
 from excitant.analysis.residuals import moving
-from excitant.identify.physical import link_coordinates, link_weights
 from excitant.identify.preprocessing import Segment
+from excitant.identify.prior import link_coordinates, link_weights
 from excitant.identify.regression import dense
 from excitant.robots.effects import Effect, JointFacts, joint_facts
 from excitant.robots.motion import Array, Motion, freeze

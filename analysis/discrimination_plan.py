@@ -20,7 +20,7 @@ from excitant.design.feasible import torque_use
 from excitant.design.trajectory import FourierSeries, from_coefficients
 from excitant.exceptions import Infeasible
 from excitant.identify.least_squares import autocorrelation_time
-from excitant.identify.physical import prior_parameters
+from excitant.identify.prior import prior_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.geometry import Scene, scene
 from excitant.robots.motion import Array, Motion

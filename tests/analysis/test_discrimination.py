@@ -30,7 +30,7 @@ from excitant.analysis.discrimination_plan import (
 )
 from excitant.design import FourierTrajectory, check
 from excitant.identify import Recording
-from excitant.identify.physical import prior_parameters
+from excitant.identify.prior import prior_parameters
 from excitant.robots import Motion, Robot
 from excitant.robots.effects import (
     EFFECTS,
