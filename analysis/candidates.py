@@ -10,8 +10,8 @@ import numpy as np
 
 from excitant.analysis.evidence import Candidate, Evidence, calibrated, weigh
 from excitant.analysis.residuals import moving
-from excitant.identify.physical import PRIOR_SIGMA, link_coordinates, link_weights
 from excitant.identify.preprocessing import Segment
+from excitant.identify.prior import PRIOR_SIGMA, link_coordinates, link_weights
 from excitant.identify.regression import dense
 from excitant.identify.rows import implausible_size
 from excitant.robots.effects import Effect, Parameter, joint_facts, proposals

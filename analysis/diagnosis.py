@@ -35,7 +35,7 @@ from excitant.analysis.selection import rivals, select
 from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
 from excitant.identify.accuracy import Accuracy, series
-from excitant.identify.physical import prior_parameters
+from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.rows import Data, split, torque_per_reading
 from excitant.robots.base_parameters import base_parameters

@@ -27,8 +27,8 @@ from excitant.analysis.candidates import TOLERANCE, Observed, cause_columns, tol
 from excitant.analysis.evidence import widened
 from excitant.analysis.residuals import moving, top_speed
 from excitant.analysis.selection import ALIKE
-from excitant.identify.physical import link_coordinates, link_weights, prior_parameters
 from excitant.identify.preprocessing import Segment
+from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.regression import dense
 from excitant.robots.effects import Effect, JointFacts, joint_facts
 from excitant.robots.motion import Array, Motion, freeze

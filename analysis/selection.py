@@ -13,7 +13,7 @@ from excitant.analysis.candidates import Observed, gather, observed, tolerance_m
 from excitant.analysis.evidence import Candidate, Evidence, Key, reweighed
 from excitant.identify.accuracy import series
 from excitant.identify.estimate import identify_robot
-from excitant.identify.physical import prior_parameters
+from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.robots.effects import Effect, merged, plain, standard_effects
 from excitant.robots.motion import Array

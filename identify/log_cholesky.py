@@ -25,14 +25,9 @@ import pinocchio as pin
 import scipy
 
 from excitant.exceptions import BadInput
-from excitant.identify.physical import (
-    PRIOR_SIGMA,
-    EffectPrior,
-    KktResiduals,
-    PhysicalFit,
-    link_coordinates,
-    link_weights,
-)
+from excitant.identify.physical import PhysicalFit
+from excitant.identify.prior import PRIOR_SIGMA, EffectPrior, link_coordinates, link_weights
+from excitant.identify.semidefinite import KktResiduals
 from excitant.robots.motion import Array, freeze
 from excitant.robots.parameters import pseudo_inertia
 
@@ -197,10 +192,9 @@ class _Problem:
         data, factor, before = (np.asarray(np.linalg.qr(A, mode="r")) for A in (J[:m], J, J[m:]))
         after, root = (scipy.linalg.solve_triangular(A, np.eye(len(A))) for A in (factor, before))
         covariance = after @ after.T
-        share = np.sqrt(np.diag(covariance) / (root**2).sum(axis=1))
         x, quality = np.concatenate([phi, theta]), self.optimality(numbers)
         links = self.size // 10
-        return PhysicalFit(x, covariance, np.clip(share, 0.0, 1.0), quality, data, root, links)
+        return PhysicalFit(x, covariance, quality, data, root, links)
 
     def optimality(self, numbers: Array) -> KktResiduals:
         """Gradient that no active bound takes, relative to that of the data."""

@@ -30,8 +30,8 @@ import scipy
 from excitant.exceptions import BadInput, Infeasible
 from excitant.identify.differentiators import low_pass
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
-from excitant.identify.physical import prior_parameters
 from excitant.identify.preprocessing import Segment
+from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, dense, joined
 from excitant.identify.rows import FitRows, identified_robot

@@ -24,8 +24,9 @@ from excitant.exceptions import Infeasible, RankDeficient
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.log_cholesky import NonlinearEffects, refine_log_cholesky
-from excitant.identify.physical import EffectPrior, PhysicalFit, fit_physical
+from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.preprocessing import Segment
+from excitant.identify.prior import EffectPrior
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import FitRows
 from excitant.robots.base_parameters import BaseParameters, base_parameters

@@ -25,7 +25,8 @@ from excitant.identify.estimators import (
 )
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.output_error import output_error
-from excitant.identify.physical import fit_physical, prior_parameters
+from excitant.identify.physical import fit_physical
+from excitant.identify.prior import prior_parameters
 from excitant.identify.regression import dense
 from excitant.identify.rows import fit_rows, split
 from excitant.robots import load_robot

@@ -15,7 +15,8 @@ from excitant.identify.log_cholesky import (
     refine_log_cholesky,
     to_log_cholesky,
 )
-from excitant.identify.physical import EffectPrior, PhysicalFit, fit_physical, prior_parameters
+from excitant.identify.physical import PhysicalFit, fit_physical
+from excitant.identify.prior import EffectPrior, prior_parameters
 from excitant.robots import Array, Motion, load_robot
 from excitant.robots.parameters import isotropic, pseudo_inertia, violations
 from excitant.robots.regressor import regressor
