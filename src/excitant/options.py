@@ -1,11 +1,12 @@
-"""Options that several commands share, as typed records; each knows what it stands for."""
+"""Options that several commands share, as typed records, and what commands show while they work."""
 
 from __future__ import annotations
 
 import json
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -55,13 +56,22 @@ def _comma(convert: Any) -> Parameter:
     return Parameter(converter=convert, n_tokens=1, allow_leading_hyphen=True)
 
 
-RobotName = Annotated[str, Parameter(completer=_arms)]
+_ROBOT = "Built-in name, URDF, xacro, MJCF or robot.yaml"
+RobotName = Annotated[str, Parameter(completer=_arms, help=f"{_ROBOT}.")]
+RobotOrFolder = Annotated[
+    str, Parameter(completer=_arms, help=f"{_ROBOT}, or a folder with dataset.json.")
+]
+TrajectoryFile = Annotated[str, Parameter(help="CSV or JSON.")]
 Effects = Annotated[list[str] | None, _comma(_words), Parameter(completer=_effects)]
 Names = Annotated[list[str] | None, _comma(_words)]
 Numbers = Annotated[list[float] | None, _comma(_numbers)]
 Files = Annotated[list[str] | None, Parameter(consume_multiple=True)]
 Seed = Annotated[int, Parameter(validator=_natural)]
 Columns = Literal["friction", "inertial"]
+
+Advance = Callable[[float, str], None]
+"""Called with the fraction done and a few words on how it stands."""
+_LONGEST = 36_000.0  # s over which speed is averaged: all of the work so far
 
 
 @Parameter(name="*")
@@ -205,24 +215,24 @@ class Run:
     json: bool = False
     "Print result.json and nothing else."
 
-    def folder(self, verb: str, name: str) -> Path:
+    def folder(self, result: Mapping[str, Any]) -> Path:
         """Folder named by the user, else one named by verb, robot and time."""
-        if self.output:
-            return Path(self.output)
-        return Path("runs") / f"{verb}-{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+        name = f"{result['verb']}-{result.get('robot') or result['of']}"
+        return Path(self.output or f"runs/{name}-{time.strftime('%Y%m%d-%H%M%S')}")
 
     def finish(
         self,
-        folder: Path,
         result: dict[str, Any],
         series: Mapping[str, Array],
-        files: Mapping[str, str | bytes],
+        files: Mapping[str, str | bytes] | None = None,
+        folder: Path | None = None,
     ) -> None:
         """Save the run, then print its summary and paths, or its result as JSON."""
         from excitant.reports import brief, load_run, save_run
 
-        result["files"] = [str(folder / name) for name in files]
-        paths, page = save_run(folder, result, series, files)
+        folder = folder or self.folder(result)
+        result["files"] = [str(folder / file) for file in files or ()]
+        paths, page = save_run(folder, result, series, files or {})
         if self.json:
             print_json(load_run(folder)[0])
         else:
@@ -248,3 +258,31 @@ def show_import(recordings: Sequence[Recording]) -> dict[str, list[str]]:
         for note in recording.notes:
             print(f"{recording.name}: {note}", file=sys.stderr)
     return {recording.name: list(recording.notes) for recording in recordings if recording.notes}
+
+
+@contextmanager
+def progress_bar(label: str) -> Iterator[Advance]:
+    """Show a bar with the time left on the error stream while the block runs, on a terminal.
+
+    Until the first call it only shows that work goes on.
+    """
+    if not sys.stderr.isatty():
+        yield lambda fraction, words: None
+        return
+    import rich.console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("left"),
+        TimeRemainingColumn(), TextColumn("{task.fields[words]}"),
+    )  # fmt: skip
+    console = rich.console.Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, speed_estimate_period=_LONGEST) as bar:
+        task = bar.add_task(label, total=None, words="")
+        yield lambda fraction, words: bar.update(task, total=1.0, completed=fraction, words=words)
