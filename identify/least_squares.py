@@ -338,7 +338,7 @@ def autocorrelation(values: Array) -> Array:
     spectrum = np.abs(scipy.fft.rfft(centred, scipy.fft.next_fast_len(2 * n, True))) ** 2
     correlation = np.asarray(scipy.fft.irfft(spectrum)[: max(n // 3, 1)], float)
     if correlation[0] <= 0:
-        return np.eye(len(correlation))[0]
+        return np.asarray(np.eye(len(correlation))[0], float)
     return np.asarray(correlation / correlation[0], float)
 
 
