@@ -161,7 +161,7 @@ def test_no_colour_and_no_progress_in_a_pipe(tmp_path: Path) -> None:
 def test_progress_on_a_terminal_says_the_time_left() -> None:
     pty = pytest.importorskip("pty")
     code = (
-        "import time\nfrom excitant.options import progress_bar\n"
+        "import time\nfrom excitant.progress import progress_bar\n"
         "with progress_bar('work') as advance:\n"
         "    for k in range(8):\n        advance(k / 16, 'half way'); time.sleep(0.1)\n"
     )

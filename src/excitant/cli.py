@@ -13,7 +13,8 @@ from cyclopts.help import DefaultFormatter, PanelSpec, TableSpec
 
 from excitant import motions, recordings
 from excitant.exceptions import BadInput, ExcitantError
-from excitant.options import Part, RobotName, Run, Seed, print_json, print_paths, progress_bar
+from excitant.options import Part, RobotName, Run, Seed, print_json, print_paths
+from excitant.progress import progress_bar
 
 _EXTRAS = {"rosbags": "ros", "distributed": "cluster", "mujoco": "mjcf"}
 _SOLVERS = ("pin", "clarabel", "numpy", "scipy")

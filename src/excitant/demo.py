@@ -17,7 +17,7 @@ from excitant.design import (
 )
 from excitant.identify import identify_robot, model_files, recording_from_table
 from excitant.motions import table_bytes
-from excitant.options import Advance
+from excitant.progress import Advance
 from excitant.robots import Array, Robot
 from excitant.robots.virtual_arm import HiddenEffect, virtual_arm
 

@@ -24,8 +24,8 @@ from excitant.options import (
     Surroundings,
     TrajectoryFile,
     print_json,
-    progress_bar,
 )
+from excitant.progress import progress_bar
 
 if TYPE_CHECKING:
     from pandas import DataFrame

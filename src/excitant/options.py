@@ -1,12 +1,11 @@
-"""Options that several commands share, as typed records, and what commands show while they work."""
+"""Options that several commands share, as typed records; each knows what it stands for."""
 
 from __future__ import annotations
 
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -68,10 +67,6 @@ Numbers = Annotated[list[float] | None, _comma(_numbers)]
 Files = Annotated[list[str] | None, Parameter(consume_multiple=True)]
 Seed = Annotated[int, Parameter(validator=_natural)]
 Columns = Literal["friction", "inertial"]
-
-Advance = Callable[[float, str], None]
-"""Called with the fraction done and a few words on how it stands."""
-_LONGEST = 36_000.0  # s over which speed is averaged: all of the work so far
 
 
 @Parameter(name="*")
@@ -258,31 +253,3 @@ def show_import(recordings: Sequence[Recording]) -> dict[str, list[str]]:
         for note in recording.notes:
             print(f"{recording.name}: {note}", file=sys.stderr)
     return {recording.name: list(recording.notes) for recording in recordings if recording.notes}
-
-
-@contextmanager
-def progress_bar(label: str) -> Iterator[Advance]:
-    """Show a bar with the time left on the error stream while the block runs, on a terminal.
-
-    Until the first call it only shows that work goes on.
-    """
-    if not sys.stderr.isatty():
-        yield lambda fraction, words: None
-        return
-    import rich.console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("left"),
-        TimeRemainingColumn(), TextColumn("{task.fields[words]}"),
-    )  # fmt: skip
-    console = rich.console.Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, speed_estimate_period=_LONGEST) as bar:
-        task = bar.add_task(label, total=None, words="")
-        yield lambda fraction, words: bar.update(task, total=1.0, completed=fraction, words=words)

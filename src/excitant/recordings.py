@@ -20,9 +20,9 @@ from excitant.options import (
     Part,
     RobotOrFolder,
     Run,
-    progress_bar,
     show_import,
 )
+from excitant.progress import progress_bar
 
 if TYPE_CHECKING:
     from excitant.identify import Dataset, DriveGains, Estimate, Recording

@@ -1,0 +1,40 @@
+"""A progress bar on a terminal, nothing in a pipe."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+_LONGEST = 36_000.0  # s over which speed is averaged: all of the work so far
+
+Advance = Callable[[float, str], None]
+"""Called with the fraction done and a few words on how it stands."""
+
+
+@contextmanager
+def progress_bar(label: str) -> Iterator[Advance]:
+    """Show a bar with the time left on the error stream while the block runs, on a terminal.
+
+    Until the first call it only shows that work goes on.
+    """
+    if not sys.stderr.isatty():
+        yield lambda fraction, words: None
+        return
+    import rich.console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("left"),
+        TimeRemainingColumn(), TextColumn("{task.fields[words]}"),
+    )  # fmt: skip
+    console = rich.console.Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, speed_estimate_period=_LONGEST) as bar:
+        task = bar.add_task(label, total=None, words="")
+        yield lambda fraction, words: bar.update(task, total=1.0, completed=fraction, words=words)
