@@ -164,7 +164,7 @@ def design(
             arm, **asked, noise=noise, earlier=_earlier(arm, after), progress=tell
         )
     trajectory = found.trajectory
-    files = {
+    files: dict[str, str | bytes] = {
         "trajectory.csv": designs.trajectory_csv(trajectory, rate, repeat),
         "trajectory.json": designs.trajectory_json(trajectory, arm),
     }

@@ -134,7 +134,7 @@ def identify(
     options["validate"] = held
     with progress_bar("identify") as advance:
         if online:
-            tell = {"forgetting": forgetting, "progress": lambda share: advance(share, "")}
+            tell: Any = {"forgetting": forgetting, "progress": lambda share: advance(share, "")}
             found: Any = identification.identify_online(arm, fit, **options, **tell)
         elif link_by_link:
             found = identification.identify_link_by_link(arm, fit, **options)
