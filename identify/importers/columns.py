@@ -318,7 +318,7 @@ class _Search:
         return columns
 
     def _expanded(self, pattern: str) -> tuple[str, ...]:
-        """A pattern for every joint: ``{0}`` counts from 0, ``{1}`` from 1; ``{joint}``: its name."""
+        """A pattern for every joint: ``{0}`` counts from 0, ``{1}`` from 1, ``{joint}`` names."""
         return tuple(
             pattern.replace("{0}", str(k)).replace("{1}", str(k + 1)).replace("{joint}", label)
             for k, label in enumerate(self.said)
