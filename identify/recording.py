@@ -104,7 +104,7 @@ class Recording:
 
     def take(self, rows: npt.NDArray[Any] | slice) -> Self:
         """The recording at some of its rows."""
-        arrays = {name: x[rows] for name, x in (("t", self.t), *self.channels())}
+        arrays: dict[str, Any] = {n: x[rows] for n, x in (("t", self.t), *self.channels())}
         extras = {name: x[rows] for name, x in self.extras.items()}
         return replace(self, **arrays, extras=extras)
 
