@@ -334,7 +334,7 @@ class _Filter:
         some = at_instants(t, q, tau, np.clip(grid, t[0], t[-1]))
         h = self.h[:, None]
         q, tau = (scipy.signal.oaconvolve(x, h, mode="valid", axes=0)[:: self.factor] for x in some)
-        times: Array = self.next + every * np.arange(count)
+        times = np.asarray(self.next + every * np.arange(count), float)
         self.next = float(times[-1] + every)
         used = int(np.searchsorted(t, self.next - reach - 3 * self.step))
         return (times, q, tau), used
