@@ -28,14 +28,9 @@ from excitant.analysis.confirmation import HeldOut
 from excitant.analysis.residuals import Mask, moving
 from excitant.exceptions import BadInput
 from excitant.identify.least_squares import SMALLEST, autocorrelation_time
-from excitant.identify.physical import (
-    EffectPrior,
-    fit_physical,
-    link_coordinates,
-    link_weights,
-    prior_parameters,
-)
+from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment
+from excitant.identify.prior import EffectPrior, link_coordinates, link_weights, prior_parameters
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, plain
 from excitant.robots.motion import Array, Motion, freeze

@@ -36,14 +36,9 @@ from threadpoolctl import threadpool_limits
 from excitant.design import random_trajectory
 from excitant.identify import Data, Recording
 from excitant.identify.least_squares import weighted_least_squares
-from excitant.identify.physical import (
-    PhysicalFit,
-    fit_physical,
-    link_coordinates,
-    link_weights,
-    prior_parameters,
-)
+from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.preprocessing import prepare
+from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.rows import FitRows, fit_rows
 from excitant.robots import Robot, base_parameters
 from excitant.robots.effects import CoulombFriction, ViscousFriction

@@ -4,7 +4,6 @@ from .differentiators import (
     LocalPolynomial,
     ZeroPhaseButterworth,
     five_point,
-    savitzky_golay,
 )
 from .drive_gains import DriveGains, KnownPayload
 from .estimate import Estimate, identify_robot
@@ -75,6 +74,5 @@ __all__ = [
     "read_chunks",
     "read_recordings",
     "recording_from_table",
-    "savitzky_golay",
     "split",
 ]

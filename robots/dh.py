@@ -49,11 +49,12 @@ from excitant.robots.robot import Robot
 from excitant.robots.schema import DHRecord, PlaceRecord, RobotRecord
 from excitant.robots.urdf import (
     GRAVITY,
+    collision,
     inertial_element,
     joint_element,
     limits_in_urdf,
-    origin_element,
     robot_from_urdf,
+    urdf_text,
 )
 
 Convention = Literal["standard", "modified"]
@@ -381,7 +382,7 @@ def robot_from_dh(chain: DHChain, limits: Limits | None = None, source: str | No
         BadRobot: A link without mass, or names that occur twice.
     """
     source = source or chain.name
-    robot = robot_from_urdf(urdf_of_chain(chain, source), source=source, gravity=chain.gravity)
+    robot = robot_from_urdf(urdf_of_chain(chain, source), source, gravity=chain.gravity)
     return robot if limits is None else limits_in_urdf(robot.with_limits(limits))
 
 
@@ -414,8 +415,7 @@ def urdf_of_chain(chain: DHChain, source: str) -> str:
     for shape in chain.shapes:
         frame = inner[shape.link - 1] if shape.link else np.eye(4)
         links[shape.link].append(_collision(shape, frame))
-    ET.indent(root)
-    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+    return urdf_text(root)
 
 
 def _unused(name: str, chain: DHChain) -> str:
@@ -427,20 +427,13 @@ def _unused(name: str, chain: DHChain) -> str:
 def _collision(shape: Cylinder, frame: Array) -> ET.Element:
     """A cylinder along z turned onto the line between both ends, or a sphere."""
     start, end = (frame[:3, :3] @ np.array(x) + frame[:3, 3] for x in (shape.start, shape.end))
-    length, T = float(np.linalg.norm(end - start)), np.eye(4)
-    if length > 0:
-        z = (end - start) / length
-        T = _frame(z, np.eye(3)[int(np.argmin(np.abs(z)))], start)
-    T[:3, 3] = (start + end) / 2
-    element = ET.Element("collision")
-    element.append(origin_element(T[:3, :3], T[:3, 3]))
-    numbers = {"radius": shape.radius} | ({"length": length} if length > 0 else {})
-    ET.SubElement(
-        ET.SubElement(element, "geometry"),
-        "cylinder" if length > 0 else "sphere",
-        {key: repr(float(x)) for key, x in numbers.items()},
-    )
-    return element
+    length, centre, radius = float(np.linalg.norm(end - start)), (start + end) / 2, shape.radius
+    if length == 0:
+        return collision(pin.SE3(np.eye(3), centre), "sphere", radius=repr(float(radius)))
+    z = (end - start) / length
+    R = _frame(z, np.eye(3)[int(np.argmin(np.abs(z)))], centre)[:3, :3]
+    numbers = {"radius": repr(float(radius)), "length": repr(length)}
+    return collision(pin.SE3(R, centre), "cylinder", **numbers)
 
 
 def chain_from_record(record: RobotRecord, source: str, name: str = "") -> DHChain:

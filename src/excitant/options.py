@@ -84,7 +84,7 @@ class Part:
 
     def spec(self, path: str) -> Any:
         """The robot to load, with the part of it that is meant."""
-        from excitant.robots.loading import RobotSpec
+        from excitant.robots.chains import RobotSpec
 
         given = [name for name, value in vars(self).items() if value is not None]
         if given and Path(path).is_dir():

@@ -342,7 +342,8 @@ def diagnose(
     """
     import numpy as np
 
-    from excitant.analysis import diagnosis, discrimination_plan
+    from excitant.analysis import diagnosis
+    from excitant.analysis.discrimination import Plan
     from excitant.design import trajectory_csv, trajectory_json
     from excitant.identify import model_files
     from excitant.identify.faults import read_checked
@@ -356,9 +357,11 @@ def diagnose(
         found = diagnosis.diagnose(
             dataset.robot, checked.recordings, validate=validate, cutoff_hz=data.cutoff
         )
-    plan = discrimination_plan.Plan()
+    plan = Plan()
     if experiments:
-        plan = discrimination_plan.plan(found, np.random.default_rng(0), time_limit=experiment_time)
+        from excitant.analysis.discrimination_plan import plan as planned
+
+        plan = planned(found, np.random.default_rng(0), time_limit=experiment_time)
     folder = run.folder("diagnose", dataset.robot.name)
     files = model_files(found.extension.model, "extended", "extended.yaml")
     result = found.result(plan)

@@ -29,6 +29,7 @@ from excitant.robots import (
     robot_from_dh,
 )
 from excitant.robots.base_parameters import LENGTH_POWERS, arm_length
+from excitant.robots.chains import RobotSpec
 from excitant.robots.dh import moved_parameters
 from excitant.robots.effects import standard_effects
 from excitant.robots.urdf import robot_from_urdf
@@ -404,6 +405,6 @@ def test_arms_of_example_robot_data(file: str, joints: int, count: int) -> None:
         pytest.skip("example-robot-data is not installed and EXAMPLE_ROBOT_DATA names no folder")
     text = (folder / file).read_text(encoding="utf-8")
     names = robot_from_urdf(text, source=file).joints[:joints]
-    robot = robot_from_urdf(text, source=file, joints=names)
+    robot = robot_from_urdf(text, RobotSpec(file, joints=tuple(names)))
     assert len(structure(robot).base) == count
     assert angle_between_methods(robot) < 1e-6
