@@ -81,14 +81,7 @@ def current_gains(
 
 
 def _compared(W: Array, F: Array, current: Array, given: Array) -> Array:
-    """Gains from rows of several joints at once.
-
-    Args:
-        W: Base columns of the links, shape (n, nv, r).
-        F: Columns of each joint's own effects, shape (n, nv, e).
-        current: Motor currents, shape (n, nv) [A].
-        given: Rigid-body torque of the given robot, shape (n, nv) [N·m].
-    """
+    """Gains from rows of several joints at once: base columns of links, and those of effects."""
     nv = W.shape[1]
     parts = [_without_effects(F[:, j], W[:, j], current[:, j], given[:, j]) for j in range(nv)]
     W, current, given = (np.stack(values, axis=1) for values in zip(*parts, strict=True))
@@ -139,10 +132,7 @@ def _each_alone(robot: Robot, W: Array, current: Array, moves: Mask) -> Array:
 
 
 def _log_gain(Y: Array, F: Array, current: Array, phi: Array, spread: Array) -> tuple[float, float]:
-    """Logarithm of the gain with which the given torque Y φ explains a current, and its variance.
-
-    F are the columns of effects, spread is a square root of the covariance of φ.
-    """
+    """Logarithm of the gain with which given torque Y φ explains a current, and its variance."""
     count = int(np.any(F != 0, axis=0).sum())
     if len(current) <= count + 1:
         return 0.0, np.inf
@@ -167,17 +157,11 @@ def _without_effects(F: Array, *values: Array) -> tuple[Array, ...]:
 
 @dataclass(frozen=True)
 class KnownPayload:
-    """A body on the last link, as weighed and measured.
+    """A body on the last link, as weighed and measured."""
 
-    Attributes:
-        mass: Its mass [kg].
-        mass_std: Standard deviation of the mass [kg].
-        centre: Its centre of mass in the frame of the last joint [m]; None where not known.
-    """
-
-    mass: float
-    mass_std: float = 0.0
-    centre: tuple[float, float, float] | None = None
+    mass: float  # [kg]
+    mass_std: float = 0.0  # [kg]
+    centre: Sequence[float] | None = None  # in the last joint's frame [m], where known
 
     def __post_init__(self) -> None:
         if not self.mass > 0 or self.mass_std < 0:
@@ -202,19 +186,12 @@ class KnownPayload:
 
 @dataclass(frozen=True, eq=False)
 class DriveGains:
-    """Torque per ampere of every joint.
+    """Torque per ampere of every joint."""
 
-    Attributes:
-        gains: Shape (nv,) [N·m/A].
-        std: Their standard deviations, the payload's own uncertainty counted, shape (nv,).
-        shown: Whether the recordings show each gain, nv of them.
-        scale_std: Relative standard deviation of their common scale.
-    """
-
-    gains: Array
-    std: Array
-    shown: tuple[bool, ...]
-    scale_std: float
+    gains: Array  # shape (nv,) [N·m/A]
+    std: Array  # with the payload's own uncertainty, shape (nv,)
+    shown: tuple[bool, ...]  # whether the recordings show each gain
+    scale_std: float  # relative standard deviation of their common scale
 
     def __post_init__(self) -> None:
         freeze(self, "gains", "std")
@@ -282,10 +259,7 @@ def payload_gains(
 def _exact_columns(
     free: Array, loaded: Array, payload: KnownPayload, body: Array, hardly: str
 ) -> Array:
-    """Columns without errors of all rows, the payload's known torque last, shape (n, nv, e).
-
-    Columns of the payload that others explain are left out.
-    """
+    """Columns without errors, those of the payload that others explain left out, (n, nv, e)."""
     own = np.column_stack([body[:, payload.open_parameters], body @ payload.known])
     r, added = own.shape
     empty = np.pad(free, ((0, 0), (0, 0), (0, added)))
@@ -331,10 +305,7 @@ def _eliminated(
 ) -> tuple[Array, Array, Mask]:
     """Solution of the weighted homogeneous system, of norm one, and which gains it shows.
 
-    Args:
-        triangles: Factors of each joint's exact columns and its current.
-        weight: Of each joint's rows, shape (nv,).
-        noise: Expected squares of the weighted errors of each current column, shape (nv,).
+    Noise is what squares of the weighted errors of each current column should be, shape (nv,).
     """
     rows = [w * T for w, T in zip(weight, triangles, strict=True)]
     X, currents = (

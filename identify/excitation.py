@@ -1,19 +1,18 @@
 """Persistency of excitation: whether a motion shows the parameters, and which joint lacks.
 
-Over a window, rows W of torque noise σ carry the information J = Σ Wᵀ σ⁻² W about the base
-parameters. It is measured against what is known beforehand, P: the eigenvalues of LᵀJL,
-P = LLᵀ, say how many times more the window knows than the prior, direction by direction. Some
-directions no motion of the arm shows above the noise; they are left out by the same count for a
-reference motion of all joints that lasts as long (`reference_motion`). A motion is persistently
-exciting at level α over a window when in every such window no visible direction falls below α.
-Level 1 is what it takes to know a parameter better from the window than from the prior.
+Rows W of torque noise σ carry the information J = Σ Wᵀ σ⁻² W about the base parameters. The
+eigenvalues of LᵀJL, P = LLᵀ what is known beforehand, say how many times more a window knows than
+the prior, direction by direction. Directions that a reference motion of all joints, as long as the
+window, does not show above the noise are left out. A motion is persistently exciting at level α
+over a window when in every such window no visible direction falls below α; level 1 is what it takes
+to know a parameter better from the window than from the prior.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,36 +35,22 @@ _LISTED = 6  # weak directions that are spelt out
 
 @dataclass(frozen=True)
 class WeakDirection:
-    """A combination of base parameters that a window does not show.
+    """A combination of base parameters that a window does not show."""
 
-    Attributes:
-        parameters: Its leading base parameters, largest share first.
-        level: Information of the window relative to the prior.
-        joints: Joints whose livelier motion would show it best.
-    """
-
-    parameters: tuple[str, ...]
-    level: float
-    joints: tuple[str, ...]
+    parameters: tuple[str, ...]  # its leading base parameters, largest share first
+    level: float  # information of the window relative to the prior
+    joints: tuple[str, ...]  # whose livelier motion would show it best
 
 
 @dataclass(frozen=True, eq=False)
 class WindowExcitation:
-    """What a window of a motion shows.
-
-    Attributes:
-        start: Begin of the window [s].
-        end: End of the window [s].
-        levels: Level of each visible direction, ascending, shape (v,).
-        weak: Directions below level 1, the weakest first, at most six.
-        joints: Joints whose motion is missing, that which would help most first.
-    """
+    """What a window of a motion shows, from start to end [s]."""
 
     start: float
     end: float
-    levels: Array
-    weak: tuple[WeakDirection, ...] = ()
-    joints: tuple[str, ...] = ()
+    levels: Array  # of each visible direction, ascending, shape (v,)
+    weak: tuple[WeakDirection, ...] = ()  # those below level 1, the weakest first, at most six
+    joints: tuple[str, ...] = ()  # whose motion is missing, that which would help most first
 
     def __post_init__(self) -> None:
         freeze(self, "levels")
@@ -98,40 +83,26 @@ class WindowExcitation:
 
 @dataclass(frozen=True, eq=False)
 class ExcitationJudge:
-    """Judges windows of motions of one arm; made by `excitation_judge`.
-
-    Attributes:
-        robot: The arm.
-        effects: Effects to estimate.
-        base: Base parameters of both.
-        sigma: Noise of an independent row, shape (nv,) [torque unit].
-        basis: Visible directions, columns of L V, shape (r, v).
-        reference: A reference motion as long as the window.
-    """
+    """Judges windows of motions of one arm; made by `excitation_judge`."""
 
     robot: Robot
     effects: tuple[Effect, ...]
     base: BaseParameters
-    sigma: Array
-    basis: Array
-    reference: Motion
+    sigma: Array  # noise of an independent row, shape (nv,) [torque unit]
+    basis: Array  # visible directions, columns of L V, shape (r, v)
+    reference: Motion  # as long as the window
 
     def whitened(self, W: Array) -> Array:
-        """Rows of base parameters, shape (n, nv, r), so that their squares are levels, (…, v)."""
+        """Rows of base parameters, shape (n, nv, r), so that squares are levels, (n, nv, v)."""
         return np.asarray(W / self.sigma[:, None] @ self.basis, float)
 
     def rows(self, motion: Motion) -> Array:
-        """Whitened rows of a motion, shape (n, nv, v)."""
+        """Whitened rows of a motion."""
         W = observation_columns(self.robot, self.effects, motion)
         return self.whitened(W[:, :, self.base.columns])
 
     def judge(self, motion: Motion, rows: Array) -> WindowExcitation:
-        """What one window shows.
-
-        Args:
-            motion: States of the window, evenly spread over it.
-            rows: Its whitened rows, shape (n, nv, v), zero where a row does not count.
-        """
+        """What one window shows: its states, evenly spread, and their whitened rows, (n, nv, v)."""
         levels, V = np.linalg.eigh(_information(motion, rows))
         found = WindowExcitation(float(motion.t[0]), float(motion.t[-1]), np.maximum(levels, 0))
         if found.enough:
@@ -192,16 +163,10 @@ def excitation_judge(
     base: BaseParameters,
     prior: BasePrior,
 ) -> ExcitationJudge:
-    """Prepare to judge windows of one length.
+    """Prepare to judge windows of one length [s].
 
-    Args:
-        robot: The arm.
-        effects: Effects to estimate.
-        window: Length of the windows [s].
-        sigma: Noise of an independent row of torque, shape (nv,); 1 % of the torque of a
-            reference motion when None.
-        base: Base parameters of robot and effects.
-        prior: What is known beforehand.
+    Sigma is the noise of an independent row of torque, shape (nv,); 1 % of the torque of a
+    reference motion when None.
     """
     reference = reference_motion(robot, window, ROWS_PER_SECOND if window > 2 else 40 / window)
     if sigma is None:
@@ -216,18 +181,11 @@ def excitation_judge(
 
 @dataclass(frozen=True, eq=False)
 class Persistency:
-    """Excitation along a motion.
+    """Excitation along a motion."""
 
-    Attributes:
-        window: Length of the windows [s].
-        windows: What each window shows, half overlapping.
-        shortest: Shortest length tried over which the motion is persistently exciting [s];
-            None when there is none.
-    """
-
-    window: float
-    windows: tuple[WindowExcitation, ...]
-    shortest: float | None
+    window: float  # length of the windows [s]
+    windows: tuple[WindowExcitation, ...]  # half overlapping
+    shortest: float | None  # length tried over which the motion is persistently exciting [s]
 
     @property
     def level(self) -> float:
@@ -276,7 +234,7 @@ class Persistency:
             "visible": len(weakest.levels),
             "missing": weakest.missing,
             "joints": weakest.joints,
-            "weak": [asdict(direction) for direction in weakest.weak],
+            "weak": [vars(direction) for direction in weakest.weak],
             "sentence": self.sentence,
         }
 

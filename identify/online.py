@@ -1,14 +1,12 @@
 """On-line estimation: recursive least squares in square-root information form, and its monitor.
 
-Samples come one by one. A causal local polynomial gives velocity and acceleration of the instant
-in the middle of its window; the torque of that same instant is taken (matched delays), and the
-mean over a block of K samples is the filter that every column and the torque pass alike. One row
-per joint and block updates that joint's own triangle. Joints are weighted only when an estimate
-is asked for, so noise levels may be learnt on the way without touching the past, and the result
-is that of weighted least squares on all rows.
-
-Forgetting weighs a row of age a by exp(−a / τ); what was known beforehand is never forgotten, so
-where a motion shows nothing the estimate falls back to the prior instead of blowing up.
+A causal local polynomial gives velocity and acceleration in the middle of its window; the torque
+of that same instant is taken (matched delays), and the mean over a block of K samples is the
+filter that every column and the torque pass alike. One row per joint and block updates that
+joint's own triangle. Joints are weighted only when an estimate is asked for, so noise levels are
+learnt without touching the past, and the result is weighted least squares on all rows. Forgetting
+weighs a row of age a by exp(−a / τ); what was known beforehand is never forgotten, so where a
+motion shows nothing the estimate falls back to the prior.
 """
 
 from __future__ import annotations
@@ -26,7 +24,6 @@ from excitant.identify.differentiators import (
     LocalPolynomial,
     causal_polynomial,
     position_spectrum,
-    savitzky_golay,
 )
 from excitant.identify.estimate import Estimate, judged
 from excitant.identify.excitation import ROWS_PER_SECOND, WindowExcitation, excitation_judge
@@ -83,9 +80,7 @@ class RecentRows(NamedTuple):
 
 
 class OnlineEstimator:
-    """Recursive estimation of base parameters inside a control loop.
-
-    ``push`` takes a sample; ``estimate`` says what is known.
+    """Recursive estimation of base parameters inside a control loop: `push`, then `estimate`.
 
     Args:
         robot: The arm; its inertias and effects are the prior.
@@ -100,13 +95,8 @@ class OnlineEstimator:
             through the window gives no row, because its dry friction could be anything.
         base: Base parameters of robot and effects, where they are at hand.
 
-    Attributes:
-        span: Number of samples that a row rests on.
-        rows: Number of rows (blocks) so far.
-
     Raises:
         BadInput: Options that do not fit, or an effect that depends on the past.
-        BadRobot: A link without mass where the robot is the prior.
     """
 
     def __init__(
@@ -127,9 +117,17 @@ class OnlineEstimator:
         self.effects = standard_effects(robot.joints) if effects is None else tuple(effects)
         self.base = base_parameters(robot, self.effects) if base is None else base
         half = max(2, round(_WINDOW_S * rate_hz))
-        self.differentiator = differentiator or savitzky_golay(half, min(4, 2 * half), causal=True)
+        self.differentiator = differentiator or LocalPolynomial(half, min(4, 2 * half), True)
         self.block = max(1, round(_BLOCK_S * rate_hz)) if block is None else block
-        self._refuse_options(forgetting)
+        if not self.differentiator.causal:
+            raise BadInput("on-line estimation: the differentiator must be causal")
+        if self.block < 1:
+            raise BadInput(f"on-line estimation: a block of {self.block} samples; give at least 1")
+        if forgetting is not None and not forgetting > self.row_period:
+            raise BadInput(
+                f"on-line estimation: forgetting within {forgetting:g} s, but a row takes "
+                f"{self.row_period:g} s; give a longer time constant"
+            )
         if prior is None:
             prior = base_prior(robot, self.effects, self.base)
         self.prior = prior.information() if prior else None
@@ -144,7 +142,7 @@ class OnlineEstimator:
         self._filters = [InformationFilter(columns, r) for columns in self._acting]
         self._weight = np.zeros(robot.nv)
         self._kernels = np.array([self.differentiator.kernel(k) * rate_hz**k for k in orders])
-        self.span = self._kernels.shape[1] + self.block - 1
+        self.span = self._kernels.shape[1] + self.block - 1  # samples that a row rests on
         self._samples, self._filled = np.zeros((self.span, 2 * robot.nv)), 0
         self._clock, self._instants = -np.inf, list[tuple[float, Array, Array]]()
         most = max(64, round(_RECENT / self.row_period))
@@ -159,17 +157,6 @@ class OnlineEstimator:
     def delay(self) -> float:
         """Age of the newest instant it can speak about [s]."""
         return self.differentiator.delay(self.rate_hz)
-
-    def _refuse_options(self, forgetting: float | None) -> None:
-        if not self.differentiator.causal:
-            raise BadInput("on-line estimation: the differentiator must be causal")
-        if self.block < 1:
-            raise BadInput(f"on-line estimation: a block of {self.block} samples; give at least 1")
-        if forgetting is not None and not forgetting > self.row_period:
-            raise BadInput(
-                f"on-line estimation: forgetting within {forgetting:g} s, but a row takes "
-                f"{self.row_period:g} s; give a longer time constant"
-            )
 
     def push(self, t: float, q: Array, tau: Array) -> None:
         """Take one sample: positions and torque, shape (nv,), at a time [s].
@@ -226,11 +213,7 @@ class OnlineEstimator:
         return np.asarray(one_way, bool)
 
     def recent(self) -> RecentRows:
-        """Rows of the last ten seconds.
-
-        Raises:
-            BadInput: No row yet.
-        """
+        """Rows of the last ten seconds; refuses when there are none yet."""
         if not self._recent:
             raise BadInput("on-line estimation: no row yet; push more samples")
         t, middles, rows, used = (np.array(each) for each in zip(*self._recent, strict=True))
@@ -238,11 +221,7 @@ class OnlineEstimator:
         return RecentRows(motion, rows[:, :, :-1], rows[:, :, -1], used)
 
     def estimate(self) -> OnlineEstimate:
-        """What is known now; costs about as much as a hundred samples.
-
-        Raises:
-            BadInput: No row yet.
-        """
+        """What is known now; refuses before the first row."""
         rows = self.recent()
         parts = [each.information() for each in self._filters]
         sigma, beta = self._noise(parts)
@@ -313,19 +292,8 @@ def replayable(
     """An estimator for recordings, their samples at a regular rate, and why these velocities.
 
     The causal differentiator is the one that suits the recorded positions best. Recordings follow
-    each other a second apart; where time is irregular they are resampled, gaps stay.
-
-    Args:
-        robot: The arm; the prior where no other is given.
-        recordings: What was logged.
-        effects: Effects to estimate.
-        base: Base parameters of both.
-        gains: Torque per reading [N·m per reading], shape (nv,).
-        forgetting: Time constant [s]; nothing is forgotten when None.
-        prior: As `OnlineEstimator` takes it.
-
-    Returns:
-        The estimator; time, positions and torque of the samples to push; a sentence.
+    each other a second apart; where time is irregular they are resampled, gaps stay. Gains are
+    torque per reading, shape (nv,); the other options are those of `OnlineEstimator`.
 
     Raises:
         BadRecording: Too short for one row.
@@ -362,18 +330,11 @@ def replayable(
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What the monitor saw at an instant.
-
-    Attributes:
-        estimate: The estimate.
-        excitation: What the last seconds showed; None before a whole window.
-        uncertainty: Rms torque error that the uncertainty of the estimate makes on a reference
-            motion, shape (nv,) [torque unit].
-    """
+    """What the monitor saw at an instant."""
 
     estimate: OnlineEstimate
-    excitation: WindowExcitation | None
-    uncertainty: Array
+    excitation: WindowExcitation | None  # of the last seconds; None before a whole window
+    uncertainty: Array  # of torque on a reference motion, rms, shape (nv,) [torque unit]
 
     @property
     def converged(self) -> bool:
@@ -385,14 +346,8 @@ class Monitor:
     """Watches an `OnlineEstimator`: convergence, and excitation in a sliding window.
 
     A look costs some ten milliseconds: once a second, beside the loop rather than inside it.
-
-    Args:
-        estimator: The estimator.
-        prior: What is known beforehand, to measure excitation against.
-        window: Length of the sliding window [s].
-
-    Attributes:
-        messages: What changed from look to look: time [s] and text.
+    ``messages`` holds what changed from look to look, time [s] and text; the window is in seconds,
+    the prior what excitation is measured against.
     """
 
     def __init__(
@@ -406,19 +361,16 @@ class Monitor:
         self._reference: Array = columns[:, :, estimator.base.columns]
 
     def look(self) -> Look:
-        """Look now, and say what has changed.
-
-        Raises:
-            BadInput: No row yet.
-        """
+        """Look now, and say what has changed; refuses before the first row."""
         estimate = self.estimator.estimate()
-        seen, uncertainty = self._excitation(estimate), self._uncertainty(estimate.covariance)
-        found = Look(estimate, seen, uncertainty)
+        uncertainty = self._uncertainty(estimate.covariance)
+        found = Look(estimate, self._excitation(estimate), uncertainty)
         if found.converged != self._converged:
             self._converged = found.converged
             words = "converged: the estimate is surer of the torque than a row of data"
             text = words if found.converged else "no longer converged"
             self.messages.append((estimate.t, text))
+        seen = found.excitation
         if seen is not None and seen.enough != self._enough:
             self._enough = seen.enough
             self.messages.append((estimate.t, seen.sentence()))
@@ -447,21 +399,13 @@ class Monitor:
 
 @dataclass(frozen=True, eq=False)
 class OnlineIdentification:
-    """What was identified on line, judged as an estimate from the whole recording is.
-
-    Attributes:
-        estimate: Physically consistent model and its accuracy.
-        looks: The monitor's looks on the way, the last at the end.
-        messages: Time [s] and text.
-        delay: Age of the newest instant that the estimator can speak about [s].
-        differentiator: Why which differentiator was taken.
-    """
+    """What was identified on line, judged as an estimate from the whole recording is."""
 
     estimate: Estimate
-    looks: tuple[Look, ...]
-    messages: tuple[tuple[float, str], ...]
-    delay: float
-    differentiator: str
+    looks: tuple[Look, ...]  # of the monitor on the way, the last at the end
+    messages: tuple[tuple[float, str], ...]  # time [s] and text
+    delay: float  # age of the newest instant that the estimator can speak about [s]
+    differentiator: str  # why which was taken
 
     def result(self) -> dict[str, Any]:
         """Machine-readable result: that of `identify`, and the way there under ``online``."""
@@ -508,19 +452,8 @@ def identify_online(
 ) -> OnlineIdentification:
     """Identify a robot as if the samples came one by one.
 
-    Args:
-        robot: The arm; its inertias are the prior.
-        recordings: What to fit, one after the other.
-        validate: What to judge on; the last 30 % of each recording when empty.
-        effects: Effects to estimate; friction, offset and rotor inertia when None.
-        cutoff_hz: Cut-off of the torque filter that accuracy is judged under [Hz].
-        forgetting: Time constant of forgetting [s]; nothing is forgotten when None.
-        progress: Told the fraction done.
-
-    Raises:
-        BadRecording: Recordings that cannot be used.
-        BadRobot: Links without mass, so no prior.
-        Infeasible: The semidefinite solver failed.
+    Args and errors are those of `identify_robot`, and the time constant of forgetting [s] (nothing
+    is forgotten when None); ``progress`` is told the fraction done.
     """
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     prior = prior_parameters(robot)

@@ -49,22 +49,13 @@ _CURRENT = (
 
 @dataclass(frozen=True, eq=False)
 class PayloadEstimate:
-    """A body on the last link, about the frame of its joint.
+    """A body on the last link, about the frame of its joint."""
 
-    Attributes:
-        link: The link that carries it.
-        phi: Standard parameters, physically consistent, shape (10,).
-        covariance: Their covariance, constraints ignored, shape (10, 10).
-        prior_share: Part of each parameter's uncertainty that no data reduced, shape (10,).
-        kkt: Optimality of the consistent fit.
-        notes: What the user should know, as sentences.
-    """
-
-    link: str
-    phi: Array
-    covariance: Array
-    prior_share: Array
-    kkt: KktResiduals
+    link: str  # that carries it
+    phi: Array  # standard parameters, physically consistent, shape (10,)
+    covariance: Array  # of them, constraints ignored, shape (10, 10)
+    prior_share: Array  # of each parameter's uncertainty, which no data reduced, shape (10,)
+    kkt: KktResiduals  # optimality of the consistent fit
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -143,12 +134,10 @@ def identify_payload(
 ) -> PayloadEstimate:
     """What the arm carries in some recordings.
 
-    The unloaded arm is known from recordings, or else from the given model.
-
     Args:
         robot: The arm without its load.
         loaded: Recordings with the load.
-        unloaded: Recordings of the same arm without it; any motion.
+        unloaded: Recordings of the same arm without it, any motion; else the given model stands.
         effects: Effects of the arm; friction, offset and rotor inertia when None.
 
     Raises:
@@ -193,16 +182,10 @@ def identify_payload(
 def estimate_payload(
     robot: Robot, base: BaseParameters, loaded: Information, arm: Information
 ) -> PayloadEstimate:
-    """The body that turns one arm into the other.
-
-    Args:
-        robot: The arm.
-        base: Base parameters of both pieces of information.
-        loaded: Data of the loaded arm alone, without a prior.
-        arm: What is known of the unloaded arm: data, or an identified model.
+    """The body between data of the loaded arm alone and what is known of the unloaded one.
 
     Raises:
-        BadInput: Information about other parameters.
+        BadInput: Information about other parameters than the base parameters.
         Infeasible: The semidefinite solver failed.
     """
     about = payload_information(robot, base, loaded, arm)
@@ -247,14 +230,14 @@ def identify_drive_gains(
     effects: Sequence[Effect] | None = None,
     cutoff_hz: float | None = None,
 ) -> DriveGains:
-    """Drive gains of an arm whose motor currents were recorded.
+    """Drive gains of an arm whose motor currents were recorded; its masses are of no account.
 
     Args:
-        robot: The arm without the payload; its masses are of no account.
-        recordings: Currents without the payload; what `identify` fits of them is used.
+        robot: The arm without the payload.
+        recordings: Currents without the payload; what `identify_robot` fits of them is used.
         loaded: Currents with the payload.
         payload: What is known of it.
-        validate: As given to `identify`.
+        validate: As `identify_robot` takes it, like effects and cut-off [Hz].
         effects: Effects of the arm; friction, offset and rotor inertia when None.
         cutoff_hz: Cut-off of the filter [Hz].
 

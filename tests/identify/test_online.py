@@ -219,7 +219,7 @@ def test_rows_in_any_grouping_make_one_triangle() -> None:
     P = whole.covariance()
     again = gaussian(whole.solve(), P)
     np.testing.assert_allclose(again.solve(), whole.solve(), rtol=1e-10)
-    np.testing.assert_allclose(again.matrix(), whole.matrix(), rtol=1e-9)
+    np.testing.assert_allclose(again.R.T @ again.R, whole.R.T @ whole.R, rtol=1e-9)
 
 
 class Remembering(ViscousFriction):
