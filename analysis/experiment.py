@@ -31,7 +31,8 @@ from excitant.analysis.uncertainty import (
 from excitant.exceptions import BadRobot
 from excitant.identify.estimate import Estimate, judged
 from excitant.identify.least_squares import weighted_least_squares
-from excitant.identify.physical import EffectPrior, fit_physical, prior_parameters
+from excitant.identify.physical import fit_physical
+from excitant.identify.prior import EffectPrior, prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.regression import dense, observation
 from excitant.identify.rows import FitRows, fit_rows, implausible_size, split

@@ -25,7 +25,7 @@ from excitant.analysis.uncertainty import (
     weak_directions,
 )
 from excitant.exceptions import BadInput
-from excitant.identify.prior_rule import KINDS
+from excitant.identify.prior import KINDS
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
 from excitant.robots.html_table import html_table
@@ -397,7 +397,7 @@ def _sizes(
     Without a prior, what makes as much torque as the noise.
     """
     if given.prior is not None:
-        from excitant.identify.base_prior import base_prior
+        from excitant.identify.prior import base_prior
 
         return np.asarray(np.sqrt(np.diag(base_prior(robot, effects, base).covariance)), float)
     loud = given.information.signal

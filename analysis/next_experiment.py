@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.analysis.uncertainty import ROUGHLY, deviations, listed, triangle
-from excitant.identify.base_prior import reference_motion
+from excitant.identify.prior import reference_motion
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot

@@ -5,7 +5,7 @@ may agree where the data are silent. So the prior is moved where the data are si
 null space of the observation matrix and along what it shows worst, and in random directions as
 well, always to bodies that can exist; the physically consistent fit is repeated, and each entry
 compared with how far its prior was moved: 1, the prior alone decides; 0, the data do. When that
-makes an entry the prior's is the rule of `excitant.identify.prior_rule`, which `identify` applies
+makes an entry the prior's is the rule of `excitant.identify.prior`, which `identify` applies
 to linear theory.
 """
 
@@ -19,19 +19,19 @@ import scipy
 
 from excitant.analysis.uncertainty import MotionInformation
 from excitant.identify.estimate import Estimate
-from excitant.identify.physical import (
-    PRIOR_SIGMA,
-    EffectPrior,
-    fit_physical,
-    link_coordinates,
-    link_weights,
-)
-from excitant.identify.prior_rule import (
+from excitant.identify.physical import fit_physical
+from excitant.identify.prior import (
     DOMINATED,
     KINDS,
+    PRIOR_SIGMA,
     UNSEEN,
+    UPPER,
     WEAKEST,
+    EffectPrior,
     follows,
+    link_coordinates,
+    link_weights,
+    matrices,
     reached,
     silent_columns,
 )
@@ -42,7 +42,6 @@ STEP = 0.2  # of a link's inertia in any direction, by which the prior is moved
 _NOTHING = 0.01  # of an entry's uncertainty, below which a kind says nothing of it
 _DRAWS = 8  # perturbations in the null space, and random ones
 _FLAT = 1e-3  # of the prior's second moment in some direction: the body is at its limit
-_UPPER = np.triu_indices(4)
 
 Response = Callable[[Array], Array]
 """How far the estimate moves, shape (p,), when the prior is moved by δ, shape (p,)."""
@@ -87,10 +86,7 @@ class Prior:
     def stretches(self, w: Array) -> Array:
         """Eigenvalues of Q − 1 of each link, as in `fit_physical`, ascending, shape (links, 4)."""
         y = w[: 10 * self.links] / link_weights(self.links, PRIOR_SIGMA)
-        Q = np.zeros((self.links, 4, 4))
-        Q[:, *_UPPER] = y.reshape(-1, 10)
-        Q += np.triu(Q, 1).transpose(0, 2, 1)
-        return np.asarray(np.linalg.eigvalsh(Q), float)
+        return np.asarray(np.linalg.eigvalsh(matrices(y, self.links)), float)
 
     def size(self, w: Array) -> float:
         """Largest relative change of any link in any direction, or of an effect in its std."""
@@ -221,7 +217,7 @@ def _random_bodies(prior: Prior, rng: np.random.Generator) -> Array:
     A = rng.normal(size=(prior.links, 4, 4))
     A = A + A.transpose(0, 2, 1)
     A /= np.abs(np.linalg.eigvalsh(A)).max(axis=1)[:, None, None]
-    y = A[:, *_UPPER].reshape(-1)
+    y = A[:, *UPPER].reshape(-1)
     w[: 10 * prior.links] = y * link_weights(prior.links, PRIOR_SIGMA)
     return w
 

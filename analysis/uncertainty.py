@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from excitant.exceptions import BadInput
-from excitant.identify.prior_rule import silent_columns
+from excitant.identify.prior import silent_columns
 from excitant.robots.base_parameters import (
     BaseParameters,
     Observation,

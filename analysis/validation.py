@@ -28,21 +28,15 @@ from excitant.analysis.confirmation import HeldOut
 from excitant.analysis.residuals import Mask, moving
 from excitant.exceptions import BadInput
 from excitant.identify.least_squares import SMALLEST, autocorrelation_time
-from excitant.identify.physical import (
-    EffectPrior,
-    fit_physical,
-    link_coordinates,
-    link_weights,
-    prior_parameters,
-)
+from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment
+from excitant.identify.prior import EffectPrior, link_coordinates, link_weights, prior_parameters
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, plain
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.robot import Robot
-from excitant.robots.simulation import LOOP_HZ, Diverged, forward_error
-from excitant.robots.state_torque import forward_model
+from excitant.robots.simulation import LOOP_HZ, Diverged, forward_error, forward_model
 
 LIKELY = 3.0  # times the tolerance's standard deviation: farther off, given values are wrong
 _ROUNDS = 3  # of estimating the noise

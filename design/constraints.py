@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 
@@ -86,12 +86,7 @@ class LimitUse:
             raise OutsideLimits(self.joint, self.quantity, float(value), float(limit), self.time)
 
     def certified(self) -> list[dict[str, float] | None]:
-        """Per joint what the quantity stays within, as plain values.
-
-        Returns:
-            ``low`` and ``high`` in the quantity's unit, the largest ``ratio`` to the limit and
-            when it occurs, ``t`` [s]; None where the joint has no limit.
-        """
+        """Each joint's ``low``, ``high``, largest ``ratio`` and its ``t`` [s]; None unlimited."""
         names = ("low", "high", "ratio", "t")
         table = np.stack([self.low, self.high, self.ratios, self.times], axis=1).tolist()
         return [
@@ -102,15 +97,7 @@ class LimitUse:
 
 @dataclass(frozen=True, eq=False)
 class LimitReport:
-    """Worst use of every limit over a continuous motion.
-
-    Attributes:
-        position: Use of the position range.
-        velocity: Use of the velocity limit.
-        acceleration: Use of the acceleration limit.
-        torque: Use of the torque limit.
-        jerk: Use of the limit on jerk; None without one.
-    """
+    """Worst use of every limit over a continuous motion; of jerk only with a limit on it."""
 
     position: LimitUse
     velocity: LimitUse
@@ -120,7 +107,7 @@ class LimitReport:
 
     @property
     def uses(self) -> tuple[LimitUse, ...]:
-        """All quantities; jerk only with a limit on it."""
+        """Of all limited quantities."""
         four = (self.position, self.velocity, self.acceleration, self.torque)
         return four if self.jerk is None else (*four, self.jerk)
 
@@ -152,11 +139,8 @@ def position_range(limits: Limits) -> tuple[Array, Array]:
 def kinematic_limits(limits: Limits) -> tuple[Array, Array]:
     """Limits by derivative order as |q⁽ᵒ⁾ − middle| ≤ bound, both of shape (4, nv)."""
     middle, half = position_range(limits)
-    zero = np.zeros_like(middle)
-    return (
-        np.stack([middle, zero, zero, zero]),
-        np.stack([half, limits.velocity, limits.acceleration, limits.jerk]),
-    )
+    bound = np.stack([half, limits.velocity, limits.acceleration, limits.jerk])
+    return np.vstack([middle, np.zeros_like(bound[1:])]), bound
 
 
 def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
@@ -177,7 +161,7 @@ def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
     if isinstance(motion, Trajectory):
         path, stops = motion, motion.extrema_in_time(0)[0].ravel()
         t = np.linspace(0.0, motion.period, _PER_HARMONIC * max(motion.harmonics, 1) + 1)
-        found = [_exact_extrema(motion, order) for order in orders]
+        found = [_extreme(*(part.T for part in motion.extrema_in_time(k))) for k in orders]
     else:
         if len(motion) < 2:
             raise BadInput(f"motion has {len(motion)} samples, at least two are needed")
@@ -187,24 +171,26 @@ def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
         stops = _reversals(path, t)
         found = [_extrema(partial(path, order=k), partial(path, order=k + 1), t) for k in orders]
     limits = zip(KINEMATIC, found, *kinematic_limits(robot.limits), strict=False)
-    uses = [_use(robot, *quantity) for quantity in limits]
-    position, velocity, acceleration, *jerk = uses
+    position, velocity, acceleration, *jerk = (_use(robot, *quantity) for quantity in limits)
     tau = _torque_use(robot, path, t, stops)
     return LimitReport(position, velocity, acceleration, tau, *jerk)
 
 
-def within_limits(robot: Robot, trajectory: Trajectory) -> Trajectory | None:
+def within_limits(
+    robot: Robot, trajectory: Trajectory, scene: Scene | None = None, least: float = 0.0
+) -> Trajectory | None:
     """The trajectory, shrunk towards its middle by what it exceeds a limit; None if that fails.
 
     Meant for an excess of a small share of a limit: the middle is a pose, and torque need not
-    fall on the way there.
+    fall on the way there. With a scene also None if bodies come nearer than ``least`` [m].
     """
-    X = trajectory.coefficients
-    centre = trajectory.series.constant(trajectory.series.mean(X))
+    X, one = trajectory.coefficients, trajectory.series.one
+    centre = trajectory.series.constant(one @ X / one.sum())
     for _ in range(_SHRINKS):
         excess = check(robot, trajectory).worst.ratio - 1
         if excess <= 0:
-            return trajectory
+            apart = scene is None or clearance(scene, trajectory).certified >= least
+            return trajectory if apart else None
         X = centre + (1 - 2 * excess - 1e-7) * (X - centre)
         trajectory = trajectory.series.trajectory(X)
     return None
@@ -212,20 +198,11 @@ def within_limits(robot: Robot, trajectory: Trajectory) -> Trajectory | None:
 
 def _use(robot: Robot, quantity: str, found: Extrema, middle: Array, bound: Array) -> LimitUse:
     low, t_low, high, t_high = found
-    away, times = high - middle, t_high
-    below = middle - low > away
-    ratios = np.where(below, middle - low, away) / bound
+    below = middle - low > high - middle
+    ratios = np.where(below, middle - low, high - middle) / bound
+    times = np.where(below, t_low, t_high)
     limits = np.stack([middle - bound, middle + bound], axis=1)
-    return LimitUse(
-        quantity, ratios, np.where(below, t_low, times), low, high, limits, robot.joints
-    )
-
-
-def _exact_extrema(trajectory: Trajectory, order: int) -> Extrema:
-    times, values = trajectory.extrema_in_time(order)
-    joints = np.arange(trajectory.nv)
-    low, high = values.argmin(axis=0), values.argmax(axis=0)
-    return values[low, joints], times[low, joints], values[high, joints], times[high, joints]
+    return LimitUse(quantity, ratios, times, low, high, limits, robot.joints)
 
 
 def _torque_use(
@@ -265,28 +242,29 @@ def _extrema(
 ) -> Extrema:
     """Smallest and largest value of each channel over continuous time, and when.
 
-    The instants given are joined by cubic Hermite interpolation (error h⁴ |f⁗| / 384); the
+    Increasing instants are joined by cubic Hermite interpolation (error h⁴ |f⁗| / 384); the
     function itself is then evaluated at the interpolants' stationary points.
-
-    Args:
-        evaluate: Values at instants (n,), shape (n, m).
-        slope: Their time derivatives.
-        t: Instants fine enough for the interpolation, increasing [s].
     """
     value = evaluate(t)
     joined = CubicHermiteSpline(t, value, slope(t)).derivative()
     roots = joined.roots(discontinuity=False, extrapolate=False)
     inside = [times[np.isfinite(times)] for times in roots]
     at = evaluate(np.concatenate(inside)) if any(map(len, inside)) else value[:0]
-    ends = np.cumsum([len(times) for times in inside])
+    parts = np.split(at, np.cumsum([len(times) for times in inside])[:-1])
+    return _extreme(
+        [np.concatenate([t, times]) for times in inside],
+        [np.append(value[:, j], part[:, j]) for j, part in enumerate(parts)],
+    )
+
+
+def _extreme(times: Iterable[Array], values: Iterable[Array]) -> Extrema:
+    """Smallest and largest value of every joint, and when, from its own instants."""
     found = []
-    for j, times in enumerate(inside):
-        when = np.concatenate([t, times])
-        values = np.concatenate([value[:, j], at[ends[j] - len(times) : ends[j], j]])
-        low, high = int(values.argmin()), int(values.argmax())
-        found.append((values[low], when[low], values[high], when[high]))
-    lows, t_lows, highs, t_highs = np.array(found).T
-    return lows, t_lows, highs, t_highs
+    for t, x in zip(times, values, strict=True):
+        low, high = int(x.argmin()), int(x.argmax())
+        found.append((x[low], t[low], x[high], t[high]))
+    low, t_low, high, t_high = np.array(found).T
+    return low, t_low, high, t_high
 
 
 @dataclass(frozen=True)
@@ -307,14 +285,10 @@ class Clearance:
 
 
 def clearance(scene: Scene, path: Trajectory | HermiteTrajectory) -> Clearance:
-    """Smallest distance over a continuous motion, by branch and bound in time.
+    """Smallest distance over one period or between all samples, by branch and bound in time.
 
     Between two instants a pair's distance falls below neither end by more than half of what
     its bodies can approach each other in that time, a bound from joint speeds and lever arms.
-
-    Args:
-        scene: The arm among its obstacles.
-        path: Trajectory (one period) or interpolated samples.
     """
     start, end, speed = _span(path)
     t = np.linspace(start, end, _INTERVALS + 1)
@@ -353,6 +327,8 @@ def _smallest(scene: Scene, distance: Array, t: Array) -> Clearance:
     return Clearance(value, value, scene.pairs[int(pair)], float(t[k]))
 
 
-def pose_use(scene: Scene, required: float, q: Array) -> Array:
-    """1 where a pose has the distance required; more where it has less, shape (n,)."""
+def pose_use(scene: Scene | None, required: float, q: Array) -> Array:
+    """1 where a pose has the distance required [m]; more where it has less, shape (n,)."""
+    if scene is None:
+        return np.zeros(len(q))
     return np.asarray(1 + (required - scene.distances(q).min(axis=1)) / SCALE)

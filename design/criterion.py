@@ -9,16 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots import (
-    Array,
-    BaseParameters,
-    Motion,
-    Robot,
-    base_parameters,
-    regressor_derivatives,
-)
+from excitant.robots import Array, BaseParameters, Motion, Robot, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import freeze
+from excitant.robots.regressor import RegressorDerivatives, regressor_derivatives
 from excitant.robots.torque import observation_columns
 
 COLUMNS = ("friction", "inertial")
@@ -60,16 +54,12 @@ class Information:
     def observation(self, motion: Motion, *, smooth: bool = False) -> Array:
         """Base columns at every instant, shape (n, nv, r).
 
-        Args:
-            motion: The motion.
-            smooth: With tanh instead of the sign of velocity, as the derivatives have it.
+        ``smooth`` puts tanh in place of the sign of velocity, as the derivatives have it.
         """
         Y = observation_columns(self.robot, self.effects, motion)
         if smooth and self.effects:
-            nv = self.robot.nv
-            first = 11 * nv  # Coulomb columns, one per joint, follow the viscous ones
-            j = np.arange(nv)
-            Y[:, j, first + j] = np.tanh(motion.dq / sign_width(self.robot))
+            j = np.arange(self.robot.nv)  # Coulomb columns, one per joint, follow the viscous ones
+            Y[:, j, 11 * len(j) + j] = np.tanh(motion.dq / sign_width(self.robot))
         return Y[:, :, list(self.base.columns)] * self.weights[:, None]
 
     def matrix(self, motion: Motion, *, smooth: bool = False) -> Array:
@@ -82,17 +72,15 @@ class Information:
         M: Array = W.T @ W / len(observation) + self.earlier
         return M
 
-    def linearise(self, motion: Motion) -> Linearisation:
+    def linearise(self, motion: Motion) -> RegressorDerivatives:
         """Base columns with their exact derivatives by q, q̇ and q̈ (with the smooth sign)."""
         exact = regressor_derivatives(self.robot, motion)
-        parts = (exact.Y, exact.by_q, exact.by_dq, exact.by_ddq)
+        parts = [exact.Y, exact.by_q, exact.by_dq, exact.by_ddq]
         if self.columns == "friction":
             added = _friction_derivatives(self.robot, motion)
-            parts = tuple(
-                np.concatenate([a, b], axis=-1) for a, b in zip(parts, added, strict=True)
-            )  # type: ignore[assignment]
+            parts = [np.concatenate(pair, axis=-1) for pair in zip(parts, added, strict=True)]
         keep = list(self.base.columns)
-        return Linearisation(*(part[..., keep] * self.weights[:, None] for part in parts))
+        return RegressorDerivatives(*(part[..., keep] * self.weights[:, None] for part in parts))
 
 
 def information(
@@ -119,28 +107,21 @@ def information(
     """
     if columns not in COLUMNS:
         raise UnknownName("columns", columns, COLUMNS)
-    effects = standard_effects(robot.joints) if columns == "friction" else ()
-    base = base_parameters(robot, effects, tolerance=_ROUNDED)
-    blank = np.zeros((len(base), len(base)))
-    new = Information(robot, columns, base, _weights(robot, noise), blank)
-    for motion in earlier:
-        if motion.nv != robot.nv:
-            raise BadInput(f"a recording has {motion.nv} joints, {robot.name} has {robot.nv}")
-        blank = blank + new.matrix(motion) * float(np.ptp(motion.t)) / duration
-    return replace(new, earlier=blank)
-
-
-def _weights(robot: Robot, noise: npt.ArrayLike | None) -> Array:
-    if noise is None:
-        return np.ones(robot.nv)
-    sigma = np.asarray(noise, float)
+    sigma = np.ones(robot.nv) if noise is None else np.asarray(noise, float)
     if sigma.shape != (robot.nv,) or not (np.isfinite(sigma).all() and (sigma > 0).all()):
         raise BadInput(
             f"torque noise: give one positive number [N·m] for each of the {robot.nv} joints of "
             f"{robot.name}"
         )
-    weights: Array = np.exp(np.log(sigma).mean()) / sigma
-    return weights
+    effects = standard_effects(robot.joints) if columns == "friction" else ()
+    base = base_parameters(robot, effects, tolerance=_ROUNDED)
+    known = np.zeros((len(base), len(base)))
+    new = Information(robot, columns, base, np.exp(np.log(sigma).mean()) / sigma, known)
+    for motion in earlier:
+        if motion.nv != robot.nv:
+            raise BadInput(f"a recording has {motion.nv} joints, {robot.name} has {robot.nv}")
+        known = known + new.matrix(motion) * float(np.ptp(motion.t)) / duration
+    return replace(new, earlier=known)
 
 
 def condition_number(M: Array) -> float:
@@ -174,44 +155,27 @@ def _friction_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, A
     return Y, by_q, by_dq, by_ddq
 
 
-@dataclass(frozen=True, eq=False)
-class Linearisation:
-    """Base columns at n instants and their derivatives by the joints' motion.
+def information_derivative(linear: RegressorDerivatives, basis: Sequence[Array], U: Array) -> Array:
+    """Derivatives of UᵀMU by coefficients of the motion q⁽ᵒ⁾ = basis[o] @ X.
 
-    Attributes:
-        Y: Shape (n, nv, r).
-        by_q: Derivative by joint position; first index the joint, shape (nv, n, nv, r).
-        by_dq: By joint velocity, same shape.
-        by_ddq: By joint acceleration, same shape.
+    Args:
+        linear: Base columns at n instants, with their derivatives.
+        basis: Basis functions of q, q̇ and q̈ there, each of shape (n, c).
+        U: Directions in the space of base parameters, shape (r, m).
+
+    Returns:
+        Shape (c · nv, m, m), coefficients in the order of ``X.ravel()``.
     """
-
-    Y: Array
-    by_q: Array
-    by_dq: Array
-    by_ddq: Array
-
-    def derivative(self, basis: Sequence[Array], U: Array) -> Array:
-        """Derivatives of UᵀMU by coefficients of the motion.
-
-        The motion is q⁽ᵒ⁾ = basis[o] @ X with coefficients X of shape (c, nv).
-
-        Args:
-            basis: Basis functions of q, q̇ and q̈ at the instants, each of shape (n, c).
-            U: Directions in the space of base parameters, shape (r, m).
-
-        Returns:
-            Shape (c · nv, m, m), coefficients in the order of ``X.ravel()``.
-        """
-        n, nv, _ = self.Y.shape
-        m, c = U.shape[1], basis[0].shape[1]
-        WU = np.swapaxes(self.Y @ U, 1, 2)
-        total = np.zeros((c, nv, m * m))
-        for phi, block in zip(basis, (self.by_q, self.by_dq, self.by_ddq), strict=True):
-            S = WU[None] @ (block @ U)
-            total += np.tensordot(phi, S.reshape(nv, n, m * m), axes=(0, 1))
-        D = total.reshape(c * nv, m, m) / n
-        derivative: Array = D + np.swapaxes(D, 1, 2)
-        return derivative
+    n, nv, _ = linear.Y.shape
+    m, c = U.shape[1], basis[0].shape[1]
+    WU = np.swapaxes(linear.Y @ U, 1, 2)
+    total = np.zeros((c, nv, m * m))
+    for phi, block in zip(basis, (linear.by_q, linear.by_dq, linear.by_ddq), strict=True):
+        S = WU[None] @ (block @ U)
+        total += np.tensordot(phi, S.reshape(nv, n, m * m), axes=(0, 1))
+    D = total.reshape(c * nv, m, m) / n
+    derivative: Array = D + np.swapaxes(D, 1, 2)
+    return derivative
 
 
 def objective(M: Array, criterion: str) -> float:
@@ -233,23 +197,17 @@ def objective(M: Array, criterion: str) -> float:
 def smooth_model(M: Array, dM: Array, criterion: str) -> tuple[Array, Array]:
     """Gradient and Hessian of objective ``d`` or ``a`` along M + Σ dM_i x_i at x = 0.
 
-    Both are convex in the linearised M, so the Hessian is positive semidefinite.
-
-    Args:
-        M: Information, shape (r, r), positive definite.
-        dM: Its derivatives, shape (k, r, r).
-        criterion: ``"d"`` or ``"a"``.
-
-    Returns:
-        Shapes (k,) and (k, k).
+    Both are convex in the linearised M, so the Hessian is positive semidefinite. With M of shape
+    (r, r) and its derivatives dM of (k, r, r) their shapes are (k,) and (k, k).
     """
     eigenvalues, V = np.linalg.eigh(M)
-    root = V / np.sqrt(np.maximum(eigenvalues, 1e-300))
+    eigenvalues = np.maximum(eigenvalues, 1e-300)
+    root = V / np.sqrt(eigenvalues)
     A = (root.T @ dM @ root).reshape(len(dM), len(M), len(M))
     if criterion == "d":
         flat = A.reshape(len(dM), -1)
         return -np.einsum("kii->k", A) / len(M), flat @ flat.T / len(M)
-    weight = 1 / np.maximum(eigenvalues, 1e-300)
+    weight = 1 / eigenvalues
     total = weight.sum()
     gradient = -np.einsum("kii,i->k", A, weight) / total
     half = (A * np.sqrt(weight)).reshape(len(dM), -1)

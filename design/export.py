@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -16,7 +16,7 @@ import yaml
 
 from excitant.design.trajectory import FourierTrajectory, SplineSeries, Trajectory
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots import Array, Motion, Robot
+from excitant.robots import Motion, Robot
 from excitant.robots.schema import Finite, Positive, convert, read_yaml
 
 TOPIC = "/joint_trajectory_controller/joint_trajectory"
@@ -31,10 +31,13 @@ _UNEVEN = 1e-6  # relative difference of sampling intervals that counts as one r
 
 def motion_csv(motion: Motion) -> str:
     """Table ``t,q1..,dq1..,ddq1..`` in full double precision."""
-    header = ",".join(["t", *(f"{kind}{j + 1}" for kind in _KINDS for j in range(motion.nv))])
-    table = np.column_stack([motion.t, motion.q, motion.dq, motion.ddq])
-    lines = [",".join(repr(float(value)) for value in row) for row in table]
-    return "\n".join([header, *lines]) + "\n"
+    table = np.column_stack([motion.t, motion.q, motion.dq, motion.ddq]).tolist()
+    rows = [_columns(motion.nv), *([repr(value) for value in row] for row in table)]
+    return "\n".join(map(",".join, rows)) + "\n"
+
+
+def _columns(nv: int) -> list[str]:
+    return ["t", *(f"{kind}{j + 1}" for kind in _KINDS for j in range(nv))]
 
 
 def trajectory_csv(trajectory: Trajectory, rate_hz: float = 100.0, repetitions: int = 1) -> str:
@@ -105,7 +108,7 @@ def load_trajectory(path: str | Path, robot: Robot) -> Trajectory | Motion:
 
 def _from_json(path: Path, robot: Robot) -> Trajectory:
     content = read_yaml(path, dict[str, Any], "coefficients of a trajectory")
-    record = (
+    record: _FourierRecord | _SplineRecord = (
         convert(content, _SplineRecord, path)
         if "control_points" in content
         else convert(content, _FourierRecord, path)
@@ -128,63 +131,50 @@ def _from_json(path: Path, robot: Robot) -> Trajectory:
 
 
 def _from_csv(text: str, path: Path, robot: Robot) -> Motion:
-    header, *rows = [
-        [cell.strip() for cell in row] for row in csv.reader(text.splitlines()) if row
-    ] or [[]]
-    if len(rows) < 2:
-        raise BadInput(f"trajectory {path}: needs a header and at least two rows")
-    wanted = ["t", *(f"{kind}{j + 1}" for kind in _KINDS for j in range(robot.nv))]
-    joints = sum(name.startswith("q") and name[1:].isdigit() for name in header)
-    if joints and joints != robot.nv:
-        raise BadInput(
-            f"trajectory {path}: {joints} joint columns q1..q{joints}, but {robot.name} has "
-            f"{robot.nv} joints"
-        )
-    for name in wanted:
-        if name not in header:
-            raise BadInput(
-                f"trajectory {path}: column '{name}' is missing; the header must name "
-                f"t, q1..q{robot.nv}, dq1..dq{robot.nv}, ddq1..ddq{robot.nv}"
-            )
-        if header.count(name) > 1:
-            raise BadInput(f"trajectory {path}: column '{name}' occurs more than once")
-    for k, row in enumerate(rows):
-        if len(row) != len(header):
-            raise BadInput(
-                f"trajectory {path}: row {k} has {len(row)} values, the header {len(header)}"
-            )
-    columns = {
-        name: _column([row[header.index(name)] for row in rows], name, path) for name in wanted
-    }
-    t = columns["t"]
+    lines = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines()) if row]
+    if fault := _csv_fault(lines, robot):
+        raise BadInput(f"trajectory {path}: {fault}")
+    places = [lines[0].index(name) for name in _columns(robot.nv)]
+    table = np.array([[float(row[place]) for place in places] for row in lines[1:]])
+    t = table[:, 0]
     for k in np.flatnonzero(np.diff(t) <= 0)[:1] + 1:
         raise BadInput(
             f"trajectory {path}: row {k}, column 't': {t[k]:g} s does not come after "
             f"{t[k - 1]:g} s; time must increase"
         )
-    parts = np.split(np.column_stack([columns[name] for name in wanted[1:]]), 3, axis=1)
-    return Motion(t, *parts)
+    return Motion(t, *np.split(table[:, 1:], 3, axis=1))
 
 
-def _column(cells: list[str], name: str, path: Path) -> Array:
-    values = np.full(len(cells), np.nan)
-    for k, cell in enumerate(cells):
-        try:
-            values[k] = float(cell)
-        except ValueError:
-            why = f"'{cell}' is not a number"
-        else:
-            why = f"{values[k]} is not finite"
-        if not np.isfinite(values[k]):
-            raise BadInput(f"trajectory {path}: row {k}, column '{name}': {why}")
-    return values
+def _csv_fault(lines: Sequence[list[str]], robot: Robot) -> str | None:
+    """The first thing wrong with a table, its header first."""
+    if len(lines) < 3:
+        return "needs a header and at least two rows"
+    (header, *rows), nv = lines, robot.nv
+    joints = sum(name.startswith("q") and name[1:].isdigit() for name in header)
+    if joints and joints != nv:
+        return f"{joints} joint columns q1..q{joints}, but {robot.name} has {nv} joints"
+    for name in _columns(nv):
+        if name not in header:
+            named = f"the header must name t, q1..q{nv}, dq1..dq{nv}, ddq1..ddq{nv}"
+            return f"column '{name}' is missing; {named}"
+        if header.count(name) > 1:
+            return f"column '{name}' occurs more than once"
+    for k, row in enumerate(rows):
+        if len(row) != len(header):
+            return f"row {k} has {len(row)} values, the header {len(header)}"
+    for name in _columns(nv):
+        for k, cell in enumerate(row[header.index(name)] for row in rows):
+            try:
+                why = None if np.isfinite(float(cell)) else f"{float(cell)} is not finite"
+            except ValueError:
+                why = f"'{cell}' is not a number"
+            if why:
+                return f"row {k}, column '{name}': {why}"
+    return None
 
 
 def write_formats(
-    motion: Motion,
-    robot: Robot,
-    names: Sequence[str],
-    stem: str = "trajectory",
+    motion: Motion, robot: Robot, names: Sequence[str], stem: str = "trajectory"
 ) -> dict[str, bytes | str]:
     """Contents of files in several formats, by file name.
 
@@ -215,10 +205,10 @@ def joint_trajectory_yaml(motion: Motion, robot: Robot) -> str:
 
     Values are exact, times rounded to 1 ns and counted from the first sample.
     """
-    lines = ["header: {stamp: {sec: 0, nanosec: 0}, frame_id: ''}"]
     names = yaml.safe_dump(list(robot.joints), default_flow_style=True, width=10**9)
+    lines = ["header: {stamp: {sec: 0, nanosec: 0}, frame_id: ''}"]
     lines += [f"joint_names: {names.strip()}", "points:"]
-    for (sec, nanosec), values in zip(_durations(motion), _points(motion), strict=True):
+    for sec, nanosec, *values in _points(motion):
         for mark, field, row in zip("-  ", _FIELDS, values, strict=True):
             lines.append(f"{mark} {field}: [{', '.join(map(_yaml_number, row))}]")
         lines += ["  effort: []", f"  time_from_start: {{sec: {sec}, nanosec: {nanosec}}}"]
@@ -235,29 +225,24 @@ def mcap_bag(motion: Motion, robot: Robot) -> bytes:
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    message = _message(store.types, motion, robot)
+    types: Any = store.types
+    duration, time = (types[f"builtin_interfaces/msg/{name}"] for name in ("Duration", "Time"))
+    points = [
+        types["trajectory_msgs/msg/JointTrajectoryPoint"](
+            **dict(zip(_FIELDS, map(np.array, values), strict=True)),
+            effort=np.zeros(0),
+            time_from_start=duration(sec=sec, nanosec=nanosec),
+        )
+        for sec, nanosec, *values in _points(motion)
+    ]
+    header = types["std_msgs/msg/Header"](stamp=time(sec=0, nanosec=0), frame_id="")
+    message = types[_MESSAGE](header=header, joint_names=list(robot.joints), points=points)
     with TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
         with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             connection = writer.add_connection(TOPIC, _MESSAGE, typestore=store)
             writer.write(connection, 0, store.serialize_cdr(message, _MESSAGE))
         return (bag / "bag.mcap").read_bytes()
-
-
-def _message(types: Any, motion: Motion, robot: Robot) -> Any:
-    point = types["trajectory_msgs/msg/JointTrajectoryPoint"]
-    duration = types["builtin_interfaces/msg/Duration"]
-    stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
-    points = [
-        point(
-            **{field: np.array(row) for field, row in zip(_FIELDS, values, strict=True)},
-            effort=np.zeros(0),
-            time_from_start=duration(sec=sec, nanosec=nanosec),
-        )
-        for (sec, nanosec), values in zip(_durations(motion), _points(motion), strict=True)
-    ]
-    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-    return types[_MESSAGE](header=header, joint_names=list(robot.joints), points=points)
 
 
 def urscript(motion: Motion, robot: Robot) -> str:
@@ -298,18 +283,14 @@ def npz(motion: Motion, robot: Robot) -> bytes:
     return buffer.getvalue()
 
 
-def _durations(motion: Motion) -> list[tuple[int, int]]:
-    """Seconds and nanoseconds of each sample since the first."""
+def _points(motion: Motion) -> Iterator[tuple[int, int, list[float], list[float], list[float]]]:
+    """Seconds and nanoseconds since the first sample, positions, velocities, accelerations."""
     ticks = [round(1e9 * float(t)) for t in motion.t - motion.t[0]]
-    stuck = next((k for k in range(1, len(ticks)) if ticks[k] <= ticks[k - 1]), None)
-    if stuck is not None:
-        raise BadInput(f"samples {stuck - 1} and {stuck} of the motion are less than 1 ns apart")
-    return [divmod(tick, 10**9) for tick in ticks]
-
-
-def _points(motion: Motion) -> list[tuple[list[float], list[float], list[float]]]:
-    rows = (motion.q.tolist(), motion.dq.tolist(), motion.ddq.tolist())
-    return list(zip(*rows, strict=True))
+    for k in np.flatnonzero(np.diff(ticks) <= 0)[:1]:
+        raise BadInput(f"samples {k} and {k + 1} of the motion are less than 1 ns apart")
+    rows = zip(motion.q.tolist(), motion.dq.tolist(), motion.ddq.tolist(), strict=True)
+    for tick, values in zip(ticks, rows, strict=True):
+        yield *divmod(tick, 10**9), *values
 
 
 def _yaml_number(value: float) -> str:
@@ -318,9 +299,7 @@ def _yaml_number(value: float) -> str:
     return text if "." in text else text.replace("e", ".0e")
 
 
-Exporter = Callable[[Motion, Robot], bytes | str]
-
-FORMATS: dict[str, tuple[str, Exporter]] = {
+FORMATS: dict[str, tuple[str, Callable[[Motion, Robot], bytes | str]]] = {
     "ros2": (".yaml", joint_trajectory_yaml),
     "mcap": (".mcap", mcap_bag),
     "urscript": (".script", urscript),

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from excitant.design.constraints import kinematic_limits, position_range
+from excitant.design.constraints import kinematic_limits, pose_use, position_range
 from excitant.design.trajectory import (
     FourierSeries,
     FourierTrajectory,
@@ -16,6 +14,7 @@ from excitant.design.trajectory import (
 )
 from excitant.exceptions import Infeasible
 from excitant.robots import Array, Motion, Robot
+from excitant.robots.geometry import Scene
 from excitant.robots.torque import largest_torque
 
 _POSES = 2000
@@ -25,10 +24,6 @@ _SHRINKS = 40
 _TORQUE_SAMPLES = 32  # per harmonic
 _WAVES = 10  # highest harmonic of a random start
 _TORQUE_SHARE = 0.99  # of the limit at the samples, which leaves room between them
-
-
-PoseUse = Callable[[Array], Array]
-"""Use of a limit on poses alone by each pose, (n, nv) to (n,); at most 1 where it holds."""
 
 
 def random_trajectory(
@@ -53,49 +48,40 @@ def random_start(
     robot: Robot,
     rng: np.random.Generator,
     series: Series,
-    pose_use: PoseUse | None = None,
+    scene: Scene | None = None,
+    required: float = 0.0,
 ) -> Trajectory:
-    """A random trajectory at rest at both ends and within all limits of the robot.
-
-    Args:
-        robot: The arm; its limits count.
-        rng: Source of randomness.
-        series: Functions of time that it is a combination of.
-        pose_use: A limit on poses, such as clearance.
-
-    Raises:
-        Infeasible: No pose, or no motion found, within position and torque limits.
-    """
+    """A random trajectory of a series, as `random_trajectory`; bodies of a scene apart [m]."""
     t = series.instants(_TORQUE_SAMPLES)
+
+    def uses(trajectory: Trajectory) -> Array:
+        """Of each torque limit, and of the clearance."""
+        apart = pose_use(scene, required, trajectory(t)).max()
+        return np.append(torque_use(robot, trajectory.at(t)), apart)
+
     drawn: list[tuple[float, int, Trajectory]] = []
-    for _ in range(_DRAWS):
+    for k in range(_DRAWS):
         trajectory = _draw(robot, rng, series)
-        ratio = max(
-            float(torque_use(robot, trajectory.at(t)).max()),
-            float(pose_use(trajectory(t)).max()) if pose_use else 0.0,
-        )
-        if ratio <= _TORQUE_SHARE:
+        drawn.append((float(uses(trajectory).max()), k, trajectory))
+        if drawn[-1][0] <= _TORQUE_SHARE:
             return trajectory
-        drawn.append((ratio, len(drawn), trajectory))
     best = min(drawn)[2]
-    X0 = series.constant(standstill(robot, rng, pose_use))
+    X0 = series.constant(_standstill(robot, rng, scene, required))
     for share in 0.7 ** np.arange(1, _SHRINKS):
         trajectory = series.trajectory(X0 + share * (best.coefficients - X0))
-        use = torque_use(robot, trajectory.at(t))
-        apart = float(pose_use(trajectory(t)).max()) if pose_use else 0.0
-        if max(use.max(), apart) <= _TORQUE_SHARE:
+        *use, apart = uses(trajectory)
+        if max(*use, apart) <= _TORQUE_SHARE:
             return trajectory
-    if use.max() <= _TORQUE_SHARE:
+    if max(use) <= _TORQUE_SHARE:
         raise Infeasible(
             f"trajectory of {robot.name}",
             "every motion tried comes too close to an obstacle or to the arm itself; lower the "
             "required clearance or widen the position limits",
         )
-    joint = robot.joints[int(use.argmax())]
     raise Infeasible(
         f"trajectory of {robot.name}",
-        f"torque limit of joint {joint} is exceeded by every motion tried, however slow "
-        f"(down to {use.max():.4g} times the limit); raise the torque limit",
+        f"torque limit of joint {robot.joints[int(np.argmax(use))]} is exceeded by every motion "
+        f"tried, however slow (down to {max(use):.4g} times the limit); raise the torque limit",
     )
 
 
@@ -127,15 +113,10 @@ def _draw(robot: Robot, rng: np.random.Generator, series: Series) -> Trajectory:
     return series.trajectory(X + series.constant(middle + shift))
 
 
-def standstill(robot: Robot, rng: np.random.Generator, pose_use: PoseUse | None = None) -> Array:
-    """A pose within the position limits that the torque limits can hold, shape (nv,).
-
-    The best of many random poses, improved by random search around it.
-
-    Raises:
-        Infeasible: Gravity needs more torque than the limit at every pose tried, or none keeps
-            the clearance.
-    """
+def _standstill(
+    robot: Robot, rng: np.random.Generator, scene: Scene | None, required: float
+) -> Array:
+    """A pose that all limits allow, shape (nv,): the best random one, improved around itself."""
     middle, half = position_range(robot.limits)
     half = np.where(np.isfinite(half), half, np.pi)
     width, pose, best = 1.0, middle, np.inf
@@ -146,8 +127,7 @@ def standstill(robot: Robot, rng: np.random.Generator, pose_use: PoseUse | None 
         zero = np.zeros_like(poses)
         held = Motion(np.arange(len(poses), dtype=float), poses, zero, zero)
         uses = np.abs(largest_torque(robot, held)) / robot.limits.torque
-        apart = pose_use(poses) if pose_use else np.zeros(len(poses))
-        worst = np.maximum(uses.max(axis=1), apart)
+        worst = np.maximum(uses.max(axis=1), pose_use(scene, required, poses))
         k = int(worst.argmin())
         if worst[k] < best:
             best, pose, use = float(worst[k]), poses[k], uses[k]
@@ -160,11 +140,11 @@ def standstill(robot: Robot, rng: np.random.Generator, pose_use: PoseUse | None 
             "every pose tried is too close to an obstacle or to the arm itself; lower the "
             "required clearance, move the obstacles or widen the position limits",
         )
-    tight = [robot.joints[j] for j in np.flatnonzero(use >= 0.999 * best)]
-    limit = ", ".join(f"{robot.limits.torque[robot.joint_index(j)]:.4g} N·m" for j in tight)
+    tight = np.flatnonzero(use >= 0.999 * best)
+    limit = ", ".join(f"{robot.limits.torque[j]:.4g} N·m" for j in tight)
     raise Infeasible(
         f"trajectory of {robot.name}",
-        f"torque limit of {', '.join(tight)} ({limit}) is below what gravity needs at every "
-        f"pose within the position limits (at least {best:.3g} times the limit); raise the "
-        "torque limit or widen the position limits",
+        f"torque limit of {', '.join(robot.joints[j] for j in tight)} ({limit}) is below what "
+        f"gravity needs at every pose within the position limits (at least {best:.3g} times the "
+        "limit); raise the torque limit or widen the position limits",
     )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import joblib
@@ -12,15 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.design.constraints import check, within_limits
-from excitant.design.constraints import clearance as motion_clearance
 from excitant.design.criterion import CRITERIA, condition_number, information, objective
 from excitant.design.problem import DesignProblem
 from excitant.design.result import Design, dense_motion
-from excitant.design.search import SearchState, best_solutions
-from excitant.design.starts import Effort, connect, search
-from excitant.design.trajectory import FourierSeries, Series, SplineSeries, Trajectory
+from excitant.design.search import Effort, SearchState, best_solutions, connect, search
+from excitant.design.trajectory import FourierSeries, Series, SplineSeries
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots import Array, Motion, Robot
+from excitant.robots import Motion, Robot
 from excitant.robots.geometry import Scene
 
 Progress = Callable[[int, int | None, float, float], None]
@@ -29,19 +27,19 @@ and its worst limit ratio."""
 
 SERIES = ("fourier", "spline")
 TOP_HZ = 2.5  # a quarter of the cut-off that identification filters at
+CLEARANCE = 0.01  # m
+CANDIDATES = 4  # best searches whose exact figures decide
 
 _STARTS = 16
-FEWEST = 5  # harmonics that a search for their number begins with
-CLEARANCE = 0.01  # m
+_FEWEST = 5  # harmonics that a search for their number begins with
 _CLEARANCE_MARGIN = 0.004  # m, for what happens between the instants of the optimiser
-CANDIDATES = 4  # best searches whose exact figures decide
 
 
 def build_design(
     robot: Robot,
     *,
-    duration: float = 10.0,
-    harmonics: int = 5,
+    duration: float | tuple[float, float] = 10.0,
+    harmonics: int | None = 5,
     series: str = "fourier",
     criterion: str = "condition",
     columns: str = "friction",
@@ -50,18 +48,27 @@ def build_design(
     scene: Scene | None = None,
     clearance: float = CLEARANCE,
 ) -> DesignProblem:
-    """State the design problem without solving it; see `design`."""
+    """State the problem that `design_trajectory` solves, as its search begins."""
+    longest = period_range(duration)[1]
     if criterion not in CRITERIA:
         raise UnknownName("criterion", criterion, CRITERIA)
     if not np.isfinite(clearance) or clearance < 0:
         raise BadInput(f"clearance {clearance} m is not a distance")
     return DesignProblem(
-        information(robot, columns, noise=noise, earlier=earlier, duration=duration),
+        information(robot, columns, noise=noise, earlier=earlier, duration=longest),
         criterion,
-        _series(series, duration, harmonics),
+        _series(series, longest, _FEWEST if harmonics is None else harmonics),
         scene,
         clearance + _CLEARANCE_MARGIN,
     )
+
+
+def period_range(duration: float | tuple[float, float]) -> tuple[float, float]:
+    """The shortest and the longest period [s]."""
+    shortest, longest = duration if isinstance(duration, tuple) else (duration, duration)
+    if not 0 < shortest <= longest:
+        raise BadInput(f"duration {shortest:g} to {longest:g} s: give the shorter one first")
+    return shortest, longest
 
 
 def _series(name: str, duration: float, harmonics: int) -> Series:
@@ -132,92 +139,76 @@ def design_trajectory(
         BadInput: Duration, harmonics or starts out of range, or no cluster there.
     """
     began = time.time()
-    starts = number_of_starts(starts, time_limit, _STARTS)
-    shortest, longest = period_range(duration)
-    terms = FEWEST if harmonics is None else harmonics
-    problem = build_design(
-        robot,
-        duration=longest,
-        harmonics=terms,
-        series=series,
-        criterion=criterion,
-        columns=columns,
-        noise=noise,
-        earlier=earlier,
-        scene=scene,
-        clearance=clearance,
+    with effort_of(starts, _STARTS, jobs, cluster, seed, time_limit) as effort:
+        first = build_design(
+            robot,
+            duration=duration,
+            harmonics=harmonics,
+            series=series,
+            criterion=criterion,
+            columns=columns,
+            noise=noise,
+            earlier=earlier,
+            scene=scene,
+            clearance=clearance,
+        )
+        first.random(np.random.default_rng([seed, 0]))  # refuses at once what no motion keeps
+        if progress is not None:
+            effort = replace(effort, report=_Teller(effort.starts, progress))
+        highest = top_hz if harmonics is None else None
+        problem, searches = search(first, effort, period_range(duration)[0], highest)
+    begun = replace(problem, series=problem.series.resized(first.series.terms))
+    initial = begun.random(np.random.default_rng([seed, 0]))
+    found = map(problem.trajectory, best_solutions(searches, CANDIDATES))
+    kept = [within_limits(robot, trajectory, scene, clearance) for trajectory in found]
+    chosen = min(
+        [initial, *(trajectory for trajectory in kept if trajectory is not None)],
+        key=lambda x: objective(problem.information.matrix(dense_motion(x)), criterion),
     )
-    problem.random(np.random.default_rng([seed, 0]))  # refuses at once what no motion keeps
-    deadline = np.inf if time_limit is None else began + time_limit
-    tell = _Teller(starts, progress)
-    with ExitStack() as stack:
-        client = stack.enter_context(connect(cluster)) if cluster else None
-        effort = Effort(starts, jobs or int(joblib.cpu_count()), seed, deadline, tell, client)
-        problem, searches = search(problem, effort, shortest, top_hz if harmonics is None else None)
-    first = replace(problem, series=problem.series.resized(terms))
-    initial = first.random(np.random.default_rng([seed, 0]))
-    chosen = _best(problem, initial, searches)
     wall_s = time.time() - began
     return Design(problem.information, criterion, initial, chosen, scene, searches, wall_s)
 
 
-def number_of_starts(starts: int | None, time_limit: float | None, default: int) -> int | None:
-    """The starts asked for, else the default; None for as many as fit into a time limit."""
+@contextmanager
+def effort_of(
+    starts: int | None,
+    default: int,
+    jobs: int | None,
+    cluster: str | None,
+    seed: int,
+    time_limit: float | None,
+) -> Iterator[Effort]:
+    """What options allow to spend: the default starts, or as many as fit into a time limit [s]."""
     if starts is not None and starts < 1:
         raise BadInput(f"{starts} starts: at least one is needed")
-    return default if starts is None and time_limit is None else starts
-
-
-def period_range(duration: float | tuple[float, float]) -> tuple[float, float]:
-    """The shortest and the longest period [s]."""
-    shortest, longest = duration if isinstance(duration, tuple) else (duration, duration)
-    if not 0 < shortest <= longest:
-        raise BadInput(f"duration {shortest:g} to {longest:g} s: give the shorter one first")
-    return shortest, longest
-
-
-def _information(problem: DesignProblem, trajectory: Trajectory) -> Array:
-    return problem.information.matrix(dense_motion(trajectory))
-
-
-def _best(
-    problem: DesignProblem, initial: Trajectory, searches: Sequence[SearchState]
-) -> Trajectory:
-    """The best trajectory within all limits by its exact figures; at worst the initial one."""
-    candidates = [initial]
-    for z in best_solutions(searches, CANDIDATES):
-        kept = within_limits(problem.robot, problem.trajectory(z))
-        if kept is not None and _keeps_apart(problem, kept):
-            candidates.append(kept)
-    return min(candidates, key=lambda x: objective(_information(problem, x), problem.criterion))
-
-
-def _keeps_apart(problem: DesignProblem, trajectory: Trajectory) -> bool:
-    if problem.scene is None:
-        return True
-    least = problem.required - _CLEARANCE_MARGIN
-    return motion_clearance(problem.scene, trajectory).certified >= least
+    if starts is None and time_limit is None:
+        starts = default
+    deadline = np.inf if time_limit is None else time.time() + time_limit
+    effort = Effort(starts, jobs or int(joblib.cpu_count()), seed, deadline)
+    if cluster is None:
+        yield effort
+        return
+    with connect(cluster) as client:
+        yield replace(effort, client=client)
 
 
 class _Teller:
     """Turns the states of the searches into what a progress callback wants."""
 
-    def __init__(self, total: int | None, progress: Progress | None) -> None:
+    def __init__(self, total: int | None, progress: Progress) -> None:
         self.total, self.progress = total, progress
         self.told, self.exact = np.inf, np.inf  # criterion of the search, and exactly
         self.ratio, self.condition = np.inf, np.inf
 
     def __call__(self, problem: DesignProblem, states: Sequence[SearchState]) -> None:
-        if self.progress is None:
-            return
         state = min(states, key=lambda s: s.best_value)
         if state.best is not None and state.best_value < self.told:
             self.told = state.best_value
             trajectory = problem.trajectory(state.best)
-            M = _information(problem, trajectory)
+            M = problem.information.matrix(dense_motion(trajectory))
             exact = objective(M, problem.criterion)
             if exact < self.exact:
                 self.exact, self.condition = exact, condition_number(M)
                 self.ratio = check(problem.robot, trajectory).worst.ratio
-        done = sum(s.status not in ("running", "stalled") for s in states)
+        done = sum(state.ended for state in states)
         self.progress(done, self.total, self.condition, self.ratio)

@@ -12,23 +12,26 @@ falls to 0, so that the constraint does not appear from nowhere between two step
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 
 from excitant.design.constraints import SCALE, pose_use
 from excitant.design.criterion import speed_scale
 from excitant.design.problem import DesignProblem
 from excitant.robots import Array, Motion, Robot, torque
 from excitant.robots.effects import Effect
+from excitant.robots.regressor import torque_derivatives as rigid_derivatives
 from excitant.robots.torque import largest_torque, link_torques
 
 _CREEP = 1e-5  # speed that stands for a one-sided limit [rad/s or m/s]
 _STEP = 1e-6  # of central differences of effects; below `_CREEP`, so that no sign changes
 _SLOW = 0.05  # of the speed scale, below which a joint almost turns
 _STILL = 1e-6  # acceleration, as a share of the largest, below which a turn stays where it is
+
+Joints = npt.NDArray[np.intp]
+Candidates = tuple[Array, Joints, Array, Array]  # instants, joints, sides and weights, each (k,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +47,7 @@ class TorquePeaks:
     """
 
     t: Array
-    joint: npt.NDArray[np.intp]
+    joint: Joints
     side: Array
     weight: Array
     use: Array
@@ -52,7 +55,7 @@ class TorquePeaks:
     def above(self, share: float) -> TorquePeaks:
         """Those whose use exceeds a share."""
         k = self.use > share
-        return TorquePeaks(self.t[k], self.joint[k], self.side[k], self.weight[k], self.use[k])
+        return TorquePeaks(*(getattr(self, field.name)[k] for field in fields(self)))
 
     def motion(self, problem: DesignProblem, z: Array) -> Motion:
         """The motion at the instants, creeping where it turns."""
@@ -67,14 +70,18 @@ def torque_peaks(problem: DesignProblem, z: Array) -> TorquePeaks:
     motion = Motion(problem.instants, *(basis @ z for basis in problem.grid_bases[:3]))
     tau = largest_torque(problem.robot, motion)
     if not problem.robot.effects:
-        return _smooth_peaks(problem, z, tau, 0.0)
-    jump = _jump(problem.robot, motion)
-    parts = [_turns(problem, z, motion.dq), _almost_turns(problem, z, motion.dq)]
-    for side in (1.0, -1.0):
-        one_way = tau + side * jump * (side * motion.dq < 0)
-        parts.append(_smooth_peaks(problem, z, one_way, side))
-    names = ("t", "joint", "side", "weight", "use")
-    return TorquePeaks(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+        candidates = [_smooth_peaks(problem, z, tau, 0.0)]
+    else:
+        jump = _jump(problem.robot, motion)
+        candidates = [_turns(problem, z, motion.dq), _almost_turns(problem, z, motion.dq)]
+        for way in (1.0, -1.0):
+            one_way = tau + way * jump * (way * motion.dq < 0)
+            candidates.append(_smooth_peaks(problem, z, one_way, way))
+    parts = [np.concatenate(part) for part in zip(*candidates, strict=True)]
+    t, joint, side, weight = (part[parts[-1] > 0] for part in parts)
+    peaks = TorquePeaks(t, joint, side, weight, np.zeros(len(t)))
+    worst = largest_torque(problem.robot, peaks.motion(problem, z))[np.arange(len(t)), joint]
+    return replace(peaks, use=weight * np.abs(worst) / problem.torque_bound[joint])
 
 
 def _jump(robot: Robot, motion: Motion) -> Array:
@@ -87,7 +94,7 @@ def _jump(robot: Robot, motion: Motion) -> Array:
     return jump
 
 
-def _smooth_peaks(problem: DesignProblem, z: Array, tau: Array, side: float) -> TorquePeaks:
+def _smooth_peaks(problem: DesignProblem, z: Array, tau: Array, side: float) -> Candidates:
     """Peaks of torque without jumps: friction as if every joint moved to this side.
 
     Where a joint moves to the other side, the peak counts only if it is slow.
@@ -100,13 +107,11 @@ def _smooth_peaks(problem: DesignProblem, z: Array, tau: Array, side: float) -> 
     shift = np.clip(-0.5 * rise / np.minimum(bend, -1e-300), -0.5, 0.5)
     t = problem.instants[k] + shift * problem.period / len(use)
     along = side * _own(problem, z, t, joint, 1)
-    weight = np.clip(1 + np.minimum(along, 0.0) / slow_speed(problem.robot)[joint], 0.0, 1.0)
-    counts = weight > 0
-    sides = np.where(along < 0, side, 0.0)
-    return _sided(problem, z, t[counts], joint[counts], sides[counts], weight[counts])
+    weight = np.clip(1 + np.minimum(along, 0.0) / _slow_speed(problem.robot)[joint], 0.0, 1.0)
+    return t, joint, np.where(along < 0, side, 0.0), weight
 
 
-def _turns(problem: DesignProblem, z: Array, dq: Array) -> TorquePeaks:
+def _turns(problem: DesignProblem, z: Array, dq: Array) -> Candidates:
     """Both sides of every turn, the start of the period among them."""
     n, nv = dq.shape
     following = np.roll(dq, -1, axis=0)
@@ -115,47 +120,30 @@ def _turns(problem: DesignProblem, z: Array, dq: Array) -> TorquePeaks:
     t = _polished(problem, z, (k + share) * problem.period / n, joint, 1)
     t, joint = np.append(t, np.zeros(nv)), np.append(joint, np.arange(nv))
     side = np.repeat([1.0, -1.0], len(t))
-    return _sided(problem, z, np.tile(t, 2), np.tile(joint, 2), side, np.ones(len(side)))
+    return np.tile(t, 2), np.tile(joint, 2), side, np.ones(len(side))
 
 
-def _almost_turns(problem: DesignProblem, z: Array, dq: Array) -> TorquePeaks:
+def _almost_turns(problem: DesignProblem, z: Array, dq: Array) -> Candidates:
     """The other side where a joint is slow: at the samples, and where it is slowest."""
     size, n = np.abs(dq), len(dq)
     before, after = np.roll(dq, 1, axis=0), np.roll(dq, -1, axis=0)
     slowest = (size <= np.abs(before)) & (size < np.abs(after))
     k, joint = np.nonzero(slowest & (dq * before > 0) & (dq * after > 0))
     t = _polished(problem, z, k * problem.period / n, joint, 2)
-    slow = np.nonzero(size < slow_speed(problem.robot))
+    slow = np.nonzero(size < _slow_speed(problem.robot))
     k, joint = np.append(k, slow[0]), np.append(joint, slow[1])
     t = np.append(t, problem.instants[slow[0]])
     side = -np.sign(dq[k, joint])
     short = -side * _own(problem, z, t, joint, 1)  # below 0 it turns twice between two samples
-    weight = np.clip(1 - short / slow_speed(problem.robot)[joint], 0.0, 1.0)
-    near = weight > 0
-    return _sided(problem, z, t[near], joint[near], side[near], weight[near])
+    return t, joint, side, np.clip(1 - short / _slow_speed(problem.robot)[joint], 0.0, 1.0)
 
 
-def slow_speed(robot: Robot) -> Array:
+def _slow_speed(robot: Robot) -> Array:
     """Speed below which a joint almost turns, shape (nv,) [rad/s or m/s]."""
     return _SLOW * speed_scale(robot)
 
 
-def _sided(
-    problem: DesignProblem,
-    z: Array,
-    t: Array,
-    joint: npt.NDArray[np.intp],
-    side: Array,
-    weight: Array,
-) -> TorquePeaks:
-    blank = TorquePeaks(t, joint, side, weight, np.zeros(len(t)))
-    tau = largest_torque(problem.robot, blank.motion(problem, z))[np.arange(len(t)), joint]
-    return replace(blank, use=weight * np.abs(tau) / problem.torque_bound[joint])
-
-
-def _polished(
-    problem: DesignProblem, z: Array, t: Array, joint: npt.NDArray[np.intp], order: int
-) -> Array:
+def _polished(problem: DesignProblem, z: Array, t: Array, joint: Joints, order: int) -> Array:
     """Instants moved by Newton's method to zeros of a derivative, less than a grid step."""
     spacing = problem.period / len(problem.instants)
     for _ in range(2):
@@ -165,12 +153,9 @@ def _polished(
     return t
 
 
-def _own(
-    problem: DesignProblem, z: Array, t: Array, joint: npt.NDArray[np.intp], order: int
-) -> Array:
+def _own(problem: DesignProblem, z: Array, t: Array, joint: Joints, order: int) -> Array:
     """A derivative of joint ``joint[k]`` at instant ``t[k]``."""
-    phi = problem.basis(t, order)
-    values: Array = np.einsum("kd,kd->k", phi, z[:, joint].T)
+    values: Array = np.einsum("kd,kd->k", problem.basis(t, order), z[:, joint].T)
     return values
 
 
@@ -194,7 +179,7 @@ def torque_rows(problem: DesignProblem, z: Array, share: float) -> tuple[Array, 
         rate += np.einsum("kj,kj->k", D[m, joint], speed)
     rows[m, :, joint] -= bases[1] * _delay(peaks, motion, rate)[:, None]
     v = np.einsum("kd,kd->k", bases[1], z[:, joint].T)
-    growth = np.where(peaks.weight < 1, -np.sign(v) / slow_speed(problem.robot)[joint], 0.0)
+    growth = np.where(peaks.weight < 1, -np.sign(v) / _slow_speed(problem.robot)[joint], 0.0)
     rows *= peaks.weight[:, None, None]
     rows[m, :, joint] += bases[1] * (tau[m, joint] * growth)[:, None]
     use = tau[m, joint] * sign * peaks.weight
@@ -210,11 +195,9 @@ def _delay(peaks: TorquePeaks, motion: Motion, rate: Array) -> Array:
 
 
 def torque_derivatives(
-    robot: Robot, motion: Motion, joint: npt.NDArray[np.intp] | None = None
+    robot: Robot, motion: Motion, joint: Joints | None = None
 ) -> tuple[Array, Array, Array, Array]:
-    """Torque and its derivatives by q, q̇, q̈ at every instant.
-
-    Rigid bodies analytically (Carpentier and Mansard 2018), effects by central differences.
+    """Torque and its derivatives by q, q̇, q̈: rigid bodies analytically, effects by differences.
 
     Args:
         robot: The arm.
@@ -225,31 +208,25 @@ def torque_derivatives(
     Returns:
         Shapes (n, nv), and three of (n, nv, nv): torque joint first.
     """
-    n, nv = motion.q.shape
-    bodies = [robot] * n if joint is None else _worst_bodies(robot, motion, joint)
-    data = robot.model.createData()
-    D = np.empty((3, n, nv, nv))
-    for k, body in enumerate(bodies):
-        pin.computeRNEADerivatives(body.model, data, motion.q[k], motion.dq[k], motion.ddq[k])
-        D[0, k], D[1, k], D[2, k] = data.dtau_dq, data.dtau_dv, data.M
-    upper = np.triu(D[2])
-    D[2] = upper + np.swapaxes(np.triu(upper, 1), 1, 2)
+    if joint is None or robot.limits.mass_uncertainty == 0:
+        D = np.stack(rigid_derivatives(robot, motion))
+    else:
+        D = np.empty((3, len(motion), robot.nv, robot.nv))
+        for k, body in enumerate(_worst_bodies(robot, motion, joint)):
+            D[:, [k]] = rigid_derivatives(body, motion[k : k + 1])
     if robot.effects:
         D += _effect_derivatives(robot, motion)
     tau = torque(robot, motion) if joint is None else largest_torque(robot, motion)
     return tau, D[0], D[1], D[2]
 
 
-def _worst_bodies(robot: Robot, motion: Motion, joint: npt.NDArray[np.intp]) -> Sequence[Robot]:
+def _worst_bodies(robot: Robot, motion: Motion, joint: Joints) -> list[Robot]:
     """The arm with the masses that make ``joint[k]``'s torque at instant k largest."""
-    p, n = robot.limits.mass_uncertainty, len(motion)
-    if p == 0:
-        return [robot] * n
-    k = np.arange(n)
+    k = np.arange(len(motion))
     total = torque(robot, motion)[k, joint]
-    parts = link_torques(robot, motion)[k, joint]
-    share = 1 + p * np.sign(parts) * np.where(total < 0, -1.0, 1.0)[:, None]
-    return [robot.with_parameters(robot.phi * np.repeat(s, 10)) for s in share]
+    way = np.sign(link_torques(robot, motion)[k, joint]) * np.where(total < 0, -1, 1)[:, None]
+    shares = 1 + robot.limits.mass_uncertainty * way
+    return [robot.with_parameters(robot.phi * np.repeat(share, 10)) for share in shares]
 
 
 def _effect_derivatives(robot: Robot, motion: Motion) -> Array:
@@ -283,36 +260,26 @@ def _difference(
 
 def worst_use(problem: DesignProblem, z: Array) -> float:
     """Worst use of the torque bounds at the peaks, and of the clearance at the grid's instants."""
-    torque_use = apart = 0.0
-    if np.isfinite(problem.torque_bound).any():
-        torque_use = float(torque_peaks(problem, z).use.max(initial=0.0))
-    if problem.scene is not None:
-        q = problem.grid_bases[0] @ z
-        apart = float(pose_use(problem.scene, problem.required, q).max())
-    return max(torque_use, apart)
+    apart = pose_use(problem.scene, problem.required, problem.grid_bases[0] @ z).max()
+    if np.all(np.isinf(problem.torque_bound)):
+        return float(apart)
+    return max(float(torque_peaks(problem, z).use.max(initial=0.0)), float(apart))
 
 
 def clearance_rows(problem: DesignProblem, z: Array, near: float) -> tuple[Array, Array]:
-    """Linearised use of the clearance by the unknowns, at each pair's nearest instants.
-
-    Args:
-        problem: The design problem.
-        z: Unknowns, shape (c − 2, nv).
-        near: Use from which an instant becomes a row.
+    """Linearised use of the clearance above ``near``, at each pair's nearest instants.
 
     Returns:
-        Rows of shape (m, k), and the use at z, shape (m,).
+        Rows of shape (m, unknowns), and the use at z, shape (m,).
     """
     if problem.scene is None:
         return np.zeros((0, problem.size)), np.zeros(0)
     q = problem.grid_bases[0] @ z
     distance = problem.scene.distances(q)
     use = 1 + (problem.required - distance) / SCALE
-    nearest = (distance <= np.roll(distance, 1, axis=0)) & (
-        distance < np.roll(distance, -1, axis=0)
-    )
+    before, after = np.roll(distance, 1, axis=0), np.roll(distance, -1, axis=0)
     rows, uses = [], []
-    for k, pair in np.argwhere(nearest & (use > near)):
+    for k, pair in np.argwhere((distance <= before) & (distance < after) & (use > near)):
         _, gradient = problem.scene.gradient(q[k], int(pair))
         rows.append(-np.outer(problem.grid_bases[0][k], gradient).ravel() / SCALE)
         uses.append(use[k, pair])

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from excitant.design.constraints import kinematic_limits, pose_use
+from excitant.design.constraints import kinematic_limits
 from excitant.design.criterion import Information
 from excitant.design.feasible import random_start
 from excitant.design.trajectory import Series, Trajectory
@@ -20,8 +20,6 @@ _MARGIN = 1e-4  # share of every limit kept free, above what the exchange leaves
 _SAMPLES = {"inertial": 12, "friction": 20}  # per harmonic, for the information
 _PEAK_SAMPLES = 32  # per harmonic, for finding peaks
 _REACH = np.pi  # taken as half the range of an unlimited joint
-
-Bases = Sequence[Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,18 +58,13 @@ class DesignProblem:
         """Duration [s]."""
         return self.series.period
 
-    @property
-    def Z(self) -> Array:
-        """Basis of the coefficients at rest, shape (c, c − 2)."""
-        return self.series.rest
-
     @cached_property
     def samples(self) -> Array:
         """Instants at which the information is summed [s]."""
         return self.series.instants(_SAMPLES[self.information.columns])
 
     @cached_property
-    def sample_bases(self) -> Bases:
+    def sample_bases(self) -> Sequence[Array]:
         """Basis of q, q̇, q̈ at `samples`."""
         return self.bases(self.samples)
 
@@ -79,6 +72,11 @@ class DesignProblem:
     def instants(self) -> Array:
         """Equidistant instants between which peaks are looked for [s]."""
         return self.series.instants(_PEAK_SAMPLES)
+
+    @cached_property
+    def grid_bases(self) -> Sequence[Array]:
+        """Basis of q and the derivatives that `kinematic_peaks` needs, at `instants`."""
+        return self.bases(self.instants, self.robot.limits.orders + 2)
 
     @cached_property
     def middle(self) -> Array:
@@ -104,45 +102,37 @@ class DesignProblem:
 
     def basis(self, t: Array, order: int) -> Array:
         """Basis functions of z for a derivative of q at given instants, shape (n, c − 2)."""
-        return self.series.basis(t, order) @ self.Z
+        return self.series.basis(t, order) @ self.series.rest
 
-    def bases(self, t: Array) -> Bases:
-        """Basis functions of z for q, q̇ and q̈ at given instants, each (n, c − 2)."""
-        return [self.basis(t, order) for order in range(3)]
+    def bases(self, t: Array, orders: int = 3) -> list[Array]:
+        """Basis functions of z for q, q̇, q̈ (and more) at given instants, each (n, c − 2)."""
+        return [self.basis(t, order) for order in range(orders)]
 
     def trajectory(self, z: Array) -> Trajectory:
         """The trajectory of these unknowns."""
-        return self.series.trajectory(self.Z @ z)
+        return self.series.trajectory(self.series.rest @ z)
 
     def random(self, rng: np.random.Generator) -> Trajectory:
         """A random trajectory within all limits, clearance included."""
-        use = None if self.scene is None else partial(pose_use, self.scene, self.required)
-        return random_start(self.robot, rng, self.series, use)
+        return random_start(self.robot, rng, self.series, self.scene, self.required)
 
     def unknowns(self, trajectory: Trajectory) -> Array:
         """The unknowns of a trajectory at rest, or of the nearest that the series holds."""
-        z: Array = self.Z.T @ self.series.nearest(trajectory)
+        z: Array = self.series.rest.T @ self.series.nearest(trajectory)
         return z
 
-    def information_matrix(self, z: Array, *, smooth: bool = True) -> Array:
-        """M at the samples, shape (r, r)."""
-        return self.information.matrix(motion_of(z, self.samples, self.sample_bases), smooth=smooth)
+    def sampled(self, z: Array) -> Motion:
+        """The motion at `samples`."""
+        return Motion(self.samples, *(basis @ z for basis in self.sample_bases))
 
-    @cached_property
-    def grid_bases(self) -> tuple[Array, ...]:
-        """Basis of q and the derivatives that `kinematic_peaks` needs, at `instants`."""
-        return tuple(
-            self.basis(self.instants, order) for order in range(self.robot.limits.orders + 2)
-        )
+    def information_matrix(self, z: Array) -> Array:
+        """M at the samples, with the smooth sign of velocity, shape (r, r)."""
+        return self.information.matrix(self.sampled(z), smooth=True)
 
     def kinematic_peaks(
         self, z: Array, order: int, share: float
     ) -> tuple[Array, npt.NDArray[np.intp]]:
-        """Local extrema of a derivative beyond a share of its bound, by one Newton step.
-
-        Returns:
-            Instants [s] and joints, both of shape (k,).
-        """
+        """Instants [s] and joints of extrema beyond a share of the bound, by one Newton step."""
         value, slope, curve = (basis @ z for basis in self.grid_bases[order : order + 3])
         use = np.abs(value - self.middle[order]) / self.bound[order]
         peak = (use >= np.roll(use, 1, axis=0)) & (use > np.roll(use, -1, axis=0))
@@ -153,8 +143,3 @@ class DesignProblem:
         rise = np.abs(shift * (slope + 0.5 * curve * shift)) / self.bound[order, joint]
         high = use[k, joint] + rise > share
         return (self.instants[k] + shift)[high], joint[high]
-
-
-def motion_of(z: Array, t: Array, bases: Bases) -> Motion:
-    """Motion of the unknowns at instants whose bases are known."""
-    return Motion(t, bases[0] @ z, bases[1] @ z, bases[2] @ z)

@@ -1,4 +1,4 @@
-"""A design: a trajectory with its certificate, what it shows of the arm, and how it was found."""
+"""A design as the noun that reports and files are made of."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from excitant.design.search import SearchState
 from excitant.design.trajectory import Trajectory
 from excitant.robots import Array, BaseParameters, Motion, Robot, torque
 from excitant.robots.geometry import Scene
-from excitant.robots.motion import read_only
 from excitant.robots.parameters import UNITS
 from excitant.robots.torque import effect_values
 
@@ -36,7 +35,7 @@ def dense_motion(trajectory: Trajectory) -> Motion:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """An excitation trajectory and what it achieves.
+    """An excitation trajectory, its certificate, what it shows of the arm, and how it was found.
 
     Condition numbers and eigenvalues are those of the base columns, unscaled, at 100 Hz or at
     1000 samples if that is denser, with the true sign of velocity; weighted by noise and with
@@ -85,11 +84,6 @@ class Design:
         """Number of harmonics; of a spline, half its pieces."""
         return self.trajectory.harmonics
 
-    @property
-    def iterations(self) -> int:
-        """Steps taken in all searches together."""
-        return sum(start.iterations for start in self.starts)
-
     @cached_property
     def before(self) -> Array:
         """M = WᵀW / n of the initial trajectory, shape (r, r)."""
@@ -99,16 +93,6 @@ class Design:
     def after(self) -> Array:
         """M of the trajectory, shape (r, r)."""
         return self.information.matrix(dense_motion(self.trajectory))
-
-    @property
-    def eigenvalues_initial(self) -> Array:
-        """Eigenvalues of M before, ascending, shape (r,)."""
-        return read_only(np.linalg.eigvalsh(self.before))
-
-    @property
-    def eigenvalues_final(self) -> Array:
-        """Eigenvalues of M after."""
-        return read_only(np.linalg.eigvalsh(self.after))
 
     @property
     def condition_initial(self) -> float:
@@ -136,11 +120,9 @@ class Design:
         The parameters with the least torque of their own after the design are the ``weakest``,
         least first; see `weak_directions` for the combinations shown worst.
         """
-        robot, near, names = self.robot, self.clearance, self._names
-        worst = [
-            {"joint": use.joint, "t": use.time, "ratio": use.ratio} if use.ratio > 0 else None
-            for use in self.limits.uses
-        ]
+        robot, near, uses = self.robot, self.clearance, self.limits.uses
+        names = [self.base.names[k] for k in self.base.columns]
+        before, after = self.before, self.after
         return {
             "verb": "design",
             "robot": robot.name,
@@ -158,29 +140,30 @@ class Design:
                 "lower_bound": None,
             },
             "condition_number_scaled": {
-                "initial": scaled_condition_number(self.before),
-                "final": scaled_condition_number(self.after),
+                "initial": scaled_condition_number(before),
+                "final": scaled_condition_number(after),
             },
             "joint_weights": self.information.weights.tolist(),
-            "weakest": self._weakest(),
+            "weakest": self._weakest(names),
             "weak_directions": {
-                "initial": weak_directions(names, self.before, self.after),
-                "final": weak_directions(names, self.after, self.before),
+                "initial": weak_directions(names, before, after),
+                "final": weak_directions(names, after, before),
             },
-            "limits": {use.quantity: use.ratio for use in self.limits.uses},
+            "limits": {use.quantity: use.ratio for use in uses},
             "limit_values": {
-                use.quantity: _plain(getattr(robot.limits, use.quantity))
-                for use in self.limits.uses
+                use.quantity: _plain(getattr(robot.limits, use.quantity)) for use in uses
             },
-            "worst": dict(zip((use.quantity for use in self.limits.uses), worst, strict=True)),
-            "certified": {use.quantity: use.certified() for use in self.limits.uses},
-            "clearance_m": None if near is None else near.certified,
-            "closest": None
-            if near is None
-            else {"bodies": list(near.bodies), "t": near.time, "distance_m": near.distance},
-            "obstacles": []
-            if self.scene is None
-            else [obstacle.plain() for obstacle in self.scene.obstacles],
+            "worst": {
+                use.quantity: {"joint": use.joint, "t": use.time, "ratio": use.ratio}
+                if use.ratio > 0
+                else None
+                for use in uses
+            },
+            "certified": {use.quantity: use.certified() for use in uses},
+            "clearance_m": near and near.certified,
+            "closest": near
+            and {"bodies": list(near.bodies), "t": near.time, "distance_m": near.distance},
+            "obstacles": [o.plain() for o in self.scene.obstacles] if self.scene else [],
             "starts": [
                 {
                     "start": start.index,
@@ -192,7 +175,7 @@ class Design:
                 }
                 for start in self.starts
             ],
-            "iterations": self.iterations,
+            "iterations": sum(start.iterations for start in self.starts),
             "wall_s": self.wall_s,
             "files": {},
         }
@@ -218,8 +201,8 @@ class Design:
             "dq": motion.dq,
             "ddq": motion.ddq,
             "tau": torque(robot, motion),
-            "eigenvalues_initial": self.eigenvalues_initial,
-            "eigenvalues_final": self.eigenvalues_final,
+            "eigenvalues_initial": np.asarray(np.linalg.eigvalsh(self.before), float),
+            "eigenvalues_final": np.asarray(np.linalg.eigvalsh(self.after), float),
             "tool": tool,
             "arm": arm[poses],
             "arm_t": motion.t[poses],
@@ -230,33 +213,24 @@ class Design:
             series["dddq"] = self.trajectory(motion.t, 3)
         return series
 
-    @property
-    def _names(self) -> list[str]:
-        return [self.base.names[k] for k in self.base.columns]
-
-    def _weakest(self) -> list[dict[str, Any]]:
+    def _weakest(self, names: Sequence[str]) -> list[dict[str, Any]]:
         base, robot = self.base, self.robot
-        n = len(dense_motion(self.trajectory))
+        root = math.sqrt(len(dense_motion(self.trajectory)))
         lone = {"initial": lone_torque(self.before), "final": lone_torque(self.after)}
         known = dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True))
         known |= effect_values(robot)
         beta = base.regrouping @ np.array([known.get(name, 0.0) for name in base.names])
         added = (p.unit for effect in self.information.effects for p in effect.parameters(robot))
         units = [*UNITS * robot.nv, *added]
-        return [
-            {
-                "name": self._names[k],
-                "expression": base.expressions[k],
-                "unit": units[base.columns[k]],
-                "value": float(beta[k]),
-                **{f"information_{when}": float(size[k]) for when, size in lone.items()},
-                **{
-                    f"std_per_unit_noise_{when}": 1 / (math.sqrt(n) * float(size[k]))
-                    for when, size in lone.items()
-                },
-            }
-            for k in np.argsort(lone["final"], kind="stable")[:_WEAKEST]
-        ]
+        rows = []
+        for k in np.argsort(lone["final"], kind="stable")[:_WEAKEST]:
+            row = {"name": names[k], "expression": base.expressions[k]}
+            row |= {"unit": units[base.columns[k]], "value": float(beta[k])}
+            for when, size in lone.items():
+                row[f"information_{when}"] = float(size[k])
+                row[f"std_per_unit_noise_{when}"] = 1 / (root * float(size[k]))
+            rows.append(row)
+        return rows
 
 
 def scaled_condition_number(M: Array) -> float | None:
@@ -268,13 +242,9 @@ def scaled_condition_number(M: Array) -> float | None:
 def lone_torque(M: Array) -> Array:
     """Torque that only one base parameter explains, root mean square per its unit, shape (r,).
 
-    1 / √(M⁻¹)ₖₖ is the length of column k of W / √n outside the span of the other columns. From
-    n instants with white noise of standard deviation σ, least squares estimates the parameter
-    with the standard deviation σ / (√n · this); with weighted joints σ is the geometric mean
-    of theirs.
-
-    Args:
-        M: Information WᵀW / n, shape (r, r).
+    From M = WᵀW / n: 1 / √(M⁻¹)ₖₖ is the length of column k of W / √n outside the span of the
+    others. From n instants with white noise of standard deviation σ (with weighted joints the
+    geometric mean of theirs) the parameter's is σ / (√n · this).
     """
     values, V = np.linalg.eigh(M)
     floor = max(float(values[-1]), 1e-300) * np.finfo(float).eps
@@ -302,10 +272,11 @@ def weak_directions(
         order = np.argsort(-np.abs(v), kind="stable")
         v = v * np.sign(v[order[0]])
         kept = [k for k in order if abs(v[k]) >= _MEMBER] or [order[0]]
+        strength, elsewhere = (float(np.sqrt(max(v @ A @ v, 0.0))) for A in (M, other))
         found.append(
             {
-                "strength": _strength(M, v),
-                "other": _strength(other, v),
+                "strength": strength,
+                "other": elsewhere,
                 "members": [{"name": names[k], "coefficient": float(v[k])} for k in kept],
                 "share": float((v[kept] ** 2).sum()),
             }
@@ -313,35 +284,24 @@ def weak_directions(
     return found
 
 
-def _strength(M: Array, v: Array) -> float:
-    return float(np.sqrt(max(float(v @ M @ v), 0.0)))
-
-
 def _skeleton(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
     """Path of the tool (n, 3), those of further ends (n, ends − 1, 3), arm (n, nodes, 3) [m]."""
     model, data = robot.model, robot.model.createData()
-    chains = [list(model.supports[leaf]) for leaf in _leaves(robot)]
-    ends = [_last_body(robot, chain[-1]) for chain in chains]
-    further = [end for end in ends if end != robot.tip]
-    gap = np.full((1, 3), np.nan)
-    tool, others, arm = np.empty((len(q), 3)), np.empty((len(q), len(further), 3)), []
-    for k, pose in enumerate(q):
+    leaves = sorted(set(range(1, robot.nv + 1)) - set(list(model.parents)[1:]))
+    chains = [(list(model.supports[leaf]), _last_body(robot, leaf)) for leaf in leaves]
+    gap = np.full(3, np.nan)
+    tool, others, arm = [], [], []
+    for pose in q:
         pin.framesForwardKinematics(model, data, pose)
-        lines = []
-        for chain, end in zip(chains, ends, strict=True):
-            nodes = [*(data.oMi[j].translation for j in chain), data.oMf[end].translation]
-            lines += [np.array(nodes), gap]
-        arm.append(np.concatenate(lines[:-1]))
-        tool[k] = data.oMf[robot.tip].translation
-        for i, end in enumerate(further):
-            others[k, i] = data.oMf[end].translation
-    return tool, others, np.array(arm)
-
-
-def _leaves(robot: Robot) -> list[int]:
-    """The joints that carry no other joint."""
-    parents = set(list(robot.model.parents)[1:])
-    return [j for j in range(1, robot.nv + 1) if j not in parents]
+        frames = {end: data.oMf[end].translation.copy() for _, end in chains}
+        lines = [
+            [*(data.oMi[j].translation.copy() for j in chain), frames[end], gap]
+            for chain, end in chains
+        ]
+        arm.append(np.concatenate(lines)[:-1])
+        tool.append(data.oMf[robot.tip].translation.copy())
+        others.append([at for end, at in frames.items() if end != robot.tip])
+    return np.array(tool), np.array(others), np.array(arm)
 
 
 def _last_body(robot: Robot, joint: int) -> int:
@@ -354,10 +314,7 @@ def _last_body(robot: Robot, joint: int) -> int:
 
 
 def _telling_poses(tool: Array, t: Array, near: float | None) -> list[int]:
-    """Indices of few instants with the tool far apart, in time order, and of that of an event.
-
-    They begin with the first instant; each further one is farthest from those before it.
-    """
+    """Indices of the first instant, that of an event, and few with the tool far from those."""
     chosen = [0]
     if near is not None:
         chosen.append(int(np.abs(t - near).argmin()))

@@ -1,28 +1,55 @@
-"""Sequential convex programming from one starting point."""
+"""Searches for a trajectory: sequential convex programming from many starting points."""
 
 from __future__ import annotations
 
+import pickle
+import signal
+import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
 
+import joblib
 import numpy as np
+from threadpoolctl import threadpool_limits
 
+from excitant.design.constraints import within_limits
 from excitant.design.criterion import condition_number, objective
 from excitant.design.peaks import worst_use
 from excitant.design.problem import DesignProblem
 from excitant.design.step import PENALTY, local_model, solve_step
+from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Array
 
-FEASIBLE = 5e-5  # torque excess that the margin kept in the bounds covers
-
+_FEASIBLE = 5e-5  # torque excess that the margin kept in the bounds covers
 _RADIUS = 0.3  # of each coefficient's reach
 _RADIUS_MIN, _RADIUS_MAX = 1e-5, 1.0
 _GAIN = 1e-4  # predicted decrease of the merit at which a search has converged
-COARSE, FINE = 1.5e-2, 2e-3  # least decrease of the merit over `_STALL` iterations
-
+_COARSE, _FINE = 1.5e-2, 2e-3  # least decrease of the merit over `_STALL` iterations
 _STALL = 8
 _HOPELESS = 4.0  # gap to the target over the decrease in as many iterations
+_ITERATIONS = 300
+
+_SCREENING = 12  # iterations after which the worse half of the random starts is stopped
+_RANDOM = 12  # random starts, at most, before the best of them are built upon
+_ELITE = 3  # searches whose solutions are mixed with random trajectories to start again
+_MIX = (0.3, 0.5)  # share of the random trajectory in a restart
+_ROUND = 6  # restarts that begin from the same knowledge
+_ROUNDS = 2  # of restarts without a gain after which random starts begin anew
+_WORTH = 1e-3  # decrease of the merit that counts as a gain
+_POLISHED = 4  # best searches that are driven to convergence
+
+_FACTOR = 1.5  # by which the number of harmonics grows
+_GROWTH = 0.02  # least decrease of the criterion for which it grows on
+_FAMILY = 4  # best solutions that go on with more harmonics
+_FIRST, _SHARE = 0.1, 0.35  # of the remaining time for the first and each further number
+_SAMPLED = 6  # starts that compare periods
+_PERIODS, _COMPARING = 5, 0.3  # periods compared, and the share of the time for that
+
+_PATIENCE = "20s"  # for a cluster to answer
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +58,7 @@ class SearchState:
 
     Attributes:
         index: Number of the start.
-        z: Unknowns, shape (c − 2, nv).
+        z: Unknowns, shape (c − 2, nv); before the first iteration those to begin from, if any.
         value: Criterion to be minimised, at z.
         excess: Torque beyond its bound at z, as a share of it; or clearance missing.
         best: Unknowns of the lowest value within all limits; None before there is one.
@@ -72,31 +99,34 @@ class SearchState:
         """Steps taken."""
         return max(len(self.history) - 1, 0)
 
+    @property
+    def ended(self) -> bool:
+        """Whether it will not go on."""
+        return self.status not in ("running", "stalled")
+
+    @property
+    def recent_gain(self) -> float:
+        """Decrease of the merit over the last iterations."""
+        return self.merits[-_STALL - 1] - self.merit if len(self.merits) > _STALL else np.inf
+
     def at(self, problem: DesignProblem, z: Array) -> SearchState:
         """The search moved to z, and that entered into its history."""
         M = problem.information_matrix(z)
         value = objective(M, problem.criterion)
         excess = max(0.0, worst_use(problem, z) - 1.0)
         new = replace(self, z=z, value=value, excess=excess)
-        if excess <= FEASIBLE and value < self.best_value:
+        if excess <= _FEASIBLE and value < self.best_value:
             new = replace(new, best=z, best_value=value)
         history = (*self.history, condition_number(M))
         return replace(new, history=history, merits=(*self.merits, new.merit))
 
-    def stalled(self, least: float) -> bool:
-        """Whether the last iterations decreased the merit by less than this."""
-        return self._recent_gain() < least
-
-    def hopeless(self, target: float) -> bool:
-        """Whether the target is out of reach at the recent pace."""
-        return bool(np.isfinite(target)) and self.merit - target > _HOPELESS * self._recent_gain()
-
-    def _recent_gain(self) -> float:
-        return self.merits[-_STALL - 1] - self.merit if len(self.merits) > _STALL else np.inf
-
-    def ended(self) -> SearchState:
+    def exhausted(self) -> SearchState:
         """The search at a point that it cannot improve."""
         return replace(self, status="infeasible" if self.best is None else "converged")
+
+
+Searches = tuple[SearchState, ...]
+Report = Callable[[DesignProblem, Sequence[SearchState]], None]
 
 
 def best_solutions(searches: Iterable[SearchState], count: int) -> list[Array]:
@@ -105,36 +135,37 @@ def best_solutions(searches: Iterable[SearchState], count: int) -> list[Array]:
     return [z for _, _, z in found[:count]]
 
 
-def advance(
-    problem: DesignProblem,
-    state: SearchState,
-    iterations: int,
-    *,
-    deadline: float = np.inf,
-    target: float = -np.inf,
-    least: float = FINE,
-) -> SearchState:
-    """Continue a search by some iterations, until it stalls, is hopeless or time is up.
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A piece of one search: as many iterations, down to a pace, beside a merit reached elsewhere.
 
-    Args:
-        problem: The design problem.
-        state: Where it stands.
-        iterations: Number of linearisations.
-        deadline: `time.time` at which to stop [s].
-        target: Merit that another search has reached.
-        least: `FINE` to converge, `COARSE` to see what a start is worth.
+    Searches stop at less than ``pace`` of decrease of the merit, or without a chance to reach
+    the ``target``.
     """
+
+    state: SearchState
+    iterations: int = _ITERATIONS
+    pace: float = _COARSE
+    target: float = -np.inf
+
+
+def _advance(problem: DesignProblem, task: Task, deadline: float) -> SearchState:
+    """Continue a search until it stalls, is hopeless or time is up."""
+    state = task.state
     if state.status == "stalled":
         state = replace(state, status="running")
-    for _ in range(iterations):
+    for _ in range(task.iterations):
         if state.status != "running":
             break
         if time.time() > deadline:
             return replace(state, status="time limit")
         state = _iterate(problem, state)
-        if state.status == "running" and state.stalled(least):
-            state = state.ended() if least <= FINE else replace(state, status="stalled")
-        elif state.status == "running" and state.hopeless(target):
+        if state.status != "running":
+            break
+        if state.recent_gain < task.pace:
+            slow = task.pace > _FINE
+            state = replace(state, status="stalled") if slow else state.exhausted()
+        elif state.merit - task.target > _HOPELESS * state.recent_gain and task.target > -np.inf:
             state = replace(state, status="stopped")
     return state
 
@@ -148,12 +179,302 @@ def _iterate(problem: DesignProblem, state: SearchState) -> SearchState:
         if step is None:
             radius /= 4
             continue
-        if step.gain < _GAIN:
+        dz, promised = step
+        if promised < _GAIN:
             break
-        moved = state.at(problem, state.z + step.dz)
-        share = (state.merit - moved.merit) / step.gain
+        moved = state.at(problem, state.z + dz)
+        share = (state.merit - moved.merit) / promised
         if share > 0.05:
             factor = 2.0 if share > 0.6 else 1.0 if share > 0.25 else 0.5
             return replace(moved, radius=min(factor * radius, _RADIUS_MAX))
         radius *= 0.4
-    return state.ended()
+    return state.exhausted()
+
+
+@dataclass(frozen=True, eq=False)
+class Effort:
+    """What a design may spend, and where.
+
+    Attributes:
+        starts: Number of starts; None for as many as fit until the deadline.
+        jobs: Number of processes.
+        seed: Seed of start k is (seed, k).
+        deadline: `time.time` at which to stop [s].
+        client: Dask cluster to use instead of processes here.
+        report: Called with the problem and the states so far whenever one changes.
+    """
+
+    starts: int | None
+    jobs: int
+    seed: int
+    deadline: float = np.inf
+    client: Any = None
+    report: Report = lambda problem, states: None
+
+    def share(self, starts: int | None, share: float) -> Effort:
+        """Other starts within a share of the time left."""
+        now = time.time()
+        return replace(self, starts=starts, deadline=now + share * (self.deadline - now))
+
+
+def search(
+    problem: DesignProblem, effort: Effort, shortest: float, top_hz: float | None
+) -> tuple[DesignProblem, Searches]:
+    """All searches for a problem, and the problem with the period and harmonics chosen.
+
+    Args:
+        problem: With the longest period, and the least number of harmonics.
+        effort: For all of it.
+        shortest: Shortest period to choose [s].
+        top_hz: Highest frequency up to which harmonics are added [Hz]; None to keep their number.
+    """
+    if shortest < problem.period:
+        problem = _best_period(problem, effort, shortest)
+    if top_hz is None:
+        return problem, _MultiStart(problem, effort).run()
+    return _grow(problem, effort, top_hz)
+
+
+def _best_period(problem: DesignProblem, effort: Effort, shortest: float) -> DesignProblem:
+    """The problem with the period, among some from the shortest [s], that few starts like best."""
+    began, tried = time.time(), []
+    span = _COMPARING * (effort.deadline - began) / _PERIODS
+    for k, period in enumerate(np.geomspace(shortest, problem.period, _PERIODS)):
+        series = problem.series.resized(problem.series.terms, float(period))
+        candidate = replace(problem, series=series)
+        until = began + (k + 1) * span
+        searches = _MultiStart(candidate, replace(effort, starts=_SAMPLED, deadline=until)).run()
+        tried.append((_value(searches), k, candidate))
+        if _interrupted(searches):
+            break
+    return min(tried, key=lambda row: row[:2])[2]
+
+
+def _grow(problem: DesignProblem, effort: Effort, top_hz: float) -> tuple[DesignProblem, Searches]:
+    """The design with harmonics added up to a frequency [Hz], for as long as they pay.
+
+    The best solutions for few harmonics are, or are near, trajectories with more: the search
+    goes on from them.
+    """
+    searches = _MultiStart(problem, effort.share(effort.starts, _FIRST)).run()
+    while time.time() < effort.deadline and not _interrupted(searches):
+        terms = int(np.ceil(_FACTOR * problem.series.terms))
+        larger = replace(problem, series=problem.series.resized(terms))
+        seeds = _seeds(larger, problem, searches)
+        if larger.series.terms / larger.period > top_hz or not seeds:
+            break
+        found = _MultiStart(larger, effort.share(len(seeds), _SHARE), seeds).run()
+        gain = _value(searches) - _value(found)
+        if not gain > 0:
+            break
+        problem, searches = larger, found
+        if gain < _GROWTH:
+            break
+    seeds = _seeds(problem, problem, searches)
+    if seeds and effort.starts is None and not _interrupted(searches):
+        searches = _MultiStart(problem, effort, seeds).run()
+    return problem, searches
+
+
+def _seeds(problem: DesignProblem, before: DesignProblem, searches: Searches) -> tuple[Array, ...]:
+    """The best solutions of a search as unknowns of a problem, within its limits."""
+    near = (
+        problem.trajectory(problem.unknowns(before.trajectory(z)))
+        for z in best_solutions(searches, _FAMILY)
+    )
+    kept = (within_limits(problem.robot, trajectory) for trajectory in near)
+    return tuple(problem.unknowns(trajectory) for trajectory in kept if trajectory is not None)
+
+
+def _value(searches: Searches) -> float:
+    return min((s.best_value for s in searches), default=np.inf)
+
+
+def _interrupted(searches: Searches) -> bool:
+    return any(s.status == "interrupted" for s in searches)
+
+
+class _MultiStart:
+    """Searches from many starts: random ones first, then restarts from the best found.
+
+    Random starts are screened: after a few iterations the better half goes on. Restarts begin
+    at a mixture of one of the best solutions and a random trajectory; the kinematic limits are
+    convex, so it keeps them. Searches run until they become slow; only the best are then
+    driven to convergence. When restarts bring nothing more, all this begins anew: an island.
+    """
+
+    def __init__(
+        self, problem: DesignProblem, effort: Effort, seeds: tuple[Array, ...] = ()
+    ) -> None:
+        """``seeds`` are solutions to begin from as they are, instead of the first random ones."""
+        self.problem, self.effort, self.seeds = problem, effort, seeds
+        self.states: dict[int, SearchState] = {}
+        self.first = 0  # start of the island
+
+    def run(self) -> Searches:
+        """All searches, ended one way or another; Ctrl-C ends them early."""
+        try:
+            self.island()
+            while self.more():
+                self.island()
+            self.work(self.polishing(_POLISHED, 0))
+            self.end("stopped", [s for s in self.ranked(0)[_POLISHED:] if s.status == "stalled"])
+            late = time.time() > self.effort.deadline
+            self.end("time limit" if late else "iteration limit", self.ranked(0))
+        except KeyboardInterrupt:
+            self.end("interrupted", self.ranked(0))
+        return tuple(self.states[k] for k in sorted(self.states))
+
+    def island(self) -> None:
+        self.random_starts()
+        idle = 0
+        while self.more() and idle < _ROUNDS:
+            before = self.merit()
+            self.restarts()
+            idle = 0 if self.merit() < before - _WORTH else idle + 1
+
+    def random_starts(self) -> None:
+        self.first = first = len(self.states)
+        count = int(min(self.room, max(3, min(_RANDOM, self.room / 2))))
+        begun: dict[int, Array] = {}
+        if first < len(self.seeds):
+            count, begun = len(self.seeds), dict(enumerate(self.seeds))
+        nothing = np.zeros((0, self.problem.robot.nv))
+        new = [SearchState(k, begun.get(k, nothing)) for k in range(first, first + count)]
+        self.work([Task(state, _SCREENING) for state in new])
+        ranked = self.ranked(first)
+        keep = len(ranked) if len(ranked) < 4 else -(-len(ranked) // 2)
+        self.end("stopped", [s for s in ranked[keep:] if s.status == "running"])
+        self.work([Task(s) for s in ranked[:keep] if s.status == "running"])
+
+    def restarts(self) -> None:
+        first = len(self.states)
+        elite = [s for s in self.ranked(self.first) if np.isfinite(s.merit)][:_ELITE]
+        tasks = self.polishing(_POLISHED // 2, self.first)
+        for k in range(first, first + int(min(_ROUND, self.room))):
+            if elite:
+                parent = elite[k % len(elite)]
+                state = SearchState(k, parent.z, parent=parent.index)
+                tasks.append(Task(state, target=elite[0].merit))
+            else:
+                tasks.append(Task(SearchState(k, np.zeros((0, self.problem.robot.nv)))))
+        self.work(tasks)
+
+    @property
+    def room(self) -> float:
+        """Starts still to be made."""
+        return np.inf if self.effort.starts is None else self.effort.starts - len(self.states)
+
+    def more(self) -> bool:
+        return self.room > 0 and time.time() < self.effort.deadline
+
+    def merit(self) -> float:
+        return min((s.merit for s in self.ranked(self.first)), default=np.inf)
+
+    def ranked(self, first: int) -> list[SearchState]:
+        """The searches from a start onwards, best first."""
+        states = (state for state in self.states.values() if state.index >= first)
+        return sorted(states, key=lambda s: (s.merit, s.index))
+
+    def polishing(self, count: int, first: int) -> list[Task]:
+        """Tasks that drive the best searches to convergence."""
+        slow = [s for s in self.ranked(first)[:count] if s.status == "stalled"]
+        return [Task(state, pace=_FINE) for state in slow]
+
+    def work(self, tasks: Sequence[Task]) -> None:
+        for state in _results(self.problem, tasks, self.effort):
+            self.states[state.index] = state
+            self.effort.report(self.problem, tuple(self.states.values()))
+
+    def end(self, status: str, states: Iterable[SearchState]) -> None:
+        for state in states:
+            if not state.ended:
+                self.states[state.index] = replace(state, status=status)
+
+
+def connect(address: str) -> Any:
+    """Client of the Dask scheduler at an address such as ``tcp://10.0.0.5:8786``.
+
+    Raises:
+        BadInput: Dask is not installed, nothing answers there, or it has no workers.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise BadInput("--cluster needs Dask: pip install 'excitant[cluster]'") from None
+    try:
+        client: Any = Client(  # type: ignore[no-untyped-call]
+            address, timeout=_PATIENCE, set_as_default=False
+        )
+    except (OSError, ValueError, TimeoutError) as error:
+        raise BadInput(f"cluster {address}: no Dask scheduler answers there ({error})") from None
+    if not client.scheduler_info()["workers"]:
+        client.close()
+        raise BadInput(f"cluster {address}: the scheduler has no workers; start 'dask worker'")
+    return client
+
+
+def _results(
+    problem: DesignProblem, tasks: Sequence[Task], effort: Effort
+) -> Iterable[SearchState]:
+    """States after their tasks, as they come."""
+    if not tasks:
+        return
+    packed = pickle.dumps(problem)
+    options: dict[str, Any] = {"backend": "loky", "inner_max_num_threads": 1}
+    jobs = min(effort.jobs, len(tasks))
+    if effort.client is not None:
+        options, jobs = {"backend": "dask", "client": effort.client}, -1
+    elif jobs == 1:
+        options = {"backend": "sequential"}
+    with joblib.parallel_config(**options):
+        parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
+        with _deaf_to_interrupts(jobs != 1):  # here the processes start
+            found = parallel(
+                joblib.delayed(_perform)(packed, task, effort.seed, effort.deadline)
+                for task in tasks
+            )
+        yield from found
+
+
+@contextmanager
+def _deaf_to_interrupts(wanted: bool) -> Iterator[None]:
+    """Processes started meanwhile never hear Ctrl-C, which is left to this one."""
+    if not wanted or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
+
+
+@lru_cache(maxsize=1)
+def _unpacked(packed: bytes) -> DesignProblem:
+    problem: DesignProblem = pickle.loads(packed)
+    return problem
+
+
+def _perform(packed: bytes, task: Task, seed: int, deadline: float) -> SearchState:
+    """The state of a search after its task, on one thread; the problem is packed once for all."""
+    problem = _unpacked(packed)
+    with threadpool_limits(1):
+        if not task.state.history:
+            try:
+                task = replace(task, state=_begun(problem, task.state, seed))
+            except Infeasible:
+                return replace(task.state, status="infeasible")
+        return _advance(problem, task, deadline)
+
+
+def _begun(problem: DesignProblem, state: SearchState, seed: int) -> SearchState:
+    """A search at its start: the unknowns given, random ones, or with a parent a mixture."""
+    if len(state.z) and state.parent is None:
+        return state.at(problem, state.z)
+    rng = np.random.default_rng([seed, state.index])
+    z = problem.unknowns(problem.random(rng))
+    if state.parent is not None:
+        share = rng.uniform(*_MIX)
+        z = (1 - share) * state.z + share * z
+    return state.at(problem, z)

@@ -11,32 +11,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
 
-import joblib
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.design.constraints import check, position_range, within_limits
-from excitant.design.constraints import clearance as motion_clearance
 from excitant.design.criterion import Information, objective
 from excitant.design.export import trajectory_csv, trajectory_json
 from excitant.design.optimal import (
     CANDIDATES,
     CLEARANCE,
-    FEWEST,
     TOP_HZ,
     build_design,
-    number_of_starts,
+    effort_of,
     period_range,
 )
 from excitant.design.problem import DesignProblem
 from excitant.design.result import Design, dense_motion
-from excitant.design.search import SearchState, best_solutions
-from excitant.design.starts import Effort, connect, search
+from excitant.design.search import Report, SearchState, best_solutions, search
 from excitant.design.trajectory import Trajectory
 from excitant.exceptions import Infeasible
 from excitant.robots import Array, Robot
@@ -190,20 +185,23 @@ def design_link_by_link(
 ) -> LinkByLinkDesign:
     """Motions at rest at both ends that show link after link best within all limits.
 
+    The options are those of `design_trajectory`, for each motion; ``criterion`` is that of the
+    columns of each link in its own row.
+
     Args:
         robot: The arm; its limits and effects count.
         duration: Of each motion [s], or the shortest and the longest to choose from.
-        harmonics: As for `design`, of each motion.
-        series: As for `design`.
-        top_hz: As for `design`.
-        criterion: Of the columns of each link in its own row.
-        columns: As for `design`.
-        scene: As for `design`.
-        clearance: As for `design`.
-        jobs: As for `design`.
-        cluster: As for `design`.
-        seed: As for `design`.
+        harmonics: Number of harmonics; None to add harmonics while they pay.
+        series: ``"fourier"`` or ``"spline"``.
+        top_hz: Highest frequency up to which harmonics are added [Hz].
+        criterion: ``"condition"``, ``"d"``, ``"a"`` or ``"e"``.
+        columns: ``"friction"`` or ``"inertial"``.
+        scene: The arm's bodies among obstacles, kept apart; None to leave clearance out.
+        clearance: Smallest distance that they keep [m].
         starts: Searches per motion; 6 by default, or as many as fit in the time limit.
+        jobs: Number of processes.
+        cluster: Address of a Dask scheduler to search on instead.
+        seed: Seed of all randomness.
         time_limit: For all motions together, split evenly over those still to come [s].
         progress: Called whenever a search has news.
 
@@ -213,37 +211,28 @@ def design_link_by_link(
         BadInput: Duration, harmonics or starts out of range, or no cluster there.
     """
     began = time.time()
-    starts = number_of_starts(starts, time_limit, _STARTS)
-    shortest, longest = period_range(duration)
     options: dict[str, Any] = {
-        "duration": longest,
-        "harmonics": FEWEST if harmonics is None else harmonics,
+        "duration": duration,
+        "harmonics": harmonics,
         "series": series,
         "criterion": criterion,
         "columns": columns,
         "clearance": clearance,
     }
-    goal = build_design(robot, **options).information
-    last = last_rows(robot, goal.effects, goal.base)
-    joints = [j for j in reversed(range(robot.nv)) if (last == j).any()]
-    pose = _resting_pose(robot, scene, clearance)
     motions = []
-    with ExitStack() as stack:
-        client = stack.enter_context(connect(cluster)) if cluster else None
+    with effort_of(starts, _STARTS, jobs, cluster, seed, time_limit) as effort:
+        goal = build_design(robot, **options).information
+        last = last_rows(robot, goal.effects, goal.base)
+        joints = [j for j in reversed(range(robot.nv)) if (last == j).any()]
+        pose = _resting_pose(robot, scene, clearance)
+        highest = top_hz if harmonics is None else None
         for k, joint in enumerate(joints):
+            part = effort.share(effort.starts, 1 / (len(joints) - k))
+            if progress is not None:
+                tell = _teller(progress, robot.links[joint], k, len(joints))
+                part = replace(part, report=tell)
             problem = _problem(robot, joint, pose, scene, options)
-            left = np.inf if time_limit is None else began + time_limit - time.time()
-            effort = Effort(
-                starts,
-                jobs or int(joblib.cpu_count()),
-                seed,
-                time.time() + left / (len(joints) - k),
-                _teller(progress, robot.links[joint], k, len(joints)),
-                client,
-            )
-            problem, searches = search(
-                problem, effort, shortest, top_hz if harmonics is None else None
-            )
+            problem, searches = search(problem, part, period_range(duration)[0], highest)
             initial = problem.random(np.random.default_rng([seed, 0]))
             drawn = [initial, *map(problem.trajectory, best_solutions(searches, CANDIDATES))]
             kept = _keeping(robot, [_whole(x, pose) for x in drawn], scene, clearance)
@@ -284,11 +273,8 @@ def _keeping(
     robot: Robot, motions: Sequence[Trajectory], scene: Scene | None, clearance: float
 ) -> list[Trajectory]:
     """Motions shrunk to keep all limits of the whole arm, without those that cannot."""
-    kept = [
-        motion
-        for motion in (within_limits(robot, drawn) for drawn in motions)
-        if motion and (scene is None or motion_clearance(scene, motion).certified >= clearance)
-    ]
+    shrunk = (within_limits(robot, motion, scene, clearance) for motion in motions)
+    kept = [motion for motion in shrunk if motion is not None]
     if not kept:
         worst = check(robot, motions[0]).worst
         raise Infeasible(
@@ -299,16 +285,11 @@ def _keeping(
     return kept
 
 
-def _teller(
-    progress: Progress | None, link: str, stage: int, stages: int
-) -> Callable[[DesignProblem, Sequence[SearchState]], None]:
+def _teller(progress: Progress, link: str, stage: int, stages: int) -> Report:
     def tell(problem: DesignProblem, states: Sequence[SearchState]) -> None:
-        if progress is None:
-            return
-        done = sum(s.status not in ("running", "stalled") for s in states)
-        share = done / max(len(states), 1)
+        share = sum(state.ended for state in states) / max(len(states), 1)
         best = min((s.history[-1] for s in states if s.history), default=np.inf)
-        progress((stage + min(share, 1.0)) / stages, link, float(best))
+        progress((stage + share) / stages, link, float(best))
 
     return tell
 
@@ -336,17 +317,13 @@ def _held(robot: Robot, joint: int, pose: Array) -> Robot:
     for k, value in enumerate(pose):
         reference[robot.model.joints[k + 1].idx_q] = value
     model = pin.buildReducedModel(robot.model, list(range(kept + 1, robot.nv + 1)), reference)
-    limits = {
-        name: getattr(robot.limits, name)[:kept]
-        for name in ("position", "velocity", "acceleration", "torque", "jerk")
-    }
     locked = dict(robot.locked) | dict(zip(names[kept:], pose[kept:].tolist(), strict=True))
     return replace(
         robot,
         model=model,
         links=robot.links[:kept],
         revolute=robot.revolute[:kept],
-        limits=replace(robot.limits, **limits),
+        limits=robot.limits.of(list(range(kept))),
         locked=tuple(sorted(locked.items())),
         effects=tuple(_kept(effect, names[:kept]) for effect in robot.effects),
     )

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import clarabel
 import numpy as np
 import scipy.sparse as sp
 
-from excitant.design.criterion import smooth_model
+from excitant.design.criterion import information_derivative, smooth_model
 from excitant.design.peaks import clearance_rows, torque_rows
-from excitant.design.problem import DesignProblem, motion_of
+from excitant.design.problem import DesignProblem
 from excitant.robots import Array
 
 PENALTY = 50.0  # of a torque violation (as share of the limit) against the log criterion
@@ -38,6 +39,11 @@ class Block:
     derivative: Array
     lowest: bool
 
+    @property
+    def sign(self) -> float:
+        """Of the bound in the criterion."""
+        return -1.0 if self.lowest else 1.0
+
 
 @dataclass(frozen=True, eq=False)
 class LocalModel:
@@ -60,68 +66,54 @@ class LocalModel:
     use: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
-    """Solution of the subproblem.
-
-    Attributes:
-        dz: Change of the unknowns.
-        gain: Predicted decrease of the merit.
-    """
-
-    dz: Array
-    gain: float
-
-
 def local_model(problem: DesignProblem, z: Array) -> LocalModel:
     """Linearise information and torque around z."""
-    motion = motion_of(z, problem.samples, problem.sample_bases)
-    linear = problem.information.linearise(motion)
+    linear = problem.information.linearise(problem.sampled(z))
     M = problem.information.gram(linear.Y)
     k = problem.size
     gradient, hessian, blocks = np.zeros(k), np.zeros((k, k)), []
     if problem.criterion in ("a", "d"):
-        dM = linear.derivative(problem.sample_bases, np.eye(len(M)))
+        dM = information_derivative(linear, problem.sample_bases, np.eye(len(M)))
         gradient, hessian = smooth_model(M, dM, problem.criterion)
     else:
         eigenvalues, V = np.linalg.eigh(M)
-        spans = [slice(0, _LOWEST)]
-        if problem.criterion == "condition":
-            spans.append(slice(max(len(M) - _HIGHEST, 0), None))
-        for lowest, span in zip((True, False), spans, strict=False):
+        spans = [(True, slice(0, _LOWEST)), (False, slice(max(len(M) - _HIGHEST, 0), None))]
+        for lowest, span in spans[: 1 + (problem.criterion == "condition")]:
             scale = eigenvalues[0 if lowest else -1]
             value = np.diag(eigenvalues[span]) / scale
-            dM = linear.derivative(problem.sample_bases, V[:, span]) / scale
+            dM = information_derivative(linear, problem.sample_bases, V[:, span]) / scale
             blocks.append(Block(value, dM, lowest))
-    limited = (
-        torque_rows(problem, z, _NEAR_TORQUE),
-        clearance_rows(problem, z, _NEAR_CLEARANCE),
-    )
-    rows, use = (np.concatenate(parts) for parts in zip(*limited, strict=True))
+    torque = torque_rows(problem, z, _NEAR_TORQUE)
+    apart = clearance_rows(problem, z, _NEAR_CLEARANCE)
+    rows, use = (np.concatenate(parts) for parts in zip(torque, apart, strict=True))
     return LocalModel(z, tuple(blocks), gradient, hessian, rows, use)
 
 
-def solve_step(problem: DesignProblem, model: LocalModel, radius: float) -> Step | None:
-    """Best step within the trust region; None without a solution.
+def solve_step(
+    problem: DesignProblem, model: LocalModel, radius: float
+) -> tuple[Array, float] | None:
+    """Best step within the trust region, and the decrease of the merit that it promises.
 
     Only limit rows near current extrema enter. Extrema that the solution moves beyond their
     limits are added, and it is solved again until none is (an exchange). A long step may leave
-    a small share of its length beyond the limits, which the next one takes back.
+    a small share of its length beyond the limits, which the next one takes back. None without
+    a solution.
     """
-    fixed = _fixed_part(problem, model)
+    cost, A, right, cones = _programme(problem, model, radius)
     rows, room = _extremum_rows(problem, model.z, model.z, _NEAR)
-    solution = _solve(fixed, radius, rows, room)
     for _ in range(_EXCHANGES):
+        wide = np.pad(rows, ((0, 0), (0, A.shape[1] - rows.shape[1])))
+        all_cones = [*cones, clarabel.NonnegativeConeT(len(rows))]
+        solution = _solved(cost, np.vstack([A, wide]), np.concatenate([right, room]), all_cones)
         if solution is None:
             return None
         dz = solution[: problem.size].reshape(model.z.shape)
-        length = float(np.abs(problem.Z @ dz / problem.reach).max())
+        length = float(np.abs(problem.series.rest @ dz / problem.reach).max())
         tolerance = max(_TOLERANCE, _LOOSE * length)
         added, added_room = _extremum_rows(problem, model.z, model.z + dz, 1 + tolerance)
         if not len(added):
-            return Step(dz, _predicted_gain(problem, model, solution))
+            return dz, _predicted_gain(problem, model, solution)
         rows, room = np.vstack([rows, added]), np.concatenate([room, added_room])
-        solution = _solve(fixed, radius, rows, room)
     return None
 
 
@@ -143,31 +135,21 @@ def _extremum_rows(
     return np.vstack(parts), np.concatenate(rooms)
 
 
-@dataclass(frozen=True, eq=False)
-class _Cone:
-    """What stays the same during an exchange: min ½vᵀPv + cᵀv, right − A v in the cones.
+def _programme(
+    problem: DesignProblem, model: LocalModel, radius: float
+) -> tuple[tuple[sp.csc_matrix, Array], Array, Array, list[Any]]:
+    """(P, c), A, b and cones of min ½vᵀPv + cᵀv with b − A v in the cones.
 
-    The variables v are dz, one bound per block, and the torque excess; ``trust`` marks the
-    rows whose right side is the radius.
+    The variables v are dz, one bound per block, and the torque excess.
     """
-
-    P: sp.csc_matrix
-    cost: Array
-    A: Array
-    right: Array
-    trust: Array
-    cones: tuple[object, ...]
-
-
-def _fixed_part(problem: DesignProblem, model: LocalModel) -> _Cone:
     k, nb, m = problem.size, len(model.blocks), len(model.use)
     n = k + nb + 1
-    box = np.kron(problem.Z, np.eye(problem.robot.nv)) / problem.reach.reshape(-1, 1)
+    box = np.kron(problem.series.rest, np.eye(problem.robot.nv)) / problem.reach.reshape(-1, 1)
     linear = np.zeros((2 * len(box) + m + 1, n))
     linear[: 2 * len(box), :k] = np.vstack([box, -box])
     linear[2 * len(box) : -1, :k] = model.rows
     linear[2 * len(box) :, -1] = -1.0
-    right = [np.zeros(2 * len(box)), 1 - model.use, np.zeros(1)]
+    right = [np.full(2 * len(box), radius), 1 - model.use, np.zeros(1)]
     parts, cones = [linear], [clarabel.NonnegativeConeT(len(linear))]
     for i, block in enumerate(model.blocks):
         A, b = _lmi(block, k, i, n)
@@ -176,54 +158,35 @@ def _fixed_part(problem: DesignProblem, model: LocalModel) -> _Cone:
         cones.append(clarabel.PSDTriangleConeT(len(block.value)))
     P = np.zeros((n, n))
     P[:k, :k] = np.triu(model.hessian)
-    signs = [-1.0 if block.lowest else 1.0 for block in model.blocks]
-    cost = np.concatenate([model.gradient, signs, [PENALTY]])
-    trust = np.zeros(sum(len(r) for r in right))
-    trust[: 2 * len(box)] = 1.0
-    return _Cone(
-        sp.csc_matrix(P),
-        cost,
-        np.vstack(parts),
-        np.concatenate(right),
-        trust,
-        (*cones,),
-    )
-
-
-def _solve(fixed: _Cone, radius: float, rows: Array, room: Array) -> Array | None:
-    """Solve with further rows ``rows @ dz <= room``; None without a solution."""
-    wide = np.pad(rows, ((0, 0), (0, fixed.A.shape[1] - rows.shape[1])))
-    A = sp.csc_matrix(np.vstack([fixed.A, wide]))
-    right = np.concatenate([fixed.right + radius * fixed.trust, room])
-    cones = [*fixed.cones, clarabel.NonnegativeConeT(len(rows))]
-    for refined in (False, True):  # refinement costs a fifth of the time and is rarely needed
-        settings = _settings(refined)
-        solution = clarabel.DefaultSolver(fixed.P, fixed.cost, A, right, cones, settings).solve()
-        if str(solution.status) in ("Solved", "AlmostSolved"):
-            return np.array(solution.x)
-    return None
-
-
-def _settings(refined: bool) -> clarabel.DefaultSettings:
-    settings = clarabel.DefaultSettings()
-    settings.iterative_refinement_enable = refined
-    settings.verbose = False
-    settings.max_iter = 60
-    settings.tol_gap_abs = settings.tol_gap_rel = 1e-6
-    settings.tol_feas = 1e-7
-    return settings
+    c = np.concatenate([model.gradient, [block.sign for block in model.blocks], [PENALTY]])
+    return (sp.csc_matrix(P), c), np.vstack(parts), np.concatenate(right), cones
 
 
 def _lmi(block: Block, k: int, i: int, n: int) -> tuple[Array, Array]:
     """Rows of value + Σ derivative dz ⪰ s I (lowest) or ⪯ t I, as a scaled triangle."""
-    m = len(block.value)
-    column, row = np.tril_indices(m)
+    column, row = np.tril_indices(len(block.value))
     weight = np.where(row == column, 1.0, np.sqrt(2.0))
-    sign = 1.0 if block.lowest else -1.0
     A = np.zeros((len(row), n))
-    A[:, :k] = -sign * (block.derivative[:, row, column] * weight).T
-    A[:, k + i] = sign * (row == column)
-    return A, sign * block.value[row, column] * weight
+    A[:, :k] = block.sign * (block.derivative[:, row, column] * weight).T
+    A[:, k + i] = -block.sign * (row == column)
+    return A, -block.sign * block.value[row, column] * weight
+
+
+def _solved(
+    cost: tuple[sp.csc_matrix, Array], A: Array, right: Array, cones: list[Any]
+) -> Array | None:
+    sparse = sp.csc_matrix(A)
+    for refined in (False, True):  # refinement costs a fifth of the time and is rarely needed
+        settings = clarabel.DefaultSettings()
+        settings.iterative_refinement_enable = refined
+        settings.verbose = False
+        settings.max_iter = 60
+        settings.tol_gap_abs = settings.tol_gap_rel = 1e-6
+        settings.tol_feas = 1e-7
+        solution = clarabel.DefaultSolver(*cost, sparse, right, cones, settings).solve()
+        if str(solution.status) in ("Solved", "AlmostSolved"):
+            return np.array(solution.x)
+    return None
 
 
 def _predicted_gain(problem: DesignProblem, model: LocalModel, solution: Array) -> float:
@@ -231,6 +194,6 @@ def _predicted_gain(problem: DesignProblem, model: LocalModel, solution: Array) 
     dz = solution[:k]
     change = model.gradient @ dz + 0.5 * dz @ model.hessian @ dz
     for block, bound in zip(model.blocks, solution[k:-1], strict=True):
-        change += (-1.0 if block.lowest else 1.0) * np.log(max(float(bound), 1e-3))
+        change += block.sign * np.log(max(float(bound), 1e-3))
     before = max(0.0, float(model.use.max(initial=0.0)) - 1.0)
     return float(PENALTY * (before - solution[-1]) - change)

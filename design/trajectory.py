@@ -31,17 +31,13 @@ class Series(ABC):
         """Number c of basis functions, the constant among what they span."""
 
     @property
-    def terms(self) -> int:
-        """Number of harmonics of a Fourier series with as many coefficients."""
-        return self.size // 2
+    @abstractmethod
+    def one(self) -> Array:
+        """Coefficients of the constant 1, shape (c,)."""
 
     @abstractmethod
     def basis(self, t: npt.ArrayLike, order: int = 0) -> Array:
         """The order-th time derivative of the basis functions, shape (n, c)."""
-
-    def trajectory(self, coefficients: npt.ArrayLike) -> Trajectory:
-        """The motion with these coefficients, shape (c, nv)."""
-        return Trajectory(self, np.asarray(coefficients, float))
 
     @abstractmethod
     def extremum_times(self, coefficients: Array, order: int) -> Array:
@@ -51,11 +47,6 @@ class Series(ABC):
     def resized(self, terms: int, period: float | None = None) -> Series:
         """The same kind of functions with another number of terms, or another period [s]."""
 
-    @property
-    @abstractmethod
-    def one(self) -> Array:
-        """Coefficients of the constant 1, shape (c,)."""
-
     @abstractmethod
     def reach(self, bound: Array) -> Array:
         """Largest useful change of each coefficient alone, shape (c, nv).
@@ -64,14 +55,14 @@ class Series(ABC):
             bound: Half ranges of q, q̇, q̈ (and more derivatives), shape (≥ 3, nv).
         """
 
-    def constant(self, pose: Array) -> Array:
-        """Coefficients of standing still, shape (c, nv)."""
-        return np.outer(self.one, pose)
+    def trajectory(self, coefficients: npt.ArrayLike) -> Trajectory:
+        """The motion with these coefficients, shape (c, nv)."""
+        return Trajectory(self, np.asarray(coefficients, float))
 
-    def mean(self, coefficients: Array) -> Array:
-        """Mean pose of the motion with these coefficients, shape (nv,)."""
-        middle: Array = self.one @ coefficients / self.one.sum()
-        return middle
+    @property
+    def terms(self) -> int:
+        """Number of harmonics of a Fourier series with as many coefficients."""
+        return self.size // 2
 
     @cached_property
     def rest(self) -> Array:
@@ -79,10 +70,13 @@ class Series(ABC):
         ends = np.vstack([self.basis(0.0, order) for order in (1, 2)])
         return scipy.linalg.null_space(ends / np.abs(ends).max(axis=1, keepdims=True))
 
+    def constant(self, pose: Array) -> Array:
+        """Coefficients of standing still, shape (c, nv)."""
+        return np.outer(self.one, pose)
+
     def along(self, times: Array, coefficients: Array, order: int) -> Array:
         """A derivative of joint j at its own instants ``times[:, j]``, same shape (k, nv)."""
-        n, nv = times.shape
-        basis = self.basis(times.ravel(), order).reshape(n, nv, -1)
+        basis = self.basis(times.ravel(), order).reshape(*times.shape, -1)
         values: Array = np.einsum("njc,cj->nj", basis, coefficients, optimize=True)
         return values
 
@@ -92,20 +86,28 @@ class Series(ABC):
         return np.arange(n) / n * self.period
 
     def nearest(self, trajectory: Trajectory) -> Array:
-        """Coefficients at rest of the motion nearest to another one, shape (c, nv).
-
-        Least squares over the period; exact where the series holds that motion.
-        """
+        """Coefficients at rest nearest to another motion by least squares, shape (c, nv)."""
         t = np.arange(16 * self.size) / (16 * self.size) * self.period
-        z = np.linalg.lstsq(
-            self.basis(t) @ self.rest, trajectory(t / self.period * trajectory.period), rcond=None
-        )[0]
+        there = trajectory(t / self.period * trajectory.period)
+        z = np.linalg.lstsq(self.basis(t) @ self.rest, there, rcond=None)[0]
         coefficients: Array = self.rest @ z
         return coefficients
 
 
+class _Curve(ABC):
+    """Joint motion known at every instant."""
+
+    @abstractmethod
+    def __call__(self, t: npt.ArrayLike, order: int = 0) -> Array: ...
+
+    def at(self, t: npt.ArrayLike) -> Motion:
+        """The motion at the given instants [s], shape (n,)."""
+        t = np.atleast_1d(np.asarray(t, float))
+        return Motion(t, self(t), self(t, 1), self(t, 2))
+
+
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(_Curve):
     """Periodic joint motion, known at every instant with its derivatives.
 
     Attributes:
@@ -149,11 +151,6 @@ class Trajectory:
         w, size = 2 * np.pi * self.harmonics / self.period, np.abs(self.coefficients).max()
         return all(np.abs(self(0.0, k)).max() <= _REST * w**k * size for k in (1, 2))
 
-    def at(self, t: npt.ArrayLike) -> Motion:
-        """The motion at the given instants [s], shape (n,)."""
-        t = np.atleast_1d(np.asarray(t, float))
-        return Motion(t, self(t), self(t, 1), self(t, 2))
-
     def sample(self, n: int) -> Motion:
         """One period at ``n`` equidistant instants, first and last included."""
         return self.at(np.linspace(0.0, self.period, n))
@@ -181,17 +178,11 @@ class Trajectory:
 
     def _repr_html_(self) -> str:
         low, high = self.extrema()
-        speed, acceleration = (np.abs(self.extrema(order)).max(axis=0) for order in (1, 2))
-        rows = zip(
-            range(1, len(low) + 1), low.tolist(), high.tolist(), speed.tolist(),
-            acceleration.tolist(), strict=True,
-        )  # fmt: skip
+        tops = [np.abs(self.extrema(order)).max(axis=0) for order in (1, 2)]
+        columns = [np.arange(1, self.nv + 1), low, high, *tops]
+        title = f"{self.series.name.capitalize()} trajectory of {self.period:.4g} s, SI units"
         heads = ("joint", "from", "to", "top speed", "top acceleration")
-        return html_table(
-            f"{self.series.name.capitalize()} trajectory of {self.period:.4g} s, SI units",
-            heads,
-            rows,
-        )
+        return html_table(title, heads, zip(*(c.tolist() for c in columns), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,6 +206,12 @@ class FourierSeries(Series):
         """Number of basis functions, 1 + 2 H."""
         return 1 + 2 * self.harmonics
 
+    @property
+    def one(self) -> Array:
+        """Coefficients of the constant 1, shape (1 + 2 H,)."""
+        one: Array = np.eye(self.size)[0]
+        return one
+
     @cached_property
     def rest(self) -> Array:
         """Orthonormal basis of Σ h sine_h = 0 and Σ h² cosine_h = 0, shape (1 + 2 H, 2 H − 1)."""
@@ -233,8 +230,7 @@ class FourierSeries(Series):
 
     def trajectory(self, coefficients: npt.ArrayLike) -> FourierTrajectory:
         """The motion with these coefficients, shape (1 + 2 H, nv)."""
-        X, H = np.asarray(coefficients, float), self.harmonics
-        return FourierTrajectory(X[0], X[1 : 1 + H], X[1 + H :], self.period)
+        return from_coefficients(coefficients, self.period)
 
     def extremum_times(self, coefficients: Array, order: int) -> Array:
         """Instants among which every extremum of a derivative lies, shape (2 H + 1, nv) [s].
@@ -258,20 +254,12 @@ class FourierSeries(Series):
         """The same functions with another number of harmonics, or another period [s]."""
         return FourierSeries(period or self.period, terms)
 
-    @property
-    def one(self) -> Array:
-        """Coefficients of the constant 1, shape (1 + 2 H,)."""
-        one: Array = np.eye(self.size)[0]
-        return one
-
     def reach(self, bound: Array) -> Array:
         """Largest useful size of each coefficient alone, shape (1 + 2 H, nv)."""
         w = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)
-        each = []
-        for order, b in enumerate(bound):
-            peaks = np.concatenate([[float(order == 0)], w**order, w**order])
-            with np.errstate(divide="ignore"):
-                each.append(b / peaks[:, None])
+        peaks = [np.concatenate([[float(k == 0)], w**k, w**k]) for k in range(len(bound))]
+        with np.errstate(divide="ignore"):
+            each = [b / peak[:, None] for b, peak in zip(bound, peaks, strict=True)]
         least: Array = np.min(each, axis=0)
         return least
 
@@ -305,25 +293,24 @@ class FourierTrajectory(Trajectory):
     @property
     def offset(self) -> Array:
         """Mean position per joint, shape (nv,)."""
-        offset: Array = self.coefficients[0]
-        return offset
+        return read_only(self.coefficients[0])
 
     @property
     def cosine(self) -> Array:
         """Coefficients of the cosines, shape (harmonics, nv)."""
-        cosine: Array = self.coefficients[1 : 1 + self.harmonics]
-        return cosine
+        return read_only(self.coefficients[1 : 1 + self.harmonics])
 
     @property
     def sine(self) -> Array:
         """Coefficients of the sines, shape (harmonics, nv)."""
-        sine: Array = self.coefficients[1 + self.harmonics :]
-        return sine
+        return read_only(self.coefficients[1 + self.harmonics :])
 
 
 def from_coefficients(coefficients: npt.ArrayLike, period: float) -> FourierTrajectory:
     """Trajectory from stacked offset, cosine and sine coefficients, shape (1 + 2 H, nv)."""
-    return FourierSeries(float(period), len(np.asarray(coefficients)) // 2).trajectory(coefficients)
+    X = np.asarray(coefficients, float)
+    cosine, sine = np.split(X[1:], 2)
+    return FourierTrajectory(X[0], cosine, sine, period)
 
 
 def _require_positive(period: float) -> None:
@@ -370,9 +357,20 @@ class SplineSeries(Series):
         """Number of basis functions."""
         return self.pieces
 
+    @property
+    def one(self) -> Array:
+        """Coefficients of the constant 1, shape (pieces,)."""
+        return np.ones(self.pieces)
+
     @cached_property
     def _unit(self) -> BSpline:
-        return _periodic(np.eye(self.pieces), self.period)
+        return self._spline(np.eye(self.pieces))
+
+    def _spline(self, coefficients: Array) -> BSpline:
+        """Spline over one period of coefficients (pieces, ...)."""
+        knots = np.arange(-_DEGREE, self.pieces + _DEGREE + 1) * (self.period / self.pieces)
+        wrapped = coefficients[np.arange(self.pieces + _DEGREE) % self.pieces]
+        return BSpline(knots, wrapped, _DEGREE)
 
     def basis(self, t: npt.ArrayLike, order: int = 0) -> Array:
         """The order-th time derivative of the basis functions, shape (n, pieces)."""
@@ -381,69 +379,40 @@ class SplineSeries(Series):
         return values
 
     def extremum_times(self, coefficients: Array, order: int) -> Array:
-        """Instants among which every extremum of a derivative lies, shape (k, nv) [s].
-
-        The roots of the next derivative, piece by piece, and the knots.
-        """
+        """Roots of the next derivative, piece by piece, and the knots, shape (k, nv) [s]."""
         knots = np.arange(self.pieces) * (self.period / self.pieces)
         found = []
         for points in coefficients.T:
-            spline = _periodic(points, self.period)
+            spline = self._spline(points)
             slope = PPoly.from_spline((spline.t, spline.c, _DEGREE)).derivative(order + 1)
             roots = slope.roots(extrapolate=False)
             inside = roots[np.isfinite(roots) & (roots >= 0) & (roots <= self.period)]
             found.append(np.concatenate([knots, inside]))
-        length = max(len(times) for times in found)
-        padded = [np.pad(times, (0, length - len(times))) for times in found]
-        return read_only(np.stack(padded, axis=1))
+        length = max(map(len, found))
+        return np.stack([np.pad(times, (0, length - len(times))) for times in found], axis=1)
 
     def resized(self, terms: int, period: float | None = None) -> SplineSeries:
         """The same functions with another number of terms, or another period [s]."""
         return SplineSeries(period or self.period, 2 * terms)
 
-    @property
-    def one(self) -> Array:
-        """Coefficients of the constant 1, shape (pieces,)."""
-        return np.ones(self.pieces)
-
     def reach(self, bound: Array) -> Array:
-        """Largest useful change of each coefficient, shape (pieces, nv): half the range.
-
-        Velocity and acceleration limit differences of coefficients, not their size.
-        """
+        """Half the range, shape (pieces, nv): other limits are on differences of coefficients."""
         return np.tile(bound[0], (self.pieces, 1))
 
 
-def _periodic(coefficients: Array, period: float) -> BSpline:
-    """Spline over one period of coefficients (pieces, ...)."""
-    pieces = len(coefficients)
-    knots = np.arange(-_DEGREE, pieces + _DEGREE + 1) * (period / pieces)
-    wrapped = coefficients[np.arange(pieces + _DEGREE) % pieces]
-    return BSpline(knots, wrapped, _DEGREE)
-
-
-@dataclass(frozen=True, eq=False)
-class HermiteTrajectory:
+class HermiteTrajectory(_Curve):
     """Quintic Hermite interpolant through the q, q̇, q̈ samples of a motion.
 
-    Attributes:
+    Args:
         samples: The motion; its time strictly increasing.
     """
 
-    samples: Motion
-
-    def __post_init__(self) -> None:
-        m = self.samples
-        knots = np.stack([m.q, m.dq, m.ddq], axis=1)
-        object.__setattr__(self, "_q", BPoly.from_derivatives(m.t, knots))
+    def __init__(self, samples: Motion) -> None:
+        self.samples = samples
+        knots = np.stack([samples.q, samples.dq, samples.ddq], axis=1)
+        self._q = BPoly.from_derivatives(samples.t, knots)
 
     def __call__(self, t: npt.ArrayLike, order: int = 0) -> Array:
         """Evaluate the motion or its time derivative of the given order, shape (n, nv)."""
-        spline: BPoly = self._q  # type: ignore[attr-defined]
-        values: Array = spline(np.atleast_1d(np.asarray(t, float)), nu=order)
+        values: Array = self._q(np.atleast_1d(np.asarray(t, float)), nu=order)
         return values
-
-    def at(self, t: npt.ArrayLike) -> Motion:
-        """The motion at the given instants [s], shape (n,)."""
-        t = np.atleast_1d(np.asarray(t, float))
-        return Motion(t, self(t), self(t, 1), self(t, 2))

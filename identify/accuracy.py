@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from excitant.identify.least_squares import LeastSquares, autocorrelation_time
+from excitant.identify.least_squares import LeastSquares, autocorrelation, autocorrelation_time
 from excitant.identify.preprocessing import Segment
 from excitant.robots.motion import Array, freeze, read_only
 from excitant.robots.robot import Robot
@@ -185,12 +185,7 @@ def independent_squares(residual: Array) -> float:
     Correlations that samples of white noise have by chance are left out.
     """
     n = len(residual)
-    centred = residual - residual.mean()
-    spectrum = np.abs(scipy.fft.rfft(centred, scipy.fft.next_fast_len(2 * n, True))) ** 2
-    correlation = scipy.fft.irfft(spectrum)[: max(n // 3, 1)]
-    if correlation[0] <= 0:
-        return float(n)
-    rho = correlation[1:] / correlation[0]
+    rho = autocorrelation(residual)[1:]
     chance = np.flatnonzero(np.abs(rho) < 2 / np.sqrt(n))
     end = int(chance[0]) if len(chance) else len(rho)
     return float(n / (1 + 2 * np.sum(rho[:end] ** 2)))

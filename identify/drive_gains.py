@@ -1,6 +1,14 @@
-"""Drive gains [N·m/A] and their scale from recordings with and without a known payload.
+"""Drive gains [N·m/A] of motor currents: from the given masses, or from a known payload.
 
-Without the payload (a) and with it (b), the torque of joint j is k_j i_j, so that
+Masses: current is i_j = c_j (W_j β) + F_j θ_j with one gain k_j = 1/c_j per joint. Parameters of
+outer links appear in the rows of several joints, so the gains *relative to each other* follow from
+the data (alternating least squares); their common scale does not, and is set so that the given
+masses explain the current best. Runs in which joints move one at a time hold next to nothing of
+that, and what friction does at their ends would pass for it. Each gain is then that with which the
+given masses explain the joint's current, drawn to the others as far as the torque of given masses
+is itself unsure, as that of a wrist whose centre of mass lies nearly on its axis.
+
+Payload: without it (a) and with it (b), the torque of joint j is k_j i_j, so that
 
     [ I_a  −W_a   0    0  ] [k; β; π; s] ≈ 0,
     [ I_b  −W_b  −V   −g  ]
@@ -11,10 +19,8 @@ total least squares over all joints, and the factor follows from s = 1 (Gautier 
 "Global identification of joint drive gains and dynamic parameters of robots"). Only the currents
 have errors here, as many in each column as its joint has rows; so the exact columns are eliminated
 and k solves the generalised eigenproblem of Van Huffel and Vandewalle (1991). Rows are weighted by
-1 / (k_j σ_j), which makes it maximum likelihood.
-
-A gain whose joint's current its own friction and rotor could explain is not shown; it is taken
-to be that of the other joints, give or take a half.
+1 / (k_j σ_j), which makes it maximum likelihood. A gain whose joint's current its own friction and
+rotor could explain is not shown; it is taken to be that of the other joints, give or take a half.
 """
 
 from __future__ import annotations
@@ -24,45 +30,138 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 import scipy
 
 from excitant.exceptions import BadInput
-from excitant.identify.accuracy import series
-from excitant.identify.least_squares import factorised, with_covariance
-from excitant.identify.preprocessing import Segment
+from excitant.identify.least_squares import autocorrelation_time, factorised, with_covariance
+from excitant.identify.preprocessing import Mask
+from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.regression import dense, observation
-from excitant.identify.rows import split
-from excitant.robots.base_parameters import base_parameters, independent_columns
-from excitant.robots.effects import Effect, standard_effects
+from excitant.identify.regression import Regression, dense
+from excitant.robots.base_parameters import BaseParameters, independent_columns
 from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
 
-Mask = npt.NDArray[np.bool_]
-
-_SPREAD = 0.5  # relative uncertainty of a gain that is taken from other joints
+_SPREAD = 0.5  # relative, of drives of one arm: decides only what data leave open
+_REWEIGHTINGS = 4  # of the noise of each joint
+_ALTERNATIONS, _CONVERGED = 200, 1e-6
+_LINKS = 0.3  # relative uncertainty of given links
+_TOGETHER = 0.5  # share of a joint's rows with another joint moving, from which rows compare
 _HARDLY = 0.2  # relative uncertainty of the common scale, from which the payload is refused
-_ROUNDS = 30
-_SETTLED = 1e-8
+_ROUNDS, _SETTLED = 30, 1e-8
 _DEPENDENT = 1e-7  # part of a unit column that is outside the others
 _SHOWN = 4.0  # a current's residual over that of the best combination, from which its gain is shown
 
 
+def current_gains(
+    robot: Robot, base: BaseParameters, W: Array, current: Array, moves: Mask | None = None
+) -> tuple[Array, bool]:
+    """Gains k with torque = k · current, shape (nv,) [N·m/A], and whether joints were compared.
+
+    A gain that the motion hardly shows stays near those of the other joints.
+
+    Args:
+        robot: The arm with the given masses.
+        base: Base parameters of links and effects.
+        W: Columns of links and effects, shape (n, nv, p).
+        current: Motor currents, shape (n, nv) [A].
+        moves: Rows in which a joint moves, shape (n, nv); only these count. All when None.
+    """
+    links = 10 * robot.nv
+    if moves is not None:
+        several = moves.sum(axis=1) > 1
+        share = (moves & several[:, None]).sum(axis=0) / np.maximum(moves.sum(axis=0), 1)
+        if (share < _TOGETHER).any():
+            return _each_alone(robot, W, current, moves), False
+        W, current = W * moves[:, :, None], current * moves
+    columns = [c for c in base.columns if c < links]
+    given = W[:, :, :links] @ robot.phi
+    return _compared(W[:, :, columns], W[:, :, links:], current, given), True
+
+
+def _compared(W: Array, F: Array, current: Array, given: Array) -> Array:
+    """Gains from rows of several joints at once: base columns of links, and those of effects."""
+    nv = W.shape[1]
+    parts = [_without_effects(F[:, j], W[:, j], current[:, j], given[:, j]) for j in range(nv)]
+    W, current, given = (np.stack(values, axis=1) for values in zip(*parts, strict=True))
+    gram = np.einsum("njr,njs->jrs", W, W, optimize=True)
+    moment = np.einsum("njr,nj->jr", W, current, optimize=True)
+    gains, sigma, independent = np.ones(nv), np.maximum(current.std(axis=0), 1e-12), np.ones(nv)
+    for _ in range(_REWEIGHTINGS):
+        gains, beta = _alternate(gram, moment, independent / sigma**2, gains)
+        residual = current - W @ beta / gains
+        sigma = np.maximum(residual.std(axis=0), 1e-12)
+        independent = 1 / np.array([autocorrelation_time(e) for e in residual.T])
+    model = given / gains
+    scale = ((model / sigma) ** 2).sum() / (model * current / sigma**2).sum()
+    return np.asarray(gains * abs(scale), float)
+
+
+def _alternate(gram: Array, moment: Array, weight: Array, gains: Array) -> tuple[Array, Array]:
+    """Gains and base parameters by turns until the gains settle."""
+    prior = 1 / _SPREAD**2  # of 1/k around the geometric mean, which is kept at 1
+    for _ in range(_ALTERNATIONS):
+        A = np.einsum("j,jrs->rs", weight / gains**2, gram)
+        beta = np.linalg.lstsq(A, (weight / gains) @ moment, rcond=1e-12)[0]
+        information = weight * np.einsum("r,jrs,s->j", beta, gram, beta)
+        evidence = weight * (moment @ beta)
+        updated = (information + prior) / np.maximum(evidence + prior, prior / 10)
+        updated /= np.exp(np.log(updated).mean())
+        change = np.abs(np.log(updated / gains)).max()
+        gains = updated
+        if change < _CONVERGED:
+            break
+    return gains, beta
+
+
+def _each_alone(robot: Robot, W: Array, current: Array, moves: Mask) -> Array:
+    """Gains from each joint's own rows, as logarithms that scatter around a common one."""
+    links = 10 * robot.nv
+    spread = _LINKS * link_coordinates(prior_parameters(robot)) / link_weights(robot.nv, 1.0)
+    pairs = [
+        _log_gain(W[rows, j, :links], W[rows, j, links:], current[rows, j], robot.phi, spread)
+        for j, rows in enumerate(moves.T)
+    ]
+    own, variance = np.array(pairs).T
+    if not np.isfinite(variance).any():
+        return np.ones(robot.nv)
+    weight = 1 / (variance + _SPREAD**2)
+    common = float(weight @ own / weight.sum())
+    return np.asarray(np.exp(common + _SPREAD**2 * weight * (own - common)), float)
+
+
+def _log_gain(Y: Array, F: Array, current: Array, phi: Array, spread: Array) -> tuple[float, float]:
+    """Logarithm of the gain with which given torque Y φ explains a current, and its variance."""
+    count = int(np.any(F != 0, axis=0).sum())
+    if len(current) <= count + 1:
+        return 0.0, np.inf
+    Y, i = _without_effects(F, Y, current)
+    tau = Y @ phi
+    size = float(tau @ tau)
+    per_torque = float(tau @ i) / max(size, 1e-300)
+    if per_torque <= 0:
+        return 0.0, np.inf
+    residual = i - per_torque * tau
+    noise = float(residual @ residual) / (len(i) - count - 1)
+    variance = noise * autocorrelation_time(residual) / size / per_torque**2
+    unsure = float(np.sum((tau @ Y @ spread) ** 2)) / size**2
+    return -float(np.log(per_torque)), variance + unsure
+
+
+def _without_effects(F: Array, *values: Array) -> tuple[Array, ...]:
+    """Values at a joint's rows less what its own effect columns F, shape (n, e), can explain."""
+    Q = np.linalg.qr(F[:, np.any(F != 0, axis=0)])[0]
+    return tuple(x - Q @ (Q.T @ x) for x in values)
+
+
 @dataclass(frozen=True)
 class KnownPayload:
-    """A body on the last link, as weighed and measured.
+    """A body on the last link, as weighed and measured."""
 
-    Attributes:
-        mass: Its mass [kg].
-        mass_std: Standard deviation of the mass [kg].
-        centre: Its centre of mass in the frame of the last joint [m]; None where not known.
-    """
-
-    mass: float
-    mass_std: float = 0.0
-    centre: tuple[float, float, float] | None = None
+    mass: float  # [kg]
+    mass_std: float = 0.0  # [kg]
+    centre: Sequence[float] | None = None  # in the last joint's frame [m], where known
 
     def __post_init__(self) -> None:
         if not self.mass > 0 or self.mass_std < 0:
@@ -86,35 +185,13 @@ class KnownPayload:
 
 
 @dataclass(frozen=True, eq=False)
-class CurrentRows:
-    """Recorded currents with what may explain them.
-
-    Attributes:
-        base: Columns of the base parameters, shape (n, nv, r).
-        last: Columns of a body on the last link, shape (n, nv, 10).
-        current: Readings, shape (n, nv) [A].
-    """
-
-    base: Array
-    last: Array
-    current: Array
-
-
-@dataclass(frozen=True, eq=False)
 class DriveGains:
-    """Torque per ampere of every joint.
+    """Torque per ampere of every joint."""
 
-    Attributes:
-        gains: Shape (nv,) [N·m/A].
-        std: Their standard deviations, the payload's own uncertainty counted, shape (nv,).
-        shown: Whether the recordings show each gain, nv of them.
-        scale_std: Relative standard deviation of their common scale.
-    """
-
-    gains: Array
-    std: Array
-    shown: tuple[bool, ...]
-    scale_std: float
+    gains: Array  # shape (nv,) [N·m/A]
+    std: Array  # with the payload's own uncertainty, shape (nv,)
+    shown: tuple[bool, ...]  # whether the recordings show each gain
+    scale_std: float  # relative standard deviation of their common scale
 
     def __post_init__(self) -> None:
         freeze(self, "gains", "std")
@@ -143,57 +220,16 @@ class DriveGains:
         }
 
 
-def identify_drive_gains(
-    robot: Robot,
-    recordings: Sequence[Recording],
-    loaded: Sequence[Recording],
-    payload: KnownPayload,
-    *,
-    validate: Sequence[Recording] = (),
-    effects: Sequence[Effect] | None = None,
-    cutoff_hz: float | None = None,
+def payload_gains(
+    free: Regression, loaded: Regression, payload: KnownPayload, body: Array
 ) -> DriveGains:
-    """Drive gains of an arm whose motor currents were recorded.
-
-    Args:
-        robot: The arm without the payload; its masses are of no account.
-        recordings: Currents without the payload; what `identify` fits of them is used.
-        loaded: Currents with the payload.
-        payload: What is known of it.
-        validate: As given to `identify`.
-        effects: Effects of the arm; friction, offset and rotor inertia when None.
-        cutoff_hz: Cut-off of the filter [Hz].
-
-    Raises:
-        BadInput: Recordings that are no currents, or a payload that hardly shows in them.
-        BadRecording: Recordings that cannot be used.
-    """
-    for recording in (*recordings, *loaded):
-        if recording.unit != "A":
-            raise BadInput(
-                f"payload: {recording.file} holds torque in {recording.unit}, for which no drive "
-                "gain is needed; --payload-recording is for motor currents"
-            )
-    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
-    chosen, last = list(base_parameters(robot, effects).columns), 10 * (robot.nv - 1)
-
-    def rows(segments: Sequence[Segment]) -> CurrentRows:
-        W = observation(robot, effects, segments)
-        return CurrentRows(W[:, :, chosen], W[:, :, last : last + 10], series(segments).measured)
-
-    data = split(recordings, validate, cutoff_hz)
-    return payload_gains(
-        rows(data.train), rows(split(loaded, loaded, data.cutoff_hz).train), payload
-    )
-
-
-def payload_gains(free: CurrentRows, loaded: CurrentRows, payload: KnownPayload) -> DriveGains:
     """Drive gains from currents without and with a known payload.
 
     Args:
-        free: The arm without it.
-        loaded: The arm with it, any motion.
+        free: Base parameters of the arm without it, currents [A] in place of torque.
+        loaded: The same of the arm with it, any motion.
         payload: What is known of it.
+        body: Base parameters that a body on the last link adds per standard parameter, (r, 10).
 
     Raises:
         BadInput: The payload does not show in the currents, or hardly.
@@ -202,8 +238,8 @@ def payload_gains(free: CurrentRows, loaded: CurrentRows, payload: KnownPayload)
         f"payload: {payload.mass:g} kg hardly show in these currents; use a heavier payload, say "
         "where its centre of mass is, or move it through more poses and longer"
     )
-    current = np.concatenate([free.current, loaded.current])
-    exact = _exact_columns(free, loaded, payload, hardly)
+    current = np.concatenate([free.tau, loaded.tau])
+    exact = _exact_columns(free.W, loaded.W, payload, body, hardly)
     k, theta, shown = _solved(exact, current)
     if (k <= 0).any():
         raise BadInput(f"{hardly}: the gains found are not positive")
@@ -221,24 +257,20 @@ def payload_gains(free: CurrentRows, loaded: CurrentRows, payload: KnownPayload)
 
 
 def _exact_columns(
-    free: CurrentRows, loaded: CurrentRows, payload: KnownPayload, hardly: str
+    free: Array, loaded: Array, payload: KnownPayload, body: Array, hardly: str
 ) -> Array:
-    """Columns without errors of all rows, the payload's known torque last, shape (n, nv, e).
-
-    Columns of the payload that others explain are left out.
-    """
-    unknown, known = loaded.last[:, :, payload.open_parameters], loaded.last @ payload.known
-    added = np.concatenate([unknown, known[:, :, None]], axis=2)
-    blank = np.zeros((*free.current.shape, added.shape[2]))
-    rows = ((free.base, blank), (loaded.base, added))
-    exact = np.concatenate([np.concatenate(pair, axis=2) for pair in rows])
-    flat = exact.reshape(-1, exact.shape[2])
+    """Columns without errors, those of the payload that others explain left out, (n, nv, e)."""
+    own = np.column_stack([body[:, payload.open_parameters], body @ payload.known])
+    r, added = own.shape
+    empty = np.pad(free, ((0, 0), (0, 0), (0, added)))
+    exact = np.concatenate([empty, np.concatenate([loaded, loaded @ own], axis=2)])
+    flat = exact.reshape(-1, r + added)
     norms = np.linalg.norm(flat, axis=0)
     R = np.linalg.qr(flat / np.where(norms > 0, norms, 1.0), mode="r")
     found, _ = independent_columns(np.asarray(R, float), _DEPENDENT)
-    if exact.shape[2] - 1 not in found:
+    if r + added - 1 not in found:
         raise BadInput(f"{hardly}: no torque of it differs from the arm's own")
-    if not set(range(free.base.shape[2])) <= set(found):
+    if not set(range(r)) <= set(found):
         raise BadInput(
             "payload: the recordings do not determine all base parameters of the arm; move all "
             "joints in the recordings without payload"
@@ -273,23 +305,20 @@ def _eliminated(
 ) -> tuple[Array, Array, Mask]:
     """Solution of the weighted homogeneous system, of norm one, and which gains it shows.
 
-    Args:
-        triangles: Factors of each joint's exact columns and its current.
-        weight: Of each joint's rows, shape (nv,).
-        noise: Expected squares of the weighted errors of each current column, shape (nv,).
+    Noise is what squares of the weighted errors of each current column should be, shape (nv,).
     """
-    X = np.vstack([w * T[:, :-1] for w, T in zip(weight, triangles, strict=True)])
-    norms = np.linalg.norm(X, axis=0)
-    currents = scipy.linalg.block_diag(
-        *(w * T[:, -1:] for w, T in zip(weight, triangles, strict=True))
+    rows = [w * T for w, T in zip(weight, triangles, strict=True)]
+    X, currents = (
+        np.vstack([T[:, :-1] for T in rows]),
+        scipy.linalg.block_diag(*(T[:, -1:] for T in rows)),
     )
+    norms = np.linalg.norm(X, axis=0)
     Q, R = np.linalg.qr(X / norms)
     left = currents - Q @ (Q.T @ currents)
     # a gain is shown whose current alone leaves more than noise beside the exact columns
     scaled = left / np.sqrt(noise)
-    alone = (scaled**2).sum(axis=0)
     best = float(np.linalg.svd(scaled, compute_uv=False)[-1] ** 2)
-    shown = alone > _SHOWN * max(best, 1e-300)
+    shown = (scaled**2).sum(axis=0) > _SHOWN * max(best, 1e-300)
     if not shown.any():
         shown[:] = True
     tie = np.eye(len(weight))[:, shown]

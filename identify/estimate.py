@@ -23,7 +23,8 @@ from excitant.identify.accuracy import (
 from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, essential_parameters
-from excitant.identify.physical import PhysicalFit, fit_physical, prior_parameters
+from excitant.identify.physical import PhysicalFit, fit_physical
+from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.rows import (
     Data,

@@ -1,70 +1,56 @@
 """Persistency of excitation: whether a motion shows the parameters, and which joint lacks.
 
-Over a window, rows W of torque noise σ carry the information J = Σ Wᵀ σ⁻² W about the base
-parameters. It is measured against what is known beforehand, P: the eigenvalues of LᵀJL,
-P = LLᵀ, say how many times more the window knows than the prior, direction by direction. Some
-directions no motion of the arm shows above the noise; they are left out by the same count for a
-reference motion of all joints that lasts as long (`reference_motion`). A motion is persistently
-exciting at level α over a window when in every such window no visible direction falls below α.
-Level 1 is what it takes to know a parameter better from the window than from the prior.
+Rows W of torque noise σ carry the information J = Σ Wᵀ σ⁻² W about the base parameters. The
+eigenvalues of LᵀJL, P = LLᵀ what is known beforehand, say how many times more a window knows than
+the prior, direction by direction. Directions that a reference motion of all joints, as long as the
+window, does not show above the noise are left out. A motion is persistently exciting at level α
+over a window when in every such window no visible direction falls below α; level 1 is what it takes
+to know a parameter better from the window than from the prior.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy
 
 from excitant.exceptions import BadInput
-from excitant.identify.base_prior import BasePrior, base_prior, reference_motion
+from excitant.identify.prior import BasePrior, base_prior, reference_motion
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns, torque
 
-NOISE_SHARE = 0.01  # noise of a row in parts of the torque of a reference motion, when not known
 ROWS_PER_SECOND = 20.0  # independent rows of torque filtered at 10 Hz
-ENOUGH = 1.0  # the window knows as much as the prior
+_NOISE_SHARE = 0.01  # noise of a row in parts of the torque of a reference motion, when not known
+_ENOUGH = 1.0  # the window knows as much as the prior
 _VISIBLE = 10.0  # level of a reference motion that makes a direction worth asking for
 _LISTED = 6  # weak directions that are spelt out
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class WeakDirection:
-    """A combination of base parameters that a window does not show.
+    """A combination of base parameters that a window does not show."""
 
-    Attributes:
-        parameters: Its leading base parameters, largest share first.
-        level: Information of the window relative to the prior.
-        joints: Joints whose livelier motion would show it best.
-    """
-
-    parameters: tuple[str, ...]
-    level: float
-    joints: tuple[str, ...]
+    parameters: tuple[str, ...]  # its leading base parameters, largest share first
+    level: float  # information of the window relative to the prior
+    joints: tuple[str, ...]  # whose livelier motion would show it best
 
 
 @dataclass(frozen=True, eq=False)
 class WindowExcitation:
-    """What a window of a motion shows.
-
-    Attributes:
-        start: Begin of the window [s].
-        end: End of the window [s].
-        levels: Level of each visible direction, ascending, shape (v,).
-        weak: Directions below level 1, the weakest first, at most six.
-        joints: Joints whose motion is missing, that which would help most first.
-    """
+    """What a window of a motion shows, from start to end [s]."""
 
     start: float
     end: float
-    levels: Array
-    weak: tuple[WeakDirection, ...] = ()
-    joints: tuple[str, ...] = ()
+    levels: Array  # of each visible direction, ascending, shape (v,)
+    weak: tuple[WeakDirection, ...] = ()  # those below level 1, the weakest first, at most six
+    joints: tuple[str, ...] = ()  # whose motion is missing, that which would help most first
 
     def __post_init__(self) -> None:
         freeze(self, "levels")
@@ -77,7 +63,7 @@ class WindowExcitation:
     @property
     def missing(self) -> int:
         """Number of visible directions below level 1."""
-        return int((self.levels < ENOUGH).sum())
+        return int((self.levels < _ENOUGH).sum())
 
     @property
     def enough(self) -> bool:
@@ -97,91 +83,55 @@ class WindowExcitation:
 
 @dataclass(frozen=True, eq=False)
 class ExcitationJudge:
-    """Judges windows of motions of one arm; made by `excitation_judge`.
-
-    Attributes:
-        robot: The arm.
-        effects: Effects to estimate.
-        base: Base parameters of both.
-        sigma: Noise of an independent row, shape (nv,) [torque unit].
-        window: Length of the windows [s].
-        basis: Visible directions, columns of L V, shape (r, v).
-        reference: A reference motion as long as the window.
-    """
+    """Judges windows of motions of one arm; made by `excitation_judge`."""
 
     robot: Robot
     effects: tuple[Effect, ...]
     base: BaseParameters
-    sigma: Array
-    window: float
-    basis: Array
-    reference: Motion
+    sigma: Array  # noise of an independent row, shape (nv,) [torque unit]
+    basis: Array  # visible directions, columns of L V, shape (r, v)
+    reference: Motion  # as long as the window
 
-    def __post_init__(self) -> None:
-        freeze(self, "sigma", "basis")
-
-    def columns(self, motion: Motion) -> Array:
-        """Whitened rows, so that their squares are levels, shape (n, nv, v)."""
-        W = observation_columns(self.robot, self.effects, motion)[:, :, self.base.columns]
+    def whitened(self, W: Array) -> Array:
+        """Rows of base parameters, shape (n, nv, r), so that squares are levels, (n, nv, v)."""
         return np.asarray(W / self.sigma[:, None] @ self.basis, float)
 
-    def rows(self, W: Array) -> Array:
-        """The same from columns of the base parameters, shape (n, nv, r)."""
-        return np.asarray(W / self.sigma[:, None] @ self.basis, float)
+    def rows(self, motion: Motion) -> Array:
+        """Whitened rows of a motion."""
+        W = observation_columns(self.robot, self.effects, motion)
+        return self.whitened(W[:, :, self.base.columns])
 
-    def judge(self, motion: Motion, rows: Array | None = None) -> WindowExcitation:
-        """What one window shows.
-
-        Args:
-            motion: States of the window, evenly spread over it.
-            rows: Whitened rows, shape (n, nv, v), zero where a row does not count; those of
-                the motion when None.
-        """
-        rows = self.columns(motion) if rows is None else rows
-        each = self._weight(motion)
-        levels, V = np.linalg.eigh(each * _gram(rows))
+    def judge(self, motion: Motion, rows: Array) -> WindowExcitation:
+        """What one window shows: its states, evenly spread, and their whitened rows, (n, nv, v)."""
+        levels, V = np.linalg.eigh(_information(motion, rows))
         found = WindowExcitation(float(motion.t[0]), float(motion.t[-1]), np.maximum(levels, 0))
         if found.enough:
             return found
-        help_of = self._helpers(motion, V[:, levels < ENOUGH])
-        weak = tuple(
-            WeakDirection(
-                self._leading(V[:, k]), float(found.levels[k]), self._joints(help_of[:, k])
-            )
-            for k in range(min(found.missing, _LISTED))
-        )
-        counts = dict.fromkeys(self.robot.joints, 0)
-        for k in range(found.missing):
-            for name in self._joints(help_of[:, k]):
-                counts[name] += 1
-        joints = tuple(sorted((n for n in counts if counts[n]), key=lambda n: -counts[n]))
-        return replace(found, weak=weak, joints=joints)
+        robot, weak, helpers = self.robot, V[:, : found.missing], list[tuple[str, ...]]()
+        for help_of in self._levels_if_livelier(motion, weak).T:  # of each joint
+            order = np.argsort(-help_of)
+            best = (j for j in order if help_of[j] >= 0.5 * help_of.max())
+            helpers.append(tuple(robot.joints[j] for j in best))
+        listed = zip(weak.T, found.levels.tolist(), helpers, strict=False)
+        directions = tuple(WeakDirection(self._leading(v), *rest) for v, *rest in listed)
+        count = Counter(name for names in helpers for name in names)
+        joints = sorted(filter(count.get, robot.joints), key=lambda name: -count[name])
+        return replace(found, weak=directions[:_LISTED], joints=tuple(joints))
 
-    def _weight(self, motion: Motion) -> float:
-        """Independent rows per row of a window."""
-        step = (motion.t[-1] - motion.t[0]) / max(len(motion) - 1, 1)
-        return float(min(1.0, ROWS_PER_SECOND * step)) if step > 0 else 1.0
-
-    def _helpers(self, motion: Motion, V: Array) -> Array:
-        """Level of each weak direction if one joint moved like that, shape (nv, weak)."""
+    def _levels_if_livelier(self, motion: Motion, V: Array) -> Array:
+        """Level of each weak direction if one joint moved as in the reference, (nv, weak)."""
         n = min(len(motion), len(self.reference))
-        thin = motion[np.linspace(0, len(motion) - 1, n).astype(int)]
-        reference = self.reference[np.linspace(0, len(self.reference) - 1, n).astype(int)]
+        thin, reference = (
+            each[np.linspace(0, len(each) - 1, n).astype(int)] for each in (motion, self.reference)
+        )
         levels = np.empty((self.robot.nv, V.shape[1]))
         for j in range(self.robot.nv):
-            parts = []
-            for name in ("q", "dq", "ddq"):
-                values = np.array(getattr(thin, name))
-                values[:, j] = getattr(reference, name)[:, j]
-                parts.append(values)
-            seen = self.columns(Motion(reference.t, *parts)) @ V
-            levels[j] = self._weight(reference) * (seen**2).sum(axis=(0, 1))
+            parts = [np.array(x) for x in (thin.q, thin.dq, thin.ddq)]
+            for own, values in zip(parts, (reference.q, reference.dq, reference.ddq), strict=True):
+                own[:, j] = values[:, j]
+            seen = self.rows(Motion(reference.t, *parts)) @ V
+            levels[j] = _share(reference) * (seen**2).sum(axis=(0, 1))
         return levels
-
-    def _joints(self, levels: Array) -> tuple[str, ...]:
-        """The joint that helps most, and those that help at least half as much."""
-        order = np.argsort(-levels)
-        return tuple(self.robot.joints[j] for j in order if levels[j] >= 0.5 * levels.max())
 
     def _leading(self, v: Array) -> tuple[str, ...]:
         """Base parameters that make nine tenths of a direction, in units of prior spread."""
@@ -189,63 +139,53 @@ class ExcitationJudge:
         share = (self.basis @ v / np.where(spread > 0, spread, 1.0)) ** 2
         order = np.argsort(-share)
         count = int(np.searchsorted(np.cumsum(share[order]), 0.9 * share.sum())) + 1
-        names = [self.base.names[c] for c in self.base.columns]
-        return tuple(names[k] for k in order[: min(count, 3)])
+        return tuple(self.base.names[self.base.columns[k]] for k in order[: min(count, 3)])
 
 
-def _gram(rows: Array) -> Array:
+def _share(motion: Motion) -> float:
+    """Independent rows per row of a motion."""
+    step = (motion.t[-1] - motion.t[0]) / max(len(motion) - 1, 1)
+    return float(min(1.0, ROWS_PER_SECOND * step)) if step > 0 else 1.0
+
+
+def _information(motion: Motion, rows: Array) -> Array:
+    """Information of whitened rows, shape (v, v)."""
     flat = rows.reshape(-1, rows.shape[-1])
-    return np.asarray(flat.T @ flat, float)
+    return np.asarray(_share(motion) * (flat.T @ flat), float)
 
 
 def excitation_judge(
     robot: Robot,
-    effects: Sequence[Effect] | None = None,
+    effects: tuple[Effect, ...],
     *,
     window: float,
-    sigma: Array | None = None,
-    base: BaseParameters | None = None,
-    prior: BasePrior | None = None,
+    sigma: Array | None,
+    base: BaseParameters,
+    prior: BasePrior,
 ) -> ExcitationJudge:
-    """Prepare to judge windows of one length.
+    """Prepare to judge windows of one length [s].
 
-    Args:
-        robot: The arm; its inertias are the prior.
-        effects: Effects to estimate; friction, offset and rotor inertia when None.
-        window: Length of the windows [s].
-        sigma: Noise of an independent row of torque, shape (nv,); 1 % of the torque of a
-            reference motion when None.
-        base: Base parameters of robot and effects, where they are at hand.
-        prior: What is known beforehand; the given robot when None.
+    Sigma is the noise of an independent row of torque, shape (nv,); 1 % of the torque of a
+    reference motion when None.
     """
-    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
-    base = base_parameters(robot, effects) if base is None else base
-    prior = base_prior(robot, effects, base) if prior is None else prior
     reference = reference_motion(robot, window, ROWS_PER_SECOND if window > 2 else 40 / window)
     if sigma is None:
         rms = np.sqrt((torque(robot, reference) ** 2).mean(axis=0))
-        sigma = NOISE_SHARE * np.maximum(rms, 1e-3 * rms.max())
+        sigma = _NOISE_SHARE * np.maximum(rms, 1e-3 * rms.max())
     scale = np.sqrt(np.diag(prior.covariance))
     L = scale[:, None] * np.linalg.cholesky(prior.covariance / np.outer(scale, scale))
-    judge = ExcitationJudge(robot, effects, base, sigma, window, L, reference)
-    levels, V = scipy.linalg.eigh(judge._weight(reference) * _gram(judge.columns(reference)))
+    judge = ExcitationJudge(robot, effects, base, sigma, L, reference)
+    levels, V = scipy.linalg.eigh(_information(reference, judge.rows(reference)))
     return replace(judge, basis=L @ V[:, levels >= _VISIBLE])
 
 
 @dataclass(frozen=True, eq=False)
 class Persistency:
-    """Excitation along a motion.
+    """Excitation along a motion."""
 
-    Attributes:
-        window: Length of the windows [s].
-        windows: What each window shows, half overlapping.
-        shortest: Shortest length tried over which the motion is persistently exciting [s];
-            None when there is none.
-    """
-
-    window: float
-    windows: tuple[WindowExcitation, ...]
-    shortest: float | None
+    window: float  # length of the windows [s]
+    windows: tuple[WindowExcitation, ...]  # half overlapping
+    shortest: float | None  # length tried over which the motion is persistently exciting [s]
 
     @property
     def level(self) -> float:
@@ -279,13 +219,9 @@ class Persistency:
         text = (
             f"not persistently exciting over {self.window:.3g} s: from {weakest.start:.3g} to "
             f"{weakest.end:.3g} s {weakest.missing} of {visible} visible combinations are missing "
-            f"(level {self.level:.2g})"
+            f"(level {self.level:.2g}), first of all {weakest.weak[0].parameters[0]}"
         )
-        if weakest.weak:
-            text += f", first of all {weakest.weak[0].parameters[0]}"
-        if weakest.joints:
-            text += f"; move {', '.join(weakest.joints)}"
-        return text
+        return text + (f"; move {', '.join(weakest.joints)}" if weakest.joints else "")
 
     def result(self) -> dict[str, Any]:
         """What ``result.json`` says of it."""
@@ -298,7 +234,7 @@ class Persistency:
             "visible": len(weakest.levels),
             "missing": weakest.missing,
             "joints": weakest.joints,
-            "weak": [asdict(direction) for direction in weakest.weak],
+            "weak": [vars(direction) for direction in weakest.weak],
             "sentence": self.sentence,
         }
 
@@ -316,7 +252,7 @@ def persistency(
     What counts as visible is what a reference motion shows in the window asked for.
 
     Args:
-        robot: The arm.
+        robot: The arm; its inertias are the prior.
         motion: Samples evenly spread in time.
         effects: Effects to estimate; friction, offset and rotor inertia when None.
         window: Length of the windows [s]; the whole motion when None.
@@ -329,10 +265,12 @@ def persistency(
     window = duration if window is None else window
     if not 0 < window <= duration * (1 + 1e-9):
         raise BadInput(f"excitation: a window of {window:.4g} s, the motion lasts {duration:.4g} s")
-    judge = excitation_judge(robot, effects, window=window, sigma=sigma)
-    stride = max(1, int((len(motion) - 1) / (duration * 2 * ROWS_PER_SECOND)))
-    rows, thin = judge.columns(motion[::stride]), motion[::stride]
-    shortest = None
+    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    base = base_parameters(robot, effects)
+    prior = base_prior(robot, effects, base)
+    judge = excitation_judge(robot, effects, window=window, sigma=sigma, base=base, prior=prior)
+    thin = motion[:: max(1, int((len(motion) - 1) / (duration * 2 * ROWS_PER_SECOND)))]
+    rows, shortest = judge.rows(thin), None
     for length in duration / 2.0 ** np.arange(8):
         if not all(each.enough for each in _windows(judge, thin, rows, float(length))):
             break

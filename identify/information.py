@@ -1,8 +1,7 @@
 """Information in square-root form: everything linear data say about parameters x, as a triangle.
 
 Rows A x ≈ b of unit noise become, by a QR factorisation, R x ≈ z with R upper triangular and
-‖A x − b‖² = ‖R x − z‖² + ρ² for every x (Bierman 1977). Nothing is squared, so half the digits
-that normal equations lose are kept; new rows, forgetting and sums of information are exact.
+‖A x − b‖² = ‖R x − z‖² + ρ² for every x (Bierman 1977).
 """
 
 from __future__ import annotations
@@ -22,17 +21,11 @@ _PANEL = 32  # columns that LAPACK takes at a time
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """R x ≈ z of unit noise, beside a part ρ that no x explains.
+    """R x ≈ z of unit noise, beside a part ρ that no x explains."""
 
-    Attributes:
-        R: Upper triangular, possibly singular, shape (p, p).
-        z: Shape (p,).
-        rest: ρ², the part of the squares that no x explains.
-    """
-
-    R: Array
-    z: Array
-    rest: float = 0.0
+    R: Array  # upper triangular, possibly singular, shape (p, p)
+    z: Array  # shape (p,)
+    rest: float = 0.0  # ρ²
 
     def __post_init__(self) -> None:
         freeze(self, "R", "z")
@@ -44,10 +37,6 @@ class Information:
     def scaled(self, weight: float) -> Information:
         """The same rows weighted, each row times a number."""
         return Information(weight * self.R, weight * self.z, weight**2 * self.rest)
-
-    def matrix(self) -> Array:
-        """Information matrix RᵀR, shape (p, p)."""
-        return np.asarray(self.R.T @ self.R, float)
 
     def solve(self) -> Array:
         """The x of least squares, shape (p,); of smallest norm where R is singular."""
@@ -86,25 +75,10 @@ def gaussian(mean: Array, covariance: Array) -> Information:
     return information_of(A, A @ mean)
 
 
-def marginal(information: Information, keep: slice) -> Information:
-    """What is known of the last parameters once the ones before are free.
-
-    Args:
-        information: About all parameters.
-        keep: Parameters of interest, a slice that ends at the last one.
-    """
-    R, z = information.R[keep, keep], information.z[keep]
-    return Information(R, z, information.rest)
-
-
 class InformationFilter:
-    """Information that grows row by row and may be forgotten; the state of a recursion.
+    """Information that grows row by row and may be forgotten.
 
-    A row costs a rank-one triangular update in place; nothing is allocated but the reflectors.
-
-    Args:
-        columns: Which of the p parameters the rows contain; the others never enter.
-        p: Number of parameters.
+    Rows contain some columns of the p parameters; each costs a rank-one triangular update.
     """
 
     def __init__(self, columns: npt.NDArray[np.intp], p: int) -> None:

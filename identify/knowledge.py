@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
+import numpy as np
 
 from excitant.exceptions import BadInput, UnknownName
+from excitant.identify.semidefinite import Restriction
+from excitant.robots.motion import Array
+from excitant.robots.parameters import PSEUDO_INERTIA_BASIS
 from excitant.robots.schema import Positive, Record, Three, convert, read_yaml
 
 PRIORS = ("pullback", "entropic", "euclidean")
 
 
 class Quantity(Record, frozen=True):
-    """A number that is known.
-
-    Attributes:
-        value: The number [SI].
-        std: Its standard deviation; 0 where it holds exactly.
-    """
+    """A number that is known [SI], with its standard deviation; 0 where it holds exactly."""
 
     value: Positive
     std: Annotated[float, msgspec.Meta(ge=0, le=1e300)] = 0.0
@@ -31,12 +30,7 @@ class Quantity(Record, frozen=True):
 
 
 class Box(Record, frozen=True, array_like=True):
-    """Points between two corners of a link's frame.
-
-    Attributes:
-        low: Least coordinates [m].
-        high: Greatest coordinates [m].
-    """
+    """Points between two corners of a link's frame [m]."""
 
     low: Three
     high: Three
@@ -51,15 +45,15 @@ class Box(Record, frozen=True, array_like=True):
 
 
 class Ellipsoid(Record, frozen=True):
-    """Points of an ellipsoid along the axes of a link's frame.
-
-    Attributes:
-        centre: Its centre [m].
-        radii: Its half axes [m].
-    """
+    """Points of an ellipsoid along the axes of a link's frame; radii are its half axes [m]."""
 
     centre: Three
     radii: tuple[Positive, Positive, Positive]
+
+    def to_unit(self) -> Array:
+        """Map from homogeneous coordinates to those of the unit ball, shape (3, 4)."""
+        radii = np.array(self.radii)
+        return np.column_stack([np.diag(1 / radii), -np.array(self.centre) / radii])
 
 
 class LinkKnowledge(Record, frozen=True, omit_defaults=True):
@@ -78,9 +72,7 @@ class LinkKnowledge(Record, frozen=True, omit_defaults=True):
     body_ellipsoid: Ellipsoid | None = None
 
 
-class KnowledgeRecord(Record, frozen=True):
-    """A file of what is known; the entries of ``links`` are `LinkKnowledge`."""
-
+class _File(Record, frozen=True):
     prior: str = PRIORS[0]
     total_mass: Positive | Quantity | None = None
     links: dict[str, Any] | None = None
@@ -149,7 +141,7 @@ def load_knowledge(path: str | Path, links: Sequence[str]) -> Knowledge:
     Raises:
         BadInput: Unreadable, unknown entries or links, or values that nothing can have.
     """
-    found = read_yaml(path, KnowledgeRecord, "what is known of the bodies")
+    found = read_yaml(path, _File, "what is known of the bodies")
     about = found.links or {}
     for name in about:
         if name not in links:
@@ -161,3 +153,60 @@ def load_knowledge(path: str | Path, links: Sequence[str]) -> Knowledge:
         for name, content in about.items()
     }
     return Knowledge(found.prior, found.total_mass, known, str(path))
+
+
+def known_rows(
+    knowledge: Knowledge, links: Sequence[str]
+) -> tuple[Array, Array, list[Restriction]]:
+    """Knowledge about the links of an arm: rows C φ ≈ d of unit noise, and what holds exactly.
+
+    All of it is convex in the standard parameters: masses and their sum are linear; a centre of
+    mass c in a box is m c_lo ≤ m c ≤ m c_hi; in an ellipsoid of radii r around c₀ it is the
+    second-order cone ‖(m c − m c₀) / r‖ ≤ m; and a body of positive density inside an ellipsoid
+    exists for P ≻ 0 exactly when tr(P E) ≥ 0, the mean of 1 − ‖(x − c₀) / r‖² over its mass
+    (Wensing, Kim, Slotine 2018).
+
+    Raises:
+        BadInput: Knowledge of a link that the arm does not have.
+    """
+    for name in knowledge.links:
+        if name not in links:
+            raise BadInput(f"{knowledge.source}: links: the arm has no link '{name}'")
+    p = 10 * len(links)
+    of_link = {f"mass of {name}": row for name, row in zip(links, np.eye(p)[::10], strict=True)}
+    mass_rows = {"total_mass": np.sum(list(of_link.values()), axis=0)} | of_link
+    rows, values = [np.zeros((0, p))], [np.zeros(0)]
+    restrictions: list[Restriction] = []
+    for name, mass in knowledge.masses.items():
+        row = mass_rows[name][None]
+        if mass.std:
+            rows.append(row / mass.std)
+            values.append(np.array([mass.value / mass.std]))
+        else:
+            what = f"{name} = {mass.value:g} kg"
+            restrictions.append(Restriction("zero", row, np.array([mass.value]), what))
+    for name, known in knowledge.links.items():
+        place = np.eye(p)[10 * links.index(name) :][:10]
+        restrictions += [replace(each, G=each.G @ place) for each in _regions(known, name)]
+    return np.vstack(rows), np.concatenate(values), restrictions
+
+
+def _regions(known: LinkKnowledge, name: str) -> Iterator[Restriction]:
+    """Restrictions of one link's ten parameters."""
+    mass, first = np.eye(10)[0], np.eye(10)[1:4]
+    if known.com_box is not None:
+        # where the box has no width, a coordinate is known
+        low, high = np.array(known.com_box.low), np.array(known.com_box.high)
+        flat = low == high
+        G = np.array([first - np.outer(low, mass), np.outer(high, mass) - first])
+        for cone, rows in (("nonnegative", G[:, ~flat].reshape(-1, 10)), ("zero", G[0, flat])):
+            if len(rows):
+                yield Restriction(cone, rows, np.zeros(len(rows)), f"com_box of {name}")
+    if known.com_ellipsoid is not None:
+        G = np.vstack([mass, known.com_ellipsoid.to_unit() @ np.vstack([first, mass])])
+        yield Restriction("second_order", G, np.zeros(4), f"com_ellipsoid of {name}")
+    if known.body_ellipsoid is not None:
+        to_unit = known.body_ellipsoid.to_unit()
+        E = np.diag([0.0, 0.0, 0.0, 1.0]) - to_unit.T @ to_unit
+        row = np.einsum("kij,ij->k", PSEUDO_INERTIA_BASIS, E)
+        yield Restriction("nonnegative", row[None], np.zeros(1), f"body_ellipsoid of {name}")

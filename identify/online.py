@@ -1,110 +1,86 @@
-"""On-line estimation: recursive least squares in square-root information form.
+"""On-line estimation: recursive least squares in square-root information form, and its monitor.
 
-Samples come one by one. A causal local polynomial gives velocity and acceleration of the instant
-in the middle of its window; the torque of that same instant is taken (matched delays), and the
-mean over a block of K samples is the filter that every column and the torque pass alike. One row
-per joint and block updates that joint's own triangle. Joints are weighted only when an estimate
-is asked for, so noise levels may be learnt on the way without touching the past, and the result
-is that of weighted least squares on all rows.
-
-Forgetting weighs a row of age a by exp(−a / τ); what was known beforehand is never forgotten, so
-where a motion shows nothing the estimate falls back to the prior instead of blowing up.
+A causal local polynomial gives velocity and acceleration in the middle of its window; the torque
+of that same instant is taken (matched delays), and the mean over a block of K samples is the
+filter that every column and the torque pass alike. One row per joint and block updates that
+joint's own triangle. Joints are weighted only when an estimate is asked for, so noise levels are
+learnt without touching the past, and the result is weighted least squares on all rows. Forgetting
+weighs a row of age a by exp(−a / τ); what was known beforehand is never forgotten, so where a
+motion shows nothing the estimate falls back to the prior.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.base_prior import BasePrior, base_prior
 from excitant.identify.differentiators import (
     LocalPolynomial,
     causal_polynomial,
     position_spectrum,
-    savitzky_golay,
 )
+from excitant.identify.estimate import Estimate, judged
+from excitant.identify.excitation import ROWS_PER_SECOND, WindowExcitation, excitation_judge
 from excitant.identify.information import Information, InformationFilter, combined
-from excitant.identify.least_squares import autocorrelation_time
-from excitant.identify.preprocessing import dry_joints, resampled, uninterrupted
+from excitant.identify.least_squares import LeastSquares, autocorrelation_time
+from excitant.identify.physical import fit_physical
+from excitant.identify.preprocessing import Mask, dry_joints, resampled, uninterrupted
+from excitant.identify.prior import BasePrior, base_prior, prior_parameters, reference_motion
 from excitant.identify.recording import Recording
+from excitant.identify.rows import fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
-from excitant.robots.effects.base import Law
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
 
-_Indices = npt.NDArray[np.intp]
-
 _WINDOW_S = 0.03  # half width of the differentiator that serves when none is given
 _BLOCK_S = 0.01  # block over which rows are averaged when none is given
-RECENT = 10.0  # rows kept to judge residuals and excitation
+_RECENT = 10.0  # s of rows kept to judge residuals and excitation
 _CERTAIN = 3.0  # standard deviations of a step above which its sign is known
 _CORNERS = 5  # positions under the window between which a joint must go one way
 _ROUNDING = 1e-12  # rad: positions are never better than this
 _ROUNDS = 4  # of re-estimating the noise of each joint
-_RING = 4096  # samples between two moves of the buffer
+_PAUSE = 2.5  # samples: after a longer step the window fills anew
 _BETWEEN = 1.0  # s set between recordings that follow each other
 _FEWEST = 5  # samples without a gap
 _STATES = 100  # random ones, for the structure of the columns
+_LOOKED_AT = 8.0  # s of motion that the monitor looks at
+_PERIOD = 0.5  # s between two looks
+_KEPT = 100  # looks written to result.json
+_REFERENCE = 10.0  # s of reference motion over which the uncertainty of the torque is taken
 
 
 @dataclass(frozen=True, eq=False)
-class OnlineEstimate:
-    """What is known at an instant.
+class OnlineEstimate(LeastSquares):
+    """What is known at an instant; inflation is that of recent residuals.
 
     Attributes:
         t: Instant it speaks about: the newest block [s].
         data: What the data alone say, rows of unit noise.
-        beta: Estimate, shape (r,).
-        covariance: Its covariance, shape (r, r).
-        sigma: Standard deviation of each joint's row, shape (nv,) [torque unit].
-        inflation: Integrated autocorrelation time of recent residuals [rows], shape (nv,).
     """
 
     t: float
     data: Information
-    beta: Array
-    covariance: Array
-    sigma: Array
-    inflation: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "beta", "covariance", "sigma", "inflation")
-
-    @property
-    def std(self) -> Array:
-        """Standard deviations, shape (r,)."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)), float)
 
 
-@dataclass(frozen=True, eq=False)
-class RecentRows:
-    """Recent rows of the estimator.
-
-    Attributes:
-        motion: State in the middle of each block, n blocks.
-        W: Columns of the base parameters, shape (n, nv, r).
-        tau: Torque, shape (n, nv).
-        used: Rows that count, shape (n, nv); the others are of joints at rest.
-    """
+class RecentRows(NamedTuple):
+    """Recent rows: state in the middle of each of n blocks, W (n, nv, r), τ and which count."""
 
     motion: Motion
     W: Array
     tau: Array
-    used: npt.NDArray[np.bool_]
+    used: Mask
 
 
 class OnlineEstimator:
-    """Recursive estimation of base parameters inside a control loop.
-
-    ``push`` takes a sample; ``estimate`` says what is known. Work is spread so that no ``push``
-    costs much more than another: rows wait, and one joint's rows are taken in per block.
+    """Recursive estimation of base parameters inside a control loop: `push`, then `estimate`.
 
     Args:
         robot: The arm; its inertias and effects are the prior.
@@ -119,13 +95,8 @@ class OnlineEstimator:
             through the window gives no row, because its dry friction could be anything.
         base: Base parameters of robot and effects, where they are at hand.
 
-    Attributes:
-        span: Number of samples that a row rests on.
-        rows: Number of rows (blocks) so far.
-
     Raises:
         BadInput: Options that do not fit, or an effect that depends on the past.
-        BadRobot: A link without mass where the robot is the prior.
     """
 
     def __init__(
@@ -138,27 +109,44 @@ class OnlineEstimator:
         block: int | None = None,
         forgetting: float | None = None,
         sigma: Array | None = None,
-        prior: BasePrior | bool | None = None,
+        prior: BasePrior | Literal[False] | None = None,
         position_noise: Array | float = 0.0,
         base: BaseParameters | None = None,
     ) -> None:
-        self.robot = robot
+        self.robot, self.rate_hz, self.rows = robot, rate_hz, 0
         self.effects = standard_effects(robot.joints) if effects is None else tuple(effects)
         self.base = base_parameters(robot, self.effects) if base is None else base
         half = max(2, round(_WINDOW_S * rate_hz))
-        self.differentiator = differentiator or savitzky_golay(half, min(4, 2 * half), causal=True)
+        self.differentiator = differentiator or LocalPolynomial(half, min(4, 2 * half), True)
         self.block = max(1, round(_BLOCK_S * rate_hz)) if block is None else block
-        self.rate_hz = rate_hz
-        self._refuse_options(forgetting)
-        if prior is None or prior is True:
+        if not self.differentiator.causal:
+            raise BadInput("on-line estimation: the differentiator must be causal")
+        if self.block < 1:
+            raise BadInput(f"on-line estimation: a block of {self.block} samples; give at least 1")
+        if forgetting is not None and not forgetting > self.row_period:
+            raise BadInput(
+                f"on-line estimation: forgetting within {forgetting:g} s, but a row takes "
+                f"{self.row_period:g} s; give a longer time constant"
+            )
+        if prior is None:
             prior = base_prior(robot, self.effects, self.base)
-        self.prior = prior.information() if isinstance(prior, BasePrior) else None
+        self.prior = prior.information() if prior else None
         self._sigma = None if sigma is None else np.array(sigma, float)
+        self._last_sigma: Array | None = None
         self._fade = 1.0 if forgetting is None else float(np.exp(-self.row_period / forgetting))
-        noise = np.maximum(position_noise, _ROUNDING)
-        self._still = _CERTAIN * np.sqrt(2) * np.broadcast_to(noise, (robot.nv,))
-        self._columns = _BlockColumns(robot, self.effects, self.base, self.block)
-        self._allocate()
+        noise = np.broadcast_to(np.maximum(position_noise, _ROUNDING), (robot.nv,))
+        self._still = _CERTAIN * np.sqrt(2) * noise
+        self._dry = dry_joints(self.effects, robot.joints)
+        r, orders = len(self.base), range(3)
+        self._acting = _acting_columns(robot, self.effects, self.base)
+        self._filters = [InformationFilter(columns, r) for columns in self._acting]
+        self._weight = np.zeros(robot.nv)
+        self._kernels = np.array([self.differentiator.kernel(k) * rate_hz**k for k in orders])
+        self.span = self._kernels.shape[1] + self.block - 1  # samples that a row rests on
+        self._samples, self._filled = np.zeros((self.span, 2 * robot.nv)), 0
+        self._clock, self._instants = -np.inf, list[tuple[float, Array, Array]]()
+        most = max(64, round(_RECENT / self.row_period))
+        self._recent: deque[tuple[float, Array, Array, Mask]] = deque(maxlen=most)
 
     @property
     def row_period(self) -> float:
@@ -170,144 +158,71 @@ class OnlineEstimator:
         """Age of the newest instant it can speak about [s]."""
         return self.differentiator.delay(self.rate_hz)
 
-    def _refuse_options(self, forgetting: float | None) -> None:
-        if not self.differentiator.causal:
-            raise BadInput("on-line estimation: the differentiator must be causal")
-        if self.block < 1:
-            raise BadInput(f"on-line estimation: a block of {self.block} samples; give at least 1")
-        if forgetting is not None and not forgetting > self.row_period:
-            raise BadInput(
-                f"on-line estimation: forgetting within {forgetting:g} s, but a row takes "
-                f"{self.row_period:g} s; give a longer time constant"
-            )
-
-    def _allocate(self) -> None:
-        nv, r, m = self.robot.nv, len(self.base), self.differentiator.half_width
-        kernels = [self.differentiator.kernel(k) * self.rate_hz**k for k in range(3)]
-        self._kernels, self._middle, self._width = np.array(kernels), m, 2 * m + 1
-        self.span = self._width + self.block - 1  # samples that a block rests on
-        self._corners = np.linspace(-self.span, -1, _CORNERS).astype(int)
-        self._ring = np.zeros((_RING + self.span, 2 * nv))
-        self._end, self._filled, self._clock = 0, 0, -np.inf
-        self._model, self._data = self.robot.model, self.robot.model.createData()
-        self._Y, self._tau, self._t_sum = np.zeros((nv, 10 * nv)), np.zeros(nv), 0.0
-        self._states, self._inside = np.zeros((self.block, 3, nv)), 0
-        self._filters = [InformationFilter(used, r) for used in self._columns.used]
-        self._picked = [np.append(used, r) for used in self._columns.used]
-        self._ages, self._weight = [0] * nv, np.zeros(nv)
-        self.rows, self._turn = 0, 0
-        size = max(64, 4 * nv, round(RECENT / self.row_period))
-        self._rows, self._used = np.zeros((size, nv, r + 1)), np.zeros((size, nv), bool)
-        self._instants, self._middles = np.zeros(size), np.zeros((size, 3, nv))
-        self._last_sigma: Array | None = None
-
     def push(self, t: float, q: Array, tau: Array) -> None:
-        """Take one sample.
+        """Take one sample: positions and torque, shape (nv,), at a time [s].
 
         After a pause of more than two samples the window of the differentiator fills anew.
-
-        Args:
-            t: Time [s].
-            q: Positions, shape (nv,) [rad or m].
-            tau: Torque, shape (nv,) [torque unit].
 
         Raises:
             BadInput: Time that goes back, or a value that is not a number.
         """
         if not t > self._clock:
             raise BadInput(f"on-line estimation: time {t:g} s after {self._clock:g} s goes back")
-        if (t - self._clock) * self.rate_hz > 2.5:
-            self._restart()
+        if (t - self._clock) * self.rate_hz > _PAUSE:
+            self._filled, self._instants = 0, []
         self._clock = t
-        if self._end == len(self._ring):
-            self._ring[: self.span] = self._ring[-self.span :]
-            self._end = self.span
-        nv, row = self.robot.nv, self._ring[self._end]
-        row[:nv], row[nv:] = q, tau
-        self._end += 1
+        nv, width = self.robot.nv, self._kernels.shape[1]
+        self._samples[:-1] = self._samples[1:]
+        self._samples[-1, :nv], self._samples[-1, nv:] = q, tau
         self._filled += 1
-        if self._filled >= self._width:
-            window = self._ring[self._end - self._width : self._end]
-            self._take(t - self.delay, self._kernels @ window[:, :nv], window[self._middle, nv:])
+        if self._filled >= width:
+            window = self._samples[-width:]
+            state, torque = self._kernels @ window[:, :nv], window[width // 2, nv:].copy()
+            self._instants.append((t - self.delay, state, torque))
+        if len(self._instants) == self.block:
+            self._finish_block()
 
     def extend(self, t: Array, q: Array, tau: Array) -> None:
         """Take many samples, shapes (n,), (n, nv) and (n, nv)."""
         for k in range(len(t)):
             self.push(float(t[k]), q[k], tau[k])
 
-    def _restart(self) -> None:
-        self._end = self._filled = self._inside = 0
-        self._Y[:], self._tau[:], self._t_sum = 0.0, 0.0, 0.0
-
-    def _take(self, t: float, state: Array, tau: Array) -> None:
-        """Add one instant to the block; its rows are made at the end, and absorbed afterwards."""
-        self._Y += pin.computeJointTorqueRegressor(self._model, self._data, *state)
-        self._states[self._inside] = state
-        self._tau += tau
-        self._t_sum += t
-        self._inside += 1
-        if self._inside == self.block:
-            self._finish_block()
-        elif self._inside == 1:
-            self._absorb_next()
-
     def _finish_block(self) -> None:
-        k, r, share = self.rows % len(self._rows), len(self.base), 1 / self.block
-        self._rows[k, :, :r] = self._columns(share * self._Y, self._states)
-        self._rows[k, :, r] = share * self._tau
-        if not np.isfinite(self._rows[k]).all():
+        """Make the rows of the block, one per joint, and take them in."""
+        t, states, tau = (np.array(each) for each in zip(*self._instants, strict=True))
+        self._instants = []
+        motion = Motion(t, *states.transpose(1, 0, 2))
+        W = observation_columns(self.robot, self.effects, motion)[:, :, self.base.columns]
+        rows = np.column_stack([W.mean(axis=0), tau.mean(axis=0)])
+        if not np.isfinite(rows).all():
             raise BadInput(f"on-line estimation: a value before {self._clock:g} s is not a number")
-        path = self._ring[self._end + self._corners, : self.robot.nv]
-        self._used[k] = self._columns.certain(path, self._still)
-        self._instants[k], self._middles[k] = share * self._t_sum, self._states[self.block // 2]
-        self._weight = self._fade * self._weight + self._used[k]
+        used = self._goes_one_way() | ~self._dry
+        self._weight = self._fade * self._weight + used
+        for j, (grown, acting) in enumerate(zip(self._filters, self._acting, strict=True)):
+            grown.forget(self._fade)
+            if used[j]:
+                grown.update(rows[[j]][:, [*acting, -1]])
+        self._recent.append((float(t.mean()), states[self.block // 2], rows, used))
         self.rows += 1
-        self._inside, self._t_sum = 0, 0.0
-        self._Y[:], self._tau[:] = 0.0, 0.0
-        if self.block == 1 or self.rows - self._ages[self._turn] >= len(self._rows):
-            self._absorb_next()
 
-    def _absorb_next(self) -> None:
-        self._absorb(self._turn)
-        self._turn = (self._turn + 1) % self.robot.nv
-
-    def _absorb(self, j: int) -> None:
-        """Let a joint's triangle take in the rows that wait."""
-        age, now = self._ages[j], self.rows
-        if self._fade < 1:
-            self._filters[j].forget(self._fade ** (now - age))
-        self._ages[j] = now
-        numbers = np.arange(age, now)
-        k = numbers % len(self._rows)
-        numbers, k = numbers[self._used[k, j]], k[self._used[k, j]]
-        rows = self._rows[k[:, None], j, self._picked[j]]
-        if self._fade < 1:
-            rows *= self._fade ** ((now - 1 - numbers[:, None]) / 2)
-        self._filters[j].update(rows)
+    def _goes_one_way(self) -> Mask:
+        """Joints that do, certainly, under the block's window, shape (nv,)."""
+        corners = np.linspace(-self.span, -1, _CORNERS).astype(int)
+        steps = np.diff(self._samples[corners, : self.robot.nv], axis=0)
+        one_way = (steps > self._still).all(axis=0) | (steps < -self._still).all(axis=0)
+        return np.asarray(one_way, bool)
 
     def recent(self) -> RecentRows:
-        """Rows of the last ten seconds.
-
-        Raises:
-            BadInput: No row yet.
-        """
-        if not self.rows:
+        """Rows of the last ten seconds; refuses when there are none yet."""
+        if not self._recent:
             raise BadInput("on-line estimation: no row yet; push more samples")
-        size = len(self._rows)
-        k = np.arange(max(0, self.rows - size), self.rows) % size
-        motion = Motion(self._instants[k], *self._middles[k].transpose(1, 0, 2))
-        rows, r = self._rows[k], len(self.base)
-        return RecentRows(motion, rows[:, :, :r], rows[:, :, r], self._used[k])
+        t, middles, rows, used = (np.array(each) for each in zip(*self._recent, strict=True))
+        motion = Motion(t, *middles.transpose(1, 0, 2))
+        return RecentRows(motion, rows[:, :, :-1], rows[:, :, -1], used)
 
     def estimate(self) -> OnlineEstimate:
-        """What is known now; costs about as much as a hundred samples.
-
-        Raises:
-            BadInput: No row yet.
-        """
+        """What is known now; refuses before the first row."""
         rows = self.recent()
-        for j in range(self.robot.nv):
-            self._absorb(j)
         parts = [each.information() for each in self._filters]
         sigma, beta = self._noise(parts)
         residual = rows.tau - rows.W @ beta
@@ -318,11 +233,10 @@ class OnlineEstimator:
             ]
         )
         data, total = self._total(parts, sigma * np.sqrt(inflation))
-        beta, r = total.solve(), len(self.base)
         known = np.abs(np.diag(total.R)).min() > 0
-        covariance = total.covariance() if known else np.full((r, r), np.inf)
+        covariance = total.covariance() if known else np.full(total.R.shape, np.inf)
         t = float(rows.motion.t[-1])
-        return OnlineEstimate(t, data, beta, covariance, sigma, inflation)
+        return OnlineEstimate(total.solve(), covariance, sigma, inflation, t, data)
 
     def _total(self, parts: list[Information], sigma: Array) -> tuple[Information, Information]:
         """Data of all joints, and data with the prior."""
@@ -347,150 +261,53 @@ class OnlineEstimator:
         return sigma, beta
 
 
-class _BlockColumns:
-    """Mean columns of a block of K states.
-
-    Effects whose shape is one formula for all joints are evaluated once for all of them.
-
-    Args:
-        robot: The arm.
-        effects: Effects to estimate; each must depend on the present state alone.
-        base: Base parameters of robot and effects.
-        block: K.
-
-    Attributes:
-        used: For every joint, the base columns that its row can contain.
-
-    Raises:
-        BadInput: An effect that depends on the past.
-    """
-
-    def __init__(
-        self, robot: Robot, effects: Sequence[Effect], base: BaseParameters, block: int
-    ) -> None:
-        self.robot, self._block, self._mean = robot, block, np.full(block, 1 / block)
-        chosen = np.array(base.columns, int)
-        self._links = chosen[chosen < 10 * robot.nv]
-        self._chosen = chosen[chosen >= 10 * robot.nv] - 10 * robot.nv
-        self._count = sum(len(effect.parameters(robot)) for effect in effects)
-        self._fast: dict[tuple[str, ...], tuple[_Indices, list[tuple[Law, _Indices]]]] = {}
-        self._slow: list[tuple[Effect, int]] = []
-        start = 0
-        for effect in effects:
-            if effect.law is not None:
-                _refuse_memory(effect.name, effect.law)
-                joints = np.array(effect.rows(robot), int)
-                terms = len(effect.parameters(robot)) // len(joints)
-                columns = start + terms * np.arange(len(joints)) + np.arange(terms)[:, None]
-                members = self._fast.setdefault(effect.joints, (joints, []))[1]
-                members.append((effect.law, joints * self._count + columns))
-            else:
-                self._slow.append((effect, start))
-            start += len(effect.parameters(robot))
-        self._dry = dry_joints(effects, robot.joints)
-        self.used = _structure(robot, effects, chosen)
-
-    def __call__(self, Y: Array, states: Array) -> Array:
-        """Mean columns, shape (nv, r).
-
-        Args:
-            Y: Mean regressor of the block, shape (nv, 10 nv).
-            states: Position, velocity and acceleration, shape (K, 3, nv).
-        """
-        F, mean = np.zeros((self.robot.nv, self._count)), self._mean
-        for joints, members in self._fast.values():
-            q, dq, ddq = states[:, :, joints].transpose(1, 0, 2).reshape(3, -1)
-            for law, cells in members:
-                for cell, values in zip(cells, law(q, dq, ddq), strict=True):
-                    F.put(cell, mean @ values.reshape(self._block, -1))
-        for slow, start in self._slow:
-            motion = Motion(np.arange(float(self._block)), *states.transpose(1, 0, 2))
-            columns = slow.columns(self.robot, motion).mean(axis=0)
-            F[:, start : start + columns.shape[1]] = columns
-        return np.concatenate([Y[:, self._links], F[:, self._chosen]], axis=1)
-
-    def certain(self, path: Array, least: Array) -> npt.NDArray[np.bool_]:
-        """Joints that go one way along a path, or have no dry friction, shape (nv,).
-
-        Args:
-            path: Positions, shape (k, nv).
-            least: Steps between them that are more than noise, shape (nv,).
-        """
-        steps = path[1:] - path[:-1]
-        one_way = (steps > least).all(axis=0) | (steps < -least).all(axis=0)
-        return np.asarray(one_way | ~self._dry, bool)
-
-
-def _structure(robot: Robot, effects: Sequence[Effect], columns: _Indices) -> list[_Indices]:
-    q, dq, ddq = robot.random_motion(np.random.default_rng(1), _STATES)
-    W = observation_columns(robot, effects, Motion(np.arange(float(_STATES)), q, dq, ddq))
-    present = np.abs(W[:, :, columns]).max(axis=0) > 0
-    return [np.flatnonzero(row) for row in present]
-
-
-def _refuse_memory(name: str, law: Law) -> None:
-    """Refuse an effect whose torque changes when the order of the samples does."""
-    rng = np.random.default_rng(2)
-    q, dq, ddq = rng.standard_normal((3, _STATES))
-    order = rng.permutation(_STATES)
-    plain, shuffled = law(q, dq, ddq), law(q[order], dq[order], ddq[order])
-    if not all(np.allclose(a[order], b) for a, b in zip(plain, shuffled, strict=True)):
-        raise BadInput(
-            f"on-line estimation: {name} depends on the past motion; leave it out, "
-            "or identify off line"
-        )
-
-
-def joined(recordings: Sequence[Recording]) -> Recording:
-    """Recordings one after the other, a second apart."""
-    if len(recordings) == 1:
-        return recordings[0]
-    times, start = [], 0.0
-    for recording in recordings:
-        times.append(recording.t - recording.t[0] + start)
-        start = float(times[-1][-1]) + _BETWEEN
-    return Recording(
-        name=", ".join(r.name for r in recordings),
-        file=recordings[0].file,
-        t=np.concatenate(times),
-        q=np.concatenate([r.q for r in recordings]),
-        tau=np.concatenate([r.tau for r in recordings]),
-        unit=recordings[0].unit,
-    )
+def _acting_columns(
+    robot: Robot, effects: Sequence[Effect], base: BaseParameters
+) -> list[npt.NDArray[np.intp]]:
+    """Base columns that can act on each joint; refuses effects that depend on the past."""
+    rng, t = np.random.default_rng(1), np.arange(float(_STATES))
+    states, order = robot.random_motion(rng, _STATES), rng.permutation(_STATES)
+    motion, shuffled = Motion(t, *states), Motion(t, *(x[order] for x in states))
+    for effect in effects:
+        plain = effect.columns(robot, motion)
+        if not np.allclose(plain[order], effect.columns(robot, shuffled)):
+            raise BadInput(
+                f"on-line estimation: {effect.name} depends on the past motion; leave it out, "
+                "or identify off line"
+            )
+    W = observation_columns(robot, effects, motion)[:, :, base.columns]
+    return [np.flatnonzero(row) for row in np.abs(W).max(axis=0) > 0]
 
 
 def replayable(
     robot: Robot,
-    recording: Recording,
+    recordings: Sequence[Recording],
     effects: tuple[Effect, ...],
     base: BaseParameters,
     *,
     gains: Array,
     forgetting: float | None = None,
-    prior: BasePrior | bool | None = None,
+    prior: BasePrior | Literal[False] | None = None,
 ) -> tuple[OnlineEstimator, tuple[Array, Array, Array], str]:
-    """An estimator for a recording, its samples at a regular rate, and why these velocities.
+    """An estimator for recordings, their samples at a regular rate, and why these velocities.
 
-    The causal differentiator is the one that suits the positions of the recording best.
-
-    Args:
-        robot: The arm; the prior where no other is given.
-        recording: What was logged; resampled where its time is irregular, gaps stay.
-        effects: Effects to estimate.
-        base: Base parameters of both.
-        gains: Torque per reading [N·m per reading], shape (nv,).
-        forgetting: Time constant [s]; nothing is forgotten when None.
-        prior: What is known beforehand; the given robot when None, ``False`` for nothing.
-
-    Returns:
-        The estimator; time, positions and torque of the samples to push; a sentence.
+    The causal differentiator is the one that suits the recorded positions best. Recordings follow
+    each other a second apart; where time is irregular they are resampled, gaps stay. Gains are
+    torque per reading, shape (nv,); the other options are those of `OnlineEstimator`.
 
     Raises:
         BadRecording: Too short for one row.
     """
+    times, end = [], float(recordings[0].t[0])
+    for each in recordings:
+        times.append(each.t - each.t[0] + end)
+        end = float(times[-1][-1]) + _BETWEEN
+    file = recordings[0].file
+    q, tau = (np.concatenate([getattr(r, name) for r in recordings]) for name in ("q", "tau"))
+    recording = Recording(file, file, np.concatenate(times), q, tau)
     parts = [part for part in uninterrupted(recording.t) if len(part) >= _FEWEST]
     if not parts:
-        raise BadRecording(recording.file, "no five samples without a gap", column="t")
+        raise BadRecording(file, "no five samples without a gap", column="t")
     pieces = zip(*(resampled(recording, part) for part in parts), strict=True)
     t, q, tau = (np.concatenate(piece) for piece in pieces)
     longest = max(uninterrupted(t), key=len)
@@ -507,5 +324,160 @@ def replayable(
         base=base,
     )
     if len(longest) < estimator.span:
-        raise BadRecording(recording.file, "too short or interrupted too often for on-line rows")
+        raise BadRecording(file, "too short or interrupted too often for on-line rows")
     return estimator, (t, q, tau * gains), choice.why
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What the monitor saw at an instant."""
+
+    estimate: OnlineEstimate
+    excitation: WindowExcitation | None  # of the last seconds; None before a whole window
+    uncertainty: Array  # of torque on a reference motion, rms, shape (nv,) [torque unit]
+
+    @property
+    def converged(self) -> bool:
+        """Whether the estimate is surer of the torque than a row of data is, joint by joint."""
+        return bool((self.uncertainty < self.estimate.sigma).all())
+
+
+class Monitor:
+    """Watches an `OnlineEstimator`: convergence, and excitation in a sliding window.
+
+    A look costs some ten milliseconds: once a second, beside the loop rather than inside it.
+    ``messages`` holds what changed from look to look, time [s] and text; the window is in seconds,
+    the prior what excitation is measured against.
+    """
+
+    def __init__(
+        self, estimator: OnlineEstimator, prior: BasePrior, window: float = _LOOKED_AT
+    ) -> None:
+        self.estimator, self.prior, self.window = estimator, prior, window
+        self.messages: list[tuple[float, str]] = []
+        self._enough, self._converged = True, False
+        motion = reference_motion(estimator.robot, _REFERENCE, ROWS_PER_SECOND)
+        columns = observation_columns(estimator.robot, estimator.effects, motion)
+        self._reference: Array = columns[:, :, estimator.base.columns]
+
+    def look(self) -> Look:
+        """Look now, and say what has changed; refuses before the first row."""
+        estimate = self.estimator.estimate()
+        uncertainty = self._uncertainty(estimate.covariance)
+        found = Look(estimate, self._excitation(estimate), uncertainty)
+        if found.converged != self._converged:
+            self._converged = found.converged
+            words = "converged: the estimate is surer of the torque than a row of data"
+            text = words if found.converged else "no longer converged"
+            self.messages.append((estimate.t, text))
+        seen = found.excitation
+        if seen is not None and seen.enough != self._enough:
+            self._enough = seen.enough
+            self.messages.append((estimate.t, seen.sentence()))
+        return found
+
+    def _uncertainty(self, P: Array) -> Array:
+        if not np.isfinite(P).all():
+            return np.full(self.estimator.robot.nv, np.inf)
+        W = self._reference
+        variance = np.einsum("njr,rs,njs->nj", W, P, W, optimize=True).mean(axis=0)
+        return np.asarray(np.sqrt(np.maximum(variance, 0)), float)
+
+    def _excitation(self, estimate: OnlineEstimate) -> WindowExcitation | None:
+        e, rows = self.estimator, self.estimator.recent()
+        if estimate.t - rows.motion.t[0] < self.window - 2 * e.row_period:
+            return None
+        independent = estimate.inflation * ROWS_PER_SECOND * e.row_period
+        sigma = estimate.sigma * np.sqrt(np.maximum(independent, 1e-12))
+        judge = excitation_judge(
+            e.robot, e.effects, window=self.window, sigma=sigma, base=e.base, prior=self.prior
+        )
+        late = slice(int(np.searchsorted(rows.motion.t, estimate.t - self.window)), None)
+        W = judge.whitened(rows.W[late] * rows.used[late, :, None])
+        return judge.judge(rows.motion[late], W)
+
+
+@dataclass(frozen=True, eq=False)
+class OnlineIdentification:
+    """What was identified on line, judged as an estimate from the whole recording is."""
+
+    estimate: Estimate
+    looks: tuple[Look, ...]  # of the monitor on the way, the last at the end
+    messages: tuple[tuple[float, str], ...]  # time [s] and text
+    delay: float  # age of the newest instant that the estimator can speak about [s]
+    differentiator: str  # why which was taken
+
+    def result(self) -> dict[str, Any]:
+        """Machine-readable result: that of `identify`, and the way there under ``online``."""
+        looks, last = list(self.looks[:: -(-len(self.looks) // _KEPT)]), self.looks[-1]
+        looks += [last] if looks[-1] is not last else []
+        return self.estimate.result() | {
+            "estimator": "recursive least squares in square-root information form, on line; "
+            "then physically consistent semidefinite fit",
+            "online": {
+                "delay_s": self.delay,
+                "differentiator": self.differentiator,
+                "messages": [{"t": float(t), "text": text} for t, text in self.messages],
+                "converged": last.converged,
+                "history": {
+                    "t": [look.estimate.t for look in looks],
+                    "value": [look.estimate.beta.tolist() for look in looks],
+                    "std": [look.estimate.std.tolist() for look in looks],
+                    "excitation_level": [x.excitation and x.excitation.level for x in looks],
+                    "torque_uncertainty": [look.uncertainty.tolist() for look in looks],
+                    "noise": [look.estimate.sigma.tolist() for look in looks],
+                },
+            },
+        }
+
+    def series(self) -> dict[str, Array]:
+        """For figures: estimates over time, ``online_t`` (k,), values and std (k, r)."""
+        looks = [look.estimate for look in self.looks]
+        return {
+            "online_t": np.array([each.t for each in looks]),
+            "online_value": np.array([each.beta for each in looks]),
+            "online_std": np.array([each.std for each in looks]),
+        }
+
+
+def identify_online(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    *,
+    validate: Sequence[Recording] = (),
+    effects: Sequence[Effect] | None = None,
+    cutoff_hz: float | None = None,
+    forgetting: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> OnlineIdentification:
+    """Identify a robot as if the samples came one by one.
+
+    Args and errors are those of `identify_robot`, and the time constant of forgetting [s] (nothing
+    is forgotten when None); ``progress`` is told the fraction done.
+    """
+    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    prior = prior_parameters(robot)
+    data = split(recordings, validate, cutoff_hz)
+    base = base_parameters(robot, effects)
+    rows = fit_rows(robot, effects, base, data)
+    estimator, samples, why = replayable(
+        robot, fitted(recordings, validate), effects, base, gains=rows.gains, forgetting=forgetting
+    )
+    monitor, looks = Monitor(estimator, base_prior(robot, effects, base)), list[Look]()
+    due = samples[0][0] + 1.0
+    for k, (t, q, tau) in enumerate(zip(*samples, strict=True)):
+        estimator.push(float(t), q, tau)
+        if t >= due and estimator.rows:
+            looks.append(monitor.look())
+            due = t + _PERIOD
+            if progress is not None:
+                progress(k / len(samples[0]))
+    if not looks or looks[-1].estimate.t < estimator.recent().motion.t[-1]:
+        looks.append(monitor.look())
+    fit = looks[-1].estimate
+    known = fit.data
+    physical = fit_physical(known.R @ base.regrouping, known.z, prior, rows.open_prior)
+    estimate = judged(robot, rows, fit, physical, (data.holdout, why))
+    return OnlineIdentification(
+        estimate, tuple(looks), tuple(monitor.messages), estimator.delay, why
+    )

@@ -1,4 +1,4 @@
-"""What an arm carries: ten parameters of a body on the last link, on top of an identified arm.
+"""What recordings with a payload tell: the payload on an arm that is known, or the drive gains.
 
 A body π on the last link adds K π to the base parameters of the arm, because its columns are
 those of that link: β_loaded = β_arm + K π. What the unloaded arm and the loaded arm each say of
@@ -19,12 +19,15 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.exceptions import BadInput
-from excitant.identify.base_prior import base_prior
-from excitant.identify.information import Information, gaussian, information_of, marginal
-from excitant.identify.online import joined, replayable
-from excitant.identify.physical import EffectPrior, KktResiduals, fit_physical
+from excitant.identify.drive_gains import DriveGains, KnownPayload, payload_gains
+from excitant.identify.information import Information, gaussian, information_of
+from excitant.identify.online import replayable
+from excitant.identify.physical import fit_physical
+from excitant.identify.prior import EffectPrior, base_prior
 from excitant.identify.recording import Recording
+from excitant.identify.regression import regression_of
 from excitant.identify.rows import fit_rows, split
+from excitant.identify.semidefinite import KktResiduals
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, freeze
@@ -46,23 +49,14 @@ _CURRENT = (
 
 @dataclass(frozen=True, eq=False)
 class PayloadEstimate:
-    """A body on the last link, about the frame of its joint.
+    """A body on the last link, about the frame of its joint."""
 
-    Attributes:
-        link: The link that carries it.
-        phi: Standard parameters, physically consistent, shape (10,).
-        covariance: Their covariance, constraints ignored, shape (10, 10).
-        prior_share: Part of each parameter's uncertainty that no data reduced, shape (10,).
-        kkt: Optimality of the consistent fit.
-        notes: What the user should know, as sentences.
-    """
-
-    link: str
-    phi: Array
-    covariance: Array
-    prior_share: Array
-    kkt: KktResiduals
-    notes: tuple[str, ...]
+    link: str  # that carries it
+    phi: Array  # standard parameters, physically consistent, shape (10,)
+    covariance: Array  # of them, constraints ignored, shape (10, 10)
+    prior_share: Array  # of each parameter's uncertainty, which no data reduced, shape (10,)
+    kkt: KktResiduals  # optimality of the consistent fit
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "phi", "covariance", "prior_share")
@@ -116,22 +110,16 @@ class PayloadEstimate:
 
     def result(self) -> dict[str, Any]:
         """Entries of result.json."""
-        rows = zip(STANDARD, self.phi, self.std, UNITS, self.prior_share, strict=True)
+        rows = zip(STANDARD, self.phi.tolist(), self.std.tolist(), UNITS, strict=True)
+        parameters = [dict(zip(("name", "value", "std", "unit"), row, strict=True)) for row in rows]
+        for entry, share in zip(parameters, self.prior_share, strict=True):
+            entry["prior_dominated"] = bool(share > 0.5)
         centre, std = self.centre.tolist(), self.centre_std.tolist()
         return {
             "link": self.link,
             "mass": {"value": self.mass, "std": self.mass_std, "unit": "kg"},
             "centre_of_mass": {"value": centre, "std": std, "unit": "m"},
-            "parameters": [
-                {
-                    "name": name,
-                    "value": float(value),
-                    "std": float(spread),
-                    "unit": unit,
-                    "prior_dominated": bool(share > 0.5),
-                }
-                for name, value, spread, unit, share in rows
-            ],
+            "parameters": parameters,
             "shortcomings": list(self.shortcomings),
             "notes": list(self.notes),
         }
@@ -146,12 +134,10 @@ def identify_payload(
 ) -> PayloadEstimate:
     """What the arm carries in some recordings.
 
-    The unloaded arm is known from recordings, or else from the given model.
-
     Args:
         robot: The arm without its load.
         loaded: Recordings with the load.
-        unloaded: Recordings of the same arm without it; any motion.
+        unloaded: Recordings of the same arm without it, any motion; else the given model stands.
         effects: Effects of the arm; friction, offset and rotor inertia when None.
 
     Raises:
@@ -161,7 +147,7 @@ def identify_payload(
     """
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     base = base_parameters(robot, effects)
-    unit = loaded[0].unit
+    unit, gains = loaded[0].unit, np.ones(robot.nv)
     if not unloaded and unit == "A":
         raise BadInput(
             f"payload: {loaded[0].file} has currents, whose gain the load would be taken for; "
@@ -169,14 +155,13 @@ def identify_payload(
         )
     if any(each.unit != unit for each in (*loaded, *unloaded)):
         raise BadInput("payload: recordings in N·m and in A; use recordings of one unit")
-    gains = np.ones(robot.nv)
     if unit == "A":
         gains = fit_rows(robot, effects, base, split(unloaded, unloaded)).gains
 
     def data_alone(recordings: Sequence[Recording]) -> Information:
         """What recordings say of the base parameters, without a prior."""
         estimator, samples, _ = replayable(
-            robot, joined(recordings), effects, base, gains=gains, prior=False
+            robot, recordings, effects, base, gains=gains, prior=False
         )
         estimator.extend(*samples)
         return estimator.estimate().data
@@ -197,16 +182,10 @@ def identify_payload(
 def estimate_payload(
     robot: Robot, base: BaseParameters, loaded: Information, arm: Information
 ) -> PayloadEstimate:
-    """The body that turns one arm into the other.
-
-    Args:
-        robot: The arm.
-        base: Base parameters of both pieces of information.
-        loaded: Data of the loaded arm alone, without a prior.
-        arm: What is known of the unloaded arm: data, or an identified model.
+    """The body between data of the loaded arm alone and what is known of the unloaded one.
 
     Raises:
-        BadInput: Information about other parameters.
+        BadInput: Information about other parameters than the base parameters.
         Infeasible: The semidefinite solver failed.
     """
     about = payload_information(robot, base, loaded, arm)
@@ -216,7 +195,7 @@ def estimate_payload(
     ball = pin.Inertia(mass, tip, 2 * mass * _RADIUS**2 * np.eye(3)).toDynamicParameters()
     nothing = EffectPrior(np.zeros(0), np.zeros(0), np.zeros(0))
     fit = fit_physical(about.R, about.z, ball[None], nothing, prior_sigma=_OPEN)
-    return PayloadEstimate(robot.links[-1], fit.x, fit.covariance, fit.prior_share, fit.kkt, ())
+    return PayloadEstimate(robot.links[-1], fit.x, fit.covariance, fit.prior_share, fit.kkt)
 
 
 def payload_information(
@@ -230,6 +209,53 @@ def payload_information(
                 f"payload: information about {part.R.shape[0]} parameters, the arm has {r} base "
                 "parameters; use one set of effects for both"
             )
-    K = base.regrouping[:, 10 * (robot.nv - 1) : 10 * robot.nv]
+    K = _body(robot, base)
     A = np.block([[loaded.R, loaded.R @ K], [arm.R, np.zeros((r, 10))]])
-    return marginal(information_of(A, np.concatenate([loaded.z, arm.z])), slice(r, r + 10))
+    joint = information_of(A, np.concatenate([loaded.z, arm.z]))
+    return Information(joint.R[r:, r:], joint.z[r:], joint.rest)
+
+
+def _body(robot: Robot, base: BaseParameters) -> Array:
+    """What a body on the last link adds to the base parameters, K of shape (r, 10)."""
+    return base.regrouping[:, 10 * (robot.nv - 1) : 10 * robot.nv]
+
+
+def identify_drive_gains(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    loaded: Sequence[Recording],
+    payload: KnownPayload,
+    *,
+    validate: Sequence[Recording] = (),
+    effects: Sequence[Effect] | None = None,
+    cutoff_hz: float | None = None,
+) -> DriveGains:
+    """Drive gains of an arm whose motor currents were recorded; its masses are of no account.
+
+    Args:
+        robot: The arm without the payload.
+        recordings: Currents without the payload; what `identify_robot` fits of them is used.
+        loaded: Currents with the payload.
+        payload: What is known of it.
+        validate: As `identify_robot` takes it, like effects and cut-off [Hz].
+        effects: Effects of the arm; friction, offset and rotor inertia when None.
+        cutoff_hz: Cut-off of the filter [Hz].
+
+    Raises:
+        BadInput: Recordings that are no currents, or a payload that hardly shows in them.
+        BadRecording: Recordings that cannot be used.
+    """
+    for recording in (*recordings, *loaded):
+        if recording.unit != "A":
+            raise BadInput(
+                f"payload: {recording.file} holds torque in {recording.unit}, for which no drive "
+                "gain is needed; --payload-recording is for motor currents"
+            )
+    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    base = base_parameters(robot, effects)
+    free = split(recordings, validate, cutoff_hz)
+    held = split(loaded, loaded, free.cutoff_hz)
+    without, with_it = (
+        regression_of(robot, effects, data.train).select(base.columns) for data in (free, held)
+    )
+    return payload_gains(without, with_it, payload, _body(robot, base))

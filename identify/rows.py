@@ -10,11 +10,12 @@ import numpy as np
 
 from excitant.exceptions import BadRecording
 from excitant.identify.accuracy import Series, series
-from excitant.identify.current_gains import current_gains
+from excitant.identify.drive_gains import current_gains
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import weighted_least_squares
-from excitant.identify.physical import EffectPrior, fit_physical
+from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import CUTOFF_HZ, Segment, default_cutoff, prepare
+from excitant.identify.prior import EffectPrior
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, regression_of
 from excitant.robots.base_parameters import BaseParameters, base_parameters

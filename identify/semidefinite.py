@@ -1,35 +1,26 @@
 """Least squares over bodies that can exist: the convex programme, its solver and its judge.
 
-With the pseudo-inertia of link k written P_k = L_k Q_k L_kᵀ, L_k L_kᵀ that of a reference body, the
-coordinates y begin with the upper triangles of all Q_k. They have no units, and ‖Q − 1‖_F is the
-coordinate-invariant distance to the reference (the constant pull-back of the affine-invariant
-metric: Lee, Wensing, Park 2020).
+The unknowns y begin with the coordinates of the links, symmetric matrices Q_k that are 1 for the
+bodies of the prior (`excitant.identify.prior`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import clarabel
 import numpy as np
 import scipy
 
 from excitant.exceptions import Infeasible
+from excitant.identify.prior import NORMS, SYMMETRIC, UPPER, matrices
 from excitant.robots.motion import Array
-from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
 
 MARGIN = 1e-4  # smallest eigenvalue of Q: no link shrinks below this part of its reference
 FIT = "physically consistent fit"
-_UPPER = np.triu_indices(4)
-_SVEC = np.where(_UPPER[0] == _UPPER[1], 1.0, np.sqrt(2.0))  # Σ (w · upper(Q))² = ‖Q‖_F²
-_UNITS = np.zeros((10, 4, 4))
-for _k, (_i, _j) in enumerate(zip(*_UPPER, strict=True)):
-    _UNITS[_k, _i, _j] = _UNITS[_k, _j, _i] = 1.0
-# the solver's triangle of a symmetric matrix, column by column, as a vector of the same norm
-_TRIANGLE = np.tril_indices(4)
-_OF_TRIANGLE = np.where(_TRIANGLE[0] == _TRIANGLE[1], 1.0, np.sqrt(2.0))
-
+_COLUMNS = np.lexsort(UPPER)  # the solver takes the triangle column by column
 _CONES = {
     "nonnegative": clarabel.NonnegativeConeT,
     "zero": clarabel.ZeroConeT,
@@ -55,31 +46,9 @@ _ADVICE = (
 )
 
 
-def link_weights(links: int, sigma: float | Array) -> Array:
-    """Square roots of the precision 1/σ² of the coordinates y, shape (10 links,)."""
-    each = np.broadcast_to(np.asarray(sigma, float), (links,))
-    return np.concatenate([_SVEC / s for s in each])
-
-
-def link_coordinates(reference: Array) -> Array:
-    """Map T from coordinates to standard parameters, φ = T y, shape (10 links, 10 links).
-
-    Args:
-        reference: Consistent standard parameters, which lie at Q = 1, shape (links, 10).
-    """
-    roots = np.linalg.cholesky([pseudo_inertia(values) for values in reference])
-    blocks = (from_pseudo_inertia(L @ _UNITS @ L.T).T for L in roots)
-    return np.asarray(scipy.linalg.block_diag(*blocks), float)
-
-
-def matrices(y: Array, links: int) -> Array:
-    """The matrices Q_k of the coordinates, shape (links, 4, 4)."""
-    return np.tensordot(y[: 10 * links].reshape(links, 10), _UNITS, 1)
-
-
 @dataclass(frozen=True, eq=False)
 class Restriction:
-    """G y − h lies in a cone.
+    """G y − h, shape (m,), lies in a cone.
 
     Attributes:
         cone: ``"nonnegative"``, ``"zero"``, ``"second_order"`` (first value ≥ norm of the rest) or
@@ -102,9 +71,9 @@ class Restriction:
         """By how much it is missed, in its own units; negative where there is room."""
         slack = self.slack(y)
         if self.cone == "semidefinite":
-            Q = np.zeros((4, 4))
-            Q[_TRIANGLE] = slack / _OF_TRIANGLE
-            return -float(np.linalg.eigvalsh(Q)[0])
+            y = np.empty(10)
+            y[_COLUMNS] = slack
+            return -float(np.linalg.eigvalsh(matrices(y / NORMS, 1))[0, 0])
         if self.cone == "second_order":
             return float(np.linalg.norm(slack[1:]) - slack[0])
         return float(np.abs(slack).max() if self.cone == "zero" else -slack.min())
@@ -112,10 +81,8 @@ class Restriction:
 
 def definite(links: int, margin: float, p: int) -> tuple[Restriction, ...]:
     """Q_k ⪰ margin for the links that p coordinates begin with."""
-    triangle = _OF_TRIANGLE[:, None] * _UNITS[:, *_TRIANGLE].T
-    h = margin * np.eye(4)[_TRIANGLE]
-    G = [np.pad(triangle, ((0, 0), (10 * k, p - 10 * k - 10))) for k in range(links)]
-    return tuple(Restriction("semidefinite", each, h) for each in G)
+    h, G = margin * np.eye(4)[UPPER], NORMS[:, None] * np.eye(10 * links, p).reshape(links, 10, p)
+    return tuple(Restriction("semidefinite", each[_COLUMNS], h[_COLUMNS]) for each in G)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,37 +128,29 @@ class Program:
         total = 2 * self.A.T @ (self.A @ y - self.z) + 2 * self.C.T @ (self.C @ y - self.d)
         links = len(self.entropy)
         slopes = self.entropy[:, None, None] * (np.eye(4) - np.linalg.inv(matrices(y, links)))
-        total[: 10 * links] += (_SVEC**2 * slopes[:, *_UPPER]).ravel()
+        total[: 10 * links] += (NORMS**2 * slopes[:, *UPPER]).ravel()
         return np.asarray(total, float)
 
     def local(self, y: Array) -> Program:
         """The programme with its log-determinants to second order around y.
 
-        Around Q = X Xᵀ the divergence is ½‖X⁻¹ (Q' − Q) X⁻ᵀ‖² beside its slope: the pull-back
-        metric at the present body.
+        Around Q = X Xᵀ the divergence is ½‖X⁻¹ (Q' − Q) X⁻ᵀ‖² beside its slope.
         """
         if not len(self.entropy):
             return self
-        blocks, targets = [], []
-        for w, Q in zip(self.entropy, matrices(y, len(self.entropy)), strict=True):
-            X = np.linalg.cholesky(Q)
-            K = np.linalg.inv(X)
-            weights = np.sqrt(w / 2) * _SVEC
-            blocks.append(weights[:, None] * (K @ _UNITS @ K.T)[:, *_UPPER].T)
-            targets.append(weights * (2 * np.eye(4) - X.T @ X)[_UPPER])
-        rows = np.zeros((10 * len(blocks), len(y)))
+        X = np.linalg.cholesky(matrices(y, len(self.entropy)))
+        K, weights = np.linalg.inv(X)[:, None], np.sqrt(self.entropy / 2)[:, None] * NORMS
+        blocks = (K @ SYMMETRIC @ K.mT)[..., *UPPER].mT * weights[..., None]
+        targets = weights * (2 * np.eye(4) - X.mT @ X)[:, *UPPER]
+        rows = np.zeros((targets.size, len(y)))
         rows[:, : len(rows)] = scipy.linalg.block_diag(*blocks)
-        return replace(
-            self,
-            C=np.vstack([self.C, rows]),
-            d=np.concatenate([self.d, *targets]),
-            entropy=np.zeros(0),
-        )
+        C, d = np.vstack([self.C, rows]), np.concatenate([self.d, targets.ravel()])
+        return replace(self, C=C, d=d, entropy=np.zeros(0))
 
 
 @dataclass(frozen=True)
 class KktResiduals:
-    """How well the solution satisfies the optimality conditions, relative to the gradient.
+    """How well a solution satisfies the optimality conditions, relative to the gradient.
 
     Attributes:
         stationarity: Gradient of the Lagrangian.
@@ -206,25 +165,25 @@ class KktResiduals:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Minimiser of a programme with its multipliers.
-
-    Attributes:
-        y: Shape (p,).
-        multipliers: One array for each restriction, in order.
-    """
+    """Minimiser of a programme, shape (p,), with one array of multipliers per restriction."""
 
     y: Array
     multipliers: tuple[Array, ...]
 
+    def forces(self, program: Program) -> tuple[Array, float]:
+        """Σ Gᵀλ, shape (p,), and Σ |λᵀ(G y − h)|."""
+        pairs = list(zip(program.restrictions, self.multipliers, strict=True))
+        pull = np.asarray(sum(r.G.T @ push for r, push in pairs))
+        return pull, sum(abs(float(push @ r.slack(self.y))) for r, push in pairs)
+
     def kkt(self, program: Program) -> KktResiduals:
         """How well it satisfies the optimality conditions."""
-        pairs = list(zip(program.restrictions, self.multipliers, strict=True))
-        rest = program.gradient(self.y) - sum(r.G.T @ push for r, push in pairs)
+        pull, slackness = self.forces(program)
         size = float(np.linalg.norm(2 * program.A.T @ program.z)) + 1.0
         return KktResiduals(
-            float(np.linalg.norm(rest)) / size,
-            sum(abs(float(push @ r.slack(self.y))) for r, push in pairs) / size,
-            max([0.0, *(r.violation(self.y) for r, _ in pairs)]),
+            float(np.linalg.norm(program.gradient(self.y) - pull)) / size,
+            slackness / size,
+            max([0.0, *(r.violation(self.y) for r in program.restrictions)]),
         )
 
 
@@ -245,10 +204,9 @@ def solve(program: Program, centre: Array) -> Solution:
     program = replace(program, A=F, z=t, C=np.zeros((0, len(centre))), d=np.zeros(0))
     excess = float(np.sum((F @ centre - t)[: len(centre)] ** 2))
     factor = max(1.0, excess / float(program.entropy.min()))
-    heavier = replace(program, entropy=factor * program.entropy)
+    heavier = replace(program, entropy=factor * program.entropy).local(centre)
     bodies = definite(len(program.entropy), MARGIN, len(centre))
-    restrictions = (*bodies, *program.restrictions)
-    y = _quadratic(replace(heavier.local(centre), restrictions=restrictions), centre).y
+    y = _quadratic(replace(heavier, restrictions=(*bodies, *program.restrictions)), centre).y
     while factor > 1.0:
         y = _newton(replace(program, entropy=factor * program.entropy), y, _NEARLY).y
         factor /= _FACTOR
@@ -291,37 +249,37 @@ def _quadratic(program: Program, centre: Array) -> Solution:
         return Solution(free, tuple(np.zeros_like(r.h) for r in program.restrictions))
     size = max(1.0, float(np.linalg.norm(U @ (centre - free))))
     checked: list[tuple[float, Solution]] = []
-    for scale, equilibrate in _SCALINGS:
-        for status, found in _attempts(program, U, free, scale * size, equilibrate):
-            error = _distance_to_optimum(program, U, free, found)
-            moved = float(np.linalg.norm(U @ (found.y - free)))
-            missed = max(r.violation(found.y) for r in program.restrictions)
-            done = status == _SOLVED and scale == 1.0
-            if done or (missed <= _FEASIBLE and error <= max(_PRECISE, _NEAR * moved)):
-                checked.append((error, found))
-            if done:
-                return min(checked, key=lambda pair: pair[0])[1]
-    if checked:
-        return min(checked, key=lambda pair: pair[0])[1]
-    raise Infeasible(
-        FIT,
-        "the semidefinite solver reaches no solution near the optimum under any scaling; "
-        + _ADVICE,
-    )
+    for trusted, found in _attempts(program, U, free, size):
+        error = _distance_to_optimum(program, U, free, found)
+        moved = float(np.linalg.norm(U @ (found.y - free)))
+        missed = max(r.violation(found.y) for r in program.restrictions)
+        if trusted or (missed <= _FEASIBLE and error <= max(_PRECISE, _NEAR * moved)):
+            checked.append((error, found))
+        if trusted:
+            break
+    if not checked:
+        raise Infeasible(
+            FIT,
+            "the semidefinite solver reaches no solution near the optimum under any scaling; "
+            + _ADVICE,
+        )
+    return min(checked, key=lambda pair: pair[0])[1]
 
 
 def _attempts(
-    program: Program, U: Array, free: Array, unit: float, equilibrate: bool
-) -> Iterator[tuple[str, Solution]]:
-    """Status and solution at ever looser tolerances, in units of U (y − y₀)."""
-    step = unit * scipy.linalg.solve_triangular(U, np.eye(len(free)))
-    for tolerance in _TOLERANCES:
-        settings = clarabel.DefaultSettings()
+    program: Program, U: Array, free: Array, size: float
+) -> Iterator[tuple[bool, Solution]]:
+    """Solutions under ever other scalings and looser tolerances, and whether to trust them."""
+    inverse = scipy.linalg.solve_triangular(U, np.eye(len(free)))
+    for (scale, equilibrate), tolerance in product(_SCALINGS, _TOLERANCES):
+        unit, settings = scale * size, clarabel.DefaultSettings()
         settings.equilibrate_enable = equilibrate
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+        step = unit * inverse
         status, v, pushes = _conic(program.restrictions, step, free, 2.0, settings)
         if status in (_SOLVED, _ALMOST):
-            yield status, Solution(free + step @ v, tuple(push * unit**2 for push in pushes))
+            found = Solution(free + step @ v, tuple(push * unit**2 for push in pushes))
+            yield status == _SOLVED and scale == 1.0, found
 
 
 def _conic(
@@ -349,10 +307,8 @@ def _distance_to_optimum(program: Program, U: Array, free: Array, found: Solutio
     The objective grows with ‖U (y − y*)‖² from its optimum y* on, and a feasible y with multipliers
     λ lies ‖U (y − y₀) − ½ U⁻ᵀ Σ Gᵀλ‖² + Σ λᵀ(G y − h) above the dual value.
     """
-    pairs = list(zip(program.restrictions, found.multipliers, strict=True))
-    pull = np.asarray(sum(r.G.T @ push for r, push in pairs))
+    pull, slackness = found.forces(program)
     dual = 0.5 * scipy.linalg.solve_triangular(U, pull, trans=1)
-    slackness = sum(abs(float(push @ r.slack(found.y))) for r, push in pairs)
     return float(np.sqrt(np.sum((U @ (found.y - free) - dual) ** 2) + slackness))
 
 

@@ -2,38 +2,63 @@
 
 Row τ_i contains no parameter of links before i (Property 4), so the row of the last joint alone
 identifies the last link, the row before it the link before, with the outer one known, and so on.
-Recordings in which one joint or a few move are enough for what they show; what they do not show
-stays at the given robot, and the motion that would show it is named.
+What the recordings do not show stays at the given robot, and the motion that would is named.
+
+Base parameters are counted from the given robot in units of its uncertainty, β = β₀ + L y with
+y ~ N(0, 1). The stages so far know c = Dᵀ y, D orthonormal, with covariance P. Rows of joint i,
+A = W_i L, give
+
+    minimise  ‖τ_i − W_i β₀ − A (D c + V η)‖,
+
+V the directions outside D that they show. The values from outside stay as they are ("known"), so
+no row of an outer joint is needed again; what is not known of them reaches η with
+
+    δη = H (ε − A D δc),   H = (A V)⁺,   G = H A D,
+
+    cov(c, η) = [ P       −P Gᵀ           ]
+                [ −G P    H Γ Hᵀ + G P Gᵀ ],
+
+Γ the covariance of coloured noise ε, known from what no value of any parameter explains of the
+row: the residual itself holds errors of outer values too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from excitant.exceptions import RankDeficient
-from excitant.identify.accuracy import series
-from excitant.identify.base_prior import base_prior
-from excitant.identify.cascade import Cascade, beginning, further, led_combinations
-from excitant.identify.current_gains import current_gains
-from excitant.identify.estimate import Estimate, identify_robot, judged
-from excitant.identify.least_squares import LeastSquares
-from excitant.identify.physical import fit_physical, prior_parameters
+from excitant.identify.drive_gains import current_gains
+from excitant.identify.estimate import Estimate, identify_robot, judged, notes_on
+from excitant.identify.information import Information, gaussian
+from excitant.identify.least_squares import (
+    JointRows,
+    LeastSquares,
+    score_covariances,
+    student_width,
+)
+from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Mask, dry_joints, moving, stilled
+from excitant.identify.prior import BasePrior, base_prior, prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import Data, FitRows, split
-from excitant.robots.base_parameters import BaseParameters, base_parameters, expression, last_rows
+from excitant.robots.base_parameters import base_parameters, expression, last_rows
 from excitant.robots.effects import Effect, standard_effects
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
 
+_SURER = 2.0  # times surer than the given robot: then the recordings decide
+_CLEAR = (0.3, 0.1, 1e-2, 1e-4, 1e-7)  # share of a leading parameter outside those before it
+_NOTHING = 1e-6  # coefficient, in units of the parameters' scale
+_ROUNDING = 1e-8  # of the clearest direction: less than rounding and interpolation leave
 _NEGLIGIBLE = 0.05  # standard deviations of a combination: terms that matter less are not written
 _SOMETIMES = 0.1  # of the time that a joint moves: what happens more rarely is not mentioned
 _STATES = 40  # at which a motion is tried, beyond the parameters sought
@@ -43,49 +68,167 @@ _POSE = 0.1  # rad or m: positions that differ less are one pose
 
 
 @dataclass(frozen=True, eq=False)
-class LinkRows:
-    """Rows of all recordings, and which of them count.
+class Cascade:
+    """What the stages so far know of the r base parameters."""
 
-    Attributes:
-        fit: Columns and torque; joints that stay still in a segment are held exactly.
-        moves: Instants at which joints move, per segment at its full rate, each (n, nv).
-        used: Rows that count: of moving joints, and of those without dry friction, (n, nv).
-        last: The last joint whose row holds each base parameter, shape (r,).
-        scale: Uncertainty of the given robot's base parameters, shape (r,).
-        compared: Whether drive gains rest on rows of several joints.
-    """
+    mean: Array  # β₀, shape (r,)
+    L: Array  # square root of the given robot's covariance, shape (r, r)
+    D: Array  # directions known, orthonormal, shape (r, k)
+    c: Array  # their values, shape (k,)
+    P: Array  # their covariance, shape (k, k)
 
-    fit: FitRows
-    moves: tuple[Mask, ...]
-    used: Mask
-    last: npt.NDArray[np.intp]
-    scale: Array
-    compared: bool
+    def __post_init__(self) -> None:
+        freeze(self, "mean", "L", "D", "c", "P")
 
     @property
-    def base(self) -> BaseParameters:
-        """Base parameters of links and effects."""
-        return self.fit.base
+    def beta(self) -> Array:
+        """Base parameters: known where shown, else those of the given robot, shape (r,)."""
+        return np.asarray(self.mean + self.L @ (self.D @ self.c), float)
+
+    @property
+    def covariance(self) -> Array:
+        """Their covariance; that of the given robot in directions not shown, shape (r, r)."""
+        left = np.eye(len(self.mean)) - self.D @ self.D.T
+        return np.asarray(self.L @ (self.D @ self.P @ self.D.T + left) @ self.L.T, float)
+
+    @property
+    def functionals(self) -> Array:
+        """The combinations of base parameters known: rows F with F β = F β̂, shape (k, r)."""
+        return np.asarray(scipy.linalg.solve_triangular(self.L, self.D, lower=True, trans=1).T)
+
+    def information(self) -> Information:
+        """All that is known, as rows about β of unit noise; nothing of the given robot in it."""
+        known = gaussian(self.c, self.P)
+        R = known.R @ self.functionals
+        return Information(R, known.z + R @ self.mean)
+
+
+def beginning(prior: BasePrior) -> Cascade:
+    """Nothing known but the given robot."""
+    scale = np.sqrt(np.diag(prior.covariance))
+    L = scale[:, None] * np.linalg.cholesky(prior.covariance / np.outer(scale, scale))
+    return Cascade(prior.mean, L, np.zeros((len(scale), 0)), np.zeros(0), np.zeros((0, 0)))
+
+
+def further(known: Cascade, W: Array, tau: Array) -> tuple[Cascade, float, float]:
+    """One stage further inward, from rows of its joint, shape (n, r), and its torque, (n,).
+
+    A direction counts as shown when its standard deviation is at most half of that of the given
+    robot. Beside what is known then: the noise of the rows [torque unit], NaN without rows, and
+    how many of them count as one independent row, at least 1.
+    """
+    if len(tau) == 0:
+        return known, np.nan, 1.0
+    A, D = W @ known.L, known.D
+    outer = A @ D
+    target = tau - W @ known.mean - outer @ known.c
+    size = float(np.linalg.norm(A))
+    U, s, Vt = _directions(A - outer @ D.T, size)
+    scores, sigma, inflation = _noise(_directions(A, size)[0], U, target)
+    shown = s >= _SURER * np.sqrt(np.diag(scores))
+    if not shown.any():
+        return known, sigma, inflation
+    U, s, V = U[:, shown], s[shown], Vt[shown].T
+    own = scores[np.ix_(shown, shown)] / np.outer(s, s)
+    H = U.T / s[:, None]
+    G = H @ outer
+    cross = -G @ known.P
+    P = np.block([[known.P, cross.T], [cross, own - cross @ G.T]])
+    V = V - D @ (D.T @ V)  # once more, against rounding
+    V /= np.linalg.norm(V, axis=0)
+    c = np.concatenate([known.c, H @ target])
+    return replace(known, D=np.hstack([D, V]), c=c, P=P), sigma, inflation
+
+
+def _directions(A: Array, size: float) -> tuple[Array, Array, Array]:
+    """Singular vectors and values of A above rounding."""
+    U, s, Vt = scipy.linalg.svd(A, full_matrices=False)
+    keep = s > _ROUNDING * size
+    return U[:, keep], s[keep], Vt[keep]
+
+
+def _noise(every: Array, U: Array, target: Array) -> tuple[Array, float, float]:
+    """Covariance of the scores Uᵀε, widened for the samples it is known from; size of ε; inflation.
+
+    U, shape (n, k), is part of the orthonormal basis of all that parameters can explain, (n, m).
+    """
+    n, m = every.shape
+    residual = target - every @ (every.T @ target)
+    floor = 1e-9 * float(np.linalg.norm(target)) / np.sqrt(n) + 1e-12  # data without noise
+    sigma = max(float(np.linalg.norm(residual)) / np.sqrt(max(n - m, n / 10)), floor)
+    scores, freedom = score_covariances(
+        [JointRows(np.arange(m), every)], residual[:, None] / sigma, np.eye(m)
+    )
+    T = every.T @ U
+    covariance = sigma**2 * student_width(freedom[0]) ** 2 * (T.T @ scores[0] @ T)
+    inflation = max(float(np.trace(covariance)) / max(len(T.T), 1) / sigma**2, 1.0)
+    return covariance + floor**2 * np.eye(len(T.T)), sigma, inflation
+
+
+def _led_combinations(
+    F: Array, led: list[int], rows: Array, scale: Array, preferred: Sequence[int]
+) -> tuple[Array, list[int]]:
+    """Combinations F β in readable form, shape (k, r), with further independent ones, (m, r).
+
+    In each, one parameter leads: its coefficient is 1, and no later combination has it. Those
+    preferred lead first, in this order.
+    """
+    if len(rows) == 0:
+        return F, led
+    rest = (rows - rows[:, led] @ F) * scale
+    rest[:, led] = 0.0
+    Q = np.linalg.qr(rest.T)[0].T
+    order = [k for k in dict.fromkeys((*preferred, *range(len(scale)))) if k not in led]
+    added = _clearly_independent(Q, order)
+    new = np.linalg.solve(Q[:, added], Q)
+    new[np.abs(new) < _NOTHING] = 0.0
+    new[:, added] = np.eye(len(added))
+    return np.vstack([F, new * scale[added, None] / scale]), led + added
+
+
+def _clearly_independent(Q: Array, order: Sequence[int]) -> list[int]:
+    """The first columns, in an order, that are clearly independent; as many as rows."""
+    chosen: list[int] = []
+    basis = np.zeros((len(Q), 0))
+    for clear in _CLEAR:
+        for k in order:
+            rest = Q[:, k] - basis @ (basis.T @ Q[:, k])
+            size = float(np.linalg.norm(rest))
+            if len(chosen) < len(Q) and k not in chosen and size > clear:
+                basis = np.column_stack([basis, rest / size])
+                chosen.append(k)
+    return chosen
+
+
+@dataclass(frozen=True, eq=False)
+class LinkRows(FitRows):
+    """Rows of recordings, and which count; a joint still in all of a segment is held exactly."""
+
+    moves: tuple[Mask, ...]  # instants at which joints move, per segment at its full rate, (n, nv)
+    used: Mask  # rows that count: of moving joints, and of those without dry friction, (n, nv)
+    last: npt.NDArray[np.intp]  # joint, the last whose row holds each base parameter, shape (r,)
+    scale: Array  # uncertainty of the given robot's base parameters, shape (r,)
+    compared: bool  # whether drive gains rest on rows of several joints
 
     def recordings(self, joint: int) -> tuple[str, ...]:
         """Recordings in which rows of a joint count."""
-        train = self.fit.data.train
+        train = self.data.train
         parts = np.split(self.used[:, joint], np.cumsum([len(s.t) for s in train])[:-1])
-        names = [s.name for s, used in zip(train, parts, strict=True) if used.any()]
+        names = (s.name for s, used in zip(train, parts, strict=True) if used.any())
         return tuple(dict.fromkeys(names))
 
     def pose(self, joint: int) -> Array:
         """Where the arm stands on average while a joint moves, shape (nv,)."""
-        train = self.fit.data.train
+        train = self.data.train
         pairs = zip(train, self.moves, strict=True)
         poses = [s.motion.q[m[:, joint]] for s, m in pairs if m[:, joint].any()]
         poses = poses or [s.motion.q for s in train]
         return np.asarray(np.concatenate(poses).mean(axis=0), float)
 
-    def mode(self, robot: Robot, joint: int) -> str:
+    def mode(self, joint: int) -> str:
         """Which joints move while a joint does, in words; rare moments are left aside."""
         times, poses = [], []
-        for segment, moves in zip(self.fit.data.train, self.moves, strict=True):
+        for segment, moves in zip(self.data.train, self.moves, strict=True):
             now = moves[:, joint]
             if now.any():
                 times.append(moves[now].sum(axis=0) / segment.rate_hz)
@@ -93,37 +236,36 @@ class LinkRows:
         if not poses:
             return "does not move"
         each = np.array(times)
-        share = each.sum(axis=0) / each[:, joint].sum()
-        often = each[:, joint] > _SOMETIMES * each[:, joint].sum()
-        share[joint] = 0.0
-        others = np.flatnonzero(share > _SOMETIMES)
-        if len(others):
-            if joint and set(range(joint)) <= set(others.tolist()):
+        own = each[:, joint]
+        share = np.delete(each.sum(axis=0) / own.sum(), joint)
+        others = [k for k in range(self.robot.nv) if k != joint]
+        moved = [k for k, often in zip(others, share > _SOMETIMES, strict=True) if often]
+        if moved:
+            if joint and set(range(joint)) <= set(moved):
                 return "moves with all joints before it"
-            return "moves with " + ", ".join(robot.joints[k] for k in others)
-        spread = np.ptp(np.array(poses)[often], axis=0).max(initial=0.0)
-        briefly = " but for moments" if share.max() > 0 else ""
-        return f"moves alone{briefly}, the others in " + (
-            "several poses" if spread > _POSE else "one pose"
-        )
+            return "moves with " + ", ".join(self.robot.joints[k] for k in moved)
+        spread = np.ptp(np.array(poses)[own > _SOMETIMES * own.sum()], axis=0).max(initial=0.0)
+        briefly = " but for moments" if share.max(initial=0.0) > 0 else ""
+        several = "several poses" if spread > _POSE else "one pose"
+        return f"moves alone{briefly}, the others in {several}"
 
 
 def link_rows(robot: Robot, effects: tuple[Effect, ...], data: Data) -> LinkRows:
     """Rows of the training segments, see `LinkRows`."""
     moves = tuple(moving(robot, data.train))
     train = tuple(stilled(s, m) for s, m in zip(data.train, moves, strict=True))
-    data = replace(data, train=train)
-    base = base_parameters(robot, effects)
-    regression, measured = regression_of(robot, effects, train), series(train)
+    base, regression = base_parameters(robot, effects), regression_of(robot, effects, train)
     used = np.concatenate([m[s.keep] for s, m in zip(train, moves, strict=True)])
     used = used | ~dry_joints(effects, robot.joints)
     gains, compared = np.ones(robot.nv), True
     if data.unit == "A":
-        gains, compared = current_gains(robot, base, regression.W, measured.measured, used)
-    regression = regression.with_torque(regression.tau * gains)
-    fit = FitRows(robot, effects, base, data, gains, regression)
+        gains, compared = current_gains(robot, base, regression.W, regression.tau, used)
+        regression = regression.with_torque(regression.tau * gains)
     scale = np.sqrt(np.diag(base_prior(robot, effects, base).covariance))
-    return LinkRows(fit, moves, used, last_rows(robot, effects, base), scale, compared)
+    return LinkRows(
+        robot, effects, base, replace(data, train=train), gains, regression,
+        moves, used, last_rows(robot, effects, base), scale, compared,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -137,29 +279,17 @@ class Determined:
 
 @dataclass(frozen=True)
 class Stage:
-    """One link.
+    """One link."""
 
-    Attributes:
-        joint: Index of its joint, whose row was read.
-        rows: Number of its rows that count.
-        noise: Their standard deviation [torque unit]; NaN without rows.
-        inflation: Rows that count as one independent row.
-        recordings: Recordings with such rows.
-        mode: Which joints moved with it, in words.
-        determined: Combinations that the row adds to those of the links further out.
-        missing: Base parameters of the link that no row of the recordings shows.
-        needed: The motion that would show them, as sentences.
-    """
-
-    joint: int
-    rows: int
-    noise: float
-    inflation: float
-    recordings: tuple[str, ...]
-    mode: str
-    determined: tuple[Determined, ...]
-    missing: tuple[str, ...] = ()
-    needed: tuple[str, ...] = ()
+    joint: int  # index of its joint, whose row was read
+    rows: int  # number of its rows that count
+    noise: float  # their standard deviation [torque unit]; NaN without rows
+    inflation: float  # rows that count as one independent row
+    recordings: tuple[str, ...]  # that have such rows
+    mode: str  # which joints moved with it, in words
+    determined: tuple[Determined, ...]  # what the row adds to the links further out
+    missing: tuple[str, ...] = ()  # base parameters of the link that no recording shows
+    needed: tuple[str, ...] = ()  # the motion that would show them, as sentences
 
     def result(self, robot: Robot) -> dict[str, Any]:
         """Entry of result.json."""
@@ -197,7 +327,7 @@ class LinkByLink:
 
     def result(self) -> dict[str, Any]:
         """Machine-readable result: that of `identify`, and the stages under ``link_by_link``."""
-        robot, estimate, whole = self.estimate.given, self.estimate, self.all_at_once
+        robot, estimate = self.estimate.given, self.estimate
         how = "weighted least squares of all rows, then physically consistent fit"
         if self.refusal:
             how = (
@@ -206,7 +336,7 @@ class LinkByLink:
             )
         rms = {
             "given": estimate.baseline.rms,
-            "all_at_once": whole.validate.rms,
+            "all_at_once": self.all_at_once.validate.rms,
             "link_by_link": estimate.validate.rms,
             "measured_std": estimate.holdout.measured.std(axis=0),
         }
@@ -243,65 +373,54 @@ def identify_link_by_link(
 ) -> LinkByLink:
     """Identify a robot from the last link inward, and compare with all links at once.
 
-    Args:
-        robot: The arm; its inertias are the prior.
-        recordings: What to fit; one joint, a few or all may move.
-        validate: What to judge on; the last 30 % of each recording when empty.
-        effects: Effects to estimate; friction, offset and rotor inertia when None.
-        cutoff_hz: Cut-off of the torque filter [Hz].
-
-    Raises:
-        BadRecording: Recordings that cannot be used.
-        BadRobot: Links without mass, so no prior.
-        Infeasible: The semidefinite solver failed.
+    One joint, a few or all may move. Args and errors are those of `identify_robot`, but no motion
+    is refused for what it leaves undetermined.
     """
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     prior = prior_parameters(robot)
-    data = split(recordings, validate, cutoff_hz)
-    rows = link_rows(robot, effects, data)
-    cascade, stages = run_stages(robot, rows)
-    fit = LeastSquares(
-        cascade.beta,
-        cascade.covariance,
-        np.array([stage.noise for stage in reversed(stages)]),
-        np.array([stage.inflation for stage in reversed(stages)]),
-    )
+    rows = link_rows(robot, effects, split(recordings, validate, cutoff_hz))
+    cascade, stages = run_stages(rows)
+    noise, inflation = np.array([(stage.noise, stage.inflation) for stage in reversed(stages)]).T
+    fit = LeastSquares(cascade.beta, cascade.covariance, noise, inflation)
     known = cascade.information()
-    physical = fit_physical(known.R @ rows.base.regrouping, known.z, prior, rows.fit.open_prior)
-    estimate = judged(robot, rows.fit, fit, physical, _notes(rows, stages))
+    physical = fit_physical(known.R @ rows.base.regrouping, known.z, prior, rows.open_prior)
+    estimate = judged(robot, rows, fit, physical, _notes(rows, stages, prior))
     try:
         whole = identify_robot(
             robot, recordings, validate=validate, effects=effects, cutoff_hz=cutoff_hz
         )
         refusal = ""
-    except RankDeficient as error:
-        whole, refusal = _with_prior(robot, rows, fit), str(error)
+    except RankDeficient as error:  # then with the given robot as prior, the noise of the stages
+        refusal = str(error)
+        weight = replace(fit, sigma=np.where(np.isfinite(noise), noise, np.inf)).weight
+        R, z = rows.regression.counting(rows.used).factor(weight)
+        whole = judged(robot, rows, fit, fit_physical(R, z, prior, rows.open_prior), ())
     return LinkByLink(estimate, cascade, stages, whole, refusal)
 
 
-def run_stages(robot: Robot, rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]]:
+def run_stages(rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]]:
     """All stages, from the last joint inward, and what is known of the base parameters then."""
-    fit = rows.fit
-    W, tau = fit.W[:, :, fit.base.columns], fit.tau
-    known = beginning(base_prior(robot, fit.effects, fit.base))
-    F, leading, stages = np.zeros((0, len(fit.base))), list[int](), []
-    for j in reversed(range(robot.nv)):
+    W, tau, base = rows.W[:, :, rows.base.columns], rows.tau, rows.base
+    known = beginning(base_prior(rows.robot, rows.effects, base))
+    F, leading, stages = np.zeros((0, len(base))), list[int](), []
+    for j in reversed(range(rows.robot.nv)):
         before, counted = len(leading), rows.used[:, j]
         known, noise, inflation = further(known, W[counted, j], tau[counted, j])
         own = np.flatnonzero(rows.last == j).tolist()
-        F, leading = led_combinations(F, leading, known.functionals[before:], rows.scale, own)
-        found = _determined(known, F[before:], leading[before:], rows)
-        mode, names = rows.mode(robot, j), rows.recordings(j)
-        stages.append(Stage(j, int(counted.sum()), noise, inflation, names, mode, found))
-    return known, tuple(_completed(robot, rows, F, leading, stage) for stage in stages)
+        F, leading = _led_combinations(F, leading, known.functionals[before:], rows.scale, own)
+        found = _determined(rows, known, F[before:], leading[before:])
+        of = rows.recordings(j), rows.mode(j), found
+        stages.append(Stage(j, int(counted.sum()), noise, inflation, *of))
+    return known, tuple(_completed(rows, F, leading, stage) for stage in stages)
 
 
 def _determined(
-    known: Cascade, F: Array, leading: Sequence[int], rows: LinkRows
+    rows: LinkRows, known: Cascade, F: Array, leading: Sequence[int]
 ) -> tuple[Determined, ...]:
-    base, (values, covariance) = rows.base, known.of(F)
-    found = []
-    for row, lead, value, s in zip(F, leading, values, np.sqrt(np.diag(covariance)), strict=True):
+    """Known combinations F β that parameters lead, with what matters of each in words."""
+    base, J, found = rows.base, F @ known.L @ known.D, []
+    spread = np.sqrt(np.diag(J @ known.P @ J.T))
+    for row, lead, value, s in zip(F, leading, F @ known.beta, spread, strict=True):
         kept = np.where(np.abs(row) * rows.scale > _NEGLIGIBLE * s, row, 0.0)
         kept[lead] = 1.0
         text = expression(kept @ base.regrouping, base.names, base.columns[lead])
@@ -309,49 +428,30 @@ def _determined(
     return tuple(found)
 
 
-def _completed(
-    robot: Robot, rows: LinkRows, F: Array, leading: Sequence[int], stage: Stage
-) -> Stage:
+def _completed(rows: LinkRows, F: Array, leading: Sequence[int], stage: Stage) -> Stage:
     """The stage with what is still missing of its link, and the motion that would show it."""
     own = np.flatnonzero(rows.last == stage.joint)
     missing = [k for k in own if k not in leading]
     if not missing:
         return stage
     shown = F[[k in own for k in leading]][:, own]
-    sentence = _needed_motion(robot, rows, stage.joint, own, shown)
-    outer = any(k not in leading for k in np.flatnonzero(rows.last > stage.joint))
-    condition = "; then complete the links further out" if outer else ""
-    return replace(
-        stage,
-        missing=tuple(rows.base.expressions[k] for k in missing),
-        needed=(sentence + condition,),
-    )
+    sentence = _needed_motion(rows, stage.joint, own, shown)
+    if any(k not in leading for k in np.flatnonzero(rows.last > stage.joint)):
+        sentence += "; then complete the links further out"
+    expressions = tuple(rows.base.expressions[k] for k in missing)
+    return replace(stage, missing=expressions, needed=(sentence,))
 
 
-def _needed_motion(
-    robot: Robot, rows: LinkRows, joint: int, own: npt.NDArray[np.intp], shown: Array
-) -> str:
+def _needed_motion(rows: LinkRows, joint: int, own: npt.NDArray[np.intp], shown: Array) -> str:
     """The smallest change of the recordings whose torque of a joint shows all its parameters.
 
-    Tried in this order: the joint alone; at several positions of one other joint; together with
-    one; the same with two; together with all joints before it.
-
-    Args:
-        robot: The arm.
-        rows: The recordings; joints that are not mentioned stand as in them.
-        joint: The joint whose row is read; it moves.
-        own: Its base parameters, m of them.
-        shown: Combinations of them that are shown already, shape (k, m).
+    Of its own base parameters, m of them, combinations of shape (k, m) are shown already. Joints
+    that are not mentioned stand as in the recordings.
     """
-    columns, scale = [rows.base.columns[k] for k in own], rows.scale[own]
-    pose, name = rows.pose(joint), robot.joints[joint]
-    others = [k for k in range(robot.nv) if k != joint]
-    changes: list[tuple[tuple[int, ...], tuple[int, ...]]] = [((), ())]  # moved, turned
-    for size in (1, 2) if robot.nv <= _PAIRS else (1,):
-        changes += [((), chosen) for chosen in combinations(others, size)]
-        changes += [(chosen, ()) for chosen in combinations(others, size)]
-    for moved, turned in (*changes, (tuple(range(joint)), ())):
-        count = len(own) + _STATES
+    robot, scale = rows.robot, rows.scale[own]
+    columns, count = [rows.base.columns[k] for k in own], len(own) + _STATES
+    name, pose = robot.joints[joint], rows.pose(joint)
+    for moved, turned in _changes(robot.nv, joint):
         q, dq, ddq = robot.random_motion(np.random.default_rng(0), count)
         still = np.ones(robot.nv, bool)
         still[[joint, *moved]] = False
@@ -359,7 +459,7 @@ def _needed_motion(
         still[list(turned)] = False
         q[:, still] = pose[still]
         motion = Motion(np.arange(float(count)), q, dq, ddq)
-        W = observation_columns(robot, rows.fit.effects, motion)[:, joint, columns]
+        W = observation_columns(robot, rows.effects, motion)[:, joint, columns]
         parts = [A / max(float(np.linalg.norm(A)), 1e-300) for A in (W * scale, shown * scale)]
         s = np.linalg.svd(np.vstack(parts), compute_uv=False)
         if len(s) == len(own) and s[-1] > _VISIBLE * s[0]:
@@ -372,36 +472,29 @@ def _needed_motion(
     return f"move {name} together with all joints before it, at several positions of those after it"
 
 
-def _with_prior(robot: Robot, rows: LinkRows, fit: LeastSquares) -> Estimate:
-    """All rows at once with the given robot as prior, the noise that of the stages."""
-    sigma = np.where(np.isfinite(fit.sigma), fit.sigma, np.inf)
-    noise = LeastSquares(fit.beta, fit.covariance, sigma, fit.inflation)
-    R, z = rows.fit.regression.counting(rows.used).factor(noise.weight)
-    physical = fit_physical(R, z, prior_parameters(robot), rows.fit.open_prior)
-    return judged(robot, rows.fit, fit, physical, ())
+def _changes(nv: int, joint: int) -> Iterator[tuple[tuple[int, ...], tuple[int, ...]]]:
+    """Joints that move too and those at several positions, the smallest change first."""
+    yield (), ()
+    others = [k for k in range(nv) if k != joint]
+    for size in (1, 2) if nv <= _PAIRS else (1,):
+        yield from (((), chosen) for chosen in combinations(others, size))
+        yield from ((chosen, ()) for chosen in combinations(others, size))
+    yield tuple(range(joint)), ()
 
 
-def _notes(rows: LinkRows, stages: Sequence[Stage]) -> tuple[str, ...]:
-    data, base = rows.fit.data, rows.base
-    count = sum(len(stage.determined) for stage in stages)
-    rest = "" if count == len(base) else "; the rest stays at the given robot"
-    notes = [
-        data.holdout,
-        f"link by link, these recordings determine {count} of {len(base)} base combinations{rest}",
-    ]
-    gains = ", ".join(f"{k:.3g}" for k in rows.fit.gains)
-    if data.unit == "A" and rows.compared:
-        notes.append(
-            "torque came as motor current; drive gains relative to each other were estimated "
-            f"({gains} N·m/A); their common scale rests on the given masses and is not "
-            "determined by currents"
-        )
-    elif data.unit == "A":
-        notes.append(
+def _notes(rows: LinkRows, stages: Sequence[Stage], prior: Array) -> tuple[str, ...]:
+    count, r = sum(len(stage.determined) for stage in stages), len(rows.base)
+    rest = "" if count == r else "; the rest stays at the given robot"
+    notes = notes_on(rows.robot, prior, rows.data, rows.gains)
+    if not rows.compared:
+        gains = ", ".join(f"{k:.3g}" for k in rows.gains)
+        notes = (
+            *notes[:-1],
             "torque came as motor current, and joints that move one at a time do not show their "
             f"drives' gains relative to each other: they ({gains} N·m/A) rest on the given "
             "masses, and on each other where masses hardly load the joint. A joint's own current "
             "is predicted alike for any gain; what outer links cost inner joints, and values in "
-            "N·m, kg or kg·m², are as good as these gains"
+            "N·m, kg or kg·m², are as good as these gains",
         )
-    return tuple(notes)
+    said = f"link by link, these recordings determine {count} of {r} base combinations{rest}"
+    return (notes[0], said, *notes[1:])

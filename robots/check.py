@@ -1,20 +1,27 @@
-"""Whether a robot's description can be right: inertias, axes, limits, and the arm's own weight."""
+"""Whether a robot's description can be right: inertias, axes, limits, and the arm's own weight.
+
+With the second moment per mass about the centre of mass, S = ½ tr(I)/m 1 − I/m, a link of given
+extent has S no larger than its box allows, the long axis of S along the link, and a centre of mass
+within. A tensor about the joint frame given as one about the centre of mass c shows as S + c cᵀ
+(Steiner).
+"""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.bodies import Body, bent_pose, bodies, sketch, zero_pose
-from excitant.robots.check_inertias import ModelWarning, inertia_warnings
+from excitant.robots.geometry import Body, bent_pose, bodies, sketch, zero_pose
 from excitant.robots.motion import Array
+from excitant.robots.parameters import elements, violations
 from excitant.robots.robot import Robot
 
 _MASS = 0.05  # relative deviation from the stated mass that goes unsaid
@@ -26,6 +33,42 @@ _ROUNDS = 2
 _UNIT = 1e-3  # deviation of an axis from length one that digits left out explain
 _LEVEL = 1e-9  # N·m: no gravity torque
 _EXACT = 1e-8  # rad: too little for a decision on what torque shows
+
+_OUTSIDE = {True: 0.15, False: 0.5}  # of the link's size, with and without solids
+_TOO_WIDE = 1.0  # radius of gyration over the link's size; a half is possible
+_TOO_NARROW = 0.02
+_EXTENT = 0.02  # m: joints closer together say nothing about a link's size
+_LIGHT = 0.1  # kg/m of link
+_SHARE = 5e-4  # of the arm's mass: a moving link of less is a placeholder
+_ELONGATED = (4.0, 3.0)  # ratio of the two largest second moments: of the solids, of the inertia
+_ACROSS = 50.0  # degrees between both long axes
+_EXCESS, _CLOSER = 0.75, 0.4  # a tensor about the joint: how far off, how much nearer without it
+_LEVER = 0.05  # of the arm: centres of mass nearer to the joint make no difference worth a word
+_SLIGHT = 0.01  # of a joint's torque: what changes less matters to none
+_ROUNDING = 1e-3  # relative violation that digits left out explain
+
+
+@dataclass(frozen=True)
+class ModelWarning:
+    """What looks wrong, where, and what to do about it.
+
+    Attributes:
+        check: Which check says so, e.g. ``placeholder_inertia``.
+        where: The links or joints concerned.
+        sentence: What was found and what to do, in one line.
+        hint: Whether it may well be right, or matters to no torque.
+    """
+
+    check: str
+    where: tuple[str, ...]
+    sentence: str
+    hint: bool = False
+
+    def __str__(self) -> str:
+        return f"{', '.join(self.where)}: {self.sentence}"
+
+
+Warnings = Iterator[ModelWarning]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,38 +109,35 @@ class ModelCheck:
 
         A warning names what is almost surely wrong or missing; a hint what may well be right.
         """
-        robot = self.robot
+        robot, root = self.robot, ET.fromstring(self.robot.urdf)
         found = [
-            *inertia_warnings(robot, self.bodies),
-            *axis_warnings(robot),
-            *limit_warnings(robot),
-            *self._mass_warnings(),
+            *_inertias(robot, self.bodies),
+            *_axes(robot, root),
+            *_rounded(root),
+            *_mirrored(root),
+            *_opposite(robot),
+            *_limits(robot, root),
+            *self._weight(),
         ]
         if not any(warning.check in _SPOILS_WEIGHT for warning in found):
-            found += gravity_warnings(robot, self.gravity_peaks)
+            found += _gravity(robot, self.gravity_peaks)
         return tuple(sorted(found, key=lambda warning: warning.hint))
 
-    def _mass_warnings(self) -> Iterator[ModelWarning]:
+    def _weight(self) -> Warnings:
         moving, total, stated = self.moving_mass, self.total_mass, self.mass
         if stated is None or abs(total - stated) <= _MASS * stated:
             return
         rest = stated - total
-        if total == moving and 0 < rest <= _BASE * stated:
-            yield ModelWarning(
-                "total_mass",
-                (self.robot.name,),
-                f"its links weigh {moving:.4g} kg and its base states no mass; {stated:.4g} kg is "
-                f"right if the base weighs {rest:.3g} kg",
-                hint=True,
-            )
-            return
-        yield ModelWarning(
-            "total_mass",
-            (self.robot.name,),
-            f"the description weighs {total:.4g} kg, {abs(rest):.3g} kg "
+        base = total == moving and 0 < rest <= _BASE * stated
+        sentence = (
+            f"its links weigh {moving:.4g} kg and its base states no mass; {stated:.4g} kg is "
+            f"right if the base weighs {rest:.3g} kg"
+            if base
+            else f"the description weighs {total:.4g} kg, {abs(rest):.3g} kg "
             f"{'less' if rest > 0 else 'more'} than the {stated:.4g} kg stated; look for links "
-            "that lack mass, count twice or have another unit",
+            "that lack mass, count twice or have another unit"
         )
+        yield ModelWarning("total_mass", (self.robot.name,), sentence, hint=base)
 
     def result(self) -> dict[str, Any]:
         """Joints, links, limits, effects and warnings, for ``result.json``."""
@@ -156,53 +196,54 @@ def _finite(value: float) -> float | None:
 
 
 def _link(body: Body) -> dict[str, Any]:
-    moments = np.linalg.eigvalsh(body.inertia)
     spread = np.linalg.eigvalsh(body.second_moment)[-1] if body.mass > 0 else 0.0
     return {
         "link": body.link,
         "moves_with": body.carrier or None,
         "mass": body.mass,
         "com": body.com.tolist(),
-        "principal_moments": moments.tolist(),
+        "principal_moments": np.linalg.eigvalsh(body.inertia).tolist(),
         "radius_of_gyration": float(np.sqrt(max(spread, 0.0))),
         "size": body.size,
         "solids": len(body.shapes),
     }
 
 
-def axis_warnings(robot: Robot) -> Iterator[ModelWarning]:
-    """Axes that are no directions; rounded angles; mirrored meshes; neighbours of opposite axes."""
-    root = ET.fromstring(robot.urdf)
-    elements = {str(joint.get("name")): joint for joint in root.findall("joint")}
-    for joint in robot.joints:
-        if joint not in elements:
-            continue
-        axis = elements[joint].find("axis")
+def gravity_peaks(robot: Robot) -> Array:
+    """Largest gravity torque of each joint within the ranges, by search, (nv,) [N·m or N]."""
+    model, data = robot.model, robot.model.createData()
+
+    def weight(q: Array) -> Array:
+        tau: Array = np.abs(np.asarray(pin.computeGeneralizedGravity(model, data, q), float))
+        return tau
+
+    poses = robot.random_motion(np.random.default_rng(0), _POSES)[0]
+    tau = np.array([weight(q) for q in poses])
+    low, high = np.clip(robot.limits.position, -np.pi, np.pi).T
+    best = poses[tau.argmax(axis=0)]
+    peak: Array = tau.max(axis=0)
+    for j in np.flatnonzero(peak > _LEVEL):
+        for k in [*range(robot.nv)] * _ROUNDS:
+            for x in np.linspace(low[k], high[k], _STEPS):
+                q = best[j].copy()
+                q[k] = x
+                if (torque := weight(q)[j]) > peak[j]:
+                    peak[j], best[j] = torque, q
+    return np.where(peak > _LEVEL, peak, 0.0)
+
+
+def _axes(robot: Robot, root: ET.Element) -> Warnings:
+    """Axes that are no unit vectors."""
+    for joint in root.findall("joint"):
+        axis, name = joint.find("axis"), str(joint.get("name"))
         text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
         length = float(np.linalg.norm([float(x) for x in text.split()]))
-        if abs(length - 1) > _UNIT:
-            yield ModelWarning(
-                "joint_axis",
-                (joint,),
-                f'its axis "{text}" has length {length:.4g}; write a unit vector',
-            )
-    yield from _rounded(root)
-    for link in root.findall("link"):
-        for mesh in link.iter("mesh"):
-            scale = [float(x) for x in mesh.get("scale", "1 1 1").split()]
-            if np.prod(scale) < 0:
-                yield ModelWarning(
-                    "mirrored_mesh",
-                    (str(link.get("name")),),
-                    f"a mesh of it is mirrored (scale {mesh.get('scale')}), which makes its frame "
-                    "left-handed; mirror its inertia and axes too, or export the true part",
-                    hint=True,
-                )
-                break
-    yield from _opposite(robot)
+        if name in robot.joints and abs(length - 1) > _UNIT:
+            sentence = f'its axis "{text}" has length {length:.4g}; write a unit vector'
+            yield ModelWarning("joint_axis", (name,), sentence)
 
 
-def _rounded(root: ET.Element) -> Iterator[ModelWarning]:
+def _rounded(root: ET.Element) -> Warnings:
     """Multiples of 45° between joints that are written with few digits."""
     found: dict[str, tuple[str, float]] = {}
     for joint in root.findall("joint"):
@@ -223,15 +264,32 @@ def _rounded(root: ET.Element) -> Iterator[ModelWarning]:
         )
 
 
-def _opposite(robot: Robot) -> Iterator[ModelWarning]:
-    """Links of equal mass one after the other whose parallel axes point in opposite directions."""
+def _mirrored(root: ET.Element) -> Warnings:
+    for link in root.findall("link"):
+        scales = [mesh.get("scale", "1 1 1") for mesh in link.iter("mesh")]
+        mirrored = [s for s in scales if np.prod([float(x) for x in s.split()]) < 0]
+        if mirrored:
+            yield ModelWarning(
+                "mirrored_mesh",
+                (str(link.get("name")),),
+                f"a mesh of it is mirrored (scale {mirrored[0]}), which makes its frame "
+                "left-handed; mirror its inertia and axes too, or export the true part",
+                hint=True,
+            )
+
+
+def _opposite(robot: Robot) -> Warnings:
+    """Equal links one after the other whose parallel axes point in opposite directions."""
     axes, phi = robot.axes(np.zeros(robot.nv)), robot.phi.reshape(-1, 10)
+    diagonals = np.sort(np.abs(phi[:, [4, 6, 9]]), axis=1)
     for j in range(robot.nv - 1):
-        alike = np.allclose(phi[j, 0], phi[j + 1, 0], rtol=1e-9)
-        own, next_own = (np.sort(np.abs(phi[k, [4, 6, 9]])) for k in (j, j + 1))
-        alike = alike and np.allclose(own, next_own, rtol=1e-6) and phi[j, 0] > 0
-        same_kind = robot.revolute[j] == robot.revolute[j + 1]
-        if alike and same_kind and axes[j] @ axes[j + 1] < -1 + 1e-9:
+        if (
+            phi[j, 0] > 0
+            and np.allclose(phi[j, 0], phi[j + 1, 0], rtol=1e-9)
+            and np.allclose(diagonals[j], diagonals[j + 1], rtol=1e-6)
+            and robot.revolute[j] == robot.revolute[j + 1]
+            and axes[j] @ axes[j + 1] < -1 + 1e-9
+        ):
             yield ModelWarning(
                 "opposite_axes",
                 (robot.joints[j], robot.joints[j + 1]),
@@ -241,11 +299,8 @@ def _opposite(robot: Robot) -> Iterator[ModelWarning]:
             )
 
 
-def limit_warnings(robot: Robot) -> Iterator[ModelWarning]:
+def _limits(robot: Robot, root: ET.Element) -> Warnings:
     """Limits that are absent, zero or upside down, and zeros that lie outside them."""
-    root = ET.fromstring(robot.urdf)
-    elements = {str(joint.get("name")): joint.find("limit") for joint in root.findall("joint")}
-    kinds = {str(joint.get("name")): joint.get("type") for joint in root.findall("joint")}
     for name, values, unit in (
         ("velocity", robot.limits.velocity, "rad/s or m/s"),
         ("effort", robot.limits.torque, "N·m or N"),
@@ -258,10 +313,10 @@ def limit_warnings(robot: Robot) -> Iterator[ModelWarning]:
                 f"no {name} limit, or zero, so that nothing bounds it here; give it in the "
                 f"<limit> [{unit}] or with --limits",
             )
-    for j, joint in enumerate(robot.joints):
-        low, high = robot.limits.position[j]
-        limit = elements.get(joint)
-        if not np.isfinite([low, high]).all() and kinds.get(joint) != "continuous":
+    stated = {str(joint.get("name")): joint for joint in root.findall("joint")}
+    for joint, (low, high) in zip(robot.joints, robot.limits.position, strict=True):
+        kind, limit = (stated[joint].get("type"), stated[joint].find("limit"))
+        if not np.isfinite([low, high]).all() and kind != "continuous":
             given = "none" if limit is None else f"{limit.get('lower')} to {limit.get('upper')}"
             yield ModelWarning(
                 "position_limits",
@@ -279,40 +334,216 @@ def limit_warnings(robot: Robot) -> Iterator[ModelWarning]:
             )
 
 
-def gravity_warnings(robot: Robot, peak: Array) -> Iterator[ModelWarning]:
+def _gravity(robot: Robot, peak: Array) -> Warnings:
     """Joints that cannot hold the arm in every pose."""
-    for joint, torque, limit, turns in zip(
-        robot.joints, peak, robot.limits.torque, robot.revolute, strict=True
+    for j in np.flatnonzero(peak > robot.limits.torque):
+        unit = "N·m" if robot.revolute[j] else "N"
+        yield ModelWarning(
+            "gravity",
+            (robot.joints[j],),
+            f"gravity takes up to {peak[j]:.3g} {unit} of its {robot.limits.torque[j]:.3g} {unit}, "
+            "so that it cannot hold the arm in every pose; check masses and effort limit",
+        )
+
+
+def _inertias(robot: Robot, stated: Sequence[Body]) -> Warnings:
+    """What looks wrong in the inertias; of each link only the first thing that is found."""
+    moving = [body for body in stated if body.carrier]
+    for link, mass in zip(robot.links, robot.phi[::10], strict=True):
+        if mass == 0 and not any(b.given and b.carrier == link for b in moving):
+            sentence = "has no mass, and nothing fixed to it has; add its <inertial>"
+            yield ModelWarning("no_inertia", (link,), sentence)
+    # a marker or a point mass fixed to a moving link needs no tensor of its own
+    points = [b for b in moving if not b.inertia.any() and (b.link != b.carrier or b.mass == 0)]
+    moving = [body for body in moving if body.given and body not in points]
+    alike = list(_placeholders(robot, [body for body in moving if body.link == body.carrier]))
+    yield from alike
+    named = {link for warning in alike for link in warning.where}
+    for body in moving:
+        if body.link not in named:
+            found = chain.from_iterable(check(robot, body) for check in _LINK_CHECKS)
+            yield from [warning] if (warning := next(found, None)) else []
+
+
+def _placeholders(robot: Robot, own: Sequence[Body]) -> Warnings:
+    """One inertia used for several links of a chain, round numbers, and next to no mass."""
+    seen: dict[tuple[float, ...], list[Body]] = {}
+    for body in own:
+        values = (body.mass, *np.linalg.eigvalsh(body.inertia))
+        seen.setdefault(tuple(float(f"{x:.6g}") for x in values), []).append(body)
+    advice = "replace it by values from CAD, a data sheet or identification"
+    for group in seen.values():
+        body, links = group[0], tuple(body.link for body in group)
+        moments = np.linalg.eigvalsh(body.inertia)
+        value = f"{body.mass:.4g} kg and {moments[-1]:.3g} kg·m²"
+        ball = np.ptp(moments) <= 1e-9 * moments[-1]
+        sentence = ""
+        if _in_a_row(robot, links) > 2:
+            sentence = f"have one and the same inertia ({value}), perhaps a placeholder; {advice}"
+        elif ball and _power_of_ten(body.mass) and _power_of_ten(float(moments[-1])):
+            sentence = f"{value} alike about all axes looks like a placeholder; {advice}"
+        if sentence:
+            yield ModelWarning("placeholder_inertia", links, sentence)
+    arm = float(robot.phi[::10].sum())
+    masses = {body.link: robot.phi[10 * robot.links.index(body.link)] for body in own}
+    light = {link: mass for link, mass in masses.items() if 0 < mass < _SHARE * arm}
+    if light:
+        yield ModelWarning(
+            "placeholder_inertia",
+            tuple(light),
+            f"no more than {1e3 * max(light.values()):.3g} g, next to nothing of the arm's "
+            f"{arm:.3g} kg; give the true mass, in kg",
+        )
+
+
+def _in_a_row(robot: Robot, links: Sequence[str]) -> int:
+    """How many of these links are on one way from the base; legs side by side may be equal."""
+    joints = {robot.links.index(link) + 1 for link in links}
+    return max(len(joints & set(robot.model.supports[j])) for j in joints)
+
+
+def _power_of_ten(value: float) -> bool:
+    return value > 0 and abs(np.log10(value) - round(np.log10(value))) < 1e-9
+
+
+def _not_physical(robot: Robot, body: Body) -> Warnings:
+    for found in violations([body.mass, 0, 0, 0, *elements(body.inertia)], (body.link,)):
+        advice = "check its numbers and their order (ixx ixy ixz iyy iyz izz)"
+        if body.mass > 0:
+            shifted = np.linalg.eigvalsh(body.second_moment + np.outer(body.com, body.com))
+            spread = np.linalg.eigvalsh(body.second_moment)
+            if shifted[0] > 0 and np.linalg.norm(body.com) > _EXTENT:
+                advice = (
+                    "the parallel-axis term may be subtracted twice; give the tensor about the "
+                    "centre of mass"
+                )
+            elif spread[0] > -_ROUNDING * spread[-1]:
+                advice = "rounding may do this to a flat or thin link; give more digits"
+        why = found.removeprefix(f"{body.link}: ")
+        yield ModelWarning("inertia_not_physical", (body.link,), f"{why}; {advice}")
+
+
+def _centre_outside(robot: Robot, body: Body) -> Warnings:
+    gap = float(np.linalg.norm(body.com - np.clip(body.com, *body.box)))
+    size, arm = body.size, _arm_size(robot)
+    if size > _EXTENT:
+        least = _OUTSIDE[bool(body.shapes)] * size + _EXTENT + (not body.shapes) * 0.1 * arm
+        where = f"{_length(gap)} outside the link, which measures {_length(size)}"
+    else:
+        least, where = 0.75 * arm, f"{_length(gap)} from its joint, in an arm of {_length(arm)}"
+    if gap > least:
+        c = " ".join(f"{x:.4g}" for x in body.com)
+        yield ModelWarning(
+            "centre_of_mass",
+            (body.link,),
+            f"its centre of mass ({c}) m lies {where}; check signs, units (m, not mm) and the "
+            "frame",
+        )
+
+
+def _length(metres: float) -> str:
+    return f"{metres:.3g} m" if metres >= 1 else f"{1e3 * metres:.3g} mm"
+
+
+def _arm_size(robot: Robot) -> float:
+    return float(sum(np.linalg.norm(p.translation) for p in list(robot.model.jointPlacements)[1:]))
+
+
+def _light(robot: Robot, body: Body) -> Warnings:
+    known = bool(body.shapes) or body.size >= 5 * _EXTENT
+    if known and body.link == body.carrier and body.mass < _LIGHT * body.size:
+        yield ModelWarning(
+            "placeholder_inertia",
+            (body.link,),
+            f"weighs {1e3 * body.mass:.3g} g over {_length(body.size)}, less than any arm's link; "
+            "check the density of the CAD export and the unit (kg)",
+        )
+
+
+def _about_joint(robot: Robot, body: Body) -> Warnings:
+    """A tensor that fits the solids, or a bar, once the parallel-axis term is taken off."""
+    expected = body.solid_second_moment
+    if expected is None:  # a bar to the next joint
+        far = body.points[int(np.argmax(np.linalg.norm(body.points, axis=1)))]
+        length = float(np.linalg.norm(far))
+        if length < 5 * _EXTENT:
+            return
+        expected = np.outer(far, far) / 12 + (0.15 * length) ** 2 / 4 * np.eye(3)
+    given = body.second_moment
+    reduced = given - np.outer(body.com, body.com)
+    off, near = (float(np.linalg.norm(S - expected)) for S in (given, reduced))
+    if (
+        np.linalg.norm(body.com) >= _LEVER * _arm_size(robot)
+        and np.linalg.eigvalsh(reduced)[0] > 0
+        and off >= _EXCESS * float(np.linalg.norm(expected))
+        and near <= _CLOSER * off
     ):
-        if torque > limit:
-            unit = "N·m" if turns else "N"
-            yield ModelWarning(
-                "gravity",
-                (joint,),
-                f"gravity takes up to {torque:.3g} {unit} of its {limit:.3g} {unit}, so that it "
-                "cannot hold the arm in every pose; check masses and effort limit",
-            )
+        yield ModelWarning(
+            "inertia_frame",
+            (body.link,),
+            "its tensor may be about the joint frame instead of the centre of mass: only without "
+            "the parallel-axis term m(c²1 − ccᵀ) does it fit the link's extent; subtract that term",
+        )
 
 
-def gravity_peaks(robot: Robot) -> Array:
-    """Largest gravity torque of each joint within the ranges, by search, (nv,) [N·m or N]."""
-    model, data = robot.model, robot.model.createData()
+def _size(robot: Robot, body: Body) -> Warnings:
+    """A radius of gyration that is too large or too small for the link."""
+    values, vectors = np.linalg.eigh(body.second_moment)
+    radius, size = float(np.sqrt(values[-1])), body.size
+    if not body.shapes:
+        size = max(size, 0.25 * _arm_size(robot))
+    too_small = radius < _TOO_NARROW * size and body.shapes
+    if size < _EXTENT or not (too_small or radius > _TOO_WIDE * size):
+        return
+    excess = (values[-1] - size**2 / 16) * body.mass * np.outer(vectors[:, -1], vectors[:, -1])
+    hint = _moves_nothing(robot, body, excess)
+    yield ModelWarning(
+        "inertia_size",
+        (body.link,),
+        f"its inertia is {'too small' if too_small else 'too large'} for {body.mass:.3g} kg: "
+        f"radius of gyration {_length(radius)} in a link that measures {_length(size)}; "
+        + ("hardly any torque depends on it" if hint else _INERTIA_UNIT),
+        hint,
+    )
 
-    def weight(q: Array) -> Array:
-        tau: Array = np.abs(np.asarray(pin.computeGeneralizedGravity(model, data, q), float))
-        return tau
 
-    poses = robot.random_motion(np.random.default_rng(0), _POSES)[0]
-    tau = np.array([weight(q) for q in poses])
-    low, high = np.clip(robot.limits.position, -np.pi, np.pi).T
-    best = poses[tau.argmax(axis=0)]
-    peak: Array = tau.max(axis=0)
-    for j in np.flatnonzero(peak > _LEVEL):
-        for _ in range(_ROUNDS):
-            for k in range(robot.nv):
-                for x in np.linspace(low[k], high[k], _STEPS):
-                    q = best[j].copy()
-                    q[k] = x
-                    if (torque := weight(q)[j]) > peak[j]:
-                        peak[j], best[j] = torque, q
-    return np.where(peak > _LEVEL, peak, 0.0)
+_INERTIA_UNIT = "check its unit (kg·m², not g·mm² or kg·mm²)"
+
+
+def _moves_nothing(robot: Robot, body: Body, moment: Array) -> bool:
+    """Whether taking a second moment off a link hardly changes a torque in a few states."""
+    if body.link != body.carrier:
+        return False
+    k = robot.links.index(body.link)
+    phi = robot.phi.copy()
+    phi[10 * k + 4 : 10 * k + 10] -= elements(np.trace(moment) * np.eye(3) - moment)
+    motion = robot.random_motion(np.random.default_rng(0), 5)
+    before, after = (
+        np.array([pin.rnea(m, m.createData(), *state) for state in zip(*motion, strict=True)])
+        for m in (robot.model, robot.with_parameters(phi).model)
+    )
+    change = np.abs(after - before).max(axis=0)
+    return bool((change <= _SLIGHT * np.abs(before).max(axis=0)).all())
+
+
+def _across(robot: Robot, body: Body) -> Warnings:
+    """An elongated inertia whose long axis lies across that of the solids."""
+    solids = body.solid_second_moment
+    if solids is None:
+        return
+    (own, axis), (other, inertia) = (np.linalg.eigh(S) for S in (solids, body.second_moment))
+    axis, inertia = axis[:, -1], inertia[:, -1]
+    long = own[-1] > _ELONGATED[0] * own[-2] and other[-1] > _ELONGATED[1] * other[-2]
+    angle = float(np.degrees(np.arccos(min(1.0, abs(float(axis @ inertia))))))
+    if long and angle >= _ACROSS:
+        along, lie = ("xyz"[int(np.argmax(np.abs(x)))] for x in (inertia, axis))
+        yield ModelWarning(
+            "inertia_axes",
+            (body.link,),
+            f"its inertia is that of a body along {along}, its collision shapes lie along "
+            f"{lie} ({angle:.0f}° apart); check the order of ixx, iyy, izz and the rpy of the "
+            "<inertial> origin",
+        )
+
+
+_LINK_CHECKS = (_not_physical, _centre_outside, _light, _about_joint, _size, _across)

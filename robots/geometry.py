@@ -1,10 +1,11 @@
-"""Where an arm's bodies are: collision shapes, obstacles in the cell, and their distances."""
+"""Where an arm's bodies are: its links as stated, a sketch, obstacles, and distances."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +14,224 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 
+from excitant.robots.chains import tree
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.schema import OBSTACLE_SHAPES, ObstacleRecord, convert, read_yaml
 from excitant.robots.urdf import full_model
 
+_DRAWN = 300  # poses tried for one in which the arm does not hide itself
+_BEND = 1.9  # rad, either way, of those
+_BELOW = 0.5  # how strongly points under the base count against a pose
 _POSES = 200  # random ones, to tell pairs whose distance is a matter of drawing
 _MOVING = 1e-3  # m: distances that change less do not change
 _TOOL = "tool point"
 _POINT = 1e-4  # m, radius of the sphere that stands for it
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A solid of a link: box, sphere, or cylinder (a capsule counts as one).
+
+    Attributes:
+        start: One end of its axis in the link frame, shape (3,) [m].
+        end: The other end; the same point for a sphere.
+        radius: Around the axis; of a box, half its mean width [m].
+        corners: Corners of a box around it in the link frame, shape (8, 3) [m].
+        volume: Volume [m³].
+        spread: Second moment per volume about its centre, in the link frame, (3, 3) [m²].
+    """
+
+    start: Array
+    end: Array
+    radius: float
+    corners: Array
+    volume: float
+    spread: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A link of a description, in its own frame.
+
+    Attributes:
+        link: Its name.
+        carrier: The moving link it is fixed to, itself included; empty for what stands still.
+        given: Whether the description states an inertia.
+        mass: Mass [kg].
+        com: Centre of mass, shape (3,) [m].
+        inertia: Tensor about the centre of mass as given, shape (3, 3) [kg·m²].
+        points: Its origin and the origins of the joints on it, shape (k, 3) [m].
+        shapes: Its solids, of the collision elements if they have any; meshes are not among them.
+    """
+
+    link: str
+    carrier: str
+    given: bool
+    mass: float
+    com: Array
+    inertia: Array
+    points: Array
+    shapes: tuple[Shape, ...]
+
+    @property
+    def box(self) -> tuple[Array, Array]:
+        """Least and greatest coordinates of joints and solids, each of shape (3,) [m]."""
+        every = np.concatenate([self.points, *(shape.corners for shape in self.shapes)])
+        return every.min(axis=0), every.max(axis=0)
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the box around joints and solids [m]."""
+        return float(np.linalg.norm(np.subtract(*self.box)))
+
+    @property
+    def second_moment(self) -> Array:
+        """Second moment per mass about the centre of mass, ½ tr(I)/m 1 − I/m, (3, 3) [m²]."""
+        moment = 0.5 * np.trace(self.inertia) * np.eye(3) - self.inertia
+        return np.asarray(moment / self.mass)
+
+    @property
+    def solid_second_moment(self) -> Array | None:
+        """Second moment per mass of the solids if of one density, (3, 3); None without any."""
+        if not self.shapes:
+            return None
+        volumes = [shape.volume for shape in self.shapes]
+        centres = np.array([(shape.start + shape.end) / 2 for shape in self.shapes])
+        spread = np.average([shape.spread for shape in self.shapes], axis=0, weights=volumes)
+        return np.asarray(spread + np.cov(centres.T, aweights=volumes, ddof=0))
+
+
+def bodies(robot: Robot) -> tuple[Body, ...]:
+    """The links of an arm that its joints move or that stand under it, from the base outward."""
+    root = ET.fromstring(robot.urdf)
+    named = tree(root, robot.source)
+    under = [joint.parent for joint in named.ancestors(robot.links[0])]
+    origins: dict[str, list[Array]] = {}
+    for joint in root.findall("joint"):
+        parent = named.joints[str(joint.get("name"))].parent
+        origins.setdefault(parent, [np.zeros(3)]).append(_origin(joint).translation)
+    found = []
+    for link in root.findall("link"):
+        name = str(link.get("name"))
+        carrier = named.carrier(name, robot.links)
+        if carrier or name in under:
+            points = np.array(origins.get(name, [np.zeros(3)]))
+            kinds = (map(_shape, link.findall(kind)) for kind in ("collision", "visual"))
+            solids = (tuple(filter(None, shapes)) for shapes in kinds)
+            shapes = next(filter(None, solids), ())
+            found.append(Body(name, carrier, *_inertia(link), points, shapes))
+    order = {link: k for k, link in enumerate(robot.links)}
+    return tuple(sorted(found, key=lambda body: order.get(body.carrier, -1)))
+
+
+def _inertia(link: ET.Element) -> tuple[bool, float, Array, Array]:
+    """Whether a link states one, its mass, centre and tensor about it in the link's axes."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        return False, 0.0, np.zeros(3), np.zeros((3, 3))
+    place, mass = _origin(inertial), float(_attribute(inertial, "mass", "value", "0"))
+    tensor = [
+        [float(_attribute(inertial, "inertia", f"i{min(a, b)}{max(a, b)}", "0")) for b in "xyz"]
+        for a in "xyz"
+    ]
+    return True, mass, place.translation, place.rotation @ tensor @ place.rotation.T
+
+
+def _attribute(element: ET.Element, child: str, key: str, default: str) -> str:
+    found = element.find(child)
+    return default if found is None else found.get(key) or default
+
+
+def _origin(element: ET.Element) -> pin.SE3:
+    """Placement that an element's ``<origin xyz rpy>`` states; none is the identity."""
+    xyz, rpy = (_floats(_attribute(element, "origin", key, "0 0 0")) for key in ("xyz", "rpy"))
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
+
+
+def _floats(text: str) -> Array:
+    return np.array(text.split(), float)
+
+
+def _shape(element: ET.Element) -> Shape | None:
+    """The solid of a collision or visual element; None for meshes and what has no volume."""
+    solid = element.find("geometry/*")
+    if solid is None:
+        return None
+    r, length = float(solid.get("radius", "0")), float(solid.get("length", "0"))
+    box = _floats(solid.get("size", "0 0 0")) / 2
+    variance = np.array([r * r / 4, r * r / 4, length**2 / 12])
+    bar = np.array([r, r, length / 2]), np.pi * r * r * length, variance, length, r
+    known = {  # half the extents, volume, variances, length of the axis, radius
+        "sphere": (np.full(3, r), 4.19 * r**3, np.full(3, r * r / 5), 0.0, r),
+        "cylinder": bar,
+        "capsule": (bar[0] + [0, 0, r], *bar[1:]),
+        "box": (box, 8 * box.prod(), box**2 / 3, 2 * box[2], float(box[:2].mean())),
+    }
+    half, volume, variance, axis, radius = known.get(solid.tag, (box, 0.0, box, 0.0, 0.0))
+    if volume <= 0:
+        return None
+    place = _origin(element)
+    R, c = place.rotation, place.translation
+    corners = c + (np.array(list(product((-1, 1), repeat=3))) * half) @ R.T
+    tip = R[:, 2] * axis / 2
+    return Shape(c - tip, c + tip, radius, corners, float(volume), (R * variance) @ R.T)
+
+
+def zero_pose(robot: Robot) -> Array:
+    """Zero, or the end of a joint's range that is nearest to it, shape (nv,) [rad or m]."""
+    return np.clip(np.zeros(robot.nv), *robot.limits.position.T)
+
+
+def bent_pose(robot: Robot) -> Array:
+    """A pose that keeps the joints apart in a picture, always the same, shape (nv,) [rad or m]."""
+    low, high = np.clip(robot.limits.position, -_BEND, _BEND).T
+    low, high = np.minimum(low, robot.limits.position[:, 1]), np.maximum(low, high)
+    poses = np.random.default_rng(0).uniform(low, high, (_DRAWN, robot.nv))
+    poses[:, 0] = np.clip(0.3, *robot.limits.position[0])
+    best: Array = max(poses, key=lambda q: _clarity(_points(robot, q)))
+    return best
+
+
+def _clarity(points: Array) -> float:
+    """Least distance of joints that are not neighbours, relative to the arm, less what is low."""
+    gaps = np.linalg.norm(points[:, None] - points[None], axis=2)[np.triu_indices(len(points), 2)]
+    size = max(float(gaps.max(initial=0.0)), 1e-9)
+    meant = gaps[gaps > 1e-3 * size]  # joints that meet in a point do so in every pose
+    below = float(min(points[:, 2].min(), 0.0))
+    return (float(meant.min(initial=size)) + _BELOW * below) / size
+
+
+def _points(robot: Robot, q: Array) -> Array:
+    model, data = robot.model, robot.model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    places = [pin.SE3.Identity(), *list(data.oMi)[1:], data.oMf[robot.tip]]
+    return np.array([place.translation for place in places])
+
+
+def sketch(robot: Robot, q: Array) -> dict[str, Array]:
+    """An arm in a pose, shape (nv,) [rad or m], in the base frame.
+
+    Returns:
+        ``pose``; ``points``, base, joints and tool, shape (nv + 2, 3) [m]; ``axes``, directions of
+        the joints, shape (nv, 3); ``solids``, number of the joint that carries each (0 for the
+        base), both ends of its axis and its radius, shape (k, 8) [m].
+    """
+    model, data = robot.model, robot.model.createData()
+    axes = robot.axes(q, data)
+    pin.updateFramePlacements(model, data)
+    solids = []
+    for body in bodies(robot):
+        frame = data.oMf[model.getFrameId(body.link, pin.FrameType.BODY)]
+        joint = robot.links.index(body.carrier) + 1 if body.carrier else 0
+        for shape in body.shapes:
+            solids.append([joint, *frame.act(shape.start), *frame.act(shape.end), shape.radius])
+    return {
+        "pose": np.asarray(q, float),
+        "points": _points(robot, q),
+        "axes": axes,
+        "solids": np.reshape(solids, (-1, 8)),
+    }
 
 
 @dataclass(frozen=True)
@@ -131,27 +341,13 @@ class Scene:
         """Bound on the change of each pair's distance by each joint, (pairs, nv) [m/rad].
 
         A joint between both bodies moves no point of the outer one faster than its distance
-        from the joint, at most the stretched arm's.
+        from the joint, at most the stretched arm's; a sliding one moves it as fast as itself.
         """
-        reach = _reaches(self)
-        bounds = np.zeros((len(self.pairs), self.robot.nv))
-        for k, ends in enumerate(self.geometry.collisionPairs):
-            for i in (ends.first, ends.second):
-                body = self.geometry.geometryObjects[i]
-                for j in _supports(self.robot.model, body.parentJoint):
-                    bounds[k, j - 1] = max(bounds[k, j - 1], reach[i, j - 1])
-            common = set(_supports(self.robot.model, self._joint(ends.first)))
-            common &= set(_supports(self.robot.model, self._joint(ends.second)))
-            bounds[k, [j - 1 for j in common]] = 0.0
-        return np.where(self.robot.revolute, bounds, np.minimum(bounds, 1.0) * (bounds > 0))
-
-    def _joint(self, body: int) -> int:
-        return int(self.geometry.geometryObjects[body].parentJoint)
-
-
-def _supports(model: Any, joint: int) -> list[int]:
-    """The joints that carry a joint's body, itself included, without the universe."""
-    return [int(j) for j in list(model.supports[joint]) if j > 0]
+        ends = [(pair.first, pair.second) for pair in self.geometry.collisionPairs]
+        one, other = _reaches(self)[np.array(ends).T]
+        between = np.isfinite(one) != np.isfinite(other)
+        bounds = np.where(self.robot.revolute, np.fmax(one, other), 1.0)
+        return np.where(between, bounds, 0.0)
 
 
 def _velocity(model: Any, data: Any, joint: int, point: Array) -> Array:
@@ -166,9 +362,9 @@ def _velocity(model: Any, data: Any, joint: int, point: Array) -> Array:
 
 
 def _reaches(scene: Scene) -> Array:
-    """Largest distance of each body's points from each supporting joint, (bodies, nv) [m]."""
+    """Largest distance of each body's points from each supporting joint, else NaN, (bodies, nv)."""
     model, objects = scene.robot.model, scene.geometry.geometryObjects
-    reach = np.zeros((len(objects), scene.robot.nv))
+    reach = np.full((len(objects), scene.robot.nv), np.nan)
     slide = np.where(scene.robot.revolute, 0.0, np.abs(scene.robot.limits.position).max(axis=1))
     for i, body in enumerate(objects):
         if body.parentJoint == 0:
@@ -176,7 +372,7 @@ def _reaches(scene: Scene) -> Array:
         body.geometry.computeLocalAABB()
         length = float(np.linalg.norm(body.placement.translation))
         length += float(np.linalg.norm(body.geometry.aabb_center)) + body.geometry.aabb_radius
-        for j in reversed(_supports(model, body.parentJoint)):
+        for j in reversed(list(model.supports[body.parentJoint])[1:]):
             reach[i, j - 1] = length
             length += float(np.linalg.norm(model.jointPlacements[j].translation)) + slide[j - 1]
     return reach
@@ -210,17 +406,12 @@ def scene(robot: Robot, obstacles: Sequence[Obstacle] = ()) -> Scene | None:
         fixed.add(name)
     if boxed:
         geometry.addGeometryObject(_tool_point(robot))
-    everything = _paired(robot, geometry, _pairs(robot, geometry, boxed), obstacles)
-    q, _, _ = robot.random_motion(np.random.default_rng(0), _POSES)
-    distance = everything.distances(q)
+    pairs = _pairs(robot, geometry, boxed)
+    everything = _paired(robot, geometry, pairs, obstacles)
+    distance = everything.distances(robot.random_motion(np.random.default_rng(0), _POSES)[0])
     moving = (distance.max(axis=0) > 0) & (np.ptp(distance, axis=0) > _MOVING)
-    kept = [
-        (pair.first, pair.second)
-        for pair, moves, names in zip(
-            everything.geometry.collisionPairs, moving, everything.pairs, strict=True
-        )
-        if moves or fixed & set(names)
-    ]
+    moving |= np.array([bool(fixed & set(names)) for names in everything.pairs], bool)
+    kept = [pair for pair, moves in zip(pairs, moving, strict=True) if moves]
     return _paired(robot, geometry, kept, obstacles) if kept else None
 
 

@@ -1,130 +1,51 @@
 """What makes torque beyond the rigid-body inertia of the given links, one file per family."""
 
-from excitant.robots.effects.base import (
-    EFFECTS,
-    Effect,
-    JointEffect,
-    JointFacts,
-    JointwiseEffect,
-    PairEffect,
-    Parameter,
-    Shape,
-    effect_values,
-    joint_facts,
-    merged,
-    plain,
-    proposals,
-    registered,
-)
-from excitant.robots.effects.friction import (
-    AsymmetricFriction,
-    CoulombFriction,
-    FrictionCoupling,
-    LoadDependentFriction,
-    NonlinearViscousFriction,
-    StribeckFriction,
-    ViscousFriction,
-)
-from excitant.robots.effects.history import PreslidingHysteresis, ThermalFrictionDrift
-from excitant.robots.effects.inertia import (
-    AddedInertia,
-    InertiaCoupling,
-    InertialParameters,
-    Payload,
-    RotorInertia,
-)
-from excitant.robots.effects.sensing import (
-    EncoderOffset,
-    EncoderScale,
-    GravityDirection,
-    KinematicError,
-    TimeDelay,
-    TorqueGain,
-)
-from excitant.robots.effects.serialisation import effect_entries, effects_from_entries
-from excitant.robots.effects.transmission import (
-    Backlash,
-    JointElasticity,
-    Spring,
-    TorqueOffset,
-    TorqueRipple,
-)
+# registered, and so listed and considered, in this order
+from excitant.robots.effects.friction import AsymmetricFriction as AsymmetricFriction
+from excitant.robots.effects.friction import CoulombFriction as CoulombFriction
+from excitant.robots.effects.friction import FrictionCoupling as FrictionCoupling
+from excitant.robots.effects.friction import LoadDependentFriction as LoadDependentFriction
+from excitant.robots.effects.friction import NonlinearViscousFriction as NonlinearViscousFriction
+from excitant.robots.effects.friction import PreslidingHysteresis as PreslidingHysteresis
+from excitant.robots.effects.friction import StribeckFriction as StribeckFriction
+from excitant.robots.effects.friction import ThermalFrictionDrift as ThermalFrictionDrift
+from excitant.robots.effects.friction import ViscousFriction as ViscousFriction
 
-for _kind in (
-    ViscousFriction,
-    CoulombFriction,
-    AsymmetricFriction,
-    StribeckFriction,
-    NonlinearViscousFriction,
-    LoadDependentFriction,
-    PreslidingHysteresis,
-    FrictionCoupling,
-    ThermalFrictionDrift,
-    TorqueOffset,
-    RotorInertia,
-    InertiaCoupling,
-    TorqueGain,
-    TorqueRipple,
-    Spring,
-    JointElasticity,
-    Backlash,
-    TimeDelay,
-    EncoderOffset,
-    EncoderScale,
-    KinematicError,
-    GravityDirection,
-    Payload,
-    InertialParameters,
-):
-    registered(_kind)
+# isort: split
+from excitant.robots.effects.drive import Backlash as Backlash
+from excitant.robots.effects.drive import InertiaCoupling as InertiaCoupling
+from excitant.robots.effects.drive import JointElasticity as JointElasticity
+from excitant.robots.effects.drive import RotorInertia as RotorInertia
+from excitant.robots.effects.drive import Spring as Spring
+from excitant.robots.effects.drive import TimeDelay as TimeDelay
+from excitant.robots.effects.drive import TorqueGain as TorqueGain
+from excitant.robots.effects.drive import TorqueOffset as TorqueOffset
+from excitant.robots.effects.drive import TorqueRipple as TorqueRipple
 
+# isort: split
+from excitant.robots.effects.geometry import AddedInertia as AddedInertia
+from excitant.robots.effects.geometry import EncoderOffset as EncoderOffset
+from excitant.robots.effects.geometry import EncoderScale as EncoderScale
+from excitant.robots.effects.geometry import GravityDirection as GravityDirection
+from excitant.robots.effects.geometry import InertialParameters as InertialParameters
+from excitant.robots.effects.geometry import KinematicError as KinematicError
+from excitant.robots.effects.geometry import Payload as Payload
 
-def standard_effects(joints: tuple[str, ...]) -> tuple[Effect, ...]:
-    """What `identify` estimates by default: friction, offset and rotor inertia of each joint."""
-    return tuple(kind(joints) for kind in EFFECTS.values() if kind.standard)
-
-
-__all__ = [
-    "EFFECTS",
-    "AddedInertia",
-    "AsymmetricFriction",
-    "Backlash",
-    "CoulombFriction",
-    "Effect",
-    "EncoderOffset",
-    "EncoderScale",
-    "FrictionCoupling",
-    "GravityDirection",
-    "InertiaCoupling",
-    "InertialParameters",
-    "JointEffect",
-    "JointElasticity",
-    "JointFacts",
-    "JointwiseEffect",
-    "KinematicError",
-    "LoadDependentFriction",
-    "NonlinearViscousFriction",
-    "PairEffect",
-    "Parameter",
-    "Payload",
-    "PreslidingHysteresis",
-    "RotorInertia",
-    "Shape",
-    "Spring",
-    "StribeckFriction",
-    "ThermalFrictionDrift",
-    "TimeDelay",
-    "TorqueGain",
-    "TorqueOffset",
-    "TorqueRipple",
-    "ViscousFriction",
-    "effect_entries",
-    "effect_values",
-    "effects_from_entries",
-    "joint_facts",
-    "merged",
-    "plain",
-    "proposals",
-    "registered",
-    "standard_effects",
-]
+# isort: split
+from excitant.robots.effects.base import EFFECTS as EFFECTS
+from excitant.robots.effects.base import Effect as Effect
+from excitant.robots.effects.base import JointEffect as JointEffect
+from excitant.robots.effects.base import JointFacts as JointFacts
+from excitant.robots.effects.base import JointwiseEffect as JointwiseEffect
+from excitant.robots.effects.base import PairEffect as PairEffect
+from excitant.robots.effects.base import Parameter as Parameter
+from excitant.robots.effects.base import Shape as Shape
+from excitant.robots.effects.base import effect_values as effect_values
+from excitant.robots.effects.base import joint_facts as joint_facts
+from excitant.robots.effects.base import merged as merged
+from excitant.robots.effects.base import plain as plain
+from excitant.robots.effects.base import proposals as proposals
+from excitant.robots.effects.base import registered as registered
+from excitant.robots.effects.base import standard_effects as standard_effects
+from excitant.robots.effects.serialisation import effect_entries as effect_entries
+from excitant.robots.effects.serialisation import effects_from_entries as effects_from_entries

@@ -1,9 +1,4 @@
-"""Effect: anything that makes torque beyond the rigid-body inertia of the given links.
-
-An effect answers for itself: its columns and whether they depend on the model, the shapes that it
-may take, how it acts in a simulation, what files of a model hold of it, over what it is drawn, how
-it is said in words, and which experiment tells it from another. Nobody asks which class it is.
-"""
+"""Effect: anything that makes torque beyond the rigid-body inertia of the given links."""
 
 from __future__ import annotations
 
@@ -25,7 +20,6 @@ if TYPE_CHECKING:
 
 _LARGEST = 2.0  # of the typical size of a coefficient that has one
 SIGN_DEVIATIONS = 2.0  # standard deviations by which a value may lie beyond what physics allows
-_PERSONS = ("coulomb", "stribeck")
 _NEAR = (0.3, 2.5)  # of a trial value, for which the columns are right
 _TIMES = (0.25, 0.5, 1.0, 2.0, 4.0)  # a shape that was found, where it may be another
 _STILL = 1e-3  # rad/s: slower joints rest
@@ -38,51 +32,31 @@ Law = Callable[[Array, Array, Array], Sequence[Array]]
 def plain(name: object) -> str:
     """A word of the vocabulary as it stands in a sentence, such as ``Coulomb friction``."""
     words = str(name).replace("_", " ").replace("load dependent", "load-dependent")
-    for person in _PERSONS:
-        words = words.replace(person, person.capitalize())
-    return words
+    return words.replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One coefficient of an effect.
+    """One coefficient of an effect."""
 
-    Attributes:
-        name: Its symbol; after that of the joint, pair or link it belongs to, its full name.
-        unit: Unit where torque is in N·m.
-        lower: Smallest value physics allows.
-        typical: Size that it has when it matters; None where that depends on the arm.
-    """
-
-    name: str
-    unit: str
-    lower: float = -np.inf
-    typical: float | None = None
+    name: str  # its symbol; after that of the joint, pair or link it belongs to, its full name
+    unit: str  # where torque is in N·m
+    lower: float = -np.inf  # smallest value that physics allows
+    typical: float | None = None  # size where it matters; None where that depends on the arm
 
 
 @dataclass(frozen=True, eq=False)
 class JointFacts:
-    """What recordings show of one joint, to choose and scale the shapes of effects by.
+    """What recordings show of one joint, to choose and scale the shapes of effects by."""
 
-    Attributes:
-        speed: Highest speed [rad/s or m/s].
-        reach: Range of positions [rad or m].
-        start: First instant [s].
-        duration: Length of the longest recording [s].
-        q: Positions at the rows of `unexplained`, shape (n,) [rad or m].
-        dq: Velocities there, shape (n,).
-        unexplained: What a model so far leaves of the joint's torque, shape (n,) [N·m].
-        cutoff_hz: Of the filter that this torque has passed [Hz].
-    """
-
-    speed: float = np.inf
-    reach: float = np.inf
-    start: float = 0.0
-    duration: float = np.inf
-    q: Array = field(default_factory=lambda: np.zeros(0))
-    dq: Array = field(default_factory=lambda: np.zeros(0))
-    unexplained: Array = field(default_factory=lambda: np.zeros(0))
-    cutoff_hz: float = np.inf
+    speed: float = np.inf  # highest [rad/s or m/s]
+    reach: float = np.inf  # range of positions [rad or m]
+    start: float = 0.0  # first instant [s]
+    duration: float = np.inf  # of all recordings, from first to last instant [s]
+    q: Array = field(default_factory=lambda: np.zeros(0))  # at the rows of `unexplained`, (n,)
+    dq: Array = field(default_factory=lambda: np.zeros(0))  # there, (n,)
+    unexplained: Array = field(default_factory=lambda: np.zeros(0))  # torque left, (n,) [N·m]
+    cutoff_hz: float = np.inf  # of the filter that this torque has passed [Hz]
 
     @property
     def moves(self) -> bool:
@@ -96,7 +70,7 @@ def joint_facts(
     unexplained: Array | None = None,
     cutoff_hz: float = np.inf,
 ) -> tuple[JointFacts, ...]:
-    """What recordings show of each joint; the rest where a model leaves torque at some rows."""
+    """What recordings show of each joint; with the torque that a model leaves at some rows."""
 
     def joined(parts: Sequence[Motion]) -> tuple[Array, Array]:
         return np.concatenate([m.q for m in parts]), np.concatenate([m.dq for m in parts])
@@ -117,23 +91,14 @@ def joint_facts(
 
 @dataclass(frozen=True)
 class Shape:
-    """A number that torque of an effect is not linear in; its field is named so.
-
-    Attributes:
-        name: The field.
-        unit: Its unit.
-        positive: Whether it must be; then a fit may refine it.
-        trial: Whether it is the coefficient that the columns, not linear in it, are computed for.
-        grid: Values to consider, by what recordings show of the joint.
-        most: Largest that counts, likewise: beyond it the effect becomes another. Without it,
-            values that may be instead of one found are those of the grid.
-    """
+    """A number that torque of an effect is not linear in; its field is named so."""
 
     name: str
     unit: str
-    positive: bool = True
-    trial: bool = False
-    grid: Callable[[JointFacts], Iterable[float]] | None = None
+    positive: bool = True  # whether it must be; then a fit may refine it
+    trial: bool = False  # the coefficient that columns, not linear in it, are computed for
+    grid: Callable[[JointFacts], Iterable[float]] | None = None  # values to consider
+    # largest that counts, beyond it the effect is another; without it, the grid has what may be
     most: Callable[[JointFacts], float] | None = None
 
 
@@ -155,15 +120,12 @@ class Effect(ABC):
         joints: The joints it acts on.
         values: One value per parameter; None while unknown.
 
-    Class variables say the rest, ``family`` the part of the arm that it belongs to: friction,
-    body, static, transmission, geometry or reading.
-
     Raises:
         BadInput: It acts on another number of joints, or a field of its shape cannot be.
     """
 
     name: ClassVar[str]
-    family: ClassVar[str] = ""
+    family: ClassVar[str] = ""  # friction, body, static, transmission, geometry or reading
     arity: ClassVar[int] = 0  # how many joints it acts on; 0: as many as it is given
     jointwise: ClassVar[bool] = False  # each joint has coefficients that act on it only
     terms: ClassVar[tuple[Parameter, ...]] = ()  # its coefficients, once or on each joint
@@ -189,11 +151,11 @@ class Effect(ABC):
     values: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
-        if self.arity and len(self.joints) != self.arity:
+        count = len(self.joints)
+        if self.arity and count != self.arity:
             wanted = "one joint" if self.arity == 1 else f"{self.arity} joints"
-            count = len(self.joints)
             raise BadInput(f"effect {self.name} acts on {wanted}, not on {count}; name it or them")
-        if len(set(self.joints)) < len(self.joints):
+        if len(set(self.joints)) < count:
             raise BadInput(f"effect {self.name} names a joint twice: {', '.join(self.joints)}")
         for shape in self.shapes:
             if shape.positive and not getattr(self, shape.name) > 0:
@@ -281,15 +243,10 @@ class Effect(ABC):
         return [usual]
 
     @classmethod
-    def searched(cls, facts: JointFacts) -> int:
-        """Number of shapes that each of its candidates is the best of."""
-        return 1
-
-    @classmethod
     def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
         """All of it to consider on an arm, with the number of shapes each is the best of."""
         return [
-            (effect, cls.searched(seen))
+            (effect, 1)
             for joint, seen in zip(robot.joints, facts, strict=True)
             if seen.moves or not cls.needs_motion
             for effect in cls.candidates(joint, seen)
@@ -348,13 +305,7 @@ class Effect(ABC):
         return bool((np.abs(values) < most).all())
 
     def plausible(self, robot: Robot, values: Array, std: Array) -> bool:
-        """Whether coefficients, with those the robot has, are such as physics allows.
-
-        Args:
-            robot: The given robot.
-            values: What is added to its coefficients, shape (k,).
-            std: Standard deviations, shape (k,).
-        """
+        """Whether values (k,), added to those that the robot has, are such as physics allows."""
         known, parameters = effect_values(robot), self.parameters(robot)
         lower = np.array([p.lower - known.get(p.name, 0.0) for p in parameters])
         return within(values, lower, std) and self.credible(robot, values)
@@ -377,7 +328,7 @@ class Effect(ABC):
         return f"{plain(self.name)} at {where}"
 
     def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
-        """What a diagnosis says of the effect that it found, with these values.
+        """What a diagnosis of the given robot says of the effect that it found.
 
         Args:
             robot: The given robot.
@@ -418,17 +369,13 @@ class JointwiseEffect(Effect):
         """Torque per unit of each term for joint j, each of shape (n,)."""
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
-        """Each joint's terms in that joint's row."""
         columns = np.zeros((len(motion), robot.nv, len(self.parameters(robot))))
-        column = 0
-        for j in self.rows(robot):
-            for values in self.at(robot, motion, j):
-                columns[:, j, column] = values
-                column += 1
+        per_joint = [(j, values) for j in self.rows(robot) for values in self.at(robot, motion, j)]
+        for column, (j, values) in enumerate(per_joint):
+            columns[:, j, column] = values
         return columns
 
     def torque(self, robot: Robot, motion: Motion) -> Array:
-        """Each joint's terms summed; the columns, of which most are zero, are not built."""
         tau, values = np.zeros((len(motion), robot.nv)), iter(self._known())
         for j in self.rows(robot):
             for column in self.at(robot, motion, j):
@@ -447,11 +394,9 @@ class JointEffect(JointwiseEffect):
 
     @property
     def law(self) -> Law:
-        """The same as a value."""
         return self.of_state
 
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
-        """Of the joint's state at every instant."""
         return self.of_state(motion.q[:, j], motion.dq[:, j], motion.ddq[:, j])
 
 
@@ -471,12 +416,11 @@ class PairEffect(Effect):
 
     @classmethod
     def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
-        """Of each joint with the next."""
         return [(effect, 1) for pair in pairwise(robot.joints) for effect in cls.between(pair)]
 
     @classmethod
     def between(cls, pair: tuple[str, str]) -> Sequence[Self]:
-        """Shapes of the effect to consider; the usual one."""
+        """Shapes of the effect to consider between a joint and the next; the usual one."""
         return (cls(pair),)
 
 
@@ -489,6 +433,11 @@ def registered(kind: type[Kind]) -> type[Kind]:
     """Make a class of effects known by its name to files, commands and diagnoses."""
     EFFECTS[kind.name] = kind
     return kind
+
+
+def standard_effects(joints: tuple[str, ...]) -> tuple[Effect, ...]:
+    """What `identify` estimates by default: friction, offset and rotor inertia of each joint."""
+    return tuple(kind(joints) for kind in EFFECTS.values() if kind.standard)
 
 
 def proposals(

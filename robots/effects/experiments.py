@@ -1,8 +1,4 @@
-"""Actions that tell two effects apart where no motion of the arm as it stands does.
-
-The classes of effects say which one tells them from whom (`Effect.told`); here is what to do where
-two say nothing of each other, by the parts of the arm that they belong to.
-"""
+"""Actions that tell two effects apart where no motion of the arm as it stands does."""
 
 from __future__ import annotations
 
@@ -29,10 +25,16 @@ CLOCK = "record a sharp torque step with one clock for torque and encoder"
 LEVER = "hang a known mass at a known lever on the joint"
 SAME = "hold one of the joints in question and move the others, then the other way round"
 GENERAL = "repeat with a motion that moves this joint faster, slower and in other postures"
+BACKWARDS = "repeat the motion backwards in time: friction turns its sign"
+POSTURE = "repeat the motion in another posture"
+TILTED = "tilt the base: gravity's part turns"
+FOLDED = (
+    "move the joint with the outer joints folded and stretched; for a first joint, and those "
+    "parallel to it, only the data sheet tells"
+)
 _WEIGH = "weigh the link, or hang a known mass on it and repeat"
-_BACKWARDS = "repeat the motion backwards in time: friction turns its sign"
 
-BETWEEN = {
+BETWEEN = {  # families of two effects that say nothing of each other in `Effect.told`
     frozenset(pair): action
     for pair, action in {
         ("friction",): f"{LADDER}, then {WARM}",
@@ -41,10 +43,10 @@ BETWEEN = {
         ("transmission",): LOCKED,
         ("geometry",): KINEMATICS,
         ("reading",): f"{CLOCK}; {LOADS}",
-        ("friction", "body"): f"{_BACKWARDS}, inertia and gravity do not",
+        ("friction", "body"): f"{BACKWARDS}, inertia and gravity do not",
         ("friction", "static"): AT_REST,
         ("friction", "transmission"): LOCKED,
-        ("friction", "geometry"): f"{_BACKWARDS}, an error of position does not",
+        ("friction", "geometry"): f"{BACKWARDS}, an error of position does not",
         ("friction", "reading"): SPEEDS,
         ("body", "static"): SPEEDS,
         ("body", "transmission"): LOCKED,

@@ -1,4 +1,4 @@
-"""Friction at the joints, and of shafts that turn with two of them."""
+"""Friction at the joints, of shafts that turn with two of them, and with a memory."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from excitant.robots.effects.base import (
     Shape,
     StandardEffect,
     effect_values,
+    registered,
     within,
 )
 from excitant.robots.motion import Array, Motion
@@ -25,8 +26,11 @@ from excitant.robots.regressor import rigid_torque
 from excitant.robots.robot import Robot
 
 _SLOW = 0.4  # of a joint's highest speed: a Stribeck velocity beyond it is Coulomb friction
+_SHORT = 0.1  # of a joint's range: friction that builds up over more is a spring
+_REACH = 8.0  # break-away distances from a reversal that show hysteresis
 
 
+@registered
 @dataclass(frozen=True)
 class ViscousFriction(StandardEffect):
     """τ = F_v q̇."""
@@ -38,10 +42,8 @@ class ViscousFriction(StandardEffect):
     joint_property = "viscous"
     formats = ("urdf", "mjcf", "sdf")
     told = (
-        (
-            by.LADDER,
-            "coulomb_friction stribeck_friction nonlinear_viscous_friction asymmetric_friction",
-        ),
+        (by.LADDER, "coulomb_friction stribeck_friction"),
+        (by.LADDER, "nonlinear_viscous_friction asymmetric_friction"),
         (by.WARM, "thermal_friction_drift"),
         (by.CURRENT, "torque_gain"),
         (by.LOADS, "load_dependent_friction"),
@@ -50,10 +52,10 @@ class ViscousFriction(StandardEffect):
     )
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
-        """Velocity."""
         return (dq,)
 
 
+@registered
 @dataclass(frozen=True)
 class CoulombFriction(StandardEffect):
     """τ = F_c sign(q̇)."""
@@ -78,45 +80,10 @@ class CoulombFriction(StandardEffect):
     )
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
-        """Sign of the velocity."""
         return (np.sign(dq),)
 
 
-@dataclass(frozen=True)
-class StribeckFriction(JointEffect):
-    """τ = F_s exp(−|q̇ / v_s|²) sign(q̇), on top of Coulomb friction (Armstrong-Hélouvry 1991).
-
-    Attributes:
-        velocity: Stribeck velocity v_s [rad/s].
-    """
-
-    name = "stribeck_friction"
-    family = "friction"
-    terms = (Parameter("Fs", "N·m", 0.0),)
-    shapes = (
-        Shape(
-            "velocity",
-            "rad/s",
-            grid=lambda facts: facts.speed * np.geomspace(0.01, _SLOW, 8),
-            most=lambda facts: _SLOW * facts.speed,
-        ),
-    )
-    abscissa = "velocity"
-    told = (
-        (by.LADDER, "nonlinear_viscous_friction"),
-        (by.REVERSALS, "presliding_hysteresis backlash"),
-        (f"{by.LADDER}, at two payloads", "load_dependent_friction"),
-        (by.HOLD_OTHER, "friction_coupling"),
-        (by.WARM, "thermal_friction_drift"),
-    )
-
-    velocity: float = 0.1
-
-    def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
-        """Bell around zero velocity with the velocity's sign."""
-        return (np.sign(dq) * np.exp(-((dq / self.velocity) ** 2)),)
-
-
+@registered
 @dataclass(frozen=True)
 class AsymmetricFriction(JointEffect):
     """τ = F_c± sign(q̇) + F_v± q̇: friction that differs with the direction.
@@ -148,26 +115,59 @@ class AsymmetricFriction(JointEffect):
 
     @classmethod
     def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
-        """Coulomb friction alone, or both."""
         return cls((joint,), viscous=False), cls((joint,))
 
     @property
     def own_terms(self) -> tuple[Parameter, ...]:
-        """Coulomb and, where asked for, viscous friction forward and backward."""
         return self.terms[: 2 + 2 * self.viscous]
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
-        """Sign and velocity, forward and backward."""
         ahead, back = np.maximum(dq, 0.0), np.minimum(dq, 0.0)
         return (np.sign(ahead), np.sign(back), ahead, back)[: 2 + 2 * self.viscous]
 
     def plausible(self, robot: Robot, values: Array, std: Array) -> bool:
-        """Whether friction that differs by direction, with what is given, brakes in both."""
+        """Whether friction, with what is given, brakes in both directions."""
         known = effect_values(robot)
         given = [known.get(f"{self.joints[0]}.{symbol}", 0.0) for symbol in ("Fc", "Fv")]
         return within(values + np.repeat(given, 2)[: len(values)], 0.0, std)
 
 
+@registered
+@dataclass(frozen=True)
+class StribeckFriction(JointEffect):
+    """τ = F_s exp(−|q̇ / v_s|²) sign(q̇), on top of Coulomb friction (Armstrong-Hélouvry 1991).
+
+    Attributes:
+        velocity: Stribeck velocity v_s [rad/s].
+    """
+
+    name = "stribeck_friction"
+    family = "friction"
+    terms = (Parameter("Fs", "N·m", 0.0),)
+    shapes = (
+        Shape(
+            "velocity",
+            "rad/s",
+            grid=lambda facts: facts.speed * np.geomspace(0.01, _SLOW, 8),
+            most=lambda facts: _SLOW * facts.speed,
+        ),
+    )
+    abscissa = "velocity"
+    told = (
+        (by.LADDER, "nonlinear_viscous_friction"),
+        (by.REVERSALS, "presliding_hysteresis backlash"),
+        (f"{by.LADDER}, at two payloads", "load_dependent_friction"),
+        (by.HOLD_OTHER, "friction_coupling"),
+        (by.WARM, "thermal_friction_drift"),
+    )
+
+    velocity: float = 0.1
+
+    def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
+        return (np.sign(dq) * np.exp(-((dq / self.velocity) ** 2)),)
+
+
+@registered
 @dataclass(frozen=True)
 class NonlinearViscousFriction(JointEffect):
     """τ = F_n |q̇|^a sign(q̇), on top of viscous friction.
@@ -186,10 +186,10 @@ class NonlinearViscousFriction(JointEffect):
     exponent: float = 2.0
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
-        """Power of the speed with the velocity's sign."""
         return (np.sign(dq) * np.abs(dq) ** self.exponent,)
 
 
+@registered
 @dataclass(frozen=True)
 class LoadDependentFriction(JointwiseEffect):
     """τ = F_l |τ_load| sign(q̇) with the torque of the bodies as load."""
@@ -199,11 +199,7 @@ class LoadDependentFriction(JointwiseEffect):
     terms = (Parameter("Fl", "1", 0.0),)
     abscissa = "load"
     told = (
-        (
-            "repeat the motion backwards in time: friction turns its sign, a gain does "
-            "not; then with a known payload",
-            "torque_gain",
-        ),
+        (f"{by.BACKWARDS}, a gain does not; then with a known payload", "torque_gain"),
         (f"{by.REVERSALS}, at two payloads", "presliding_hysteresis"),
         (by.REVERSALS, "backlash"),
         (f"{by.LADDER}, at two payloads", "nonlinear_viscous_friction"),
@@ -211,10 +207,86 @@ class LoadDependentFriction(JointwiseEffect):
     )
 
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
-        """Load with the velocity's sign."""
         return (np.abs(rigid_torque(robot, motion)[:, j]) * np.sign(motion.dq[:, j]),)
 
 
+@registered
+@dataclass(frozen=True)
+class PreslidingHysteresis(JointwiseEffect):
+    """τ = F_h (z − sign q̇): dry friction that builds up over a distance instead of at once.
+
+    z follows Dahl's law dz/dq = (1 − z sign q̇) / δ (Dahl 1968), so that Coulomb friction F_c
+    with F_h = F_c is F_c z; its motion must come in the order of time.
+
+    Attributes:
+        distance: δ, over which friction builds up [rad].
+    """
+
+    name = "presliding_hysteresis"
+    family = "friction"
+    depends_on_model = False
+    terms = (Parameter("Fh", "N·m", 0.0),)
+    shapes = (
+        Shape(
+            "distance",
+            "rad",
+            grid=lambda facts: facts.reach * np.geomspace(3e-4, _SHORT, 8),
+            most=lambda facts: _SHORT * facts.reach,
+        ),
+    )
+    abscissa = "reversal"
+    told = ((by.REVERSALS, "backlash"),)
+
+    distance: float = 0.01
+
+    def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
+        return (bristles(motion.q[:, j], self.distance) - np.sign(motion.dq[:, j]),)
+
+    def stepper(self, robot: Robot) -> Bristles:
+        force = np.zeros(robot.nv)
+        force[self.rows(robot)] = self._known()
+        return Bristles(self.distance, force, np.zeros(robot.nv), np.full(robot.nv, np.nan))
+
+    def drawn(self, label: str, x: Array) -> tuple[str, Array]:
+        """Near reversals only, where any of it is."""
+        far = np.abs(x) > _REACH * self.distance
+        return label, np.where(far & (far.mean() < 1), np.nan, x)
+
+
+@dataclass(frozen=True, eq=False)
+class Bristles:
+    """Dahl's state of each joint, carried from step to step of a simulation; shapes (nv,)."""
+
+    distance: float  # δ [rad]
+    force: Array  # F_h, zero for joints without it [N·m]
+    z: Array  # after the last step
+    q: Array  # positions then, NaN before the first
+
+    def __call__(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
+        return self.force * (self._state(q) - np.sign(dq))
+
+    def _state(self, q: Array) -> Array:
+        moved = np.where(np.isnan(self.q), 0.0, q - self.q)
+        sign = np.sign(moved)
+        kept = np.exp(-np.abs(moved) / self.distance)
+        return np.where(sign != 0, sign + (self.z - sign) * kept, self.z)
+
+    def advance(self, q: Array) -> None:
+        self.z[:] = self._state(q)
+        self.q[:] = q
+
+
+def bristles(q: Array, distance: float) -> Array:
+    """Dahl's state z along a motion, from z = 0, shape (n,)."""
+    steps = np.diff(q)
+    decay, sign = np.exp(-np.abs(steps) / distance).tolist(), np.sign(steps).tolist()
+    states = [0.0]
+    for keeps, s in zip(decay, sign, strict=True):
+        states.append(s + (states[-1] - s) * keeps if s else states[-1])
+    return np.array(states)
+
+
+@registered
 @dataclass(frozen=True)
 class FrictionCoupling(PairEffect):
     """Friction of a shaft that turns with both joints, at speed w = q̇_i + ρ q̇_k.
@@ -237,14 +309,44 @@ class FrictionCoupling(PairEffect):
 
     @classmethod
     def between(cls, pair: tuple[str, str]) -> Sequence[Self]:
-        """Shafts that turn with the sum or the difference of both."""
         return cls(pair), cls(pair, ratio=-1.0)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
-        """Speed and its sign in both rows."""
         i, k = self.rows(robot)
         speed = motion.dq[:, i] + self.ratio * motion.dq[:, k]
         columns = np.zeros((len(motion), robot.nv, 2))
         for row, lever in ((i, 1.0), (k, self.ratio)):
             columns[:, row, 0], columns[:, row, 1] = lever * speed, lever * np.sign(speed)
         return columns
+
+
+@registered
+@dataclass(frozen=True)
+class ThermalFrictionDrift(JointwiseEffect):
+    """τ = e^{−(t − t_0)/T} (F_v q̇ + F_c sign q̇): what friction loses while the joint warms up.
+
+    Attributes:
+        time: T [s].
+        start: t_0, when the arm was cold [s].
+    """
+
+    name = "thermal_friction_drift"
+    family = "friction"
+    depends_on_model = False
+    shapes = (Shape("time", "s", most=lambda facts: facts.duration),)
+    abscissa = "time"
+    contains = ("viscous_friction", "coulomb_friction")
+    terms = (Parameter("Fv_cold", "N·m·s/rad"), Parameter("Fc_cold", "N·m"))
+
+    time: float = 60.0
+    start: float = 0.0
+
+    @classmethod
+    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
+        """Time constants up to the recording's length; longer ones look like a ramp."""
+        times = facts.duration * np.array([0.15, 0.4, 1.0])
+        return [cls((joint,), time=float(time), start=facts.start) for time in times]
+
+    def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
+        fading = np.exp(-np.maximum(motion.t - self.start, 0.0) / self.time)
+        return fading * motion.dq[:, j], fading * np.sign(motion.dq[:, j])

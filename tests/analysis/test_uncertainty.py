@@ -24,7 +24,8 @@ from excitant.analysis.uncertainty import (
 )
 from excitant.design import random_trajectory
 from excitant.identify import Recording, identify_robot, recording_from_table
-from excitant.identify.physical import EffectPrior, fit_physical, prior_parameters
+from excitant.identify.physical import fit_physical
+from excitant.identify.prior import EffectPrior, prior_parameters
 from excitant.identify.rows import fit_rows
 from excitant.robots import Motion, Robot, load_robot
 from excitant.robots.base_parameters import BaseParameters, base_parameters

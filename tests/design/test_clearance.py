@@ -76,10 +76,14 @@ def test_gradient_of_an_arm_of_one_joint(tmp_path: Path) -> None:
 
 
 def test_speeds_bound_every_gradient(cell: Scene) -> None:
-    bound = cell.speeds()
-    for q in np.random.default_rng(4).uniform(-3, 3, (15, 6)):
-        for pair in range(len(cell.pairs)):
-            assert (np.abs(cell.gradient(q, pair)[1]) <= bound[pair] + 1e-9).all()
+    """Of turning joints, and of a slide, which moves a body as fast as itself."""
+    sliding = scene(load_robot("scara"))
+    assert sliding is not None
+    for found in (cell, sliding):
+        bound = found.speeds()
+        for q in found.robot.random_motion(np.random.default_rng(4), 15)[0]:
+            for pair in range(len(found.pairs)):
+                assert (np.abs(found.gradient(q, pair)[1]) <= bound[pair] + 1e-9).all()
 
 
 def test_design_keeps_the_clearance() -> None:

@@ -5,9 +5,9 @@ import pinocchio as pin
 import pytest
 
 from excitant.design import build_design, check, condition_number, information, random_trajectory
-from excitant.design.criterion import objective, smooth_model
+from excitant.design.criterion import information_derivative, objective, smooth_model
 from excitant.design.peaks import torque_derivatives, torque_peaks, torque_rows
-from excitant.design.problem import DesignProblem, motion_of
+from excitant.design.problem import DesignProblem
 from excitant.design.step import local_model
 from excitant.exceptions import UnknownName
 from excitant.robots import Motion, Robot, load_robot, torque
@@ -54,9 +54,9 @@ def test_what_rounded_angles_show_is_not_counted() -> None:
 def test_derivative_of_information(columns: str, name: str, request: pytest.FixtureRequest) -> None:
     robot = request.getfixturevalue({"planar_2r": "planar", "ur10": "ur10"}[name])
     problem, z = problem_and_point(robot, columns, "condition")
-    linear = problem.information.linearise(motion_of(z, problem.samples, problem.sample_bases))
+    linear = problem.information.linearise(problem.sampled(z))
     r = len(problem.information.base)
-    dM = linear.derivative(problem.sample_bases, np.eye(r))
+    dM = information_derivative(linear, problem.sample_bases, np.eye(r))
     direction = np.random.default_rng(0).normal(size=z.shape)
     h = 1e-6
     ahead, behind = (problem.information_matrix(z + s * h * direction) for s in (1, -1))
@@ -64,7 +64,7 @@ def test_derivative_of_information(columns: str, name: str, request: pytest.Fixt
     found = np.tensordot(direction.ravel(), dM, 1)
     assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
     U = np.linalg.qr(np.random.default_rng(1).normal(size=(r, min(3, r))))[0]
-    early = linear.derivative(problem.sample_bases, U)
+    early = information_derivative(linear, problem.sample_bases, U)
     assert np.allclose(early, U.T @ dM @ U, rtol=0, atol=1e-12 * np.abs(dM).max() * r)
 
 

@@ -19,7 +19,8 @@ from excitant.identify import (
     identify_drive_gains,
     identify_robot,
 )
-from excitant.identify.drive_gains import CurrentRows, DriveGains, payload_gains
+from excitant.identify.drive_gains import DriveGains, payload_gains
+from excitant.identify.regression import Regression, dense
 from excitant.robots import Array, Motion, Robot, base_parameters, load_robot
 from excitant.robots.effects import standard_effects
 from excitant.robots.torque import observation_columns
@@ -55,14 +56,17 @@ class Bench:
         viscous, coulomb, rotor = self.friction
         return np.array(rigid) + viscous * m.dq + coulomb * np.sign(m.dq) + rotor * m.ddq
 
-    def rows(self, model: pin.Model, seed: int, share: float = 0.02) -> CurrentRows:
+    def rows(self, model: pin.Model, seed: int, share: float = 0.02) -> Regression:
         rng = np.random.default_rng([3, seed])
         m = self.motion_of(self.robot, np.arange(0, 20, 0.05), seed)
         tau = self.torque(model, m)
         noise = share * self.torque(self.bare, m).std(axis=0) * rng.standard_normal(tau.shape)
-        W, last = observation_columns(self.robot, self.effects, m), 10 * (self.robot.nv - 1)
-        columns = W[:, :, list(self.base.columns)], W[:, :, last : last + 10]
-        return CurrentRows(*columns, (tau + noise) / self.gains)
+        W = observation_columns(self.robot, self.effects, m)[:, :, self.base.columns]
+        return dense(W, (tau + noise) / self.gains, self.base.expressions)
+
+    def found(self, free: Regression, held: Regression, payload: KnownPayload) -> DriveGains:
+        body = self.base.regrouping[:, 10 * (self.robot.nv - 1) : 10 * self.robot.nv]
+        return payload_gains(free, held, payload, body)
 
     def recording(self, name: str, model: pin.Model, seed: int) -> Recording:
         rng = np.random.default_rng([4, seed])
@@ -89,7 +93,7 @@ def test_without_noise_the_gains_are_exact(ur10_bench: Bench) -> None:
     b = ur10_bench
     free, held = b.rows(b.bare, 0, 1e-9), b.rows(b.loaded, 1, 1e-9)
     for payload in PAYLOADS:
-        found = payload_gains(free, held, payload)
+        found = b.found(free, held, payload)
         np.testing.assert_allclose(found.gains, b.gains, rtol=1e-5)
         assert all(found.shown)
 
@@ -101,7 +105,7 @@ def test_gains_are_within_three_deviations_that_are_calibrated(
     b, errors = planar_bench, []
     for draw in range(30):
         free, held = b.rows(b.bare, 2 * draw), b.rows(b.loaded, 2 * draw + 1)
-        found = payload_gains(free, held, payload)
+        found = b.found(free, held, payload)
         errors.append((found.gains - b.gains) / found.std)
         assert (found.std < 0.02 * b.gains).all()
     assert np.abs(errors).max() < 3.5
@@ -112,11 +116,11 @@ def test_gains_are_within_three_deviations_that_are_calibrated(
 def test_the_payloads_own_uncertainty_counts(planar_bench: Bench) -> None:
     b = planar_bench
     free, held = b.rows(b.bare, 6, 1e-4), b.rows(b.loaded, 7, 1e-4)
-    weighed = payload_gains(free, held, KnownPayload(MASS, mass_std=0.02 * MASS))
+    weighed = b.found(free, held, KnownPayload(MASS, mass_std=0.02 * MASS))
     np.testing.assert_allclose(weighed.std / weighed.gains, 0.02, rtol=0.02)
     assert weighed.scale_std == pytest.approx(0.02, rel=0.02)
     # a payload twice as heavy as it was said to be makes gains half as large
-    wrong = payload_gains(free, held, KnownPayload(MASS / 2))
+    wrong = b.found(free, held, KnownPayload(MASS / 2))
     np.testing.assert_allclose(wrong.gains, b.gains / 2, rtol=1e-3)
 
 
@@ -124,7 +128,7 @@ def test_a_gain_that_does_not_show_is_said_to_be_another_s(ur10_bench: Bench) ->
     """A payload on the last axis leaves the last joint with what its friction could make."""
     b = ur10_bench
     held = b.rows(b.with_payload(MASS, (0.0, 0.0, 0.1)), 9)
-    found = payload_gains(b.rows(b.bare, 8), held, KnownPayload(MASS))
+    found = b.found(b.rows(b.bare, 8), held, KnownPayload(MASS))
     assert found.shown == (True,) * 5 + (False,)
     assert (np.abs(found.gains - b.gains)[:5] < 3.5 * found.std[:5]).all()
     assert found.std[5] == pytest.approx(0.5 * found.gains[5], rel=0.01)
@@ -136,9 +140,9 @@ def test_a_payload_too_small_to_show_is_refused(planar_bench: Bench) -> None:
     small = 1e-4
     held = b.rows(b.with_payload(small), 11, 0.05)
     with pytest.raises(BadInput, match=r"hardly show.*use a heavier payload"):
-        payload_gains(b.rows(b.bare, 10, 0.05), held, KnownPayload(small))
+        b.found(b.rows(b.bare, 10, 0.05), held, KnownPayload(small))
     with pytest.raises(BadInput, match="hardly show"):  # nothing is carried at all
-        payload_gains(b.rows(b.bare, 10), b.rows(b.bare, 11), KnownPayload(MASS, centre=CENTRE))
+        b.found(b.rows(b.bare, 10), b.rows(b.bare, 11), KnownPayload(MASS, centre=CENTRE))
 
 
 @pytest.mark.parametrize(

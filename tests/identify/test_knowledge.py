@@ -23,12 +23,8 @@ from excitant.identify.knowledge import (
     Quantity,
     load_knowledge,
 )
-from excitant.identify.physical import (
-    EffectPrior,
-    PhysicalFit,
-    fit_physical,
-    prior_parameters,
-)
+from excitant.identify.physical import PhysicalFit, fit_physical
+from excitant.identify.prior import EffectPrior, prior_parameters
 from excitant.robots import Array, Motion, Robot, load_robot
 from excitant.robots.effects import standard_effects
 from excitant.robots.parameters import pseudo_inertia

@@ -21,9 +21,9 @@ from excitant.identify import (
     identify_online,
     persistency,
 )
-from excitant.identify.base_prior import base_prior
 from excitant.identify.information import InformationFilter, combined, gaussian, information_of
 from excitant.identify.online import replayable
+from excitant.identify.prior import base_prior
 from excitant.robots import Motion, Robot, base_parameters, torque
 from excitant.robots.effects import (
     JointEffect,
@@ -219,7 +219,7 @@ def test_rows_in_any_grouping_make_one_triangle() -> None:
     P = whole.covariance()
     again = gaussian(whole.solve(), P)
     np.testing.assert_allclose(again.solve(), whole.solve(), rtol=1e-10)
-    np.testing.assert_allclose(again.matrix(), whole.matrix(), rtol=1e-9)
+    np.testing.assert_allclose(again.R.T @ again.R, whole.R.T @ whole.R, rtol=1e-9)
 
 
 class Remembering(ViscousFriction):
@@ -335,7 +335,7 @@ def test_irregular_time_gives_what_regular_time_gives(planar: Robot, motion_of: 
     for t in (T, T + rng.uniform(-0.3, 0.3, len(T)) / RATE):
         motion = motion_of(planar, t)
         recording = Recording("r", "r.csv", t, motion.q, torque(planar, motion))
-        online, samples, _ = replayable(planar, recording, effects, base, gains=np.ones(2))
+        online, samples, _ = replayable(planar, [recording], effects, base, gains=np.ones(2))
         online.extend(*samples)
         betas.append(online.estimate().beta)
     motion = motion_of(planar, T)

@@ -16,9 +16,9 @@ from excitant.identify import (
     identify_payload,
     recording_from_table,
 )
-from excitant.identify.base_prior import base_prior
 from excitant.identify.information import gaussian, information_of
 from excitant.identify.payload import estimate_payload, payload_information
+from excitant.identify.prior import base_prior
 from excitant.robots import Array, Motion, Robot, base_parameters, load_robot, torque
 from excitant.robots.effects import Payload, standard_effects
 from excitant.robots.parameters import STANDARD, violations

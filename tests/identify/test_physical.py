@@ -10,14 +10,8 @@ import scipy.linalg
 
 from excitant.exceptions import BadRobot, Infeasible
 from excitant.identify.knowledge import PRIORS, Knowledge
-from excitant.identify.physical import (
-    EffectPrior,
-    PhysicalFit,
-    fit_physical,
-    link_coordinates,
-    link_weights,
-    prior_parameters,
-)
+from excitant.identify.physical import PhysicalFit, fit_physical
+from excitant.identify.prior import EffectPrior, link_coordinates, link_weights, prior_parameters
 from excitant.robots import Array, Motion, Robot, base_parameters, load_robot
 from excitant.robots.base_parameters import categories
 from excitant.robots.effects import standard_effects

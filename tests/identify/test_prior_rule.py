@@ -10,8 +10,8 @@ import pytest
 from excitant.analysis import identifiability
 from excitant.identify import Recording, identify_robot
 from excitant.identify.knowledge import Knowledge, LinkKnowledge, Quantity
-from excitant.identify.physical import EffectPrior, fit_physical, prior_parameters
-from excitant.identify.prior_rule import follows, linear_influence
+from excitant.identify.physical import fit_physical
+from excitant.identify.prior import EffectPrior, follows, linear_influence, prior_parameters
 from excitant.robots import Robot, load_robot
 from excitant.robots.virtual_arm import industrial_sensors
 

@@ -11,19 +11,25 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from khosla import torque_matrix
 from seed import dd_arm_chain
 
 from excitant.cli import main
 from excitant.design import random_trajectory
 from excitant.identify import Recording, identify_link_by_link, identify_robot, load_dataset
-from excitant.identify.base_prior import BasePrior, base_prior
-from excitant.identify.cascade import Cascade, beginning, further
+from excitant.identify.prior import BasePrior, base_prior
 from excitant.identify.rows import split
-from excitant.identify.sequential import LinkByLink, link_rows, run_stages
+from excitant.identify.sequential import (
+    Cascade,
+    LinkByLink,
+    beginning,
+    further,
+    link_rows,
+    run_stages,
+)
 from excitant.robots import Motion, Robot, base_parameters, load_robot
 from excitant.robots.base_parameters import last_rows
 from excitant.robots.effects import CoulombFriction, standard_effects
-from excitant.robots.newton_euler import torque_matrix
 from excitant.robots.regressor import regressor
 from excitant.robots.torque import observation_columns
 
@@ -167,7 +173,7 @@ def calibration(robot: Robot, seeds: range, white: bool) -> Array:
         truth = truth_near(robot, rng)
         runs = [recorded(robot, truth, rng, white=white, name=f"run{k}") for k in range(2)]
         data = split(runs, runs[:1])  # nothing is judged here
-        known, stages = run_stages(robot, link_rows(robot, standard_effects(robot.joints), data))
+        known, stages = run_stages(link_rows(robot, standard_effects(robot.joints), data))
         errors.append(errors_of(known, truth.beta(robot)))
         assert len(errors[-1]) == sum(len(stage.determined) for stage in stages)
     return np.concatenate(errors)

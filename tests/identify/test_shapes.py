@@ -12,7 +12,8 @@ import pytest
 from excitant.identify import Recording, identify_robot
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import weighted_least_squares
-from excitant.identify.physical import fit_physical, prior_parameters
+from excitant.identify.physical import fit_physical
+from excitant.identify.prior import prior_parameters
 from excitant.identify.rows import FitRows, fit_rows, split
 from excitant.identify.shapes import refined_shapes
 from excitant.robots import Motion, Robot, base_parameters

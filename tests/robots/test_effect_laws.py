@@ -38,8 +38,8 @@ from excitant.robots.effects import (
     TorqueRipple,
     ViscousFriction,
 )
-from excitant.robots.effects.history import bristles
-from excitant.robots.effects.transmission import play
+from excitant.robots.effects.drive import play
+from excitant.robots.effects.friction import bristles
 from excitant.robots.urdf import robot_from_urdf
 
 States = Callable[[Robot, int, int], Motion]

@@ -10,8 +10,7 @@ import pytest
 
 from excitant.design import random_trajectory
 from excitant.robots import Robot, builtin_robots, load_robot
-from excitant.robots.bodies import bent_pose, bodies, sketch, zero_pose
-from excitant.robots.geometry import scene
+from excitant.robots.geometry import bent_pose, bodies, scene, sketch, zero_pose
 from excitant.robots.library import arm_entry, catalogue_page
 from excitant.robots.parameters import violations
 from excitant.robots.virtual_arm import virtual_arm

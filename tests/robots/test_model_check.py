@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from excitant.robots import Robot, builtin_robots, load_robot
-from excitant.robots.bodies import bodies
 from excitant.robots.check import ModelCheck, gravity_peaks
+from excitant.robots.geometry import bodies
 from excitant.robots.urdf import robot_from_urdf
 
 Plant = Callable[[ET.Element], None]

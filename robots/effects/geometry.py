@@ -1,4 +1,4 @@
-"""Effects of sensors and of what is believed about the arm's geometry and mounting.
+"""What is believed of an arm's geometry, mounting and bodies, and is otherwise.
 
 All are linear in their coefficients to first order, at the given model's torque.
 """
@@ -6,33 +6,28 @@ All are linear in their coefficients to first order, at the given model's torque
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
-from excitant.exceptions import BadInput
 from excitant.robots.effects import experiments as by
 from excitant.robots.effects.base import (
     SIGN_DEVIATIONS,
     Effect,
     JointFacts,
     Parameter,
-    Shape,
+    registered,
+    within,
 )
 from excitant.robots.motion import Array, Motion
-from excitant.robots.regressor import (
-    carried_torque,
-    gravity_torque,
-    rigid_body_torque,
-    torque_along,
-)
+from excitant.robots.parameters import STANDARD, UNITS
+from excitant.robots.regressor import gravity_torque, regressor, rigid_body_torque, torque_along
 from excitant.robots.robot import Robot
 
-_DELAYS = (-0.05, -0.02, -0.005, 0.002, 0.005, 0.01, 0.02, 0.04, 0.08)  # s
-_LONGEST = 0.04  # s, of a delay where another is at work
 _TURNED = 0.05  # of 9.81 m/s², by which a turned gravity may differ in size
 _METRE = 1e-3  # of the central difference; torque is quadratic in a placement, so any would do
+_BODY = tuple(zip(STANDARD, UNITS, strict=True))
 
 
 @dataclass(frozen=True)
@@ -45,102 +40,7 @@ class _GeometryEffect(Effect):
     further = False
 
 
-@dataclass(frozen=True)
-class _ReadingEffect(Effect):
-    """One coefficient of the torque readings of one joint, or of all."""
-
-    family = "reading"
-    acts_on_torque = True
-    of_state_alone = False
-
-    @classmethod
-    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
-        """Of each joint, then of all."""
-        of_all = cls.candidates(robot.joints[0], facts[0])
-        everywhere = [(replace(effect, joints=robot.joints), 1) for effect in of_all]
-        return super().proposed(robot, facts) + everywhere
-
-
-@dataclass(frozen=True)
-class TorqueGain(_ReadingEffect):
-    """Reading = (1 + g) τ: the torque sensor's or the drive's constant is wrong."""
-
-    name = "torque_gain"
-    further = False
-    of_given_torque = True
-    terms = (Parameter("gain", "1", typical=0.5),)
-    abscissa = "torque"
-    told = (
-        (f"{by.LOADS}: a gain scales its torque too", "inertial_parameters"),
-        (f"{by.LOADS} beside the unknown one", "payload"),
-        (f"{by.LEVEL}; {by.LOADS}", "gravity_direction"),
-        (f"{by.LOADS}; {by.KINEMATICS}", "kinematic_error"),
-        (by.KINEMATICS, "encoder_scale"),
-        (f"{by.ZERO}; {by.LOADS}", "encoder_offset"),
-    )
-
-    def columns(self, robot: Robot, motion: Motion) -> Array:
-        """Torque of the model at these joints."""
-        columns, rows = np.zeros((len(motion), robot.nv, 1)), self.rows(robot)
-        columns[:, rows, 0] = carried_torque(robot, motion)[:, rows]
-        return columns
-
-    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
-        """By how much readings of one joint are off."""
-        if len(joints) > 1:
-            return super().sentence(robot, joints, given)
-        return f"{joints[0]}: torque reads {100 * self._known()[0]:+.1f} % against the model's"
-
-
-@dataclass(frozen=True)
-class TimeDelay(_ReadingEffect):
-    """Reading(t) = τ(t − d), to first order in d around a trial delay.
-
-    Positions that come late are a negative delay of the torque.
-
-    Attributes:
-        trial: Delay at which the column is the exact difference [s].
-    """
-
-    name = "time_delay"
-    terms = (Parameter("delay", "s", typical=0.05),)
-    shapes = (
-        Shape(
-            "trial",
-            "s",
-            positive=False,
-            trial=True,
-            grid=lambda facts: _DELAYS,
-            most=lambda facts: _LONGEST,
-        ),
-    )
-    abscissa = "torque rate"
-    told = (
-        (by.SPEEDS, "inertial_parameters encoder_scale"),
-        (by.WARM, "thermal_friction_drift"),
-    )
-
-    trial: float = 1e-3
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.trial:
-            raise BadInput(f"effect {self.name}: trial must not be zero")
-
-    def columns(self, robot: Robot, motion: Motion) -> Array:
-        """(τ(t − d₀) − τ(t)) / d₀ at these joints."""
-        tau, t = carried_torque(robot, motion), motion.t
-        columns = np.zeros((len(motion), robot.nv, 1))
-        for j in self.rows(robot):
-            late = np.interp(t - self.trial, t, tau[:, j])
-            columns[:, j, 0] = (late - tau[:, j]) / self.trial
-        return columns
-
-    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
-        """How late it is."""
-        return f"The torque lags the motion by {1e3 * self._known()[0]:.1f} ms"
-
-
+@registered
 @dataclass(frozen=True)
 class EncoderOffset(_GeometryEffect):
     """True angle = reading + δ."""
@@ -158,25 +58,25 @@ class EncoderOffset(_GeometryEffect):
     )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
-        """Derivative of the torque by the angle."""
         shift = np.ones(len(motion))
         return torque_along(robot, motion, self.rows(robot)[0], shift)[:, :, None]
 
 
+@registered
 @dataclass(frozen=True)
 class EncoderScale(_GeometryEffect):
-    """True angle = (1 + s) reading."""
+    """True angle = (1 + s) reading; speed and acceleration alike."""
 
     name = "encoder_scale"
     terms = (Parameter("scale", "1", typical=0.3),)
     told = ((by.KINEMATICS, "inertial_parameters"),)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
-        """Derivative of the torque by the scale of angle, speed and acceleration."""
         j = self.rows(robot)[0]
         return torque_along(robot, motion, j, motion.q[:, j])[:, :, None]
 
 
+@registered
 @dataclass(frozen=True)
 class KinematicError(_GeometryEffect):
     """The joint sits elsewhere in its parent link than the model says."""
@@ -199,7 +99,6 @@ class KinematicError(_GeometryEffect):
         return np.stack(parts, axis=2)
 
     def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
-        """How far off it is."""
         far = 1e3 * float(np.linalg.norm(self._known()))
         return f"The axis of {joints[0]} seems {far:.0f} mm off where the model has it"
 
@@ -210,6 +109,7 @@ def _moved(robot: Robot, j: int, step: Array) -> Robot:
     return robot.with_model(model)
 
 
+@registered
 @dataclass(frozen=True)
 class GravityDirection(Effect):
     """Gravity points elsewhere in the base frame: the arm is mounted otherwise, or tilted."""
@@ -228,15 +128,12 @@ class GravityDirection(Effect):
 
     @classmethod
     def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
-        """One for the arm."""
         return [(cls(robot.joints), 1)]
 
     def owners(self, robot: Robot) -> tuple[str, ...]:
-        """The arm's one gravity."""
         return ("gravity",)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
-        """Static torque under unit gravity along each axis."""
         return np.stack([gravity_torque(robot, motion, unit) for unit in np.eye(3)], axis=2)
 
     def plausible(self, robot: Robot, values: Array, std: Array) -> bool:
@@ -247,10 +144,81 @@ class GravityDirection(Effect):
         return off < _TURNED * size + min(unsure, _TURNED * size)
 
     def applied(self, robot: Robot) -> Robot:
-        """The robot under the changed vector."""
         return robot.with_gravity(robot.gravity + self._known())
 
     def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
-        """The vector."""
         true = ", ".join(f"{x:.2f}" for x in robot.gravity + self._known())
         return f"Gravity points along ({true}) m/s² in the base frame"
+
+
+@dataclass(frozen=True)
+class AddedInertia(Effect):
+    """Inertial parameters added to the link that one joint carries, about the joint frame."""
+
+    family = "body"
+    arity = 1
+    depends_on_model = False
+    further = False
+
+    def owners(self, robot: Robot) -> tuple[str, ...]:
+        return (robot.links[self.rows(robot)[0]],)
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        j = self.rows(robot)[0]
+        return regressor(robot, motion)[:, :, 10 * j : 10 * j + 10]
+
+    def applied(self, robot: Robot) -> Robot:
+        phi = robot.phi.reshape(-1, 10).copy()
+        phi[self.rows(robot)[0]] += self._known()
+        return robot.with_parameters(phi)
+
+
+@registered
+@dataclass(frozen=True)
+class Payload(AddedInertia):
+    """A body held by the last link: mass, first moment and inertia about its joint frame."""
+
+    name = "payload"
+    role = "body"
+    terms = tuple(Parameter(f"payload_{name}", unit) for name, unit in _BODY)
+    told = ((by.UNLOADED, "inertial_parameters"),)
+
+    @classmethod
+    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+        return [(cls(robot.joints[-1:]), 1)]
+
+    def is_common(self, robot: Robot) -> bool:
+        """It is: all joints carry the same body."""
+        return True
+
+    def plausible(self, robot: Robot, values: Array, std: Array) -> bool:
+        """Whether its mass is not negative."""
+        return within(values[:1], 0.0, std[:1])
+
+    def noun(self, robot: Robot) -> str:
+        return "a payload"
+
+    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+        return f"A payload of {self._known()[0]:.2f} kg on the last link is missing from the model"
+
+
+@registered
+@dataclass(frozen=True)
+class InertialParameters(AddedInertia):
+    """A link's inertial parameters differ from the given ones."""
+
+    name = "inertial_parameters"
+    role = "link"
+    terms = tuple(Parameter(f"delta_{name}", unit) for name, unit in _BODY)
+
+    def noun(self, robot: Robot) -> str:
+        return f"wrong inertial parameters of {robot.links[self.rows(robot)[0]]}"
+
+    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+        j, mass = self.rows(robot)[0], self._known()[0]
+        if j == robot.nv - 1 and mass < 0:
+            return (
+                f"{robot.links[j]} is lighter than the model says ({mass:+.2f} kg), as if a tool "
+                "in the model were not mounted"
+            )
+        return f"The inertial parameters of {robot.links[j]} are wrong (mass {mass:+.2f} kg)"

@@ -1,32 +1,43 @@
-"""Static torque and what lies between motor and link: offset, springs, ripple, elasticity, play."""
+"""Drives: offset, rotors, springs, ripple, elasticity, play, and how their torque is read."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
 
+from excitant.exceptions import BadInput
 from excitant.robots.effects import experiments as by
 from excitant.robots.effects.base import (
     Effect,
     JointEffect,
     JointFacts,
+    PairEffect,
     Parameter,
     Shape,
     StandardEffect,
+    registered,
 )
 from excitant.robots.motion import Array, Motion
-from excitant.robots.regressor import rigid_torque, torque_along, torque_derivatives
+from excitant.robots.regressor import (
+    carried_torque,
+    rigid_torque,
+    torque_along,
+    torque_derivatives,
+)
 from excitant.robots.robot import Robot
 
 _GAPS = np.geomspace(3e-4, 0.1, 12).tolist()  # rad
+_DELAYS = (-0.05, -0.02, -0.005, 0.002, 0.005, 0.01, 0.02, 0.04, 0.08)  # s
+_LONGEST = 0.04  # s, of a delay where another is at work
 _ORDERS = 3  # of ripple at each joint, the best of all
 _MOST_ORDERS = 600
 _SLOWEST = 1e-3  # rad/s
 
 
+@registered
 @dataclass(frozen=True)
 class TorqueOffset(StandardEffect):
     """τ = τ_0: constant torque, current-sensor offset or asymmetric Coulomb friction."""
@@ -43,10 +54,7 @@ class TorqueOffset(StandardEffect):
         "part of what mj_inverse returns"
     }
     told = (
-        (
-            "repeat the motion in another posture: an offset does not turn with gravity",
-            "inertial_parameters",
-        ),
+        (f"{by.POSTURE}: an offset does not turn with gravity", "inertial_parameters"),
         ("repeat the motion without the load: an offset stays", "payload"),
         (by.STATIC, "spring torque_ripple"),
         (f"{by.TURNED}: an offset stays, tilt turns along", "gravity_direction"),
@@ -54,10 +62,103 @@ class TorqueOffset(StandardEffect):
     )
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
-        """One."""
         return (np.ones_like(dq),)
 
 
+@registered
+@dataclass(frozen=True)
+class RotorInertia(StandardEffect):
+    """τ = I_a q̈: rotor and gear inertia at the joint side."""
+
+    name = "rotor_inertia"
+    family = "body"
+    terms = (Parameter("Ia", "kg·m²", 0.0),)
+    abscissa = "acceleration"
+    joint_property = "rotor"
+    formats = ("mjcf", "sdf")
+    format_notes: ClassVar[Mapping[str, str]] = {
+        "sdf": "rotor inertia is written as drake:rotor_inertia, which Drake reads and Gazebo "
+        "passes over"
+    }
+    told = (
+        (by.FOLDED, "inertial_parameters"),
+        (f"find the resonance by a chirp; {by.LOCKED}", "joint_elasticity"),
+        ("hold the joint at several angles: a spring pulls at rest, inertia does not", "spring"),
+        (by.HOLD_OTHER, "inertia_coupling"),
+        (f"{by.LEVER}; {by.DATA_SHEET}", "torque_gain"),
+        (by.UNLOADED, "payload"),
+        (by.SECOND, "time_delay torque_ripple"),
+        (by.DATA_SHEET, "kinematic_error"),
+    )
+
+    def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
+        return (ddq,)
+
+
+@registered
+@dataclass(frozen=True)
+class InertiaCoupling(PairEffect):
+    """τ_i = I q̈_k, τ_k = I q̈_i: a rotor that turns with both joints."""
+
+    name = "inertia_coupling"
+    family = "body"
+    terms = (Parameter("Ic", "kg·m²"),)
+    abscissa = "other acceleration"
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        i, k = self.rows(robot)
+        columns = np.zeros((len(motion), robot.nv, 1))
+        columns[:, i, 0], columns[:, k, 0] = motion.ddq[:, k], motion.ddq[:, i]
+        return columns
+
+
+@dataclass(frozen=True)
+class _ReadingEffect(Effect):
+    """One coefficient of the torque readings of one joint, or of all."""
+
+    family = "reading"
+    acts_on_torque = True
+    of_state_alone = False
+
+    @classmethod
+    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+        """Of each joint, then of all."""
+        of_all = cls.candidates(robot.joints[0], facts[0])
+        everywhere = [(replace(effect, joints=robot.joints), 1) for effect in of_all]
+        return super().proposed(robot, facts) + everywhere
+
+
+@registered
+@dataclass(frozen=True)
+class TorqueGain(_ReadingEffect):
+    """Reading = (1 + g) τ: the torque sensor's or the drive's constant is wrong."""
+
+    name = "torque_gain"
+    further = False
+    of_given_torque = True
+    terms = (Parameter("gain", "1", typical=0.5),)
+    abscissa = "torque"
+    told = (
+        (f"{by.LOADS}: a gain scales its torque too", "inertial_parameters"),
+        (f"{by.LOADS} beside the unknown one", "payload"),
+        (f"{by.LEVEL}; {by.LOADS}", "gravity_direction"),
+        (f"{by.LOADS}; {by.KINEMATICS}", "kinematic_error"),
+        (by.KINEMATICS, "encoder_scale"),
+        (f"{by.ZERO}; {by.LOADS}", "encoder_offset"),
+    )
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        columns, rows = np.zeros((len(motion), robot.nv, 1)), self.rows(robot)
+        columns[:, rows, 0] = carried_torque(robot, motion)[:, rows]
+        return columns
+
+    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+        if len(joints) > 1:
+            return super().sentence(robot, joints, given)
+        return f"{joints[0]}: torque reads {100 * self._known()[0]:+.1f} % against the model's"
+
+
+@registered
 @dataclass(frozen=True)
 class TorqueRipple(JointEffect):
     """τ = a cos(N q) + b sin(N q): cogging, tooth mesh, eccentricity.
@@ -68,10 +169,7 @@ class TorqueRipple(JointEffect):
 
     name = "torque_ripple"
     family = "static"
-    terms = (
-        Parameter("ripple_cos", "N·m"),
-        Parameter("ripple_sin", "N·m"),
-    )
+    terms = (Parameter("ripple_cos", "N·m"), Parameter("ripple_sin", "N·m"))
     shapes = (Shape("order", "1/turn"),)
     abscissa = "position"
     told = (
@@ -96,14 +194,13 @@ class TorqueRipple(JointEffect):
         for order in orders[np.argsort(-gains)].tolist():
             if all(abs(order - known) > 3 * step for known in found):
                 found.append(order)
-            if len(found) == _ORDERS:
-                break
-        return [cls((joint,), order=order) for order in found]
+        return [cls((joint,), order=order) for order in found[:_ORDERS]]
 
     @classmethod
-    def searched(cls, facts: JointFacts) -> int:
-        """Orders looked at."""
-        return len(_orders(facts))
+    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+        """Each the best of all orders that its joint was looked at for."""
+        looked = dict(zip(robot.joints, (len(_orders(seen)) for seen in facts), strict=True))
+        return [(effect, looked[effect.joints[0]]) for effect, _ in super().proposed(robot, facts)]
 
     def refined(self, beside: Iterable[Effect], facts: JointFacts) -> list[Self]:
         """Orders at thirds of the way to the next ones that would be looked at."""
@@ -116,12 +213,10 @@ class TorqueRipple(JointEffect):
         return tuple(Parameter(f"{term.name}{self.order:.4g}", term.unit) for term in self.terms)
 
     def drawn(self, label: str, x: Array) -> tuple[str, Array]:
-        """Folded into one period."""
         period = 2 * np.pi / self.order
         return "joint position within one period of the ripple [rad]", np.mod(x, period)
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
-        """Cosine and sine of the angle's multiple."""
         return np.cos(self.order * q), np.sin(self.order * q)
 
 
@@ -151,6 +246,7 @@ def _gains(orders: Array, q: Array, e: Array) -> Array:
     return np.asarray((ss * a**2 - 2 * cs * a * b + cc * b**2) / determinant, float)
 
 
+@registered
 @dataclass(frozen=True)
 class Spring(JointEffect):
     """A spring beside the joint: τ = k q − k q_0, or a cos q + b sin q where it pulls a lever.
@@ -165,10 +261,7 @@ class Spring(JointEffect):
     usual = True
     abscissa = "position"
     told = (
-        (
-            f"{by.UNPOWERED}; or tilt the base: gravity's part turns, a spring's stays",
-            "inertial_parameters",
-        ),
+        (f"{by.UNPOWERED}; or {by.TILTED}, a spring's stays", "inertial_parameters"),
         (by.UNLOADED, "payload"),
         (f"{by.TURNED}: a spring's torque stays", "gravity_direction"),
     )
@@ -178,17 +271,14 @@ class Spring(JointEffect):
 
     @classmethod
     def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
-        """Both forms."""
         return cls((joint,)), cls((joint,), lever=True)
 
     @property
     def own_terms(self) -> tuple[Parameter, ...]:
-        """Stiffness and moment at zero, or amplitudes of cosine and sine."""
         lever = tuple(Parameter(f"spring_{s}", "N·m") for s in ("cos", "sin"))
         return lever if self.lever else self.terms
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
-        """Angle and one, or cosine and sine of the angle."""
         return (np.cos(q), np.sin(q)) if self.lever else (q, np.ones_like(q))
 
 
@@ -200,11 +290,8 @@ class _Lag(Effect):
     arity = 1
     of_state_alone = False
 
-    def _torque_along(self, robot: Robot, motion: Motion, lag: Array) -> Array:
-        j = self.rows(robot)[0]
-        return torque_along(robot, motion, j, -lag)[:, :, None]
 
-
+@registered
 @dataclass(frozen=True)
 class JointElasticity(_Lag):
     """Link angle = motor angle − c τ with the compliance c = 1/k, to first order in c."""
@@ -217,11 +304,11 @@ class JointElasticity(_Lag):
     )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
-        """Change of the torque by a link angle that yields to the torque."""
         j = self.rows(robot)[0]
-        return self._torque_along(robot, motion, rigid_torque(robot, motion)[:, j])
+        return torque_along(robot, motion, j, -rigid_torque(robot, motion)[:, j])[:, :, None]
 
 
+@registered
 @dataclass(frozen=True)
 class Backlash(_Lag):
     """Link angle = motor angle − lag, the lag within ± g / 2.
@@ -243,12 +330,11 @@ class Backlash(_Lag):
     trial: float = 3e-3
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
-        """Change of the torque by the lag, per gap."""
         j = self.rows(robot)[0]
         _, _, by_ddq = torque_derivatives(robot, motion)
         acceleration = rigid_torque(robot, motion)[:, j] / by_ddq[:, j, j]
         lag = play(motion.t, acceleration, self.trial)
-        return self._torque_along(robot, motion, lag / self.trial)
+        return torque_along(robot, motion, j, -(lag / self.trial))[:, :, None]
 
 
 def play(t: Array, acceleration: Array, gap: float) -> Array:
@@ -268,3 +354,52 @@ def play(t: Array, acceleration: Array, gap: float) -> Array:
             lag, speed = (half if lag > 0 else -half), 0.0
         lags.append(lag)
     return np.array(lags)
+
+
+@registered
+@dataclass(frozen=True)
+class TimeDelay(_ReadingEffect):
+    """Reading(t) = τ(t − d), to first order in d around a trial delay.
+
+    Positions that come late are a negative delay of the torque.
+
+    Attributes:
+        trial: Delay at which the column is the exact difference [s].
+    """
+
+    name = "time_delay"
+    terms = (Parameter("delay", "s", typical=0.05),)
+    shapes = (
+        Shape(
+            "trial",
+            "s",
+            positive=False,
+            trial=True,
+            grid=lambda facts: _DELAYS,
+            most=lambda facts: _LONGEST,
+        ),
+    )
+    abscissa = "torque rate"
+    told = (
+        (by.SPEEDS, "inertial_parameters encoder_scale"),
+        (by.WARM, "thermal_friction_drift"),
+    )
+
+    trial: float = 1e-3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.trial:
+            raise BadInput(f"effect {self.name}: trial must not be zero")
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        """(τ(t − d₀) − τ(t)) / d₀ at these joints."""
+        tau, t = carried_torque(robot, motion), motion.t
+        columns = np.zeros((len(motion), robot.nv, 1))
+        for j in self.rows(robot):
+            late = np.interp(t - self.trial, t, tau[:, j])
+            columns[:, j, 0] = (late - tau[:, j]) / self.trial
+        return columns
+
+    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+        return f"The torque lags the motion by {1e3 * self._known()[0]:.1f} ms"

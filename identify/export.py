@@ -1,0 +1,384 @@
+"""An identified model as files for other programs, and whether it is one to publish.
+
+MJCF is the format of MuJoCo, SDFormat 1.9 that of Gazebo and Drake. Viscous friction is
+``damping`` there, Coulomb friction ``frictionloss`` or ``friction``, rotor inertia ``armature`` or
+``drake:rotor_inertia``; a torque offset is the bias of a joint's actuator in MJCF. Payloads and
+corrections of inertia are part of the links, and joints that are held are part of what carries
+them.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+import yaml
+
+from excitant.exceptions import BadInput, UnknownName
+from excitant.identify.estimate import Estimate
+from excitant.robots.effects import effect_entries, plain
+from excitant.robots.motion import Array
+from excitant.robots.parameters import inertia
+from excitant.robots.robot import Robot
+from excitant.robots.urdf import urdf_with_parameters
+
+FORMATS = ("urdf", "mjcf", "sdf")
+_OF_MOVING_JOINTS = ("axis", "limit", "dynamics", "mimic", "calibration", "safety_controller")
+_COMMON_GRAVITY = (0.0, 0.0, -9.81)
+_THIN = 1e-3  # m: shorter distances between joints are not drawn
+_AS_GOOD = 1.01  # times the error of the given model: what chance makes of equal ones
+
+
+def model_files(
+    model: Robot,
+    stem: str,
+    yaml_name: str,
+    formats: Sequence[str] = FORMATS,
+    gains: Array | None = None,
+) -> dict[str, str]:
+    """A robot as files; URDF and YAML always.
+
+    The YAML refers to the URDF and adds what that cannot hold: `load_robot` reads it back to the
+    same torque. The others are ``.xml`` (MJCF) and ``.sdf``.
+
+    Args:
+        model: The robot; its effects have values.
+        stem: Name of the files without ending.
+        yaml_name: Name of the YAML.
+        formats: Some of `FORMATS`.
+        gains: Drive gains, shape (nv,) [N·m/A], where torque was measured as current.
+
+    Raises:
+        UnknownName: A format that is not one of `FORMATS`.
+        BadInput: An effect without values.
+    """
+    UnknownName.refuse("format", formats, FORMATS)
+    arm, drives = folded(model)
+    files = {
+        f"{stem}.urdf": _urdf(arm, drives, yaml_name),
+        yaml_name: _yaml(arm, f"{stem}.urdf", gains),
+    }
+    if "mjcf" in formats:
+        files[f"{stem}.xml"] = _mjcf(arm, drives, yaml_name, gains)
+    if "sdf" in formats:
+        files[f"{stem}.sdf"] = _sdf(arm, drives, yaml_name)
+    return files
+
+
+def folded(robot: Robot) -> tuple[Robot, Mapping[str, Array]]:
+    """The robot with bodies among its effects in its links, and its drives as files have them.
+
+    Drives are sums of values by the property of a joint, shape (nv,) each; zero for any other.
+
+    Raises:
+        BadInput: An effect without values.
+    """
+    drives: Mapping[str, Array] = defaultdict(lambda: np.zeros(robot.nv))
+    given = robot
+    for effect in given.effects:
+        if effect.values is None:
+            raise BadInput(f"{robot.name}: effect {effect.name} has no values; identify it first")
+        if effect.role != "torque":
+            robot = effect.applied(robot)
+        elif effect.joint_property:
+            drives[effect.joint_property][effect.rows(robot)] += effect.values
+    kept = [effect for effect in given.effects if effect.role == "torque"]
+    return (robot if robot is given else robot.with_effects(kept)), drives
+
+
+def comment(robot: Robot, file_format: str, complete: str) -> str:
+    """What a file leaves out or means in its own way, as the text of an XML comment.
+
+    Args:
+        robot: The model, as `folded` gives it.
+        file_format: One of `FORMATS`.
+        complete: File that holds everything, to refer to.
+    """
+    left_out, own = [], []
+    for effect in robot.effects:
+        values, joints, below = effect.values or (), list(effect.joints), list[str]()
+        if effect.joint_property:
+            lowest = [p.lower for p in effect.parameters(robot)]
+            rows = list(zip(joints, values, lowest, strict=True))
+            joints = [joint for joint, value, _ in rows if value]
+            below = [joint for joint, value, low in rows if value < low]
+        if joints and file_format not in effect.formats:
+            listed = "all joints" if len(joints) == robot.nv else ", ".join(joints)
+            left_out.append(f"{plain(effect.name)} of {listed}")
+        elif joints and below:
+            left_out.append(f"negative {plain(effect.name)} of {', '.join(below)}")
+        elif joints and file_format in effect.format_notes:
+            own.append(effect.format_notes[file_format])
+    if file_format == "sdf" and not np.allclose(robot.gravity, _COMMON_GRAVITY):
+        own.append("gravity is that of the world, which Drake wants to be told in code")
+    missing = [f"not in this file: {name}" for name in left_out]
+    last = [f"{complete} holds everything"] if left_out else []
+    text = "\n    ".join(("", "identified by excitant", *missing, *own, *last))
+    while "--" in text:  # which ends no comment
+        text = text.replace("--", "- -")
+    return f"{text}\n  "
+
+
+def _urdf(arm: Robot, drives: Mapping[str, Array], complete: str) -> str:
+    """URDF text of an arm; meshes and everything else in its URDF stay."""
+    pairs = np.maximum([drives["viscous"], drives["coulomb"]], 0.0).T.tolist()
+    friction = {joint: (v, c) for joint, (v, c) in zip(arm.joints, pairs, strict=True)}
+    root = ET.fromstring(urdf_with_parameters(arm, arm.phi, friction))
+    held = {name for name, _ in arm.locked}
+    for joint in root.findall("joint"):
+        if joint.get("name") in held:
+            _fix(joint, arm.model)
+        for mimic in joint.findall("mimic"):
+            if mimic.get("joint") in held:
+                joint.remove(mimic)
+    root.insert(0, ET.Comment(comment(arm, "urdf", complete)))
+    return _text_of(root, declared=True)
+
+
+def _fix(joint: ET.Element, model: pin.Model) -> None:
+    """Make a joint fixed where it is held: both its links are part of one body."""
+    for tag in (*_OF_MOVING_JOINTS, "origin"):
+        for element in joint.findall(tag):
+            joint.remove(element)
+    links = {element.tag: element.get("link") for element in joint}
+    parent, child = (
+        model.frames[model.getFrameId(links[end], pin.FrameType.BODY)].placement
+        for end in ("parent", "child")
+    )
+    T = parent.actInv(child)
+    _add(joint, "origin", xyz=T.translation, rpy=pin.rpy.matrixToRpy(T.rotation))
+    joint.set("type", "fixed")
+
+
+def _yaml(arm: Robot, urdf: str, gains: Array | None) -> str:
+    limits = arm.limits
+    names = ["position", "velocity", "acceleration", "torque"]
+    names += ["jerk"] if np.isfinite(limits.jerk).any() else []
+    content: dict[str, Any] = {
+        "model": urdf,
+        "joints": list(arm.joints),
+        "gravity": arm.gravity.tolist(),
+        "limits": {name: getattr(limits, name).tolist() for name in names},
+        "effects": effect_entries(arm.effects),
+    }
+    if gains is not None:
+        content["drive"] = {"gain_Nm_per_A": [float(gain) for gain in gains]}
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+
+
+def _mjcf(
+    arm: Robot, drives: Mapping[str, Array], complete: str, gains: Array | None = None
+) -> str:
+    """MJCF text: bodies on their joints, actuators, frames as sites; no meshes.
+
+    A control is a torque [N·m], or a current [A] where drive gains are given.
+    """
+    root = ET.Element("mujoco", model=arm.name)
+    root.append(ET.Comment(comment(arm, "mjcf", complete)))
+    _add(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
+    _add(root, "option", gravity=arm.gravity, integrator="implicitfast")
+    _add(_add(root, "default"), "geom", contype="0", conaffinity="0", group="1")
+    elements = [_add(root, "worldbody")]  # by Pinocchio's number of the joint
+    _sites(elements[0], arm, 0)
+    actuators = _add(root, "actuator")
+    for j, (joint, link) in enumerate(zip(arm.joints, arm.links, strict=True)):
+        place, parent = arm.model.jointPlacements[j + 1], elements[arm.model.parents[j + 1]]
+        length = float(np.linalg.norm(place.translation))
+        if (
+            parent is not elements[0] and length > _THIN
+        ):  # a line to the next joint, for the eye only
+            line = f"0 0 0 {_written(place.translation)}"
+            _add(parent, "geom", type="capsule", size=0.1 * min(length, 0.5), fromto=line)
+        name = link if link != "world" else "world_"  # that of MuJoCo's own root
+        body = _add(parent, "body", name=name, **_pose(place))
+        elements.append(body)
+        central = inertia(arm.phi[10 * j : 10 * j + 10])
+        moments, axes = np.linalg.eigh(central.inertia)
+        axes[:, 0] *= np.linalg.det(axes)
+        frame, mass = _pose(pin.SE3(axes, central.lever)), central.mass
+        _add(body, "inertial", **frame, mass=mass, diaginertia=moments)
+        kind, limits = "hinge" if arm.revolute[j] else "slide", arm.limits.position[j]
+        known = {"range": limits} if np.isfinite(limits).all() else {}
+        names = {"damping": "viscous", "frictionloss": "coulomb", "armature": "rotor"}
+        known |= {key: drives[own][j] for key, own in names.items() if drives[own][j] > 0}
+        _add(body, "joint", name=joint, type=kind, axis=_axis(arm, j), **known)
+        _sites(body, arm, j + 1)
+        # force = gear (control + bias), the bias against the offset that the model needs
+        gain = 1.0 if gains is None else float(gains[j])
+        actuator = _add(actuators, "general", name=joint, joint=joint, gear=gain)
+        if offset := drives["offset"][j]:
+            actuator.set("biastype", "affine")
+            actuator.set("biasprm", _written([-offset / gain, 0.0, 0.0]))
+        largest = arm.limits.torque[j] / abs(gain)
+        if np.isfinite(largest):
+            actuator.set("ctrlrange", _written([-largest, largest]))
+    return _text_of(root)
+
+
+def _sites(parent: ET.Element, arm: Robot, joint: int) -> None:
+    for name, place in _frames(arm, joint):
+        _add(parent, "site", name=name, **_pose(place))
+
+
+def _sdf(arm: Robot, drives: Mapping[str, Array], complete: str) -> str:
+    """SDF text of an arm, fixed in a world, which is where SDF holds gravity; no meshes.
+
+    Links, joints and frames share one list of names, so one that occurs twice gets an underscore.
+    """
+    root = ET.Element("sdf", {"version": "1.9", "xmlns:drake": "drake.mit.edu"})
+    root.append(ET.Comment(comment(arm, "sdf", complete)))
+    world = _add(root, "world", name="default")
+    _add(world, "gravity", arm.gravity)
+    model = _add(world, "model", name=_unreserved(arm.name))
+    links = [_unreserved(link) for link in arm.links]
+    taken = set(links)
+    links.insert(0, _fresh("base", taken))  # by Pinocchio's number of the joint
+    joints = [_fresh(joint, taken) for joint in arm.joints]
+    _add(model, "link", name=links[0])
+    mount = _add(model, "joint", name=_fresh("mount", taken), type="fixed")
+    _add(mount, "parent", "world")
+    _add(mount, "child", links[0])
+    for j, (link, joint) in enumerate(zip(links[1:], joints, strict=True)):
+        _sdf_link(model, link, joint, inertia(arm.phi[10 * j : 10 * j + 10]))
+        (low, high), limits = arm.limits.position[j], arm.limits
+        bounded = bool(np.isfinite([low, high]).all())
+        kind = "prismatic" if not arm.revolute[j] else "revolute" if bounded else "continuous"
+        element = _add(model, "joint", name=joint, type=kind)
+        parent = links[arm.model.parents[j + 1]]
+        _placed(element, arm.model.jointPlacements[j + 1], parent)
+        _add(element, "parent", parent)
+        _add(element, "child", link)
+        axis = _add(element, "axis")
+        _add(axis, "xyz", _axis(arm, j))
+        limit, ends = _add(axis, "limit"), (low, high, limits.torque[j], limits.velocity[j])
+        for key, value in zip(("lower", "upper", "effort", "velocity"), ends, strict=True):
+            if np.isfinite(value):
+                _add(limit, key, value)
+        dynamics = _add(axis, "dynamics")
+        _add(dynamics, "damping", max(drives["viscous"][j], 0.0))
+        _add(dynamics, "friction", max(drives["coulomb"][j], 0.0))
+        if drives["rotor"][j] > 0:
+            _add(element, "drake:rotor_inertia", drives["rotor"][j])
+        _sdf_frames(model, arm, j + 1, link, taken)
+    _sdf_frames(model, arm, 0, links[0], taken)
+    return _text_of(root, declared=True)
+
+
+def _sdf_link(model: ET.Element, name: str, joint: str, central: pin.Inertia) -> None:
+    link = _add(model, "link", name=name)
+    _add(link, "pose", relative_to=joint)
+    inertial = _add(link, "inertial")
+    _add(inertial, "pose", [*central.lever, 0, 0, 0])
+    _add(inertial, "mass", central.mass)
+    tensor = _add(inertial, "inertia")
+    for i, j in zip(*np.triu_indices(3), strict=True):
+        _add(tensor, f"i{'xyz'[i]}{'xyz'[j]}", central.inertia[i, j])
+
+
+def _sdf_frames(model: ET.Element, arm: Robot, joint: int, link: str, taken: set[str]) -> None:
+    for frame, place in _frames(arm, joint):
+        name = _fresh(_unreserved(frame), taken)
+        _placed(_add(model, "frame", name=name, attached_to=link), place, link)
+
+
+def _placed(parent: ET.Element, T: pin.SE3, relative_to: str) -> None:
+    pose = [*T.translation, *pin.Quaternion(T.rotation).coeffs()]
+    _add(parent, "pose", pose, relative_to=relative_to, rotation_format="quat_xyzw")
+
+
+def _fresh(name: str, taken: set[str]) -> str:
+    """A name that is not taken yet, and is from now on."""
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
+
+
+def _unreserved(name: str) -> str:
+    """A name that SDF does not keep for itself: ``world``, and what two underscores enclose."""
+    name = name.replace("::", "_")
+    reserved = name == "world" or (name.startswith("__") and name.endswith("__"))
+    return f"{name.strip('_')}_link" if reserved else name
+
+
+def _axis(robot: Robot, joint: int) -> Array:
+    """Direction of a joint in its own frame, a unit vector, shape (3,)."""
+    S = np.reshape(robot.model.joints[joint + 1].createData().S, 6)
+    return np.asarray(S[3:] if robot.revolute[joint] else S[:3], float)
+
+
+def _frames(robot: Robot, joint: int) -> Iterator[tuple[str, pin.SE3]]:
+    """Links that are fixed to the one of a joint of Pinocchio's, 0 for the base; their poses."""
+    for frame in list(robot.model.frames):
+        body = frame.type == pin.FrameType.BODY and frame.parentJoint == joint
+        if body and frame.name not in robot.links:
+            yield str(frame.name), frame.placement
+
+
+def _pose(T: pin.SE3) -> dict[str, str]:
+    """Position and quaternion (w, x, y, z)."""
+    x, y, z, w = pin.Quaternion(T.rotation).coeffs()
+    return {"pos": _written(T.translation), "quat": _written([w, x, y, z])}
+
+
+def _add(
+    parent: ET.Element, tag: str, content: str | npt.ArrayLike | None = None, **attributes: Any
+) -> ET.Element:
+    """A further element with a text and attributes; numbers read back to the same ones."""
+    own = {k: v if isinstance(v, str) else _written(v) for k, v in attributes.items()}
+    element = ET.SubElement(parent, tag, own)
+    if content is not None:
+        element.text = content if isinstance(content, str) else _written(content)
+    return element
+
+
+def _written(values: npt.ArrayLike) -> str:
+    return " ".join(repr(float(x) + 0.0) for x in np.ravel(values))
+
+
+def _text_of(root: ET.Element, declared: bool = False) -> str:
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=declared) + "\n"
+
+
+@dataclass(frozen=True)
+class Publication:
+    """What becomes of an identified model."""
+
+    files: Mapping[str, str]  # by name; none when it is not published
+    published: bool
+    note: str  # why not, or why it is nevertheless; empty when nothing is to say
+
+
+def publication(
+    estimate: Estimate, *, formats: Sequence[str] = FORMATS, force: bool = False
+) -> Publication:
+    """Files of an identified model, unless the model as given predicts the hold-out better.
+
+    It does when its nrmse, summed over the joints, is the smaller by more than 1 %; with ``force``
+    the model is published whatever the hold-out says.
+
+    Raises:
+        UnknownName: A format that is not one of `FORMATS`.
+    """
+    gains = estimate.gains if estimate.data.unit == "A" else None
+    files = model_files(estimate.model, "identified", "model.yaml", formats, gains)
+    found, given = (
+        float(np.nansum(accuracy.nrmse)) for accuracy in (estimate.validate, estimate.baseline)
+    )
+    if found <= _AS_GOOD * given:
+        return Publication(files, True, "")
+    why = (
+        f"on the hold-out its nrmse summed over the joints is {found:.4g}, that of the model as "
+        f"given {given:.4g}"
+    )
+    if force:
+        return Publication(files, True, f"published because it was forced: {why}")
+    advice = "record a motion that excites more, or give --force"
+    return Publication({}, False, f"the identified model is not published: {why}; {advice}")

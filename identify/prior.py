@@ -1,0 +1,246 @@
+"""What is known of an arm before any data, and which identified entries follow it.
+
+The bodies of the given arm are known to a relative σ. With the pseudo-inertia of link k written
+P_k = L_k Q_k L_kᵀ, L_k L_kᵀ that of the given body, the coordinates y are the upper triangles of
+all Q_k: they have no units, and ‖Q − 1‖_F is the coordinate-invariant distance to the given body
+(constant pull-back of the affine-invariant metric: Lee, Wensing, Park 2020).
+
+Rule for entries: the prior x = x̄ + L w, w of unit variance, is moved where the data are silent (the
+null space of R L), along what they show worst, and at random. An entry is the prior's when it
+follows by more than half in any of these ways that reaches at least a quarter of its uncertainty.
+A small standard deviation is no proof that data decide: entries that torque shows in combination
+only lose most of theirs and still follow the prior along the rest. In linear theory the estimate
+moves by L V (1 + s²)⁻¹ Vᵀ w, where R L = U diag(s) Vᵀ; `excitant.analysis.prior_influence` repeats
+the fit instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from excitant.exceptions import BadRobot
+from excitant.identify.information import Information, gaussian
+from excitant.robots.base_parameters import BaseParameters
+from excitant.robots.effects import Effect
+from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.parameters import from_pseudo_inertia, nearest_consistent, pseudo_inertia
+from excitant.robots.robot import Robot
+from excitant.robots.torque import effect_values, observation_columns, torque
+
+PRIOR_SIGMA = 1.0  # links are known to about ±100 %; decides only what the data leave open
+UPPER = np.triu_indices(4)  # of Q: its coordinates
+NORMS = np.where(UPPER[0] == UPPER[1], 1.0, np.sqrt(2.0))  # Σ (norm · y)² = ‖Q‖_F²
+SYMMETRIC = np.zeros((10, 4, 4))  # Q = Σ_k y_k · SYMMETRIC[k]
+for _k, (_i, _j) in enumerate(zip(*UPPER, strict=True)):
+    SYMMETRIC[_k, _i, _j] = SYMMETRIC[_k, _j, _i] = 1.0
+
+_HARMONICS = 5
+_LIMIT_SHARE = 0.5  # share of the limits on speed and acceleration that a reference motion uses
+_FREE_SPEED, _FREE_ACCELERATION = 3.0, 10.0  # rad/s, rad/s² where there is no limit
+_RANGE = 0.9  # share of the position limits
+
+KINDS = ("null space", "weakly seen", "random")
+DOMINATED = 0.5  # influence from which an entry counts as the prior's
+WEAKEST = 4  # directions seen worst, of all seen
+UNSEEN = 1e-9  # singular value relative to the largest, up to which a direction is not seen
+_MATERIAL = 0.25  # of an entry's uncertainty: less means a move of less than 5 % of the entry
+_SILENT = 1e-11  # norm of a column relative to the largest; below it is rounding
+
+
+def prior_parameters(robot: Robot) -> Array:
+    """The robot's standard parameters, shape (nv, 10), impossible bodies moved to possible ones.
+
+    Raises:
+        BadRobot: A link without mass; there is no prior to start from.
+    """
+    phi = robot.phi.reshape(robot.nv, 10)
+    for link, values in zip(robot.links, phi, strict=True):
+        if values[0] <= 0:
+            raise BadRobot(
+                robot.source,
+                f"link '{link}' has mass {values[0]:g} kg, but a prior is needed; "
+                "give it a rough mass and inertia in the URDF",
+            )
+    return np.array([nearest_consistent(values) for values in phi])
+
+
+def link_weights(links: int, sigma: float | Array) -> Array:
+    """Square roots of the precision 1/σ² of the coordinates y, shape (10 links,)."""
+    return np.outer(1 / np.broadcast_to(np.asarray(sigma, float), links), NORMS).ravel()
+
+
+def link_coordinates(reference: Array) -> Array:
+    """Map T from coordinates to standard parameters, φ = T y, shape (10 links, 10 links).
+
+    Args:
+        reference: Consistent standard parameters, which lie at Q = 1, shape (links, 10).
+    """
+    roots = np.linalg.cholesky([pseudo_inertia(values) for values in reference])
+    blocks = (from_pseudo_inertia(L @ SYMMETRIC @ L.T).T for L in roots)
+    return np.asarray(scipy.linalg.block_diag(*blocks), float)
+
+
+def matrices(y: Array, links: int) -> Array:
+    """The matrices Q_k of the coordinates that y begins with, shape (links, 4, 4)."""
+    return np.tensordot(y[: 10 * links].reshape(links, 10), SYMMETRIC, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class EffectPrior:
+    """What is known of effect coefficients beforehand, each array of shape (e,).
+
+    Attributes:
+        mean: Expected values.
+        std: Their standard deviations; large where only the data shall decide.
+        lower: Smallest values physics allows.
+    """
+
+    mean: Array
+    std: Array
+    lower: Array
+
+
+@dataclass(frozen=True, eq=False)
+class BasePrior:
+    """Normal distribution of the base parameters: mean, shape (r,), covariance (regular)."""
+
+    mean: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "mean", "covariance")
+
+    def information(self) -> Information:
+        """The same in square-root form."""
+        return gaussian(self.mean, self.covariance)
+
+
+def base_prior(
+    robot: Robot, effects: Sequence[Effect], base: BaseParameters, sigma: float = PRIOR_SIGMA
+) -> BasePrior:
+    """The given robot as a prior of its base parameters.
+
+    Links are known to a relative σ; coefficients of effects are those of the robot where it has
+    them, else zero, give or take one that makes all torque of its joint.
+
+    Raises:
+        BadRobot: A link without mass.
+    """
+    phi = prior_parameters(robot)
+    T = link_coordinates(phi)
+    links = T @ np.diag(link_weights(robot.nv, sigma) ** -2.0) @ T.T
+    known = effect_values(robot)
+    names = base.names[10 * robot.nv :]
+    mean = np.concatenate([phi.ravel(), [known.get(name, 0.0) for name in names]])
+    spread = _effect_sizes(robot, effects)
+    covariance = scipy.linalg.block_diag(links, np.diag(spread**2))
+    B = base.regrouping
+    total = B @ covariance @ B.T
+    return BasePrior(B @ mean, (total + total.T) / 2)
+
+
+def _effect_sizes(robot: Robot, effects: Sequence[Effect]) -> Array:
+    """Coefficients that would make as much torque as a reference motion needs, shape (e,)."""
+    motion = reference_motion(robot, 10.0, 20.0)
+    columns = observation_columns(robot, effects, motion)[:, :, 10 * robot.nv :]
+    size = np.sqrt((columns**2).mean(axis=0))
+    needed = np.sqrt((torque(robot, motion) ** 2).mean(axis=0))
+    needed = np.maximum(needed, 1e-2 * needed.max())  # a joint without load still has friction
+    each = np.full_like(size, np.inf)
+    np.divide(needed[:, None], size, out=each, where=size > 0)
+    smallest = each.min(axis=0, initial=np.inf)
+    return np.asarray(np.where(np.isfinite(smallest), smallest, 1.0), float)
+
+
+def reference_motion(robot: Robot, duration: float, rate_hz: float) -> Motion:
+    """All joints moving at once at half their limits: what a motion of this length can show.
+
+    Sums of five harmonics with fixed random phases around the middle of the position limits;
+    always the same for the same arm and duration.
+    """
+    rng = np.random.default_rng(0)
+    t = np.arange(0, duration, 1 / rate_hz)
+    omega = 2 * np.pi / duration * np.arange(1, _HARMONICS + 1)
+    phase = rng.uniform(0, 2 * np.pi, (_HARMONICS, robot.nv))
+    size = rng.uniform(0.5, 1.0, phase.shape) / omega[:, None]
+    angle = omega[:, None] * t[:, None, None] + phase
+    orders = [
+        (size * omega[:, None] ** k * np.sin(angle + k * np.pi / 2)).sum(axis=1) for k in range(3)
+    ]
+    low, high = np.clip(robot.limits.position, -np.pi, np.pi).T
+    speed = np.where(robot.limits.velocity < 1e3, robot.limits.velocity, _FREE_SPEED)
+    limit = robot.limits.acceleration
+    acceleration = np.where(limit < 1e4, limit, _FREE_ACCELERATION)
+    ends = (_RANGE * (high - low) / 2, _LIMIT_SHARE * speed, _LIMIT_SHARE * acceleration)
+    largest = [np.abs(values).max(axis=0) for values in orders]
+    scale = np.min([end / size for end, size in zip(ends, largest, strict=True)], axis=0)
+    return Motion(t, (low + high) / 2 + scale * orders[0], scale * orders[1], scale * orders[2])
+
+
+def follows(ratio: Array, reach: Array) -> Array:
+    """Largest ratio of the kinds that reach a material part of an entry, at most 1, shape (p,).
+
+    Args:
+        ratio: Move of each entry relative to that of its prior, shape (kinds, p); NaN where a kind
+            leaves the entry's prior as it is.
+        reach: Share of each entry's uncertainty that a kind reaches, shape (kinds, p).
+    """
+    counted = np.where((reach >= _MATERIAL) & np.isfinite(ratio), ratio, 0.0)
+    return np.asarray(np.clip(counted.max(axis=0), 0.0, 1.0), float)
+
+
+def reached(L: Array, directions: Array, x: Array, links: int) -> Array:
+    """Share of each entry's uncertainty in some directions of w, at most 1, shape (p,).
+
+    An effect has no prior value; its estimate is what a share of it is compared with.
+
+    Args:
+        L: Root of the prior covariance, shape (p, k).
+        directions: Orthonormal rows, shape (d, k).
+        x: Estimate, shape (p,).
+        links: Number of links, whose ten parameters come first.
+    """
+    spread, size = np.linalg.norm(L @ directions.T, axis=1), np.linalg.norm(L, axis=1)
+    effects = slice(10 * links, None)
+    size[effects] = np.minimum(size[effects], np.abs(x[effects]) + 1e-6 * size[effects])
+    return np.minimum(_share(spread, size), 1.0)
+
+
+def silent_columns(R: Array) -> npt.NDArray[np.bool_]:
+    """Columns that make no torque, shape (p,)."""
+    norms = np.linalg.norm(R, axis=0)
+    return np.asarray(norms <= _SILENT * norms.max(initial=0.0))
+
+
+def linear_influence(R: Array, L: Array, x: Array, links: int) -> Array:
+    """How far each entry follows the prior in linear theory, 0 to 1, shape (p,).
+
+    An entry that is known exactly beforehand follows by 1.
+
+    Args:
+        R: Factor of the whitened columns, shape (rows, p).
+        L: Root of the prior covariance, shape (p, k).
+        x: Estimate, shape (p,).
+        links: Number of links, whose ten parameters come first.
+    """
+    _, s, Vt = np.linalg.svd(R @ L)
+    s = np.pad(s, (0, len(Vt) - len(s)))
+    seen = s > UNSEEN * s.max(initial=0.0)
+    moves, sizes = L @ Vt.T / (1 + s**2), np.linalg.norm(L, axis=1)
+    weak = np.flatnonzero(seen)[-WEAKEST:]
+    random = np.arange(len(x)) < 10 * links
+    reach = np.array([reached(L, Vt[~seen], x, links), reached(L, Vt[weak], x, links), random])
+    reach[0, silent_columns(R)] = 1.0
+    along = np.linalg.norm((L @ Vt.T)[:, weak], axis=1)
+    weakly = _share(np.linalg.norm(moves[:, weak], axis=1), along)
+    ratio = np.array([np.ones(len(x)), weakly, _share(np.linalg.norm(moves, axis=1), sizes)])
+    return np.asarray(np.where(sizes > 0, follows(ratio, reach), 1.0), float)
+
+
+def _share(part: Array, whole: Array) -> Array:
+    return np.asarray(np.divide(part, whole, out=np.zeros_like(part), where=whole > 0), float)
