@@ -7,9 +7,9 @@ import pytest
 
 from excitant.reports import html, page_of
 from excitant.reports.drawing import axes, style
+from excitant.reports.error_figures import INTERVAL, Curves, draw_band, torque_figure
 from excitant.reports.identify import identify_section
 from excitant.reports.page import Notes, Table
-from excitant.reports.error_figures import INTERVAL, Curves, draw_band, torque_figure
 
 LOOKS, N = 24, 400
 CURVES = Curves("given", "model as given", "identified", "identified", "caption", band="half_width")
