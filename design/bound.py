@@ -48,11 +48,10 @@ class Bound:
     Attributes:
         value: The bound.
         without_repair: What it would be, were no state to violate the certificate.
-        history: Ceiling (best mixture of the states so far) and bound after each round, shape
-            (rounds, 2); the relaxation cannot give more than the ceiling.
+        history: Ceiling (best mixture of the states so far; the relaxation cannot give more) and
+            bound after each round, shape (rounds, 2).
         relaxation: What was relaxed.
-        multipliers: The certificate, repaired: P, Q ⪰ 0, tr Q = 1, value² = tr P, and
-            `slack` ≥ 0 at every feasible state.
+        multipliers: The certificate, repaired: P, Q ⪰ 0, tr Q = 1, value² = tr P.
         weights: Of the states in the best mixture, shape (n,).
         assumptions: One sentence: for which motions it holds, and how far it is certain.
     """
@@ -283,7 +282,7 @@ def best_mixture(
             break
         try:
             point = point.moved(programme.newton(point, residual))
-        except np.linalg.LinAlgError:
+        except np.linalg.LinAlgError:  # as near to the boundary as numbers go
             break
     P, Q = best.X / np.trace(best.X[1])
     y = (best.x[n : n + m] - best.x[n + m : n + 2 * m]) / np.trace(best.X[1])
@@ -417,10 +416,4 @@ def _symmetric(A: Array) -> Array:
 
 def _root(A: Array) -> Array:
     """R with R Rᵀ = A, shape (2, r, r)."""
-    try:
-        return np.asarray(np.linalg.cholesky(A), float)
-    except np.linalg.LinAlgError:
-        e, V = np.linalg.eigh(A)
-        floor = 1e-14 * np.maximum(e[:, -1:], 1e-300)
-        R: Array = V * np.sqrt(np.maximum(e, floor))[:, None, :]
-        return R
+    return np.asarray(np.linalg.cholesky(A), float)

@@ -14,7 +14,7 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 
-_TINY = 1e-9  # keeps the slope of an arc finite at its end
+_SLIGHT = 1e-6  # step of differences in the cube
 _POSES = 500
 _SHRINKS = 25
 _STATES = 1000  # random states for scales and symmetries
@@ -58,28 +58,21 @@ class StateSpace:
     def motion(self, u: Array) -> Motion:
         """States of points of the cube, shape (n, 3 nv), numbered instead of timed."""
         u1, u2, u3 = np.split(u, 3, axis=1)
-        dq = self._speeds(u1)[0] * u2
-        return numbered(self.middle + self.half * u1, dq, self._accelerations(dq)[0] * u3)
+        dq = self._speeds(u1) * u2
+        return numbered(self.middle + self.half * u1, dq, self._accelerations(dq) * u3)
 
     def cube(self, motion: Motion) -> Array:
         """Points of the cube for states, the nearest where a state is outside."""
         u1 = (motion.q - self.middle) / self.half
         u1 = np.where(self.bounded, np.clip(u1, -1, 1), np.mod(u1 + 1, 2) - 1)
-        u2 = np.clip(motion.dq / self._speeds(u1)[0], -1, 1)
-        u3 = np.clip(motion.ddq / self._accelerations(motion.dq)[0], -1, 1)
+        u2 = np.clip(motion.dq / self._speeds(u1), -1, 1)
+        u3 = np.clip(motion.ddq / self._accelerations(motion.dq), -1, 1)
         return np.concatenate([u1, u2, u3], axis=1)
 
-    def pull(self, u: Array, by_q: Array, by_dq: Array, by_ddq: Array) -> Array:
-        """Gradient by u from the gradients by q, q̇ and q̈."""
-        u1, u2, u3 = np.split(u, 3, axis=1)
-        b, db = self._speeds(u1)
-        c, dc = self._accelerations(b * u2)
-        by_dq = by_dq + by_ddq * u3 * dc
-        return np.concatenate([by_q * self.half + by_dq * u2 * db, by_dq * b, by_ddq * c], axis=1)
-
     def use(self, motion: Motion) -> Array:
-        """Signed torque over its limit at each state, shape (n, nv)."""
-        return torque(self.robot, motion) / self.robot.limits.torque
+        """Largest torque over its limit at each state, shape (n,)."""
+        use: Array = (np.abs(torque(self.robot, motion)) / self.robot.limits.torque).max(axis=1)
+        return use
 
     def slowed(self, motion: Motion) -> Motion:
         """The states, time stretched until torque holds; those that gravity forbids left out."""
@@ -87,18 +80,15 @@ class StateSpace:
         for factor in (1.0, *np.linspace(0.99, 0.0, _SHRINKS)):
             rest = np.flatnonzero(np.isnan(share))
             slower = _stretched(motion[rest], np.full(len(rest), factor))
-            share[rest[(np.abs(self.use(slower)) <= 1).all(axis=1)]] = factor
+            share[rest[self.use(slower) <= 1]] = factor
         keep = ~np.isnan(share)
         return _stretched(motion[keep], share[keep])
 
-    def _speeds(self, u1: Array) -> tuple[Array, Array]:
-        """Limit b and its derivative by u₁."""
+    def _speeds(self, u1: Array) -> Array:
         return _arc(u1, np.where(self.bounded, self.top * self.half, np.inf), self.speed)
 
-    def _accelerations(self, dq: Array) -> tuple[Array, Array]:
-        """Limit c and its derivative by q̇."""
-        c, dc = _arc(dq / self.speed, self.top * self.speed, self.acceleration)
-        return c, dc / self.speed
+    def _accelerations(self, dq: Array) -> Array:
+        return _arc(dq / self.speed, self.top * self.speed, self.acceleration)
 
 
 def numbered(q: Array, dq: Array, ddq: Array) -> Motion:
@@ -111,13 +101,10 @@ def _stretched(motion: Motion, share: Array) -> Motion:
     return numbered(motion.q, s * motion.dq, s**2 * motion.ddq)
 
 
-def _arc(x: Array, radius: Array, cap: Array) -> tuple[Array, Array]:
-    """min(radius √(1 − x²), cap) and its derivative by x."""
-    root = np.sqrt(np.maximum(1 - x**2, _TINY))
-    with np.errstate(invalid="ignore"):
-        arc, slope = radius * root, -radius * x / root
-    flat = ~(arc < cap)
-    return np.where(flat, cap, arc), np.where(flat, 0.0, slope)
+def _arc(x: Array, radius: Array, cap: Array) -> Array:
+    """min(radius √(1 − x²), cap), above 0 at the ends too."""
+    root = np.sqrt(np.maximum(1 - x**2, 1e-9))
+    return np.minimum(radius * root, cap)
 
 
 def state_space(robot: Robot, top: float) -> StateSpace:
@@ -179,30 +166,13 @@ class TestFunctions:
 
     def rates(self, motion: Motion) -> Array:
         """dφ/dt at n states, shape (n, m)."""
-        j, _, i = self.table.T
-        f, df, _ = self._factors(motion.q)
+        j, kind, i = self.table.T
+        x = motion.q[:, j]
+        sin, cos, one = np.sin(x), np.cos(x), np.ones_like(x)
+        f = np.choose(kind, [one, sin, cos, x, x * x])
+        df = np.choose(kind, [0 * one, cos, -sin, one, 2 * x])
         rates: Array = df * motion.dq[:, j] * motion.dq[:, i] + f * motion.ddq[:, i]
         return rates / self.scale
-
-    def gradient(self, motion: Motion, y: Array) -> tuple[Array, Array, Array]:
-        """Derivatives of Σ y dφ/dt by q, q̇ and q̈, each of shape (n, nv)."""
-        j, _, i = self.table.T
-        f, df, ddf = self._factors(motion.q)
-        v, u, a = motion.dq[:, j], motion.dq[:, i], motion.ddq[:, i]
-        to_j, to_i = np.eye(motion.nv)[j], np.eye(motion.nv)[i]
-        y = y / self.scale
-        by_q = (y * (ddf * v * u + df * a)) @ to_j
-        return by_q, (y * df * u) @ to_j + (y * df * v) @ to_i, (y * f) @ to_i
-
-    def _factors(self, q: Array) -> tuple[Array, Array, Array]:
-        """f, f′ and f″ at n states, each of shape (n, m)."""
-        x, kind = q[:, self.table[:, 0]], self.table[:, 1]
-        sin, cos, zero, one = np.sin(x), np.cos(x), np.zeros_like(x), np.ones_like(x)
-        return (
-            np.choose(kind, [one, sin, cos, x, x * x]),
-            np.choose(kind, [zero, cos, -sin, one, 2 * x]),
-            np.choose(kind, [zero, -sin, -cos, zero, 2 * one]),
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,7 +266,7 @@ class Relaxation:
         """Projected gradient ascent: points and merits. Of several steps the best is taken."""
         value, reach = self._merit(multipliers, u), np.full(len(u), 0.3)
         for _ in range(steps):
-            d = self._slope(multipliers, u)
+            d = self._slope(multipliers, u, value)
             d = np.where((np.abs(u) >= 1) & (d * u > 0), 0.0, d)
             d /= np.maximum(np.abs(d).max(axis=1, keepdims=True), 1e-300)
             best, top, used = u.copy(), value.copy(), 0.2 * reach
@@ -323,34 +293,18 @@ class Relaxation:
 
     def _merit(self, multipliers: Multipliers, u: Array) -> Array:
         motion = self.space.motion(u)
-        over = np.maximum(np.abs(self.space.use(motion)).max(axis=1) - 1, 0.0)
+        over = np.maximum(self.space.use(motion) - 1, 0.0)
         merit: Array = self.price(multipliers, motion) - _TORQUE_PENALTY * over**2
         return merit
 
-    def _slope(self, multipliers: Multipliers, u: Array) -> Array:
-        """Gradient of the merit by u (friction's share of the torque held fast)."""
-        motion = self.space.motion(u)
-        exact = self.information.linearise(motion)
-        price, F = self.price(multipliers, motion), multipliers.P - multipliers.Q
-        size = _form(exact.Y, multipliers.repair) + 1e-300
-        T = exact.Y @ F - price[:, None, None] * (exact.Y @ multipliers.repair)
-        T = 2 * T / size[:, None, None] - self._torque_slope(motion)
-        added = self.tests.gradient(motion, multipliers.y)
-        slopes = [
-            np.einsum("jnir,nir->nj", by, T, optimize=True) + rows / size[:, None]
-            for by, rows in zip((exact.by_q, exact.by_dq, exact.by_ddq), added, strict=True)
+    def _slope(self, multipliers: Multipliers, u: Array, merit: Array) -> Array:
+        """Gradient of the merit by u, by differences towards the inside of the cube."""
+        step = np.where(u > 0, -_SLIGHT, _SLIGHT)
+        columns = [
+            (self._merit(multipliers, u + step * unit) - merit) / step[:, k]
+            for k, unit in enumerate(np.eye(u.shape[1]))
         ]
-        return self.space.pull(u, *slopes)
-
-    def _torque_slope(self, motion: Motion) -> Array:
-        """Derivative of the torque penalty by the base columns, shape (n, nv, r)."""
-        signed = self.space.use(motion)
-        use = np.abs(signed)
-        over = np.where(use >= use.max(axis=1, keepdims=True), np.maximum(use - 1, 0.0), 0.0)
-        slope = 2 * _TORQUE_PENALTY * over * np.sign(signed) / self.space.robot.limits.torque
-        base, phi = self.information.base, self.space.robot.phi
-        product: Array = slope[:, :, None] * (base.regrouping[:, : len(phi)] @ phi)
-        return product
+        return np.stack(columns, axis=1)
 
 
 def _form(Y: Array, F: Array) -> Array:

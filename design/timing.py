@@ -14,7 +14,7 @@ from excitant.design.constraints import LimitUse, check
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Array, Motion, Robot, torque
 from excitant.robots.geometry import Scene
-from excitant.robots.motion import freeze, read_only
+from excitant.robots.motion import read_only
 from excitant.robots.torque import largest_torque
 
 DEFAULT_ACCELERATION = 10.0  # rad/s² or m/s², of a joint with neither acceleration nor torque limit
@@ -53,12 +53,11 @@ def approach(
 ) -> Motion:
     """Fastest motion from rest at one pose to rest at another, to or from an excitation.
 
-    The path is the straight line in joint space. Where that comes too close to an obstacle, or
-    through a pose that the motors cannot hold, it leads around.
-    Its speed is that of TOPP-RA (Pham and Pham 2018) under the limits on velocity, acceleration
-    and torque, the robot's effects included. A joint without acceleration limit is held by its
-    torque limit alone; with neither, `DEFAULT_ACCELERATION` applies. At both ends q̇ = q̈ = 0. All
-    limits hold between samples too, in the sense of `excitant.design.constraints.check`.
+    The path is the straight line in joint space, or leads around where that comes too close to an
+    obstacle or through a pose that the motors cannot hold. Its speed is that of TOPP-RA (Pham and
+    Pham 2018) under the limits on velocity, acceleration and torque, the robot's effects included;
+    a joint with neither acceleration nor torque limit gets `DEFAULT_ACCELERATION`. At both ends
+    q̇ = q̈ = 0. All limits hold between samples too, in the sense of `check`.
 
     Args:
         robot: Arm with its limits and effects.
@@ -148,12 +147,7 @@ def _still(pose: Array, t: Array) -> Motion:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Twice continuously differentiable curve q(s), 0 ≤ s ≤ 1, as toppra takes it.
-
-    Attributes:
-        spline: Piecewise polynomial.
-        pieces: Number of its pieces.
-    """
+    """Twice differentiable curve q(s), 0 ≤ s ≤ 1, of polynomial pieces, as toppra takes it."""
 
     spline: BSpline
     pieces: int
@@ -186,9 +180,7 @@ def rounded_path(waypoints: Array, spacing: float = 1.0) -> Path:
     pieces = 1 if len(waypoints) == 2 else max(4, int(np.ceil(length[-1] / spacing)))
     knots = np.concatenate([np.zeros(3), np.linspace(0, 1, pieces + 1), np.ones(3)])
     greville = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3
-    control = np.stack(
-        [np.interp(greville, length / length[-1], column) for column in waypoints.T], axis=1
-    )
+    control = _between(waypoints, length / length[-1], greville)
     control[0], control[-1] = waypoints[0], waypoints[-1]
     return Path(BSpline(knots, control, 3), pieces)
 
@@ -223,7 +215,7 @@ def _free_path(
 
 
 def _obstruction(robot: Robot, path: Path, scene: Scene | None, clearance: float) -> str | None:
-    """Where and why a path comes too close or needs too much torque to hold still, if it does."""
+    """Where and why a path comes too close or cannot be held still, if it does."""
     coarse = path(np.linspace(0.0, 1.0, 20 * path.pieces + 1))
     travel = np.abs(np.diff(coarse, axis=0)) / np.where(robot.revolute, *_RESOLUTION)
     s = np.linspace(0.0, 1.0, max(8, int(np.ceil(travel.max(axis=1).sum()))) + 1)
@@ -259,14 +251,18 @@ def _lengths(waypoints: Array) -> Array:
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1)))
 
 
+def _between(waypoints: Array, length: Array, at: Array) -> Array:
+    """Points of a polyline where it has these lengths, shape (n, nv)."""
+    return np.stack([np.interp(at, length, column) for column in waypoints.T], axis=1)
+
+
 def _detour(
     robot: Robot, start: Array, goal: Array, free: Edge, rng: np.random.Generator
 ) -> Array | None:
     """Waypoints from start to goal over free straight segments, shape (k, nv), or None.
 
-    Two trees grow towards random poses and towards each other (RRT-Connect, Kuffner and
-    LaValle 2000); the result is shortened by random shortcuts. Poses are drawn inside the
-    position limits, at most half a turn beyond the box of start and goal.
+    RRT-Connect (Kuffner and LaValle 2000), shortened by random shortcuts, among poses inside the
+    position limits and at most half a turn beyond the box of start and goal.
     """
     around = np.stack([np.minimum(start, goal) - np.pi, np.maximum(start, goal) + np.pi])
     low, high = np.clip(around, *robot.limits.position.T)
@@ -318,7 +314,7 @@ def _shortened(waypoints: Array, free: Edge, rng: np.random.Generator) -> Array:
     for _ in range(_SHORTCUTS):
         length = _lengths(waypoints)
         cut = np.sort(rng.uniform(0.0, length[-1], 2))
-        a, b = (np.array([np.interp(c, length, column) for column in waypoints.T]) for c in cut)
+        a, b = _between(waypoints, length, cut)
         if free(a, b):
             before, after = waypoints[length < cut[0]], waypoints[length > cut[1]]
             waypoints = np.vstack([before, a, b, after])
@@ -375,18 +371,13 @@ def _uses_of_speed(robot: Robot, motion: Motion) -> tuple[LimitUse, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Speed ṡ over position s of a path, with constant s̈ between the points given.
+    """Speed ṡ [1/s] at positions s of a path from 0 to 1, both (n,), with constant s̈ between.
 
-    Attributes:
-        s: Positions, increasing from 0 to 1, shape (n,).
-        speed: ṡ there, shape (n,) [1/s]; nowhere zero at two neighbours.
+    The speed is nowhere zero at two neighbours.
     """
 
     s: Array
     speed: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "s", "speed")
 
     @property
     def t(self) -> Array:
@@ -398,7 +389,7 @@ class Profile:
         """Time from 0 to 1 [s]."""
         return float(self.t[-1])
 
-    def positions(self, n: int) -> Array:
+    def _positions(self, n: int) -> Array:
         """Positions at ``n`` equidistant instants, first and last included, shape (n,)."""
         t = self.t
         instants = np.linspace(0.0, t[-1], n)
@@ -412,13 +403,12 @@ class Profile:
     def motion(self, path: Path, rate_hz: float) -> Motion:
         """Samples of the path at a control rate [Hz], with q̇ = q̈ = 0 at both ends.
 
-        The positions at the control instants become the control points of a uniform cubic
-        spline s(t), which turns jumps of acceleration into ramps of one sample. Its derivatives
-        are means of differences of the control points, so it is nowhere faster nor more
+        The positions at the control instants become control points of a uniform cubic spline
+        s(t): jumps of acceleration become ramps of one sample, and it is nowhere faster nor more
         accelerated than the profile. It takes up to three samples longer.
         """
         n = max(1, int(np.ceil(self.duration * rate_hz - 1e-9)))
-        control = np.concatenate([np.zeros(2), self.positions(n + 1), np.ones(2)])
+        control = np.concatenate([np.zeros(2), self._positions(n + 1), np.ones(2)])
         before, now, after = control[:-2], control[1:-1], control[2:]
         s = (before + 4 * now + after) / 6
         ds = ((after - before) * rate_hz / 2)[:, None]
@@ -469,8 +459,7 @@ def _time_scale(robot: Robot, path: Path, acceleration: Array) -> float:
 def _dynamics(robot: Robot, path: Path, s: Array, speed: Array | None, blur: float) -> Dynamics:
     """Torque on a path as τ = a s̈ + b ṡ² + c (Bobrow et al. 1985), each of shape (n, nv).
 
-    Friction that depends on the speed is not of this form. It is replaced by its secant in ṡ²
-    between rest and the given speed, where it is then exact; without a speed it is left out.
+    Friction that depends on the speed enters as its secant in ṡ² between rest and a given speed;
     c is gravity and dry friction, the smallest and the largest around each position.
     """
     q, dq, ddq = path(s), path(s, 1), path(s, 2)
