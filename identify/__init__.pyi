@@ -10,7 +10,6 @@ from .estimate import Estimate, identify_robot
 from .excitation import Persistency, persistency
 from .export import Publication, model_files, publication
 from .importers.mapping import ColumnMap, load_column_map
-from .importers.raw import RawRecording, raw_recording
 from .knowledge import Knowledge, load_knowledge
 from .online import (
     Monitor,
@@ -28,8 +27,8 @@ from .payload import (
 from .recording import (
     Recording,
     load_recording,
+    raw_recording,
     read_chunks,
-    recording_from_raw,
     recording_from_table,
 )
 from .regression import Regression
@@ -54,7 +53,6 @@ __all__ = [
     "PayloadEstimate",
     "Persistency",
     "Publication",
-    "RawRecording",
     "Recording",
     "Regression",
     "ZeroPhaseButterworth",
@@ -75,7 +73,6 @@ __all__ = [
     "raw_recording",
     "read_chunks",
     "read_recordings",
-    "recording_from_raw",
     "recording_from_table",
     "split",
 ]
