@@ -14,8 +14,7 @@ from excitant.identify.preprocessing import Segment
 from excitant.identify.prior import PRIOR_SIGMA, link_coordinates, link_weights
 from excitant.identify.regression import dense
 from excitant.identify.rows import implausible_size
-from excitant.robots import effects as of
-from excitant.robots.effects import Effect, Parameter, joint_facts
+from excitant.robots.effects import Effect, Parameter, joint_facts, proposals
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import isotropic
 from excitant.robots.regressor import regressor
@@ -28,17 +27,11 @@ _REACH = 0.3  # m: scale of a payload's lever, decides nothing but the units of 
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """Filtered columns of a robot and its effects at the rows of segments, each worked out once.
+    """Filtered columns of a robot and its effects at the rows of segments, each worked out once."""
 
-    Attributes:
-        robot: Effects that rest on torque take it from here.
-        segments: Where.
-        links: Columns of the standard parameters at their rows, shape (n, nv, 10 nv).
-    """
-
-    robot: Robot
+    robot: Robot  # effects that rest on torque take it from here
     segments: tuple[Segment, ...]
-    links: Array
+    links: Array  # columns of the standard parameters, shape (n, nv, 10 nv)
     _by_motion: dict[Effect, Array] = field(default_factory=dict, repr=False)
     _by_robot: dict[Effect, Array] = field(default_factory=dict, repr=False)
 
@@ -80,6 +73,14 @@ def _rows(segments: Sequence[Segment], columns: Callable[[Any], Array]) -> Array
     return np.concatenate([s.rows(columns) for s in segments])
 
 
+def cause_columns(effect: Effect, given: Observed, understood: Observed) -> Array:
+    """Columns of a cause, shape (n, nv, k), by the robot as given and as understood so far.
+
+    A gain is one of the given torque: one of what was found since would imitate each of its parts.
+    """
+    return (given if effect.of_given_torque else understood).columns(effect)
+
+
 def tolerance_metric(bodies: Array) -> Array:
     """What ten per cent of a link is ten per cent of, shape (links, 10)."""
     return np.array([isotropic(phi) for phi in bodies])
@@ -102,26 +103,28 @@ def gather(
             rest on torque take it from there.
         tau: Measured torque at the rows, shape (n, nv) [N·m].
         metric: Bodies that tolerances are relative to, shape (nv, 10).
-        believed: Causes in the robot as understood so far.
+        believed: Causes in the robot as understood so far; they are considered again, and with
+            them shapes close to theirs.
         identified: Whether all given values are as open as in an identification, and only effects
             beyond the standard model are considered; else given values are right to ±10 %.
     """
-    segments, Y = train.segments, train.links
+    given, segments = train.by(robot), train.segments
     known = train.matrix(robot.effects)[:, :, 10 * robot.nv :]
-    given = np.concatenate([np.abs(e.values or ()) for e in robot.effects] or [np.zeros(0)])
-    spread = TOLERANCE * np.where(given > 0, given, 1e-9)
+    values = np.concatenate([np.abs(e.values or ()) for e in robot.effects] or [np.zeros(0)])
+    spread = TOLERANCE * np.where(values > 0, values, 1e-9)
     if identified:
         spread = implausible_size(known, tau)
-    blocks = [Y @ link_coordinates(metric), known * spread]
+    blocks = [train.links @ link_coordinates(metric), known * spread]
     sigma = PRIOR_SIGMA if identified else TOLERANCE
     weights = [link_weights(robot.nv, sigma) ** 2, np.ones(len(spread))]
     nuisance = start = 10 * robot.nv + len(spread)
     candidates = []
-    again = [(c.effect, c.trials) for c in believed]
-    for effect, trials in proposals(robot, segments, tau - train.torque(), again):
+    motions, rows = [s.motion for s in segments], [s.keep for s in segments]
+    facts = joint_facts(motions, rows, tau - train.torque(), segments[0].cutoff_hz)
+    for effect, trials in proposals(robot, facts, [(c.effect, c.trials) for c in believed]):
         if identified and not effect.further:
             continue
-        block = cause_columns(effect, robot, train.robot, segments, Y)
+        block = cause_columns(effect, given, train)
         if not block.any():
             continue
         scale, weight = _coordinates(robot, effect, metric, block, tau)
@@ -131,9 +134,8 @@ def gather(
         weights.append(weight)
         start = stop
     names = [str(k) for k in range(start)]
-    residual = tau - train.by(robot).torque()
     evidence = weigh(
-        dense(np.concatenate(blocks, axis=2), residual, names),
+        dense(np.concatenate(blocks, axis=2), tau - given.torque(), names),
         moving(segments),
         np.concatenate(weights),
         nuisance,
@@ -144,34 +146,6 @@ def gather(
     return evidence if identified else calibrated(evidence, robot)
 
 
-def cause_columns(
-    effect: Effect, robot: Robot, reference: Robot, segments: Sequence[Segment], Y: Array
-) -> Array:
-    """Columns of a cause at the rows, shape (n, nv, k); bodies take theirs from the regressor.
-
-    Args:
-        effect: The cause.
-        robot: The given robot.
-        reference: The robot as understood so far.
-        segments: Where.
-        Y: Regressor at their rows, shape (n, nv, 10 nv).
-    """
-    if (j := effect.link(robot)) is not None:
-        return Y[:, :, 10 * j : 10 * j + 10]
-    return believed_columns(effect, robot, reference, segments)
-
-
-def believed_columns(
-    effect: Effect, robot: Robot, reference: Robot, segments: Sequence[Segment]
-) -> Array:
-    """Columns of an effect that takes torque from the robot as understood so far.
-
-    A gain is one of the given torque: one of what was found since would imitate each of its parts.
-    """
-    source = robot if effect.of_given_torque else reference
-    return _rows(segments, lambda motion: effect.columns(source, motion))
-
-
 def coefficient_sizes(parameters: Sequence[Parameter], columns: Array, torque: Array) -> Array:
     """What coefficients are small against when only data decide, shape (e,).
 
@@ -180,11 +154,8 @@ def coefficient_sizes(parameters: Sequence[Parameter], columns: Array, torque: A
         columns: Their columns, shape (n, joints, e).
         torque: Torque of these joints, shape (n, joints).
     """
-    size = implausible_size(columns, torque)
-    for k, parameter in enumerate(parameters):
-        if parameter.typical is not None:
-            size[k] = parameter.typical
-    return size
+    typical = np.array([p.typical if p.typical is not None else np.nan for p in parameters])
+    return np.where(np.isnan(typical), implausible_size(columns, torque), typical)
 
 
 def _coordinates(
@@ -199,23 +170,3 @@ def _coordinates(
     acts = columns.any(axis=(0, 2))
     size = coefficient_sizes(effect.parameters(robot), columns[:, acts], torque[:, acts])
     return np.diag(size), np.ones(len(size))
-
-
-def proposals(
-    robot: Robot,
-    segments: Sequence[Segment],
-    unexplained: Array,
-    believed: Sequence[tuple[Effect, int]] = (),
-) -> list[tuple[Effect, int]]:
-    """Effects that propose themselves, with the number of shapes each was chosen from.
-
-    Args:
-        robot: The arm.
-        segments: Recording to explain.
-        unexplained: What the model so far leaves, shape (n, nv) [N·m]; ripple is looked for there.
-        believed: Effects of the model so far, each with the number of shapes it was chosen from.
-            They are considered again, and with them shapes close to theirs.
-    """
-    motions, rows = [s.motion for s in segments], [s.keep for s in segments]
-    facts = joint_facts(motions, rows, unexplained, segments[0].cutoff_hz)
-    return of.proposals(robot, facts, believed)

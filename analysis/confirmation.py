@@ -16,14 +16,12 @@ from excitant.analysis.candidates import (
     tolerance_metric,
 )
 from excitant.analysis.evidence import Candidate, Evidence, Key
-from excitant.analysis.explanation import Rival
 from excitant.analysis.residuals import Mask, moving, noise_floor
-from excitant.analysis.selection import underlies
-from excitant.identify.accuracy import Series, series
+from excitant.analysis.selection import Rival, underlies
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment
 from excitant.identify.prior import EffectPrior
-from excitant.identify.rows import identified_robot
+from excitant.identify.rows import Series, identified_robot, series
 from excitant.robots.effects import Effect, merged
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import from_pseudo_inertia
@@ -88,27 +86,18 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """The hold-out as every model is judged by it.
+    """The hold-out as every model is judged by it; torques of shape (n, nv) [torque unit]."""
 
-    Attributes:
-        observed: Its rows, of the given robot.
-        gains: Torque per reading, shape (nv,).
-        series: Measured torque at the rows.
-        simulated: Torque of the given model at the rows, shape (n, nv) [torque unit].
-        moves: Rows at which each joint moves, shape (n, nv).
-        floor: What noise leaves of each joint's torque, shape (nv,) [torque unit].
-    """
-
-    observed: Observed
-    gains: Array
-    series: Series
-    simulated: Array
-    moves: Mask
-    floor: Array
+    observed: Observed  # its rows, of the given robot
+    gains: Array  # torque per reading, shape (nv,)
+    series: Series  # measured torque
+    simulated: Array  # torque of the given model
+    moves: Mask  # rows at which each joint moves, shape (n, nv)
+    floor: Array  # what noise leaves of each joint's torque, shape (nv,)
 
     @property
     def given(self) -> Array:
-        """What the given model leaves, shape (n, nv) [torque unit]."""
+        """What the given model leaves."""
         return self.series.measured - self.simulated
 
     def rms(self, error: Array) -> Array:
@@ -127,13 +116,7 @@ class HeldOut:
 
 
 def held_out(robot: Robot, segments: tuple[Segment, ...], gains: Array) -> HeldOut:
-    """The hold-out of a given robot.
-
-    Args:
-        robot: The given robot.
-        segments: The hold-out.
-        gains: Torque per reading, shape (nv,).
-    """
+    """The hold-out of a given robot, with its torque per reading, shape (nv,)."""
     found = observed(robot, segments)
     return HeldOut(
         found,
@@ -147,27 +130,16 @@ def held_out(robot: Robot, segments: tuple[Segment, ...], gains: Array) -> HeldO
 
 @dataclass(frozen=True, eq=False)
 class Extension:
-    """The given model with causes added, everything re-identified physically consistently.
+    """The given model with causes added, everything re-identified physically consistently."""
 
-    Attributes:
-        evidence: What the causes were chosen by.
-        chosen: The causes.
-        model: The given robot with re-identified inertias and effects, those found included.
-        std: Standard deviation of each effect coefficient by parameter name.
-        link_std: Standard deviation of the standard parameters, shape (10 nv,).
-        held: The rows of the hold-out by that model.
-        predicted: Its torque at them, shape (n, nv) [torque unit].
-        refuted: Causes that the evidence called for and that make the hold-out plainly worse.
-    """
-
-    evidence: Evidence
+    evidence: Evidence  # by which the causes were chosen
     chosen: tuple[Candidate, ...]
-    model: Robot
-    std: dict[str, float]
-    link_std: Array
-    held: Observed
-    predicted: Array
-    refuted: frozenset[Key] = frozenset()
+    model: Robot  # the given robot with re-identified inertias and effects, those found included
+    std: dict[str, float]  # standard deviation of each effect coefficient, by name
+    link_std: Array  # the same of the standard parameters, shape (10 nv,)
+    held: Observed  # rows of the hold-out by that model
+    predicted: Array  # its torque at them, shape (n, nv) [torque unit]
+    refuted: frozenset[Key] = frozenset()  # called for, but the hold-out is plainly worse with them
 
 
 def unextended(evidence: Evidence, held: HeldOut) -> Extension:
@@ -182,20 +154,13 @@ class Extender:
     """Fits the given robot with causes to a recording.
 
     What was found wrong is free; everything else stays within the tolerance of its given value.
-
-    Attributes:
-        prior: Standard parameters of the given robot as prior, shape (nv, 10).
-        train: What to fit, of the robot as understood so far.
-        tau: Measured torque at the rows, shape (n, nv) [N·m].
-        held: The hold-out, of the given robot.
-        evidence: Noise levels, and the tolerance that the data support.
     """
 
-    prior: Array
-    train: Observed
-    tau: Array
+    prior: Array  # standard parameters of the given robot as prior, shape (nv, 10)
+    train: Observed  # what to fit, of the robot as understood so far
+    tau: Array  # measured torque at the rows, shape (n, nv) [N·m]
     held: HeldOut
-    evidence: Evidence
+    evidence: Evidence  # noise levels, and the tolerance that the data support
 
     def __call__(self, chosen: Sequence[Candidate]) -> Extension:
         """The extended model with a set of causes."""
@@ -206,16 +171,11 @@ class Extender:
         rows = np.concatenate([W, self.tau[:, :, None]], axis=2) * weight[:, :, None]
         R = np.asarray(np.linalg.qr(rows.reshape(-1, W.shape[2] + 1), mode="r"), float)
         bodies, sigma = self._bodies(chosen)
-        fit = fit_physical(
-            R[:, :-1],
-            R[:, -1],
-            bodies,
-            self._effect_prior(effects, chosen, W[:, :, 10 * len(bodies) :]),
-            sigma,
-            tolerance_metric(bodies),
-        )
-        std = np.sqrt(np.diag(fit.covariance))
-        links, names = 10 * robot.nv, [p.name for e in effects for p in e.parameters(robot)]
+        open_ = self._effect_prior(effects, chosen, W[:, :, 10 * len(bodies) :])
+        metric = tolerance_metric(bodies)
+        fit = fit_physical(R[:, :-1], R[:, -1], bodies, open_, sigma, metric)
+        std, links = read_only(np.sqrt(np.diag(fit.covariance))), 10 * robot.nv
+        names = [p.name for e in effects for p in e.parameters(robot)]
         model = identified_robot(robot, effects, fit.x)
         found = self.held.observed.by(model)
         return Extension(
@@ -223,7 +183,7 @@ class Extender:
             tuple(chosen),
             model,
             dict(zip(names, std[links:].tolist(), strict=True)),
-            read_only(std[:links]),
+            std[:links],
             found,
             found.torque() / self.held.gains,
         )
@@ -247,16 +207,11 @@ class Extender:
         free = {p.name for c in chosen for p in c.effect.parameters(robot)}
         scalar = [e for e in effects if e.role != "body"]
         parameters = [p for e in scalar for p in e.parameters(robot)]
-        mean = np.array(
-            [v for e in scalar for v in (e.values or (0.0,) * len(e.parameters(robot)))]
-        )
+        mean = np.array([v for e in scalar for v in e.values or (0.0,) * len(e.parameters(robot))])
         tight = np.maximum(self.evidence.tolerance[1] * TOLERANCE * np.abs(mean), 1e-9)
         loose = np.array([p.name in free for p in parameters], dtype=bool)
-        return EffectPrior(
-            mean=mean,
-            std=np.where(loose, coefficient_sizes(parameters, columns, self.tau), tight),
-            lower=np.array([p.lower for p in parameters]),
-        )
+        std = np.where(loose, coefficient_sizes(parameters, columns, self.tau), tight)
+        return EffectPrior(mean, std, np.array([p.lower for p in parameters]))
 
 
 def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
@@ -273,13 +228,7 @@ def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> tuple[Extensio
 
     The one that pays least goes first, and all others are fitted anew. What others rest on stays:
     plain friction below finer friction, and a cause without which the new fit is clearly worse.
-
-    Args:
-        extender: Fits causes.
-        chosen: Causes that the evidence calls for.
-
-    Returns:
-        The fit with those that pay or that others rest on, and a finding for each.
+    Returns the fit with those that pay or that others rest on, and a finding for each.
     """
     held, robot, fit = extender.held, extender.held.observed.robot, extender(chosen)
     kept, refuted = set[Candidate](), set[Key]()

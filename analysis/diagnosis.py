@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,32 +20,31 @@ from excitant.analysis.confirmation import (
     held_out,
     unextended,
 )
+from excitant.analysis.discrimination import Plan
 from excitant.analysis.evidence import Key
-from excitant.analysis.evidence_curves import Curve, curve_of
 from excitant.analysis.explanation import (
+    Curve,
     at_rest,
+    curve_of,
     headline,
     placeholders,
     reason_to_downgrade,
-    rivals,
 )
 from excitant.analysis.residuals import Residual, residuals
-from excitant.analysis.selection import select
+from excitant.analysis.selection import rivals, select
 from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
-from excitant.identify.accuracy import Accuracy, series
+from excitant.identify.drive_gains import current_gains
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.rows import Data, split, torque_per_reading
+from excitant.identify.rows import Accuracy, Data, series, split
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.effects import Effect, plain, standard_effects
+from excitant.robots.effects import plain, standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
-if TYPE_CHECKING:
-    from excitant.analysis.discrimination_plan import Plan
-
+_NO_PLAN = Plan()
 _ROUNDS = 3  # until what the data call for no longer changes what effects rest on
 
 
@@ -89,17 +88,17 @@ class Diagnosis:
 
     @property
     def simulated(self) -> Array:
-        """Torque of the given model at those rows, shape (n, nv) [torque unit]."""
+        """The same of the given model."""
         return self.held.simulated
 
     @property
     def predicted(self) -> Array:
-        """Torque of the extended model at those rows, shape (n, nv) [torque unit]."""
+        """The same of the extended model."""
         return self.extension.predicted
 
     @property
     def left(self) -> Array:
-        """What the extended model leaves there, shape (n, nv) [torque unit]."""
+        """What the extended model leaves there."""
         return np.asarray(self.measured - self.predicted, float)
 
     @cached_property
@@ -113,19 +112,13 @@ class Diagnosis:
         return self.held.series.accuracy(self.predicted)
 
     @cached_property
-    def position(self) -> Array:
-        """Joint positions at the rows of the hold-out, shape (n, nv) [rad or m]."""
-        return np.concatenate([s.motion.q[s.keep] for s in self.data.validate])
-
-    @cached_property
-    def velocity(self) -> Array:
-        """Joint velocities at these rows, shape (n, nv) [rad/s or m/s]."""
-        return np.concatenate([s.motion.dq[s.keep] for s in self.data.validate])
-
-    @cached_property
-    def acceleration(self) -> Array:
-        """Joint accelerations at these rows, shape (n, nv) [rad/s² or m/s²]."""
-        return np.concatenate([s.motion.ddq[s.keep] for s in self.data.validate])
+    def states(self) -> tuple[Array, Array, Array]:
+        """Positions, velocities, accelerations of the joints at these rows, each (n, nv)."""
+        motions = [s.motion[s.keep] for s in self.data.validate]
+        q, dq, ddq = (
+            np.concatenate([getattr(m, name) for m in motions]) for name in ("q", "dq", "ddq")
+        )
+        return q, dq, ddq
 
     @cached_property
     def refit(self) -> Refit:
@@ -183,10 +176,7 @@ class Diagnosis:
         return float((left.structured / size) ** 2 / given.mean(axis=0).sum())
 
     def before_and_after(self, group: Sequence[Finding]) -> tuple[float, float]:
-        """Error on the hold-out without and with a cause, over the joints of its group.
-
-        Rows at which a joint rests are left out: dry friction takes any value there.
-        """
+        """Error on the hold-out without and with a cause, over the joints of its group, moving."""
         squares = []
         for finding in group:
             joints = finding.effect.affected(self.robot)
@@ -197,7 +187,7 @@ class Diagnosis:
         before, after = np.sqrt(np.mean(squares, axis=0)).tolist()
         return before, after
 
-    def result(self, plan: Plan | None = None) -> dict[str, Any]:
+    def result(self, plan: Plan = _NO_PLAN) -> dict[str, Any]:
         """Machine-readable result of `diagnose` (keys of DESIGN.md, section 5).
 
         Args:
@@ -205,6 +195,7 @@ class Diagnosis:
         """
         notes = [*self.notes, placeholders(self), at_rest(self)]
         pairs = zip(self.ordered, self.curves, strict=True)
+        both = zip(self.given_residuals, self.residuals, strict=True)
         return {
             "verb": "diagnose",
             "robot": self.robot.name,
@@ -226,13 +217,9 @@ class Diagnosis:
             "extended": {"joints": self._joints(self.extended)},
             "error": {
                 "joints": [
-                    {
-                        "name": given.joint,
-                        **given.shown(),
-                        "left": left.shown(),
-                        "motion_hz": list(given.motion_hz),
-                    }
-                    for given, left in zip(self.given_residuals, self.residuals, strict=True)
+                    {"name": given.joint, **given.shown(), "left": left.shown()}
+                    | {"motion_hz": list(given.motion_hz)}
+                    for given, left in both
                 ]
             },
             "refit": self._refit(),
@@ -284,7 +271,7 @@ class Diagnosis:
         return html_table(f"What the model of {self.robot.name} gets wrong", heads, rows)
 
 
-def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan | None) -> dict[str, Any]:
+def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[str, Any]:
     """One cause on the joints of a group."""
     lead, robot = group[0], diagnosis.robot
     before, after = diagnosis.before_and_after(group)
@@ -295,16 +282,12 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan | None) ->
             f.effect.parameters(robot), f.effect.values or (), f.std, f.given, strict=True
         )
     ]
-    shapes = [
-        {
-            "name": f"{f.effect.joints[0]}.{shape.name}",
-            "value": getattr(f.effect, shape.name),
-            "std": None,
-            "unit": shape.unit,
-        }
+    shapes: list[dict[str, Any]] = [
+        {"name": f"{f.effect.joints[0]}.{s.name}", "value": getattr(f.effect, s.name)}
+        | {"std": None, "unit": s.unit}
         for f in group
-        for shape in f.effect.shapes
-        if shape.positive and not shape.trial
+        for s in f.effect.shapes
+        if s.positive and not s.trial
     ]
     rivals = {r.candidate.key: (f.effect, r) for f in group for r in f.rivals}
     return {
@@ -321,19 +304,11 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan | None) ->
                 "joints": list(joints),
                 "why": f"explains this motion as well (within {max(rival.deviations, 0.0):.1f} "
                 f"standard errors, signatures alike to |cos| = {rival.cosine:.2f})",
-                **_advice(effect, rival.candidate.effect, plan),
+                **asdict(plan.of(effect, rival.candidate.effect)),
             }
             for (name, joints), (effect, rival) in rivals.items()
         ],
     }
-
-
-def _advice(found: Effect, rival: Effect, plan: Plan | None) -> dict[str, Any]:
-    """What to do about a rival, the expected difference in standard deviations, and the runs."""
-    if plan is not None:
-        return asdict(plan.of(found, rival))
-    nothing = dict.fromkeys(("separation", "repetitions", "file"))
-    return {"experiment": found.told_from(rival), **nothing}
 
 
 def _unknown(diagnosis: Diagnosis, left: Residual) -> dict[str, Any]:
@@ -385,12 +360,27 @@ def diagnose(
             fit, findings = again
     if held.worse(fit.predicted, held.simulated):
         fit, findings = unextended(fit.evidence, held), []
-    findings = [
+    error = held.series.measured - fit.predicted
+    given = residuals(robot.joints, data.validate, held.given, held.given, held.simulated)
+    left = residuals(robot.joints, data.validate, error, held.given, fit.predicted)
+    paying = [
         replace(finding, rivals=tuple(rivals(fit.evidence, robot, fit.chosen, candidate)))
         for finding, candidate in zip(findings, fit.chosen, strict=True)
         if finding.pays
     ]
-    return _diagnosis(data, train, held, fit, findings)
+    others = [(f.effect, f.explained) for f in paying]
+    judged = [
+        replace(f, downgrade=reason_to_downgrade(f.effect, f.torque, f.explained, others, left))
+        for f in sorted(paying, key=lambda f: -f.explained)
+    ]
+    notes = [data.holdout]
+    if data.unit == "A":
+        notes.append(
+            "torque came as motor current; effects are in N·m by drive gains whose common scale "
+            "rests on the given masses"
+        )
+    steps = _waterfall(held.given, error, judged)
+    return Diagnosis(robot, data, train, held, fit, tuple(judged), given, left, steps, tuple(notes))
 
 
 def _understood(
@@ -400,11 +390,8 @@ def _understood(
 
     Effects that rest on torque take it from the model as understood so far, and shapes are first
     searched over coarse grids, then between their points. So the causes are looked for again where
-    that may change them, for as long as the hold-out does not lose.
-
-    Args:
-        first: What to explain, with the evidence of all causes by the given robot.
-        refuted: Causes left out, for the hold-out speaks against them.
+    that may change them, for as long as the hold-out does not lose. Causes that it speaks against
+    are left out.
     """
     held, robot, extender = first.held, first.train.robot, first
     best: tuple[Extension, list[Finding]] | None = None
@@ -434,39 +421,8 @@ def _gains(train: Observed, unit: str) -> Array:
         return np.ones(robot.nv)
     effects = standard_effects(robot.joints)
     base = base_parameters(robot, effects)
-    return torque_per_reading(robot, base, train.matrix(effects), series(train.segments), unit)
-
-
-def _diagnosis(
-    data: Data, train: Observed, held: HeldOut, fit: Extension, findings: list[Finding]
-) -> Diagnosis:
-    robot, error = train.robot, held.series.measured - fit.predicted
-    given = residuals(robot.joints, data.validate, held.given, held.given, held.simulated)
-    left = residuals(robot.joints, data.validate, error, held.given, fit.predicted)
-    paying = [(f.effect, f.explained) for f in findings]
-    findings = [
-        replace(f, downgrade=reason_to_downgrade(f.effect, f.torque, f.explained, paying, left))
-        for f in findings
-    ]
-    findings.sort(key=lambda f: -f.explained)
-    notes = [data.holdout]
-    if data.unit == "A":
-        notes.append(
-            "torque came as motor current; effects are in N·m by drive gains whose common scale "
-            "rests on the given masses"
-        )
-    return Diagnosis(
-        robot=robot,
-        data=data,
-        train=train,
-        held=held,
-        extension=fit,
-        findings=tuple(findings),
-        given_residuals=given,
-        residuals=left,
-        waterfall=_waterfall(held.given, error, findings),
-        notes=tuple(notes),
-    )
+    current = series(train.segments).measured
+    return current_gains(robot, base, train.matrix(effects), current)[0]
 
 
 def _waterfall(

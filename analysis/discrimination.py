@@ -15,27 +15,32 @@ one is a special case of the other, only the general one can show that it is mor
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
-from excitant.analysis.candidates import TOLERANCE, believed_columns, cause_columns
+from excitant.analysis.candidates import TOLERANCE, Observed, cause_columns, tolerance_metric
 from excitant.analysis.evidence import widened
-from excitant.analysis.residuals import moving
+from excitant.analysis.residuals import moving, top_speed
+from excitant.analysis.selection import ALIKE
 from excitant.identify.preprocessing import Segment
-from excitant.identify.prior import link_coordinates, link_weights
+from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.regression import dense
 from excitant.robots.effects import Effect, JointFacts, joint_facts
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
+if TYPE_CHECKING:
+    from excitant.design import FourierTrajectory
+
 POWER, LEVEL = 0.9, 0.05
 MOST_RUNS = 10
-_ALIKE, _ALIKE_LEVEL = 0.9, 0.001  # |cos| of signatures that `diagnose` takes more for, and what
+_ALIKE_LEVEL = 0.001  # where signatures are alike, as `diagnose` takes more for
 _LOOSE = 1e-9  # prior precision of what only the data decide, of its own information
 _SAMPLES = 2.0  # of a motion per row
 _ROWS = 4.0  # rows per period of the cut-off, as many as recordings are decimated to
@@ -43,18 +48,11 @@ _ROWS = 4.0  # rows per period of the cut-off, as many as recordings are decimat
 
 @dataclass(frozen=True)
 class Separation:
-    """How far a motion drives two causes apart.
+    """How far a motion drives two causes apart."""
 
-    Attributes:
-        delta: Δ in squared standard deviations of the noise.
-        cosine: Between the one cause's torque and the best that the other makes of it.
-        repetitions: Runs after which `diagnose` decides, with probability `POWER`; None where
-            `MOST_RUNS` are not enough.
-    """
-
-    delta: float
-    cosine: float
-    repetitions: int | None
+    delta: float  # Δ in squared standard deviations of the noise
+    cosine: float  # between the one cause's torque and the best that the other makes of it
+    repetitions: int | None  # runs until `diagnose` decides; None where `MOST_RUNS` do not do
 
     @property
     def deviations(self) -> float:
@@ -64,68 +62,32 @@ class Separation:
     @property
     def enough(self) -> bool:
         """Whether `diagnose` decides, at a stricter level where both still look alike."""
-        return self.delta >= needed(level=_ALIKE_LEVEL if self.cosine > _ALIKE else LEVEL)
+        return self.delta >= needed(level=_ALIKE_LEVEL if self.cosine > ALIKE else LEVEL)
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two causes of which either explains a recording.
+    """Two causes of which either explains a recording."""
 
-    Attributes:
-        found: One, with the values that it adds to what is given.
-        rival: The other; its values do not count.
-        beside: Further causes, whose coefficients the data decide.
-    """
-
-    found: Effect
-    rival: Effect
-    beside: tuple[Effect, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Noise:
-    """What a recording's torque leaves unexplained.
-
-    Attributes:
-        sigma: Standard deviation per joint, shape (nv,) [N·m].
-        inflation: Integrated autocorrelation time per joint [rows], shape (nv,).
-        cutoff_hz: Cut-off of the filter that torque and columns pass [Hz].
-    """
-
-    sigma: Array
-    inflation: Array
-    cutoff_hz: float = 10.0
-
-    def __post_init__(self) -> None:
-        freeze(self, "sigma", "inflation")
-
-    @property
-    def weight(self) -> Array:
-        """Λ of each joint's rows, shape (nv,)."""
-        return np.asarray(1 / (self.sigma**2 * self.inflation), float)
+    found: Effect  # with the values that it adds to what is given
+    rival: Effect  # its values do not count
+    beside: tuple[Effect, ...] = ()  # further causes, whose coefficients the data decide
 
 
 @dataclass(frozen=True, eq=False)
 class Contest:
-    """Pairs of rival causes at one arm, to be told apart by one more motion.
+    """Pairs of rival causes at one arm, to be told apart by one more motion."""
 
-    Attributes:
-        robot: The arm as given, its values right within their tolerance.
-        model: The arm as understood so far; causes that rest on torque take it from here.
-        metric: Bodies that tolerances are relative to, shape (nv, 10).
-        noise: Of the torque.
-        pairs: The rivals.
-        recorded: What was recorded so far, which both causes explain.
-        tolerance: Relative standard deviation of the given values.
-    """
-
-    robot: Robot
-    model: Robot
-    metric: Array
-    noise: Noise
+    robot: Robot  # as given, its values right within their tolerance
+    model: Robot  # as understood so far; causes that rest on torque take it from here
     pairs: tuple[Pair, ...]
-    recorded: tuple[Segment, ...] = ()
-    tolerance: float = TOLERANCE
+    weight: Array  # Λ: 1 / (variance × autocorrelation time) of each joint's noise, shape (nv,)
+    cutoff_hz: float = 10.0  # of the filter that torque and columns pass
+    recorded: tuple[Segment, ...] = ()  # what both causes explain
+    tolerance: float = TOLERANCE  # relative standard deviation of the given values
+
+    def __post_init__(self) -> None:
+        freeze(self, "weight")
 
     @cached_property
     def causes(self) -> dict[Effect, slice]:
@@ -133,11 +95,8 @@ class Contest:
         start = 10 * self.robot.nv + sum(len(e.values or ()) for e in self.robot.effects)
         places: dict[Effect, slice] = {}
         for pair in self.pairs:
-            for effect in (
-                *self._shapes(pair.found),
-                *self._shapes(pair.rival),
-                *(effect.bare() for effect in pair.beside),
-            ):
+            shapes = *self._shapes(pair.found), *self._shapes(pair.rival)
+            for effect in (*shapes, *(effect.bare() for effect in pair.beside)):
                 if effect not in places:
                     size = len(effect.parameters(self.robot))
                     places[effect] = slice(start, start + size)
@@ -162,32 +121,31 @@ class Contest:
     @cached_property
     def imitations(self) -> tuple[Array, ...]:
         """Coefficients with which each rival explains the recording as the one found does."""
-        R, floor = without_given(self.known, self.precision)
+        R, floor = _without_given(self.known, self.precision)
         found = []
         for pair in self.pairs:
             at, rival = self._places(pair.found), self._places(pair.rival)
             beside = self._beside(pair)
             b = R[:, at] @ np.array(pair.found.values)
             both = [*beside, *rival]
-            found.append(explaining(R, floor, both, b)[len(beside) :])
+            found.append(_explaining(R, floor, both, b)[len(beside) :])
         return tuple(found)
 
     @cached_property
-    def _fastest(self) -> tuple[Segment, ...]:
-        """Each joint as fast as it was recorded, which says what counts as rest."""
+    def _facts(self) -> Sequence[JointFacts]:
         if not self.recorded:
-            return ()
-        speed = np.max([np.abs(s.motion.dq).max(axis=0) for s in self.recorded], axis=0)
-        dq = np.stack([speed, speed])
-        still = np.zeros_like(dq)
-        motion = Motion(np.array([0.0, 1.0]), still, dq, still)
-        return (Segment("fastest", motion, still, still, self.noise.cutoff_hz, slice(0, 0)),)
+            return (JointFacts(),) * self.robot.nv
+        return joint_facts([segment.motion for segment in self.recorded])
+
+    @cached_property
+    def _metric(self) -> Array:
+        return link_coordinates(tolerance_metric(prior_parameters(self.robot)))
 
     @property
     def rows_hz(self) -> float:
         """Rows per second, of a further motion as of the recording [Hz]."""
         if not self.recorded:
-            return _ROWS * self.noise.cutoff_hz
+            return _ROWS * self.cutoff_hz
         t = self.recorded[0].t
         return float(1 / (t[1] - t[0]))
 
@@ -197,12 +155,11 @@ class Contest:
 
     def information(self, motion: Motion) -> Array:
         """Information of a motion, shape (columns, columns)."""
-        segment = along(motion, self.noise.cutoff_hz, self.rows_hz)
-        return self._gram((segment,), self._fastest)
+        return self._gram((along(motion, self.cutoff_hz, self.rows_hz),))
 
     def separations(self, information: Array) -> list[Separation]:
         """Separation of every pair by what was recorded and a motion of this information."""
-        R, floor = without_given(self.known + information, self.precision)
+        R, floor = _without_given(self.known + information, self.precision)
         found = []
         for pair, imitation in zip(self.pairs, self.imitations, strict=True):
             beside = self._beside(pair)
@@ -235,20 +192,18 @@ class Contest:
         at = self._places(true)
         b = R[:, at] @ value
         whole = float(value @ b[at])
-        whole -= float(b[beside] @ explaining(R, floor, beside, b)) if beside else 0.0
+        whole -= float(b[beside] @ _explaining(R, floor, beside, b)) if beside else 0.0
         left = whole
         for shape in self._shapes(other):
             columns = [*beside, *self._places(shape)]
-            explained = float(b[columns] @ explaining(R, floor, columns, b))
+            explained = float(b[columns] @ _explaining(R, floor, columns, b))
             left = min(left, float(value @ b[at]) - explained)
         left = float(np.clip(left, 0.0, max(whole, 0.0)))
         cosine = float(np.sqrt(1 - left / whole)) if whole > 0 else 1.0
         return Separation(left, cosine, repetitions(left))
 
     def _shapes(self, effect: Effect) -> list[Effect]:
-        j = self.robot.joint_index(effect.joints[0])
-        recorded = [segment.motion for segment in self.recorded]
-        return effect.alternatives(joint_facts(recorded)[j] if recorded else JointFacts())
+        return effect.alternatives(self._facts[self.robot.joint_index(effect.joints[0])])
 
     def _places(self, effect: Effect) -> list[int]:
         """Columns of a cause, among those after the given values'."""
@@ -258,25 +213,26 @@ class Contest:
     def _beside(self, pair: Pair) -> list[int]:
         return [column for effect in pair.beside for column in self._places(effect)]
 
-    def _gram(self, segments: Sequence[Segment], company: Sequence[Segment] = ()) -> Array:
-        """Weighted products of all columns at the rows of segments, those at rest left out."""
-        rows = sum(len(s.t) for s in segments)
+    def _gram(self, segments: Sequence[Segment]) -> Array:
+        """Weighted products of all columns at the rows of segments, those at rest left out.
+
+        A joint that is slow beside what was recorded of it rests.
+        """
         W = np.concatenate(list(self._blocks(segments)), axis=2)
-        nothing = np.zeros(W.shape[:2])
-        problem = dense(W, nothing, [str(k) for k in range(W.shape[2])])
-        return problem.counting(moving((*segments, *company))[:rows]).gram(self.noise.weight)[
-            :-1, :-1
-        ]
+        problem = dense(W, np.zeros(W.shape[:2]), [str(k) for k in range(W.shape[2])])
+        counts = moving(segments, top_speed(self.recorded) if self.recorded else 0.0)
+        return problem.counting(counts).gram(self.weight)[:-1, :-1]
 
     def _blocks(self, segments: Sequence[Segment]) -> Iterator[Array]:
-        Y = np.concatenate([self._links(s) for s in segments])
-        yield Y @ link_coordinates(self.metric)
+        links = np.concatenate([self._links(s) for s in segments])
+        understood = Observed(self.model, tuple(segments), links)
+        given = understood.by(self.robot)
+        yield links @ self._metric
         for effect in self.robot.effects:
-            given = np.abs(np.array(effect.values or ()))
-            known = believed_columns(effect, self.robot, self.model, segments)
-            yield known * self.tolerance * np.maximum(given, 1e-9)
+            size = np.maximum(np.abs(np.array(effect.values or ())), 1e-9)
+            yield cause_columns(effect, given, understood) * self.tolerance * size
         for effect in self.causes:
-            yield cause_columns(effect, self.robot, self.model, segments, Y)
+            yield cause_columns(effect, given, understood)
 
     def _links(self, segment: Segment) -> Array:
         """Regressor at the rows; that of a motion yet to be run has little for the filter."""
@@ -285,18 +241,10 @@ class Contest:
         return regressor(self.robot, segment.motion[segment.keep])
 
 
-def separation(contest: Contest, motion: Motion, pair: int = 0) -> Separation:
-    """How far a motion drives one of a contest's pairs apart."""
-    return contest.separations(contest.information(motion))[pair]
-
-
 def along(motion: Motion, cutoff_hz: float, rows_hz: float | None = None) -> Segment:
-    """A motion as it would be prepared were it recorded; its torque is not known.
+    """An equidistant motion as it would be prepared were it recorded; its torque is not known.
 
-    Args:
-        motion: The motion, its instants equidistant.
-        cutoff_hz: Cut-off of the filter [Hz].
-        rows_hz: Rows per second; four times the cut-off by default [Hz].
+    It has ``rows_hz`` rows per second, four times the cut-off by default.
     """
     step, still = float(motion.t[1] - motion.t[0]), np.zeros_like(motion.q)
     edge = round(1 / (cutoff_hz * step))
@@ -320,7 +268,7 @@ def needed(power: float = POWER, level: float = LEVEL) -> float:
     return float(4 * z**2)
 
 
-def without_given(information: Array, precision: Array) -> tuple[Array, Array]:
+def _without_given(information: Array, precision: Array) -> tuple[Array, Array]:
     """Information on causes once the given values may take what they can, and its rounding."""
     p = len(precision)
     A = information[:p, :p] + np.diag(precision)
@@ -329,9 +277,41 @@ def without_given(information: Array, precision: Array) -> tuple[Array, Array]:
     return information[p:, p:] - half.T @ half, floor
 
 
-def explaining(R: Array, floor: Array, columns: Sequence[int], b: Array) -> Array:
+def _explaining(R: Array, floor: Array, columns: Sequence[int], b: Array) -> Array:
     """Coefficients of columns that explain most of a torque with inner products b."""
     at = list(columns)
     scale = np.sqrt(np.maximum(np.diag(R)[at], floor[at]))
     A = R[np.ix_(at, at)] / np.outer(scale, scale) + _LOOSE * np.eye(len(at))
     return np.asarray(np.linalg.lstsq(A, b[at] / scale, rcond=1e-11)[0] / scale, float)
+
+
+Key = tuple[str, tuple[str, ...], str, tuple[str, ...]]
+"""Name and joints of the cause found, and of its rival."""
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What settles one pair of rivals, with the names that ``result.json`` has."""
+
+    experiment: str  # what to do, as a sentence
+    separation: float | None = None  # expected, in standard deviations; None for an action
+    repetitions: int | None = None  # runs that are needed
+    file: str | None = None  # motion to run
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What settles the open questions of a diagnosis; general actions when empty."""
+
+    experiments: Mapping[Key, Advice] = field(default_factory=dict)
+    motions: tuple[FourierTrajectory, ...] = ()  # in the order of their files separate-1, …
+
+    def of(self, found: Effect, rival: Effect) -> Advice:
+        """What settles a pair; the general action where no motion was looked for."""
+        known = self.experiments.get(key(found, rival))
+        return known or Advice(found.told_from(rival))
+
+
+def key(found: Effect, rival: Effect) -> Key:
+    """Names and joints of a pair."""
+    return found.name, found.joints, rival.name, rival.joints

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from excitant.analysis.candidates import tolerance_metric
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
-from excitant.analysis.discrimination import Contest, Noise, Pair, Separation, needed
+from excitant.analysis.discrimination import (
+    Advice,
+    Contest,
+    Pair,
+    Plan,
+    Separation,
+    key,
+    needed,
+)
 from excitant.analysis.selection import is_plain_friction
 from excitant.design import CLEARANCE, FourierTrajectory, clearance, random_trajectory
 from excitant.design.constraints import kinematic_limits, position_range, within_limits
@@ -20,7 +27,6 @@ from excitant.design.feasible import torque_use
 from excitant.design.trajectory import FourierSeries, from_coefficients
 from excitant.exceptions import Infeasible
 from excitant.identify.least_squares import autocorrelation_time
-from excitant.identify.prior import prior_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.geometry import Scene, scene
 from excitant.robots.motion import Array, Motion
@@ -46,15 +52,10 @@ _POSES = 60  # looked at for clearance before it is certified
 
 @dataclass(frozen=True, eq=False)
 class Discriminating:
-    """A motion with what it tells apart.
+    """A motion with what it tells apart."""
 
-    Attributes:
-        trajectory: The motion, within all limits.
-        separations: One per pair of the contest.
-    """
-
-    trajectory: FourierTrajectory
-    separations: tuple[Separation, ...]
+    trajectory: FourierTrajectory  # within all limits
+    separations: tuple[Separation, ...]  # one per pair of the contest
 
     @property
     def deltas(self) -> Array:
@@ -342,50 +343,6 @@ def within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
     return robot.with_limits(known)
 
 
-Key = tuple[str, tuple[str, ...], str, tuple[str, ...]]
-"""Name and joints of the cause found, and of its rival."""
-
-
-@dataclass(frozen=True)
-class Advice:
-    """What settles one pair of rivals, with the names that ``result.json`` has.
-
-    Attributes:
-        experiment: What to do, as a sentence.
-        separation: Expected difference in standard deviations of the noise; None for an action.
-        repetitions: Runs that are needed; None for an action.
-        file: Motion to run; None for an action.
-    """
-
-    experiment: str
-    separation: float | None = None
-    repetitions: int | None = None
-    file: str | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """What settles the open questions of a diagnosis.
-
-    Attributes:
-        experiments: For each pair of rivals.
-        motions: What to run, in the order of their files ``separate-1``, ….
-    """
-
-    experiments: Mapping[Key, Advice] = field(default_factory=dict)
-    motions: tuple[FourierTrajectory, ...] = ()
-
-    def of(self, found: Effect, rival: Effect) -> Advice:
-        """What settles a pair; the general action where no motion was looked for."""
-        known = self.experiments.get(key(found, rival))
-        return known or Advice(found.told_from(rival))
-
-
-def key(found: Effect, rival: Effect) -> Key:
-    """Names and joints of a pair."""
-    return found.name, found.joints, rival.name, rival.joints
-
-
 def plan(
     diagnosis: Diagnosis,
     rng: np.random.Generator,
@@ -409,14 +366,10 @@ def plan(
     contest = contest_of(diagnosis)
     if not contest.pairs:
         return Plan()
+    around = _surroundings(diagnosis)
     try:
         motions, _ = discriminating_motions(
-            contest,
-            rng,
-            duration=duration,
-            most=most,
-            time_limit=time_limit,
-            scene=_surroundings(diagnosis),
+            contest, rng, duration=duration, most=most, time_limit=time_limit, scene=around
         )
     except Infeasible:
         motions = []
@@ -431,15 +384,17 @@ def plan(
 
 def contest_of(diagnosis: Diagnosis) -> Contest:
     """The rivals of a diagnosis, with the noise that its hold-out shows."""
-    robot = diagnosis.robot
     open_ = [f for f in diagnosis.findings if f.rivals and f.explained >= _MATTERS]
-    pairs = [pair for finding in open_ for pair in _pairs(diagnosis, finding)]
+    counts = diagnosis.held.moves
+    error = diagnosis.left * diagnosis.gains * counts
+    sigma = np.sqrt((error**2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
+    inflation = np.array([autocorrelation_time(column) for column in error.T])
     return Contest(
-        robot=robot,
+        robot=diagnosis.robot,
         model=diagnosis.extension.model,
-        metric=tolerance_metric(prior_parameters(robot)),
-        noise=_noise(diagnosis),
-        pairs=tuple(pairs),
+        pairs=tuple(pair for finding in open_ for pair in _pairs(diagnosis, finding)),
+        weight=1 / (np.maximum(sigma, 1e-9) ** 2 * inflation),
+        cutoff_hz=diagnosis.data.cutoff_hz,
         recorded=diagnosis.data.train,
     )
 
@@ -467,14 +422,6 @@ def _friction(robot: Robot, found: Effect, rival: Effect, others: Sequence[Effec
     ]
 
 
-def _noise(diagnosis: Diagnosis) -> Noise:
-    counts = diagnosis.held.moves
-    error = diagnosis.left * diagnosis.gains * counts
-    sigma = np.sqrt((error**2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
-    inflation = np.array([autocorrelation_time(column) for column in error.T])
-    return Noise(np.maximum(sigma, 1e-9), inflation, diagnosis.data.cutoff_hz)
-
-
 def _surroundings(diagnosis: Diagnosis) -> Scene | None:
     """The arm's own bodies, where the recording bears out their shapes."""
     try:
@@ -483,8 +430,9 @@ def _surroundings(diagnosis: Diagnosis) -> Scene | None:
         return None
     if found is None:
         return None
-    poses = diagnosis.position[:: max(1, len(diagnosis.position) // 100)]
-    return found if found.distances(poses).min() > _NEAREST else None
+    q = diagnosis.states[0]
+    nearest = found.distances(q[:: max(1, len(q) // 100)]).min()
+    return found if nearest > _NEAREST else None
 
 
 def _best(motions: Sequence[Discriminating], index: int) -> Discriminating | None:

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy
@@ -52,19 +52,12 @@ _UNKNOWN = 400.0  # tolerances: a link may be twenty times as heavy as a placeho
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A cause that may be at work.
+    """A cause that may be at work."""
 
-    Attributes:
-        effect: The effect, its shape fixed.
-        columns: Where its columns are among those of the evidence.
-        scale: Coefficient in units of the effect per unit of the column's coordinate, (k, k).
-        trials: Number of shapes that this one is the best of.
-    """
-
-    effect: Effect
-    columns: slice
-    scale: Array
-    trials: int = 1
+    effect: Effect  # its shape fixed
+    columns: slice  # among those of the evidence
+    scale: Array  # coefficient in units of the effect per unit of the column's coordinate, (k, k)
+    trials: int = 1  # number of shapes that this one is the best of
 
     @property
     def key(self) -> Key:
@@ -79,73 +72,61 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Weighted columns of all candidates, the nuisance always at work.
+    """Weighted columns of all candidates, after those of the nuisance, which is always at work."""
 
-    Attributes:
-        problem: All columns, nuisance first, for the residual of the given model as torque;
-            rows that do not count are zero.
-        counted: Number of rows that count, shape (nv,).
-        precision: Prior precision of each coordinate, shape (p,).
-        nuisance: Number of leading columns that belong to the nuisance.
-        candidates: What may be at work.
-        blocks: First row of each block of time.
-        sigma: Noise of each joint [N·m], shape (nv,).
-        inflation: Integrated autocorrelation time of each joint's noise [rows], shape (nv,).
-        gram: Xᵀ Λ X of all columns, shape (p, p).
-        moment: Xᵀ Λ r, shape (p,).
-        power: rᵀ Λ r.
-        tolerance: Deviation of given bodies and effects over what is taken as usual.
-        by_share: Whether false alarms are a share of what is found (false discovery rate in
-            forward selection: Benjamini and Gavrilov 2009), instead of any at all.
-    """
-
-    problem: Regression
-    counted: Array
-    precision: Array
-    nuisance: int
+    problem: Regression  # for the residual of the given model; rows that do not count are zero
+    counted: Array  # number of rows that count, shape (nv,)
+    precision: Array  # prior precision of each coordinate, shape (p,)
+    nuisance: int  # number of its columns
     candidates: tuple[Candidate, ...]
-    blocks: Index
-    sigma: Array
-    inflation: Array
-    gram: Array
-    moment: Array
-    power: float
-    tolerance: tuple[float, float] = (1.0, 1.0)
-    by_share: bool = False
+    blocks: Index  # first row of each block of time
+    by_share: bool  # false alarms as a share of what is found (Benjamini and Gavrilov 2009), or any
+    sigma: Array  # noise of each joint [N·m], shape (nv,)
+    inflation: Array  # integrated autocorrelation time of the noise [rows], shape (nv,)
+    tolerance: tuple[float, float] = (1.0, 1.0)  # of given bodies and effects, over the usual one
 
     @property
     def weight(self) -> Array:
         """Λ of each joint's rows, shape (nv,)."""
         return np.asarray(1 / (self.sigma**2 * self.inflation), float)
 
-    def solve(self, chosen: Sequence[Candidate]) -> tuple[float, Array, Array]:
-        """J, the coordinates of all columns (zero where not at work), and their covariance."""
+    @cached_property
+    def products(self) -> Array:
+        """[X r]ᵀ Λ [X r] of all columns and the residual, shape (p + 1, p + 1)."""
+        return read_only(self.problem.gram(self.weight))
+
+    @property
+    def gram(self) -> Array:
+        """Xᵀ Λ X, shape (p, p)."""
+        return self.products[:-1, :-1]
+
+    @property
+    def moment(self) -> Array:
+        """Xᵀ Λ r, shape (p,)."""
+        return self.products[:-1, -1]
+
+    @property
+    def power(self) -> float:
+        """rᵀ Λ r."""
+        return float(self.products[-1, -1])
+
+    def solve(self, chosen: Sequence[Candidate]) -> tuple[Array, Array]:
+        """Coordinates of all columns (zero where not at work) and their covariance."""
         active = self.active(chosen)
         factor = scipy.linalg.cho_factor(self._information(active), lower=True)
-        solution = scipy.linalg.cho_solve(factor, self.moment[active])
         coordinates, covariance = np.zeros(len(self.moment)), np.zeros_like(self.gram)
-        coordinates[active] = solution
+        coordinates[active] = scipy.linalg.cho_solve(factor, self.moment[active])
         covariance[np.ix_(active, active)] = scipy.linalg.cho_solve(factor, np.eye(len(active)))
-        return self.power - float(self.moment[active] @ solution), coordinates, covariance
+        return coordinates, covariance
 
     def cost(self, chosen: Sequence[Candidate]) -> float:
         """J of a set of candidates."""
         active = self.active(chosen)
-        half = scipy.linalg.solve_triangular(
-            np.linalg.cholesky(self._information(active)),
-            self.moment[active],
-            lower=True,
-            check_finite=False,
-        )
+        half = self._halved(active, self.moment[active])
         return self.power - float(half @ half)
 
     def left(self, chosen: Sequence[Candidate], prior: float = 1.0) -> Array:
-        """What a set of candidates leaves of the residual, shape (n, nv) [N·m].
-
-        Args:
-            chosen: The set.
-            prior: Factor on the prior precision.
-        """
+        """What a set leaves of the residual, by a factor on the prior precision, (n, nv) [N·m]."""
         active = self.active(chosen)
         A = self.gram[np.ix_(active, active)] + prior * np.diag(self.precision[active])
         coordinates = np.zeros(len(self.moment))
@@ -161,11 +142,9 @@ class Evidence:
     def additions(self, chosen: Sequence[Candidate]) -> Array:
         """Fall of J by adding each of the candidates to a set, shape (candidates,)."""
         active = self.active(chosen)
-        root = np.linalg.cholesky(self._information(active))
-        half = scipy.linalg.solve_triangular(root, self.gram[active], lower=True)
-        rest = self.moment - half.T @ scipy.linalg.solve_triangular(
-            root, self.moment[active], lower=True
-        )
+        half = self._halved(active, np.column_stack([self.gram[active], self.moment[active]]))
+        half, own = half[:, :-1], half[:, -1]
+        rest = self.moment - half.T @ own
         falls = np.empty(len(self.candidates))
         for k, c in enumerate(self.candidates):
             part, at = half[:, c.columns], c.columns
@@ -177,10 +156,7 @@ class Evidence:
         """Fall of J over λ that a candidate must exceed, the search accounted for.
 
         The noise behind λ is known from as many blocks as there are, and half from theory.
-
-        Args:
-            candidate: What may be added.
-            beside: How many others are at work.
+        ``beside`` is how many others are at work.
         """
         alarms = FALSE_ALARM * (1 + beside if self.by_share else 1)
         tail = alarms / (len(self.candidates) * candidate.trials)
@@ -232,12 +208,7 @@ class Evidence:
         return np.asarray(np.add.reduceat(squares, self.blocks), float)
 
     def separate_joints(self, chosen: Sequence[Candidate], cause: Candidate) -> tuple[float, int]:
-        """Fall of J when each joint has its own coefficients, and how many more these are.
-
-        Args:
-            chosen: What is at work.
-            cause: One of these.
-        """
+        """Fall of J when each joint has its own coefficients of a cause, and how many more."""
         active = self.active(chosen)
         grams, crosses, moments, used = [], [], [], set[int]()
         for j, here in self.acting(cause):
@@ -274,6 +245,11 @@ class Evidence:
     def _information(self, active: Index) -> Array:
         return self.gram[np.ix_(active, active)] + np.diag(self.precision[active])
 
+    def _halved(self, active: Index, right: Array) -> Array:
+        """L⁻¹ times a right-hand side, L Lᵀ the information of active columns."""
+        root = np.linalg.cholesky(self._information(active))
+        return np.asarray(scipy.linalg.solve_triangular(root, right, lower=True), float)
+
 
 @lru_cache(maxsize=4096)
 def _fisher_quantile(tail: float, size: int, freedom: int) -> float:
@@ -308,24 +284,15 @@ def weigh(
         period: Time between rows [s].
         by_share: Whether false alarms are a share of what is found.
     """
-    n, nv = counts.shape
-    problem = problem.counting(counts)
+    n, problem = len(counts), problem.counting(counts)
     count = int(np.clip(n * period / _BLOCK_S, *_BLOCKS))
-    blank = Evidence(
-        problem=problem,
-        counted=read_only(np.maximum(counts.sum(axis=0), 1)),
-        precision=read_only(precision),
-        nuisance=nuisance,
-        candidates=tuple(candidates),
-        blocks=np.linspace(0, n, count, endpoint=False).astype(np.intp),
-        sigma=np.ones(nv),
-        inflation=np.ones(nv),
-        gram=np.zeros(0),
-        moment=np.zeros(0),
-        power=0.0,
-        by_share=by_share,
+    counted = np.maximum(counts.sum(axis=0), 1)
+    blocks = np.linspace(0, n, count, endpoint=False).astype(np.intp)
+    noise = _noise(problem.tau, counted)
+    first = Evidence(
+        problem, counted, precision, nuisance, tuple(candidates), blocks, by_share, *noise
     )
-    return reweighed(_with_noise(blank, problem.tau), [])
+    return reweighed(first, [])
 
 
 def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
@@ -339,23 +306,15 @@ def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
     common = [c for c in evidence.candidates if c.effect.usual]
     rough = [*chosen, *(c for c in common if c.columns.start not in taken)]
     for _ in range(_ROUNDS):
-        evidence = _with_noise(evidence, evidence.left(rough, _LOOSE))
+        sigma, inflation = _noise(evidence.left(rough, _LOOSE), evidence.counted)
+        evidence = replace(evidence, sigma=sigma, inflation=inflation)
     return evidence
 
 
-def _with_noise(evidence: Evidence, e: Array) -> Evidence:
-    """The same evidence with noise of the size and correlation of e, shape (n, nv)."""
-    sigma = np.maximum(np.sqrt((e**2).sum(axis=0) / evidence.counted), 1e-9)
-    inflation = np.array([autocorrelation_time(column) for column in e.T])
-    G = evidence.problem.gram(1 / (sigma**2 * inflation))
-    return replace(
-        evidence,
-        sigma=read_only(sigma),
-        inflation=read_only(inflation),
-        gram=read_only(G[:-1, :-1]),
-        moment=read_only(G[:-1, -1]),
-        power=float(G[-1, -1]),
-    )
+def _noise(e: Array, counted: Array) -> tuple[Array, Array]:
+    """Standard deviation and integrated autocorrelation time of columns of an error (n, nv)."""
+    sigma = np.maximum(np.sqrt((e**2).sum(axis=0) / counted), 1e-9)
+    return sigma, np.array([autocorrelation_time(column) for column in e.T])
 
 
 def are_placeholders(robot: Robot) -> bool:
@@ -372,21 +331,16 @@ def widened(robot: Robot) -> float:
 def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
     """The same evidence with the tolerance of given values that the data support.
 
-    Args:
-        evidence: Evidence with the prior of ±10 %; its leading columns stand for the links, those
-            up to `Evidence.nuisance` for the effects.
-        robot: The given robot.
+    Its leading columns stand for the links, those up to `Evidence.nuisance` for the effects.
     """
     links = 10 * robot.nv
     parts = np.arange(links), np.arange(links, evidence.nuisance)
-    factors = [_typical_deviation(evidence, part) for part in parts]
-    if are_placeholders(robot):
-        factors[0] = _UNKNOWN
+    bodies, effects = (_typical_deviation(evidence, part) for part in parts)
+    tolerance = (_UNKNOWN if are_placeholders(robot) else bodies, effects)
     precision = np.array(evidence.precision)
-    for part, factor in zip(parts, factors, strict=True):
+    for part, factor in zip(parts, tolerance, strict=True):
         precision[part] /= factor**2
-    scaled = replace(evidence, precision=read_only(precision), tolerance=(factors[0], factors[1]))
-    return reweighed(scaled, [])
+    return reweighed(replace(evidence, precision=precision, tolerance=tolerance), [])
 
 
 def _typical_deviation(evidence: Evidence, part: Index) -> float:

@@ -1,4 +1,4 @@
-"""What findings mean, in words, and why each may be another cause after all."""
+"""What findings mean, in words, why each may be another cause after all, and what shows it."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from excitant.analysis.evidence import Candidate, Evidence, Key, are_placeholders
-from excitant.analysis.residuals import Residual
-from excitant.analysis.selection import frictionless, is_plain_friction, plausible
-from excitant.robots.effects import Effect, plain
+from excitant.analysis.evidence import are_placeholders
+from excitant.analysis.residuals import Residual, explanatory
+from excitant.robots.effects import Effect, plain, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -19,84 +18,12 @@ if TYPE_CHECKING:
     from excitant.analysis.confirmation import Finding
     from excitant.analysis.diagnosis import Diagnosis
 
-_TIE = 2.0  # standard errors within which two causes explain the data alike
-_TIE_ALIKE = 3.3  # the same where their signatures are alike
-_ALIKE = 0.9  # |cos| of such signatures
-_SAME = 0.999  # |cos| of a cause that is part of another
-_HALF = 0.5  # of what a cause explains, at least, must a rival explain
 _SMALL = 0.1  # of what a cause explains whose shape is known roughly
 _LITTLE = 0.05  # of the squared torque of a cause that acts on several joints
 _MATTERS = 0.3  # of what a cause does to the joint where it shows most
 _MOSTLY = 0.5  # of what findings explain, or of a joint's squared error
 _PLAINLY = 3.0  # times the noise
-
-
-@dataclass(frozen=True)
-class Rival:
-    """Another cause that the data cannot tell from the one found.
-
-    Attributes:
-        candidate: The other cause.
-        deviations: By how many standard errors the one found explains the data better.
-        cosine: Largest |cos| between both signatures.
-    """
-
-    candidate: Candidate
-    deviations: float
-    cosine: float
-
-
-def rivals(
-    evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], found: Candidate
-) -> list[Rival]:
-    """Causes that could stand in place of one that was found.
-
-    A rival explains at least half of what the found cause explains, and leaves it less than half
-    to explain. The two are compared by the squared error that each leaves, block by block of time
-    (Vuong 1989): within two standard errors they tie; within 3.3 where their signatures are
-    alike. On joints whose friction is all new, a rival may bring the standard model's along.
-    """
-    rest, taken = [c for c in chosen if c is not found], {c.key for c in chosen}
-    bare, falls = frictionless(robot), evidence.additions(rest)
-    own, errors = falls[evidence.candidates.index(found)], evidence.block_errors(chosen)
-    best: dict[Key, Rival] = {}
-    for k, other in enumerate(evidence.candidates):
-        if other.key in taken or _only_more(evidence, found, other):
-            continue
-        friends = _friction(evidence, other, rest) if {*other.effect.joints} <= bare else []
-        if falls[k] <= _HALF * own and not friends:
-            continue
-        instead = [*rest, other, *(c for c in friends if c is not other and c is not found)]
-        left = evidence.cost(instead) - evidence.cost([*instead, found])
-        if left > _HALF * own:
-            continue
-        difference = evidence.block_errors(instead) - errors
-        z = float(difference.sum() / max(np.sqrt(len(difference)) * difference.std(ddof=1), 1e-12))
-        cosine = evidence.cosine(found, other)
-        if z >= (_TIE_ALIKE if cosine > _ALIKE else _TIE):
-            continue
-        known = best.get(other.key)
-        if (known is None or z < known.deviations) and plausible(evidence, robot, instead, other):
-            best[other.key] = Rival(other, z, cosine)
-    return sorted(best.values(), key=lambda rival: rival.deviations)
-
-
-def _friction(evidence: Evidence, other: Candidate, rest: Sequence[Candidate]) -> list[Candidate]:
-    """Standard friction of a friction's joint, as far as it is not there."""
-    if other.effect.family != "friction":
-        return []
-    return [
-        c
-        for c in evidence.candidates
-        if is_plain_friction(c.effect) and c.effect.joints == other.effect.joints and c not in rest
-    ]
-
-
-def _only_more(evidence: Evidence, found: Candidate, other: Candidate) -> bool:
-    """Whether another cause is the one found with more coefficients."""
-    special = found.effect.name in other.effect.contains and other.size > found.size
-    real = found.effect.name in other.effect.imitates
-    return special and not real and evidence.cosine(found, other) > _SAME
+_DRAWN_OVER = {"": "time", "constant": "time", "direction": "velocity"}
 
 
 def reason_to_downgrade(
@@ -148,15 +75,12 @@ def placeholders(diagnosis: Diagnosis) -> str:
 
 def at_rest(diagnosis: Diagnosis) -> str:
     """Joints whose error lies mostly where they rest, which no finding rests on; else empty."""
-    rests = ~diagnosis.held.moves
-    squares = diagnosis.left**2
     said = []
     for j, left in enumerate(diagnosis.residuals):
-        there = rests[:, j]
-        share = squares[there, j].sum() / max(squares[:, j].sum(), np.finfo(float).tiny)
-        if share <= _MOSTLY:
+        squares, rests = diagnosis.left[:, j] ** 2, ~diagnosis.held.moves[:, j]
+        if squares[rests].sum() <= _MOSTLY * squares.sum():
             continue
-        rms = float(np.sqrt(squares[there, j].mean()))
+        rms = float(np.sqrt(squares[rests].mean()))
         if rms > _PLAINLY * left.floor:
             said.append(f"{left.joint} errs by {rms:.2g} {diagnosis.data.unit} where it rests")
     if not said:
@@ -176,22 +100,26 @@ def headline(diagnosis: Diagnosis) -> str:
             "values or within the noise."
         )
         return f"{nothing} {at_rest(diagnosis)}".rstrip()
-    if isinstance(order[0], Residual):
-        left = order[0]
+    lead = order[0]
+    if isinstance(lead, Residual):
         return (
-            f"{left.joint}: {left.rms:.2g} {diagnosis.data.unit} stay unexplained on the hold-out "
-            f"({left.against_noise}); no known cause describes them ({left.structure})."
+            f"{lead.joint}: {lead.rms:.2g} {diagnosis.data.unit} stay unexplained on the hold-out "
+            f"({lead.against_noise}); no known cause describes them ({lead.structure})."
         )
-    if placeholders(diagnosis):
-        return _no_inertias(diagnosis)
+    more = f" {len(order) - 1} more finding{'s' * (len(order) > 2)} below." if order[1:] else ""
+    if unknown := placeholders(diagnosis):
+        apart = _apart_from("inertias", diagnosis.groups, diagnosis)
+        return f"{unknown.partition('. ')[0]}. With {_everything(diagnosis)}{apart}{more}"
     if _lacks_friction(diagnosis):
         return _no_friction(diagnosis)
-    lead = order[0]
-    joints = [joint for f in lead for joint in f.effect.joints]
     before, after = diagnosis.before_and_after(lead)
     gain = f"hold-out error {before:.2g} → {after:.2g} {diagnosis.data.unit}"
-    said = lead[0].effect.sentence(diagnosis.robot, joints, lead[0].given)
-    return f"{said}; {gain}.{_reservation(lead, diagnosis)}{_more(len(order) - 1)}"
+    return f"{_sentence(lead, diagnosis.robot)}; {gain}.{_reservation(lead, diagnosis)}{more}"
+
+
+def _sentence(group: Sequence[Finding], robot: Robot) -> str:
+    joints = [joint for f in group for joint in f.effect.joints]
+    return group[0].effect.sentence(robot, joints, group[0].given)
 
 
 def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
@@ -209,10 +137,6 @@ def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     return f" At {some}, {names} would look the same."
 
 
-def _more(count: int) -> str:
-    return f" {count} more finding{'s' if count > 1 else ''} below." if count > 0 else ""
-
-
 def _lacks_friction(diagnosis: Diagnosis) -> bool:
     """Whether the given model has no friction at all, and that is most of what it misses."""
     if any(effect.family == "friction" for effect in diagnosis.robot.effects):
@@ -220,14 +144,6 @@ def _lacks_friction(diagnosis: Diagnosis) -> bool:
     parts = {f: max(f.explained, 0.0) for f in diagnosis.findings}
     friction = sum(size for f, size in parts.items() if f.effect.family == "friction")
     return len(diagnosis.robot.joints) > 1 and friction > _MOSTLY * sum(parts.values())
-
-
-def _no_inertias(diagnosis: Diagnosis) -> str:
-    return (
-        f"{placeholders(diagnosis).partition('. ')[0]}. With {_everything(diagnosis)}"
-        f"{_apart_from('inertias', diagnosis.groups, diagnosis)}"
-        f"{_more(len(diagnosis.ordered) - 1)}"
-    )
 
 
 def _everything(diagnosis: Diagnosis) -> str:
@@ -263,10 +179,103 @@ def _apart_from(known: str, groups: Sequence[Sequence[Finding]], diagnosis: Diag
     """The first of some causes, said after what makes up most."""
     if not groups:
         return ""
-    lead = groups[0]
-    joints = [joint for f in lead for joint in f.effect.joints]
-    words = lead[0].effect.sentence(diagnosis.robot, joints, lead[0].given)
+    words = _sentence(groups[0], diagnosis.robot)
     if words.startswith(("A ", "The ")):
         words = words[0].lower() + words[1:]
-    verdict = "" if all(f.verdict == "named" for f in lead) else " (undecided)"
+    verdict = "" if all(f.verdict == "named" for f in groups[0]) else " (undecided)"
     return f" Beside {known}: {words}{verdict}."
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One figure of evidence: the error without a cause against the quantity that tells it."""
+
+    joint: int  # index of the joint that is shown
+    x_label: str
+    x: Array  # at the rows of the hold-out, NaN where not to be shown, shape (n,)
+    residual: Array  # what is left there without the cause, shape (n,) [torque unit]
+    fit: Array | None = None  # torque of the cause; None where there is none
+    rival: Array | None = None  # of its closest rival, fitted to the residual; None without one
+
+    def labels(self, robot: Robot, unit: str) -> dict[str, str]:
+        """What its axes are, as result.json says it; unit of torque."""
+        joint = robot.joints[self.joint]
+        return {"x_label": self.x_label, "y_label": f"torque [{unit}]", "joint": joint}
+
+
+def curve_of(diagnosis: Diagnosis, item: Finding | Residual) -> Curve:
+    """The figure that shows a finding, or what is left unexplained."""
+    moves = diagnosis.held.moves
+    if isinstance(item, Residual):
+        j = diagnosis.robot.joint_index(item.joint)
+        label, x = _abscissa(diagnosis, _DRAWN_OVER.get(item.dominant, item.dominant), j)
+        return Curve(j, label, np.where(moves[:, j], x, np.nan), diagnosis.left[:, j])
+    j, other = _shown(diagnosis, item)
+    torque = item.torque[:, j]
+    if item.effect.abscissa == "own torque":
+        drawn = f"torque of the fitted {plain(item.effect.name)} [{diagnosis.data.unit}]", torque
+    else:
+        drawn = _abscissa(diagnosis, item.effect.abscissa, j, other)
+    label, x = item.effect.drawn(*drawn)
+    x, residual = np.where(moves[:, j], x, np.nan), diagnosis.left[:, j] + torque
+    return Curve(j, label, x, residual, torque, _rival(diagnosis, item, j, residual))
+
+
+def _rival(diagnosis: Diagnosis, finding: Finding, j: int, residual: Array) -> Array | None:
+    """Torque of the first rival, with the coefficients that fit the residual of a joint best.
+
+    Only for friction against friction of one joint, with viscous friction and offset of that joint
+    free too: where bodies are in play, they change along with a rival, and a curve of it alone
+    would say nothing.
+    """
+    effects = [finding.effect, *(r.candidate.effect for r in finding.rivals[:1])]
+    alike = all(e.jointwise and e.family == "friction" for e in effects)
+    if len(effects) < 2 or not alike:
+        return None
+    usual = standard_effects((diagnosis.robot.joints[j],))
+    beside = [e for e in usual if e.joint_property in ("viscous", "offset")]
+    held = diagnosis.extension.held
+    columns = np.concatenate([held.columns(e)[:, j] for e in (effects[1], *beside)], axis=1)
+    rows = diagnosis.held.moves[:, j]
+    sizes = np.sqrt((columns[rows] ** 2).sum(axis=0))
+    live = columns[:, sizes > 0] / sizes[sizes > 0]
+    if not live.shape[1]:
+        return None
+    fitted: Array = live @ np.linalg.lstsq(live[rows], residual[rows], rcond=1e-8)[0]
+    return fitted
+
+
+def _shown(diagnosis: Diagnosis, finding: Finding) -> tuple[int, int]:
+    """The joint where a cause shows most against what is left, and the other of a pair."""
+    joints = finding.effect.rows(diagnosis.robot)
+    if finding.effect.jointwise:
+        return joints[0], joints[0]
+    size = np.sqrt((finding.torque**2).mean(axis=0)) / diagnosis.extended.rms
+    shown = int(np.argmax(size))
+    return shown, next((j for j in joints if j != shown), shown)
+
+
+def _abscissa(diagnosis: Diagnosis, domain: str, j: int, other: int = 0) -> tuple[str, Array]:
+    """Label and values of a quantity at the rows of the hold-out."""
+    unit, name = diagnosis.data.unit, diagnosis.robot.joints[other]
+    way_unit, far_unit = ("rad" if diagnosis.robot.revolute[k] else "m" for k in (j, other))
+    q, dq, ddq = diagnosis.states
+    t, torque = diagnosis.held.series.t, diagnosis.predicted[:, j]
+    if domain == "reversal":
+        where = explanatory(diagnosis.data.validate, diagnosis.predicted)
+        label = f"distance since the last reversal, signed by direction [{way_unit}]"
+        return label, where.reversal[:, j]
+    return {
+        "velocity": (f"joint velocity [{way_unit}/s]", dq[:, j]),
+        "other velocity": (f"velocity of {name} [{far_unit}/s]", dq[:, other]),
+        "acceleration": (f"joint acceleration [{way_unit}/s²]", ddq[:, j]),
+        "other acceleration": (f"acceleration of {name} [{far_unit}/s²]", ddq[:, other]),
+        "position": (f"joint position [{way_unit}]", q[:, j]),
+        "torque": (f"torque of the given model [{unit}]", diagnosis.simulated[:, j]),
+        "torque rate": (f"rate of torque [{unit}/s]", np.gradient(torque, t)),
+        "load": (
+            f"size of the joint's torque, signed by direction [{unit}]",
+            abs(torque) * np.sign(dq[:, j]),
+        ),
+        "time": ("time [s]", t),
+    }[domain]

@@ -22,9 +22,8 @@ from excitant.robots.motion import Array, freeze
 
 Mask = npt.NDArray[np.bool_]
 
-CONSTANT = "constant"
 QUANTITIES = {
-    CONSTANT: "are a constant offset",
+    "constant": "are a constant offset",
     "direction": "vary with the direction of motion",
     "velocity": "vary with velocity",
     "position": "vary with position",
@@ -32,10 +31,9 @@ QUANTITIES = {
     "reversal": "vary with the distance since the last reversal",
     "time": "drift with time",
 }
-"""What an error may vary with, simplest first: nothing, sign of velocity, velocity, position,
-torque by direction, distance since the last reversal by direction, and time (a slow trend)."""
+"""What an error may vary with, simplest first; load and reversal by direction of motion."""
 BANDS = ("slower", "motion", "faster")
-"""Below the base harmonic of the motion, in the band of the motion, above it."""
+"""Below the band of the motion, in it, above it."""
 
 VISIBLE = 2.0  # times the noise floor: from here on an effect can be seen
 _SHARE = 0.1  # of the given model's squared error
@@ -60,12 +58,18 @@ _MEASURABLE = 1e-3  # of the error: less noise than this is not what a sensor ha
 _SAID = 100.0  # times the noise: beyond, the number says nothing more
 
 
-def moving(segments: Sequence[Segment]) -> Mask:
+def top_speed(segments: Sequence[Segment]) -> Array:
+    """Highest speed of each joint, shape (nv,) [rad/s or m/s]."""
+    return np.asarray(np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0), float)
+
+
+def moving(segments: Sequence[Segment], fastest: Array | float = 0.0) -> Mask:
     """Rows at which each joint moves, or reverses without a rest, shape (rows, nv).
 
-    Dry friction at rest takes any value up to its level, so other rows say nothing of it.
+    Dry friction at rest takes any value up to its level, so other rows say nothing of it. Joints
+    are slow beside their fastest motion, here or, if given, elsewhere.
     """
-    fastest = np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0)
+    fastest = np.maximum(fastest, top_speed(segments))
     masks = []
     for s in segments:
         slow = np.abs(s.motion.dq) <= _SLOW * fastest
@@ -80,43 +84,26 @@ def moving(segments: Sequence[Segment]) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class Explanatory:
-    """What an error may vary with, at the rows of a hold-out; each array of shape (n, nv).
+    """What an error may vary with, at the rows of a hold-out; arrays of shape (n, nv)."""
 
-    Attributes:
-        position: Joint positions [rad or m].
-        velocity: Joint velocities [rad/s or m/s].
-        load: Torque of a model [torque unit].
-        reversal: Distance since the joint last turned back, with the sign of its velocity
-            [rad or m].
-        lengths: Rows of each uninterrupted part.
-        steps: Time between the rows of each part [s].
-        bands: Lowest and highest frequency of each joint's motion, shape (nv, 2) [Hz].
-    """
-
-    position: Array
-    velocity: Array
-    load: Array
-    reversal: Array
-    lengths: tuple[int, ...]
-    steps: tuple[float, ...]
-    bands: Array
+    position: Array  # [rad or m]
+    velocity: Array  # [rad/s or m/s]
+    load: Array  # torque of a model [torque unit]
+    reversal: Array  # distance since the joint last turned back, signed by velocity [rad or m]
+    lengths: tuple[int, ...]  # rows of each uninterrupted part
+    steps: tuple[float, ...]  # time between the rows of each part [s]
+    bands: Array  # lowest and highest frequency of each joint's motion, shape (nv, 2) [Hz]
 
     def __post_init__(self) -> None:
         freeze(self, "position", "velocity", "load", "reversal", "bands")
 
 
 def explanatory(segments: Sequence[Segment], load: Array) -> Explanatory:
-    """What an error at the rows of segments may vary with.
-
-    Args:
-        segments: The hold-out.
-        load: Torque of a model at its rows, shape (n, nv) [torque unit].
-    """
+    """What an error at the rows of segments may vary with, beside a load (n, nv)."""
     q, dq = (
         np.concatenate([getattr(s.motion, name)[s.keep] for s in segments]) for name in ("q", "dq")
     )
-    fastest = np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0)
-    slowest = _NO_DIRECTION * fastest
+    slowest = _NO_DIRECTION * top_speed(segments)
     since = [since_reversal(s.motion.q, s.motion.dq, slowest)[s.keep] for s in segments]
     return Explanatory(
         position=q,
@@ -130,9 +117,7 @@ def explanatory(segments: Sequence[Segment], load: Array) -> Explanatory:
 
 
 def since_reversal(q: Array, dq: Array, slowest: Array) -> Array:
-    """Signed distance from where each joint last turned back, shape (n, nv).
-
-    Before the first reversal it is counted from the first instant.
+    """Signed distance from where each joint last turned back, or from the start, shape (n, nv).
 
     Args:
         q: Positions, shape (n, nv).
@@ -150,22 +135,16 @@ def since_reversal(q: Array, dq: Array, slowest: Array) -> Array:
 
 
 def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
-    """Share of the power of one joint's error that each of `QUANTITIES` explains.
+    """Share of the power of joint j's error (n,) that each of `QUANTITIES` explains.
 
     Time is left out where the motion repeats too little to tell a trend from it.
-
-    Args:
-        e: Error at the rows, shape (n,).
-        by: What it may vary with.
-        j: The joint.
-        rows: Rows that count, shape (n,).
     """
     e, time = e[rows], np.flatnonzero(rows).astype(float)
     dq, load = by.velocity[rows, j], by.load[rows, j]
     constant = float(e.mean())
     rest, total = e - constant, max(float((e**2).sum()), 1e-300)
     independent = max(len(e) / autocorrelation_time(rest), 1.0)
-    found = {CONSTANT: (len(e) * constant**2 - float((rest**2).sum()) / independent) / total}
+    found = {"constant": (len(e) * constant**2 - float((rest**2).sum()) / independent) / total}
     forward = (dq > 0).astype(np.intp)
 
     def even(x: Array, bins: int) -> npt.NDArray[np.intp]:
@@ -207,13 +186,7 @@ def dominant(found: Mapping[str, float]) -> str:
 
 
 def band_shares(e: Array, by: Explanatory, j: int) -> dict[str, float]:
-    """Share of the power of one joint's error, its mean left out, in each of `BANDS`.
-
-    Args:
-        e: Error at all rows, shape (n,).
-        by: Rows and the motion's band.
-        j: The joint.
-    """
+    """Share of the power of joint j's error (n,), its mean left out, in each of `BANDS`."""
     power, start, (low, high) = np.zeros(3), 0, by.bands[j]
     centred = e - e.mean()
     for length, step in zip(by.lengths, by.steps, strict=True):
@@ -251,27 +224,16 @@ def _spectrum(x: Array, step: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Residual:
-    """What a model leaves of one joint's torque while the joint moves.
-
-    Attributes:
-        joint: Name.
-        rms: Error of the model [torque unit].
-        floor: What noise alone would leave [torque unit].
-        given: Error of the given model [torque unit].
-        correlation_s: How long the error stays correlated [s].
-        shares: Share of the error's power that each of `QUANTITIES` explains.
-        bands: Share of the error's power in each of `BANDS`.
-        motion_hz: Lowest and highest frequency of the joint's motion [Hz].
-    """
+    """What a model leaves of one joint's torque while the joint moves [torque unit]."""
 
     joint: str
     rms: float
-    floor: float
-    given: float
-    correlation_s: float
-    shares: Mapping[str, float]
-    bands: Mapping[str, float]
-    motion_hz: tuple[float, float]
+    floor: float  # what noise alone would leave
+    given: float  # rms that the given model leaves
+    correlation_s: float  # how long the error stays correlated [s]
+    shares: Mapping[str, float]  # of the error's power, by `QUANTITIES`
+    bands: Mapping[str, float]  # of the error's power, by `BANDS`
+    motion_hz: tuple[float, float]  # lowest and highest frequency of the joint's motion
 
     @property
     def structured(self) -> float:
@@ -340,8 +302,8 @@ def residuals(
         joints: Names.
         segments: The hold-out.
         error: What the model leaves at its rows, shape (n, nv) [torque unit].
-        given: What the given model leaves there, shape (n, nv) [torque unit].
-        load: Torque of the model at its rows, shape (n, nv) [torque unit].
+        given: What the given model leaves there.
+        load: Torque of the model there.
     """
     by, moves = explanatory(segments, load), moving(segments)
     step, cutoff = by.steps[0], segments[0].cutoff_hz

@@ -1,8 +1,9 @@
-"""Which causes the evidence calls for, and which effects to identify an arm with."""
+"""Which causes the evidence calls for, and what could stand in the place of each."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence, Set
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -10,10 +11,10 @@ import scipy
 
 from excitant.analysis.candidates import Observed, gather, observed, tolerance_metric
 from excitant.analysis.evidence import Candidate, Evidence, Key, reweighed
-from excitant.identify.accuracy import series
 from excitant.identify.estimate import identify_robot
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
+from excitant.identify.rows import series
 from excitant.robots.effects import Effect, merged, plain, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -26,6 +27,11 @@ _FADED = 0.5  # of what a cause brought when last looked at: then it is looked a
 _CANCELLED = 4.0  # times the squared error on its joints: a cause that others must take back
 _SHARE = 0.05  # of what a cause explains, at least, that joints on their own explain more
 _BY_CHANCE = 1e-3  # probability of as much when all joints agree
+_TIE = 2.0  # standard errors within which two causes explain the data alike
+_TIE_ALIKE = 3.3  # the same where their signatures are alike
+ALIKE = 0.9  # |cos| of such signatures
+_SAME = 0.999  # |cos| of a cause that is part of another
+_HALF = 0.5  # of what a cause explains, at least, must a rival explain
 _ROUNDS = 2  # of choosing effects: the second with what the first identified
 
 
@@ -38,15 +44,10 @@ def select(
     chance, and leaves when the others have made it dispensable. Joints that the model gives no
     friction get that of the standard model first, so that finer kinds must bring more than it.
 
-    Args:
-        evidence: Evidence.
-        robot: The given robot.
-        refuted: Causes that a hold-out speaks against.
-
-    Returns:
-        The evidence with the noise at the end, and the causes.
+    Causes that a hold-out speaks against are left out. Returns the evidence with the noise at the
+    end, and the causes.
     """
-    bare = frictionless(robot)
+    bare = _frictionless(robot)
     allowed = [c for c in evidence.candidates if c.key not in refuted]
     standard = [c for c in allowed if c.effect.standard and {*c.effect.joints} <= bare]
     evidence, chosen = _grown(evidence, robot, [], standard)
@@ -76,14 +77,14 @@ def _best_addition(
     evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], allowed: set[int]
 ) -> Candidate | None:
     falls, taken = evidence.additions(chosen), {c.key for c in chosen}
-    scores = falls - [_chance(c) for c in evidence.candidates]
+    scores = falls - [_chance(c.trials, c.size) for c in evidence.candidates]
     for k in np.argsort(-scores, kind="stable"):
         candidate: Candidate = evidence.candidates[k]
         if scores[k] <= 0:
             return None
         if candidate.key in taken or candidate.columns.start not in allowed:
             continue
-        if _significant(evidence, chosen, candidate, float(falls[k])) and plausible(
+        if _significant(evidence, chosen, candidate, float(falls[k])) and _plausible(
             evidence, robot, [*chosen, candidate], candidate
         ):
             return _simplest(evidence, chosen, candidate)
@@ -112,13 +113,9 @@ def _simplest(evidence: Evidence, chosen: Sequence[Candidate], found: Candidate)
     return found
 
 
-def _chance(candidate: Candidate) -> float:
-    """Fall of J that the best of a candidate's shapes reaches by chance."""
-    return _reached(candidate.trials, candidate.size)
-
-
 @lru_cache(maxsize=4096)
-def _reached(trials: int, size: int) -> float:
+def _chance(trials: int, size: int) -> float:
+    """Fall of J that the best of so many shapes with so many coefficients reaches by chance."""
     return float(scipy.stats.chi2.isf(_TYPICAL / trials, size))
 
 
@@ -134,11 +131,7 @@ def _pruned(
 ) -> list[Candidate]:
     """The set without those whose removal costs less than chance would.
 
-    Args:
-        evidence: Evidence.
-        robot: The given robot.
-        chosen: The set.
-        falls: What each brought when last looked at; looked at again when much has gone since.
+    ``falls`` is what each brought when last looked at; looked at again when much has gone since.
     """
     kept = list(chosen)
     for candidate in chosen:
@@ -162,7 +155,7 @@ def underlies(robot: Robot, rest: Sequence[Candidate], candidate: Candidate) -> 
     them, where the given model has none (heredity of main effects: Hamada and Wu 1992).
     """
     effect = candidate.effect
-    if not is_plain_friction(effect) or not {*effect.joints} <= frictionless(robot):
+    if not is_plain_friction(effect) or not {*effect.joints} <= _frictionless(robot):
         return False
     finer = (c.effect for c in rest if c.effect.family == "friction" and not c.effect.standard)
     return any(e.joints == effect.joints and effect.name not in e.contains for e in finer)
@@ -173,16 +166,16 @@ def is_plain_friction(effect: Effect) -> bool:
     return effect.standard and effect.family == "friction"
 
 
-def plausible(
+def _plausible(
     evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], candidate: Candidate
 ) -> bool:
     """Whether a candidate's coefficients, with what is given, are such as physics allows.
 
     Those of a cause that is common to all joints must be the same for all.
     """
-    if candidate.effect.is_common(robot) and not agrees(evidence, chosen, candidate):
+    if candidate.effect.is_common(robot) and not _agrees(evidence, chosen, candidate):
         return False
-    _, coordinates, covariance = evidence.solve(chosen)
+    coordinates, covariance = evidence.solve(chosen)
     if any(_cancelled(evidence, cause, coordinates) for cause in chosen):
         return False
     value = candidate.scale @ coordinates[candidate.columns]
@@ -191,16 +184,11 @@ def plausible(
     return candidate.effect.plausible(robot, value, std)
 
 
-def agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) -> bool:
+def _agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) -> bool:
     """Whether joints explain no more when each has its own coefficients of a cause.
 
     One gravity, one payload, one delay explains all joints by the same numbers. What merely
     imitates it does not: the joints fit it each in its own way (heterogeneity: Cochran 1954).
-
-    Args:
-        evidence: Evidence.
-        chosen: What is at work.
-        cause: One of these.
     """
     rest = [c for c in chosen if c is not cause]
     more, freedom = evidence.separate_joints([*rest, cause], cause)
@@ -221,9 +209,71 @@ def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool
     return made > _CANCELLED * there
 
 
-def frictionless(robot: Robot) -> set[str]:
+def _frictionless(robot: Robot) -> set[str]:
     """Joints that the model gives no friction."""
     return set(robot.joints) - {j for e in robot.effects if is_plain_friction(e) for j in e.joints}
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another cause that the data cannot tell from the one found."""
+
+    candidate: Candidate
+    deviations: float  # standard errors by which the one found explains the data better
+    cosine: float  # largest |cos| between both signatures
+
+
+def rivals(
+    evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], found: Candidate
+) -> list[Rival]:
+    """Causes that could stand in place of one that was found.
+
+    A rival explains at least half of what the found cause explains, and leaves it less than half
+    to explain. The two are compared by the squared error that each leaves, block by block of time
+    (Vuong 1989): within two standard errors they tie; within 3.3 where their signatures are
+    alike. On joints whose friction is all new, a rival may bring the standard model's along.
+    """
+    rest, taken = [c for c in chosen if c is not found], {c.key for c in chosen}
+    bare, falls = _frictionless(robot), evidence.additions(rest)
+    own, errors = falls[evidence.candidates.index(found)], evidence.block_errors(chosen)
+    best: dict[Key, Rival] = {}
+    for k, other in enumerate(evidence.candidates):
+        if other.key in taken or _only_more(evidence, found, other):
+            continue
+        friends = _friction(evidence, other, rest) if {*other.effect.joints} <= bare else []
+        if falls[k] <= _HALF * own and not friends:
+            continue
+        instead = [*rest, other, *(c for c in friends if c is not other and c is not found)]
+        left = evidence.cost(instead) - evidence.cost([*instead, found])
+        if left > _HALF * own:
+            continue
+        difference = evidence.block_errors(instead) - errors
+        z = float(difference.sum() / max(np.sqrt(len(difference)) * difference.std(ddof=1), 1e-12))
+        cosine = evidence.cosine(found, other)
+        if z >= (_TIE_ALIKE if cosine > ALIKE else _TIE):
+            continue
+        known = best.get(other.key)
+        if (known is None or z < known.deviations) and _plausible(evidence, robot, instead, other):
+            best[other.key] = Rival(other, z, cosine)
+    return sorted(best.values(), key=lambda rival: rival.deviations)
+
+
+def _friction(evidence: Evidence, other: Candidate, rest: Sequence[Candidate]) -> list[Candidate]:
+    """Standard friction of a friction's joint, as far as it is not there."""
+    if other.effect.family != "friction":
+        return []
+    return [
+        c
+        for c in evidence.candidates
+        if is_plain_friction(c.effect) and c.effect.joints == other.effect.joints and c not in rest
+    ]
+
+
+def _only_more(evidence: Evidence, found: Candidate, other: Candidate) -> bool:
+    """Whether another cause is the one found with more coefficients."""
+    special = found.effect.name in other.effect.contains and other.size > found.size
+    real = found.effect.name in other.effect.imitates
+    return special and not real and evidence.cosine(found, other) > _SAME
 
 
 def choose_effects(

@@ -25,7 +25,8 @@ import numpy as np  # noqa: E402
 from hidden_effects import draw_effect, typical_trajectory  # noqa: E402
 
 from excitant.analysis.diagnosis import Diagnosis, Finding, diagnose  # noqa: E402
-from excitant.analysis.discrimination_plan import Plan, key, plan  # noqa: E402
+from excitant.analysis.discrimination import Plan, key  # noqa: E402
+from excitant.analysis.discrimination_plan import plan  # noqa: E402
 from excitant.design import Trajectory  # noqa: E402
 from excitant.exceptions import ExcitantError  # noqa: E402
 from excitant.identify.recording import Recording, recording_from_table  # noqa: E402

@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 
@@ -15,38 +16,43 @@ _SHOWN = 4  # names of joints in a note
 
 
 @dataclass(frozen=True)
-class Choice:
-    """What is kept of a robot; everything when nothing is said.
+class RobotSpec:
+    """Which robot is meant and what is kept of it; everything when nothing is said.
 
     Attributes:
+        path: Built-in name, URDF, xacro, MJCF or ``robot.yaml``.
         joints: Joints to keep; all others are held.
         base: Link that the chain starts from; the root of the tree when None.
         tip: Link that the chain ends at; links beyond it are carried along.
         lock: Joints to hold and their positions [rad or m].
+        xacro_args: Values of the arguments of a xacro file.
+        packages: Folders in which ``$(find name)`` of a xacro file looks.
     """
 
+    path: str | Path
     joints: tuple[str, ...] | None = None
     base: str | None = None
     tip: str | None = None
     lock: Mapping[str, float] = field(default_factory=dict)
+    xacro_args: Mapping[str, str] = field(default_factory=dict)
+    packages: tuple[str | Path, ...] = ()
+
+    def __fspath__(self) -> str:
+        """The path, so that a spec stands where a path does."""
+        return str(self.path)
+
+    def __str__(self) -> str:
+        return str(self.path)
 
     @property
     def is_part(self) -> bool:
-        """Whether joints are chosen, other than by holding single ones."""
+        """Whether a part of the robot is chosen, other than by holding single joints."""
         return any(value is not None for value in (self.joints, self.base, self.tip))
 
 
 @dataclass(frozen=True)
 class TreeJoint:
-    """A joint of the tree.
-
-    Attributes:
-        name: Its name.
-        kind: Its type in the URDF.
-        parent: Link it hangs from.
-        child: Link it carries.
-        mimic: Joint it follows as multiplier · q + offset, if it does.
-    """
+    """A joint of the tree; ``mimic`` is the joint it follows as multiplier · q + offset."""
 
     name: str
     kind: str
@@ -57,13 +63,7 @@ class TreeJoint:
 
 @dataclass(frozen=True)
 class Tree:
-    """The joints of a URDF, by name.
-
-    Attributes:
-        source: File of the URDF, for messages.
-        joints: All joints, fixed ones included.
-        links: Names of all links.
-    """
+    """The joints of a URDF, fixed ones included, by name, and the names of its links."""
 
     source: str
     joints: Mapping[str, TreeJoint]
@@ -132,13 +132,13 @@ def tree(root: ET.Element, source: str) -> Tree:
 
 
 def held_joints(
-    robot: Tree, choice: Choice, loops: Sequence[tuple[str, str]] = ()
+    robot: Tree, spec: RobotSpec, loops: Sequence[tuple[str, str]] = ()
 ) -> tuple[dict[str, float | None], tuple[str, ...]]:
     """Joints to hold so that only the chosen ones move.
 
     Args:
         robot: The tree.
-        choice: What is kept.
+        spec: What is kept.
         loops: Pairs of links that a constraint of the description ties together.
 
     Returns:
@@ -153,45 +153,45 @@ def held_joints(
     """
     movable = [j for j in robot.joints.values() if j.kind in (*_SINGLE, *_SEVERAL)]
     names = [joint.name for joint in movable]
-    for name in (*choice.lock, *(choice.joints or ())):
+    for name in (*spec.lock, *(spec.joints or ())):
         if name not in names:
             raise UnknownName("joint", name, names)
-    kept = _kept(robot, choice, movable)
-    _refuse_dependent(robot, kept, choice, loops)
+    kept = _kept(robot, spec, movable)
+    _refuse_dependent(robot, kept, spec, loops)
     moving = {joint.name for joint in kept}
     held = {
-        joint.name: None if joint.kind in _SEVERAL else _position(robot, joint, choice.lock)
+        joint.name: None if joint.kind in _SEVERAL else _position(robot, joint, spec.lock)
         for joint in movable
         if joint.name not in moving
     }
-    return held, tuple(_notes(robot, choice, moving, held))
+    return held, tuple(_notes(robot, spec, moving, held))
 
 
-def _kept(robot: Tree, choice: Choice, movable: Sequence[TreeJoint]) -> list[TreeJoint]:
-    if choice.joints is not None:
-        if choice.tip is not None or choice.base is not None:
+def _kept(robot: Tree, spec: RobotSpec, movable: Sequence[TreeJoint]) -> list[TreeJoint]:
+    if spec.joints is not None:
+        if spec.tip is not None or spec.base is not None:
             raise BadInput(
                 "joints are named, and a chain by base or tip too; choose in one way only"
             )
-        both = [name for name in choice.joints if name in choice.lock]
+        both = [name for name in spec.joints if name in spec.lock]
         if both:
             raise BadInput(f"joint '{both[0]}' is both kept and locked; do one of them")
-        return [joint for joint in movable if joint.name in choice.joints]
-    path = robot.chain(choice.base, choice.tip)
-    kept = [joint for joint in path if joint in movable and joint.name not in choice.lock]
-    if not kept and choice.is_part:
-        where = f"from {choice.base or 'the root'} to {choice.tip or 'the ends'}"
+        return [joint for joint in movable if joint.name in spec.joints]
+    path = robot.chain(spec.base, spec.tip)
+    kept = [joint for joint in path if joint in movable and joint.name not in spec.lock]
+    if not kept and spec.is_part:
+        where = f"from {spec.base or 'the root'} to {spec.tip or 'the ends'}"
         raise BadRobot(robot.source, f"no joint moves {where}; name links further apart")
     return kept
 
 
 def _refuse_dependent(
-    robot: Tree, kept: Sequence[TreeJoint], choice: Choice, loops: Sequence[tuple[str, str]]
+    robot: Tree, kept: Sequence[TreeJoint], spec: RobotSpec, loops: Sequence[tuple[str, str]]
 ) -> None:
     """Refuse joints of several degrees of freedom, and those that cannot move on their own."""
     for joint in kept:
         if joint.kind in _SEVERAL:
-            way = f"--base {joint.child}" + ("" if choice.tip else " or --tip LINK")
+            way = f"--base {joint.child}" + ("" if spec.tip else " or --tip LINK")
             raise BadRobot(
                 robot.source,
                 f"joint '{joint.name}' is {joint.kind}: it has several degrees of freedom, and "
@@ -234,12 +234,12 @@ def _position(robot: Tree, joint: TreeJoint, lock: Mapping[str, float]) -> float
 
 
 def _notes(
-    robot: Tree, choice: Choice, moving: set[str], held: Mapping[str, float | None]
+    robot: Tree, spec: RobotSpec, moving: set[str], held: Mapping[str, float | None]
 ) -> Iterator[str]:
     at_zero = []
     for name, value in held.items():
         joint = robot.joints[name]
-        if name in choice.lock:
+        if name in spec.lock:
             continue
         if value is None:
             yield f"{joint.kind} joint {name} is held where the file puts it"

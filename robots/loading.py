@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadRobot, UnknownName
+from excitant.robots.chains import RobotSpec
 from excitant.robots.dh import chain_from_record, urdf_of_chain
 from excitant.robots.effects import (
     CoulombFriction,
@@ -28,40 +28,6 @@ from excitant.robots.robot import Robot
 from excitant.robots.schema import PlaceRecord, RobotRecord, read_yaml
 from excitant.robots.urdf import limits_in_urdf, number, robot_from_urdf
 from excitant.robots.xacro_files import is_xacro, urdf_from_xacro
-
-
-@dataclass(frozen=True)
-class RobotSpec:
-    """Everything that says which robot is meant; `load_robot` takes it as one thing.
-
-    Attributes:
-        path: Built-in name, URDF, xacro, MJCF or ``robot.yaml``; all else as of `load_robot`.
-    """
-
-    path: str | Path
-    joints: tuple[str, ...] | None = None
-    base: str | None = None
-    tip: str | None = None
-    lock: Mapping[str, float] = field(default_factory=dict)
-    xacro_args: Mapping[str, str] = field(default_factory=dict)
-    packages: tuple[str | Path, ...] = ()
-
-    def __fspath__(self) -> str:
-        """The path, so that a spec stands where a path does."""
-        return str(self.path)
-
-    def __str__(self) -> str:
-        return str(self.path)
-
-    @property
-    def chain(self) -> dict[str, Any]:
-        """Which joints are kept, as `robot_from_urdf` takes it."""
-        return {"joints": self.joints, "base": self.base, "tip": self.tip, "lock": self.lock}
-
-    @property
-    def is_part(self) -> bool:
-        """Whether a part of the robot is chosen, other than by holding single joints."""
-        return any(value is not None for value in (self.joints, self.base, self.tip))
 
 
 def builtin_robots() -> tuple[str, ...]:
@@ -99,16 +65,15 @@ def load_robot(
         BadRobot: A file that is not a usable robot, or a choice of joints that cannot move on
             their own.
     """
-    if not isinstance(spec, RobotSpec):
-        spec = RobotSpec(spec)
-    spec = RobotSpec(
-        spec.path,
-        spec.joints if joints is None else tuple(joints),
-        spec.base if base is None else base,
-        spec.tip if tip is None else tip,
-        {**spec.lock, **(lock or {})},
-        {**spec.xacro_args, **(xacro_args or {})},
-        (*spec.packages, *packages),
+    spec = spec if isinstance(spec, RobotSpec) else RobotSpec(spec)
+    spec = replace(
+        spec,
+        joints=spec.joints if joints is None else tuple(joints),
+        base=spec.base if base is None else base,
+        tip=spec.tip if tip is None else tip,
+        lock={**spec.lock, **(lock or {})},
+        xacro_args={**spec.xacro_args, **(xacro_args or {})},
+        packages=(*spec.packages, *packages),
     )
     name, path = str(spec), Path(spec)
     if name in builtin_robots():
@@ -126,9 +91,9 @@ def _builtin(name: str) -> Robot:
     folder = resources.files("excitant.robots.library")
     model, record = folder / f"{name}.urdf", builtin_record(name)
     if not model.is_file():
-        return _from_dh(record, name, RobotSpec(name))
+        return _from_dh(record, RobotSpec(name))
     text = model.read_text(encoding="utf-8")
-    return _supplemented(robot_from_urdf(text, source=name, name=name), record, name)
+    return _supplemented(robot_from_urdf(text, name, name=name), record, name)
 
 
 def builtin_record(name: str) -> RobotRecord:
@@ -140,11 +105,11 @@ def builtin_record(name: str) -> RobotRecord:
 
 def _from_yaml(path: Path, spec: RobotSpec) -> Robot:
     record = read_yaml(path, RobotRecord, "a robot")
-    own = _spec_of(record, path, spec)
+    own = _joined(record, path, spec)
     if record.dh is not None and record.model is not None:
         raise BadRobot(path, "both 'model' and 'dh' are given; keep one")
     if record.dh is not None:
-        robot = _from_dh(record, str(path), own)
+        robot = _from_dh(record, own)
     elif record.model is not None:
         own = replace(own, path=path.parent / record.model)
         if not Path(own).is_file():
@@ -164,7 +129,7 @@ def _from_yaml(path: Path, spec: RobotSpec) -> Robot:
     return _narrowed(robot, replace(spec, lock={})) if spec.is_part else robot
 
 
-def _spec_of(record: RobotRecord, path: Path, spec: RobotSpec) -> RobotSpec:
+def _joined(record: RobotRecord, path: Path, spec: RobotSpec) -> RobotSpec:
     """What a robot.yaml says about the part of the model that is meant, and what was added."""
     base, tip = record.base, record.tip
     if isinstance(base, PlaceRecord):  # of a chain in Denavit-Hartenberg form
@@ -184,11 +149,11 @@ def _spec_of(record: RobotRecord, path: Path, spec: RobotSpec) -> RobotSpec:
     )
 
 
-def _from_dh(record: RobotRecord, source: str, spec: RobotSpec) -> Robot:
+def _from_dh(record: RobotRecord, spec: RobotSpec) -> Robot:
     """The robot of Denavit-Hartenberg entries; its URDF states its limits too."""
+    source = str(spec)
     chain = chain_from_record(record, source)
-    text = urdf_of_chain(chain, source)
-    robot = robot_from_urdf(text, source=source, **spec.chain, gravity=chain.gravity)
+    robot = robot_from_urdf(urdf_of_chain(chain, source), spec, gravity=chain.gravity)
     return limits_in_urdf(_supplemented(robot, record, source))
 
 
@@ -206,13 +171,12 @@ def _from_model(spec: RobotSpec, gravity: npt.ArrayLike | None = None) -> Robot:
     found = _described(Path(spec), spec)
     robot = robot_from_urdf(
         found.urdf,
-        source=str(spec),
-        **spec.chain | {"lock": {**found.lock, **spec.lock}},
+        replace(spec, lock={**found.lock, **spec.lock}),
         loops=found.loops,
         gravity=found.gravity if gravity is None else gravity,
     )
     robot = replace(robot, notes=(*found.notes, *robot.notes))
-    return robot.with_effects([*_urdf_friction(robot), *_other_effects(robot, found)])
+    return robot.with_effects(_effects(robot, found))
 
 
 def _described(path: Path, spec: RobotSpec) -> Description:
@@ -230,49 +194,35 @@ def _described(path: Path, spec: RobotSpec) -> Description:
     return Description(text)
 
 
-def _other_effects(robot: Robot, found: Description) -> list[Effect]:
-    """Rotor inertia and springs of the joints that move."""
-    effects: list[Effect] = []
+def _effects(robot: Robot, found: Description) -> Iterator[Effect]:
+    """Friction, rotor inertia and springs that a description states of the joints that move."""
+    joints = ET.fromstring(robot.urdf).findall("joint")
+    stated = {str(joint.get("name")): joint for joint in joints}
+    for kind, key in ((ViscousFriction, "damping"), (CoulombFriction, "friction")):
+        values = {}
+        for name in robot.joints:
+            dynamics = stated[name].find("dynamics")
+            text = "0" if dynamics is None else dynamics.get(key, "0")
+            values[name] = number(text, key, stated[name], robot.source)
+        values = {name: value for name, value in values.items() if value}
+        if values:
+            yield kind(tuple(values), tuple(values.values()))
     armature = {j: found.armature[j] for j in robot.joints if found.armature.get(j)}
     if armature:
-        effects.append(RotorInertia(tuple(armature), tuple(armature.values())))
+        yield RotorInertia(tuple(armature), tuple(armature.values()))
     springs = {j: found.springs[j] for j in robot.joints if j in found.springs}
     if springs:
-        values = [(stiffness, -stiffness * rest) for stiffness, rest in springs.values()]
-        effects.append(Spring(tuple(springs)).with_values(np.array(values)))
-    return effects
-
-
-def _urdf_friction(robot: Robot) -> list[Effect]:
-    """Effects of the ``<dynamics damping friction>`` of a robot's URDF."""
-    root = ET.fromstring(robot.urdf)
-    found: dict[type[Effect], dict[str, float]] = {ViscousFriction: {}, CoulombFriction: {}}
-    for joint in root.findall("joint"):
-        dynamics = joint.find("dynamics")
-        name = str(joint.get("name"))
-        if dynamics is None or name not in robot.joints:
-            continue
-        for kind, key in ((ViscousFriction, "damping"), (CoulombFriction, "friction")):
-            value = number(dynamics.get(key, "0"), key, joint, robot.source)
-            if value != 0:
-                found[kind][name] = value
-    return [kind(tuple(v), tuple(v.values())) for kind, v in found.items() if v]
+        values_of = [(stiffness, -stiffness * rest) for stiffness, rest in springs.values()]
+        yield Spring(tuple(springs)).with_values(np.array(values_of))
 
 
 def _narrowed(whole: Robot, spec: RobotSpec) -> Robot:
     """A part of a robot that is loaded, with its limits and effects."""
-    lock = {**dict(whole.locked), **spec.lock}
-    if spec.joints is not None:  # as if the robot had no other joints
-        for joint in spec.joints:
-            if joint not in whole.joints:
-                raise UnknownName("joint", joint, whole.joints)
-    held = robot_from_urdf(
-        whole.urdf,
-        source=whole.source,
-        name=whole.name,
-        **spec.chain | {"lock": lock},
-        gravity=whole.gravity,
-    )
+    for joint in spec.joints or ():  # as if the robot had no other joints
+        if joint not in whole.joints:
+            raise UnknownName("joint", joint, whole.joints)
+    part = replace(spec, path=whole.source, lock={**dict(whole.locked), **spec.lock})
+    held = robot_from_urdf(whole.urdf, part, name=whole.name, gravity=whole.gravity)
     return _kept(whole, replace(held, notes=(*whole.notes, *held.notes)))
 
 

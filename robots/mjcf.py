@@ -22,10 +22,11 @@ from excitant.exceptions import BadRobot
 from excitant.robots.motion import Array
 from excitant.robots.urdf import (
     GRAVITY,
+    collision,
     inertial_element,
     joint_element,
     numbers_text,
-    origin_element,
+    urdf_text,
 )
 
 
@@ -80,10 +81,9 @@ def description_from_mjcf(path: str | Path) -> Description:
         raise BadRobot(path, f"MuJoCo cannot read it: {why}") from None
     writer = _Writer(mujoco, spec, model)
     writer.write()
-    ET.indent(writer.robot)
     x, y, z = model.opt.gravity.tolist()
     return Description(
-        ET.tostring(writer.robot, encoding="unicode") + "\n",
+        urdf_text(writer.robot),
         (x, y, z),
         writer.armature,
         writer.springs,
@@ -174,39 +174,34 @@ class _Writer:
         if not count:
             joint_element(self.robot, f"{name}_weld", "fixed", above, name, place.homogeneous)
             return pin.SE3.Identity()
-        hinge, slide = (
-            int(getattr(self.mujoco.mjtJoint, f"mjJNT_{x}")) for x in ("HINGE", "SLIDE")
-        )
         for j in range(first, first + count):
             last = j == first + count - 1
             child = name if last else f"{name}_before_{self.joints[j + 1]}"
-            kind = int(model.jnt_type[j])
-            if kind not in (hinge, slide):
-                joint_element(
-                    self.robot, self.joints[j], "floating", above, child, place.homogeneous
-                )
-                place = pin.SE3.Identity()
-            else:
-                at, axis = pin.SE3(np.eye(3), model.jnt_pos[j].copy()), model.jnt_axis[j]
-                back = -float(model.qpos0[model.jnt_qposadr[j]]) * axis
-                turned = pin.SE3(
-                    pin.exp3(back) if kind == hinge else np.eye(3),
-                    np.zeros(3) if kind == hinge else back,
-                )
-                word = (
-                    "prismatic"
-                    if kind == slide
-                    else ("revolute" if model.jnt_limited[j] else "continuous")
-                )
-                start = (place * at * turned).homogeneous
-                element = joint_element(self.robot, self.joints[j], word, above, child, start)
-                ET.SubElement(element, "axis", xyz=numbers_text(axis))
-                self._facts(element, j)
-                place = at.inverse()
+            place = self._joint(j, place, above, child)
             if not last:
                 ET.SubElement(self.robot, "link", name=child)
             above = child
         return place
+
+    def _joint(self, j: int, place: pin.SE3, above: str, child: str) -> pin.SE3:
+        """Write a joint that sits on a body's frame; the body's frame in what it carries."""
+        model, kind, kinds = self.model, int(self.model.jnt_type[j]), self.mujoco.mjtJoint
+        at, axis = pin.SE3(np.eye(3), model.jnt_pos[j].copy()), model.jnt_axis[j]
+        back = -float(model.qpos0[model.jnt_qposadr[j]]) * axis
+        if kind == int(kinds.mjJNT_SLIDE):
+            word, turned = "prismatic", pin.SE3(np.eye(3), back)
+        elif kind == int(kinds.mjJNT_HINGE):
+            word = "revolute" if model.jnt_limited[j] else "continuous"
+            turned = pin.SE3(pin.exp3(back), np.zeros(3))
+        else:
+            pose = place.homogeneous
+            joint_element(self.robot, self.joints[j], "floating", above, child, pose)
+            return pin.SE3.Identity()
+        start = (place * at * turned).homogeneous
+        element = joint_element(self.robot, self.joints[j], word, above, child, start)
+        ET.SubElement(element, "axis", xyz=numbers_text(axis))
+        self._facts(element, j)
+        return at.inverse()
 
     def _facts(self, element: ET.Element, j: int) -> None:
         """Limits, friction, rotor inertia and spring of a joint."""
@@ -226,12 +221,12 @@ class _Writer:
             self.armature[name] = armature
         if stiffness := float(model.jnt_stiffness[j]):
             self.springs[name] = (stiffness, float(model.qpos_spring[at]))
-        for key, terms in (
-            ("stiffness", model.jnt_stiffnesspoly[j]),
-            ("damping", model.dof_dampingpoly[dof]),
-        ):
-            if np.any(terms):
-                self.notes.append(f"joint {name}: {key} beyond its first number is left out")
+        terms = {"stiffness": model.jnt_stiffnesspoly[j], "damping": model.dof_dampingpoly[dof]}
+        self.notes += [
+            f"joint {name}: {key} beyond its first number is left out"
+            for key, beyond in terms.items()
+            if np.any(beyond)
+        ]
         if name in self.followers:
             master, offset, slope = self.followers[name]
             numbers = {"joint": master, "multiplier": repr(slope), "offset": repr(offset)}
@@ -241,19 +236,13 @@ class _Writer:
         """Torque limit for both directions (0 for none), rotor inertia and damping of drives."""
         model, mj = self.model, self.mujoco
         total, armature, damping = np.zeros(2), 0.0, 0.0
-        drives = [
-            a
-            for a in np.flatnonzero(model.actuator_trnid[:, 0] == j)
-            if model.actuator_trntype[a]
-            in (int(mj.mjtTrn.mjTRN_JOINT), int(mj.mjtTrn.mjTRN_JOINTINPARENT))
-        ]
-        for a in drives:
-            gear = float(model.actuator_gear[a, 0])
+        direct = [int(mj.mjtTrn.mjTRN_JOINT), int(mj.mjtTrn.mjTRN_JOINTINPARENT)]
+        here = (model.actuator_trnid[:, 0] == j) & np.isin(model.actuator_trntype, direct)
+        for a in np.flatnonzero(here):
+            gear, gain = float(model.actuator_gear[a, 0]), float(model.actuator_gainprm[a, 0])
             force = _range(model.actuator_forcerange[a], model.actuator_forcelimited[a])
-            plain = model.actuator_gaintype[a] == int(
-                mj.mjtGain.mjGAIN_FIXED
-            ) and model.actuator_biastype[a] == int(mj.mjtBias.mjBIAS_NONE)
-            gain = float(model.actuator_gainprm[a, 0])
+            plain = model.actuator_gaintype[a] == int(mj.mjtGain.mjGAIN_FIXED)
+            plain &= model.actuator_biastype[a] == int(mj.mjtBias.mjBIAS_NONE)
             if plain and gain:
                 control = _range(model.actuator_ctrlrange[a], model.actuator_ctrllimited[a])
                 reach = np.sort(gain * control)
@@ -261,16 +250,15 @@ class _Writer:
             total = total + (np.sort(gear * force) if gear and (gain or not plain) else 0.0)
             armature += gear**2 * float(model.actuator_armature[a])
             damping += gear**2 * float(model.actuator_damping[a])
-        low, high = total if drives else (-np.inf, np.inf)
+        low, high = total if here.any() else (-np.inf, np.inf)
         own = _range(model.jnt_actfrcrange[j], model.jnt_actfrclimited[j])
         limit = float(min(-max(low, own[0]), min(high, own[1])))
         return limit if np.isfinite(limit) and limit > 0 else 0.0, armature, damping
 
     def _equalities(self, *kinds: str) -> Iterator[int]:
         wanted = [int(getattr(self.mujoco.mjtEq, f"mjEQ_{kind}")) for kind in kinds]
-        for e in range(self.model.neq):
-            if self.model.eq_active0[e] and self.model.eq_type[e] in wanted:
-                yield e
+        here = np.isin(self.model.eq_type, wanted) & (self.model.eq_active0 != 0)
+        yield from map(int, np.flatnonzero(here))
 
     def _followers(self) -> Iterator[tuple[str, tuple[str, float, float]]]:
         """Joint each follows, offset and multiplier; MuJoCo measures from reference positions."""
@@ -317,8 +305,8 @@ class _Writer:
         kind = self.mujoco.mjtGeom(model.geom_type[g]).name.removeprefix("mjGEOM_").lower()
         x, y, z = model.geom_size[g].tolist()
         if kind == "mesh":
-            mesh = self.spec.mesh(model.mesh(model.geom_dataid[g]).name)
             m = int(model.geom_dataid[g])
+            mesh = self.spec.mesh(model.mesh(m).name)
             scale, turn = np.array(mesh.scale), _pose(mesh.refpos, mesh.refquat)
             if not mesh.file or (np.ptp(scale) and not np.allclose(turn.rotation, np.eye(3))):
                 return
@@ -326,24 +314,17 @@ class _Writer:
             moved = pin.SE3(back, -scale * (back @ turn.translation))
             place = place * _pose(model.mesh_pos[m], model.mesh_quat[m]).inverse() * moved
             file = _mesh_path(self.spec, mesh, Path(self.spec.modelfiledir) / "model.xml")
-            yield _collision(place, "mesh", filename=str(file), scale=numbers_text(scale))
+            yield collision(place, "mesh", filename=str(file), scale=numbers_text(scale))
         elif kind == "sphere":
-            yield _collision(place, "sphere", radius=repr(x))
+            yield collision(place, "sphere", radius=repr(x))
         elif kind in ("box", "ellipsoid"):
-            yield _collision(place, "box", size=numbers_text((2 * x, 2 * y, 2 * z)))
+            yield collision(place, "box", size=numbers_text((2 * x, 2 * y, 2 * z)))
         elif kind in ("capsule", "cylinder"):
-            yield _collision(place, "cylinder", radius=repr(x), length=repr(2 * y))
+            yield collision(place, "cylinder", radius=repr(x), length=repr(2 * y))
             for end in (y, -y) if kind == "capsule" else ():
                 tip = place * pin.SE3(np.eye(3), np.array([0.0, 0.0, end]))
-                yield _collision(tip, "sphere", radius=repr(x))
+                yield collision(tip, "sphere", radius=repr(x))
 
 
 def _range(limits: Array, limited: bool) -> Array:
     return np.array(limits) if limited and limits[0] < limits[1] else np.array([-np.inf, np.inf])
-
-
-def _collision(place: pin.SE3, shape: str, **attributes: str) -> ET.Element:
-    element = ET.Element("collision")
-    element.append(origin_element(place.rotation, place.translation))
-    ET.SubElement(ET.SubElement(element, "geometry"), shape, attributes)
-    return element

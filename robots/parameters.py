@@ -59,6 +59,17 @@ def from_pseudo_inertia(P: npt.ArrayLike) -> Array:
     return np.concatenate([P[..., 3, 3:], P[..., :3, 3], elements(inertia)], axis=-1)
 
 
+def moved_parameters(phi: npt.ArrayLike, T: npt.ArrayLike) -> Array:
+    """Standard parameters of the same body about another frame, P ← T P Tᵀ; linear in them.
+
+    Args:
+        phi: Standard parameters, shape (..., 10).
+        T: Pose of the old frame in the new one, shape (..., 4, 4).
+    """
+    T = np.asarray(T, float)
+    return from_pseudo_inertia(T @ pseudo_inertia(phi) @ np.swapaxes(T, -1, -2))
+
+
 def elements(tensor: Array) -> Array:
     """(I_xx, I_xy, I_yy, I_xz, I_yz, I_zz) of tensors, shape (..., 3, 3) to (..., 6)."""
     return tensor[..., [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -114,7 +114,7 @@ class Robot:
         """The same arm with another model of Pinocchio's of the same joints."""
         return replace(self, model=model)
 
-    def with_effects(self, effects: Sequence[Effect]) -> Robot:
+    def with_effects(self, effects: Iterable[Effect]) -> Robot:
         """The same arm with these effects instead of its own."""
         return replace(self, effects=tuple(effects))
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadRobot
-from excitant.robots.chains import Choice, held_joints, tree
+from excitant.robots.chains import RobotSpec, held_joints, tree
 from excitant.robots.limits import Limits
 from excitant.robots.motion import Array
 from excitant.robots.parameters import elements, steiner
@@ -28,13 +28,9 @@ _ENDS = ("parent", "child")
 
 def robot_from_urdf(
     text: str,
+    source: str | RobotSpec,
     *,
-    source: str,
     name: str | None = None,
-    joints: Sequence[str] | None = None,
-    base: str | None = None,
-    tip: str | None = None,
-    lock: Mapping[str, float] | None = None,
     loops: Sequence[tuple[str, str]] = (),
     gravity: npt.ArrayLike = GRAVITY,
 ) -> Robot:
@@ -42,12 +38,8 @@ def robot_from_urdf(
 
     Args:
         text: The URDF.
-        source: Where it came from, for messages.
+        source: Where it came from, for messages, and perhaps which part of it is meant.
         name: Name of the arm; the URDF's own when not given.
-        joints: Joints to keep; this, ``base``, ``tip`` and ``lock`` are as of `load_robot`.
-        base: Link that the chain starts from.
-        tip: Link that the chain ends at.
-        lock: Joints to hold and their positions [rad or m].
         loops: Pairs of links that are tied together outside the tree.
         gravity: Gravity in the base frame [m/s²].
 
@@ -56,13 +48,14 @@ def robot_from_urdf(
             follow others among those kept, inertias or limits that are not numbers.
         UnknownName: A joint or link that the URDF does not have.
     """
+    spec = source if isinstance(source, RobotSpec) else RobotSpec(source)
+    source = str(spec)
     root = _parse(text, source)
     _check(root, source)
     named = tree(root, source)
-    kept = None if joints is None else tuple(joints)
-    held, notes = held_joints(named, Choice(kept, base, tip, lock or {}), loops)
+    held, notes = held_joints(named, spec, loops)
     title = name or root.get("name") or Path(source).stem
-    model = _build(_prepared(root), source)
+    model = _build(root, source)
     if held:
         try:
             model = pin.buildReducedModel(model, *_lock(model, held))
@@ -81,7 +74,7 @@ def robot_from_urdf(
         urdf=text,
         locked=tuple(sorted((joint, value or 0.0) for joint, value in held.items())),
         source=source,
-        tool=tip or "",
+        tool=spec.tip or "",
         notes=notes,
     )
 
@@ -96,7 +89,7 @@ def full_model(root: ET.Element, robot: Robot) -> tuple[pin.Model, Array, list[i
     Returns:
         The model, a configuration with the locked joints in place, and their indices.
     """
-    model = _build(_prepared(root), robot.source)
+    model = _build(root, robot.source)
     joints, reference = _lock(model, dict(robot.locked))
     return model, reference, joints
 
@@ -123,24 +116,22 @@ def _parse(text: str, source: str) -> ET.Element:
 
 def _check(root: ET.Element, source: str) -> None:
     """Refuse what Pinocchio would accept in silence or crash on."""
-    links = [str(link.get("name")) for link in root.findall("link")]
+    links, joints = (
+        [str(element.get("name")) for element in root.findall(tag)] for tag in ("link", "joint")
+    )
     if not links:
         raise BadRobot(source, "it has no <link>; give the URDF of an arm")
-    for kind, names in (
-        ("link", links),
-        ("joint", [str(joint.get("name")) for joint in root.findall("joint")]),
-    ):
+    for kind, names in (("link", links), ("joint", joints)):
         double = {name for name in names if names.count(name) > 1}
         if double:
             raise BadRobot(source, f"{kind} '{min(double)}' is defined twice; rename one")
     carried: dict[str, str] = {}
-    for joint in root.findall("joint"):
-        name = str(joint.get("name"))
+    for joint, name in zip(root.findall("joint"), joints, strict=True):
         for end in _ENDS:
             element = joint.find(end)
             if element is None or element.get("link") not in links:
                 raise BadRobot(source, f"joint '{name}' has no known {end} link")
-        child = str(joint.find("child").get("link"))  # type: ignore[union-attr]
+            child = str(element.get("link"))
         if child in carried:
             raise BadRobot(
                 source,
@@ -180,52 +171,37 @@ def number(text: str, key: str, owner: ET.Element, source: str) -> float:
     return value
 
 
-def _prepared(root: ET.Element) -> str:
-    """The URDF as Pinocchio can take it; ``root`` changes with it."""
-    root.set("name", root.get("name") or "robot")
-    _bound_continuous_joints(root)
-    _rename_links_called_as_joints(root)
-    return ET.tostring(root, encoding="unicode")
-
-
 def _bound_continuous_joints(root: ET.Element) -> None:
     """Make continuous joints revolute with no limits, so that q and q̇ have the same size."""
-    for joint in root.findall("joint"):
-        if joint.get("type") != "continuous":
-            continue
+    for joint in root.findall("joint[@type='continuous']"):
         joint.set("type", "revolute")
         limit = joint.find("limit")
-        if limit is None:
-            limit = ET.SubElement(joint, "limit")
-        for key, value in (("lower", -_UNLIMITED), ("upper", _UNLIMITED)):
-            limit.set(key, str(value))
+        limit = ET.SubElement(joint, "limit") if limit is None else limit
+        limit.attrib |= {"lower": str(-_UNLIMITED), "upper": str(_UNLIMITED)}
         for key in ("effort", "velocity"):
             limit.set(key, limit.get(key) or str(_UNLIMITED))
 
 
 def _rename_links_called_as_joints(root: ET.Element) -> None:
     """Give links that share a joint's name another one: Pinocchio cannot hold such joints."""
-    taken = {str(element.get("name")) for element in root}
-    joints = {str(joint.get("name")) for joint in root.findall("joint")}
-    links = {str(link.get("name")) for link in root.findall("link")}
-    new = {}
-    for name in sorted(joints & links):
-        new[name] = f"{name}_link"
-        while new[name] in taken:
-            new[name] += "_"
-        taken.add(new[name])
-    for link in root.findall("link"):
-        link.set("name", new.get(str(link.get("name")), str(link.get("name"))))
-    for end in (e for joint in root.findall("joint") for e in joint if e.tag in _ENDS):
-        end.set("link", new.get(str(end.get("link")), str(end.get("link"))))
+    joints = {joint.get("name") for joint in root.findall("joint")}
+    named = [(link, "name") for link in root.findall("link")]
+    named += [(end, "link") for tag in _ENDS for end in root.findall(f"joint/{tag}")]
+    for element, key in named:
+        if element.get(key) in joints:
+            element.set(key, f"{element.get(key)} (link)")
 
 
-def _build(text: str, source: str) -> pin.Model:
+def _build(root: ET.Element, source: str) -> pin.Model:
+    """Pinocchio's model; the URDF is changed into one that Pinocchio can take."""
+    root.set("name", root.get("name") or "robot")
+    _bound_continuous_joints(root)
+    _rename_links_called_as_joints(root)
     with _captured_stderr() as messages:
         try:
-            return pin.buildModelFromXML(text)
+            return pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
         except Exception as error:
-            first = next(iter(messages()), str(error).splitlines()[0] if str(error) else "")
+            first = next(iter(messages()), str(error).partition("\n")[0])
             raise BadRobot(source, f"Pinocchio cannot read it: {first}") from None
 
 
@@ -297,26 +273,22 @@ def urdf_with_parameters(
             dynamics = ET.SubElement(joint, "dynamics") if dynamics is None else dynamics
             for key, value in zip(("damping", "friction"), own, strict=True):
                 dynamics.set(key, repr(float(value)))
+    return urdf_text(root)
+
+
+def urdf_text(root: ET.Element) -> str:
+    """The text of a URDF, indented."""
     ET.indent(root)
     return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
 def limits_in_urdf(robot: Robot) -> Robot:
     """The robot with a URDF text that states the limits of the joints it keeps."""
-    root = ET.fromstring(robot.urdf)
-    limits = robot.limits
-    for joint in root.findall("joint"):
-        name = str(joint.get("name"))
-        if name not in robot.joints:
-            continue
-        j = robot.joint_index(name)
-        numbers = dict(
-            zip(
-                _LIMIT_KEYS,
-                (*limits.position[j], limits.torque[j], limits.velocity[j]),
-                strict=True,
-            )
-        )
+    root, limits = ET.fromstring(robot.urdf), robot.limits
+    stated = {str(joint.get("name")): joint for joint in root.findall("joint")}
+    for j, joint in enumerate(stated[name] for name in robot.joints):
+        values = (*limits.position[j], limits.torque[j], limits.velocity[j])
+        numbers = dict(zip(_LIMIT_KEYS, values, strict=True))
         if robot.revolute[j]:
             joint.set("type", "revolute")
             if np.isinf(limits.position[j]).all():
@@ -326,8 +298,7 @@ def limits_in_urdf(robot: Robot) -> Robot:
             joint.remove(limit)
         words = {k: repr(float(np.clip(x, -_UNLIMITED, _UNLIMITED))) for k, x in numbers.items()}
         ET.SubElement(joint, "limit", words)
-    ET.indent(root)
-    return replace(robot, urdf=ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n")
+    return replace(robot, urdf=urdf_text(root))
 
 
 def joint_element(
@@ -350,6 +321,14 @@ def origin_element(rotation: Array, translation: Array) -> ET.Element:
     """``<origin>`` of a pose."""
     rpy = pin.rpy.matrixToRpy(np.asarray(rotation))
     return ET.Element("origin", xyz=numbers_text(translation), rpy=numbers_text(rpy))
+
+
+def collision(place: pin.SE3, shape: str, **attributes: str) -> ET.Element:
+    """``<collision>`` of a shape at a pose in its link."""
+    element = ET.Element("collision")
+    element.append(origin_element(place.rotation, place.translation))
+    ET.SubElement(ET.SubElement(element, "geometry"), shape, attributes)
+    return element
 
 
 def inertial_element(phi: Array) -> ET.Element:

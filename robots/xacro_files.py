@@ -10,23 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import CodeType
 from typing import Any
-from xml.parsers.expat import ExpatError
 
 from excitant.exceptions import BadRobot, ExcitantError, UnknownName
-
-_REFUSALS = (
-    ExpatError,
-    OSError,
-    ValueError,
-    TypeError,
-    KeyError,
-    AttributeError,
-    SyntaxError,
-    NameError,
-    ZeroDivisionError,
-    RuntimeError,
-)
-"""What the expressions of a file raise, beside xacro's own errors."""
 
 
 def is_xacro(text: str) -> bool:
@@ -55,10 +40,8 @@ def urdf_from_xacro(
     try:
         with _own_functions(path, packages), contextlib.redirect_stderr(io.StringIO()) as said:
             document = xacro.process_file(str(path), mappings=given)
-    except ExcitantError:
-        raise
-    except (xacro.XacroException, *_REFUSALS) as error:
-        inner = getattr(error, "exc", None)
+    except Exception as error:  # an expression of the file may raise any
+        inner = getattr(error, "exc", error)
         if isinstance(inner, ExcitantError):
             raise inner from None
         raise BadRobot(path, _reason(error, said.getvalue())) from None
@@ -66,11 +49,8 @@ def urdf_from_xacro(
         if name not in given.declared:
             raise BadRobot(path, str(UnknownName("xacro argument", name, sorted(given.declared))))
     if not document.getElementsByTagName("link"):
-        raise BadRobot(
-            path,
-            "this xacro file builds no links; if it only defines macros, give the file that calls "
-            "them",
-        )
+        why = "if it only defines macros, give the file that calls them"
+        raise BadRobot(path, f"this xacro file builds no links; {why}")
     text: str = document.toxml()
     return text
 
@@ -107,28 +87,33 @@ def _own_functions(path: Path, packages: Sequence[str | Path]) -> Iterator[None]
     """Let ``$(find name)`` look into folders instead of a ROS installation, and evaluate safely."""
 
     def find(name: str) -> str:
-        return str(package_folder(name, path, packages))
+        return str(_package_folder(name, path, packages))
 
     import xacro
-    from xacro import substitution_args
+    from xacro import substitution_args as arguments
 
     own = (
-        (substitution_args, "_eval_find", find),
-        (substitution_args, "_eval", _evaluated_substitution),
-        (substitution_args, "_eval_dict", {**substitution_args._eval_dict, "find": find}),
-        (xacro, "safe_eval", _evaluated),
+        (
+            vars(arguments),
+            {
+                "_eval_find": find,
+                "_eval": _evaluated_substitution,
+                "_eval_dict": {**arguments._eval_dict, "find": find},
+            },
+        ),
+        (vars(xacro), {"safe_eval": _evaluated}),
     )
-    before = [getattr(module, name) for module, name, _ in own]
+    before = [{name: module[name] for name in functions} for module, functions in own]
     python = xacro._global_symbols["python"]
     removed = {name: python.pop(name) for name in _LEADING_OUT}
-    for module, name, function in own:
-        setattr(module, name, function)
+    for module, functions in own:
+        module.update(functions)
     try:
         yield
     finally:
         python.update(removed)
-        for (module, name, _), function in zip(own, before, strict=True):
-            setattr(module, name, function)
+        for (module, _), functions in zip(own, before, strict=True):
+            module.update(functions)
 
 
 def _evaluated(expression: str, names: dict[str, Any]) -> Any:
@@ -167,10 +152,9 @@ def _compiled(expression: str) -> CodeType:
 
 
 class _Attributes(ast.NodeTransformer):
-    """Replaces ``value.name`` by a call."""
+    """Replaces every ``value.name`` by a call."""
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.Call:
-        """The call in place of one attribute."""
         found = ast.Name(_ATTRIBUTE, ast.Load())
         return ast.Call(found, [self.visit(node.value), ast.Constant(node.attr)], [])
 
@@ -183,18 +167,10 @@ def _attribute(value: Any, name: str) -> Any:
     return getattr(value, name)
 
 
-def package_folder(name: str, path: Path, packages: Sequence[str | Path]) -> Path:
-    """Folder of a package: among those given, or around a file.
-
-    Raises:
-        BadRobot: There is none of this name.
-    """
-    for given in map(Path, packages):
-        for folder in (given, given / name):
-            if folder.is_dir() and _package_name(folder) == name:
-                return folder.resolve()
-    for above in path.resolve().parents:
-        for folder in (above, above / name):
+def _package_folder(name: str, path: Path, packages: Sequence[str | Path]) -> Path:
+    """Folder of a package: among those given, or around a file."""
+    for around in (*(Path(given).resolve() for given in packages), *path.resolve().parents):
+        for folder in (around, around / name):
             if folder.is_dir() and _package_name(folder) == name:
                 return folder
     raise BadRobot(
@@ -206,9 +182,8 @@ def package_folder(name: str, path: Path, packages: Sequence[str | Path]) -> Pat
 
 def _package_name(folder: Path) -> str:
     """Name that a folder's package.xml gives it, else its own."""
-    manifest = folder / "package.xml"
     try:
-        name = ET.parse(manifest).findtext("name")
+        name = ET.parse(folder / "package.xml").findtext("name")
     except (OSError, ET.ParseError):
         name = None
     return (name or folder.name).strip()

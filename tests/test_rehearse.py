@@ -11,13 +11,14 @@ import pytest
 
 from excitant.analysis.rehearsal import (
     Rehearsal,
+    Situation,
     changed,
     draw_change,
+    limit_items,
     planted_parameters,
     rehearsal_arm,
     rehearse,
 )
-from excitant.analysis.requirements import Situation, limit_items
 from excitant.cli import main
 from excitant.design import (
     FourierTrajectory,

@@ -1,16 +1,20 @@
-"""Fault: what is wrong with a recording as a recording, its evidence, and its repair."""
+"""Log: a recording as its tests see it; Fault: what is wrong with it, its evidence, its repair."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar, cast
+from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
+import scipy
 
 from excitant.exceptions import BadInput
-from excitant.identify.faults.log import CHANNELS, Mask, Raw, Rows
+from excitant.identify.recording import Recording
 from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
 
 FAULTS = (
     "dead_channel",
@@ -26,11 +30,62 @@ FAULTS = (
     "poor_excitation",
 )
 """The vocabulary, the same in results, interface and documentation."""
+ALARM = 0.02 / 20
+"""Share of faultless recordings in which one family of tests may raise a fault.
 
+There are fewer than twenty families; all together raise one in at most 2 %.
+"""
+Rows = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
+_SPAN = 4  # samples to either side of the one whose speed is asked
 _SHOWN = 10  # of many rows, in results
-_ACTIONS = ("unwrap", "interpolate", "scale")
-"""What changes values and not rows, in the order in which it is done."""
-RawT = TypeVar("RawT", bound=Raw)
+_R = TypeVar("_R", bound=Recording)
+
+
+@dataclass(frozen=True, eq=False)
+class Log(Recording):
+    """A recording of named joints before anything is believed of it, and what is usual in it."""
+
+    joints: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, robot: Robot, recording: Recording) -> Log:
+        """A recording as logged, of the arm's joints."""
+        arrays = {name: getattr(recording, name) for name in ("t", "q", "tau", "dq", "unit")}
+        return cls(recording.name, recording.file, **arrays, joints=robot.joints)
+
+    def names(self, joints: Any) -> tuple[str, ...]:
+        """Names of joints by index."""
+        return tuple(self.joints[int(j)] for j in joints)
+
+    @cached_property
+    def step(self) -> float:
+        """Median time step [s]."""
+        steps = np.diff(self.t)
+        forward = steps[steps > 0]
+        return float(np.median(forward)) if len(forward) else 1.0
+
+    @cached_property
+    def quantum(self) -> Array:
+        """Smallest step between two positions of each joint, shape (nv,)."""
+        return np.array([quantum(column) for column in self.q.T])
+
+    @cached_property
+    def grain(self) -> Array:
+        """Noise or step of each position, whichever is larger, shape (nv,)."""
+        return np.maximum([noise(column) for column in self.q.T], self.quantum)
+
+    @cached_property
+    def travel(self) -> Array:
+        """Change of position per sample around each one, (n, nv)."""
+        rows = np.arange(len(self))
+        low, high = np.maximum(rows - _SPAN, 0), np.minimum(rows + _SPAN, len(self) - 1)
+        return np.asarray((self.q[high] - self.q[low]) / np.maximum(high - low, 1)[:, None])
+
+    @cached_property
+    def moving(self) -> Mask:
+        """Where a joint moves by several times its `grain` per sample, (n, nv)."""
+        return np.asarray(np.abs(self.travel) > 4 * self.grain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,14 +151,9 @@ def dropped(
     joints: tuple[str, ...], rows: Rows, detail: str, fault: str = "corrupt_rows", **evidence: Any
 ) -> Fault:
     """A fault of rows that a repair leaves out."""
-    return Fault(
-        fault,
-        joints,
-        detail,
-        {"rows": rows, "count": len(rows), **evidence},
-        f"leaves these {len(rows)} rows out",
-        (Remedy("drop", rows=rows),),
-    )
+    known = {"rows": rows, "count": len(rows), **evidence}
+    done = f"leaves these {len(rows)} rows out"
+    return Fault(fault, joints, detail, known, done, (Remedy("drop", rows=rows),))
 
 
 def _plain(value: Any) -> Any:
@@ -114,48 +164,36 @@ def _plain(value: Any) -> Any:
     return value if not isinstance(value, float) or np.isfinite(value) else None
 
 
-def repair(raw: RawT, faults: Sequence[Fault]) -> tuple[RawT, tuple[str, ...]]:
+def repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, tuple[str, ...]]:
     """The recording with its repairable faults repaired, and what was done, a sentence each.
 
     Rows of remedies count rows of this recording. Rows are sorted first, so that those beside each
     other are neighbours in time, and left out last, so that all remedies may name them.
 
-    Args:
-        raw: The recording as logged; a dataclass with arrays ``t``, ``q``, ``dq``, ``tau``.
-        faults: What `find_faults` found in it.
-
     Raises:
         BadInput: The repairs leave no two samples.
     """
     remedies = [r for fault in faults for r in fault.remedies]
-    t, order, kept = _arranged(raw.t, remedies)
-    place = np.argsort(order)
-    values: dict[str, Any] = {"t": t[order]}
-    values |= {c: np.array(x[order]) for c in CHANNELS if (x := getattr(raw, c)) is not None}
-    for action in _ACTIONS:
+    t, order, kept = _arranged(recording.t, remedies)
+    place, sorted_ = np.argsort(order), recording.take(order)
+    values = {"t": t[order]} | {name: np.array(x) for name, x in sorted_.channels()}
+    for action in ("unwrap", "interpolate", "scale"):
         for remedy in remedies:
             if remedy.action == action and remedy.channel in values:
                 _apply(values, replace(remedy, rows=place[remedy.rows]), kept)
     if kept.sum() < 2:
         raise BadInput(f"repair leaves {int(kept.sum())} of {len(kept)} rows; record again")
-    cut = {name: x[kept] for name, x in values.items()}
-    if hasattr(raw, "extras"):
-        cut["extras"] = {k: np.asarray(x)[order][kept] for k, x in raw.extras.items()}
+    arrays: dict[str, Any] = values
     notes = tuple(
         f"{fault.fault} ({', '.join(fault.joints)}): repaired, which {fault.repair}"
         for fault in faults
         if fault.remedies and fault.repair
     )
-    return cast(RawT, replace(cast(Any, raw), **cut)), notes
+    return replace(sorted_, **arrays).take(kept), notes
 
 
 def left_rows(t: Array, faults: Sequence[Fault]) -> Rows:
-    """Rows of a log that repairs leave, in the order that they bring them into.
-
-    Args:
-        t: Stamps as logged, shape (n,) [s].
-        faults: What is to be repaired.
-    """
+    """Rows of a log with stamps t that repairs leave, in the order that they bring them into."""
     _, order, kept = _arranged(t, [r for fault in faults for r in fault.remedies])
     return order[kept]
 
@@ -173,7 +211,7 @@ def _arranged(t: Array, remedies: Sequence[Remedy]) -> tuple[Array, Rows, Mask]:
     return t, order, kept[order]
 
 
-def _apply(values: dict[str, Any], remedy: Remedy, kept: Mask) -> None:
+def _apply(values: dict[str, Array], remedy: Remedy, kept: Mask) -> None:
     """Do what a remedy says to channels by name, in place; rows not kept do not count."""
     x = values[remedy.channel]
     if remedy.channel == "t":
@@ -196,3 +234,47 @@ def unwrap(x: Array, size: float, position: bool) -> Array:
     if position:
         return np.asarray(np.unwrap(x, period=size), float)
     return np.asarray(np.where(x > size / 2, x - size, x), float)
+
+
+def noise(x: Array) -> float:
+    """Standard deviation of white noise on a smooth signal, from its fourth differences."""
+    if len(x) < 10:
+        return 0.0
+    return float(np.median(np.abs(np.diff(x, 4))) / 0.6745 / np.sqrt(70.0))
+
+
+def quantum(x: Array) -> float:
+    """Step of a quantised channel: the lower decile of the distances of its levels, or 0.
+
+    It is no step when neighbouring levels are as far apart as chance puts them.
+    """
+    levels = np.unique(x[np.isfinite(x)])
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * max(float(np.ptp(levels)), 1e-300)] if len(gaps) else gaps
+    return float(np.quantile(gaps, 0.1)) if len(gaps) else 0.0
+
+
+def tail_bound(values: Array, alarm: float = ALARM) -> float:
+    """Level that the largest of some magnitudes exceeds by chance with probability ``alarm``.
+
+    Their distribution is taken to fall off beyond its 90 % quantile like exp(−√z), as fast as
+    between the median and there: far heavier than Gaussian, as dry friction, impacts and
+    jitter of stamps make it, and blind to up to a tenth of outliers.
+    """
+    if not len(values):
+        return np.inf
+    low, high = np.sqrt(np.quantile(values, (0.5, 0.9)))
+    decay = (high - low) / np.log(0.5 / 0.1)
+    return float((high + decay * max(np.log(0.1 * len(values) / alarm), 0.0)) ** 2)
+
+
+def normal_bound(tests: int) -> float:
+    """Level that the largest of many standard normal variables exceeds by chance."""
+    return float(-scipy.special.ndtri(ALARM / (2 * max(tests, 1))))
+
+
+def run_lengths(same: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and lengths of the runs of True in a boolean array."""
+    edges = np.diff(np.concatenate([[0], same.astype(np.int8), [0]]))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return starts, ends - starts

@@ -22,9 +22,8 @@ import scipy
 
 from excitant.exceptions import ExcitantError
 from excitant.identify.excitation import persistency
-from excitant.identify.faults.fault import Fault
-from excitant.identify.faults.fit import Smooth, TorqueFit, scaled_least_squares
-from excitant.identify.faults.log import ALARM, Log, quantum
+from excitant.identify.faults.fault import ALARM, Fault, Log, quantum
+from excitant.identify.faults.physics import Smooth, TorqueFit, scaled_least_squares
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 

@@ -14,8 +14,8 @@ from typing import Any, TextIO
 import pandas as pd
 
 from excitant.exceptions import BadRecording
+from excitant.identify.importers.names import spelled
 from excitant.identify.importers.tables import Table, unreadable
-from excitant.identify.importers.units import spelled
 
 _COMMENTS = ("#", "%", "//")
 _SEPARATORS = ("\t", ";", "|", ",", " ")
@@ -29,27 +29,18 @@ _CUT = "last line left out: it has no end, so it may have been cut"
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a text file writes its table.
-
-    Attributes:
-        encoding: Encoding of the text.
-        separator: Between cells; a space stands for any white space.
-        decimal: Decimal sign, ``"."`` or ``","``.
-        names: Names of the columns; numbers from 0 where there is no header.
-        skipped: Lines before the first row.
-        quoted: Whether cells are quoted.
-        cut: Whether the file ends within a line.
-        labels: Joints' names by number, where columns hold them.
-    """
+    """How a text file writes its table."""
 
     encoding: str
-    separator: str
-    decimal: str
-    names: tuple[str, ...]
-    skipped: int
+    separator: str  # between cells; a space stands for any white space
+    decimal: str  # point or comma
+    names: tuple[str, ...]  # of the columns; numbers from 0 where there is no header
+    skipped: int  # lines before the first row
     quoted: bool = False
-    cut: bool = False
-    labels: Mapping[int, str] = field(default_factory=dict)
+    cut: bool = False  # the file ends within a line
+    labels: Mapping[int, str] = field(
+        default_factory=dict
+    )  # joints' names, where columns hold them
 
 
 def text_table(path: Path) -> Table:
@@ -106,8 +97,7 @@ def _with_points(frame: pd.DataFrame, decimal: str) -> pd.DataFrame:
 class _Lines:
     """The rows of a text file for a parser: comments taken out, every row counted and checked.
 
-    Attributes:
-        refusal: What was wrong, as parsers hide errors of what they read from.
+    ``refusal`` says what was wrong, as parsers hide errors of what they read from.
     """
 
     def __init__(self, stream: TextIO, dialect: Dialect, file: str) -> None:

@@ -9,28 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from excitant.analysis.candidates import tolerance_metric
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.discrimination import (
     Contest,
-    Noise,
     Pair,
+    Plan,
+    Separation,
     along,
+    key,
     needed,
     repetitions,
-    separation,
 )
-from excitant.analysis.discrimination_plan import (
-    HOPELESS,
-    Plan,
-    described,
-    discriminating_motions,
-    key,
-    plan,
-)
+from excitant.analysis.discrimination_plan import HOPELESS, described, discriminating_motions, plan
 from excitant.design import FourierTrajectory, check
 from excitant.identify import Recording
-from excitant.identify.prior import prior_parameters
 from excitant.robots import Motion, Robot
 from excitant.robots.effects import (
     EFFECTS,
@@ -60,12 +52,16 @@ def contest(
     return Contest(
         robot=robot,
         model=robot,
-        metric=tolerance_metric(prior_parameters(robot)),
-        noise=Noise(np.full(robot.nv, SIGMA), np.full(robot.nv, INFLATION)),
+        weight=np.full(robot.nv, 1 / (SIGMA**2 * INFLATION)),
         pairs=(Pair(found, rival),),
         recorded=tuple(along(motion, 10.0) for motion in recorded),
         tolerance=tolerance,
     )
+
+
+def separation(contest: Contest, motion: Motion) -> Separation:
+    [found] = contest.separations(contest.information(motion))
+    return found
 
 
 def swing(robot: Robot, amplitude: float = 0.5, hz: float = 0.25, seconds: float = 20.2) -> Motion:

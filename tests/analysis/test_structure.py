@@ -15,6 +15,7 @@ import second_opinion as opinions
 from arms import data_folder
 from hypothesis import given
 from hypothesis import strategies as st
+from khosla import dh_from_robot
 from second_opinion import grouping, into_previous, largest_count, parameter_nullspace
 
 from excitant.analysis.structure import HAIR, structure
@@ -24,13 +25,13 @@ from excitant.robots import (
     Robot,
     base_parameters,
     builtin_robots,
-    dh_from_robot,
     load_robot,
     robot_from_dh,
 )
 from excitant.robots.base_parameters import LENGTH_POWERS, arm_length
-from excitant.robots.dh import moved_parameters
+from excitant.robots.chains import RobotSpec
 from excitant.robots.effects import standard_effects
+from excitant.robots.parameters import moved_parameters
 from excitant.robots.urdf import robot_from_urdf
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -404,6 +405,6 @@ def test_arms_of_example_robot_data(file: str, joints: int, count: int) -> None:
         pytest.skip("example-robot-data is not installed and EXAMPLE_ROBOT_DATA names no folder")
     text = (folder / file).read_text(encoding="utf-8")
     names = robot_from_urdf(text, source=file).joints[:joints]
-    robot = robot_from_urdf(text, source=file, joints=names)
+    robot = robot_from_urdf(text, RobotSpec(file, joints=tuple(names)))
     assert len(structure(robot).base) == count
     assert angle_between_methods(robot) < 1e-6

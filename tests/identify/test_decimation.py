@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 
 from excitant.exceptions import BadRecording
-from excitant.identify import Recording, decimation, identify_robot, read_recordings
-from excitant.identify.decimation import decimated
+from excitant.identify import Recording, dataset, identify_robot, read_recordings
+from excitant.identify.dataset import decimated
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import standard_effects
 
@@ -85,7 +85,7 @@ def test_long_files_are_read_in_pieces_and_short_parts_are_refused(
     }
     pd.DataFrame({"t": whole.t} | columns).to_csv(path, index=False)
     assert len(read_recordings([path], robot)[0].t) == 8000
-    monkeypatch.setattr(decimation, "LONG", 5000)
+    monkeypatch.setattr(dataset, "LONG", 5000)
     [thin] = read_recordings([path], robot)
     assert len(thin.t) < 1400
     assert any("decimated" in note for note in thin.notes)

@@ -24,6 +24,7 @@ from excitant.exceptions import BadInput
 from excitant.identify import Estimate, Recording, identify_robot
 from excitant.identify.export import model_files, publication
 from excitant.robots import DHChain, Motion, Robot, load_robot, robot_from_dh, torque
+from excitant.robots.chains import RobotSpec
 from excitant.robots.effects import (
     EFFECTS,
     AddedInertia,
@@ -104,7 +105,7 @@ def named(name: str) -> Robot:
         return chain(int(name[2:]))
     if name == "tree":
         lock = {"grip": 0.03}
-        arm = robot_from_urdf(TREE, source="tree.urdf", lock=lock, gravity=[1.0, -2.0, 9.0])
+        arm = robot_from_urdf(TREE, RobotSpec("tree.urdf", lock=lock), gravity=[1.0, -2.0, 9.0])
         return arm.with_parameters(bodies(np.random.default_rng(1), arm.nv))
     if name == "tilted ur10":
         return load_robot("ur10").with_gravity([3.0, -4.0, -8.0])

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from excitant.exceptions import BadRobot, ExcitantError, UnknownName
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, torque
+from excitant.robots.chains import RobotSpec
 from excitant.robots.geometry import scene
 from excitant.robots.urdf import robot_from_urdf, urdf_with_parameters
 
@@ -41,10 +42,10 @@ def test_written_parameters_reload_to_the_same_torque(
     arm: Robot, random_states: States, random_bodies: Bodies, seed: int, lock: bool
 ) -> None:
     held = LOCKS[arm.name] if lock else {}
-    robot = robot_from_urdf(arm.urdf, source="given", lock=held)
+    robot = robot_from_urdf(arm.urdf, RobotSpec("given", lock=held))
     phi = random_bodies(seed, robot.nv)
     written = urdf_with_parameters(robot, phi)
-    again = robot_from_urdf(written, source="written", lock=held)
+    again = robot_from_urdf(written, RobotSpec("written", lock=held))
     assert again.joints == robot.joints
     motion = random_states(robot, seed, 5)
     assert same_torque(robot.with_parameters(phi), again, motion, 1e-9)
@@ -53,7 +54,7 @@ def test_written_parameters_reload_to_the_same_torque(
 def test_locked_joint_carries_its_links_along(arm: Robot, random_states: States) -> None:
     """A locked arm needs the torque of the whole arm whose locked joints stand still."""
     held = LOCKS[arm.name]
-    part = robot_from_urdf(arm.urdf, source="given", lock=held)
+    part = robot_from_urdf(arm.urdf, RobotSpec("given", lock=held))
     motion = random_states(part, 5, 20)
     whole = {name: np.zeros((20, arm.nv)) for name in ("q", "dq", "ddq")}
     rows = [arm.joint_index(joint) for joint in part.joints]
@@ -126,7 +127,7 @@ def test_robot_without_moving_joint(gantry_urdf: str) -> None:
     with pytest.raises(BadRobot, match="no moving joints"):
         robot_from_urdf(fixed, source="statue")
     with pytest.raises(BadRobot, match="no moving joints"):
-        robot_from_urdf(gantry_urdf, source="held", joints=())
+        robot_from_urdf(gantry_urdf, RobotSpec("held", joints=()))
 
 
 def test_unknown_robot_suggests_the_nearest() -> None:
@@ -178,7 +179,9 @@ def test_robot_yaml_says_what_the_urdf_cannot(gantry_urdf: str, tmp_path: Path) 
     assert robot.gravity.tolist() == [0, 9.81, 0]
     assert robot.limits.torque.tolist() == [300, 20]
     assert robot.effects[0].values == (0.5,)
-    expected = robot_from_urdf(gantry_urdf, source="x", lock={"swing": 0.2}, gravity=[0, 9.81, 0])
+    expected = robot_from_urdf(
+        gantry_urdf, RobotSpec("x", lock={"swing": 0.2}), gravity=[0, 9.81, 0]
+    )
     rng = np.random.default_rng(0)
     motion = Motion(np.arange(4.0), *rng.standard_normal((3, 4, 2)))
     assert same_torque(robot, expected, motion, 1e-12)
@@ -194,14 +197,14 @@ def test_links_may_be_called_as_joints(gantry: Robot, gantry_urdf: str) -> None:
     for link, joint in (("cart", "slide"), ("arm", "swing"), ("hand", "twist")):
         text = re.sub(rf'(link(?: name)?=?"?){link}"', rf'\g<1>{joint}"', text)
     assert '<link name="slide">' in text
-    robot = robot_from_urdf(text, source="same.urdf", lock={"swing": 0.3})
+    robot = robot_from_urdf(text, RobotSpec("same.urdf", lock={"swing": 0.3}))
     assert robot.joints == robot.links == ("slide", "twist")
-    part = robot_from_urdf(gantry_urdf, source="gantry.urdf", lock={"swing": 0.3})
+    part = robot_from_urdf(gantry_urdf, RobotSpec("gantry.urdf", lock={"swing": 0.3}))
     motion = states(part)
     tau = rigid_body_torque(part, motion)
     assert np.abs(rigid_body_torque(robot, motion) - tau).max() <= 1e-12 * np.abs(tau).max()
     written = robot_from_urdf(
-        urdf_with_parameters(robot, robot.phi), source="written", lock={"swing": 0.3}
+        urdf_with_parameters(robot, robot.phi), RobotSpec("written", lock={"swing": 0.3})
     )
     assert np.abs(rigid_body_torque(written, motion) - tau).max() <= 1e-9 * np.abs(tau).max()
 

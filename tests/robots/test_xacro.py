@@ -9,7 +9,7 @@ import pytest
 
 from excitant.exceptions import BadRobot, ExcitantError
 from excitant.robots import Robot, load_robot
-from excitant.robots.loading import RobotSpec
+from excitant.robots.chains import RobotSpec
 
 LINKS = """<?xml version="1.0"?>
 <robot xmlns:xacro="http://www.ros.org/wiki/xacro">
