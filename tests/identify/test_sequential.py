@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from khosla import torque_matrix
 from seed import dd_arm_chain
 
 from excitant.design import random_trajectory
@@ -26,7 +27,6 @@ from excitant.identify.sequential import (
 from excitant.robots import Motion, Robot, base_parameters, load_robot
 from excitant.robots.base_parameters import last_rows
 from excitant.robots.effects import CoulombFriction, standard_effects
-from excitant.robots.newton_euler import torque_matrix
 from excitant.robots.regressor import regressor
 from excitant.robots.torque import observation_columns
 
