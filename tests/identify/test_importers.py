@@ -22,7 +22,6 @@ from excitant.identify import (
     load_dataset,
     load_recording,
     raw_recording,
-    read_recordings,
 )
 from excitant.identify.importers.mapping import column_map
 from excitant.identify.importers.names import meaning
@@ -426,50 +425,20 @@ def test_bags_that_leave_a_choice_or_lack_something(
     assert any("time of recording" in note or "that of recording" in note for note in notes)
 
 
-def test_parts_of_one_recording_become_one(
-    ur10: Robot, write_bag: Callable[..., None], tmp_path: Path
-) -> None:
-    log = exact()
-    for k, rows in enumerate((slice(0, 90), slice(90, 210), slice(210, 300))):
-        log[rows].to_csv(tmp_path / f"run_{k}.csv", index=False)
-        write_bag(tmp_path / f"run_{k}.bag", "bag", rows=rows)
-    for suffix in (".csv", ".bag"):
-        [whole] = read_recordings([tmp_path / f"run_{k}{suffix}" for k in range(3)], ur10)
-        np.testing.assert_allclose(whole.t, T, atol=1e-12)
-        np.testing.assert_array_equal(whole.q, Q)
-        np.testing.assert_array_equal(whole.dq, DQ)
-        assert "parts of one recording: run_0, run_1, run_2" in whole.notes
-
-
-def test_recordings_that_do_not_go_on_stay_apart(ur10: Robot, tmp_path: Path) -> None:
-    log = exact()
-    for k, start in enumerate((0.0, 0.0, 100.0, 103.0)):
-        log.assign(t=log["t"] + start).to_csv(tmp_path / f"run_{k}.csv", index=False)
-    log.assign(t=log["t"] + 106.0).to_csv(tmp_path / "other.csv", index=False)
-    paths = [tmp_path / f"{name}.csv" for name in ("run_0", "run_1", "run_2", "run_3", "other")]
-    found = read_recordings(paths, ur10)
-    assert [r.name for r in found] == ["run_0", "run_1", "run_2..run_3", "other"]
-
-
-def test_speeds_that_cannot_be_used_are_left_out_with_a_note(ur10: Robot, tmp_path: Path) -> None:
-    log = exact()
-    log.loc[5, "dq3"] = np.nan
+def test_a_raw_recording_refuses_no_row(ur10: Robot, tmp_path: Path) -> None:
+    """Speeds with holes are left out with a note, anything else is refused where it is checked."""
+    log = exact().astype(object)
+    log["temp"], log.loc[5, "dq3"] = 30.0, np.nan
     log.to_csv(tmp_path / "log.csv", index=False)
     recording = load_recording(tmp_path / "log.csv", ur10)
     assert recording.dq is None
     assert recording.notes == ("speeds left out: row 5 holds no finite number",)
-
-
-def test_a_raw_recording_refuses_no_row(ur10: Robot, tmp_path: Path) -> None:
-    log = exact().astype(object)
-    log["t"], log["temp"] = np.sort(np.random.default_rng(0).uniform(0, 3, 300)), 30.0
-    log.loc[7, "t"] = log.loc[6, "t"]
-    log.loc[9, "q2"] = "abc"
-    log.loc[5, "dq3"] = np.nan
-    log["tau4"] = 0.0
+    log["t"], log["tau4"] = np.sort(np.random.default_rng(0).uniform(0, 3, 300)), 0.0
+    log.loc[7, "t"], log.loc[9, "q2"] = log.loc[6, "t"], "abc"
     log.to_csv(tmp_path / "log.csv", index=False)
     raw = raw_recording(tmp_path / "log.csv", ur10)
     np.testing.assert_array_equal(raw.t, log["t"].to_numpy(float) - log["t"][0])
+    assert raw.dq is not None
     assert np.isnan([raw.q[9, 1], raw.dq[5, 2]]).all()
     assert raw.unreadable[9, "q2"] == "abc"
     assert set(raw.extras) == {"temp"}
