@@ -127,21 +127,11 @@ def wrong_frame(case: TorqueFit) -> Iterator[Fault]:
 
 def in_joint_frames(robot: Robot) -> Array:
     """Standard parameters in the joints' frames, those given being in the distal ones, (10 nv,)."""
-    return _moved(robot, "act")
-
-
-def in_distal_frames(robot: Robot) -> Array:
-    """Standard parameters of the links in their distal frames, shape (10 nv,)."""
-    return _moved(robot, "actInv")
-
-
-def _moved(robot: Robot, action: str) -> Array:
-    """Parameters of the links moved by their distal frames in the joints' frames."""
     model = robot.model
     places = [model.jointPlacements[j + 1] for j in range(1, robot.nv)]
     bodies = map(pin.Inertia.FromDynamicParameters, robot.phi.reshape(robot.nv, 10))
     pairs = zip([*places, model.frames[robot.tip].placement], bodies, strict=True)
-    return np.concatenate([getattr(at, action)(body).toDynamicParameters() for at, body in pairs])
+    return np.concatenate([place.act(body).toDynamicParameters() for place, body in pairs])
 
 
 def _left(case: TorqueFit, phi: Array) -> Array:
