@@ -34,10 +34,10 @@ from excitant.analysis.residuals import Residual, residuals
 from excitant.analysis.selection import rivals, select
 from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
-from excitant.identify.accuracy import Accuracy, series
+from excitant.identify.drive_gains import current_gains
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.rows import Data, split, torque_per_reading
+from excitant.identify.rows import Accuracy, Data, series, split
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import plain, standard_effects
 from excitant.robots.html_table import html_table
@@ -421,7 +421,8 @@ def _gains(train: Observed, unit: str) -> Array:
         return np.ones(robot.nv)
     effects = standard_effects(robot.joints)
     base = base_parameters(robot, effects)
-    return torque_per_reading(robot, base, train.matrix(effects), series(train.segments), unit)
+    current = series(train.segments).measured
+    return current_gains(robot, base, train.matrix(effects), current)[0]
 
 
 def _waterfall(

@@ -34,7 +34,7 @@ from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import fit_physical
 from excitant.identify.prior import EffectPrior, prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.regression import dense, observation
+from excitant.identify.regression import dense, regression_of
 from excitant.identify.rows import FitRows, fit_rows, implausible_size, split
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, standard_effects
@@ -228,7 +228,7 @@ def identify_shown(
     prior = prior_parameters(robot)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     data = split(recordings, validate)
-    W = without_rounding(observation(robot, effects, data.train))
+    W = without_rounding(regression_of(robot, effects, data.train).W)
     rows = clean_rows(fit_rows(robot, effects, shown_base(column_names(robot, effects), W), data))
     fit = weighted_least_squares(rows.reduced)
     R, z = rows.regression.factor(fit.weight)

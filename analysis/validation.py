@@ -36,8 +36,7 @@ from excitant.robots.effects import Effect, plain
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.robot import Robot
-from excitant.robots.simulation import LOOP_HZ, Diverged, forward_error
-from excitant.robots.state_torque import forward_model
+from excitant.robots.simulation import LOOP_HZ, Diverged, forward_error, forward_model
 
 LIKELY = 3.0  # times the tolerance's standard deviation: farther off, given values are wrong
 _ROUNDS = 3  # of estimating the noise

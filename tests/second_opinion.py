@@ -48,13 +48,19 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
+from khosla import dh_from_robot, frames
 
 from excitant.analysis.structure import Held
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots.base_parameters import LENGTH_POWERS, arm_length
-from excitant.robots.dh import DHChain, dh_from_robot, inverse, moved_parameters
+from excitant.robots.dh import DHChain
 from excitant.robots.motion import Array, freeze
-from excitant.robots.parameters import PSEUDO_INERTIA_BASIS, STANDARD, from_pseudo_inertia
+from excitant.robots.parameters import (
+    PSEUDO_INERTIA_BASIS,
+    STANDARD,
+    from_pseudo_inertia,
+    moved_parameters,
+)
 from excitant.robots.robot import Robot
 
 _TOLERANCE = 1e-8  # of unit vectors in lengths of the arm
@@ -329,8 +335,8 @@ def _frames_in_joints(robot: Robot, chain: DHChain) -> Array:
     """Pose of each link's frame of the chain in the robot's own joint frame, (nv, 4, 4)."""
     placements = list(robot.model.jointPlacements)[1:]
     poses = list(accumulate((place.homogeneous for place in placements), np.matmul))
-    frames: Array = inverse(np.array(poses)) @ chain.frames(np.zeros((1, chain.nv)))[0, 1:]
-    return frames
+    found: Array = np.linalg.inv(np.array(poses)) @ frames(chain, np.zeros((1, chain.nv)))[0, 1:]
+    return found
 
 
 def _about(T: Array, phi: Array) -> Array:
@@ -340,8 +346,8 @@ def _about(T: Array, phi: Array) -> Array:
 
 def _rules(chain: DHChain) -> tuple[str, ...]:
     """The rule that each link follows."""
-    frames = chain.frames(np.zeros((1, chain.nv)))[0, 1:]
-    axes, points = frames[:, :3, 2], frames[:, :3, 3]
+    placed = frames(chain, np.zeros((1, chain.nv)))[0, 1:]
+    axes, points = placed[:, :3, 2], placed[:, :3, 3]
     turning = [j for j in range(chain.nv) if chain.revolute[j]]
     first = turning[0] if turning else chain.nv
     other = next((j for j in turning if not _along(axes[j], axes[first])), chain.nv)
@@ -395,10 +401,10 @@ def _lost(chain: DHChain, j: int, rule: str) -> Array:
     lost = unit[[k for name, k in _INDEX.items() if name not in kept]]
     if rule != "prismatic across r1":
         return lost
-    frames = chain.frames(np.zeros((1, chain.nv)))[0, 1:]
+    placed = frames(chain, np.zeros((1, chain.nv)))[0, 1:]
     first = int(np.argmax(chain.revolute))
     along = np.zeros(10)
-    along[1:4] = frames[j, :3, :3].T @ frames[first, :3, 2]
+    along[1:4] = placed[j, :3, :3].T @ placed[first, :3, 2]
     return np.vstack([lost, along])
 
 
