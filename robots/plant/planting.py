@@ -76,12 +76,7 @@ def parameters_of(kind: str) -> dict[str, float | None]:
 
 
 def plant(truth: Truth, joints: tuple[str, ...], effects: Iterable[HiddenEffect]) -> Truth:
-    """A truth with further effects; the one given is left alone.
-
-    Args:
-        truth: What there is already.
-        joints: Names of the joints.
-        effects: What to add.
+    """A truth with further effects, its joints named; the one given is left alone.
 
     Raises:
         UnknownName: An effect that the plant does not have, or a joint it has not.
@@ -89,17 +84,12 @@ def plant(truth: Truth, joints: tuple[str, ...], effects: Iterable[HiddenEffect]
     """
     for effect in effects:
         kind, given = effect.kind, dict(effect.parameters)
-        if kind not in KINDS:
-            raise UnknownName("effect of a virtual arm", kind, KINDS)
-        for joint in effect.acts_on:
-            if joint not in joints:
-                raise UnknownName("joint", joint, joints)
+        UnknownName.refuse("effect of a virtual arm", [kind], KINDS)
+        UnknownName.refuse("joint", effect.acts_on, joints)
         if kind in _PAIRS and len(effect.acts_on) != 2:
             raise BadInput(f"virtual arm: {kind} acts on two joints; give both")
         usual = parameters_of(kind)
-        for name in given:
-            if name not in usual:
-                raise UnknownName(f"parameter of {kind}", name, usual)
+        UnknownName.refuse(f"parameter of {kind}", given, usual)
         numbers = {**usual, **given}
         missing = [name for name, x in numbers.items() if x is None or not np.isfinite(x)]
         if missing:
