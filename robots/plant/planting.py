@@ -33,22 +33,13 @@ _PAIRS = ("friction_coupling", "inertia_coupling", "sensor_crosstalk")
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """Something the true arm has and the nominal one has not.
+    """Something the true arm has and the nominal one has not."""
 
-    Attributes:
-        effect: Name of the effect.
-        joint: Joint it acts on; for a payload the joint whose link holds it; empty for an effect
-            of the whole arm.
-        parameters: Names and values in SI units, as `parameters_of` lists them.
-        joints: All joints it acts on, where there are several.
-        structure: Which one, of an ``unknown`` effect.
-    """
-
-    effect: str
-    joint: str
-    parameters: tuple[tuple[str, float], ...]
-    joints: tuple[str, ...] = ()
-    structure: str = ""
+    effect: str  # its name
+    joint: str  # it acts on, or whose link holds it; empty for an effect of the whole arm
+    parameters: tuple[tuple[str, float], ...]  # as `parameters_of` names them, in SI units
+    joints: tuple[str, ...] = ()  # all that it acts on, where there are several
+    structure: str = ""  # which one, of an ``unknown`` effect
 
     @property
     def kind(self) -> str:
@@ -110,30 +101,19 @@ def _with(truth: Truth, part: str, *further: object) -> Truth:
     return replace(truth, **more)
 
 
-Change = Callable[[Array, float], Array]
-
-
-def _added(old: Array, value: float) -> Array:
-    return old + value
-
-
-def _scaled(old: Array, value: float) -> Array:
-    return old * value
-
-
-NUMBERS: dict[str, dict[str, tuple[str, str, Change]]] = {
-    "viscous_friction": {"Fv": ("drives", "viscous", _added)},
-    "coulomb_friction": {"Fc": ("drives", "coulomb", _added)},
+NUMBERS: dict[str, dict[str, tuple[str, str, Callable[[Array, float], Array]]]] = {
+    "viscous_friction": {"Fv": ("drives", "viscous", np.add)},
+    "coulomb_friction": {"Fc": ("drives", "coulomb", np.add)},
     "stribeck_friction": {
-        "Fs": ("drives", "stribeck", _added),
+        "Fs": ("drives", "stribeck", np.add),
         "velocity": ("drives", "stribeck_velocity", lambda old, value: 0 * old + value),
     },
-    "rotor_inertia": {"Ia": ("drives", "rotor", _added)},
-    "torque_offset": {"offset": ("drives", "offset", _added)},
-    "encoder_scale": {"scale": ("encoder", "scale", _scaled)},
-    "encoder_offset": {"offset": ("encoder", "offset", _added)},
-    "torque_gain": {"gain": ("recorder", "gain", _scaled)},
-    "time_delay": {"delay": ("recorder", "delay", _added)},
+    "rotor_inertia": {"Ia": ("drives", "rotor", np.add)},
+    "torque_offset": {"offset": ("drives", "offset", np.add)},
+    "encoder_scale": {"scale": ("encoder", "scale", np.multiply)},
+    "encoder_offset": {"offset": ("encoder", "offset", np.add)},
+    "torque_gain": {"gain": ("recorder", "gain", np.multiply)},
+    "time_delay": {"delay": ("recorder", "delay", np.add)},
 }
 """Parameters of effects that change numbers of drives and sensors: which, and how."""
 
