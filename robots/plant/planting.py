@@ -155,7 +155,7 @@ def _power_law(joint: int, *, Fn: float, exponent: float) -> DryFriction:
 
 def _load_dependent(joint: int, *, Fl: float) -> DryFriction:
     """F_l |τ_transmitted|: tooth friction."""
-    return DryFriction(joint, lambda speed, t, load: Fl * abs(load), loaded=True)
+    return DryFriction(joint, lambda speed, t, load: Fl * abs(load))
 
 
 def _warming(joint: int, *, Fv: float = 0.0, Fc: float = 0.0, time: float) -> DryFriction:
