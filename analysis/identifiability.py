@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from excitant.analysis.next_experiment import candidate_experiments, experiments_needed
 from excitant.analysis.structure import Structure, structure
 from excitant.analysis.uncertainty import (
     NOT_SHOWN,
     TORQUE_NOISE,
     Direction,
     Practical,
+    candidate_experiments,
     correlation,
     dependent_groups,
+    experiments_needed,
     largest_correlations,
     practical,
     size_to_resolve,
@@ -35,8 +36,7 @@ from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values
 
 if TYPE_CHECKING:
-    from excitant.analysis.experiment import Experiment
-    from excitant.analysis.prior_influence import PriorInfluence
+    from excitant.analysis.experiment import Experiment, PriorInfluence
     from excitant.identify.estimate import Estimate
     from excitant.identify.excitation import Persistency
 
@@ -47,42 +47,23 @@ _BELOW = 0.3  # how strongly points under the base count against a pose
 
 @dataclass(frozen=True)
 class ParameterIdentifiability:
-    """One standard parameter or effect coefficient.
-
-    Attributes:
-        name: Its name.
-        owner: Link or joint it belongs to.
-        unit: Its unit.
-        category: ``unique``, ``combined`` or ``unidentifiable``.
-        expressions: Base parameters that it is part of.
-        margin: Factor on the tolerance of all rank decisions that changes its category.
-        needed: What would show it by itself; empty where that is shown already.
-        value: Estimate, or the value of the model as given; None if neither is known.
-        prior: Value before any data; None if there is none.
-        std: Standard deviation with the prior counted in; None without a motion.
-        std_data: The same from the data alone; inf where they do not show it by itself.
-        influence: How far it follows the prior, 0 to 1; None without a motion or prior.
-        moves: The same by kind of perturbation of the prior.
-        decided_by: ``data``, ``prior`` or ``physics`` (the limit of what a body can have); empty
-            without a motion or prior.
-        verdict: In a word, how well the motion determines it by itself; empty without a motion.
-    """
+    """One standard parameter or effect coefficient; what takes a motion is None without one."""
 
     name: str
-    owner: str
+    owner: str  # link or joint it belongs to
     unit: str
-    category: str
-    expressions: tuple[str, ...]
-    margin: float
-    needed: str
-    value: float | None = None
-    prior: float | None = None
-    std: float | None = None
-    std_data: float | None = None
-    influence: float | None = None
-    moves: dict[str, float] | None = None
-    decided_by: str = ""
-    verdict: str = ""
+    category: str  # unique, combined or unidentifiable
+    expressions: tuple[str, ...]  # base parameters that it is part of
+    margin: float  # factor on the tolerance of all rank decisions that changes its category
+    needed: str  # what would show it by itself; empty where that is shown already
+    value: float | None = None  # estimate, or the value of the model as given, if known
+    prior: float | None = None  # value before any data
+    std: float | None = None  # standard deviation with the prior counted in
+    std_data: float | None = None  # from the data alone; inf where they do not show it by itself
+    influence: float | None = None  # how far it follows the prior, 0 to 1
+    moves: dict[str, float] | None = None  # the same by kind of perturbation of the prior
+    decided_by: str = ""  # data, prior or physics (the limit of what a body can have)
+    verdict: str = ""  # in a word, how well the motion determines it by itself
 
     @property
     def rel_std(self) -> float | None:
@@ -109,31 +90,18 @@ class ParameterIdentifiability:
 
 @dataclass(frozen=True, eq=False)
 class PracticalIdentifiability:
-    """What one motion, or one recording, shows of an arm.
+    """What one motion, or one recording, shows of an arm."""
 
-    Attributes:
-        condition_number: Of the unscaled base columns, cond₂(W); inf when some are not shown.
-        singular_values: Of the base columns scaled to unit length, greatest first.
-        practical: Each base parameter.
-        directions: Directions of the base parameters that are not seen or seen worst.
-        correlation: Of the base parameters, shape (r, r).
-        influence: How the prior decides; None where the arm's links give no prior.
-        noise: Torque noise of each joint that was assumed or found, shape (nv,) [N·m].
-        resting: Joints that do not move.
-        basis: Where the standard deviations come from, as a sentence.
-        persistency: Whether it is persistently exciting; None when not all torques are measured.
-    """
-
-    condition_number: float
-    singular_values: Array
-    practical: tuple[Practical, ...]
-    directions: tuple[Direction, ...]
-    correlation: Array
-    influence: PriorInfluence | None
-    noise: Array
-    resting: tuple[str, ...]
-    basis: str
-    persistency: Persistency | None
+    condition_number: float  # of the unscaled base columns, cond₂(W); inf when some are not shown
+    singular_values: Array  # of the base columns scaled to unit length, greatest first
+    practical: tuple[Practical, ...]  # each base parameter
+    directions: tuple[Direction, ...]  # of the base parameters, not seen or seen worst
+    correlation: Array  # of the base parameters, shape (r, r)
+    influence: PriorInfluence | None  # None where the arm's links give no prior
+    noise: Array  # of each joint's torque, assumed or found, shape (nv,) [N·m]
+    resting: tuple[str, ...]  # joints that do not move
+    basis: str  # where the standard deviations come from, as a sentence
+    persistency: Persistency | None  # None when not all torques are measured
 
     def __post_init__(self) -> None:
         freeze(self, "singular_values", "correlation", "noise")
@@ -370,13 +338,12 @@ def _under_motion(
     found = practical(base, given.beta, seen)
     lengths = np.linalg.norm(seen.R[:, columns], axis=0)
     scaled = seen.R[:, columns] / np.where(lengths > 0, lengths, 1.0)
-    plain = np.linalg.qr(given.W[:, :, columns].reshape(-1, len(base)), mode="r")
     std, quiet = np.array([p.std for p in found]), np.array([p.negligible for p in found])
-    size = size_to_resolve(given.beta, std, quiet, seen.signal)
+    size = size_to_resolve(given.beta, std, quiet, seen.signal[columns])
     wanted = experiments_needed(seen.R, base.regrouping, size, candidates)
-    units = [parameter_units(robot, effects)[k] for k in columns]
+    units = [_units(robot, effects)[k] for k in columns]
     return PracticalIdentifiability(
-        condition_number=np.inf if len(seen.unseen) else float(np.linalg.cond(plain)),
+        condition_number=seen.condition_number,
         singular_values=read_only(np.linalg.svd(scaled, compute_uv=False)),
         practical=tuple(replace(p, needed=what) for p, what in zip(found, wanted, strict=True)),
         directions=weak_directions(base, units, seen, _sizes(robot, effects, base, given)),
@@ -400,7 +367,7 @@ def _sizes(
         from excitant.identify.prior import base_prior
 
         return np.asarray(np.sqrt(np.diag(base_prior(robot, effects, base).covariance)), float)
-    loud = given.information.signal
+    loud = given.information.signal[list(base.columns)]
     return np.asarray(1 / np.maximum(loud, 1e-6 * loud.max()), float)
 
 
@@ -425,7 +392,7 @@ def _notes(
 
 
 def _prior_notes(influence: PriorInfluence, table: Sequence[ParameterIdentifiability]) -> list[str]:
-    from excitant.analysis.prior_influence import STEP
+    from excitant.analysis.experiment import STEP
 
     named = [entry for entry in table if entry.category != "unidentifiable"]
     prior, physics = (sum(e.decided_by == who for e in named) for who in ("prior", "physics"))
@@ -446,7 +413,7 @@ def _prior_notes(influence: PriorInfluence, table: Sequence[ParameterIdentifiabi
     return notes
 
 
-def parameter_units(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
+def _units(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
     """Units of the standard parameters followed by those of effects."""
     return (*UNITS * robot.nv, *(p.unit for e in effects for p in e.parameters(robot)))
 
@@ -461,7 +428,7 @@ def _entries(
     """Every parameter of the base's names, with what a motion or recording says of it."""
     known = dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True))
     known |= effect_values(robot)
-    base, units = found.base, parameter_units(robot, effects)
+    base, units = found.base, _units(robot, effects)
     R = base.regrouping if given is None else given.information.R
     figures: list[dict[str, Any]] = [
         {"value": known.get(n), "prior": known.get(n)} for n in base.names
@@ -492,7 +459,7 @@ def _under(given: Experiment, found: Structure) -> tuple[list[dict[str, Any]], A
     p, influence = len(found.category), given.influence
     alone = np.array(found.category) == "unique"
     std = np.where(alone, given.information.std(np.eye(p)[:, list(found.base.columns)]), np.inf)
-    quiet = (np.abs(given.x) + 2 * std) * np.maximum(given.signal, 1e-300) < 1
+    quiet = (np.abs(given.x) + 2 * std) * np.maximum(given.information.signal, 1e-300) < 1
     under: list[dict[str, Any]] = [
         {
             "value": x if known else None,
@@ -513,7 +480,7 @@ def _under(given: Experiment, found: Structure) -> tuple[list[dict[str, Any]], A
             row["moves"] = dict(zip(kinds, influence.ratio[:, k].tolist(), strict=True))
             row["influence"] = float(influence.overall[k])
             row["decided_by"] = influence.decided_by[k]
-    return under, size_to_resolve(given.x, std, quiet, given.signal)
+    return under, size_to_resolve(given.x, std, quiet, given.information.signal)
 
 
 def chain(robot: Robot) -> Array:
