@@ -283,7 +283,8 @@ def planned_experiment(
     """
     sigma = torque_noise(robot, noise)[rows]
     W = observation_columns(robot, effects, motion)[:, rows]
-    seen, (x, known) = motion_information(base, W, sigma), known_values(robot, effects)
+    seen, known = motion_information(base, W, sigma), known_values(robot, effects)
+    x = np.array([value or 0.0 for value in known])
     notes: tuple[str, ...] = ()
     prior, influence = None, None
     try:
@@ -298,7 +299,7 @@ def planned_experiment(
         sigma=sigma,
         information=seen,
         x=x,
-        known=tuple(known),
+        known=tuple(value is not None for value in known),
         beta=base.regrouping @ x,
         prior=prior,
         std=None if prior is None else prior.posterior_std(seen.R),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,9 +19,10 @@ from excitant.analysis.uncertainty import (
     correlation,
     dependent_groups,
     experiments_needed,
+    known_values,
     largest_correlations,
     practical,
-    size_to_resolve,
+    resolution,
     verdict,
     weak_directions,
 )
@@ -33,7 +34,6 @@ from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, freeze, read_only
 from excitant.robots.parameters import UNITS
 from excitant.robots.robot import Robot
-from excitant.robots.torque import effect_values
 
 if TYPE_CHECKING:
     from excitant.analysis.experiment import Experiment, PriorInfluence
@@ -335,17 +335,13 @@ def _under_motion(
     excitation: Persistency | None,
 ) -> PracticalIdentifiability:
     columns, seen = list(base.columns), given.information
-    found = practical(base, given.beta, seen)
     lengths = np.linalg.norm(seen.R[:, columns], axis=0)
     scaled = seen.R[:, columns] / np.where(lengths > 0, lengths, 1.0)
-    std, quiet = np.array([p.std for p in found]), np.array([p.negligible for p in found])
-    size = size_to_resolve(given.beta, std, quiet, seen.signal[columns])
-    wanted = experiments_needed(seen.R, base.regrouping, size, candidates)
     units = [_units(robot, effects)[k] for k in columns]
     return PracticalIdentifiability(
         condition_number=seen.condition_number,
         singular_values=read_only(np.linalg.svd(scaled, compute_uv=False)),
-        practical=tuple(replace(p, needed=what) for p, what in zip(found, wanted, strict=True)),
+        practical=practical(base, given.beta, seen, candidates),
         directions=weak_directions(base, units, seen, _sizes(robot, effects, base, given)),
         correlation=correlation(seen.covariance),
         influence=given.influence,
@@ -426,17 +422,32 @@ def _entries(
     given: Experiment | None,
 ) -> tuple[ParameterIdentifiability, ...]:
     """Every parameter of the base's names, with what a motion or recording says of it."""
-    known = dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True))
-    known |= effect_values(robot)
-    base, units = found.base, _units(robot, effects)
-    R = base.regrouping if given is None else given.information.R
-    figures: list[dict[str, Any]] = [
-        {"value": known.get(n), "prior": known.get(n)} for n in base.names
-    ]
-    size = np.zeros(len(units))
+    base, units, alone = found.base, _units(robot, effects), np.array(found.category) == "unique"
+    before = known_values(robot, effects)
+    R, size = base.regrouping, np.zeros(len(units))
+    said: dict[str, Sequence[Any]] = {"value": before, "prior": before}
     if given is not None:
-        under, size = _under(given, found)
-        figures = [before | now for before, now in zip(figures, under, strict=True)]
+        R, influence = given.information.R, given.influence
+        std = given.information.std(np.eye(len(units))[:, list(base.columns)])
+        std = np.where(alone, std, np.inf)
+        quiet, size = resolution(given.x, std, given.information.signal)
+        said["std_data"], x = std.tolist(), given.x.tolist()
+        said["value"] = [v if known else None for v, known in zip(x, given.known, strict=True)]
+        said["verdict"] = [
+            verdict(std[k], x[k], bool(quiet[k])) if alone[k] else kind
+            for k, kind in enumerate(found.category)
+        ]
+        if given.prior is not None:
+            bodies = given.prior.mean[: 10 * given.prior.links].tolist()
+            said["prior"] = [*bodies, *before[len(bodies) :]]
+        if given.std is not None:
+            said["std"] = given.std.tolist()
+        if influence is not None:
+            kinds = [kind.replace(" ", "_") for kind in KINDS]
+            said["moves"] = [
+                dict(zip(kinds, row, strict=True)) for row in influence.ratio.T.tolist()
+            ]
+            said["influence"], said["decided_by"] = influence.overall.tolist(), influence.decided_by
     wanted = experiments_needed(R, np.eye(len(units)), size, candidates)
     expressions = np.array(base.expressions, object)
     return tuple(
@@ -448,39 +459,10 @@ def _entries(
             expressions=tuple(expressions[base.regrouping[:, k] != 0]),
             margin=float(found.margin[k]),
             needed=wanted[k],
-            **figures[k],
+            **{key: values[k] for key, values in said.items()},
         )
         for k, name in enumerate(base.names)
     )
-
-
-def _under(given: Experiment, found: Structure) -> tuple[list[dict[str, Any]], Array]:
-    """What a motion says of each parameter, and the size its deviation is to be small beside."""
-    p, influence = len(found.category), given.influence
-    alone = np.array(found.category) == "unique"
-    std = np.where(alone, given.information.std(np.eye(p)[:, list(found.base.columns)]), np.inf)
-    quiet = (np.abs(given.x) + 2 * std) * np.maximum(given.information.signal, 1e-300) < 1
-    under: list[dict[str, Any]] = [
-        {
-            "value": x if known else None,
-            "std_data": s,
-            "verdict": verdict(s, x, q) if unique else category,
-        }
-        for x, known, s, q, unique, category in zip(
-            given.x.tolist(), given.known, std.tolist(), quiet, alone, found.category, strict=True
-        )
-    ]
-    for k, row in enumerate(under):
-        if given.prior is not None and k < 10 * given.prior.links:
-            row["prior"] = float(given.prior.mean[k])
-        if given.std is not None:
-            row["std"] = float(given.std[k])
-        if influence is not None:
-            kinds = (kind.replace(" ", "_") for kind in KINDS)
-            row["moves"] = dict(zip(kinds, influence.ratio[:, k].tolist(), strict=True))
-            row["influence"] = float(influence.overall[k])
-            row["decided_by"] = influence.decided_by[k]
-    return under, size_to_resolve(given.x, std, quiet, given.information.signal)
 
 
 def chain(robot: Robot) -> Array:
@@ -490,8 +472,12 @@ def chain(robot: Robot) -> Array:
     from those that are not their neighbours, with the arm above its base. Joints that meet in a
     point in every pose do not count.
     """
-    q, _, _ = robot.random_motion(np.random.default_rng(0), _POSES)
-    points = np.array([_points(robot, pose) for pose in q])
+    model, data, found = robot.model, robot.model.createData(), []
+    for q in robot.random_motion(np.random.default_rng(0), _POSES)[0]:
+        pin.framesForwardKinematics(model, data, q)
+        places = [*list(data.oMi)[1:], data.oMf[robot.tip]]
+        found.append([np.zeros(3), *(np.array(place.translation) for place in places)])
+    points = np.array(found)
     seen = points[:, :, [0, 2]]
     pairs = np.triu_indices(points.shape[1], 2)
     apart = np.linalg.norm(seen[:, pairs[0]] - seen[:, pairs[1]], axis=2)
@@ -499,10 +485,3 @@ def chain(robot: Robot) -> Array:
     below = np.minimum(points[:, :, 2].min(axis=1), 0.0)
     clarity = apart.min(axis=1, initial=np.inf) + _BELOW * below
     return read_only(points[int(np.argmax(clarity))])
-
-
-def _points(robot: Robot, q: Array) -> Array:
-    model, data = robot.model, robot.model.createData()
-    pin.framesForwardKinematics(model, data, np.asarray(q, float))
-    joints = [data.oMi[j].translation.copy() for j in range(1, robot.nv + 1)]
-    return np.array([np.zeros(3), *joints, data.oMf[robot.tip].translation.copy()])

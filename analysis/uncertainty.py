@@ -201,8 +201,8 @@ class Practical:
     expression: str
     value: float
     std: float  # of its estimate; inf when the motion does not show it
-    negligible: bool  # its torque stays below the noise at any value within two deviations
-    needed: str = ""  # what would show it; empty where the motion does
+    negligible: bool
+    needed: str  # what would show it; empty where the motion does
 
     @property
     def rel_std(self) -> float | None:
@@ -229,27 +229,27 @@ def verdict(std: float, value: float, negligible: bool) -> str:
     return "negligible" if negligible else "hardly"
 
 
-def size_to_resolve(value: Array, std: Array, negligible: Array, signal: Array) -> Array:
-    """The size beside which a standard deviation should be small; 0 if being shown is enough.
+def resolution(value: Array, std: Array, signal: Array) -> tuple[Mask, Array]:
+    """What is negligible, and the size beside which a deviation should be small; all (m,).
 
-    Of something not known to have a value: what makes a torque of twice the noise. All of shape
-    (m,); ``signal`` is torque per unit, in noise.
+    Negligible is what stays below the noise at any value within two deviations. The size is that
+    of the value, or of what makes twice the noise where it is zero; 0 if being shown is enough.
     """
-    unknown = 0.5 / ROUGHLY / np.maximum(signal, 1e-300)
-    size = np.where(value == 0, unknown, np.abs(value))
-    return np.asarray(np.where(negligible | ~np.isfinite(std), 0.0, size), float)
+    loud = np.maximum(signal, 1e-300)
+    negligible = (np.abs(value) + 2 * std) * loud < 1
+    size = np.where(value == 0, 0.5 / ROUGHLY / loud, np.abs(value))
+    return negligible, np.where(negligible | ~np.isfinite(std), 0.0, size)
 
 
 def practical(
-    base: BaseParameters, values: Array, seen: MotionInformation
+    base: BaseParameters, values: Array, seen: MotionInformation, candidates: Mapping[str, Array]
 ) -> tuple[Practical, ...]:
-    """Every base parameter, of these values (r,), under a motion."""
+    """Every base parameter, of these values (r,), under a motion, and what would show it."""
     std = seen.std(np.eye(len(base)))
-    torque = (np.abs(values) + 2 * std) * np.maximum(seen.signal[list(base.columns)], 1e-300)
-    return tuple(
-        Practical(text, float(value), float(s), bool(t < 1))
-        for text, value, s, t in zip(base.expressions, values, std, torque, strict=True)
-    )
+    negligible, size = resolution(values, std, seen.signal[list(base.columns)])
+    needed = experiments_needed(seen.R, base.regrouping, size, candidates)
+    columns = (values.tolist(), std.tolist(), negligible.tolist(), needed)
+    return tuple(map(Practical, base.expressions, *columns))
 
 
 @dataclass(frozen=True)
@@ -372,13 +372,7 @@ def candidate_experiments(
 ) -> dict[str, Array]:
     """Factors (p, p) of experiments to add, the easiest first, by words after "shown by ...".
 
-    Args:
-        robot: The arm.
-        effects: Effects whose coefficients are unknown too.
-        sigma: Torque noise of each joint, shape (nv,) [N·m].
-        rests: Joints that rested so far.
-        pose: Where they rest, shape (nv,) [rad or m].
-        measured: Joints whose torque is measured.
+    Joints rested so far at a pose (nv,); sigma is the torque noise of each joint, (nv,) [N·m].
     """
     every_joint = reference_motion(robot, _DURATION, _RATE_HZ)
 
@@ -399,20 +393,19 @@ def candidate_experiments(
             found[f"measuring the torque of {name}"] = factor(robot, others=[j])
     sensor = f"{_NEVER}; by a force and torque sensor under the base"
     tilts, others = _tilts(robot), sum(len(effect.parameters(robot)) for effect in effects)
-    found |= {f"the base {how}": factor(arm) for how, arm in tilts}
-    found[sensor] = _base_sensor(robot, every_joint, others)
-    return found | {
-        f"{sensor}, {how}": _base_sensor(arm, every_joint, others) for how, arm in tilts
-    }
+    found |= {f"the base {how}": factor(arm) for how, arm in tilts.items()}
+    for how, arm in {"": robot, **tilts}.items():
+        found[f"{sensor}, {how}".removesuffix(", ")] = _base_sensor(arm, every_joint, others)
+    return found
 
 
-def _tilts(robot: Robot) -> list[tuple[str, Robot]]:
+def _tilts(robot: Robot) -> dict[str, Robot]:
     """The arm with its base tilted by 90° about each axis of the base that tilts gravity."""
-    g, found = robot.gravity, []
+    g, found = robot.gravity, {}
     for name, axis in zip("xyz", np.eye(3), strict=True):
         turned = np.cross(axis, g) + axis * (axis @ g)
         if np.linalg.norm(turned - g) > 1e-6:
-            found.append((f"tilted by 90° about its {name} axis", robot.with_gravity(turned)))
+            found[f"tilted by 90° about its {name} axis"] = robot.with_gravity(turned)
     return found
 
 
@@ -445,8 +438,7 @@ def _base_sensor(robot: Robot, motion: Motion, others: int) -> Array:
     """Factor of the whitened rows of a sensor under the base, and zeros of other columns."""
     W = base_wrench_columns(robot, motion)
     largest = np.abs(W @ robot.phi).max(axis=0)
-    floor = 1e-3 * max(float(largest.max()), 1e-3)
-    sigma = _SENSOR_NOISE * np.maximum(largest, floor)
+    sigma = _SENSOR_NOISE * np.maximum(largest, 1e-3 * max(float(largest.max()), 1e-3))
     return triangle(np.pad(W, ((0, 0), (0, 0), (0, others))), sigma)
 
 
@@ -479,12 +471,10 @@ def experiments_needed(
     return tuple(answers)
 
 
-def known_values(robot: Robot, effects: Sequence[Effect]) -> tuple[Array, list[bool]]:
-    """Values of all parameters, zero where not known, and which are known, each of shape (p,)."""
+def known_values(robot: Robot, effects: Sequence[Effect]) -> list[float | None]:
+    """Values of all parameters as the robot is given; None where not known."""
     known = effect_values(robot)
-    names = [p.name for effect in effects for p in effect.parameters(robot)]
-    x = np.concatenate([robot.phi, [known.get(name, 0.0) for name in names]])
-    return x, [True] * len(robot.phi) + [name in known for name in names]
+    return [*robot.phi.tolist(), *(known.get(p.name) for e in effects for p in e.parameters(robot))]
 
 
 def scale_deviation(robot: Robot, effects: Sequence[Effect], sigma: Array) -> float:
@@ -497,7 +487,7 @@ def scale_deviation(robot: Robot, effects: Sequence[Effect], sigma: Array) -> fl
     W = observation_columns(robot, effects, motion)
     load = np.zeros(W.shape[2])
     load[10 * robot.nv - 10] = PAYLOAD_KG
-    x = known_values(robot, effects)[0]
+    x = np.array([value or 0.0 for value in known_values(robot, effects)])
     rows = [np.concatenate([W, -(W @ values)[:, :, None]], axis=2) for values in (x, x + load)]
     R = triangle(np.concatenate(rows), sigma)
     return float(deviations(R, np.eye(len(load) + 1)[-1:])[0])
