@@ -11,15 +11,7 @@ import numpy as np
 
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
-from excitant.analysis.discrimination import (
-    Advice,
-    Contest,
-    Pair,
-    Plan,
-    Separation,
-    key,
-    needed,
-)
+from excitant.analysis.discrimination import Advice, Contest, Pair, Plan, Separation, key, needed
 from excitant.analysis.selection import is_plain_friction
 from excitant.design import CLEARANCE, FourierTrajectory, clearance, random_trajectory
 from excitant.design.constraints import kinematic_limits, position_range, within_limits
@@ -349,7 +341,7 @@ def _contest(diagnosis: Diagnosis) -> Contest:
     """The rivals of a diagnosis, with the noise that its hold-out shows."""
     open_ = [f for f in diagnosis.findings if f.rivals and f.explained >= _MATTERS]
     counts = diagnosis.held.moves
-    error = diagnosis.left * diagnosis.gains * counts
+    error = diagnosis.left * diagnosis.held.gains * counts
     sigma = np.sqrt((error**2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
     inflation = np.array([autocorrelation_time(column) for column in error.T])
     return Contest(

@@ -137,10 +137,7 @@ def _flips(seen: Observation, category: tuple[str, ...]) -> Array:
 
 
 def _circumstances(
-    robot: Robot,
-    moving: Sequence[str] | None,
-    measured: Sequence[str] | None,
-    held: Held | None,
+    robot: Robot, moving: Sequence[str] | None, measured: Sequence[str] | None, held: Held | None
 ) -> tuple[str, ...]:
     found = ["the base is fixed", _gravity_sentence(robot.gravity)]
     if robot.locked:

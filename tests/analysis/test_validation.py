@@ -68,7 +68,7 @@ def test_bodies_explain_no_more_than_free_parameters_where_they_are_fitted(paylo
     """On the data that were fitted, the unconstrained minimum is the smallest of all."""
     _, diagnosis = payload
     tau = series(diagnosis.data.train).measured
-    on_train = held_out(diagnosis.robot, diagnosis.data.train, diagnosis.gains)
+    on_train = held_out(diagnosis.robot, diagnosis.data.train, diagnosis.held.gains)
     errors = refit(diagnosis.train, tau, on_train, on_train.simulated).errors
     assert ((errors["bodies"] / errors["inertias"]) ** 2).mean() >= 1 / (1 + 1e-3)
 
