@@ -214,10 +214,8 @@ class Contest:
         return [column for effect in pair.beside for column in self._places(effect)]
 
     def _gram(self, segments: Sequence[Segment]) -> Array:
-        """Weighted products of all columns at the rows of segments, those at rest left out.
-
-        A joint that is slow beside what was recorded of it rests.
-        """
+        """Weighted products of all columns at the rows of segments, those at rest left out."""
+        # A joint that is slow beside what was recorded of it rests
         W = np.concatenate(list(self._blocks(segments)), axis=2)
         problem = dense(W, np.zeros(W.shape[:2]), [str(k) for k in range(W.shape[2])])
         counts = moving(segments, top_speed(self.recorded) if self.recorded else 0.0)

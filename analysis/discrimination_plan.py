@@ -265,10 +265,8 @@ def _worth(deltas: Array) -> float:
 
 
 def _envelope(series: FourierSeries, rng: np.random.Generator) -> Array:
-    """((1 − cos ωt) / 2)^p cos(kωt + φ): reversals that swell and fade, shape (c,), norm 1.
-
-    With p ≥ 2 it is at rest at both ends; its peak speeds range from nothing to the highest.
-    """
+    """((1 − cos ωt) / 2)^p cos(kωt + φ): reversals that swell and fade, shape (c,), norm 1."""
+    # with p ≥ 2 it is at rest at both ends; its peak speeds range from nothing to the highest
     p = int(rng.integers(2, 5))
     top = max(series.harmonics - p, 1)
     k = min(round(float(np.exp(rng.uniform(np.log(2), np.log(max(top, 3)))))), top)

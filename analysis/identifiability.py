@@ -314,10 +314,8 @@ def _refuse_contradictions(
 
 
 def _noise_of_all(robot: Robot, given: Experiment | None, rows: Sequence[int]) -> Array:
-    """Torque noise of every joint, shape (nv,) [N·m].
-
-    Of those not measured, and where only rank is asked for, 1 % of the limit, or 1 N·m.
-    """
+    """Torque noise of every joint, shape (nv,) [N·m]."""
+    # of those not measured, and where only rank is asked for, 1 % of the limit, or 1 N·m
     limits = robot.limits.torque
     usable = np.isfinite(limits) & (limits > 0)
     sigma = np.asarray(np.where(usable, TORQUE_NOISE * np.where(usable, limits, 0.0), 1.0), float)
@@ -355,10 +353,8 @@ def _under_motion(
 def _sizes(
     robot: Robot, effects: Sequence[Effect], base: BaseParameters, given: Experiment
 ) -> Array:
-    """What counts as much of each base parameter: its prior uncertainty, shape (r,).
-
-    Without a prior, what makes as much torque as the noise.
-    """
+    """What counts as much of each base parameter: its prior uncertainty, shape (r,)."""
+    # without a prior, what makes as much torque as the noise
     if given.prior is not None:
         from excitant.identify.prior import base_prior
 

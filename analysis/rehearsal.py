@@ -210,10 +210,8 @@ def _undetermined(situation: Situation, error: RankDeficient) -> Item:
 
 
 def _named(situation: Situation, found: Diagnosis, change: HiddenEffect) -> Item:
-    """The change of the arm is named, on its joint, before anything else.
-
-    A payload is inertia by another name: that other inertia explains it as well is no fault.
-    """
+    """The change of the arm is named, on its joint, before anything else."""
+    # A payload is inertia by another name: that other inertia explains it as well is no fault
     planted = f"{plain(change.effect)} on {change.joint}"
     advice = situation.faster(change.joint)
     if not found.findings:

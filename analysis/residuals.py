@@ -200,10 +200,8 @@ def band_shares(e: Array, by: Explanatory, j: int) -> dict[str, float]:
 
 
 def _motion_bands(segments: Sequence[Segment]) -> Array:
-    """Lowest and highest frequency at which each joint moves, shape (nv, 2) [Hz].
-
-    All but a fiftieth of the power of its positions lies above, of its velocities below.
-    """
+    """Lowest and highest frequency at which each joint moves, shape (nv, 2) [Hz]."""
+    # all but a fiftieth of the power of its positions lies above, of its velocities below
     longest = max(segments, key=lambda s: len(s.motion))
     step = 1 / longest.rate_hz
     f, positions = _spectrum(longest.motion.q - longest.motion.q.mean(axis=0), step)

@@ -92,10 +92,8 @@ def _best_addition(
 
 
 def _simplest(evidence: Evidence, chosen: Sequence[Candidate], found: Candidate) -> Candidate:
-    """A special case of what was found, where its other coefficients bring nothing more.
-
-    A shape that this motion does not show is one as well: play that is never crossed is an offset.
-    """
+    """A special case of what was found, where its other coefficients bring nothing more."""
+    # A shape that this motion does not show is one as well: play that is never crossed is an offset
     if found.effect.shapes:
         for plain in evidence.candidates:
             same = plain.size == found.size and {*plain.effect.joints} == {*found.effect.joints}
@@ -129,10 +127,8 @@ def _significant(
 def _pruned(
     evidence: Evidence, robot: Robot, chosen: list[Candidate], falls: dict[int, float]
 ) -> list[Candidate]:
-    """The set without those whose removal costs less than chance would.
-
-    ``falls`` is what each brought when last looked at; looked at again when much has gone since.
-    """
+    """The set without those whose removal costs less than chance would."""
+    # ``falls`` is what each brought when last looked at; looked at again when much has gone since
     kept = list(chosen)
     for candidate in chosen:
         rest = [c for c in kept if c is not candidate]
@@ -169,10 +165,8 @@ def is_plain_friction(effect: Effect) -> bool:
 def _plausible(
     evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], candidate: Candidate
 ) -> bool:
-    """Whether a candidate's coefficients, with what is given, are such as physics allows.
-
-    Those of a cause that is common to all joints must be the same for all.
-    """
+    """Whether a candidate's coefficients, with what is given, are such as physics allows."""
+    # those of a cause that is common to all joints must be the same for all
     if candidate.effect.is_common(robot) and not _agrees(evidence, chosen, candidate):
         return False
     coordinates, covariance = evidence.solve(chosen)

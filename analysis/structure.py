@@ -123,10 +123,8 @@ def _circumstantial(robot: Robot, moving: Sequence[str] | None, held: Held) -> M
 
 
 def _flips(seen: Observation, category: tuple[str, ...]) -> Array:
-    """Tolerance nearest to the one in use at which each category changes, shape (p,).
-
-    In the middle of the half decade in which it does; nan if none within a factor of `HAIR`.
-    """
+    """Tolerance nearest to the one in use at which each category changes, shape (p,)."""
+    # in the middle of the half decade in which it does; nan if none within a factor of `HAIR`
     flips_at = np.full(len(category), np.nan)
     for step in range(_STEPS, 0, -1):  # the nearest is written last
         for sign in (1, -1):

@@ -205,10 +205,8 @@ def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
 
 
 def _least_squares(problem: Regression, counts: Mask) -> tuple[Array, Array, int]:
-    """Root of the information on base parameters, their estimate, and its rank.
-
-    What the motion does not show stays at its smallest size and has no information.
-    """
+    """Root of the information on base parameters, their estimate, and its rank."""
+    # what the motion does not show stays at its smallest size and has no information
     problem, counted = problem.counting(counts), np.maximum(counts.sum(axis=0), 1)
     scale = np.linalg.norm(problem.factor(np.ones(problem.nv))[0], axis=0)
     scale = np.where(scale > 0, scale, 1.0)
