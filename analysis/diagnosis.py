@@ -50,7 +50,7 @@ _ROUNDS = 3  # until what the data call for no longer changes what effects rest 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What a given model gets wrong.
+    """What a given model gets wrong, on the hold-out.
 
     Attributes:
         robot: The given robot.
@@ -59,9 +59,9 @@ class Diagnosis:
         held: The hold-out, of the given robot.
         extension: The extended model.
         findings: Causes in order of importance.
-        given_residuals: What the given model leaves on the hold-out, joint by joint.
-        residuals: What the extended model leaves there.
-        waterfall: Error on the hold-out, relative to the given model's, as causes are added.
+        given_residuals: What the given model leaves, joint by joint.
+        residuals: What the extended model leaves.
+        waterfall: Error relative to the given model's, as causes are added.
         notes: What the user should know, as sentences.
     """
 
@@ -167,6 +167,7 @@ class Diagnosis:
         notes = [*self.notes, placeholders(self), at_rest(self)]
         pairs = zip(self.ordered, self.curves, strict=True)
         both = zip(self.given_residuals, self.residuals, strict=True)
+        joints, y = self.robot.joints, f"torque [{self.data.unit}]"
         return {
             "verb": "diagnose",
             "robot": self.robot.name,
@@ -178,7 +179,7 @@ class Diagnosis:
             "faults": [],
             "findings": [
                 (_unknown(self, item) if isinstance(item, Residual) else _cause(self, item, plan))
-                | {"figure": curve.labels(self.robot, self.data.unit)}
+                | {"figure": {"x_label": curve.x_label, "y_label": y, "joint": joints[curve.joint]}}
                 for item, curve in pairs
             ],
             "unexplained": [
@@ -388,14 +389,10 @@ def _waterfall(
     given: Array, extended: Array, findings: Sequence[Finding]
 ) -> tuple[tuple[str, float], ...]:
     """Error over all joints as causes are added to the given model in order of importance."""
-    size = np.sqrt((given**2).mean(axis=0))
-
-    def relative(error: Array) -> float:
-        return float(np.sqrt(((error / size) ** 2).mean()))
-
-    steps, error = [("given model", 1.0)], given
+    steps, errors = ["given model"], [given]
     for finding in findings:
-        error = error - finding.torque
-        label = f"+ {plain(finding.effect.name)} at {', '.join(finding.effect.joints)}"
-        steps.append((label, relative(error)))
-    return (*steps, ("all re-identified", relative(extended)))
+        errors.append(errors[-1] - finding.torque)
+        steps.append(f"+ {plain(finding.effect.name)} at {', '.join(finding.effect.joints)}")
+    relative = np.array([*errors, extended]) / np.sqrt((given**2).mean(axis=0))
+    sizes = np.sqrt((relative**2).mean(axis=(1, 2)))
+    return tuple(zip([*steps, "all re-identified"], sizes.tolist(), strict=True))

@@ -31,7 +31,7 @@ from excitant.identify.preprocessing import Segment
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.regression import dense
 from excitant.robots.effects import Effect, JointFacts, joint_facts
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
@@ -85,9 +85,6 @@ class Contest:
     cutoff_hz: float = 10.0  # of the filter that torque and columns pass
     recorded: tuple[Segment, ...] = ()  # what both causes explain
     tolerance: float = TOLERANCE  # relative standard deviation of the given values
-
-    def __post_init__(self) -> None:
-        freeze(self, "weight")
 
     @cached_property
     def causes(self) -> dict[Effect, slice]:

@@ -54,7 +54,7 @@ from excitant.identify.regression import dense, observation
 from excitant.identify.rows import FitRows, fit_rows, implausible_size, split
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, standard_effects
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names, observation_columns, torque
 
@@ -74,9 +74,6 @@ class Prior:
     mean: Array  # shape (p,)
     L: Array  # blocks of ten by ten for each link and a diagonal for effects, shape (p, p)
     links: int  # number of links
-
-    def __post_init__(self) -> None:
-        freeze(self, "mean", "L")
 
     def directions(self, R: Array) -> tuple[Array, Array]:
         """What data say per unit of w: singular values of R L, and its right vectors as rows."""
@@ -123,9 +120,6 @@ class PriorInfluence:
     base_move: Array  # largest move of each base parameter, in standard deviations, shape (r,)
     refits: int  # number of fits behind it; 0 where the move follows from linear theory
 
-    def __post_init__(self) -> None:
-        freeze(self, "ratio", "reach", "linear", "base_move")
-
     @property
     def overall(self) -> Array:
         """Largest ratio of the kinds that reach a material part of the entry, shape (p,)."""
@@ -155,13 +149,8 @@ def prior_influence(
 ) -> PriorInfluence:
     """Move the prior in several directions of each kind and see what the estimate does.
 
-    Args:
-        information: What the motion shows.
-        regrouping: Base parameters from parameters, shape (r, p).
-        prior: What is known beforehand.
-        x: Estimate, shape (p,); says what is material of an effect, which has no prior value.
-        rng: Draws the directions.
-        response: Moves of the estimate by refits; linear theory without constraints if None.
+    The estimate x (p,) says what is material of an effect, which has no prior value; regrouping
+    (r, p) gives base parameters; without a response by refits, linear theory does.
     """
     s, Vt = prior.directions(information.R)
     free = _linear(prior, s, Vt)
@@ -256,9 +245,6 @@ class Experiment:
     basis: str  # where the standard deviations come from, as a sentence
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        freeze(self, "sigma", "x", "beta", "pose")
-
 
 def planned_experiment(
     robot: Robot,
@@ -268,15 +254,9 @@ def planned_experiment(
     noise: Sequence[float] | None,
     rows: list[int],
 ) -> Experiment:
-    """A motion to judge before it is run, its torque noise independent at every instant.
+    """A motion to judge before it is run, its torque noise [N·m] independent at every instant.
 
-    Args:
-        robot: The arm.
-        base: Base parameters of links and effects.
-        effects: Effects whose coefficients are unknown too.
-        motion: The motion.
-        noise: Torque noise of each joint [N·m]; 1 % of each limit if None.
-        rows: Joints whose torque is measured.
+    Torque is measured at the joints of ``rows``.
 
     Raises:
         BadInput: Noise that does not fit, or no torque limit to scale it by.

@@ -197,11 +197,6 @@ class Curve:
     fit: Array | None = None  # torque of the cause; None where there is none
     rival: Array | None = None  # of its closest rival, fitted to the residual; None without one
 
-    def labels(self, robot: Robot, unit: str) -> dict[str, str]:
-        """What its axes are, as result.json says it; unit of torque."""
-        joint = robot.joints[self.joint]
-        return {"x_label": self.x_label, "y_label": f"torque [{unit}]", "joint": joint}
-
 
 def curve_of(diagnosis: Diagnosis, item: Finding | Residual) -> Curve:
     """The figure that shows a finding, or what is left unexplained."""

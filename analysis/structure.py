@@ -82,8 +82,7 @@ def structure(
         effects: Effects whose coefficients are unknown too.
         moving: Joints that move; all when None.
         measured: Joints whose torque is known; all when None.
-        held: Positions of the joints that do not move [rad or m], 0 for those left out;
-            ``"any"`` when they are at rest at many positions.
+        held: Where the others are [rad or m], 0 when left out; or ``"any"``, many positions.
 
     Raises:
         UnknownName: A joint that the arm does not have.

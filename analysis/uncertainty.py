@@ -30,7 +30,7 @@ from excitant.robots.base_parameters import (
     regroup,
 )
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values, observation_columns
 
@@ -147,9 +147,6 @@ class MotionInformation:
     signal: Array  # largest rms torque per unit of each parameter, in noise, shape (p,)
     condition_number: float = np.nan  # of the unscaled columns of β; inf when some are not shown
 
-    def __post_init__(self) -> None:
-        freeze(self, "R", "covariance", "unseen", "signal")
-
     def std(self, C: Array) -> Array:
         """Standard deviation of combinations C β, C (m, r), shape (m,); inf where unseen."""
         values = np.sqrt(np.maximum(np.einsum("mr,rs,ms->m", C, self.covariance, C), 0.0))
@@ -161,13 +158,9 @@ class MotionInformation:
 def motion_information(
     base: BaseParameters, W: Array, sigma: Array, covariance: Array | None = None
 ) -> MotionInformation:
-    """What a motion with this noise shows.
+    """What a motion of columns (n, rows, p) with noise (rows,) shows of r base parameters.
 
-    Args:
-        base: Base parameters, r of them.
-        W: Columns of all parameters, shape (n, rows, p).
-        sigma: Standard deviation of each row's noise, shape (rows,).
-        covariance: Of the base parameters when it is known already, shape (r, r).
+    Their covariance (r, r) may be known already.
     """
     R, columns = triangle(W, sigma), list(base.columns)
     if covariance is None:

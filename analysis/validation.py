@@ -34,7 +34,7 @@ from excitant.identify.prior import EffectPrior, link_coordinates, link_weights,
 from excitant.identify.regression import Regression, dense
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, plain
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.robot import Robot
 from excitant.robots.simulation import LOOP_HZ, Diverged, forward_error
@@ -162,13 +162,9 @@ class Refit:
 
 
 def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
-    """Fit the inertias alone to what was fitted, and judge that on the hold-out.
+    """Fit the inertias alone to torque tau [N·m] that was fitted, and judge that on the hold-out.
 
-    Args:
-        train: What was fitted, of the given robot.
-        tau: Measured torque at its rows, shape (n, nv) [N·m].
-        held: The hold-out.
-        extended: Torque of the extended model there [torque unit].
+    There the extended model makes a torque of its own [torque unit].
 
     Raises:
         BadRobot: A link without mass.
@@ -268,9 +264,6 @@ class Simulated:
     velocity: Array  # [rad/s or m/s]
     diverged: str  # why the simulation was given up, empty when it was not
     along: tuple[str, ...]  # effects of sensors and of the past, taken on the recorded motion
-
-    def __post_init__(self) -> None:
-        freeze(self, "position", "velocity")
 
 
 @dataclass(frozen=True, eq=False)
