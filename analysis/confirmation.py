@@ -18,11 +18,10 @@ from excitant.analysis.candidates import (
 from excitant.analysis.evidence import Candidate, Evidence, Key
 from excitant.analysis.residuals import Mask, moving, noise_floor
 from excitant.analysis.selection import Rival, underlies
-from excitant.identify.accuracy import Series, series
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment
 from excitant.identify.prior import EffectPrior
-from excitant.identify.rows import identified_robot
+from excitant.identify.rows import Series, identified_robot, series
 from excitant.robots.effects import Effect, merged
 from excitant.robots.motion import Array
 from excitant.robots.parameters import from_pseudo_inertia

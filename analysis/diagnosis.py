@@ -34,10 +34,10 @@ from excitant.analysis.residuals import Residual, residuals
 from excitant.analysis.selection import rivals, select
 from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
-from excitant.identify.accuracy import Accuracy, series
+from excitant.identify.drive_gains import current_gains
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.rows import Data, split, torque_per_reading
+from excitant.identify.rows import Accuracy, Data, series, split
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import plain, standard_effects
 from excitant.robots.html_table import html_table
@@ -318,14 +318,18 @@ def diagnose(
         Infeasible: The semidefinite solver failed.
     """
     data, prior = split(recordings, validate, cutoff_hz), prior_parameters(robot)
-    train, usual, measured = (
-        observed(robot, data.train),
-        standard_effects(robot.joints),
-        series(data.train),
-    )
-    base, W = base_parameters(robot, usual), train.matrix(usual)
-    held = held_out(robot, data.validate, torque_per_reading(robot, base, W, measured, data.unit))
-    tau = measured.measured * held.gains
+    data, prior = split(recordings, validate, cutoff_hz), prior_parameters(robot)
+    train, measured = observed(robot, data.train), series(data.train).measured
+    notes, gains = [data.holdout], np.ones(robot.nv)
+    if data.unit == "A":
+        usual = standard_effects(robot.joints)
+        base = base_parameters(robot, usual)
+        gains = current_gains(robot, base, train.matrix(usual), measured)[0]
+        notes.append(
+            "torque came as motor current; effects are in N·m by drive gains whose common scale "
+            "rests on the given masses"
+        )
+    held, tau = held_out(robot, data.validate, gains), measured * gains
     evidence = gather(robot, train, tau, tolerance_metric(prior))
     first = Extender(prior, train, tau, held, evidence)
     fit = _understood(first)
@@ -348,12 +352,6 @@ def diagnose(
         replace(f, downgrade=reason_to_downgrade(f.effect, f.torque, f.explained, others, left))
         for f in sorted(paying, key=lambda f: -f.explained)
     ]
-    notes = [data.holdout]
-    if data.unit == "A":
-        notes.append(
-            "torque came as motor current; effects are in N·m by drive gains whose common scale "
-            "rests on the given masses"
-        )
     steps = _waterfall(held.given, error, judged)
     return Diagnosis(robot, data, train, held, fit, tuple(judged), given, left, steps, tuple(notes))
 

@@ -13,7 +13,7 @@ from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.discrimination import Advice, Contest, Pair, Plan, Separation, key, needed
 from excitant.analysis.selection import is_plain_friction
-from excitant.design import CLEARANCE, FourierTrajectory, clearance, random_trajectory
+from excitant.design import CLEARANCE, FourierTrajectory, random_trajectory
 from excitant.design.constraints import kinematic_limits, position_range, within_limits
 from excitant.design.feasible import torque_use
 from excitant.design.trajectory import FourierSeries, from_coefficients
@@ -165,11 +165,8 @@ class _Search:
 
     def _kept(self, trajectory: FourierTrajectory) -> FourierTrajectory | None:
         """The trajectory within all limits, certified; None where that fails."""
-        kept = within_limits(self.robot, trajectory)
-        if kept is None or not isinstance(kept, FourierTrajectory):
-            return None
-        apart = self.scene is None or clearance(self.scene, kept).certified >= CLEARANCE
-        return kept if apart else None
+        kept = within_limits(self.robot, trajectory, self.scene, CLEARANCE)
+        return kept if isinstance(kept, FourierTrajectory) else None
 
     def _clear(self, trajectory: FourierTrajectory) -> bool:
         """Whether poses along a trajectory keep their distance."""

@@ -50,7 +50,7 @@ from excitant.identify.prior import (
     silent_columns,
 )
 from excitant.identify.recording import Recording
-from excitant.identify.regression import dense, observation
+from excitant.identify.regression import dense, regression_of
 from excitant.identify.rows import FitRows, fit_rows, implausible_size, split
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, standard_effects
@@ -373,7 +373,7 @@ def identify_shown(
     prior = prior_parameters(robot)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     data = split(recordings, validate)
-    W = without_rounding(observation(robot, effects, data.train))
+    W = without_rounding(regression_of(robot, effects, data.train).W)
     rows = _clean(fit_rows(robot, effects, shown_base(column_names(robot, effects), W), data))
     fit = weighted_least_squares(rows.reduced)
     R, z = rows.regression.factor(fit.weight)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pinocchio as pin
 
 from excitant.analysis.structure import Structure, structure
 from excitant.analysis.uncertainty import (
@@ -41,8 +40,6 @@ if TYPE_CHECKING:
     from excitant.identify.excitation import Persistency
 
 _NAMED = 8  # parameters in a sentence
-_POSES = 400  # tried for the drawing
-_BELOW = 0.3  # how strongly points under the base count against a pose
 
 
 @dataclass(frozen=True)
@@ -212,17 +209,10 @@ class Identifiability:
         }
 
     def series(self) -> dict[str, Array]:
-        """Arrays for figures.
-
-        Returns:
-            ``chain``, points of base, joints and tip, shape (nv + 2, 3) [m]; with a motion also
-            ``correlation``, shape (r, r), and ``singular_values``, shape (r,).
-        """
-        arrays = {"chain": chain(self.robot)}
-        if self.motion:
-            arrays["correlation"] = self.motion.correlation
-            arrays["singular_values"] = self.motion.singular_values
-        return arrays
+        """Arrays for figures under a motion: correlation (r, r) and singular values (r,)."""
+        if not self.motion:
+            return {}
+        return {name: getattr(self.motion, name) for name in ("correlation", "singular_values")}
 
     def _repr_html_(self) -> str:
         title = f"Identifiability of {self.robot.name}: {len(self.base)} base parameters"
@@ -459,25 +449,3 @@ def _entries(
         )
         for k, name in enumerate(base.names)
     )
-
-
-def chain(robot: Robot) -> Array:
-    """Base, joints in order, and tip of an arm in a clear pose, shape (nv + 2, 3) [m].
-
-    Of random poses within the limits, always the same ones, the one whose joints are seen farthest
-    from those that are not their neighbours, with the arm above its base. Joints that meet in a
-    point in every pose do not count.
-    """
-    model, data, found = robot.model, robot.model.createData(), []
-    for q in robot.random_motion(np.random.default_rng(0), _POSES)[0]:
-        pin.framesForwardKinematics(model, data, q)
-        places = [*list(data.oMi)[1:], data.oMf[robot.tip]]
-        found.append([np.zeros(3), *(np.array(place.translation) for place in places)])
-    points = np.array(found)
-    seen = points[:, :, [0, 2]]
-    pairs = np.triu_indices(points.shape[1], 2)
-    apart = np.linalg.norm(seen[:, pairs[0]] - seen[:, pairs[1]], axis=2)
-    apart = apart[:, apart.max(axis=0) > 1e-3 * apart.max(initial=1e-9)]
-    below = np.minimum(points[:, :, 2].min(axis=1), 0.0)
-    clarity = apart.min(axis=1, initial=np.inf) + _BELOW * below
-    return read_only(points[int(np.argmax(clarity))])

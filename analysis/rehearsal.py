@@ -23,9 +23,8 @@ from excitant.identify import Estimate, Recording, identify_robot, recording_fro
 from excitant.robots.effects import EFFECTS, Effect, plain, standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, read_only
-from excitant.robots.plant.nominal import typical_motion
 from excitant.robots.plant.planting import plant
-from excitant.robots.plant.sensors import Run, recorded
+from excitant.robots.plant.sensors import Run
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
 from excitant.robots.virtual_arm import (
@@ -34,6 +33,7 @@ from excitant.robots.virtual_arm import (
     draw_hidden_effect,
     industrial_sensors,
     nominal_truth,
+    typical_motion,
     typical_torque,
     virtual_arm,
 )
@@ -367,7 +367,7 @@ def rehearse(
 
 def _recording(arm: VirtualArm, run: Run, name: str, rng: np.random.Generator) -> Recording:
     """One reading of a run; every reading has other noise."""
-    table = recorded(run, arm.sensors, arm.truth.recorder, arm.drives.offset, rng)
+    table = arm.recorded(run, rng)
     return recording_from_table(table, arm.nominal.nv, file=name, name=name)
 
 
@@ -419,5 +419,5 @@ def changed(arm: VirtualArm, effect: HiddenEffect) -> VirtualArm:
 def planted_parameters(arm: VirtualArm, effects: tuple[Effect, ...]) -> Array:
     """True standard parameters of the links, then those of standard effects, shape (p,)."""
     bodies = [body.toDynamicParameters() for body in list(arm.truth.model.inertias)[1:]]
-    drives = [getattr(arm.drives, effect.joint_property) for effect in effects]
+    drives = [getattr(arm.truth.drives, effect.joint_property) for effect in effects]
     return read_only(np.concatenate([*bodies, *drives]))

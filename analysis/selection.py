@@ -11,10 +11,10 @@ import scipy
 
 from excitant.analysis.candidates import Observed, gather, observed, tolerance_metric
 from excitant.analysis.evidence import Candidate, Evidence, Key, reweighed
-from excitant.identify.accuracy import series
 from excitant.identify.estimate import identify_robot
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
+from excitant.identify.rows import series
 from excitant.robots.effects import Effect, merged, plain, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot

@@ -88,9 +88,7 @@ def structure(
         UnknownName: A joint that the arm does not have.
     """
     positions = held if isinstance(held, Mapping) else {}
-    for name in (*(moving or ()), *(measured or ()), *positions):
-        if name not in robot.joints:
-            raise UnknownName("joint", name, robot.joints)
+    UnknownName.refuse("joint", (*(moving or ()), *(measured or ()), *positions), robot.joints)
     motion = _circumstantial(robot, moving, {} if held is None else held)
     rows = None if measured is None else np.isin(robot.joints, measured)
     seen = observe(robot, effects, motion, rows)

@@ -37,8 +37,7 @@ from excitant.robots.effects import Effect, plain
 from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.robot import Robot
-from excitant.robots.simulation import LOOP_HZ, Diverged, forward_error
-from excitant.robots.state_torque import forward_model
+from excitant.robots.simulation import LOOP_HZ, Diverged, forward_error, forward_model
 
 LIKELY = 3.0  # times the tolerance's standard deviation: farther off, given values are wrong
 _ROUNDS = 4  # of fitting with the noise of the fit before

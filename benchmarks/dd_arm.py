@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -40,9 +40,8 @@ from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.preprocessing import prepare
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.rows import FitRows, fit_rows
-from excitant.robots import Robot, base_parameters
+from excitant.robots import Motion, Robot, base_parameters, regressor, robot_from_dh
 from excitant.robots.effects import CoulombFriction, ViscousFriction
-from excitant.robots.newton_euler import torque_matrix
 from excitant.robots.parameters import (
     STANDARD,
     UNITS,
@@ -95,20 +94,13 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class Recovery:
-    """What the experiment found.
+    """The 46 table entries; base parameters of links and friction, true and by least squares.
 
-    Attributes:
-        entries: The 46 table entries.
-        expressions: Base parameters of links and friction, r of them.
-        beta_true: Their true values, shape (r,).
-        beta: Least squares, shape (r,).
-        beta_std: Standard deviations, shape (r,).
-        base_moved: Largest change of a base parameter when the prior moved along the null
-            space, in standard deviations.
+    ``base_moved`` is the largest change of a base parameter when the prior moved along the null
+    space, in standard deviations.
     """
 
     entries: tuple[Entry, ...]
-    expressions: tuple[str, ...]
     beta_true: np.ndarray
     beta: np.ndarray
     beta_std: np.ndarray
@@ -143,48 +135,38 @@ def fitted(given: Robot, recordings: Sequence[Recording]) -> FitRows:
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """The table entries as functions of the standard parameters about the joint frames.
-
-    Attributes:
-        entries: The rows.
-        to_frames: From joint frames to Denavit-Hartenberg frames, shape (60, 60).
-    """
+    """The table entries as functions of the standard parameters about the joint frames."""
 
     entries: tuple[TableEntry, ...]
-    to_frames: np.ndarray
+    selection: np.ndarray  # (46, 60), about the link frames: products with the other sign, sums
+    central: int  # the entry that is about the centre of mass, I1zz
+    to_frames: np.ndarray  # (60, 60), from joint frames to link frames
 
     def values(self, phi: np.ndarray) -> np.ndarray:
-        """Values of all entries, shape (46,); phi about the joint frames, shape (60,)."""
+        """Values of all entries, shape (46,)."""
         frames = self.to_frames @ phi
-        found = self._selection() @ frames
-        found[self._central()] -= (frames[1] ** 2 + frames[2] ** 2) / frames[0]
+        found = self.selection @ frames
+        found[self.central] -= (frames[1] ** 2 + frames[2] ** 2) / frames[0]
         return np.asarray(found)
 
     def gradients(self, phi: np.ndarray) -> np.ndarray:
         """Derivatives of the entries, shape (46, 60)."""
-        frames, rows = self.to_frames @ phi, self._selection()
-        m, x, y = frames[:3]
-        rows[self._central(), :3] -= np.array([-(x**2 + y**2) / m**2, 2 * x / m, 2 * y / m])
+        rows = self.selection.copy()
+        m, x, y = (self.to_frames @ phi)[:3]
+        rows[self.central, :3] -= np.array([-(x**2 + y**2) / m**2, 2 * x / m, 2 * y / m])
         return np.asarray(rows @ self.to_frames)
-
-    def _central(self) -> int:
-        """I1zz is about the centre of mass."""
-        return [entry.name for entry in self.entries].index("I1zz")
-
-    def _selection(self) -> np.ndarray:
-        """Entries from parameters: products with the other sign, m4 + m5 a sum."""
-        rows = np.zeros((len(self.entries), 60))
-        for row, entry in zip(rows, self.entries, strict=True):
-            for name in entry.parameter.split(" + "):
-                link, symbol = name.split(".")
-                sign = -1.0 if symbol in ("Ixy", "Ixz", "Iyz") else 1.0
-                row[10 * (int(link[4:]) - 1) + STANDARD.index(symbol)] = sign
-        return rows
 
 
 def tables() -> Tables:
     """All rows of Tables 2 to 4."""
-    return Tables(dd_arm_tables(), np.linalg.inv(parameter_map(dd_arm_chain())))
+    entries = dd_arm_tables()
+    rows = np.zeros((len(entries), 60))
+    for row, entry in zip(rows, entries, strict=True):
+        for link, symbol in (name.split(".") for name in entry.parameter.split(" + ")):
+            sign = -1.0 if symbol in ("Ixy", "Ixz", "Iyz") else 1.0
+            row[10 * (int(link[4:]) - 1) + STANDARD.index(symbol)] = sign
+    central = [entry.name for entry in entries].index("I1zz")
+    return Tables(entries, rows, central, np.linalg.inv(parameter_map(dd_arm_chain())))
 
 
 def recovery(seconds: float = 60.0, *, likely: bool = True, seed: int = 0) -> Recovery:
@@ -202,42 +184,30 @@ def recovery(seconds: float = 60.0, *, likely: bool = True, seed: int = 0) -> Re
     R, z = rows.regression.factor(fit.weight)
     prior = prior_parameters(given)
     found = fit_physical(R, z, prior, rows.open_prior)
-    steps = null_steps(prior, rows, rng)
-    moves = np.array([_refit(R, z, prior, step, rows).x - found.x for step in steps])
-    std = np.sqrt(np.diag(fit.covariance))
-    x_true = np.concatenate([truth.phi, VISCOUS, COULOMB])
+    moved = [
+        fit_physical(R, z, prior + step.reshape(prior.shape), rows.open_prior, metric=prior).x
+        for step in null_steps(prior, rows, rng)
+    ]
+    moves = np.array(moved) - found.x
+    B, std = rows.base.regrouping, np.sqrt(np.diag(fit.covariance))
     return Recovery(
         tuple(_entries(given, truth, found, prior, rows, moves)),
-        rows.base.expressions,
-        rows.base.regrouping @ x_true,
+        B @ np.concatenate([truth.phi, VISCOUS, COULOMB]),
         fit.beta,
         std,
-        float(np.abs(moves @ rows.base.regrouping.T / std).max()),
+        float(np.abs(moves @ B.T / std).max()),
     )
-
-
-def _refit(
-    R: np.ndarray, z: np.ndarray, prior: np.ndarray, step: np.ndarray, rows: FitRows
-) -> PhysicalFit:
-    moved = prior + step.reshape(prior.shape)
-    return fit_physical(R, z, moved, rows.open_prior, metric=prior)
-
-
-def null_space(rows: FitRows) -> np.ndarray:
-    """What no torque shows of the links, orthonormal, shape (60, 60 − base parameters)."""
-    return np.asarray(scipy.linalg.null_space(rows.base.regrouping[:, :60]))
 
 
 def null_steps(prior: np.ndarray, rows: FitRows, rng: np.random.Generator) -> list[np.ndarray]:
     """Moves of the prior that no torque shows, each changing some link by 20 %, shape (60,)."""
-    N, T = null_space(rows), link_coordinates(prior)
-    scaled = np.linalg.solve(T, N)
+    T = link_coordinates(prior)
+    scaled = np.linalg.solve(T, scipy.linalg.null_space(rows.base.regrouping[:, :60]))
     steps = []
     for _ in range(DRAWS):
         y = scaled @ np.linalg.lstsq(scaled, rng.standard_normal(60), rcond=None)[0]
-        upper = y.reshape(-1, 10)
-        Q = np.zeros((len(upper), 4, 4))
-        Q[:, *np.triu_indices(4)] = upper
+        Q = np.zeros((len(y) // 10, 4, 4))
+        Q[:, *np.triu_indices(4)] = y.reshape(-1, 10)
         Q += np.triu(Q, 1).transpose(0, 2, 1)
         steps.append(T @ y * PRIOR_STEP / np.abs(np.linalg.eigvalsh(Q)).max())
     return steps
@@ -255,10 +225,8 @@ def _entries(
     L = link_coordinates(prior) / link_weights(len(prior), 1.0)
     S = scipy.linalg.null_space(rows.base.regrouping[:, :60] @ L)
     gradients = columns.gradients(phi)
-    before, std = (
-        np.linalg.norm(gradients @ L, axis=1),
-        np.sqrt(np.einsum("kp,pq,kq->k", gradients, found.covariance[:60, :60], gradients)),
-    )
+    before = np.linalg.norm(gradients @ L, axis=1)
+    std = np.sqrt(np.einsum("kp,pq,kq->k", gradients, found.covariance[:60, :60], gradients))
     silent = (np.linalg.norm(gradients @ L @ S, axis=1) / before) ** 2
     changes = np.array([columns.values(phi + move[:60]) - columns.values(phi) for move in moves])
     values = (columns.values(each) for each in (given.phi, truth.phi, phi))
@@ -269,14 +237,9 @@ def _entries(
 
 @dataclass(frozen=True, eq=False)
 class NearestBody:
-    """A link's printed parameters and the nearest ones that a body can have.
+    """A link's printed parameters (10,), the inequality they break, and the nearest possible.
 
-    Attributes:
-        link: Name of the link.
-        violated: The inequality that the printed ones break.
-        printed: Standard parameters about the link frame, shape (10,).
-        nearest: Nearest consistent ones, shape (10,).
-        distance: ‖Q − Q_printed‖_F, relative to the link's initial body.
+    ``distance`` is ‖Q − Q_printed‖_F, relative to the link's initial body.
     """
 
     link: str
@@ -286,25 +249,22 @@ class NearestBody:
     distance: float
 
 
-def nearest_bodies() -> tuple[NearestBody, ...]:
+def nearest_bodies() -> Iterator[NearestBody]:
     """Links whose estimate as printed is impossible, and what is nearest to it.
 
     Near in the metric of the library's prior: P = L Q Lᵀ with L Lᵀ the pseudo-inertia of the
     initial values, ‖Q − Q_printed‖_F least with Q ⪰ 10⁻⁴. That is an eigenvalue clipped in Q.
     """
     initial, printed = (dd_arm_parameters(c).reshape(6, 10) for c in ("initial", "estimated"))
-    found = []
     for k, link in enumerate(dd_arm_chain().links):
-        broken = violations(printed[k], (link,))
-        if broken:
+        for broken in violations(printed[k], (link,)):
             L = np.linalg.cholesky(pseudo_inertia(initial[k]))
             Q = np.linalg.solve(L, np.linalg.solve(L, pseudo_inertia(printed[k])).T)
             values, vectors = np.linalg.eigh((Q + Q.T) / 2)
             nearest = (vectors * np.maximum(values, MARGIN)) @ vectors.T
             phi = from_pseudo_inertia(L @ nearest @ L.T)
             distance = float(np.linalg.norm(np.minimum(values - MARGIN, 0)))
-            found.append(NearestBody(link, broken[0], printed[k], phi, distance))
-    return tuple(found)
+            yield NearestBody(link, broken, printed[k], phi, distance)
 
 
 def _rank(M: np.ndarray) -> int:
@@ -313,6 +273,13 @@ def _rank(M: np.ndarray) -> int:
     used = norms > 1e-10 * norms.max()
     s = np.linalg.svd(flat[:, used] / norms[used], compute_uv=False)
     return int((s > 1e-9 * s[0]).sum())
+
+
+EXPERIMENTS = {
+    "cascade": "joints 1..i move, τ_i is read",
+    "literal": "joint i alone moves, one pose, τ_i",
+    "poses": "joint i alone moves, many poses, τ_1..τ_i",
+}
 
 
 def counts(rng: np.random.Generator, across: bool = False) -> dict[str, list[int]]:
@@ -324,36 +291,30 @@ def counts(rng: np.random.Generator, across: bool = False) -> dict[str, list[int
     """
     chain = dd_arm_chain()
     if across:
-        a, d = chain.a.copy(), chain.d.copy()
-        a[2], d[2] = d[2], 0.0
-        chain = type(chain)(**{**vars(chain), "a": a, "d": d})
-    kinds: dict[str, list[int]] = {"cascade": [], "literal": [], "poses": []}
+        third = np.arange(6) == 2
+        chain = replace(chain, a=np.where(third, chain.d, chain.a), d=chain.d * ~third)
+    robot, kinds = robot_from_dh(chain), {kind: [] for kind in EXPERIMENTS}
     for i in reversed(range(6)):
-        own = slice(10 * i, 10 * i + 10)
         for kind, found in kinds.items():
             q, dq, ddq = rng.uniform(-2, 2, (3, 300, 6))
             still = np.arange(6) > i if kind == "cascade" else np.arange(6) != i
             dq[:, still] = ddq[:, still] = 0.0
             if kind != "poses":
                 q[:, still] = q[0, still]
-            M = torque_matrix(chain, q, dq, ddq)[..., own]
+            Y = regressor(robot, Motion(np.arange(300.0), q, dq, ddq))
+            M = (Y @ parameter_map(chain))[..., 10 * i : 10 * i + 10]
             found.append(_rank(M[:, : i + 1] if kind == "poses" else M[:, i]))
     return kinds
 
 
 def count_lines(rng: np.random.Generator) -> Iterator[str]:
-    names = {
-        "cascade": "joints 1..i move, τ_i is read",
-        "literal": "joint i alone moves, one pose, τ_i",
-        "poses": "joint i alone moves, many poses, τ_1..τ_i",
-    }
     yield f"base parameters: {len(base_parameters(dd_arm('initial')))}"
     for across in (False, True):
         where = "across joint 3 (a3)" if across else "along joint 3 (d3)"
         yield f"  offset of link 3 {where}, assumed 0.1 m"
         for kind, found in counts(rng, across).items():
             total = " + ".join(map(str, found))
-            yield f"    {names[kind]:<44} {total} = {sum(found)}"
+            yield f"    {EXPERIMENTS[kind]:<44} {total} = {sum(found)}"
 
 
 def table_lines(found: Recovery) -> Iterator[str]:

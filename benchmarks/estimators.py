@@ -16,8 +16,7 @@ Two figures per cell: rms over draws and base parameters of δβᵢ cᵢ [N·m],
 over random states of the arm; and the worst joint's nrmse [%] of the torque of another motion,
 known without noise. ``iv`` fits the columns of even samples with those of odd ones for
 instruments; ``wls half`` is weighted least squares of the same columns. ``oe`` simulates the model
-on the measured positions, as far as these themselves suggest; ``oe known`` on the commanded motion,
-which the arm follows exactly. The last line is the
+on the measured positions, as far as these themselves suggest. The last line is the
 Durbin-Wu-Hausman test on ``wls half``: its median chance that least squares is not biased.
 
 ``--bias D`` keeps one motion and draws only its noise, D times: the mean error over draws of each
@@ -27,7 +26,7 @@ parameter, divided by its own standard deviation, rms over parameters: about 1 w
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,9 +36,15 @@ from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
 from excitant.identify import Data, Recording
-from excitant.identify.estimators import errors_in_variables, half_regressions, irls, iv
+from excitant.identify.estimators import (
+    closed_loop,
+    errors_in_variables,
+    half_regressions,
+    irls,
+    iv,
+    output_error,
+)
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
-from excitant.identify.output_error import Reference, closed_loop, output_error
 from excitant.identify.preprocessing import prepare
 from excitant.identify.rows import fit_rows
 from excitant.robots import BaseParameters, Motion, Robot, base_parameters, load_robot
@@ -52,7 +57,7 @@ FILTERS = {"good": 10.0, "bad": 25.0}  # Hz
 KINDS = ("fine", "coloured", "outliers", "encoders")
 SHARE = 0.02  # of each joint's rms torque is noise
 BURST_S, BURST_SHARE, BURST_SIZE = 0.1, 0.03, 3.0
-METHODS = ("wls", "irls", "wls half", "iv", "oe", "oe known")
+METHODS = ("wls", "irls", "wls half", "iv", "oe")
 Array = np.ndarray
 
 
@@ -139,8 +144,8 @@ def recorded(
     rng: np.random.Generator,
     seconds: float,
     motion: np.random.Generator | None = None,
-) -> tuple[Recording, Reference]:
-    """One random motion, drawn by its own generator if given, with one kind of noise; and it."""
+) -> Recording:
+    """One random motion, drawn by its own generator if given, with one kind of noise."""
     trajectory = random_trajectory(known.robot, rng if motion is None else motion, 10.0, HARMONICS)
     t = np.arange(0, seconds, 1 / RATE_HZ)
     q, dq, ddq = (trajectory(t, order) for order in range(3))
@@ -148,8 +153,7 @@ def recorded(
     size = np.sqrt((tau**2).mean(axis=0))
     encoder = 2e-4 if kind == "encoders" else 2e-5
     measured = q + encoder * rng.standard_normal(q.shape)
-    seen = Recording(kind, kind, t, measured, tau + size * torque_noise(kind, rng, *tau.shape))
-    return seen, lambda t: Motion(t, *(trajectory(t, order) for order in range(3)))
+    return Recording(kind, kind, t, measured, tau + size * torque_noise(kind, rng, *tau.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +192,7 @@ def judge(known: Truth, seed: int) -> Judge:
 
 
 def estimates(
-    known: Truth, recording: Recording, motion: Reference, cutoff_hz: float
+    known: Truth, recording: Recording, cutoff_hz: float
 ) -> tuple[dict[str, LeastSquares], float]:
     """Every estimator's, and the chance of the test."""
     segments = tuple(prepare(recording, cutoff_hz))
@@ -196,19 +200,15 @@ def estimates(
     rows = fit_rows(known.robot, standard_effects(known.robot.joints), known.base, data)
     even, odd = half_regressions(rows, [recording])
 
-    def simulated(**known_motion: Sequence[Reference]) -> LeastSquares:
-        loop = closed_loop(rows, [recording], **known_motion)
-        return output_error(loop.problem, loop.simulated).fit
-
-    run: dict[str, Callable[[], LeastSquares]] = {
-        "wls": lambda: weighted_least_squares(rows.reduced),
-        "irls": lambda: irls(rows.reduced),
-        "wls half": lambda: weighted_least_squares(even),
-        "iv": lambda: iv(even, odd),
-        "oe": simulated,
-        "oe known": lambda: simulated(references=[motion]),
-    }
-    return {name: run[name]() for name in METHODS}, errors_in_variables(even, odd)[1]
+    loop = closed_loop(rows, [recording])
+    fits = (
+        weighted_least_squares(rows.reduced),
+        irls(rows.reduced),
+        weighted_least_squares(even),
+        iv(even, odd),
+        output_error(loop.problem, loop.simulated).fit,
+    )
+    return dict(zip(METHODS, fits, strict=True)), errors_in_variables(even, odd)[1]
 
 
 def cells(
@@ -224,7 +224,7 @@ def cells(
             for d in range(draws)
         ]
         for filtering, cutoff_hz in FILTERS.items():
-            runs = [estimates(known, *recording, cutoff_hz) for recording in recordings]
+            runs = [estimates(known, recording, cutoff_hz) for recording in recordings]
             figures = {}
             for method in METHODS:
                 errors = [held.errors(fits[method]) for fits, _ in runs]
@@ -243,8 +243,8 @@ def biases(name: str, draws: int, seconds: float, seed: int, kinds: Sequence[str
             errors: dict[str, list[Array]] = {method: [] for method in METHODS}
             for d in range(draws):
                 rng, motion = np.random.default_rng([seed, 1, d]), np.random.default_rng([seed, 2])
-                recording, command = recorded(known, kind, rng, seconds, motion)
-                for method, fit in estimates(known, recording, command, cutoff_hz)[0].items():
+                recording = recorded(known, kind, rng, seconds, motion)
+                for method, fit in estimates(known, recording, cutoff_hz)[0].items():
                     errors[method].append(held.errors(fit)[0])
             yield f"{kind + ', ' + filtering:20}" + "".join(
                 f"{_mean_over_deviation(np.array(errors[method])):10.2f}" for method in METHODS

@@ -8,7 +8,7 @@ torque noise leaves behind the same filter. At 1 it drowns; 2 is just visible; 3
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -17,38 +17,35 @@ import scipy.interpolate
 import scipy.signal
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD
-from excitant.robots.plant.controller import Trajectory
-from excitant.robots.plant.nominal import (
+from excitant.robots.plant.arm import Trajectory, simulate
+from excitant.robots.plant.physics import Truth
+from excitant.robots.plant.planting import STRUCTURES, HiddenEffect, plant
+from excitant.robots.plant.sensors import Sensors, recorded
+from excitant.robots.robot import Robot
+from excitant.robots.virtual_arm import (
+    VirtualArm,
     draw_payload,
     industrial_sensors,
     nominal_truth,
     separable_rotors,
+    virtual_arm,
 )
-from excitant.robots.plant.physics import Truth
-from excitant.robots.plant.planting import STRUCTURES, HiddenEffect, plant
-from excitant.robots.plant.run import simulate
-from excitant.robots.plant.sensors import Sensors, recorded
-from excitant.robots.robot import Robot
-from excitant.robots.virtual_arm import VirtualArm, virtual_arm
 
 _HARMONICS = 5
 _SHARE = 0.7  # of the limits of velocity and acceleration, used at most
 _REACH = 0.8  # of the range of position
 _TORQUE = 0.7  # of the limits of torque
+Rng = np.random.Generator
+Numbers = dict[str, float]
 
 
-def typical_trajectory(robot: Robot, rng: np.random.Generator, duration: float) -> Trajectory:
-    """A random periodic motion from rest to rest, within the limits of the nominal arm.
+def typical_trajectory(robot: Robot, rng: Rng, duration: float) -> Trajectory:
+    """A random motion from rest to rest of a period [s], within the limits of the nominal arm.
 
     q(t) = q_0 + Σ a_k (cos ω_k t − 1) with random a_k; drawn again, and smaller, while it asks
     for more than 70 % of a torque limit.
-
-    Args:
-        robot: The arm.
-        rng: Source of randomness.
-        duration: Period [s].
     """
     omega: Array = 2 * np.pi * np.arange(1.0, _HARMONICS + 1.0) / duration
     low, high = np.clip(robot.limits.position, -np.pi, np.pi).T
@@ -69,8 +66,9 @@ def typical_trajectory(robot: Robot, rng: np.random.Generator, duration: float) 
         )
         swing = _cosines(omega, a, t, 0)
         start = rng.uniform(low - swing.min(axis=0), high - swing.max(axis=0))
-        trajectory = _path(start, omega, a)
-        if _torque_share(robot, trajectory, t) <= _TORQUE:
+        trajectory = partial(_path, start, omega, a)
+        _, tau = _nominal_torque(robot, *(trajectory(t[::4], order) for order in range(3)))
+        if (np.abs(tau) / robot.limits.torque).max() <= _TORQUE:
             break
         share *= 0.93
     return trajectory
@@ -82,55 +80,33 @@ def _cosines(omega: Array, a: Array, t: Array, order: int) -> Array:
     return values
 
 
-def _path(start: Array, omega: Array, a: Array) -> Trajectory:
-    def trajectory(t: Array, order: int = 0) -> Array:
-        moved = _cosines(omega, a, np.asarray(t, dtype=float), order)
-        return start + moved if order == 0 else moved
-
-    return trajectory
+def _path(start: Array, omega: Array, a: Array, t: Array, order: int = 0) -> Array:
+    moved = _cosines(omega, a, np.asarray(t, dtype=float), order)
+    return start + moved if order == 0 else moved
 
 
-def _torque_share(robot: Robot, trajectory: Trajectory, t: Array) -> float:
+def _nominal_torque(robot: Robot, q: Array, dq: Array, ddq: Array) -> tuple[Truth, Array]:
     truth = nominal_truth(robot)
-    data, states = truth.model.createData(), [trajectory(t[::4], order) for order in range(3)]
-    tau = truth.drives.friction(states[1])
-    tau = tau + [pin.rnea(truth.model, data, *x) for x in zip(*states, strict=True)]
-    return float(np.max(np.abs(tau) / robot.limits.torque))
+    data, states = truth.model.createData(), zip(q, dq, ddq, strict=True)
+    rigid = [pin.rnea(truth.model, data, *state) for state in states]
+    return truth, truth.drives.friction(dq) + rigid
 
 
 @dataclass(frozen=True, eq=False)
 class TypicalMotion:
-    """A typical motion of an arm; arrays of samples have shape (n, nv).
+    """A typical motion of an arm; arrays of samples have shape (n, nv)."""
 
-    Attributes:
-        robot: The nominal arm.
-        q: Positions.
-        dq: Velocities.
-        ddq: Accelerations.
-        tau: Torque of the nominal arm [N·m].
-        load: The same without friction and rotors [N·m].
-        tip: Positions of the tip in the base frame, shape (n, 3) [m].
-        coulomb: Dry friction of the nominal arm, shape (nv,) [N·m].
-        inertia: Mean of each joint's own entry of the mass matrix, shape (nv,) [kg·m²].
-        rotor: Rotor inertia of the nominal arm, shape (nv,) [kg·m²].
-        wanted: Torque that an effect should make, shape (nv,) [N·m].
-    """
-
-    robot: Robot
+    robot: Robot  # the nominal arm
     q: Array
     dq: Array
     ddq: Array
-    tau: Array
-    load: Array
-    tip: Array
-    coulomb: Array
-    inertia: Array
-    rotor: Array
-    wanted: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "q", "dq", "ddq", "tau", "load", "tip", "coulomb", "inertia", "rotor")
-        freeze(self, "wanted")
+    tau: Array  # torque of the nominal arm [N·m]
+    load: Array  # the same without friction and rotors [N·m]
+    tip: Array  # positions of the tip in the base frame, shape (n, 3) [m]
+    coulomb: Array  # dry friction of the nominal arm, shape (nv,) [N·m]
+    inertia: Array  # mean of each joint's own entry of the mass matrix, shape (nv,) [kg·m²]
+    rotor: Array  # rotor inertia of the nominal arm, shape (nv,) [kg·m²]
+    wanted: Array  # torque that an effect should make, shape (nv,) [N·m]
 
     @property
     def nv(self) -> int:
@@ -142,58 +118,51 @@ class TypicalMotion:
         """Longest distance of the tip from the origin on the motion, at least 0.1 m."""
         return max(float(np.linalg.norm(self.tip, axis=1).max()), 0.1)
 
+    def per(self, j: int, signal: Array) -> float:
+        """Coefficient with which a signal makes the wanted torque of a joint."""
+        return float(self.wanted[j]) / rms(signal)
+
 
 def typical_motion(
     robot: Robot, trajectory: Trajectory, duration: float, wanted: Array
 ) -> TypicalMotion:
-    """What an arm does on a motion.
-
-    Args:
-        robot: The nominal arm.
-        trajectory: Its motion.
-        duration: Length of the motion [s].
-        wanted: Torque that an effect should make, shape (nv,) [N·m].
-    """
-    truth = nominal_truth(robot)
-    model, bare, t = truth.model, truth.model.copy(), np.linspace(0.0, duration, 300)
+    """What an arm does on a motion of a length [s]; effects should make the wanted torque there."""
+    t = np.linspace(0.0, duration, 300)
+    states = [trajectory(t, order) for order in range(3)]
+    truth, tau = _nominal_torque(robot, *states)
+    bare = truth.model.copy()
     bare.armature = np.zeros(robot.nv)
-    data, q, dq, ddq = model.createData(), *(trajectory(t, order) for order in range(3))
-    tau, load, tip, inertia = (np.zeros((len(t), k)) for k in (robot.nv, robot.nv, 3, robot.nv))
-    for k, state in enumerate(zip(q, dq, ddq, strict=True)):
-        tau[k] = pin.rnea(model, data, *state) + truth.drives.friction(dq[k])
-        load[k] = pin.rnea(bare, data, *state)
-        inertia[k] = np.diag(pin.crba(bare, data, q[k]))
-        pin.forwardKinematics(model, data, q[k])
-        tip[k] = pin.updateFramePlacement(model, data, robot.tip).translation
-    coulomb, rotor = truth.drives.coulomb, truth.drives.rotor
+    data = bare.createData()
+    load, tip, inertia = (np.zeros((len(t), k)) for k in (robot.nv, 3, robot.nv))
+    for k, (q, dq, ddq) in enumerate(zip(*states, strict=True)):
+        load[k] = pin.rnea(bare, data, q, dq, ddq)
+        inertia[k] = np.diag(pin.crba(bare, data, q))
+        pin.forwardKinematics(bare, data, q)
+        tip[k] = pin.updateFramePlacement(bare, data, robot.tip).translation
+    drives = truth.drives
     mean = inertia.mean(axis=0)
-    return TypicalMotion(robot, q, dq, ddq, tau, load, tip, coulomb, mean, rotor, wanted)
-
-
-Rng = np.random.Generator
-Numbers = dict[str, float]
+    return TypicalMotion(robot, *states, tau, load, tip, drives.coulomb, mean, drives.rotor, wanted)
 
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
-    """An effect that lacks only its size.
+    """An effect that lacks only its size: parameters are ``around + scale · scaled``, and fixed."""
 
-    Attributes:
-        joints: Indices of the joints it acts on.
-        parameters: Its parameters at a scale.
-        guess: Scale that may give what is wanted.
-        most: Largest scale that such arms may have.
-    """
-
-    joints: tuple[int, ...]
-    parameters: Callable[[float], Numbers]
-    guess: float = 1.0
-    most: float = np.inf
+    joints: tuple[int, ...]  # indices
+    scaled: Numbers
+    fixed: Numbers = field(default_factory=dict)
+    guess: float = 1.0  # scale that may give what is wanted
+    most: float = np.inf  # largest scale that such arms may have
+    around: float = 0.0
+    powers: Numbers = field(default_factory=dict)  # of the scale, where it is not one
 
     def make(self, robot: Robot, kind: str, scale: float) -> HiddenEffect:
         """The effect at a scale."""
         names = tuple(robot.joints[j] for j in self.joints)
-        values = tuple((name, float(x)) for name, x in self.parameters(scale).items())
+        grown = {
+            n: self.around + scale ** self.powers.get(n, 1) * x for n, x in self.scaled.items()
+        }
+        values = tuple((name, float(x)) for name, x in (grown | self.fixed).items())
         effect, structure = ("unknown", kind) if kind in STRUCTURES else (kind, "")
         several = names if len(names) > 1 else ()
         return HiddenEffect(effect, (*names, "")[0], values, several, structure)
@@ -229,52 +198,44 @@ def _one_or_all(m: TypicalMotion, rng: Rng) -> tuple[int, ...]:
 
 def _viscous(m: TypicalMotion, rng: Rng) -> Recipe:
     j = _any(m, rng)
-    size = m.wanted[j] / rms(m.dq[:, j])
-    return Recipe((j,), lambda s: {"Fv": s * size})
+    return Recipe((j,), {"Fv": m.per(j, m.dq[:, j])})
 
 
 def _coulomb(m: TypicalMotion, rng: Rng) -> Recipe:
     j = _any(m, rng)
-    return Recipe((j,), lambda s: {"Fc": s * m.wanted[j]})
+    return Recipe((j,), {"Fc": m.wanted[j]})
 
 
 def _asymmetric(m: TypicalMotion, rng: Rng) -> Recipe:
     """More friction in one direction, of both kinds."""
     j, side, share = _any(m, rng), str(rng.choice(["plus", "minus"])), rng.uniform(0.3, 0.7)
-    dry = m.wanted[j]
-    wet = dry / rms(m.dq[:, j])
-    return Recipe(
-        (j,),
-        lambda s: {f"Fc_{side}": s * (1 - share) * dry, f"Fv_{side}": s * share * wet},
-        1.4,
-    )
+    dry, wet = (1 - share) * m.wanted[j], share * m.per(j, m.dq[:, j])
+    return Recipe((j,), {f"Fc_{side}": dry, f"Fv_{side}": wet}, guess=1.4)
 
 
 def _stribeck(m: TypicalMotion, rng: Rng) -> Recipe:
     j, slow = _any(m, rng), rng.uniform(0.05, 0.2)
     v = slow * float(np.abs(m.dq[:, j]).max())
-    return Recipe((j,), lambda s: {"Fs": s * m.wanted[j], "velocity": v}, 3.0)
+    return Recipe((j,), {"Fs": m.wanted[j]}, {"velocity": v}, 3.0)
 
 
 def _power_law(m: TypicalMotion, rng: Rng) -> Recipe:
     j = _any(m, rng)
     a = float(rng.choice([rng.uniform(0.3, 0.6), rng.uniform(1.6, 2.0)]))
-    size = m.wanted[j] / rms(np.abs(m.dq[:, j]) ** a)
-    return Recipe((j,), lambda s: {"Fn": s * size, "exponent": a})
+    return Recipe((j,), {"Fn": m.per(j, np.abs(m.dq[:, j]) ** a)}, {"exponent": a})
 
 
 def _load_dependent(m: TypicalMotion, rng: Rng) -> Recipe:
     j = _any(m, rng)
-    size = m.wanted[j] / rms(m.load[:, j])
-    return Recipe((j,), lambda s: {"Fl": s * size}, most=0.3 / size)
+    size = m.per(j, m.load[:, j])
+    return Recipe((j,), {"Fl": size}, most=0.3 / size)
 
 
 def _presliding(m: TypicalMotion, rng: Rng) -> Recipe:
     """At most one and a half times the dry friction there is, so that the hysteresis shows."""
     j, x = _any(m, rng), float(np.exp(rng.uniform(np.log(0.01), np.log(0.15))))
-    size = m.wanted[j]
     most = 1.5 * m.coulomb[j] if m.coulomb[j] > 0 else 0.5 * rms(m.tau[:, j])
-    return Recipe((j,), lambda s: {"Fh": s * size, "distance": x}, 3.0, most / size)
+    return Recipe((j,), {"Fh": m.wanted[j]}, {"distance": x}, 3.0, most / m.wanted[j])
 
 
 def _coupled_friction(m: TypicalMotion, rng: Rng) -> Recipe:
@@ -283,45 +244,38 @@ def _coupled_friction(m: TypicalMotion, rng: Rng) -> Recipe:
     ratio, share = _sign(rng), rng.uniform(0.3, 0.7)
     dry = min(m.wanted[j], m.wanted[k])
     wet = dry / rms(m.dq[:, j] + ratio * m.dq[:, k])
-    return Recipe(
-        (j, k), lambda s: {"Fv": s * share * wet, "Fc": s * (1 - share) * dry, "ratio": ratio}
-    )
+    return Recipe((j, k), {"Fv": share * wet, "Fc": (1 - share) * dry}, {"ratio": ratio})
 
 
 def _thermal(m: TypicalMotion, rng: Rng) -> Recipe:
     j, share, time = _any(m, rng), rng.uniform(0.3, 0.7), rng.uniform(6.0, 25.0)
-    dry = m.wanted[j]
-    wet = dry / rms(m.dq[:, j])
-    return Recipe(
-        (j,), lambda s: {"Fv": s * share * wet, "Fc": s * (1 - share) * dry, "time": time}, 1.3
-    )
+    sizes = {"Fv": share * m.per(j, m.dq[:, j]), "Fc": (1 - share) * m.wanted[j]}
+    return Recipe((j,), sizes, {"time": time}, 1.3)
 
 
 def _rotor(m: TypicalMotion, rng: Rng) -> Recipe:
     """Only where no inertia of the links can pass for it."""
     j = m.robot.joint_index(str(rng.choice(separable_rotors(m.robot))))
-    size = m.wanted[j] / rms(m.ddq[:, j])
-    return Recipe((j,), lambda s: {"Ia": s * size})
+    return Recipe((j,), {"Ia": m.per(j, m.ddq[:, j])})
 
 
 def _coupled_rotors(m: TypicalMotion, rng: Rng) -> Recipe:
     """At most 60 % of what would make the mass matrix singular."""
     j, k = _neighbours(m, rng)
     sign, own = _sign(rng), m.inertia + m.rotor
-    size = min(m.wanted[j] / rms(m.ddq[:, k]), m.wanted[k] / rms(m.ddq[:, j]))
-    most = 0.6 * np.sqrt(own[j] * own[k]) / size
-    return Recipe((j, k), lambda s: {"Ic": s * sign * size}, 1.0, most)
+    size = min(m.per(j, m.ddq[:, k]), m.per(k, m.ddq[:, j]))
+    return Recipe((j, k), {"Ic": sign * size}, most=0.6 * np.sqrt(own[j] * own[k]) / size)
 
 
 def _offset(m: TypicalMotion, rng: Rng) -> Recipe:
     j, sign = _any(m, rng), _sign(rng)
-    return Recipe((j,), lambda s: {"offset": s * sign * m.wanted[j]})
+    return Recipe((j,), {"offset": sign * m.wanted[j]})
 
 
 def _gain(m: TypicalMotion, rng: Rng) -> Recipe:
     joints, sign = _one_or_all(m, rng), _sign(rng)
-    size = min(m.wanted[j] / rms(m.tau[:, j]) for j in joints)
-    return Recipe(joints, lambda s: {"gain": 1 + s * sign * size}, 1.0, 0.4 / size)
+    size = min(m.per(j, m.tau[:, j]) for j in joints)
+    return Recipe(joints, {"gain": sign * size}, most=0.4 / size, around=1.0)
 
 
 def _ripple(m: TypicalMotion, rng: Rng) -> Recipe:
@@ -329,8 +283,8 @@ def _ripple(m: TypicalMotion, rng: Rng) -> Recipe:
     j, phase = _any(m, rng), rng.uniform(-np.pi, np.pi)
     fastest = np.clip(2 * np.pi * 6.0 / rms(m.dq[:, j]), 2.0, 60.0)
     order = float(np.round(np.exp(rng.uniform(0.0, np.log(fastest)))))
-    size = np.sqrt(2) * m.wanted[j]
-    return Recipe((j,), lambda s: {"amplitude": s * size, "order": order, "phase": phase})
+    amplitude = np.sqrt(2) * m.wanted[j]
+    return Recipe((j,), {"amplitude": amplitude}, {"order": order, "phase": phase})
 
 
 def _spring(m: TypicalMotion, rng: Rng) -> Recipe:
@@ -338,51 +292,46 @@ def _spring(m: TypicalMotion, rng: Rng) -> Recipe:
     j, name = _any(m, rng), str(rng.choice(["stiffness", "moment"]))
     rest = float(m.q[:, j].mean() + rng.uniform(-0.5, 0.5))
     bent = m.q[:, j] - rest
-    size = m.wanted[j] / rms(bent if name == "stiffness" else np.sin(bent))
-    return Recipe((j,), lambda s: {name: s * size, "rest": rest})
+    size = m.per(j, bent if name == "stiffness" else np.sin(bent))
+    return Recipe((j,), {name: size}, {"rest": rest})
 
 
 def _elasticity(m: TypicalMotion, rng: Rng) -> Recipe:
     """Softer with scale, down to a resonance of 3 Hz with the motor held."""
     j, damping = _strong(m, rng), rng.uniform(0.03, 0.1)
-    inertia = m.inertia[j]
-    motor = 0.2 * inertia if m.rotor[j] <= 0 else 0.0
-    stiff = inertia * (2 * np.pi * 12.0) ** 2
+    stiff = m.inertia[j] * (2 * np.pi * 12.0) ** 2
+    gear = {"stiffness": stiff, "damping": 2 * damping * np.sqrt(stiff * m.inertia[j])}
+    softer = {"stiffness": -1.0, "damping": -0.5}
+    return Recipe((j,), gear, {"motor": _motor(m, j)}, most=16.0, powers=softer)
 
-    def parameters(s: float) -> Numbers:
-        k = stiff / s
-        c = 2 * damping * np.sqrt(k * inertia)
-        return {"stiffness": k, "damping": c, "motor": motor}
 
-    return Recipe((j,), parameters, 1.0, 16.0)
+def _motor(m: TypicalMotion, j: int) -> float:
+    """Inertia of a motor that the nominal arm does not have [kg·m²]."""
+    return 0.0 if m.rotor[j] > 0 else 0.2 * float(m.inertia[j])
 
 
 def _backlash(m: TypicalMotion, rng: Rng) -> Recipe:
     j = _strong(m, rng)
-    inertia = m.inertia[j]
-    k = inertia * (2 * np.pi * 25.0) ** 2
-    gear = {
-        "stiffness": k,
-        "damping": 0.3 * np.sqrt(k * inertia),
-        "motor": 0.0 if m.rotor[j] > 0 else 0.2 * inertia,
-    }
-    return Recipe((j,), lambda s: {"gap": 0.01 * s, **gear}, 1.0, 10.0)
+    k = m.inertia[j] * (2 * np.pi * 25.0) ** 2
+    damping = 0.3 * np.sqrt(k * m.inertia[j])
+    gear = {"stiffness": k, "damping": damping, "motor": _motor(m, j)}
+    return Recipe((j,), {"gap": 0.01}, gear, most=10.0)
 
 
 def _delay(m: TypicalMotion, rng: Rng) -> Recipe:
     """Of the torque or of the position."""
     joints, sign = _one_or_all(m, rng), _sign(rng)
-    return Recipe(joints, lambda s: {"delay": s * sign * 0.01}, 1.0, 6.0)
+    return Recipe(joints, {"delay": sign * 0.01}, most=6.0)
 
 
 def _encoder_offset(m: TypicalMotion, rng: Rng) -> Recipe:
     j, sign = _any(m, rng), _sign(rng)
-    return Recipe((j,), lambda s: {"offset": s * sign * 0.05}, 1.0, 8.0)
+    return Recipe((j,), {"offset": sign * 0.05}, most=8.0)
 
 
 def _encoder_scale(m: TypicalMotion, rng: Rng) -> Recipe:
     j, sign = _any(m, rng), _sign(rng)
-    return Recipe((j,), lambda s: {"scale": 1 + s * sign * 0.02}, 1.0, 4.0)
+    return Recipe((j,), {"scale": sign * 0.02}, most=4.0, around=1.0)
 
 
 def _kinematic(m: TypicalMotion, rng: Rng) -> Recipe:
@@ -390,14 +339,12 @@ def _kinematic(m: TypicalMotion, rng: Rng) -> Recipe:
     j = int(rng.integers(min(1, m.nv - 1), m.nv))
     d = rng.standard_normal(3)
     d *= 0.03 * m.size / np.linalg.norm(d)
-    return Recipe((j,), lambda s: {"dx": s * d[0], "dy": s * d[1], "dz": s * d[2]}, 1.0, 6.0)
+    return Recipe((j,), dict(zip(("dx", "dy", "dz"), d, strict=True)), most=6.0)
 
 
 def _tilt(m: TypicalMotion, rng: Rng) -> Recipe:
     way = rng.uniform(-np.pi, np.pi)
-    return Recipe(
-        (), lambda s: {"roll": 0.03 * s * np.cos(way), "pitch": 0.03 * s * np.sin(way)}, 1.0, 10.0
-    )
+    return Recipe((), {"roll": 0.03 * np.cos(way), "pitch": 0.03 * np.sin(way)}, most=10.0)
 
 
 def _inertial(m: TypicalMotion, rng: Rng) -> Recipe:
@@ -411,14 +358,12 @@ def _inertial(m: TypicalMotion, rng: Rng) -> Recipe:
         box = pin.Inertia.FromBox(mass, *(0.1 * m.size * rng.uniform(0.5, 1.5, 3)))
         phi = pin.Inertia(mass, lever, box.inertia).toDynamicParameters()
     sign, most = (-1.0, 0.6) if way == "lighter" else (1.0, 1.0)
-    return Recipe(
-        (j,), lambda s: dict(zip(STANDARD, (s * sign * phi).tolist(), strict=True)), 0.1, most
-    )
+    return Recipe((j,), dict(zip(STANDARD, sign * phi, strict=True)), guess=0.1, most=most)
 
 
 def _payload(m: TypicalMotion, rng: Rng) -> Recipe:
     drawn = draw_payload(m.robot, rng)
-    return Recipe((m.nv - 1,), lambda s: {n: s * x for n, x in drawn.parameters}, 0.3, 3.0)
+    return Recipe((m.nv - 1,), dict(drawn.parameters), guess=0.3, most=3.0)
 
 
 def _wall(m: TypicalMotion, rng: Rng) -> Recipe:
@@ -427,23 +372,13 @@ def _wall(m: TypicalMotion, rng: Rng) -> Recipe:
     normal /= max(float(np.linalg.norm(normal)), 1e-9)
     distance = float(np.quantile(m.tip @ normal, rng.uniform(0.67, 0.8)))
     k = float(m.wanted.max()) / (0.02 * m.size**2)
-    place = dict(zip(("nx", "ny", "nz"), normal.tolist(), strict=True)) | {"distance": distance}
-    return Recipe((), lambda s: {**place, "stiffness": s * k, "damping": 0.01 * s * k}, 0.3, 50.0)
-
-
-def _cable(m: TypicalMotion, rng: Rng) -> Recipe:
-    """Guided beside or above the base; its friction is half its tension."""
-    place = rng.standard_normal(3)
-    place *= m.size * rng.uniform(0.4, 0.9) / np.linalg.norm(place)
-    pull = float(m.wanted.max()) / (0.5 * m.size)
-    guide = dict(zip(("x", "y", "z"), place.tolist(), strict=True))
-    slack = {"distance": 0.02 * m.size}
-    return Recipe((), lambda s: {**guide, "tension": s * pull, "friction": 0.5 * s * pull, **slack})
+    place = dict(zip(("nx", "ny", "nz"), normal, strict=True)) | {"distance": distance}
+    return Recipe((), {"stiffness": k, "damping": 0.01 * k}, place, 0.3, 50.0)
 
 
 def _telegraph(m: TypicalMotion, rng: Rng) -> Recipe:
     j, rate = _any(m, rng), rng.uniform(0.7, 3.0)
-    return Recipe((j,), lambda s: {"amplitude": s * m.wanted[j], "rate": rate})
+    return Recipe((j,), {"amplitude": m.wanted[j]}, {"rate": rate})
 
 
 def _crosstalk(m: TypicalMotion, rng: Rng) -> Recipe:
@@ -451,19 +386,8 @@ def _crosstalk(m: TypicalMotion, rng: Rng) -> Recipe:
     j, k = (int(i) for i in rng.choice(m.nv, 2, replace=False))
     if abs(j - k) < 2 and m.nv > 2:
         k = (j + 2) % m.nv
-    size, sign = m.wanted[j] / rms(m.tau[:, k]), _sign(rng)
-    return Recipe((j, k), lambda s: {"gain": s * sign * size}, 1.0, 0.6 / size)
-
-
-def _wrong_sign(m: TypicalMotion, rng: Rng) -> Recipe:
-    j, torque = _any(m, rng), rng.random() < 0.5
-    return Recipe((j,), lambda s: {"tau": -1.0} if torque else {"q": -1.0, "dq": -1.0})
-
-
-def _wrong_unit(m: TypicalMotion, rng: Rng) -> Recipe:
-    """Degrees for radians, or N·mm for N·m, in all columns."""
-    degrees, torque = 180 / np.pi, rng.random() < 0.3
-    return Recipe((), lambda s: {"tau": 1000.0} if torque else {"q": degrees, "dq": degrees})
+    size, sign = m.per(j, m.tau[:, k]), _sign(rng)
+    return Recipe((j, k), {"gain": sign * size}, most=0.6 / size)
 
 
 RECIPES: dict[str, Callable[[TypicalMotion, Rng], Recipe]] = {
@@ -492,20 +416,15 @@ RECIPES: dict[str, Callable[[TypicalMotion, Rng], Recipe]] = {
     "encoder_scale": _encoder_scale,
     "kinematic_error": _kinematic,
     "wall_contact": _wall,
-    "cable_pull": _cable,
     "telegraph_torque": _telegraph,
     "sensor_crosstalk": _crosstalk,
-    "wrong_sign": _wrong_sign,
-    "wrong_unit": _wrong_unit,
 }
 """How each kind is drawn."""
 
-FAULTS = ("wrong_sign", "wrong_unit")
-"""Data faults that can be planted; they have no size."""
-KINDS = (*(kind for kind in RECIPES if kind not in (*STRUCTURES, *FAULTS)), "unknown")
+KINDS = (*(kind for kind in RECIPES if kind not in STRUCTURES), "unknown")
 """Kinds of effects that `draw_effect` draws."""
 
-_CUTOFF = 10.0  # Hz
+_CUTOFF = 10.0  # Hz, of the zero-phase low-pass (Butterworth, fourth order)
 _EDGE = 0.3  # s at either end where the filter has not settled
 _STILL = 3e-3  # of the highest speed: a joint that stands
 _DURATION = 6.0  # s of motion on which a drawn effect is measured
@@ -517,38 +436,24 @@ _SMALLEST, _LARGEST = 2.0, 30.0  # visible sizes drawn
 
 @dataclass(frozen=True, eq=False)
 class VisibleSize:
-    """How strongly something hidden shows.
+    """How strongly something hidden shows."""
 
-    Attributes:
-        rms: Filtered torque that it makes at the recorded motion, shape (nv,) [N·m].
-        floor: What the torque noise leaves behind the filter, shape (nv,) [N·m].
-    """
-
-    rms: Array
-    floor: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "rms", "floor")
-
-    @property
-    def ratio(self) -> Array:
-        """Rms over floor, shape (nv,); infinite with sensors that tell the truth."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(self.rms > 0, self.rms / self.floor, 0.0)
+    rms: Array  # filtered torque that it makes at the recorded motion, shape (nv,) [N·m]
+    floor: Array  # what the torque noise leaves behind the filter, shape (nv,) [N·m]
 
     @property
     def size(self) -> float:
-        """Largest ratio of all joints."""
-        return float(self.ratio.max())
+        """Largest ratio of all joints; infinite with sensors that tell the truth."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return float(np.where(self.rms > 0, self.rms / self.floor, 0.0).max())
 
 
 def visible_size(
     arm: VirtualArm,
     trajectory: Trajectory,
     duration: float,
-    rng: np.random.Generator,
+    rng: Rng,
     effects: Sequence[HiddenEffect] | None = None,
-    cutoff_hz: float = _CUTOFF,
 ) -> VisibleSize:
     """Torque that hidden effects make at the motion that is recorded with them.
 
@@ -562,12 +467,12 @@ def visible_size(
         duration: Length of the run [s].
         rng: Decides what chance decides in the run.
         effects: The hidden effects to measure, beside which the others stay; all when not given.
-        cutoff_hz: Cut-off of the zero-phase low-pass (Butterworth, fourth order) [Hz].
     """
     chosen = arm.hidden if effects is None else tuple(effects)
     kept = [effect for effect in arm.hidden if effect not in chosen]
     without = plant(arm.bare, arm.nominal.joints, kept)
-    true = _noiseless(arm.sensors)
+    still = np.zeros_like(arm.sensors.torque_noise)
+    true = Sensors(arm.sensors.rate_hz, 0.0, 0.0, still, still)
     table = replace(arm, sensors=true).record(trajectory, duration, rng)
     names = range(1, arm.nominal.nv + 1)
     t = table["t"].to_numpy(float)
@@ -575,20 +480,7 @@ def visible_size(
     expected = _torque_at(arm.nominal, without, t, q, true)
     still = np.abs(dq) < _STILL * np.abs(dq).max(axis=0)
     error = np.where(still, 0.0, tau - expected)
-    rms = _filtered_rms(error, arm.sensors.rate_hz, cutoff_hz)
-    return VisibleSize(rms, _noise_floor(arm.sensors, cutoff_hz))
-
-
-def _noiseless(sensors: Sensors) -> Sensors:
-    still = np.zeros_like(sensors.torque_noise)
-    return replace(
-        sensors,
-        position_resolution=0.0,
-        velocity_noise=0.0,
-        torque_noise=still,
-        torque_resolution=still,
-        velocity="tachometer",
-    )
+    return VisibleSize(_filtered_rms(error, arm.sensors.rate_hz), _noise_floor(arm.sensors))
 
 
 def _torque_at(robot: Robot, truth: Truth, t: Array, q: Array, sensors: Sensors) -> Array:
@@ -598,24 +490,23 @@ def _torque_at(robot: Robot, truth: Truth, t: Array, q: Array, sensors: Sensors)
     def trajectory(at: Array, order: int = 0) -> Array:
         return np.asarray(path(at, order), dtype=np.float64)
 
-    believed, fine = (truth.model, truth.drives), bool(np.isfinite(sensors.torque_cutoff_hz))
-    rate, quiet = sensors.rate_hz, np.random.default_rng(0)
-    run = simulate(robot, believed, truth, trajectory, float(t[-1]), rate, fine=fine)
+    believed, quiet = (truth.model, truth.drives), np.random.default_rng(0)
+    run = simulate(robot, believed, truth, trajectory, float(t[-1]), sensors.rate_hz)
     table = recorded(run, sensors, truth.recorder, truth.drives.offset, quiet)
     return table[[f"tau{j + 1}" for j in range(robot.nv)]].to_numpy(float)
 
 
-def _filtered_rms(error: Array, rate_hz: float, cutoff_hz: float) -> Array:
+def _filtered_rms(error: Array, rate_hz: float) -> Array:
     """Root mean square behind the filter, away from the edges."""
-    sections = scipy.signal.butter(4, cutoff_hz, fs=rate_hz, output="sos")
+    sections = scipy.signal.butter(4, _CUTOFF, fs=rate_hz, output="sos")
     edge = int(_EDGE * rate_hz)
     inner = scipy.signal.sosfiltfilt(sections, error, axis=0)[edge:-edge]
     return np.asarray(np.sqrt(np.mean(inner**2, axis=0)), dtype=np.float64)
 
 
-def _noise_floor(sensors: Sensors, cutoff_hz: float) -> Array:
+def _noise_floor(sensors: Sensors) -> Array:
     """What the torque noise leaves behind the filter."""
-    sections = scipy.signal.butter(4, cutoff_hz, fs=sensors.rate_hz, output="sos")
+    sections = scipy.signal.butter(4, _CUTOFF, fs=sensors.rate_hz, output="sos")
     _, H = scipy.signal.sosfreqz(sections, 4096)
     noise = np.sqrt(sensors.torque_noise**2 + sensors.torque_resolution**2 / 12)
     return np.asarray(np.sqrt(np.mean(np.abs(H) ** 4)) * noise, dtype=np.float64)
@@ -623,7 +514,7 @@ def _noise_floor(sensors: Sensors, cutoff_hz: float) -> Array:
 
 def draw_effect(
     robot: Robot,
-    rng: np.random.Generator,
+    rng: Rng,
     kind: str | None = None,
     size: float | None = None,
     sensors: Sensors | None = None,
@@ -635,10 +526,9 @@ def draw_effect(
     Args:
         robot: The nominal arm.
         rng: Source of randomness.
-        kind: Name of an effect, a structure of an unknown one, or a data fault; any of `KINDS`
-            when not given.
+        kind: Name of an effect or a structure of an unknown one; any of `KINDS` when not given.
         size: Wanted visible size, met within 15 %; when not given one between 2 and 30, or the
-            next smaller one that the arm can show. Data faults have none.
+            next smaller one that the arm can show.
         sensors: Their torque noise sets the floor; `industrial_sensors` when not given.
         trajectory: Motion that the size holds for, from rest; a typical one when not given.
         duration: Length of that motion [s].
@@ -656,9 +546,7 @@ def draw_effect(
     if trajectory is None:
         trajectory = typical_trajectory(robot, rng, duration)
     sizes = [size] if size else _sizes(rng)
-    motion = typical_motion(robot, trajectory, duration, sizes[0] * _noise_floor(sensors, _CUTOFF))
-    if kind in FAULTS:
-        return RECIPES[kind](motion, rng).make(robot, kind, 1.0)
+    motion = typical_motion(robot, trajectory, duration, sizes[0] * _noise_floor(sensors))
 
     def measure(effect: HiddenEffect) -> float:
         """Visible size on an arm that is otherwise nominal; huge where it fails."""
@@ -678,7 +566,7 @@ def draw_effect(
     raise BadInput(f"virtual arm: {robot.name} cannot show a {kind} of size {sizes[-1]:.3g}")
 
 
-def _sizes(rng: np.random.Generator) -> list[float]:
+def _sizes(rng: Rng) -> list[float]:
     """A size by chance, and smaller ones for what no joint can show so much of."""
     size = float(np.exp(rng.uniform(np.log(_SMALLEST), np.log(_LARGEST))))
     return [max(size * share, _SMALLEST) for share in (1.0, 0.4, 0.1)]

@@ -38,9 +38,9 @@ def log_of_table(robot: Robot, table: pd.DataFrame, prefix: str = "tau") -> Log:
     def channel(name: str) -> np.ndarray:
         return table[[f"{name}{j + 1}" for j in range(robot.nv)]].to_numpy(float)
 
-    unit = "A" if prefix == "i" else "N·m"
-    t = table["t"].to_numpy(float)
-    return Log(t, channel("q"), channel(prefix), channel("dq"), robot.joints, unit)
+    unit, t = "A" if prefix == "i" else "N·m", table["t"].to_numpy(float)
+    arrays = t, channel("q"), channel(prefix), unit, channel("dq")
+    return Log("log", "log", *arrays, joints=robot.joints)
 
 
 def recorded(robot: Robot, seed: int, rate_hz: float = 125.0) -> Log:
@@ -259,7 +259,7 @@ def report_real() -> None:
         dataset = load_dataset(folder)
         for path in sorted(folder.glob("*.parquet")):
             name, table = f"{folder.name}/{path.stem}", pd.read_parquet(path)
-            logs[name] = log_of_table(dataset.robot, table, dataset.torque_column or "tau")
+            logs[name] = log_of_table(dataset.robot, table, dataset.mapping.torque or "tau")
             faults = find_faults(dataset.robot, logs[name])
             print(f"{name:<28} {'no fault' if not faults else ''}", flush=True)
             for fault in faults:

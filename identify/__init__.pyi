@@ -4,14 +4,12 @@ from .differentiators import (
     LocalPolynomial,
     ZeroPhaseButterworth,
     five_point,
-    savitzky_golay,
 )
 from .drive_gains import DriveGains, KnownPayload
 from .estimate import Estimate, identify_robot
 from .excitation import Persistency, persistency
 from .export import Publication, model_files, publication
 from .importers.mapping import ColumnMap, load_column_map
-from .importers.raw import RawRecording, raw_recording
 from .knowledge import Knowledge, load_knowledge
 from .online import (
     Monitor,
@@ -29,8 +27,8 @@ from .payload import (
 from .recording import (
     Recording,
     load_recording,
+    raw_recording,
     read_chunks,
-    recording_from_raw,
     recording_from_table,
 )
 from .regression import Regression
@@ -55,7 +53,6 @@ __all__ = [
     "PayloadEstimate",
     "Persistency",
     "Publication",
-    "RawRecording",
     "Recording",
     "Regression",
     "ZeroPhaseButterworth",
@@ -76,8 +73,6 @@ __all__ = [
     "raw_recording",
     "read_chunks",
     "read_recordings",
-    "recording_from_raw",
     "recording_from_table",
-    "savitzky_golay",
     "split",
 ]

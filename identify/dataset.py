@@ -1,61 +1,59 @@
-"""Dataset: a folder of recordings with its robot, described by ``dataset.json``."""
+"""Dataset: a folder of recordings with its robot, described by ``dataset.json``.
+
+Logs too long to hold are low-passed and decimated while they are read, piece by piece. Torque is
+judged up to 10 Hz and positions are filtered at twice that (`excitant.identify.preprocessing`), so
+160 samples a second say all that identification uses. A linear-phase filter passes what lies below
+20 Hz and takes away what decimation would fold onto it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import scipy
 
-from excitant.exceptions import BadInput, UnknownName
-from excitant.identify.decimation import decimated, too_long
-from excitant.identify.importers.mapping import (
-    ColumnMap,
-    column_map,
-    drive_of,
-    load_column_map,
-)
-from excitant.identify.importers.raw import (
-    SUFFIXES,
-    put_together,
-    raw_recording,
-    runs_of_parts,
-)
-from excitant.identify.recording import (
-    Recording,
-    check_finite,
-    check_time,
-    read_chunks,
-    recording_from_raw,
-)
+from excitant.exceptions import BadInput, BadRecording, UnknownName
+from excitant.identify.importers.mapping import ColumnMap, column_map, drive_of, load_column_map
+from excitant.identify.preprocessing import CUTOFF_HZ, POSITION_RATIO, at_instants, uninterrupted
+from excitant.identify.recording import SUFFIXES, Recording, load_recording, read_chunks
 from excitant.robots.loading import load_robot
+from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.schema import RobotRecord, read_yaml
 
+LONG = 1_000_000
+"""Samples of recordings together from which they are read in pieces and decimated."""
+
 _USUAL = (".parquet", ".csv")
+_PASSED_HZ = POSITION_RATIO * CUTOFF_HZ
+_RATE_HZ = 8 * _PASSED_HZ
+_STOPPED_DB = 80.0  # what is folded onto the band that is passed
+_LINES = 1000  # of a text file, whose length stands for all
 
 
-class KinematicsRecord(msgspec.Struct, frozen=True):
-    """The model of a data set: its file, and joints that are locked at 0."""
-
+class _Kinematics(msgspec.Struct, frozen=True):
     urdf: str | None = "robot.urdf"
-    lock: list[str] | None = None
+    lock: list[str] | None = None  # joints that are locked at 0
 
 
-class TorqueRecord(msgspec.Struct, frozen=True):
-    """Prefix of the torque columns, such as ``tau`` or ``i``, and what one ampere makes."""
-
+class _Torque(msgspec.Struct, frozen=True):
     column: str | None = None
     gains: Any = msgspec.field(name="drive_gain_Nm_per_A", default=None)
 
 
-class DatasetRecord(msgspec.Struct, frozen=True):
+class _Sidecar(msgspec.Struct, frozen=True):
     """What is read of a ``dataset.json``; what else it says is for people."""
 
-    kinematics: KinematicsRecord | None = None
-    torque: TorqueRecord | None = None
+    kinematics: _Kinematics | None = None
+    torque: _Torque | None = None
     units: Any = None
 
 
@@ -66,32 +64,22 @@ class Dataset:
     Attributes:
         robot: The arm.
         folder: Folder the recordings are named relative to; None when they are paths.
-        torque_column: Prefix of the torque columns, when the sidecar says.
         mapping: What is said about the columns and drives.
     """
 
     robot: Robot
     folder: Path | None = None
-    torque_column: str | None = None
-    mapping: ColumnMap | None = None
+    mapping: ColumnMap = field(default_factory=ColumnMap)
 
     def recordings(self, names: Sequence[str], *, without: Sequence[str] = ()) -> list[Recording]:
-        """Recordings by name; all of the folder when none is named.
-
-        Args:
-            names: Recordings to read.
-            without: Recordings that are held out: not among "all", refused among names.
+        """Recordings by name; all of the folder that are not held out when none is named.
 
         Raises:
-            BadInput: Nothing to read, or a recording both named and held out.
+            BadInput: Nothing to read, or a recording both named and held out (``without``).
             BadRecording: A recording that cannot be used.
         """
-        return read_recordings(
-            self.paths(names, without=without),
-            self.robot,
-            mapping=self.mapping,
-            torque_column=self.torque_column,
-        )
+        paths = self.paths(names, without=without)
+        return read_recordings(paths, self.robot, mapping=self.mapping)
 
     def paths(self, names: Sequence[str], *, without: Sequence[str] = ()) -> list[Path]:
         """Files of recordings; see `recordings`."""
@@ -109,11 +97,10 @@ class Dataset:
 
     def _path(self, name: str) -> Path:
         path = Path(name) if self.folder is None else self.folder / name
-        if self.folder is not None and not path.exists():
-            for suffix in SUFFIXES:
-                if (with_suffix := path.with_name(path.name + suffix)).is_file():
-                    return with_suffix
-        return path
+        if self.folder is None or path.exists():
+            return path
+        found = (path.with_name(path.name + suffix) for suffix in SUFFIXES)
+        return next((each for each in found if each.is_file()), path)
 
     def _all(self) -> list[Path]:
         if self.folder is None:
@@ -139,14 +126,14 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
         BadInput: A folder without a robot, or a file that cannot be read.
     """
     folder = Path(spec)
+    given = ColumnMap() if columns is None else load_column_map(columns)
     if not folder.is_dir():
-        robot = load_robot(spec)
-        return Dataset(robot, mapping=_mapping(columns, _drive(folder)))
-    sidecar = folder / "dataset.json"
-    record = DatasetRecord()
-    if sidecar.is_file():
-        record = read_yaml(sidecar, DatasetRecord, "a data set")
-    kinematics, torque = record.kinematics or KinematicsRecord(), record.torque or TorqueRecord()
+        return Dataset(load_robot(spec), mapping=_with_drive(given, folder))
+    sidecar, beside = folder / "dataset.json", folder / "columns.yaml"
+    if columns is None and beside.is_file():
+        given = load_column_map(beside)
+    known = read_yaml(sidecar, _Sidecar, "a data set") if sidecar.is_file() else _Sidecar()
+    kinematics, torque = known.kinematics or _Kinematics(), known.torque or _Torque()
     candidates = [folder / name for name in (kinematics.urdf, "robot.yaml") if name]
     model = next((path for path in candidates if path.is_file()), None)
     if model is None:
@@ -158,59 +145,116 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
         robot = load_robot(model, lock=dict.fromkeys(kinematics.lock or [], 0.0) or None)
     except UnknownName as error:
         raise BadInput(f"{sidecar}: {error}") from None
-    beside = folder / "columns.yaml"
-    given = columns if columns is not None or not beside.is_file() else beside
-    own = {"gain_Nm_per_A": torque.gains if isinstance(torque.gains, list) else None}
-    drive = drive_of(own, str(sidecar)) or _drive(model)
-    return Dataset(robot, folder, torque.column, _mapping(given, drive, record.units, sidecar))
+    if isinstance(known.units, dict) and not given.units:
+        given = replace(given, units=column_map({"units": known.units}, str(sidecar)).units)
+    if given.drive is None and isinstance(torque.gains, list):
+        given = replace(given, drive=drive_of({"gain_Nm_per_A": torque.gains}, str(sidecar)))
+    return Dataset(robot, folder, replace(_with_drive(given, model), torque=torque.column))
 
 
-def _drive(model: Path) -> tuple[float, ...] | None:
-    """Drive constants of a robot.yaml."""
-    if model.suffix not in (".yaml", ".yml") or not model.is_file():
-        return None
-    return drive_of(read_yaml(model, RobotRecord, "a robot").drive, str(model))
-
-
-def _mapping(
-    columns: str | Path | None,
-    drive: tuple[float, ...] | None,
-    units: object = None,
-    sidecar: Path = Path(),
-) -> ColumnMap | None:
-    """The map in a file, completed by drive constants and units that are said elsewhere."""
-    given = ColumnMap() if columns is None else load_column_map(columns)
-    if isinstance(units, dict) and not given.units:
-        given = replace(given, units=column_map({"units": units}, str(sidecar)).units)
-    if given.drive is None:
-        given = replace(given, drive=drive)
-    return given if given != ColumnMap() else None
+def _with_drive(given: ColumnMap, model: Path) -> ColumnMap:
+    """A column map with the drive constants of a robot.yaml, where it says none."""
+    if given.drive or model.suffix not in (".yaml", ".yml") or not model.is_file():
+        return given
+    drive = drive_of(read_yaml(model, RobotRecord, "a robot").drive, str(model))
+    return replace(given, drive=drive)
 
 
 def read_recordings(
-    paths: Sequence[str | Path],
-    robot: Robot | int,
-    *,
-    mapping: ColumnMap | None = None,
-    torque_column: str | None = None,
+    paths: Sequence[str | Path], robot: Robot | int, *, mapping: ColumnMap | None = None
 ) -> list[Recording]:
-    """Recordings from logs, in order; files that are parts of one recording become one.
+    """Recordings from logs, in order; see `load_recording`.
 
-    See `load_recording`, and `excitant.identify.importers.raw.runs_of_parts` for what a part is.
-    Logs that are too long to hold are low-passed and decimated as they are read, each a recording
-    of its own (`excitant.identify.decimation`).
+    Logs that are too long to hold are low-passed and decimated as they are read.
     """
-    if too_long(paths):
-        return [
-            decimated(read_chunks(path, robot, mapping=mapping, torque_column=torque_column))
-            for path in paths
+    if sum(_samples(Path(path)) for path in paths) > LONG:
+        return [decimated(read_chunks(path, robot, mapping=mapping)) for path in paths]
+    return [load_recording(path, robot, mapping=mapping) for path in paths]
+
+
+def _samples(path: Path) -> int:
+    """Number of samples of a Parquet file, about that of a text file, else 0; 0 if unreadable."""
+    suffix = path.suffix.lower()
+    try:
+        if suffix in (".parquet", ".pq"):
+            with pa.parquet.ParquetFile(path) as file:
+                return int(file.metadata.num_rows)
+        if suffix in (".csv", ".txt", ".tsv"):
+            with path.open("rb") as file:
+                lines = list(itertools.islice(file, 1, _LINES))
+            return int(path.stat().st_size * len(lines) / max(sum(map(len, lines)), 1))
+    except (OSError, pa.ArrowException):
+        pass  # said where it is read
+    return 0
+
+
+def decimated(pieces: Iterable[Recording]) -> Recording:
+    """One recording of consecutive pieces, decimated to 160 Hz or a little above.
+
+    Time keeps its gaps; at both ends of an uninterrupted part half the filter's length is lost.
+    A log whose rate is below twice that is only put together.
+
+    Raises:
+        BadRecording: No uninterrupted part is longer than the filter.
+    """
+    pieces = iter(pieces)
+    first = next(pieces)
+    passed, nv = _Filter(float(np.median(np.diff(first.t)))), first.nv
+    kept, count = [np.empty(0), np.empty((0, nv)), np.empty((0, nv))], 0
+    rest: tuple[Array, ...] = (first.t[:0], first.q[:0], first.tau[:0])
+    for piece in itertools.chain([first], pieces):
+        now = [
+            np.concatenate(pair) for pair in zip(rest, (piece.t, piece.q, piece.tau), strict=True)
         ]
-    raws = [raw_recording(path, robot, mapping, torque_column=torque_column) for path in paths]
-    found = []
-    for parts in runs_of_parts(raws):
-        if len(parts) > 1:
-            for raw in parts:
-                check_finite(raw)
-                check_time(raw)
-        found.append(recording_from_raw(put_together(parts) if len(parts) > 1 else parts[0]))
-    return found
+        for part in uninterrupted(now[0]):
+            found, used = passed(*(values[part] for values in now))
+            total = count + len(found[0])
+            for values, more in zip(kept, found, strict=True):
+                if total > len(values):  # in place: no second copy of a long log
+                    values.resize((total + total // 4, *values.shape[1:]), refcheck=False)
+                values[count:total] = more
+            count = total
+            rest = tuple(values[part][used:] for values in now)
+    if not count:
+        raise BadRecording(first.file, "no uninterrupted part is long enough", column="t")
+    for values in kept:
+        values.resize((count, *values.shape[1:]), refcheck=False)
+        values.setflags(write=False)
+    note = f"read in pieces, low-passed and decimated to {passed.rate_hz:.4g} Hz, for it is long"
+    t, q, tau = kept
+    return replace(first, t=t, q=q, tau=tau, dq=None, extras={}, notes=(*first.notes, note))
+
+
+class _Filter:
+    """Low-pass and decimation of samples every ``step`` [s]; keeps its grid from call to call."""
+
+    def __init__(self, step: float) -> None:
+        self.step, self.factor = step, max(1, int(1 / (step * _RATE_HZ)))
+        self.rate_hz = 1 / (self.factor * step)  # of what comes out
+        stop = self.rate_hz - _PASSED_HZ
+        width = (stop - _PASSED_HZ) * 2 * step
+        taps, beta = scipy.signal.kaiserord(_STOPPED_DB, min(max(width, 1e-3), 0.99))
+        self.half, self.h = 0, np.ones(1)
+        if self.factor > 1:
+            self.half, cutoff = -(-taps // 2), (stop + _PASSED_HZ) / 2
+            window = ("kaiser", beta)
+            self.h = scipy.signal.firwin(2 * self.half + 1, cutoff, window=window, fs=1 / step)
+        self.next: float | None = None  # when the next sample is due [s]
+
+    def __call__(self, t: Array, q: Array, tau: Array) -> tuple[tuple[Array, ...], int]:
+        """Samples t, q, τ that these determine, and how many of these are used up."""
+        reach, every = self.half * self.step, self.factor * self.step
+        if self.next is None or not t[0] - self.step < self.next - reach < t[-1]:
+            self.next = float(t[0]) + reach
+        count = int((t[-1] - reach - self.next) / every + 1 + 1e-6)
+        if len(t) < 4 or count < 1:
+            return (t[:0], q[:0], tau[:0]), 0
+        n = (count - 1) * self.factor + 2 * self.half + 1
+        grid = self.next - reach + self.step * np.arange(n)
+        some = at_instants(t, q, tau, np.clip(grid, t[0], t[-1]))
+        h = self.h[:, None]
+        q, tau = (scipy.signal.oaconvolve(x, h, mode="valid", axes=0)[:: self.factor] for x in some)
+        times = np.asarray(self.next + every * np.arange(count), float)
+        self.next = float(times[-1] + every)
+        used = int(np.searchsorted(t, self.next - reach - 3 * self.step))
+        return (times, q, tau), used

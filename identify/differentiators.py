@@ -16,17 +16,20 @@ lost signal plus noise let through, both known before anything is differentiated
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from math import factorial
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import BadInput
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion
+
+Differentiator = Callable[[Array, Array], Motion]
+"""Motion at samples: of time, shape (n,) [s], and positions, shape (n, nv)."""
 
 _IRREGULAR = 1e-3  # of a step: what counts as the same step
 _BUTTERWORTH_ORDER = 4
@@ -36,65 +39,34 @@ _TIME_SPAN = (0.004, 0.3)  # s: windows of polynomials that are worth a try
 _CANDIDATES = 12  # windows tried
 
 
-class Differentiator(Protocol):
-    """What every differentiator offers."""
-
-    @property
-    def name(self) -> str:
-        """Name with its settings."""
-
-    def delay(self, rate_hz: float) -> float:
-        """Time between the newest sample it needs and the instant it speaks about [s]."""
-
-    def __call__(self, t: Array, q: Array) -> Motion:
-        """Motion at the samples; q has shape (n, nv).
-
-        Raises:
-            BadInput: Too few samples, or irregular time where that cannot be.
-        """
-
-
-def step_of(t: Array, who: str) -> float:
-    """Sampling period of regular time [s].
-
-    Raises:
-        BadInput: Time that is not regular to a thousandth of a step.
-    """
-    steps = np.diff(t)
-    step = float(t[-1] - t[0]) / len(steps)
-    if not _regular(t):
-        worst = int(np.argmax(np.abs(steps - step)))
+def _step(t: Array, needed: int, who: str) -> float:
+    """Sampling period of regular time [s]; refuses less than so many samples."""
+    if len(t) < needed:
+        raise BadInput(f"{who}: {len(t)} samples, at least {needed} are needed; record longer")
+    steps, step = np.diff(t), float(t[-1] - t[0]) / (len(t) - 1)
+    worst = int(np.argmax(np.abs(steps - step)))
+    if abs(steps[worst] - step) > _IRREGULAR * step:
         raise BadInput(
             f"{who}: time is irregular ({steps[worst]:.4g} s after {t[worst]:.6g} s, "
-            f"else {step:.4g} s); resample it, or use a local polynomial"
+            f"else {step:.4g} s); resample it"
         )
     return step
 
 
-def _regular(t: Array) -> bool:
-    step = (t[-1] - t[0]) / (len(t) - 1)
-    return bool(np.abs(np.diff(t) - step).max() <= _IRREGULAR * step)
-
-
-def _refuse_short(t: Array, needed: int, who: str) -> None:
-    if len(t) < needed:
-        raise BadInput(f"{who}: {len(t)} samples, at least {needed} are needed; record longer")
-
-
 @dataclass(frozen=True)
 class LocalPolynomial:
-    """Least-squares polynomial of some degree through 2m + 1 samples, differentiated in the middle.
+    """Least-squares polynomial through 2m + 1 samples at a regular rate, differentiated.
 
     Attributes:
         half_width: m, samples on either side.
-        degree: Degree of the polynomial, below 2m + 1.
+        degree: Degree of the polynomial, from 2 to 2m.
         causal: Whether it serves a loop that knows no future: it then speaks about the instant m
             samples ago. The numbers are those of the other kind; only instants whose window
             ends at a sample are given.
     """
 
     half_width: int
-    degree: int
+    degree: int = 4
     causal: bool = False
 
     def __post_init__(self) -> None:
@@ -115,7 +87,7 @@ class LocalPolynomial:
 
     def kernel(self, order: int) -> Array:
         """Weights c with f⁽ᵒ⁾ ≈ Σ c_k f_k / Tᵒ, oldest sample first, shape (2m + 1,)."""
-        return _polynomial_kernels(self.half_width, self.degree)[order]
+        return _kernels(self.half_width, self.degree)[order]
 
     def delay(self, rate_hz: float) -> float:
         """Half a window where it is causal [s]."""
@@ -126,41 +98,34 @@ class LocalPolynomial:
         omega = 2 * np.pi * np.asarray(f, float) / rate_hz
         k = np.arange(-self.half_width, self.half_width + 1)
         response = np.exp(1j * omega[..., None] * k) @ self.kernel(order)
-        return _relative(response, omega, order)
+        ideal = np.where(omega == 0, 1.0, (1j * omega) ** order)
+        # at ω = 0 the limit of a filter that is exact on parabolas
+        return np.asarray(np.where(omega == 0, 1.0, (response / ideal).real), float)
 
     def noise_gain(self, rate_hz: float, order: int = 1) -> float:
         """‖c‖ / Tᵒ."""
         return float(np.linalg.norm(self.kernel(order))) * rate_hz**order
 
     def __call__(self, t: Array, q: Array) -> Motion:
-        """Motion at the samples; where time is irregular each window is fitted for itself.
+        """Motion at the samples; q has shape (n, nv).
 
         Where it is not causal, the first and last m instants take the polynomial of the
         nearest whole window.
+
+        Raises:
+            BadInput: Too few samples, or irregular time.
         """
         m, n = self.half_width, len(t)
-        _refuse_short(t, 2 * m + 1, self.name)
-        if _regular(t):
-            step, inner = (
-                float(t[-1] - t[0]) / (n - 1),
-                slice(m, n - m) if self.causal else slice(n),
-            )
-            parts = (
-                scipy.signal.savgol_filter(q, 2 * m + 1, self.degree, k, step, axis=0)[inner]
-                for k in range(3)
-            )
-            return Motion(t[inner], *parts)
-        centre = np.clip(np.arange(m, n - m) if self.causal else np.arange(n), m, n - m - 1)
-        at = np.arange(m, n - m) if self.causal else np.arange(n)
-        rows = centre[:, None] + np.arange(-m, m + 1)
-        step = (t[-1] - t[0]) / (n - 1)
-        V = ((t[rows] - t[at][:, None]) / step)[..., None] ** np.arange(self.degree + 1)
-        coefficients = np.linalg.pinv(V) @ q[rows]
-        return Motion(t[at], *(coefficients[:, k] * factorial(k) / step**k for k in range(3)))
+        step, inner = _step(t, 2 * m + 1, self.name), slice(m, n - m) if self.causal else slice(n)
+        parts = (
+            scipy.signal.savgol_filter(q, 2 * m + 1, self.degree, k, step, axis=0)[inner]
+            for k in range(3)
+        )
+        return Motion(t[inner], *parts)
 
 
 @lru_cache(maxsize=256)
-def _polynomial_kernels(half_width: int, degree: int) -> tuple[Array, ...]:
+def _kernels(half_width: int, degree: int) -> tuple[Array, ...]:
     k = np.arange(-half_width, half_width + 1) / half_width
     weights = np.linalg.pinv(k[:, None] ** np.arange(degree + 1))
     return tuple(weights[order] * factorial(order) / half_width**order for order in range(3))
@@ -169,18 +134,6 @@ def _polynomial_kernels(half_width: int, degree: int) -> tuple[Array, ...]:
 def five_point(*, causal: bool = False) -> LocalPolynomial:
     """Khosla's differentiator: the least-squares parabola through five samples."""
     return LocalPolynomial(2, 2, causal)
-
-
-def savitzky_golay(half_width: int, degree: int = 4, *, causal: bool = False) -> LocalPolynomial:
-    """Least-squares polynomial through 2 half_width + 1 samples."""
-    return LocalPolynomial(half_width, degree, causal)
-
-
-def _relative(response: npt.NDArray[np.complex128], omega: Array, order: int) -> Array:
-    """Response over (jω)ᵒ, real; at ω = 0 its limit for a filter that is exact on parabolas."""
-    ideal = (1j * omega) ** order
-    safe = np.where(omega == 0, 1.0, ideal)
-    return np.asarray(np.where(omega == 0, 1.0, (response / safe).real), float)
 
 
 def low_pass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
@@ -208,31 +161,24 @@ class ZeroPhaseButterworth:
 
     cutoff_hz: float
 
-    @property
-    def name(self) -> str:
-        """Name with its settings."""
-        return f"zero-phase Butterworth ({self.cutoff_hz:.4g} Hz) with quintic spline"
-
-    def delay(self, rate_hz: float) -> float:
-        """None, but it needs the whole recording."""
-        return 0.0
-
     def __call__(self, t: Array, q: Array) -> Motion:
-        """Motion at the samples of regular time."""
-        _refuse_short(t, 20, self.name)
-        rate = 1 / step_of(t, self.name)
+        """Motion at the samples; q has shape (n, nv).
+
+        Raises:
+            BadInput: Too few samples, irregular time, or a cut-off above half the rate.
+        """
+        name = f"zero-phase Butterworth ({self.cutoff_hz:.4g} Hz)"
+        rate = 1 / _step(t, 20, name)
         if not 0 < self.cutoff_hz < rate / 2:
             raise BadInput(
-                f"{self.name}: the cut-off does not fit a rate of {rate:.4g} Hz; "
+                f"{name}: the cut-off does not fit a rate of {rate:.4g} Hz; "
                 f"choose one below {rate / 2:.4g} Hz"
             )
-        smooth = low_pass(q, self.cutoff_hz, rate)
-        spline = scipy.interpolate.make_interp_spline(t, smooth, k=5)
+        spline = scipy.interpolate.make_interp_spline(t, low_pass(q, self.cutoff_hz, rate), k=5)
         return Motion(t, spline(t), spline(t, 1), spline(t, 2))
 
 
-@dataclass(frozen=True, eq=False)
-class Spectrum:
+class Spectrum(NamedTuple):
     """Positions as signal and white noise.
 
     Attributes:
@@ -241,17 +187,14 @@ class Spectrum:
             shape (m, nv) [rad²/Hz].
         noise: Standard deviation of the white noise of each joint, shape (nv,) [rad or m].
         rate_hz: Sampling rate [Hz].
-        duration: Time recorded [s].
+        samples: How many there are.
     """
 
     f: Array
     signal: Array
     noise: Array
     rate_hz: float
-    duration: float
-
-    def __post_init__(self) -> None:
-        freeze(self, "f", "signal", "noise")
+    samples: int
 
 
 def position_spectrum(t: Array, q: Array) -> Spectrum:
@@ -269,59 +212,36 @@ def position_spectrum(t: Array, q: Array) -> Spectrum:
         )
     grid = np.linspace(t[0], t[-1], len(t))
     regular = np.column_stack([np.interp(grid, t, column) for column in q.T])
-    rate = (len(t) - 1) / (t[-1] - t[0])
+    rate = float((len(t) - 1) / (t[-1] - t[0]))
     f, power = scipy.signal.periodogram(
-        scipy.signal.detrend(regular, axis=0), fs=float(rate), window="hann", axis=0
+        scipy.signal.detrend(regular, axis=0), fs=rate, window="hann", axis=0
     )
     upper = f > (1 - _FLOOR_SHARE) * rate / 2
     floor = np.median(power[upper], axis=0) / np.log(2)  # exponential: median = mean · ln 2
     stands_out = power > floor * 2 * np.log(len(f))
     signal = np.where(stands_out & ~upper[:, None], np.maximum(power - floor, 0), 0.0)
-    noise = np.sqrt(floor * rate / 2)
-    return Spectrum(f, signal, noise, float(rate), float(t[-1] - t[0]))
+    return Spectrum(f, signal, np.sqrt(floor * rate / 2), rate, len(t))
 
 
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """The differentiator chosen, and why.
-
-    Attributes:
-        differentiator: The choice.
-        error: Predicted acceleration error of each joint, shape (nv,) [rad/s²].
-        lost: Part of it that is signal lost [rad/s²].
-        noise: Part of it that is noise let through [rad/s²].
-        why: One sentence.
-    """
+class Choice(NamedTuple):
+    """The differentiator chosen, its predicted acceleration error (nv,) [rad/s²], and why."""
 
     differentiator: LocalPolynomial
     error: Array
-    lost: Array
-    noise: Array
     why: str
-
-    def __post_init__(self) -> None:
-        freeze(self, "error", "lost", "noise")
-
-
-def predicted_error(polynomial: LocalPolynomial, spectrum: Spectrum) -> tuple[Array, Array]:
-    """Signal lost and noise let through in the acceleration, each of shape (nv,) [rad/s²]."""
-    f, rate = spectrum.f, spectrum.rate_hz
-    missing = (2 * np.pi * f) ** 4 * (polynomial.gain(f, rate, 2) - 1) ** 2
-    lost = np.sqrt(missing @ spectrum.signal * (f[1] - f[0]))
-    return lost, spectrum.noise * polynomial.noise_gain(rate, 2)
 
 
 def causal_polynomials(spectrum: Spectrum) -> list[LocalPolynomial]:
     """Polynomials worth a try at this rate, windows in geometric steps."""
-    rate = spectrum.rate_hz
-    shortest, longest = (span * rate / 2 for span in _TIME_SPAN)
-    limit = (round(spectrum.duration * rate) - 1) // 4
+    shortest, longest = (span * spectrum.rate_hz / 2 for span in _TIME_SPAN)
     widths = np.unique(np.geomspace(max(shortest, 2), max(longest, 4), _CANDIDATES).astype(int))
-    found = [five_point(causal=True)]
-    for m in (int(m) for m in widths if m <= limit):
-        degrees = [d for d in (2, 4) if d < 2 * m and (m, d) != (2, 2)]
-        found += [savitzky_golay(m, degree, causal=True) for degree in degrees]
-    return found
+    sizes = [(2, 2)] + [
+        (m, degree)
+        for m in map(int, widths)
+        for degree in (2, 4)
+        if m <= (spectrum.samples - 2) // 4 and degree < 2 * m and (m, degree) != (2, 2)
+    ]
+    return [LocalPolynomial(*size, causal=True) for size in sizes]
 
 
 def causal_polynomial(spectrum: Spectrum) -> Choice:
@@ -329,23 +249,21 @@ def causal_polynomial(spectrum: Spectrum) -> Choice:
 
     Joints count relative to the acceleration their signal has.
     """
-    options = causal_polynomials(spectrum)
-    f, width = spectrum.f, spectrum.f[1] - spectrum.f[0]
-    size = np.sqrt((2 * np.pi * f) ** 4 @ spectrum.signal * width)
+    options, (f, signal, noise, rate, _) = causal_polynomials(spectrum), spectrum
+    power = (2 * np.pi * f) ** 4 * (f[1] - f[0])
+    size = np.sqrt(power @ signal)
     moving = size > 0
     weight = np.where(moving, 1 / np.where(moving, size, 1.0), 0.0 if moving.any() else 1.0)
-    parts = [predicted_error(option, spectrum) for option in options]
-    cost = [float(np.sum(weight**2 * (lost**2 + noise**2))) for lost, noise in parts]
-    order = np.argsort(cost)
-    best, (lost, noise) = options[order[0]], parts[order[0]]
-    total = np.sqrt(lost**2 + noise**2)
-    j = int(np.argmax(weight * total))
+    lost = [np.sqrt((power * (each.gain(f, rate, 2) - 1) ** 2) @ signal) for each in options]
+    passed = [noise * each.noise_gain(rate, 2) for each in options]
+    total = np.hypot(lost, passed)
+    k, *others = np.argsort((weight**2 * total**2).sum(axis=1))
+    j = int(np.argmax(weight * total[k]))
     why = (
-        f"{best.name}: predicted acceleration error {total[j]:.3g} (signal lost {lost[j]:.3g}, "
-        f"noise {noise[j]:.3g}) at a position noise of {spectrum.noise[j]:.3g} of joint {j + 1}, "
-        "the joint where it weighs most"
+        f"{options[k].name}: predicted acceleration error {total[k, j]:.3g} (signal lost "
+        f"{lost[k][j]:.3g}, noise {passed[k][j]:.3g}) at a position noise of {noise[j]:.3g} of "
+        f"joint {j + 1}, the joint where it weighs most"
     )
-    if len(order) > 1:
-        second = np.hypot(*parts[order[1]])[j]
-        why += f"; next, {second:.3g} with {options[order[1]].name}"
-    return Choice(best, total, lost, noise, why)
+    if others:
+        why += f"; next, {total[others[0], j]:.3g} with {options[others[0]].name}"
+    return Choice(options[k], total[k], why)

@@ -161,7 +161,7 @@ class KnownPayload:
 
     mass: float  # [kg]
     mass_std: float = 0.0  # [kg]
-    centre: tuple[float, float, float] | None = None  # in the last joint's frame [m], where known
+    centre: Sequence[float] | None = None  # in the last joint's frame [m], where known
 
     def __post_init__(self) -> None:
         if not self.mass > 0 or self.mass_std < 0:

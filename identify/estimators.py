@@ -6,23 +6,22 @@
 | `irls` | wrong torques here and there | Huber and Ronchetti 2009 |
 | `iv` | noise in the motion | Janot, Vandanjon, Gautier 2014 |
 | `oe` | noise in the motion: columns on the simulated one | Gautier, Janot, Vandanjon 2013 |
-
-`iv` needs instruments besides, here columns of every second sample (`half_regressions`); `oe` a
-simulation (`excitant.identify.output_error`).
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from excitant.exceptions import BadInput, Infeasible, UnknownName
-from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth
+from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth, low_pass
 from excitant.identify.least_squares import (
     SMALLEST,
     Factor,
@@ -32,12 +31,15 @@ from excitant.identify.least_squares import (
     weighted_least_squares,
     with_covariance,
 )
-from excitant.identify.output_error import closed_loop, output_error
-from excitant.identify.preprocessing import POSITION_RATIO, prepare
+from excitant.identify.preprocessing import POSITION_RATIO, Segment, prepare
+from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.regression import Regression, dense, regression_of, triangle
-from excitant.identify.rows import FitRows
+from excitant.identify.regression import Regression, dense, joined, regression_of, triangle
+from excitant.identify.rows import FitRows, identified_robot
 from excitant.robots.motion import Array, Motion
+from excitant.robots.robot import Robot
+from excitant.robots.simulation import Controller, Diverged, simulate
+from excitant.robots.torque import observation_columns
 
 ESTIMATORS: Mapping[str, str] = MappingProxyType(
     {
@@ -60,6 +62,15 @@ _STUDENT = 4.0  # degrees of freedom (Lange, Little, Taylor 1989)
 _STAGES = 3  # of re-estimating the noise of each joint with instruments
 _SAME = 1e-6  # of a column's length: smaller errors are those of interpolation
 _RATE_SHARE = 0.2  # of the rate of all samples: 0.8 of what every second one can show
+_SIMULATIONS = 15  # at most; two to four do
+_STILL = 1e-2  # of a standard deviation, by which no parameter moves any more
+_UNCHANGED = 1e-6  # of the rms torque, by which the prediction does not
+_WIDER = 2.5  # than the motion: cut-off of the reference, which leaves the motion alone to 1e-3
+_HIGHEST = 0.4  # of the sampling rate
+_SHARES = (1.0, 0.5, 0.25, 0.1)  # of the way from the given arm to an estimate
+_MASS_MOVES = 1e-3  # as easily as other parameters where β leaves a choice
+_CAUTION = 2.0  # times the noise, lest the largest of many frequencies pass for motion
+_FLOOR = (0.5, 0.9)  # of half the rate: where positions show nothing but the noise of encoders
 
 
 def estimated(
@@ -96,43 +107,14 @@ def estimated(
 # robust regression
 
 
-@dataclass(frozen=True)
-class Influence:
-    """Influence ψ(u) of a residual of u standard deviations.
-
-    Attributes:
-        name: Its name.
-        clip: Huber's: magnitude from which every residual has the same influence; None for
-            Student's of four degrees of freedom, which gives gross errors none in the end.
-    """
-
-    name: str
-    clip: float | None = None
-
-    def weight(self, u: Array) -> Array:
-        """ψ(u) / u."""
-        if self.clip is None:
-            return np.asarray((_STUDENT + 1) / (_STUDENT + u**2), float)
-        return np.minimum(1.0, self.clip / np.maximum(np.abs(u), SMALLEST))
-
-    def slope(self, u: Array) -> Array:
-        """ψ'(u)."""
-        if self.clip is None:
-            return np.asarray((_STUDENT + 1) * (_STUDENT - u**2) / (_STUDENT + u**2) ** 2, float)
-        return (np.abs(u) <= self.clip).astype(float)
-
-
-HUBER, STUDENT = Influence("Huber", _HUBER), Influence("Student's t")
-
-
-def irls(problem: Regression, influence: Influence = STUDENT) -> LeastSquares:
+def irls(problem: Regression) -> LeastSquares:
     """Solve Σ_j W_jᵀ ψ(ε_j / σ_j) / σ_j = 0, σ_j from the median magnitude of joint j's residual.
 
-    Huber's ψ first, whose solution is unique; from there the one asked for. With m_j the mean of
-    ψ', the pseudo-torque W_j β + σ_j ψ / m_j has β for its least-squares solution under weights
-    m_j / σ_j², and errors to which the estimate responds to first order as least squares does:
-    hence the covariance, valid for coloured noise too (Huber and Ronchetti 2009, ch. 7; Holland
-    and Welsch 1977 for the iteration).
+    Huber's ψ first, whose solution is unique; from there Student's of four degrees of freedom,
+    which gives gross errors no influence in the end. With m_j the mean of ψ', the pseudo-torque
+    W_j β + σ_j ψ / m_j has β for its least-squares solution under weights m_j / σ_j², and errors to
+    which the estimate responds to first order as least squares does: hence the covariance, valid
+    for coloured noise too (Huber and Ronchetti 2009, ch. 7; Holland and Welsch 1977).
 
     It withstands wrong torques, not wrong positions: a row wrong in W may fit and still mislead.
     A filter before it spreads a spike over its neighbours, which then look like noise.
@@ -142,15 +124,25 @@ def irls(problem: Regression, influence: Influence = STUDENT) -> LeastSquares:
         Infeasible: The weights did not settle, or leave too few rows.
     """
     start = factorised(problem, _scale(problem.tau - problem.tau.mean(axis=0), 0))
-    beta = start.solve()
-    for each in (HUBER, influence):
-        beta = _settled(start, beta, each)
+    beta = _settled(start, start.solve(), _huber)
+    beta = _settled(start, beta, _student)
     residual = problem.residual(beta)
     sigma = _scale(residual, problem.p)
     u = residual / sigma
-    slope = np.maximum(influence.slope(u).mean(axis=0), _FLATTEST)
-    factor = factorised(problem, sigma / np.sqrt(slope))
-    return with_covariance(factor, beta, sigma * u * influence.weight(u) / slope, sigma)
+    slope = (_STUDENT + 1) * (_STUDENT - u**2) / (_STUDENT + u**2) ** 2
+    flat = np.maximum(slope.mean(axis=0), _FLATTEST)
+    factor = factorised(problem, sigma / np.sqrt(flat))
+    return with_covariance(factor, beta, sigma * u * _student(u) / flat, sigma)
+
+
+def _huber(u: Array) -> Array:
+    """ψ(u) / u of a residual of u standard deviations."""
+    return np.asarray(np.minimum(1.0, _HUBER / np.maximum(np.abs(u), SMALLEST)), float)
+
+
+def _student(u: Array) -> Array:
+    """ψ(u) / u of a residual of u standard deviations."""
+    return np.asarray((_STUDENT + 1) / (_STUDENT + u**2), float)
 
 
 def _scale(residual: Array, r: int) -> Array:
@@ -161,17 +153,17 @@ def _scale(residual: Array, r: int) -> Array:
     return np.asarray(np.maximum(size, np.maximum(least, SMALLEST)), float)
 
 
-def _settled(start: Factor, beta: Array, influence: Influence) -> Array:
+def _settled(start: Factor, beta: Array, influence: Callable[[Array], Array]) -> Array:
     """β at which reweighting rests; steps are taken in the orthonormal columns of the start."""
     problem = start.problem
-    inverse = scipy.linalg.solve_triangular(start.R, np.eye(problem.p)) / start.norms[:, None]
+    inverse = start.inverse / start.norms[:, None]
     parts = enumerate(zip(problem.index, problem.columns, strict=True))
     Q = np.stack([X @ inverse[index] / start.weight[j] for j, (index, X) in parts], axis=1)
     flat = Q.reshape(-1, problem.p)
     for _ in range(_ROUNDS):
         residual = problem.residual(beta)
         sigma = _scale(residual, problem.p)
-        weight = influence.weight(residual / sigma) * (start.weight / sigma) ** 2
+        weight = influence(residual / sigma) * (start.weight / sigma) ** 2
         weighted = (Q * weight[:, :, None]).reshape(flat.shape)
         score = weighted.T @ (residual / start.weight).ravel()
         try:
@@ -181,8 +173,8 @@ def _settled(start: Factor, beta: Array, influence: Influence) -> Array:
         except (np.linalg.LinAlgError, scipy.linalg.LinAlgWarning):
             raise Infeasible(
                 "robust regression",
-                f"rows that count with {influence.name} influence do not determine all "
-                "parameters; use another estimator, or record more",
+                "rows that count do not determine all parameters; use another estimator, or "
+                "record more",
             ) from None
         beta = beta + inverse @ step
         moved, rounding = Q @ step * start.weight, _ROUNDING * np.abs(problem.tau).max(axis=0)
@@ -190,8 +182,7 @@ def _settled(start: Factor, beta: Array, influence: Influence) -> Array:
             return beta
     raise Infeasible(
         "robust regression",
-        f"weights did not settle in {_ROUNDS} rounds with {influence.name} influence; "
-        "use another estimator, or record more",
+        f"weights did not settle in {_ROUNDS} rounds; use another estimator, or record more",
     )
 
 
@@ -289,31 +280,17 @@ def _tested(problem: Regression, instruments: Regression, fit: LeastSquares) -> 
     )
 
 
-@dataclass(frozen=True)
-class EverySecond:
-    """A differentiator that sees every second sample, and speaks about all instants.
+def every_second(first: int, inner: Differentiator) -> Differentiator:
+    """A differentiator that sees even (0) or odd (1) samples, and speaks about all instants.
 
-    Attributes:
-        first: 0 for even samples, 1 for odd ones.
-        inner: What differentiates; samples left out are interpolated by a quintic spline before.
+    Samples left out are interpolated by a quintic spline before.
     """
+    seen = slice(first, None, 2)
 
-    first: int
-    inner: Differentiator
+    def motion(t: Array, q: Array) -> Motion:
+        return inner(t, scipy.interpolate.make_interp_spline(t[seen], q[seen], k=5)(t))
 
-    @property
-    def name(self) -> str:
-        """Name with its settings."""
-        return f"{('even', 'odd')[self.first]} samples, {self.inner.name}"
-
-    def delay(self, rate_hz: float) -> float:
-        """That of the inner one [s]."""
-        return self.inner.delay(rate_hz)
-
-    def __call__(self, t: Array, q: Array) -> Motion:
-        """Motion at all samples; q has shape (n, nv)."""
-        seen = slice(self.first, None, 2)
-        return self.inner(t, scipy.interpolate.make_interp_spline(t[seen], q[seen], k=5)(t))
+    return motion
 
 
 def half_regressions(
@@ -345,7 +322,198 @@ def half_regressions(
                     f"{highest:.3g} Hz"
                 )
             inner = ZeroPhaseButterworth(min(POSITION_RATIO * cutoff_hz, highest))
-            segments += prepare(recording, cutoff_hz, EverySecond(first, inner))
+            segments += prepare(recording, cutoff_hz, every_second(first, inner))
         half = regression_of(rows.robot, rows.effects, segments).with_torque(rows.tau)
         halves.append(half.select(rows.base.columns, rows.base.expressions))
     return halves[0], halves[1]
+
+
+# output error
+
+
+@dataclass(frozen=True, eq=False)
+class OutputError:
+    """An output-error estimate, the weighted least squares it began with, simulations it took."""
+
+    fit: LeastSquares
+    start: LeastSquares
+    iterations: int
+
+    def sentence(self, bandwidth_hz: Array) -> str:
+        """What the simulation was told, and what came of it.
+
+        Args:
+            bandwidth_hz: Up to where positions were the reference [Hz].
+        """
+        low, high = bandwidth_hz.min(), bandwidth_hz.max()
+        width = f"{low:.3g} Hz" if high - low < 0.1 * low else f"{low:.3g} to {high:.3g} Hz"
+        moved = np.abs(self.fit.beta - self.start.beta) / self.fit.std
+        return (
+            f"the model was simulated on the measured motion up to {width}, as the positions "
+            f"themselves suggest; converged after {self.iterations} iterations, which moved "
+            f"parameters by up to {moved.max():.2g} standard deviations"
+        )
+
+
+def output_error(problem: Regression, simulated: Callable[[Array], Regression]) -> OutputError:
+    """Output error by direct and inverse models (DIDIM: Gautier, Janot, Vandanjon 2013).
+
+    The closed loop of the model is simulated with the current β, which gives columns W_s(β) of a
+    motion without the noise of the measured one, and τ ≈ W_s(β) β is solved by weighted least
+    squares for the next. How the simulated motion depends on β is left out of the derivative,
+    because the controller holds the motion whatever β is.
+
+    Args:
+        problem: Columns on the reference, to begin with.
+        simulated: Columns on the motion that the model with parameters β makes, shape (r,) → p = r.
+
+    Raises:
+        Infeasible: It does not converge.
+        RankDeficient: The motion does not show some columns.
+    """
+    start = fit = weighted_least_squares(problem)
+    scale = np.maximum(np.sqrt((problem.tau**2).mean(axis=0)), np.finfo(float).tiny)
+    for done in range(1, _SIMULATIONS + 1):
+        try:
+            now = simulated(fit.beta)
+        except Diverged as error:
+            raise Infeasible(
+                "output error",
+                f"no motion of the model after {done - 1} iterations ({error}); "
+                "use wls or iv, or a recording that shows all parameters",
+            ) from error
+        found = weighted_least_squares(now)
+        moved = found.beta - fit.beta
+        change = float((np.abs(moved) / found.std).max())
+        torque = float(np.sqrt(((now.torque(moved) / scale) ** 2).mean()))
+        fit = found
+        if change < _STILL or torque < _UNCHANGED:
+            return OutputError(fit, start, done)
+    raise Infeasible(
+        "output error",
+        f"parameters still move by {change:.2g} standard deviations after {_SIMULATIONS} "
+        "simulations; use wls or iv",
+    )
+
+
+class ClosedLoop(NamedTuple):
+    """A regression on the reference, and on the motion of the model with parameters β.
+
+    Positions are the reference up to a bandwidth, shape (segments, nv) [Hz].
+    """
+
+    problem: Regression
+    simulated: Callable[[Array], Regression]
+    bandwidth_hz: Array
+
+
+def closed_loop(rows: FitRows, recordings: Sequence[Recording]) -> ClosedLoop:
+    """The regression of a fit with the simulated loop of each of its segments.
+
+    A recording holds neither the commanded motion nor the controller, so measured positions are
+    the reference, passed up to 2.5 times the frequency where noise drowns the acceleration. Noise
+    below that stays in the columns; what reaches the acceleration falls with the bandwidth to the
+    power 5/2, so that the bias it makes, small as it then is, is its square.
+
+    Base parameters far from the truth may be those of no arm: inertia or friction is negative
+    somewhere, and no motion comes of it. The model simulated is then one between the given arm and
+    the estimate.
+
+    Args:
+        rows: What is fitted; where β leaves parameters open, they stay near the arm's own.
+        recordings: Behind these rows, in order.
+    """
+    pairs = _with_recordings(rows.data.train, recordings)
+    loops = [_reference(segment, recording) for segment, recording in pairs]
+    commands = [command for _, command, _ in loops]
+    model_of = _completion(rows)
+
+    def regression(motions: Sequence[Motion]) -> Regression:
+        parts = []
+        for (segment, _, _), motion in zip(loops, motions, strict=True):
+            columns = observation_columns(rows.robot, rows.effects, motion)
+            W = segment.filtered(columns[:, :, rows.base.columns], segment.keep)
+            parts.append(dense(W, segment.tau[segment.keep] * rows.gains, rows.base.expressions))
+        return joined(parts)
+
+    def simulated_at(beta: Array, share: float) -> Regression:
+        model = model_of(beta, share)
+        return regression([simulate(model, c, Controller()).motion for c in commands])
+
+    def simulated(beta: Array) -> Regression:
+        for share in _SHARES:
+            with suppress(Diverged):
+                return simulated_at(beta, share)
+        return simulated_at(beta, 0.0)
+
+    return ClosedLoop(regression(commands), simulated, np.array([width for *_, width in loops]))
+
+
+def _with_recordings(
+    segments: Sequence[Segment], recordings: Sequence[Recording]
+) -> list[tuple[Segment, Recording]]:
+    """Every segment with the recording that it is a part of, both in order."""
+    found, left = [], list(segments)
+    for recording in recordings:
+        last = -np.inf
+        while left and left[0].name == recording.name and left[0].motion.t[0] > last:
+            last = float(left[0].motion.t[-1])
+            found.append((left.pop(0), recording))
+    return found
+
+
+def _reference(segment: Segment, recording: Recording) -> tuple[Segment, Motion, Array]:
+    """Rows away from the edges of the filter, positions up to the bandwidth, and it, (nv,)."""
+    rate, t = segment.rate_hz, segment.motion.t
+    part = (recording.t >= t[0] - 1e-9) & (recording.t <= t[-1] + 1e-6 + 1 / rate)
+    q = scipy.interpolate.make_interp_spline(recording.t[part], recording.q[part], k=3)(t)
+    width = np.clip(_WIDER * _motion_bandwidth(q, rate), 4 * rate / len(q), _HIGHEST * rate)
+    smooth = np.column_stack([low_pass(q[:, j], float(hz), rate) for j, hz in enumerate(width)])
+    spline, keep = scipy.interpolate.make_interp_spline(t, smooth, k=5), segment.keep
+    edge = max(keep.start, round(rate / float(width.min())))
+    first = keep.start + keep.step * int(np.ceil((edge - keep.start) / keep.step))
+    inner = slice(first, min(keep.stop, len(t) - edge), keep.step)
+    return replace(segment, keep=inner), Motion(t, *(spline(t, k) for k in range(3))), width
+
+
+def _motion_bandwidth(q: Array, rate_hz: float) -> Array:
+    """Frequency up to which passing positions makes the best acceleration, shape (nv,) [Hz].
+
+    Passing all up to f_b loses the signal above and keeps the noise below it. The expected squared
+    error of acceleration, Σ_{f > f_b} (2πf)⁴ (P − N) + Σ_{f ≤ f_b} (2πf)⁴ N, is smallest where
+    Σ_{f ≤ f_b} f⁴ (2N − P) is. White noise N of encoders is taken from the upper part of the
+    spectrum P, its median there being ln 2 of its mean; it counts twice. The window falls off at
+    both ends, so that a motion that does not end where it began does not pass for a fast one.
+
+    Args:
+        q: Positions at a regular rate, shape (n, nv).
+        rate_hz: That rate [Hz].
+    """
+    window = scipy.signal.windows.blackmanharris(len(q))[:, None]
+    spectrum = np.fft.rfft(window * scipy.signal.detrend(q, axis=0), axis=0)
+    f = np.asarray(np.fft.rfftfreq(len(q), 1 / rate_hz), float)
+    power = np.abs(spectrum) ** 2
+    upper = (f >= _FLOOR[0] * rate_hz / 2) & (f <= _FLOOR[1] * rate_hz / 2)
+    noise = np.median(power[upper], axis=0) / np.log(2)
+    cost = np.cumsum(f[:, None] ** 4 * (2 * _CAUTION * noise - power), axis=0)
+    return np.asarray(f[np.argmin(cost, axis=0)], float)
+
+
+def _completion(rows: FitRows) -> Callable[[Array, float], Robot]:
+    """A robot near the given one that has base parameters β, or a share of the way there.
+
+    The choice makes no difference to any torque; masses move least, so that they stay positive.
+    """
+    B, links = rows.base.regrouping, 10 * rows.robot.nv
+    given = np.zeros(B.shape[1])
+    given[:links] = prior_parameters(rows.robot).ravel()
+    size = np.sqrt((rows.W**2).mean(axis=(0, 1)))
+    scale = 1 / np.where(size > 1e-9 * size.max(), size, size.max())
+    scale[:links:10] *= _MASS_MOVES
+    G = scale[:, None] * np.linalg.pinv(B * scale)
+
+    def model(beta: Array, share: float) -> Robot:
+        x = given + share * (G @ (beta - B @ given))
+        return identified_robot(rows.robot, rows.effects, x)
+
+    return model

@@ -58,9 +58,7 @@ def model_files(
         UnknownName: A format that is not one of `FORMATS`.
         BadInput: An effect without values.
     """
-    for name in formats:
-        if name not in FORMATS:
-            raise UnknownName("format", name, FORMATS)
+    UnknownName.refuse("format", formats, FORMATS)
     arm, drives = folded(model)
     files = {
         f"{stem}.urdf": _urdf(arm, drives, yaml_name),

@@ -1,14 +1,33 @@
-"""Weighted least squares on base parameters, and what it shares with other estimators."""
+"""Weighted least squares on base parameters under coloured noise.
+
+Torque τ_j = W_j β + ε_j of each joint j, ε_j stationary with autocovariance γ_j, so that its
+covariance matrix Γ_j is Toeplitz. The least-squares estimate A⁻¹ Σ_j W_jᵀ τ_j, A = Σ_j W_jᵀ W_j,
+then has covariance A⁻¹ Ω A⁻¹ with Ω = Σ_j W_jᵀ Γ_j W_j: noise counts by its strength at the
+frequencies where the columns move, not by one number.
+
+γ_j is that of an autoregression whose order minimises Akaike's criterion (Yule and Walker's
+equations). Residuals lack what the fit explained of the noise, most of it slow:
+
+    E[e_j e_jᵀ] = Γ_j − W_j H_jᵀ − H_j W_jᵀ,   H_j = Γ_j W_j A⁻¹ − ½ W_j A⁻¹ Ω A⁻¹,
+
+so the autocovariance of the residual is corrected by the second and third term, which depend on γ
+themselves: a fixed point, reached in a few rounds. (Sums over lags are divided by n, not by their
+number: only then is γ an autocovariance.) As γ comes from few samples that count, the power at low
+frequency has relative variance 2 / ν (delta method for the coefficients), and an estimate over its
+standard deviation is Student's t of ν degrees of freedom, not normal.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import RankDeficient
-from excitant.identify.coloured_noise import joint_rows, scores_of
 from excitant.identify.regression import Regression, triangle
 from excitant.robots.motion import Array, freeze
 
@@ -20,6 +39,9 @@ _UNDETERMINED = (
     "this motion does not determine these parameters (move the joints that show them, "
     "or design an excitation)"
 )
+_GIVEN_BACK = 4  # rounds of giving back what the fit took; each leaves the share that it takes
+_FEWEST = 3.0  # degrees of freedom, below which no noise is known
+_STABLE = 0.9999  # largest reflection coefficient of an autoregression
 _TOGETHER = 0.05  # probability by chance, of all dropped ones, below which elimination stops
 _ALONE = 0.01  # of one of them
 
@@ -50,10 +72,7 @@ class LeastSquares:
 
     @property
     def weight(self) -> Array:
-        """Weights of joints' rows with which squares are −2 log-likelihood, shape (nv,).
-
-        Autocorrelated residuals count by their number of independent samples.
-        """
+        """Weights of joints' rows with which squares are −2 log-likelihood, shape (nv,)."""
         return np.asarray(1 / (self.sigma * np.sqrt(self.inflation)), float)
 
 
@@ -75,10 +94,14 @@ class Factor:
     R: Array
     z: Array
 
-    def solve(self, z: Array | None = None) -> Array:
-        """β of least squares, shape (r,), of the problem's torque or of another z."""
-        x = scipy.linalg.solve_triangular(self.R, self.z if z is None else z)
-        return np.asarray(x / self.norms, float)
+    def solve(self) -> Array:
+        """β of least squares, shape (r,)."""
+        return np.asarray(scipy.linalg.solve_triangular(self.R, self.z) / self.norms, float)
+
+    @property
+    def inverse(self) -> Array:
+        """R⁻¹, shape (r, r)."""
+        return np.asarray(scipy.linalg.solve_triangular(self.R, np.eye(len(self.R))), float)
 
     def information(self) -> Array:
         """X_jᵀ X_j of each joint, X_j the weighted columns of unit length, shape (nv, r, r)."""
@@ -91,11 +114,7 @@ class Factor:
 
 
 def factorised(problem: Regression, weight: Array) -> Factor:
-    """Factorisation of columns, rows divided by their joint's noise.
-
-    Args:
-        problem: Columns and torque.
-        weight: Noise of each joint, shape (nv,) [torque unit].
+    """Factorisation of columns, rows divided by their joint's noise, shape (nv,) [torque unit].
 
     Raises:
         RankDeficient: Columns that are silent, or that others explain.
@@ -117,12 +136,9 @@ def factorised(problem: Regression, weight: Array) -> Factor:
 def weighted_least_squares(problem: Regression) -> LeastSquares:
     """Solve τ ≈ W β with one noise level per joint, estimated along the way.
 
-    The covariance is A⁻¹ Ω A⁻¹ with A the information of rows taken for independent and Ω the
-    covariance of the scores Wᵀε under coloured noise (`excitant.identify.coloured_noise`), so
-    that slow structure in the residual does not count as many independent samples. It is widened by
-    Student's t for the samples that the noise is known from, so that ± 1.96 standard deviations are
-    a 95 % interval. Inflation is
-    tr(A⁻¹ Ω_j) / tr(A⁻¹ A_j), the mean of that effect over what joint j's rows determine
+    The covariance counts coloured noise and is widened by Student's t for the samples that the
+    noise is known from, so that ± 1.96 standard deviations are a 95 % interval. Inflation is
+    tr(A⁻¹ Ω_j) / tr(A⁻¹ A_j), the mean effect of colour over what joint j's rows determine
     (Gautier 1997; Swevers et al. 1997).
 
     Raises:
@@ -156,28 +172,26 @@ def with_covariance(factor: Factor, beta: Array, error: Array, sigma: Array) -> 
         error: ε_j as the residual shows it, shape (n, nv) [torque unit].
         sigma: What to report as noise of each joint, shape (nv,) [torque unit].
     """
-    problem, inverse = factor.problem, scipy.linalg.solve_triangular(factor.R, np.eye(len(beta)))
+    problem, inverse = factor.problem, factor.inverse
     scaled = error / factor.weight
     size = max(float(np.sqrt((scaled**2).mean())), SMALLEST)  # far from underflow
     rows = [
-        joint_rows(columns / factor.weight[j] / factor.norms[index], index)
+        JointRows(index, columns / factor.weight[j] / factor.norms[index])
         for j, (index, columns) in enumerate(zip(problem.index, problem.columns, strict=True))
     ]
-    scores, freedom = scores_of(rows, scaled / size, inverse @ inverse.T)
+    scores, freedom = score_covariances(rows, scaled / size, inverse @ inverse.T)
     scores *= size**2
     root = inverse / factor.norms[:, None]
     parts = np.array([root @ (inverse.T @ each @ inverse) @ root.T for each in scores])
     widths = _widths(np.diagonal(parts, axis1=1, axis2=2), freedom)
-    effect = traces(scores, inverse)
-    plain = traces(factor.information(), inverse) * (sigma / factor.weight) ** 2
+    effect, plain = (
+        np.einsum("ra,jrs,sa->j", inverse, each, inverse, optimize=True)
+        for each in (scores, factor.information())
+    )
+    plain = plain * (sigma / factor.weight) ** 2
     inflation = np.divide(effect, plain, out=np.ones(len(sigma)), where=plain > 0)
     covariance = parts.sum(axis=0) * np.outer(widths, widths)
     return LeastSquares(beta, covariance, sigma, np.maximum(inflation, 1.0))
-
-
-def traces(matrices: Array, inverse: Array) -> Array:
-    """tr(A⁻¹ M_j) of each M_j, shape (nv,), with A⁻¹ = inverse · inverseᵀ."""
-    return np.asarray(np.einsum("ra,jrs,sa->j", inverse, matrices, inverse, optimize=True), float)
 
 
 def _widths(variances: Array, freedom: Array) -> Array:
@@ -199,15 +213,138 @@ def student_width(freedom: Array | float) -> Array:
     return np.asarray(scipy.stats.t.ppf(0.975, freedom) / scipy.stats.norm.ppf(0.975), float)
 
 
+@dataclass(frozen=True, eq=False)
+class JointRows:
+    """Rows of one joint: which columns are not silent there, u of them, and these, shape (n, u)."""
+
+    used: npt.NDArray[np.intp]
+    W: Array
+
+    @property
+    def size(self) -> int:
+        """Length of transforms, padded with zeros."""
+        return int(scipy.fft.next_fast_len(2 * len(self.W), True))
+
+    @cached_property
+    def spectrum(self) -> npt.NDArray[np.complex128]:
+        """Fourier transform of the columns, shape (u, size / 2 + 1)."""
+        columns = np.ascontiguousarray(self.W.T)
+        return np.asarray(scipy.fft.rfft(columns, self.size), np.complex128)
+
+    def coloured(self, gamma: Array) -> Array:
+        """W_jᵀ Γ_j, shape (u, n), Γ_j that of the autoregression behind γ."""
+        if gamma[0] <= 0:  # a residual that is nothing but rounding
+            return self.W.T
+        n = len(self.W)
+        a, variance = autoregression(gamma, n)
+        power = variance / np.abs(scipy.fft.rfft(a, self.size)) ** 2
+        return np.asarray(scipy.fft.irfft(power * self.spectrum, self.size)[:, :n], float)
+
+    def taken(self, G: Array, inverse: Array, both: Array, lags: int) -> Array:
+        """Autocovariance that the fit took, shape (lags + 1,).
+
+        Args:
+            G: W_jᵀ Γ_j, shape (u, n).
+            inverse: A⁻¹.
+            both: A⁻¹ Ω A⁻¹.
+            lags: Largest lag.
+        """
+        block = np.ix_(self.used, self.used)
+        H = inverse[block] @ G - both[block] @ self.W.T / 2
+        cross = np.einsum("uf,uf->f", self.spectrum.conj(), scipy.fft.rfft(H, self.size)).real
+        return np.asarray(scipy.fft.irfft(2 * cross, self.size)[: lags + 1] / len(self.W))
+
+
+def score_covariances(
+    rows: Sequence[JointRows], residual: Array, inverse: Array
+) -> tuple[Array, Array]:
+    """W_jᵀ Γ_j W_j of each joint, shape (nv, r, r), and their degrees of freedom, shape (nv,).
+
+    The sum of the former is Ω.
+
+    Args:
+        rows: Of each joint, divided by its noise.
+        residual: Residuals of least squares, divided alike, shape (n, nv).
+        inverse: A⁻¹ = (Σ_j W_jᵀ W_j)⁻¹, shape (r, r).
+    """
+    n = len(residual)
+    lags = min(n // 4, int(10 * np.log10(n)))
+    observed = autocovariance(residual, lags)
+    gammas = list(observed.T)
+    for left in range(_GIVEN_BACK, -1, -1):
+        parts = [joint.coloured(gamma) for joint, gamma in zip(rows, gammas, strict=True)]
+        scores = np.zeros((len(rows), *inverse.shape))
+        for score, joint, G in zip(scores, rows, parts, strict=True):
+            S = G @ joint.W
+            score[np.ix_(joint.used, joint.used)] = (S + S.T) / 2
+        if left:
+            both = inverse @ scores.sum(axis=0) @ inverse
+            for j, joint in enumerate(rows):
+                gammas[j] = observed[:, j] + joint.taken(parts[j], inverse, both, lags)
+    return scores, np.array([_degrees_of_freedom(gamma, n) for gamma in gammas])
+
+
+def _degrees_of_freedom(gamma: Array, n: int) -> float:
+    """ν of the power of slow noise, from the autocovariance of n samples.
+
+    log S(0) = log σ² − 2 log A(1) with A(1) = 1 + Σ a_k; the coefficients a have covariance
+    σ² Γ_p⁻¹ / n, and σ² the relative variance 2 / n.
+    """
+    if gamma[0] <= 0:
+        return float(n)
+    a, variance = autoregression(gamma, n)
+    p = len(a) - 1
+    relative = 2 / n
+    if p:
+        ones = np.ones(p)
+        spread = variance / n * ones @ scipy.linalg.solve_toeplitz(gamma[:p], ones)
+        relative += 4 * float(spread) / float(a.sum()) ** 2
+    return float(np.clip(2 / relative, _FEWEST, n))
+
+
+def autocovariance(values: Array, lags: int) -> Array:
+    """Σ_i x_i x_{i+k} / n of columns of zero mean, shape (lags + 1, columns)."""
+    n = len(values)
+    return np.array([(values[: n - k] * values[k:]).sum(axis=0) / n for k in range(lags + 1)])
+
+
+def autoregression(gamma: Array, n: int) -> tuple[Array, float]:
+    """The autoregression that Akaike's criterion prefers (Levinson and Durbin's recursion).
+
+    Args:
+        gamma: Autocovariance at lags 0 to p, shape (p + 1,).
+        n: Number of samples behind it.
+
+    Returns:
+        Polynomial 1 + a_1 z⁻¹ + …, and the variance of the innovations.
+    """
+    a, variance = np.ones(1), float(gamma[0])
+    best = (n * np.log(variance), a, variance)
+    for p in range(1, len(gamma)):
+        reflection = -float(a @ gamma[p:0:-1]) / variance
+        if abs(reflection) > _STABLE:
+            break
+        a = np.append(a, 0.0) + reflection * np.append(a, 0.0)[::-1]
+        variance *= 1 - reflection**2
+        criterion = n * np.log(variance) + 2 * p
+        if criterion < best[0]:
+            best = (criterion, a, variance)
+    return best[1], best[2]
+
+
+def autocorrelation(values: Array) -> Array:
+    """ρ_k of the first third of all lags, ρ_0 = 1, shape (n,) → (n / 3,); white if constant."""
+    centred, n = values - values.mean(), len(values)
+    spectrum = np.abs(scipy.fft.rfft(centred, scipy.fft.next_fast_len(2 * n, True))) ** 2
+    correlation = np.asarray(scipy.fft.irfft(spectrum)[: max(n // 3, 1)], float)
+    if correlation[0] <= 0:
+        return np.asarray(np.eye(len(correlation))[0], float)
+    return np.asarray(correlation / correlation[0], float)
+
+
 def autocorrelation_time(residual: Array) -> float:
     """Integrated autocorrelation time 1 + 2 Σ ρ_k, summed to the first non-positive ρ_k."""
-    centred = residual - residual.mean()
-    size = len(centred)
-    spectrum = np.abs(np.fft.rfft(centred, 2 * size)) ** 2
-    correlation = np.fft.irfft(spectrum)[: size // 3]
-    if correlation[0] <= 0:
-        return 1.0
-    rho = correlation / correlation[0]
+    rho = autocorrelation(residual)
     end = int(np.argmax(rho <= 0)) if (rho <= 0).any() else len(rho)
     return float(max(1.0, 1 + 2 * rho[1:end].sum()))
 

@@ -24,7 +24,6 @@ from excitant.identify.differentiators import (
     LocalPolynomial,
     causal_polynomial,
     position_spectrum,
-    savitzky_golay,
 )
 from excitant.identify.estimate import Estimate, judged
 from excitant.identify.excitation import ROWS_PER_SECOND, WindowExcitation, excitation_judge
@@ -118,7 +117,7 @@ class OnlineEstimator:
         self.effects = standard_effects(robot.joints) if effects is None else tuple(effects)
         self.base = base_parameters(robot, self.effects) if base is None else base
         half = max(2, round(_WINDOW_S * rate_hz))
-        self.differentiator = differentiator or savitzky_golay(half, min(4, 2 * half), causal=True)
+        self.differentiator = differentiator or LocalPolynomial(half, min(4, 2 * half), True)
         self.block = max(1, round(_BLOCK_S * rate_hz)) if block is None else block
         if not self.differentiator.causal:
             raise BadInput("on-line estimation: the differentiator must be causal")

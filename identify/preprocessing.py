@@ -42,6 +42,7 @@ _TRAVEL = 1e-2  # rad or m, over a segment, likewise
 _FREE_SPEED = 3.0  # rad/s, where there is no limit
 
 Mask = npt.NDArray[np.bool_]
+Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +73,6 @@ class Segment:
         """Sampling rate of the motion [Hz]."""
         return float(1 / (self.motion.t[1] - self.motion.t[0]))
 
-    def filtered(self, values: Array) -> Array:
-        """Pass columns, shape (n, ...), through the torque filter."""
-        return self._passed(values, slice(None))
-
     def rows(self, columns: Callable[[Motion], Array]) -> Array:
         """Filtered and decimated columns of the motion, shape (rows, ...).
 
@@ -85,16 +82,16 @@ class Segment:
         reach = int(_REMEMBERED * self.rate_hz / self.cutoff_hz)
         own = -(-_AT_ONCE // step) * step
         if len(self.motion) <= own + 2 * reach:
-            return self._passed(columns(self.motion), self.keep)
+            return self.filtered(columns(self.motion), self.keep)
         found = []
         for first in range(start, stop, own):
             part = slice(max(0, first - reach), first + own + reach)
             kept = slice(first - part.start, min(first + own, stop) - part.start, step)
-            found.append(self._passed(columns(self.motion[part]), kept))
+            found.append(self.filtered(columns(self.motion[part]), kept))
         return np.concatenate(found)
 
-    def _passed(self, values: Array, kept: slice) -> Array:
-        """Filtered columns at some instants; those that are silent are not filtered."""
+    def filtered(self, values: Array, kept: slice = slice(None)) -> Array:
+        """Columns, shape (n, ...), through the torque filter at some instants."""
         flat = values.reshape(len(values), -1)
         passed = np.zeros((len(flat[kept]), flat.shape[1]))
         live = np.flatnonzero((flat != 0).any(axis=0))
@@ -126,24 +123,52 @@ def prepare(
         BadRecording: The cut-off is not below half the sampling rate, or no uninterrupted
             part is long enough.
     """
-    step = float(np.median(np.diff(recording.t)))
+    t, step = recording.t, float(np.median(np.diff(recording.t)))
     if cutoff_hz is None:
         cutoff_hz = min(CUTOFF_HZ, default_cutoff(recording))
-    if not 0 < cutoff_hz <= 0.5 * _NYQUIST_SHARE / step * (1 + 1e-9):
+    highest = 0.5 * _NYQUIST_SHARE / step
+    if not 0 < cutoff_hz <= highest * (1 + 1e-9):
         raise BadRecording(
             recording.file,
             f"cut-off {cutoff_hz:g} Hz does not fit its rate of {1 / step:.4g} Hz; "
-            f"choose one up to {0.5 * _NYQUIST_SHARE / step:.3g} Hz",
+            f"choose one up to {highest:.3g} Hz",
         )
-    parts = uninterrupted(recording.t)
+    differentiator = differentiator or ZeroPhaseButterworth(
+        min(POSITION_RATIO * cutoff_hz, highest)
+    )
+    parts = uninterrupted(t)
     segments = [
-        _segment(recording, part, cutoff_hz, differentiator)
+        _segment(recording, part, step, cutoff_hz, differentiator)
         for part in parts
-        if len(part) > 20 and recording.t[part[-1]] - recording.t[part[0]] >= MINIMUM_DURATION
+        if len(part) > 20 and t[part[-1]] - t[part[0]] >= MINIMUM_DURATION
     ]
     if not segments:
-        raise BadRecording(recording.file, _too_short(recording, parts), column="t")
+        needed = f"{MINIMUM_DURATION:g} s without interruption are needed"
+        why = (
+            f"time jumps {len(parts) - 1} times, first after {t[parts[0][-1]]:.4g} s; {needed}"
+            if len(parts) > 1
+            else f"'{recording.name}' lasts {recording.duration:.3g} s; {needed}: "
+            "record longer or name a hold-out of its own"
+        )
+        raise BadRecording(recording.file, why, column="t")
     return segments
+
+
+def _segment(
+    recording: Recording,
+    part: Index,
+    step: float,
+    cutoff_hz: float,
+    differentiator: Differentiator,
+) -> Segment:
+    grid, q, tau = resampled(recording, part)
+    motion = differentiator(grid, q)
+    if len(motion) < len(grid):
+        raise BadInput("a causal differentiator is for loops; give one without delay")
+    edge = round(1 / (cutoff_hz * step))
+    stride = max(int(1 / (4 * cutoff_hz * step) + _TIE), -(-len(grid) // _MOST_ROWS), 1)
+    keep = slice(edge, len(grid) - edge, stride)
+    return Segment(recording.name, motion, low_pass(tau, cutoff_hz, 1 / step), tau, cutoff_hz, keep)
 
 
 def default_cutoff(recording: Recording) -> float:
@@ -151,7 +176,7 @@ def default_cutoff(recording: Recording) -> float:
     return 0.5 * _NYQUIST_SHARE / (POSITION_RATIO * float(np.median(np.diff(recording.t))))
 
 
-def uninterrupted(t: Array) -> list[npt.NDArray[np.intp]]:
+def uninterrupted(t: Array) -> list[Index]:
     """Indices of the parts of a time series, shape (n,) [s], between its gaps."""
     steps = np.diff(t)
     breaks = np.flatnonzero(steps > longest_step(float(np.median(steps)))) + 1
@@ -163,7 +188,7 @@ def longest_step(step: float) -> float:
     return max(_GAP_STEPS * step, _GAP_TIME)
 
 
-def resampled(recording: Recording, part: npt.NDArray[np.intp]) -> tuple[Array, Array, Array]:
+def resampled(recording: Recording, part: Index) -> tuple[Array, Array, Array]:
     """Time, positions and torque of a part at a regular rate, the median of the recording's."""
     t = recording.t[part]
     step = float(np.median(np.diff(recording.t)))
@@ -182,56 +207,15 @@ def at_instants(t: Array, q: Array, tau: Array, grid: Array) -> tuple[Array, Arr
     return q, np.column_stack([np.interp(grid, t, column) for column in tau.T])
 
 
-def _too_short(recording: Recording, parts: Sequence[npt.NDArray[np.intp]]) -> str:
-    needed = f"{MINIMUM_DURATION:g} s without interruption are needed"
-    if len(parts) > 1:
-        first = recording.t[parts[0][-1]]
-        return f"time jumps {len(parts) - 1} times, first after {first:.4g} s; {needed}"
-    return (
-        f"'{recording.name}' lasts {recording.duration:.3g} s; {needed}: "
-        "record longer or name a hold-out of its own"
-    )
-
-
-def _segment(
-    recording: Recording,
-    part: npt.NDArray[np.intp],
-    cutoff_hz: float,
-    differentiator: Differentiator | None,
-) -> Segment:
-    grid, q, tau = resampled(recording, part)
-    step = float(np.median(np.diff(recording.t)))
-    if differentiator is None:
-        position_cutoff = min(POSITION_RATIO * cutoff_hz, 0.5 * _NYQUIST_SHARE / step)
-        differentiator = ZeroPhaseButterworth(position_cutoff)
-    elif differentiator.delay(1 / step) > 0:
-        raise BadInput(f"{differentiator.name}: a causal one is for loops; give one without delay")
-    motion = differentiator(grid, q)
-    edge = round(1 / (cutoff_hz * step))
-    stride = max(int(1 / (4 * cutoff_hz * step) + _TIE), -(-len(grid) // _MOST_ROWS), 1)
-    return Segment(
-        name=recording.name,
-        motion=motion,
-        tau=low_pass(tau, cutoff_hz, 1 / step),
-        tau_raw=tau,
-        cutoff_hz=cutoff_hz,
-        keep=slice(edge, len(grid) - edge, stride),
-    )
-
-
 def dry_joints(effects: Sequence[Effect], joints: Sequence[str]) -> Mask:
     """Joints on which some effect jumps where the velocity changes sign, shape (nv,)."""
-    return np.array([_jumps(effects, joint) for joint in joints])
-
-
-def _jumps(effects: Sequence[Effect], joint: str) -> bool:
-    zero = np.zeros(1)
+    dry, zero = set[str](), np.zeros(1)
     for effect in effects:
-        if effect.law is not None and joint in effect.joints:
+        if effect.law is not None:
             ahead, behind = (effect.law(zero, zero + v, zero) for v in (_TINY, -_TINY))
             if any(abs(a[0] - b[0]) > 1e-6 for a, b in zip(ahead, behind, strict=True)):
-                return True
-    return False
+                dry |= set(effect.joints)
+    return np.array([joint in dry for joint in joints])
 
 
 def moving(robot: Robot, segments: Sequence[Segment]) -> list[Mask]:

@@ -1,38 +1,58 @@
-"""Recording: what an arm logged, checked before anything is computed from it."""
+"""Recording: what an arm logged, from a file to arrays in SI units, and checked."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from excitant.exceptions import BadInput, BadRecording
+from excitant.identify.importers import tables
+from excitant.identify.importers.columns import Channel, Columns, resolve
 from excitant.identify.importers.mapping import ColumnMap
-from excitant.identify.importers.raw import RawRecording, open_log, raw_pieces, raw_recording
-from excitant.identify.importers.tables import table_of_frame
+from excitant.identify.importers.text import text_table
 from excitant.robots.html_table import html_table
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array, freeze, read_only
 from excitant.robots.robot import Robot
 
 MINIMUM_DURATION = 2.0  # s: less holds no motion to fit and to filter
+CHANNELS = ("q", "dq", "tau")
+_READERS: dict[str, Callable[[Path], tables.Table]] = {
+    **dict.fromkeys((".parquet", ".pq"), tables.parquet_table),
+    **dict.fromkeys((".csv", ".txt", ".tsv"), text_table),
+    ".npz": tables.npz_table,
+    ".mat": tables.mat_table,
+}
+_BAGS = (".bag", ".mcap", ".db3")
+SUFFIXES = (*_READERS, *_BAGS)
+_REMEMBERED = 100  # unreadable cells whose text is kept
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
     """Logged motion and torque (or motor current) of all joints.
 
+    `load_recording` refuses time that does not rise and cells that are no finite number;
+    `raw_recording` leaves them (cells that are no number are NaN).
+
     Attributes:
         name: Name for tables and figures.
         file: File it was read from.
-        t: Time, strictly increasing, not necessarily regular, shape (n,) [s].
+        t: Time from the first row, not necessarily regular, shape (n,) [s].
         q: Measured positions, shape (n, nv) [rad or m].
         tau: Measured torque, shape (n, nv) [`unit`].
         unit: ``"N·m"`` or ``"A"``.
-        dq: Measured speeds, shape (n, nv) [rad/s or m/s]; None where not logged.
+        dq: Measured speeds, shape (n, nv) [rad/s or m/s]; None where not logged for all joints.
         notes: How columns were understood and what was left out, one line each.
+        extras: Other numeric columns by name, as logged, each shape (n,).
+        columns: Names in the file of the columns of time, positions and torque.
+        start: Time of the first row as logged, whole and remaining seconds [s].
+        unreadable: Text of cells that are no number, by row and column.
     """
 
     name: str
@@ -43,57 +63,76 @@ class Recording:
     unit: str = "N·m"
     dq: Array | None = None
     notes: tuple[str, ...] = ()
+    extras: Mapping[str, Array] = field(default_factory=dict)
+    columns: tuple[str, ...] = ()
+    start: tuple[float, float] = (0.0, 0.0)
+    unreadable: Mapping[tuple[int, str], str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        freeze(self, "t", "q", "tau", *(("dq",) if self.dq is not None else ()))
+        freeze(self, "t", *(name for name, _ in self.channels()))
+        frozen = {name: read_only(values) for name, values in self.extras.items()}
+        object.__setattr__(self, "extras", frozen)
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def nv(self) -> int:
+        """Number of joints."""
+        return int(self.q.shape[1])
 
     @property
     def duration(self) -> float:
         """Time from the first to the last sample [s]."""
         return float(self.t[-1] - self.t[0])
 
+    def channels(self) -> list[tuple[str, Array]]:
+        """Names and arrays, shape (n, nv), of positions, speeds where logged, and torque."""
+        return [(name, x) for name in CHANNELS if (x := getattr(self, name)) is not None]
+
+    def take(self, rows: npt.NDArray[Any] | slice) -> Self:
+        """The recording at some of its rows."""
+        arrays: dict[str, Any] = {n: x[rows] for n, x in (("t", self.t), *self.channels())}
+        return replace(self, **arrays, extras={n: x[rows] for n, x in self.extras.items()})
+
     def between(self, start: float, end: float, label: str) -> Recording:
         """The part between two fractions of its duration, 0 ≤ start < end ≤ 1."""
         low, high = self.t[0] + self.duration * start, self.t[0] + self.duration * end
-        rows = (self.t >= low) & ((self.t <= high) if end >= 1 else (self.t < high))
-        return replace(
-            self,
-            name=f"{self.name} ({label})",
-            t=self.t[rows],
-            q=self.q[rows],
-            tau=self.tau[rows],
-            dq=None if self.dq is None else self.dq[rows],
-        )
+        last = np.searchsorted(self.t, high, "right" if end >= 1 else "left")
+        part = self.take(slice(int(np.searchsorted(self.t, low)), int(last)))
+        return replace(part, name=f"{self.name} ({label})")
 
     def _repr_html_(self) -> str:
         ranges = (edge(x, axis=0).tolist() for x in (self.q, self.tau) for edge in (np.min, np.max))
-        rows = zip(range(1, self.q.shape[1] + 1), *ranges, strict=True)
+        rows = zip(range(1, self.nv + 1), *ranges, strict=True)
         heads = ("joint", "q from", "q to", f"torque from [{self.unit}]", "torque to")
-        title = f"Recording {self.name}: {len(self.t)} samples over {self.duration:.4g} s"
+        title = f"Recording {self.name}: {len(self)} samples over {self.duration:.4g} s"
         return html_table(title, heads, rows)
 
 
 def load_recording(
-    path: str | Path,
-    robot: Robot | int,
-    *,
-    mapping: ColumnMap | None = None,
-    torque_column: str | None = None,
+    path: str | Path, robot: Robot | int, *, mapping: ColumnMap | None = None
 ) -> Recording:
-    """Recording from a log in any format of `excitant.identify.importers`.
+    """Recording from a log: Parquet, CSV, NPZ, MAT (up to version 7.2), ROS 1 or 2 bag, MCAP.
 
     Args:
-        path: Parquet, CSV, NPZ, MAT, bag or MCAP with columns ``t, q1.., tau1..`` (or ``i1..``),
-            or with names that say the same.
+        path: File, or folder of a ROS 2 bag, with columns ``t, q1.., tau1..`` (or ``i1..``), or
+            with names that say the same.
         robot: The arm, whose joints are matched by name, or its number of joints.
         mapping: What the user says about the columns.
-        torque_column: Prefix of the torque columns; ``tau`` or else ``i`` when not given.
 
     Raises:
         BadRecording: Names the file, the row (from 0, after the header) and the column.
         BadInput: A map of columns that does not fit the robot.
     """
-    return recording_from_raw(raw_recording(path, robot, mapping, torque_column=torque_column))
+    return checked(raw_recording(path, robot, mapping))
+
+
+def raw_recording(
+    path: str | Path, robot: Robot | int, mapping: ColumnMap | None = None
+) -> Recording:
+    """A log as it is: columns understood, units converted, no row refused; see `load_recording`."""
+    return next(_pieces(_open_log(path, mapping), robot, mapping))
 
 
 def recording_from_table(
@@ -103,11 +142,10 @@ def recording_from_table(
     file: str,
     name: str,
     mapping: ColumnMap | None = None,
-    torque_column: str | None = None,
 ) -> Recording:
     """Recording from a table in memory; see `load_recording`."""
-    raw = next(raw_pieces(table_of_frame(table, file), robot, mapping, torque_column))
-    return recording_from_raw(replace(raw, name=name))
+    raw = next(_pieces(tables.table_of_frame(table, file), robot, mapping))
+    return checked(replace(raw, name=name))
 
 
 def read_chunks(
@@ -116,7 +154,6 @@ def read_chunks(
     rows: int = 100_000,
     *,
     mapping: ColumnMap | None = None,
-    torque_column: str | None = None,
 ) -> Iterator[Recording]:
     """A log larger than memory as recordings of some rows each, checked as `load_recording` does.
 
@@ -128,7 +165,6 @@ def read_chunks(
         robot: The arm, or its number of joints.
         rows: Most rows of a piece.
         mapping: What the user says about the columns.
-        torque_column: Prefix of the torque columns.
 
     Yields:
         Pieces of at least one row; ``t`` counts from the first sample of the log.
@@ -140,28 +176,122 @@ def read_chunks(
     if rows < 1:
         raise BadInput(f"rows is {rows}; a piece must hold at least one row")
     files = [paths] if isinstance(paths, str | Path) else list(paths)
-    raw: RawRecording | None = None
-    origin, end, extremes = None, None, np.zeros((0, 0))
+    origin, end, extremes = None, -np.inf, np.zeros((0, 0))
     for file in files:
-        table, first_row = open_log(file, mapping), 0
-        for raw in raw_pieces(table, robot, mapping, torque_column, rows, origin):
-            check_finite(raw, first_row)
-            check_time(raw, first_row, end)
-            seen = raw.tau if end is None else np.concatenate([extremes, raw.tau])
+        first_row = 0
+        for raw in _pieces(_open_log(file, mapping), robot, mapping, rows, origin):
+            _refuse_bad_rows(raw, first_row, end)
+            seen = np.concatenate([extremes, raw.tau]) if len(extremes) else raw.tau
             extremes = np.array([seen.min(axis=0), seen.max(axis=0)])
-            origin, end, first_row = raw.start, float(raw.t[-1]), first_row + len(raw.t)
-            yield unchecked(raw)
-    if raw is None or end is None or end < MINIMUM_DURATION:
-        raise BadRecording(
-            files[0] if files else "",
-            f"too short: {end or 0.0:.3g} s, at least {MINIMUM_DURATION:g} s are needed",
-            column="t",
-        )
-    check_alive(extremes, raw)
+            origin, end, first_row = raw.start, float(raw.t[-1]), first_row + len(raw)
+            yield _with_usable_speeds(raw)
+    if end < MINIMUM_DURATION:
+        why = f"too short: {max(end, 0.0):.3g} s, at least {MINIMUM_DURATION:g} s are needed"
+        raise BadRecording(files[0] if files else "", why, column="t")
+    _refuse_dead(extremes, raw)
 
 
-def recording_from_raw(raw: RawRecording) -> Recording:
-    """The recording of a log, refused where a row cannot be used as it is.
+def _open_log(path: str | Path, mapping: ColumnMap | None) -> tables.Table:
+    path = Path(path)
+    is_bag_folder = (path / "metadata.yaml").is_file()
+    suffix = ".bag" if is_bag_folder else path.suffix.lower()
+    why = f"unknown format '{path.suffix}'; give .parquet or .csv, .npz, .mat, .bag or .mcap"
+    if not path.exists():
+        why = "no such file"
+    elif path.is_dir() and not is_bag_folder:
+        why = "is a folder without metadata.yaml of a ROS 2 bag; give a file, or a bag"
+    elif suffix in SUFFIXES:
+        try:
+            if suffix in _BAGS:
+                return tables.bag_table(path, mapping.topic if mapping else None)
+            return _READERS[suffix](path)
+        except (BadRecording, ModuleNotFoundError):
+            raise
+        except Exception as error:  # readers of others raise anything on a damaged file
+            raise tables.unreadable(path, error) from None
+    raise BadRecording(path, why)
+
+
+def _pieces(
+    table: tables.Table,
+    robot: Robot | int,
+    mapping: ColumnMap | None,
+    rows: int | None = None,
+    origin: tuple[float, float] | None = None,
+) -> Iterator[Recording]:
+    """A log in pieces of at most so many rows, or whole with its other columns; nothing refused.
+
+    ``origin`` is the time that becomes 0, that of the first row when None.
+    """
+    columns = resolve(table, robot, mapping or ColumnMap())
+    narrow = columns.names if rows is not None or table.joined else None
+    timed = columns.t_unit is not None or len(columns.t) > 1
+    for frame in table.frames(rows, narrow):
+        if rows is not None and frame.empty:
+            continue
+        if not timed:
+            columns, timed = _timed(columns, frame), True
+        raw = _in_si_units(table, frame, columns, origin)
+        origin = raw.start
+        yield raw
+
+
+def _timed(columns: Columns, frame: pd.DataFrame) -> Columns:
+    """The columns with the unit of time that the values show, where names say none."""
+    unit = tables.stamps_unit(frame[columns.t[0]])
+    if unit is None or unit == "s":
+        return columns
+    what = "dates" if unit == tables.ISO else f"stamps since 1970 [{unit}]"
+    return replace(
+        columns, t_unit=unit, notes=(*columns.notes, f"time: {columns.t[0]} holds {what}")
+    )
+
+
+def _in_si_units(
+    table: tables.Table, frame: pd.DataFrame, columns: Columns, origin: tuple[float, float] | None
+) -> Recording:
+    texts: dict[tuple[int, str], str] = {}
+
+    def remembered(column: str, values: Array) -> Array:
+        for row in np.flatnonzero(~np.isfinite(values))[:_REMEMBERED]:
+            texts[int(row), column] = str(frame[column].iloc[row])
+        return values
+
+    def channel(found: Channel) -> Array:
+        values = [remembered(name, tables.as_numbers(frame[name])) for name in found.columns]
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(np.column_stack(values) * found.factors)
+
+    whole, rest = tables.in_seconds(frame[columns.t[0]], columns.t_unit)
+    if len(columns.t) == 2:
+        rest = rest + 1e-9 * tables.as_numbers(frame[columns.t[1]])
+    usable = np.flatnonzero(np.isfinite(remembered(columns.t[0], whole + rest)))
+    if origin is None:
+        origin = (float(whole[usable[0]]), float(rest[usable[0]])) if len(usable) else (0.0, 0.0)
+    with np.errstate(invalid="ignore", over="ignore"):
+        t = (whole - origin[0]) + (rest - origin[1])
+    return Recording(
+        name=Path(table.file).stem,
+        file=table.file,
+        t=t,
+        q=channel(columns.q),
+        tau=channel(columns.tau),
+        unit=columns.unit,
+        dq=None if columns.dq is None else channel(columns.dq),
+        notes=(*table.notes, *columns.notes),
+        extras={
+            str(name): tables.as_numbers(frame[name])
+            for name in frame.columns.drop_duplicates(keep=False)
+            if name not in columns.names and pd.api.types.is_numeric_dtype(frame[name])
+        },
+        columns=(columns.t[0], *columns.q.columns, *columns.tau.columns),
+        start=origin,
+        unreadable=texts,
+    )
+
+
+def checked(raw: Recording) -> Recording:
+    """The recording, refused where a row cannot be used as it is.
 
     Speeds are left out, with a note, where some are no finite numbers; they are not needed.
 
@@ -169,78 +299,53 @@ def recording_from_raw(raw: RawRecording) -> Recording:
         BadRecording: Cells that are no finite number, time that does not rise, a channel without
             signal, or less than `MINIMUM_DURATION`.
     """
-    check_finite(raw)
-    check_time(raw)
-    if len(raw.t) < 2 or np.ptp(raw.t) < MINIMUM_DURATION:
-        duration = float(np.ptp(raw.t)) if len(raw.t) else 0.0
-        raise BadRecording(
-            raw.file,
-            f"too short: {len(raw.t)} samples over {duration:.3g} s, "
-            f"at least {MINIMUM_DURATION:g} s are needed",
-            column=raw.columns.t[0],
-        )
-    check_alive(raw.tau, raw)
-    return unchecked(raw)
+    _refuse_bad_rows(raw)
+    duration = raw.duration if len(raw) else 0.0
+    if duration < MINIMUM_DURATION:
+        why = f"too short: {len(raw)} samples over {duration:.3g} s, at least"
+        why = f"{why} {MINIMUM_DURATION:g} s are needed"
+        raise BadRecording(raw.file, why, column=raw.columns[0])
+    _refuse_dead(raw.tau, raw)
+    return _with_usable_speeds(raw)
 
 
-def unchecked(raw: RawRecording) -> Recording:
-    """The recording of a log or piece whose rows have been checked."""
-    dq, notes = raw.dq, raw.notes
-    if dq is not None and not np.isfinite(dq).all():
-        row = int(np.argmax(~np.isfinite(dq).all(axis=1)))
-        dq, notes = None, (*notes, f"speeds left out: row {row} holds no finite number")
-    return Recording(raw.name, raw.file, raw.t, raw.q, raw.tau, raw.unit, dq, notes)
+def _refuse_bad_rows(raw: Recording, first_row: int = 0, before: float = -np.inf) -> None:
+    """Refuse cells of time, position and torque that are no finite number, and time not rising.
 
-
-def check_finite(raw: RawRecording, first_row: int = 0) -> None:
-    """Refuse cells of time, position and torque that are no finite number.
-
-    Args:
-        raw: The log, or a part of it.
-        first_row: Row of the log that its first row is.
+    Of a part of a log, ``first_row`` is its first row's, ``before`` the time of the row before [s].
     """
     values = np.column_stack([raw.t, raw.q, raw.tau])
     bad = ~np.isfinite(values)
-    if not bad.any():
+    steps = np.diff(raw.t, prepend=before)
+    if bad.any():
+        row, k = np.argwhere(bad)[0].tolist()
+        text = raw.unreadable.get((row, raw.columns[k]), f"{values[row, k]:g}")
+        why = f"value '{text}' is not a finite number ({int(bad.any(axis=1).sum())} such rows)"
+        why += "; remove or repair them"
+    elif (steps <= 0).any():
+        row, k = int(np.argmax(steps <= 0)), 0
+        why = (
+            f"time {'repeats' if steps[row] == 0 else 'goes back'} "
+            f"({raw.t[row]:.6g} after {raw.t[row] - steps[row]:.6g} s); "
+            f"sort or remove those rows, which --repair does where they fit"
+        )
+    else:
         return
-    columns = [raw.columns.t[0], *raw.columns.q.columns, *raw.columns.tau.columns]
-    row, k = np.argwhere(bad)[0].tolist()
-    text = raw.unreadable.get((row, columns[k]), f"{values[row, k]:g}")
-    why = f"value '{text}' is not a finite number ({int(bad.any(axis=1).sum())} such rows)"
-    why += "; remove or repair them"
-    raise BadRecording(raw.file, why, row=row + first_row, column=columns[k])
+    raise BadRecording(raw.file, why, row=row + first_row, column=raw.columns[k])
 
 
-def check_time(raw: RawRecording, first_row: int = 0, before: float | None = None) -> None:
-    """Refuse time that repeats or goes back.
-
-    Args:
-        raw: The log, or a part of it.
-        first_row: Row of the log that its first row is.
-        before: Time of the row before [s].
-    """
-    steps = np.diff(raw.t, prepend=-np.inf if before is None else before)
-    if (steps > 0).all():
-        return
-    k = int(np.argmax(steps <= 0))
-    last = raw.t[k - 1] if k else before
-    why = (
-        f"time {'repeats' if steps[k] == 0 else 'goes back'} ({raw.t[k]:.6g} after {last:.6g} s); "
-        f"sort or remove those rows, which --repair does where they fit"
-    )
-    raise BadRecording(raw.file, why, row=k + first_row, column=raw.columns.t[0])
-
-
-def check_alive(tau: Array, raw: RawRecording) -> None:
-    """Refuse torque of a joint that is the same in every row.
-
-    Args:
-        tau: Torque, or the extremes of it, shape (n, nv).
-        raw: The log that it comes from.
-    """
+def _refuse_dead(tau: Array, raw: Recording) -> None:
+    """Refuse torque (or its extremes), shape (n, nv), of a joint that is the same in every row."""
     dead = np.flatnonzero(np.ptp(tau, axis=0) == 0)
     if len(dead):
-        why = (
-            f"dead channel: {tau[0, dead[0]]:g} in every row; repair the sensor or lock this joint"
-        )
-        raise BadRecording(raw.file, why, column=raw.columns.tau.columns[dead[0]])
+        value, column = tau[0, dead[0]], raw.columns[1 + raw.nv + dead[0]]
+        why = f"dead channel: {value:g} in every row; repair the sensor or lock this joint"
+        raise BadRecording(raw.file, why, column=column)
+
+
+def _with_usable_speeds(raw: Recording) -> Recording:
+    if raw.dq is None or np.isfinite(raw.dq).all():
+        return raw
+    row = int(np.argmax(~np.isfinite(raw.dq).all(axis=1)))
+    note = f"speeds left out: row {row} holds no finite number"
+    return replace(raw, dq=None, notes=(*raw.notes, note))

@@ -27,7 +27,7 @@ import scipy
 from excitant.exceptions import BadInput
 from excitant.identify.preprocessing import Segment
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion, freeze, read_only
+from excitant.robots.motion import Array, freeze, read_only
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
 
@@ -269,12 +269,3 @@ def joined(parts: Sequence[Regression]) -> Regression:
 def evenly(rows: int, parts: int) -> Index:
     """Block of each of some rows, as equal as can be, shape (rows,)."""
     return np.arange(rows) * parts // rows
-
-
-def observation(robot: Robot, effects: Sequence[Effect], segments: Sequence[Segment]) -> Array:
-    """Filtered columns of links and effects at the rows of all segments, (n, nv, p)."""
-
-    def columns(motion: Motion) -> Array:
-        return observation_columns(robot, effects, motion)
-
-    return np.concatenate([segment.rows(columns) for segment in segments])

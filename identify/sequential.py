@@ -34,11 +34,15 @@ import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import RankDeficient
-from excitant.identify.coloured_noise import score_covariances
 from excitant.identify.drive_gains import current_gains
 from excitant.identify.estimate import Estimate, identify_robot, judged, notes_on
 from excitant.identify.information import Information, gaussian
-from excitant.identify.least_squares import LeastSquares, student_width
+from excitant.identify.least_squares import (
+    JointRows,
+    LeastSquares,
+    score_covariances,
+    student_width,
+)
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Mask, dry_joints, moving, stilled
 from excitant.identify.prior import BasePrior, base_prior, prior_parameters
@@ -152,7 +156,9 @@ def _noise(every: Array, U: Array, target: Array) -> tuple[Array, float, float]:
     residual = target - every @ (every.T @ target)
     floor = 1e-9 * float(np.linalg.norm(target)) / np.sqrt(n) + 1e-12  # data without noise
     sigma = max(float(np.linalg.norm(residual)) / np.sqrt(max(n - m, n / 10)), floor)
-    scores, freedom = score_covariances(every[:, None, :], residual[:, None] / sigma, np.eye(m))
+    scores, freedom = score_covariances(
+        [JointRows(np.arange(m), every)], residual[:, None] / sigma, np.eye(m)
+    )
     T = every.T @ U
     covariance = sigma**2 * student_width(freedom[0]) ** 2 * (T.T @ scores[0] @ T)
     inflation = max(float(np.trace(covariance)) / max(len(T.T), 1) / sigma**2, 1.0)

@@ -3,40 +3,51 @@
 An effect is linear in its coefficients once its shape is fixed: the speed of Stribeck's bell, the
 exponent of friction, the distance over which it builds up, the time in which a joint warms up, the
 order of a ripple. Each shape is looked for on the effect's own grid first, by what its columns
-explain beyond all others. Then bodies, coefficients θ and logarithms s of shapes minimise
+explain beyond all others. Then bodies π, coefficients and logarithms of shapes, together θ, descend
+on
 
-    ‖R φ(π) + C(s) θ − z‖² + D(φ(π)) + Σ (θ_i / std_i)² + Σ (s_k − s̄_k)² / σ²
+    ‖R φ(π) + τ(θ) − z‖² + D(φ(π)) + Σ_i (θ_i − θ̄_i)² / s_i²,   θ ≥ bounds,
 
-from the semidefinite fit on (`excitant.identify.log_cholesky`). Other shapes are taken where that
-is lower by more than as many numbers take off it by chance.
+D the pull-back distance of `excitant.identify.physical`. Every body is written by ten free numbers
+π = (α, d, s, t) (log-Cholesky: Rucker and Wensing 2022): its pseudo-inertia is
+
+    P = U Uᵀ,   U = e^α [[e^d₁, s₁₂, s₁₃, t₁], [0, e^d₂, s₂₃, t₂], [0, 0, e^d₃, t₃], [0, 0, 0, 1]],
+
+which is positive definite for all of them and reaches every P ≻ 0 exactly once. Where data call for
+a body that cannot be, its numbers run away while the objective and θ settle: no minimum is
+demanded. Other shapes are taken where the objective is lower by more than chance.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import scipy
 
-from excitant.exceptions import Infeasible, RankDeficient
+from excitant.exceptions import BadInput, Infeasible, RankDeficient
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
-from excitant.identify.log_cholesky import NonlinearEffects, refine_log_cholesky
 from excitant.identify.physical import PhysicalFit, fit_physical
-from excitant.identify.preprocessing import Segment
-from excitant.identify.prior import EffectPrior
+from excitant.identify.prior import PRIOR_SIGMA, EffectPrior, link_coordinates, link_weights
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import FitRows
+from excitant.identify.semidefinite import KktResiduals
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, joint_facts
 from excitant.robots.motion import Array, freeze
+from excitant.robots.parameters import pseudo_inertia
 
 _CHANCE = 0.01  # that shapes change where the ones they had are right
 _DECADE = float(np.log(10.0))  # σ: a shape is known to a factor of ten
 _INSTANTS = 1500  # at most, evenly taken
 _STEP = 1e-5  # of a shape, for its derivative
+_EVALUATIONS, _TOLERANCE = 60, 1e-5  # of the descent, where no minimum is demanded
+_OFF = ((0, 1), (1, 2), (0, 2))  # s₁₂, s₂₃, s₁₃, the order of Rucker and Wensing
 
 
 @dataclass(frozen=True)
@@ -144,11 +155,11 @@ def refined_shapes(rows: FitRows, prior: Array, knowledge: Knowledge) -> Shapes 
         return None
     rows = replace(rows, effects=effects)
     try:
-        first = _Shaped(rows, prior, knowledge).refined()
+        first = _Search(rows).refined(prior, knowledge)
         if not first.better:
             return first
         # once more with the noise that is left then
-        second = _Shaped(first.rows(rows), prior, knowledge).refined()
+        second = _Search(first.rows(rows)).refined(prior, knowledge)
     except (RankDeficient, Infeasible):
         return None
     pairs = zip(second.found, first.found, strict=True)
@@ -156,85 +167,72 @@ def refined_shapes(rows: FitRows, prior: Array, knowledge: Knowledge) -> Shapes 
     return replace(second, found=found, before=first.before, after=first.after)
 
 
-class _Shaped:
+class _Search:
     """The whitened problem with columns of effects for any shapes."""
 
-    def __init__(self, rows: FitRows, prior: Array, knowledge: Knowledge) -> None:
-        self.robot, self.effects, self.prior = rows.robot, rows.effects, prior
-        self.segments: Sequence[Segment] = rows.data.train
+    def __init__(self, rows: FitRows) -> None:
+        self.fitted, self.robot, self.effects = rows, rows.robot, rows.effects
         self.links = 10 * rows.robot.nv
         stride = -(-len(rows.regression) // _INSTANTS)
         self.some = slice(None, None, stride)
         fit = weighted_least_squares(rows.reduced)
         # a row that stands for many counts as many, as far as these are independent
-        self.fit = replace(fit, inflation=np.maximum(fit.inflation / stride, 1.0))
-        self.weight = self.fit.weight
+        self.weight = replace(fit, inflation=np.maximum(fit.inflation / stride, 1.0)).weight
         self.problem = rows.regression.at(self.some)
         W = self.problem.W
         self.R = (W * self.weight[:, None]).reshape(-1, W.shape[2])
         self.z = (self.problem.tau * self.weight).ravel()
-        self.known, self.knowledge = rows.open_prior, knowledge
-        self.facts = joint_facts([segment.motion for segment in self.segments])
-        self.places = self._places()
-        self.last: tuple[bytes, Array] = (b"", self.R)
-
-    def _places(self) -> list[tuple[int, slice, str]]:
-        """Each effect that has a shape, the columns of its coefficients, and the shape's name."""
-        found, at = [], self.links
+        # effects that have a shape: their index, the columns of their coefficients, the shape
+        self.places: list[tuple[int, slice, str]] = []
+        at = 0
         for k, effect in enumerate(self.effects):
             count = len(effect.parameters(self.robot))
             if effect.tuned is not None:
-                found.append((k, slice(at, at + count), effect.tuned.name))
+                self.places.append((k, slice(at, at + count), effect.tuned.name))
             at += count
-        return found
+        self.last: tuple[bytes, Array] = (b"", self.R[:, self.links :])
 
     def columns(self, effect: Effect) -> Array:
         """Whitened columns of an effect at the rows, shape (rows, k)."""
-        parts = [s.rows(lambda motion: effect.columns(self.robot, motion)) for s in self.segments]
+        segments = self.fitted.data.train
+        parts = [s.rows(lambda motion: effect.columns(self.robot, motion)) for s in segments]
         found = np.concatenate(parts)[self.some] * self.weight[:, None]
         return np.asarray(found.reshape(len(self.z), -1), float)
 
-    def refined(self) -> Shapes:
+    def refined(self, prior: Array, knowledge: Knowledge) -> Shapes:
         """Best shapes of the grids, then all at once."""
         given = np.array([getattr(self.effects[k], name) for k, _, name in self.places])
+        open_prior, links = self.fitted.open_prior, self.robot.links
         R, z = self.problem.factor(self.weight)
-        start = fit_physical(
-            R, z, self.prior, self.known, knowledge=self.knowledge, links=self.robot.links
+        start = fit_physical(R, z, prior, open_prior, knowledge=knowledge, links=links)
+        known = EffectPrior(
+            np.concatenate([open_prior.mean, np.log(given)]),
+            np.concatenate([open_prior.std, np.full(len(given), _DECADE)]),
+            np.concatenate([open_prior.lower, np.full(len(given), -np.inf)]),
         )
-        count = len(given)
-        mean = np.concatenate([self.known.mean, np.log(given)])
-        std = np.concatenate([self.known.std, np.full(count, _DECADE)])
-        lower = np.concatenate([self.known.lower, np.full(count, -np.inf)])
-        best = self._on_grids()
-        theta = np.concatenate([start.x[self.links :], np.log(best)])
-        fit, objective = refine_log_cholesky(
-            self.R[:, : self.links], self.z, self.prior,
-            NonlinearEffects(self.torque, EffectPrior(mean, std, lower), theta, self.alone),
-            start.x[: self.links].reshape(-1, 10),
-        )  # fmt: skip
-        at_given = np.concatenate([start.x, np.log(given)])
-        return self._shapes(given, fit, objective(at_given), objective(fit.x))
+        descent = Descent(self.R[:, : self.links], self.z, prior, known, self.torque, self.slopes)
+        theta = np.concatenate([start.x[self.links :], np.log(self._on_grids())])
+        fit = descent.fit(start.x[: self.links].reshape(-1, 10), theta)
+        before = descent.objective(np.concatenate([start.x, np.log(given)]))
+        return self._shapes(given, fit, before, descent.objective(fit.x))
 
     def _on_grids(self) -> Array:
         """Each shape as it is given or, where that explains more, from the effect's own grid."""
-        best = []
+        best, facts = [], joint_facts([segment.motion for segment in self.fitted.data.train])
         for k, place, name in self.places:
-            effect = self.effects[k]
-            others = np.delete(self.R, np.arange(place.start, place.stop), axis=1)
+            effect, joint = self.effects[k], self.effects[k].joints[0]
+            own = np.arange(place.start, place.stop) + self.links
+            others = np.delete(self.R, own, axis=1)
             live = others[:, (others != 0).any(axis=0)]
             Q = scipy.linalg.qr(live / np.linalg.norm(live, axis=0), mode="economic", pivoting=True)
             rank = int((np.abs(np.diag(Q[1])) > 1e-9 * abs(Q[1][0, 0])).sum())
             basis = Q[0][:, :rank]
             left = self.z - basis @ (basis.T @ self.z)
-            shapes = [effect, *self._grid(effect)]
+            fact = facts[self.robot.joint_index(joint)]
+            shapes = [effect, *(effect.candidates(joint, fact) if fact.moves else [])]
             gains = [self._explained(each, basis, left) for each in shapes]
             best.append(getattr(shapes[int(np.argmax(gains))], name))
         return np.array(best)
-
-    def _grid(self, effect: Effect) -> list[Effect]:
-        """Shapes that the effect itself proposes for what its joint does."""
-        facts = self.facts[self.robot.joint_index(effect.joints[0])]
-        return list(effect.candidates(effect.joints[0], facts)) if facts.moves else []
 
     def _explained(self, effect: Effect, basis: Array, left: Array) -> float:
         """Squared torque that an effect explains of what others leave; none of the wrong sign."""
@@ -242,49 +240,42 @@ class _Shaped:
         C = C - basis @ (basis.T @ C)
         theta = np.linalg.lstsq(C, left, rcond=1e-9)[0]
         lower = np.array([p.lower for p in effect.parameters(self.robot)])
-        return (
-            0.0 if (theta < lower).any() else float(left @ left - ((left - C @ theta) ** 2).sum())
-        )
+        if (theta < lower).any():
+            return 0.0
+        return float(left @ left - ((left - C @ theta) ** 2).sum())
 
-    def alone(self, theta: Array) -> Array:
+    def torque(self, theta: Array) -> Array:
         """Whitened torque of all effects."""
         values, columns = self._columns(theta)
         return np.asarray(columns @ values, float)
 
-    def torque(self, theta: Array) -> tuple[Array, Array]:
-        """The same and its slopes by coefficients and logarithms of shapes."""
+    def slopes(self, theta: Array) -> Array:
+        """Its slopes by coefficients and logarithms of shapes."""
         values, columns = self._columns(theta)
-        slopes = np.empty((len(self.z), len(self.places)))
-        for i, ((k, place, name), s) in enumerate(
-            zip(self.places, theta[len(values) :], strict=True)
-        ):
-            own = slice(place.start - self.links, place.stop - self.links)
+        further = []
+        for (k, own, name), s in zip(self.places, theta[len(values) :], strict=True):
             moved = self.columns(self.effects[k].reshaped(name, float(np.exp(s + _STEP))))
-            slopes[:, i] = (moved - columns[:, own]) @ values[own] / _STEP
-        return columns @ values, np.hstack([columns, slopes])
+            further.append((moved - columns[:, own]) @ values[own] / _STEP)
+        return np.column_stack([columns, *further])
 
     def _columns(self, theta: Array) -> tuple[Array, Array]:
         """Coefficients, and whitened columns of all effects in the shapes of θ."""
         count = len(theta) - len(self.places)
         if self.last[0] != theta[count:].tobytes():
             columns = self.R[:, self.links :].copy()
-            for (k, place, name), s in zip(self.places, theta[count:], strict=True):
-                own = slice(place.start - self.links, place.stop - self.links)
+            for (k, own, name), s in zip(self.places, theta[count:], strict=True):
                 columns[:, own] = self.columns(self.effects[k].reshaped(name, float(np.exp(s))))
             self.last = theta[count:].tobytes(), columns
         return theta[:count], self.last[1]
 
     def _shapes(self, given: Array, fit: PhysicalFit, before: float, after: float) -> Shapes:
         """The result; shapes as they are given where others are no better."""
-        count = len(given)
-        p = len(fit.x) - count
-        C = fit.covariance
+        p, C = len(fit.x) - len(given), fit.covariance
         values, std = np.exp(fit.x[p:]), np.sqrt(np.diag(C)[p:])
         # the part of the parameters' covariance that comes from that of the shapes
         root = np.linalg.cholesky(C[p:, p:])
         spread = scipy.linalg.solve_triangular(root, C[:p, p:].T, lower=True).T
-        effects = list(self.effects)
-        found = []
+        effects, found = list(self.effects), []
         for (k, _, name), old, new, s in zip(self.places, given, values, std, strict=True):
             shape = effects[k].tuned
             assert shape is not None
@@ -292,3 +283,144 @@ class _Shaped:
             entry = effects[k].name, effects[k].joints[0], name, shape.unit
             found.append(Shape(*entry, float(old), float(new), float(new * s)))
         return Shapes(tuple(found), tuple(effects), before, after, spread)
+
+
+def from_log_cholesky(numbers: Array) -> tuple[Array, Array]:
+    """Standard parameters of (α, d₁, d₂, d₃, s₁₂, s₂₃, s₁₃, t₁, t₂, t₃), and their Jacobian.
+
+    Args:
+        numbers: Of one body, shape (10,).
+
+    Returns:
+        Shapes (10,) and (10, 10).
+    """
+    body = pin.LogCholeskyParameters(np.array(numbers, float))
+    return np.asarray(body.toDynamicParameters()), np.asarray(body.calculateJacobian())
+
+
+def to_log_cholesky(phi: Array) -> Array:
+    """The ten numbers of a consistent body with standard parameters φ, shape (10,).
+
+    Raises:
+        BadInput: No body of positive density has them.
+    """
+    try:
+        flip = np.linalg.cholesky(pseudo_inertia(phi)[::-1, ::-1])
+    except np.linalg.LinAlgError:
+        raise BadInput("log-Cholesky: parameters that no body of positive density has") from None
+    U = flip[::-1, ::-1]  # upper triangular with U Uᵀ = P
+    unit = U / U[3, 3]
+    off = [unit[k] for k in _OFF]
+    return np.array([np.log(U[3, 3]), *np.log(np.diag(unit)[:3]), *off, *unit[:3, 3]])
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """The fit of bodies and θ where the torque of effects is any function of θ, shape (k,).
+
+    Attributes:
+        R: Whitened columns of the links, shape (m, 10 links); the rows themselves, since a QR
+            factor has lost what the torque of effects is compared with.
+        z: Whitened torque, shape (m,).
+        prior: Standard parameters of the prior, consistent, shape (links, 10).
+        known: What is known of θ beforehand, and its bounds.
+        torque: Whitened torque of effects at θ, shape (m,).
+        slopes: Its Jacobian, shape (m, k).
+    """
+
+    R: Array
+    z: Array
+    prior: Array
+    known: EffectPrior
+    torque: Callable[[Array], Array]
+    slopes: Callable[[Array], Array]
+
+    def fit(self, bodies: Array, theta: Array, tolerance: float = _TOLERANCE) -> PhysicalFit:
+        """Descend from a consistent point, such as a semidefinite fit, as far as it pays.
+
+        Args:
+            bodies: Standard parameters to start from, consistent, shape (links, 10).
+            theta: θ to start from.
+            tolerance: Relative change of objective and parameters at which the descent ends.
+
+        Returns:
+            Standard parameters and θ there, with the covariance of the Gauss-Newton approximation;
+            ``kkt`` says how close to a minimum that is.
+
+        Raises:
+            BadInput: Impossible bodies.
+        """
+        lower = self.known.lower
+        theta = np.where(theta > lower, theta, lower + 1e-3 * np.abs(self.known.std))
+        numbers = np.concatenate([*(to_log_cholesky(values) for values in bodies), theta])
+        bounds = np.concatenate([np.full(self.prior.size, -np.inf), lower])
+        with np.errstate(over="ignore", invalid="ignore"):  # steps too long are taken back
+            found = scipy.optimize.least_squares(
+                self.residual,
+                numbers,
+                self.jacobian,
+                bounds=(bounds, np.inf),
+                x_scale="jac",
+                ftol=tolerance,
+                xtol=tolerance,
+                gtol=tolerance,
+                max_nfev=_EVALUATIONS,
+            )
+        numbers, m = np.asarray(found.x, float), len(self.z)
+        phi, theta = self._split(numbers)
+        J = self._rows(theta)
+        data, factor, before = (np.asarray(np.linalg.qr(A, mode="r")) for A in (J[:m], J, J[m:]))
+        after, root = (scipy.linalg.solve_triangular(A, np.eye(len(A))) for A in (factor, before))
+        quality = self._optimality(numbers, bounds)
+        links = len(self.prior)
+        return PhysicalFit(
+            np.concatenate([phi, theta]), after @ after.T, quality, data, root, links
+        )
+
+    def objective(self, x: Array) -> float:
+        """What is minimised, at standard parameters and θ, shape (10 links + k,)."""
+        return float((self._misfit(x[: self.prior.size], x[self.prior.size :]) ** 2).sum())
+
+    def residual(self, numbers: Array) -> Array:
+        """Of data, prior of the links, prior of the effects, at (π, θ)."""
+        return self._misfit(*self._split(numbers))
+
+    def jacobian(self, numbers: Array) -> Array:
+        """Jacobian of the residual by (π, θ)."""
+        size = self.prior.size
+        J = self._rows(numbers[size:])
+        blocks = [from_log_cholesky(each)[1] for each in numbers[:size].reshape(-1, 10)]
+        return np.hstack([J[:, :size] @ scipy.linalg.block_diag(*blocks), J[:, size:]])
+
+    @cached_property
+    def _distance(self) -> Array:
+        """Rows whose squares are the distance to the prior, shape (10 links, 10 links)."""
+        weights = link_weights(len(self.prior), PRIOR_SIGMA)
+        return np.asarray(weights[:, None] * np.linalg.inv(link_coordinates(self.prior)), float)
+
+    def _split(self, numbers: Array) -> tuple[Array, Array]:
+        """Standard parameters and θ of (π, θ)."""
+        size = self.prior.size
+        phi = [from_log_cholesky(each)[0] for each in numbers[:size].reshape(-1, 10)]
+        return np.concatenate(phi), numbers[size:]
+
+    def _misfit(self, phi: Array, theta: Array) -> Array:
+        data = self.R @ phi + self.torque(theta) - self.z
+        known = (theta - self.known.mean) / self.known.std
+        return np.concatenate([data, self._distance @ (phi - self.prior.ravel()), known])
+
+    def _rows(self, theta: Array) -> Array:
+        """Jacobian of the residual by (φ, θ), shape (rows, p)."""
+        prior = scipy.linalg.block_diag(self._distance, np.diag(1 / self.known.std))
+        return np.vstack([np.hstack([self.R, self.slopes(theta)]), prior])
+
+    def _optimality(self, numbers: Array, lower: Array) -> KktResiduals:
+        """Gradient that no active bound takes, relative to that of the data."""
+        J = self.jacobian(numbers)
+        gradient, scale = 2 * J.T @ self.residual(numbers), np.linalg.norm(J, axis=0)
+        room, size = numbers - lower, float(np.linalg.norm(self.z)) + 1.0
+        with np.errstate(invalid="ignore"):  # without bound and without slope
+            bound = (gradient > 0) & (room * scale < 1e-6 * np.linalg.norm(self.z))
+        free = np.where(bound, 0.0, gradient) / np.where(scale > 0, scale, 1.0)
+        slack = float(np.sum(gradient[bound] * room[bound])) / size**2
+        return KktResiduals(float(np.linalg.norm(free)) / size, slack, max(0.0, -float(room.min())))

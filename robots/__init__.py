@@ -1,7 +1,7 @@
 """What an arm is, and what torque it needs."""
 
 from excitant.robots.base_parameters import BaseParameters, base_parameters
-from excitant.robots.dh import DHChain, dh_from_robot, robot_from_dh, urdf_from_dh, with_convention
+from excitant.robots.dh import DHChain, robot_from_dh
 from excitant.robots.limits import Limits, load_limits
 from excitant.robots.loading import builtin_robots, load_robot
 from excitant.robots.motion import Array, Motion
@@ -18,7 +18,6 @@ __all__ = [
     "Robot",
     "base_parameters",
     "builtin_robots",
-    "dh_from_robot",
     "load_limits",
     "load_robot",
     "regressor",
@@ -26,6 +25,4 @@ __all__ = [
     "rigid_body_torque",
     "robot_from_dh",
     "torque",
-    "urdf_from_dh",
-    "with_convention",
 ]

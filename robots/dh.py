@@ -33,7 +33,7 @@ both along the axes of the link frame, with products as tensor elements (xy is �
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -43,10 +43,10 @@ import pinocchio as pin
 
 from excitant.exceptions import BadRobot
 from excitant.robots.limits import Limits
-from excitant.robots.motion import Array, freeze, read_only
-from excitant.robots.parameters import elements, from_pseudo_inertia, pseudo_inertia, steiner
+from excitant.robots.motion import Array, freeze
+from excitant.robots.parameters import elements, moved_parameters, steiner
 from excitant.robots.robot import Robot
-from excitant.robots.schema import DHRecord, PlaceRecord, RobotRecord
+from excitant.robots.schema import CylinderRecord, DHRecord, PlaceRecord, RobotRecord
 from excitant.robots.urdf import (
     GRAVITY,
     collision,
@@ -59,26 +59,6 @@ from excitant.robots.urdf import (
 
 Convention = Literal["standard", "modified"]
 CONVENTIONS: tuple[Convention, Convention] = ("standard", "modified")
-
-_PARALLEL = 1e-5  # rad: below, common normals are too far away for the inertia's digits
-_ZERO = 1e-13  # m or rad: what rounding leaves of a zero
-
-
-@dataclass(frozen=True)
-class Cylinder:
-    """A collision shape: a cylinder between two points, or a sphere when they coincide.
-
-    Attributes:
-        link: The link it belongs to, 1 to nv, or 0 for the base.
-        start: One end, in the Denavit-Hartenberg frame of the link (the base frame for 0) [m].
-        end: Other end [m].
-        radius: Radius [m].
-    """
-
-    link: int
-    start: tuple[float, float, float]
-    end: tuple[float, float, float]
-    radius: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +79,7 @@ class DHChain:
         gravity: Gravity in the base frame, shape (3,) [m/s²].
         base: Pose of frame 0 in the base frame, shape (4, 4).
         tool: Pose of the tool in frame nv, shape (4, 4).
-        shapes: Collision shapes.
+        shapes: Collision shapes of the base, in the base frame, and of every link; or none.
     """
 
     name: str
@@ -115,27 +95,15 @@ class DHChain:
     gravity: Array
     base: Array
     tool: Array
-    shapes: tuple[Cylinder, ...] = ()
+    shapes: tuple[tuple[CylinderRecord, ...], ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "a", "d", "alpha", "theta", "phi", "gravity", "base", "tool")
-        revolute = np.array(self.revolute, dtype=bool)
-        revolute.setflags(write=False)
-        object.__setattr__(self, "revolute", revolute)
-        if self.convention not in CONVENTIONS:
-            raise ValueError(f"convention '{self.convention}' is neither standard nor modified")
-        per_joint = (self.a, self.d, self.alpha, self.theta, revolute, self.joints, self.links)
-        if {len(x) for x in per_joint} != {self.nv} or self.phi.shape != (10 * self.nv,):
-            raise ValueError(f"numbers of joints differ: {[len(x) for x in per_joint]}")
 
     @property
     def nv(self) -> int:
         """Number of joints."""
         return len(self.joints)
-
-    def with_parameters(self, phi: npt.ArrayLike) -> DHChain:
-        """The same arm with other standard parameters about its link frames, (10 nv,)."""
-        return replace(self, phi=read_only(phi))
 
     def poses(self, q: npt.ArrayLike) -> Array:
         """Pose of every link frame in the one before, shape (n, nv, 4, 4).
@@ -144,55 +112,17 @@ class DHChain:
             q: Joint positions, shape (n, nv) [rad or m].
         """
         q = np.asarray(q, float)
-        theta = self.theta + np.where(self.revolute, q, 0.0)
-        d = self.d + np.where(self.revolute, 0.0, q)
-        return _pose(self.convention, theta, d, self.a, self.alpha)
-
-    def frames(self, q: npt.ArrayLike) -> Array:
-        """Pose in the base frame of frame 0 and of every link frame, shape (n, nv + 1, 4, 4)."""
-        steps = self.poses(q)
-        found = [np.broadcast_to(self.base, (len(steps), 4, 4))]
-        for i in range(self.nv):
-            found.append(found[-1] @ steps[:, i])
-        return np.stack(found, axis=1)
-
-
-def _pose(convention: Convention, theta: Array, d: Array, a: Array, alpha: Array) -> Array:
-    theta, d, a, alpha = np.broadcast_arrays(theta, d, a, alpha)
-    about_z, about_x = np.zeros((2, *theta.shape, 4, 4))
-    for T, angle, (j, k), axis, shift in (
-        (about_z, theta, (0, 1), 2, d),
-        (about_x, alpha, (1, 2), 0, a),
-    ):
-        T[..., j, j] = T[..., k, k] = np.cos(angle)
-        T[..., k, j], T[..., j, k] = np.sin(angle), -np.sin(angle)
-        T[..., axis, axis] = T[..., 3, 3] = 1.0
-        T[..., axis, 3] = shift
-    pose: Array = about_z @ about_x if convention == "standard" else about_x @ about_z
-    return pose
-
-
-def inverse(T: Array) -> Array:
-    """Inverse of rigid poses, shape (..., 4, 4)."""
-    turn = np.swapaxes(T[..., :3, :3], -1, -2)
-    found = np.zeros_like(T)
-    found[..., :3, :3], found[..., 3, 3] = turn, 1.0
-    found[..., :3, 3] = -(turn @ T[..., :3, 3:])[..., 0]
-    return found
-
-
-def moved_parameters(phi: npt.ArrayLike, T: npt.ArrayLike) -> Array:
-    """Standard parameters of the same body about another frame, P ← T P Tᵀ.
-
-    Args:
-        phi: Standard parameters, shape (..., 10).
-        T: Pose of the old frame in the new one, shape (..., 4, 4).
-
-    Returns:
-        Shape (..., 10); linear in ``phi``.
-    """
-    T = np.asarray(T, float)
-    return from_pseudo_inertia(T @ pseudo_inertia(phi) @ np.swapaxes(T, -1, -2))
+        about_z, about_x = np.zeros((2, *q.shape, 4, 4))
+        for T, angle, (j, k), axis, shift in (
+            (about_z, self.theta + q * self.revolute, (0, 1), 2, self.d + q * ~self.revolute),
+            (about_x, self.alpha, (1, 2), 0, self.a),
+        ):
+            T[..., j, j] = T[..., k, k] = np.cos(angle)
+            T[..., k, j], T[..., j, k] = np.sin(angle), -np.sin(angle)
+            T[..., axis, axis] = T[..., 3, 3] = 1.0
+            T[..., axis, 3] = shift
+        pose: Array = about_z @ about_x if self.convention == "standard" else about_x @ about_z
+        return pose
 
 
 def joint_frames(chain: DHChain) -> Array:
@@ -208,187 +138,18 @@ def joint_frames(chain: DHChain) -> Array:
     return inner
 
 
-def chain_through_axes(
-    points: Array, axes: Array, tip: Array, convention: Convention
-) -> tuple[Array, tuple[Array, Array, Array, Array]]:
-    """Denavit-Hartenberg frames and numbers of joints whose axes are known at q = 0.
-
-    Frame 0 lies on the first axis where the base is nearest, frame nv on the last axis where
-    the tip is nearest. Axes closer than 1e-5 rad to parallel are taken as parallel, because
-    their common normal is too far away to keep the digits of an inertia.
-
-    Args:
-        points: A point of each axis in the base frame, shape (nv, 3) [m].
-        axes: Unit vectors along the axes, the positive way, shape (nv, 3).
-        tip: Origin of the tool, shape (3,) [m].
-        convention: ``"standard"`` or ``"modified"``.
-
-    Returns:
-        Frames 0 to nv at q = 0, shape (nv + 1, 4, 4), and (a, d, alpha, theta), each (nv,).
-    """
-    first = _across(axes[0])
-    origin = _nearest(points[0], axes[0], np.zeros(3))
-    frames, x = [_frame(axes[0], first, origin)], first
-    for i in range(len(axes) - 1):
-        near, far, x = _common_normal(origin, points[i + 1], axes[i], axes[i + 1], x)
-        here = (axes[i + 1], far) if convention == "standard" else (axes[i], near)
-        frames.append(_frame(here[0], x, here[1]))
-        origin = far
-    frames.append(_frame(axes[-1], x, _nearest(points[-1], axes[-1], tip)))
-    found = np.array(frames)
-    steps = inverse(found[:-1]) @ found[1:]
-    numbers = _numbers(steps, convention)
-    return found, numbers
-
-
-def _nearest(point: Array, axis: Array, to: Array) -> Array:
-    nearest: Array = point + axis * (axis @ (to - point))
-    return nearest
-
-
-def _across(axis: Array) -> Array:
-    """A unit vector across an axis, along the base's x if that is possible."""
-    base = np.eye(3)[0 if abs(axis[0]) < 0.9 else 1]
-    across = base - axis * (axis @ base)
-    unit: Array = across / np.linalg.norm(across)
-    return unit
-
-
-def _common_normal(
-    origin: Array, point: Array, axis: Array, other: Array, before: Array
-) -> tuple[Array, Array, Array]:
-    """Feet on two axes of their common normal, and its direction from the first to the second.
-
-    Through ``origin`` (on the first axis) when they are parallel; along ``before`` when they
-    are the same line.
-    """
-    cross = np.cross(axis, other)
-    sine = float(np.linalg.norm(cross))
-    if sine < _PARALLEL:
-        far = _nearest(point, other, origin)
-        gap = far - origin
-        length = float(np.linalg.norm(gap))
-        return origin, far, gap / length if length > _ZERO else before
-    x = cross / sine
-    gap = point - origin
-    along, back = (np.cross(gap, v) @ cross / sine**2 for v in (other, axis))
-    near, far = origin + along * axis, point + back * other
-    return near, far, -x if gap @ x < -_ZERO else x
-
-
-def _frame(z: Array, x: Array, origin: Array) -> Array:
-    x = x - z * (x @ z)
-    x = x / np.linalg.norm(x)
-    T = np.eye(4)
-    T[:3, :4] = np.column_stack([x, np.cross(z, x), z, origin])
-    return T
-
-
-def _numbers(T: Array, convention: Convention) -> tuple[Array, Array, Array, Array]:
-    """(a, d, alpha, theta) of poses that have Denavit-Hartenberg form, each shape (nv,)."""
-    R, p = T[:, :3, :3], T[:, :3, 3]
-    if convention == "standard":
-        theta, alpha = np.arctan2(R[:, 1, 0], R[:, 0, 0]), np.arctan2(R[:, 2, 1], R[:, 2, 2])
-        a, d = p[:, 0] * np.cos(theta) + p[:, 1] * np.sin(theta), p[:, 2]
-    else:
-        theta = np.arctan2(0.0 - R[:, 0, 1], R[:, 0, 0])
-        alpha = np.arctan2(0.0 - R[:, 1, 2], R[:, 2, 2])
-        a, d = p[:, 0], p[:, 2] * np.cos(alpha) - p[:, 1] * np.sin(alpha)
-    a, d, alpha, theta = (np.where(np.abs(v) < _ZERO, 0.0, v) for v in (a, d, alpha, theta))
-    return a, d, alpha, theta
-
-
-def with_convention(chain: DHChain, convention: Convention) -> DHChain:
-    """The same arm in the other convention, with the same joint angles and torques."""
-    if chain.convention == convention:
-        return chain
-    old = chain.frames(np.zeros((1, chain.nv)))[0]
-    on = old[:-1] if chain.convention == "standard" else old[1:]
-    tip = old[-1] @ chain.tool
-    new, numbers = chain_through_axes(on[:, :3, 3], on[:, :3, 2], tip[:3, 3], convention)
-    moves = inverse(new[1:]) @ old[1:]
-    a, d, alpha, theta = numbers
-    return replace(
-        chain,
-        convention=convention,
-        a=a,
-        d=d,
-        alpha=alpha,
-        theta=theta,
-        phi=moved_parameters(chain.phi.reshape(-1, 10), moves).ravel(),
-        base=new[0],
-        tool=inverse(new[-1:])[0] @ tip,
-        shapes=tuple(_moved_shape(s, moves[s.link - 1] if s.link else None) for s in chain.shapes),
-    )
-
-
-def _moved_shape(shape: Cylinder, T: Array | None) -> Cylinder:
-    if T is None:
-        return shape
-    start, end = (tuple(T[:3, :3] @ x + T[:3, 3]) for x in (shape.start, shape.end))
-    return replace(shape, start=start, end=end)
-
-
-def dh_from_robot(robot: Robot, convention: Convention = "standard") -> DHChain:
-    """The arm as a Denavit-Hartenberg chain with the same joint angles and torques.
-
-    Locked joints stay where they are. Axes within 1e-5 rad of parallel are taken as parallel,
-    which may change torques by as much; see `chain_through_axes`.
-
-    Args:
-        robot: A serial arm; its base and tool become ``base`` and ``tool`` of the chain.
-        convention: ``"standard"`` or ``"modified"``.
-
-    Raises:
-        BadRobot: A joint that does not hang on the one before it.
-    """
-    model, data = robot.model, robot.model.createData()
-    for j, parent in enumerate(list(model.parents)[1:]):
-        if parent != j:
-            raise BadRobot(
-                robot.source,
-                f"joint '{robot.joints[j]}' branches off; Denavit-Hartenberg frames need a "
-                "serial arm, so keep the joints of one branch",
-            )
-    axes = robot.axes(np.zeros(robot.nv), data)
-    pin.updateFramePlacements(model, data)
-    poses = np.array([pose.homogeneous for pose in list(data.oMi)[1:]])
-    tip = data.oMf[robot.tip].homogeneous
-    frames, numbers = chain_through_axes(poses[:, :3, 3], axes, tip[:3, 3], convention)
-    phi = moved_parameters(robot.phi.reshape(-1, 10), inverse(frames[1:]) @ poses).ravel()
-    return DHChain(
-        robot.name,
-        convention,
-        robot.joints,
-        robot.links,
-        robot.revolute,
-        *numbers,
-        phi,
-        robot.gravity,
-        base=frames[0],
-        tool=inverse(frames[-1:])[0] @ tip,
-    )
-
-
-def robot_from_dh(chain: DHChain, limits: Limits | None = None, source: str | None = None) -> Robot:
-    """The chain as a robot whose links sit in their joint frames.
+def robot_from_dh(chain: DHChain, limits: Limits | None = None) -> Robot:
+    """The chain as a robot whose links sit in their joint frames; q means the same.
 
     Args:
         chain: The chain; its masses not zero.
         limits: Limits, written into the URDF too; none when not given.
-        source: Where the chain came from, for messages; its name when not given.
 
     Raises:
         BadRobot: A link without mass, or names that occur twice.
     """
-    source = source or chain.name
-    robot = robot_from_urdf(urdf_of_chain(chain, source), source, gravity=chain.gravity)
+    robot = robot_from_urdf(urdf_of_chain(chain, chain.name), chain.name, gravity=chain.gravity)
     return robot if limits is None else limits_in_urdf(robot.with_limits(limits))
-
-
-def urdf_from_dh(chain: DHChain, limits: Limits | None = None) -> str:
-    """URDF text of a chain; joints and links have the chain's names and q means the same."""
-    return robot_from_dh(chain, limits).urdf
 
 
 def urdf_of_chain(chain: DHChain, source: str) -> str:
@@ -412,9 +173,8 @@ def urdf_of_chain(chain: DHChain, source: str) -> str:
         place = inner[i]
     joint_element(root, flange, "fixed", chain.links[-1], tool, place @ chain.tool)
     ET.SubElement(root, "link", name=tool)
-    for shape in chain.shapes:
-        frame = inner[shape.link - 1] if shape.link else np.eye(4)
-        links[shape.link].append(_collision(shape, frame))
+    for element, frame, shapes in zip(links, [np.eye(4), *inner], chain.shapes, strict=False):
+        element.extend(_collision(shape, pin.SE3(frame)) for shape in shapes)
     return urdf_text(root)
 
 
@@ -424,25 +184,25 @@ def _unused(name: str, chain: DHChain) -> str:
     return name
 
 
-def _collision(shape: Cylinder, frame: Array) -> ET.Element:
+def _collision(shape: CylinderRecord, frame: pin.SE3) -> ET.Element:
     """A cylinder along z turned onto the line between both ends, or a sphere."""
-    start, end = (frame[:3, :3] @ np.array(x) + frame[:3, 3] for x in (shape.start, shape.end))
+    start, end = (frame.act(np.array(x)) for x in (shape.start, shape.end))
     length, centre, radius = float(np.linalg.norm(end - start)), (start + end) / 2, shape.radius
     if length == 0:
         return collision(pin.SE3(np.eye(3), centre), "sphere", radius=repr(float(radius)))
     z = (end - start) / length
-    R = _frame(z, np.eye(3)[int(np.argmin(np.abs(z)))], centre)[:3, :3]
-    numbers = {"radius": repr(float(radius)), "length": repr(length)}
-    return collision(pin.SE3(R, centre), "cylinder", **numbers)
+    y = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
+    y = y / np.linalg.norm(y)
+    place = pin.SE3(np.column_stack([np.cross(y, z), y, z]), centre)
+    return collision(place, "cylinder", radius=repr(float(radius)), length=repr(length))
 
 
-def chain_from_record(record: RobotRecord, source: str, name: str = "") -> DHChain:
+def chain_from_record(record: RobotRecord, source: str) -> DHChain:
     """The chain that a ``robot.yaml`` describes; see the module for its form.
 
     Args:
         record: The file's entries, with ``dh``.
-        source: The file, for messages.
-        name: Name of the arm where the file gives none.
+        source: The file, for messages; its stem is the arm's name where the file gives none.
 
     Raises:
         BadRobot: Entries that contradict one another, or no convention; names the link.
@@ -453,9 +213,8 @@ def chain_from_record(record: RobotRecord, source: str, name: str = "") -> DHCha
     unit = np.pi / 180 if record.angles == "degrees" else 1.0
     links = tuple(str(row.link or f"link{i}") for i, row in enumerate(rows, start=1))
     base = record.base if isinstance(record.base, PlaceRecord) else PlaceRecord()
-    shapes = (base.collision, *(row.collision for row in rows))
     return DHChain(
-        name=str(record.name or name or Path(source).stem),
+        name=str(record.name or Path(source).stem),
         convention=record.convention,
         joints=tuple(str(row.joint or f"joint{i}") for i, row in enumerate(rows, start=1)),
         links=links,
@@ -468,9 +227,7 @@ def chain_from_record(record: RobotRecord, source: str, name: str = "") -> DHCha
         gravity=np.array(record.gravity or GRAVITY),
         base=_place(base, unit),
         tool=_place(record.tool or PlaceRecord(), unit),
-        shapes=tuple(
-            Cylinder(i, x.start, x.end, x.radius) for i, own in enumerate(shapes) for x in own or ()
-        ),
+        shapes=(base.collision or (), *(row.collision or () for row in rows)),
     )
 
 
@@ -487,21 +244,13 @@ def _phi(row: DHRecord, link: str, source: str) -> Array:
             "frame, or as 'Ic' about the centre of mass",
         )
     mc = np.array(row.mc or (0.0, 0.0, 0.0)) if row.com is None else row.m * np.array(row.com)
-    about = np.array(
-        [
-            [tensor.xx, tensor.xy, tensor.xz],
-            [tensor.xy, tensor.yy, tensor.yz],
-            [tensor.xz, tensor.yz, tensor.zz],
-        ]
-    )
+    about = np.array([tensor.xx, tensor.xy, tensor.yy, tensor.xz, tensor.yz, tensor.zz])
     if row.I is None:
-        c = mc / row.m
-        about = about + steiner(row.m, c)
-    return np.concatenate([[row.m], mc, elements(about)])
+        about = about + elements(steiner(row.m, mc / row.m))
+    return np.concatenate([[row.m], mc, about])
 
 
 def _place(record: PlaceRecord, unit: float) -> Array:
-    T = np.eye(4)
-    T[:3, 3] = record.position
-    T[:3, :3] = pin.rpy.rpyToMatrix(*(unit * np.array(record.rpy)))
+    rpy = unit * np.array(record.rpy)
+    T: Array = pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(record.position)).homogeneous
     return T

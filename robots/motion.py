@@ -11,10 +11,10 @@ Array = npt.NDArray[np.float64]
 
 
 def read_only(values: npt.ArrayLike) -> Array:
-    """Float array that refuses writing: a copy, or what has been made one already."""
+    """Float array that refuses writing: a copy, or (a part of) what has been made one already."""
     if isinstance(values, np.ndarray) and values.dtype == np.float64:
-        flags = values.flags
-        if flags.owndata and not flags.writeable:
+        owner = values if values.base is None else values.base
+        if isinstance(owner, np.ndarray) and owner.flags.owndata and not owner.flags.writeable:
             return values
     array = np.array(values, dtype=float)
     array.setflags(write=False)

@@ -2,9 +2,10 @@
 
     M(q) q̈ + b(q, q̇) + τ_e(t, q, q̇) = τ,    τ = τ_ff + B (ω² (q_d − q) + 2 ω (q̇_d − q̇))
 
-with the rotors in M, Coriolis, centrifugal and gravity torque b, and the torque τ_e of the effects
-(`excitant.robots.state_torque`, which says how dry friction is smoothed near rest). A step is one
-of the Rosenbrock method ROS2 (Verwer, Spee, Blom, Hundsdorfer 1999): of second order whatever
+with the rotors in M, Coriolis, centrifugal and gravity torque b, and the torque τ_e of the
+effects. Friction jumps where a joint reverses; within ± v₀ of rest, torque is interpolated between
+those at −v₀ and at v₀, so that a joint at rest creeps with up to v₀ instead of sticking. A step is
+one of the Rosenbrock method ROS2 (Verwer, Spee, Blom, Hundsdorfer 1999): of second order whatever
 stands in for the Jacobian, here controller and friction, so that neither stiff gains nor the dry
 friction of light joints limit its length.
 
@@ -13,7 +14,9 @@ The plant of the virtual arm (`excitant.robots.plant`) shares no code with this.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,28 +25,28 @@ import scipy
 from scipy.linalg.lapack import dgesv
 
 from excitant.exceptions import BadInput, ExcitantError
+from excitant.robots.effects.base import Effect, Stepper
 from excitant.robots.motion import Array, Motion, freeze, read_only
 from excitant.robots.robot import Robot
-from excitant.robots.state_torque import forward_model
 from excitant.robots.torque import torque
 
+REST = 1e-3  # rad/s or m/s: v₀
 STEP = 1e-3  # s: a twenty-fifth of the time constant of the default controller
 LOOP_HZ = 4.0  # Hz: holds a model on a recorded motion, slower than the arm's own controller
+_PLAIN = ("rotor", "viscous", "coulomb", "offset")  # one number per joint
+_PROBES = 6  # states at which an effect is asked how it depends on acceleration and on the past
+_SAME = 1e-9  # of the largest torque: rounding
 _NEAR, _FINER = 4.0, 8  # steps from where a joint turns back, and how much finer they are there
 _LONGER = 2.0  # times as many steps in all, at most
 _GAMMA = 1 + np.sqrt(0.5)  # of the two that make ROS2 L-stable, the one that does not overshoot
 _ASTRAY = 2 * np.pi  # rad or m beyond the range of the commanded motion: diverged
 _LOOK = 16  # steps between two looks at that
 
+Torque = Callable[[float, Array, Array, Array], Array]
+
 
 class Diverged(ExcitantError):
-    """A simulated robot that left its commanded motion for good.
-
-    Args:
-        robot: Name of the robot.
-        joint: The joint that is farthest off.
-        t: When that was seen [s].
-    """
+    """A simulated robot that left its commanded motion for good: its joint, and when [s]."""
 
     def __init__(self, robot: str, joint: str, t: float) -> None:
         self.joint, self.t = joint, t
@@ -52,6 +55,149 @@ class Diverged(ExcitantError):
             "leave it without inertia or with driving friction, or the controller is too weak or "
             "too fast for the step"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class StateTorque:
+    """What the drives of a robot must give beside its rigid bodies, but for what acceleration asks.
+
+    Arguments are time [s], positions and velocities, and the accelerations of the step before,
+    for effects on which they act other than through the mass matrix, each of shape (nv,).
+    """
+
+    viscous: Array  # shape (nv,) [N·m·s/rad]
+    coulomb: Array  # shape (nv,) [N·m]
+    offset: Array  # shape (nv,) [N·m]
+    others: tuple[Torque, ...]  # of everything else
+    steppers: tuple[Stepper, ...]  # those of them that have a state of their own
+
+    def __post_init__(self) -> None:
+        freeze(self, "viscous", "coulomb", "offset")
+
+    def __call__(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
+        """Torque in a state, shape (nv,) [N·m]."""
+        sign = np.minimum(np.maximum(dq / REST, -1.0), 1.0)
+        tau: Array = self.viscous * dq + self.coulomb * sign + self.offset
+        if self.others:
+            tau += self._smoothed(t, q, dq, ddq, sign)
+        return tau
+
+    def slope(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
+        """Damping that makes as much torque as friction does, shape (nv,) [N·m·s/rad].
+
+        The odd part of torque over speed, where that is not negative.
+        """
+        speed = np.maximum(np.abs(dq), REST)
+        slope: Array = self.viscous + self.coulomb / speed
+        if self.others:
+            slope += (self._rest(t, q, speed, ddq) - self._rest(t, q, -speed, ddq)) / (2 * speed)
+        return np.maximum(slope, 0.0)
+
+    def _rest(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
+        tau = np.zeros_like(q)
+        for effect in self.others:
+            tau += effect(t, q, dq, ddq)
+        return tau
+
+    def _smoothed(self, t: float, q: Array, dq: Array, ddq: Array, sign: Array) -> Array:
+        slow = np.abs(dq) < REST
+        if not slow.any():
+            return self._rest(t, q, dq, ddq)
+        ahead, back = np.where(slow, REST, dq), np.where(slow, -REST, dq)
+        share = np.where(slow, (1 + sign) / 2, 1.0)
+        tau: Array = share * self._rest(t, q, ahead, ddq)
+        return tau + (1 - share) * self._rest(t, q, back, ddq)
+
+
+def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
+    """A robot as forward dynamics needs it.
+
+    Effects of the torque sensor (a wrong gain, a delay) do not move the arm and are left out.
+
+    Returns:
+        Pinocchio's model with the bodies that effects add; the constant part of the mass matrix
+        beside it, rotors and their coupling, shape (nv, nv) [kg·m²]; and the rest of the effects.
+
+    Raises:
+        BadInput: An effect without values, or one that depends on the past otherwise than by
+            presliding hysteresis.
+    """
+    plain = {kind: np.zeros(robot.nv) for kind in _PLAIN}
+    carrying, inertia = robot, np.zeros((robot.nv, robot.nv))
+    others: list[Torque] = []
+    steppers: list[Stepper] = []
+    for effect in robot.effects:
+        if effect.values is None:
+            raise BadInput(f"{robot.name}: effect {effect.name} has no values; give them")
+        carrying, before = effect.applied(carrying), carrying
+        if effect.acts_on_torque or carrying is not before:
+            continue
+        if effect.joint_property:
+            plain[effect.joint_property][effect.rows(robot)] += effect.values
+        elif (stepper := effect.stepper(robot)) is not None:
+            steppers.append(stepper)
+            others.append(stepper)
+        else:
+            own = _inertia(robot, effect)
+            inertia += own
+            others.append(_by_law(robot, effect) or _at_an_instant(robot, effect, own))
+    inertia += np.diag(plain["rotor"])
+    viscous, coulomb, offset = (plain[kind] for kind in _PLAIN[1:])
+    state = StateTorque(viscous, coulomb, offset, tuple(others), tuple(steppers))
+    return carrying.model, inertia, state
+
+
+def _by_law(robot: Robot, effect: Effect) -> Torque | None:
+    """Torque of an effect that has a law: its joints at once, as if instants of one joint."""
+    law, at = effect.law, np.array(effect.rows(robot), np.intp)
+    if law is None:
+        return None
+    values, still = np.reshape(effect.values or (), (len(at), -1)).T, np.zeros(len(at))
+
+    def torque(t: float, q: Array, dq: Array, ddq: Array) -> Array:
+        tau = np.zeros_like(q)
+        for value, column in zip(values, law(q[at], dq[at], still), strict=True):
+            tau[at] += value * column
+        return tau
+
+    return torque
+
+
+def _at_an_instant(robot: Robot, effect: Effect, inertia: Array) -> Torque:
+    """Torque of any effect of the state, as on a motion that stays there, less its inertia's."""
+
+    def torque(t: float, q: Array, dq: Array, ddq: Array) -> Array:
+        state = (np.stack([values, values]) for values in (q, dq, ddq))
+        motion = Motion(np.array([t, t + 1.0]), *state)
+        tau: Array = effect.torque(robot, motion)[0] - inertia @ ddq
+        return tau
+
+    return torque
+
+
+def _inertia(robot: Robot, effect: Effect) -> Array:
+    """Torque per acceleration where that is constant, else zeros, shape (nv, nv)."""
+    rng, unit, natural = np.random.default_rng(0), np.eye(robot.nv), np.arange(_PROBES)
+    q, dq, _ = robot.random_motion(rng, _PROBES)
+
+    def asked(ddq: Array, order: npt.NDArray[np.intp] = natural) -> Array:
+        """Torque in the probed states, whose times are in some order."""
+        motion = Motion(
+            0.01 * np.asarray(order, float), q[order], dq[order], np.tile(ddq, (_PROBES, 1))
+        )
+        return effect.torque(robot, motion)
+
+    base, order = asked(0 * unit[0]), rng.permutation(_PROBES)
+    largest = float(np.abs(base).max())
+    if np.abs(asked(0 * unit[0], order) - base[order]).max() > _SAME * largest:
+        raise BadInput(
+            f"{robot.name}: effect {effect.name} depends on the past, which a simulation from "
+            "state to state does not know; simulate without it"
+        )
+    once, back = (np.array([asked(size * e) - base for e in unit]) for size in (1.0, -2.0))
+    rounding = _SAME * (largest + float(max(np.abs(once).max(), np.abs(back).max())))
+    constant = max(np.abs(once - once[:, :1]).max(), np.abs(back + 2 * once).max()) <= rounding
+    return np.asarray(once[:, 0].T if constant else np.zeros_like(unit), float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +218,8 @@ class Controller:
     def gains(self, robot: Robot, q: Array) -> tuple[Array, Array]:
         """B ω² and 2 B ω at commanded positions, each (n, nv, nv) [N·m/rad, N·m·s/rad]."""
         model, rotors, _ = forward_model(self.believed or robot)
-        data, B = model.createData(), np.empty((len(q), robot.nv, robot.nv))
-        for k, pose in enumerate(q):
-            B[k] = pin.crba(model, data, pose)
-        B += rotors
+        data = model.createData()
+        B = np.array([pin.crba(model, data, pose) + rotors for pose in q])
         j = np.arange(robot.nv)
         B[:, j, j] = np.maximum(B[:, j, j], self.floor)
         omega = np.broadcast_to(np.asarray(self.omega, float), robot.nv)
@@ -84,18 +228,11 @@ class Controller:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """What a simulated robot did.
-
-    Attributes:
-        command: The commanded motion.
-        motion: The motion at the same instants; accelerations are means over one step on either
-            side.
-        tau: Torque of the controller at these instants, shape (n, nv) [N·m].
-    """
+    """What a simulated robot did, at the instants of the commanded motion."""
 
     command: Motion
-    motion: Motion
-    tau: Array
+    motion: Motion  # accelerations are means over one step on either side
+    tau: Array  # of the controller, shape (n, nv) [N·m]
 
     def __post_init__(self) -> None:
         freeze(self, "tau")
@@ -122,14 +259,14 @@ def simulate(
     """Let a model with its effects follow a motion, from that motion's first state.
 
     Between its instants the commanded motion is the quintic polynomial through position, velocity
-    and acceleration at both; torque given is linear.
+    and acceleration.
 
     Args:
         robot: The model; effects need values.
-        command: Desired motion; its time may be irregular, but must rise.
-        controller: What closes the loop; without one, the command gives instants and start only.
-        applied: Torque in place of the controller's feed-forward, shape (n, nv) [N·m].
-        step: Longest step of integration [s]; an eighth of it where joints turn back.
+        command: The motion.
+        controller: None lets the robot move under ``applied`` alone, or no torque.
+        applied: Feed-forward instead of the controller's own, shape (n, nv) [N·m].
+        step: Longest step of integration, shorter where joints turn back [s].
 
     Raises:
         BadInput: Effects that cannot be simulated, or shapes and times that do not fit.
@@ -180,8 +317,6 @@ def forward_error(
         BadInput: Effects that cannot be simulated, or shapes and times that do not fit.
         Diverged: The model left the motion for good.
     """
-    if not bandwidth_hz > 0:
-        raise BadInput(f"forward error: bandwidth {bandwidth_hz:g} Hz; give a positive one")
     omega = 2 * np.pi * bandwidth_hz
     floor = np.sqrt((np.asarray(tau, float) ** 2).mean(axis=0)) / omega**2
     loop = Controller(omega, believed=robot, floor=floor)
@@ -256,8 +391,9 @@ def _integrated(
     allowed = np.inf if gains is None else _ASTRAY + np.ptp(target, axis=0)
     kept_q, kept_v, tau = (np.empty((n, nv)) for _ in range(3))
     q, v, a = target[0].copy(), speed[0].copy(), np.zeros(nv)
-    effects.advance(q)
-    crba, bias, mass = pin.crba, pin.nonLinearEffects, rotors.any()
+    for stepper in effects.steppers:
+        stepper.advance(q)
+    crba, bias = pin.crba, pin.nonLinearEffects
     diagonal = np.arange(nv) * (nv + 1)
     for k in range(n):
         Kk, Ck = K[k * stay], C[k * stay]
@@ -272,21 +408,22 @@ def _integrated(
         damping = gh * Ck + (gh * gh) * Kk
         damping.flat[diagonal] += gh * effects.slope(t[k], q, v, a)
         ahead = gh * (Kk @ speed[k] + Ck @ command.ddq[k])
-        M = crba(model, data, q) + rotors if mass else crba(model, data, q)
+        M = crba(model, data, q) + rotors
         F = u - bias(model, data, q, v) - effects(t[k], q, v, a)
         a1 = dgesv(M + damping, F + ahead - gh * (Kk @ v))[2]
         v1 = v + gh * a1
         end, fast = q + h * v1, v + h * a1
         Kn, Cn = K[(k + 1) * stay], C[(k + 1) * stay]
         u = forward[k + 1] + Kn @ (target[k + 1] - end) + Cn @ (speed[k + 1] - fast)
-        M = crba(model, data, end) + rotors if mass else crba(model, data, end)
+        M = crba(model, data, end) + rotors
         F = u - bias(model, data, end, fast) - effects(t[k + 1], end, fast, a)
         rest = fast - 2 * v1
         a2 = dgesv(M + damping, F - ahead - 2 * (M @ a1) - gh * (Kk @ rest))[2]
         q = q + (1.5 * h) * v1 + (0.5 * h) * (rest + gh * a2)
         a = 1.5 * a1 + 0.5 * a2
         v = v + h * a
-        effects.advance(q)
+        for stepper in effects.steppers:
+            stepper.advance(q)
     return kept_q, kept_v, tau
 
 

@@ -1,32 +1,29 @@
 """The virtual arm: a hidden truth with a controller and sensors, to test whoever looks for it.
 
 The truth is the nominal arm with inertias, friction and rotor inertia off by a few per cent, and
-with effects that the nominal arm does not have. What is recorded is what sensors would give.
+with effects that the nominal arm does not have. What is recorded is what sensors would give. Known
+effects of the nominal arm are read by their names and their parameters' names alone, never by
+their formulas.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pinocchio as pin
 
-from excitant.exceptions import BadInput
-from excitant.robots.parameters import elements, inertia, steiner
-from excitant.robots.plant.controller import Trajectory
-from excitant.robots.plant.nominal import (
-    draw_hidden_effect,
-    ideal_sensors,
-    industrial_sensors,
-    nominal_truth,
-    typical_torque,
-)
+from excitant.exceptions import BadInput, BadRobot, UnknownName
+from excitant.robots.motion import Array, read_only
+from excitant.robots.parameters import STANDARD, elements, inertia, steiner
+from excitant.robots.plant.arm import Progress, Trajectory, simulate
 from excitant.robots.plant.physics import Drives, Truth
 from excitant.robots.plant.planting import HiddenEffect, plant
-from excitant.robots.plant.run import Progress, simulate
-from excitant.robots.plant.sensors import Run, Sensors, recorded
+from excitant.robots.plant.sensors import Encoder, Recorder, Run, Sensors, recorded
 from excitant.robots.robot import Robot
 
 __all__ = [
@@ -37,6 +34,7 @@ __all__ = [
     "ideal_sensors",
     "industrial_sensors",
     "nominal_truth",
+    "typical_motion",
     "typical_torque",
     "virtual_arm",
 ]
@@ -46,31 +44,13 @@ _FRICTION_TOLERANCE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class VirtualArm:
-    """A true arm that its user knows by its nominal description only.
+    """A true arm that its user knows by its nominal description only."""
 
-    Attributes:
-        nominal: What is known, and what the controller believes.
-        truth: The physics.
-        bare: The physics without what is hidden.
-        hidden: What the truth has beside the nominal effects.
-        sensors: What is recorded.
-    """
-
-    nominal: Robot
-    truth: Truth
-    bare: Truth
-    hidden: tuple[HiddenEffect, ...]
-    sensors: Sensors
-
-    @property
-    def model(self) -> Any:
-        """The true rigid bodies, rotor inertia as armature; never edited."""
-        return self.truth.model
-
-    @property
-    def drives(self) -> Drives:
-        """The true friction."""
-        return self.truth.drives
+    nominal: Robot  # what is known, and what the controller believes
+    truth: Truth  # the physics
+    bare: Truth  # the physics without what is hidden
+    hidden: tuple[HiddenEffect, ...]  # what the truth has beside the nominal effects
+    sensors: Sensors  # what is recorded
 
     def run(
         self,
@@ -78,22 +58,11 @@ class VirtualArm:
         duration: float,
         rng: np.random.Generator,
         progress: Progress | None = None,
-        warm: float = 0.0,
     ) -> Run:
         """What happens on a trajectory; see `record`."""
-        nominal, rate = nominal_truth(self.nominal), self.sensors.rate_hz
-        fine = self.truth.recorder.delay.any() or np.isfinite(self.sensors.torque_cutoff_hz)
-        return simulate(
-            self.nominal,
-            (nominal.model, nominal.drives),
-            self.truth.drawn(rng, warm + duration),
-            trajectory,
-            duration,
-            rate,
-            progress,
-            warm=warm,
-            fine=bool(fine),
-        )
+        nominal, truth = nominal_truth(self.nominal), self.truth.drawn(rng, duration)
+        believed, rate = (nominal.model, nominal.drives), self.sensors.rate_hz
+        return simulate(self.nominal, believed, truth, trajectory, duration, rate, progress)
 
     def record(
         self,
@@ -101,7 +70,6 @@ class VirtualArm:
         duration: float,
         rng: np.random.Generator,
         progress: Progress | None = None,
-        warm: float = 0.0,
     ) -> pd.DataFrame:
         """Run a trajectory and record it.
 
@@ -110,7 +78,6 @@ class VirtualArm:
             duration: Length of the recording [s].
             rng: Noise of the sensors.
             progress: Called with the fraction done.
-            warm: How long the arm has been running before [s].
 
         Returns:
             Columns ``t``, ``q1..qn``, ``dq1..dqn``, ``tau1..taun``.
@@ -118,8 +85,11 @@ class VirtualArm:
         Raises:
             BadInput: The trajectory starts in motion or cannot be followed.
         """
-        run = self.run(trajectory, duration, rng, progress, warm)
-        return recorded(run, self.sensors, self.truth.recorder, self.drives.offset, rng)
+        return self.recorded(self.run(trajectory, duration, rng, progress), rng)
+
+    def recorded(self, run: Run, rng: np.random.Generator) -> pd.DataFrame:
+        """The table that its sensors give of a run."""
+        return recorded(run, self.sensors, self.truth.recorder, self.truth.drives.offset, rng)
 
 
 def virtual_arm(
@@ -151,11 +121,11 @@ def virtual_arm(
     for j in range(1, robot.nv + 1):
         model.inertias[j] = _perturbed(model.inertias[j], rng, tolerance)
     spread = _FRICTION_TOLERANCE if tolerance > 0 else 0.0
-    factors = {
-        name: 1 + spread * rng.uniform(-1, 1, robot.nv)
+    nearby = {
+        name: getattr(drives, name) * (1 + spread * rng.uniform(-1, 1, robot.nv))
         for name in ("viscous", "coulomb", "stribeck", "rotor")
     }
-    drives = replace(drives, **{k: getattr(drives, k) * f for k, f in factors.items()})
+    drives = replace(drives, **nearby)
     model.armature = np.array(drives.rotor)
     bare = replace(truth, model=model, drives=drives)
     truth = plant(bare, robot.joints, hidden)
@@ -175,3 +145,189 @@ def _perturbed(body: Any, rng: np.random.Generator, tolerance: float) -> Any:
     c += tolerance * gyration * shift / max(1.0, np.linalg.norm(shift))
     tensor = body.inertia * (1 + factors[1]) + steiner(mass, c)
     return inertia(np.array([mass, *(mass * c), *elements(tensor)]))
+
+
+def nominal_truth(robot: Robot) -> Truth:
+    """Rigid bodies and drives of the robot as described, with its effects.
+
+    Raises:
+        BadRobot: An effect without values.
+        UnknownName: An effect that the virtual arm does not have.
+    """
+    known = [hidden for effect in robot.effects for hidden in _described(robot, effect)]
+    zeros = np.zeros(robot.nv)
+    still = Drives(zeros, zeros, zeros, np.full(robot.nv, 0.1), zeros, zeros)
+    n, ones = robot.nv, np.ones(robot.nv)
+    honest = Encoder(ones, zeros), Recorder(np.eye(n), zeros)
+    rigid = Truth(robot.model.copy(), still, np.zeros((n, n)), *honest, robot.tip)
+    return plant(rigid, robot.joints, known)
+
+
+def industrial_sensors(robot: Robot, rate_hz: float = 250.0) -> Sensors:
+    """17-bit encoders, and torque from motor current with a noise of 0.3 % of the limit."""
+    typical = 4 * typical_torque(robot)
+    scale = np.where(np.isfinite(robot.limits.torque), robot.limits.torque, typical)
+    return Sensors(rate_hz, 2 * np.pi / 2**17, 2e-3, 3e-3 * scale, 3e-4 * scale)
+
+
+def ideal_sensors(robot: Robot, rate_hz: float = 250.0) -> Sensors:
+    """Sensors that tell the truth."""
+    return Sensors(rate_hz, 0.0, 0.0, np.zeros(robot.nv), np.zeros(robot.nv))
+
+
+def typical_torque(robot: Robot) -> Array:
+    """Root mean square torque at moderate speeds, shape (nv,) [N·m]."""
+    truth = nominal_truth(robot)
+    model, drives = truth.model, truth.drives
+    data, q, dq, ddq = model.createData(), *typical_motion(robot)
+    tau = drives.friction(dq) + [pin.rnea(model, data, *x) for x in zip(q, dq, ddq, strict=True)]
+    return read_only(np.sqrt(np.mean(tau**2, axis=0)))
+
+
+def typical_motion(robot: Robot) -> tuple[Array, Array, Array]:
+    """Random states at half the limits of velocity and acceleration, each (200, nv)."""
+    q, dq, ddq = robot.random_motion(np.random.default_rng(0), 200)
+    return q, dq / 2, ddq / 2
+
+
+Numbers = Mapping[str, float]
+
+
+def _ripple(x: Numbers) -> dict[str, float]:
+    """A cos(n q) + B sin(n q) as one sine; the order is in the coefficients' names."""
+    cosine, sine = (value for name, value in x.items() if name.startswith("ripple"))
+    amplitude, phase = math.hypot(cosine, sine), math.atan2(cosine, sine)
+    return {"amplitude": amplitude, "order": x["order"], "phase": phase}
+
+
+def _spring(x: Numbers) -> dict[str, float]:
+    """K q + c, or a cos q + b sin q, by the angle at which the torque vanishes."""
+    if "spring_cos" in x:
+        moment = math.hypot(x["spring_cos"], x["spring_sin"])
+        return {"moment": moment, "rest": -math.atan2(x["spring_cos"], x["spring_sin"])}
+    return {"stiffness": x["k"], "rest": -x["moment"] / x["k"] if x["k"] else 0.0}
+
+
+_ALIKE = (
+    *("viscous_friction", "coulomb_friction", "stribeck_friction", "asymmetric_friction"),
+    *("nonlinear_viscous_friction", "load_dependent_friction", "presliding_hysteresis"),
+    *("rotor_inertia", "torque_offset", "friction_coupling", "inertia_coupling", "time_delay"),
+)
+"""Effects whose parameters have the same names and meaning in the plant."""
+_TRANSLATION: dict[str, Callable[[Numbers], Numbers]] = {
+    **dict.fromkeys(_ALIKE, lambda x: x),
+    "thermal_friction_drift": lambda x: {"Fv": x["Fv_cold"], "Fc": x["Fc_cold"], "time": x["time"]},
+    "torque_ripple": _ripple,
+    "spring": _spring,
+    "torque_gain": lambda x: {"gain": 1 + x["gain"]},
+    "payload": lambda x: {name: x[f"payload_{name}"] for name in STANDARD},
+    "inertial_parameters": lambda x: {name: x[f"delta_{name}"] for name in STANDARD},
+}
+_TOGETHER = ("friction_coupling", "inertia_coupling", "torque_gain", "time_delay")
+_SHAPES = ("velocity", "exponent", "distance", "time", "order", "ratio")
+
+
+def _described(robot: Robot, known: Any) -> list[HiddenEffect]:
+    """One effect of a nominal arm, joint by joint where it acts on each alone.
+
+    Raises:
+        BadRobot: It has no values.
+        UnknownName: The plant cannot have it as a known effect.
+    """
+    if known.name not in _TRANSLATION:
+        raise UnknownName("effect of a nominal virtual arm", known.name, _TRANSLATION)
+    if known.values is None:
+        raise BadRobot(robot.source, f"effect {known.name} has no values; give them")
+    symbols = [p.name.rsplit(".", 1)[-1] for p in known.parameters(robot)]
+    shape = {name: getattr(known, name) for name in _SHAPES if hasattr(known, name)}
+    together = known.name in _TOGETHER
+    groups = [known.joints] if together else [(joint,) for joint in known.joints]
+    width = len(symbols) // max(len(groups), 1)
+    rows = np.reshape(known.values, (len(groups), width)).tolist()
+    found = []
+    for k, (joints, row) in enumerate(zip(groups, rows, strict=True)):
+        numbers = dict(zip(symbols[k * width : (k + 1) * width], row, strict=True)) | shape
+        parameters = tuple(_TRANSLATION[known.name](numbers).items())
+        several = joints if len(joints) > 1 else ()
+        found.append(HiddenEffect(known.name, (*joints, "")[0], parameters, several))
+    return found
+
+
+def draw_hidden_effect(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
+    """Draw a kind of effect, a joint, and a size that shows but is not absurd.
+
+    At moderate speed the effect makes 8 to 20 % of the joint's typical torque and at least four
+    times the noise of `industrial_sensors`. Rotor inertia is drawn only where no inertia of the
+    links could pass for it; a payload weighs 7 to 16 % of the arm and hangs at its last link,
+    less if it would load a joint with more than its typical torque.
+    """
+    kinds = ["viscous_friction", "coulomb_friction", "stribeck_friction", "torque_offset"]
+    separable = separable_rotors(robot)
+    kinds += ["payload", *(["rotor_inertia"] if separable else [])]
+    kind = str(rng.choice(kinds))
+    if kind == "payload":
+        return draw_payload(robot, rng)
+    joint = str(rng.choice(separable if kind == "rotor_inertia" else robot.joints))
+    j = robot.joint_index(joint)
+    floor = 4 * float(industrial_sensors(robot).torque_noise[j])
+    torque = max(float(rng.uniform(0.08, 0.2) * typical_torque(robot)[j]), floor)
+    _, dq, ddq = (np.sqrt(np.mean(x[:, j] ** 2)) for x in typical_motion(robot))
+    fast = min(float(robot.limits.velocity[j]), 3.0)
+    sizes = {
+        "viscous_friction": {"Fv": torque / dq},
+        "coulomb_friction": {"Fc": torque},
+        "stribeck_friction": {"Fs": 2 * torque, "velocity": rng.uniform(0.03, 0.08) * fast},
+        "torque_offset": {"offset": torque * rng.choice([-1.0, 1.0])},
+        "rotor_inertia": {"Ia": torque / ddq},
+    }[kind]
+    return HiddenEffect(kind, joint, tuple((name, float(v)) for name, v in sizes.items()))
+
+
+def draw_payload(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
+    """A box at the frame farthest out on the last link."""
+    model = robot.model
+    reach = sum(float(np.linalg.norm(p.translation)) for p in list(model.jointPlacements)[1:])
+    fixed = [f.placement.translation for f in list(model.frames) if f.parentJoint == robot.nv]
+    centre = np.array(model.inertias[robot.nv].lever)
+    flange = max([centre, *fixed], key=lambda x: float(np.linalg.norm(x - centre)))
+    reach = max(reach + float(np.linalg.norm(flange)), 0.1)
+    strongest = float(robot.limits.torque.max())
+    moving = sum(body.mass for body in list(model.inertias)[1:])
+    mass = min(rng.uniform(0.07, 0.16) * moving, 0.3 * strongest / (9.81 * reach))
+    direction = rng.standard_normal(3)
+    direction *= np.sign(direction @ (flange - centre)) or 1.0
+    lever = flange + reach * rng.uniform(0.02, 0.06) * direction / np.linalg.norm(direction)
+    box = pin.Inertia.FromBox(mass, *(reach * rng.uniform(0.03, 0.1, 3)))
+    phi = pin.Inertia(mass, lever, box.inertia).toDynamicParameters()
+    phi *= _bearable(robot, phi)
+    values = tuple(zip(STANDARD, phi.tolist(), strict=True))
+    return HiddenEffect("payload", robot.joints[-1], values)
+
+
+def _bearable(robot: Robot, payload: Array) -> float:
+    """Share of a payload that loads no joint with more than 0.9 of its typical torque."""
+    loaded = robot.model.copy()
+    phi = loaded.inertias[robot.nv].toDynamicParameters() + payload
+    loaded.inertias[robot.nv] = pin.Inertia.FromDynamicParameters(phi)
+    one, other = robot.model.createData(), loaded.createData()
+    added = [
+        pin.rnea(loaded, other, *x) - pin.rnea(robot.model, one, *x)
+        for x in zip(*typical_motion(robot), strict=True)
+    ]
+    load = np.sqrt(np.mean(np.square(added), axis=0))
+    noise = industrial_sensors(robot).torque_noise
+    bearable = 0.9 * np.maximum(typical_torque(robot), 6 * noise)
+    return min(1.0, float((bearable / np.maximum(load, 1e-12)).min()))
+
+
+def separable_rotors(robot: Robot) -> list[str]:
+    """Joints whose rotor inertia makes a torque that no link inertia can make."""
+    data, (q, dq, ddq) = robot.model.createData(), typical_motion(robot)
+    states = zip(q, dq, ddq, strict=True)
+    Y = np.array([pin.computeJointTorqueRegressor(robot.model, data, *x) for x in states])
+    basis = np.linalg.svd(Y.reshape(-1, Y.shape[2]), full_matrices=False)
+    span = basis.U[:, basis.S / basis.S[0] > 1e-10]
+    columns = np.einsum("ij,kj->kij", np.eye(robot.nv), ddq).reshape(-1, robot.nv)
+    rest = columns - span @ (span.T @ columns)
+    share = np.linalg.norm(rest, axis=0) / np.linalg.norm(columns, axis=0)
+    return [joint for joint, s in zip(robot.joints, share, strict=True) if s > 1e-3]

@@ -77,13 +77,12 @@ class Recorded:
         robot: Robot,
         *effects: HiddenEffect,
         duration: float = 2.0,
-        warm: float = 0.0,
         trajectory: Trajectory | None = None,
         sensors: Sensors | None = None,
     ) -> None:
         rng = np.random.default_rng(0)
         arm = true_arm(robot, *effects, sensors=sensors)
-        table = arm.record(trajectory or swing(robot), duration, rng, warm=warm)
+        table = arm.record(trajectory or swing(robot), duration, rng)
         self.robot, self.table = robot, table
         n = range(1, robot.nv + 1)
         q, dq, tau = (table[[f"{c}{j}" for j in n]].to_numpy() for c in ("q", "dq", "tau"))

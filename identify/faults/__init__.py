@@ -1,17 +1,185 @@
-"""Faults of a recording, found before anything is fitted to it."""
+"""Faults of a recording, found before anything is fitted to it, and recordings read with them."""
 
-from excitant.identify.faults.channels import find_copies
-from excitant.identify.faults.fault import FAULTS, Fault, repair
-from excitant.identify.faults.find import Checked, find_faults, read_checked
-from excitant.identify.faults.log import Log
+from __future__ import annotations
 
-__all__ = [
-    "FAULTS",
-    "Checked",
-    "Fault",
-    "Log",
-    "find_copies",
-    "find_faults",
-    "read_checked",
-    "repair",
-]
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from excitant.exceptions import BadRecording
+from excitant.identify.dataset import Dataset
+from excitant.identify.faults.channels import (
+    dead_channels,
+    held_channels,
+    jumps_and_outliers,
+    missing_values,
+    saturation,
+    wrapped_counters,
+)
+from excitant.identify.faults.fault import FAULTS, Fault, Log, after_repair, repair
+from excitant.identify.faults.modelled import not_measured, poor_excitation, wrong_frame
+from excitant.identify.faults.physics import physics_faults, smooth, torque_fit
+from excitant.identify.faults.time import gap_faults, repeated_rows, stamp_faults
+from excitant.identify.faults.velocity import velocity_faults
+from excitant.identify.recording import CHANNELS, Recording, checked, raw_recording
+from excitant.robots.robot import Robot
+
+__all__ = ["FAULTS", "Checked", "Fault", "Log", "find_copies", "find_faults", "read_checked"]
+__all__ += ["repair"]
+
+_SHORTEST = 50  # samples: fewer prove nothing
+_OF_ROWS = (
+    missing_values,
+    repeated_rows,
+    wrapped_counters,
+    held_channels,
+    jumps_and_outliers,
+)
+"""Tests of rows in the order in which one fault can hide or feign another."""
+
+
+def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
+    """Faults of a recording, before anything is fitted to it.
+
+    Rows first, then channels, velocity against position, and last the physics: each test sees
+    the recording as the repairs of the earlier ones would leave it, so that one fault is not
+    named twice. All tests together raise a fault in at most one of fifty faultless recordings.
+
+    Args:
+        robot: The arm; its masses matter for signs and excitation only.
+        recording: As logged; nothing is changed in it.
+    """
+    log = Log.of(robot, recording)
+    found: list[Fault] = []
+    rows = np.arange(len(log))  # of the log as it came, by row of the log as repaired
+
+    def note(*faults: Fault) -> None:
+        nonlocal log, rows
+        found.extend(fault.at(rows) for fault in faults)
+        if any(fault.remedies for fault in faults):
+            log, left = after_repair(log, faults)
+            rows = rows[left]
+
+    stamps, starts = stamp_faults(log)
+    note(*stamps)
+    if starts is None:
+        return tuple(found)
+    parts = log.t[np.isin(rows, starts)]
+    if len(log) >= _SHORTEST:
+        note(*gap_faults(log, parts))
+    for test in _OF_ROWS:
+        if len(log) >= _SHORTEST or test is missing_values:
+            note(*test(log))
+    if len(log) < _SHORTEST:
+        return tuple(found)
+    channels = [*dead_channels(log), *saturation(log, robot)]
+    cuts = np.split(np.arange(len(log)), np.searchsorted(log.t, parts))
+    longest = log.take(max(cuts, key=len)) if len(cuts) > 1 else log
+    speeds = velocity_faults(longest)
+    longest, _ = after_repair(longest, speeds)
+    return (*found, *channels, *speeds, *_by_physics(robot, longest, channels))
+
+
+def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault]:
+    """Faults that only a model of the arm shows."""
+    data, found = smooth(log), list[Fault]()
+    if data is not None:
+        dead = {
+            fault.joints[0]
+            for fault in channels
+            if fault.fault == "dead_channel" and fault.evidence["channel"] == "tau"
+        }
+        case = torque_fit(robot, log, data, dead)
+        found = [] if case is None else physics_faults(case)
+        if found:
+            log, _ = repair(log, found)
+            data = smooth(log) or data
+        elif case is not None:
+            found = [*not_measured(case), *wrong_frame(case)]
+    return [*found, *poor_excitation(robot, log, data)]
+
+
+def find_copies(recordings: Mapping[str, Recording]) -> dict[str, Fault]:
+    """Faults, by name, of recordings with all values of an earlier one, whatever their times."""
+    first: dict[bytes, str] = {}
+    found = {}
+    for name, recording in recordings.items():
+        made = hashlib.sha256()
+        for x in (getattr(recording, channel) for channel in CHANNELS):
+            made.update(b"" if x is None else np.ascontiguousarray(x).tobytes())
+        same = first.setdefault(made.digest(), name)
+        if same != name:
+            found[name] = Fault(
+                "duplicate_samples",
+                (),
+                f"{name} holds the same {len(recording)} rows as {same}: all positions, velocities "
+                f"and torques are equal, so it adds no evidence and is no hold-out",
+                {"same_as": same, "count": len(recording)},
+            )
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """Recordings and what is wrong with them."""
+
+    recordings: list[Recording]  # ready to use, repaired when that was asked for
+    faults: dict[str, tuple[Fault, ...]]  # of each, by its name
+    notes: tuple[str, ...] = ()  # what was repaired, a sentence each
+
+    def entries(self) -> list[dict[str, Any]]:
+        """The faults under their JSON names, each with its recording."""
+        return [
+            {"recording": name, **fault.entry()}
+            for name, faults in self.faults.items()
+            for fault in faults
+        ]
+
+
+def read_checked(
+    dataset: Dataset,
+    names: Sequence[str],
+    *,
+    without: Sequence[str] = (),
+    repaired: bool = False,
+) -> Checked:
+    """Recordings of a dataset by name (all when none) and their faults.
+
+    Args:
+        dataset: Where they are, and of which arm.
+        names: Recordings to read.
+        without: Recordings that are held out.
+        repaired: Whether to repair what can be; each file is then a recording of its own.
+
+    Raises:
+        BadInput: Nothing to read.
+        BadRecording: A recording that cannot be used, also not after the repair.
+    """
+    robot = dataset.robot
+    robot = dataset.robot
+    if repaired:
+        paths = dataset.paths(names, without=without)
+        raws = [raw_recording(path, robot, dataset.mapping) for path in paths]
+    else:
+        raws = dataset.recordings(names, without=without)
+    found = {raw.name: raw for raw in raws}
+    copies = find_copies(found)
+    faults = {
+        name: (*((copies[name],) if name in copies else ()), *find_faults(robot, raw))
+        for name, raw in found.items()
+    }
+    if not repaired:
+        return Checked(raws, faults)
+    notes, recordings = [], []
+    for name, raw in found.items():
+        for fault in faults[name]:
+            if "unclear" in fault.evidence:
+                row = int(fault.evidence["rows"][0])
+                raise BadRecording(raw.file, fault.detail, row=row, column=raw.columns[0])
+        better, done = repair(raw, faults[name])
+        notes += [f"{name}: {sentence}" for sentence in done]
+        recordings.append(checked(better))
+    return Checked(recordings, faults, tuple(notes))

@@ -1,26 +1,28 @@
-"""Channels that say nothing or something else: dead, held, cut off, counters that wrap, copies."""
+"""Channels that say nothing or something else: dead, held, cut off, wrapped, with outliers."""
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterator, Mapping
-from itertools import islice, product
+from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 import scipy
 
-from excitant.identify.faults.fault import Fault, Remedy, unwrap
-from excitant.identify.faults.log import (
+from excitant.identify.faults.fault import (
     ALARM,
-    CHANNELS,
+    Fault,
     Log,
     Mask,
-    Raw,
+    Remedy,
+    Rows,
+    dropped,
     noise,
     quantum,
     run_lengths,
     tail_bound,
+    unwrap,
 )
+from excitant.identify.faults.time import hidden_gaps
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -33,20 +35,27 @@ _AT_LEAST = 5  # samples at the extreme value
 _FRESH = 0.2  # of the typical change: smaller counts as "hardly changed"
 _HELD = 25  # samples
 _COUNTERS = (2.0**8, 2.0**10, 2.0**12, 2.0**16, 2.0**32)
+_PATTERN = np.array([1 / 6, -2 / 3, 1.0, -2 / 3, 1 / 6])  # residual around one outlier
+_LIKE = 0.9  # cosine from which on a residual looks like that of one outlier
+_AROUND = 101  # samples that say what is usual around one
+_WINDOW = 11  # samples of the running median
+_JOLT = 5  # samples to either side that a jolt may disturb
+_GAP = 1.75  # steps: the interpolation does not reach across
+_MANY = 0.5  # of all channels: the row is at fault, not a channel
 
 
 def dead_channels(log: Log) -> Iterator[Fault]:
     """Channels that are constant, only noise, or stop for a while, though the joint moves."""
-    tests = (_constant, _white, _stretch)
     for (name, x), j in product(log.channels(), range(log.nv)):
-        found = (fault for test in tests if (fault := test(log, name, x[:, j], j)) is not None)
-        yield from islice(found, 1)
+        column = x[:, j]
+        found = _constant(log, name, column, j) or _white(log, name, column, j)
+        if found := found or _stretch(log, name, column, j):
+            yield found
 
 
 def _dead(log: Log, name: str, j: int, detail: str, **evidence: object) -> Fault:
-    joint = log.joints[j]
-    sentence = f"{name} of {joint} {detail}"
-    return Fault("dead_channel", (joint,), sentence, {"channel": name, **evidence})
+    sentence = f"{name} of {log.joints[j]} {detail}"
+    return Fault("dead_channel", (log.joints[j],), sentence, {"channel": name, **evidence})
 
 
 def _constant(log: Log, name: str, x: Array, j: int) -> Fault | None:
@@ -105,11 +114,11 @@ def _stretch(log: Log, name: str, x: Array, j: int) -> Fault | None:
     apart[max(0, start - length) : start + length + 1] = False
     if way < clear or apart.mean() > _SAME or x[start] in (x.max(), x.min()):
         return None
+    value, t = float(x[start]), float(log.t[start])
     detail = (
-        f"stays at {x[start]:.6g} for {seconds:.3g} s from t = {log.t[start]:.4g} s while the "
+        f"stays at {value:.6g} for {seconds:.3g} s from t = {t:.4g} s while the "
         f"joint moves; else it keeps no value for that long"
     )
-    value, t = float(x[start]), float(log.t[start])
     return _dead(log, name, j, detail, value=value, start=t, seconds=seconds)
 
 
@@ -122,13 +131,18 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
     """
     moved = np.asarray(log.moving.any(axis=1), bool)
     for j, sign in product(range(log.nv), (1.0, -1.0)):
-        fault = _at_extreme(log, j, sign, moved) or _at_limit(log, robot, j, sign)
-        if fault is not None:
-            yield fault
+        x = sign * log.tau[:, j]
+        found = _at_extreme(log, x, sign, moved)
+        if found := found or _at_limit(log, x, sign, float(robot.limits.torque[j])):
+            said, evidence = found
+            detail = f"tau of {log.joints[j]} is {said}"
+            yield Fault("saturation", (log.joints[j],), detail, evidence)
 
 
-def _at_extreme(log: Log, j: int, sign: float, moved: Mask) -> Fault | None:
-    x = sign * log.tau[:, j]
+_Said = tuple[str, dict[str, float]]
+
+
+def _at_extreme(log: Log, x: Array, sign: float, moved: Mask) -> _Said | None:
     top, step, span = float(x.max()), quantum(x), float(np.ptp(x))
     band = max(_LEVELS * step, _SIGMAS * noise(x), 1e-6 * span)
     at = moved & (x > top - min(step / 2, 1e-9 * span))
@@ -137,34 +151,29 @@ def _at_extreme(log: Log, j: int, sign: float, moved: Mask) -> Fault | None:
         return None
     if scipy.special.pdtrc(count - 1, near + 1) > ALARM / (2 * log.nv):
         return None
-    longest, joint = int(run_lengths(at)[1].max()), log.joints[j]
-    return Fault(
-        "saturation",
-        (joint,),
-        f"tau of {joint} is at its {'largest' if sign > 0 else 'smallest'} value {sign * top:.6g} "
+    longest = int(run_lengths(at)[1].max())
+    said = (
+        f"at its {'largest' if sign > 0 else 'smallest'} value {sign * top:.6g} "
         f"{log.unit} in {count} of {len(log)} rows, up to {longest} in a row, while joints move; "
-        f"only {near} lie within {band:.3g} of it",
-        {"value": sign * top, "count": count, "longest": longest, "near": near},
+        f"only {near} lie within {band:.3g} of it"
     )
+    return said, {"value": sign * top, "count": count, "longest": longest, "near": near}
 
 
-def _at_limit(log: Log, robot: Robot, j: int, sign: float) -> Fault | None:
+def _at_limit(log: Log, x: Array, sign: float, limit: float) -> _Said | None:
     """Torque that reaches the given limit of its motor, and leaves it by noise alone."""
-    x, limit = sign * log.tau[:, j], float(robot.limits.torque[j])
     scatter, top = noise(x), float(x.max())
     if log.unit != "N·m" or not np.isfinite(limit) or scatter > 0.05 * limit:
         return None
     at = x > limit - 2 * scatter
-    longest, joint = int(run_lengths(at)[1].max(initial=0)), log.joints[j]
+    longest, count = int(run_lengths(at)[1].max(initial=0)), int(at.sum())
     if top > limit + 6 * scatter or longest < _AT_LEAST:
         return None
-    return Fault(
-        "saturation",
-        (joint,),
-        f"tau of {joint} is within its noise of the limit {sign * limit:.6g} {log.unit} in "
-        f"{at.sum()} of {len(log)} rows, up to {longest} in a row",
-        {"value": sign * limit, "count": int(at.sum()), "longest": longest},
+    said = (
+        f"within its noise of the limit {sign * limit:.6g} {log.unit} in "
+        f"{count} of {len(log)} rows, up to {longest} in a row"
     )
+    return said, {"value": sign * limit, "count": count, "longest": longest}
 
 
 def held_channels(log: Log) -> Iterator[Fault]:
@@ -177,20 +186,18 @@ def held_channels(log: Log) -> Iterator[Fault]:
         held = {j: share for j in range(log.nv) if (share := _held_share(log, x[:, j], j)) > 0}
         if held:
             worst, joints = max(held, key=lambda j: held[j]), log.names(held)
-            yield Fault(
-                "duplicate_samples",
-                joints,
+            detail = (
                 f"{name} of {', '.join(joints)} is held: {held[worst]:.1%} of its samples at "
                 f"{log.joints[worst]} repeat the one before exactly while the joint moves, though "
-                f"the others change by many steps of its resolution",
-                {"channel": name, "share": list(held.values())},
+                f"the others change by many steps of its resolution"
             )
+            evidence = {"channel": name, "share": list(held.values())}
+            yield Fault("duplicate_samples", joints, detail, evidence)
 
 
 def _held_share(log: Log, x: Array, j: int) -> float:
-    starts, lengths = run_lengths(np.diff(x) == 0)
     moved = log.moving[1:, j] & log.moving[:-1, j]
-    for start, length in zip(starts, lengths, strict=True):
+    for start, length in zip(*run_lengths(np.diff(x) == 0), strict=True):
         if length >= _HELD:  # dead, not held
             moved[start : start + length] = False
     change = np.abs(np.diff(x))[moved]
@@ -218,15 +225,14 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
         jumps = int((np.abs(np.diff(x)) > size / 2).sum())
         high = int((x > x.min() + size / 2).sum())
         what = "are a turn off" if name == "q" else "are negative ones logged unsigned"
-        yield Fault(
-            "corrupt_rows",
-            log.names([j]),
+        detail = (
             f"{name} of {log.joints[j]} jumps {jumps} times by {size:.6g}, the range of a counter: "
-            f"{high} of {len(log)} values {what}",
-            {"channel": name, "range": size, "jumps": jumps, "count": high},
-            f"takes {size:.6g} off where the counter wrapped",
-            (Remedy("unwrap", name, (j,), factor=size),),
+            f"{high} of {len(log)} values {what}"
         )
+        evidence = {"channel": name, "range": size, "jumps": jumps, "count": high}
+        done = f"takes {size:.6g} off where the counter wrapped"
+        remedy = Remedy("unwrap", name, (j,), factor=size)
+        yield Fault("corrupt_rows", log.names([j]), detail, evidence, done, (remedy,))
 
 
 def _wrap(x: Array, position: bool) -> float | None:
@@ -252,28 +258,133 @@ def _wrap(x: Array, position: bool) -> float | None:
     return best if smooth and (position or np.ptp(unwrapped) < 0.9 * span) else None
 
 
-def find_copies(recordings: Mapping[str, Raw]) -> dict[str, Fault]:
-    """Recordings whose values are all those of an earlier one, whatever their time starts at.
+def missing_values(log: Log) -> Iterator[Fault]:
+    """Rows with values that are no finite numbers."""
+    bad = np.any([~np.isfinite(x) for _, x in log.channels()], axis=0)
+    if len(rows := np.flatnonzero(bad.any(axis=1))):
+        what = f"{len(rows)} of {len(log)} rows hold values that are no finite numbers"
+        joints = log.names(np.flatnonzero(bad.any(axis=0)))
+        yield dropped(joints, rows, f"{what}, {log.first(rows)}")
 
-    Args:
-        recordings: By name.
 
-    Returns:
-        The fault of each copy, by its name.
-    """
-    first: dict[bytes, str] = {}
-    found = {}
-    for name, raw in recordings.items():
-        made = hashlib.sha256()
-        for x in (getattr(raw, channel) for channel in CHANNELS):
-            made.update(b"" if x is None else np.ascontiguousarray(x, dtype=float).tobytes())
-        same = first.setdefault(made.digest(), name)
-        if same != name:
-            found[name] = Fault(
-                "duplicate_samples",
-                (),
-                f"{name} holds the same {len(raw.t)} rows as {same}: all positions, velocities and "
-                f"torques are equal, so it adds no evidence and is no hold-out",
-                {"same_as": same, "count": len(raw.t)},
+def jumps_and_outliers(log: Log) -> Iterator[Fault]:
+    """Rows that are missing unseen, single values or short bursts far off, positions that jump."""
+    hidden = list(hidden_gaps(log))
+    yield from hidden
+    far = _outlying(log, hidden[0].evidence["rows"] if hidden else None)
+    count, total = sum(mask.sum(axis=1) for mask in far.values()), log.nv * len(far)
+    whole = np.flatnonzero(count > _MANY * total)
+    if len(whole):
+        what = "are far from their neighbours in most columns, as rows with shifted columns are"
+        detail = f"{len(whole)} of {len(log)} rows {what}; {log.first(whole)}"
+        yield dropped(log.joints, whole, detail)
+    for name, x in log.channels():
+        far[name][whole] = False
+        median = _running_median(x, _WINDOW)
+        for j in np.flatnonzero(far[name].any(axis=0)):
+            rows, joint = np.flatnonzero(far[name][:, j]), log.joints[j]
+            k = int(rows[np.argmax(np.abs(x - median)[rows, j])])
+            value, around = float(x[k, j]), float(median[k, j])
+            evidence = {"channel": name, "rows": rows, "count": len(rows)}
+            detail = (
+                f"{name} of {joint} is far from its neighbours in {len(rows)} of {len(log)} rows; "
+                f"worst row {k} at t = {log.t[k]:.4g} s: {value:.5g} where those around have "
+                f"{around:.5g}"
             )
-    return found
+            evidence |= {"value": value, "around": around}
+            done = f"interpolates {name} of {joint} over these {len(rows)} rows"
+            remedy = Remedy("interpolate", name, (int(j),), rows)
+            yield Fault("corrupt_rows", (joint,), detail, evidence, done, (remedy,))
+
+
+def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:
+    """Values that cannot be, by channel, each (n, nv); none around rows before missing ones.
+
+    r is the distance of a value from the cubic through its four neighbours (their own times),
+    over its local scale. Beyond what the largest of n such values reaches by chance
+    (`tail_bound`) a value is an outlier only if nothing that happened explains it:
+
+    * it stands apart from the running median, which a step does not;
+    * a position is off by more than half its way from sample to sample (less is jitter of the
+      stamp) and looks like a single wrong value, or jumps beyond all speeds of the joint;
+    * a velocity is contradicted by the positions around it;
+    * neither comes with a jolt: a velocity that the positions confirm, or those of several joints
+      at once where the positions are in order, as a brake or an impact makes them.
+    """
+    r = {name: _distance(log.t, x) for name, x in log.channels()}
+    if jumps is not None:
+        around = np.clip(np.asarray(jumps)[:, None] + np.arange(-2, 4), 0, len(log) - 1)
+        for values in r.values():
+            values[around] = 0.0
+    alarm = ALARM / (log.nv * len(r))
+    far = {name: _far(x, r[name], alarm) for name, x in log.channels()}
+    far["q"] &= _impossible(log, r["q"])
+    for name, x in log.channels()[1:]:
+        apart = np.abs(x - _running_median(x, _WINDOW)) > 0.5 * np.abs(r[name])
+        reach = _WINDOW // 2
+        apart[:reach], apart[len(x) - reach :] = False, False  # unknown at the ends
+        far[name] &= apart
+    if log.dq is not None:
+        way = np.zeros_like(log.dq)
+        way[1:-1] = (log.q[2:] - log.q[:-2]) / (log.t[2:] - log.t[:-2])[:, None]
+        contradicted = np.abs(log.dq - way) > 0.5 * np.abs(r["dq"]) + 3 * log.grain / log.step
+        real = far["dq"] & ~contradicted
+        shared = (_near(far["dq"]).sum(axis=1) > 1) & ~_near(far["q"]).any(axis=1)
+        jolts = _near((real.any(axis=1) | shared)[:, None], _JOLT)
+        far["dq"] &= ~jolts
+        far["tau"] &= ~jolts
+    return far
+
+
+def _near(mask: Mask, reach: int = 1) -> Mask:
+    """A mask widened along the rows."""
+    wide = scipy.ndimage.maximum_filter1d(mask.astype(np.uint8), 2 * reach + 1, axis=0)
+    return np.asarray(wide, bool)
+
+
+def _running_median(x: Array, window: int) -> Array:
+    """Median of so many samples around each one, column by column, shape as given."""
+    size = min(window, len(x))
+    columns = [scipy.ndimage.median_filter(column, size, mode="nearest") for column in x.T]
+    return np.column_stack(columns)
+
+
+def _far(x: Array, r: Array, alarm: float) -> Mask:
+    """Whether values are farther off than by chance, and by more than their resolution."""
+    span, size = np.ptp(x, axis=0), np.abs(r)
+    usual = np.maximum(_running_median(size, _AROUND), 0.2 * np.quantile(size, 0.75, axis=0))
+    z = size / np.maximum(usual, 1e-12 * np.where(span > 0, span, 1.0))
+    bound = [tail_bound(column[column > 0], alarm) for column in z.T]
+    floor = np.maximum([quantum(column) for column in x.T], 1e-9 * span)
+    return np.asarray((z > bound) & (size > 3 * floor), bool)
+
+
+def _impossible(log: Log, r: Array) -> Mask:
+    """Whether a position cannot have been where it was logged."""
+    change = np.abs(np.diff(log.q, axis=0, prepend=log.q[:1]))
+    jump = change > 3 * np.quantile(change, 0.99, axis=0)
+    jump[:-1] |= jump[1:]
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(r, ((2, 2), (0, 0))), 5, axis=0)
+    size = np.linalg.norm(windows, axis=-1) * np.linalg.norm(_PATTERN)
+    alike = np.abs(windows @ _PATTERN) / np.maximum(size, 1e-300)
+    return np.asarray((np.abs(r) > 0.5 * np.abs(log.travel)) & ((alike > _LIKE) | jump), bool)
+
+
+def _distance(t: Array, x: Array) -> Array:
+    """Distance of each value from the cubic through two neighbours on either side, (n, nv)."""
+    n = len(t)
+    r = np.zeros_like(x)
+    if n < 11:
+        return r
+    k = np.arange(2, n - 2)
+    around = [k - 2, k - 1, k + 1, k + 2]
+    guess = np.zeros_like(x[k])
+    for i in around:
+        others = [m for m in around if m is not i]
+        weight = np.prod([(t[k] - t[m]) / (t[i] - t[m]) for m in others], axis=0)
+        guess += weight[:, None] * x[i]
+    r[k] = x[k] - guess
+    wide = np.flatnonzero(np.diff(t) > _GAP * np.median(np.diff(t)))
+    for shift in range(-2, 2):
+        r[np.clip(wide - shift, 0, n - 1)] = 0.0
+    return r

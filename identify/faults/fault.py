@@ -1,16 +1,20 @@
-"""Fault: what is wrong with a recording as a recording, its evidence, and its repair."""
+"""Log: a recording as its tests see it; Fault: what is wrong with it, its evidence, its repair."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar, cast
+from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
+import scipy
 
 from excitant.exceptions import BadInput
-from excitant.identify.faults.log import CHANNELS, Mask, Raw, Rows
+from excitant.identify.recording import Recording
 from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
 
 FAULTS = (
     "dead_channel",
@@ -26,50 +30,88 @@ FAULTS = (
     "poor_excitation",
 )
 """The vocabulary, the same in results, interface and documentation."""
-
+ALARM = 0.02 / 20
+"""Share of faultless recordings that one family of tests may accuse; there are fewer than 20."""
+Rows = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
+_SPAN = 4  # samples to either side of the one whose speed is asked
 _SHOWN = 10  # of many rows, in results
-_ACTIONS = ("unwrap", "interpolate", "scale")
-"""What changes values and not rows, in the order in which it is done."""
-RawT = TypeVar("RawT", bound=Raw)
+_R = TypeVar("_R", bound=Recording)
+
+
+@dataclass(frozen=True, eq=False)
+class Log(Recording):
+    """A recording of named joints before anything is believed of it, and what is usual in it."""
+
+    joints: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, robot: Robot, recording: Recording) -> Log:
+        """A recording as logged, of the arm's joints."""
+        known = {name: getattr(recording, name) for name in ("t", "q", "tau", "dq", "unit")}
+        return cls(recording.name, recording.file, **known, joints=robot.joints)
+
+    def names(self, joints: Any) -> tuple[str, ...]:
+        """Names of joints by index."""
+        return tuple(self.joints[int(j)] for j in joints)
+
+    def first(self, rows: Rows) -> str:
+        """The first of some rows, in words."""
+        return f"first row {rows[0]} at t = {self.t[rows[0]]:.4g} s"
+
+    @cached_property
+    def step(self) -> float:
+        """Median time step [s]."""
+        steps = np.diff(self.t)
+        forward = steps[steps > 0]
+        return float(np.median(forward)) if len(forward) else 1.0
+
+    @cached_property
+    def quantum(self) -> Array:
+        """Smallest step between two positions of each joint, shape (nv,)."""
+        return np.array([quantum(column) for column in self.q.T])
+
+    @cached_property
+    def grain(self) -> Array:
+        """Noise or step of each position, whichever is larger, shape (nv,)."""
+        return np.maximum([noise(column) for column in self.q.T], self.quantum)
+
+    @cached_property
+    def travel(self) -> Array:
+        """Change of position per sample around each one, (n, nv)."""
+        rows = np.arange(len(self))
+        low, high = np.maximum(rows - _SPAN, 0), np.minimum(rows + _SPAN, len(self) - 1)
+        return np.asarray((self.q[high] - self.q[low]) / np.maximum(high - low, 1)[:, None])
+
+    @cached_property
+    def moving(self) -> Mask:
+        """Where a joint moves by several times its `grain` per sample, (n, nv)."""
+        return np.asarray(np.abs(self.travel) > 4 * self.grain)
 
 
 @dataclass(frozen=True, eq=False)
 class Remedy:
     """What a repair does to the arrays.
 
-    Attributes:
-        action: ``drop`` rows, ``interpolate`` rows of a channel, ``scale`` a channel or the time,
-            ``unwrap`` a counter, ``shift`` the time from a row on, ``sort`` all rows by time.
-        channel: ``t``, ``q``, ``dq`` or ``tau``; empty for whole rows.
-        joints: Columns concerned.
-        rows: Rows concerned.
-        factor: What values are multiplied with, the range of the counter, or what is added [s].
+    ``drop`` rows, ``interpolate`` rows of a channel, ``scale`` a channel or the time, ``unwrap`` a
+    counter, ``shift`` the time from a row on, or ``sort`` all rows by time.
     """
 
     action: str
-    channel: str = ""
+    channel: str = ""  # t, q, dq or tau; empty for whole rows
     joints: tuple[int, ...] = ()
     rows: Rows = field(default_factory=lambda: np.zeros(0, np.intp))
-    factor: float = 1.0
+    factor: float = 1.0  # of values; or the range of the counter, or what is added [s]
 
 
 @dataclass(frozen=True, eq=False)
 class Fault:
-    """One fault of a recording.
+    """One fault of a recording, and what would repair it where something can be done."""
 
-    Attributes:
-        fault: Its name, one of `FAULTS`.
-        joints: Joints concerned; all of them when it concerns whole rows or the time.
-        detail: The evidence in one sentence, with numbers.
-        evidence: The same numbers by name.
-        repair: What a repair would do; None when nothing can be done to the recording.
-        remedies: The same for the machine.
-    """
-
-    fault: str
-    joints: tuple[str, ...]
-    detail: str
-    evidence: Mapping[str, Any]
+    fault: str  # one of `FAULTS`
+    joints: tuple[str, ...]  # all of them when it concerns whole rows or the time
+    detail: str  # the evidence in one sentence, with numbers
+    evidence: Mapping[str, Any]  # the same numbers by name
     repair: str | None = None
     remedies: tuple[Remedy, ...] = ()
 
@@ -96,14 +138,9 @@ def dropped(
     joints: tuple[str, ...], rows: Rows, detail: str, fault: str = "corrupt_rows", **evidence: Any
 ) -> Fault:
     """A fault of rows that a repair leaves out."""
-    return Fault(
-        fault,
-        joints,
-        detail,
-        {"rows": rows, "count": len(rows), **evidence},
-        f"leaves these {len(rows)} rows out",
-        (Remedy("drop", rows=rows),),
-    )
+    known = {"rows": rows, "count": len(rows), **evidence}
+    done = f"leaves these {len(rows)} rows out"
+    return Fault(fault, joints, detail, known, done, (Remedy("drop", rows=rows),))
 
 
 def _plain(value: Any) -> Any:
@@ -114,66 +151,48 @@ def _plain(value: Any) -> Any:
     return value if not isinstance(value, float) or np.isfinite(value) else None
 
 
-def repair(raw: RawT, faults: Sequence[Fault]) -> tuple[RawT, tuple[str, ...]]:
+def repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, tuple[str, ...]]:
     """The recording with its repairable faults repaired, and what was done, a sentence each.
-
-    Rows of remedies count rows of this recording. Rows are sorted first, so that those beside each
-    other are neighbours in time, and left out last, so that all remedies may name them.
-
-    Args:
-        raw: The recording as logged; a dataclass with arrays ``t``, ``q``, ``dq``, ``tau``.
-        faults: What `find_faults` found in it.
 
     Raises:
         BadInput: The repairs leave no two samples.
     """
-    remedies = [r for fault in faults for r in fault.remedies]
-    t, order, kept = _arranged(raw.t, remedies)
-    place = np.argsort(order)
-    values: dict[str, Any] = {"t": t[order]}
-    values |= {c: np.array(x[order]) for c in CHANNELS if (x := getattr(raw, c)) is not None}
-    for action in _ACTIONS:
-        for remedy in remedies:
-            if remedy.action == action and remedy.channel in values:
-                _apply(values, replace(remedy, rows=place[remedy.rows]), kept)
-    if kept.sum() < 2:
-        raise BadInput(f"repair leaves {int(kept.sum())} of {len(kept)} rows; record again")
-    cut = {name: x[kept] for name, x in values.items()}
-    if hasattr(raw, "extras"):
-        cut["extras"] = {k: np.asarray(x)[order][kept] for k, x in raw.extras.items()}
-    notes = tuple(
+    better, rows = after_repair(recording, faults)
+    if len(rows) < 2:
+        raise BadInput(f"repair leaves {len(rows)} of {len(recording)} rows; record again")
+    return better, tuple(
         f"{fault.fault} ({', '.join(fault.joints)}): repaired, which {fault.repair}"
         for fault in faults
-        if fault.remedies and fault.repair
+        if fault.remedies
     )
-    return cast(RawT, replace(cast(Any, raw), **cut)), notes
 
 
-def left_rows(t: Array, faults: Sequence[Fault]) -> Rows:
-    """Rows of a log that repairs leave, in the order that they bring them into.
+def after_repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, Rows]:
+    """The recording with its faults repaired, and which of its rows are left, in their new order.
 
-    Args:
-        t: Stamps as logged, shape (n,) [s].
-        faults: What is to be repaired.
+    Rows of remedies count rows of this recording. Rows are sorted first, so that those beside each
+    other are neighbours in time, and left out last, so that all remedies may name them.
     """
-    _, order, kept = _arranged(t, [r for fault in faults for r in fault.remedies])
-    return order[kept]
-
-
-def _arranged(t: Array, remedies: Sequence[Remedy]) -> tuple[Array, Rows, Mask]:
-    """Time with its shifts, rows in the order asked for, and which of those are not left out."""
-    t, kept = np.array(t), np.ones(len(t), bool)
+    remedies = [r for fault in faults for r in fault.remedies]
+    t, kept, order = np.array(recording.t), np.ones(len(recording), bool), np.arange(len(recording))
     for remedy in remedies:
         if remedy.action == "shift":
             t[int(remedy.rows[0]) :] += remedy.factor
         elif remedy.action == "drop":
             kept[remedy.rows] = False
-    by_time = any(remedy.action == "sort" for remedy in remedies)
-    order = np.argsort(t, kind="stable") if by_time else np.arange(len(t))
-    return t, order, kept[order]
+    if any(remedy.action == "sort" for remedy in remedies):
+        order = np.argsort(t, kind="stable")
+    kept, place, ordered = kept[order], np.argsort(order), recording.take(order)
+    values: dict[str, Any] = {name: np.array(x) for name, x in ordered.channels()}
+    values["t"] = t[order]
+    for action in ("unwrap", "interpolate", "scale"):
+        for remedy in remedies:
+            if remedy.action == action and remedy.channel in values:
+                _apply(values, remedy, place[remedy.rows], kept)
+    return replace(ordered, **values).take(kept), order[kept]
 
 
-def _apply(values: dict[str, Any], remedy: Remedy, kept: Mask) -> None:
+def _apply(values: dict[str, Array], remedy: Remedy, rows: Rows, kept: Mask) -> None:
     """Do what a remedy says to channels by name, in place; rows not kept do not count."""
     x = values[remedy.channel]
     if remedy.channel == "t":
@@ -186,9 +205,9 @@ def _apply(values: dict[str, Any], remedy: Remedy, kept: Mask) -> None:
             x[:, j] = unwrap(x[:, j], remedy.factor, remedy.channel == "q")
         else:
             good = kept & np.isfinite(x[:, j]) & np.isfinite(values["t"])
-            good[remedy.rows] = False
-            order = np.flatnonzero(good)
-            x[remedy.rows, j] = np.interp(remedy.rows, order, x[order, j])
+            good[rows] = False
+            if len(order := np.flatnonzero(good)):
+                x[rows, j] = np.interp(rows, order, x[order, j])
 
 
 def unwrap(x: Array, size: float, position: bool) -> Array:
@@ -196,3 +215,44 @@ def unwrap(x: Array, size: float, position: bool) -> Array:
     if position:
         return np.asarray(np.unwrap(x, period=size), float)
     return np.asarray(np.where(x > size / 2, x - size, x), float)
+
+
+def noise(x: Array) -> float:
+    """Standard deviation of white noise on a smooth signal, from its fourth differences."""
+    if len(x) < 10:
+        return 0.0
+    return float(np.median(np.abs(np.diff(x, 4))) / 0.6745 / np.sqrt(70.0))
+
+
+def quantum(x: Array) -> float:
+    """Step of a quantised channel, the lower decile of the distances of its levels; or 0."""
+    levels = np.unique(x[np.isfinite(x)])
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * max(float(np.ptp(levels)), 1e-300)] if len(gaps) else gaps
+    return float(np.quantile(gaps, 0.1)) if len(gaps) else 0.0
+
+
+def tail_bound(values: Array, alarm: float = ALARM) -> float:
+    """Level that the largest of some magnitudes exceeds by chance with probability ``alarm``.
+
+    Their distribution is taken to fall off beyond its 90 % quantile like exp(−√z), as fast as
+    between the median and there: far heavier than Gaussian, as dry friction, impacts and
+    jitter of stamps make it, and blind to up to a tenth of outliers.
+    """
+    if not len(values):
+        return np.inf
+    low, high = np.sqrt(np.quantile(values, (0.5, 0.9)))
+    decay = (high - low) / np.log(0.5 / 0.1)
+    return float((high + decay * max(np.log(0.1 * len(values) / alarm), 0.0)) ** 2)
+
+
+def normal_bound(tests: int) -> float:
+    """Level that the largest of many standard normal variables exceeds by chance."""
+    return float(-scipy.special.ndtri(ALARM / (2 * max(tests, 1))))
+
+
+def run_lengths(same: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and lengths of the runs of True in a boolean array."""
+    edges = np.diff(np.concatenate([[0], same.astype(np.int8), [0]]))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return starts, ends - starts

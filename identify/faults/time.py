@@ -2,22 +2,30 @@
 
 A row is *late* where its stamp puts it between two others that are as far apart as if it were
 missing there, and where no position then jumps: sorting restores the log. A short run of stamps
-that fit nowhere is wrong and is left out. A clock *starts anew* where time goes back and runs on
-at the same rate for long enough to be a recording of its own: the log is cut there, which changes
-no row. Anything else could mean several things, and nothing is done.
+that fit nowhere is left out. A clock *starts anew* where time goes back and runs on at the same
+rate for long enough: the log is cut there. Anything else has several meanings; nothing is done.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import scipy
 
-from excitant.identify.faults.fault import Fault, Remedy, dropped
-from excitant.identify.faults.log import Log, Mask, Rows, run_lengths, tail_bound
+from excitant.identify.faults.fault import (
+    Fault,
+    Log,
+    Mask,
+    Remedy,
+    Rows,
+    dropped,
+    run_lengths,
+    tail_bound,
+)
 from excitant.identify.preprocessing import longest_step
 from excitant.identify.recording import MINIMUM_DURATION
 from excitant.robots.motion import Array
@@ -39,44 +47,31 @@ _LISTED = 5  # runs of rows that are spelt out
 
 
 def stamp_faults(log: Log) -> tuple[list[Fault], Rows | None]:
-    """Stamps that are missing, repeat or go back, of a log as it came.
+    """Stamps that are missing, repeat or go back, and the rows at which the clock starts anew.
 
-    Returns:
-        The faults, and the rows at which the clock starts anew; None where no repair brings the
-        rows into the order of time.
+    None for those where no repair brings the rows into the order of time.
     """
     order, found = _order_of(log), []
+    timed = np.flatnonzero(np.isfinite(log.t))
     if len(rows := np.flatnonzero(~np.isfinite(log.t))):
         detail = f"{len(rows)} of {len(log)} time stamps are no numbers, first in row {rows[0]}"
         found.append(dropped(log.joints, rows, detail, channel="t"))
-    return [
-        *found,
-        *_repeated(log, order),
-        *_backward(log, order),
-    ], None if order.unclear else order.starts
-
-
-def counted(log: Log) -> bool:
-    """Whether the time is the number of the sample: every step exactly one."""
-    return bool(len(log) > 3 and (np.diff(log.t) == 1.0).all())
+    found += [*_repeated(log, timed, order.again), *_backward(log, timed, order)]
+    return found, None if order.unclear else order.starts
 
 
 def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
-    """Samples that are missing between stamps, for a log in the order of time.
+    """Samples that are missing between stamps; none before ``starts`` of other parts [s].
 
     A step counts as a gap when it is nearer to a whole number ≥ 2 of median steps than to one,
     and when together with either neighbour it is nearer to three than to two: a stamp that came
     late is made up for by the next, a sample that is missing is not.
-
-    Args:
-        log: The log.
-        starts: Times from which on it is another part, before which nothing is missing [s].
     """
     steps = np.diff(log.t) / log.step
     if len(steps) < 3:
         return
     steps[np.searchsorted(log.t, starts) - 1] = 1.0
-    padded = np.concatenate([[1.0], steps, [1.0]])
+    padded = np.pad(steps, 1, constant_values=1.0)
     pairs = np.minimum(padded[:-2], padded[2:]) + steps
     at = np.flatnonzero((steps > _BACK) & (pairs > _BACK + 1))
     if not len(at):
@@ -105,15 +100,13 @@ def repeated_rows(log: Log) -> Iterator[Fault]:
     if len(rows) < 3:
         return
     starts, lengths = run_lengths(same)
-    yield dropped(
-        log.joints,
-        rows,
+    detail = (
         f"{len(rows)} of {len(log)} rows ({len(rows) / len(log):.2%}) repeat every value of the "
-        f"row before while joints move, in {np.isin(starts + 1, rows).sum()} places; first row "
-        f"{rows[0]} at t = {log.t[rows[0]]:.4g} s",
-        "duplicate_samples",
-        longest=int(lengths.max()) + 1,
+        f"row before while joints move, in {np.isin(starts + 1, rows).sum()} places; "
+        f"{log.first(rows)}"
     )
+    longest = int(lengths.max()) + 1
+    yield dropped(log.joints, rows, detail, "duplicate_samples", longest=longest)
 
 
 def hidden_gaps(log: Log) -> Iterator[Fault]:
@@ -126,7 +119,8 @@ def hidden_gaps(log: Log) -> Iterator[Fault]:
     n = len(rate)
     if n < 30:
         return
-    speed = _around(rate)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(rate, ((4, 4), (0, 0)), "edge"), 9, 0)
+    speed = np.median(np.delete(around, 4, axis=-1), axis=-1)
     scale = np.median(np.abs(rate - speed), axis=0) / 0.6745 + 1e-12 * np.abs(rate).max(axis=0)
     scale = np.maximum(scale, 2 * log.quantum / log.step / np.sqrt(12))
     used = scale > 0
@@ -154,36 +148,19 @@ def hidden_gaps(log: Log) -> Iterator[Fault]:
     )
 
 
-def _around(rate: Array, half: int = 4) -> Array:
-    """Median of the neighbours of each value, itself left out, shape as given."""
-    padded = np.pad(rate, ((half, half), (0, 0)), mode="edge")
-    shifted = [padded[half + k : half + k + len(rate)] for k in range(-half, half + 1) if k]
-    return np.asarray(np.median(shifted, axis=0), float)
-
-
 class _Order(NamedTuple):
-    """How rows come into the order of time. Rows count those of the log.
+    """How rows come into the order of time."""
 
-    Attributes:
-        again: Rows that repeat an earlier one, not the row before, with its stamp and values.
-        late: Rows that belong between earlier ones, where sorting puts them.
-        lost: Rows whose stamps fit nowhere.
-        starts: Rows at which the clock starts anew.
-        shifts: What is added to time from each of these rows on [s].
-        unclear: Why nothing can be done; empty where the above makes time rise.
-    """
-
-    again: Rows = _NONE
-    late: Rows = _NONE
-    lost: Rows = _NONE
-    starts: Rows = _NONE
-    shifts: tuple[float, ...] = ()
-    unclear: str = ""
+    again: Rows = _NONE  # repeat an earlier one, not the row before, with its stamp and values
+    late: Rows = _NONE  # belong between earlier ones, where sorting puts them
+    lost: Rows = _NONE  # their stamps fit nowhere
+    starts: Rows = _NONE  # the clock starts anew
+    shifts: tuple[float, ...] = ()  # added to time from each of these on [s]
+    unclear: str = ""  # why nothing can be done; empty where the above makes time rise
 
 
 def _order_of(log: Log) -> _Order:
-    """How the rows of a log come into the order of time."""
-    t, q = log.t, log.q
+    t = log.t
     rows = np.flatnonzero(np.isfinite(t))
     rows = rows[np.diff(t[rows], prepend=-np.inf) != 0]
     if (np.diff(t[rows]) > 0).all():
@@ -194,20 +171,16 @@ def _order_of(log: Log) -> _Order:
     if len(rows) < 2:
         return _Order(again)
     step = float(np.median(np.abs(np.diff(t[rows]))))
-    settled = _settled(t, q, rows, step)
-    return _cut(t, q, rows, again, step) if settled is None else _Order(again, *settled)
+    settled = _settled(log, rows, step)
+    return _cut(log, rows, again, step) if settled is None else _Order(again, *settled)
 
 
-def _settled(t: Array, q: Array, rows: Rows, step: float) -> tuple[Rows, Rows] | None:
+def _settled(log: Log, rows: Rows, step: float) -> tuple[Rows, Rows] | None:
     """Of some rows those that sorting puts right, and few to leave out; None when that is not all.
 
-    Args:
-        t: Stamps of the log, shape (n,) [s].
-        q: Positions of the log, shape (n, nv).
-        rows: Rows with finite stamps.
-        step: Usual step [s].
+    ``step`` is the usual one [s].
     """
-    t = t[rows]
+    t = log.t[rows]
     if (np.diff(t) > 0).all():
         return _NONE, _NONE
     moved = _stray(t, step)
@@ -217,7 +190,7 @@ def _settled(t: Array, q: Array, rows: Rows, step: float) -> tuple[Rows, Rows] |
     moved[~moved] = behind if behind.sum() <= ahead.sum() else ahead
     order = np.argsort(t, kind="stable")
     unfit = np.zeros(len(t), bool)
-    unfit[order] = _unfit(t[order], q[rows[order]], order, moved[order], step)
+    unfit[order] = _unfit(t[order], log.q[rows[order]], order, moved[order], step)
     if unfit.sum() > max(_WRONG * len(t), 1) or run_lengths(unfit)[1].max(initial=0) > _SHORT:
         return None
     return rows[moved & ~unfit], rows[unfit]
@@ -225,19 +198,17 @@ def _settled(t: Array, q: Array, rows: Rows, step: float) -> tuple[Rows, Rows] |
 
 def _stray(t: Array, step: float) -> Mask:
     """Short runs of stamps far from those around them."""
-    around = scipy.ndimage.median_filter(t, 2 * _SHORT + 1, mode="nearest")
-    return np.asarray(np.abs(t - around) > _STRAY * step, bool)
+    return np.asarray(np.abs(t - _smoothed(t)) > _STRAY * step, bool)
+
+
+def _smoothed(t: Array) -> Array:
+    return np.asarray(scipy.ndimage.median_filter(t, 2 * _SHORT + 1, mode="nearest"))
 
 
 def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:
     """Of rows sorted by time, the moved ones that do not belong where sorting puts them.
 
-    Args:
-        t: Sorted stamps, shape (n,) [s].
-        q: Positions in that order, shape (n, nv).
-        order: Which rows they were before, shape (n,).
-        moved: Which of them were out of order, shape (n,).
-        step: Usual step [s].
+    ``order`` says which rows they were before, ``moved`` which were out of order.
     """
     one, two = (np.median(np.abs(q[k:] - q[:-k]), axis=0) for k in (1, 2))
     steps, change = np.diff(t), np.abs(np.diff(q, axis=0))
@@ -257,11 +228,11 @@ def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:
     return unfit
 
 
-def _cut(t: Array, q: Array, rows: Rows, again: Rows, step: float) -> _Order:
+def _cut(log: Log, rows: Rows, again: Rows, step: float) -> _Order:
     """The order of a log whose clock starts anew, if that is what it did."""
+    t = log.t
     clear = rows[~_stray(t[rows], step)]
-    middle = scipy.ndimage.median_filter(t[clear], 2 * _SHORT + 1, mode="nearest")
-    falls = np.flatnonzero(np.diff(middle) < 0) + 1
+    falls = np.flatnonzero(np.diff(_smoothed(t[clear])) < 0) + 1
     if not len(falls):
         return _Order(again, unclear="its rows fit nowhere else")
     reach = np.arange(-2 * _SHORT, 2 * _SHORT + 1)
@@ -273,7 +244,7 @@ def _cut(t: Array, q: Array, rows: Rows, again: Rows, step: float) -> _Order:
         return _Order(again, unclear=often)
     late, lost, shifts, end, brief = [], [], [0.0], -np.inf, 0
     for own in np.split(rows, np.searchsorted(rows, starts)):
-        settled = _settled(t, q, own, step)
+        settled = _settled(log, own, step)
         if settled is None:
             return _Order(again, unclear=f"from row {own[0]} on its rows fit nowhere else")
         late.append(settled[0])
@@ -291,37 +262,31 @@ def _cut(t: Array, q: Array, rows: Rows, again: Rows, step: float) -> _Order:
     return _Order(again, np.concatenate(late), np.concatenate(lost), starts, added)
 
 
-def _repeated(log: Log, order: _Order) -> Iterator[Fault]:
+def _repeated(log: Log, timed: Rows, again: Rows) -> Iterator[Fault]:
     """Rows with the stamp of an earlier row: the one before, or any that has all its values."""
-    timed = np.flatnonzero(np.isfinite(log.t))
     still = np.flatnonzero(np.diff(log.t[timed]) == 0)
     before, beside = timed[still], timed[still + 1]
-    rows = np.union1d(beside, order.again)
+    rows = np.union1d(beside, again)
     if not len(rows):
         return
     same = np.all([(x[beside] == x[before]).all(axis=1) for _, x in log.channels()], axis=0).sum()
-    n, found = len(log), len(rows) - len(order.again)
+    n, found = len(log), len(rows) - len(again)
     parts = []
     if found:
-        parts.append(
-            f"{found} of {n} rows ({found / n:.2%}) repeat the time of the row before, {same} of "
-            f"them all its values too"
-        )
-    if len(order.again):
-        parts.append(f"{len(order.again)} of {n} rows repeat time and values of earlier ones")
-    detail = f"{'; '.join(parts)}; first row {rows[0]} at t = {log.t[rows[0]]:.4g} s"
-    evidence = {"rows": rows, "count": len(rows), "identical": int(same) + len(order.again)}
-    done = f"keeps the first of each and leaves {len(rows)} rows out"
-    drop = Remedy("drop", rows=rows)
-    yield Fault("duplicate_samples", log.joints, detail, evidence, done, (drop,))
+        said = f"{found} of {n} rows ({found / n:.2%}) repeat the time of the row before"
+        parts.append(f"{said}, {same} of them all its values too")
+    if len(again):
+        parts.append(f"{len(again)} of {n} rows repeat time and values of earlier ones")
+    detail = f"{'; '.join(parts)}; {log.first(rows)}"
+    fault = dropped(log.joints, rows, detail, "duplicate_samples", identical=int(same) + len(again))
+    yield replace(fault, repair=f"keeps the first of each and leaves {len(rows)} rows out")
 
 
-def _backward(log: Log, order: _Order) -> list[Fault]:
+def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
     """Faults of rows that are earlier than one before them, from how they come into order."""
-    t, timed = log.t, np.flatnonzero(np.isfinite(log.t))
-    rows = timed[1:][np.diff(t[timed]) < 0]
+    rows = timed[1:][np.diff(log.t[timed]) < 0]
     if not len(rows):
-        return []
+        return
 
     def fault(
         rows: Rows, detail: str, done: str | None = None, *remedies: Remedy, **evidence: Any
@@ -330,19 +295,20 @@ def _backward(log: Log, order: _Order) -> list[Fault]:
         return Fault("corrupt_rows", log.joints, detail, evidence, done, remedies)
 
     def fall(row: int) -> str:
-        return f"from {t[timed[timed < row][-1]]:.6g} to {t[row]:.6g} s"
+        return f"first from {log.t[timed[timed < row][-1]]:.6g} to {log.t[row]:.6g} s"
 
-    first, n, found = int(rows[0]), len(log), []
+    first, n = int(rows[0]), len(log)
     if order.unclear:
         detail = (
-            f"time goes back in {len(rows)} of {n} rows, first {fall(first)} in row {first}; "
+            f"time goes back in {len(rows)} of {n} rows, {fall(first)} in row {first}; "
             f"{order.unclear}, so that sorting or cutting would be a guess: cut the file by hand "
             f"in row {first}, or correct its time"
         )
-        return [fault(rows, detail, unclear=order.unclear)]
+        yield fault(rows, detail, unclear=order.unclear)
+        return
     if len(starts := order.starts):
         detail = (
-            f"the clock starts anew in {_listed(starts)}, first {fall(int(starts[0]))}, and runs "
+            f"the clock starts anew in {_listed(starts)}, {fall(int(starts[0]))}, and runs "
             f"on at the same rate, as in recordings written one after the other"
         )
         done = f"cuts the recording into {len(starts) + 1} parts at {_listed(starts)}"
@@ -350,19 +316,20 @@ def _backward(log: Log, order: _Order) -> list[Fault]:
             Remedy("shift", "t", rows=starts[k : k + 1], factor=shift)
             for k, shift in enumerate(order.shifts)
         ]
-        found.append(fault(starts, detail, done, *remedies, shifts=order.shifts))
-    sentences, steps = [], []
-    if len(order.late):
-        sentences.append(f"sorts {_listed(order.late)} by time, where they fit")
-        steps.append(Remedy("sort", "t", rows=order.late))
-    if len(order.lost):
-        sentences.append(f"leaves {_listed(order.lost)} out")
-        steps.append(Remedy("drop", rows=order.lost))
+        yield fault(starts, detail, done, *remedies, shifts=order.shifts)
+    steps = [
+        (said.format(_listed(some)), Remedy(action, channel, rows=some))
+        for said, action, channel, some in (
+            ("sorts {} by time, where they fit", "sort", "t", order.late),
+            ("leaves {} out", "drop", "", order.lost),
+        )
+        if len(some)
+    ]
     if steps:
-        moved, where = np.union1d(order.late, order.lost), f"first {fall(first)} in row {first}"
+        moved, (said, actions) = np.union1d(order.late, order.lost), zip(*steps, strict=True)
+        where = f"{fall(first)} in row {first}"
         detail = f"time goes back: {len(moved)} of {n} rows are out of order, {where}"
-        found.append(fault(moved, detail, " and ".join(sentences), *steps, late=len(order.late)))
-    return found
+        yield fault(moved, detail, " and ".join(said), *actions, late=len(order.late))
 
 
 def _listed(rows: Rows) -> str:

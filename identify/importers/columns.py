@@ -16,9 +16,8 @@ import yaml
 
 from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.importers.mapping import ColumnMap
-from excitant.identify.importers.names import PARTS_OF_TIME, Meaning, meaning
+from excitant.identify.importers.names import PARTS_OF_TIME, Meaning, Unit, factor, meaning
 from excitant.identify.importers.tables import Table
-from excitant.identify.importers.units import Unit, factor
 from excitant.robots.robot import Robot
 
 _SAID = {"t": "time", "q": "positions", "dq": "speeds", "tau": "torques", "i": "currents"}
@@ -34,61 +33,25 @@ _Key = str | int | None
 
 
 @dataclass(frozen=True)
-class Joints:
-    """The joints that a recording must hold: how many, and of an arm their names and kinds.
-
-    Attributes:
-        count: How many.
-        names: Their names, where the arm is known.
-        revolute: Whether each turns, where the arm is known.
-    """
-
-    count: int
-    names: tuple[str, ...] = ()
-    revolute: tuple[bool, ...] = ()
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Names, or numbers from 1 where there are none."""
-        return self.names or tuple(str(k + 1) for k in range(self.count))
-
-
-@dataclass(frozen=True)
 class Channel:
-    """The columns of one quantity, in the order of the robot's joints.
-
-    Attributes:
-        columns: Names as logged.
-        factors: SI units, with sign and drive gain, per logged unit.
-        shown: How the columns were understood, one line; empty where there was no choice.
-    """
+    """The columns of one quantity, in the order of the robot's joints."""
 
     columns: tuple[str, ...]
-    factors: tuple[float, ...]
-    shown: str = ""
+    factors: tuple[float, ...]  # SI units, with sign and drive gain, per logged unit
+    shown: str = ""  # how the columns were understood; empty where there was no choice
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Where each quantity of a recording is.
+    """Where each quantity of a recording is."""
 
-    Attributes:
-        t: One column, or whole seconds and the nanoseconds to add.
-        t_unit: Unit of time, or seconds per logged unit; None where the values say.
-        q: Positions.
-        dq: Speeds, where all joints' are there.
-        tau: Torques or currents.
-        unit: What ``tau`` becomes: ``"N·m"`` or ``"A"``.
-        notes: How the columns were understood, one line each.
-    """
-
-    t: tuple[str, ...]
-    t_unit: Unit | None
+    t: tuple[str, ...]  # one column, or whole seconds and the nanoseconds to add
+    t_unit: Unit | None  # None where the values say
     q: Channel
-    dq: Channel | None
-    tau: Channel
-    unit: str
-    notes: tuple[str, ...] = ()
+    dq: Channel | None  # where all joints' are there
+    tau: Channel  # torques or currents
+    unit: str  # of tau in SI: N·m or A
+    notes: tuple[str, ...] = ()  # how the columns were understood, one line each
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -97,36 +60,21 @@ class Columns:
         return (*self.t, *self.q.columns, *speeds, *self.tau.columns)
 
 
-def resolve(
-    table: Table,
-    robot: Robot | int,
-    mapping: ColumnMap | None = None,
-    torque_column: str | None = None,
-) -> Columns:
+def resolve(table: Table, robot: Robot | int, mapping: ColumnMap) -> Columns:
     """Which columns hold what: as a map says, else as their names say beyond doubt.
-
-    Args:
-        table: The log.
-        robot: The arm, or its number of joints.
-        mapping: What the user says.
-        torque_column: Prefix of the torque columns, ``tau`` for ``tau1, tau2, ...``.
 
     Raises:
         BadRecording: A column is missing, or could be several; says what to write.
         BadInput: The map does not fit the robot.
     """
-    if isinstance(robot, int):
-        joints = Joints(robot)
-    else:
-        joints = Joints(robot.nv, robot.joints, tuple(bool(turns) for turns in robot.revolute))
-    search = _Search(table, joints, mapping or ColumnMap())
+    search = _Search(table, robot, mapping)
     t, t_shown = search.time()
     q = search.channel("q")
-    role, tau = search.torque(torque_column)
+    role, tau = search.torque()
     dq = search.channel("dq", optional=True)
     if q is None:
         raise search.missing("q")
-    unit, gains = "A" if role == "i" else "N·m", search.mapping.drive
+    unit, gains = "A" if role == "i" else "N·m", mapping.drive
     if role == "i" and gains is not None:
         search.expect_all("drive has {} gains", gains)
         factors = tuple(one * gain for one, gain in zip(tau.factors, gains, strict=True))
@@ -144,38 +92,29 @@ def resolve(
 
 
 class _Group:
-    """Columns of one quantity whose names differ by the joint only.
-
-    Attributes:
-        role: Quantity.
-        words: What else the names hold.
-        members: Meaning per joint's number or name.
-        twice: A column of a joint that has another one.
-        exact: Whether the columns are named ``q1, q2, ...``.
-        keys: Under which key each joint of the robot should be.
-        full: Whether every joint has one column; numbered columns of more joints are another arm's.
-    """
+    """Columns of one quantity whose names differ by the joint only, under its number or name."""
 
     def __init__(
-        self, role: str, joints: Joints, found: Sequence[tuple[_Key, Meaning]], *words: str
+        self, search: _Search, role: str, found: Sequence[tuple[_Key, Meaning]], *words: str
     ) -> None:
-        self.role, self.words, self.joints = role, words, joints
+        self.role, self.count, self.words = role, search.count, words
         self.members: dict[_Key, Meaning] = {}
-        self.twice: str | None = None
+        self.twice = ""  # a column of a joint that has another one
         for joint, m in found:
             self.twice = m.column if joint in self.members else self.twice
             self.members.setdefault(joint, m)
-        form = re.compile(rf"{role}[1-9]\d*", re.ASCII)
         named = any(isinstance(joint, str) for joint in self.members)
-        self.exact = not named and all(form.fullmatch(m.column) for _, m in found)
+        plain = re.compile(rf"{role}[1-9]\d*", re.ASCII)
+        self.exact = not named and all(plain.fullmatch(m.column) for _, m in found)
         first = 0 if 0 in self.members else 1
-        self.keys: list[_Key] = [first + k for k in range(joints.count)]
+        self.keys: list[_Key] = [first + k for k in range(self.count)]
         if named:
-            self.keys = list(joints.names)
-        elif joints.count == 1 and None in self.members:
+            self.keys = list(search.joints)
+        elif self.count == 1 and None in self.members:
             self.keys = [None]
-        held = set(self.keys) <= set(self.members) and (named or len(self.members) == joints.count)
-        self.full = held and self.twice is None
+        # numbered columns of more joints are another arm's
+        held = set(self.keys) <= set(self.members) and (named or len(self.members) == self.count)
+        self.full = held and not self.twice
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -184,93 +123,97 @@ class _Group:
 
     def check(self, file: str, prefix: str | None = None) -> None:
         """Refuse another number of joints, holes and surplus."""
-        if self.twice is not None:
-            why = "names a joint that another column names too; rename or remove one"
-            raise BadRecording(file, why, column=self.twice)
         numbers = sorted(k for k in self.members if isinstance(k, int))
-        count, expected = len(numbers), self.joints.count
-        run = count and numbers[0] in (0, 1) and numbers[-1] - numbers[0] == count - 1
-        if self.role == "q" and run and count != expected:
+        count, expected = len(numbers), self.count
+        absent = [key for key in self.keys if key not in self.members]
+        column: str | None = None
+        if self.twice:
+            why = "names a joint that another column names too; rename or remove one"
+            column = self.twice
+        elif (
+            self.role == "q"
+            and numbers in (list(range(count)), list(range(1, count + 1)))
+            and (0 < count != expected)
+        ):
             first, last = (self.members[k].column for k in (numbers[0], numbers[-1]))
-            span = f"{first}..{last}" if count > 1 else first
+            span = f"s ({first}..{last})" if count > 1 else f" ({first})"
             why = (
-                f"has {count} joint{'s' if count > 1 else ''} ({span}), the robot has {expected}; "
+                f"has {count} joint{span}, the robot has {expected}; "
                 f"give the recording of this robot, or lock the joints that it leaves out"
             )
-            raise BadRecording(file, why)
-        for key in self.keys:
-            if key not in self.members:
-                column = f"{prefix}{key}" if prefix is not None else self._name(key)
-                raise BadRecording(file, "is missing; rename or add it", column=column)
-        if count > expected:
-            column = self.members[numbers[-1]].column
+        elif absent:
+            why = "is missing; rename or add it"
+            like = next(iter(self.members.values()), Meaning(""))
+            column = f"{_SAID[self.role]} of {absent[0]}"
+            if prefix is not None:
+                column = f"{prefix}{absent[0]}"
+            elif not isinstance(absent[0], str) and like.joint is not None:
+                column = f"{absent[0]}".join(like.column.rsplit(str(like.joint), 1))
+        elif count > expected:
             why = (
                 f"belongs to no joint: the robot has {expected}; remove it or give the right robot"
             )
-            raise BadRecording(file, why, column=column)
-
-    def _name(self, key: _Key) -> str:
-        """What the column of a joint would be called."""
-        like = next(iter(self.members.values()))
-        if isinstance(key, str) or like.joint is None:
-            return f"{_SAID[self.role]} of {key}"
-        head, _, tail = like.column.rpartition(str(like.joint))
-        return f"{head}{key}{tail}"
+            column = self.members[numbers[-1]].column
+        else:
+            return
+        raise BadRecording(file, why, column=column)
 
 
 class _Search:
-    """What the names of a log's columns, and the user's map, say about them.
+    """What the names of a log's columns, and the user's map, say about them."""
 
-    Attributes:
-        groups: Candidates for each quantity, the most plausible first.
-        times: Candidates for time: a column, or seconds and nanoseconds.
-        t_unit: Unit of time, as the map or the name of the only candidate says.
-        notes: What was left out.
-    """
-
-    def __init__(self, table: Table, joints: Joints, mapping: ColumnMap) -> None:
-        self.table, self.joints, self.mapping = table, joints, mapping
+    def __init__(self, table: Table, robot: Robot | int, mapping: ColumnMap) -> None:
+        self.table, self.mapping = table, mapping
+        arm = None if isinstance(robot, int) else robot
+        self.count = robot if isinstance(robot, int) else robot.nv
+        self.joints: tuple[str, ...] = arm.joints if arm else ()
+        self.revolute = [bool(turns) for turns in arm.revolute] if arm else [None] * self.count
+        self.said = self.joints or tuple(str(k + 1) for k in range(self.count))
         labels = table.labels
-        surplus = sorted(set(labels.values()) - set(joints.names)) if joints.names else []
+        surplus = sorted(set(labels.values()) - set(self.joints)) if arm else []
         self.notes = (f"joints left out: {', '.join(surplus)}",) if surplus else ()
-        absent = [name for name in joints.names if name not in labels.values()]
+        absent = [name for name in self.joints if name not in labels.values()]
         if labels and absent:
-            raise BadRecording(
-                table.file,
-                f"holds the joints {', '.join(labels.values())}; joint '{absent[0]}' of the robot "
-                f"is not among them; give the right robot, or lock this joint",
-            )
-        used = [m for m in _meanings(table, joints) if m.role is not None and not m.commanded]
+            why = f"holds the joints {', '.join(labels.values())}; joint '{absent[0]}' of the robot"
+            advice = "is not among them; give the right robot, or lock this joint"
+            raise BadRecording(table.file, f"{why} {advice}")
+        meanings = [self._meaning(column) for column in table.names]
+        used = [m for m in meanings if m.role is not None and not m.commanded]
         alike: dict[tuple[Any, ...], list[tuple[_Key, Meaning]]] = {}
         for m in used:
-            joint = m.joint
-            if isinstance(joint, int) and joints.names:
-                joint = labels.get(joint, joint)
+            named = isinstance(m.joint, int) and bool(arm)
+            joint = labels.get(m.joint, m.joint) if named else m.joint  # type: ignore[arg-type]
             sort = (m.role, m.words, isinstance(joint, str), m.measured, m.term)
             alike.setdefault(sort, []).append((joint, m))
-        self.groups: dict[str, list[_Group]] = {}
-        for (role, words, *_), members in alike.items():
-            self.groups.setdefault(role, []).append(_Group(role, joints, members, *words))
+        self.groups: dict[str, list[_Group]] = {}  # the most plausible first
+        for (role, words, *_), found in alike.items():
+            self.groups.setdefault(role, []).append(_Group(self, role, found, *words))
         for groups in self.groups.values():
             groups.sort(key=lambda group: (not group.exact, len(group.words)))
         self.times, unit = _times([m for m in used if m.role == "t"])
         said = mapping.units.get("t")
         self.t_unit: Unit | None = unit if said is None or isinstance(said, tuple) else said
 
+    def _meaning(self, column: str) -> Meaning:
+        """What a column's name says, given the arm's joints."""
+        joint, _, quantity = column.rpartition(".")
+        if not self.table.joined or not joint:
+            return meaning(column, self.joints)
+        order = {label: k for k, label in self.table.labels.items()}
+        return Meaning(column, meaning(quantity).role, joint if self.joints else order[joint])
+
     def time(self) -> tuple[tuple[str, ...], str]:
         """The columns of time, and how they were understood."""
-        given = self.mapping.columns.get("t")
-        if given is not None:
+        if (given := self.mapping.columns.get("t")) is not None:
             columns = (given,) if isinstance(given, str) else given
             self._there(columns)
             if len(columns) > 2:
-                raise BadInput(
-                    f"{self.mapping.source}: 't' is one column, or seconds and nanoseconds"
-                )
-        elif len(self.times) == 1:
-            columns = self.times[0]
-        elif self.times:
+                why = "'t' is one column, or seconds and nanoseconds"
+                raise BadInput(f"{self.mapping.source}: {why}")
+        elif len(self.times) > 1:
             raise self._ambiguous("t", [", ".join(times) for times in self.times])
+        elif self.times:
+            columns = self.times[0]
         else:
             raise self.missing("t")
         if columns == ("t",) and self.t_unit is None:
@@ -279,7 +222,7 @@ class _Search:
 
     def channel(self, role: str, *, optional: bool = False) -> Channel | None:
         """Columns of a quantity; None when there are none, or not of all joints if optional."""
-        hints: tuple[str | None, ...] = (None,) * self.joints.count
+        hints: tuple[str | None, ...] = (None,) * self.count
         exact = False
         if (given := self.mapping.columns.get(role)) is not None:
             columns = self._given(role, given)
@@ -293,11 +236,12 @@ class _Search:
         units = self.mapping.units.get(role, hints[0])
         if exact and units is None:
             return Channel(columns, factors)
-        shown = f"{role} = {_shortened(columns, self.joints)}{_in_unit(units, columns[0])}"
+        shown = f"{role} = {self._shortened(columns)}{_in_unit(units, columns[0])}"
         return Channel(columns, factors, shown)
 
-    def torque(self, prefix: str | None) -> tuple[str, Channel]:
+    def torque(self) -> tuple[str, Channel]:
         """Torques, or currents where there are none or the user says so."""
+        prefix = self.mapping.torque
         said = [role for role in ("tau", "i") if role in self.mapping.columns]
         if len(said) == 2:
             raise BadInput(
@@ -307,21 +251,20 @@ class _Search:
             role, form = "i" if prefix == "i" else "tau", rf"{re.escape(prefix)}([1-9]\d*)"
             found = ((name, re.fullmatch(form, name, re.ASCII)) for name in self.table.names)
             members = [(int(m[1]), Meaning(name, role, int(m[1]))) for name, m in found if m]
-            group = _Group(role, self.joints, members)
+            group = _Group(self, role, members)
             group.check(self.table.file, prefix)
-            return role, Channel(group.columns, self._factors(role, (None,) * self.joints.count))
+            return role, Channel(group.columns, self._factors(role, (None,) * self.count))
         exact = [r for r in ("tau", "i") if any(g.exact for g in self.groups.get(r, ()))]
         for role in said or exact or ("tau", "i"):
-            channel = self.channel(role)
-            if channel is not None:
+            if (channel := self.channel(role)) is not None:
                 return role, channel
         raise self.missing("tau")
 
     def expect_all(self, what: str, values: Sequence[object]) -> None:
         """Refuse a map that says something of another number of joints than the robot has."""
-        if len(values) != self.joints.count:
-            said, count = what.format(len(values)), self.joints.count
-            raise BadInput(f"{self.mapping.source}: {said}, the robot has {count} joints")
+        if len(values) != self.count:
+            said = what.format(len(values))
+            raise BadInput(f"{self.mapping.source}: {said}, the robot has {self.count} joints")
 
     def _chosen(self, role: str, optional: bool) -> _Group | None:
         """The columns that hold a quantity by their name alone, those named exactly first."""
@@ -340,18 +283,25 @@ class _Search:
 
     def _given(self, role: str, given: str | tuple[str, ...]) -> tuple[str, ...]:
         """The columns that the map names, in the robot's order."""
-        names, joints = self.table.names, self.joints
+        names, one = self.table.names, self.count == 1
         columns = (given,) if isinstance(given, str) else given
         if isinstance(given, str) and "{" in given:
-            columns = _expanded(given, joints)
-        elif isinstance(given, str) and not (given in names and joints.count == 1):
-            named = _NAMED if joints.names else ()
-            forms = [_expanded(form.format(given), joints) for form in (*named, *_NUMBERED)]
+            columns = self._expanded(given)
+        elif isinstance(given, str) and not (given in names and one):
+            named = _NAMED if self.joints else ()
+            forms = [self._expanded(form.format(given)) for form in (*named, *_NUMBERED)]
             there = [form for form in forms if set(form) <= set(names)]
-            columns = there[0] if there else columns if joints.count == 1 else forms[-1]
+            columns = there[0] if there else columns if one else forms[-1]
         self.expect_all(f"'{role}' names {{}} columns", columns)
         self._there(columns)
         return columns
+
+    def _expanded(self, pattern: str) -> tuple[str, ...]:
+        """A pattern for every joint: ``{0}`` counts from 0, ``{1}`` from 1, ``{joint}`` names."""
+        return tuple(
+            pattern.replace("{0}", str(k)).replace("{1}", str(k + 1)).replace("{joint}", label)
+            for k, label in enumerate(self.said)
+        )
 
     def _there(self, columns: Sequence[str]) -> None:
         for column in columns:
@@ -361,24 +311,35 @@ class _Search:
 
     def _factors(self, role: str, hints: Sequence[str | None]) -> tuple[float, ...]:
         """SI units per logged unit and joint, signs included."""
-        joints, source = self.joints, self.mapping.source
+        source = self.mapping.source
         given = self.mapping.units.get(role, tuple(hints))
-        units = given if isinstance(given, tuple) else (given,) * joints.count
+        units = given if isinstance(given, tuple) else (given,) * self.count
         self.expect_all(f"units of {role}: {{}} given", units)
         signs = self.mapping.sign.get("tau" if role == "i" else role, {})
         for joint in signs:
-            if joint not in joints.labels:
-                known = ", ".join(joints.labels)
+            if joint not in self.said:
+                known = ", ".join(self.said)
                 raise BadInput(f"{source}: sign of unknown joint '{joint}'; known: {known}")
         factors = []
-        for k, (unit, label) in enumerate(zip(units, joints.labels, strict=True)):
-            turns = joints.revolute[k] if joints.revolute else None
+        for unit, label, turns in zip(units, self.said, self.revolute, strict=True):
             size = factor(role, unit, turns) if isinstance(unit, str) else unit or 1.0
             if size is None:
                 kind = "turns" if turns else "slides"
                 raise BadInput(f"{source}: joint {label} {kind}: its {role} is not in {unit}")
             factors.append(size * signs.get(label, 1.0))
         return tuple(factors)
+
+    def _shortened(self, columns: Sequence[str]) -> str:
+        """Columns for people: one pattern for joints' names, first and last of a rising number."""
+        before, found, after = columns[0].partition(self.said[0])
+        if found and list(columns) == [f"{before}{name}{after}" for name in self.joints]:
+            return f"{before}<joint>{after}"
+        for match in re.finditer(r"\d+", columns[0]) if len(columns) > 2 else ():
+            head, tail = columns[0][: match.start()], columns[0][match.end() :]
+            for first in (0, 1):
+                if list(columns) == [f"{head}{k + first}{tail}" for k in range(len(columns))]:
+                    return f"{columns[0]} .. {columns[-1]}"
+        return ", ".join(columns)
 
     def _some(self) -> str:
         names = self.table.names
@@ -395,49 +356,27 @@ class _Search:
         text: str = yaml.safe_dump(
             content, default_flow_style=True, sort_keys=False, width=1 << 20, allow_unicode=True
         )
-        return text.strip()
+        return f"say which in a file for --map, such as {text.strip()}"
 
     def _ambiguous(self, role: str, spans: Sequence[str]) -> BadRecording:
         """The refusal of columns of which several could be meant."""
         choices = "; or ".join(f"{span} ..." if role != "t" else span for span in spans)
-        return BadRecording(
-            self.table.file,
-            f"{_SAID[role]} could be {choices}: say which in a file for --map, such as "
-            f"{self._suggestion()}",
-        )
+        why = f"{_SAID[role]} could be {choices}: {self._suggestion()}"
+        return BadRecording(self.table.file, why)
 
     def missing(self, role: str) -> BadRecording:
         """The refusal of a log without a quantity."""
-        advice = (
-            f"columns are {self._some()}; or say which in a file for --map, such as "
-            f"{self._suggestion()}"
-        )
+        advice = f"columns are {self._some()}; or {self._suggestion()}"
         if role == "tau":
             why = f"no torque: there is neither 'tau1' [N·m] nor 'i1' [A]; {advice}"
             return BadRecording(self.table.file, why)
         column = "t" if role == "t" else "q1"
-        return BadRecording(
-            self.table.file, f"is missing; rename or add it: {advice}", column=column
-        )
-
-
-def _meanings(table: Table, joints: Joints) -> list[Meaning]:
-    """What the columns' names say, given the arm's joints."""
-    if not table.joined:
-        return [meaning(name, joints.names) for name in table.names]
-    order = {label: k for k, label in table.labels.items()}
-    found = []
-    for name in table.names:
-        joint, _, quantity = name.rpartition(".")
-        said = meaning(quantity)
-        if joint:
-            said = Meaning(name, said.role, joint if joints.names else order[joint])
-        found.append(said)
-    return found
+        why = f"is missing; rename or add it: {advice}"
+        return BadRecording(self.table.file, why, column=column)
 
 
 def _times(meanings: Sequence[Meaning]) -> tuple[tuple[tuple[str, ...], ...], str | None]:
-    """Candidates for time, and the unit in the name where there is one candidate."""
+    """Candidates for time (a column, or seconds and nanoseconds), and the unit of the only one."""
     if any(m.column == "t" for m in meanings):
         return (("t",),), None
     alone = [m for m in meanings if m.joint is None]
@@ -454,29 +393,8 @@ def _times(meanings: Sequence[Meaning]) -> tuple[tuple[tuple[str, ...], ...], st
     return tuple((m.column,) for m in some), unit if len(some) == 1 else None
 
 
-def _in_unit(units: Unit | tuple[Unit, ...] | None, column: str) -> str:
+def _in_unit(units: Unit | tuple[Unit | None, ...] | None, column: str) -> str:
     """A unit in brackets, unless the column's name ends with it."""
     if units is None or (isinstance(units, str) and column.endswith((f"[{units}]", f"({units})"))):
         return ""
     return f" [{', '.join(map(str, units)) if isinstance(units, tuple) else units}]"
-
-
-def _expanded(pattern: str, joints: Joints) -> tuple[str, ...]:
-    """A pattern for every joint: ``{0}`` counts from 0, ``{1}`` from 1, ``{joint}`` is a name."""
-    return tuple(
-        pattern.replace("{0}", str(k)).replace("{1}", str(k + 1)).replace("{joint}", label)
-        for k, label in enumerate(joints.labels)
-    )
-
-
-def _shortened(columns: Sequence[str], joints: Joints) -> str:
-    """Columns for people: one pattern for joints' names, first and last of a rising number."""
-    before, found, after = columns[0].partition(joints.labels[0])
-    if found and list(columns) == [f"{before}{label}{after}" for label in joints.names]:
-        return f"{before}<joint>{after}"
-    for match in re.finditer(r"\d+", columns[0]) if len(columns) > 2 else ():
-        head, tail = columns[0][: match.start()], columns[0][match.end() :]
-        for first in (0, 1):
-            if list(columns) == [f"{head}{k + first}{tail}" for k in range(len(columns))]:
-                return f"{columns[0]} .. {columns[-1]}"
-    return ", ".join(columns)

@@ -11,18 +11,15 @@ import msgspec
 import numpy as np
 
 from excitant.exceptions import BadInput
-from excitant.identify.importers.units import Unit, spelled, units_of
+from excitant.identify.importers.names import Unit, spelled, units_of
 from excitant.robots.schema import Finite, Name, convert, read_yaml
 
-ROLES = ("t", "q", "dq", "tau", "i")
 _Names = Name | Annotated[list[Name], msgspec.Meta(min_length=1)] | None
 _Units = str | Finite | list[str | Finite] | None
 _Constants = Finite | list[Finite] | None
 
 
-class UnitsRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Per quantity one unit or one per joint; a number is how many SI units one is."""
-
+class _UnitsRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     t: str | Finite | None = None
     q: _Units = None
     dq: _Units = None
@@ -30,16 +27,12 @@ class UnitsRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     i: _Units = None
 
 
-class DriveRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Drive constants, one number per joint."""
-
+class _DriveRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gain: _Constants = msgspec.field(name="gain_Nm_per_A", default=None)
     gear_ratio: _Constants = None
 
 
-class ColumnsRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A ``columns.yaml``; see `load_column_map`."""
-
+class _ColumnsRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     t: _Names = None
     q: _Names = None
     dq: _Names = None
@@ -63,6 +56,7 @@ class ColumnMap:
         sign: +1 or −1 per quantity (``q, dq, tau``) and joint whose axis is logged reversed.
         drive: Torque at each joint per ampere [N·m/A], where currents are to become torques.
         topic: Topic of a bag.
+        torque: Prefix of the torque columns where ``columns`` names none: ``i`` for ``i1, i2, ..``.
         source: File it was read from.
     """
 
@@ -71,6 +65,7 @@ class ColumnMap:
     sign: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     drive: tuple[float, ...] | None = None
     topic: str | None = None
+    torque: str | None = None
     source: str = "columns.yaml"
 
 
@@ -89,21 +84,20 @@ def load_column_map(path: str | Path) -> ColumnMap:
 
 def column_map(content: object, source: str) -> ColumnMap:
     """Column map from the content of a YAML file; see `load_column_map`."""
-    record = convert(content, ColumnsRecord, source)
-    units = convert(record.units or {}, UnitsRecord, source, "units")
-    given = {role: getattr(record, role) for role in ROLES if getattr(record, role) is not None}
+    record = convert(content, _ColumnsRecord, source)
+    units = convert(record.units or {}, _UnitsRecord, source, "units")
+    columns: dict[str, str | tuple[str, ...]] = {}
+    given: dict[str, Unit | tuple[Unit, ...]] = {}
+    for role in _UnitsRecord.__struct_fields__:
+        if (names := getattr(record, role)) is not None:
+            listed = isinstance(names, list)
+            columns[role] = tuple(map(str, names)) if listed else str(names)
+        if (unit := getattr(units, role)) is not None:
+            some = [_unit(role, u, source) for u in (unit if isinstance(unit, list) else [unit])]
+            given[role] = tuple(some) if isinstance(unit, list) else some[0]
     return ColumnMap(
-        columns={
-            role: tuple(map(str, names)) if isinstance(names, list) else str(names)
-            for role, names in given.items()
-        },
-        units={
-            role: tuple(_unit(role, each, source) for each in unit)
-            if isinstance(unit, list)
-            else _unit(role, unit, source)
-            for role in ROLES
-            if (unit := getattr(units, role)) is not None
-        },
+        columns=columns,
+        units=given,
         sign=_signs(record.sign or {}, source),
         drive=drive_of(record.drive, source),
         topic=record.topic,
@@ -119,7 +113,7 @@ def drive_of(content: object, source: str) -> tuple[float, ...] | None:
     Raises:
         BadInput: Unknown entries, or anything but finite numbers other than zero.
     """
-    record = convert(content or {}, DriveRecord, source, "drive")
+    record = convert(content or {}, _DriveRecord, source, "drive")
     if not record.gain:
         return None
     gains = np.atleast_1d(np.array(record.gain, float))

@@ -1,4 +1,1 @@
-"""The plant of the virtual arm: physics written apart from everything that is fitted.
-
-It shares no code with `excitant.robots.effects`, so finding what it hides proves something.
-"""
+"""The plant of the virtual arm: physics written apart from the effects that are fitted."""

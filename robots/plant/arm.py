@@ -16,30 +16,163 @@ every joint with an elastic gear. That motor carries the joint's rotor, friction
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 import pinocchio as pin
 
+from excitant.exceptions import BadInput, BadRobot
 from excitant.robots.motion import Array
-from excitant.robots.plant.controller import BANDWIDTH, Controller
-from excitant.robots.plant.physics import Truth
+from excitant.robots.plant.physics import Drives, Truth
+from excitant.robots.plant.sensors import Run
+from excitant.robots.robot import Robot
+
+Trajectory = Callable[[Array, int], Array]
+"""Motion as a function of time, shape (n,) [s], and derivative order: shape (n, nv)."""
+Progress = Callable[[float], None]
+"""Told from time to time which fraction is done."""
+
+BANDWIDTH = 40.0  # of the closed position loop [rad/s]
+_STEP = 5e-4  # s: a hundredth of the controller's time constant
+_CHUNK = 2000  # integration steps between two reports of progress
+_STILL = 1e-3  # rad/s: what still counts as starting at rest
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """Feed-forward of a model and a critically damped position loop, at ``n`` instants.
+
+    τ = τ_ff + B (ω² (q_d − q) + 2ω (q̇_d − q̇)), saturated at the torque limits.
+    """
+
+    position: Array  # desired q_d, shape (n, nv)
+    velocity: Array  # desired q̇_d, shape (n, nv)
+    feedforward: Array  # τ_ff of the model for the desired motion, shape (n, nv)
+    gain: Array  # B, the mass matrix with a floor on its diagonal, shape (n, nv, nv)
+    limit: Array  # largest torque of each motor, shape (nv,)
+
+    def __call__(self, k: int, q: Array, dq: Array) -> Array:
+        """Torque at instant k in a state, shape (nv,)."""
+        held: Array = np.minimum(np.maximum(self.wanted(k, q, dq), -self.limit), self.limit)
+        return held
+
+    def wanted(self, k: int, q: Array, dq: Array) -> Array:
+        """Torque at instant k in a state before saturation, shape (nv,)."""
+        position, velocity = self.position[k] - q, self.velocity[k] - dq
+        correction: Array = self.gain[k] @ (BANDWIDTH**2 * position + 2 * BANDWIDTH * velocity)
+        total: Array = self.feedforward[k] + correction
+        return total
+
+
+def tracking_controller(
+    robot: Robot, model: pin.Model, drives: Drives, trajectory: Trajectory, t: Array
+) -> Controller:
+    """Controller that would follow a trajectory exactly if the model were the arm.
+
+    A joint that moves little inertia still gets the stiffness to bear 5 % of its torque limit
+    at 0.01 rad.
+
+    Args:
+        robot: The arm, for its torque limits.
+        model: What the controller believes, rotor inertia as armature.
+        drives: The friction it compensates.
+        trajectory: Desired motion.
+        t: Instants at which the controller will be asked, shape (n,) [s].
+    """
+    q, dq, ddq = (np.ascontiguousarray(trajectory(t, order), dtype=float) for order in range(3))
+    data, limit = model.createData(), robot.limits.torque
+    feedforward = drives.friction(dq)
+    gain = np.empty((len(t), robot.nv, robot.nv))
+    for k in range(len(t)):
+        feedforward[k] += pin.rnea(model, data, q[k], dq[k], ddq[k])
+        gain[k] = pin.crba(model, data, q[k])
+    floor = np.where(np.isfinite(limit), 0.05 * limit / 0.01, 0.0) / BANDWIDTH**2
+    diagonal = np.arange(robot.nv)
+    gain[:, diagonal, diagonal] = np.maximum(gain[:, diagonal, diagonal], floor)
+    return Controller(q, dq, feedforward, gain, limit)
+
+
+def simulate(
+    robot: Robot,
+    believed: tuple[pin.Model, Drives],
+    truth: Truth,
+    trajectory: Trajectory,
+    duration: float,
+    rate_hz: float,
+    progress: Progress | None = None,
+) -> Run:
+    """Let the true arm follow a trajectory under a controller that believes another one.
+
+    Args:
+        robot: The arm, for its names and torque limits.
+        believed: Model and friction of the controller.
+        truth: The physics of the arm.
+        trajectory: Desired motion; starts at rest, where the arm starts too.
+        duration: Length of the run [s].
+        rate_hz: Rate at which the state is kept, every step where the recorder is late [Hz].
+        progress: Called with the fraction done.
+
+    Raises:
+        BadInput: The trajectory starts in motion, or the arm could not follow it at all.
+        BadRobot: A joint moves nothing that has mass.
+    """
+    start, speed = (np.array(trajectory(np.zeros(1), order)[0], float) for order in (0, 1))
+    if np.abs(speed).max() > _STILL:
+        j = int(np.argmax(np.abs(speed)))
+        raise BadInput(
+            f"trajectory: joint {robot.joints[j]} starts at {speed[j]:.3g} rad/s; "
+            "a virtual arm starts at rest, so lead in from rest"
+        )
+    substeps = int(np.ceil(1 / (rate_hz * _STEP) - 1e-9))
+    steps = substeps * int(np.floor(duration * rate_hz + 1e-6))
+    if not steps:
+        raise BadInput(f"virtual arm: {duration:g} s is shorter than one sample")
+    h = 1 / (rate_hz * substeps)
+    every = 1 if truth.recorder.delay.any() else substeps
+    arm, kept = Arm(truth, h), []
+    x = arm.at_rest(start)
+    _require_mass(robot, arm.inertia(x))
+    state = (x, np.zeros(len(x)), np.zeros(len(x)))
+    for first in range(0, steps, _CHUNK):
+        count = min(_CHUNK, steps - first)
+        t = np.minimum((first + np.arange(2 * count + 1) / 2) * h, duration)
+        control = tracking_controller(robot, *believed, trajectory, t)
+        for k in range(count):
+            if (first + k) % every == 0:
+                kept.append(arm.seen(state, control, 2 * k))
+            state = arm.step(*state, control, 2 * k + 1, (first + k + 0.5) * h)
+        if not np.isfinite(state[0]).all():
+            raise BadInput(
+                f"trajectory: {robot.name} went unstable before t = {t[-1]:.3g} s; "
+                "the motion asks more than its torque limits"
+            )
+        if progress is not None:
+            progress((first + count) / steps)
+    kept.append(arm.seen(state, control, 2 * count))
+    channels = (np.array(values).reshape(-1, robot.nv) for values in zip(*kept, strict=True))
+    return Run(np.arange(len(kept)) / rate_hz * every / substeps, *channels)
+
+
+def _require_mass(robot: Robot, M: Array) -> None:
+    values, vectors = np.linalg.eigh(M)
+    if values[0] <= 1e-12 * values[-1]:
+        joint = robot.joints[int(np.argmax(np.abs(vectors[: robot.nv, 0])))]
+        raise BadRobot(
+            robot.source, f"joint {joint} moves nothing that has inertia; give its link a mass"
+        )
 
 
 class Arm:
-    """The true arm, what its time step of length h needs, and what its hystereses remember.
-
-    Args:
-        truth: The physics of the arm.
-        h: Length of a step [s].
-    """
+    """The true arm, what its time step of length h [s] needs, and what its bristles remember."""
 
     def __init__(self, truth: Truth, h: float) -> None:
-        n, gears = truth.nv, truth.gears
+        n = truth.nv
         self.truth, self.drives, self.h, self.n = truth, truth.drives, h, n
-        self.size = n + len(gears)
-        self.elastic = bool(gears)
+        self.size = n + len(truth.gears)
         self.motor = np.arange(n)
         rotors, armature = np.zeros(self.size), np.array(truth.drives.rotor)
-        for i, gear in enumerate(gears, start=n):
+        for i, gear in enumerate(truth.gears, start=n):
             self.motor[gear.joint] = i
             rotors[i] = truth.drives.rotor[gear.joint] + gear.inertia
             armature[gear.joint] = 0.0
@@ -49,18 +182,15 @@ class Arm:
         self.data = self.model.createData()
         self.rotors = np.diag(rotors)
         self.rotors[self.grid] += truth.rotors
-        self.constant = self.rotors.copy()
-        self.constant[self.motor, self.motor] += h / 2 * truth.drives.viscous
         shafts = np.zeros((len(truth.shafts), self.size))
         for row, shaft in zip(shafts, truth.shafts, strict=True):
             row[self.motor[list(shaft.joints)]] = 1.0, shaft.ratio
-        self.G = np.vstack([np.eye(self.size), shafts]) if truth.shafts else None
-        self.drag = shafts.T @ (np.array([[s.viscous] for s in truth.shafts] or [[0.0]]) * shafts)
-        self.constant += h / 2 * self.drag
-        self.loaded = any(law.loaded for law in truth.dry)
+        self.G = np.vstack([np.eye(self.size), shafts])
+        self.drag = shafts.T @ (np.array([s.viscous for s in truth.shafts])[:, None] * shafts)
+        self.constant = self.rotors + h / 2 * self.drag
+        self.constant[self.motor, self.motor] += h / 2 * truth.drives.viscous
+        self.shaft_friction = h * np.array([shaft.coulomb for shaft in truth.shafts])
         self.bristles = [0.0] * len(truth.presliding)
-        self.memory = [0.0] * len(truth.forces)
-        self.tip: Array | None = None
 
     def inertia(self, x: Array) -> Array:
         """Mass matrix of the coordinates, shape (N, N) [kg·m²]."""
@@ -70,9 +200,9 @@ class Arm:
 
     def at_rest(self, reading: Array) -> Array:
         """Coordinates where the encoders read this and elastic gears hold gravity."""
-        motor = self.truth.encoder.position(reading) if self.truth.distorted else reading
+        motor = self.truth.encoder.position(reading)
         q = np.array(motor)
-        for _ in range(20 if self.elastic else 0):
+        for _ in range(20 if self.truth.gears else 0):
             g = pin.computeGeneralizedGravity(self.model, self.data, q)
             for gear in self.truth.gears:
                 q[gear.joint] = motor[gear.joint] - gear.deflection(float(g[gear.joint]))
@@ -80,9 +210,7 @@ class Arm:
 
     def read(self, x: Array, v: Array) -> tuple[Array, Array]:
         """What the encoders read."""
-        if self.elastic:
-            x, v = x[self.motor], v[self.motor]
-        return self.truth.encoder.reading(x, v) if self.truth.distorted else (x, v)
+        return self.truth.encoder.reading(x[self.motor], v[self.motor])
 
     def seen(
         self, state: tuple[Array, Array, Array], control: Controller, k: int
@@ -100,16 +228,15 @@ class Arm:
         wanted = control.wanted(k, *self.read(middle, v))
         K, passive, load = self._resistance(middle, speed, v, a, t)
         reaction: Array = (BANDWIDTH + h / 4 * BANDWIDTH**2) * control.gain[k]
-        if self.truth.distorted:
-            reaction = reaction * self.truth.encoder.scale
-        forward, backward = self._dry(speed, t, load)
-        dv = self._solve(K, passive, wanted, reaction, forward, v, backward)
-        torque: Array = wanted - reaction @ (dv[self.motor] if self.elastic else dv)
+        reaction *= self.truth.encoder.scale
+        bounds = self._dry(speed, t, load)
+        dv = self._solve(K, passive, wanted, reaction, v, bounds)
+        torque: Array = wanted - reaction @ dv[self.motor]
         saturated = np.abs(torque) > control.limit
         if saturated.any():
             reaction[saturated] = 0.0
             wanted[saturated] = np.copysign(control.limit, torque)[saturated]
-            dv = self._solve(K, passive, wanted, reaction, forward, v, backward)
+            dv = self._solve(K, passive, wanted, reaction, v, bounds)
         for i, contact in enumerate(self.truth.presliding):
             moved = h * (v + dv / 2)[self.motor[contact.joint]]
             self.bristles[i] = contact.after(self.bristles[i], float(moved))
@@ -121,148 +248,91 @@ class Arm:
         passive: Array,
         wanted: Array,
         reaction: Array,
-        forward: Array,
         v: Array,
-        backward: Array | None,
+        bounds: tuple[Array, Array],
     ) -> Array:
         """Velocity change under motor torques that react to it."""
-        h = self.h
-        if not self.elastic:
-            return velocity_change(
-                K + h * reaction, h * (wanted - passive), forward, v, backward, self.G
-            )
-        K, impulse = K.copy(), -h * passive
-        K[self.grid] += h * reaction
-        impulse[self.motor] += h * wanted
-        return velocity_change(K, impulse, forward, v, backward, self.G)
+        K, impulse = K.copy(), -passive
+        K[self.grid] += self.h * reaction
+        impulse[self.motor] += wanted
+        return velocity_change(K, self.h * impulse, v, *bounds, self.G)
 
     def _resistance(
         self, x: Array, speed: Array, v: Array, a: Array, t: float
     ) -> tuple[Array, Array, Array]:
-        """Mass matrix with implicit parts, torque but for dry friction, and transmitted torque."""
-        n = self.n
+        """Mass matrix with damping, torque to overcome, and torque that the gears transmit."""
+        n, h, truth = self.n, self.h, self.truth
         b = pin.nonLinearEffects(self.model, self.data, x[:n], speed[:n])
         M = pin.crba(self.model, self.data, x[:n])
-        if not self.elastic:
-            K, passive = M + self.constant, self.drives.viscous * v + b
-        else:
-            K, passive = self.constant.copy(), np.zeros(self.size)
-            K[:n, :n] += M
-            passive[:n] = b
-            passive[self.motor] += self.drives.viscous * v[self.motor]
-        if self.G is not None:
-            passive += self.drag @ v
-        load = np.array(b) if self.elastic else b
-        if self.loaded:
-            load = b + M @ a[:n] - self.armature * a[:n]
+        K, passive = self.constant.copy(), self.drag @ v
+        K[:n, :n] += M
+        passive[:n] += b
+        passive[self.motor] += self.drives.viscous * v[self.motor]
+        load = b + M @ a[:n] - self.armature * a[:n]
         outer = self._outside(x, v, t)
-        if outer is not None:
-            passive += outer
-            load = load + outer[:n]
-        self._gears(x, v, K, passive, load)
-        self._bristle(v, K, passive)
-        return K, passive, load
-
-    def _outside(self, x: Array, v: Array, t: float) -> Array | None:
-        """Torque that loads and forces on the tip take."""
-        truth = self.truth
-        if not (truth.loads or truth.forces):
-            return None
-        torque = np.zeros(self.size)
-        for load in truth.loads:
-            i = self.motor[load.joint] if load.on_motor else load.joint
-            torque[i] += load.torque(float(x[i]), t)
-        if truth.forces:
-            torque[: self.n] -= self._tip_torque(x[: self.n], v[: self.n])
-        return torque
-
-    def _tip_torque(self, q: Array, dq: Array) -> Array:
-        """Joint torque of the forces on the tip; their memory moves on."""
-        frame = self.truth.tip
-        pin.computeJointJacobians(self.model, self.data, q)
-        pin.updateFramePlacement(self.model, self.data, frame)
-        world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        J = pin.getFrameJacobian(self.model, self.data, frame, world)[:3]
-        place = np.array(self.data.oMf[frame].translation)
-        before, self.tip = (place if self.tip is None else self.tip), place
-        total, velocity = np.zeros(3), J @ dq
-        for i, force in enumerate(self.truth.forces):
-            self.memory[i] = force.remember(self.memory[i], before, place)
-            total += force.force(place, velocity, self.memory[i])
-        torque: Array = J.T @ total
-        return torque
-
-    def _gears(self, x: Array, v: Array, K: Array, passive: Array, load: Array) -> None:
-        """Torque of elastic gears, between motor m and link j, added in place."""
-        for m, gear in enumerate(self.truth.gears, start=self.n):
+        passive += outer
+        load = load + outer[:n]
+        for m, gear in enumerate(truth.gears, start=n):
             j = gear.joint
             torque, stiffness, damping = gear.torque(float(x[m] - x[j]), float(v[m] - v[j]))
-            implicit = self.h * (self.h / 4 * stiffness + damping / 2)
+            implicit = h * (h / 4 * stiffness + damping / 2)
             passive[m] += torque
             passive[j] -= torque
-            for row, column, sign in ((m, m, 1), (j, j, 1), (m, j, -1), (j, m, -1)):
-                K[row, column] += sign * implicit
+            K[[m, j], [m, j]] += implicit
+            K[[m, j], [j, m]] -= implicit
             load[j] = torque
-
-    def _bristle(self, v: Array, K: Array, passive: Array) -> None:
-        """Torque of presliding, half a step ahead, added in place."""
-        h = self.h
-        for contact, force in zip(self.truth.presliding, self.bristles, strict=True):
+        for contact, force in zip(truth.presliding, self.bristles, strict=True):
             m = self.motor[contact.joint]
             ahead = contact.after(force, h / 2 * float(v[m]))
             passive[m] += ahead
             K[m, m] += h * h / 4 * contact.stiffness(ahead, float(v[m]))
+        return K, passive, load
 
-    def _dry(self, speed: Array, t: float, load: Array) -> tuple[Array, Array | None]:
-        """Largest impulse of dry friction against either direction; None where both are equal."""
-        if self.elastic:
-            forward = np.zeros(self.size)
-            forward[self.motor] = self.h * self.drives.level(speed[self.motor])
-        else:
-            forward = self.h * self.drives.level(speed)
-        backward = forward.copy() if self.truth.dry else None
+    def _outside(self, x: Array, v: Array, t: float) -> Array:
+        """Torque that loads and walls take."""
+        truth, torque = self.truth, np.zeros(self.size)
+        for load in truth.loads:
+            i = self.motor[load.joint] if load.on_motor else load.joint
+            torque[i] += load.torque(float(x[i]), t)
+        if truth.walls:
+            frame, world = truth.tip, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+            pin.computeJointJacobians(self.model, self.data, x[: self.n])
+            pin.updateFramePlacement(self.model, self.data, frame)
+            J = pin.getFrameJacobian(self.model, self.data, frame, world)[:3]
+            place = np.array(self.data.oMf[frame].translation)
+            force = sum(wall.force(place, J @ v[: self.n]) for wall in truth.walls)
+            torque[: self.n] -= J.T @ force
+        return torque
+
+    def _dry(self, speed: Array, t: float, load: Array) -> tuple[Array, Array]:
+        """Largest impulse of dry friction against either direction."""
+        forward = np.zeros(self.size)
+        forward[self.motor] = self.h * self.drives.level(speed[self.motor])
+        backward = forward.copy()
         for law in self.truth.dry:
             m = self.motor[law.joint]
             v, torque = abs(float(speed[m])), float(load[law.joint])
             forward[m] += self.h * law.level(v, t, torque)
-            if backward is not None:
-                backward[m] += self.h * law.level(-v, t, torque)
-        if backward is not None:
-            np.maximum(forward, 0.0, out=forward)
-            np.maximum(backward, 0.0, out=backward)
-        if self.truth.shafts:
-            further = self.h * np.array([shaft.coulomb for shaft in self.truth.shafts])
-            forward = np.concatenate([forward, further])
-            backward = None if backward is None else np.concatenate([backward, further])
+            backward[m] += self.h * law.level(-v, t, torque)
+        both = (np.maximum(side, 0.0) for side in (forward, backward))
+        forward, backward = (np.concatenate([side, self.shaft_friction]) for side in both)
         return forward, backward
 
 
 def velocity_change(
-    K: Array,
-    impulse: Array,
-    forward: Array,
-    v: Array,
-    backward: Array | None = None,
-    G: Array | None = None,
+    K: Array, impulse: Array, v: Array, forward: Array, backward: Array, G: Array
 ) -> Array:
     """Solution of K δ = impulse − Gᵀλ, at once where nothing stops; see `stick_or_slip`."""
-    w = v if G is None else G @ v
+    w = G @ v
     sign = np.sign(w)
-    dry = forward * sign if backward is None else np.where(w < 0, -backward, forward * sign)
-    delta = np.asarray(
-        np.linalg.solve(K, impulse - (dry if G is None else dry @ G)), dtype=np.float64
-    )
-    stops = (w + (delta if G is None else G @ delta)) * sign <= 0
-    return stick_or_slip(K, impulse, forward, v, backward, G) if stops.any() else delta
+    dry = np.where(w < 0, -backward, forward * sign)
+    delta = np.asarray(np.linalg.solve(K, impulse - dry @ G), dtype=np.float64)
+    stops = (w + G @ delta) * sign <= 0
+    return stick_or_slip(K, impulse, v, forward, backward, G) if stops.any() else delta
 
 
 def stick_or_slip(
-    K: Array,
-    impulse: Array,
-    forward: Array,
-    v: Array,
-    backward: Array | None = None,
-    G: Array | None = None,
+    K: Array, impulse: Array, v: Array, forward: Array, backward: Array, G: Array
 ) -> Array:
     """Velocity change of one step with set-valued friction, by active sets.
 
@@ -272,18 +342,18 @@ def stick_or_slip(
     Args:
         K: Mass matrix with implicit damping, shape (N, N) [kg·m²].
         impulse: Impulse of everything but dry friction, shape (N,) [N·m·s].
-        forward: Largest impulse of friction against positive motion, shape (c,) [N·m·s].
         v: Velocity before, shape (N,) [rad/s].
-        backward: The same against negative motion; ``forward`` when not given.
+        forward: Largest impulse of friction against positive motion, shape (c,) [N·m·s].
+        backward: The same against negative motion.
         G: Velocity of each contact per velocity of the arm, shape (c, N), where the first N
-            contacts are those of the coordinates; these alone when not given.
+            contacts are those of the coordinates.
 
     Returns:
         δ, shape (N,).
     """
-    backward = forward if backward is None else backward
     A: Array = np.asarray(np.linalg.inv(K), dtype=np.float64)
-    w, S, GA = (v, A, A) if G is None else (G @ v, G @ A @ G.T, G @ A)
+    w, GA = G @ v, G @ A
+    S = GA @ G.T
     slip = np.sign(w)
     dry = np.maximum(forward, backward) > 0
     stuck = (slip == 0) & dry
@@ -291,9 +361,9 @@ def stick_or_slip(
         friction = np.where(slip < 0, -backward, forward * slip)
         friction[stuck] = 0.0
         if stuck.any():
-            free = GA @ (impulse - (friction if G is None else friction @ G))
-            friction[stuck] = _holding(S[np.ix_(stuck, stuck)], (free + w)[stuck], G is None)
-        delta: Array = A @ (impulse - (friction if G is None else friction @ G))
+            free = GA @ (impulse - friction @ G)
+            friction[stuck] = _holding(S[np.ix_(stuck, stuck)], (free + w)[stuck], len(w) > len(v))
+        delta: Array = A @ (impulse - friction @ G)
         own = stuck[: len(v)]
         delta[own] = -v[own]
         excess = np.where(stuck, np.maximum(friction - forward, -backward - friction), -np.inf)
@@ -301,15 +371,14 @@ def stick_or_slip(
         if excess[worst] > 1e-12 * (1.0 + max(forward[worst], backward[worst])):
             stuck[worst], slip[worst] = False, np.sign(friction[worst])
             continue
-        after = w + (delta if G is None else G @ delta)
-        reversed_ = ~stuck & dry & (after * slip < 0)
+        reversed_ = ~stuck & dry & ((w + G @ delta) * slip < 0)
         if not reversed_.any():
             break
         stuck |= reversed_
     return delta
 
 
-def _holding(S: Array, velocity: Array, regular: bool) -> Array:
+def _holding(S: Array, velocity: Array, redundant: bool) -> Array:
     """Impulses that stop these contacts; the smallest where they are not unique."""
-    solve = np.linalg.solve(S, velocity) if regular else np.linalg.lstsq(S, velocity)[0]
+    solve = np.linalg.lstsq(S, velocity)[0] if redundant else np.linalg.solve(S, velocity)
     return np.asarray(solve, dtype=np.float64)

@@ -6,7 +6,6 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
@@ -15,6 +14,7 @@ from cyclopts.help import DefaultFormatter, PanelSpec, TableSpec
 from excitant import motions, recordings
 from excitant.exceptions import BadInput, ExcitantError
 from excitant.options import Part, RobotName, Run, Seed, print_json, print_paths
+from excitant.progress import progress_bar
 
 _EXTRAS = {"rosbags": "ros", "distributed": "cluster", "mujoco": "mjcf"}
 _SOLVERS = ("pin", "clarabel", "numpy", "scipy")
@@ -129,12 +129,11 @@ def demo(
         robot: Arm to use: built-in name, URDF, xacro, MJCF or robot.yaml.
     """
     from excitant.demo import run_demo
-    from excitant.progress import progress_bar
 
     arm = part.robot(robot)
     with progress_bar("demo") as advance:
         result, series, files = run_demo(arm, seed, advance)
-    run.finish(run.folder("demo", arm.name), result, series, files)
+    run.finish(result, series, files)
 
 
 def robots(
@@ -178,7 +177,7 @@ def robots(
         entry = arm_entry(robot)
         result |= {"kind": entry.kind, "sources": entry.sources}
     if run.output is not None:
-        run.finish(Path(run.output), result, check.series(), {})
+        run.finish(result, check.series())
     elif run.json:
         print_json(result)
     else:
@@ -198,7 +197,7 @@ def report(*folders: str, run: Run = Run()) -> None:
         raise BadInput("name the folder of a run, or several to compare")
     if len(folders) > 1:
         result = compare(*(SavedRun(folder, *load_run(folder)) for folder in folders))
-        run.finish(run.folder("compare", result["of"]), result, {}, {})
+        run.finish(result, {})
         return
     if run.output is not None:
         raise BadInput("-o is where runs are compared; name a second run, or leave -o out")

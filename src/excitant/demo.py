@@ -15,11 +15,7 @@ from excitant.design import (
     trajectory_csv,
     trajectory_json,
 )
-from excitant.identify import (
-    identify_robot,
-    model_files,
-    recording_from_table,
-)
+from excitant.identify import identify_robot, model_files, recording_from_table
 from excitant.motions import table_bytes
 from excitant.progress import Advance
 from excitant.robots import Array, Robot
@@ -34,18 +30,11 @@ _PERIODS = 2  # recorded of the excitation
 def run_demo(
     robot: Robot, seed: int, advance: Advance
 ) -> tuple[dict[str, Any], dict[str, Array], dict[str, str | bytes]]:
-    """Design, run, identify, analyze and diagnose.
+    """Design, run, identify, analyze and diagnose on an arm that hides something.
 
     The virtual arm differs from the given robot by some per cent in every value and by one
-    effect drawn from the seed; nothing but its recordings reaches the other steps.
-
-    Args:
-        robot: The robot as given, with its limits and effects.
-        seed: Draws the hidden effect, its joint and size, and all noise.
-        advance: Told how far it is.
-
-    Returns:
-        result.json with one entry per verb; arrays, keys prefixed by the verb; artefacts by name.
+    effect drawn from the seed; nothing but its recordings reaches the other steps. Result.json
+    has one entry per verb, arrays have keys prefixed by the verb, files have names.
     """
     rng = np.random.default_rng(seed)
     arm = virtual_arm(robot, rng)

@@ -15,13 +15,7 @@ class ExcitantError(Exception):
 
 
 class UnknownName(ExcitantError):
-    """A name that is not in the list it is looked up in.
-
-    Args:
-        kind: What is named, e.g. ``"robot"``.
-        name: The name given.
-        known: The names that exist.
-    """
+    """A name that is not in the list it is looked up in, of a kind such as ``"robot"``."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
         self.name, self.known = name, tuple(known)
@@ -29,14 +23,17 @@ class UnknownName(ExcitantError):
         hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(self.known)}"
         super().__init__(f"unknown {kind} '{name}': {hint}")
 
+    @classmethod
+    def refuse(cls, kind: str, names: Iterable[str], known: Iterable[str]) -> None:
+        """Raise for the first of some names that is not known."""
+        known = tuple(known)
+        for name in names:
+            if name not in known:
+                raise cls(kind, name, known)
+
 
 class BadRobot(ExcitantError):
-    """A robot description that cannot be used.
-
-    Args:
-        source: File or name of the robot.
-        why: What is wrong, where, and what to do.
-    """
+    """A robot description, a file or a name, that cannot be used: what is wrong, what to do."""
 
     def __init__(self, source: str | Path, why: str) -> None:
         self.source, self.why = str(source), why
@@ -44,14 +41,7 @@ class BadRobot(ExcitantError):
 
 
 class BadRecording(ExcitantError):
-    """A recording that cannot be used.
-
-    Args:
-        file: File of the recording.
-        why: What is wrong and what to do.
-        row: Row in the table, counted from 0 after the header.
-        column: Column at fault.
-    """
+    """A recording that cannot be used; rows count from 0 after the header."""
 
     def __init__(
         self, file: str | Path, why: str, *, row: int | None = None, column: str | None = None
@@ -67,15 +57,7 @@ class BadInput(ExcitantError):
 
 
 class OutsideLimits(ExcitantError):
-    """A motion beyond a limit.
-
-    Args:
-        joint: Name of the joint.
-        quantity: ``"position"``, ``"velocity"``, ``"acceleration"``, ``"jerk"`` or ``"torque"``.
-        value: What it comes to, in SI units.
-        limit: The limit on that side.
-        time: When [s].
-    """
+    """A motion beyond a limit: a joint's position, velocity, torque or the like, in SI units."""
 
     def __init__(self, joint: str, quantity: str, value: float, limit: float, time: float) -> None:
         self.joint, self.quantity, self.value, self.limit = joint, quantity, value, limit
@@ -87,12 +69,7 @@ class OutsideLimits(ExcitantError):
 
 
 class Infeasible(ExcitantError):
-    """A problem without a solution, or one whose solver did not find it.
-
-    Args:
-        problem: What was to be solved.
-        status: Why there is no solution and which limits conflict.
-    """
+    """A problem without a solution, or one whose solver did not find it, with the reason."""
 
     def __init__(self, problem: str, status: str) -> None:
         self.problem, self.status = problem, status
@@ -100,12 +77,7 @@ class Infeasible(ExcitantError):
 
 
 class RankDeficient(ExcitantError):
-    """Data that leave parameters undetermined where a unique value is required.
-
-    Args:
-        names: The parameters concerned.
-        why: Context and what to do.
-    """
+    """Data that leave the named parameters undetermined where unique values are required."""
 
     def __init__(self, names: Sequence[str], why: str) -> None:
         self.names = tuple(names)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -21,6 +22,7 @@ from excitant.options import (
     Run,
     Seed,
     Surroundings,
+    TrajectoryFile,
     print_json,
 )
 from excitant.progress import progress_bar
@@ -32,20 +34,65 @@ if TYPE_CHECKING:
     from excitant.robots import Motion, Robot
     from excitant.robots.geometry import Scene
 
-DENSE_HZ = 100.0
+_DENSE_HZ = 100.0
 _BOUND_TIME = 60.0  # s: much less leaves the bound near 1
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Search:
+    """What motion is looked for, and how."""
+
+    duration: str = "10"
+    "Period [s], or the shortest and the longest to choose from as S:S."
+    harmonics: str = "5"
+    "Fourier terms, or 'search' to add them while they pay."
+    series: Literal["fourier", "spline"] = "fourier"
+    "spline: B-splines of 2 H pieces, for tight cells."
+    max_frequency: float = 2.5
+    "Highest frequency [Hz] that a search for harmonics adds."
+    criterion: Literal["condition", "d", "a", "e"] = "condition"
+    """What to make small: the condition number, or of the covariance the determinant (d), the
+    trace (a) or the largest eigenvalue (e)."""
+    columns: Columns = "friction"
+    "What to make visible: all that identify estimates, or the links only."
+    starts: int | None = None
+    "Number of searches; default: 16."
+    jobs: int | None = None
+    "Processes; default: all processors."
+    cluster: str | None = None
+    "Dask scheduler to search on, such as tcp://10.0.0.5:8786."
+    seed: Seed = 0
+    "Draws the starts."
+    time_limit: float | None = None
+    "Return the best so far after this time [s]."
+
+    def options(self) -> dict[str, Any]:
+        """Arguments of the functions that design."""
+        given = vars(self) | {"duration": self._span(), "harmonics": self._terms()}
+        return given | {"top_hz": given.pop("max_frequency")}
+
+    def _span(self) -> float | tuple[float, float]:
+        try:
+            shortest, _, longest = self.duration.partition(":")
+            return (float(shortest), float(longest)) if longest else float(shortest)
+        except ValueError:
+            raise BadInput(f"--duration {self.duration}: give seconds, as in 10 or 5:20") from None
+
+    def _terms(self) -> int | None:
+        try:
+            return None if self.harmonics == "search" else int(self.harmonics)
+        except ValueError:
+            raise BadInput(
+                f"--harmonics {self.harmonics}: give a whole number, or 'search'"
+            ) from None
 
 
 def design(
     robot: RobotName,
     /,
     *,
-    duration: str = "10",
-    harmonics: str = "5",
-    series: Literal["fourier", "spline"] = "fourier",
-    max_frequency: float = 2.5,
-    criterion: Literal["condition", "d", "a", "e"] = "condition",
-    columns: Columns = "friction",
+    search: Search = Search(),
     noise: Numbers = None,
     after: Files = None,
     link_by_link: bool = False,
@@ -54,11 +101,6 @@ def design(
     formats: Names = None,
     rate: float = 100.0,
     repeat: int = 1,
-    starts: int | None = None,
-    jobs: int | None = None,
-    cluster: str | None = None,
-    seed: Seed = 0,
-    time_limit: float | None = None,
     surroundings: Surroundings = Surroundings(),
     part: Part = Part(),
     run: Run = Run(),
@@ -66,14 +108,6 @@ def design(
     """An excitation trajectory within all limits.
 
     Args:
-        robot: Built-in name, URDF, xacro, MJCF or robot.yaml.
-        duration: Period [s], or the shortest and the longest to choose from as S:S.
-        harmonics: Fourier terms, or 'search' to add them while they pay.
-        series: spline: B-splines of 2 H pieces, for tight cells.
-        max_frequency: Highest frequency [Hz] that a search for harmonics adds.
-        criterion: What to make small: the condition number, or of the covariance the determinant
-            (d), the trace (a) or the largest eigenvalue (e).
-        columns: What to make visible: all that identify estimates, or the links only.
         noise: Torque noise of each joint, S1,S2,..., which weights its equations.
         after: Recordings made already: design what should run next.
         link_by_link: One motion per link, from the last inward, each of this duration.
@@ -82,20 +116,8 @@ def design(
         formats: Further files: ros2 (YAML), mcap, urscript, npz.
         rate: Rate of trajectory.csv [Hz].
         repeat: Periods in trajectory.csv, for averaging.
-        starts: Number of searches; default: 16.
-        jobs: Processes; default: all processors.
-        cluster: Dask scheduler to search on, such as tcp://10.0.0.5:8786.
-        seed: Draws the starts.
-        time_limit: Return the best so far after this time [s].
     """
-    from excitant.design import (
-        design_link_by_link,
-        design_trajectory,
-        motion_csv,
-        trajectory_csv,
-        trajectory_json,
-        write_formats,
-    )
+    import excitant.design as designs
     from excitant.robots.limits import require_limits
 
     arm = surroundings.robot(part, robot)
@@ -105,95 +127,61 @@ def design(
         raise BadInput(f"--rate {rate:g} Hz: give a control rate from 1 to 10000 Hz")
     if repeat < 1:
         raise BadInput(f"--repeat {repeat}: give the number of periods, at least 1")
-    if bound and criterion != "condition":
+    if bound and search.criterion != "condition":
         raise BadInput(
-            f"--bound is one of the condition number, not of criterion {criterion}; leave one out"
+            f"--bound is one of the condition number, not of criterion {search.criterion}; "
+            "leave one out"
         )
     if bound and (noise or after):
         raise BadInput("--bound holds for one motion with equal noise; leave --noise and --after")
     if start is not None and len(start) != arm.nv:
         raise BadInput(f"--from has {len(start)} numbers, {arm.name} has {arm.nv} joints")
+    alone = {"bound": bound, "noise": noise, "after": after, "from": start, "formats": formats}
+    for option in (name for name, value in alone.items() if value and link_by_link):
+        raise BadInput(f"--link-by-link designs each link by its own row; leave --{option} out")
     scene, least = surroundings.scene(arm)
-    asked: dict[str, Any] = {
-        "duration": _span(duration),
-        "harmonics": None if harmonics == "search" else _integer("--harmonics", harmonics),
-        "series": series,
-        "top_hz": max_frequency,
-        "criterion": criterion,
-        "columns": columns,
-        "starts": starts,
-        "jobs": jobs,
-        "cluster": cluster,
-        "seed": seed,
-        "time_limit": time_limit,
-        "scene": scene,
-        "clearance": least,
-    }
-    folder = run.folder("design", arm.name)
+    asked = search.options() | {"scene": scene, "clearance": least}
     if link_by_link:
-        alone = {"bound": bound, "noise": noise, "after": after, "from": start, "formats": formats}
-        for option, value in alone.items():
-            if value:
-                raise BadInput(
-                    f"--link-by-link designs each link by its own row; leave --{option} out"
-                )
         with progress_bar("design") as advance:
-            links = design_link_by_link(
+            links = designs.design_link_by_link(
                 arm,
                 **asked,
                 progress=lambda share, link, best: advance(share, f"{link}, best κ {best:.4g}"),
             )
         result = links.result() | {"periods": repeat}
-        files = links.files(rate, repeat)
-        run.finish(folder, result, links.series(), files)
+        run.finish(result, links.series(), links.files(rate, repeat))
         return
     began = time.monotonic()
     with progress_bar("design") as advance:
 
         def tell(done: int, total: int | None, condition: float, ratio: float) -> None:
             spent = time.monotonic() - began
-            share = done / total if total else min(spent / (time_limit or spent), 1.0)
+            share = done / total if total else min(spent / (search.time_limit or spent), 1.0)
             words = f"{done} starts, best κ {condition:.4g}, worst limit {100 * ratio:.1f} %"
             advance(share, words)
 
-        found = design_trajectory(
+        found = designs.design_trajectory(
             arm, **asked, noise=noise, earlier=_earlier(arm, after), progress=tell
         )
     trajectory = found.trajectory
-    files = {
-        "trajectory.csv": trajectory_csv(trajectory, rate, repeat),
-        "trajectory.json": trajectory_json(trajectory, arm),
+    files: dict[str, str | bytes] = {
+        "trajectory.csv": designs.trajectory_csv(trajectory, rate, repeat),
+        "trajectory.json": designs.trajectory_json(trajectory, arm),
     }
     written = {"trajectory": trajectory.motion(rate, repeat)}
     result = found.result() | {"periods": repeat}
     if bound:
-        result |= _bound(found, seed)
+        result |= _bound(found, search.seed)
     if start is not None:
         try:
             ways = _ways(arm, start, trajectory, rate, scene, least)
-            files |= {f"{name}.csv": motion_csv(motion) for name, motion in ways.items()}
+            files |= {f"{name}.csv": designs.motion_csv(motion) for name, motion in ways.items()}
             written |= ways
         except Infeasible as error:  # the design stands without them
             result["notes"] = [*result.get("notes", []), str(error)]
     for stem, motion in written.items():
-        files |= write_formats(motion, arm, formats or [], stem)
-    run.finish(folder, result, found.series(), files)
-
-
-def _span(text: str) -> float | tuple[float, float]:
-    """One number, or two as ``S:S``."""
-    try:
-        shortest, _, longest = text.partition(":")
-        return (float(shortest), float(longest)) if longest else float(text)
-    except ValueError:
-        raise BadInput(f"--duration {text}: give seconds, as in 10 or 5:20") from None
-
-
-def _integer(option: str, text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise BadInput(f"{option} {text}: give a whole number, or 'search'") from None
+        files |= designs.write_formats(motion, arm, formats or [], stem)
+    run.finish(result, found.series(), files)
 
 
 def _earlier(robot: Robot, recordings: Sequence[str] | None) -> list[Motion]:
@@ -219,7 +207,7 @@ def _bound(found: Design, seed: int) -> dict[str, Any]:
             columns=found.columns,
             seed=seed,
             time_limit=_BOUND_TIME,
-            pool=[found.trajectory.motion(DENSE_HZ)],
+            pool=[found.trajectory.motion(_DENSE_HZ)],
             progress=lambda spent, value, ceiling: advance(
                 min(spent / _BOUND_TIME, 1.0), f"κ ≥ {value:.4g}"
             ),
@@ -231,13 +219,9 @@ def _bound(found: Design, seed: int) -> dict[str, Any]:
 
 
 def _ways(
-    robot: Robot,
-    start: Sequence[float],
-    trajectory: Trajectory,
-    rate: float,
-    scene: Scene | None,
-    least: float,
-) -> dict[str, Motion]:
+    robot: Robot, start: Sequence[float], trajectory: Trajectory, rate: float,
+    scene: Scene | None, least: float,
+) -> dict[str, Motion]:  # fmt: skip
     """Approach from a pose to the trajectory, and return from it."""
     import numpy as np
 
@@ -253,7 +237,7 @@ def _ways(
 
 def check(
     robot: RobotName,
-    trajectory: str,
+    trajectory: TrajectoryFile,
     /,
     *,
     columns: Columns = "friction",
@@ -264,40 +248,34 @@ def check(
     """Limits between samples, clearance and conditioning of any trajectory.
 
     Args:
-        robot: Built-in name, URDF, xacro, MJCF or robot.yaml.
-        trajectory: CSV or JSON.
         columns: Whose conditioning: all that identify estimates, or the links only.
 
     Raises:
         OutsideLimits: A limit is exceeded, or bodies come too close; after the run is saved.
     """
-    from excitant.design import check as check_limits
-    from excitant.design import clearance as motion_clearance
-    from excitant.design import (
-        condition_number,
-        information,
-        load_trajectory,
-    )
+    import excitant.design as designs
     from excitant.robots import torque
 
     arm = surroundings.robot(part, robot)
-    planned = load_trajectory(trajectory, arm)
+    planned = designs.load_trajectory(trajectory, arm)
+    motion, path = path_of(planned)
     scene, least = surroundings.scene(arm)
-    report = check_limits(arm, planned)
-    motion = sampled(planned)
-    near = None if scene is None else motion_clearance(scene, path_of(planned))
-    touched = near is not None and near.distance < least
+    report = designs.check(arm, planned)
+    near = None if scene is None else designs.clearance(scene, path)
     verdicts = [
         f"{use.quantity} limit of {use.joint} exceeded by {100 * (use.ratio - 1):.3g} % "
         f"at {use.time:.4g} s"
         for use in report.uses
         if use.ratio > 1
     ]
-    if near is not None and touched:
+    touched = near if near is not None and near.distance < least else None
+    if touched:
         verdicts.append(
-            f"{near.bodies[0]} and {near.bodies[1]} come within {1000 * near.distance:.3g} mm "
-            f"at {near.time:.4g} s, required {1000 * least:.3g} mm"
+            f"{touched.bodies[0]} and {touched.bodies[1]} come within "
+            f"{1000 * touched.distance:.3g} mm at {touched.time:.4g} s, "
+            f"required {1000 * least:.3g} mm"
         )
+    conditioning = designs.information(arm, columns).matrix(motion)
     result = {
         "verb": "check",
         "robot": arm.name,
@@ -313,26 +291,20 @@ def check(
         "limit_values": {use.quantity: getattr(arm.limits, use.quantity) for use in report.uses},
         "certified": {use.quantity: use.certified() for use in report.uses},
         "columns": columns,
-        "condition_number": condition_number(information(arm, columns).matrix(motion)),
+        "condition_number": designs.condition_number(conditioning),
         "clearance_m": None if near is None else near.certified,
         "verdicts": verdicts or ["all limits hold, between samples too"],
     }
-    series = {
-        "t": motion.t,
-        "q": motion.q,
-        "dq": motion.dq,
-        "ddq": motion.ddq,
-        "tau": torque(arm, motion),
-    }
-    run.finish(run.folder("check", arm.name), result, series, {})
+    run.finish(result, vars(motion) | {"tau": torque(arm, motion)})
     report.worst.require()
-    if near is not None and touched:
-        raise OutsideLimits(" and ".join(near.bodies), "distance", near.distance, least, near.time)
+    if touched:
+        bodies = " and ".join(touched.bodies)
+        raise OutsideLimits(bodies, "distance", touched.distance, least, touched.time)
 
 
 def simulate(
     robot: RobotName,
-    trajectory: str,
+    trajectory: TrajectoryFile,
     /,
     *,
     output: Annotated[str, Parameter(name=("--output", "-o"))],
@@ -344,8 +316,6 @@ def simulate(
     """What a virtual arm would record.
 
     Args:
-        robot: Built-in name, URDF, xacro, MJCF or robot.yaml.
-        trajectory: CSV or JSON.
         output: File to write, .parquet or .csv.
         seed: Draws noise and what is hidden.
         hidden: Let the arm differ from its model: values off by some per cent, and one effect that
@@ -358,17 +328,15 @@ def simulate(
     from excitant.reports.run import write_all
     from excitant.robots.virtual_arm import virtual_arm
 
-    arm = part.robot(robot)
-    target = Path(output)
+    arm, target = part.robot(robot), Path(output)
     if target.suffix not in (".csv", ".parquet"):
         raise BadInput(f"{target}: name a .csv or .parquet file")
-    planned = load_trajectory(trajectory, arm)
-    duration = float(sampled(planned).t[-1])
-    rng = np.random.default_rng(seed)
+    motion, path = path_of(load_trajectory(trajectory, arm))
+    duration, rng = float(motion.t[-1]), np.random.default_rng(seed)
     tolerance = 0.03 if hidden else 0.0
     virtual = virtual_arm(arm, rng, hidden=None if hidden else (), tolerance=tolerance)
     with progress_bar("simulate") as advance:
-        table = virtual.record(path_of(planned), duration, rng, lambda share: advance(share, ""))
+        table = virtual.record(path, duration, rng, lambda share: advance(share, ""))
     write_all(target.parent, {target.name: table_bytes(table, target.suffix)})
     if json:
         effects = [
@@ -383,7 +351,7 @@ def simulate(
 
 def rehearse(
     robot: RobotName,
-    trajectory: str,
+    trajectory: TrajectoryFile,
     /,
     *,
     limits: str | None = None,
@@ -391,11 +359,9 @@ def rehearse(
     part: Part = Part(),
     run: Run = Run(),
 ) -> int:
-    """A motion tried on a virtual arm, up to what it recovers.
+    """A motion tried on a virtual arm, up to what it recovers; from rest to rest.
 
     Args:
-        robot: Built-in name, URDF, xacro, MJCF or robot.yaml.
-        trajectory: CSV or JSON, from rest to rest.
         limits: YAML or JSON with limits to use instead.
         seed: Draws the arm, its noise and the effect to name.
     """
@@ -405,14 +371,12 @@ def rehearse(
     from excitant.design import load_trajectory
 
     arm = part.robot(robot, limits)
-    planned = load_trajectory(trajectory, arm)
-    duration = float(sampled(planned).t[-1])
+    motion, path = path_of(load_trajectory(trajectory, arm))
     with progress_bar("rehearse") as advance:
         found = rehearse_motion(
-            arm, path_of(planned), duration, np.random.default_rng(seed), advance
+            arm, path, float(motion.t[-1]), np.random.default_rng(seed), advance
         )
-    result = found.result() | {"trajectory": trajectory, "seed": seed}
-    run.finish(run.folder("rehearse", arm.name), result, found.series(), {})
+    run.finish(found.result() | {"trajectory": trajectory, "seed": seed}, found.series())
     return 0 if found.passed else 1
 
 
@@ -423,16 +387,11 @@ def table_bytes(table: DataFrame, suffix: str) -> bytes:
     return bytes(table.to_parquet(index=False))
 
 
-def sampled(trajectory: Trajectory | Motion) -> Motion:
-    """Samples of a trajectory, at 100 Hz where it has none of its own."""
-    from excitant.robots import Motion
-
-    return trajectory if isinstance(trajectory, Motion) else trajectory.motion(DENSE_HZ)
-
-
-def path_of(trajectory: Trajectory | Motion) -> Trajectory | HermiteTrajectory:
-    """A trajectory as a function of time, between its samples too."""
+def path_of(trajectory: Trajectory | Motion) -> tuple[Motion, Trajectory | HermiteTrajectory]:
+    """Samples of a trajectory, at 100 Hz where it has none of its own, and what it is between."""
     from excitant.design import HermiteTrajectory
     from excitant.robots import Motion
 
-    return HermiteTrajectory(trajectory) if isinstance(trajectory, Motion) else trajectory
+    if isinstance(trajectory, Motion):
+        return trajectory, HermiteTrajectory(trajectory)
+    return trajectory.motion(_DENSE_HZ), trajectory

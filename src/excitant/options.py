@@ -55,7 +55,12 @@ def _comma(convert: Any) -> Parameter:
     return Parameter(converter=convert, n_tokens=1, allow_leading_hyphen=True)
 
 
-RobotName = Annotated[str, Parameter(completer=_arms)]
+_ROBOT = "Built-in name, URDF, xacro, MJCF or robot.yaml"
+RobotName = Annotated[str, Parameter(completer=_arms, help=f"{_ROBOT}.")]
+RobotOrFolder = Annotated[
+    str, Parameter(completer=_arms, help=f"{_ROBOT}, or a folder with dataset.json.")
+]
+TrajectoryFile = Annotated[str, Parameter(help="CSV or JSON.")]
 Effects = Annotated[list[str] | None, _comma(_words), Parameter(completer=_effects)]
 Names = Annotated[list[str] | None, _comma(_words)]
 Numbers = Annotated[list[float] | None, _comma(_numbers)]
@@ -205,24 +210,24 @@ class Run:
     json: bool = False
     "Print result.json and nothing else."
 
-    def folder(self, verb: str, name: str) -> Path:
+    def folder(self, result: Mapping[str, Any]) -> Path:
         """Folder named by the user, else one named by verb, robot and time."""
-        if self.output:
-            return Path(self.output)
-        return Path("runs") / f"{verb}-{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+        name = f"{result['verb']}-{result.get('robot') or result['of']}"
+        return Path(self.output or f"runs/{name}-{time.strftime('%Y%m%d-%H%M%S')}")
 
     def finish(
         self,
-        folder: Path,
         result: dict[str, Any],
         series: Mapping[str, Array],
-        files: Mapping[str, str | bytes],
+        files: Mapping[str, str | bytes] | None = None,
+        folder: Path | None = None,
     ) -> None:
         """Save the run, then print its summary and paths, or its result as JSON."""
         from excitant.reports import brief, load_run, save_run
 
-        result["files"] = [str(folder / name) for name in files]
-        paths, page = save_run(folder, result, series, files)
+        folder = folder or self.folder(result)
+        result["files"] = [str(folder / file) for file in files or ()]
+        paths, page = save_run(folder, result, series, files or {})
         if self.json:
             print_json(load_run(folder)[0])
         else:

@@ -22,20 +22,19 @@ def progress_bar(label: str) -> Iterator[Advance]:
         yield lambda fraction, words: None
         return
     import rich.console
-    import rich.progress
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
-    console = rich.console.Console(stderr=True)
     columns = (
-        rich.progress.TextColumn("{task.description}"),
-        rich.progress.BarColumn(),
-        rich.progress.TimeElapsedColumn(),
-        rich.progress.TextColumn("left"),
-        rich.progress.TimeRemainingColumn(),
-        rich.progress.TextColumn("{task.fields[words]}"),
-    )
-    bar = rich.progress.Progress(
-        *columns, console=console, transient=True, speed_estimate_period=_LONGEST
-    )
-    with bar:
+        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("left"),
+        TimeRemainingColumn(), TextColumn("{task.fields[words]}"),
+    )  # fmt: skip
+    console = rich.console.Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, speed_estimate_period=_LONGEST) as bar:
         task = bar.add_task(label, total=None, words="")
         yield lambda fraction, words: bar.update(task, total=1.0, completed=fraction, words=words)

@@ -18,7 +18,7 @@ from excitant.options import (
     Names,
     Numbers,
     Part,
-    RobotName,
+    RobotOrFolder,
     Run,
     show_import,
 )
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from excitant.identify import Dataset, DriveGains, Estimate, Recording
     from excitant.robots import Robot
     from excitant.robots.effects import Effect
-
-AUTO = "auto"
 
 
 @Parameter(name="*", group="Payload and drive gains")
@@ -50,9 +48,21 @@ class Load:
     payload_com: Numbers = None
     "Its centre of mass in the frame of the last joint [m], X,Y,Z."
 
+    def drive(
+        self, dataset: Dataset, recordings: Sequence[Recording], options: dict[str, Any]
+    ) -> DriveGains | None:
+        """Drive gains from recordings with a known payload; None where none is given."""
+        if not self.payload_recording or self.payload_mass is None:
+            return None
+        from excitant.identify import KnownPayload, identify_drive_gains
+
+        payload = KnownPayload(self.payload_mass, self.payload_mass_std, self.payload_com)
+        loaded = dataset.recordings(self.payload_recording)
+        return identify_drive_gains(dataset.robot, recordings, loaded, payload, **options)
+
 
 def identify(
-    robot: RobotName,
+    robot: RobotOrFolder,
     /,
     *recordings: str,
     data: Data = Data(),
@@ -72,7 +82,6 @@ def identify(
     """From recordings to a physically consistent model.
 
     Args:
-        robot: Built-in name, URDF, xacro, MJCF or robot.yaml, or a folder with dataset.json.
         recordings: Parquet, CSV, NPZ, MAT, ROS bag or MCAP; all of the folder when none is named.
         effects: Effects to estimate, or auto: the standard ones and what the recordings call
             for. Default: viscous_friction,coulomb_friction,torque_offset,rotor_inertia.
@@ -88,31 +97,17 @@ def identify(
         link_by_link: From the last link inward, each from its own joint's torque.
         forgetting: With --online: time constant of forgetting [s]; default: nothing is forgotten.
     """
-    from excitant.identify import (
-        identify_link_by_link,
-        identify_online,
-        identify_payload,
-        identify_robot,
-        load_knowledge,
-        publication,
-    )
+    import excitant.identify as identification
     from excitant.identify.estimators import ESTIMATORS
     from excitant.identify.export import FORMATS
     from excitant.identify.faults import read_checked
     from excitant.identify.rows import fitted
 
-    chosen = effects == [AUTO]
-    _refuse_contradictions(
-        load, chosen=chosen, online=online, forgetting=forgetting, whole={
-            "link-by-link": link_by_link, "estimator": estimator, "knowledge": knowledge,
-            "trajectory": trajectory,
-        },
-    )  # fmt: skip
-    if estimator is not None and estimator not in ESTIMATORS:
-        raise UnknownName("estimator", estimator, ESTIMATORS)
-    for name in formats or ():
-        if name not in FORMATS:
-            raise UnknownName("format", name, FORMATS)
+    chosen = effects == ["auto"]
+    whole = {"estimator": estimator, "knowledge": knowledge, "trajectory": trajectory}
+    _refuse_contradictions(load, chosen, online, link_by_link, forgetting, whole)
+    UnknownName.refuse("estimator", [estimator] if estimator else (), ESTIMATORS)
+    UnknownName.refuse("format", formats or (), FORMATS)
     dataset = part.dataset(robot, data.map)
     arm = dataset.robot
     options: dict[str, Any] = {
@@ -125,7 +120,7 @@ def identify(
     held: Sequence[Recording] = dataset.recordings(data.validate) if data.validate else []
     imported = show_import([*fit, *held])
     notes = list(checked.notes)
-    drive = _drive(load, dataset, fit, options | {"validate": held})
+    drive = load.drive(dataset, fit, options | {"validate": held})
     if drive is not None:
         fit, held = drive.torque(fit), drive.torque(held)
     if chosen:
@@ -137,84 +132,76 @@ def identify(
             )
         notes += described(options["effects"])
     options["validate"] = held
-    estimate: Estimate
-    if online:
-        with progress_bar("identify") as advance:
-            steps = identify_online(
-                arm, fit, **options, forgetting=forgetting, progress=lambda x: advance(x, "")
-            )
-        estimate, result, series = steps.estimate, steps.result(), steps.series()
-    elif link_by_link:
-        stages = identify_link_by_link(arm, fit, **options)
-        estimate, result, series = stages.estimate, stages.result(), stages.series()
-    else:
-        with progress_bar("identify"):
-            estimate = identify_robot(
+    with progress_bar("identify") as advance:
+        if online:
+            tell: Any = {"forgetting": forgetting, "progress": lambda share: advance(share, "")}
+            found: Any = identification.identify_online(arm, fit, **options, **tell)
+        elif link_by_link:
+            found = identification.identify_link_by_link(arm, fit, **options)
+        else:
+            found = identification.identify_robot(
                 arm,
                 fit,
                 **options,
                 estimator=estimator or "wls",
-                knowledge=load_knowledge(knowledge, arm.links) if knowledge else None,
+                knowledge=identification.load_knowledge(knowledge, arm.links)
+                if knowledge
+                else None,
                 harmonics_hz=_highest_harmonic(trajectory, arm) if trajectory else None,
             )
-        result, series = estimate.result(), {}
+    estimate: Estimate = getattr(found, "estimate", found)
+    result = found.result()
     if load.payload:
         unloaded = dataset.recordings(load.unloaded) if load.unloaded else []
         if drive is not None:
             unloaded = drive.torque(unloaded)
-        carried = identify_payload(arm, fit, unloaded=unloaded, effects=options["effects"])
+        carried = identification.identify_payload(
+            arm, fit, unloaded=unloaded, effects=options["effects"]
+        )
         result["payload"] = carried.result()
     result |= {"faults": checked.entries(), "import": imported}
     if drive is not None:
         result |= drive.result()
         notes.append(drive.sentence(arm.joints))
-    published = publication(estimate, formats=formats or FORMATS, force=force)
+    published = identification.publication(estimate, formats=formats or FORMATS, force=force)
     result["published"] = published.published
     result["notes"] += notes + ([published.note] if published.note else [])
-    folder = run.folder("identify", estimate.given.name)
-    run.finish(folder, result, estimate.series() | series, published.files)
+    run.finish(result, estimate.series() | found.series(), published.files)
     if published.note and not run.json:
         print(published.note)
 
 
 def _refuse_contradictions(
-    load: Load, *, chosen: bool, online: bool, forgetting: float | None, whole: dict[str, Any]
-) -> None:
-    """Refuse options that exclude each other."""
-    by_link = whole["link-by-link"]
-    if chosen and (online or by_link or load.payload):
-        raise BadInput(
+    load: Load, chosen: bool, online: bool, by_link: bool, forgetting: float | None,
+    whole: dict[str, str | None],
+) -> None:  # fmt: skip
+    """Refuse options that exclude each other; those of whole need all rows at once."""
+    com, another = load.payload_com, online or by_link
+    known = (bool(load.payload_recording), load.payload_mass is not None)
+    refused: list[tuple[object, str]] = [
+        (
+            chosen and (another or load.payload),
             "--effects auto needs all rows at once and the arm alone; name effects, or leave "
-            "--online, --link-by-link and --payload out"
-        )
-    if load.unloaded and not load.payload:
-        raise BadInput("--unloaded names what --payload is compared with; give --payload too")
-    if bool(load.payload_recording) != (load.payload_mass is not None):
-        raise BadInput("--payload-recording and --payload-mass belong together; give both")
-    if load.payload_com is not None and len(load.payload_com) != 3:
-        raise BadInput("--payload-com needs three numbers, X,Y,Z in metres")
-    if forgetting is not None and not online:
-        raise BadInput("--forgetting is for --online; give --online too")
-    if by_link and online:
-        raise BadInput("--link-by-link needs whole recordings; leave --online out")
+            "--online, --link-by-link and --payload out",
+        ),
+        (
+            load.unloaded and not load.payload,
+            "--unloaded names what --payload is compared with; give --payload too",
+        ),
+        (
+            known[0] != known[1],
+            "--payload-recording and --payload-mass belong together; give both",
+        ),
+        (com and len(com) != 3, "--payload-com needs three numbers, X,Y,Z in metres"),
+        (forgetting is not None and not online, "--forgetting is for --online; give --online too"),
+        (by_link and online, "--link-by-link needs whole recordings; leave --online out"),
+    ]
     for name, value in whole.items():
-        if value and name != "link-by-link" and (by_link or online):
-            raise BadInput(f"--{name} is for all rows at once; leave the other way out")
-
-
-def _drive(
-    load: Load, dataset: Dataset, recordings: Sequence[Recording], options: dict[str, Any]
-) -> DriveGains | None:
-    """Drive gains from recordings with a known payload; None where none is given."""
-    if not load.payload_recording or load.payload_mass is None:
-        return None
-    from excitant.identify import KnownPayload, identify_drive_gains
-
-    x, y, z = load.payload_com or (0.0, 0.0, 0.0)
-    centre = None if load.payload_com is None else (x, y, z)
-    payload = KnownPayload(load.payload_mass, load.payload_mass_std, centre)
-    loaded = dataset.recordings(load.payload_recording)
-    return identify_drive_gains(dataset.robot, recordings, loaded, payload, **options)
+        why = f"--{name} is for all rows at once; leave the other way out"
+        refused.append((value and another, why))
+    for wrong, why in refused:
+        if wrong:
+            raise BadInput(why)
 
 
 def _highest_harmonic(path: str, robot: Robot) -> float:
@@ -236,14 +223,12 @@ def _named(names: Sequence[str] | None, robot: Robot) -> list[Effect] | None:
     from excitant.robots.effects import EFFECTS
 
     known = {name: kind for name, kind in EFFECTS.items() if kind.jointwise}
-    for name in names:
-        if name not in known:
-            raise UnknownName("effect", name, known)
+    UnknownName.refuse("effect", names, known)
     return [known[name](robot.joints) for name in names]
 
 
 def analyze(
-    robot: RobotName,
+    robot: RobotOrFolder,
     /,
     *,
     trajectory: str | None = None,
@@ -259,7 +244,6 @@ def analyze(
     """What can be known, link by link.
 
     Args:
-        robot: Built-in name, URDF, xacro, MJCF or robot.yaml, or a folder with dataset.json.
         trajectory: How well this motion shows it.
         recording: Or these recordings.
         map: YAML that says what the columns of the recordings mean, in which units.
@@ -285,14 +269,13 @@ def analyze(
         given["rng"] = np.random.default_rng(0)
     elif trajectory:
         from excitant.design import load_trajectory
-        from excitant.motions import sampled
+        from excitant.motions import path_of
 
-        given["motion"] = sampled(load_trajectory(trajectory, arm))
+        given["motion"], _ = path_of(load_trajectory(trajectory, arm))
     found = identifiability.analyze(arm, effects=effects, **given)
     result = found.result()
     result["notes"] += notes
-    series = found.series()
-    run.finish(run.folder("analyze", arm.name), result, series, {})
+    run.finish(result, found.series())
 
 
 def _as_far_as_shown(
@@ -323,7 +306,7 @@ def _as_far_as_shown(
 
 
 def diagnose(
-    robot: RobotName,
+    robot: RobotOrFolder,
     /,
     *recordings: str,
     data: Data = Data(),
@@ -335,7 +318,6 @@ def diagnose(
     """What the given model gets wrong, by cause.
 
     Args:
-        robot: Built-in name, URDF, xacro, MJCF or robot.yaml, or a folder with dataset.json.
         recordings: Parquet, CSV, NPZ, MAT, ROS bag or MCAP; all of the folder when none is named.
         experiments: Look for motions that would settle what is undecided.
         experiment_time: Time to look for such motions [s].
@@ -362,13 +344,13 @@ def diagnose(
         from excitant.analysis.discrimination_plan import plan as planned
 
         plan = planned(found, np.random.default_rng(0), time_limit=experiment_time)
-    folder = run.folder("diagnose", dataset.robot.name)
     files = model_files(found.extension.model, "extended", "extended.yaml")
     result = found.result(plan)
     result |= {"import": imported, "faults": checked.entries()}
     result["notes"] += checked.notes
+    folder = run.folder(result)
     result["extended"]["files"] = [str(folder / name) for name in files]
     for k, motion in enumerate(plan.motions, start=1):
         files[f"separate-{k}.csv"] = trajectory_csv(motion)
         files[f"separate-{k}.json"] = trajectory_json(motion, dataset.robot)
-    run.finish(folder, result, found.series(), files)
+    run.finish(result, found.series(), files, folder)

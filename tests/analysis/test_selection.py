@@ -15,8 +15,9 @@ from excitant.analysis.selection import choose_effects, described
 from excitant.cli import main
 from excitant.design import random_trajectory
 from excitant.identify import Recording, identify_robot, load_dataset, recording_from_table
+from excitant.identify.estimate import with_own_torque
 from excitant.identify.knowledge import Knowledge
-from excitant.identify.rows import fit_rows, with_own_torque
+from excitant.identify.rows import fit_rows
 from excitant.robots import Robot, base_parameters, load_robot
 from excitant.robots.effects import (
     EFFECTS,

@@ -15,6 +15,7 @@ import second_opinion as opinions
 from arms import data_folder
 from hypothesis import given
 from hypothesis import strategies as st
+from khosla import dh_from_robot
 from second_opinion import grouping, into_previous, largest_count, parameter_nullspace
 
 from excitant.analysis.structure import HAIR, structure
@@ -24,14 +25,13 @@ from excitant.robots import (
     Robot,
     base_parameters,
     builtin_robots,
-    dh_from_robot,
     load_robot,
     robot_from_dh,
 )
 from excitant.robots.base_parameters import LENGTH_POWERS, arm_length
 from excitant.robots.chains import RobotSpec
-from excitant.robots.dh import moved_parameters
 from excitant.robots.effects import standard_effects
+from excitant.robots.parameters import moved_parameters
 from excitant.robots.urdf import robot_from_urdf
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -119,7 +119,7 @@ def test_three_methods_agree_on_random_chains(seed: int, nv: int, special: bool)
     if given_chain.gravity.any():
         rules = grouping(robot)
         assert rules.shown == other.shown
-        assert other.angle(rules.null_space, arm_length(robot)) < SAME
+        assert other.angle(rules.basis, arm_length(robot)) < SAME
 
 
 @given(seed=SEEDS, nv=st.integers(2, 6), special=st.booleans(), any_pose=st.booleans())

@@ -12,7 +12,7 @@ from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.residuals import BANDS, QUANTITIES
 from excitant.analysis.validation import LIKELY, refit, windows
 from excitant.identify import Recording
-from excitant.identify.accuracy import series
+from excitant.identify.rows import series
 from excitant.robots import Robot
 from excitant.robots.virtual_arm import HiddenEffect, draw_hidden_effect, industrial_sensors
 

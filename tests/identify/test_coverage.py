@@ -10,13 +10,13 @@ from estimators import HARMONICS, Truth, truth
 
 from excitant.design import random_trajectory
 from excitant.identify import Data, Recording
-from excitant.identify.coloured_noise import (
+from excitant.identify.least_squares import (
+    JointRows,
     autocovariance,
     autoregression,
-    joint_rows,
     score_covariances,
+    weighted_least_squares,
 )
-from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.preprocessing import prepare
 from excitant.identify.rows import fit_rows
 from excitant.robots.effects import standard_effects
@@ -34,6 +34,12 @@ def problem(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     W[:, 1, 0] = 0.0
     A = np.einsum("njr,njs->rs", W, W)
     return W, np.linalg.inv(A)
+
+
+def joint_rows(W: np.ndarray) -> list[JointRows]:
+    """Rows of each joint without silent columns."""
+    used = [np.flatnonzero(W[:, j].any(axis=0)) for j in range(NV)]
+    return [JointRows(own, W[:, j, own]) for j, own in enumerate(used)]
 
 
 def covariance(rho: float) -> np.ndarray:
@@ -55,8 +61,7 @@ def test_an_autoregression_is_found_from_its_own_autocovariance() -> None:
 def test_columns_under_coloured_noise(rho: float) -> None:
     """W_jᵀ Γ_j by way of an autoregression is that of the matrix itself."""
     W, _ = problem()
-    for j in range(NV):
-        rows = joint_rows(W[:, j])
+    for j, rows in enumerate(joint_rows(W)):
         made = rows.coloured(2.0 * rho ** np.arange(26))
         np.testing.assert_allclose(made, 2.0 * W[:, j, rows.used].T @ covariance(rho), atol=1e-7)
 
@@ -72,7 +77,7 @@ def test_what_the_fit_took_is_given_back(rho: float) -> None:
     parts = [W[:, j].T @ gamma for j, gamma in enumerate(gammas)]
     omega = sum(part @ W[:, j] for j, part in enumerate(parts))
     for j, gamma in enumerate(gammas):
-        rows, block = joint_rows(W[:, j]), slice(j * N, (j + 1) * N)
+        rows, block = joint_rows(W)[j], slice(j * N, (j + 1) * N)
         taken = rows.taken(parts[j][rows.used], inverse, inverse @ omega @ inverse, 30)
         for lag in range(31):
             left, true = (np.trace(X, lag) / N for X in (residual[block, block], gamma))
@@ -90,12 +95,12 @@ def test_uncorrected_residuals_would_be_too_sure() -> None:
     for _ in range(draws):
         noise = (root @ rng.standard_normal((N, NV))).ravel()
         residual = (noise - flat @ (inverse @ (flat.T @ noise))).reshape(N, NV)
-        scores, _ = score_covariances(W, residual, inverse)
+        scores, _ = score_covariances(joint_rows(W), residual, inverse)
         found += np.einsum("rs,jsr->j", inverse, scores) / draws
         for j, gamma_j in enumerate(autocovariance(residual, 26).T):
-            rows = joint_rows(W[:, j])
+            rows = joint_rows(W)[j]
             part = inverse[np.ix_(rows.used, rows.used)]
-            plain[j] += np.trace(part @ rows.coloured(gamma_j) @ rows.W.T) / draws
+            plain[j] += np.trace(part @ rows.coloured(gamma_j) @ rows.W) / draws
     assert (found > 1.05 * plain).all()
     assert found / true == pytest.approx(1.0, abs=0.2)  # √(4 (1 + ρ) / ((1 − ρ) N draws)) = 6 %
 

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from excitant.design import random_trajectory
-from excitant.exceptions import BadInput, Infeasible
-from excitant.identify import Recording, identify_robot, recording_from_table
+from excitant.exceptions import Infeasible
+from excitant.identify import Recording, identify_robot
+from excitant.identify.estimators import closed_loop, output_error
 from excitant.identify.least_squares import weighted_least_squares
-from excitant.identify.output_error import ClosedLoop, closed_loop, output_error
 from excitant.identify.regression import Regression, dense
 from excitant.identify.rows import FitRows, fit_rows, split
 from excitant.robots import Motion, Robot, base_parameters
 from excitant.robots.effects import standard_effects
-from excitant.robots.simulation import Controller
-from excitant.robots.virtual_arm import ideal_sensors, virtual_arm
 
 RATE = 125.0
 FRICTION = np.array([[0.8, 0.4], [1.0, 0.5], [0.1, -0.2]])  # viscous, Coulomb, offset
@@ -64,19 +59,6 @@ def truth(robot: Robot) -> np.ndarray:
     return beta
 
 
-def loop_of(robot: Robot, recording: Recording, **given: object) -> ClosedLoop:
-    return closed_loop(rows_of(robot, recording), [recording], **given)  # type: ignore[arg-type]
-
-
-def test_without_noise_it_is_the_truth(planar: Robot) -> None:
-    recording = recorded(planar, 0, encoder=0.0, noise=0.0)
-    loop = loop_of(planar, recording, references=[motion_at])
-    found = output_error(loop.problem, loop.simulated)
-    size = np.sqrt((loop.problem.W**2).mean(axis=(0, 1)))
-    np.testing.assert_allclose(found.fit.beta * size, truth(planar) * size, atol=5e-3)
-    assert np.isinf(loop.bandwidth_hz).all()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("cutoff_hz", [10.0, 25.0])
 def test_noisy_encoders_do_not_bias_it_though_least_squares(
@@ -105,7 +87,7 @@ def biased(errors: np.ndarray) -> np.ndarray:
 def test_one_draw_is_better_than_least_squares_of_a_bad_filter(planar: Robot) -> None:
     recording = recorded(planar, 0, encoder=1e-3)
     rows = rows_of(planar, recording, 25.0)
-    loop = closed_loop(rows, [recording], step=4e-3)
+    loop = closed_loop(rows, [recording])
     found = output_error(loop.problem, loop.simulated)
     size = np.sqrt((rows.W[:, :, list(rows.base.columns)] ** 2).mean(axis=(0, 1)))
     error, plain = (
@@ -119,44 +101,10 @@ def test_one_draw_is_better_than_least_squares_of_a_bad_filter(planar: Robot) ->
     assert (loop.bandwidth_hz < 6).all()
 
 
-def test_a_given_bandwidth_is_used(planar: Robot) -> None:
-    loop = loop_of(planar, recorded(planar, 0, encoder=1e-4), bandwidth_hz=5.0)
-    np.testing.assert_allclose(loop.bandwidth_hz, 5.0)
-
-
-def test_with_reference_and_controller_nothing_of_the_positions_is_used(planar: Robot) -> None:
-    """The virtual arm under its own controller, whose errors the model makes too.
-
-    The plant shares no code with the simulation. Its friction sticks; the controller believes the
-    nominal arm, 40 rad/s; masses are off by up to 10 %, so that the arm is not where it was told.
-    """
-    rng = np.random.default_rng(5)
-    arm = virtual_arm(planar, rng, hidden=(), sensors=ideal_sensors(planar), tolerance=0.1)
-    trajectory = random_trajectory(planar, rng, 8.0, 4)
-    clean = recording_from_table(arm.record(trajectory, 8.0, rng), planar, file="r", name="r")
-    assert np.abs(clean.q - trajectory(clean.t)).max() > 2e-4
-    lost = replace(clean, q=clean.q + 0.02 * rng.standard_normal(clean.q.shape))
-    rows = rows_of(planar, lost)
-
-    def command(t: np.ndarray) -> Motion:
-        return Motion(t, *(trajectory(t, order) for order in range(3)))
-
-    known = Controller(40.0, believed=planar)
-    loop = closed_loop(rows, [lost], references=[command], controller=known)
-    fit = output_error(loop.problem, loop.simulated).fit
-    right = rows_of(planar, clean)
-    best = weighted_least_squares(right.reduced).beta
-    columns = right.W[:, :, list(right.base.columns)]
-    spread = right.tau.std(axis=0)
-    missed = (columns @ (fit.beta - best)).std(axis=0) / spread
-    assert missed.max() < 0.01
-    blind = (columns @ (weighted_least_squares(rows.reduced).beta - best)).std(axis=0) / spread
-    assert blind.max() > 5 * missed.max()
-
-
 def test_parameters_of_no_arm_still_give_a_motion(planar: Robot) -> None:
     """Inertia below zero: what is simulated lies between the given arm and these parameters."""
-    loop = loop_of(planar, recorded(planar, 0, encoder=1e-4), step=4e-3)
+    recording = recorded(planar, 0, encoder=1e-4)
+    loop = closed_loop(rows_of(planar, recording), [recording])
     W = loop.simulated(-3 * truth(planar)).W
     assert np.isfinite(W).all()
     np.testing.assert_allclose(
@@ -178,21 +126,6 @@ def test_what_does_not_converge_is_refused_in_one_line() -> None:
     with pytest.raises(Infeasible, match=r"output error: parameters still move") as refusal:
         output_error(dense(W, tau, ("a", "b")), simulated)
     assert "\n" not in str(refusal.value)
-
-
-@pytest.mark.parametrize(
-    ("given", "why"),
-    [
-        ({"bandwidth_hz": 60.0}, "choose one up to 50 Hz"),
-        ({"bandwidth_hz": -1.0}, "choose one up to 50 Hz"),
-        ({"references": []}, "0 references for 1 recordings"),
-    ],
-)
-def test_settings_that_do_not_fit_are_refused(
-    given: dict[str, object], why: str, planar: Robot
-) -> None:
-    with pytest.raises(BadInput, match=why):
-        loop_of(planar, recorded(planar, 0, encoder=1e-4), **given)
 
 
 def test_identify_says_how_it_simulated(planar: Robot) -> None:

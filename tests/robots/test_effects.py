@@ -25,7 +25,7 @@ from excitant.robots.effects import (
 )
 from excitant.robots.effects.experiments import BETWEEN
 from excitant.robots.parameters import STANDARD
-from excitant.robots.state_torque import REST, forward_model
+from excitant.robots.simulation import REST, forward_model
 
 States = Callable[[Robot, int, int], Motion]
 JOINTWISE = sorted(name for name, kind in EFFECTS.items() if kind.jointwise)

@@ -27,8 +27,7 @@ from excitant.robots.effects import (
     TorqueOffset,
     ViscousFriction,
 )
-from excitant.robots.simulation import Controller, Diverged, forward_error, simulate
-from excitant.robots.state_torque import REST
+from excitant.robots.simulation import REST, Controller, Diverged, forward_error, simulate
 from excitant.robots.urdf import robot_from_urdf
 from excitant.robots.virtual_arm import ideal_sensors, virtual_arm
 
