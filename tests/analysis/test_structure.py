@@ -119,7 +119,7 @@ def test_three_methods_agree_on_random_chains(seed: int, nv: int, special: bool)
     if given_chain.gravity.any():
         rules = grouping(robot)
         assert rules.shown == other.shown
-        assert other.angle(rules.null_space, arm_length(robot)) < SAME
+        assert other.angle(rules.basis, arm_length(robot)) < SAME
 
 
 @given(seed=SEEDS, nv=st.integers(2, 6), special=st.booleans(), any_pose=st.booleans())
