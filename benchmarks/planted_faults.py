@@ -243,7 +243,7 @@ def report_real() -> None:
         dataset = load_dataset(folder)
         for path in sorted(folder.glob("*.parquet")):
             name, table = f"{folder.name}/{path.stem}", pd.read_parquet(path)
-            logs[name] = log_of_table(dataset.robot, table, dataset.torque_column or "tau")
+            logs[name] = log_of_table(dataset.robot, table, dataset.mapping.torque or "tau")
             faults = find_faults(dataset.robot, logs[name])
             print(f"{name:<28} {'no fault' if not faults else ''}", flush=True)
             for fault in faults:

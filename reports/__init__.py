@@ -1,9 +1,8 @@
 """Reports: pages and texts drawn from saved results only."""
 
-from excitant.reports.compare import SavedRun, compare
+from excitant.reports.pages import SavedRun, compare, page_of
 from excitant.reports.render import brief, html, summary, table_lines
 from excitant.reports.run import load_run, save_run
-from excitant.reports.sections import page_of
 
 __all__ = [
     "SavedRun",

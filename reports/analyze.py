@@ -2,27 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.arm_figures import chain_figure
 from excitant.reports.motion_figures import correlation_figure, spectrum_figure
-from excitant.reports.page import (
-    Brief,
-    Cell,
-    Column,
-    Facts,
-    Figure,
-    Folded,
-    Matrix,
-    Notes,
-    Part,
-    Parts,
-    Section,
-    Table,
-)
 from excitant.reports.values import NONE, Result, Series
 from excitant.robots.parameters import STANDARD
 
@@ -50,16 +34,17 @@ _LEGEND = (
 )
 
 
-def analyze_section(result: Result, series: Series) -> Section:
+def analyze_section(result: Result, series: Series) -> p.Section:
     """Identifiability link by link, and how well a motion determines each parameter."""
-    links = _links(result, series)
+    links = v.records(result, "links")
     said = [v.sentence(note) for note in v.words(result, "notes") if note]
+    lead, brief = _lead_and_brief(result)
     return p.section(
         "Identifiability",
-        _lead(result),
+        lead,
         [
             ("Key figures", [_facts(result), p.notes(_basis(result)), p.notes(said, brief="")]),
-            ("Parameters by link", [_matrix(result)]),
+            ("Parameters by link", [_matrix(links)]),
             (
                 "With the given motion",
                 [
@@ -73,61 +58,45 @@ def analyze_section(result: Result, series: Series) -> Section:
                 "Least determined by the motion",
                 [_directions(result), correlation_figure(series), _correlations(result)],
             ),
-            *links,
+            *(
+                (_title(link), _link(result, link, f"Link {k} of {len(links)}"))
+                for k, link in enumerate(links, start=1)
+                if v.records(link, "parameters")
+            ),
         ],
-        _brief(result),
+        brief,
     )
 
 
-def links_folded(found: Section, result: Result) -> Section:
+def links_folded(found: p.Section, result: Result) -> p.Section:
     """A section whose links stand in one part, each behind a line until it is opened."""
     titles = {_title(link) for link in v.records(result, "links")}
-    links = [each for each in found.parts if each.title in titles]
-    if not links:
-        return found
-    folds = Part("Link by link", tuple(Folded(each.title, each.blocks) for each in links))
-    others = tuple(each for each in found.parts if each.title not in titles)
-    return replace(found, parts=(*others, folds))
+    folds = tuple(p.Folded(part.title, part.blocks) for part in found.parts if part.title in titles)
+    others = tuple(part for part in found.parts if part.title not in titles)
+    return replace(found, parts=(*others, *[p.Part("Link by link", folds)] * bool(folds)))
 
 
-def _lead(result: Result) -> str:
-    unique, none = _counts(result)
-    total, base = v.real(result, "standard_parameters"), v.real(result, "base_parameters")
-    if total is None or base is None:
-        return "What torque can and cannot show of each link."
-    return (
-        f"Of {total:.0f} standard parameters, {unique} can be identified one by one and "
-        f"{none} not at all; the others appear only in combinations, "
-        f"{base:.0f} base parameters together."
-    )
-
-
-def _brief(result: Result) -> Brief:
-    unique, none = _counts(result)
-    total, base = (v.text(result, key) for key in ("standard_parameters", "base_parameters"))
-    lines = [
-        (
-            "identifiable",
-            f"{base} combinations of {total} parameters; {unique} parameters uniquely, "
-            f"{none} not at all",
+def _lead_and_brief(result: Result) -> tuple[str, p.Brief]:
+    links = v.records(result, "links")
+    unique, none = (sum(len(v.words(k, n)) for k in links) for n in ("unique", "unidentifiable"))
+    total, base = v.text(result, "standard_parameters"), v.text(result, "base_parameters")
+    lead = "What torque can and cannot show of each link."
+    if total and base:
+        lead = (
+            f"Of {total} standard parameters, {unique} can be identified one by one and {none} not "
+            f"at all; the others appear only in combinations, {base} base parameters together."
         )
-    ]
+    counts = f"{unique} parameters uniquely, {none} not at all"
+    lines = [("identifiable", f"{base} combinations of {total} parameters; {counts}")]
     verdicts = [v.text(row, "verdict") for row in v.records(result, "practical")]
     if weak := verdicts.count("hardly"):
         lines.append(("", f"this motion hardly shows {weak} of {len(verdicts)} combinations"))
     elif verdicts and "not_shown" not in verdicts:
         lines.append(("", f"this motion shows all {len(verdicts)} combinations"))
-    return tuple(lines)
+    return lead, tuple(lines)
 
 
-def _counts(result: Result) -> tuple[int, int]:
-    """Parameters that can be identified one by one, and not at all."""
-    links = v.records(result, "links")
-    unique, none = (sum(len(v.words(k, n)) for k in links) for n in ("unique", "unidentifiable"))
-    return unique, none
-
-
-def _facts(result: Result) -> Facts | None:
+def _facts(result: Result) -> p.Facts | None:
     rows = [row for link in v.records(result, "links") for row in v.records(link, "parameters")]
     visible = [row for row in rows if v.text(row, "category") != "unidentifiable"]
     decided = sum(v.text(row, "decided_by") == "prior" for row in visible)
@@ -148,57 +117,42 @@ def _facts(result: Result) -> Facts | None:
 
 def _basis(result: Result) -> list[str]:
     basis, near = v.text(result, "basis"), v.text(result, "structure", "by_a_hair")
-    holds = v.words(result, "structure", "circumstances")
-    return [
-        *([f"Holds for: {'; '.join(holds)}."] if holds else []),
-        *([v.sentence(near)] if near else []),
-        *([f"Standard deviations are {basis}."] if basis else []),
-    ]
+    holds = v.listing(v.words(result, "structure", "circumstances"), "", "; ")
+    said = (
+        f"Holds for: {holds}." * bool(holds),
+        v.sentence(near),
+        f"Standard deviations are {basis}." * bool(basis),
+    )
+    return [each for each in said if each]
 
 
-def _excitation(result: Result) -> Notes | None:
+def _excitation(result: Result) -> p.Notes | None:
     said = v.text(result, "persistency", "sentence")
     verdict = isinstance(v.at(result, "persistency", "persistent"), bool)
-    return p.notes([v.sentence(f"this motion is {said}" if verdict else said)] if said else [])
+    return p.notes([v.sentence(f"this motion is {said}" if verdict else said)] * bool(said))
 
 
-def _combined(link: Result) -> set[str]:
-    return {name for row in v.records(link, "combined") for name in v.words(row, "members")}
+def _matrix(links: list[Result]) -> p.Matrix | None:
+    shared = {n for k in links for row in v.records(k, "combined") for n in v.words(row, "members")}
 
+    def shown_as(link: Result, symbol: str) -> str:
+        names = {f"{v.text(link, 'link')}.{symbol}", symbol}
+        if names & set(v.words(link, "unique")):
+            return "unique"
+        if names & set(v.words(link, "unidentifiable")):
+            return "none"
+        return "combined" if names & shared else ""
 
-def _matrix(result: Result) -> Matrix | None:
-    links = v.records(result, "links")
-    shared = {name for link in links for name in _combined(link)}
-    rows = tuple(
-        (v.text(link, "link"), tuple(_shown_as(link, symbol, shared) for symbol in STANDARD))
-        for link in links
-    )
-    if not rows:
-        return None
-    return Matrix(
-        "Link",
-        STANDARD,
-        rows,
+    rows = ((v.text(link, "link"), tuple(shown_as(link, s) for s in STANDARD)) for link in links)
+    caption = (
         "Each link's ten parameters: mass m [kg], first moment mc [kg·m], inertia I [kg·m²] about "
-        "the joint frame; links near the base show few of theirs because they move little.",
-        _LEGEND,
+        "the joint frame; links near the base show few of theirs because they move little."
     )
+    return p.Matrix("Link", STANDARD, tuple(rows), caption, _LEGEND) if links else None
 
 
-def _shown_as(link: Result, symbol: str, shared: set[str]) -> str:
-    """How torque shows one parameter of a link, given those in combinations of any link."""
-    names = {f"{v.text(link, 'link')}.{symbol}", symbol}
-    if names & set(v.words(link, "unique")):
-        return "unique"
-    if names & set(v.words(link, "unidentifiable")):
-        return "none"
-    return "combined" if names & (shared | _combined(link)) else ""
-
-
-def _practical(result: Result) -> Table | None:
-    rows: list[Result] = [
-        {"k": str(k), **row} for k, row in enumerate(v.records(result, "practical"), start=1)
-    ]
+def _practical(result: Result) -> p.Table | None:
+    rows = p.numbered(v.records(result, "practical"))
     return p.table(
         rows,
         [
@@ -214,20 +168,20 @@ def _practical(result: Result) -> Table | None:
     )
 
 
-def _determined(row: Result) -> Cell:
+def _determined(row: Result) -> p.Cell:
     """The verdict on a base parameter, in the tone of its relative std where it has none."""
     verdict = v.plain(v.text(row, "verdict"))
-    return Cell(verdict or NONE, _TONES.get(verdict, p.quality(v.real(row, "rel_std"))))
+    return p.Cell(verdict or NONE, _TONES.get(verdict, p.quality(v.real(row, "rel_std"))))
 
 
-def _directions(result: Result) -> Table | None:
+def _directions(result: Result) -> p.Table | None:
     """Directions that the motion does not show, and those it shows worst."""
 
-    def share(row: Result) -> Cell:
+    def share(row: Result) -> p.Cell:
         rel = v.real(row, "rel_std")
-        return (
-            Cell("not seen", p.POOR) if rel is None else Cell(v.percent(rel), p.quality(rel), rel)
-        )
+        if rel is None:
+            return p.Cell("not seen", p.POOR)
+        return p.Cell(v.percent(rel), p.quality(rel), rel)
 
     return p.table(
         v.records(result, "directions"),
@@ -241,31 +195,32 @@ def _directions(result: Result) -> Table | None:
     )
 
 
-def _correlations(result: Result) -> Table | None:
+def _correlations(result: Result) -> p.Table | None:
     """Pairs of base parameters whose estimates are most correlated."""
     names = [v.text(row, "name") for row in v.records(result, "practical")]
     numbers = {name.split(" ")[0]: f"{k}: " for k, name in enumerate(names, start=1)}
 
-    def correlation(row: Result) -> Cell:
+    def correlation(row: Result) -> p.Cell:
         rho = v.real(row, "correlation")
         size = abs(rho or 0.0)
-        return Cell(v.number(rho), p.POOR if size > 0.95 else p.FAIR if size > 0.8 else p.GOOD, rho)
+        tone = p.POOR if size > 0.95 else p.FAIR if size > 0.8 else p.GOOD
+        return p.Cell(v.number(rho), tone, rho)
 
-    def numbered(key: str) -> Callable[[Result], str]:
-        return lambda row: numbers.get(v.text(row, key), "") + v.text(row, key)
+    def numbered(name: object) -> str:
+        return f"{numbers.get(str(name), '')}{name or ''}"
 
     return p.table(
         v.records(result, "correlations"),
         [
-            ("name:Base parameter", numbered("first")),
-            ("name:goes with", numbered("second")),
+            ("name:Base parameter", "first", numbered),
+            ("name:goes with", "second", numbered),
             ("number:Correlation", correlation),
         ],
         "The most correlated pairs, each base parameter named by its first member.",
     )
 
 
-def _missing(result: Result) -> Table | None:
+def _missing(result: Result) -> p.Table | None:
     """Base parameters that the motion does not show, and what would."""
     resting = v.words(result, "resting_joints")
     return p.table(
@@ -276,49 +231,37 @@ def _missing(result: Result) -> Table | None:
     )
 
 
-def _links(result: Result, series: Series) -> Parts:
-    """One part for each link that lists its parameters."""
-    links = v.records(result, "links")
-    return [
-        (
-            _title(link),
-            [
-                _place(series, link, k, len(links)),
-                _parameters(link),
-                _combinations(result, link),
-                _needed(link),
-                _following(result, link),
-            ],
-        )
-        for k, link in enumerate(links)
-        if v.records(link, "parameters")
-    ]
-
-
 def _title(link: Result) -> str:
     name, joint = v.text(link, "link"), v.text(link, "joint")
     return f"{name} at {joint}" if joint not in ("", name) else name
 
 
-def _place(series: Series, link: Result, index: int, count: int) -> Figure | None:
+def _link(result: Result, link: Result, place: str) -> p.Blocks:
+    """Blocks on one link: its parameters, combinations, and what would show more of it."""
     inertial = [row for row in v.records(link, "parameters") if _symbol(row) in STANDARD]
     unique, combined, none = (
         sum(v.text(row, "category") == category for row in inertial) for category in _CATEGORY
     )
-    mass = next((v.number(v.at(row, "value")) for row in inertial if _symbol(row) == "m"), NONE)
-    caption = (
-        f"Link {index + 1} of {count}" + (f", {mass}\u00a0kg" if mass != NONE else "") + ". "
-        f"Of its ten parameters, {unique} are identifiable individually, {combined} only in "
-        f"combination and {none} not at all."
+    mass = next((v.at(row, "value") for row in inertial if _symbol(row) == "m"), None)
+    where = place if mass is None else f"{place}, {v.quantity(mass, 'kg')}"
+    said = (
+        f"{where}. Of its ten parameters, {unique} are identifiable individually, {combined} only "
+        f"in combination and {none} not at all."
     )
-    return chain_figure(series, index, v.text(link, "link"), caption)
+    return [
+        p.notes([said]),
+        _parameters(link),
+        _combinations(result, link),
+        _needed(link),
+        _following(result, link),
+    ]
 
 
 def _symbol(row: Result) -> str:
     return v.text(row, "name").rpartition(".")[2]
 
 
-def _parameters(link: Result) -> Table | None:
+def _parameters(link: Result) -> p.Table | None:
     """The table of parameters; columns that nothing is known for are left out."""
     rows = v.records(link, "parameters")
     motion = any(v.real(row, "std") is not None for row in rows)
@@ -331,79 +274,68 @@ def _parameters(link: Result) -> Table | None:
             " Follows prior: how far the value moves when its prior is moved, from 0, the data "
             "decide, to 1, the prior alone does."
         )
-    value: tuple[Column, ...] = (("number:Value", "value", v.number4),)
-    seen: tuple[Column, ...] = ()
-    if motion:
-        value = p.estimates()
-        seen = (("text:This motion determines it", _shown), ("number:Prior", "prior"))
-    if influence:
-        seen += (
-            ("number:Follows prior", "prior_influence", _hundredths),
-            ("text:Decided by", _decided),
-        )
+    plain: p.Column = ("number:Value", "value", v.number4)
     return p.table(
         rows,
         [
             ("name:Parameter", _symbol),
-            *value,
+            *(p.estimates() if motion else (plain,)),
             ("text:Unit", "unit"),
-            ("text:Identifiable", lambda r: Cell(*_CATEGORY.get(v.text(r, "category"), (NONE,)))),
-            *seen,
+            ("text:Identifiable", lambda r: p.Cell(*_CATEGORY.get(v.text(r, "category"), (NONE,)))),
+            ("text:This motion determines it", _shown) if motion else None,
+            ("number:Prior", "prior") if motion else None,
+            ("number:Follows prior", "prior_influence", _hundredths) if influence else None,
+            ("text:Decided by", _decided) if influence else None,
         ],
         said,
     )
 
 
-def _shown(row: Result) -> Cell:
+def _shown(row: Result) -> p.Cell:
     if v.text(row, "category") != "unique":
-        return Cell(NONE)
+        return p.Cell(NONE)
     word = v.plain(v.text(row, "verdict"))
     value, std = v.real(row, "value"), v.real(row, "std_data")
     share = f", ±{v.percent(std / abs(value))}" if value and std and word != "negligible" else ""
-    return Cell(word + share if word else NONE, _TONES.get(word, p.PLAIN))
+    return p.Cell(word + share if word else NONE, _TONES.get(word, p.PLAIN))
 
 
 def _hundredths(share: object) -> str:
     return NONE if v.real(share) is None else f"{share:.2f}"
 
 
-def _decided(row: Result) -> Cell:
+def _decided(row: Result) -> p.Cell:
     hidden = v.text(row, "category") == "unidentifiable"
-    return Cell(*_DECIDES.get("prior" if hidden else v.text(row, "decided_by"), (NONE,)))
+    return p.Cell(*_DECIDES.get("prior" if hidden else v.text(row, "decided_by"), (NONE,)))
 
 
-def _combinations(result: Result, link: Result) -> Table | None:
+def _combinations(result: Result, link: Result) -> p.Table | None:
     """The combinations that its parameters are part of, and how well the motion shows them."""
     known = {v.text(row, "name"): row for row in v.records(result, "practical")}
-    found = v.records(link, "combined")
-    rows: list[Result] = [
-        {"expression": v.text(row, "expression"), **known.get(v.text(row, "expression"), {})}
-        for row in found
-    ]
-    seen: tuple[Column, ...] = (*p.estimates(), ("text:Determined", _determined)) if known else ()
+    names = [v.text(row, "expression") for row in v.records(link, "combined")]
+    seen: tuple[p.Column, ...] = (*p.estimates(), ("text:Determined", _determined))
     return p.table(
-        rows,
-        [("expression:Identifiable combination", "expression"), *seen],
+        [{"expression": name, **known.get(name, {})} for name in names],
+        [("expression:Identifiable combination", "expression"), *(seen if known else ())],
         "Torque depends on these sums alone, not on how they divide among their members.",
-        p.folded(f"Its {len(found)} combinations", len(found), 1),
+        p.folded(f"Its {len(names)} combinations", len(names), 1),
     )
 
 
-def _needed(link: Result) -> Table | None:
+def _needed(link: Result) -> p.Table | None:
     """What would identify each parameter individually, those with the same answer together."""
     groups: dict[str, list[str]] = {}
     for row in v.records(link, "parameters"):
         if v.text(row, "needed"):
             groups.setdefault(v.text(row, "needed"), []).append(_symbol(row))
-    rows: list[Result] = [{"names": names, "needed": what} for what, names in groups.items()]
     return p.table(
-        rows,
+        [{"names": names, "needed": what} for what, names in groups.items()],
         [("name:To identify individually", "names"), ("text:Required", "needed")],
         "Found by adding each experiment's rows and looking at rank and standard deviation again.",
     )
 
 
-def _following(result: Result, link: Result) -> Notes | None:
+def _following(result: Result, link: Result) -> p.Notes | None:
     """Which parameters would follow from one that is known from elsewhere."""
     own = {v.text(row, "name") for row in v.records(link, "parameters")}
     groups = [v.words(group) for group in v.items(result, "follow_each_other")]

@@ -1,4 +1,4 @@
-"""An arm, one link in it, and the path of its tool through the cell, from several sides."""
+"""An arm, and the path of its tool through the cell, from several sides."""
 
 from __future__ import annotations
 
@@ -18,9 +18,8 @@ from excitant.robots.motion import Array
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_FILLS = ("#c3dcec", "#e3e7ea")  # by turns, so that neighbours differ
-_EDGES = ("#7fb0cf", "#aab2b8")
-_BASE = "#8a9299"
+_FILLS = (("#c3dcec", "#7fb0cf"), ("#e3e7ea", "#aab2b8"))  # by turns, so that neighbours differ
+_BASE = ("#8a9299", draw.MEASURED)
 _ROUND = np.linspace(0, 2 * np.pi, 33)
 _CIRCLE = np.column_stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros_like(_ROUND)])
 _FACES_OF_BLOCK = np.array(
@@ -30,24 +29,18 @@ _EDGES_OF_BLOCK = [(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k 
 _AXIS = 0.13  # of the picture: length of a joint's axis
 _TOGETHER = 0.09  # of the picture: joints nearer than this share a label
 _MARGIN = 1.35  # of the arm's reach: what is shown of large obstacles
-_FLAT = 0.05  # of the arm's extent: below it there is nothing to see in that direction
-_ON_EDGE = 0.02  # of the whole extent of a cell, likewise
-_HEIGHT, _LINK_HEIGHT = 3.3, 1.75  # inch
+_ON_EDGE = 0.02  # of the whole extent: below it there is nothing to see in that direction
+_HEIGHT = 3.3  # inch
+_SAMPLES = 400  # drawn of a path
 
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """A direction to look from.
-
-    Attributes:
-        name: In words.
-        screen: Right, up and toward the eye as rows, shape (3, 3).
-        labels: What the abscissa and the ordinate are; None obliquely.
-    """
+    """A direction to look from: right, up and toward the eye as rows of ``screen`` (3, 3)."""
 
     name: str
     screen: Array
-    labels: tuple[str, str] | None = None
+    labels: tuple[str, str] | None = None  # of abscissa and ordinate
 
     def axes(self, points: Array, room: float) -> tuple[Axes, float]:
         """Axes with one scale in which these points (n, 3) fit, and their shorter side [m]."""
@@ -111,7 +104,7 @@ def arm_figure(series: Series) -> Figure | None:
         Key("line", draw.MEASURED, "base, joints and tool in order"),
         Key("line", draw.GIVEN, "axes of the joints, positive direction"),
         Key("dot", draw.FITTED, "tool"),
-        *[Key("box", _FILLS[0], "solids of the links")] * bool(len(zero.solids)),
+        *[Key("box", _FILLS[0][0], "solids of the links")] * bool(len(zero.solids)),
     )
     return Figure(tuple(panels), caption, legend)
 
@@ -135,9 +128,7 @@ def _arm_panel(arm: _Arm, view: _View, title: str) -> Panel:
     depth = arm.solids[:, 1:7].reshape(-1, 2, 3).mean(axis=1) @ view.screen[2]
     for order, solid in enumerate(arm.solids[np.argsort(depth)]):
         joint, outline = int(solid[0]), _outline(solid[1:7].reshape(2, 3) @ view.screen.T, solid[7])
-        fill, edge = _FILLS[joint % 2], _EDGES[joint % 2]
-        if joint == 0:
-            fill, edge = _BASE, draw.MEASURED
+        fill, edge = _FILLS[joint % 2] if joint else _BASE
         ax.fill(*outline.T, facecolor=fill, edgecolor=edge, lw=0.7, zorder=1 + 0.001 * order)
     flat = arm.points @ view.screen[:2].T
     ax.plot(*flat.T, color=draw.MEASURED, lw=1.4, solid_joinstyle="round", zorder=3)
@@ -150,12 +141,7 @@ def _arm_panel(arm: _Arm, view: _View, title: str) -> Panel:
 
 
 def _outline(ends: Array, radius: float) -> Array:
-    """Outline in the picture of a cylinder between two points, or of a sphere, (points, 2).
-
-    Args:
-        ends: Both ends in coordinates of the screen, shape (2, 3) [m].
-        radius: Radius [m].
-    """
+    """Outline (points, 2) of a cylinder between two ends (2, 3) on the screen, or of a sphere."""
     from scipy.spatial import ConvexHull
 
     along = ends[1] - ends[0]
@@ -197,76 +183,11 @@ def _number_joints(ax: Axes, points: Array, near: float) -> None:
         ax.annotate(",".join(str(k + 1) for k in group), (x, y), (6, 6), zorder=6, **look)
 
 
-def side_view(chain: Array) -> tuple[Array, str]:
-    """An arm in the plane that shows most of it, upright where it has any height.
-
-    Args:
-        chain: Points of base, joints and tip, shape (points, 3) [m].
-
-    Returns:
-        Points in the picture, shape (points, 2), and the view in words.
-    """
-    if np.ptp(chain[:, 2]) <= _FLAT * float(np.ptp(chain, axis=0).max()):
-        return chain[:, :2], "from above"
-    along = np.linalg.svd(chain[:, :2] - chain[:, :2].mean(axis=0))[2][0]
-    along = along * np.sign(along[np.argmax(np.abs(along))])
-    return np.column_stack([chain[:, :2] @ along, chain[:, 2]]), "from the side"
-
-
-def chain_figure(series: Series, index: int, name: str, caption: str) -> Figure | None:
-    """The arm as a line with one link in colour.
-
-    Args:
-        series: With ``chain``, points of base, joints and tip, shape (nv + 2, 3) [m].
-        index: Which link, from 0.
-        name: Of the link.
-        caption: One sentence that says what to see.
-    """
-    chain = v.array(series, "chain", None, 3)
-    if chain is None or not np.isfinite(chain).all() or index + 2 >= len(chain):
-        return None
-    flat, view = side_view(chain)
-    width, height = 72 * draw.WIDTH, 72 * _LINK_HEIGHT
-    low, size = flat.min(axis=0), np.maximum(np.ptp(flat, axis=0), 1e-9)
-    scale = 0.85 * float(np.min(np.array([width, height]) / np.maximum(size, 1e-3 * size.max())))
-    points = (flat - low - size / 2) * [scale, -scale] + [width / 2, height / 2]
-    own = points[index + 1 : index + 3]
-    shapes = [
-        _line(points[[0, 0]] + [[-8.0, 0.0], [8.0, 0.0]], draw.MEASURED, 3.0),
-        _line(points, draw.LIGHT, 4.0),
-        *(_disc(point, 2.1, "#ffffff", draw.MEASURED) for point in points[1:-1]),
-        _line(own, draw.FITTED, 5.5),
-        _disc(own[0], 3.3, draw.FITTED, "#ffffff"),
-    ]
-    legend = [Key("line", draw.FITTED, "this link"), Key("dot", draw.FITTED, "its joint")]
-    if np.ptp(own, axis=0).max() < 0.01 * np.ptp(points, axis=0).max():
-        caption += " It has no length in this view: the next joint lies at the same place."
-        legend = legend[1:]
-    label = f"{name} in the chain, {view}"
-    return Figure((draw.svg_panel(shapes, width, height, label),), caption, tuple(legend))
-
-
-def _line(points: Array, colour: str, width: float) -> str:
-    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-    return (
-        f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="{width}" '
-        'stroke-linejoin="round" stroke-linecap="round"/>'
-    )
-
-
-def _disc(centre: Array, radius: float, fill: str, edge: str) -> str:
-    x, y = centre
-    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{fill}" stroke="{edge}"/>'
-
-
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """An obstacle as what is drawn of it.
+    """What is drawn of an obstacle: polygons and lines, each (points, 3) [m].
 
-    Attributes:
-        faces: Polygons, each of shape (corners, 3) [m].
-        edges: Lines, each of shape (points, 3) [m].
-        inside: Whether the tool stays inside, as in a workspace.
+    The tool stays ``inside`` a workspace.
     """
 
     faces: tuple[Array, ...]
@@ -282,23 +203,23 @@ def space_figure(result: Result, series: Series) -> Figure | None:
     arm = np.empty((0, 1, 3)) if arm is None else arm
     others = v.array(series, "other_tools", None, None, 3)
     paths = (tool, *(() if others is None else np.swapaxes(others, 0, 1)))
-    every = np.concatenate([*paths, arm.reshape(-1, 3), np.zeros((1, 3))])
-    box = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
-    centre, reach = (box[0] + box[1]) / 2, _MARGIN * float(np.linalg.norm(box[1] - box[0])) / 2
+    box = _box([*paths, arm.reshape(-1, 3), np.zeros((1, 3))])
+    centre, reach = box.mean(axis=0), _MARGIN * float(np.linalg.norm(box[1] - box[0])) / 2
     obstacles = v.records(result, "obstacles")
     # half-spaces have no end of their own: they are drawn beside all the rest
     bounded = [o for o in obstacles if v.text(o, "shape") != "half_space"]
-    box = _around(box, [solid_of(o, centre, reach, *box) for o in bounded])
-    seen = [(v.text(o, "name"), solid_of(o, centre, reach, *box)) for o in obstacles]
-    solids = [solid for _, solid in seen if solid is not None]
-    box = _around(box, solids)
+    for drawn in (bounded, obstacles):
+        found = [solid_of(obstacle, centre, reach, *box) for obstacle in drawn]
+        solids = [solid for solid in found if solid is not None]
+        box = _box([box, *(edge for solid in solids for edge in solid.edges)])
     near = _near_pose(result, series, len(arm))
-    names = [name for name, solid in seen if solid is not None]
+    seen = [(v.text(o, "name"), s is not None) for o, s in zip(obstacles, found, strict=True)]
+    names = [name for name, shown in seen if shown]
     label = f"path of the tool with {len(arm)} poses of the arm"
     label += f" and obstacles {v.listing(names)}" if names else ""
     panels = []
     for view in (_CORNER, _ABOVE, _SIDE):
-        size = np.ptp(np.array(box) @ view.screen[:2].T, axis=0)
+        size = np.ptp(box @ view.screen[:2].T, axis=0)
         if view is _CORNER or size.min() > _ON_EDGE * float(np.max(box[1] - box[0])):
             ax, _ = view.axes(np.array(list(product(*zip(*box, strict=True)))), 1.06)
             _draw_cell(ax, view, paths, arm, near, solids)
@@ -313,17 +234,12 @@ def space_figure(result: Result, series: Series) -> Figure | None:
         *[Key("dash", draw.GREEN, "workspace of the tool")] * any(inside),
         *[Key("box", draw.AMBER, "obstacle")] * (not all(inside)),
     )
-    hidden = [name for name, solid in seen if solid is None]
+    hidden = [name for name, shown in seen if not shown]
     return Figure(tuple(panels), _caption(result, paths, hidden), legend)
 
 
 def _draw_cell(
-    ax: Axes,
-    view: _View,
-    paths: Sequence[Array],
-    arm: Array,
-    near: int | None,
-    solids: Sequence[Solid],
+    ax: Any, view: _View, paths: Sequence[Array], arm: Array, near: int | None, solids: list[Solid]
 ) -> None:
     from matplotlib.collections import PolyCollection
 
@@ -338,8 +254,15 @@ def _draw_cell(
         colour, width = (draw.MEASURED, 2.0) if k == near else (draw.LIGHT, 1.6)
         ax.plot(*(pose @ flat).T, "o-", ms=2.6, color=colour, lw=width, solid_joinstyle="round")
     for path in paths:
-        ax.plot(*(draw.thin_path(path) @ flat).T, color=draw.FITTED, lw=1.3)
+        keep = np.linspace(0, len(path) - 1, min(len(path), _SAMPLES)).round().astype(int)
+        ax.plot(*(path[keep] @ flat).T, color=draw.FITTED, lw=1.3)
         ax.plot(*(path[:1] @ flat).T, marker="o", ms=5, mfc="white", mec=draw.FITTED, ls="none")
+
+
+def _box(points: Sequence[Array]) -> Array:
+    """Least and greatest coordinates of points, shape (2, 3)."""
+    every = np.vstack(points)
+    return np.array([np.nanmin(every, axis=0), np.nanmax(every, axis=0)])
 
 
 def _draw_base(ax: Any, view: _View, extent: float) -> None:
@@ -375,24 +298,12 @@ def _near_pose(result: Result, series: Series, poses: int) -> int | None:
     return k if abs(t[k] - when) < 0.05 else None
 
 
-def _around(box: tuple[Array, Array], solids: Sequence[Solid | None]) -> tuple[Array, Array]:
-    """Corners of the least block around a block and solids."""
-    points = np.vstack([*box, *(edge for s in solids if s is not None for edge in s.edges)])
-    return points.min(axis=0), points.max(axis=0)
-
-
 def solid_of(
     obstacle: Result, centre: Array, reach: float, low: Array, high: Array
 ) -> Solid | None:
-    """What is drawn of an obstacle within reach of a point; None when nothing is.
+    """What is drawn of an obstacle within reach of the picture's centre; None when nothing is.
 
-    Args:
-        obstacle: Its ``shape`` with the values of an obstacle file.
-        centre: Middle of the picture, shape (3,) [m].
-        reach: How far from there obstacles are drawn [m].
-        low: Least coordinates of what else is drawn, shape (3,); a half-space has no end of
-            its own.
-        high: Greatest coordinates.
+    A half-space, which has no end of its own, ends beside what else is drawn, from low to high.
     """
     import pinocchio as pin
 

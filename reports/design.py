@@ -16,7 +16,6 @@ from excitant.reports.motion_figures import (
     share_of_limit,
     spectrum_figure,
 )
-from excitant.reports.page import Brief, Cell, Fact, Facts, Parts, Section, Table
 from excitant.reports.values import NONE, Result, Series
 
 _CRITERIA = {
@@ -28,8 +27,12 @@ _CRITERIA = {
 _COLUMNS = {"friction": "of links, friction, offsets and rotors", "inertial": "of the links only"}
 
 
-def design_section(result: Result, series: Series) -> Section:
+def design_section(result: Result, series: Series) -> p.Section:
     """The designed motion: how well it excites, within which limits, and how it was found."""
+    kappa, scaled = (v.change(*_ends(result, key)) for key in ("", "_scaled"))
+    worst = _worst_ratio(result)
+    weak = [v.text(row, "name") for row in v.records(result, "weakest")[:3]]
+    said = f"with columns scaled {scaled}; excited least: {v.listing(weak)}"
     return p.section(
         "Excitation design",
         _lead(result),
@@ -41,27 +44,30 @@ def design_section(result: Result, series: Series) -> Section:
             ("The search", [convergence_figure(result), _starts(result)]),
             ("Files", [p.files(v.words(result, "files"))]),
         ],
-        _brief(result),
+        (
+            ("designed", f"condition number {kappa}, limits used up to {v.percent(worst, 4)}"),
+            *[("", said)] * bool(weak),
+        ),
     )
 
 
-def check_section(result: Result, series: Series) -> Section:
+def check_section(result: Result, series: Series) -> p.Section:
     """Whether somebody's trajectory keeps the limits, and how well it excites."""
-    holds, kappa = v.at(result, "holds"), v.at(result, "condition_number")
-    name, said = v.text(result, "trajectory") or "The trajectory", v.words(result, "verdicts")
+    kappa, said = v.at(result, "condition_number"), v.words(result, "verdicts")
     keeps, limits, tone = {
         True: ("keeps all limits", "hold", p.GOOD),
         False: ("exceeds limits", "exceeded", p.POOR),
-    }.get(holds, ("was checked against the limits", "", p.PLAIN))
+    }.get(v.at(result, "holds"), ("was checked against the limits", "", p.PLAIN))
     key_figures = p.facts(
-        Fact("Limits", limits, "", tone),
+        p.Fact("Limits", limits, "", tone),
         p.fact("Condition number", kappa, v.number, _columns(result)),
         _clearance(result),
         _duration(result),
     )
+    name, robot = v.text(result, "trajectory"), v.text(result, "robot")
     return p.section(
         "Trajectory check",
-        f"{name} {keeps} of {v.text(result, 'robot') or 'the arm'}.",
+        f"{name or 'The trajectory'} {keeps} of {robot or 'the arm'}.",
         [
             ("Key figures", [key_figures]),
             ("Verdicts", [p.notes([v.sentence(verdict) for verdict in said])]),
@@ -74,34 +80,19 @@ def check_section(result: Result, series: Series) -> Section:
     )
 
 
-def rehearse_section(result: Result, series: Series) -> Section:
+def rehearse_section(result: Result, series: Series) -> p.Section:
     """Whether a motion suffices, requirement by requirement."""
     rows, passed = v.records(result, "items"), v.at(result, "passed") is True
     headline, hidden = v.text(result, "headline"), v.plain(v.text(result, "effect", "effect"))
     met = sum(_met(row) for row in rows)
+    known = [r for r in rows if None not in (v.real(r, "planted"), v.real(r, "recovered"))]
     key_figures = p.facts(
-        Fact("Verdict", "go" if passed else "no go", "", p.GOOD if passed else p.POOR),
-        Fact("Requirements met", f"{met} of {len(rows)}", number=met),
+        p.Fact("Verdict", "go" if passed else "no go", "", p.GOOD if passed else p.POOR),
+        p.Fact("Requirements met", f"{met} of {len(rows)}", number=met),
         _duration(result),
-        Fact("Planted change", hidden, v.text(result, "effect", "joint")),
+        p.Fact("Planted change", hidden, v.text(result, "effect", "joint")),
     )
-    motion = motion_figure(v.joint_names(result), result, series)
-    return p.section(
-        "Rehearsal",
-        v.sentence(headline),
-        [
-            ("Key figures", [key_figures]),
-            ("What to change", [p.notes(v.words(result, "advice"), p.FAIR, brief="to change")]),
-            ("Requirements", [_requirements(rows)]),
-            ("Planted and recovered", [_recovered(rows)]),
-            ("Motion of the virtual arm", [motion]),
-        ],
-        (("passed" if passed else "failed", headline),),
-    )
-
-
-def _requirements(rows: list[Result]) -> Table | None:
-    return p.table(
+    requirements = p.table(
         rows,
         [
             ("text:Met", lambda row: _verdict(_met(row), "met", "NOT MET")),
@@ -113,11 +104,7 @@ def _requirements(rows: list[Result]) -> Table | None:
         "up to 5 %; one more effect changes later. The motion must show all of it.",
         brief="",
     )
-
-
-def _recovered(rows: list[Result]) -> Table | None:
-    known = [r for r in rows if None not in (v.real(r, "planted"), v.real(r, "recovered"))]
-    return p.table(
+    recovered = p.table(
         [{**row, "value": v.at(row, "recovered")} for row in known],
         [
             ("name:Quantity", "name"),
@@ -129,67 +116,62 @@ def _recovered(rows: list[Result]) -> Table | None:
         ],
         "Every value planted in the arm and what was recovered of it.",
     )
+    motion = motion_figure(v.joint_names(result), result, series)
+    return p.section(
+        "Rehearsal",
+        v.sentence(headline),
+        [
+            ("Key figures", [key_figures]),
+            ("What to change", [p.notes(v.words(result, "advice"), p.FAIR, brief="to change")]),
+            ("Requirements", [requirements]),
+            ("Planted and recovered", [recovered]),
+            ("Motion of the virtual arm", [motion]),
+        ],
+        (("passed" if passed else "failed", headline),),
+    )
 
 
 def _met(row: Result) -> bool:
     return v.at(row, "passed") is True
 
 
-def _verdict(holds: bool, yes: str, no: str) -> Cell:
-    return Cell(yes, p.GOOD) if holds else Cell(no, p.POOR)
+def _verdict(holds: bool, yes: str, no: str) -> p.Cell:
+    return p.Cell(yes, p.GOOD) if holds else p.Cell(no, p.POOR)
 
 
-def _error(row: Result) -> Cell:
+def _error(row: Result) -> p.Cell:
     planted, value = v.real(row, "planted") or 0.0, v.real(row, "value") or 0.0
     error = (value - planted) / abs(planted) if planted else None
-    return Cell(v.percent(error), p.GOOD if _met(row) else p.POOR, error)
+    return p.Cell(v.percent(error), p.GOOD if _met(row) else p.POOR, error)
 
 
-def _motion(result: Result, series: Series) -> Parts:
+def _motion(result: Result, series: Series) -> p.Parts:
     """Parts that a design and a check share."""
-    joints = v.joint_names(result)
+    motion = motion_figure(v.joint_names(result), result, series)
     return [
-        (
-            "Motion against limits",
-            [_limits(result), _joint_limits(result), motion_figure(joints, result, series)],
-        ),
+        ("Motion against limits", [_limits(result), _joint_limits(result), motion]),
         ("Path of the tool", [space_figure(result, series)]),
         ("Excitation of the parameters", [spectrum_figure(series)]),
     ]
 
 
-def _brief(result: Result) -> Brief:
-    ends, scaled = (
-        v.change(*(v.at(result, key, which) for which in ("initial", "final")))
-        for key in ("condition_number", "condition_number_scaled")
-    )
-    used = max((ratio or 0.0 for ratio in _ratios(result)), default=None)
-    weak = [v.text(row, "name") for row in v.records(result, "weakest")[:3]]
-    return (
-        ("designed", f"condition number {ends}, limits used up to {v.percent(used, 4)}"),
-        *(
-            [("", f"with columns scaled {scaled}; excited least: {v.listing(weak)}")]
-            if weak
-            else []
-        ),
-    )
+def _ends(result: Result, which: str = "") -> list[float | None]:
+    """The condition number before and after the search, of W or of W with scaled columns."""
+    return [v.real(result, f"condition_number{which}", key) for key in ("initial", "final")]
 
 
 def _lead(result: Result) -> str:
-    initial, final = (v.real(result, "condition_number", k) for k in ("initial", "final"))
+    initial, final = _ends(result)
     duration, stages = v.real(result, "duration"), v.records(result, "link_by_link", "stages")
     if final is None:
         return f"A motion was designed for {v.text(result, 'robot') or 'the arm'}."
     motion = "The motion" if duration is None else f"A motion of {v.quantity(duration, 's')}"
-    ratios = [x for x in _ratios(result) if x is not None]
-    holds = ""
-    if ratios:
-        worst = share_of_limit(max(ratios))
-        holds = (
-            f" All limits hold, used up to {worst}."
-            if _holds(max(ratios))
-            else (f" Limits are exceeded: {worst} of one is used.")
-        )
+    worst, holds = _worst_ratio(result), ""
+    if worst is not None:
+        used = share_of_limit(worst)
+        holds = f" Limits are exceeded: {used} of one is used."
+        if _holds(worst):
+            holds = f" All limits hold, used up to {used}."
     reached = f"a condition number of {v.number(final)}"
     if stages:
         return (
@@ -205,17 +187,14 @@ def _holds(ratio: float) -> bool:
     return ratio <= 1 + 1e-9
 
 
-def _facts(result: Result) -> Facts | None:
+def _facts(result: Result) -> p.Facts | None:
     stages = v.records(result, "link_by_link", "stages")
     bound = v.real(result, "condition_number", "lower_bound")
-    kappa, scaled = (
-        [v.real(result, key, which) for which in ("initial", "final")]
-        for key in ("condition_number", "condition_number_scaled")
-    )
+    kappa, scaled = _ends(result), _ends(result, "_scaled")
     said = f"the worst of {len(stages)} links" if stages else f"from {v.number(kappa[0])}"
-    if bound is not None:
-        said += f"; no motion below {v.number(bound)}"
+    said += "" if bound is None else f"; no motion below {v.number(bound)}"
     since = "" if scaled[0] is None else f"from {v.number(scaled[0])}; "
+    unit_length = f"{since}columns of W at unit length"
     criterion = v.text(result, "criterion")
     name, meaning = _CRITERIA.get(criterion, (v.plain(criterion), ""))
     starts, iterations = len(v.records(result, "starts")), v.real(result, "iterations")
@@ -223,18 +202,16 @@ def _facts(result: Result) -> Facts | None:
     effort += [] if iterations is None else [f"{iterations:.0f} iterations"]
     return p.facts(
         p.fact("Condition number", kappa[1], v.number, said),
-        p.fact(
-            "Condition number, scaled", scaled[1], v.number, f"{since}columns of W at unit length"
-        ),
+        p.fact("Condition number, scaled", scaled[1], v.number, unit_length),
         _duration(result),
         p.fact("Base parameters", v.at(result, "base_parameters"), v.whole, _columns(result)),
-        Fact("Criterion", name, meaning),
+        p.Fact("Criterion", name, meaning),
         _clearance(result),
-        Fact("Search", v.quantity(v.at(result, "wall_s"), "s"), ", ".join(effort), timing=True),
+        p.Fact("Search", v.quantity(v.at(result, "wall_s"), "s"), ", ".join(effort), timing=True),
     )
 
 
-def _duration(result: Result) -> Fact:
+def _duration(result: Result) -> p.Fact:
     count, duration = v.real(result, "harmonics"), v.real(result, "duration")
     series = ""
     if count is not None:
@@ -243,8 +220,7 @@ def _duration(result: Result) -> Fact:
     return p.fact("Duration", duration, v.unit_of("s"), series)
 
 
-def _clearance(result: Result) -> Fact:
-    """Least distance, which holds between samples too."""
+def _clearance(result: Result) -> p.Fact:
     distance = v.real(result, "clearance_m")
     remark = "to obstacles and itself, between samples too"
     return p.fact(
@@ -257,40 +233,37 @@ def _columns(result: Result) -> str:
     return _COLUMNS.get(columns, f"columns: {v.plain(columns)}" if columns else "")
 
 
-def _quantities(result: Result) -> list[str]:
+def _worst(result: Result) -> list[Result]:
+    """The largest share of each quantity's limit with its joint and time; None if unlimited."""
     limits = v.at(result, "limits")
-    return [str(name) for name in limits] if isinstance(limits, Mapping) else []
+    rows: list[Result] = []
+    for quantity in limits if isinstance(limits, Mapping) else ():
+        ratio, where = v.real(limits, quantity), v.at(result, "worst", quantity)
+        ratio = None if ratio == 0 and where is None else ratio
+        rows.append({"t": None, **(where or {}), "quantity": quantity, "ratio": ratio})
+    return rows
 
 
-def _ratios(result: Result) -> list[float | None]:
-    """Largest share of each quantity's limit; None where nothing is limited."""
-    found = []
-    for quantity_ in _quantities(result):
-        ratio = v.real(result, "limits", quantity_)
-        unlimited = ratio == 0 and v.at(result, "worst", quantity_) is None
-        found.append(None if unlimited else ratio)
-    return found
+def _worst_ratio(result: Result) -> float | None:
+    return max((x for row in _worst(result) if (x := row["ratio"]) is not None), default=None)
 
 
-def _limits(result: Result) -> Table | None:
+def _limits(result: Result) -> p.Table | None:
     names = v.items(result, "joints")
-    rows: list[Result] = [
-        {"t": None, **(v.at(result, "worst", q) or {}), "quantity": q, "ratio": ratio}
-        for q, ratio in zip(_quantities(result), _ratios(result), strict=True)
-    ]
 
     def joint(row: Result) -> str:
         where = v.at(row, "joint")
         known = isinstance(where, int) and 0 <= where < len(names)
         return str(names[where]) if known else (v.text(row, "joint") or NONE)
 
-    def verdict(row: Result) -> Cell:
+    def verdict(row: Result) -> p.Cell:
         ratio = v.real(row, "ratio")
-        held = Cell("no limit given")
-        return held if ratio is None else _verdict(_holds(ratio), "holds", "exceeded")
+        if ratio is None:
+            return p.Cell("no limit given")
+        return _verdict(_holds(ratio), "holds", "exceeded")
 
     return p.table(
-        rows,
+        _worst(result),
         [
             ("name:Quantity", "quantity"),
             ("number:Share of limit", "ratio", share_of_limit),
@@ -302,14 +275,10 @@ def _limits(result: Result) -> Table | None:
     )
 
 
-def _joint_limits(result: Result) -> Table | None:
+def _joint_limits(result: Result) -> p.Table | None:
     """The certified share of each limit, joint by joint."""
     certified, joints = v.at(result, "certified"), v.joint_names(result)
-    if not isinstance(certified, Mapping):
-        return None
-    quantities = [
-        str(q) for q in certified if any(isinstance(r, Mapping) for r in v.items(certified, q))
-    ]
+    quantities = [q for q in certified or () if v.records(certified, q)]
     rows: list[Result] = [
         {"joint": joint}
         | {q: e.ratio for q in quantities if (e := envelope_of(result, q, k)) is not None}
@@ -327,14 +296,13 @@ def _joint_limits(result: Result) -> Table | None:
     )
 
 
-def _weakest(result: Result) -> Table | None:
+def _weakest(result: Result) -> p.Table | None:
     """The weakest base parameters in full, with the standard deviation to expect."""
     weights = v.reals(result, "joint_weights")
     equal = not len(weights) or bool(np.all(weights == weights[0]))
     weighted = "" if equal else " (joints differ as the noise given for the design)"
-    rows = v.records(result, "weakest")
     return p.table(
-        rows,
+        v.records(result, "weakest"),
         [
             ("expression:Base parameter", "expression"),
             ("number:Std at start", "std_per_unit_noise_initial"),
@@ -348,7 +316,7 @@ def _weakest(result: Result) -> Table | None:
     )
 
 
-def _directions(result: Result) -> Table | None:
+def _directions(result: Result) -> p.Table | None:
     """The least excited combinations of base parameters, before and after."""
     rows: list[Result] = [
         {**row, "of": name, key: v.at(row, "strength"), other: v.at(row, "other")}
@@ -362,7 +330,7 @@ def _directions(result: Result) -> Table | None:
         rows,
         [
             ("name:Least excited by the", "of"),
-            ("expression:Combination of base parameters", v.combination),
+            ("expression:Combination of base parameters", _combination),
             ("number:Torque at start [N·m]", "initial"),
             ("number:Torque designed [N·m]", "final"),
         ],
@@ -371,22 +339,32 @@ def _directions(result: Result) -> Table | None:
     )
 
 
-def _starts(result: Result) -> Table | None:
+def _combination(direction: Result) -> str:
+    """A direction in parameter space, e.g. ``0.81·link1.Izz − 0.52·joint2.Fv + …``."""
+    written = ""
+    for member in v.records(direction, "members"):
+        size = v.real(member, "coefficient") or 0.0
+        sign = (" − " if size < 0 else " + ") if written else ("−" if size < 0 else "")
+        written += f"{sign}{abs(size):.2f}·{v.text(member, 'name')}"
+    return written + (" + …" if (v.real(direction, "share") or 0.0) < 0.99 else "")
+
+
+def _starts(result: Result) -> p.Table | None:
     rows: list[Result] = [{"start": k, **row} for k, row in enumerate(v.records(result, "starts"))]
     return p.table(
         rows,
         [
-            ("name:Start", lambda r: v.text(r, "start")),
+            ("name:Start", "start"),
             ("number:Condition number", "condition_number", v.number4),
             ("number:Iterations", "iterations", v.whole),
-            ("text:Status", lambda r: v.plain(v.text(r, "status")) or NONE),
+            ("text:Status", "status", lambda status: v.plain(status or "")),
         ],
         "Every start of the search and where it ended.",
         p.folded(f"All {len(rows)} starts", len(rows), 8),
     )
 
 
-def _link_motions(result: Result) -> Table | None:
+def _link_motions(result: Result) -> p.Table | None:
     return p.table(
         v.records(result, "link_by_link", "stages"),
         [

@@ -8,21 +8,16 @@ import numpy as np
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.diagnose_figures import evidence_figure, share_figure, waterfall_figure
-from excitant.reports.identify import CUTOFF_REMARK, fault_table
-from excitant.reports.page import (
-    Block,
-    Cell,
-    Column,
-    Fact,
-    Facts,
-    Folded,
-    Notes,
-    Parts,
-    Section,
-    Table,
+from excitant.reports.error_figures import (
+    Curves,
+    error_bars,
+    evidence_figure,
+    over_holdout,
+    share_figure,
+    torque_figure,
+    waterfall_figure,
 )
-from excitant.reports.torque_figures import Curves, error_bars, over_holdout, torque_figure
+from excitant.reports.identify import CUTOFF_REMARK, fault_table
 from excitant.reports.values import NONE, Result, Series
 
 _NOISE = "noise-like"  # what a diagnosis calls a residual without structure
@@ -42,11 +37,11 @@ _ONE_MODEL = (
 )
 
 
-def diagnose_section(result: Result, series: Series) -> Section:
+def diagnose_section(result: Result, series: Series) -> p.Section:
     """The diagnosis: faults, findings in order of importance with evidence, what stays open."""
     unit = v.text(result, "unit") or "N·m"
     joints = v.joint_names(result, "simulation.joints", "extended.joints")
-    findings, changed = v.records(result, "findings"), _changed(result)
+    findings, pairs, changed = v.records(result, "findings"), _pairs(result), _changed(result)
     lead = v.text(result, "headline")
     said = [v.sentence(note) for note in v.words(result, "notes") if note and note not in lead]
     curves = _CURVES if changed else replace(_CURVES, after="", caption=_ONE_MODEL)
@@ -62,8 +57,7 @@ def diagnose_section(result: Result, series: Series) -> Section:
                 [
                     share_figure(result, unit, changed),
                     p.notes(v.words(result, "refit", "sentence")),
-                    _refit(result, unit),
-                    _moves(result),
+                    *_refit(result, unit),
                     _forward(result, changed),
                     p.notes(v.words(result, "forward", "notes")),
                 ],
@@ -73,7 +67,7 @@ def diagnose_section(result: Result, series: Series) -> Section:
             (
                 "Error per joint",
                 [
-                    error_bars(_pairs(result), models, unit, _CURVES, _WHAT),
+                    error_bars(pairs, models, unit, _CURVES, _WHAT),
                     _joint_table(result, unit, changed),
                 ],
             ),
@@ -82,7 +76,7 @@ def diagnose_section(result: Result, series: Series) -> Section:
             ("Notes", [p.notes(said)]),
             ("Files", [p.files(v.words(result, "extended", "files"))]),
         ],
-        (("diagnosed", v.text(result, "headline")),),
+        (("diagnosed", lead),),
     )
 
 
@@ -111,7 +105,7 @@ def _unknown(finding: Result) -> bool:
     return v.text(finding, "effect") == "unknown"
 
 
-def _facts(result: Result) -> Facts | None:
+def _facts(result: Result) -> p.Facts | None:
     findings, faults = v.records(result, "findings"), v.records(result, "faults")
     verdicts = [v.text(finding, "verdict") for finding in findings]
     counts = [f"{n} {word}" for word in dict.fromkeys(verdicts) if (n := verdicts.count(word))]
@@ -121,26 +115,21 @@ def _facts(result: Result) -> Facts | None:
     after = after if _changed(result) else None
     errors = v.change(before, after, v.percent)
     return p.facts(
-        Fact("Hold-out error", errors, "nrmse, median over joints", number=after or before),
+        p.Fact("Hold-out error", errors, "nrmse, median over joints", number=after or before),
         p.fact("Findings", len(findings), v.whole, ", ".join(counts) or "nothing stands out"),
         p.fact("Data faults", len(faults), v.whole, "", p.POOR if faults else p.GOOD),
         p.fact("Cut-off", v.at(result, "cutoff_hz"), v.unit_of("Hz"), CUTOFF_REMARK),
     )
 
 
-def _finding_table(findings: list[Result], unit: str) -> Table | None:
-    """All findings in a line each, most important first."""
-    rows: list[Result] = []
-    for k, finding in enumerate(findings, start=1):
-        known = (
-            {}
-            if _unknown(finding)
-            else {
-                "explained": v.at(finding, "explained"),
-                "after": v.at(finding, "holdout", "rms_after"),
-            }
-        )
-        rows.append({**finding, "explained": None, "k": k, **known})
+def _finding_table(findings: list[Result], unit: str) -> p.Table | None:
+    """All findings in a line each, most important first; an unknown cause claims no share."""
+    rows = [
+        {**finding, "explained": None, "after": None}
+        if _unknown(finding)
+        else {**finding, "after": v.at(finding, "holdout", "rms_after")}
+        for finding in p.numbered(findings)
+    ]
     return p.table(
         rows,
         [
@@ -158,20 +147,20 @@ def _finding_table(findings: list[Result], unit: str) -> Table | None:
     )
 
 
-def _verdict(finding: Result) -> Cell:
+def _verdict(finding: Result) -> p.Cell:
     verdict = v.text(finding, "verdict")
-    return Cell(verdict or NONE, {"named": p.GOOD, "undecided": p.FAIR}.get(verdict, p.PLAIN))
+    return p.Cell(verdict or NONE, {"named": p.GOOD, "undecided": p.FAIR}.get(verdict, p.PLAIN))
 
 
-def _finding_parts(findings: list[Result], series: Series, unit: str) -> Parts:
+def _finding_parts(findings: list[Result], series: Series, unit: str) -> p.Parts:
     """The leading findings in parts of their own, the others folded in one."""
-    parts: Parts = []
-    others: list[Block | None] = []
+    parts: p.Parts = []
+    others: p.Blocks = []
     for k, finding in enumerate(findings):
         joints = v.listing(v.words(finding, "joints"), "")
         title = f"Finding {k + 1}: {_cause(finding)}{' at ' * bool(joints)}{joints}"
-        blocks: list[Block | None] = [
-            Notes((_sentence(finding, unit),)),
+        blocks: p.Blocks = [
+            p.notes([_sentence(finding, unit)]),
             evidence_figure(k, finding, series, unit),
             _parameters(finding),
             _rivals(finding),
@@ -182,7 +171,7 @@ def _finding_parts(findings: list[Result], series: Series, unit: str) -> Parts:
             share, verdict = v.real(finding, "explained"), v.text(finding, "verdict")
             aside = [v.percent(share)] * (share is not None) + [verdict] * bool(verdict)
             title += f" ({', '.join(aside)})" if aside else ""
-            others.append(Folded(title, tuple(block for block in blocks if block is not None)))
+            others.append(p.Folded(title, tuple(block for block in blocks if block is not None)))
     return [*parts, ("Further findings", others)]
 
 
@@ -210,7 +199,7 @@ def _sentence(finding: Result, unit: str) -> str:
     return said
 
 
-def _parameters(finding: Result) -> Table | None:
+def _parameters(finding: Result) -> p.Table | None:
     rows = v.records(finding, "parameters")
     given = any(v.real(row, "given") is not None for row in rows)
     fixed = any(v.real(row, "std") is None for row in rows)
@@ -220,7 +209,7 @@ def _parameters(finding: Result) -> Table | None:
             ("name:Parameter", "name"),
             ("number:Given", "given") if given else None,
             *p.estimates("number:Fitted"),
-            ("text:Unit", "unit", _unit),
+            ("text:Unit", "unit", lambda u: "" if u in (None, "1") else u.replace("^a", "ᵃ")),
         ],
         f"{'Value in the given model, and f' if given else 'F'}itted value with its standard "
         "deviation" + (" (a dash: chosen from a grid, or held)." if fixed else "."),
@@ -228,19 +217,11 @@ def _parameters(finding: Result) -> Table | None:
     )
 
 
-def _unit(unit: object) -> str:
-    return "" if unit in (None, "1") else str(unit).replace("^a", "ᵃ")
-
-
-def _rivals(finding: Result) -> Table | None:
+def _rivals(finding: Result) -> p.Table | None:
     rows = v.records(finding, "rivals")
     # an experiment's sentence may already hold what separation and repetitions say
     said = all(
         v.real(r, "separation") is None or "separates by" in v.text(r, "experiment") for r in rows
-    )
-    runs: tuple[Column, ...] = (
-        ("number:Separation [σ]", "separation"),
-        ("number:Runs", "repetitions", v.whole),
     )
     return p.table(
         rows,
@@ -249,7 +230,8 @@ def _rivals(finding: Result) -> Table | None:
             ("name:Joints", "joints"),
             ("text:Why it cannot be excluded", "why"),
             ("text:Experiment that settles it", "experiment"),
-            *(() if said else runs),
+            None if said else ("number:Separation [σ]", "separation"),
+            None if said else ("number:Runs", "repetitions", v.whole),
         ],
         "Other effects that look alike in these data, and the experiment that separates them, by "
         "how many standard deviations of the noise, and in how many runs. Within few standard "
@@ -258,8 +240,18 @@ def _rivals(finding: Result) -> Table | None:
     )
 
 
-def _refit(result: Result, unit: str) -> Table | None:
-    return p.table(
+def _refit(result: Result, unit: str) -> p.Blocks:
+    """What other inertias would explain, and how far each link would have to change for that."""
+
+    def deviations(key: str) -> p.Column:
+        return ("number:in std", f"deviations.{key}", lambda x: v.number(x, 2))
+
+    def inertia(row: Result) -> p.Cell:
+        factor = v.real(row, "inertia")
+        share = None if factor is None else 100 * float(np.expm1(factor))
+        return p.Cell(v.number(share, 2), p.PLAIN, share)
+
+    errors = p.table(
         v.records(result, "refit", "joints"),
         [
             ("name:Joint", "name"),
@@ -272,18 +264,7 @@ def _refit(result: Result, unit: str) -> Table | None:
         "being kept: fitted freely, and as the closest physically consistent inertias.",
         "What re-fitting the inertias alone would bring, joint by joint",
     )
-
-
-def _moves(result: Result) -> Table | None:
-    def deviations(key: str) -> Column:
-        return ("number:in std", f"deviations.{key}", lambda x: v.number(x, 2))
-
-    def inertia(row: Result) -> Cell:
-        factor = v.real(row, "inertia")
-        share = None if factor is None else 100 * float(np.expm1(factor))
-        return Cell(v.number(share, 2), p.PLAIN, share)
-
-    return p.table(
+    links = p.table(
         v.records(result, "refit", "links"),
         [
             ("name:Link", "link"),
@@ -298,9 +279,10 @@ def _moves(result: Result) -> Table | None:
         "taken as right to two of these standard deviations.",
         "Which link would have to change, and how much",
     )
+    return [errors, links]
 
 
-def _forward(result: Result, changed: bool) -> Table | None:
+def _forward(result: Result, changed: bool) -> p.Table | None:
     """Both models simulated forward under the recorded torque."""
     rows = v.records(result, "forward", "joints")
     units = v.listing(list(dict.fromkeys(v.text(row, "unit") for row in rows)))
@@ -338,22 +320,18 @@ def _milli(value: object) -> str:
     return "diverges" if x is None else v.number(1e3 * x)
 
 
-def _joint_table(result: Result, unit: str, changed: bool) -> Table | None:
+def _joint_table(result: Result, unit: str, changed: bool) -> p.Table | None:
     models = [("Given", "simulation"), ("Extended", "extended")][: 1 + changed]
     cutoff = v.real(result, "cutoff_hz")
     same = "" if cutoff is None else f", all after the same filter ({v.quantity(cutoff, 'Hz')})"
-    measures = (
-        (f"rms [{unit}]", "rms", v.number),
-        ("nrmse", "nrmse", v.percent),
-        ("r²", "r2", v.number4),
-    )
+    measures = ((f"rms [{unit}]", "rms", v.number), ("nrmse", "nrmse", v.percent))
     return p.table(
         _pairs(result),
         [
             ("name:Joint", "name"),
             *(
                 (f"number:{label}, {heading}", f"{model}.{key}", write)
-                for heading, key, write in measures
+                for heading, key, write in (*measures, ("r²", "r2", v.number4))
                 for label, model in models
             ),
         ],
@@ -362,12 +340,12 @@ def _joint_table(result: Result, unit: str, changed: bool) -> Table | None:
     )
 
 
-def _unexplained(result: Result) -> list[Block | None]:
+def _unexplained(result: Result) -> p.Blocks:
     rows = v.records(result, "unexplained")
     sized = any(v.text(row, "against_noise") for row in rows)
     noise = bool(rows) and all(v.text(row, "structure") == _NOISE for row in rows)
     return [
-        p.notes(["The residual looks like noise at every joint."] if noise else [], p.GOOD),
+        p.notes(["The residual looks like noise at every joint."] * noise, p.GOOD),
         p.table(
             rows,
             [

@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from excitant.reports.page import Panel
+from excitant.reports import page
+from excitant.reports.page import Key, Panel
 from excitant.reports.values import power_of_ten
 from excitant.robots.motion import Array
 
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 MEASURED, GIVEN, FITTED = "#4d4d4d", "#d55e00", "#0072b2"
 GREEN, PURPLE, AMBER, SKY, LIGHT = "#009e73", "#b0558f", "#e69f00", "#3a93c9", "#b9bdc2"
 BAND = "#c3dcec"
+DASHED = (0, (5, 3))
 
 WIDTH = 3.9  # inch: 281 pt, which a phone shows a little larger than drawn
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.64, 0.12, 0.1, 0.42  # inch
@@ -108,12 +110,8 @@ def axes(
 ) -> list[Axes]:
     """Axes one above the other with a common abscissa.
 
-    Args:
-        height: Of the drawing [inch].
-        ratios: Heights of the axes, in proportion.
-        left: Margin for the ordinates' labels [inch].
-        top: Margin above the first axes [inch].
-        space: Between the axes, as a share of their mean height.
+    The height of the drawing and its margins are in inch, ``ratios`` are the heights of the axes
+    in proportion, ``space`` between them is a share of their mean height.
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -151,16 +149,9 @@ def ink(colour: str) -> str:
 
 
 def equal_axes(ax: Axes, low: Array, high: Array, room: float) -> float:
-    """Give both directions one scale, so that a box fits with some room around it.
+    """Give both directions one scale that shows ``room`` times the box between two corners [m].
 
-    Args:
-        ax: In which lengths are drawn.
-        low: Lower corner of the box, shape (2,) [m].
-        high: Upper corner, shape (2,) [m].
-        room: What is shown over what the box needs.
-
-    Returns:
-        The shorter side of what is shown [m].
+    Returns the shorter side of what is shown [m].
     """
     frame = ax.get_window_extent()
     size = np.array([frame.width, frame.height])
@@ -188,6 +179,13 @@ def label_x(ax: Axes, words: str) -> None:
     height = float(cast("Figure", ax.get_figure(root=True)).get_figheight())
     box = ax.get_position()
     ax.set_position((box.x0, box.y0 + 0.15 / height, box.width, box.height - 0.15 / height))
+
+
+def over_time(ax: Axes, t: Array, ordinate: str) -> None:
+    """Make the abscissa time t [s] and name the ordinate."""
+    ax.set_xlim(t[0], t[-1])
+    ax.set_xlabel("time [s]")
+    label_y(ax, ordinate)
 
 
 def percent_x(ax: Axes) -> None:
@@ -232,13 +230,11 @@ def panel(ax: Axes, label: str, title: str = "") -> Panel:
     return Panel(_svg(figure, label), label, title)
 
 
-def svg_panel(shapes: Sequence[str], width: float, height: float, label: str) -> Panel:
-    """A drawing of SVG elements, without axes."""
-    return Panel(f"{_head(label, f'0 0 {width:g} {height:g}')}{''.join(shapes)}</svg>", label)
-
-
-def _head(label: str, box: str) -> str:
-    return f'<svg role="img" aria-label="{html.escape(label)}" viewBox="{box}">'
+def single(
+    ax: Axes, label: str, caption: str, legend: Sequence[Key] = (), title: str = ""
+) -> page.Figure:
+    """A figure of one drawing."""
+    return page.Figure((panel(ax, label, title),), caption, tuple(legend))
 
 
 def _svg(figure: Figure, label: str) -> str:
@@ -256,7 +252,8 @@ def _svg(figure: Figure, label: str) -> str:
     drawing = re.sub(r'(id="|href="#|url\(#)', rf"\1f{mark}", drawing)
     drawing = re.sub(r">\s+<", "><", drawing)
     box = drawing.split('viewBox="', 1)[1].split('"', 1)[0]
-    return _head(label, box) + drawing[drawing.index(">") + 1 :].strip()
+    head = f'<svg role="img" aria-label="{html.escape(label)}" viewBox="{box}">'
+    return head + drawing[drawing.index(">") + 1 :].strip()
 
 
 def _shorten_tag(found: re.Match[str]) -> str:
@@ -273,13 +270,9 @@ def _shorten_path(found: re.Match[str]) -> str:
 
 
 def timeline(t: Array) -> tuple[Array, list[int]]:
-    """Time that only grows, and where recordings were joined.
+    """Time with each recording after the one before, and the first index of each later one.
 
-    Args:
-        t: Time, shape (n,) [s]; falls where the next recording begins.
-
-    Returns:
-        Time with each recording after the one before, and the first index of each later one.
+    In the given time (n,) [s], the next recording begins where time falls.
     """
     step = np.diff(t)
     joins = [int(k) + 1 for k in np.flatnonzero(step <= 0)]
@@ -290,13 +283,7 @@ def timeline(t: Array) -> tuple[Array, list[int]]:
 
 
 def thin(x: Array, y: Array, bins: int = _BINS) -> tuple[Array, Array]:
-    """A curve with fewer points that looks the same: each bin's least and greatest value.
-
-    Args:
-        x: Abscissa, shape (n,).
-        y: Ordinate, shape (n,); NaN breaks the curve.
-        bins: Bins; at most two points each remain.
-    """
+    """A curve (n,) with fewer points that looks the same: each bin's least and greatest value."""
     if len(y) <= 2 * bins:
         return x, y
     size = -(-len(y) // bins)
@@ -315,18 +302,6 @@ def few_ticks(axis: Any, count: int, **look: Any) -> None:
     from matplotlib.ticker import MaxNLocator
 
     axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 2.5, 5, 10], **look))
-
-
-def whole_ticks(ax: Axes) -> None:
-    """Label the abscissa at whole numbers only."""
-    few_ticks(ax.xaxis, 6, integer=True)
-
-
-def thin_path(path: Array, points: int = 2 * _BINS) -> Array:
-    """A path in space at no more than so many equidistant samples, the last included."""
-    keep = np.linspace(0, len(path) - 1, min(len(path), points)).round().astype(int)
-    thinned: Array = path[keep]
-    return thinned
 
 
 def draw_curve(ax: Axes, t: Array, joins: Sequence[int], y: Array, **look: Any) -> None:

@@ -8,36 +8,21 @@ import numpy as np
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.identify_figures import (
+from excitant.reports.error_figures import Curves, bars, error_bars, over_holdout, torque_figure
+from excitant.reports.online_figures import (
     ENOUGH,
     convergence_figure,
     estimates_figure,
     excitation_figure,
     excitation_levels,
     history_of,
-    link_bars,
-    payload_figure,
     uncertainty_figure,
 )
-from excitant.reports.page import (
-    Block,
-    Brief,
-    Cell,
-    Fact,
-    Facts,
-    Figure,
-    Notes,
-    Parts,
-    Section,
-    Table,
-)
-from excitant.reports.torque_figures import Curves, error_bars, over_holdout, torque_figure
 from excitant.reports.values import Result, Series
 
 CUTOFF_REMARK = "errors are judged below it; measured and predicted torque are filtered alike"
 _FEW = 3  # notes that may stand among the key figures
 _MESSAGES = 8  # shown without opening a fold
-_BAND = 2.0  # standard deviations
 _CURVES = Curves(
     "given",
     "model as given",
@@ -49,11 +34,14 @@ _CURVES = Curves(
 )
 
 
-def identify_section(result: Result, series: Series) -> Section:
+def identify_section(result: Result, series: Series) -> p.Section:
     """The identified model: errors before and after, and each parameter with its uncertainty."""
     joints, unit = v.joint_names(result), v.text(result, "unit") or "N·m"
+    rows, held = v.records(result, "joints"), _held_out(result)
     said = [v.sentence(n) for n in v.words(result, "notes") if n and n != v.text(result, "holdout")]
     few = len(said) <= _FEW
+    what = f"Prediction error per joint on the {'hold-out' if held else 'fitted data'}"
+    models = ("baseline", "validate" if held else "train")
     return p.section(
         "Identification",
         _lead(result),
@@ -62,10 +50,13 @@ def identify_section(result: Result, series: Series) -> Section:
             ("Data faults", [fault_table(result)]),
             *_link_by_link(result, unit),
             ("Payload", _payload(v.at(result, "payload"))),
-            ("Error per joint", [_bars(result, unit), _joint_table(result, unit)]),
+            (
+                "Error per joint",
+                [error_bars(rows, models, unit, _CURVES, what), _joint_table(result, unit)],
+            ),
             (
                 over_holdout(unit),
-                [torque_figure(joints, series, unit, _CURVES), _intervals(result, unit)],
+                [torque_figure(joints, series, unit, _CURVES), _intervals(rows, unit)],
             ),
             ("Notes on the fit", [None if few else p.notes(said)]),
             *_online(result, series),
@@ -78,7 +69,7 @@ def identify_section(result: Result, series: Series) -> Section:
     )
 
 
-def _brief(result: Result, unit: str) -> Brief:
+def _brief(result: Result, unit: str) -> p.Brief:
     rows = v.records(result, "joints")
     given, found = (
         sum(v.real(row, kind, "rms") or 0.0 for row in rows) for kind in ("baseline", "validate")
@@ -86,19 +77,19 @@ def _brief(result: Result, unit: str) -> Brief:
     consistent = v.at(result, "physical", "consistent")
     said = (
         f"hold-out error, sum of joints, {v.number(given)} → {v.number(found)} {unit}, median r² "
-        f"{v.number(v.median(rows, 'validate', 'r2'), 4)}, "
+        f"{v.number4(v.median(rows, 'validate', 'r2'))}, "
         f"{'physically consistent' if consistent else 'not physical'}"
     )
     return ("identified", said), ("", v.text(result, "holdout"))
 
 
-def fault_table(result: Result) -> Table | None:
+def fault_table(result: Result) -> p.Table | None:
     """Data faults with their evidence; None without any."""
     return p.table(
         v.records(result, "faults"),
         [
             ("name:Recording", "recording"),
-            ("name:Data fault", lambda r: Cell(v.plain(v.text(r, "fault")), p.POOR)),
+            ("name:Data fault", lambda r: p.Cell(v.plain(v.text(r, "fault")), p.POOR)),
             ("name:Joints", "joints"),
             ("text:Detail", "detail"),
         ],
@@ -128,7 +119,7 @@ def _lead(result: Result) -> str:
     )
 
 
-def _facts(result: Result) -> Facts | None:
+def _facts(result: Result) -> p.Facts | None:
     rows, held = v.records(result, "joints"), _held_out(result)
     before, after = (v.median(rows, k, "nrmse") for k in ("baseline", ("train", "validate")[held]))
     consistent = v.at(result, "physical", "consistent")
@@ -139,23 +130,16 @@ def _facts(result: Result) -> Facts | None:
     error = "Hold-out error" if held else "Error of the fit"
     remark = "given → identified; nrmse, median over joints"
     return p.facts(
-        Fact(error, v.change(before, after, v.percent), remark, number=after),
-        Fact("Physically consistent", physical, "positive mass and inertia of every link", tone),
+        p.Fact(error, v.change(before, after, v.percent), remark, number=after),
+        p.Fact("Physically consistent", physical, "positive mass and inertia of every link", tone),
         p.fact("Base parameters", count or None, v.whole, "identifiable combinations"),
         p.fact("Cut-off", v.at(result, "cutoff_hz"), v.unit_of("Hz"), CUTOFF_REMARK),
-        Fact("Estimator", v.plain(v.text(result, "estimator"))),
-        Fact("Effects", v.listing(effects), "besides the links' inertia"),
+        p.Fact("Estimator", v.plain(v.text(result, "estimator"))),
+        p.Fact("Effects", v.listing(effects), "besides the links' inertia"),
     )
 
 
-def _bars(result: Result, unit: str) -> Figure | None:
-    held = _held_out(result)
-    models = ("baseline", "validate" if held else "train")
-    what = f"Prediction error per joint on the {'hold-out' if held else 'fitted data'}"
-    return error_bars(v.records(result, "joints"), models, unit, _CURVES, what)
-
-
-def _joint_table(result: Result, unit: str) -> Table | None:
+def _joint_table(result: Result, unit: str) -> p.Table | None:
     held = _held_out(result)
     judged, where = ("validate", "hold-out") if held else ("train", "fitted data")
     cutoff = v.real(result, "cutoff_hz")
@@ -177,11 +161,11 @@ def _joint_table(result: Result, unit: str) -> Table | None:
     )
 
 
-def _intervals(result: Result, unit: str) -> Table | None:
+def _intervals(rows: list[Result], unit: str) -> p.Table | None:
     """Width and coverage of the intervals per joint; None where a run has none."""
     key = "validate.interval95"
     return p.table(
-        [r for r in v.records(result, "joints") if v.real(r, *key.split("."), "half_width")],
+        [r for r in rows if v.real(r, *key.split("."), "half_width")],
         [
             ("name:Joint", "name"),
             (f"number:95\u00a0% interval of a reading, ± [{unit}]", f"{key}.half_width"),
@@ -194,21 +178,19 @@ def _intervals(result: Result, unit: str) -> Table | None:
     )
 
 
-def _essential(result: Result) -> Notes | None:
+def _essential(result: Result) -> p.Notes | None:
     """How many base parameters are essential; None where that was not asked."""
     kept, dropped = (len(v.words(result, "essential", key)) for key in ("kept", "dropped"))
     few, every = (v.real(result, "essential", key) for key in ("nrmse_essential", "nrmse_all"))
-    if not kept + dropped:
-        return None
     said = (
         f"{kept} of {kept + dropped} base parameters are essential: with the others at zero, "
         f"least squares misses {v.percent(few)} of the hold-out instead of {v.percent(every)} "
         "(median over joints)."
     )
-    return Notes((said,))
+    return p.notes([said] * bool(kept + dropped))
 
 
-def _base_table(result: Result) -> Table | None:
+def _base_table(result: Result) -> p.Table | None:
     rows = v.records(result, "base_parameters")
     units = any(v.text(row, "unit") for row in rows)
     si = "" if units else " (SI)"
@@ -226,7 +208,7 @@ def _base_table(result: Result) -> Table | None:
     )
 
 
-def _parameter_table(result: Result) -> Table | None:
+def _parameter_table(result: Result) -> p.Table | None:
     rows = v.records(result, "parameters")
     counts = Counter(v.plain(v.text(row, "category")) for row in rows if v.text(row, "category"))
     categories = ", ".join(f"{n} {category}" for category, n in counts.items()) or "values"
@@ -240,10 +222,7 @@ def _parameter_table(result: Result) -> Table | None:
             ("text:Unit", "unit"),
             ("number:Prior", "prior", v.number4),
             ("text:Category", "category", lambda c: v.plain(c or "")),
-            (
-                "text:Decided by",
-                lambda r: "prior" if v.at(r, "prior_dominated") is True else "data",
-            ),
+            ("text:Decided by", "prior_dominated", lambda x: "prior" if x is True else "data"),
         ],
         "Values decided by the prior are those the data leave open: they complete the model, but "
         "were not measured.",
@@ -251,75 +230,81 @@ def _parameter_table(result: Result) -> Table | None:
     )
 
 
-def _physical(result: Result) -> Notes | None:
+def _physical(result: Result) -> p.Notes | None:
     violations = v.words(result, "physical", "violations")
     if not violations and v.at(result, "physical", "consistent") is True:
         said = "Every link has positive mass and an inertia that a body of positive density has."
-        return Notes((said,), p.GOOD)
+        return p.notes([said], p.GOOD)
     return p.notes(violations, p.POOR)
 
 
-def _link_by_link(result: Result, unit: str) -> Parts:
+def _link_by_link(result: Result, unit: str) -> p.Parts:
     """Parts of the page that `identify --link-by-link` adds; none without its result."""
     found = v.at(result, "link_by_link")
-    stages = v.records(found, "stages")
+    stages, rows = v.records(found, "stages"), v.records(found, "comparison", "joints")
     if not stages:
         return []
     determined, total = v.real(found, "determined"), v.real(found, "base_parameters")
     each = " + ".join(str(len(v.records(stage, "determined"))) for stage in stages)
-    count = Fact(
+    count = p.Fact(
         "Combinations determined",
         f"{v.text(found, 'determined')} of {v.text(found, 'base_parameters')}",
         f"{each}, from the last link inward",
         p.GOOD if determined is not None and determined == total else p.FAIR,
     )
+    models = {
+        "given": "Model as given",
+        "all_at_once": "All links at once",
+        "link_by_link": "Link by link",
+    }
     comparison = p.table(
-        v.records(found, "comparison", "joints"),
+        rows,
         [
             ("name:Joint", "name"),
-            (f"number:Model as given, rms [{unit}]", "given"),
-            (f"number:All links at once, rms [{unit}]", "all_at_once"),
-            (f"number:Link by link, rms [{unit}]", "link_by_link"),
+            *((f"number:{name}, rms [{unit}]", key) for key, name in models.items()),
             ("number:Link by link / at once", _ratio),
         ],
         f"All links at once: {v.text(found, 'comparison', 'all_at_once')}.",
     )
+    errors = []
+    for row in rows:
+        every, std = [v.real(row, key) for key in models], v.real(row, "measured_std")
+        shares = [None if rms is None or not std else rms / std for rms in every]
+        errors.append((v.text(row, "name"), list(zip(every, shares, strict=True))))
+    what = (
+        "Prediction error per joint on the hold-out, links fitted at once and link by link from "
+        "the same recordings"
+    )
+    drawn = bars(errors, unit, [name[:1].lower() + name[1:] for name in models.values()], what)
     return [
-        (
-            "Link by link against all links at once",
-            [Facts((count,)), link_bars(found, unit), comparison],
-        ),
+        ("Link by link against all links at once", [p.Facts((count,)), drawn, comparison]),
         *((f"Link {v.text(stage, 'link')}", _stage(stage)) for stage in stages),
     ]
 
 
-def _ratio(row: Result) -> Cell:
+def _ratio(row: Result) -> p.Cell:
     together, stages = v.real(row, "all_at_once"), v.real(row, "link_by_link")
     ratio = stages / together if together and stages is not None else None
-    return Cell(v.number(ratio), p.PLAIN, ratio)
+    return p.Cell(v.number(ratio), p.PLAIN, ratio)
 
 
-def _stage(stage: Result) -> list[Block | None]:
+def _stage(stage: Result) -> p.Blocks:
     joint, used, rows = v.text(stage, "joint"), v.words(stage, "recordings"), v.real(stage, "rows")
     said = f"{joint} does not move."
     if used and rows is not None:
         moves = f"{joint} {v.text(stage, 'mode')}"
         said = f"Torque of {joint}: {rows:.0f} rows of {v.listing(used)}; {moves}."
+    shown, not_shown = p.Cell("determined", p.GOOD), p.Cell("not shown", p.FAIR)
     found, missing = v.records(stage, "determined"), v.words(stage, "missing")
     cells: list[Result] = [*found, *({"expression": each} for each in missing)]
     left = f"{len(missing)} more combinations of this link are not shown and keep the given value"
     return [
-        Notes((said,)),
+        p.notes([said]),
         p.table(
             cells,
             [
                 ("expression:Combination", "expression"),
-                (
-                    "text:Verdict",
-                    lambda r: (
-                        Cell("determined", p.GOOD) if "value" in r else Cell("not shown", p.FAIR)
-                    ),
-                ),
+                ("text:Verdict", lambda r: shown if "value" in r else not_shown),
                 *p.estimates("number:Value (SI)", "number:± std (SI)"),
             ],
             "What the joint's own torque adds to what the links further out have shown already; "
@@ -332,7 +317,7 @@ def _stage(stage: Result) -> list[Block | None]:
     ]
 
 
-def _payload(payload: Result | None) -> list[Block | None]:
+def _payload(payload: Result | None) -> p.Blocks:
     """What the arm carries: mass, centre of mass and inertia, and how well they are known."""
     if payload is None:
         return []
@@ -340,14 +325,13 @@ def _payload(payload: Result | None) -> list[Block | None]:
         _payload_facts(payload),
         p.notes([v.sentence(each) for each in v.words(payload, "shortcomings")], p.FAIR),
         p.notes([v.sentence(each) for each in v.words(payload, "notes")]),
-        payload_figure(payload),
         p.table(
             v.records(payload, "parameters"),
             [
                 ("name:Parameter", "name"),
                 *p.estimates(),
                 ("text:Unit", "unit"),
-                ("text:Decided by", "prior_dominated", lambda p: "expectation" if p else "data"),
+                ("text:Decided by", "prior_dominated", lambda x: "expectation" if x else "data"),
             ],
             "Standard parameters of the body about the frame of its joint, physically consistent. "
             "The motion does not show those decided by the expectation (a ball at the flange).",
@@ -355,22 +339,23 @@ def _payload(payload: Result | None) -> list[Block | None]:
     ]
 
 
-def _payload_facts(payload: Result) -> Facts | None:
+def _payload_facts(payload: Result) -> p.Facts | None:
+    """Mass and centre of mass; good where two standard deviations are 2 % and 3 mm at most."""
     m, s = v.real(payload, "mass", "value"), v.real(payload, "mass", "std")
     if m is None:
         return None
-    tone = p.PLAIN if s is None else p.GOOD if _BAND * s <= 0.02 * abs(m) else p.FAIR
+    tone = p.PLAIN if s is None else p.GOOD if 2 * s <= 0.02 * abs(m) else p.FAIR
     remark = f"one standard deviation; held by {v.text(payload, 'link')}"
-    found = [Fact("Mass", f"{' ± '.join(v.value_and_std(m, s))}\u00a0kg", remark, tone, m)]
+    found = [p.Fact("Mass", f"{' ± '.join(v.value_and_std(m, s))}\u00a0kg", remark, tone, m)]
     centre, std = (1e3 * v.reals(payload, "centre_of_mass", key) for key in ("value", "std"))
     for axis, c, each in zip("xyz", centre, std, strict=False):
+        label, tone = f"Centre of mass, {axis}", p.GOOD if 2 * each <= 3 else p.FAIR
         value = f"{' ± '.join(v.value_and_std(c, each))}\u00a0mm"
-        tone = p.GOOD if _BAND * each <= 3 else p.FAIR
-        found.append(Fact(f"Centre of mass, {axis}", value, "in the frame of its joint", tone, c))
+        found.append(p.Fact(label, value, "in the frame of its joint", tone, c))
     return p.facts(*found)
 
 
-def _online(result: Result, series: Series) -> Parts:
+def _online(result: Result, series: Series) -> p.Parts:
     """Parts of the page that `identify --online` adds; none without its result."""
     if v.at(result, "online") is None:
         return []
@@ -390,20 +375,17 @@ def _online(result: Result, series: Series) -> Parts:
     ]
 
 
-def _online_facts(result: Result) -> Facts | None:
-    converged = v.at(result, "online", "converged")
-    state = {True: "yes", False: "not yet"}.get(converged, "")
+def _online_facts(result: Result) -> p.Facts | None:
+    state = {True: "yes", False: "not yet"}.get(v.at(result, "online", "converged"), "")
     t, level = excitation_levels(result)
     judged = np.isfinite(level)
     share = float((level[judged] >= ENOUGH).mean()) if judged.any() else None
-    delay_s = v.real(result, "online", "delay_s")
-    delay = None if delay_s is None else 1e3 * delay_s
+    delay_s, span = v.real(result, "online", "delay_s"), np.ptp(t) if len(t) else None
+    delay, aged = None if delay_s is None else 1e3 * delay_s, "age of the newest instant"
     converging = "every joint's torque is known better than one row of data shows it"
     return p.facts(
-        Fact("Converged", state, converging, p.GOOD if state == "yes" else p.FAIR),
+        p.Fact("Converged", state, converging, p.GOOD if state == "yes" else p.FAIR),
         p.fact("Exciting enough", share, v.percent, f"of the windows at {judged.sum()} looks"),
-        p.fact(
-            "Delay", delay, v.unit_of("ms"), "age of the newest instant that the estimate is of"
-        ),
-        p.fact("Duration", np.ptp(t) if len(t) else None, v.unit_of("s"), f"{len(t)} looks kept"),
+        p.fact("Delay", delay, v.unit_of("ms"), f"{aged} that the estimate is of"),
+        p.fact("Duration", span, v.unit_of("s"), f"{len(t)} looks kept"),
     )

@@ -17,7 +17,8 @@ from excitant.robots.motion import Array
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_CURVES = (
+_Curve = tuple[str, str, str, tuple[str, str]]
+_CURVES: tuple[_Curve, ...] = (
     ("position", "q", draw.FITTED, ("rad", "m")),
     ("velocity", "dq", draw.GREEN, ("rad/s", "m/s")),
     ("acceleration", "ddq", draw.PURPLE, ("rad/s²", "m/s²")),
@@ -63,7 +64,7 @@ class Envelope:
 
 def envelope_of(result: Result, name: str, joint: int) -> Envelope | None:
     """The certified envelope of a quantity of a joint, or None where there is no limit."""
-    rows, limits = v.at(result, "certified", name), limit_of(result, name, joint)
+    rows, limits = v.at(result, "certified", name), _limit_of(result, name, joint)
     row = rows[joint] if isinstance(rows, list) and joint < len(rows) else None
     names, worst = v.items(result, "joints"), v.at(result, "worst", name)
     if row is None and joint < len(names) and v.at(worst, "joint") in (names[joint], joint):
@@ -77,7 +78,7 @@ def envelope_of(result: Result, name: str, joint: int) -> Envelope | None:
     return None if low is None or high is None else Envelope(low, high, ratio, v.real(row, "t"))
 
 
-def limit_of(result: Result, name: str, joint: int) -> tuple[float, float] | None:
+def _limit_of(result: Result, name: str, joint: int) -> tuple[float, float] | None:
     """Lower and upper limit of a quantity of a joint, or None where it has none."""
     values = v.at(result, "limit_values", name)
     value = values[joint] if isinstance(values, list) and joint < len(values) else None
@@ -97,54 +98,58 @@ def share_of_limit(ratio: object) -> str:
 
 def motion_figure(joints: Sequence[str], result: Result, series: Series) -> Figure | None:
     """Position, velocity, acceleration, jerk and torque of each joint against their limits."""
-    rows = [row for row in _CURVES if any(_has(series, row[1], k) for k in range(len(joints)))]
-    panels = [_panel(k, joint, rows, result, series) for k, joint in enumerate(joints)]
-    if not any(limit_of(result, row[0], k) for row in rows for k in range(len(joints))):
+    t, count = v.times(series), len(joints)
+    if t is None:
+        return None
+    known: dict[tuple[str, int], Array] = {
+        (row[0], k): values
+        for row in _CURVES
+        for k in range(count)
+        if (values := v.curve(series, row[1], k)) is not None and len(values) == len(t)
+    }
+    rows = [row for row in _CURVES if any((row[0], k) in known for k in range(count))]
+    panels = [
+        _panel(k, joint, rows, {row[0]: known.get((row[0], k)) for row in rows}, t, result)
+        for k, joint in enumerate(joints)
+        if any((row[0], k) in known for row in rows)
+    ]
+    if not any(_limit_of(result, row[0], k) for row in rows for k in range(count)):
         caption = "The motion of every joint; the arm has no limits to compare it with."
         return figure(panels, caption)
-    caption = _CERTIFIED if v.at(result, "certified") else _SAMPLED
     legend = (
         Key("dash", draw.MEASURED, "limit"),
         Key("box", "#cfe3f1", "certified envelope"),
         Key("ring", draw.MEASURED, "where it is touched"),
     )
-    return figure(panels, caption, legend)
-
-
-def _has(series: Series, key: str, joint: int) -> bool:
-    t, values = v.times(series), v.curve(series, key, joint)
-    return t is not None and values is not None and len(values) == len(t)
+    return figure(panels, _CERTIFIED if v.at(result, "certified") else _SAMPLED, legend)
 
 
 def _panel(
     k: int,
     joint: str,
-    rows: Sequence[tuple[str, str, str, tuple[str, str]]],
+    rows: Sequence[_Curve],
+    curves: dict[str, Array | None],
+    t: Array,
     result: Result,
-    series: Series,
-) -> Panel | None:
+) -> Panel:
     """The curves of one joint one above the other."""
-    t = v.times(series)
-    if t is None or not any(_has(series, row[1], k) for row in rows):
-        return None
     time, joins = draw.timeline(t)
     height = len(rows) * (_ROW + _ABOVE) + _BELOW
     stack = draw.axes(height, [1.0] * len(rows), top=_ABOVE, space=_ABOVE / _ROW)
     turns = v.items(result, "revolute")
     slides = k < len(turns) and turns[k] is False
     said = []
-    for ax, (name, key, colour, units) in zip(stack, rows, strict=True):
-        ax.set_title(
-            f"{name} [{units[slides]}]", loc="left", fontsize=8.5, pad=2.5, color=draw.ink(colour)
-        )
-        values = v.curve(series, key, k) if _has(series, key, k) else None
+    for ax, (name, _, colour, units) in zip(stack, rows, strict=True):
+        look: Any = {"fontsize": 8.5, "pad": 2.5}
+        ax.set_title(f"{name} [{units[slides]}]", loc="left", color=draw.ink(colour), **look)
+        values = curves[name]
         if values is None:
             ax.set_yticks([])
             continue
         draw.draw_curve(ax, time, joins, values, color=colour, lw=1.1)
-        limits, within = limit_of(result, name, k), envelope_of(result, name, k)
+        limits, within = _limit_of(result, name, k), envelope_of(result, name, k)
         remark = _against(ax, time, t, values, colour, limits, within)
-        ax.set_title(remark, loc="right", fontsize=8.5, pad=2.5, color="#5a626a")
+        ax.set_title(remark, loc="right", color="#5a626a", **look)
         said.append(f"{name} {remark}")
         draw.few_ticks(ax.yaxis, 3)
     stack[-1].set_xlim(time[0], time[-1])
@@ -207,10 +212,10 @@ def spectrum_figure(series: Series) -> Figure | None:
         fill, mark = (colour, "dot") if key == "final" else ("none", "ring")
         ax.plot(1 + np.arange(len(sizes)), sizes, "o", ms=3.6, mec=colour, mfc=fill, mew=0.9)
         said.append(f"{name}: {len(sizes)} values, ratio {v.number(sizes[0] / sizes[-1])}")
-        legend.append(Key(mark, colour, name))
+        legend += [Key(mark, colour, name)] * designed
     draw.log_y(ax)
     ax.set_xlim(left=0)
-    draw.whole_ticks(ax)
+    draw.few_ticks(ax.xaxis, 6, integer=True)
     ax.set_xlabel("direction in parameter space, best seen first")
     draw.label_y(ax, "singular value [N·m]" if designed else "singular value [–]")
     caption = (
@@ -221,8 +226,7 @@ def spectrum_figure(series: Series) -> Figure | None:
         else "Singular values of the normalised observation matrix: directions far below the "
         "others are hardly seen in this motion, and their estimates are uncertain."
     )
-    drawing = draw.panel(ax, f"singular values; {'; '.join(said)}")
-    return Figure((drawing,), caption, tuple(legend) if designed else ())
+    return draw.single(ax, f"singular values; {'; '.join(said)}", caption, legend)
 
 
 def _positive(series: Series, key: str) -> Array:
@@ -246,8 +250,7 @@ def convergence_figure(result: Result) -> Figure | None:
         last = int(np.flatnonzero(np.isfinite(history))[-1])
         ax.plot(last, history[last], "o", ms=3, color=colour)
     legend = [Key("line", draw.FITTED, "best start")]
-    if len(starts) > 1:
-        legend.append(Key("line", draw.LIGHT, "other starts"))
+    legend += [Key("line", draw.LIGHT, "other starts")] * (len(starts) > 1)
     bound = v.real(result, "condition_number", "lower_bound")
     if bound is not None and bound > 0:
         ax.axhline(bound, color=draw.AMBER, lw=1.2, ls=_DASHED)
@@ -256,13 +259,10 @@ def convergence_figure(result: Result) -> Figure | None:
     if reached.min() > 0 and reached.max() > 8 * reached.min():
         draw.log_y(ax)
     ax.set_xlim(left=0)
-    draw.whole_ticks(ax)
+    draw.few_ticks(ax.xaxis, 6, integer=True)
     ax.set_xlabel("iteration")
     draw.label_y(ax, "condition number [–]")
-    label = (
-        f"condition number over iterations of {len(starts)} starts; "
-        f"best ends at {v.number(ends[best])}"
-    )
+    count = f"{len(starts)} starts; best ends at {v.number(ends[best])}"
     caption = (
         "Each start of the optimisation, a dot where it ended: several that end at the same height "
         "suggest that a much better motion does not exist."
@@ -270,7 +270,7 @@ def convergence_figure(result: Result) -> Figure | None:
     cut = sum(v.text(row, "status").replace("_", " ") == "time limit" for row, _ in starts)
     if cut:
         caption += f" The time limit ended {cut} of these {len(starts)}: more time may find better."
-    return Figure((draw.panel(ax, label),), caption, tuple(legend))
+    return draw.single(ax, f"condition number over iterations of {count}", caption, legend)
 
 
 def correlation_figure(series: Series) -> Figure | None:
@@ -282,26 +282,26 @@ def correlation_figure(series: Series) -> Figure | None:
 
     r = len(matrix)
     (ax,) = draw.axes(3.75, left=0.42)
-    ends = (0.5, r + 0.5)
     ax.imshow(
         np.nan_to_num(matrix),
         cmap=LinearSegmentedColormap.from_list("signed", [draw.FITTED, "#ffffff", draw.GIVEN]),
         vmin=-1,
         vmax=1,
         interpolation="nearest",
-        extent=(*ends, *ends[::-1]),
+        extent=(0.5, r + 0.5, r + 0.5, 0.5),
         aspect="equal",
     )
     ax.grid(visible=False)
     ax.set_xlabel("number of the base parameter")
     strong = int((np.abs(np.triu(matrix, 1)) > 0.9).sum())
-    return Figure(
-        (draw.panel(ax, f"correlations of {r} base parameters; {strong} pairs beyond 0.9"),),
+    return draw.single(
+        ax,
+        f"correlations of {r} base parameters; {strong} pairs beyond 0.9",
         "Correlation of the estimates of each two base parameters, numbered as in the table of "
         "all: a strong colour off the diagonal means that this motion shows the two mostly "
         "together, so that one can make up for the other.",
-        (
+        [
             Key("box", draw.GIVEN, "rise together (+1)"),
             Key("box", draw.FITTED, "one rises, the other falls (−1)"),
-        ),
+        ],
     )

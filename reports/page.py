@@ -23,13 +23,7 @@ LONG = 12  # rows from which on a table of estimates is folded
 
 @dataclass(frozen=True)
 class Cell:
-    """One table cell.
-
-    Attributes:
-        text: What it says.
-        tone: Judgement behind its colour: good, fair, poor or none.
-        value: The number written, by which runs are compared; None for words.
-    """
+    """One table cell: its text, its judgement, and the number written (None for words)."""
 
     text: str
     tone: str = PLAIN
@@ -69,7 +63,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Key:
-    """One item of a legend: a mark (``line``, ``dash``, ``box``, ``dot``) in a colour."""
+    """One item of a legend: a mark (``line``, ``dash``, ``box``, ``dot``, ``ring``) in a colour."""
 
     mark: str
     colour: str
@@ -78,13 +72,7 @@ class Key:
 
 @dataclass(frozen=True)
 class Figure:
-    """Small multiples that share a legend.
-
-    Attributes:
-        panels: The drawings; side by side where there is room.
-        caption: One sentence that says what to see.
-        legend: Of all panels.
-    """
+    """Small multiples that share a legend; the caption says what to see."""
 
     kind: ClassVar[str] = "figure"
 
@@ -95,15 +83,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Matrix:
-    """Categories of things by row and column, e.g. parameters by link.
-
-    Attributes:
-        corner: Heading of the row names.
-        columns: Column names.
-        rows: Name and categories of each row.
-        caption: One sentence that says what to see.
-        legend: Category and its meaning.
-    """
+    """Categories by row and column, e.g. parameters by link; legend: category and its meaning."""
 
     kind: ClassVar[str] = "matrix"
 
@@ -174,8 +154,9 @@ class Folded:
 
 
 Block = Table | Figure | Matrix | Facts | Notes | Folded
+Blocks = list[Block | None]
+Parts = list[tuple[str, Blocks]]
 Brief = tuple[tuple[str, str], ...]
-Parts = list[tuple[str, list[Block | None]]]
 
 
 @dataclass(frozen=True)
@@ -188,14 +169,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Section:
-    """One verb's result.
-
-    Attributes:
-        title: Heading.
-        lead: The result in a sentence or two.
-        parts: What supports it.
-        brief: The result for the terminal: label and words of each line.
-    """
+    """One verb's result: the lead says it, the parts support it, the terminal shows the brief."""
 
     title: str
     lead: str
@@ -214,8 +188,9 @@ class Page:
     brief: Brief = ()
 
 
+Write = Callable[[Any], str]
 Source = str | Callable[[Result], Cell | str]
-Column = tuple[str, Source] | tuple[str, Source, Callable[[Any], str]]
+Column = tuple[str, Source] | tuple[str, Source, Write]
 
 
 def table(
@@ -245,9 +220,7 @@ def table(
     return Table(heads, cells, caption, folded, brief)
 
 
-def _cell(
-    row: Result, head: str, source: Source, write: Callable[[Any], str] | None = None
-) -> Cell:
+def _cell(row: Result, head: str, source: Source, write: Write | None = None) -> Cell:
     if not isinstance(source, str):
         found = source(row)
         return found if isinstance(found, Cell) else Cell(found)
@@ -255,9 +228,7 @@ def _cell(
     value = v.at(row, *keys)
     if write is None and head.startswith("number:"):
         write = v.number
-    written = (
-        write(value) if write is not None else v.listing(v.words(row, *keys), v.text(row, *keys))
-    )
+    written = write(value) if write else v.listing(v.words(row, *keys), v.text(row, *keys))
     return Cell(written or NONE, PLAIN, v.real(value))
 
 
@@ -286,14 +257,17 @@ def quality(rel_std: float | None) -> str:
     return GOOD if abs(rel_std) < 0.05 else FAIR if abs(rel_std) < 0.3 else POOR
 
 
+def numbered(rows: Sequence[Result]) -> list[Result]:
+    """Records with their number, from 1, under the key ``k``."""
+    return [{**row, "k": str(k)} for k, row in enumerate(rows, start=1)]
+
+
 def folded(title: str, count: int, most: int = LONG) -> str:
     """A line to fold a long table behind; empty for a short one."""
     return title if count > most else ""
 
 
-def fact(
-    label: str, value: object, write: Callable[[Any], str], remark: str = "", tone: str = PLAIN
-) -> Fact:
+def fact(label: str, value: object, write: Write, remark: str = "", tone: str = PLAIN) -> Fact:
     """A figure of merit that is a number."""
     known = v.real(value)
     return Fact(label, NONE if known is None else write(known), remark, tone, known)
@@ -328,7 +302,5 @@ def files(names: Sequence[str]) -> Notes | None:
 
 def section(title: str, lead: str, parts: Parts, brief: Brief = ()) -> Section:
     """A section without the blocks that are None and the parts that are left empty."""
-    kept = [(heading, tuple(b for b in blocks if b is not None)) for heading, blocks in parts]
-    return Section(
-        title, lead, tuple(Part(heading, blocks) for heading, blocks in kept if blocks), brief
-    )
+    kept = (Part(heading, tuple(b for b in blocks if b is not None)) for heading, blocks in parts)
+    return Section(title, lead, tuple(part for part in kept if part.blocks), brief)

@@ -7,33 +7,50 @@ import math
 from excitant.reports import page as p
 from excitant.reports import values as v
 from excitant.reports.arm_figures import arm_figure
-from excitant.reports.page import Block, Cell, Column, Facts, Section, Table
 from excitant.reports.values import NONE, Result, Series
 
 _FULL = 0.9  # of its effort limit that gravity takes: hardly any left to move
 
 
-def robot_section(result: Result, series: Series) -> Section:
+def robot_section(result: Result, series: Series) -> p.Section:
     """An arm with its picture, tables and warnings."""
+    joints, kind = v.records(result, "joints"), v.text(result, "kind") or "an arm"
+    count, sliding = _count(len(joints), "joint"), sum(not _turns(joint) for joint in joints)
+    mass, total = (v.quantity(v.at(result, key), "kg", 4) for key in ("mass", "total_mass"))
+    what = f"{count} ({sliding} of them sliding)" if sliding else count
+    found, hints = _said(result, False), _said(result, True)
+    verdict = "Nothing in its description looks wrong."
+    if found:
+        things = _count(len(found), "thing")
+        verdict = f"{things} in its description look{'s' * (len(found) == 1)} wrong."
+    elif hints:
+        verdict = f"No warning, and {_count(len(hints), 'hint')} about its description."
+    size = "" if hints else " and of the links' size"
+    sound = (
+        f"No warning: inertias are physical{size}, axes and "
+        "limits are complete, and each joint can hold the arm in every pose."
+    )
     return p.section(
         "Robot",
-        _lead(result),
+        f"{kind[:1].upper()}{kind[1:]}: {what}, {mass} of moving links. {verdict}",
         [
-            ("Key figures", [_facts(result)]),
-            ("Warnings", _warnings(result)),
+            ("Key figures", [_facts(result, len(found), len(hints))]),
+            (
+                "Warnings",
+                [
+                    p.notes([] if found else [sound], p.GOOD),
+                    p.notes(found, p.POOR, brief="WARNING"),
+                    p.notes(hints, p.FAIR, brief="hint"),
+                    p.notes(v.words(result, "notes")),
+                ],
+            ),
             ("The arm", [arm_figure(series)]),
-            ("Joints", [_joints(result)]),
+            ("Joints", [_joints(joints)]),
             ("Links", [_links(result)]),
             ("Friction and drives", [_effects(result)]),
             ("Sources", [p.notes(v.words(result, "sources"))]),
         ],
-        (
-            (
-                "checked",
-                f"{_count(len(v.records(result, 'joints')), 'joint')}, "
-                f"{v.quantity(v.at(result, 'total_mass'), 'kg', 4)}. {_verdict(result)}",
-            ),
-        ),
+        (("checked", f"{count}, {total}. {verdict}"),),
     )
 
 
@@ -45,74 +62,35 @@ def _said(result: Result, hint: bool) -> list[str]:
     ]
 
 
-def _lead(result: Result) -> str:
-    joints, kind = v.records(result, "joints"), v.text(result, "kind") or "an arm"
-    sliding = sum(v.text(j, "kind") == "prismatic" for j in joints)
-    what = _count(len(joints), "joint") + (f" ({sliding} of them sliding)" if sliding else "")
-    mass = v.quantity(v.at(result, "mass"), "kg", 4)
-    lead = f"{kind[:1].upper()}{kind[1:]}: {what}, {mass} of moving links"
-    return f"{lead}. {_verdict(result)}"
-
-
-def _verdict(result: Result) -> str:
-    found, hints = len(_said(result, False)), len(_said(result, True))
-    if found:
-        return f"{_count(found, 'thing')} in its description look{'s' * (found == 1)} wrong."
-    if hints:
-        return f"No warning, and {_count(hints, 'hint')} about its description."
-    return "Nothing in its description looks wrong."
-
-
 def _count(n: int, what: str) -> str:
     return f"{n} {what}{'s' * (n != 1)}"
 
 
-def _facts(result: Result) -> Facts | None:
-    found, hints = len(_said(result, False)), len(_said(result, True))
+def _facts(result: Result, found: int, hints: int) -> p.Facts | None:
     stated = v.real(result, "stated_mass")
     mass = f"{v.quantity(v.at(result, 'total_mass'), 'kg', 4)} with the base, as far as given"
     mass += "" if stated is None else f"; stated: {v.quantity(stated, 'kg', 4)}"
+    tone = p.POOR if found else p.GOOD
     return p.facts(
         p.fact("Joints", len(v.records(result, "joints")), v.whole),
         p.fact("Moving mass", v.at(result, "mass"), v.unit_of("kg", 4), mass),
         p.fact("Base parameters", v.at(result, "base_parameters"), v.whole, "of rigid links"),
-        p.fact(
-            "Warnings", found, v.whole, f"and {_count(hints, 'hint')}", p.POOR if found else p.GOOD
-        ),
+        p.fact("Warnings", found, v.whole, f"and {_count(hints, 'hint')}", tone),
     )
 
 
-def _warnings(result: Result) -> list[Block | None]:
-    found, hints = _said(result, False), _said(result, True)
-    size = "" if hints else " and of the links' size"
-    sound = (
-        f"No warning: inertias are physical{size}, axes and limits are complete, and each joint "
-        "can hold the arm in every pose."
-    )
-    return [
-        p.notes([] if found else [sound], p.GOOD),
-        p.notes(found, p.POOR, brief="WARNING"),
-        p.notes(hints, p.FAIR, brief="hint"),
-        p.notes(v.words(result, "notes")),
-    ]
-
-
-def _joints(result: Result) -> Table | None:
-    rows: list[Result] = [
-        {**joint, "label": f"{k}.\u00a0{v.text(joint, 'name')}"}
-        for k, joint in enumerate(v.records(result, "joints"), start=1)
-    ]
+def _joints(joints: list[Result]) -> p.Table | None:
     return p.table(
-        rows,
+        p.numbered(joints),
         [
-            ("name:Joint", "label"),
+            ("name:Joint", lambda r: f"{r['k']}.\u00a0{v.text(r, 'name')}"),
             ("name:Link", "link"),
             ("number:Range", _range),
             _limit("Speed", "velocity", "rad/s", "m/s"),
             _limit("Acceleration", "acceleration", "rad/s²", "m/s²"),
             _limit("Effort limit", "torque", "N·m", "N"),
             _limit("Gravity, at most", "gravity_torque", "N·m", "N"),
-            ("number:Of the limit", lambda r: Cell(v.percent(_share(r)), _tone(r), _share(r))),
+            ("number:Of the limit", lambda r: p.Cell(v.percent(_share(r)), _tone(r), _share(r))),
         ],
         "Joints in order from the base, with the limits that a design holds; – means no limit. "
         "Gravity, at most: the largest torque that holding the arm takes within the ranges.",
@@ -123,11 +101,11 @@ def _turns(joint: Result) -> bool:
     return v.text(joint, "kind") != "prismatic"
 
 
-def _limit(heading: str, key: str, angular: str, linear: str) -> Column:
-    def cell(joint: Result) -> Cell:
+def _limit(heading: str, key: str, angular: str, linear: str) -> p.Column:
+    def cell(joint: Result) -> p.Cell:
         value, unit = v.real(joint, key), angular if _turns(joint) else linear
         tone = _tone(joint) if key == "gravity_torque" else p.PLAIN
-        return Cell(v.quantity(value, unit), tone, value)
+        return p.Cell(v.quantity(value, unit), tone, value)
 
     return (f"number:{heading}", cell)
 
@@ -152,13 +130,16 @@ def _range(joint: Result) -> str:
     return f"{low}° to {high}°"
 
 
-def _links(result: Result) -> Table | None:
+def _links(result: Result) -> p.Table | None:
     def carrier(link: Result) -> str:
         with_ = v.text(link, "moves_with")
         return "itself" if with_ == v.text(link, "link") else with_ or "base (fixed)"
 
     def com(link: Result) -> str:
         return ", ".join(v.number(0.0 if abs(x) < 1e-7 else 1e3 * x) for x in v.reals(link, "com"))
+
+    def moments(link: Result) -> str:
+        return ", ".join(v.number(x) for x in v.reals(link, "principal_moments"))
 
     def milli(value: object) -> str:
         return v.number(1e3 * (v.real(value) or 0.0))
@@ -170,10 +151,7 @@ def _links(result: Result) -> Table | None:
             ("text:Moves with", carrier),
             ("number:Mass [kg]", "mass", v.number4),
             ("number:Centre of mass x, y, z [mm]", com),
-            (
-                "number:Principal moments [kg·m²]",
-                lambda r: ", ".join(v.number(x) for x in v.reals(r, "principal_moments")),
-            ),
+            ("number:Principal moments [kg·m²]", moments),
             ("number:Radius of gyration [mm]", "radius_of_gyration", milli),
             ("number:Size [mm]", "size", milli),
         ],
@@ -183,22 +161,19 @@ def _links(result: Result) -> Table | None:
     )
 
 
-def _effects(result: Result) -> Table | None:
+def _effects(result: Result) -> p.Table | None:
+    """Parameters of friction and drives, one column a symbol."""
     values = {v.text(each, "name"): each for each in v.records(result, "effect_values")}
-    kinds = {
-        name.rpartition(".")[2]: v.plain(v.text(each, "effect"))
-        for name, each in values.items()
-        if name
-    }
 
-    def column(symbol: str, effect: str) -> Column:
-        def cell(joint: Result) -> Cell:
+    def column(symbol: str, effect: str) -> p.Column:
+        def cell(joint: Result) -> p.Cell:
             found = values.get(f"{v.text(joint, 'name')}.{symbol}")
             value = v.real(found, "value")
-            return Cell(v.quantity(value, v.text(found, "unit")), p.PLAIN, value)
+            return p.Cell(v.quantity(value, v.text(found, "unit")), p.PLAIN, value)
 
         return (f"number:{effect[:1].upper()}{effect[1:]} {symbol}", cell)
 
+    kinds = {n.rpartition(".")[2]: v.plain(v.text(r, "effect")) for n, r in values.items() if n}
     return p.table(
         v.records(result, "joints") if kinds else [],
         [("name:Joint", "name"), *(column(*each) for each in kinds.items())],

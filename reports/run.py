@@ -1,4 +1,4 @@
-"""Run directories: a result saved whole or not at all, and read back."""
+"""Run directories, saved whole or not at all, and read back; reports of nouns without one."""
 
 from __future__ import annotations
 
@@ -10,21 +10,24 @@ import secrets
 import shutil
 import zipfile
 from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from excitant.exceptions import BadInput
 from excitant.reports.page import Page
+from excitant.reports.pages import page_of
 from excitant.reports.render import html, summary
-from excitant.reports.sections import page_of
 from excitant.robots.motion import Array
 
 RESULT, SERIES, SUMMARY, REPORT = "result.json", "series.npz", "summary.txt", "report.html"
 
 _LONG = 1000  # values; longer arrays are saved in single precision where that loses nothing
 _SINGLE = 1e-6  # of an array's range: error allowed to single precision
+_HEIGHT = 640  # pixels of a report's frame in a notebook
 
 
 def save_run(
@@ -199,3 +202,44 @@ def write_all(directory: Path, contents: Mapping[str, bytes]) -> list[Path]:
             shutil.rmtree(missing[-1], ignore_errors=True)
         raise
     return [path for _, path in staged]
+
+
+@runtime_checkable
+class Reportable(Protocol):
+    """What says of itself what a report shows: a design, an identifiability, a diagnosis, ..."""
+
+    def result(self) -> Mapping[str, Any]:
+        """What ``result.json`` says."""
+
+    def series(self) -> Mapping[str, Array]:
+        """The arrays that its figures draw."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """A page with all figures as HTML, which needs no network; it shows itself in a notebook."""
+
+    html: str
+
+    def save(self, path: str | Path) -> Path:
+        """Write the page to a file."""
+        Path(path).write_text(self.html, encoding="utf-8")
+        return Path(path)
+
+    def _repr_html_(self) -> str:
+        frame = f"width:100%;height:{_HEIGHT}px;border:0"
+        return f'<iframe srcdoc="{escape(self.html)}" style="{frame}"></iframe>'
+
+
+def report(noun: Reportable) -> Report:
+    """The page that the command line would write of a result, figures included.
+
+    Args:
+        noun: A design, an estimate, an identifiability, a diagnosis or a rehearsal.
+
+    Raises:
+        BadInput: Something else.
+    """
+    if not isinstance(noun, Reportable):
+        raise BadInput(f"a {type(noun).__name__} has no report; give what a verb returned")
+    return Report(html(page_of(*as_saved(noun.result(), noun.series()))))

@@ -89,8 +89,11 @@ def array(series: Series, key: str, *shape: int | None) -> Array | None:
         return None
     if any(n not in (None, m) for n, m in zip(shape, values.shape, strict=True)):
         return None
-    found = values.astype(float)
-    return found if np.isfinite(found).any() else None
+    return _finite(values.astype(float))
+
+
+def _finite(values: Array) -> Array | None:
+    return values if np.isfinite(values).any() else None
 
 
 def curve(series: Series, key: str, joint: int | None = None) -> Array | None:
@@ -98,9 +101,7 @@ def curve(series: Series, key: str, joint: int | None = None) -> Array | None:
     if joint is None:
         return array(series, key, None)
     table = array(series, key, None, None)
-    if table is None or joint >= table.shape[1]:
-        return None
-    return table[:, joint] if np.isfinite(table[:, joint]).any() else None
+    return None if table is None or joint >= table.shape[1] else _finite(table[:, joint])
 
 
 def times(series: Series) -> Array | None:
@@ -175,7 +176,7 @@ def percent(value: object, digits: int = 2) -> str:
 
 def quantity(value: object, unit: str, digits: int = 3) -> str:
     """A number with its unit."""
-    return number(value, digits) if real(value) is None else f"{number(value, digits)}\u00a0{unit}"
+    return number(value, digits) + (f"\u00a0{unit}" if real(value) is not None else "")
 
 
 def unit_of(unit: str, digits: int = 3) -> Callable[[object], str]:
@@ -189,23 +190,9 @@ def change(before: object, after: object, write: Any = number) -> str:
     return " → ".join(known) or NONE
 
 
-def combination(direction: Result) -> str:
-    """A direction in parameter space as text, e.g. ``0.81·link1.Izz − 0.52·joint2.Fv + …``.
-
-    Args:
-        direction: ``members`` with ``name`` and ``coefficient``, and their ``share`` of it.
-    """
-    written = ""
-    for member in records(direction, "members"):
-        size = real(member, "coefficient") or 0.0
-        sign = (" − " if size < 0 else " + ") if written else ("−" if size < 0 else "")
-        written += f"{sign}{abs(size):.2f}·{text(member, 'name')}"
-    return written + (" + …" if (real(direction, "share") or 0.0) < 0.99 else "")
-
-
-def listing(names: Sequence[str], none: str = NONE) -> str:
+def listing(names: Sequence[str], none: str = NONE, between: str = ", ") -> str:
     """Names in one line."""
-    return ", ".join(names) if names else none
+    return between.join(names) if names else none
 
 
 def sentence(words: str) -> str:

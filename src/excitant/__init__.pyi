@@ -16,7 +16,7 @@ from .identify import (
     load_recording,
     recording_from_table,
 )
-from .reports.notebook import report
+from .reports.run import report
 from .robots import Robot, builtin_robots, load_robot
 from .robots.virtual_arm import virtual_arm
 

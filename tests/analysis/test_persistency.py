@@ -29,6 +29,23 @@ def resting(motion: Motion, joint: int, since: float) -> Motion:
     return Motion(motion.t, q, dq, ddq)
 
 
+def test_a_motion_without_motion_shows_nothing(ur10: Robot) -> None:
+    motion = wide(ur10)
+    still = Motion(motion.t, np.tile(motion.q[0], (len(motion), 1)), 0 * motion.q, 0 * motion.q)
+    silent = persistency(ur10, still, window=5.0)
+    assert (silent.persistent, silent.shortest) == (False, None)
+    assert silent.level == pytest.approx(0.0, abs=1e-6)
+    assert set(silent.weakest.joints) >= set(ur10.joints[1:])  # gravity is along the first axis
+
+
+def test_level_is_information_per_noise(planar: Robot) -> None:
+    motion, sigma = wide(planar), np.array([0.2, 0.1])
+    one, half = (persistency(planar, motion, sigma=s).windows[0] for s in (sigma, sigma / 2))
+    # halving the noise makes four times the information, in at least as many directions
+    assert len(half.levels) >= len(one.levels)
+    assert half.levels[-1] == pytest.approx(4 * one.levels[-1], rel=1e-6)
+
+
 def test_a_motion_of_all_joints_is_exciting(ur10: Robot) -> None:
     effects = standard_effects(ur10.joints)
     motion = wide(ur10)

@@ -9,7 +9,7 @@ import pytest
 from excitant.cli import main
 from excitant.exceptions import BadInput
 from excitant.reports import SavedRun, brief, compare, html, page_of, save_run, summary
-from excitant.reports.compare import deviations
+from excitant.reports.pages import deviations
 from excitant.robots import load_robot
 from excitant.robots.check import ModelCheck
 

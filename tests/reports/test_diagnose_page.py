@@ -7,8 +7,8 @@ import pytest
 
 from excitant.reports import html, page_of
 from excitant.reports.diagnose import diagnose_section
-from excitant.reports.diagnose_figures import share_figure
 from excitant.reports.drawing import style
+from excitant.reports.error_figures import share_figure
 from excitant.reports.page import Figure, Notes
 
 SHARES = {"constant": 0.02, "direction": 0.81, "velocity": 0.83, "position": 0.0, "load": 0.8,

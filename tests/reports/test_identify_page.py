@@ -7,9 +7,9 @@ import pytest
 
 from excitant.reports import html, page_of
 from excitant.reports.drawing import axes, style
+from excitant.reports.error_figures import INTERVAL, Curves, draw_band, torque_figure
 from excitant.reports.identify import identify_section
 from excitant.reports.page import Notes, Table
-from excitant.reports.torque_figures import INTERVAL, Curves, draw_band, torque_figure
 
 LOOKS, N = 24, 400
 CURVES = Curves("given", "model as given", "identified", "identified", "caption", band="half_width")
@@ -90,7 +90,7 @@ def test_every_part_is_there_with_its_figure(page, written):
         assert re.search(f"<h3[^>]*>{part}</h3>", page), part
     said = " ".join(labels(page))
     for start in ("standard deviation over time", "excitation level over time",
-                  "torque uncertainty falls", "payload from"):  # fmt: skip
+                  "torque uncertainty falls"):  # fmt: skip
         assert start in said, start
     assert "nan" not in re.sub(r"[a-z]*nan[a-z]+|[a-z]+nan[a-z]*", "", words(page).lower())
     without = written("identify")

@@ -1,10 +1,9 @@
-"""Drawings of what options of identify add: on-line estimation, a payload, link by link."""
+"""On-line estimation over time: uncertainty, estimates, excitation and convergence."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -12,26 +11,13 @@ import numpy.typing as npt
 from excitant.reports import drawing as draw
 from excitant.reports import values as v
 from excitant.reports.page import Figure, Key, Panel, figure
-from excitant.reports.torque_figures import bars
 from excitant.reports.values import Result, Series
 from excitant.robots.motion import Array
-from excitant.robots.parameters import STANDARD, pseudo_inertia
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from excitant.robots.parameters import STANDARD
 
 ENOUGH = 1.0  # level at which the window knows as much as the prior
 _SHOWN = 6  # parameters drawn of links, and as many of joints, of the many that were estimated
 _BAND = 2.0  # standard deviations
-_DASHED = (0, (5, 3))
-_VIEWS = ((0, 2, "from the side"), (0, 1, "from above"))  # coordinates across and up
-_FRAME = 0.35  # of the drawing: length of the frame's axes
-_UNIFORM = 5.0  # squared semi-axis of a uniform ellipsoid over its variance
-_METHODS = (
-    ("given", "model as given", draw.GIVEN),
-    ("all_at_once", "all links at once", draw.GREEN),
-    ("link_by_link", "link by link", draw.FITTED),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,21 +76,15 @@ def uncertainty_figure(history: History | None) -> Figure | None:
     middle = np.median(share, axis=1)
     draw.draw_curve(ax, history.t, [], middle, color=draw.FITTED, lw=1.8)
     draw.log_y(ax)
-    _over_time(ax, history.t, "std / std at first look")
+    draw.over_time(ax, history.t, "std / std at first look")
     said = f"the median falls to {v.percent(middle[-1])} of its value at the first look"
-    caption = (
+    return draw.single(
+        ax,
+        f"standard deviation over time of {usable.sum()} base parameters; {said}",
         "Remaining uncertainty of each base parameter, relative to the first look one second "
-        f"in: {said}; a curve that stays level is a parameter that this motion does not show."
+        f"in: {said}; a curve that stays level is a parameter that this motion does not show.",
+        [Key("line", draw.FITTED, "median"), Key("line", draw.LIGHT, "each base parameter")],
     )
-    legend = (Key("line", draw.FITTED, "median"), Key("line", draw.LIGHT, "each base parameter"))
-    label = f"standard deviation over time of {usable.sum()} base parameters; {said}"
-    return Figure((draw.panel(ax, label),), caption, legend)
-
-
-def _over_time(ax: Axes, t: Array, ordinate: str) -> None:
-    ax.set_xlim(t[0], t[-1])
-    ax.set_xlabel("time [s]")
-    draw.label_y(ax, ordinate)
 
 
 def estimates_figure(history: History | None) -> Figure | None:
@@ -118,11 +98,8 @@ def estimates_figure(history: History | None) -> Figure | None:
         "joint: the band should close around a level line. A title names the leading "
         "parameter of its combination. Scaled to the second half of the time."
     )
-    legend = (
-        Key("line", draw.FITTED, "estimate"),
-        Key("box", draw.BAND, "± 2 standard deviations"),
-    )
-    return figure(panels, caption, legend)
+    band = Key("box", draw.BAND, f"± {_BAND:g} standard deviations")
+    return figure(panels, caption, [Key("line", draw.FITTED, "estimate"), band])
 
 
 def _chosen(history: History) -> list[int]:
@@ -151,7 +128,7 @@ def _estimate_panel(history: History, k: int) -> Panel:
     ax.plot(t, np.where((value > bottom) & (value < top), value, np.nan), color=draw.FITTED, lw=1.2)
     ax.set_ylim(bottom, top)
     unit, name = history.units[k], history.names[k]
-    _over_time(ax, t, f"[{unit}]" if unit else "[SI]")
+    draw.over_time(ax, t, f"[{unit}]" if unit else "[SI]")
     last = " ± ".join(v.value_and_std(value[-1], std[-1]))
     return draw.panel(ax, f"{name} over time, at the end {last} {unit}", v.shorten(name, 44))
 
@@ -168,10 +145,10 @@ def excitation_figure(result: Result) -> Figure | None:
     for first, last in spans:
         ax.axvspan(first, last, color=draw.AMBER, alpha=0.25, lw=0)
     ax.plot(t, level, "-o", color=draw.FITTED, lw=1.3, ms=2.2)
-    ax.axhline(ENOUGH, color=draw.MEASURED, lw=0.9, ls=_DASHED)
+    ax.axhline(ENOUGH, color=draw.MEASURED, lw=0.9, ls=draw.DASHED)
     ax.set_ylim(min(0.5 * level.min(), 0.5), max(2 * level.max(), 2))
     draw.log_y(ax)
-    _over_time(ax, t, "excitation level [–]")
+    draw.over_time(ax, t, "excitation level [–]")
     legend = [
         Key("line", draw.FITTED, "weakest visible direction"),
         Key("dash", draw.MEASURED, "enough"),
@@ -190,15 +167,13 @@ def excitation_figure(result: Result) -> Figure | None:
         "direction that a fast motion of all joints shows, relative to what was known beforehand. "
         f"Level 1 is enough; here {said}."
     )
-    return Figure((draw.panel(ax, f"excitation level over time; {said}"),), caption, tuple(legend))
+    return draw.single(ax, f"excitation level over time; {said}", caption, legend)
 
 
 def _spans(t: Array, bad: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:
     """Intervals in which a condition held, from the look that saw it to the next that did not."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
-    return [
-        (float(t[first]), float(t[min(last, len(t) - 1)])) for first, last in edges.reshape(-1, 2)
-    ]
+    return [(float(t[a]), float(t[min(b, len(t) - 1)])) for a, b in edges.reshape(-1, 2)]
 
 
 def convergence_figure(result: Result) -> Figure | None:
@@ -240,89 +215,8 @@ def _convergence_panel(
     ax.plot(t[seen], spread[seen], color=draw.FITTED, lw=1.3)
     said = f"{joint}: torque uncertainty falls to {v.quantity(spread[seen][-1], unit)}"
     if noise is not None and np.isfinite(noise).any():
-        ax.plot(t, noise, color=draw.MEASURED, lw=1.0, ls=_DASHED)
+        ax.plot(t, noise, color=draw.MEASURED, lw=1.0, ls=draw.DASHED)
         said += f", noise of a row {v.quantity(noise[np.isfinite(noise)][-1], unit)}"
     draw.log_y(ax)
-    _over_time(ax, t, "torque [N·m]" if unit != "A" else "current [A]")
+    draw.over_time(ax, t, "torque [N·m]" if unit != "A" else "current [A]")
     return draw.panel(ax, said, v.shorten(joint, 44))
-
-
-def payload_figure(payload: Result) -> Figure | None:
-    """The payload as a uniform ellipsoid in the frame of its joint, from two sides."""
-    phi = v.reals(
-        {"phi": [v.real(row, "value") for row in v.records(payload, "parameters")]}, "phi"
-    )
-    std = v.reals(payload, "centre_of_mass", "std")
-    mass, spread = (v.real(payload, "mass", key) or 0.0 for key in ("value", "std"))
-    known = phi.shape == (10,) and std.shape == (3,) and np.isfinite([*phi, *std]).all()
-    if not known or phi[0] <= 0 or mass < _BAND * spread:
-        return None
-    caption = (
-        "The payload in the frame of its joint, from the side and from above: the centre of mass "
-        "with a cross of ± 2 standard deviations, and the uniform ellipsoid of the same mass and "
-        "inertia, which shows about how large the body is. The axes of the frame start at the "
-        "joint."
-    )
-    legend = (
-        Key("dot", draw.GIVEN, "centre of mass, ± 2 standard deviations"),
-        Key("box", draw.BAND, "uniform ellipsoid of the same inertia"),
-        Key("line", draw.MEASURED, "frame of the joint"),
-    )
-    return Figure(tuple(_payload_view(phi, std, *view) for view in _VIEWS), caption, legend)
-
-
-def _payload_view(phi: Array, std: Array, across: int, up: int, title: str) -> Panel:
-    from matplotlib.patches import Ellipse
-
-    P = pseudo_inertia(phi)
-    centre, names = P[:3, 3] / phi[0], ("xyz"[across], "xyz"[up])
-    S = (P[:3, :3] / phi[0] - np.outer(centre, centre))[np.ix_([across, up], [across, up])]
-    variance, turn = np.linalg.eigh(S)
-    semi = np.sqrt(_UNIFORM * np.maximum(variance, 0))
-    reach = np.sqrt(_UNIFORM * np.maximum(np.diag(S), 0))
-    c, s = centre[[across, up]], _BAND * std[[across, up]]
-    low, high = (np.minimum(0, c - np.maximum(reach, s)), np.maximum(0, c + np.maximum(reach, s)))
-    size = max(float((high - low).max()), 0.02)
-    (ax,) = draw.axes(3.0)
-    angle = float(np.degrees(np.arctan2(turn[1, 1], turn[0, 1])))
-    ax.add_patch(
-        Ellipse(
-            (c[0], c[1]),
-            2 * semi[1],
-            2 * semi[0],
-            angle=angle,
-            fc=draw.BAND,
-            ec=draw.FITTED,
-            lw=0.9,
-        )
-    )
-    for tip, name in zip(_FRAME * size * np.eye(2), names, strict=True):
-        ax.annotate(
-            "", tip, (0, 0), arrowprops={"arrowstyle": "->", "color": draw.MEASURED, "lw": 1.2}
-        )
-        ax.text(1.1 * tip[0], 1.1 * tip[1], name, ha="center", va="center", color=draw.MEASURED)
-    ax.errorbar(
-        c[0], c[1], xerr=s[0], yerr=s[1], fmt="o", ms=4, color=draw.GIVEN, lw=1.2, capsize=2
-    )
-    draw.equal_axes(ax, low - 0.12 * size, np.maximum(high, 1.2 * _FRAME * size), 1.06)
-    ax.set_xlabel(f"{names[0]} [m]")
-    draw.label_y(ax, f"{names[1]} [m]")
-    said = ", ".join(
-        f"{name} {v.quantity(1e3 * x, 'mm')} ± {v.number(1e3 * each, 2)}"
-        for name, x, each in zip(names, c, std[[across, up]], strict=True)
-    )
-    return draw.panel(ax, f"payload {title}: centre of mass {said}", title)
-
-
-def link_bars(found: Result, unit: str) -> Figure | None:
-    """Errors of the model as given, of all links fitted at once and link by link."""
-    errors = []
-    for row in v.records(found, "comparison", "joints"):
-        every, std = [v.real(row, key) for key, _, _ in _METHODS], v.real(row, "measured_std")
-        shares = [None if rms is None or not std else rms / std for rms in every]
-        errors.append((v.text(row, "name"), list(zip(every, shares, strict=True))))
-    what = (
-        "Prediction error per joint on the hold-out, links fitted at once and link by link from "
-        "the same recordings"
-    )
-    return bars(errors, unit, [(label, colour) for _, label, colour in _METHODS], what)

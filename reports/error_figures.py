@@ -1,0 +1,404 @@
+"""Torque and its prediction error: over time, by joint, by quantity, by effect and per finding."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from excitant.reports import drawing as draw
+from excitant.reports import values as v
+from excitant.reports.page import Figure, Key, Panel, figure
+from excitant.reports.values import Result, Series
+from excitant.robots.motion import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+INTERVAL = "95\u00a0% interval of a reading"
+_INTERVAL_CAPTION = (
+    " The band holds 95\u00a0% of readings if noise and parameters are all that is off."
+)
+_BINS = 120
+_SHARE = "rms of residual, share of the measured torque's std"
+_THREE = (draw.GIVEN, draw.GREEN, draw.FITTED)  # colours of models, the given one first
+
+_DOMAINS = ("constant", "direction", "velocity", "position", "load", "reversal", "time")
+_BANDS = ("slower", "motion", "faster")
+_ROW, _GAP = 0.29, 0.35  # inch, cells
+_LEFT, _TOP, _BELOW, _LEAST = 1.3, 0.64, 0.06, 0.4  # inch
+_DARK = 0.55  # share from which on letters are white
+_STEPS = 12  # of the waterfall that are drawn one by one
+_POINTS, _MEDIANS, _CURVE = 2500, 24, 60  # drawn of a finding: points, medians, along the fit
+_WIDE = 0.08  # of the abscissa: across wider stretches without data no curve is drawn
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Which series are drawn against the measurement: key and legend, before and after.
+
+    The band is the half width of intervals around the model after, where a run has any.
+    """
+
+    before: str
+    before_label: str
+    after: str
+    after_label: str
+    caption: str
+    band: str = ""
+
+
+def over_holdout(unit: str) -> str:
+    """Heading of the torque figure, which shows currents where torque is recorded as such."""
+    return "Current on the hold-out" if unit == "A" else "Torque on the hold-out"
+
+
+def torque_figure(
+    joints: Sequence[str], series: Series, unit: str, curves: Curves
+) -> Figure | None:
+    """Measured torque against the model before and after, the residual below, per joint."""
+    panels = [_torque_panel(k, joint, series, unit, curves) for k, joint in enumerate(joints)]
+
+    def drawn(key: str) -> bool:
+        return any(v.curve(series, key, k) is not None for k in range(len(joints)))
+
+    legend = [
+        Key("line", draw.MEASURED, "measured"),
+        *[Key("line", draw.GIVEN, curves.before_label)] * drawn(curves.before),
+        *[Key("line", draw.FITTED, curves.after_label)] * drawn(curves.after),
+        *[Key("box", draw.BAND, INTERVAL)] * drawn(curves.band),
+    ]
+    return figure(panels, curves.caption + _INTERVAL_CAPTION * drawn(curves.band), legend)
+
+
+def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves) -> Panel | None:
+    t, measured = v.times(series), v.curve(series, "measured", k)
+    if t is None or measured is None or len(measured) != len(t):
+        return None
+    time, joins = draw.timeline(t)
+    torque, residual = draw.axes(2.7, (1.55, 1))
+    draw.draw_curve(torque, time, joins, measured, color=draw.MEASURED, lw=1.3)
+    residual.axhline(0, color="#8a8f94", lw=0.7)
+    said = []
+    half, after = (_of_rows(series, key, k, len(t)) for key in (curves.band, curves.after))
+    if half is not None and np.isfinite(half).all() and after is not None:
+        draw_band(torque, time, joins, after, half)
+        draw_band(residual, time, joins, np.zeros(len(t)), half)
+        said.append(f"{INTERVAL} ±{v.quantity(float(half.mean()), unit)}")
+    for key, label, colour in (
+        (curves.before, curves.before_label, draw.GIVEN),
+        (curves.after, curves.after_label, draw.FITTED),
+    ):
+        model = _of_rows(series, key, k, len(t))
+        if model is None:
+            continue
+        draw.draw_curve(torque, time, joins, model, color=colour, lw=0.9)
+        draw.draw_curve(residual, time, joins, measured - model, color=colour, lw=0.8)
+        finite = (measured - model)[np.isfinite(measured - model)]
+        rms = float(np.sqrt(np.mean(finite**2))) if len(finite) else None
+        said.append(f"{label} leaves rms {v.quantity(rms, unit)}")
+    draw.label_y(torque, f"torque [{unit}]" if unit != "A" else "current [A]")
+    draw.over_time(residual, time, f"residual [{unit}]")
+    return draw.panel(torque, f"{joint}: measured torque over time; {'; '.join(said)}", joint)
+
+
+def _of_rows(series: Series, key: str, joint: int, n: int) -> Array | None:
+    """One joint's column of n rows; None where a run has none."""
+    found = v.curve(series, key, joint)
+    return found if found is not None and len(found) == n else None
+
+
+def draw_band(ax: Axes, t: Array, joins: Sequence[int], centre: Array, half: Array) -> None:
+    """Fill centre ± half over time, broken where recordings were joined.
+
+    Bins take the least and the greatest edge in them, so that no part of the band is lost.
+    """
+    for first, last in zip([0, *joins], [*joins, len(t)], strict=True):
+        bins = max(20, round(_BINS * (last - first) / len(t)))
+        starts = np.unique(np.linspace(first, last, bins, endpoint=False).astype(int))
+        low = np.minimum.reduceat((centre - half)[:last], starts)
+        high = np.maximum.reduceat((centre + half)[:last], starts)
+        x = np.append(t[starts], t[last - 1])
+        low, high = np.append(low, low[-1]), np.append(high, high[-1])
+        ax.fill_between(x, low, high, color=draw.BAND, lw=0, zorder=0.5)
+
+
+def error_bars(
+    rows: Sequence[Result], models: Sequence[str], unit: str, curves: Curves, what: str
+) -> Figure | None:
+    """Errors of the models before and after, by joint, as each record holds them by model."""
+    errors = [
+        (v.text(row, "name"), [(v.real(row, m, "rms"), v.real(row, m, "nrmse")) for m in models])
+        for row in rows
+    ]
+    changed = any(rms is not None for _, pairs in errors for rms, _ in pairs[1:])
+    return bars(errors, unit, [curves.before_label, curves.after_label][: 1 + changed], what)
+
+
+def bars(
+    errors: Sequence[tuple[str, Sequence[tuple[float | None, float | None]]]],
+    unit: str,
+    models: Sequence[str],
+    what: str,
+) -> Figure | None:
+    """Errors per joint of some models as bars, the rms written beside each.
+
+    The bars' length is the share of the measured torque's standard deviation (nrmse), so that
+    large and small joints compare; without it, the rms itself.
+
+    Args:
+        errors: Of each joint: its name, then rms and nrmse of every model.
+        unit: Of the torque.
+        models: Label of each.
+        what: First words of the caption.
+    """
+    count = len(models)
+    every = [pair for _, pairs in errors for pair in pairs[:count]]
+    shares = all(share is not None or rms is None for rms, share in every)
+    known = [x for pair in every if (x := pair[shares]) is not None]
+    if not known:
+        return None
+    # one useless model must not make all other bars invisible
+    top = min(max(known), max(1.5, 4 * float(np.median(known)))) if shares else max(known)
+    top = top or 1.0
+    step, colours = 0.25 if count < 3 else 0.23, (_THREE if count == 3 else _THREE[::2][:count])
+    (ax,) = draw.axes((0.24 + 0.13 * count) * len(errors) + 0.52, left=0.14)
+    for row, (joint, pairs) in enumerate(errors):
+        ax.text(0, row - 0.36, v.shorten(joint, 40), va="center", ha="left")
+        for i, (pair, colour) in enumerate(zip(pairs, colours, strict=False)):
+            length = pair[shares]
+            if length is None:
+                continue
+            y = row + 0.045 * (count - 1) + step * (i - (count - 1) / 2)
+            ax.barh(y, min(length, top), height=0.88 * step, color=colour)
+            rms = v.quantity(pair[0], unit) + " (bar cut)" * (length > top * 1.0001)
+            ax.text(min(length, top) + 0.012 * top, y, rms, va="center", ha="left", fontsize=8)
+    _bar_axes(ax, len(errors) - (0.6 if count < 3 else 0.5), 1.38 * top)
+    if shares:
+        draw.percent_x(ax)
+    ax.set_xlabel(_SHARE if shares else f"rms [{unit}]")
+    said = [
+        f"{label} {v.quantity(pairs[i][0], unit)} at {joint}"
+        for joint, pairs in errors
+        for i, label in enumerate(models)
+    ]
+    measure = "as a share of the measured torque's standard deviation" if shares else "as rms"
+    return draw.single(
+        ax,
+        f"rms per joint: {'; '.join(said)}",
+        f"{what}, {measure}; beside each bar the rms [{unit}]: shorter is better.",
+        [Key("box", colour, label) for colour, label in zip(colours, models, strict=True)],
+    )
+
+
+def _bar_axes(ax: Axes, bottom: float, right: float) -> None:
+    """Frame for horizontal bars with their names above them."""
+    ax.set_ylim(bottom, -0.6)
+    ax.set_xlim(0, right)
+    ax.set_yticks([])
+    ax.spines["left"].set_visible(False)
+
+
+def share_figure(result: Result, unit: str, changed: bool = True) -> Figure | None:
+    """Joints by quantities: share of the squared error, as given and left over.
+
+    Args:
+        result: Of a diagnosis.
+        unit: Of the torque.
+        changed: Whether the extended model differs; else only the given one is shown.
+    """
+    joints = v.records(result, "error", "joints")
+    if not joints:
+        return None
+    panels = [_shares(joints, False, "model as given", unit)]
+    if changed:
+        panels.append(_shares(joints, True, "left by the extended model", unit))
+    said = "Orange: model as given; blue: after the findings are added. " if changed else ""
+    caption = (
+        "Percentage of each joint's squared error that goes with one quantity alone; the simplest "
+        "that explains it is framed: an offset, the direction of motion (dry friction), velocity "
+        "(viscous friction), position (springs, ripple), load (gain, load-dependent friction), "
+        "distance since the last reversal (hysteresis, backlash) or time (drift). Shares overlap. "
+        "The last three columns divide the error by frequency: slower than the motion, as fast, "
+        f"faster. A dash: not judged. {said}The rms stands beside each row, over rows at which the "
+        "joint moves."
+    )
+    return Figure(tuple(panels), caption)
+
+
+def _shares(joints: list[Result], left: bool, title: str, unit: str) -> Panel:
+    names, count = (*_DOMAINS, *_BANDS), len(joints)
+    across = [k + _GAP * (k >= len(_DOMAINS)) for k in range(len(names))]
+    height = max(_ROW * count, _LEAST) + _TOP + _BELOW
+    (ax,) = draw.axes(height, left=_LEFT, top=_TOP)
+    box, rows = ax.get_position(), _ROW * count / height
+    ax.set_position((box.x0, 1 - _TOP / height - rows, box.width, rows))
+    ax.grid(False)
+    ax.spines[:].set_visible(False)
+    for row, joint in enumerate(joints):
+        source = v.at(joint, "left") if left else joint
+        rms, before = v.real(source, "rms"), v.real(joint, "rms")
+        size = v.quantity(rms, unit, 2)
+        if left and before and rms is not None:
+            size += f", {v.percent(rms / before)} of it"
+        said = f"{v.shorten(v.text(joint, 'name'), 20)}\n{size}"
+        ax.text(-0.15, row + 0.5, said, ha="right", va="center", fontsize=7.2, linespacing=1.05)
+        for x, name in zip(across, names, strict=True):
+            group = "shares" if name in _DOMAINS else "bands"
+            colour, framed = draw.FITTED if left else draw.GIVEN, name == v.text(source, "telling")
+            _cell(ax, x, row, v.real(source, group, name), colour, framed)
+    for x, name in zip(across, names, strict=True):
+        ax.text(x + 0.35, -0.12, name, rotation=50, ha="left", va="bottom", fontsize=7.5)
+    ax.set_xlim(0, across[-1] + 1)
+    ax.set_ylim(count, 0)
+    ax.set_xticks([])
+    ax.set_yticks([])
+    worst = "; ".join(f"{v.text(j, 'name')} by {v.text(j, 'telling') or 'unknown'}" for j in joints)
+    return draw.panel(ax, f"share of the squared error by quantity, {title}: {worst}", title)
+
+
+def _cell(ax: Axes, x: float, row: int, share: float | None, colour: str, framed: bool) -> None:
+    """One share as a box of a shade, framed where it is the one to look at."""
+    from matplotlib.colors import to_rgb
+    from matplotlib.patches import Rectangle
+
+    depth = min(max(share or 0.0, 0.0), 1.0)
+    shade = [1 - depth * (1 - part) for part in to_rgb(colour)]
+    frame: Any = {"ec": "#d8dadd", "lw": 0.5, "zorder": 2}
+    if framed:
+        frame = {"ec": "#222222", "lw": 1.5, "zorder": 3}
+    ax.add_patch(Rectangle((x + 0.03, row + 0.05), 0.94, 0.9, fc=shade, **frame))
+    said = "–" if share is None else f"{100 * share:.0f}" if share < 9.995 else ">999"
+    ink, weight = "white" if depth > _DARK else "#222222", "bold" if framed else "normal"
+    look: Any = {"ha": "center", "va": "center", "fontsize": 7, "zorder": 4}
+    ax.text(x + 0.5, row + 0.52, said, color=ink, fontweight=weight, **look)
+
+
+def waterfall_figure(result: Result) -> Figure | None:
+    """Hold-out error, relative to the model as given, after each effect that was added.
+
+    The smaller effects at the end are one step.
+    """
+    steps = []
+    for row in v.records(result, "waterfall"):
+        effect, where, joints = v.text(row, "label").partition(" at ")
+        if (rms := v.real(row, "rms")) is not None:
+            steps.append((v.plain(effect) + where + joints, rms))
+    small = len(steps) - _STEPS
+    if small > 1:
+        merged = (f"+ {small} smaller causes", steps[-2][1])
+        steps = [*steps[: _STEPS - 1], merged, steps[-1]]
+    if len(steps) < 2:
+        return None
+    top, before = max(rms for _, rms in steps) or 1.0, 0.0
+    (ax,) = draw.axes(0.44 * len(steps) + 0.52, left=0.14)
+    for k, (label, rms) in enumerate(steps):
+        end, y = max(rms, before), k + 0.06
+        ax.text(0, k - 0.3, v.shorten(label, 52), va="center", ha="left")
+        ax.barh(y, rms, height=0.26, color=draw.FITTED if k else draw.GIVEN)
+        if end > rms:
+            ax.barh(y, end - rms, left=rms, height=0.26, color=draw.LIGHT)
+        ax.text(end + 0.012 * top, y, v.percent(rms, 3), va="center", fontsize=8)
+        before = rms
+    _bar_axes(ax, len(steps) - 0.65, 1.27 * top)
+    ax.set_xlabel("error on the hold-out, share of the given model's")
+    draw.few_ticks(ax.xaxis, 5)
+    ax.set_xticks([x for x in ax.get_xticks() if 0 <= x <= top])
+    draw.percent_x(ax)
+    said = "; ".join(f"{label} {v.percent(rms, 3)}" for label, rms in steps)
+    return draw.single(
+        ax,
+        f"error on the hold-out step by step: {said}",
+        "Error on the hold-out after each effect that was added, every joint relative to the "
+        "model as given: long grey pieces are effects that matter.",
+        [
+            Key("box", draw.GIVEN, "model as given"),
+            Key("box", draw.FITTED, "what remains"),
+            Key("box", draw.LIGHT, "removed by this effect"),
+        ],
+    )
+
+
+def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> Figure | None:
+    """Residual before an effect was added, over the quantity that shows it, and the fit."""
+    x, residual, fit, rival = (
+        v.curve(series, f"finding{index}_{key}") for key in ("x", "residual", "fit", "rival")
+    )
+    if x is None or residual is None or len(x) != len(residual):
+        return None
+    seen = np.isfinite(x) & np.isfinite(residual)
+    if seen.sum() < 2:
+        return None
+    order = np.flatnonzero(seen)[np.argsort(x[seen], kind="stable")]
+    fit, rival = (y if y is not None and len(y) == len(x) else None for y in (fit, rival))
+    x, residual = x[order], residual[order]
+    effect, x_label = v.plain(v.text(finding, "effect")), v.text(finding, "figure", "x_label")
+    x_label = x_label or "quantity that shows it"
+    joint = v.text(finding, "figure", "joint")
+    joint = joint or v.listing(v.words(finding, "joints"), "all joints")
+    rivals = [v.plain(v.text(each, "effect")) for each in v.records(finding, "rivals")]
+    (ax,) = draw.axes(2.6)
+    step, binned = max(1, len(x) // _POINTS), len(x) >= 4 * _MEDIANS
+    # one small picture: thousands of points would make the page heavy
+    ax.scatter(x[::step], residual[::step], s=5, c="#9aa0a6", alpha=0.35, lw=0, rasterized=True)
+    legend = [Key("dot", draw.LIGHT, "residual before")]
+    legend += [Key("dot", draw.MEASURED, "median in bins")] * binned
+    caption = (
+        f"What everything found leaves at {joint}, against {x_label}: medians that bend away "
+        "from zero are what no candidate describes."
+    )
+    if fit is not None:
+        _curve(ax, x, fit[order], color=draw.FITTED, lw=1.8)
+        legend.append(Key("line", draw.FITTED, "fitted effect"))
+        caption = (
+            f"Residual at {joint} without {effect}, everything else that was found being kept, "
+            f"against {x_label}: the blue curve is the fitted effect, and should run through the "
+            f"{'medians' if binned else 'points'}."
+        )
+    if rival is not None and rivals:
+        _curve(ax, x, rival[order], color=draw.PURPLE, lw=1.5, ls=(0, (3, 2)))
+        legend.append(Key("dash", draw.PURPLE, f"{rivals[0]} instead, fitted to these points"))
+        caption += (
+            f" Where the dashed curve of {rivals[0]} runs there too, these data cannot decide."
+        ) * (fit is not None)
+    if binned:
+        look: Any = {"ms": 4, "color": draw.MEASURED, "mec": "white", "mew": 0.7}
+        ax.plot(*_along(x, residual, _MEDIANS), "o", **look)
+    ax.margins(0.04)
+    draw.label_x(ax, x_label)
+    draw.label_y(ax, v.text(finding, "figure", "y_label") or f"residual [{unit}]")
+    rms = v.number(np.sqrt(np.mean(residual**2)))
+    label = f"{joint}: residual (rms {rms} {unit}) against {x_label}, with the fitted {effect}"
+    return draw.single(ax, label, caption, legend, joint)
+
+
+def _along(x: Array, y: Array, bins: int, fewest: int | None = None) -> tuple[Array, Array]:
+    """Median of y in equal bins of the sorted abscissa; the points themselves when few.
+
+    Bins with fewer points than ``fewest`` are left out; by default, than make a steady median.
+    """
+    if len(x) <= 2 * bins or x[-1] <= x[0]:
+        return x, y
+    lower, upper = np.quantile(x, [0.002, 0.998])
+    if upper <= lower:
+        lower, upper = x[0], x[-1]
+    edges: npt.NDArray[np.intp] = np.searchsorted(x, np.linspace(lower, upper, bins + 1))
+    least = max(3, len(x) // (40 * bins)) if fewest is None else fewest
+    pairs = [
+        (np.median(x[first:last]), np.nanmedian(y[first:last]))
+        for first, last in pairwise(edges)
+        if last - first >= least and np.isfinite(y[first:last]).any()
+    ]
+    centres, medians = np.array(pairs, dtype=float).reshape(-1, 2).T
+    return centres, medians
+
+
+def _curve(ax: Axes, x: Array, y: Array, **look: Any) -> None:
+    """Draw a fitted effect along the abscissa, broken where nothing was measured."""
+    along, height = _along(x, y, _CURVE, 1)
+    gaps = np.flatnonzero(np.diff(along, prepend=along[:1]) > _WIDE * np.ptp(along))
+    ax.plot(np.insert(along, gaps, np.nan), np.insert(height, gaps, np.nan), **look)

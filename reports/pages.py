@@ -1,0 +1,381 @@
+"""From saved results to pages: of one run, of a demonstration, of several runs side by side."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from excitant.exceptions import BadInput
+from excitant.reports import page as p
+from excitant.reports import values as v
+from excitant.reports.analyze import analyze_section, links_folded
+from excitant.reports.design import check_section, design_section, rehearse_section
+from excitant.reports.diagnose import diagnose_section
+from excitant.reports.drawing import style
+from excitant.reports.identify import identify_section
+from excitant.reports.page import Cell, Fact, Page, Section
+from excitant.reports.robot import robot_section
+from excitant.reports.values import NONE, Result, Series
+
+_SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
+    "design": design_section,
+    "check": check_section,
+    "identify": identify_section,
+    "analyze": analyze_section,
+    "diagnose": diagnose_section,
+    "robots": robot_section,
+    "rehearse": rehearse_section,
+}
+COMPARE = "compare"
+_VERBS = (*_SECTIONS, "demo", COMPARE)
+_FEW = 3  # parameters of a hidden effect that are written out
+_LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+_APART = 2.0  # standard deviations of a difference from which on estimates disagree
+_LONG = 60  # rows from which on a table is folded
+_HEADINGS = {"difference": "{} − A", "ratio": "{} / A", "deviations": "{} − A [std]"}
+_ERROR = re.compile(r"\b(rms|nrmse)\b|r²|error")  # what depends on the filter and on the rows
+_REMARKS = {
+    "robot": "The runs are of different arms: {}.",
+    "cutoff_hz": "Torque was filtered at different cut-offs, {} Hz: errors do not compare.",
+    "unit": "Torques are in different units, {}: errors do not compare.",
+    "columns": "The motions were judged by different columns, {}: condition numbers differ.",
+}
+
+
+def page_of(result: Result, series: Series) -> Page:
+    """The page of a result.
+
+    Args:
+        result: Content of ``result.json``; the page leaves out what it lacks.
+        series: Content of ``series.npz``; without it, the page has no curves.
+
+    Raises:
+        BadInput: The result's ``verb`` is none that has a report.
+    """
+    verb = v.text(result, "verb")
+    if verb not in _VERBS:
+        raise BadInput(f"result.json: verb '{verb}' has no report; known: {', '.join(_VERBS)}")
+    with style():
+        if verb == "demo":
+            return _demo_page(result, series)
+        if verb == COMPARE:
+            return _comparison_page(result)
+        only = _SECTIONS[verb](result, series)
+    return Page(_title(only.title, result), only.lead, (), (only,))
+
+
+def _title(name: str, result: Result) -> str:
+    robot = v.text(result, "robot")
+    return f"{name}: {robot}" if robot else name
+
+
+def _demo_page(result: Result, series: Series) -> Page:
+    sections = []
+    for verb, build in _SECTIONS.items():
+        if isinstance(found := v.at(result, verb), dict):
+            section = build({"robot": v.text(result, "robot"), **found}, v.part(series, verb))
+            sections.append(links_folded(section, found))
+    headline, seed = v.text(result, "diagnose", "headline"), v.text(result, "seed")
+    hidden, named = _hidden(result), v.at(result, "verdict", "correct") is True
+    ends = [v.at(result, "design", "condition_number", key) for key in ("initial", "final")]
+    condition = Fact("Condition number", v.change(*ends), "of the designed motion")
+    blocks = (
+        p.notes([headline] * bool(headline), "lead"),
+        p.facts(hidden, _verdict(result), _holdout(result), condition),
+    )
+    return Page(
+        _title("Demonstration", result),
+        "A virtual arm hides an effect from its model. A motion was designed for the model and run "
+        "on the arm, the model was identified and its identifiability analysed, and what it still "
+        "gets wrong was diagnosed" + (f" (seed {seed})." if seed else "."),
+        tuple(block for block in blocks if block is not None),
+        tuple(sections),
+        (("hidden", f"{hidden.value} (seed {seed}): {'' if named else 'not '}named"),),
+    )
+
+
+def _hidden(result: Result) -> Fact:
+    effect, joint = v.plain(v.text(result, "truth", "effect")), v.text(result, "truth", "joint")
+    values, units = v.at(result, "truth", "parameters"), _units(result)
+    said = [
+        f"{name} = {value if isinstance(value, str) else v.quantity(value, units.get(name, ''))}"
+        for name, value in (values.items() if isinstance(values, dict) else ())
+        if isinstance(value, str) or v.real(value) is not None
+    ]
+    remark = ", ".join(said[:_FEW]) + (", …" if len(said) > _FEW else "")
+    return Fact("Hidden effect", f"{effect}{' at ' * bool(joint)}{joint}", remark)
+
+
+def _units(result: Result) -> dict[str, str]:
+    """Units of parameters by the last part of their names."""
+    found = [
+        row for f in v.records(result, "diagnose", "findings") for row in v.records(f, "parameters")
+    ]
+    found += v.records(result, "identify", "parameters")
+    named = {v.text(row, "name").rpartition(".")[2]: v.text(row, "unit") for row in found}
+    return {name: unit for name, unit in named.items() if unit != "1"}
+
+
+def _verdict(result: Result) -> Fact:
+    correct, label = v.at(result, "verdict", "correct"), "Named by the diagnosis"
+    joints = v.words(result, "verdict", "joints")
+    named = v.plain(v.text(result, "verdict", "effect"))
+    named += f" at {v.listing(joints)}" if joints else ""
+    if not isinstance(correct, bool):
+        return Fact(label, NONE)
+    if correct:
+        return Fact(label, "✓ yes", named, p.GOOD)
+    return Fact(label, "✗ no", named or "nothing was named", p.POOR)
+
+
+def _holdout(result: Result) -> Fact:
+    """Error of the hidden effect's joint without and with it, else of all joints."""
+    diagnosis, joint = v.at(result, "diagnose"), v.text(result, "truth", "joint")
+    unit, label = v.text(diagnosis, "unit") or "N·m", "Hold-out error, before → after"
+    for finding in v.records(diagnosis, "findings"):
+        hidden = v.text(finding, "effect") == v.text(result, "truth", "effect")
+        before, after = (v.real(finding, "holdout", f"rms_{k}") for k in ("before", "after"))
+        if hidden and joint in v.words(finding, "joints") and after is not None:
+            errors = f"{v.number(before)} → {v.quantity(after, unit)}"
+            return Fact(label, errors, "rms without the finding and with it")
+    models = ("simulation", "extended")
+    before, after = (v.median(v.records(diagnosis, m, "joints"), "nrmse") for m in models)
+    return Fact(label, v.change(before, after, v.percent), "nrmse, median over joints")
+
+
+@dataclass(frozen=True)
+class SavedRun:
+    """A run as it was saved: its folder, ``result.json`` and ``series.npz``."""
+
+    folder: str
+    result: Result
+    series: Series
+
+
+def compare(*runs: SavedRun) -> dict[str, Any]:
+    """What runs of one command have in common and where they differ.
+
+    Their pages are walked: facts and the tables of the same heading, row by row. Differences and
+    ratios are those to the first run.
+
+    Returns:
+        A result of its own (``verb`` is ``compare``).
+
+    Raises:
+        BadInput: Fewer than two runs, more than there are letters, or runs of different commands.
+    """
+    first = runs[0]
+    verb = v.text(first.result, "verb")
+    if not 2 <= len(runs) <= len(_LETTERS):
+        raise BadInput(f"{first.folder}: name 2 to {len(_LETTERS)} runs to compare")
+    for run in runs[1:]:
+        if (other := v.text(run.result, "verb")) != verb:
+            raise BadInput(
+                f"{run.folder}: a run of '{other}', but {first.folder} is one of '{verb}'; "
+                "compare runs of one command"
+            )
+    if verb == COMPARE:
+        raise BadInput(f"{first.folder}: a comparison already; name the runs themselves")
+    pages = [page_of(run.result, {}) for run in runs]
+    remarks = _remarks(runs)
+    judged = not any("error" in remark for remark in remarks)
+    names = [PurePath(run.folder).name for run in runs]
+    return {
+        "verb": COMPARE,
+        "of": verb,
+        "robot": v.listing(list(dict.fromkeys(v.text(run.result, "robot") for run in runs))),
+        "runs": [
+            {
+                "name": run.folder if names.count(name) > 1 else name,
+                "folder": run.folder,
+                "leads": [s.lead for s in page.sections],
+            }
+            for run, name, page in zip(runs, names, pages, strict=True)
+        ],
+        "remarks": remarks,
+        "sections": _compared(pages, judged),
+    }
+
+
+def _remarks(runs: Sequence[SavedRun]) -> list[str]:
+    """What keeps the figures of the runs from being compared one to one."""
+    found = []
+    for key, said in _REMARKS.items():
+        for part in ((), ("design",), ("identify",), ("analyze",), ("diagnose",)):  # of a demo
+            values = [v.text(run.result, *part, key) for run in runs]
+            if len(set(filter(None, values))) > 1:
+                found.append(said.format(" and ".join(dict.fromkeys(values))))
+                break
+    if not _same_rows([run.series for run in runs]):
+        found.append(
+            "The runs were judged on different samples: a difference of errors may come from them."
+        )
+    return found
+
+
+def _same_rows(series: Sequence[Series]) -> bool:
+    """Whether all runs were judged on the same instants and readings, as far as is known."""
+
+    def rows(each: Series) -> list[Any]:
+        joints = range(np.asarray(each.get("measured", np.empty((0, 0)))).shape[-1])
+        return [v.times(each), *(v.curve(each, "measured", k) for k in joints)]
+
+    first, *others = (rows(each) for each in series)
+    return all(
+        x is None or y is None or (x.shape == y.shape and np.allclose(x, y, 1e-5, 1e-9, True))
+        for other in others
+        for x, y in zip(first, other, strict=False)
+    )
+
+
+def _compared(pages: Sequence[Page], judged: bool) -> list[dict[str, Any]]:
+    """Figures by section and table, each with what every page says and how far that differs."""
+    walked = [_figures(page) for page in pages]
+    sections: dict[str, dict[tuple[str, str], list[dict[str, Any]]]] = {}
+    for key in dict.fromkeys(key for figures in walked for key in figures):
+        title, part, of, name, heading = key
+        tables = sections.setdefault(title, {})
+        cells = [figures.get(key, (Cell(NONE), None)) for figures in walked]
+        written, values = ([getattr(cell, k) for cell, _ in cells] for k in ("text", "value"))
+        row: dict[str, Any] = {"name": name, "figure": heading, "written": written}
+        if all(value is None for value in values):
+            if len(set(written)) == 1:
+                continue  # words that all runs share
+        elif judged or not _ERROR.search(f"{name} {heading}".lower()):
+            first, *others = [(cell.value, std) for cell, std in cells]
+            pairs = [(first[0], value) for value, _ in others]
+            row["difference"] = [None if x is None or y is None else y - x for x, y in pairs]
+            row["ratio"] = [None if not x or y is None else y / x for x, y in pairs]
+            row["deviations"] = [deviations(*first, *other) for other in others]
+        tables.setdefault((part, of), []).append(row | {"values": values})
+    return [
+        {"title": title, "tables": [{"part": p, "of": o, "rows": r} for (p, o), r in found.items()]}
+        for title, found in sections.items()
+    ]
+
+
+def _tables(blocks: Sequence[p.Block]) -> Iterator[p.Table]:
+    """All tables with names, those behind a fold and of facts included."""
+    for block in blocks:
+        match block:
+            case p.Folded():
+                yield from _tables(block.blocks)
+            case p.Facts():
+                known = [fact for fact in block.facts if not fact.timing]
+                rows = tuple((Cell(x.label), Cell(x.value, value=x.number)) for x in known)
+                yield p.Table((("Figure", "name"), ("", "number")), rows)
+            case p.Table() if {kind for _, kind in block.columns} & {"name", "expression"}:
+                yield block
+
+
+def _figures(page: Page) -> dict[tuple[str, ...], tuple[Cell, float | None]]:
+    """Cells by section, part, kind of row, row and column, with the std beside them."""
+    figures: dict[tuple[str, ...], tuple[Cell, float | None]] = {}
+    walk = [
+        (section.title, part.title, table)
+        for section in page.sections
+        for part in section.parts
+        for table in _tables(part.blocks)
+    ]
+    for title, part, table in walk:
+        heads = [head for head, _ in table.columns]
+        names = [k for k, (_, kind) in enumerate(table.columns) if kind in ("name", "expression")]
+        for row in table.rows:
+            name = ", ".join(row[k].text for k in names if row[k].text != NONE)
+            prior = any(cell.text in ("prior", "expectation") for cell in row)
+            beside = [*(None if prior else cell.value for cell in row[1:]), None]
+            for head, nearby, cell, std in zip(heads, [*heads[1:], ""], row, beside, strict=True):
+                if head not in [heads[k] for k in names]:
+                    found = (cell, std if nearby.startswith("± std") else None)
+                    figures.setdefault((title, part, heads[names[0]], name, head), found)
+    return figures
+
+
+def deviations(
+    a: float | None, std_a: float | None, b: float | None, std_b: float | None
+) -> float | None:
+    """How many standard deviations of their difference two independent estimates lie apart."""
+    if a is None or b is None or not std_a or not std_b:
+        return None
+    return abs(b - a) / math.hypot(std_a, std_b)
+
+
+def _comparison_page(result: Result) -> Page:
+    """Page of a comparison, from its saved result."""
+    runs, remarks = v.records(result, "runs"), v.words(result, "remarks")
+    letters = list(_LETTERS[: len(runs)])
+    legend = [
+        f"{letter}: {v.text(run, 'name')}. {' '.join(v.words(run, 'leads'))}"
+        for letter, run in zip(letters, runs, strict=True)
+    ]
+    sections = [
+        p.section(
+            v.text(each, "title"),
+            _count(each),
+            [(v.text(t, "part"), [_table(t, letters)]) for t in v.records(each, "tables")],
+            ((v.text(each, "title"), _count(each)),),
+        )
+        for each in v.records(result, "sections")
+    ]
+    blocks = (p.notes(legend), p.notes([v.sentence(r) for r in remarks], p.POOR))
+    return Page(
+        _title("Comparison of runs", result),
+        f"{len(runs)} runs of excitant {v.text(result, 'of')}; differences and ratios are those to "
+        f"A. {sections[0].lead if len(sections) == 1 else ''}",
+        tuple(block for block in blocks if block is not None),
+        tuple(sections),
+        tuple(("note", remark) for remark in remarks),
+    )
+
+
+def _count(each: Result) -> str:
+    rows = [row for part in v.records(each, "tables") for row in v.records(part, "rows")]
+    differ = sum(len(set(v.words(row, "written"))) > 1 for row in rows)
+    apart = [x for row in rows for x in v.at(row, "deviations") or () if v.real(x) is not None]
+    said = f"{differ} of {len(rows)} figures differ."
+    if apart:
+        far = sum(x > _APART for x in apart)
+        said += (
+            f" {far} of {len(apart)} estimates lie more than two standard deviations of their "
+            f"difference apart; by chance about {0.0455 * len(apart):.0f} would, if the runs' data "
+            "are independent."
+        )
+    return said
+
+
+def _table(found: Result, letters: Sequence[str]) -> p.Table | None:
+    """The figures of all runs side by side, then what each has other than the first."""
+    rows = v.records(found, "rows")
+
+    def value(row: Result, key: str, k: int) -> float | None:
+        return v.real(dict(enumerate(v.at(row, key) or ())).get(k))
+
+    def column(key: str, k: int, letter: str) -> p.Column | None:
+        def cell(row: Result) -> Cell:
+            x = value(row, key, k)
+            far = key == "deviations" and (x or 0.0) > _APART
+            return Cell(v.number(x), p.POOR if far else p.PLAIN, x)
+
+        known = any(value(row, key, k) is not None for row in rows)
+        return (f"number:{_HEADINGS[key].format(letter)}", cell) if known else None
+
+    def written(k: int) -> Callable[[Result], str]:
+        return lambda row: dict(enumerate(v.words(row, "written"))).get(k, NONE)
+
+    some = any(v.text(row, "figure") for row in rows)
+    return p.table(
+        rows,
+        [
+            (f"name:{v.text(found, 'of')}", lambda row: v.text(row, "name")),
+            ("name:Quantity", lambda row: v.text(row, "figure")) if some else None,
+            *((f"number:{letter}", written(k)) for k, letter in enumerate(letters)),
+            *(column(key, k, x) for k, x in enumerate(letters[1:]) for key in _HEADINGS),
+        ],
+        folded=p.folded(f"All {len(rows)} figures", len(rows), _LONG),
+    )
