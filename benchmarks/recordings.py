@@ -34,8 +34,8 @@ from threadpoolctl import threadpool_limits
 from excitant.analysis.selection import choose_effects, described
 from excitant.exceptions import ExcitantError
 from excitant.identify import Estimate, Recording, identify_robot, load_dataset
-from excitant.identify.accuracy import Accuracy, series
-from excitant.identify.regression import observation
+from excitant.identify.regression import regression_of
+from excitant.identify.rows import Accuracy, series
 from excitant.robots import Robot
 from excitant.robots.loading import load_robot
 from excitant.robots.parameters import violations
@@ -191,7 +191,7 @@ def robot_of_pendulum(mass: float, length: float) -> Robot:
 def unconstrained(estimate: Estimate) -> Accuracy:
     """Accuracy of the base parameters of weighted least squares, nothing constrained."""
     data = estimate.data
-    W = observation(estimate.model, estimate.model.effects, data.validate)
+    W = regression_of(estimate.model, estimate.model.effects, data.validate).W
     predicted = W[:, :, list(estimate.base.columns)] @ estimate.least_squares.beta
     return series(data.validate).accuracy(predicted / estimate.gains)
 

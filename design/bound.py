@@ -48,11 +48,10 @@ class Bound:
     Attributes:
         value: The bound.
         without_repair: What it would be, were no state to violate the certificate.
-        history: Ceiling (best mixture of the states so far) and bound after each round, shape
-            (rounds, 2); the relaxation cannot give more than the ceiling.
+        history: Ceiling (best mixture of the states so far; the relaxation cannot give more) and
+            bound after each round, shape (rounds, 2).
         relaxation: What was relaxed.
-        multipliers: The certificate, repaired: P, Q ⪰ 0, tr Q = 1, value² = tr P, and
-            `slack` ≥ 0 at every feasible state.
+        multipliers: The certificate, repaired: P, Q ⪰ 0, tr Q = 1, value² = tr P.
         weights: Of the states in the best mixture, shape (n,).
         assumptions: One sentence: for which motions it holds, and how far it is certain.
     """
@@ -73,7 +72,7 @@ class Bound:
 
         The bound holds for motions through states where it is not negative.
         """
-        M, rows = self.relaxation.matrices(motion), self.relaxation.rows(motion)
+        M, rows = self.relaxation.matrices(motion), self.relaxation.tests.rates(motion)
         difference = self.multipliers.P - self.multipliers.Q
         g = rows @ self.multipliers.y + np.einsum("nij,ij->n", M, difference)
         slack: Array = -g / self.relaxation.unit
@@ -127,9 +126,12 @@ def lower_bound(
     problem = relaxation(robot, columns, top, stationary=harmonics is not None)
     rng = np.random.default_rng(seed)
     states = _seeds(robot, rng, duration, harmonics, pool)
+    kind = "any motion"
+    if harmonics is not None:
+        kind += f" of period {duration:g} s with {harmonics} harmonics"
     with threadpool_limits(1):
-        search = _Search(problem, rng, states, began, time_limit, progress)
-        search.run()
+        search = _Search(problem, rng, states)
+        search.run(began, time_limit, progress)
         multipliers = search.certify()
     return Bound(
         value=max(1.0, float(np.sqrt(multipliers.value))),
@@ -138,42 +140,36 @@ def lower_bound(
         relaxation=problem,
         multipliers=multipliers,
         weights=search.weights,
-        assumptions=_assumptions(robot, duration, harmonics, columns),
+        assumptions=f"Holds for {kind} of {robot.name} within its position, velocity, acceleration "
+        f"and torque limits, for the unscaled {columns} base columns; numerical, not a proof: "
+        "states that would violate it are searched for by ascent from many starts, not "
+        "exhaustively.",
     )
 
 
 class _Search:
     """Column generation with the best multipliers so far."""
 
-    def __init__(
-        self,
-        problem: Relaxation,
-        rng: np.random.Generator,
-        states: Motion,
-        began: float,
-        time_limit: float,
-        progress: BoundProgress | None,
-    ) -> None:
+    def __init__(self, problem: Relaxation, rng: np.random.Generator, states: Motion) -> None:
         self.problem, self.rng, self.states = problem, rng, states
-        self.began, self.time_limit, self.progress = began, time_limit, progress
         self.history: list[tuple[float, float]] = []
         self.archive = states
         self.best: Multipliers
         self.weights: Array
-        self.bound = 0.0
-        self.violation = np.inf
+        self.bound, self.violation = 0.0, np.inf
 
-    def run(self) -> None:
+    def run(self, began: float, time_limit: float, progress: BoundProgress | None) -> None:
         """Rounds until the bound meets its ceiling or time is up."""
-        deadline = self.began + (1 - _FINAL_SHARE) * self.time_limit
         longest = 0.0
         while True:
             started = time.time()
             ceiling = self.round()
-            if self.progress is not None:
-                self.progress(time.time() - self.began, self.bound, ceiling)
-            longest = max(longest, time.time() - started)
-            if self.bound > (1 - _CLOSED) * ceiling or time.time() + longest > deadline:
+            now = time.time()
+            if progress is not None:
+                progress(now - began, self.bound, ceiling)
+            longest = max(longest, now - started)
+            late = now + longest > began + (1 - _FINAL_SHARE) * time_limit
+            if late or self.bound > (1 - _CLOSED) * ceiling:
                 return
 
     def round(self) -> float:
@@ -181,22 +177,20 @@ class _Search:
         early = len(self.history) < _LOOSE_ROUNDS
         tolerance, polish = (_LOOSE, 0) if early else (_TIGHT, _POLISH)
         self.weights, multipliers = mixture_of(self.problem, self.states, tolerance)
-        ceiling = float(np.sqrt(multipliers.value))
-        found, price = self.problem.worst(
-            multipliers, self.starts(multipliers, _STARTS), _STEPS, _KEPT, polish
-        )
+        starts = self.starts(multipliers, _STARTS)
+        found, price = self.problem.worst(multipliers, starts, _STEPS, _KEPT, polish)
         violation = float(price.max(initial=0.0))
-        bound = np.sqrt(multipliers.value / (1 + max(violation, 0.0)))
+        bound = float(np.sqrt(multipliers.value / (1 + violation)))
         if bound > self.bound:
-            self.best, self.bound, self.violation = multipliers, float(bound), violation
+            self.best, self.bound, self.violation = multipliers, bound, violation
+        ceiling = float(np.sqrt(multipliers.value))
         self.history.append((ceiling, self.bound))
-        found = found[price > _ADDED * violation]
-        self.archive = _together([self.archive, found])
-        self.exchange(multipliers, found)
+        self.exchange(multipliers, found[price > _ADDED * violation])
         return ceiling
 
     def exchange(self, multipliers: Multipliers, found: Motion) -> None:
         """Add states; drop the worst-priced when there are many more than carry weight."""
+        self.archive = _together([self.archive, found])
         w = self.weights
         room = 2 * int((w > _SUPPORT * w.max()).sum()) + _SPARE
         if len(w) > room:
@@ -231,11 +225,10 @@ def _seeds(
     pool: Sequence[Motion],
 ) -> Motion:
     """States of random trajectories, which obey every row together, and of those given."""
-    period, H = (
-        (_SEED_DURATION, _SEED_HARMONICS) if harmonics is None else (float(duration), harmonics)
-    )
-    t = (np.arange(_SEED_STATES) + 0.5) / _SEED_STATES * period
-    motions = [random_trajectory(robot, rng, period, H).at(t) for _ in range(_SEEDS)]
+    if harmonics is None:
+        duration, harmonics = _SEED_DURATION, _SEED_HARMONICS
+    t = (np.arange(_SEED_STATES) + 0.5) / _SEED_STATES * duration
+    motions = [random_trajectory(robot, rng, duration, harmonics).at(t) for _ in range(_SEEDS)]
     for motion in pool:
         if motion.nv != robot.nv:
             raise BadInput(f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}")
@@ -246,33 +239,17 @@ def _seeds(
 
 def _together(motions: Sequence[Motion]) -> Motion:
     """All states of several motions."""
-    q, dq, ddq = (
-        np.concatenate([getattr(motion, name) for motion in motions]) for name in ("q", "dq", "ddq")
-    )
-    return numbered(q, dq, ddq)
-
-
-def _assumptions(robot: Robot, duration: float, harmonics: int | None, columns: str) -> str:
-    kind = (
-        "any motion"
-        if harmonics is None
-        else f"any motion of period {duration:g} s with {harmonics} harmonics"
-    )
-    return (
-        f"Holds for {kind} of {robot.name} within its position, velocity, acceleration and torque "
-        f"limits, for the unscaled {columns} base columns; numerical, not a proof: states that "
-        "would violate it are searched for by ascent from many starts, not exhaustively."
-    )
+    names = ("q", "dq", "ddq")
+    return numbered(*(np.concatenate([getattr(m, name) for m in motions]) for name in names))
 
 
 def mixture_of(problem: Relaxation, states: Motion, tolerance: float) -> tuple[Array, Multipliers]:
     """Weights of the best mixture of states, shape (n,), and its multipliers."""
     M = problem.matrices(states)
     size = np.trace(M, axis1=1, axis2=2) + 1e-9 * problem.unit
-    rows = problem.rows(states) * (problem.unit / size)[:, None]
-    weights, found = best_mixture(
-        M / size[:, None, None], rows, bound=_MULTIPLIER, tolerance=tolerance
-    )
+    rows = problem.tests.rates(states) * (problem.unit / size)[:, None]
+    M = M / size[:, None, None]
+    weights, found = best_mixture(M, rows, bound=_MULTIPLIER, tolerance=tolerance)
     return weights / size, replace(found, y=found.y * problem.unit)
 
 
@@ -288,17 +265,8 @@ def best_mixture(
     bounds its multiplier. Primal-dual interior-point method, HKM direction with Mehrotra's
     corrector (Helmberg, Rendl, Vanderbei, Wolkowicz 1996): its linear system has a row for every
     state, that of a general conic solver one for every entry of M, which is 50 times slower.
-    Stopped at a loose tolerance, the multipliers are well inside the optimal face, as column
-    generation likes it.
-
-    Args:
-        M: Information of the states, shape (n, r, r).
-        rows: a, shape (n, m).
-        bound: Largest multiplier of an equality row.
-        tolerance: Relative gap to stop at.
-
-    Returns:
-        Weights of the states, shape (n,), and the dual solution.
+    Stopped at a loose tolerance (relative gap), the multipliers are well inside the optimal face,
+    as column generation likes it. M has the shape (n, r, r), the rows (n, m), the weights (n,).
     """
     n, m = rows.shape
     programme = _Programme(M, rows, bound)
@@ -314,7 +282,7 @@ def best_mixture(
             break
         try:
             point = point.moved(programme.newton(point, residual))
-        except np.linalg.LinAlgError:
+        except np.linalg.LinAlgError:  # as near to the boundary as numbers go
             break
     P, Q = best.X / np.trace(best.X[1])
     y = (best.x[n : n + m] - best.x[n + m : n + 2 * m]) / np.trace(best.X[1])
@@ -336,17 +304,12 @@ class _Point:
         order = len(self.x) + 2 * len(self.X[0])
         return float(np.vdot(self.X, self.S) + self.x @ self.s) / order
 
-    def moved(self, step: _Point) -> _Point:
-        """As far along a step as it stays inside the cone, primal and dual apart."""
-        primal = min(1.0, _STEP * min(_reach(self.X, step.X), _reach_line(self.x, step.x)))
-        dual = min(1.0, _STEP * min(_reach(self.S, step.S), _reach_line(self.s, step.s)))
-        return _Point(
-            self.X + primal * step.X,
-            self.x + primal * step.x,
-            self.S + dual * step.S,
-            self.s + dual * step.s,
-            self.v + dual * step.v,
-        )
+    def moved(self, d: _Point) -> _Point:
+        """As far along a direction as it stays inside the cone, primal and dual apart."""
+        primal = min(1.0, _STEP * min(_reach(self.X, d.X), _reach_line(self.x, d.x)))
+        dual = min(1.0, _STEP * min(_reach(self.S, d.S), _reach_line(self.s, d.s)))
+        X, x = self.X + primal * d.X, self.x + primal * d.x
+        return _Point(X, x, self.S + dual * d.S, self.s + dual * d.s, self.v + dual * d.v)
 
 
 class _Programme:
@@ -453,10 +416,4 @@ def _symmetric(A: Array) -> Array:
 
 def _root(A: Array) -> Array:
     """R with R Rᵀ = A, shape (2, r, r)."""
-    try:
-        return np.asarray(np.linalg.cholesky(A), float)
-    except np.linalg.LinAlgError:
-        e, V = np.linalg.eigh(A)
-        floor = 1e-14 * np.maximum(e[:, -1:], 1e-300)
-        R: Array = V * np.sqrt(np.maximum(e, floor))[:, None, :]
-        return R
+    return np.asarray(np.linalg.cholesky(A), float)

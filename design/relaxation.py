@@ -14,9 +14,7 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 
-Indices = npt.NDArray[np.intp]
-
-_TINY = 1e-9  # keeps the slope of an arc finite at its end
+_SLIGHT = 1e-6  # step of differences in the cube
 _POSES = 500
 _SHRINKS = 25
 _STATES = 1000  # random states for scales and symmetries
@@ -37,16 +35,8 @@ class StateSpace:
         b = min(speed, Ω √(half² − (q − middle)²)),   c = min(acceleration, Ω √(speed² − q̇²)).
 
     For a finite Fourier series with harmonics up to Ω = Hω these are the inequalities of
-    Bernstein and Szegő; for any other motion Ω = ∞.
-
-    Attributes:
-        robot: The arm.
-        middle: Middle of each joint's range, shape (nv,).
-        half: Half the range; π for a joint that turns freely, shape (nv,).
-        bounded: Whether the joint has position limits, shape (nv,).
-        speed: Highest speed, shape (nv,).
-        acceleration: Highest acceleration, shape (nv,).
-        top: Ω, the highest angular frequency [rad/s].
+    Bernstein and Szegő; for any other motion Ω = ∞. A joint without position limits
+    is not bounded and turns by half = π.
     """
 
     robot: Robot
@@ -60,63 +50,53 @@ class StateSpace:
     def motion(self, u: Array) -> Motion:
         """States of points of the cube, shape (n, 3 nv), numbered instead of timed."""
         u1, u2, u3 = np.split(u, 3, axis=1)
-        dq = self._speeds(u1)[0] * u2
-        return numbered(self.middle + self.half * u1, dq, self._accelerations(dq)[0] * u3)
+        dq = self._speeds(u1) * u2
+        return numbered(self.middle + self.half * u1, dq, self._accelerations(dq) * u3)
 
     def cube(self, motion: Motion) -> Array:
         """Points of the cube for states, the nearest where a state is outside."""
         u1 = (motion.q - self.middle) / self.half
         u1 = np.where(self.bounded, np.clip(u1, -1, 1), np.mod(u1 + 1, 2) - 1)
-        u2 = np.clip(motion.dq / self._speeds(u1)[0], -1, 1)
-        u3 = np.clip(motion.ddq / self._accelerations(motion.dq)[0], -1, 1)
+        u2 = np.clip(motion.dq / self._speeds(u1), -1, 1)
+        u3 = np.clip(motion.ddq / self._accelerations(motion.dq), -1, 1)
         return np.concatenate([u1, u2, u3], axis=1)
 
-    def pull(self, u: Array, by_q: Array, by_dq: Array, by_ddq: Array) -> Array:
-        """Gradient by u from the gradients by q, q̇ and q̈."""
-        u1, u2, u3 = np.split(u, 3, axis=1)
-        b, db = self._speeds(u1)
-        c, dc = self._accelerations(b * u2)
-        by_dq = by_dq + by_ddq * u3 * dc
-        return np.concatenate([by_q * self.half + by_dq * u2 * db, by_dq * b, by_ddq * c], axis=1)
-
-    def excess(self, motion: Motion) -> Array:
+    def use(self, motion: Motion) -> Array:
         """Largest torque over its limit at each state, shape (n,)."""
-        worst: Array = self.use(motion)[0].max(axis=1)
-        return worst
-
-    def use(self, motion: Motion) -> tuple[Array, Array]:
-        """Size of each torque over its limit, and its sign, both (n, nv)."""
-        tau = torque(self.robot, motion)
-        return np.abs(tau) / self.robot.limits.torque, np.sign(tau)
+        use: Array = (np.abs(torque(self.robot, motion)) / self.robot.limits.torque).max(axis=1)
+        return use
 
     def slowed(self, motion: Motion) -> Motion:
         """The states, time stretched until torque holds; those that gravity forbids left out."""
         share = np.full(len(motion), np.nan)
-        share[self.excess(motion) <= 1] = 1.0
-        for factor in np.linspace(0.99, 0.0, _SHRINKS):
+        for factor in (1.0, *np.linspace(0.99, 0.0, _SHRINKS)):
             rest = np.flatnonzero(np.isnan(share))
-            if not len(rest):
-                break
-            slower = numbered(
-                motion.q[rest], factor * motion.dq[rest], factor**2 * motion.ddq[rest]
-            )
-            share[rest[self.excess(slower) <= 1]] = factor
-        keep, s = ~np.isnan(share), share[:, None]
-        return numbered(motion.q[keep], (s * motion.dq)[keep], (s**2 * motion.ddq)[keep])
+            slower = _stretched(motion[rest], np.full(len(rest), factor))
+            share[rest[self.use(slower) <= 1]] = factor
+        keep = ~np.isnan(share)
+        return _stretched(motion[keep], share[keep])
 
-    def _speeds(self, u1: Array) -> tuple[Array, Array]:
-        """Limit b and its derivative by u₁."""
+    def _speeds(self, u1: Array) -> Array:
         return _arc(u1, np.where(self.bounded, self.top * self.half, np.inf), self.speed)
 
-    def _accelerations(self, dq: Array) -> tuple[Array, Array]:
-        """Limit c and its derivative by q̇."""
-        c, dc = _arc(dq / self.speed, self.top * self.speed, self.acceleration)
-        return c, dc / self.speed
+    def _accelerations(self, dq: Array) -> Array:
+        return _arc(dq / self.speed, self.top * self.speed, self.acceleration)
 
 
 def numbered(q: Array, dq: Array, ddq: Array) -> Motion:
     """States that follow no time."""
     return Motion(np.arange(len(q), dtype=float), q, dq, ddq)
+
+
+def _stretched(motion: Motion, share: Array) -> Motion:
+    s = share[:, None]
+    return numbered(motion.q, s * motion.dq, s**2 * motion.ddq)
+
+
+def _arc(x: Array, radius: Array, cap: Array) -> Array:
+    """min(radius √(1 − x²), cap), above 0 at the ends too."""
+    root = np.sqrt(np.maximum(1 - x**2, 1e-9))
+    return np.minimum(radius * root, cap)
 
 
 def state_space(robot: Robot, top: float) -> StateSpace:
@@ -125,26 +105,25 @@ def state_space(robot: Robot, top: float) -> StateSpace:
     Raises:
         BadInput: A joint's speed or acceleration, or a sliding joint's position, is unlimited.
     """
-    middle, half = position_range(robot.limits)
+    limits = robot.limits
+    middle, half = position_range(limits)
     bounded = np.isfinite(half)
-    _refuse(robot, ~bounded & ~robot.revolute, "slides without position limits")
     half = np.where(bounded, half, np.pi)
-    speed = np.minimum(robot.limits.velocity, np.where(bounded, top * half, np.inf))
-    _refuse(robot, np.isinf(speed), "has no velocity limit")
-    acceleration = np.minimum(robot.limits.acceleration, top * speed)
-    if np.isinf(acceleration).any():
+    speed = np.minimum(limits.velocity, np.where(bounded, top * half, np.inf))
+    acceleration = np.minimum(limits.acceleration, top * speed)
+    if np.isinf(acceleration).any() and np.isfinite(speed).all():
         acceleration = np.minimum(acceleration, _torque_reach(robot, middle, half, speed))
-    _refuse(robot, np.isinf(acceleration), "has neither an acceleration nor torque limits")
+    for lacking, why in (
+        (~bounded & ~robot.revolute, "slides without position limits"),
+        (np.isinf(speed), "has no velocity limit"),
+        (np.isinf(acceleration), "has neither an acceleration nor torque limits"),
+    ):
+        for j in np.flatnonzero(lacking)[:1]:
+            raise BadInput(
+                f"no lower bound for {robot.name}: joint {robot.joints[j]} {why}, so that the "
+                "states it can pass are unlimited; give the limit"
+            )
     return StateSpace(robot, middle, half, bounded, speed, acceleration, top)
-
-
-def _arc(x: Array, radius: Array, cap: Array) -> tuple[Array, Array]:
-    """min(radius √(1 − x²), cap) and its derivative by x."""
-    root = np.sqrt(np.maximum(1 - x**2, _TINY))
-    with np.errstate(invalid="ignore"):
-        arc, slope = radius * root, -radius * x / root
-    flat = ~(arc < cap)
-    return np.where(flat, cap, arc), np.where(flat, 0.0, slope)
 
 
 def _torque_reach(robot: Robot, middle: Array, half: Array, speed: Array) -> Array:
@@ -152,26 +131,13 @@ def _torque_reach(robot: Robot, middle: Array, half: Array, speed: Array) -> Arr
     rng = np.random.default_rng(0)
     q = middle + half * rng.uniform(-1, 1, (_POSES, robot.nv))
     dq = speed * rng.uniform(-1, 1, q.shape)
-    at_rest = torque(robot, numbered(q, dq, np.zeros_like(q)))
-    columns = []
-    for unit in np.eye(robot.nv):
-        unit_torque = torque(robot, numbered(q, dq, np.broadcast_to(unit, q.shape)))
-        columns.append(unit_torque - at_rest)
-    inverse = np.linalg.inv(np.stack(columns, axis=2))
-    room = robot.limits.torque + np.abs(at_rest)
+    units = (np.broadcast_to(unit, q.shape) for unit in np.eye(robot.nv))
+    at_rest, *moving = (torque(robot, numbered(q, dq, a)) for a in (np.zeros_like(q), *units))
+    inverse = np.linalg.inv(np.stack([tau - at_rest for tau in moving], axis=2))
     with np.errstate(invalid="ignore"):
-        reach = np.einsum("nij,nj->ni", np.abs(inverse), room)
+        reach = np.einsum("nij,nj->ni", np.abs(inverse), robot.limits.torque + np.abs(at_rest))
     most: Array = 2 * reach.max(axis=0)
     return np.where(np.isnan(most), np.inf, most)
-
-
-def _refuse(robot: Robot, culprits: npt.NDArray[np.bool_], why: str) -> None:
-    if np.any(culprits):
-        joint = robot.joints[int(np.flatnonzero(culprits)[0])]
-        raise BadInput(
-            f"no lower bound for {robot.name}: joint {joint} {why}, so that the states it can "
-            "pass are unlimited; give the limit"
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,70 +148,28 @@ class TestFunctions:
     virial theorem where f = 1 or x, the balance of generalised momentum in general. Functions
     even in q̇ would say nothing, for M is even, and a motion and its reverse count alike.
 
-    Attributes:
-        joints: Joint j of the factor, shape (m,).
-        factors: Kind of the factor f, shape (m,).
-        speeds: Joint i of the velocity, shape (m,).
-        scale: Divisor of each function, shape (m,).
+    The table holds j, the kind of f, and i of each function, shape (m, 3); the scale divides them.
     """
 
-    joints: Indices
-    factors: Indices
-    speeds: Indices
+    table: npt.NDArray[np.intp]
     scale: Array
 
-    def __len__(self) -> int:
-        return len(self.joints)
-
-    def rates(self, q: Array, dq: Array, ddq: Array) -> Array:
+    def rates(self, motion: Motion) -> Array:
         """dφ/dt at n states, shape (n, m)."""
-        f, df, _ = self._factors(q)
-        rates: Array = df * dq[:, self.joints] * dq[:, self.speeds] + f * ddq[:, self.speeds]
+        j, kind, i = self.table.T
+        x = motion.q[:, j]
+        sin, cos, one = np.sin(x), np.cos(x), np.ones_like(x)
+        f = np.choose(kind, [one, sin, cos, x, x * x])
+        df = np.choose(kind, [0 * one, cos, -sin, one, 2 * x])
+        rates: Array = df * motion.dq[:, j] * motion.dq[:, i] + f * motion.ddq[:, i]
         return rates / self.scale
-
-    def gradient(self, q: Array, dq: Array, ddq: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Derivatives of Σ y dφ/dt by q, q̇ and q̈, each of shape (n, nv)."""
-        f, df, ddf = self._factors(q)
-        j, i = (np.eye(q.shape[1])[index] for index in (self.joints, self.speeds))
-        y = y / self.scale
-        v, u, a = dq[:, self.joints], dq[:, self.speeds], ddq[:, self.speeds]
-        by_q = (y * (ddf * v * u + df * a)) @ j
-        by_dq = (y * df * u) @ j + (y * df * v) @ i
-        return by_q, by_dq, (y * f) @ i
-
-    def _factors(self, q: Array) -> tuple[Array, Array, Array]:
-        """f, f′ and f″ at n states, each of shape (n, m)."""
-        x, kind = q[:, self.joints], self.factors
-        sin, cos, zero, one = np.sin(x), np.cos(x), np.zeros_like(x), np.ones_like(x)
-        return (
-            np.choose(kind, [one, sin, cos, x, x * x]),
-            np.choose(kind, [zero, cos, -sin, one, 2 * x]),
-            np.choose(kind, [zero, -sin, -cos, zero, 2 * one]),
-        )
-
-
-def test_functions(shown: Indices, revolute: npt.NDArray[np.bool_]) -> TestFunctions:
-    """All test functions of an arm, unscaled.
-
-    Args:
-        shown: Joints whose position the torques depend on.
-        revolute: Whether each joint turns, shape (nv,).
-    """
-    factors = [(0, _ONE)]
-    for j in shown:
-        factors += [(int(j), kind) for kind in ((_SIN, _COS) if revolute[j] else (_X, _XX))]
-    table = np.array([(j, kind, i) for j, kind in factors for i in range(len(revolute))])
-    return TestFunctions(table[:, 0], table[:, 1], table[:, 2], np.ones(len(table)))
 
 
 @dataclass(frozen=True, eq=False)
 class Multipliers:
     """Dual variables of the best mixture of states: a lower bound tr P on κ, when all agree.
 
-    Attributes:
-        P: Of Σ w M ⪰ I, positive semidefinite, shape (r, r).
-        Q: Of Σ w M ⪯ κ I, positive semidefinite with trace 1, shape (r, r).
-        y: Of the equality rows, shape (m,).
+    P ⪰ 0 of Σ w M ⪰ I and Q ⪰ 0 of Σ w M ⪯ κ I, tr Q = 1, both (r, r); y of the equality rows (m,).
     """
 
     P: Array
@@ -276,20 +200,13 @@ class Relaxation:
     M = ∫ M(x) dξ(x) over states x, with E[dφ/dt] = 0 for the test functions. Each M(x) is
     averaged with its reverse in time, M(q, −q̇, q̈) = S M S with signs S: columns even and columns
     odd in q̇ then have nothing in common.
-
-    Attributes:
-        information: What is to be made visible.
-        space: The feasible states.
-        odd: Whether each base column is odd in q̇, shape (r,).
-        tests: Test functions, scaled; None for any motion whatever.
-        unit: Typical tr M of a state.
     """
 
-    information: Information
-    space: StateSpace
-    odd: npt.NDArray[np.bool_]
-    tests: TestFunctions | None
-    unit: float
+    information: Information  # what is to be made visible
+    space: StateSpace  # the feasible states
+    odd: npt.NDArray[np.bool_]  # whether each base column is odd in q̇, shape (r,)
+    tests: TestFunctions  # test functions, scaled; none of them for any motion whatever
+    unit: float  # typical tr M of a state
 
     def matrices(self, motion: Motion) -> Array:
         """M of each state, shape (n, r, r)."""
@@ -297,39 +214,24 @@ class Relaxation:
         M: Array = np.swapaxes(Y, 1, 2) @ Y * (self.odd[:, None] == self.odd)
         return M
 
-    def rows(self, motion: Motion) -> Array:
-        """Rates of the test functions, shape (n, m)."""
-        if self.tests is None:
-            return np.zeros((len(motion), 0))
-        return self.tests.rates(motion.q, motion.dq, motion.ddq)
-
     def price(self, multipliers: Multipliers, motion: Motion) -> Array:
         """Violation g / ⟨R, M⟩ at each state, shape (n,).
 
         g = ⟨P − Q, M⟩ + y·dφ/dt must not be positive; R repairs it.
         """
         Y = self.information.observation(motion)
-        g = _form(Y, multipliers.P - multipliers.Q) + self.rows(motion) @ multipliers.y
+        g = _form(Y, multipliers.P - multipliers.Q) + self.tests.rates(motion) @ multipliers.y
         price: Array = g / (_form(Y, multipliers.repair) + 1e-300)
         return price
 
     def worst(
         self, multipliers: Multipliers, starts: Array, steps: int, kept: int, polish: int
     ) -> tuple[Motion, Array]:
-        """States of highest price, by ascent from points of the cube.
+        """States of highest price and their prices, highest first, by ascent from the cube.
 
-        Torque above its limit is penalised on the way, and time stretched in the end until it
-        holds.
-
-        Args:
-            multipliers: What prices the states.
-            starts: Points of the cube, shape (n, 3 nv).
-            steps: Steps from every start.
-            kept: How many of the best go on.
-            polish: Further steps of those.
-
-        Returns:
-            The states and their prices, highest first.
+        From all starts, shape (n, 3 nv), some steps are taken; the best that are kept go on and
+        are polished. Torque above its limit is penalised on the way, and time stretched in the
+        end until it holds.
         """
         u, merit = self._ascend(multipliers, starts, steps)
         order = np.argsort(-merit)
@@ -344,7 +246,7 @@ class Relaxation:
         """Projected gradient ascent: points and merits. Of several steps the best is taken."""
         value, reach = self._merit(multipliers, u), np.full(len(u), 0.3)
         for _ in range(steps):
-            d = self._slope(multipliers, u)
+            d = self._slope(multipliers, u, value)
             d = np.where((np.abs(u) >= 1) & (d * u > 0), 0.0, d)
             d /= np.maximum(np.abs(d).max(axis=1, keepdims=True), 1e-300)
             best, top, used = u.copy(), value.copy(), 0.2 * reach
@@ -371,36 +273,18 @@ class Relaxation:
 
     def _merit(self, multipliers: Multipliers, u: Array) -> Array:
         motion = self.space.motion(u)
-        over = np.maximum(self.space.excess(motion) - 1, 0.0)
+        over = np.maximum(self.space.use(motion) - 1, 0.0)
         merit: Array = self.price(multipliers, motion) - _TORQUE_PENALTY * over**2
         return merit
 
-    def _slope(self, multipliers: Multipliers, u: Array) -> Array:
-        """Gradient of the merit by u (friction's share of the torque held fast)."""
-        motion = self.space.motion(u)
-        exact = self.information.linearise(motion)
-        price, F = self.price(multipliers, motion), multipliers.P - multipliers.Q
-        size = _form(exact.Y, multipliers.repair) + 1e-300
-        T = exact.Y @ F - price[:, None, None] * (exact.Y @ multipliers.repair)
-        T = 2 * T / size[:, None, None] - self._torque_slope(motion)
-        slopes = [
-            np.einsum("jnir,nir->nj", by, T, optimize=True)
-            for by in (exact.by_q, exact.by_dq, exact.by_ddq)
+    def _slope(self, multipliers: Multipliers, u: Array, merit: Array) -> Array:
+        """Gradient of the merit by u, by differences towards the inside of the cube."""
+        step = np.where(u > 0, -_SLIGHT, _SLIGHT)
+        columns = [
+            (self._merit(multipliers, u + step * unit) - merit) / step[:, k]
+            for k, unit in enumerate(np.eye(u.shape[1]))
         ]
-        if self.tests is not None:
-            added = self.tests.gradient(motion.q, motion.dq, motion.ddq, multipliers.y)
-            slopes = [s + a / size[:, None] for s, a in zip(slopes, added, strict=True)]
-        return self.space.pull(u, *slopes)
-
-    def _torque_slope(self, motion: Motion) -> Array:
-        """Derivative of the torque penalty by the base columns, shape (n, nv, r)."""
-        use, sign = self.space.use(motion)
-        over = np.where(use >= use.max(axis=1, keepdims=True), np.maximum(use - 1, 0.0), 0.0)
-        slope = 2 * _TORQUE_PENALTY * over * sign / self.space.robot.limits.torque
-        base, phi = self.information.base, self.space.robot.phi
-        beta = base.regrouping[:, : len(phi)] @ phi
-        product: Array = slope[:, :, None] * beta
-        return product
+        return np.stack(columns, axis=1)
 
 
 def _form(Y: Array, F: Array) -> Array:
@@ -411,11 +295,7 @@ def _form(Y: Array, F: Array) -> Array:
 def relaxation(robot: Robot, columns: str, top: float, *, stationary: bool) -> Relaxation:
     """The relaxation for motions without angular frequencies above ``top`` [rad/s].
 
-    Args:
-        robot: The arm; its limits count.
-        columns: ``"friction"`` or ``"inertial"``.
-        top: Highest angular frequency, or infinity [rad/s].
-        stationary: Whether E[dφ/dt] = 0 holds.
+    ``stationary`` says whether E[dφ/dt] = 0 holds.
     """
     visible, space = information(robot, columns), state_space(robot, top)
     rng = np.random.default_rng(0)
@@ -423,18 +303,12 @@ def relaxation(robot: Robot, columns: str, top: float, *, stationary: bool) -> R
     Y = visible.observation(motion)
     back = visible.observation(numbered(motion.q, -motion.dq, motion.ddq))
     odd = np.abs(Y + back).max(axis=(0, 1)) < np.abs(Y - back).max(axis=(0, 1))
-    tests = None
-    if stationary:
-        plain = test_functions(_shown(visible, motion, Y), robot.revolute)
-        rates = plain.rates(motion.q, motion.dq, motion.ddq)
-        tests = replace(plain, scale=np.sqrt((rates**2).mean(axis=0)))
-    return Relaxation(visible, space, odd, tests, float((Y**2).sum(axis=(1, 2)).mean()))
-
-
-def _shown(visible: Information, motion: Motion, Y: Array) -> npt.NDArray[np.intp]:
-    """Joints whose position the torques depend on; not the first when it turns about gravity."""
-    changed = []
-    for unit in np.eye(motion.nv):
+    factors = [(0, _ONE)]
+    for j, unit in enumerate(np.eye(robot.nv)):
         moved = visible.observation(numbered(motion.q + unit, motion.dq, motion.ddq))
-        changed.append(np.abs(moved - Y).max() > _SAME * np.abs(Y).max())
-    return np.flatnonzero(changed)
+        if np.abs(moved - Y).max() > _SAME * np.abs(Y).max():  # not a first joint along gravity
+            factors += [(j, kind) for kind in ((_SIN, _COS) if robot.revolute[j] else (_X, _XX))]
+    table = [(*factor, i) for factor in factors for i in range(robot.nv)] if stationary else []
+    tests = TestFunctions(np.reshape(np.array(table, np.intp), (-1, 3)), np.ones(len(table)))
+    tests = replace(tests, scale=np.sqrt((tests.rates(motion) ** 2).mean(axis=0)))
+    return Relaxation(visible, space, odd, tests, float((Y**2).sum(axis=(1, 2)).mean()))

@@ -54,35 +54,21 @@ _PATIENCE = "20s"  # for a cluster to answer
 
 @dataclass(frozen=True, eq=False)
 class SearchState:
-    """Where a search from one start stands.
+    """Where a search from one start stands."""
 
-    Attributes:
-        index: Number of the start.
-        z: Unknowns, shape (c − 2, nv); before the first iteration those to begin from, if any.
-        value: Criterion to be minimised, at z.
-        excess: Torque beyond its bound at z, as a share of it; or clearance missing.
-        best: Unknowns of the lowest value within all limits; None before there is one.
-        best_value: That value.
-        radius: Trust region.
-        status: ``"running"``, ``"stalled"`` (slow; may go on), ``"converged"``, ``"stopped"``
-            (not worth going on beside others), ``"iteration limit"``, ``"time limit"``,
-            ``"interrupted"`` or ``"infeasible"``.
-        parent: Start whose solution this one began from, mixed with a random one; or None.
-        history: Condition number at the beginning and after every iteration.
-        merits: Merit likewise.
-    """
-
-    index: int
-    z: Array
-    value: float = np.inf
-    excess: float = np.inf
-    best: Array | None = None
-    best_value: float = np.inf
-    radius: float = _RADIUS
+    index: int  # number of the start
+    z: Array  # unknowns, shape (c − 2, nv); before the first iteration those to begin from, if any
+    value: float = np.inf  # criterion to be minimised, at z
+    excess: float = np.inf  # torque beyond its bound at z, as a share of it; or clearance missing
+    best: Array | None = None  # unknowns of the lowest value within all limits, if there is one yet
+    best_value: float = np.inf  # that value
+    radius: float = _RADIUS  # trust region
+    # "running", "stalled" (slow; may go on), "stopped" (not worth it beside others), "converged",
+    # "iteration limit", "time limit", "interrupted" or "infeasible"
     status: str = "running"
-    parent: int | None = None
-    history: tuple[float, ...] = ()
-    merits: tuple[float, ...] = field(default=(), repr=False)
+    parent: int | None = None  # start whose solution, mixed with a random one, this began from
+    history: tuple[float, ...] = ()  # condition number at the beginning and after every iteration
+    merits: tuple[float, ...] = field(default=(), repr=False)  # merit likewise
 
     @property
     def merit(self) -> float:
@@ -137,11 +123,7 @@ def best_solutions(searches: Iterable[SearchState], count: int) -> list[Array]:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A piece of one search: as many iterations, down to a pace, beside a merit reached elsewhere.
-
-    Searches stop at less than ``pace`` of decrease of the merit, or without a chance to reach
-    the ``target``.
-    """
+    """Iterations of one search, to a least decrease of the merit, while a target is in reach."""
 
     state: SearchState
     iterations: int = _ITERATIONS
@@ -193,23 +175,14 @@ def _iterate(problem: DesignProblem, state: SearchState) -> SearchState:
 
 @dataclass(frozen=True, eq=False)
 class Effort:
-    """What a design may spend, and where.
+    """What a design may spend, and where."""
 
-    Attributes:
-        starts: Number of starts; None for as many as fit until the deadline.
-        jobs: Number of processes.
-        seed: Seed of start k is (seed, k).
-        deadline: `time.time` at which to stop [s].
-        client: Dask cluster to use instead of processes here.
-        report: Called with the problem and the states so far whenever one changes.
-    """
-
-    starts: int | None
-    jobs: int
-    seed: int
-    deadline: float = np.inf
-    client: Any = None
-    report: Report = lambda problem, states: None
+    starts: int | None  # number of starts; None for as many as fit until the deadline
+    jobs: int  # number of processes
+    seed: int  # seed of start k is (seed, k)
+    deadline: float = np.inf  # `time.time` at which to stop [s]
+    client: Any = None  # Dask cluster to use instead of processes here
+    report: Report = lambda problem, states: None  # called whenever a state changes
 
     def share(self, starts: int | None, share: float) -> Effort:
         """Other starts within a share of the time left."""
@@ -222,11 +195,8 @@ def search(
 ) -> tuple[DesignProblem, Searches]:
     """All searches for a problem, and the problem with the period and harmonics chosen.
 
-    Args:
-        problem: With the longest period, and the least number of harmonics.
-        effort: For all of it.
-        shortest: Shortest period to choose [s].
-        top_hz: Highest frequency up to which harmonics are added [Hz]; None to keep their number.
+    The problem comes with the longest period, and the least number of harmonics; they are added
+    up to a frequency [Hz] if one is given. The shortest period is in [s].
     """
     if shortest < problem.period:
         problem = _best_period(problem, effort, shortest)
@@ -242,8 +212,8 @@ def _best_period(problem: DesignProblem, effort: Effort, shortest: float) -> Des
     for k, period in enumerate(np.geomspace(shortest, problem.period, _PERIODS)):
         series = problem.series.resized(problem.series.terms, float(period))
         candidate = replace(problem, series=series)
-        until = began + (k + 1) * span
-        searches = _MultiStart(candidate, replace(effort, starts=_SAMPLED, deadline=until)).run()
+        part = replace(effort, starts=_SAMPLED, deadline=began + (k + 1) * span)
+        searches = _MultiStart(candidate, part).run()
         tried.append((_value(searches), k, candidate))
         if _interrupted(searches):
             break
@@ -295,7 +265,7 @@ def _interrupted(searches: Searches) -> bool:
 
 
 class _MultiStart:
-    """Searches from many starts: random ones first, then restarts from the best found.
+    """Searches from many starts: random ones (or given seeds) first, then restarts from the best.
 
     Random starts are screened: after a few iterations the better half goes on. Restarts begin
     at a mixture of one of the best solutions and a random trajectory; the kinematic limits are
@@ -306,9 +276,9 @@ class _MultiStart:
     def __init__(
         self, problem: DesignProblem, effort: Effort, seeds: tuple[Array, ...] = ()
     ) -> None:
-        """``seeds`` are solutions to begin from as they are, instead of the first random ones."""
         self.problem, self.effort, self.seeds = problem, effort, seeds
         self.states: dict[int, SearchState] = {}
+        self.nothing = np.zeros((0, problem.robot.nv))  # unknowns still to be drawn
         self.first = 0  # start of the island
 
     def run(self) -> Searches:
@@ -339,8 +309,7 @@ class _MultiStart:
         begun: dict[int, Array] = {}
         if first < len(self.seeds):
             count, begun = len(self.seeds), dict(enumerate(self.seeds))
-        nothing = np.zeros((0, self.problem.robot.nv))
-        new = [SearchState(k, begun.get(k, nothing)) for k in range(first, first + count)]
+        new = [SearchState(k, begun.get(k, self.nothing)) for k in range(first, first + count)]
         self.work([Task(state, _SCREENING) for state in new])
         ranked = self.ranked(first)
         keep = len(ranked) if len(ranked) < 4 else -(-len(ranked) // 2)
@@ -352,12 +321,12 @@ class _MultiStart:
         elite = [s for s in self.ranked(self.first) if np.isfinite(s.merit)][:_ELITE]
         tasks = self.polishing(_POLISHED // 2, self.first)
         for k in range(first, first + int(min(_ROUND, self.room))):
+            task = Task(SearchState(k, self.nothing))
             if elite:
                 parent = elite[k % len(elite)]
                 state = SearchState(k, parent.z, parent=parent.index)
-                tasks.append(Task(state, target=elite[0].merit))
-            else:
-                tasks.append(Task(SearchState(k, np.zeros((0, self.problem.robot.nv)))))
+                task = Task(state, target=elite[0].merit)
+            tasks.append(task)
         self.work(tasks)
 
     @property

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import BSpline
 
-from excitant.design.constraints import LimitReport, LimitUse, check
-from excitant.design.path import (
-    HOLDING,
-    Path,
-    free_path,
-    holding_refusal,
-    static_torque,
-)
+from excitant.design.constraints import LimitUse, check
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Array, Motion, Robot, torque
 from excitant.robots.geometry import Scene
-from excitant.robots.motion import freeze, read_only
+from excitant.robots.motion import read_only
 from excitant.robots.torque import largest_torque
 
 DEFAULT_ACCELERATION = 10.0  # rad/s² or m/s², of a joint with neither acceleration nor torque limit
+HOLDING = 0.95  # share of a torque limit that holding the arm may take; the rest moves it
+
+_RESOLUTION = 0.02, 0.005  # between checked poses: rad of a revolute joint, m of a prismatic one
+_SAMPLES = 1000  # via points tried
+_REACH = 0.4  # rad or m: longest branch that the search grows at once
+_SHORTCUTS = 60
+_SPACINGS = (1.0, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01)  # rad or m between control points
 
 _UNBOUNDED = 1e4  # of the joint speed in units of the path, where there is no limit
 _STAGES = 300  # intervals of the path at least
@@ -32,6 +34,10 @@ _SETTLED = 5e-4  # relative change of the duration between passes
 _BLUR = 2.0  # samples over which a jump of acceleration is spread
 _TIGHTENED = 6  # attempts to hold the limits between samples by lower limits
 _SLOWER = 15  # and by a lower speed
+
+Edge = Callable[[Array, Array], bool]
+Tree = tuple[list[Array], list[int]]  # poses, and the index of each one's parent
+Dynamics = tuple[Array, Array, Array, Array]  # a, b, smallest and largest c
 
 
 def approach(
@@ -47,12 +53,11 @@ def approach(
 ) -> Motion:
     """Fastest motion from rest at one pose to rest at another, to or from an excitation.
 
-    The path is the straight line in joint space. Where that comes too close to an obstacle, or
-    through a pose that the motors cannot hold, it leads around (`excitant.design.path`).
-    Its speed is that of TOPP-RA (Pham and Pham 2018) under the limits on velocity, acceleration
-    and torque, the robot's effects included. A joint without acceleration limit is held by its
-    torque limit alone; with neither, `DEFAULT_ACCELERATION` applies. At both ends q̇ = q̈ = 0. All
-    limits hold between samples too, in the sense of `excitant.design.constraints.check`.
+    The path is the straight line in joint space, or leads around where that comes too close to an
+    obstacle or through a pose that the motors cannot hold. Its speed is that of TOPP-RA (Pham and
+    Pham 2018) under the limits on velocity, acceleration and torque, the robot's effects included;
+    a joint with neither acceleration nor torque limit gets `DEFAULT_ACCELERATION`. At both ends
+    q̇ = q̈ = 0. All limits hold between samples too, in the sense of `check`.
 
     Args:
         robot: Arm with its limits and effects.
@@ -70,53 +75,48 @@ def approach(
     """
     if not 1 <= rate_hz <= 10_000:
         raise BadInput(f"{name}: rate {rate_hz:g} Hz: give 1 to 10000 Hz")
-    ends = []
-    for which, values in (("start", start), ("goal", goal)):
-        pose = _pose(robot, values, f"{name}: {which}")
-        _require_holdable(robot, pose, scene, clearance, (name, which))
-        ends.append(pose)
+    ends = [
+        _end_pose(robot, values, scene, clearance, (name, which))
+        for which, values in (("start", start), ("goal", goal))
+    ]
     if np.array_equal(ends[0], ends[1]):
         return _still(ends[0], np.array([0.0, 1.0 / rate_hz]))
     rng = np.random.default_rng(0) if rng is None else rng
-    path = free_path(robot, ends[0], ends[1], scene, clearance, rng)
+    path = _free_path(robot, ends[0], ends[1], scene, clearance, rng)
     if isinstance(path, str):
         raise Infeasible(
-            name,
-            f"{path} of the straight line and no way around was found; choose another pose",
+            name, f"{path} of the straight line and no way around was found; choose another pose"
         )
     return timed(robot, path, rate_hz, name)
 
 
-def _pose(robot: Robot, values: npt.ArrayLike, what: str) -> Array:
+def _end_pose(
+    robot: Robot,
+    values: npt.ArrayLike,
+    scene: Scene | None,
+    clearance: float,
+    what: tuple[str, str],
+) -> Array:
+    """A pose within the limits that the motors can hold and that is clear of obstacles."""
+    name, which = what
     try:
         pose = read_only(values)
     except (TypeError, ValueError):
-        raise BadInput(f"{what} is not a list of numbers") from None
+        raise BadInput(f"{name}: {which} is not a list of numbers") from None
     if pose.shape != (robot.nv,):
         raise BadInput(
-            f"{what} has shape {pose.shape}, expected ({robot.nv},) for the {robot.nv} joints of "
-            f"{robot.name}"
+            f"{name}: {which} has shape {pose.shape}, expected ({robot.nv},) for the {robot.nv} "
+            f"joints of {robot.name}"
         )
     low, high = robot.limits.position.T
     hair = 1e-9 * np.maximum(1.0, np.abs(pose))
     for j in np.flatnonzero(~((pose >= low - hair) & (pose <= high + hair) & np.isfinite(pose))):
         raise BadInput(
-            f"{what}: joint {robot.joints[j]} at {pose[j]:.6g} is outside its limits "
+            f"{name}: {which}: joint {robot.joints[j]} at {pose[j]:.6g} is outside its limits "
             f"{low[j]:.6g} to {high[j]:.6g}"
         )
-    return pose
-
-
-def _require_holdable(
-    robot: Robot, pose: Array, scene: Scene | None, clearance: float, what: tuple[str, str]
-) -> None:
-    """Refuse an end pose that the motors cannot hold or that touches an obstacle."""
-    name, which = what
-    share = np.abs(largest_torque(robot, _still(pose, np.zeros(1)))[0]) / robot.limits.torque
-    j = int(share.argmax())
-    if share[j] > HOLDING:
-        why = f"{holding_refusal(robot, j, float(share[j]))} in the {which} pose"
-        raise Infeasible(name, f"{why}; choose another pose")
+    if unheld := _unheld(robot, _still(pose, np.zeros(1))):
+        raise Infeasible(name, f"{unheld[0]} in the {which} pose; choose another pose")
     distance = np.inf if scene is None else float(scene.distances(pose[None]).min())
     if not distance >= clearance:
         raise Infeasible(
@@ -124,6 +124,19 @@ def _require_holdable(
             f"the {which} pose has a clearance of {distance:.4g} m, needed are "
             f"{clearance:.4g} m; choose another pose",
         )
+    return pose
+
+
+def _unheld(robot: Robot, motion: Motion) -> tuple[str, int] | None:
+    """Which joint cannot hold the arm with torque to spare, and at which instant, if any."""
+    bound = robot.limits.torque
+    share = np.abs(largest_torque(robot, motion)) / bound
+    k, j = np.unravel_index(int(share.argmax()), share.shape)
+    if share[k, j] <= HOLDING:
+        return None
+    need = f"joint {robot.joints[j]} needs {share[k, j] * bound[j]:.4g} N·m to hold the arm"
+    limit = f"{100 * HOLDING:.0f} % of its torque limit of {bound[j]:.4g} N·m"
+    return f"{need}, more than {limit}", int(k)
 
 
 def _still(pose: Array, t: Array) -> Motion:
@@ -131,44 +144,214 @@ def _still(pose: Array, t: Array) -> Motion:
     return Motion(t, q, np.zeros_like(q), np.zeros_like(q))
 
 
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Twice differentiable curve q(s), 0 ≤ s ≤ 1, of polynomial pieces, as toppra takes it."""
+
+    spline: BSpline
+    pieces: int
+
+    def __call__(self, s: npt.ArrayLike, order: int = 0) -> Array:
+        """Evaluate the path or its derivative with respect to s, shape (n, nv)."""
+        values: Array = self.spline(np.asarray(s, float), order)
+        return values
+
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+        return int(self.spline.c.shape[1])
+
+    @property
+    def path_interval(self) -> Array:
+        """First and last value of s."""
+        return np.array([0.0, 1.0])
+
+
+def rounded_path(waypoints: Array, spacing: float = 1.0) -> Path:
+    """Polyline with rounded corners: the variation-diminishing cubic spline (Schoenberg 1967).
+
+    Its control points lie on the polyline of differing corners (k, nv), about ``spacing`` apart
+    [rad or m], at the Greville abscissae of a clamped uniform knot vector. So it starts and ends
+    where the polyline does, is straight at constant speed where four neighbours lie on one
+    segment, and never leaves their hull.
+    """
+    length = _lengths(waypoints)
+    pieces = 1 if len(waypoints) == 2 else max(4, int(np.ceil(length[-1] / spacing)))
+    knots = np.concatenate([np.zeros(3), np.linspace(0, 1, pieces + 1), np.ones(3)])
+    greville = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3
+    control = _between(waypoints, length / length[-1], greville)
+    control[0], control[-1] = waypoints[0], waypoints[-1]
+    return Path(BSpline(knots, control, 3), pieces)
+
+
+def _free_path(
+    robot: Robot,
+    start: Array,
+    goal: Array,
+    scene: Scene | None,
+    clearance: float,
+    rng: np.random.Generator,
+) -> Path | str:
+    """The straight path, else one around what obstructs it, else what obstructs it."""
+
+    def blocking(waypoints: Array, spacing: float = 1.0) -> str | None:
+        return _obstruction(robot, rounded_path(waypoints, spacing), scene, clearance)
+
+    def free(a: Array, b: Array) -> bool:
+        return np.array_equal(a, b) or blocking(np.stack([a, b])) is None
+
+    straight = np.stack([start, goal])
+    blocked = blocking(straight)
+    if blocked is None:
+        return rounded_path(straight)
+    waypoints = _detour(robot, start, goal, free, rng)
+    if waypoints is None:
+        return blocked
+    for spacing in _SPACINGS:
+        if blocking(waypoints, spacing) is None:
+            return rounded_path(waypoints, spacing)
+    return blocked
+
+
+def _obstruction(robot: Robot, path: Path, scene: Scene | None, clearance: float) -> str | None:
+    """Where and why a path comes too close or cannot be held still, if it does."""
+    coarse = path(np.linspace(0.0, 1.0, 20 * path.pieces + 1))
+    travel = np.abs(np.diff(coarse, axis=0)) / np.where(robot.revolute, *_RESOLUTION)
+    s = np.linspace(0.0, 1.0, max(8, int(np.ceil(travel.max(axis=1).sum()))) + 1)
+    q = path(s)
+    if unheld := _unheld(robot, _creeping(q, path(s, 1))):
+        return f"{unheld[0]} at {100 * s[unheld[1]]:.3g} %"
+    if scene is not None:
+        distance = scene.distances(q).min(axis=1)
+        for k in np.flatnonzero(~(distance >= clearance))[:1]:
+            return (
+                f"clearance is {distance[k]:.4g} m, needed are {clearance:.4g} m, "
+                f"at {100 * s[k]:.3g} %"
+            )
+    return None
+
+
+def static_torque(robot: Robot, q: Array, direction: Array) -> Array:
+    """Torque that holds poses (n, nv) while they begin to move, shape (n, nv) [N·m].
+
+    Gravity and everything that does not vanish with the speed, as Coulomb friction; of the
+    velocities only the direction counts.
+    """
+    return torque(robot, _creeping(q, direction))
+
+
+def _creeping(q: Array, direction: Array) -> Motion:
+    creep = 1e-6 * direction / max(float(np.abs(direction).max(initial=0.0)), 1e-300)
+    return Motion(np.arange(float(len(q))), q, creep, np.zeros_like(q))
+
+
+def _lengths(waypoints: Array) -> Array:
+    """Length of a polyline up to each waypoint, shape (k,)."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1)))
+
+
+def _between(waypoints: Array, length: Array, at: Array) -> Array:
+    """Points of a polyline where it has these lengths, shape (n, nv)."""
+    return np.stack([np.interp(at, length, column) for column in waypoints.T], axis=1)
+
+
+def _detour(
+    robot: Robot, start: Array, goal: Array, free: Edge, rng: np.random.Generator
+) -> Array | None:
+    """Waypoints from start to goal over free straight segments, shape (k, nv), or None.
+
+    RRT-Connect (Kuffner and LaValle 2000), shortened by random shortcuts, among poses inside the
+    position limits and at most half a turn beyond the box of start and goal.
+    """
+    around = np.stack([np.minimum(start, goal) - np.pi, np.maximum(start, goal) + np.pi])
+    low, high = np.clip(around, *robot.limits.position.T)
+    trees: list[Tree] = [([start], [-1]), ([goal], [-1])]
+    edges: list[Edge] = [free, lambda a, b: free(b, a)]  # from the goal it is travelled backwards
+    for count in range(_SAMPLES):
+        order = slice(None, None, -1 if count % 2 else 1)
+        (here, there), (edge, back) = trees[order], edges[order]
+        grown = _grow(here, rng.uniform(low, high), edge, once=True)
+        if grown is None:
+            continue
+        met = _grow(there, here[0][grown], back, once=False)
+        if met is not None and np.array_equal(there[0][met], here[0][grown]):
+            halves = [_branch(here, grown), _branch(there, met)]
+            first, second = halves if count % 2 == 0 else halves[::-1]
+            return _shortened(np.array(first[::-1] + second[1:]), free, rng)
+    return None
+
+
+def _grow(tree: Tree, target: Array, free: Edge, *, once: bool) -> int | None:
+    """Grow the nearest branch towards a pose; index of the last node added."""
+    nodes, parents = tree
+    at = int(np.linalg.norm(np.array(nodes) - target, axis=1).argmin())
+    added = None
+    while True:
+        ahead = target - nodes[at]
+        distance = float(np.linalg.norm(ahead))
+        pose = target if distance <= _REACH else nodes[at] + ahead * (_REACH / distance)
+        if distance == 0 or not free(nodes[at], pose):
+            return added
+        nodes.append(pose)
+        parents.append(at)
+        added = at = len(nodes) - 1
+        if once or pose is target:
+            return added
+
+
+def _branch(tree: Tree, leaf: int) -> list[Array]:
+    nodes, parents = tree
+    branch = []
+    while leaf >= 0:
+        branch.append(nodes[leaf])
+        leaf = parents[leaf]
+    return branch
+
+
+def _shortened(waypoints: Array, free: Edge, rng: np.random.Generator) -> Array:
+    """The polyline with free shortcuts between random points of it."""
+    for _ in range(_SHORTCUTS):
+        length = _lengths(waypoints)
+        cut = np.sort(rng.uniform(0.0, length[-1], 2))
+        a, b = _between(waypoints, length, cut)
+        if free(a, b):
+            before, after = waypoints[length < cut[0]], waypoints[length > cut[1]]
+            waypoints = np.vstack([before, a, b, after])
+    kept = np.append(True, np.linalg.norm(np.diff(waypoints, axis=0), axis=1) > 1e-9)
+    shortened: Array = waypoints[kept]
+    return shortened
+
+
 def timed(robot: Robot, path: Path, rate_hz: float, name: str = "timing") -> Motion:
     """The fastest motion along a path from rest to rest, all limits held between samples too.
 
-    Where the samples exceed a limit, the speed is computed again under a limit lower by the
+    Where the samples [Hz] exceed a limit, the speed is computed again under a limit lower by the
     excess. Where that leaves no solution, because an arm barely holds its own weight, the motion
     is slowed down as a whole.
 
-    Args:
-        robot: Arm with its limits and effects.
-        path: The path.
-        rate_hz: Control rate of the samples [Hz].
-        name: What fails when there is no solution.
-
     Raises:
-        Infeasible: No speed holds the limits.
+        Infeasible: No speed holds the limits; begins with the name of what fails.
     """
-    tightened, profiles = robot, list[Profile]()
+    tightened = robot
+    first = profile = time_optimal(robot, path, blur=_BLUR / rate_hz, name=name)
     for _ in range(_TIGHTENED):
-        try:
-            profiles.append(time_optimal(tightened, path, blur=_BLUR / rate_hz, name=name))
-        except Infeasible:
-            if not profiles:
-                raise
-            break
-        motion = profiles[-1].motion(path, rate_hz)
-        uses = _of_speed(check(robot, motion))
+        motion = profile.motion(path, rate_hz)
+        uses = _uses_of_speed(robot, motion)
         if all(use.ratio <= 1 for use in uses):
             return motion
-        lower = {
+        lower: dict[str, Any] = {
             use.quantity: getattr(tightened.limits, use.quantity)
             / np.where(use.ratios > 1, use.ratios + 1e-4, 1.0)
             for use in uses
         }
         tightened = tightened.with_limits(replace(tightened.limits, **lower))
+        try:
+            profile = time_optimal(tightened, path, blur=_BLUR / rate_hz, name=name)
+        except Infeasible:
+            break
     for factor in 1 + 1e-3 * 2.0 ** np.arange(_SLOWER):
-        slower = replace(profiles[0], speed=profiles[0].speed / factor)
-        motion = slower.motion(path, rate_hz)
-        uses = _of_speed(check(robot, motion))
+        motion = replace(first, speed=first.speed / factor).motion(path, rate_hz)
+        uses = _uses_of_speed(robot, motion)
         if all(use.ratio <= 1 for use in uses):
             return motion
     worst = max(uses, key=lambda use: use.ratio)
@@ -179,25 +362,21 @@ def timed(robot: Robot, path: Path, rate_hz: float, name: str = "timing") -> Mot
     )
 
 
-def _of_speed(report: LimitReport) -> tuple[LimitUse, ...]:
-    """The limits that depend on the speed along the path."""
+def _uses_of_speed(robot: Robot, motion: Motion) -> tuple[LimitUse, ...]:
+    """Of the limits that depend on the speed along the path."""
+    report = check(robot, motion)
     return (report.velocity, report.acceleration, report.torque)
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Speed ṡ over position s of a path, with constant s̈ between the points given.
+    """Speed ṡ [1/s] at positions s of a path from 0 to 1, both (n,), with constant s̈ between.
 
-    Attributes:
-        s: Positions, increasing from 0 to 1, shape (n,).
-        speed: ṡ there, shape (n,) [1/s]; nowhere zero at two neighbours.
+    The speed is nowhere zero at two neighbours.
     """
 
     s: Array
     speed: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "s", "speed")
 
     @property
     def t(self) -> Array:
@@ -209,7 +388,7 @@ class Profile:
         """Time from 0 to 1 [s]."""
         return float(self.t[-1])
 
-    def positions(self, n: int) -> Array:
+    def _positions(self, n: int) -> Array:
         """Positions at ``n`` equidistant instants, first and last included, shape (n,)."""
         t = self.t
         instants = np.linspace(0.0, t[-1], n)
@@ -223,13 +402,12 @@ class Profile:
     def motion(self, path: Path, rate_hz: float) -> Motion:
         """Samples of the path at a control rate [Hz], with q̇ = q̈ = 0 at both ends.
 
-        The positions at the control instants become the control points of a uniform cubic
-        spline s(t), which turns jumps of acceleration into ramps of one sample. Its derivatives
-        are means of differences of the control points, so it is nowhere faster nor more
+        The positions at the control instants become control points of a uniform cubic spline
+        s(t): jumps of acceleration become ramps of one sample, and it is nowhere faster nor more
         accelerated than the profile. It takes up to three samples longer.
         """
         n = max(1, int(np.ceil(self.duration * rate_hz - 1e-9)))
-        control = np.concatenate([np.zeros(2), self.positions(n + 1), np.ones(2)])
+        control = np.concatenate([np.zeros(2), self._positions(n + 1), np.ones(2)])
         before, now, after = control[:-2], control[1:-1], control[2:]
         s = (before + 4 * now + after) / 6
         ds = ((after - before) * rate_hz / 2)[:, None]
@@ -243,17 +421,12 @@ def time_optimal(robot: Robot, path: Path, *, blur: float = 0.0, name: str = "ti
     """Fastest speed along a path from rest to rest, by TOPP-RA (Pham and Pham 2018).
 
     Friction that depends on the speed is linearised in its square at the result before, until
-    the duration settles or there is no solution any more.
-
-    Args:
-        robot: Arm with its limits and effects.
-        path: The path.
-        blur: Time before and after each position over which dry friction is taken at its worst,
-            because it jumps where a joint turns back while the acceleration takes time [s].
-        name: What fails when there is no solution.
+    the duration settles or there is no solution any more. Dry friction jumps where a joint turns
+    back while the acceleration takes time: it is taken at its worst over the time ``blur`` [s]
+    before and after.
 
     Raises:
-        Infeasible: No speed holds the limits.
+        Infeasible: No speed holds the limits; begins with the name of what fails.
     """
     s = np.linspace(0.0, 1.0, max(_STAGES, _STAGES_PER_PIECE * path.pieces) + 1)
     limits = robot.limits
@@ -282,14 +455,10 @@ def _time_scale(robot: Robot, path: Path, acceleration: Array) -> float:
     return float(np.max(np.maximum(way / robot.limits.velocity, 2 * np.sqrt(way / finite))))
 
 
-_Dynamics = tuple[Array, Array, Array, Array]  # a, b, smallest and largest c
-
-
-def _dynamics(robot: Robot, path: Path, s: Array, speed: Array | None, blur: float) -> _Dynamics:
+def _dynamics(robot: Robot, path: Path, s: Array, speed: Array | None, blur: float) -> Dynamics:
     """Torque on a path as τ = a s̈ + b ṡ² + c (Bobrow et al. 1985), each of shape (n, nv).
 
-    Friction that depends on the speed is not of this form. It is replaced by its secant in ṡ²
-    between rest and the given speed, where it is then exact; without a speed it is left out.
+    Friction that depends on the speed enters as its secant in ṡ² between rest and a given speed;
     c is gravity and dry friction, the smallest and the largest around each position.
     """
     q, dq, ddq = path(s), path(s, 1), path(s, 2)
@@ -327,7 +496,7 @@ def _topp(
     s: Array,
     velocity: Array,
     bounds: tuple[Array, Array],
-    dynamics: _Dynamics,
+    dynamics: Dynamics,
     unit: float,
 ) -> Profile | None:
     """Fastest ṡ with |q' ṡ|, |q' s̈ + q'' ṡ²| and |a s̈ + b ṡ² + c| bounded, in a unit of time."""
@@ -347,7 +516,7 @@ def _topp(
     return Profile(s, speed / unit)
 
 
-def _linear_constraint(dynamics: _Dynamics, bound: Array, unit: float) -> Any:
+def _linear_constraint(dynamics: Dynamics, bound: Array, unit: float) -> Any:
     """The constraint |a s̈ + b ṡ² + c| ≤ bound as toppra takes it, at both ends of each stage."""
     from toppra.constraint import DiscretizationType, LinearConstraint
     from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate

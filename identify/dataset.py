@@ -9,9 +9,8 @@ judged up to 10 Hz and positions are filtered at twice that (`excitant.identify.
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +23,7 @@ import scipy
 from excitant.exceptions import BadInput, BadRecording, UnknownName
 from excitant.identify.importers.mapping import ColumnMap, column_map, drive_of, load_column_map
 from excitant.identify.preprocessing import CUTOFF_HZ, POSITION_RATIO, at_instants, uninterrupted
-from excitant.identify.recording import (
-    SUFFIXES,
-    Recording,
-    checked,
-    raw_recording,
-    read_chunks,
-    refuse_bad_rows,
-)
+from excitant.identify.recording import SUFFIXES, Recording, load_recording, read_chunks
 from excitant.robots.loading import load_robot
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -41,8 +33,6 @@ LONG = 1_000_000
 """Samples of recordings together from which they are read in pieces and decimated."""
 
 _USUAL = (".parquet", ".csv")
-_NUMBERED = re.compile(r"(.*?)(\d+)(\.[^.]*)?", re.ASCII)  # run_, 12, .csv
-_LONGEST_STEP = 10.0  # median steps between the last row of a part and the first of the next
 _PASSED_HZ = POSITION_RATIO * CUTOFF_HZ
 _RATE_HZ = 8 * _PASSED_HZ
 _STOPPED_DB = 80.0  # what is folded onto the band that is passed
@@ -74,28 +64,22 @@ class Dataset:
     Attributes:
         robot: The arm.
         folder: Folder the recordings are named relative to; None when they are paths.
-        torque_column: Prefix of the torque columns, when the sidecar says.
         mapping: What is said about the columns and drives.
     """
 
     robot: Robot
     folder: Path | None = None
-    torque_column: str | None = None
-    mapping: ColumnMap | None = None
+    mapping: ColumnMap = field(default_factory=ColumnMap)
 
     def recordings(self, names: Sequence[str], *, without: Sequence[str] = ()) -> list[Recording]:
-        """Recordings by name; all of the folder when none is named.
-
-        Args:
-            names: Recordings to read.
-            without: Recordings that are held out: not among "all", refused among names.
+        """Recordings by name; all of the folder that are not held out when none is named.
 
         Raises:
-            BadInput: Nothing to read, or a recording both named and held out.
+            BadInput: Nothing to read, or a recording both named and held out (``without``).
             BadRecording: A recording that cannot be used.
         """
-        paths, column = self.paths(names, without=without), self.torque_column
-        return read_recordings(paths, self.robot, mapping=self.mapping, torque_column=column)
+        paths = self.paths(names, without=without)
+        return read_recordings(paths, self.robot, mapping=self.mapping)
 
     def paths(self, names: Sequence[str], *, without: Sequence[str] = ()) -> list[Path]:
         """Files of recordings; see `recordings`."""
@@ -142,9 +126,12 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
         BadInput: A folder without a robot, or a file that cannot be read.
     """
     folder = Path(spec)
+    given = ColumnMap() if columns is None else load_column_map(columns)
     if not folder.is_dir():
-        return Dataset(load_robot(spec), mapping=_completed(columns, _drive(folder)))
+        return Dataset(load_robot(spec), mapping=_with_drive(given, folder))
     sidecar, beside = folder / "dataset.json", folder / "columns.yaml"
+    if columns is None and beside.is_file():
+        given = load_column_map(beside)
     known = read_yaml(sidecar, _Sidecar, "a data set") if sidecar.is_file() else _Sidecar()
     kinematics, torque = known.kinematics or _Kinematics(), known.torque or _Torque()
     candidates = [folder / name for name in (kinematics.urdf, "robot.yaml") if name]
@@ -158,94 +145,31 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
         robot = load_robot(model, lock=dict.fromkeys(kinematics.lock or [], 0.0) or None)
     except UnknownName as error:
         raise BadInput(f"{sidecar}: {error}") from None
-    given = columns if columns is not None or not beside.is_file() else beside
-    own = {"gain_Nm_per_A": torque.gains if isinstance(torque.gains, list) else None}
-    mapping = _completed(given, drive_of(own, str(sidecar)) or _drive(model))
-    if isinstance(known.units, dict) and not (mapping and mapping.units):
-        units = column_map({"units": known.units}, str(sidecar)).units
-        mapping = replace(mapping or ColumnMap(), units=units) if units else mapping
-    return Dataset(robot, folder, torque.column, mapping)
+    if isinstance(known.units, dict) and not given.units:
+        given = replace(given, units=column_map({"units": known.units}, str(sidecar)).units)
+    if given.drive is None and isinstance(torque.gains, list):
+        given = replace(given, drive=drive_of({"gain_Nm_per_A": torque.gains}, str(sidecar)))
+    return Dataset(robot, folder, replace(_with_drive(given, model), torque=torque.column))
 
 
-def _drive(model: Path) -> tuple[float, ...] | None:
-    """Drive constants of a robot.yaml."""
-    if model.suffix not in (".yaml", ".yml") or not model.is_file():
-        return None
-    return drive_of(read_yaml(model, RobotRecord, "a robot").drive, str(model))
-
-
-def _completed(columns: str | Path | None, drive: tuple[float, ...] | None) -> ColumnMap | None:
-    """The map in a file, completed by drive constants that are said elsewhere."""
-    given = ColumnMap() if columns is None else load_column_map(columns)
-    given = given if given.drive is not None else replace(given, drive=drive)
-    return given if given != ColumnMap() else None
+def _with_drive(given: ColumnMap, model: Path) -> ColumnMap:
+    """A column map with the drive constants of a robot.yaml, where it says none."""
+    if given.drive or model.suffix not in (".yaml", ".yml") or not model.is_file():
+        return given
+    drive = drive_of(read_yaml(model, RobotRecord, "a robot").drive, str(model))
+    return replace(given, drive=drive)
 
 
 def read_recordings(
-    paths: Sequence[str | Path],
-    robot: Robot | int,
-    *,
-    mapping: ColumnMap | None = None,
-    torque_column: str | None = None,
+    paths: Sequence[str | Path], robot: Robot | int, *, mapping: ColumnMap | None = None
 ) -> list[Recording]:
     """Recordings from logs, in order; see `load_recording`.
 
-    Files that are parts of one recording become one: the next part has the same name with the next
-    number, the same columns, and time that goes on where the last one ended; recordings that each
-    start at 0 are never parts of one. Logs that are too long to hold are low-passed and decimated
-    as they are read, each a recording of its own.
+    Logs that are too long to hold are low-passed and decimated as they are read.
     """
     if sum(_samples(Path(path)) for path in paths) > LONG:
-        return [
-            decimated(read_chunks(path, robot, mapping=mapping, torque_column=torque_column))
-            for path in paths
-        ]
-    runs: list[list[Recording]] = []
-    for path in paths:
-        raw = raw_recording(path, robot, mapping, torque_column=torque_column)
-        if runs and _continues(runs[-1][-1], raw):
-            runs[-1].append(raw)
-        else:
-            runs.append([raw])
-    return [checked(parts[0] if len(parts) == 1 else _put_together(parts)) for parts in runs]
-
-
-def _continues(before: Recording, raw: Recording) -> bool:
-    """Whether a log is the next part of the one before."""
-    one, other = Path(before.file), Path(raw.file)
-    first, second = _NUMBERED.fullmatch(one.name), _NUMBERED.fullmatch(other.name)
-    alike = before.columns == raw.columns and before.unit == raw.unit
-    if not alike or one.parent != other.parent or first is None or second is None:
-        return False
-    next_name = first[1], first[3], int(first[2]) + 1
-    if (second[1], second[3], int(second[2])) != next_name or len(before) < 3 or not len(raw):
-        return False
-    gap = _between(before, raw) - float(before.t[-1])
-    return 0 < gap <= _LONGEST_STEP * float(np.median(np.diff(before.t)))
-
-
-def _put_together(parts: Sequence[Recording]) -> Recording:
-    for raw in parts:
-        refuse_bad_rows(raw)
-    first, last = parts[0], parts[-1]
-    speeds = [raw.dq for raw in parts if raw.dq is not None]
-    common = [name for name in first.extras if all(name in raw.extras for raw in parts)]
-    return replace(
-        first,
-        name=f"{first.name}..{last.name}",
-        t=np.concatenate([raw.t + _between(first, raw) for raw in parts]),
-        q=np.concatenate([raw.q for raw in parts]),
-        tau=np.concatenate([raw.tau for raw in parts]),
-        dq=np.concatenate(speeds) if len(speeds) == len(parts) else None,
-        extras={name: np.concatenate([raw.extras[name] for raw in parts]) for name in common},
-        notes=(*first.notes, f"parts of one recording: {', '.join(raw.name for raw in parts)}"),
-        unreadable={},
-    )
-
-
-def _between(one: Recording, other: Recording) -> float:
-    """Time from the first row of one to that of another [s]."""
-    return (other.start[0] - one.start[0]) + (other.start[1] - one.start[1])
+        return [decimated(read_chunks(path, robot, mapping=mapping)) for path in paths]
+    return [load_recording(path, robot, mapping=mapping) for path in paths]
 
 
 def _samples(path: Path) -> int:
@@ -302,11 +226,7 @@ def decimated(pieces: Iterable[Recording]) -> Recording:
 
 
 class _Filter:
-    """Low-pass and decimation of samples at about one rate; keeps its grid from call to call.
-
-    Args:
-        step: Sampling period [s].
-    """
+    """Low-pass and decimation of samples every ``step`` [s]; keeps its grid from call to call."""
 
     def __init__(self, step: float) -> None:
         self.step, self.factor = step, max(1, int(1 / (step * _RATE_HZ)))

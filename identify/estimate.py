@@ -5,44 +5,50 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 
 from excitant.exceptions import UnknownName
-from excitant.identify.accuracy import (
-    Accuracy,
-    Coverage,
-    PredictionInterval,
-    Series,
-    coverage,
-    predicted_torque,
-    prediction_interval,
-    series,
-)
 from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.knowledge import Knowledge
-from excitant.identify.least_squares import LeastSquares, essential_parameters
+from excitant.identify.least_squares import (
+    LeastSquares,
+    autocorrelation,
+    autocorrelation_time,
+    essential_parameters,
+    weighted_least_squares,
+)
 from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
+from excitant.identify.regression import regression_of
 from excitant.identify.rows import (
+    Accuracy,
     Data,
     FitRows,
+    Series,
     fit_rows,
     fitted,
     identified_robot,
+    predicted_torque,
+    series,
     split,
-    with_own_torque,
 )
 from excitant.identify.shapes import Shapes, refined_shapes
 from excitant.robots.base_parameters import BaseParameters, base_parameters, categories
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.html_table import html_table
-from excitant.robots.motion import Array, Motion, read_only
+from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import UNITS, violations
 from excitant.robots.robot import Robot
-from excitant.robots.torque import observation_columns
+
+LEVEL = 0.95
+_FEWEST = 3.0  # degrees of freedom, below which no noise is known
+_MOST = 0.5  # of the residual's variance that is given back
+_FAR, _CERTAIN = 0.02, 2.0  # share of samples and standard deviations that chance is allowed
+_ROUNDS = 2  # until the torque that columns hold is that of the identified arm
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,17 +59,11 @@ class Estimate:
         given: The robot as given.
         model: The identified robot: physically consistent inertias, and effects with values.
         base: Base parameters of links and effects together.
-        least_squares: Weighted least-squares estimate of the base parameters.
+        least_squares: Estimate of the base parameters.
         physical: Physically consistent fit of all parameters.
-        prior: Standard parameters of the prior, shape (10 nv,).
         gains: Drive gains where torque came as current, shape (nv,) [N·m/A]; ones otherwise.
         data: What was fitted and held out.
         train: Accuracy of the model on the fitted rows.
-        validate: Accuracy of the model on the hold-out.
-        baseline: Accuracy of the given robot on the hold-out.
-        holdout: Rows of the hold-out.
-        predicted: Torque of the model at those rows, shape (n, nv) [torque unit].
-        predicted_given: Torque of the given robot at those rows [torque unit].
         notes: What the user should know, as sentences.
         estimator: How the base parameters were estimated, in words.
         knowledge: What was taken for known of the bodies.
@@ -75,19 +75,43 @@ class Estimate:
     base: BaseParameters
     least_squares: LeastSquares
     physical: PhysicalFit
-    prior: Array
     gains: Array
     data: Data
     train: Accuracy
-    validate: Accuracy
-    baseline: Accuracy
-    holdout: Series
-    predicted: Array
-    predicted_given: Array
     notes: tuple[str, ...]
     estimator: str = ESTIMATORS["wls"]
     knowledge: Knowledge = field(default_factory=Knowledge)
     shapes: Shapes | None = None
+
+    @cached_property
+    def prior(self) -> Array:
+        """Standard parameters of the prior, shape (10 nv,)."""
+        return read_only(prior_parameters(self.given).ravel())
+
+    @cached_property
+    def holdout(self) -> Series:
+        """Rows of the hold-out."""
+        return series(self.data.validate)
+
+    @cached_property
+    def predicted(self) -> Array:
+        """Torque of the model at the rows of the hold-out, shape (n, nv) [torque unit]."""
+        return read_only(predicted_torque(self.model, self.data.validate) / self.gains)
+
+    @cached_property
+    def predicted_given(self) -> Array:
+        """Torque of the given robot at these rows, shape (n, nv) [torque unit]."""
+        return read_only(predicted_torque(self.given, self.data.validate) / self.gains)
+
+    @cached_property
+    def validate(self) -> Accuracy:
+        """Accuracy of the model on the hold-out."""
+        return self.holdout.accuracy(self.predicted)
+
+    @cached_property
+    def baseline(self) -> Accuracy:
+        """Accuracy of the given robot on the hold-out."""
+        return self.holdout.accuracy(self.predicted_given)
 
     @property
     def phi(self) -> Array:
@@ -97,12 +121,8 @@ class Estimate:
     @cached_property
     def holdout_columns(self) -> Array:
         """Columns of the base parameters at the rows of the hold-out, shape (n, nv, r)."""
-        effects, used = self.model.effects, list(self.base.columns)
-
-        def columns(motion: Motion) -> Array:
-            return np.asarray(observation_columns(self.model, effects, motion)[:, :, used], float)
-
-        return read_only(np.concatenate([part.rows(columns) for part in self.data.validate]))
+        found = regression_of(self.model, self.model.effects, self.data.validate)
+        return read_only(found.select(self.base.columns).W)
 
     @cached_property
     def interval(self) -> PredictionInterval:
@@ -115,8 +135,16 @@ class Estimate:
         """Machine-readable result of `identify` (keys of DESIGN.md, section 5)."""
         robot = self.given
         broken = violations(self.phi, robot.links)
-        half_width = self.interval.half_width
-        held = coverage(self.holdout.measured, self.predicted, half_width)
+        half, known = self.interval.half_width, self.interval.parameters
+        held = coverage(self.holdout.measured, self.predicted, half)
+        intervals = [
+            {
+                "half_width": float(half[:, j].mean()),
+                "half_width_parameters": float(1.96 * known[:, j].mean()),
+                "coverage": float(held.share[j]),
+            }
+            for j in range(robot.nv)
+        ]
         return {
             "verb": "identify",
             "robot": robot.name,
@@ -131,7 +159,7 @@ class Estimate:
                 {
                     "name": joint,
                     "train": self.train.entry(j),
-                    "validate": self.validate.entry(j) | {"interval95": self._interval(held, j)},
+                    "validate": self.validate.entry(j) | {"interval95": intervals[j]},
                     "baseline": self.baseline.entry(j),
                 }
                 for j, joint in enumerate(robot.joints)
@@ -162,26 +190,17 @@ class Estimate:
             "half_width": self.interval.half_width,
         }
 
-    def _interval(self, held: Coverage, joint: int) -> dict[str, float]:
-        """Mean half width of the 95 % intervals of one joint, and how many readings they hold."""
-        half, parameters = self.interval.half_width, self.interval.parameters
-        return {
-            "half_width": float(half[:, joint].mean()),
-            "half_width_parameters": float(1.96 * parameters[:, joint].mean()),
-            "coverage": float(held.share[joint]),
-        }
-
     def _essential(self) -> dict[str, Any]:
         """The fewest base parameters, and what the hold-out says of them (median over joints)."""
         essential = essential_parameters(self.least_squares.beta, self.least_squares.covariance)
-        expressions, gains = self.base.expressions, self.gains
+        names = self.base.expressions
         every, few = (
-            float(np.nanmedian(self.holdout.accuracy(self.holdout_columns @ b / gains).nrmse))
+            float(np.nanmedian(self.holdout.accuracy(self.holdout_columns @ b / self.gains).nrmse))
             for b in (self.least_squares.beta, essential.beta)
         )
         return {
-            "kept": [expressions[k] for k in essential.kept],
-            "dropped": [expressions[k] for k in essential.dropped],
+            "kept": [names[k] for k in essential.kept],
+            "dropped": [names[k] for k in essential.dropped],
             "p_value": essential.p_value,
             "nrmse_all": every,
             "nrmse_essential": few,
@@ -189,7 +208,6 @@ class Estimate:
 
     def _parameters(self) -> list[dict[str, Any]]:
         robot, physical = self.given, self.physical
-        names = self.base.names
         effects = [p for e in self.model.effects for p in e.parameters(robot)]
         units = [*UNITS * robot.nv, *(p.unit for p in effects)]
         owners = [link for link in robot.links for _ in UNITS]
@@ -198,7 +216,7 @@ class Estimate:
         std = np.sqrt(np.diag(physical.covariance))
         return [
             {
-                "name": names[k],
+                "name": self.base.names[k],
                 "link": owners[k],
                 "value": float(physical.x[k]),
                 "std": float(std[k]),
@@ -212,7 +230,6 @@ class Estimate:
 
     def _base_parameters(self) -> list[dict[str, Any]]:
         fit = self.least_squares
-        std = np.sqrt(np.diag(fit.covariance))
         return [
             {
                 "expression": text,
@@ -220,7 +237,7 @@ class Estimate:
                 "std": float(s),
                 "rel_std": float(s / abs(value)) if value else None,
             }
-            for text, value, s in zip(self.base.expressions, fit.beta, std, strict=True)
+            for text, value, s in zip(self.base.expressions, fit.beta, fit.std, strict=True)
         ]
 
     def _repr_html_(self) -> str:
@@ -244,22 +261,20 @@ def identify_robot(
 ) -> Estimate:
     """Identify a robot from recordings.
 
-    Weighted least squares on the base parameters gives noise levels and base estimates; the
-    semidefinite fit then gives physically consistent standard parameters. With any other
-    estimator, the semidefinite fit is to the torque that its base parameters predict on these
-    rows, weighted by the noise it found. Shapes of effects, in which torque is not linear, are
-    refined where that fits better (`excitant.identify.shapes`).
+    Weighted least squares gives noise levels and base parameters; the semidefinite fit then gives
+    physically consistent standard parameters. With any other estimator, that fit is to the torque
+    that its base parameters predict on these rows, weighted by the noise it found. Shapes of
+    effects, in which torque is not linear, are refined where that fits better.
 
     Args:
         robot: The arm; its inertias are the prior.
         recordings: What to fit.
         validate: What to judge on; the last 30 % of each recording when empty.
         effects: Effects to estimate; friction, offset and rotor inertia when None.
-        cutoff_hz: Cut-off of the torque filter [Hz]; see `excitant.identify.rows.split`.
+        cutoff_hz: Cut-off of the torque filter [Hz]; see `excitant.identify.split`.
         estimator: One of `excitant.identify.estimators.ESTIMATORS`.
         knowledge: What is known of the bodies beforehand, and the kind of prior.
-        harmonics_hz: Highest harmonic of the motion as planned [Hz]; without a cut-off given,
-            none is taken that filters its torque away.
+        harmonics_hz: Highest harmonic of the motion as planned [Hz], which the filter passes.
 
     Raises:
         BadInput: Knowledge that no body fulfils, or of links that the arm does not have.
@@ -295,37 +310,12 @@ def identify_robot(
 def judged(
     robot: Robot, rows: FitRows, fit: LeastSquares, physical: PhysicalFit, notes: tuple[str, ...]
 ) -> Estimate:
-    """A fit with its accuracy on the training and the validation segments.
-
-    Args:
-        robot: The arm as given.
-        rows: What was fitted.
-        fit: Base parameters.
-        physical: Physically consistent parameters of links and effects.
-        notes: What else should be said.
-    """
-    data, gains = rows.data, rows.gains
+    """The estimate of a robot as given from rows, with base parameters and physical ones."""
     model = identified_robot(robot, rows.effects, physical.x)
-    unseen = series(data.validate)
-    predicted = predicted_torque(model, data.validate) / gains
-    predicted_given = predicted_torque(robot, data.validate) / gains
-    return Estimate(
-        given=robot,
-        model=model,
-        base=rows.base,
-        least_squares=fit,
-        physical=physical,
-        prior=read_only(prior_parameters(robot).ravel()),
-        gains=read_only(gains),
-        data=data,
-        train=rows.measured.accuracy(rows.regression.torque(physical.x) / gains),
-        validate=unseen.accuracy(predicted),
-        baseline=unseen.accuracy(predicted_given),
-        holdout=unseen,
-        predicted=read_only(predicted),
-        predicted_given=read_only(predicted_given),
-        notes=notes,
-    )
+    predicted = rows.regression.torque(physical.x) / rows.gains
+    train = series(rows.data.train).accuracy(predicted)
+    gains = read_only(rows.gains)
+    return Estimate(robot, model, rows.base, fit, physical, gains, rows.data, train, notes)
 
 
 def notes_on(robot: Robot, prior: Array, data: Data, gains: Array) -> tuple[str, ...]:
@@ -350,6 +340,31 @@ def notes_on(robot: Robot, prior: Array, data: Data, gains: Array) -> tuple[str,
     return tuple(notes)
 
 
+def with_own_torque(rows: FitRows, prior: Array, knowledge: Knowledge) -> FitRows:
+    """The rows with columns of effects that hold the torque of the identified arm.
+
+    Columns of load, delay or elasticity hold the torque of the arm, from which that of the given
+    one may be far off. The arm is identified without them first, then with those that it calls for
+    itself. The prior has shape (nv, 10).
+    """
+    robot, effects = rows.robot, rows.effects
+    apart = tuple(e for e in effects if not e.depends_on_model)
+    if len(apart) == len(effects):
+        return rows
+    counts = [len(e.parameters(robot)) for e in effects]
+    links, *places = np.split(range(rows.regression.p), np.cumsum([10 * robot.nv, *counts])[:-1])
+    own = [at for e, at in zip(effects, places, strict=True) if not e.depends_on_model]
+    regression = rows.regression.select(np.concatenate([links, *own]).tolist())
+    known = replace(rows, effects=apart, base=base_parameters(robot, apart), regression=regression)
+    for _ in range(_ROUNDS):
+        R, z = known.regression.factor(weighted_least_squares(known.reduced).weight)
+        found = fit_physical(R, z, prior, known.open_prior, knowledge=knowledge, links=robot.links)
+        reference = identified_robot(robot, known.effects, found.x)
+        columns = regression_of(reference, effects, rows.data.train)
+        known = replace(rows, robot=reference, regression=columns.with_torque(rows.tau))
+    return known
+
+
 def _missed(joints: Sequence[str], held: Coverage) -> list[str]:
     """What coverage far from 95 % says, as a sentence, where there is any."""
     low = np.flatnonzero(held.too_few)
@@ -360,3 +375,90 @@ def _missed(joints: Sequence[str], held: Coverage) -> list[str]:
         f"95 % intervals of the predicted torque hold less of the hold-out ({shares}): the model "
         "misses something there; `excitant diagnose` looks for its cause"
     ]
+
+
+class PredictionInterval(NamedTuple):
+    """Where a new reading lies with 95 % probability, around the predicted torque.
+
+    The torque W β̂ of a row has the variance w Σ wᵀ, Σ the covariance of the base parameters, which
+    counts coloured noise. A new reading lies around it by that and by the noise of its joint, whose
+    variance is that of the residuals the fit left, with what the fit took out of them given back:
+    E ‖e‖² = (N − tr(A⁻¹Ω)) σ², of which each joint has a share by its inflation. Coloured residuals
+    know their variance from ν = n / Σ ρ_k² independent samples (Bartlett), so quantiles are
+    Student's.
+
+    Attributes:
+        parameters: Standard deviation of the predicted torque by that of the base parameters,
+            shape (n, nv) [torque unit].
+        noise: Standard deviation of the noise, shape (nv,) [torque unit].
+        freedom: Degrees of freedom that the noise is known with, shape (nv,).
+    """
+
+    parameters: Array
+    noise: Array
+    freedom: Array
+
+    @property
+    def half_width(self) -> Array:
+        """Half of the interval's width, shape (n, nv) [torque unit]."""
+        quantile = scipy.stats.t.ppf(0.5 + LEVEL / 2, self.freedom)
+        return np.asarray(quantile * np.hypot(self.parameters, self.noise), float)
+
+
+class Coverage(NamedTuple):
+    """Share of readings that lie in their intervals, each array of shape (nv,).
+
+    The standard deviation is that by chance where 95 % do, readings in a row counted by how many
+    are independent.
+    """
+
+    share: Array
+    std: Array
+
+    @property
+    def too_few(self) -> Array:
+        """Where chance does not explain how many lie outside, shape (nv,) of bool."""
+        return np.asarray(self.share < LEVEL - _FAR - _CERTAIN * self.std, bool)
+
+
+def torque_std(W: Array, covariance: Array) -> Array:
+    """Standard deviation of the torque W β by the covariance of β, shape (n, nv)."""
+    variance = np.einsum("njr,njr->nj", W @ covariance, W, optimize=True)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)), float)
+
+
+def prediction_interval(
+    W: Array, fit: LeastSquares, residual: Array, gains: Array | float = 1.0
+) -> PredictionInterval:
+    """95 % intervals of readings at new rows.
+
+    Args:
+        W: Columns of the base parameters at the new rows, shape (n, nv, r).
+        fit: Their estimate.
+        residual: Measured less predicted at the fitted rows, shape (m, nv) [torque unit].
+        gains: Torque per reading, shape (nv,).
+    """
+    left = 1 - np.minimum(fit.inflation * len(fit.beta) / residual.size, _MOST)
+    noise = np.sqrt((residual**2).mean(axis=0) / left)
+    freedom = np.array([independent_squares(e) for e in residual.T]) * left
+    parameters = torque_std(W, fit.covariance) / gains
+    return PredictionInterval(parameters, noise, np.maximum(freedom, _FEWEST))
+
+
+def independent_squares(residual: Array) -> float:
+    """ν = n / (1 + 2 Σ ρ_k²): how many independent samples know the variance as well, (n,) → ν.
+
+    Correlations that samples of white noise have by chance are left out.
+    """
+    n = len(residual)
+    rho = autocorrelation(residual)[1:]
+    chance = np.flatnonzero(np.abs(rho) < 2 / np.sqrt(n))
+    end = int(chance[0]) if len(chance) else len(rho)
+    return float(n / (1 + 2 * np.sum(rho[:end] ** 2)))
+
+
+def coverage(measured: Array, predicted: Array, half_width: Array) -> Coverage:
+    """How many readings lie within their intervals, all arrays of shape (n, nv)."""
+    inside = (np.abs(measured - predicted) <= half_width).astype(float)
+    independent = np.array([len(hits) / autocorrelation_time(hits) for hits in inside.T])
+    return Coverage(inside.mean(axis=0), np.sqrt(LEVEL * (1 - LEVEL) / independent))

@@ -12,21 +12,9 @@ import numpy.typing as npt
 import pandas as pd
 
 from excitant.exceptions import BadInput, BadRecording
+from excitant.identify.importers import tables
 from excitant.identify.importers.columns import Channel, Columns, resolve
 from excitant.identify.importers.mapping import ColumnMap
-from excitant.identify.importers.tables import (
-    ISO,
-    Table,
-    as_numbers,
-    bag_table,
-    in_seconds,
-    mat_table,
-    npz_table,
-    parquet_table,
-    stamps_unit,
-    table_of_frame,
-    unreadable,
-)
 from excitant.identify.importers.text import text_table
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, freeze, read_only
@@ -34,11 +22,11 @@ from excitant.robots.robot import Robot
 
 MINIMUM_DURATION = 2.0  # s: less holds no motion to fit and to filter
 CHANNELS = ("q", "dq", "tau")
-_READERS: dict[str, Callable[[Path], Table]] = {
-    **dict.fromkeys((".parquet", ".pq"), parquet_table),
+_READERS: dict[str, Callable[[Path], tables.Table]] = {
+    **dict.fromkeys((".parquet", ".pq"), tables.parquet_table),
     **dict.fromkeys((".csv", ".txt", ".tsv"), text_table),
-    ".npz": npz_table,
-    ".mat": mat_table,
+    ".npz": tables.npz_table,
+    ".mat": tables.mat_table,
 }
 _BAGS = (".bag", ".mcap", ".db3")
 SUFFIXES = (*_READERS, *_BAGS)
@@ -81,7 +69,7 @@ class Recording:
     unreadable: Mapping[tuple[int, str], str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        freeze(self, "t", "q", "tau", *(("dq",) if self.dq is not None else ()))
+        freeze(self, "t", *(name for name, _ in self.channels()))
         frozen = {name: read_only(values) for name, values in self.extras.items()}
         object.__setattr__(self, "extras", frozen)
 
@@ -105,8 +93,7 @@ class Recording:
     def take(self, rows: npt.NDArray[Any] | slice) -> Self:
         """The recording at some of its rows."""
         arrays: dict[str, Any] = {n: x[rows] for n, x in (("t", self.t), *self.channels())}
-        extras = {name: x[rows] for name, x in self.extras.items()}
-        return replace(self, **arrays, extras=extras)
+        return replace(self, **arrays, extras={n: x[rows] for n, x in self.extras.items()})
 
     def between(self, start: float, end: float, label: str) -> Recording:
         """The part between two fractions of its duration, 0 ≤ start < end ≤ 1."""
@@ -124,11 +111,7 @@ class Recording:
 
 
 def load_recording(
-    path: str | Path,
-    robot: Robot | int,
-    *,
-    mapping: ColumnMap | None = None,
-    torque_column: str | None = None,
+    path: str | Path, robot: Robot | int, *, mapping: ColumnMap | None = None
 ) -> Recording:
     """Recording from a log: Parquet, CSV, NPZ, MAT (up to version 7.2), ROS 1 or 2 bag, MCAP.
 
@@ -137,24 +120,19 @@ def load_recording(
             with names that say the same.
         robot: The arm, whose joints are matched by name, or its number of joints.
         mapping: What the user says about the columns.
-        torque_column: Prefix of the torque columns; ``tau`` or else ``i`` when not given.
 
     Raises:
         BadRecording: Names the file, the row (from 0, after the header) and the column.
         BadInput: A map of columns that does not fit the robot.
     """
-    return checked(raw_recording(path, robot, mapping, torque_column=torque_column))
+    return checked(raw_recording(path, robot, mapping))
 
 
 def raw_recording(
-    path: str | Path,
-    robot: Robot | int,
-    mapping: ColumnMap | None = None,
-    *,
-    torque_column: str | None = None,
+    path: str | Path, robot: Robot | int, mapping: ColumnMap | None = None
 ) -> Recording:
     """A log as it is: columns understood, units converted, no row refused; see `load_recording`."""
-    return next(_pieces(_open_log(path, mapping), robot, mapping, torque_column))
+    return next(_pieces(_open_log(path, mapping), robot, mapping))
 
 
 def recording_from_table(
@@ -164,10 +142,9 @@ def recording_from_table(
     file: str,
     name: str,
     mapping: ColumnMap | None = None,
-    torque_column: str | None = None,
 ) -> Recording:
     """Recording from a table in memory; see `load_recording`."""
-    raw = next(_pieces(table_of_frame(table, file), robot, mapping, torque_column))
+    raw = next(_pieces(tables.table_of_frame(table, file), robot, mapping))
     return checked(replace(raw, name=name))
 
 
@@ -177,7 +154,6 @@ def read_chunks(
     rows: int = 100_000,
     *,
     mapping: ColumnMap | None = None,
-    torque_column: str | None = None,
 ) -> Iterator[Recording]:
     """A log larger than memory as recordings of some rows each, checked as `load_recording` does.
 
@@ -189,7 +165,6 @@ def read_chunks(
         robot: The arm, or its number of joints.
         rows: Most rows of a piece.
         mapping: What the user says about the columns.
-        torque_column: Prefix of the torque columns.
 
     Yields:
         Pieces of at least one row; ``t`` counts from the first sample of the log.
@@ -201,51 +176,46 @@ def read_chunks(
     if rows < 1:
         raise BadInput(f"rows is {rows}; a piece must hold at least one row")
     files = [paths] if isinstance(paths, str | Path) else list(paths)
-    origin, end, extremes = None, None, np.zeros((0, 0))
+    origin, end, extremes = None, -np.inf, np.zeros((0, 0))
     for file in files:
-        table, first_row = _open_log(file, mapping), 0
-        for raw in _pieces(table, robot, mapping, torque_column, rows, origin):
-            refuse_bad_rows(raw, first_row, end)
-            seen = raw.tau if end is None else np.concatenate([extremes, raw.tau])
+        first_row = 0
+        for raw in _pieces(_open_log(file, mapping), robot, mapping, rows, origin):
+            _refuse_bad_rows(raw, first_row, end)
+            seen = np.concatenate([extremes, raw.tau]) if len(extremes) else raw.tau
             extremes = np.array([seen.min(axis=0), seen.max(axis=0)])
             origin, end, first_row = raw.start, float(raw.t[-1]), first_row + len(raw)
             yield _with_usable_speeds(raw)
-    if end is None or end < MINIMUM_DURATION:
-        raise BadRecording(
-            files[0] if files else "",
-            f"too short: {end or 0.0:.3g} s, at least {MINIMUM_DURATION:g} s are needed",
-            column="t",
-        )
+    if end < MINIMUM_DURATION:
+        why = f"too short: {max(end, 0.0):.3g} s, at least {MINIMUM_DURATION:g} s are needed"
+        raise BadRecording(files[0] if files else "", why, column="t")
     _refuse_dead(extremes, raw)
 
 
-def _open_log(path: str | Path, mapping: ColumnMap | None) -> Table:
+def _open_log(path: str | Path, mapping: ColumnMap | None) -> tables.Table:
     path = Path(path)
     is_bag_folder = (path / "metadata.yaml").is_file()
-    if path.is_dir() and not is_bag_folder:
-        why = "is a folder without metadata.yaml of a ROS 2 bag; give a file, or a bag"
-        raise BadRecording(path, why)
-    if not path.exists():
-        raise BadRecording(path, "no such file")
     suffix = ".bag" if is_bag_folder else path.suffix.lower()
-    if suffix not in SUFFIXES:
-        why = f"unknown format '{path.suffix}'; give .parquet or .csv, .npz, .mat, .bag or .mcap"
-        raise BadRecording(path, why)
-    try:
-        if suffix in _BAGS:
-            return bag_table(path, mapping.topic if mapping else None)
-        return _READERS[suffix](path)
-    except (BadRecording, ModuleNotFoundError):
-        raise
-    except Exception as error:  # readers of others raise anything on a damaged file
-        raise unreadable(path, error) from None
+    why = f"unknown format '{path.suffix}'; give .parquet or .csv, .npz, .mat, .bag or .mcap"
+    if not path.exists():
+        why = "no such file"
+    elif path.is_dir() and not is_bag_folder:
+        why = "is a folder without metadata.yaml of a ROS 2 bag; give a file, or a bag"
+    elif suffix in SUFFIXES:
+        try:
+            if suffix in _BAGS:
+                return tables.bag_table(path, mapping.topic if mapping else None)
+            return _READERS[suffix](path)
+        except (BadRecording, ModuleNotFoundError):
+            raise
+        except Exception as error:  # readers of others raise anything on a damaged file
+            raise tables.unreadable(path, error) from None
+    raise BadRecording(path, why)
 
 
 def _pieces(
-    table: Table,
+    table: tables.Table,
     robot: Robot | int,
     mapping: ColumnMap | None,
-    torque_column: str | None,
     rows: int | None = None,
     origin: tuple[float, float] | None = None,
 ) -> Iterator[Recording]:
@@ -253,79 +223,71 @@ def _pieces(
 
     ``origin`` is the time that becomes 0, that of the first row when None.
     """
-    logged = resolve(table, robot, mapping, torque_column)
-    columns: Columns | None = None
-    narrow = logged.names if rows is not None or table.joined else None
+    columns = resolve(table, robot, mapping or ColumnMap())
+    narrow = columns.names if rows is not None or table.joined else None
+    timed = columns.t_unit is not None or len(columns.t) > 1
     for frame in table.frames(rows, narrow):
         if rows is not None and frame.empty:
             continue
-        columns = columns or _timed(logged, frame)
-        texts: dict[tuple[int, str], str] = {}
-        whole, rest = in_seconds(frame[columns.t[0]], columns.t_unit)
-        if len(columns.t) == 2:
-            rest = rest + 1e-9 * as_numbers(frame[columns.t[1]])
-        _remember(texts, frame, columns.t[0], whole + rest)
-        if origin is None:
-            usable = np.flatnonzero(np.isfinite(whole + rest))[:1]
-            origin = (
-                (float(whole[usable[0]]), float(rest[usable[0]])) if len(usable) else (0.0, 0.0)
-            )
-        with np.errstate(invalid="ignore", over="ignore"):
-            t = (whole - origin[0]) + (rest - origin[1])
-        yield Recording(
-            name=Path(table.file).stem,
-            file=table.file,
-            t=t,
-            q=_channel(frame, columns.q, texts),
-            tau=_channel(frame, columns.tau, texts),
-            unit=columns.unit,
-            dq=None if columns.dq is None else _channel(frame, columns.dq, texts),
-            notes=(*table.notes, *columns.notes),
-            extras=_extras(frame, columns),
-            columns=(columns.t[0], *columns.q.columns, *columns.tau.columns),
-            start=origin,
-            unreadable=texts,
-        )
+        if not timed:
+            columns, timed = _timed(columns, frame), True
+        raw = _in_si_units(table, frame, columns, origin)
+        origin = raw.start
+        yield raw
 
 
 def _timed(columns: Columns, frame: pd.DataFrame) -> Columns:
     """The columns with the unit of time that the values show, where names say none."""
-    if columns.t_unit is not None or len(columns.t) > 1:
-        return columns
-    unit = stamps_unit(frame[columns.t[0]])
+    unit = tables.stamps_unit(frame[columns.t[0]])
     if unit is None or unit == "s":
         return columns
-    what = "dates" if unit == ISO else f"stamps since 1970 [{unit}]"
-    notes = (*columns.notes, f"time: {columns.t[0]} holds {what}")
-    return replace(columns, t_unit=unit, notes=notes)
+    what = "dates" if unit == tables.ISO else f"stamps since 1970 [{unit}]"
+    return replace(
+        columns, t_unit=unit, notes=(*columns.notes, f"time: {columns.t[0]} holds {what}")
+    )
 
 
-def _extras(frame: pd.DataFrame, columns: Columns) -> dict[str, Array]:
-    """The other columns of numbers."""
-    names = [str(name) for name in frame.columns]
-    return {
-        name: as_numbers(frame[name])
-        for name in names
-        if name not in columns.names
-        and names.count(name) == 1
-        and pd.api.types.is_numeric_dtype(frame[name])
-    }
+def _in_si_units(
+    table: tables.Table, frame: pd.DataFrame, columns: Columns, origin: tuple[float, float] | None
+) -> Recording:
+    texts: dict[tuple[int, str], str] = {}
 
+    def remembered(column: str, values: Array) -> Array:
+        for row in np.flatnonzero(~np.isfinite(values))[:_REMEMBERED]:
+            texts[int(row), column] = str(frame[column].iloc[row])
+        return values
 
-def _channel(frame: pd.DataFrame, channel: Channel, texts: dict[tuple[int, str], str]) -> Array:
-    values = np.empty((len(frame), len(channel.columns)))
-    for k, column in enumerate(channel.columns):
-        values[:, k] = as_numbers(frame[column])
-        _remember(texts, frame, column, values[:, k])
-    with np.errstate(over="ignore", invalid="ignore"):
-        return values * channel.factors
+    def channel(found: Channel) -> Array:
+        values = [remembered(name, tables.as_numbers(frame[name])) for name in found.columns]
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(np.column_stack(values) * found.factors)
 
-
-def _remember(
-    texts: dict[tuple[int, str], str], frame: pd.DataFrame, column: str, values: Array
-) -> None:
-    for row in np.flatnonzero(~np.isfinite(values))[:_REMEMBERED]:
-        texts[int(row), column] = str(frame[column].iloc[row])
+    whole, rest = tables.in_seconds(frame[columns.t[0]], columns.t_unit)
+    if len(columns.t) == 2:
+        rest = rest + 1e-9 * tables.as_numbers(frame[columns.t[1]])
+    usable = np.flatnonzero(np.isfinite(remembered(columns.t[0], whole + rest)))
+    if origin is None:
+        origin = (float(whole[usable[0]]), float(rest[usable[0]])) if len(usable) else (0.0, 0.0)
+    with np.errstate(invalid="ignore", over="ignore"):
+        t = (whole - origin[0]) + (rest - origin[1])
+    return Recording(
+        name=Path(table.file).stem,
+        file=table.file,
+        t=t,
+        q=channel(columns.q),
+        tau=channel(columns.tau),
+        unit=columns.unit,
+        dq=None if columns.dq is None else channel(columns.dq),
+        notes=(*table.notes, *columns.notes),
+        extras={
+            str(name): tables.as_numbers(frame[name])
+            for name in frame.columns.drop_duplicates(keep=False)
+            if name not in columns.names and pd.api.types.is_numeric_dtype(frame[name])
+        },
+        columns=(columns.t[0], *columns.q.columns, *columns.tau.columns),
+        start=origin,
+        unreadable=texts,
+    )
 
 
 def checked(raw: Recording) -> Recording:
@@ -337,44 +299,39 @@ def checked(raw: Recording) -> Recording:
         BadRecording: Cells that are no finite number, time that does not rise, a channel without
             signal, or less than `MINIMUM_DURATION`.
     """
-    refuse_bad_rows(raw)
-    if len(raw) < 2 or raw.duration < MINIMUM_DURATION:
-        raise BadRecording(
-            raw.file,
-            f"too short: {len(raw)} samples over {raw.duration if len(raw) else 0.0:.3g} s, "
-            f"at least {MINIMUM_DURATION:g} s are needed",
-            column=raw.columns[0],
-        )
+    _refuse_bad_rows(raw)
+    duration = raw.duration if len(raw) else 0.0
+    if duration < MINIMUM_DURATION:
+        why = f"too short: {len(raw)} samples over {duration:.3g} s, at least"
+        why = f"{why} {MINIMUM_DURATION:g} s are needed"
+        raise BadRecording(raw.file, why, column=raw.columns[0])
     _refuse_dead(raw.tau, raw)
     return _with_usable_speeds(raw)
 
 
-def refuse_bad_rows(raw: Recording, first_row: int = 0, before: float | None = None) -> None:
+def _refuse_bad_rows(raw: Recording, first_row: int = 0, before: float = -np.inf) -> None:
     """Refuse cells of time, position and torque that are no finite number, and time not rising.
 
-    Args:
-        raw: The log, or a part of it.
-        first_row: Row of the log that its first row is.
-        before: Time of the row before [s].
+    Of a part of a log, ``first_row`` is its first row's, ``before`` the time of the row before [s].
     """
     values = np.column_stack([raw.t, raw.q, raw.tau])
     bad = ~np.isfinite(values)
+    steps = np.diff(raw.t, prepend=before)
     if bad.any():
         row, k = np.argwhere(bad)[0].tolist()
         text = raw.unreadable.get((row, raw.columns[k]), f"{values[row, k]:g}")
         why = f"value '{text}' is not a finite number ({int(bad.any(axis=1).sum())} such rows)"
         why += "; remove or repair them"
-        raise BadRecording(raw.file, why, row=row + first_row, column=raw.columns[k])
-    steps = np.diff(raw.t, prepend=-np.inf if before is None else before)
-    if (steps <= 0).any():
-        k = int(np.argmax(steps <= 0))
-        last = raw.t[k - 1] if k else before
+    elif (steps <= 0).any():
+        row, k = int(np.argmax(steps <= 0)), 0
         why = (
-            f"time {'repeats' if steps[k] == 0 else 'goes back'} "
-            f"({raw.t[k]:.6g} after {last:.6g} s); "
+            f"time {'repeats' if steps[row] == 0 else 'goes back'} "
+            f"({raw.t[row]:.6g} after {raw.t[row] - steps[row]:.6g} s); "
             f"sort or remove those rows, which --repair does where they fit"
         )
-        raise BadRecording(raw.file, why, row=k + first_row, column=raw.columns[0])
+    else:
+        return
+    raise BadRecording(raw.file, why, row=row + first_row, column=raw.columns[k])
 
 
 def _refuse_dead(tau: Array, raw: Recording) -> None:
@@ -390,6 +347,5 @@ def _with_usable_speeds(raw: Recording) -> Recording:
     if raw.dq is None or np.isfinite(raw.dq).all():
         return raw
     row = int(np.argmax(~np.isfinite(raw.dq).all(axis=1)))
-    return replace(
-        raw, dq=None, notes=(*raw.notes, f"speeds left out: row {row} holds no finite number")
-    )
+    note = f"speeds left out: row {row} holds no finite number"
+    return replace(raw, dq=None, notes=(*raw.notes, note))

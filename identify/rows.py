@@ -1,30 +1,26 @@
-"""What is fitted and what is held out, and the regression of an arm on it."""
+"""What is fitted and what is held out, the regression of an arm on it, and how it is judged."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from excitant.exceptions import BadRecording
-from excitant.identify.accuracy import Series, series
 from excitant.identify.drive_gains import current_gains
-from excitant.identify.knowledge import Knowledge
-from excitant.identify.least_squares import weighted_least_squares
-from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import CUTOFF_HZ, Segment, default_cutoff, prepare
 from excitant.identify.prior import EffectPrior
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, regression_of
-from excitant.robots.base_parameters import BaseParameters, base_parameters
+from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, read_only
 from excitant.robots.robot import Robot
+from excitant.robots.torque import torque
 
 FIT_SHARE = 0.7  # of each recording is fitted when no hold-out is named
-_ROUNDS = 2  # until the torque that columns hold is that of the identified arm
 _PRODUCTS = 2.0  # times the highest harmonic of a motion: that of centrifugal torque
 
 
@@ -81,16 +77,14 @@ def split(
             if wanted > CUTOFF_HZ
             else "above the motion of arms and below their structural resonances"
         )
-    train, validated = (
+    train, held = (
         tuple(s for r in group for s in prepare(r, cutoff_hz))
         for group in _parts(recordings, validate)
     )
     names = ", ".join(r.name for r in validate)
-    sentence = names or "the last 30 % of each recording (no hold-out was named)"
-    return Data(
-        train, validated, recordings[0].unit, cutoff_hz, f"held out: {sentence}",
-        f"cut-off: {cutoff_hz:.3g} Hz ({why})",
-    )  # fmt: skip
+    said = f"held out: {names or 'the last 30 % of each recording (no hold-out was named)'}"
+    reason = f"cut-off: {cutoff_hz:.3g} Hz ({why})"
+    return Data(train, held, recordings[0].unit, cutoff_hz, said, reason)
 
 
 def refuse_mixed_units(recordings: Sequence[Recording]) -> None:
@@ -122,6 +116,65 @@ def _parts(
 
 
 @dataclass(frozen=True, eq=False)
+class Accuracy:
+    """Prediction errors per joint, each of shape (nv,).
+
+    Attributes:
+        rms: Root mean square of measured − predicted, both filtered [torque unit].
+        rms_raw: The same with the measured torque unfiltered [torque unit].
+        nrmse: rms / standard deviation of the filtered measured torque.
+        r2: 1 − nrmse².
+    """
+
+    rms: Array
+    rms_raw: Array
+    nrmse: Array
+    r2: Array
+
+    def entry(self, joint: int) -> dict[str, Any]:
+        """Figures of one joint under their JSON names."""
+        return {name: float(values[joint]) for name, values in vars(self).items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Torque at the rows of segments, one after the other.
+
+    Attributes:
+        t: Time; parts follow each other without gaps, shape (n,) [s].
+        measured: Filtered torque, shape (n, nv) [torque unit].
+        raw: Unfiltered torque at the same instants, shape (n, nv) [torque unit].
+    """
+
+    t: Array
+    measured: Array
+    raw: Array
+
+    def accuracy(self, predicted: Array) -> Accuracy:
+        """Accuracy of a prediction at these rows, shape (n, nv)."""
+        rms = np.sqrt(np.mean((self.measured - predicted) ** 2, axis=0))
+        raw = np.sqrt(np.mean((self.raw - predicted) ** 2, axis=0))
+        spread = self.measured.std(axis=0)
+        nrmse = np.divide(rms, spread, out=np.full_like(rms, np.nan), where=spread > 0)
+        return Accuracy(*map(read_only, (rms, raw, nrmse, 1 - nrmse**2)))
+
+
+def series(segments: Sequence[Segment]) -> Series:
+    """Rows of all segments, one after the other."""
+    times, start = [], 0.0
+    for segment in segments:
+        times.append(segment.t - segment.t[0] + start)
+        start = times[-1][-1] + (segment.t[1] - segment.t[0])
+    torques = ([s.tau[s.keep] for s in segments], [s.tau_raw[s.keep] for s in segments])
+    return Series(*(read_only(np.concatenate(parts)) for parts in (times, *torques)))
+
+
+def predicted_torque(robot: Robot, segments: Sequence[Segment]) -> Array:
+    """Torque of the robot with its effects at the rows, filtered alike, shape (n, nv) [N·m]."""
+    return np.concatenate([s.rows(lambda motion: torque(robot, motion)) for s in segments])
+
+
+@dataclass(frozen=True, eq=False)
 class FitRows:
     """The regression of an arm: of all its parameters on the training segments.
 
@@ -141,11 +194,6 @@ class FitRows:
     gains: Array
     regression: Regression
 
-    @cached_property
-    def measured(self) -> Series:
-        """Readings."""
-        return series(self.data.train)
-
     @property
     def tau(self) -> Array:
         """Measured torque, shape (n, nv) [N·m]."""
@@ -164,7 +212,12 @@ class FitRows:
     @property
     def open_prior(self) -> EffectPrior:
         """Nothing known of coefficients of effects but their signs."""
-        return open_prior(self.robot, self.effects, self.regression)
+        size = np.zeros(self.regression.p)
+        for index, columns in zip(self.regression.index, self.regression.columns, strict=True):
+            size[index] += (columns**2).sum(axis=0)
+        std = _implausible(np.sqrt(size / self.tau.size)[10 * self.robot.nv :], self.tau)
+        lower = np.array([p.lower for e in self.effects for p in e.parameters(self.robot)])
+        return EffectPrior(np.zeros_like(std), std, lower)
 
 
 def fit_rows(robot: Robot, effects: Sequence[Effect], base: BaseParameters, data: Data) -> FitRows:
@@ -172,19 +225,9 @@ def fit_rows(robot: Robot, effects: Sequence[Effect], base: BaseParameters, data
     regression = regression_of(robot, effects, data.train)
     gains = np.ones(robot.nv)
     if data.unit == "A":
-        gains = torque_per_reading(robot, base, regression.W, series(data.train), data.unit)
+        gains = current_gains(robot, base, regression.W, regression.tau)[0]
         regression = regression.with_torque(regression.tau * gains)
     return FitRows(robot, tuple(effects), base, data, gains, regression)
-
-
-def open_prior(robot: Robot, effects: Sequence[Effect], regression: Regression) -> EffectPrior:
-    """Nothing known of effects but their signs; their columns are the last of the regression."""
-    size = np.zeros(regression.p)
-    for index, columns in zip(regression.index, regression.columns, strict=True):
-        size[index] += (columns**2).sum(axis=0)
-    std = _implausible(np.sqrt(size / regression.tau.size)[10 * robot.nv :], regression.tau)
-    lower = np.array([p.lower for e in effects for p in e.parameters(robot)])
-    return EffectPrior(np.zeros_like(std), std, lower)
 
 
 def implausible_size(columns: Array, tau: Array) -> Array:
@@ -202,60 +245,9 @@ def _implausible(size: Array, tau: Array) -> Array:
     return np.asarray(np.where(size > 0, 100 * torque / np.where(size > 0, size, 1.0), 1e3))
 
 
-def torque_per_reading(
-    robot: Robot, base: BaseParameters, W: Array, measured: Series, unit: str
-) -> Array:
-    """Drive gains where torque came as current, ones otherwise, shape (nv,)."""
-    if unit != "A":
-        return np.ones(robot.nv)
-    return current_gains(robot, base, W, measured.measured)[0]
-
-
-def with_own_torque(rows: FitRows, prior: Array, knowledge: Knowledge) -> FitRows:
-    """The rows with columns of effects that hold the torque of the identified arm.
-
-    Columns of load, delay or elasticity hold the torque of the arm, from which that of the given
-    one may be far off. The arm is identified without them first, then with those that it calls for
-    itself.
-
-    Args:
-        rows: What is fitted.
-        prior: Standard parameters of the prior, shape (nv, 10).
-        knowledge: What is known of the bodies.
-    """
-    robot, effects = rows.robot, rows.effects
-    apart = tuple(e for e in effects if not e.depends_on_model)
-    if len(apart) == len(effects):
-        return rows
-    kept, at = list(range(10 * robot.nv)), 10 * robot.nv
-    for effect in effects:
-        count = len(effect.parameters(robot))
-        kept += range(at, at + count) if effect in apart else ()
-        at += count
-    base, regression = base_parameters(robot, apart), rows.regression.select(kept)
-    first = replace(rows, effects=apart, base=base, regression=regression)
-    reference = _identified(robot, first, prior, knowledge)
-    for round_ in range(_ROUNDS):
-        columns = regression_of(reference, effects, rows.data.train)
-        rows = replace(rows, robot=reference, regression=columns.with_torque(rows.tau))
-        if round_ + 1 < _ROUNDS:
-            reference = _identified(robot, rows, prior, knowledge)
-    return rows
-
-
-def _identified(robot: Robot, rows: FitRows, prior: Array, knowledge: Knowledge) -> Robot:
-    """The arm that weighted least squares and the semidefinite fit come to."""
-    fit = weighted_least_squares(rows.reduced)
-    R, z = rows.regression.factor(fit.weight)
-    found = fit_physical(R, z, prior, rows.open_prior, knowledge=knowledge, links=robot.links)
-    return identified_robot(robot, rows.effects, found.x)
-
-
 def identified_robot(robot: Robot, effects: Sequence[Effect], x: Array) -> Robot:
     """The robot with identified inertias and effects; x as in `PhysicalFit`."""
-    valued, start = [], 10 * robot.nv
-    for effect in effects:
-        count = len(effect.parameters(robot))
-        valued.append(effect.with_values(x[start : start + count]))
-        start += count
-    return robot.with_parameters(x[: 10 * robot.nv]).with_effects(valued)
+    counts = [len(effect.parameters(robot)) for effect in effects]
+    phi, *values = np.split(x, np.cumsum([10 * robot.nv, *counts])[:-1])
+    valued = [effect.with_values(own) for effect, own in zip(effects, values, strict=True)]
+    return robot.with_parameters(phi).with_effects(valued)

@@ -10,7 +10,7 @@ and gravity as well as within its limits, so that they are the same for an arm i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
@@ -73,31 +73,14 @@ class BaseParameters:
         )
 
 
-def expression(
-    row: Array,
-    names: Sequence[str],
-    leading: int,
-    factors: Mapping[int, tuple[int, str]] | None = None,
-) -> str:
-    """A linear combination as text, its leading parameter first.
-
-    Args:
-        row: Coefficients, shape (p,).
-        names: Names of the parameters.
-        leading: Index of the parameter to begin with.
-        factors: Sign and text of coefficients that are not to be written as numbers, by index.
-    """
-    others = [int(k) for k in np.flatnonzero(row)]
+def expression(row: Array, names: Sequence[str], leading: int) -> str:
+    """A linear combination, coefficients of shape (p,), as text that begins with one of them."""
     text = ""
-    for k in (leading, *(k for k in others if k != leading)):
-        sign, factor = (factors or {}).get(k) or _sign_and_size(float(row[k]))
-        text += (" − " if sign < 0 else " + ") if text else ("−" if sign < 0 else "")
+    for k in (leading, *(k for k in np.flatnonzero(row).tolist() if k != leading)):
+        minus, factor = row[k] < 0, coefficient_text(abs(float(row[k])))
+        text += (" − " if minus else " + ") if text else ("−" if minus else "")
         text += ("" if factor == "1" else f"{factor}·") + names[k]
     return text
-
-
-def _sign_and_size(value: float) -> tuple[int, str]:
-    return (-1 if value < 0 else 1), coefficient_text(abs(value))
 
 
 def coefficient_text(size: float) -> str:
@@ -157,17 +140,14 @@ def structural_motion(robot: Robot, rng: np.random.Generator, states: int = _STA
     """
     half, length = states // 2, arm_length(robot)
     gravity = float(np.linalg.norm(robot.gravity)) or length
-    unit = np.where(robot.revolute, 1.0, length)
     rate = np.sqrt(gravity / length)
-    free = rng.uniform(-1.0, 1.0, (3, half, robot.nv)) * unit
+    free = rng.uniform(-1.0, 1.0, (3, half, robot.nv)) * np.where(robot.revolute, 1.0, length)
     free *= np.array([1.0, rate, rate**2])[:, None, None]
     free[0] *= np.where(robot.revolute, np.pi, 1.0)
-    q, dq, ddq = robot.random_motion(rng, states - half)
-    dq = (
-        dq * 10.0 ** np.where(np.arange(len(dq)) % 2, rng.uniform(_SLOWEST, 0, len(dq)), 0)[:, None]
-    )
-    pairs = zip(free, (q, dq, ddq), strict=True)
-    return Motion(np.arange(states, dtype=float), *(np.concatenate(pair) for pair in pairs))
+    bound = np.array(robot.random_motion(rng, states - half))
+    slow = rng.uniform(_SLOWEST, 0, states - half) * (np.arange(states - half) % 2)
+    bound[1] *= 10.0 ** slow[:, None]
+    return Motion(np.arange(states, dtype=float), *np.concatenate([free, bound], axis=1))
 
 
 def observe(
@@ -178,11 +158,7 @@ def observe(
 ) -> Observation:
     """Columns of all parameters over states, in units of the arm, ready for `regroup`.
 
-    Args:
-        robot: The arm.
-        effects: Effects whose coefficients are unknown too.
-        motion: The states.
-        rows: Which joints' torques are known, shape (nv,); all when None.
+    ``rows`` says which joints' torques are known, shape (nv,); all when None.
     """
     length, p = arm_length(robot), 10 * robot.nv
     W = observation_columns(robot, effects, motion)
@@ -208,10 +184,8 @@ def _units(norms: Array, p: int) -> Array:
 def regroup(observation: Observation, tolerance: float = TOLERANCE) -> BaseParameters:
     """Base parameters of what was observed.
 
-    Args:
-        observation: The columns.
-        tolerance: Length of the part outside the columns before it from which on a column counts
-            as independent, and size from which on a coefficient counts; in the observation's units.
+    ``tolerance`` is the length of the part outside the columns before it from which on a column
+    counts as independent, and the size from which on a coefficient counts; in its units.
     """
     R, units = observation.R, observation.units
     found, parts = independent_columns(R, tolerance)
@@ -231,11 +205,9 @@ def regroup(observation: Observation, tolerance: float = TOLERANCE) -> BaseParam
 
 
 def independent_columns(R: Array, tolerance: float) -> tuple[tuple[int, ...], Array]:
-    """Columns that do not depend on those before, and the part of each that is outside them.
+    """Columns that do not depend on those before, and the length of each outside them.
 
-    Args:
-        R: Columns, the longest of length one, shape (m, p).
-        tolerance: Length of that part from which on a column is independent.
+    The longest column has length one; from a length of ``tolerance`` on one is independent.
     """
     columns: list[int] = []
     parts, Q = np.zeros(R.shape[1]), np.zeros((R.shape[0], 0))

@@ -114,18 +114,14 @@ def tree(root: ET.Element, source: str) -> Tree:
     joints = {}
     for element in root.findall("joint"):
         name, mimic = str(element.get("name")), element.find("mimic")
-        parent, child = (
-            "" if (end := element.find(tag)) is None else str(end.get("link"))
-            for tag in ("parent", "child")
-        )
+        parent, child = (str(next(element.iter(tag)).get("link")) for tag in ("parent", "child"))
         follows = None
         if mimic is not None:
             try:
                 numbers = float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0"))
             except ValueError:
-                raise BadRobot(
-                    source, f"joint '{name}': its mimic numbers are no numbers"
-                ) from None
+                why = f"joint '{name}': its mimic numbers are no numbers"
+                raise BadRobot(source, why) from None
             follows = (str(mimic.get("joint")), *numbers)
         joints[name] = TreeJoint(name, str(element.get("type")), parent, child, follows)
     return Tree(source, joints, tuple(str(link.get("name")) for link in root.findall("link")))
@@ -134,22 +130,10 @@ def tree(root: ET.Element, source: str) -> Tree:
 def held_joints(
     robot: Tree, spec: RobotSpec, loops: Sequence[tuple[str, str]] = ()
 ) -> tuple[dict[str, float | None], tuple[str, ...]]:
-    """Joints to hold so that only the chosen ones move.
+    """Joints to hold so that only the chosen ones move, and the defaults applied, as sentences.
 
-    Args:
-        robot: The tree.
-        spec: What is kept.
-        loops: Pairs of links that a constraint of the description ties together.
-
-    Returns:
-        Positions of the joints that are held, None for those of several degrees of freedom, which
-        rest where the description puts them; and the defaults that were applied, as sentences.
-
-    Raises:
-        BadInput: Contradictory choice.
-        UnknownName: A joint or link that the robot does not have.
-        BadRobot: A chosen joint follows another one, closes a loop, or has several degrees of
-            freedom.
+    Joints of several degrees of freedom have no position: they rest where the description puts
+    them. ``loops`` are pairs of links that a constraint of the description ties together.
     """
     movable = [j for j in robot.joints.values() if j.kind in (*_SINGLE, *_SEVERAL)]
     names = [joint.name for joint in movable]

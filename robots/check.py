@@ -12,7 +12,6 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -20,8 +19,9 @@ import pinocchio as pin
 
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.geometry import Body, bent_pose, bodies, sketch, zero_pose
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import elements, violations
+from excitant.robots.regressor import rigid_body_torque
 from excitant.robots.robot import Robot
 
 _MASS = 0.05  # relative deviation from the stated mass that goes unsaid
@@ -46,6 +46,7 @@ _EXCESS, _CLOSER = 0.75, 0.4  # a tensor about the joint: how far off, how much 
 _LEVER = 0.05  # of the arm: centres of mass nearer to the joint make no difference worth a word
 _SLIGHT = 0.01  # of a joint's torque: what changes less matters to none
 _ROUNDING = 1e-3  # relative violation that digits left out explain
+_UNSEEN = "hardly any torque depends on it"  # makes a hint of a warning
 
 
 @dataclass(frozen=True)
@@ -114,8 +115,6 @@ class ModelCheck:
             *_inertias(robot, self.bodies),
             *_axes(robot, root),
             *_rounded(root),
-            *_mirrored(root),
-            *_opposite(robot),
             *_limits(robot, root),
             *self._weight(),
         ]
@@ -264,41 +263,6 @@ def _rounded(root: ET.Element) -> Warnings:
         )
 
 
-def _mirrored(root: ET.Element) -> Warnings:
-    for link in root.findall("link"):
-        scales = [mesh.get("scale", "1 1 1") for mesh in link.iter("mesh")]
-        mirrored = [s for s in scales if np.prod([float(x) for x in s.split()]) < 0]
-        if mirrored:
-            yield ModelWarning(
-                "mirrored_mesh",
-                (str(link.get("name")),),
-                f"a mesh of it is mirrored (scale {mirrored[0]}), which makes its frame "
-                "left-handed; mirror its inertia and axes too, or export the true part",
-                hint=True,
-            )
-
-
-def _opposite(robot: Robot) -> Warnings:
-    """Equal links one after the other whose parallel axes point in opposite directions."""
-    axes, phi = robot.axes(np.zeros(robot.nv)), robot.phi.reshape(-1, 10)
-    diagonals = np.sort(np.abs(phi[:, [4, 6, 9]]), axis=1)
-    for j in range(robot.nv - 1):
-        if (
-            phi[j, 0] > 0
-            and np.allclose(phi[j, 0], phi[j + 1, 0], rtol=1e-9)
-            and np.allclose(diagonals[j], diagonals[j + 1], rtol=1e-6)
-            and robot.revolute[j] == robot.revolute[j + 1]
-            and axes[j] @ axes[j + 1] < -1 + 1e-9
-        ):
-            yield ModelWarning(
-                "opposite_axes",
-                (robot.joints[j], robot.joints[j + 1]),
-                "equal links whose parallel axes differ in sign only; check that the arm counts "
-                "these angles in opposite directions",
-                hint=True,
-            )
-
-
 def _limits(robot: Robot, root: ET.Element) -> Warnings:
     """Limits that are absent, zero or upside down, and zeros that lie outside them."""
     for name, values, unit in (
@@ -360,9 +324,9 @@ def _inertias(robot: Robot, stated: Sequence[Body]) -> Warnings:
     yield from alike
     named = {link for warning in alike for link in warning.where}
     for body in moving:
-        if body.link not in named:
-            found = chain.from_iterable(check(robot, body) for check in _LINK_CHECKS)
-            yield from [warning] if (warning := next(found, None)) else []
+        found = ((k, text) for k, check in _LINK_CHECKS.items() for text in check(robot, body))
+        if body.link not in named and (first := next(found, None)):
+            yield ModelWarning(first[0], (body.link,), first[1], hint=_UNSEEN in first[1])
 
 
 def _placeholders(robot: Robot, own: Sequence[Body]) -> Warnings:
@@ -406,7 +370,7 @@ def _power_of_ten(value: float) -> bool:
     return value > 0 and abs(np.log10(value) - round(np.log10(value))) < 1e-9
 
 
-def _not_physical(robot: Robot, body: Body) -> Warnings:
+def _not_physical(robot: Robot, body: Body) -> Iterator[str]:
     for found in violations([body.mass, 0, 0, 0, *elements(body.inertia)], (body.link,)):
         advice = "check its numbers and their order (ixx ixy ixz iyy iyz izz)"
         if body.mass > 0:
@@ -419,11 +383,10 @@ def _not_physical(robot: Robot, body: Body) -> Warnings:
                 )
             elif spread[0] > -_ROUNDING * spread[-1]:
                 advice = "rounding may do this to a flat or thin link; give more digits"
-        why = found.removeprefix(f"{body.link}: ")
-        yield ModelWarning("inertia_not_physical", (body.link,), f"{why}; {advice}")
+        yield f"{found.removeprefix(f'{body.link}: ')}; {advice}"
 
 
-def _centre_outside(robot: Robot, body: Body) -> Warnings:
+def _centre_outside(robot: Robot, body: Body) -> Iterator[str]:
     gap = float(np.linalg.norm(body.com - np.clip(body.com, *body.box)))
     size, arm = body.size, _arm_size(robot)
     if size > _EXTENT:
@@ -433,12 +396,8 @@ def _centre_outside(robot: Robot, body: Body) -> Warnings:
         least, where = 0.75 * arm, f"{_length(gap)} from its joint, in an arm of {_length(arm)}"
     if gap > least:
         c = " ".join(f"{x:.4g}" for x in body.com)
-        yield ModelWarning(
-            "centre_of_mass",
-            (body.link,),
-            f"its centre of mass ({c}) m lies {where}; check signs, units (m, not mm) and the "
-            "frame",
-        )
+        advice = "check signs, units (m, not mm) and the frame"
+        yield f"its centre of mass ({c}) m lies {where}; {advice}"
 
 
 def _length(metres: float) -> str:
@@ -449,18 +408,16 @@ def _arm_size(robot: Robot) -> float:
     return float(sum(np.linalg.norm(p.translation) for p in list(robot.model.jointPlacements)[1:]))
 
 
-def _light(robot: Robot, body: Body) -> Warnings:
+def _light(robot: Robot, body: Body) -> Iterator[str]:
     known = bool(body.shapes) or body.size >= 5 * _EXTENT
     if known and body.link == body.carrier and body.mass < _LIGHT * body.size:
-        yield ModelWarning(
-            "placeholder_inertia",
-            (body.link,),
+        yield (
             f"weighs {1e3 * body.mass:.3g} g over {_length(body.size)}, less than any arm's link; "
-            "check the density of the CAD export and the unit (kg)",
+            "check the density of the CAD export and the unit (kg)"
         )
 
 
-def _about_joint(robot: Robot, body: Body) -> Warnings:
+def _about_joint(robot: Robot, body: Body) -> Iterator[str]:
     """A tensor that fits the solids, or a bar, once the parallel-axis term is taken off."""
     expected = body.solid_second_moment
     if expected is None:  # a bar to the next joint
@@ -478,36 +435,27 @@ def _about_joint(robot: Robot, body: Body) -> Warnings:
         and off >= _EXCESS * float(np.linalg.norm(expected))
         and near <= _CLOSER * off
     ):
-        yield ModelWarning(
-            "inertia_frame",
-            (body.link,),
+        yield (
             "its tensor may be about the joint frame instead of the centre of mass: only without "
-            "the parallel-axis term m(c²1 − ccᵀ) does it fit the link's extent; subtract that term",
+            "the parallel-axis term m(c²1 − ccᵀ) does it fit the link's extent; subtract that term"
         )
 
 
-def _size(robot: Robot, body: Body) -> Warnings:
+def _size(robot: Robot, body: Body) -> Iterator[str]:
     """A radius of gyration that is too large or too small for the link."""
     values, vectors = np.linalg.eigh(body.second_moment)
     radius, size = float(np.sqrt(values[-1])), body.size
     if not body.shapes:
         size = max(size, 0.25 * _arm_size(robot))
     too_small = radius < _TOO_NARROW * size and body.shapes
-    if size < _EXTENT or not (too_small or radius > _TOO_WIDE * size):
-        return
-    excess = (values[-1] - size**2 / 16) * body.mass * np.outer(vectors[:, -1], vectors[:, -1])
-    hint = _moves_nothing(robot, body, excess)
-    yield ModelWarning(
-        "inertia_size",
-        (body.link,),
-        f"its inertia is {'too small' if too_small else 'too large'} for {body.mass:.3g} kg: "
-        f"radius of gyration {_length(radius)} in a link that measures {_length(size)}; "
-        + ("hardly any torque depends on it" if hint else _INERTIA_UNIT),
-        hint,
-    )
-
-
-_INERTIA_UNIT = "check its unit (kg·m², not g·mm² or kg·mm²)"
+    if size >= _EXTENT and (too_small or radius > _TOO_WIDE * size):
+        excess = (values[-1] - size**2 / 16) * body.mass * np.outer(vectors[:, -1], vectors[:, -1])
+        unit = "check its unit (kg·m², not g·mm² or kg·mm²)"
+        yield (
+            f"its inertia is {'too small' if too_small else 'too large'} for {body.mass:.3g} kg: "
+            f"radius of gyration {_length(radius)} in a link that measures {_length(size)}; "
+            f"{_UNSEEN if _moves_nothing(robot, body, excess) else unit}"
+        )
 
 
 def _moves_nothing(robot: Robot, body: Body, moment: Array) -> bool:
@@ -517,16 +465,13 @@ def _moves_nothing(robot: Robot, body: Body, moment: Array) -> bool:
     k = robot.links.index(body.link)
     phi = robot.phi.copy()
     phi[10 * k + 4 : 10 * k + 10] -= elements(np.trace(moment) * np.eye(3) - moment)
-    motion = robot.random_motion(np.random.default_rng(0), 5)
-    before, after = (
-        np.array([pin.rnea(m, m.createData(), *state) for state in zip(*motion, strict=True)])
-        for m in (robot.model, robot.with_parameters(phi).model)
-    )
-    change = np.abs(after - before).max(axis=0)
+    motion = Motion(np.arange(5.0), *robot.random_motion(np.random.default_rng(0), 5))
+    before = rigid_body_torque(robot, motion)
+    change = np.abs(rigid_body_torque(robot.with_parameters(phi), motion) - before).max(axis=0)
     return bool((change <= _SLIGHT * np.abs(before).max(axis=0)).all())
 
 
-def _across(robot: Robot, body: Body) -> Warnings:
+def _across(robot: Robot, body: Body) -> Iterator[str]:
     """An elongated inertia whose long axis lies across that of the solids."""
     solids = body.solid_second_moment
     if solids is None:
@@ -537,13 +482,18 @@ def _across(robot: Robot, body: Body) -> Warnings:
     angle = float(np.degrees(np.arccos(min(1.0, abs(float(axis @ inertia))))))
     if long and angle >= _ACROSS:
         along, lie = ("xyz"[int(np.argmax(np.abs(x)))] for x in (inertia, axis))
-        yield ModelWarning(
-            "inertia_axes",
-            (body.link,),
+        yield (
             f"its inertia is that of a body along {along}, its collision shapes lie along "
             f"{lie} ({angle:.0f}° apart); check the order of ixx, iyy, izz and the rpy of the "
-            "<inertial> origin",
+            "<inertial> origin"
         )
 
 
-_LINK_CHECKS = (_not_physical, _centre_outside, _light, _about_joint, _size, _across)
+_LINK_CHECKS = {
+    "inertia_not_physical": _not_physical,
+    "centre_of_mass": _centre_outside,
+    "placeholder_inertia": _light,
+    "inertia_frame": _about_joint,
+    "inertia_size": _size,
+    "inertia_axes": _across,
+}

@@ -249,11 +249,6 @@ class Obstacle:
     shape: str
     values: Any
 
-    @property
-    def tool_only(self) -> bool:
-        """Whether only the tool point must keep away from it."""
-        return self.shape == "workspace"
-
     def bodies(self) -> list[tuple[str, Any, Any]]:
         """Name, shape and placement for Pinocchio; of a workspace, all that is outside it."""
         v, here = self.values, pin.SE3.Identity()
@@ -395,7 +390,7 @@ def scene(robot: Robot, obstacles: Sequence[Obstacle] = ()) -> Scene | None:
     text = ET.tostring(root, encoding="unicode")
     geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     _make_convex(geometry)
-    boxed = {name for o in obstacles if o.tool_only for name, _, _ in o.bodies()}
+    boxed = {name for o in obstacles if o.shape == "workspace" for name, _, _ in o.bodies()}
     if not len(geometry.geometryObjects) and not boxed:
         return None
     if locked:
@@ -405,7 +400,9 @@ def scene(robot: Robot, obstacles: Sequence[Obstacle] = ()) -> Scene | None:
         geometry.addGeometryObject(pin.GeometryObject(name, 0, 0, placement, shape))
         fixed.add(name)
     if boxed:
-        geometry.addGeometryObject(_tool_point(robot))
+        tool = robot.model.frames[robot.tip]
+        at, point = (tool.parentJoint, robot.tip, tool.placement), coal.Sphere(_POINT)
+        geometry.addGeometryObject(pin.GeometryObject(_TOOL, *at, point))
     pairs = _pairs(robot, geometry, boxed)
     everything = _paired(robot, geometry, pairs, obstacles)
     distance = everything.distances(robot.random_motion(np.random.default_rng(0), _POSES)[0])
@@ -424,12 +421,6 @@ def _paired(
         geometry.addCollisionPair(pin.CollisionPair(one, other))
     names = [body.name for body in geometry.geometryObjects]
     return Scene(robot, geometry, tuple((names[i], names[j]) for i, j in pairs), tuple(obstacles))
-
-
-def _tool_point(robot: Robot) -> Any:
-    frame = robot.model.frames[robot.tip]
-    placement = frame.placement
-    return pin.GeometryObject(_TOOL, frame.parentJoint, robot.tip, placement, coal.Sphere(_POINT))
 
 
 def _pairs(robot: Robot, geometry: Any, boxed: set[str]) -> list[tuple[int, int]]:

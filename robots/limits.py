@@ -82,48 +82,44 @@ def merge_limits(robot: Robot, record: LimitsRecord, source: str) -> Limits:
 
 
 def _limit(robot: Robot, name: str, value: Any, source: str) -> Array:
-    shape = (robot.nv, 2) if name == "position" else (robot.nv,)
+    ranges = name == "position"
     if isinstance(value, dict):
         for joint in value:
             if joint not in robot.joints:
                 unknown = UnknownName("joint", joint, robot.joints)
                 raise BadInput(f"{source}: {name} limits: {unknown}")
-        own = getattr(robot.limits, name).tolist()
-        value = [value.get(joint, own[j]) for j, joint in enumerate(robot.joints)]
+        own = dict(zip(robot.joints, getattr(robot.limits, name).tolist(), strict=True))
+        value = list((own | value).values())
     try:
-        limit = np.broadcast_to(np.asarray(value, float), shape)
+        limit = np.broadcast_to(np.asarray(value, float), (robot.nv, 2)[: 1 + ranges])
     except ValueError:
-        each = "pair of numbers" if name == "position" else "number"
         raise BadInput(
-            f"{source}: {name} limits: expected one {each}, or one for each of the {robot.nv} "
-            f"joints of {robot.name}"
+            f"{source}: {name} limits: expected one {'pair of numbers' if ranges else 'number'}, "
+            f"or one for each of the {robot.nv} joints of {robot.name}"
         ) from None
-    good = limit[:, 0] < limit[:, 1] if name == "position" else limit > 0
+    good = limit[:, 0] < limit[:, 1] if ranges else limit > 0
     if not good.all():
         joint = robot.joints[int(np.argmin(good))]
-        rule = "lower must be below upper" if name == "position" else "must be positive"
+        rule = "lower must be below upper" if ranges else "must be positive"
         raise BadInput(f"{source}: {name} limit of joint {joint}: {rule}")
     return limit
 
 
 def require_limits(robot: Robot) -> str | None:
-    """Refuse a robot whose motion nothing bounds; say what bounds it instead of missing limits.
-
-    Speed needs a limit of its own; acceleration may be bounded by torque.
-
-    Returns:
-        A sentence about acceleration limits that are missing without need, if any.
+    """A sentence about acceleration limits that are missing without need, if any.
 
     Raises:
-        BadInput: Limits are missing; says which file to write.
+        BadInput: Limits of speed are missing, or of both acceleration and torque; says which file
+            to write.
     """
     limits, joints = robot.limits, np.array(robot.joints)
     free = np.isinf(limits.acceleration)
+    unbounded = free & np.isinf(limits.torque)
     missing = {
-        "velocity": ("velocity limits", np.isinf(limits.velocity)),
-        "acceleration": ("limits on acceleration or torque", free & np.isinf(limits.torque)),
+        "velocity": ("velocity limits", joints[np.isinf(limits.velocity)]),
+        "acceleration": ("limits on acceleration or torque", joints[unbounded]),
     }
-    lacking = {name: (kind, joints[at]) for name, (kind, at) in missing.items() if at.any()}
+    lacking = {name: found for name, found in missing.items() if len(found[1])}
     if lacking:
         what = " and no ".join(kind for kind, _ in lacking.values())
         entries = " and ".join(

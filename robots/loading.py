@@ -82,8 +82,8 @@ def load_robot(
     if path.is_file():
         return _from_yaml(path, spec) if path.suffix in (".yaml", ".yml") else _from_model(spec)
     if path.suffix or "/" in name:
-        kinds = "a URDF, xacro, MJCF, a robot.yaml or a built-in name"
-        raise BadRobot(path, f"no such file; give {kinds}")
+        why = "no such file; give a URDF, xacro, MJCF, a robot.yaml or a built-in name"
+        raise BadRobot(path, why)
     raise UnknownName("robot", name, builtin_robots())
 
 
@@ -106,9 +106,9 @@ def builtin_record(name: str) -> RobotRecord:
 def _from_yaml(path: Path, spec: RobotSpec) -> Robot:
     record = read_yaml(path, RobotRecord, "a robot")
     own = _joined(record, path, spec)
-    if record.dh is not None and record.model is not None:
-        raise BadRobot(path, "both 'model' and 'dh' are given; keep one")
     if record.dh is not None:
+        if record.model is not None:
+            raise BadRobot(path, "both 'model' and 'dh' are given; keep one")
         robot = _from_dh(record, own)
     elif record.model is not None:
         own = replace(own, path=path.parent / record.model)

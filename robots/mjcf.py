@@ -54,14 +54,7 @@ class Description:
 
 
 def description_from_mjcf(path: str | Path) -> Description:
-    """Description of the robot in an MJCF file.
-
-    Args:
-        path: The file, beside which included files and meshes lie.
-
-    Raises:
-        BadRobot: MuJoCo is not installed or refuses the file.
-    """
+    """Description of the robot in an MJCF file; `BadRobot` where MuJoCo is missing or refuses."""
     try:
         import mujoco
     except ImportError:

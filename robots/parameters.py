@@ -22,20 +22,9 @@ STANDARD = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 UNITS = ("kg", "kg·m", "kg·m", "kg·m", *("kg·m²",) * 6)
 
 
-def _pseudo_inertia_basis() -> Array:
-    basis = np.zeros((10, 4, 4))
-    basis[0, 3, 3] = 1.0
-    for k in range(3):
-        basis[1 + k, k, 3] = basis[1 + k, 3, k] = 1.0
-    for index, (i, j) in {4: (0, 0), 6: (1, 1), 9: (2, 2)}.items():
-        basis[index, :3, :3] = 0.5 * np.eye(3)
-        basis[index, i, j] -= 1.0
-    for index, (i, j) in {5: (0, 1), 7: (0, 2), 8: (1, 2)}.items():
-        basis[index, i, j] = basis[index, j, i] = -1.0
-    return basis
-
-
-PSEUDO_INERTIA_BASIS = _pseudo_inertia_basis()
+PSEUDO_INERTIA_BASIS = np.array(
+    [pin.PseudoInertia.FromDynamicParameters(unit).toMatrix() for unit in np.eye(10)]
+)
 """P(φ) = Σ_k φ_k · PSEUDO_INERTIA_BASIS[k], shape (10, 4, 4)."""
 
 
@@ -89,6 +78,11 @@ def inertia(phi: npt.ArrayLike) -> pin.Inertia:
     return pin.Inertia(0.0, np.zeros(3), tensor)
 
 
+def _lever_moment(P: Array) -> Array:
+    """Second moment of the mass if it were all in its centre, m c cᵀ, (3, 3)."""
+    return np.asarray(np.outer(P[:3, 3], P[:3, 3]) / P[3, 3])
+
+
 def violations(phi: npt.ArrayLike, links: tuple[str, ...]) -> list[str]:
     """Which links no body of positive density can have, and by which inequality.
 
@@ -100,25 +94,22 @@ def violations(phi: npt.ArrayLike, links: tuple[str, ...]) -> list[str]:
         One sentence per offending link.
     """
     found = []
-    for link, values in zip(links, np.reshape(np.asarray(phi, float), (-1, 10)), strict=True):
-        mass, P = values[0], pseudo_inertia(values)
-        if mass <= 0:
-            found.append(f"{link}: mass {mass:.4g} kg is not positive")
+    for link, P in zip(links, pseudo_inertia(np.reshape(phi, (-1, 10))), strict=True):
+        if P[3, 3] <= 0:
+            found.append(f"{link}: mass {P[3, 3]:.4g} kg is not positive")
             continue
-        central = P[:3, :3] - np.outer(P[:3, 3], P[:3, 3]) / mass
-        second = np.linalg.eigvalsh(central)
-        if second[0] <= 0:
-            moments = np.sort(second.sum() - second)
-            if moments[0] <= 0:
-                found.append(
-                    f"{link}: inertia about the centre of mass is not positive "
-                    f"(smallest principal moment {moments[0]:.4g} kg·m²)"
-                )
-            else:
-                found.append(
-                    f"{link}: principal moments break the triangle inequality "
-                    f"({moments[2]:.4g} > {moments[0]:.4g} + {moments[1]:.4g} kg·m²)"
-                )
+        second = np.linalg.eigvalsh(P[:3, :3] - _lever_moment(P))
+        low, middle, high = np.sort(second.sum() - second)
+        if low <= 0:
+            found.append(
+                f"{link}: inertia about the centre of mass is not positive "
+                f"(smallest principal moment {low:.4g} kg·m²)"
+            )
+        elif second[0] <= 0:
+            found.append(
+                f"{link}: principal moments break the triangle inequality "
+                f"({high:.4g} > {low:.4g} + {middle:.4g} kg·m²)"
+            )
     return found
 
 
@@ -131,34 +122,28 @@ def isotropic(phi: npt.ArrayLike) -> Array:
         phi: Consistent standard parameters of one link, shape (10,).
     """
     P = pseudo_inertia(phi)
-    mass, first = P[3, 3], P[:3, 3]
-    central = P[:3, :3] - np.outer(first, first) / mass
-    P[:3, :3] = np.trace(central) / 3 * np.eye(3) + np.outer(first, first) / mass
+    lever = _lever_moment(P)
+    P[:3, :3] = np.trace(P[:3, :3] - lever) / 3 * np.eye(3) + lever
     return from_pseudo_inertia(P)
 
 
 def nearest_consistent(phi: npt.ArrayLike) -> Array:
     """Parameters of one link moved to the nearest pseudo-inertia bounded away from singular.
 
-    The second-moment matrix about the centre of mass is clipped at 1e-4 of
-    its largest eigenvalue (or, for a point mass, at a radius of gyration of 1 cm); mass and
-    first moment are kept.
+    The second moment about the centre of mass is clipped at 1e-4 of its largest eigenvalue (or,
+    for a point mass, at a radius of gyration of 1 cm); mass and first moment are kept.
 
     Args:
         phi: Standard parameters of one link with positive mass, shape (10,).
     """
     P = pseudo_inertia(phi)
-    mass, first = P[3, 3], P[:3, 3]
-    if mass <= 0:
-        raise ValueError(f"mass {mass} kg is not positive")
-    values, vectors = np.linalg.eigh(P[:3, :3] - np.outer(first, first) / mass)
-    radius = 0.01  # m: a link is not a point
-    floor = 1e-4 * max(values[-1], mass * radius**2)
-    if values[-1] <= 0:
-        floor = mass * radius**2
+    point = P[3, 3] * 0.01**2  # kg·m²: a link is not a point
+    if point <= 0:
+        raise ValueError(f"mass {P[3, 3]} kg is not positive")
+    lever = _lever_moment(P)
+    values, vectors = np.linalg.eigh(P[:3, :3] - lever)
+    floor = 1e-4 * max(values[-1], point) if values[-1] > 0 else point
     if values[0] >= floor:
         return np.array(phi, float)
-    central = (vectors * np.maximum(values, floor)) @ vectors.T
-    P = P.copy()
-    P[:3, :3] = central + np.outer(first, first) / mass
+    P[:3, :3] = (vectors * np.maximum(values, floor)) @ vectors.T + lever
     return from_pseudo_inertia(P)

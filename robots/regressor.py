@@ -122,31 +122,22 @@ def torque_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, Arra
 
 
 def torque_along(robot: Robot, motion: Motion, joint: int, shift: Array) -> Array:
-    """Change of the torque per unit when one joint's true angle differs by ``shift(t)``.
+    """Change of the torque when one joint's true angle differs from the measured one.
 
     Args:
         robot: The arm.
-        motion: Measured motion, its instants equidistant.
+        motion: Measured motion.
         joint: Index of the joint.
         shift: True less measured angle per unit of a coefficient, shape (n,).
 
     Returns:
         Shape (n, nv) [N·m per unit].
     """
-    by_q, by_dq, by_ddq = torque_derivatives(robot, motion)
-    rate = _rate(shift, motion.t)
-    acceleration = _rate(rate, motion.t)
-    changed: Array = (
-        by_q[:, :, joint] * shift[:, None]
-        + by_dq[:, :, joint] * rate[:, None]
-        + by_ddq[:, :, joint] * acceleration[:, None]
-    )
+    changed, rate = np.zeros(motion.q.shape), shift
+    for by in torque_derivatives(robot, motion):
+        changed += by[:, :, joint] * rate[:, None]
+        rate = np.gradient(rate, motion.t) if len(rate) > 1 else np.zeros_like(rate)
     return changed
-
-
-def _rate(values: Array, t: Array) -> Array:
-    """Derivative by time; zero for a single instant."""
-    return np.asarray(np.gradient(values, t), float) if len(t) > 1 else np.zeros_like(values)
 
 
 def gravity_torque(robot: Robot, motion: Motion, gravity: Array) -> Array:

@@ -79,11 +79,8 @@ class Robot:
     @property
     def tip(self) -> int:
         """Pinocchio's frame of the tool: the link named so, or the last that the last joint has."""
-        bodies = [
-            (k, frame)
-            for k, frame in enumerate(list(self.model.frames))
-            if frame.type == pin.FrameType.BODY
-        ]
+        frames = list(enumerate(list(self.model.frames)))
+        bodies = [(k, frame) for k, frame in frames if frame.type == pin.FrameType.BODY]
         named = [k for k, frame in bodies if frame.name == self.tool]
         return named[0] if named else max(k for k, f in bodies if f.parentJoint == self.nv)
 
@@ -138,16 +135,9 @@ class Robot:
         )
 
     def _repr_html_(self) -> str:
-        low, high = self.limits.position.T
-        rows = zip(
-            self.joints,
-            self.links,
-            low.tolist(),
-            high.tolist(),
-            self.limits.velocity.tolist(),
-            self.limits.torque.tolist(),
-            self.phi[::10].tolist(),
-            strict=True,
-        )
+        limits = self.limits
+        columns = (*limits.position.T, limits.velocity, limits.torque, self.phi[::10])
+        values = np.column_stack(columns).tolist()
+        rows = [(*names, *row) for *names, row in zip(self.joints, self.links, values, strict=True)]
         heads = ("joint", "link", "from", "to", "speed", "torque", "mass [kg]")
         return html_table(f"Robot {self.name}: {self.nv} joints, SI units", heads, rows)

@@ -241,22 +241,22 @@ def _in_words(types: str) -> str:
 def _known(place: str) -> tuple[str, ...]:
     """Names that an entry may have, of the records that have a field of the place's name."""
     owner = re.sub(r"\[.*?\]", "", place).rpartition(".")[2]
-    kinds = _RECORDS.get(owner, tuple(Record.__subclasses__()))
+    kinds = (_RECORDS[owner],) if owner in _RECORDS else tuple(Record.__subclasses__())
     return tuple(dict.fromkeys(name for kind in kinds for name in kind.__struct_encode_fields__))
 
 
-_RECORDS: dict[str, tuple[type[Record], ...]] = {
-    "limits": (LimitsRecord,),
-    "dh": (DHRecord,),
-    "base": (PlaceRecord,),
-    "tool": (PlaceRecord,),
-    "I": (TensorRecord,),
-    "Ic": (TensorRecord,),
-    "collision": (CylinderRecord,),
-    "obstacles": (ObstacleRecord,),
-    "box": (BoxRecord,),
-    "sphere": (SphereRecord,),
-    "workspace": (WorkspaceRecord,),
+_RECORDS: dict[str, type[Record]] = {
+    "limits": LimitsRecord,
+    "dh": DHRecord,
+    "base": PlaceRecord,
+    "tool": PlaceRecord,
+    "I": TensorRecord,
+    "Ic": TensorRecord,
+    "collision": CylinderRecord,
+    "obstacles": ObstacleRecord,
+    "box": BoxRecord,
+    "sphere": SphereRecord,
+    "workspace": WorkspaceRecord,
 }
 
 
@@ -266,7 +266,7 @@ def _fault(error: Exception) -> str:
         return f"line {error.lineno}: {error.msg}"
     if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
         return f"line {error.problem_mark.line + 1}: {error.problem or error.context}"
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
+    return str(error).partition("\n")[0] or type(error).__name__
 
 
 class _Loader(yaml.SafeLoader):

@@ -80,11 +80,7 @@ def robot_from_urdf(
 
 
 def full_model(root: ET.Element, robot: Robot) -> tuple[pin.Model, Array, list[int]]:
-    """Model of a robot's URDF with all joints, to build geometry on.
-
-    Args:
-        root: The robot's URDF; its continuous joints become revolute.
-        robot: The robot that was read from it.
+    """Model of a robot's URDF with all joints, to build geometry on; changes the URDF.
 
     Returns:
         The model, a configuration with the locked joints in place, and their indices.
@@ -251,9 +247,6 @@ def urdf_with_parameters(
         phi: Standard parameters in the order of ``robot.phi``, shape (10 nv,).
         friction: Viscous [N·m·s/rad] and Coulomb [N·m] friction by joint, written as
             ``<dynamics damping friction>``; left as they are when not given.
-
-    Returns:
-        URDF text; reloading it gives the same torque.
     """
     root = ET.fromstring(robot.urdf)
     values = dict(zip(robot.links, np.reshape(np.asarray(phi, float), (-1, 10)), strict=True))
@@ -271,8 +264,8 @@ def urdf_with_parameters(
         if own is not None:
             dynamics = joint.find("dynamics")
             dynamics = ET.SubElement(joint, "dynamics") if dynamics is None else dynamics
-            for key, value in zip(("damping", "friction"), own, strict=True):
-                dynamics.set(key, repr(float(value)))
+            viscous, coulomb = (repr(float(value)) for value in own)
+            dynamics.attrib |= {"damping": viscous, "friction": coulomb}
     return urdf_text(root)
 
 

@@ -29,10 +29,6 @@ def urdf_from_xacro(
         arguments: Values of its ``<xacro:arg>`` by name.
         packages: Folders in which ``$(find name)`` looks: the package itself, or a folder that
             holds it. Folders around the file are searched without being named.
-
-    Raises:
-        BadRobot: A package that is not found, an argument that the file does not have or that it
-            misses, or anything else that xacro refuses.
     """
     import xacro
 

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import hypothesis
 import numpy as np
 import pytest
 
+from excitant.cli import main
 from excitant.design import random_trajectory
 from excitant.identify import Recording, recording_from_table
 from excitant.robots import Robot, load_robot
@@ -60,6 +63,35 @@ def planar() -> Robot:
 @pytest.fixture(scope="session")
 def ur10() -> Robot:
     return load_robot("ur10")
+
+
+class Ran(NamedTuple):
+    """What a command came to."""
+
+    status: int
+    out: str
+    err: str
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """What ``--json`` printed."""
+        found: dict[str, Any] = json.loads(self.out)
+        return found
+
+
+Command = Callable[..., Ran]
+
+
+@pytest.fixture
+def excitant(capsys: pytest.CaptureFixture[str]) -> Command:
+    """``excitant("analyze planar_2r", "-o", folder)``: one command, run in this process."""
+
+    def run(line: str, *more: object) -> Ran:
+        capsys.readouterr()
+        status = main([*shlex.split(line), *map(str, more)])
+        return Ran(status, *capsys.readouterr())
+
+    return run
 
 
 Runs = Callable[..., list[Recording]]

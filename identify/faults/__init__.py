@@ -19,7 +19,7 @@ from excitant.identify.faults.channels import (
     saturation,
     wrapped_counters,
 )
-from excitant.identify.faults.fault import FAULTS, Fault, Log, left_rows, repair
+from excitant.identify.faults.fault import FAULTS, Fault, Log, after_repair, repair
 from excitant.identify.faults.modelled import not_measured, poor_excitation, wrong_frame
 from excitant.identify.faults.physics import physics_faults, smooth, torque_fit
 from excitant.identify.faults.time import gap_faults, repeated_rows, stamp_faults
@@ -60,8 +60,7 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
         nonlocal log, rows
         found.extend(fault.at(rows) for fault in faults)
         if any(fault.remedies for fault in faults):
-            left = left_rows(log.t, faults)
-            log = log.take(left) if len(left) < 2 else repair(log, faults)[0]
+            log, left = after_repair(log, faults)
             rows = rows[left]
 
     stamps, starts = stamp_faults(log)
@@ -80,7 +79,7 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     cuts = np.split(np.arange(len(log)), np.searchsorted(log.t, parts))
     longest = log.take(max(cuts, key=len)) if len(cuts) > 1 else log
     speeds = velocity_faults(longest)
-    longest, _ = repair(longest, speeds)
+    longest, _ = after_repair(longest, speeds)
     return (*found, *channels, *speeds, *_by_physics(robot, longest, channels))
 
 
@@ -125,17 +124,11 @@ def find_copies(recordings: Mapping[str, Recording]) -> dict[str, Fault]:
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """Recordings and what is wrong with them.
+    """Recordings and what is wrong with them."""
 
-    Attributes:
-        recordings: Ready to use, repaired when that was asked for.
-        faults: What was found in each, by its name.
-        notes: What was repaired, a sentence each.
-    """
-
-    recordings: list[Recording]
-    faults: dict[str, tuple[Fault, ...]]
-    notes: tuple[str, ...] = ()
+    recordings: list[Recording]  # ready to use, repaired when that was asked for
+    faults: dict[str, tuple[Fault, ...]]  # of each, by its name
+    notes: tuple[str, ...] = ()  # what was repaired, a sentence each
 
     def entries(self) -> list[dict[str, Any]]:
         """The faults under their JSON names, each with its recording."""
@@ -153,11 +146,11 @@ def read_checked(
     without: Sequence[str] = (),
     repaired: bool = False,
 ) -> Checked:
-    """Recordings of a dataset and their faults.
+    """Recordings of a dataset by name (all when none) and their faults.
 
     Args:
         dataset: Where they are, and of which arm.
-        names: Recordings to read; all when empty.
+        names: Recordings to read.
         without: Recordings that are held out.
         repaired: Whether to repair what can be; each file is then a recording of its own.
 
@@ -166,15 +159,22 @@ def read_checked(
         BadRecording: A recording that cannot be used, also not after the repair.
     """
     robot = dataset.robot
-    if not repaired:
-        recordings = dataset.recordings(names, without=without)
-        return Checked(recordings, _faults(robot, {r.name: r for r in recordings}))
-    raws = {
-        path.stem: raw_recording(path, robot, dataset.mapping, torque_column=dataset.torque_column)
-        for path in dataset.paths(names, without=without)
+    robot = dataset.robot
+    if repaired:
+        paths = dataset.paths(names, without=without)
+        raws = [raw_recording(path, robot, dataset.mapping) for path in paths]
+    else:
+        raws = dataset.recordings(names, without=without)
+    found = {raw.name: raw for raw in raws}
+    copies = find_copies(found)
+    faults = {
+        name: (*((copies[name],) if name in copies else ()), *find_faults(robot, raw))
+        for name, raw in found.items()
     }
-    faults, notes, recordings = _faults(robot, raws), [], []
-    for name, raw in raws.items():
+    if not repaired:
+        return Checked(raws, faults)
+    notes, recordings = [], []
+    for name, raw in found.items():
         for fault in faults[name]:
             if "unclear" in fault.evidence:
                 row = int(fault.evidence["rows"][0])
@@ -183,11 +183,3 @@ def read_checked(
         notes += [f"{name}: {sentence}" for sentence in done]
         recordings.append(checked(better))
     return Checked(recordings, faults, tuple(notes))
-
-
-def _faults(robot: Robot, recordings: dict[str, Recording]) -> dict[str, tuple[Fault, ...]]:
-    copies = find_copies(recordings)
-    return {
-        name: (*((copies[name],) if name in copies else ()), *find_faults(robot, recording))
-        for name, recording in recordings.items()
-    }

@@ -186,14 +186,13 @@ def held_channels(log: Log) -> Iterator[Fault]:
         held = {j: share for j in range(log.nv) if (share := _held_share(log, x[:, j], j)) > 0}
         if held:
             worst, joints = max(held, key=lambda j: held[j]), log.names(held)
-            yield Fault(
-                "duplicate_samples",
-                joints,
+            detail = (
                 f"{name} of {', '.join(joints)} is held: {held[worst]:.1%} of its samples at "
                 f"{log.joints[worst]} repeat the one before exactly while the joint moves, though "
-                f"the others change by many steps of its resolution",
-                {"channel": name, "share": list(held.values())},
+                f"the others change by many steps of its resolution"
             )
+            evidence = {"channel": name, "share": list(held.values())}
+            yield Fault("duplicate_samples", joints, detail, evidence)
 
 
 def _held_share(log: Log, x: Array, j: int) -> float:
@@ -226,15 +225,14 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
         jumps = int((np.abs(np.diff(x)) > size / 2).sum())
         high = int((x > x.min() + size / 2).sum())
         what = "are a turn off" if name == "q" else "are negative ones logged unsigned"
-        yield Fault(
-            "corrupt_rows",
-            log.names([j]),
+        detail = (
             f"{name} of {log.joints[j]} jumps {jumps} times by {size:.6g}, the range of a counter: "
-            f"{high} of {len(log)} values {what}",
-            {"channel": name, "range": size, "jumps": jumps, "count": high},
-            f"takes {size:.6g} off where the counter wrapped",
-            (Remedy("unwrap", name, (j,), factor=size),),
+            f"{high} of {len(log)} values {what}"
         )
+        evidence = {"channel": name, "range": size, "jumps": jumps, "count": high}
+        done = f"takes {size:.6g} off where the counter wrapped"
+        remedy = Remedy("unwrap", name, (j,), factor=size)
+        yield Fault("corrupt_rows", log.names([j]), detail, evidence, done, (remedy,))
 
 
 def _wrap(x: Array, position: bool) -> float | None:
@@ -262,16 +260,11 @@ def _wrap(x: Array, position: bool) -> float | None:
 
 def missing_values(log: Log) -> Iterator[Fault]:
     """Rows with values that are no finite numbers."""
-    bad = [~np.isfinite(x) for _, x in log.channels()]
-    rows = np.flatnonzero(np.any([b.any(axis=1) for b in bad], axis=0))
-    if not len(rows):
-        return
-    yield dropped(
-        log.names(np.flatnonzero(np.any([b.any(axis=0) for b in bad], axis=0))),
-        rows,
-        f"{len(rows)} of {len(log)} rows hold values that are no finite numbers, first row "
-        f"{rows[0]} at t = {log.t[rows[0]]:.4g} s",
-    )
+    bad = np.any([~np.isfinite(x) for _, x in log.channels()], axis=0)
+    if len(rows := np.flatnonzero(bad.any(axis=1))):
+        what = f"{len(rows)} of {len(log)} rows hold values that are no finite numbers"
+        joints = log.names(np.flatnonzero(bad.any(axis=0)))
+        yield dropped(joints, rows, f"{what}, {log.first(rows)}")
 
 
 def jumps_and_outliers(log: Log) -> Iterator[Fault]:
@@ -282,12 +275,9 @@ def jumps_and_outliers(log: Log) -> Iterator[Fault]:
     count, total = sum(mask.sum(axis=1) for mask in far.values()), log.nv * len(far)
     whole = np.flatnonzero(count > _MANY * total)
     if len(whole):
-        yield dropped(
-            log.joints,
-            whole,
-            f"{len(whole)} of {len(log)} rows are far from their neighbours in most columns, as "
-            f"rows with shifted columns are; first row {whole[0]} at t = {log.t[whole[0]]:.4g} s",
-        )
+        what = "are far from their neighbours in most columns, as rows with shifted columns are"
+        detail = f"{len(whole)} of {len(log)} rows {what}; {log.first(whole)}"
+        yield dropped(log.joints, whole, detail)
     for name, x in log.channels():
         far[name][whole] = False
         median = _running_median(x, _WINDOW)
@@ -296,16 +286,15 @@ def jumps_and_outliers(log: Log) -> Iterator[Fault]:
             k = int(rows[np.argmax(np.abs(x - median)[rows, j])])
             value, around = float(x[k, j]), float(median[k, j])
             evidence = {"channel": name, "rows": rows, "count": len(rows)}
-            yield Fault(
-                "corrupt_rows",
-                (joint,),
+            detail = (
                 f"{name} of {joint} is far from its neighbours in {len(rows)} of {len(log)} rows; "
                 f"worst row {k} at t = {log.t[k]:.4g} s: {value:.5g} where those around have "
-                f"{around:.5g}",
-                evidence | {"value": value, "around": around},
-                f"interpolates {name} of {joint} over these {len(rows)} rows",
-                (Remedy("interpolate", name, (int(j),), rows),),
+                f"{around:.5g}"
             )
+            evidence |= {"value": value, "around": around}
+            done = f"interpolates {name} of {joint} over these {len(rows)} rows"
+            remedy = Remedy("interpolate", name, (int(j),), rows)
+            yield Fault("corrupt_rows", (joint,), detail, evidence, done, (remedy,))
 
 
 def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:

@@ -31,10 +31,7 @@ FAULTS = (
 )
 """The vocabulary, the same in results, interface and documentation."""
 ALARM = 0.02 / 20
-"""Share of faultless recordings in which one family of tests may raise a fault.
-
-There are fewer than twenty families; all together raise one in at most 2 %.
-"""
+"""Share of faultless recordings that one family of tests may accuse; there are fewer than 20."""
 Rows = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 _SPAN = 4  # samples to either side of the one whose speed is asked
@@ -51,12 +48,16 @@ class Log(Recording):
     @classmethod
     def of(cls, robot: Robot, recording: Recording) -> Log:
         """A recording as logged, of the arm's joints."""
-        arrays = {name: getattr(recording, name) for name in ("t", "q", "tau", "dq", "unit")}
-        return cls(recording.name, recording.file, **arrays, joints=robot.joints)
+        known = {name: getattr(recording, name) for name in ("t", "q", "tau", "dq", "unit")}
+        return cls(recording.name, recording.file, **known, joints=robot.joints)
 
     def names(self, joints: Any) -> tuple[str, ...]:
         """Names of joints by index."""
         return tuple(self.joints[int(j)] for j in joints)
+
+    def first(self, rows: Rows) -> str:
+        """The first of some rows, in words."""
+        return f"first row {rows[0]} at t = {self.t[rows[0]]:.4g} s"
 
     @cached_property
     def step(self) -> float:
@@ -92,39 +93,25 @@ class Log(Recording):
 class Remedy:
     """What a repair does to the arrays.
 
-    Attributes:
-        action: ``drop`` rows, ``interpolate`` rows of a channel, ``scale`` a channel or the time,
-            ``unwrap`` a counter, ``shift`` the time from a row on, ``sort`` all rows by time.
-        channel: ``t``, ``q``, ``dq`` or ``tau``; empty for whole rows.
-        joints: Columns concerned.
-        rows: Rows concerned.
-        factor: What values are multiplied with, the range of the counter, or what is added [s].
+    ``drop`` rows, ``interpolate`` rows of a channel, ``scale`` a channel or the time, ``unwrap`` a
+    counter, ``shift`` the time from a row on, or ``sort`` all rows by time.
     """
 
     action: str
-    channel: str = ""
+    channel: str = ""  # t, q, dq or tau; empty for whole rows
     joints: tuple[int, ...] = ()
     rows: Rows = field(default_factory=lambda: np.zeros(0, np.intp))
-    factor: float = 1.0
+    factor: float = 1.0  # of values; or the range of the counter, or what is added [s]
 
 
 @dataclass(frozen=True, eq=False)
 class Fault:
-    """One fault of a recording.
+    """One fault of a recording, and what would repair it where something can be done."""
 
-    Attributes:
-        fault: Its name, one of `FAULTS`.
-        joints: Joints concerned; all of them when it concerns whole rows or the time.
-        detail: The evidence in one sentence, with numbers.
-        evidence: The same numbers by name.
-        repair: What a repair would do; None when nothing can be done to the recording.
-        remedies: The same for the machine.
-    """
-
-    fault: str
-    joints: tuple[str, ...]
-    detail: str
-    evidence: Mapping[str, Any]
+    fault: str  # one of `FAULTS`
+    joints: tuple[str, ...]  # all of them when it concerns whole rows or the time
+    detail: str  # the evidence in one sentence, with numbers
+    evidence: Mapping[str, Any]  # the same numbers by name
     repair: str | None = None
     remedies: tuple[Remedy, ...] = ()
 
@@ -167,51 +154,45 @@ def _plain(value: Any) -> Any:
 def repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, tuple[str, ...]]:
     """The recording with its repairable faults repaired, and what was done, a sentence each.
 
-    Rows of remedies count rows of this recording. Rows are sorted first, so that those beside each
-    other are neighbours in time, and left out last, so that all remedies may name them.
-
     Raises:
         BadInput: The repairs leave no two samples.
     """
-    remedies = [r for fault in faults for r in fault.remedies]
-    t, order, kept = _arranged(recording.t, remedies)
-    place, sorted_ = np.argsort(order), recording.take(order)
-    values = {"t": t[order]} | {name: np.array(x) for name, x in sorted_.channels()}
-    for action in ("unwrap", "interpolate", "scale"):
-        for remedy in remedies:
-            if remedy.action == action and remedy.channel in values:
-                _apply(values, replace(remedy, rows=place[remedy.rows]), kept)
-    if kept.sum() < 2:
-        raise BadInput(f"repair leaves {int(kept.sum())} of {len(kept)} rows; record again")
-    arrays: dict[str, Any] = values
-    notes = tuple(
+    better, rows = after_repair(recording, faults)
+    if len(rows) < 2:
+        raise BadInput(f"repair leaves {len(rows)} of {len(recording)} rows; record again")
+    return better, tuple(
         f"{fault.fault} ({', '.join(fault.joints)}): repaired, which {fault.repair}"
         for fault in faults
-        if fault.remedies and fault.repair
+        if fault.remedies
     )
-    return replace(sorted_, **arrays).take(kept), notes
 
 
-def left_rows(t: Array, faults: Sequence[Fault]) -> Rows:
-    """Rows of a log with stamps t that repairs leave, in the order that they bring them into."""
-    _, order, kept = _arranged(t, [r for fault in faults for r in fault.remedies])
-    return order[kept]
+def after_repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, Rows]:
+    """The recording with its faults repaired, and which of its rows are left, in their new order.
 
-
-def _arranged(t: Array, remedies: Sequence[Remedy]) -> tuple[Array, Rows, Mask]:
-    """Time with its shifts, rows in the order asked for, and which of those are not left out."""
-    t, kept = np.array(t), np.ones(len(t), bool)
+    Rows of remedies count rows of this recording. Rows are sorted first, so that those beside each
+    other are neighbours in time, and left out last, so that all remedies may name them.
+    """
+    remedies = [r for fault in faults for r in fault.remedies]
+    t, kept, order = np.array(recording.t), np.ones(len(recording), bool), np.arange(len(recording))
     for remedy in remedies:
         if remedy.action == "shift":
             t[int(remedy.rows[0]) :] += remedy.factor
         elif remedy.action == "drop":
             kept[remedy.rows] = False
-    by_time = any(remedy.action == "sort" for remedy in remedies)
-    order = np.argsort(t, kind="stable") if by_time else np.arange(len(t))
-    return t, order, kept[order]
+    if any(remedy.action == "sort" for remedy in remedies):
+        order = np.argsort(t, kind="stable")
+    kept, place, ordered = kept[order], np.argsort(order), recording.take(order)
+    values: dict[str, Any] = {name: np.array(x) for name, x in ordered.channels()}
+    values["t"] = t[order]
+    for action in ("unwrap", "interpolate", "scale"):
+        for remedy in remedies:
+            if remedy.action == action and remedy.channel in values:
+                _apply(values, remedy, place[remedy.rows], kept)
+    return replace(ordered, **values).take(kept), order[kept]
 
 
-def _apply(values: dict[str, Array], remedy: Remedy, kept: Mask) -> None:
+def _apply(values: dict[str, Array], remedy: Remedy, rows: Rows, kept: Mask) -> None:
     """Do what a remedy says to channels by name, in place; rows not kept do not count."""
     x = values[remedy.channel]
     if remedy.channel == "t":
@@ -224,9 +205,9 @@ def _apply(values: dict[str, Array], remedy: Remedy, kept: Mask) -> None:
             x[:, j] = unwrap(x[:, j], remedy.factor, remedy.channel == "q")
         else:
             good = kept & np.isfinite(x[:, j]) & np.isfinite(values["t"])
-            good[remedy.rows] = False
-            order = np.flatnonzero(good)
-            x[remedy.rows, j] = np.interp(remedy.rows, order, x[order, j])
+            good[rows] = False
+            if len(order := np.flatnonzero(good)):
+                x[rows, j] = np.interp(rows, order, x[order, j])
 
 
 def unwrap(x: Array, size: float, position: bool) -> Array:
@@ -244,10 +225,7 @@ def noise(x: Array) -> float:
 
 
 def quantum(x: Array) -> float:
-    """Step of a quantised channel: the lower decile of the distances of its levels, or 0.
-
-    It is no step when neighbouring levels are as far apart as chance puts them.
-    """
+    """Step of a quantised channel, the lower decile of the distances of its levels; or 0."""
     levels = np.unique(x[np.isfinite(x)])
     gaps = np.diff(levels)
     gaps = gaps[gaps > 1e-9 * max(float(np.ptp(levels)), 1e-300)] if len(gaps) else gaps

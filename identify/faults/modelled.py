@@ -1,20 +1,17 @@
 """Torque that is a model's output, a model in other frames, motion that shows too little.
 
 A column computed from planned or smoothed motion has no noise of its own, and rigid bodies with
-plain friction explain nearly all of it, which they do for no drive: its friction is never so
-ideal. A column computed from the measured motion has noise, but it is the noise of the
-differentiated positions, which a sensor knows nothing of.
+plain friction explain nearly all of it, which they do for no drive. A column computed from the
+measured motion has the noise of the differentiated positions, which a sensor knows nothing of.
 
 Tables of parameters by Denavit and Hartenberg's standard convention give each link's first moments
-and inertia in its distal frame, at the next joint; a URDF or Craig's convention has them in the
-proximal frame, at the link's own joint. Numbers of the one taken for the other are bodies that
-could be, so that nothing but the torque tells.
+and inertia in its distal frame, at the next joint; a URDF has them at the link's own joint. Numbers
+of the one taken for the other are bodies that could be, so that nothing but the torque tells.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -77,11 +74,7 @@ def _own_noise(x: Array) -> float:
 
 
 def _derived(log: Log, joints: list[int]) -> dict[int, float]:
-    """Joints whose noise the noise of the accelerations explains, with the share explained.
-
-    Fourth differences that reach over a gap are left out: there those of all channels are large
-    at once.
-    """
+    """Joints whose noise, away from gaps, that of the accelerations explains, and its share."""
     speed = [] if log.dq is None else [np.gradient(log.dq, log.t, axis=0)]
     by_position = np.gradient(np.gradient(log.q, log.t, axis=0), log.t, axis=0)
     gaps = np.append(np.diff(log.t) > _GAP * log.step, False)
@@ -105,11 +98,10 @@ def _derived(log: Log, joints: list[int]) -> dict[int, float]:
 
 
 def wrong_frame(case: TorqueFit) -> Iterator[Fault]:
-    """The given inertias, where they explain the torque only if read in the distal frames.
+    """The given inertias, where they explain the torque only if all are read in the distal frames.
 
     Both readings get each joint's friction, offset, rotor inertia and a gain, so that neither the
-    unit of torque nor what else the model lacks counts. Links are read alike: a table has one
-    convention.
+    unit of torque nor what else the model lacks counts.
     """
     if (case.robot.phi[::10] <= 0).any():
         return  # links without mass say nothing
@@ -135,24 +127,11 @@ def wrong_frame(case: TorqueFit) -> Iterator[Fault]:
 
 def in_joint_frames(robot: Robot) -> Array:
     """Standard parameters in the joints' frames, those given being in the distal ones, (10 nv,)."""
-    bodies = (place.act(body) for place, body in _placed(robot))
-    return np.concatenate([body.toDynamicParameters() for body in bodies])
-
-
-def in_distal_frames(robot: Robot) -> Array:
-    """Standard parameters of the links in their distal frames, shape (10 nv,)."""
-    bodies = (place.actInv(body) for place, body in _placed(robot))
-    return np.concatenate([body.toDynamicParameters() for body in bodies])
-
-
-def _placed(robot: Robot) -> list[tuple[Any, Any]]:
-    """Distal frame of each link in its joint's frame, and its inertia, both Pinocchio's."""
     model = robot.model
     places = [model.jointPlacements[j + 1] for j in range(1, robot.nv)]
-    places.append(model.frames[robot.tip].placement)
-    values = robot.phi.reshape(robot.nv, 10)
-    bodies = [pin.Inertia.FromDynamicParameters(each) for each in values]
-    return list(zip(places, bodies, strict=True))
+    bodies = map(pin.Inertia.FromDynamicParameters, robot.phi.reshape(robot.nv, 10))
+    pairs = zip([*places, model.frames[robot.tip].placement], bodies, strict=True)
+    return np.concatenate([place.act(body).toDynamicParameters() for place, body in pairs])
 
 
 def _left(case: TorqueFit, phi: Array) -> Array:
@@ -176,7 +155,7 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fau
         yield Fault("poor_excitation", log.joints, detail, {"span": span})
         return
     try:
-        window = persistency(robot, data.motion).weakest
+        window = persistency(robot, data.motion)
     except ExcitantError:
         return None  # the arm has no inertia to compare with
     missing = int((window.levels < _TELLS).sum())

@@ -2,13 +2,11 @@
 
 A hypothesis ("positions in degrees", "joint 3 counted the other way", "time twice too slow") is
 named when it explains the torque better than the log as it stands: a likelihood ratio beyond
-chance, at least one joint's squared error halved, and no joint's doubled. The ratio counts
-independent rows only, as many as the autocorrelation of the error leaves.
+chance in independent rows, at least one joint's squared error halved, and no joint's doubled.
 
 Y(q, q̇, q̈) = G(q) + D(q, q̇, q̈), and D scales with 1/c² when the time of the log runs c times too
-slow. Parameters are left free, so nothing depends on the masses given; friction, rotor inertia
-and an offset per joint are free as well. Filters are set in parts of the motion's own bandwidth,
-so that they mean the same whatever the unit of time.
+slow. All parameters are free, so nothing depends on the masses given, and filters are set in parts
+of the motion's own bandwidth, so that they mean the same whatever the unit of time.
 """
 
 from __future__ import annotations
@@ -78,23 +76,10 @@ def smooth(log: Log) -> Smooth | None:
 class TorqueFit:
     """Least squares of a log's filtered torque on everything that is free.
 
-    Normal equations, assembled for any time factor and torque signs.
-
-    Attributes:
-        G: Columns of the links at rest, shape (N, nv, 10 nv).
-        D: What motion adds to them, same shape.
-        F: Columns of each joint's own effects, shape (N, nv, 4).
-        tau: Filtered torque, shape (N, nv).
-        size: Mean square of each joint's torque, shape (nv,).
-        sigma: Error of each joint by parameters of its own, shape (nv,).
-        freedom: Parameters of the links and of each joint, 10 nv + 4 nv.
-
-    Args:
-        robot: The arm.
-        log: The log.
-        data: The same, filtered.
-        joints: Joints whose torque is used.
-        factor: Factor of each joint's position, shape (nv,); velocities follow.
+    Normal equations, assembled for any time factor and torque signs. Columns of the links at rest G
+    and what motion adds to them D have the shape (N, nv, 10 nv), those of each joint's own effects
+    F (N, nv, 4). ``size`` is the mean square of each joint's torque, ``sigma`` its error by
+    parameters of its own, shape (nv,). Positions (and velocities) are multiplied by ``factor``.
     """
 
     def __init__(
@@ -132,11 +117,9 @@ class TorqueFit:
         return np.append(np.arange(p), p + _PER_JOINT * j + np.arange(_PER_JOINT))
 
     def fit(self, s: float = 1.0, sign: Array | None = None) -> tuple[Array, Array]:
-        """Fit with what motion adds times s, and torques times their sign.
+        """Parameters, shape (14 nv,), and mean square of what is left of each torque, shape (nv,).
 
-        Returns:
-            Parameters of the links (those that show), then of each joint, shape (10 nv + 4 nv,),
-            and mean square of what is left of each joint's torque, shape (nv,).
+        What motion adds is multiplied by s, torques by their sign.
         """
         A, b = np.zeros((self.freedom, self.freedom)), np.zeros(self.freedom)
         parts = []
@@ -174,13 +157,10 @@ class TorqueFit:
         return float((self.rows * np.log(self.power / power))[self.joints].sum())
 
     def better(self, power: Array, tests: int, freedom: int | None = None) -> bool:
-        """Whether another reading explains the torque beyond chance.
+        """Whether another of some readings, which leaves ``power``, is better beyond chance.
 
-        Args:
-            power: Mean squares that the other reading leaves, shape (nv,).
-            tests: Readings that were tried.
-            freedom: Parameters that it has more; where the models are not nested, and when None,
-                as many as the model has, since all of them can adapt to a wrong reading.
+        ``freedom`` counts the parameters that it has more; where the models are not nested (None),
+        as many as the model has, since all of them can adapt to a wrong reading.
         """
         ratio = (power / self.power)[self.joints]
         bound = float(scipy.special.chdtri(freedom or self.freedom, ALARM / tests))

@@ -2,14 +2,14 @@
 
 A row is *late* where its stamp puts it between two others that are as far apart as if it were
 missing there, and where no position then jumps: sorting restores the log. A short run of stamps
-that fit nowhere is wrong and is left out. A clock *starts anew* where time goes back and runs on
-at the same rate for long enough to be a recording of its own: the log is cut there, which changes
-no row. Anything else could mean several things, and nothing is done.
+that fit nowhere is left out. A clock *starts anew* where time goes back and runs on at the same
+rate for long enough: the log is cut there. Anything else has several meanings; nothing is done.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,11 +47,9 @@ _LISTED = 5  # runs of rows that are spelt out
 
 
 def stamp_faults(log: Log) -> tuple[list[Fault], Rows | None]:
-    """Stamps that are missing, repeat or go back, of a log as it came.
+    """Stamps that are missing, repeat or go back, and the rows at which the clock starts anew.
 
-    Returns:
-        The faults, and the rows at which the clock starts anew; None where no repair brings the
-        rows into the order of time.
+    None for those where no repair brings the rows into the order of time.
     """
     order, found = _order_of(log), []
     timed = np.flatnonzero(np.isfinite(log.t))
@@ -63,15 +61,11 @@ def stamp_faults(log: Log) -> tuple[list[Fault], Rows | None]:
 
 
 def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
-    """Samples that are missing between stamps, for a log in the order of time.
+    """Samples that are missing between stamps; none before ``starts`` of other parts [s].
 
     A step counts as a gap when it is nearer to a whole number ≥ 2 of median steps than to one,
     and when together with either neighbour it is nearer to three than to two: a stamp that came
     late is made up for by the next, a sample that is missing is not.
-
-    Args:
-        log: The log.
-        starts: Times from which on it is another part, before which nothing is missing [s].
     """
     steps = np.diff(log.t) / log.step
     if len(steps) < 3:
@@ -106,15 +100,13 @@ def repeated_rows(log: Log) -> Iterator[Fault]:
     if len(rows) < 3:
         return
     starts, lengths = run_lengths(same)
-    yield dropped(
-        log.joints,
-        rows,
+    detail = (
         f"{len(rows)} of {len(log)} rows ({len(rows) / len(log):.2%}) repeat every value of the "
-        f"row before while joints move, in {np.isin(starts + 1, rows).sum()} places; first row "
-        f"{rows[0]} at t = {log.t[rows[0]]:.4g} s",
-        "duplicate_samples",
-        longest=int(lengths.max()) + 1,
+        f"row before while joints move, in {np.isin(starts + 1, rows).sum()} places; "
+        f"{log.first(rows)}"
     )
+    longest = int(lengths.max()) + 1
+    yield dropped(log.joints, rows, detail, "duplicate_samples", longest=longest)
 
 
 def hidden_gaps(log: Log) -> Iterator[Fault]:
@@ -281,17 +273,13 @@ def _repeated(log: Log, timed: Rows, again: Rows) -> Iterator[Fault]:
     n, found = len(log), len(rows) - len(again)
     parts = []
     if found:
-        parts.append(
-            f"{found} of {n} rows ({found / n:.2%}) repeat the time of the row before, {same} of "
-            f"them all its values too"
-        )
+        said = f"{found} of {n} rows ({found / n:.2%}) repeat the time of the row before"
+        parts.append(f"{said}, {same} of them all its values too")
     if len(again):
         parts.append(f"{len(again)} of {n} rows repeat time and values of earlier ones")
-    detail = f"{'; '.join(parts)}; first row {rows[0]} at t = {log.t[rows[0]]:.4g} s"
-    evidence = {"rows": rows, "count": len(rows), "identical": int(same) + len(again)}
-    done = f"keeps the first of each and leaves {len(rows)} rows out"
-    drop = Remedy("drop", rows=rows)
-    yield Fault("duplicate_samples", log.joints, detail, evidence, done, (drop,))
+    detail = f"{'; '.join(parts)}; {log.first(rows)}"
+    fault = dropped(log.joints, rows, detail, "duplicate_samples", identical=int(same) + len(again))
+    yield replace(fault, repair=f"keeps the first of each and leaves {len(rows)} rows out")
 
 
 def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
@@ -329,18 +317,19 @@ def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
             for k, shift in enumerate(order.shifts)
         ]
         yield fault(starts, detail, done, *remedies, shifts=order.shifts)
-    sentences, steps = [], []
-    if len(order.late):
-        sentences.append(f"sorts {_listed(order.late)} by time, where they fit")
-        steps.append(Remedy("sort", "t", rows=order.late))
-    if len(order.lost):
-        sentences.append(f"leaves {_listed(order.lost)} out")
-        steps.append(Remedy("drop", rows=order.lost))
+    steps = [
+        (said.format(_listed(some)), Remedy(action, channel, rows=some))
+        for said, action, channel, some in (
+            ("sorts {} by time, where they fit", "sort", "t", order.late),
+            ("leaves {} out", "drop", "", order.lost),
+        )
+        if len(some)
+    ]
     if steps:
-        moved = np.union1d(order.late, order.lost)
+        moved, (said, actions) = np.union1d(order.late, order.lost), zip(*steps, strict=True)
         where = f"{fall(first)} in row {first}"
         detail = f"time goes back: {len(moved)} of {n} rows are out of order, {where}"
-        yield fault(moved, detail, " and ".join(sentences), *steps, late=len(order.late))
+        yield fault(moved, detail, " and ".join(said), *actions, late=len(order.late))
 
 
 def _listed(rows: Rows) -> str:

@@ -7,6 +7,8 @@ all joints at once where the time runs c times too fast.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import scipy
 
@@ -21,11 +23,13 @@ _MARGIN = 0.05  # a scale that is off by less changes inertial torque by less th
 _NEAR = 0.03  # of a named factor
 _FALLS = 0.1  # of what one rate leaves, two leave at most
 _UNITS = {
-    180 / np.pi: "degrees per second",
-    30 / np.pi: "revolutions per minute",
-    1 / (2 * np.pi): "revolutions per second",
+    180 / np.pi: ("dq", ": dq is in degrees per second"),
+    30 / np.pi: ("dq", ": dq is in revolutions per minute"),
+    1 / (2 * np.pi): ("dq", ": dq is in revolutions per second"),
+    np.pi / 180: ("q", ", as with q in degrees and dq in rad/s"),
+    2 * np.pi: ("q", ", as with q in turns and dq in rad/s"),
 }
-_POSITION_UNITS = {np.pi / 180: "degrees", 2 * np.pi: "turns"}
+"""Slopes of ∫q̇ dt against Δq that a unit explains, the channel in that unit, and words."""
 RATES = (0.5, 2.0, 0.25, 4.0, 1e-3, 1e3, 1e-6, 1e6, 1e-9, 1e9)
 """Factors by which a clock may be off for a reason."""
 
@@ -43,7 +47,7 @@ def velocity_faults(log: Log) -> list[Fault]:
         return [_counted(log, common)]
     if wrong and (change := _rate_change(log)) is not None:
         return [change]
-    if common is None or common <= 0 or _named(common, _UNITS | _POSITION_UNITS) is not None:
+    if common is None or common <= 0 or _named(common) is not None:
         return [_of_joint(log, j, float(b[j]), float(error[j])) for j in wrong]
     factor = next((c for c in RATES if abs(common / c - 1) < _NEAR), common)
     detail = (
@@ -63,12 +67,7 @@ def _windows(log: Log, dq: Array) -> tuple[int, Array, Array]:
 
 
 def _slopes(log: Log) -> tuple[Array, Array, list[int]]:
-    """Regression of ∫q̇ dt on Δq, joint by joint.
-
-    Returns:
-        Slopes, nan where a joint does not move, and their standard errors, each of shape (nv,);
-        joints whose velocity is in proportion to the change of position.
-    """
+    """Slopes of ∫q̇ dt on Δq (NaN without motion), their standard errors, joints in proportion."""
     b, error = np.full((2, log.nv), np.nan)
     follows: list[int] = []
     if log.dq is None or len(log) < 5 * _WINDOW_ROWS:
@@ -112,9 +111,9 @@ def _rate_change(log: Log) -> Fault | None:
     )
 
 
-def _named(b: float, units: dict[float, str]) -> float | None:
+def _named(slope: float) -> float | None:
     """The factor of a unit that a slope is near to, whatever its sign."""
-    return next((factor for factor in units if abs(abs(b) / factor - 1) < _NEAR), None)
+    return next((factor for factor in _UNITS if abs(abs(slope) / factor - 1) < _NEAR), None)
 
 
 def _counted(log: Log, common: float | None) -> Fault:
@@ -135,22 +134,17 @@ def slower(log: Log, factor: float, detail: str, /, **evidence: object) -> Fault
 
 
 def _of_joint(log: Log, j: int, b: float, error: float) -> Fault:
-    joint, sign = log.joints[j], float(np.sign(b))
-    fault, channel, factor, repair = "wrong_unit", "dq", 1 / b, f"divides dq of {joint} by {b:.6g}"
-    flipped = ", and its sign is flipped" if b < 0 else ""
-    what = f": no unit that is known, a scale is wrong{flipped}"
+    joint, unit, sign = log.joints[j], _named(b), float(np.sign(b))
+    fault, flipped = "wrong_unit", ", and its sign is flipped" if b < 0 else ""
+    channel, what = _UNITS[unit] if unit else ("dq", ": no unit that is known, a scale is wrong")
+    factor, repair = unit or abs(b), f"divides dq of {joint} by {sign * (unit or abs(b)):.6g}"
+    remedy = Remedy("scale", channel, (j,), factor=sign / factor)
     if abs(b + 1) <= _MARGIN:
-        fault, factor, what = "wrong_sign", -1.0, ": dq has the opposite sign of q"
-        repair = f"negates dq of {joint}"
-    elif (unit := _named(b, _POSITION_UNITS)) is not None:
-        channel, factor = "q", sign * unit
-        what = f", as with q in {_POSITION_UNITS[unit]} and dq in rad/s{flipped}"
-        repair = f"multiplies q of {joint} by {unit:.6g}"
-    elif (unit := _named(b, _UNITS)) is not None:
-        factor = sign / unit
-        what = f": dq is in {_UNITS[unit]}{flipped}"
-        repair = f"divides dq of {joint} by {sign * unit:.6g}"
-    detail = f"∫dq dt of {joint} is {b:.4g} ± {error:.2g} times the change of its q{what}"
+        fault, what, flipped = "wrong_sign", ": dq has the opposite sign of q", ""
+        repair, remedy = f"negates dq of {joint}", replace(remedy, factor=-1.0)
+    elif channel == "q":
+        repair = f"multiplies q of {joint} by {factor:.6g}"
+        remedy = replace(remedy, factor=sign * factor)
+    detail = f"∫dq dt of {joint} is {b:.4g} ± {error:.2g} times the change of its q{what}{flipped}"
     evidence = {"channel": channel, "slope": b, "error": error}
-    remedy = Remedy("scale", channel, (j,), factor=factor)
     return Fault(fault, (joint,), detail, evidence, repair, (remedy,))

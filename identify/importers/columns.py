@@ -60,32 +60,21 @@ class Columns:
         return (*self.t, *self.q.columns, *speeds, *self.tau.columns)
 
 
-def resolve(
-    table: Table,
-    robot: Robot | int,
-    mapping: ColumnMap | None = None,
-    torque_column: str | None = None,
-) -> Columns:
+def resolve(table: Table, robot: Robot | int, mapping: ColumnMap) -> Columns:
     """Which columns hold what: as a map says, else as their names say beyond doubt.
-
-    Args:
-        table: The log.
-        robot: The arm, or its number of joints.
-        mapping: What the user says.
-        torque_column: Prefix of the torque columns, ``tau`` for ``tau1, tau2, ...``.
 
     Raises:
         BadRecording: A column is missing, or could be several; says what to write.
         BadInput: The map does not fit the robot.
     """
-    search = _Search(table, robot, mapping or ColumnMap())
+    search = _Search(table, robot, mapping)
     t, t_shown = search.time()
     q = search.channel("q")
-    role, tau = search.torque(torque_column)
+    role, tau = search.torque()
     dq = search.channel("dq", optional=True)
     if q is None:
         raise search.missing("q")
-    unit, gains = "A" if role == "i" else "N·m", search.mapping.drive
+    unit, gains = "A" if role == "i" else "N·m", mapping.drive
     if role == "i" and gains is not None:
         search.expect_all("drive has {} gains", gains)
         factors = tuple(one * gain for one, gain in zip(tau.factors, gains, strict=True))
@@ -106,14 +95,9 @@ class _Group:
     """Columns of one quantity whose names differ by the joint only, under its number or name."""
 
     def __init__(
-        self,
-        role: str,
-        count: int,
-        joints: Sequence[str],
-        found: Sequence[tuple[_Key, Meaning]],
-        words: Sequence[str] = (),
+        self, search: _Search, role: str, found: Sequence[tuple[_Key, Meaning]], *words: str
     ) -> None:
-        self.role, self.count, self.words = role, count, words
+        self.role, self.count, self.words = role, search.count, words
         self.members: dict[_Key, Meaning] = {}
         self.twice = ""  # a column of a joint that has another one
         for joint, m in found:
@@ -123,13 +107,13 @@ class _Group:
         plain = re.compile(rf"{role}[1-9]\d*", re.ASCII)
         self.exact = not named and all(plain.fullmatch(m.column) for _, m in found)
         first = 0 if 0 in self.members else 1
-        self.keys: list[_Key] = [first + k for k in range(count)]
+        self.keys: list[_Key] = [first + k for k in range(self.count)]
         if named:
-            self.keys = list(joints)
-        elif count == 1 and None in self.members:
+            self.keys = list(search.joints)
+        elif self.count == 1 and None in self.members:
             self.keys = [None]
         # numbered columns of more joints are another arm's
-        held = set(self.keys) <= set(self.members) and (named or len(self.members) == count)
+        held = set(self.keys) <= set(self.members) and (named or len(self.members) == self.count)
         self.full = held and not self.twice
 
     @property
@@ -139,35 +123,40 @@ class _Group:
 
     def check(self, file: str, prefix: str | None = None) -> None:
         """Refuse another number of joints, holes and surplus."""
-        if self.twice:
-            why = "names a joint that another column names too; rename or remove one"
-            raise BadRecording(file, why, column=self.twice)
         numbers = sorted(k for k in self.members if isinstance(k, int))
         count, expected = len(numbers), self.count
-        run = count and numbers[0] in (0, 1) and numbers[-1] - numbers[0] == count - 1
-        if self.role == "q" and run and count != expected:
+        absent = [key for key in self.keys if key not in self.members]
+        column: str | None = None
+        if self.twice:
+            why = "names a joint that another column names too; rename or remove one"
+            column = self.twice
+        elif (
+            self.role == "q"
+            and numbers in (list(range(count)), list(range(1, count + 1)))
+            and (0 < count != expected)
+        ):
             first, last = (self.members[k].column for k in (numbers[0], numbers[-1]))
             span = f"s ({first}..{last})" if count > 1 else f" ({first})"
             why = (
                 f"has {count} joint{span}, the robot has {expected}; "
                 f"give the recording of this robot, or lock the joints that it leaves out"
             )
-            raise BadRecording(file, why)
-        like = next(iter(self.members.values()), None)
-        for key in self.keys:
-            if key not in self.members:
-                column = f"{prefix}{key}"
-                if prefix is None and (isinstance(key, str) or like is None or like.joint is None):
-                    column = f"{_SAID[self.role]} of {key}"
-                elif prefix is None and like is not None:
-                    head, _, tail = like.column.rpartition(str(like.joint))
-                    column = f"{head}{key}{tail}"
-                raise BadRecording(file, "is missing; rename or add it", column=column)
-        if count > expected:
+        elif absent:
+            why = "is missing; rename or add it"
+            like = next(iter(self.members.values()), Meaning(""))
+            column = f"{_SAID[self.role]} of {absent[0]}"
+            if prefix is not None:
+                column = f"{prefix}{absent[0]}"
+            elif not isinstance(absent[0], str) and like.joint is not None:
+                column = f"{absent[0]}".join(like.column.rsplit(str(like.joint), 1))
+        elif count > expected:
             why = (
                 f"belongs to no joint: the robot has {expected}; remove it or give the right robot"
             )
-            raise BadRecording(file, why, column=self.members[numbers[-1]].column)
+            column = self.members[numbers[-1]].column
+        else:
+            return
+        raise BadRecording(file, why, column=column)
 
 
 class _Search:
@@ -185,12 +174,11 @@ class _Search:
         self.notes = (f"joints left out: {', '.join(surplus)}",) if surplus else ()
         absent = [name for name in self.joints if name not in labels.values()]
         if labels and absent:
-            raise BadRecording(
-                table.file,
-                f"holds the joints {', '.join(labels.values())}; joint '{absent[0]}' of the robot "
-                f"is not among them; give the right robot, or lock this joint",
-            )
-        used = [m for m in self._meanings() if m.role is not None and not m.commanded]
+            why = f"holds the joints {', '.join(labels.values())}; joint '{absent[0]}' of the robot"
+            advice = "is not among them; give the right robot, or lock this joint"
+            raise BadRecording(table.file, f"{why} {advice}")
+        meanings = [self._meaning(column) for column in table.names]
+        used = [m for m in meanings if m.role is not None and not m.commanded]
         alike: dict[tuple[Any, ...], list[tuple[_Key, Meaning]]] = {}
         for m in used:
             named = isinstance(m.joint, int) and bool(arm)
@@ -199,43 +187,33 @@ class _Search:
             alike.setdefault(sort, []).append((joint, m))
         self.groups: dict[str, list[_Group]] = {}  # the most plausible first
         for (role, words, *_), found in alike.items():
-            group = _Group(role, self.count, self.joints, found, words)
-            self.groups.setdefault(role, []).append(group)
+            self.groups.setdefault(role, []).append(_Group(self, role, found, *words))
         for groups in self.groups.values():
             groups.sort(key=lambda group: (not group.exact, len(group.words)))
         self.times, unit = _times([m for m in used if m.role == "t"])
         said = mapping.units.get("t")
         self.t_unit: Unit | None = unit if said is None or isinstance(said, tuple) else said
 
-    def _meanings(self) -> list[Meaning]:
-        """What the columns' names say, given the arm's joints."""
-        table = self.table
-        if not table.joined:
-            return [meaning(name, self.joints) for name in table.names]
-        order = {label: k for k, label in table.labels.items()}
-        found = []
-        for name in table.names:
-            joint, _, quantity = name.rpartition(".")
-            said = meaning(quantity)
-            if joint:
-                said = Meaning(name, said.role, joint if self.joints else order[joint])
-            found.append(said)
-        return found
+    def _meaning(self, column: str) -> Meaning:
+        """What a column's name says, given the arm's joints."""
+        joint, _, quantity = column.rpartition(".")
+        if not self.table.joined or not joint:
+            return meaning(column, self.joints)
+        order = {label: k for k, label in self.table.labels.items()}
+        return Meaning(column, meaning(quantity).role, joint if self.joints else order[joint])
 
     def time(self) -> tuple[tuple[str, ...], str]:
         """The columns of time, and how they were understood."""
-        given = self.mapping.columns.get("t")
-        if given is not None:
+        if (given := self.mapping.columns.get("t")) is not None:
             columns = (given,) if isinstance(given, str) else given
             self._there(columns)
             if len(columns) > 2:
-                raise BadInput(
-                    f"{self.mapping.source}: 't' is one column, or seconds and nanoseconds"
-                )
-        elif len(self.times) == 1:
-            columns = self.times[0]
-        elif self.times:
+                why = "'t' is one column, or seconds and nanoseconds"
+                raise BadInput(f"{self.mapping.source}: {why}")
+        elif len(self.times) > 1:
             raise self._ambiguous("t", [", ".join(times) for times in self.times])
+        elif self.times:
+            columns = self.times[0]
         else:
             raise self.missing("t")
         if columns == ("t",) and self.t_unit is None:
@@ -261,8 +239,9 @@ class _Search:
         shown = f"{role} = {self._shortened(columns)}{_in_unit(units, columns[0])}"
         return Channel(columns, factors, shown)
 
-    def torque(self, prefix: str | None) -> tuple[str, Channel]:
+    def torque(self) -> tuple[str, Channel]:
         """Torques, or currents where there are none or the user says so."""
+        prefix = self.mapping.torque
         said = [role for role in ("tau", "i") if role in self.mapping.columns]
         if len(said) == 2:
             raise BadInput(
@@ -272,7 +251,7 @@ class _Search:
             role, form = "i" if prefix == "i" else "tau", rf"{re.escape(prefix)}([1-9]\d*)"
             found = ((name, re.fullmatch(form, name, re.ASCII)) for name in self.table.names)
             members = [(int(m[1]), Meaning(name, role, int(m[1]))) for name, m in found if m]
-            group = _Group(role, self.count, self.joints, members)
+            group = _Group(self, role, members)
             group.check(self.table.file, prefix)
             return role, Channel(group.columns, self._factors(role, (None,) * self.count))
         exact = [r for r in ("tau", "i") if any(g.exact for g in self.groups.get(r, ()))]

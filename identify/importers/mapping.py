@@ -56,6 +56,7 @@ class ColumnMap:
         sign: +1 or −1 per quantity (``q, dq, tau``) and joint whose axis is logged reversed.
         drive: Torque at each joint per ampere [N·m/A], where currents are to become torques.
         topic: Topic of a bag.
+        torque: Prefix of the torque columns where ``columns`` names none: ``i`` for ``i1, i2, ..``.
         source: File it was read from.
     """
 
@@ -64,6 +65,7 @@ class ColumnMap:
     sign: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     drive: tuple[float, ...] | None = None
     topic: str | None = None
+    torque: str | None = None
     source: str = "columns.yaml"
 
 

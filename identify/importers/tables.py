@@ -108,17 +108,16 @@ def _spread(name: str, widths: Mapping[str, int]) -> list[str]:
 
 
 def _frame(table: Any, widths: Mapping[str, int], path: Path) -> pd.DataFrame:
-    columns: list[pd.Series] = []
+    columns: list[Any] = []
     for name, column in zip(table.column_names, table.columns, strict=True):
-        if name not in widths:
-            columns.append(column.to_pandas(ignore_metadata=True))
-            continue
-        values = column.to_pylist()
-        for row, value in enumerate(values):
-            if len(value or ()) != widths[name]:
-                why = f"holds {len(value or ())} values, the first row {widths[name]}; remove it"
-                raise BadRecording(path, why, row=row, column=name)
-        columns += [pd.Series([value[k] for value in values]) for k in range(widths[name])]
+        values = column.to_pandas(ignore_metadata=True)
+        if name in widths:
+            lengths = values.map(lambda value: 0 if value is None else len(value))
+            for row in np.flatnonzero(lengths != widths[name]):
+                why = f"holds {lengths[row]} values, the first row {widths[name]}; remove it"
+                raise BadRecording(path, why, row=int(row), column=name)
+            values = pd.DataFrame(values.tolist(), columns=range(widths[name]))
+        columns.append(values)
     frame = pd.concat(columns, axis=1) if columns else pd.DataFrame()
     return frame.set_axis([n for name in table.column_names for n in _spread(name, widths)], axis=1)
 
@@ -191,10 +190,7 @@ def bag_table(path: Path, topic: str | None = None) -> Table:
 
     Time is that of the messages' headers, or that of their recording where headers are empty.
     Messages without any of the joints asked for, such as those of a gripper, are left out.
-
-    Args:
-        path: ``.bag``, ``.mcap``, ``.db3``, or the folder of a ROS 2 bag.
-        topic: Topic, where the bag has several.
+    ``topic`` is needed where the bag has several.
 
     Raises:
         BadRecording: Not readable, no joint states, or several topics with them.
@@ -212,16 +208,15 @@ def bag_table(path: Path, topic: str | None = None) -> Table:
     names = ("stamp_ns", *(f"{joint}.{what}" for what in fields for joint in joints))
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
-        kept = names if columns is None else tuple(columns)
+        kept = list(names if columns is None else columns)
         with _opened(path) as reader:
-            messages = _rows(reader, topic, fields, stamped, kept, path)
-            blocks = iter(lambda: list(islice(messages, rows or _AT_ONCE)), [])
-            parts = (_frame_of_messages(block, kept) for block in blocks)
+            cells = _cells_of_messages(reader, topic, fields, stamped, kept, path)
+            blocks = iter(lambda: list(islice(cells, rows or _AT_ONCE)), [])
+            parts = (pd.DataFrame(block, columns=kept) for block in blocks)
             if rows is not None:
                 yield from parts
             else:
-                none = _frame_of_messages([], kept)
-                yield pd.concat(list(parts) or [none], ignore_index=True)
+                yield pd.concat(list(parts) or [pd.DataFrame(columns=kept)], ignore_index=True)
 
     return Table(str(path), names, frames, dict(enumerate(joints)), notes, joined=True)
 
@@ -267,41 +262,27 @@ def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
         yield logged, reader.deserialize(data, connection.msgtype)
 
 
-def _rows(
-    reader: Any,
-    topic: str,
-    fields: Sequence[str],
-    stamped: bool,
-    columns: Sequence[str],
-    path: Path,
-) -> Iterator[tuple[int, Array]]:
-    """Stamp [ns] and values, shape (columns,), of messages that hold any of the columns."""
-    places = {name: k for k, name in enumerate(columns)}
-    row = 0
+def _cells_of_messages(
+    reader: Any, topic: str, fields: Sequence[str], stamped: bool, kept: Sequence[str], path: Path
+) -> Iterator[dict[str, Any]]:
+    """Stamp and values, by column, of messages that hold any of the columns."""
+    wanted, row = frozenset(kept), 0
     for logged, message in _messages(reader, topic):
-        values, found = np.full(len(places), np.nan), False
         if len(set(message.name)) < len(message.name):
             raise BadRecording(path, "names a joint twice; repair the recorder", row=row)
+        found: dict[str, Any] = {}
         for what in fields:
             numbers = getattr(message, what)
             if len(numbers) not in (0, len(message.name)):
                 why = f"{len(numbers)} values of {what} for {len(message.name)} joints"
                 raise BadRecording(path, why, row=row)
-            for joint, value in zip(message.name, numbers, strict=False):
-                if (place := places.get(f"{joint}.{what}")) is not None:
-                    values[place], found = value, True
+            cells = zip((f"{joint}.{what}" for joint in message.name), numbers, strict=False)
+            found |= {column: value for column, value in cells if column in wanted}
         if found:
             stamp = message.header.stamp
-            yield int(stamp.sec * 1_000_000_000 + stamp.nanosec if stamped else logged), values
+            at = stamp.sec * 1_000_000_000 + stamp.nanosec if stamped else logged
+            yield {"stamp_ns": int(at), **found}
             row += 1
-
-
-def _frame_of_messages(rows: Sequence[tuple[int, Array]], columns: Sequence[str]) -> pd.DataFrame:
-    values = np.array([values for _, values in rows]).reshape(len(rows), len(columns))
-    frame = pd.DataFrame(values, columns=list(columns))
-    if "stamp_ns" in columns:
-        frame["stamp_ns"] = np.array([time for time, _ in rows], dtype=np.int64)
-    return frame
 
 
 def as_numbers(values: pd.Series) -> Array:
@@ -323,10 +304,7 @@ def _is_plain(value: object) -> bool:
 
 
 def stamps_unit(values: pd.Series) -> str | None:
-    """The unit in which numbers are stamps since 1970; None when they are not.
-
-    The units' ranges for the years 2000 to 2103 do not meet, so that there is no choice.
-    """
+    """The unit in which numbers are stamps of the years 2000 to 2103; ranges do not meet."""
     if _is_date(values):
         return ISO
     if pd.api.types.is_timedelta64_dtype(values):
@@ -343,12 +321,7 @@ def stamps_unit(values: pd.Series) -> str | None:
 def in_seconds(values: pd.Series, unit: Unit | None) -> tuple[Array, Array]:
     """Whole and remaining seconds of stamps, so that nanoseconds since 1970 keep their digits.
 
-    Args:
-        values: Column of time.
-        unit: Its unit, ``"ISO 8601"`` for dates, or seconds per logged unit.
-
-    Returns:
-        Two arrays, shape (n,) [s], whose sum is the time; NaN where a cell is none.
+    ``unit`` is `ISO` for dates, or seconds per logged unit; cells that are no time become NaN.
     """
     if unit == ISO or _is_date(values):
         dates = _dates(values)

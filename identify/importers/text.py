@@ -28,12 +28,12 @@ _CUT = "last line left out: it has no end, so it may have been cut"
 
 
 @dataclass(frozen=True)
-class Dialect:
+class _Dialect:
     """How a text file writes its table."""
 
     encoding: str
     separator: str  # between cells; a space stands for any white space
-    decimal: str  # point or comma
+    decimal: str
     names: tuple[str, ...]  # of the columns; numbers from 0 where there is no header
     skipped: int  # lines before the first row
     quoted: bool = False
@@ -49,16 +49,15 @@ def text_table(path: Path) -> Table:
     Raises:
         BadRecording: No text, or no line that could name columns.
     """
-    dialect = dialect_of(path)
+    dialect = _dialect_of(path)
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
         kept = [k for k, name in enumerate(dialect.names) if columns is None or name in columns]
         with path.open(encoding=dialect.encoding, errors="replace") as stream:
-            lines = _Lines(stream, dialect, str(path))
-            source: Any = lines
+            lines: Any = _Lines(stream, dialect, str(path))
             try:
                 with pd.read_csv(
-                    source,
+                    lines,
                     sep=r"\s+" if dialect.separator == " " else dialect.separator,
                     decimal=dialect.decimal,
                     header=None,
@@ -72,7 +71,9 @@ def text_table(path: Path) -> Table:
                     chunksize=rows or sys.maxsize,
                 ) as parts:
                     for part in parts:
-                        frame = _with_points(part.reset_index(drop=True), dialect.decimal)
+                        frame = part.reset_index(drop=True)
+                        if dialect.decimal == ",":
+                            _write_points(frame)
                         yield frame.set_axis([dialect.names[k] for k in kept], axis=1)
             except (ValueError, OSError, OverflowError) as error:
                 raise lines.refusal or unreadable(path, error) from None
@@ -80,10 +81,8 @@ def text_table(path: Path) -> Table:
     return Table(str(path), dialect.names, frames, dialect.labels, (_CUT,) if dialect.cut else ())
 
 
-def _with_points(frame: pd.DataFrame, decimal: str) -> pd.DataFrame:
+def _write_points(frame: pd.DataFrame) -> None:
     """Text with decimal commas as text with points, where a column holds other text too."""
-    if decimal == ".":
-        return frame
     for column in frame.columns:
         if pd.api.types.is_string_dtype(frame[column]):
             text = frame[column].astype(str)
@@ -91,7 +90,6 @@ def _with_points(frame: pd.DataFrame, decimal: str) -> pd.DataFrame:
             frame[column] = text.str.replace(",", ".", regex=False).mask(
                 pointed, text + " (a point among decimal commas)"
             )
-    return frame
 
 
 class _Lines:
@@ -100,10 +98,9 @@ class _Lines:
     ``refusal`` says what was wrong, as parsers hide errors of what they read from.
     """
 
-    def __init__(self, stream: TextIO, dialect: Dialect, file: str) -> None:
+    def __init__(self, stream: TextIO, dialect: _Dialect, file: str) -> None:
         self.refusal: BadRecording | None = None
-        self._stream, self._dialect, self._file = stream, dialect, file
-        self._row = 0
+        self._stream, self._dialect, self._file, self._row = stream, dialect, file, 0
         for _ in range(dialect.skipped):
             stream.readline()
 
@@ -115,52 +112,43 @@ class _Lines:
         return ""
 
     def __iter__(self) -> Iterator[str]:
-        while text := self.read():
-            yield text
+        return iter(self.read, "")
 
     def _is_row(self, line: str) -> bool:
-        if line.isspace() or line.startswith(_COMMENTS):
-            return False
-        if self._dialect.cut and not line.endswith("\n"):
-            return False
         separator, expected = self._dialect.separator, len(self._dialect.names)
+        cut = self._dialect.cut and not line.endswith("\n")
+        if line.isspace() or line.startswith(_COMMENTS) or cut:
+            return False
         parsed = separator == " " or (self._dialect.quoted and '"' in line)
         found = len(_cells(line, separator)) if parsed else line.count(separator) + 1
         if found != expected or "\0" in line:
-            what = "holds zero bytes"
-            if found != expected:
-                what = f"{found} cells where the header names {expected}"
-            why = f"{what}; repair or remove this row"
+            what = f"{found} cells where the header names {expected}"
+            why = f"{what if found != expected else 'holds zero bytes'}; repair or remove this row"
             self.refusal = BadRecording(self._file, why, row=self._row)
             raise ValueError(why)
         self._row += 1
         return True
 
 
-def dialect_of(path: Path) -> Dialect:
+def _dialect_of(path: Path) -> _Dialect:
     """How a file writes its table.
 
     The separator is the first of tab, semicolon, bar, comma and space for which a line of
     numbers follows one of as many names, which tells a decimal comma from a separator and skips
     preambles; `csv.Sniffer` does neither. Decimal commas are those of most cells.
-
-    Raises:
-        BadRecording: No text, or nothing that names columns.
     """
     encoding, text, cut = _head(path)
     lines = text.splitlines()
-    for separator in _SEPARATORS:
-        first = _first_row(lines, separator)
-        if first is not None:
-            break
-    else:
+    found = ((sign, _first_row(lines, sign)) for sign in _SEPARATORS)
+    separator, first = next(((s, k) for s, k in found if k is not None), ("", 0))
+    if not separator:
         header = next((line for line in lines if line.strip()), "")
         separator = max(_SEPARATORS, key=lambda sign: len(_cells(header, sign)))
         names = _cells(header, separator)
         if len(names) < 2:
             why = "cannot be read (no line of names followed by numbers); give a table with named"
             raise BadRecording(path, f"{why} columns")
-        return Dialect(encoding, separator, ".", tuple(names), lines.index(header) + 1)
+        return _Dialect(encoding, separator, ".", tuple(names), lines.index(header) + 1)
     some = [line for line in lines[first : first + 200] if not line.startswith(_COMMENTS)]
     rows = [_cells(line, separator) for line in some]
     cells = [cell for cells in rows for cell in cells]
@@ -172,10 +160,10 @@ def dialect_of(path: Path) -> Dialect:
     labels = {}
     for k, name in enumerate(names):
         match, texts = _NAME_OF_JOINT.fullmatch(name), {row[k] for row in rows if len(row) > k}
-        if match and len(texts) == 1 and not _is_number(text := texts.pop()):
-            labels[int(match[1])] = text
+        if match and len(texts) == 1 and not _is_number(label := texts.pop()):
+            labels[int(match[1])] = label
     decimal, quoted = "," if commas > points else ".", '"' in some[0]
-    return Dialect(encoding, separator, decimal, tuple(names), first, quoted, cut, labels)
+    return _Dialect(encoding, separator, decimal, tuple(names), first, quoted, cut, labels)
 
 
 def _head(path: Path) -> tuple[str, str, bool]:
@@ -216,15 +204,14 @@ def _is_number(cell: str) -> bool:
 
 
 def _first_row(lines: Sequence[str], separator: str) -> int | None:
-    """The first line of numbers, when the line of names before it has as many cells.
+    """The first line with most cells numbers, when the line of names before it has as many cells.
 
-    A few of the numbers may be damaged, or dates. A separator at the end of a line makes no cell.
+    A separator at the end of a line makes no cell.
     """
     for k, line in enumerate(lines):
         cells = _cells(line, separator)
-        if line.startswith(_COMMENTS) or len(cells) < 2:
-            continue
-        if 2 * sum(map(_is_number, cells)) <= len(cells):
+        numbers = sum(map(_is_number, cells))
+        if line.startswith(_COMMENTS) or len(cells) < 2 or 2 * numbers <= len(cells):
             continue
         names = _header(lines[:k], separator)
         width, expected = (len(some) - (some[-1:] == [""]) for some in (cells, names))
@@ -233,10 +220,7 @@ def _first_row(lines: Sequence[str], separator: str) -> int | None:
 
 
 def _header(above: Sequence[str], separator: str) -> list[str]:
-    """Names in the line above the first row, with units of a row of units in brackets.
-
-    Without a comment sign before them; empty when there are none.
-    """
+    """Names above the first row, with units of a row of units in brackets; empty without any."""
     for upper, lower in pairwise([line for line in above if line.strip()][-2:]):
         cells = [cell.strip("[]() ") for cell in _cells(lower, separator)]
         units = [cell for cell in cells if cell not in ("", "-")]

@@ -48,8 +48,10 @@ class ArmEntry:
 def arm_entry(name: str) -> ArmEntry:
     """What a built-in arm is."""
     record, robot = builtin_record(name), load_robot(name)
-    about = record.about
+    about, file = record.about, resources.files("excitant.robots.library") / f"{name}.urdf"
     assert about is not None
+    text = file.read_text("utf-8") if file.is_file() else ""
+    heading = text.partition("<!--")[2].partition("-->")[0]  # what the URDF says of itself
     return ArmEntry(
         name=name,
         kind=about.kind,
@@ -59,21 +61,13 @@ def arm_entry(name: str) -> ArmEntry:
         weight=about.mass_kg,
         moving_mass=float(robot.phi[::10].sum()),
         source=about.source,
-        sources=" ".join((_heading(name) + record.sources).split()),
+        sources=" ".join((heading + record.sources).split()),
     )
-
-
-def _heading(name: str) -> str:
-    """What the arm's URDF says of itself; nothing where it has none."""
-    file = resources.files("excitant.robots.library") / f"{name}.urdf"
-    if not file.is_file():
-        return ""
-    return file.read_text("utf-8").partition("<!--")[2].partition("-->")[0]
 
 
 def catalogue() -> tuple[ArmEntry, ...]:
     """All built-in arms by name."""
-    return tuple(arm_entry(name) for name in builtin_robots())
+    return tuple(map(arm_entry, builtin_robots()))
 
 
 def catalogue_rows() -> list[tuple[str, ...]]:
@@ -107,7 +101,7 @@ friction and rotor inertia, and rough collision shapes. No meshes, nothing to do
 `excitant robots NAME` prints one arm with its joints, links and what looks odd about its numbers;
 `excitant robots NAME -o DIR` draws it. *Mass* is what the maker says of the whole arm, *moving*
 what the joints carry in the model. This page is written by
-`excitant.robots.library_page()`.
+`excitant.robots.library.catalogue_page()`.
 """
 _NOTES = """\
 ## Sources

@@ -9,9 +9,8 @@ import pytest
 
 from excitant.analysis.candidates import Observed, observed
 from excitant.identify import Recording
-from excitant.identify.accuracy import predicted_torque
-from excitant.identify.regression import observation
-from excitant.identify.rows import split
+from excitant.identify.regression import regression_of
+from excitant.identify.rows import predicted_torque, split
 from excitant.robots import Robot
 from excitant.robots.effects import (
     CoulombFriction,
@@ -51,7 +50,7 @@ def rows(planar: Robot, runs: Runs) -> Observed:
 def test_they_are_those_of_the_robot(rows: Observed, planar: Robot) -> None:
     model = planar.with_effects(effects(planar))
     found = rows.by(model)
-    expected = observation(model, model.effects, rows.segments)
+    expected = regression_of(model, model.effects, rows.segments).W
     np.testing.assert_allclose(found.matrix(model.effects), expected, atol=1e-12)
     expected = predicted_torque(model, rows.segments)
     np.testing.assert_allclose(found.torque(), expected, atol=1e-9)
@@ -61,7 +60,7 @@ def test_another_model_of_the_arm_has_its_own(rows: Observed, planar: Robot) -> 
     heavier = planar.with_parameters(2 * planar.phi)
     rows.matrix([MOTION, ROBOT])
     np.testing.assert_allclose(
-        rows.by(heavier).columns(ROBOT), observation(heavier, [ROBOT], rows.segments)[:, :, 20:]
+        rows.by(heavier).columns(ROBOT), regression_of(heavier, [ROBOT], rows.segments).W[:, :, 20:]
     )
     assert np.abs(rows.by(heavier).columns(ROBOT) - rows.columns(ROBOT)).max() > 0.1
 

@@ -15,8 +15,9 @@ from excitant.analysis.selection import choose_effects, described
 from excitant.cli import main
 from excitant.design import random_trajectory
 from excitant.identify import Recording, identify_robot, load_dataset, recording_from_table
+from excitant.identify.estimate import with_own_torque
 from excitant.identify.knowledge import Knowledge
-from excitant.identify.rows import fit_rows, with_own_torque
+from excitant.identify.rows import fit_rows
 from excitant.robots import Robot, base_parameters, load_robot
 from excitant.robots.effects import (
     EFFECTS,
@@ -132,9 +133,7 @@ def test_effects_of_the_motion_alone_need_no_identified_arm(
     of_torque = (*standard_effects(planar.joints), TimeDelay(planar.joints))
     same, other = (
         with_own_torque(
-            fit_rows(planar, effects, base_parameters(planar, effects), fit.data),
-            prior,
-            nothing,
+            fit_rows(planar, effects, base_parameters(planar, effects), fit.data), prior, nothing
         )
         for effects in (of_motion, of_torque)
     )

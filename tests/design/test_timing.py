@@ -9,8 +9,14 @@ import pytest
 from limit_use import limit_shares
 
 from excitant.design import HermiteTrajectory, check
-from excitant.design.path import HOLDING, rounded_path, static_torque
-from excitant.design.timing import approach, time_optimal, timed
+from excitant.design.timing import (
+    HOLDING,
+    approach,
+    rounded_path,
+    static_torque,
+    time_optimal,
+    timed,
+)
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Array, Motion, Robot, load_robot, torque
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -27,9 +28,7 @@ def logged(motion: Motion, robot: Robot, noise: float = 0.05) -> Recording:
 
 
 def pieces(whole: Recording, rows: int) -> Iterator[Recording]:
-    for k in range(0, len(whole.t), rows):
-        part = slice(k, k + rows)
-        yield replace(whole, t=whole.t[part], q=whole.q[part], tau=whole.tau[part])
+    return (whole.take(slice(k, k + rows)) for k in range(0, len(whole), rows))
 
 
 @pytest.mark.parametrize("rows", [700, 9999])
@@ -59,8 +58,7 @@ def test_the_estimate_is_that_of_all_samples(
 def test_what_decimation_would_fold_onto_the_motion_is_taken_away() -> None:
     t = np.arange(20_000) / RATE
     slow = np.sin(2 * np.pi * np.array([1.0, 20.0]) * t[:, None])
-    factor = int(RATE / 160)
-    fast = np.sin(2 * np.pi * (RATE / factor - np.array([1.0, 20.0])) * t[:, None])
+    fast = np.sin(2 * np.pi * (RATE / int(RATE / 160) - np.array([1.0, 20.0])) * t[:, None])
     thin = decimated(pieces(Recording("log", "", t, slow + fast, slow + fast), 3000))
     expected = np.sin(2 * np.pi * np.array([1.0, 20.0]) * thin.t[:, None])
     assert np.abs(thin.q - expected).max() < 1e-3  # 80 dB, and the same for what is passed
@@ -75,19 +73,16 @@ def test_slow_logs_keep_their_samples() -> None:
 
 
 def test_long_files_are_read_in_pieces_and_short_parts_are_refused(
-    motion_of: Callable[..., Motion], tmp_path: object, monkeypatch: pytest.MonkeyPatch
+    motion_of: Callable[..., Motion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    robot = load_robot("planar_2r")
+    robot, path = load_robot("planar_2r"), tmp_path / "log.csv"
     whole = logged(motion_of(robot, np.arange(8000) / RATE), robot)
-    path = f"{tmp_path}/log.csv"
-    columns = {
-        f"{n}{j + 1}": x[:, j] for n, x in (("q", whole.q), ("tau", whole.tau)) for j in (0, 1)
-    }
+    columns = {f"{n}{j + 1}": x[:, j] for n, x in whole.channels() for j in (0, 1)}
     pd.DataFrame({"t": whole.t} | columns).to_csv(path, index=False)
-    assert len(read_recordings([path], robot)[0].t) == 8000
+    assert len(read_recordings([path], robot)[0]) == 8000
     monkeypatch.setattr(dataset, "LONG", 5000)
     [thin] = read_recordings([path], robot)
-    assert len(thin.t) < 1400
+    assert len(thin) < 1400
     assert any("decimated" in note for note in thin.notes)
     with pytest.raises(BadRecording, match="no uninterrupted part"):
         decimated(pieces(replace(whole, t=whole.t + np.arange(8000) // 30), 100))

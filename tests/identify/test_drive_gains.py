@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pinocchio as pin
 import pytest
 
-from excitant.cli import main
 from excitant.exceptions import BadInput
 from excitant.identify import (
     KnownPayload,
@@ -28,6 +27,7 @@ from excitant.robots.torque import observation_columns
 MASS, CENTRE = 2.0, (0.02, -0.03, 0.18)
 INERTIA = (0.008, 0.0, 0.01, 0.0, 0.0, 0.012)
 MotionOf = Callable[..., Motion]
+Runs = tuple[Recording, Recording]
 
 
 class Bench:
@@ -159,14 +159,12 @@ def test_payloads_that_cannot_be(values: dict, said: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def recorded(planar_bench: Bench) -> tuple[Recording, Recording]:
+def recorded(planar_bench: Bench) -> Runs:
     b = planar_bench
     return b.recording("free", b.bare, 20), b.recording("held", b.loaded, 21)
 
 
-def test_recordings_of_currents_become_torques(
-    planar_bench: Bench, recorded: tuple[Recording, Recording]
-) -> None:
+def test_recordings_of_currents_become_torques(planar_bench: Bench, recorded: Runs) -> None:
     b, (free, held) = planar_bench, recorded
     # wrong masses in the description: the payload, not they, fixes the scale
     wrong: Robot = b.robot.with_parameters(1.5 * b.robot.phi)
@@ -187,28 +185,20 @@ def test_recordings_of_currents_become_torques(
 
 
 def test_command(
-    tmp_path: Path, planar_bench: Bench, recorded: tuple[Recording, Recording],
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    tmp_path: Path, planar_bench: Bench, recorded: Runs, excitant: Callable[..., Any]
+) -> None:
     for each in recorded:
         columns = {"t": each.t}
         for k in range(2):
             columns[f"q{k + 1}"], columns[f"i{k + 1}"] = each.q[:, k], each.tau[:, k]
         pd.DataFrame(columns).to_parquet(tmp_path / f"{each.name}.parquet")
-    free, held = (str(tmp_path / f"{each.name}.parquet") for each in recorded)
-    out = tmp_path / "run"
-    call = ["identify", "planar_2r", free, "--payload-recording", held, "-o", str(out)]
+    free, held = (tmp_path / f"{each.name}.parquet" for each in recorded)
     com = ",".join(map(str, CENTRE))
-    assert main([*call, "--payload-mass", str(MASS), f"--payload-com={com}"]) == 0
-    result = json.loads((out / "result.json").read_text())
+    options = ("--payload-mass", MASS, f"--payload-com={com}", "--json", "-o", tmp_path / "run")
+    result = excitant("identify planar_2r", free, "--payload-recording", held, *options).result
     gains, std = (
         np.array(result[key]) for key in ("drive_gain_Nm_per_A", "drive_gain_std_Nm_per_A")
     )
     assert (np.abs(gains - planar_bench.gains) < 4 * std).all()
     assert result["unit"] == "N·m"
     assert any("follow from the known payload" in note for note in result["notes"])
-    capsys.readouterr()
-    assert main(call) == 1
-    assert "belong together" in capsys.readouterr().err
-    assert main([*call, "--payload-mass", "2", "--payload-com", "1,2"]) == 1
-    assert "three numbers" in capsys.readouterr().err

@@ -19,7 +19,6 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from excitant.cli import main
 from excitant.exceptions import BadInput
 from excitant.identify import Estimate, Recording, identify_robot
 from excitant.identify.export import model_files, publication
@@ -142,12 +141,15 @@ def motion(model: Robot) -> Motion:
     return Motion(np.arange(float(n)), *model.random_motion(np.random.default_rng(0), n))
 
 
+def write(folder: Path, model: Robot) -> Path:
+    for name, text in model_files(model, "identified", "model.yaml").items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return folder
+
+
 @pytest.fixture(scope="module")
 def folder(model: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("published")
-    for name, text in model_files(model, "identified", "model.yaml").items():
-        (path / name).write_text(text, encoding="utf-8")
-    return path
+    return write(tmp_path_factory.mktemp("published"), model)
 
 
 def with_only(model: Robot, *kinds: type[Effect]) -> Robot:
@@ -173,9 +175,7 @@ def test_yaml_reads_back_each_effect_alone(kind: type[Effect], tmp_path: Path) -
     robot, rng = named("held panda"), np.random.default_rng(5)
     motion = Motion(np.arange(float(n)), *robot.random_motion(rng, n))
     alone = robot.with_effects([valued(robot, kind, rng)])
-    for name, text in model_files(alone, "arm", "arm.yaml", ()).items():
-        (tmp_path / name).write_text(text, encoding="utf-8")
-    written = load_robot(tmp_path / "arm.yaml")
+    written = load_robot(write(tmp_path, alone) / "model.yaml")
     check(torque(written, motion), torque(alone, motion), PRECISION["yaml"])
 
 
@@ -188,16 +188,16 @@ def test_urdf_needs_the_torque_of_all_that_it_holds(
     check(torque(alone, motion), torque(expected, motion), PRECISION["rigid"])
 
 
-def mujoco_model(folder: Path, *disabled: Any) -> tuple[Any, Any]:
-    loaded = mujoco.MjModel.from_xml_path(str(folder / "identified.xml"))
+BITS = mujoco.mjtDisableBit
+
+
+def mujoco_model(model: Robot, text: str, *disabled: Any) -> tuple[Any, Any, np.ndarray]:
+    """Model, data, and where each joint stands in MuJoCo: one branch after the other."""
+    loaded = mujoco.MjModel.from_xml_string(text)
     for flag in disabled:
         loaded.opt.disableflags |= flag
-    return loaded, mujoco.MjData(loaded)
-
-
-def mujoco_order(model: Robot, loaded: Any) -> np.ndarray:
-    """Where each joint stands in MuJoCo, which goes down one branch after the other."""
-    return np.array([loaded.jnt_dofadr[loaded.joint(joint).id] for joint in model.joints])
+    order = np.array([loaded.jnt_dofadr[loaded.joint(joint).id] for joint in model.joints])
+    return loaded, mujoco.MjData(loaded), order
 
 
 def mujoco_inverse(loaded: Any, data: Any, order: np.ndarray, motion: Motion) -> np.ndarray:
@@ -216,13 +216,12 @@ def test_mjcf_needs_the_torque_of_dry_friction_where_joints_slide(
     """Its friction is soft: full once the velocity outweighs the acceleration of some 10 ms."""
     sliding = np.copysign(np.maximum(np.abs(motion.dq), 0.5), motion.dq)
     fast = Motion(motion.t, motion.q, sliding, 0.5 * motion.ddq / np.abs(motion.ddq).max())
-    loaded, data = mujoco_model(folder, mujoco.mjtDisableBit.mjDSBL_LIMIT)
-    order = mujoco_order(model, loaded)
-    found = mujoco_inverse(loaded, data, order, fast)
+    text = (folder / "identified.xml").read_text(encoding="utf-8")
+    loaded, *rest = mujoco_model(model, text, BITS.mjDSBL_LIMIT)
     expected = torque(with_only(model, *SMOOTH, CoulombFriction), fast)
-    check(found, expected, PRECISION["rigid"])
-    loaded.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    smooth = mujoco_inverse(loaded, data, order, motion)
+    check(mujoco_inverse(loaded, *rest, fast), expected, PRECISION["rigid"])
+    loaded.opt.disableflags |= BITS.mjDSBL_CONSTRAINT
+    smooth = mujoco_inverse(loaded, *rest, motion)
     check(smooth, torque(with_only(model, *SMOOTH), motion), PRECISION["rigid"])
     for j, joint in enumerate(model.joints):
         bounded = bool(np.isfinite(model.limits.position[j]).all())
@@ -239,9 +238,8 @@ def test_mjcf_moves_as_its_controls_say(model: Robot, motion: Motion, currents: 
     """Forward dynamics under the model's torque, offsets included, gives the acceleration."""
     gains = np.random.default_rng(5).uniform(2.0, 20.0, model.nv) if currents else None
     text = model_files(model, "arm", "arm.yaml", ["mjcf"], gains)["arm.xml"]
-    loaded, bits = mujoco.MjModel.from_xml_string(text), mujoco.mjtDisableBit
-    loaded.opt.disableflags |= bits.mjDSBL_CONSTRAINT | bits.mjDSBL_CLAMPCTRL
-    data, order = mujoco.MjData(loaded), mujoco_order(model, loaded)
+    free = (BITS.mjDSBL_CONSTRAINT, BITS.mjDSBL_CLAMPCTRL)
+    loaded, data, order = mujoco_model(model, text, *free)
     tau = torque(with_only(model, *SMOOTH, TorqueOffset), motion)
     controls = tau if gains is None else tau / gains
     found = np.empty(tau.shape)
@@ -255,8 +253,8 @@ def test_mjcf_moves_as_its_controls_say(model: Robot, motion: Motion, currents: 
 def test_mjcf_puts_bodies_and_tools_where_pinocchio_does(
     model: Robot, motion: Motion, folder: Path
 ) -> None:
-    loaded, data = mujoco_model(folder)
-    order, reference = mujoco_order(model, loaded), model.model.createData()
+    text = (folder / "identified.xml").read_text(encoding="utf-8")
+    (loaded, data, order), reference = mujoco_model(model, text), model.model.createData()
     frames = [f for f in model.model.frames if f.type == pin.FrameType.BODY]
     assert loaded.nbody == model.nv + 1
     assert loaded.nsite == len(frames) - model.nv
@@ -307,12 +305,10 @@ class Sdf:
         inertial = link.find("inertial")
         lever = numbers(inertial, "pose")
         assert not lever[3:].any()
-        xx, xy, xz, yy, yz, zz = (
-            float(inertial.findtext(f"inertia/{key}"))
-            for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        )
-        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        body = pin.Inertia(float(inertial.findtext("mass")), lever[:3], tensor)
+        tensor = [float(inertial.findtext(f"inertia/i{''.join(sorted(a + b))}"))
+                  for a in "xyz" for b in "xyz"]  # fmt: skip
+        mass = float(inertial.findtext("mass"))
+        body = pin.Inertia(mass, lever[:3], np.reshape(tensor, (3, 3)))
         self.pin.appendBodyToJoint(index, body, pin.SE3.Identity())
         self.ids[child] = index
 
@@ -336,13 +332,10 @@ def numbers(element: ET.Element, path: str) -> np.ndarray:
 def test_sdf_needs_the_torque_of_all_that_it_holds(
     model: Robot, motion: Motion, folder: Path
 ) -> None:
-    found = Sdf((folder / "identified.sdf").read_text(encoding="utf-8")).torque(motion)
-    expected = torque(with_only(model, *SMOOTH, CoulombFriction), motion)
-    check(found, expected, PRECISION["rigid"])
-
-
-def test_sdf_names_nothing_twice_and_has_the_limits(model: Robot, folder: Path) -> None:
+    """It names nothing twice and has the limits."""
     read = Sdf((folder / "identified.sdf").read_text(encoding="utf-8"))
+    expected = torque(with_only(model, *SMOOTH, CoulombFriction), motion)
+    check(read.torque(motion), expected, PRECISION["rigid"])
     names = [e.get("name") for e in read.model if e.get("name")]
     assert len(set(names)) == len(names)
     assert not {"world", "", None} & set(names)
@@ -375,9 +368,8 @@ def test_any_chain_needs_the_same_torque_in_every_format(seed: int) -> None:
     files = model_files(model, "arm", "arm.yaml")
     sliding = with_only(model, *SMOOTH, CoulombFriction)
     check(Sdf(files["arm.sdf"]).torque(motion), torque(sliding, motion), PRECISION["rigid"])
-    loaded = mujoco.MjModel.from_xml_string(files["arm.xml"])
-    loaded.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    smooth = mujoco_inverse(loaded, mujoco.MjData(loaded), np.arange(robot.nv), motion)
+    loaded = mujoco_model(model, files["arm.xml"], BITS.mjDSBL_CONSTRAINT)
+    smooth = mujoco_inverse(*loaded, motion)
     check(smooth, torque(with_only(model, *SMOOTH), motion), PRECISION["rigid"])
 
 
@@ -426,11 +418,10 @@ def test_currents_are_published_with_their_gains(estimate: Estimate) -> None:
     assert "drive" not in yaml.safe_load(publication(estimate).files["model.yaml"])
 
 
-@pytest.fixture
-def recorded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, planar: Robot, motion_of: Any
-) -> Path:
-    """A recording that the given arm explains, and one of an arm with large torque offsets."""
+def test_command_writes_result_but_no_model_when_it_got_worse(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, planar: Robot, motion_of: Any, excitant: Any
+) -> None:
+    """Of an arm with large torque offsets, judged on one that the given arm explains."""
     monkeypatch.chdir(tmp_path)
     motion = motion_of(planar, np.arange(0, 8, 1 / 100))
     other = planar.with_effects([*planar.effects, TorqueOffset(planar.joints, (40.0, 20.0))])
@@ -438,30 +429,18 @@ def recorded(
         columns = np.column_stack([motion.t, motion.q, torque(model, motion)])
         header = "t,q1,q2,tau1,tau2"
         np.savetxt(f"{name}.csv", columns, delimiter=",", header=header, comments="")
-    return tmp_path
-
-
-def test_command_writes_result_but_no_model_when_it_got_worse(
-    recorded: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["identify", "planar_2r", "absent.csv", "--formats", "mjfc"]) == 1
-    assert "unknown format 'mjfc': did you mean 'mjcf'?" in capsys.readouterr().err
-    words = ["identify", "planar_2r", "misled.csv", "--validate", "true.csv"]
-    assert main([*words, "-o", "out"]) == 0
-    out, err = capsys.readouterr()
-    assert err == ""
-    [line] = [line for line in out.splitlines() if "not published" in line]
-    result = json.loads((recorded / "out" / "result.json").read_text(encoding="utf-8"))
-    assert result["published"] is False
+    words = "identify planar_2r misled.csv --validate true.csv"
+    ran = excitant(f"{words} -o out")
+    assert (ran.status, ran.err) == (0, "")
+    [line] = [line for line in ran.out.splitlines() if "not published" in line]
+    result = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    assert (result["published"], result["files"]) == (False, [])
     assert line in result["notes"]
-    assert result["files"] == []
-    written = {path.name for path in (recorded / "out").iterdir()}
+    written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written == {"result.json", "summary.txt", "report.html", "series.npz"}
-    assert main([*words, "--force", "--formats", "sdf", "-o", "forced"]) == 0
-    result = json.loads((recorded / "forced" / "result.json").read_text(encoding="utf-8"))
+    result = excitant(f"{words} --force --formats sdf --json -o forced").result
     assert result["published"] is True
-    suffixes = {Path(file).suffix for file in result["files"]}
-    assert suffixes == {".urdf", ".yaml", ".sdf"}
+    assert {Path(file).suffix for file in result["files"]} == {".urdf", ".yaml", ".sdf"}
 
 
 def test_payload_becomes_part_of_its_link(planar: Robot, tmp_path: Path) -> None:
@@ -469,12 +448,10 @@ def test_payload_becomes_part_of_its_link(planar: Robot, tmp_path: Path) -> None
         model_files(planar.with_effects([ViscousFriction(planar.joints)]), "arm", "arm.yaml")
     load = np.array([2.0, 0.1, 0, 0, 0.01, 0, 0.02, 0, 0, 0.02])
     held = planar.with_effects([Payload(planar.joints[-1:]).with_values(load)])
-    for name, text in model_files(held, "arm", "arm.yaml").items():
-        (tmp_path / name).write_text(text, encoding="utf-8")
-    written = load_robot(tmp_path / "arm.yaml")
+    written = load_robot(write(tmp_path, held) / "model.yaml")
     assert written.effects == ()
     np.testing.assert_allclose(written.phi[10:], planar.phi[10:] + load, atol=1e-12)
-    loaded = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    loaded = mujoco.MjModel.from_xml_path(str(tmp_path / "identified.xml"))
     assert loaded.body(planar.links[-1]).mass[0] == pytest.approx(planar.phi[10] + 2.0)
 
 
@@ -491,8 +468,8 @@ ODD = """
 
 
 def test_odd_names_break_no_file_and_occur_once() -> None:
-    arm = robot_from_urdf(ODD, source="odd.urdf")
-    arm = arm.with_parameters([1, 0, 0, 0, 1, 0, 1, 0, 0, 1] * 2)
+    bare = robot_from_urdf(ODD, source="odd.urdf")
+    arm = bare.with_parameters([1, 0, 0, 0, 1, 0, 1, 0, 0, 1] * 2)
     arm = arm.with_effects([TorqueOffset(("a--b",), (1.0,))])
     files = model_files(arm, "arm", "arm.yaml")
     ET.fromstring(files["arm.urdf"])
@@ -501,22 +478,14 @@ def test_odd_names_break_no_file_and_occur_once() -> None:
     assert model is not None
     names = [element.get("name") for element in model]
     assert len(set(names)) == len(names)
-
-
-def test_a_link_without_mass_is_written_as_one() -> None:
-    arm = robot_from_urdf(ODD, source="odd.urdf")
-    assert arm.phi[0] == 0
-    text = model_files(arm, "arm", "arm.yaml")["arm.urdf"]
-    assert np.array_equal(robot_from_urdf(text, source="arm.urdf").phi, arm.phi)
+    assert bare.phi[0] == 0  # a link without mass is written as one
+    text = model_files(bare, "arm", "arm.yaml")["arm.urdf"]
+    assert np.array_equal(robot_from_urdf(text, source="arm.urdf").phi, bare.phi)
 
 
 def test_negative_friction_is_left_out_and_said_so(planar: Robot) -> None:
-    arm = planar.with_effects(
-        [
-            CoulombFriction(planar.joints, (-0.5, 0.5)),
-            RotorInertia(planar.joints, (-0.1, 0.1)),
-        ]
-    )
+    pairs = ((CoulombFriction, 0.5), (RotorInertia, 0.1))
+    arm = planar.with_effects([kind(planar.joints, (-x, x)) for kind, x in pairs])
     files = model_files(arm, "arm", "arm.yaml")
     for name in ("arm.xml", "arm.sdf"):
         assert f"not in this file: negative Coulomb friction of {planar.joints[0]}" in files[name]

@@ -6,20 +6,20 @@ of a real arm.
 
 from __future__ import annotations
 
-import importlib.util
 import re
-import sys
+import runpy
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
+import pinocchio as pin
 import pytest
 
 from excitant.exceptions import BadRecording
-from excitant.identify import Recording, identify_robot, load_dataset
+from excitant.identify import identify_robot, load_dataset
 from excitant.identify.faults import (
     FAULTS,
     Fault,
@@ -29,23 +29,12 @@ from excitant.identify.faults import (
     read_checked,
     repair,
 )
-from excitant.identify.faults.modelled import in_distal_frames, in_joint_frames
+from excitant.identify.faults.modelled import in_joint_frames
 from excitant.robots import Robot, load_robot
 
-
-def _planted() -> ModuleType:
-    """The faults that the benchmark plants."""
-    path = Path(__file__).resolve().parents[2] / "benchmarks" / "planted_faults.py"
-    spec = importlib.util.spec_from_file_location("planted_faults", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["planted_faults"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-plants = _planted()
+BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "planted_faults.py"
+plants = SimpleNamespace(**runpy.run_path(str(BENCHMARK)))
+Plant = Callable[[Robot, Log, np.random.Generator], Log]
 
 
 def shifted_rows(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
@@ -63,12 +52,10 @@ def decimated(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
 
 
 def decimated_without_velocity(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    """The same where only the torque can tell."""
     return replace(decimated(robot, log, rng), dq=None)
 
 
 def decimated_on_the_way(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    """From the middle on, every other sample is missing, the stamps run on."""
     half = len(log) // 2
     return plants.with_rows(log, np.r_[np.arange(half), np.arange(half, len(log), 2)])
 
@@ -101,7 +88,7 @@ IN_REAL = [
 ]
 
 
-def each(pairs: list[tuple[str, plants.Plant]]) -> pytest.MarkDecorator:
+def each(pairs: list[tuple[str, Plant]]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize(
         ("name", "plant"), pairs, ids=[plant.__name__ for _, plant in pairs]
     )
@@ -134,9 +121,7 @@ def names(faults: tuple[Fault, ...]) -> set[str]:
 
 
 @each(plants.PLANTS)
-def test_a_planted_fault_is_named(
-    planar: Robot, clean: Log, name: str, plant: plants.Plant
-) -> None:
+def test_a_planted_fault_is_named(planar: Robot, clean: Log, name: str, plant: Plant) -> None:
     faults = find_faults(planar, plant(planar, clean, np.random.default_rng(1)))
     assert name in names(faults)
     assert names(faults) <= set(FAULTS)
@@ -147,7 +132,7 @@ def test_a_planted_fault_is_named(
 
 @each(MORE)
 def test_a_fault_planted_in_an_arm_of_six_joints_is_named(
-    ur10: Robot, six_joints: Log, name: str, plant: plants.Plant
+    ur10: Robot, six_joints: Log, name: str, plant: Plant
 ) -> None:
     faults = find_faults(ur10, plant(ur10, six_joints, np.random.default_rng(0)))
     assert name in names(faults)
@@ -165,7 +150,7 @@ def test_a_fault_planted_in_an_arm_of_six_joints_is_named(
 @pytest.mark.slow
 @each(IN_REAL)
 def test_a_fault_planted_in_a_real_recording_is_named(
-    real: tuple[Robot, Log], name: str, plant: plants.Plant
+    real: tuple[Robot, Log], name: str, plant: Plant
 ) -> None:
     robot, log = real
     assert name in names(find_faults(robot, plant(robot, log, np.random.default_rng(4))))
@@ -184,7 +169,11 @@ def test_faultless_recordings_raise_none(
 def test_inertias_are_told_by_their_frames(name: str) -> None:
     robot = load_robot(name)
     log = plants.recorded(robot, 1)
-    distal = robot.with_parameters(in_distal_frames(robot))
+    places = [robot.model.jointPlacements[j + 1] for j in range(1, robot.nv)]
+    places.append(robot.model.frames[robot.tip].placement)
+    bodies = map(pin.Inertia.FromDynamicParameters, robot.phi.reshape(-1, 10))
+    moved = [place.actInv(body) for place, body in zip(places, bodies, strict=True)]
+    distal = robot.with_parameters(np.concatenate([body.toDynamicParameters() for body in moved]))
     np.testing.assert_allclose(in_joint_frames(distal), robot.phi, atol=1e-12)
     assert "wrong_frame" in names(find_faults(distal, log))
     assert find_faults(robot, log) == ()
@@ -200,30 +189,17 @@ def test_what_a_controller_computes_is_no_measurement(data_folder: Path) -> None
     assert "not_measured" in names(find_faults(robot, computed))
 
 
-@pytest.mark.parametrize(
-    "plant",
-    [
-        plants.velocity_negated,
-        plants.torque_negated,
-        plants.position_negated,
-        plants.velocity_in_rpm,
-        plants.all_in_degrees,
-        plants.half_rate_without_velocity,
-        plants.milliseconds,
-        plants.counted_samples,
-        plants.stamps_twice,
-        plants.rows_logged_twice,
-        plants.not_a_number,
-        plants.torque_outliers,
-        plants.position_outliers,
-    ],
-    ids=lambda plant: plant.__name__,
-)
-def test_a_repaired_recording_is_faultless(planar: Robot, clean: Log, plant: plants.Plant) -> None:
-    log = plant(planar, clean, np.random.default_rng(2))
+REPAIRABLE = """velocity_negated torque_negated position_negated velocity_in_rpm all_in_degrees
+    half_rate_without_velocity milliseconds counted_samples stamps_twice rows_logged_twice
+    not_a_number torque_outliers position_outliers"""
+
+
+@pytest.mark.parametrize("plant", REPAIRABLE.split())
+def test_a_repaired_recording_is_faultless(planar: Robot, clean: Log, plant: str) -> None:
+    log = getattr(plants, plant)(planar, clean, np.random.default_rng(2))
     repaired, notes = repair(log, find_faults(planar, log))
     assert notes
-    gaps = plant in (plants.rows_logged_twice, plants.not_a_number)
+    gaps = plant in ("rows_logged_twice", "not_a_number")
     assert names(find_faults(planar, repaired)) <= ({"dropped_samples"} if gaps else set())
 
 
@@ -285,8 +261,7 @@ def test_a_file_that_is_refused_can_be_read_with_repair(
 
 
 def test_the_same_recording_under_two_names_is_found(clean: Log, tmp_path: Path) -> None:
-    later = replace(clean, t=clean.t + 5.0)
-    other = plants.scaled(clean, "tau", 1.001)
+    later, other = replace(clean, t=clean.t + 5.0), plants.scaled(clean, "tau", 1.001)
     found = find_copies({"first": clean, "second": later, "third": other})
     assert set(found) == {"second"}
     assert "first" in found["second"].detail
@@ -312,24 +287,15 @@ def blocks_exchanged(log: Log) -> Log:
     return log.take(np.r_[0:200, 500:800, 200:500, 800 : len(log)])
 
 
-def backwards(log: Log) -> Log:
-    return log.take(np.arange(len(log))[::-1])
-
-
-def written_again(log: Log) -> Log:
-    """A logger that went on twenty rows before the place where it stopped."""
-    return log.take(np.r_[0:500, 480 : len(log)])
-
-
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
         (exchanged, "sorts rows 41, 330, 780 by time"),
         (blocks_exchanged, "sorts rows 200 to 499 by time|sorts rows 500 to 799 by time"),
-        (backwards, "sorts rows 1 to 1000 by time"),
-        (written_again, "leaves 20 rows out"),
+        (lambda log: log.take(np.arange(len(log))[::-1]), "sorts rows 1 to 1000 by time"),
+        (lambda log: log.take(np.r_[0:500, 480 : len(log)]), "leaves 20 rows out"),  # went back
     ],
-    ids=lambda value: getattr(value, "__name__", ""),
+    ids=["exchanged", "blocks", "backwards", "written again"],
 )
 def test_rows_out_of_order_are_put_right(
     clean: Log, tmp_path: Path, damage: Damage, said: str
@@ -338,9 +304,8 @@ def test_rows_out_of_order_are_put_right(
     with pytest.raises(BadRecording, match="time goes back"):
         read_checked(dataset, [path])
     checked = read_checked(dataset, [path], repaired=True)
-    (note,) = checked.notes
+    (note,), (found,) = checked.notes, checked.recordings
     assert re.search(said, note)
-    (found,) = checked.recordings
     np.testing.assert_allclose(found.t - found.t[0], clean.t, atol=1e-12)
     for name in ("q", "tau", "dq"):
         np.testing.assert_array_equal(getattr(found, name), getattr(clean, name))
@@ -372,19 +337,15 @@ def one_after_the_other(one: Log, other: Log, later: float = 0.0) -> Log:
     return replace(one, **parts)
 
 
-def recording(log: Log, name: str) -> Recording:
-    return Recording(name, f"{name}.csv", log.t, log.q, log.tau, dq=log.dq)
-
-
 @pytest.mark.parametrize("later", [0.0, 0.003, -5.0, -20.0])
 def test_a_clock_that_starts_anew_is_a_cut(
     planar: Robot, clean: Log, second: Log, tmp_path: Path, later: float
 ) -> None:
     """Two runs in one file are the two runs, and are identified as such."""
-    dataset, n = load_dataset("planar_2r"), len(clean)
+    n = len(clean)
     both = one_after_the_other(clean, second, later)
     both = both.take(np.r_[0:40, 41, 40, 42 : n + 60, n + 61, n + 60, n + 62 : 2 * n])
-    checked = read_checked(dataset, [written(tmp_path, both)], repaired=True)
+    checked = read_checked(load_dataset("planar_2r"), [written(tmp_path, both)], repaired=True)
     overlap = later > -clean.t[-1]  # else sorting puts the second run before the first
     assert any(f"2 parts at row {n}" in note for note in checked.notes) == overlap
     assert ("dropped_samples" in names(checked.faults["run"])) == (not overlap)
@@ -393,11 +354,11 @@ def test_a_clock_that_starts_anew_is_a_cut(
     np.testing.assert_array_equal(repaired.q, np.concatenate([run.q for run in runs]))
     if later != 0.003:
         return
-    validate = [recording(plants.recorded(planar, 2), "held")]
-    apart = identify_robot(
-        planar, [recording(clean, "a"), recording(second, "b")], validate=validate
+    validate = [plants.recorded(planar, 2)]
+    apart, found = (
+        identify_robot(planar, recordings, validate=validate)
+        for recordings in ([clean, second], [repaired])
     )
-    found = identify_robot(planar, [repaired], validate=validate)
     assert len(found.data.train) == 2
     std = np.sqrt(np.diag(apart.least_squares.covariance))
     difference = np.abs(found.least_squares.beta - apart.least_squares.beta)
@@ -419,20 +380,21 @@ def interleaved(log: Log) -> Log:
     return both.take(np.arange(2 * len(log)).reshape(2, -1).T.ravel())
 
 
-def wrapped_clock(log: Log) -> Log:
-    return replace(log, t=np.mod(log.t, 1.0))
-
-
-def another_rate(log: Log) -> Log:
-    return one_after_the_other(log, replace(log, t=2 * log.t, q=-log.q))
-
-
 def shaken_stamps(log: Log) -> Log:
     noise = np.random.default_rng(0).normal(size=len(log))
     return replace(log, t=log.t + 0.5 * log.step * noise)
 
 
-@pytest.mark.parametrize("damage", [interleaved, wrapped_clock, another_rate, shaken_stamps])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        interleaved,
+        lambda log: replace(log, t=np.mod(log.t, 1.0)),
+        lambda log: one_after_the_other(log, replace(log, t=2 * log.t, q=-log.q)),
+        shaken_stamps,
+    ],
+    ids=["interleaved", "wrapped clock", "another rate", "shaken"],
+)
 def test_time_of_more_than_one_meaning_is_refused(
     clean: Log, tmp_path: Path, damage: Damage
 ) -> None:

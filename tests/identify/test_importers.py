@@ -22,7 +22,6 @@ from excitant.identify import (
     load_dataset,
     load_recording,
     raw_recording,
-    read_recordings,
 )
 from excitant.identify.importers.mapping import column_map
 from excitant.identify.importers.names import meaning
@@ -53,15 +52,32 @@ def exact() -> pd.DataFrame:
 def assert_read(path: Path, robot: Robot, *, tau: np.ndarray = TAU, **options: Any) -> Any:
     recording = load_recording(path, robot, **options)
     np.testing.assert_allclose(recording.t, T, atol=1e-6)
-    np.testing.assert_allclose(recording.q, Q, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(recording.dq, DQ, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(recording.tau, tau, rtol=1e-12, atol=1e-12)
+    for found, expected in ((recording.q, Q), (recording.dq, DQ), (recording.tau, tau)):
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
     return recording
 
 
 def write_yaml(path: Path, content: object) -> ColumnMap:
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return load_column_map(path)
+
+
+Save = Callable[..., Path]
+
+
+@pytest.fixture
+def save(tmp_path: Path) -> Save:
+    """``save(log, suffix)``: the file of a log."""
+
+    def saved(log: pd.DataFrame, suffix: str = ".csv", **options: Any) -> Path:
+        path = tmp_path / f"log{suffix}"
+        if suffix == ".csv":
+            log.to_csv(path, **{"index": False, **options})
+        else:
+            log.to_parquet(path)
+        return path
+
+    return saved
 
 
 NAMES = {
@@ -78,56 +94,48 @@ NAMES = {
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_common_names_are_understood_and_shown(name: str, ur10: Robot, tmp_path: Path) -> None:
+def test_common_names_are_understood_and_shown(name: str, ur10: Robot, save: Save) -> None:
     t, q, dq, tau, first, unit = NAMES[name]
-    table(t, q, dq, tau, first=first).to_csv(tmp_path / "log.csv", index=False)
-    recording = assert_read(tmp_path / "log.csv", ur10)
+    recording = assert_read(save(table(t, q, dq, tau, first=first)), ur10)
     assert recording.unit == unit
     assert (name == "exact" and recording.notes == ()) or q.format(first) in recording.notes[0]
 
 
 @pytest.mark.parametrize("word", ["target", "desired", "commanded", "cmd", "ref", "setpoint"])
-def test_what_was_commanded_is_never_taken_for_measured(
-    word: str, ur10: Robot, tmp_path: Path
-) -> None:
+def test_what_was_commanded_is_never_taken_for_measured(word: str, ur10: Robot, save: Save) -> None:
     measured = table("time", "q_{}", "qd_{}", "tau_{}")
     commanded = table("x", f"{word}_q_{{}}", f"{word}_qd_{{}}", f"{word}_tau_{{}}") * 2
     both = pd.concat([commanded, measured], axis=1)
-    both.to_csv(tmp_path / "both.csv", index=False)
-    assert_read(tmp_path / "both.csv", ur10)
+    assert_read(save(both), ur10)
     for missing in ("q_", "tau_"):
-        rest = both.drop(columns=[f"{missing}{k}" for k in range(6)])
-        rest.to_csv(tmp_path / "rest.csv", index=False)
+        path = save(both.drop(columns=[f"{missing}{k}" for k in range(6)]))
         with pytest.raises(BadRecording, match="--map"):
-            load_recording(tmp_path / "rest.csv", ur10)
+            load_recording(path, ur10)
 
 
 @pytest.mark.parametrize("extra", ["angle_{}", "actual_pos_{}"])
 def test_an_ambiguous_guess_is_refused_with_a_map_that_settles_it(
-    extra: str, ur10: Robot, tmp_path: Path
+    extra: str, ur10: Robot, save: Save, tmp_path: Path
 ) -> None:
     log = table("time", "pos_{}", "vel_{}", "tau_{}")
-    for k in range(6):
-        log[extra.format(k)] = Q[:, k] + 1
-    log.to_csv(tmp_path / "log.csv", index=False)
+    path = save(log.assign(**{extra.format(k): Q[:, k] + 1 for k in range(6)}))
     with pytest.raises(BadRecording, match="positions could be") as refusal:
-        load_recording(tmp_path / "log.csv", ur10)
+        load_recording(path, ur10)
     text = str(refusal.value)
     assert "\n" not in text
     written = yaml.safe_load(text[text.index("such as") + 7 :])
     mapping = write_yaml(tmp_path / "columns.yaml", {**written, "q": "pos_{0}"})
-    assert_read(tmp_path / "log.csv", ur10, mapping=mapping)
+    assert_read(path, ur10, mapping=mapping)
     as_suggested = write_yaml(tmp_path / "columns.yaml", written)
-    assert load_recording(tmp_path / "log.csv", ur10, mapping=as_suggested).q.shape == (300, 6)
+    assert load_recording(path, ur10, mapping=as_suggested).q.shape == (300, 6)
 
 
-def test_a_torque_of_another_kind_is_not_guessed(ur10: Robot, tmp_path: Path) -> None:
-    table("time", "q_{}", "qd_{}", "tau_motor_{}").to_csv(tmp_path / "log.csv", index=False)
+def test_a_torque_of_another_kind_is_not_guessed(ur10: Robot, save: Save, tmp_path: Path) -> None:
+    path = save(table("time", "q_{}", "qd_{}", "tau_motor_{}"))
     with pytest.raises(BadRecording, match="tau_motor_0") as refusal:
-        load_recording(tmp_path / "log.csv", ur10)
-    text = str(refusal.value)
-    (tmp_path / "columns.yaml").write_text(text[text.index("such as") + 7 :])
-    assert_read(tmp_path / "log.csv", ur10, mapping=load_column_map(tmp_path / "columns.yaml"))
+        load_recording(path, ur10)
+    written = yaml.safe_load(str(refusal.value).partition("such as")[2])
+    assert_read(path, ur10, mapping=write_yaml(tmp_path / "columns.yaml", written))
 
 
 @pytest.mark.parametrize(
@@ -139,41 +147,37 @@ def test_a_torque_of_another_kind_is_not_guessed(ur10: Robot, tmp_path: Path) ->
     ],
 )
 def test_joints_are_matched_by_name_in_any_order(
-    form: str, labels: tuple[str, str, str], ur10: Robot, tmp_path: Path
+    form: str, labels: tuple[str, str, str], ur10: Robot, save: Save
 ) -> None:
     columns: dict[str, Any] = {"time": T}
     for k in (3, 1, 0, 5, 4, 2):
         for what, values in zip(labels, (Q, DQ, TAU), strict=True):
             columns[form.format(joint=ur10.joints[k], what=what)] = values[:, k]
     columns[form.format(joint="gripper", what=labels[0])] = 7 * T
-    pd.DataFrame(columns).to_parquet(tmp_path / "log.parquet")
-    assert_read(tmp_path / "log.parquet", ur10)
+    assert_read(save(pd.DataFrame(columns), ".parquet"), ur10)
 
 
-def test_numbered_columns_follow_the_names_that_stand_beside_them(
-    ur10: Robot, tmp_path: Path
-) -> None:
+def test_numbered_columns_follow_the_names_that_stand_beside_them(ur10: Robot, save: Save) -> None:
     order = [3, 1, 0, 5, 4, 2]  # as ROS sorts them, not as the robot does
     columns: dict[str, Any] = {"header.stamp.secs": 1_700_000_000 + T.astype(int)}
     columns["header.stamp.nsecs"] = np.round(T % 1 * 1e9).astype(int)
     for what, values in (("position", Q), ("velocity", DQ), ("effort", TAU)):
         columns |= {f"{what}_{j}": values[:, k] for j, k in enumerate(order)}
     columns |= {f"name_{j}": ur10.joints[k] for j, k in enumerate(order)}
-    pd.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
-    assert_read(tmp_path / "log.csv", ur10)
+    path = save(pd.DataFrame(columns))
+    assert_read(path, ur10)
     with pytest.raises(BadRecording, match="joint 'panda_joint1' of the robot is not among them"):
-        load_recording(tmp_path / "log.csv", load_robot("panda"))
+        load_recording(path, load_robot("panda"))
 
 
 @pytest.mark.parametrize(
     ("separator", "decimal"), [*product((",", ";", "\t"), ".,"), (" ", "."), ("|", ",")]
 )
 def test_separators_and_decimal_signs(
-    separator: str, decimal: str, ur10: Robot, tmp_path: Path
+    separator: str, decimal: str, ur10: Robot, save: Save
 ) -> None:
-    path, quoted = tmp_path / "log.csv", separator == decimal  # as spreadsheets write it
-    exact().to_csv(path, sep=separator, decimal=decimal, index=False, quoting=int(quoted))
-    assert_read(path, ur10)
+    quoted = separator == decimal  # as spreadsheets write it
+    assert_read(save(exact(), sep=separator, decimal=decimal, quoting=int(quoted)), ur10)
 
 
 def test_comments_preambles_units_and_marks_of_encoding(ur10: Robot, tmp_path: Path) -> None:
@@ -181,9 +185,9 @@ def test_comments_preambles_units_and_marks_of_encoding(ur10: Robot, tmp_path: P
     text = lines.to_csv(index=False).splitlines(keepends=True)
     units = "ms," + ",".join(["deg"] * 6 + ["rpm"] * 6 + ["mNm"] * 6) + "\n"
     body = [text[0], units, *text[1:100], "# operator: pause\n", "\n", *text[100:]]
-    content = "".join(["Cell 4; robot 2\n", "# rate 100 Hz\n", *body])
+    content = "".join(["Straße 4; robot 2\n", "# rate 100 Hz\n", *body])
     for encoding in ("utf-8", "utf-8-sig", "utf-16", "cp1252"):
-        (tmp_path / "log.csv").write_text(content.replace("Cell", "Straße"), encoding=encoding)
+        (tmp_path / "log.csv").write_text(content, encoding=encoding)
         assert "[deg]" in assert_read(tmp_path / "log.csv", ur10).notes[0]
     log = exact()
     np.savetxt(tmp_path / "log.txt", log, fmt="%.17g", header=" ".join(log.columns))
@@ -191,7 +195,7 @@ def test_comments_preambles_units_and_marks_of_encoding(ur10: Robot, tmp_path: P
 
 
 def test_without_a_header_columns_are_named_by_number(ur10: Robot, tmp_path: Path) -> None:
-    np.savetxt(tmp_path / "log.csv", table("t", "q{}", "dq{}", "tau{}"), "%.17g", ",")
+    np.savetxt(tmp_path / "log.csv", exact(), "%.17g", ",")
     with pytest.raises(BadRecording, match="--map"):
         load_recording(tmp_path / "log.csv", ur10)
     numbers = {"t": 0, "q": [*range(1, 7)], "dq": [*range(7, 13)], "tau": [*range(13, 19)]}
@@ -214,16 +218,12 @@ TIMES: dict[str, tuple[str, Callable[[pd.Series], Any]]] = {
 
 
 @pytest.mark.parametrize("name", TIMES)
-def test_time_in_any_form(name: str, ur10: Robot, tmp_path: Path) -> None:
+def test_time_in_any_form(name: str, ur10: Robot, save: Save) -> None:
     column, stamps = TIMES[name]
-    log = exact()
-    log["t"] = stamps(log["t"])
-    log = log.rename(columns={"t": column})
-    log.to_csv(tmp_path / "log.csv", index=False)
-    assert_read(tmp_path / "log.csv", ur10)
-    log.to_parquet(tmp_path / "log.parquet")
-    read = assert_read(tmp_path / "log.parquet", ur10)
-    if "1970" in name and " s " not in f" {name}":  # integers keep every digit
+    log = exact().assign(t=lambda x: stamps(x["t"])).rename(columns={"t": column})
+    assert_read(save(log), ur10)
+    read = assert_read(save(log, ".parquet"), ur10)
+    if "1970" in name and name != "s since 1970":  # integers keep every digit
         np.testing.assert_allclose(read.t, T, atol=1e-12)
 
 
@@ -250,36 +250,31 @@ KINDS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str | None]] = {
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_columns_of_any_kind_are_read_or_refused(name: str, ur10: Robot, tmp_path: Path) -> None:
+def test_columns_of_any_kind_are_read_or_refused(name: str, ur10: Robot, save: Save) -> None:
     change, refused = KINDS[name]
-    change(exact()).to_parquet(tmp_path / "log.parquet")
+    path = save(change(exact()), ".parquet")
     if refused is None:
-        assert_read(tmp_path / "log.parquet", ur10)
+        assert_read(path, ur10)
         return
     with pytest.raises(BadRecording, match="is not a finite number") as refusal:
-        load_recording(tmp_path / "log.parquet", ur10)
+        load_recording(path, ur10)
     assert (refusal.value.row, refusal.value.column) == (0, refused)
 
 
-def test_a_map_converts_units_signs_and_currents(ur10: Robot, tmp_path: Path) -> None:
+def test_a_map_converts_units_signs_and_currents(ur10: Robot, save: Save, tmp_path: Path) -> None:
     log = table("stamp", "p{}", "v{}", "cur_{}", scale=(1e3, 180 / np.pi, 30 / np.pi, 1e3))
-    log[["p2", "v2"]] *= -1
-    log["cur_2"] *= -1
-    log["cur_4"] *= -1
-    log.to_csv(tmp_path / "log.csv", index=False)
-    gains, ratios = np.arange(1, 7) / 10, np.full(6, 100)
+    log[["p2", "v2", "cur_2", "cur_4"]] *= -1
+    path, gains, ratios = save(log), np.arange(1, 7) / 10, np.full(6, 100)
     content = {
         "t": "stamp", "q": "p{0}", "dq": [f"v{k}" for k in range(6)], "i": "cur",
         "units": {"t": "ms", "q": "deg", "dq": "rpm", "i": "mA"},
         "sign": {"elbow_joint": -1, "tau": {"wrist_2_joint": -1}},
-        "drive": {"gain_Nm_per_A": gains.tolist(), "gear_ratio": ratios.tolist()},
     }  # fmt: skip
     mapping = write_yaml(tmp_path / "columns.yaml", content)
-    found = assert_read(tmp_path / "log.csv", ur10, mapping=mapping, tau=TAU * gains * ratios)
-    assert found.unit == "N·m"
-    del content["drive"]
-    mapping = write_yaml(tmp_path / "columns.yaml", content)
-    assert assert_read(tmp_path / "log.csv", ur10, mapping=mapping).unit == "A"
+    assert assert_read(path, ur10, mapping=mapping).unit == "A"
+    drive = {"drive": {"gain_Nm_per_A": gains.tolist(), "gear_ratio": ratios.tolist()}}
+    mapping = write_yaml(tmp_path / "columns.yaml", content | drive)
+    assert assert_read(path, ur10, mapping=mapping, tau=TAU * gains * ratios).unit == "N·m"
 
 
 BAD_MAPS: dict[str, tuple[object, str]] = {
@@ -304,25 +299,25 @@ BAD_MAPS: dict[str, tuple[object, str]] = {
 
 
 @pytest.mark.parametrize("name", BAD_MAPS)
-def test_a_bad_map_is_refused_by_what_is_wrong(name: str, ur10: Robot, tmp_path: Path) -> None:
+def test_a_bad_map_is_refused_by_what_is_wrong(
+    name: str, ur10: Robot, save: Save, tmp_path: Path
+) -> None:
     content, why = BAD_MAPS[name]
-    table("time", "q_{}", "qd_{}", "tau_{}").to_csv(tmp_path / "log.csv", index=False)
+    path = save(table("time", "q_{}", "qd_{}", "tau_{}"))
     with pytest.raises(ExcitantError) as refusal:
-        load_recording(
-            tmp_path / "log.csv", ur10, mapping=write_yaml(tmp_path / "columns.yaml", content)
-        )
+        load_recording(path, ur10, mapping=write_yaml(tmp_path / "columns.yaml", content))
     assert why in str(refusal.value)
     assert "columns.yaml" in str(refusal.value) or "log.csv" in str(refusal.value)
     assert "\n" not in str(refusal.value)
 
 
 def test_a_map_that_is_no_yaml_is_refused(tmp_path: Path) -> None:
-    for content in (b"{", b"\xff\xfe\xfd", b"a: [1", b"? !!python/object:x"):
-        (tmp_path / "columns.yaml").write_bytes(content)
+    path = tmp_path / "columns.yaml"
+    for content in (None, b"{", b"\xff\xfe\xfd", b"a: [1", b"? !!python/object:x"):
+        if content is not None:
+            path.write_bytes(content)
         with pytest.raises(BadInput, match=r"columns\.yaml"):
-            load_column_map(tmp_path / "columns.yaml")
-    with pytest.raises(BadInput, match=r"nothing\.yaml"):
-        load_column_map(tmp_path / "nothing.yaml")
+            load_column_map(path)
 
 
 def test_npz_and_mat_hold_the_same_recording(ur10: Robot, tmp_path: Path) -> None:
@@ -375,13 +370,11 @@ def write_bag(ur10: Robot, write_joint_states: Callable[..., None]) -> Callable[
         *,
         stamped: bool = True,
         effort: bool = True,
-        rows: slice = slice(None),
     ) -> None:
         order = sorted(range(6), key=lambda k: ur10.joints[k])
-        channels = [np.column_stack([0.1 + 0 * T, x[:, order]])[rows] for x in (Q, DQ, TAU)]
-        names = ["gripper", *(ur10.joints[k] for k in order)]
+        channels = [np.column_stack([0.1 + 0 * T, x[:, order]]) for x in (Q, DQ, TAU)]
         channels[2] = channels[2] if effort else np.zeros(0)
-        t = T[rows] if stamped else -T[rows] - 1
+        names, t = ["gripper", *(ur10.joints[k] for k in order)], T if stamped else -T - 1
         write_joint_states(path, kind, names, t, channels, topics=topics, hand=True)
 
     return write
@@ -426,69 +419,38 @@ def test_bags_that_leave_a_choice_or_lack_something(
     assert any("time of recording" in note or "that of recording" in note for note in notes)
 
 
-def test_parts_of_one_recording_become_one(
-    ur10: Robot, write_bag: Callable[..., None], tmp_path: Path
-) -> None:
-    log = exact()
-    for k, rows in enumerate((slice(0, 90), slice(90, 210), slice(210, 300))):
-        log[rows].to_csv(tmp_path / f"run_{k}.csv", index=False)
-        write_bag(tmp_path / f"run_{k}.bag", "bag", rows=rows)
-    for suffix in (".csv", ".bag"):
-        [whole] = read_recordings([tmp_path / f"run_{k}{suffix}" for k in range(3)], ur10)
-        np.testing.assert_allclose(whole.t, T, atol=1e-12)
-        np.testing.assert_array_equal(whole.q, Q)
-        np.testing.assert_array_equal(whole.dq, DQ)
-        assert "parts of one recording: run_0, run_1, run_2" in whole.notes
-
-
-def test_recordings_that_do_not_go_on_stay_apart(ur10: Robot, tmp_path: Path) -> None:
-    log = exact()
-    for k, start in enumerate((0.0, 0.0, 100.0, 103.0)):
-        log.assign(t=log["t"] + start).to_csv(tmp_path / f"run_{k}.csv", index=False)
-    log.assign(t=log["t"] + 106.0).to_csv(tmp_path / "other.csv", index=False)
-    paths = [tmp_path / f"{name}.csv" for name in ("run_0", "run_1", "run_2", "run_3", "other")]
-    found = read_recordings(paths, ur10)
-    assert [r.name for r in found] == ["run_0", "run_1", "run_2..run_3", "other"]
-
-
-def test_speeds_that_cannot_be_used_are_left_out_with_a_note(ur10: Robot, tmp_path: Path) -> None:
-    log = exact()
-    log.loc[5, "dq3"] = np.nan
+def test_a_raw_recording_refuses_no_row(ur10: Robot, tmp_path: Path) -> None:
+    """Speeds with holes are left out with a note, anything else is refused where it is checked."""
+    log = exact().astype(object)
+    log["temp"], log.loc[5, "dq3"] = 30.0, np.nan
     log.to_csv(tmp_path / "log.csv", index=False)
     recording = load_recording(tmp_path / "log.csv", ur10)
     assert recording.dq is None
     assert recording.notes == ("speeds left out: row 5 holds no finite number",)
-
-
-def test_a_raw_recording_refuses_no_row(ur10: Robot, tmp_path: Path) -> None:
-    log = exact().astype(object)
-    log["t"], log["temp"] = np.sort(np.random.default_rng(0).uniform(0, 3, 300)), 30.0
-    log.loc[7, "t"] = log.loc[6, "t"]
-    log.loc[9, "q2"] = "abc"
-    log.loc[5, "dq3"] = np.nan
-    log["tau4"] = 0.0
+    log["t"], log["tau4"] = np.sort(np.random.default_rng(0).uniform(0, 3, 300)), 0.0
+    log.loc[7, "t"], log.loc[9, "q2"] = log.loc[6, "t"], "abc"
     log.to_csv(tmp_path / "log.csv", index=False)
     raw = raw_recording(tmp_path / "log.csv", ur10)
     np.testing.assert_array_equal(raw.t, log["t"].to_numpy(float) - log["t"][0])
+    assert raw.dq is not None
     assert np.isnan([raw.q[9, 1], raw.dq[5, 2]]).all()
     assert raw.unreadable[9, "q2"] == "abc"
     assert set(raw.extras) == {"temp"}
     assert not any(values.flags.writeable for values in (raw.q, *raw.extras.values()))
 
 
-def test_damaged_rows_and_columns(ur10: Robot, tmp_path: Path) -> None:
+def test_damaged_rows_and_columns(ur10: Robot, save: Save) -> None:
     """Refused by row and column; a line that was cut is left out with a note."""
-    path, text = tmp_path / "log.csv", exact().to_csv(index=False)
+    path, text = save(pd.concat([exact(), exact()[["q3"]]], axis=1)), exact().to_csv(index=False)
+    with pytest.raises(BadRecording) as refusal:
+        load_recording(path, ur10)
+    assert refusal.value.column == "q3"
     lines = text.splitlines()
     for line, cells in ((lines[43].rpartition(",")[0], 18), (f"{lines[43]},1", 20)):
         path.write_text("\n".join([*lines[:43], line, *lines[44:]]) + "\n")
         with pytest.raises(BadRecording, match=f"{cells} cells where the header") as refusal:
             load_recording(path, ur10)
         assert refusal.value.row == 42
-    pd.concat([exact(), exact()[["q3"]]], axis=1).to_csv(path, index=False)
-    with pytest.raises(BadRecording) as refusal:
-        load_recording(path, ur10)
-    assert refusal.value.column == "q3"
     path.write_text(text[:-3])
     recording = load_recording(path, ur10)
     np.testing.assert_array_equal(recording.tau, TAU[:-1])
@@ -519,21 +481,25 @@ def test_names_mean_what_people_mean(ur10: Robot) -> None:
 def test_a_folder_brings_its_map_and_its_drives(ur10: Robot, tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(ur10.urdf, encoding="utf-8")
     drive = {"gain_Nm_per_A": [0.1] * 6, "gear_ratio": [50] * 6}
-    robot = {"model": "arm.urdf", "drive": drive}
-    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(robot))
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump({"model": "arm.urdf", "drive": drive}))
     write_yaml(tmp_path / "columns.yaml", {"q": "wheel_{0}", "units": {"q": "deg"}})
+    write_yaml(tmp_path / "rad.yaml", {"q": "wheel_{0}"})
     log = table("time", "wheel_{}", "vel_{}", "actual_current_{}", scale=(1, 180 / np.pi, 1, 1))
     log.to_csv(tmp_path / "log.csv", index=False)
-    [found] = load_dataset(tmp_path).recordings([])
-    np.testing.assert_allclose(found.tau, 5 * TAU)
-    np.testing.assert_allclose(found.q, Q, atol=1e-12)
-    assert found.unit == "N·m"
-    write_yaml(tmp_path / "rad.yaml", {"q": "wheel_{0}"})
-    [other] = load_dataset(tmp_path, columns=tmp_path / "rad.yaml").recordings([])
-    np.testing.assert_allclose(other.q, Q * 180 / np.pi)
-    paths = load_dataset(tmp_path / "robot.yaml", columns=tmp_path / "rad.yaml")
-    [named] = paths.recordings([str(tmp_path / "log.csv")])
-    np.testing.assert_allclose(named.tau, 5 * TAU)
+    datasets = (
+        (load_dataset(tmp_path), [], Q),
+        (load_dataset(tmp_path, columns=tmp_path / "rad.yaml"), [], Q * 180 / np.pi),
+        (
+            load_dataset(tmp_path / "robot.yaml", columns=tmp_path / "rad.yaml"),
+            [str(tmp_path / "log.csv")],
+            Q * 180 / np.pi,
+        ),
+    )
+    for dataset, names, q in datasets:
+        [found] = dataset.recordings(names)
+        np.testing.assert_allclose(found.tau, 5 * TAU)
+        np.testing.assert_allclose(found.q, q, atol=1e-12)
+        assert found.unit == "N·m"
 
 
 def test_the_sidecar_may_say_units_and_gains(ur10: Robot, tmp_path: Path) -> None:

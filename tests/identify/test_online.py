@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from excitant.cli import main
 from excitant.exceptions import BadInput
 from excitant.identify import (
     LocalPolynomial,
@@ -19,7 +17,6 @@ from excitant.identify import (
     OnlineEstimator,
     Recording,
     identify_online,
-    persistency,
 )
 from excitant.identify.information import InformationFilter, combined, gaussian, information_of
 from excitant.identify.online import replayable
@@ -39,6 +36,7 @@ T = np.arange(0, 12, 1 / RATE)
 SIGMA = np.array([0.05, 0.02])
 DIFFERENTIATOR = LocalPolynomial(5, 4, causal=True)
 MotionOf = Callable[..., Motion]
+Samples = tuple[np.ndarray, ...]
 SMOOTH = (ViscousFriction, TorqueOffset)
 
 
@@ -48,11 +46,11 @@ def smooth_effects(robot: Robot) -> tuple[JointEffect, ...]:
 
 
 @pytest.fixture(scope="module")
-def noisy(planar: Robot, motion_of: MotionOf) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and noisy torque."""
+def noisy(planar: Robot, motion_of: MotionOf) -> Samples:
+    """Time, positions and noisy torque."""
     motion = motion_of(planar, T)
     noise = SIGMA * np.random.default_rng(0).standard_normal(motion.q.shape)
-    return motion.q, torque(planar.with_effects(()), motion) + noise
+    return T, motion.q, torque(planar.with_effects(()), motion) + noise
 
 
 def estimator(robot: Robot, **options: Any) -> OnlineEstimator:
@@ -64,9 +62,6 @@ def estimator(robot: Robot, **options: Any) -> OnlineEstimator:
         "prior": False,
     }
     return OnlineEstimator(robot, **(settings | options))
-
-
-Samples = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def assert_least_squares(
@@ -95,42 +90,37 @@ def assert_least_squares(
     np.testing.assert_allclose(found.covariance, covariance, atol=1e-7 * np.abs(covariance).max())
 
 
-@pytest.mark.parametrize("block", [1, 5, 7])
+@pytest.mark.parametrize(
+    ("options", "memory"),
+    [
+        *(({"block": block}, np.inf) for block in (1, 5, 7)),
+        ({"block": 5, "forgetting": 1.5, "prior": None}, 1.5),  # of the data, not of the prior
+    ],
+)
 def test_the_last_estimate_is_weighted_least_squares(
-    planar: Robot, noisy: tuple[np.ndarray, np.ndarray], block: int
+    planar: Robot, noisy: Samples, options: dict[str, Any], memory: float
 ) -> None:
-    online = estimator(planar, block=block)
-    online.extend(T, *noisy)
-    assert_least_squares(online, [(T, *noisy)])
+    online = estimator(planar, **options)
+    online.extend(*noisy)
+    assert_least_squares(online, [noisy], memory)
 
 
-def test_forgetting_is_exponential_weighting_of_the_data_not_of_the_prior(
-    planar: Robot, noisy: tuple[np.ndarray, np.ndarray]
-) -> None:
-    online = estimator(planar, block=5, forgetting=1.5, prior=None)
-    online.extend(T, *noisy)
-    assert_least_squares(online, [(T, *noisy)], 1.5)
-
-
-def test_a_pause_is_no_motion(planar: Robot, noisy: tuple[np.ndarray, np.ndarray]) -> None:
+def test_a_pause_is_no_motion(planar: Robot, noisy: Samples) -> None:
     online, half = estimator(planar, block=5), len(T) // 2
-    first, second = ([x[s] for x in (T, *noisy)] for s in (slice(half), slice(half, None)))
+    first, second = ([x[s] for x in noisy] for s in (slice(half), slice(half, None)))
     second[0] = second[0] + 3.0
     online.extend(*first)
     online.extend(*second)
     assert_least_squares(online, [first, second])
 
 
-def test_asking_on_the_way_changes_nothing(
-    planar: Robot, noisy: tuple[np.ndarray, np.ndarray]
-) -> None:
-    q, tau = noisy
+def test_asking_on_the_way_changes_nothing(planar: Robot, noisy: Samples) -> None:
     asked, silent = (estimator(planar, forgetting=2.0) for _ in range(2))
-    for k in range(len(T)):
-        asked.push(float(T[k]), q[k], tau[k])
+    for k, (t, q, tau) in enumerate(zip(*noisy, strict=True)):
+        asked.push(t, q, tau)
         if k > 100 and k % 37 == 0:
             asked.estimate()
-    silent.extend(T, q, tau)
+    silent.extend(*noisy)
     beta = silent.estimate().beta
     np.testing.assert_allclose(asked.estimate().beta, beta, atol=1e-9 * np.abs(beta).max())
 
@@ -238,12 +228,15 @@ def test_what_cannot_be_is_refused(planar: Robot) -> None:
         online.push(0.0, np.zeros(2), np.zeros(2))
     with pytest.raises(BadInput, match="is not a number"):
         online.extend(T[1:100], np.full((99, 2), np.nan), np.zeros((99, 2)))
-    with pytest.raises(BadInput, match="must be causal"):
-        estimator(planar, differentiator=LocalPolynomial(5, 4))
-    with pytest.raises(BadInput, match="longer time constant"):
-        estimator(planar, forgetting=1e-3)
-    with pytest.raises(BadInput, match="depends on the past"):
-        estimator(planar, effects=(Remembering(planar.joints),))
+    refused: dict[str, dict[str, Any]] = {
+        "must be causal": {"differentiator": LocalPolynomial(5, 4)},
+        "at least 1": {"block": 0},
+        "longer time constant": {"forgetting": 1e-3},
+        "depends on the past": {"effects": (Remembering(planar.joints),)},
+    }
+    for why, options in refused.items():
+        with pytest.raises(BadInput, match=why):
+            estimator(planar, **options)
 
 
 def watched(robot: Robot, motion: Motion) -> Monitor:
@@ -283,32 +276,6 @@ def test_the_monitor_says_since_when_and_which_joint(planar: Robot, motion_of: M
     assert stop - 4.0 <= since <= stop + 0.5
     assert stop < t <= stop + 4.6
     assert text.endswith("move joint2")
-
-
-def test_persistency_of_motions(planar: Robot, motion_of: MotionOf) -> None:
-    motion = motion_of(planar, T)[::5]
-    reference = persistency(planar, motion, window=4.0)
-    assert reference.persistent
-    assert reference.level > 1
-    assert reference.shortest is not None
-    assert reference.shortest <= 6.0
-    still = Motion(motion.t, np.tile(motion.q[0], (len(motion), 1)), 0 * motion.q, 0 * motion.q)
-    silent = persistency(planar, still, window=4.0)
-    assert not silent.persistent
-    assert silent.shortest is None
-    assert silent.level == pytest.approx(0.0, abs=1e-6)
-    assert set(silent.weakest.joints) == {"joint1", "joint2"}
-    with pytest.raises(BadInput, match="lasts"):
-        persistency(planar, motion, window=40.0)
-
-
-def test_level_is_information_per_noise(planar: Robot, motion_of: MotionOf) -> None:
-    motion = motion_of(planar, T)[::5]
-    sigma = np.array([0.2, 0.1])
-    one, half = (persistency(planar, motion, sigma=s).windows[0] for s in (sigma, sigma / 2))
-    # halving the noise makes four times the information, in at least as many directions
-    assert len(half.levels) >= len(one.levels)
-    assert half.levels[-1] == pytest.approx(4 * one.levels[-1], rel=1e-6)
 
 
 def test_a_recording_plays_through(planar: Robot, motion_of: MotionOf) -> None:
@@ -365,46 +332,29 @@ def folder(planar: Robot, motion_of: MotionOf, tmp_path_factory: pytest.TempPath
     return folder
 
 
-def test_online_writes_estimates_over_time(folder: Path, tmp_path: Path) -> None:
-    words = ["identify", "planar_2r", str(folder / "free.csv"), "--online", "--forgetting", "20"]
-    words += ["--force"]  # the given model is the true one here
-    assert main([*words, "-o", str(tmp_path)]) == 0
-    result = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
-    online = result["online"]
+def test_online_writes_estimates_over_time(
+    folder: Path, tmp_path: Path, excitant: Callable[..., Any]
+) -> None:
+    # the given model is the true one here
+    options = ("--online", "--forgetting", 20, "--force", "--json", "-o", tmp_path)
+    ran = excitant("identify planar_2r", folder / "free.csv", *options)
+    assert ran.status == 0
+    online = ran.result["online"]
     assert {"messages", "history", "converged", "delay_s", "differentiator"} <= online.keys()
-    assert len(online["history"]["t"]) > 5
-    assert all(joint["validate"]["r2"] > 0.98 for joint in result["joints"])
+    assert all(joint["validate"]["r2"] > 0.98 for joint in ran.result["joints"])
     last = online["history"]["value"][-1]
-    assert last == [entry["value"] for entry in result["base_parameters"]]
+    assert last == [entry["value"] for entry in ran.result["base_parameters"]]
     for name in ("series.npz", "summary.txt", "report.html", "model.yaml"):
         assert (tmp_path / name).is_file()
 
 
-def test_payload_against_the_unloaded_arm(folder: Path, tmp_path: Path) -> None:
-    words = ["identify", "planar_2r", str(folder / "held.csv"), "--payload"]
-    words += ["--unloaded", str(folder / "free.csv"), "-o", str(tmp_path)]
-    assert main(words) == 0
-    payload = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))["payload"]
-    values = {p["name"]: p for p in payload["parameters"]}
+def test_payload_against_the_unloaded_arm(
+    folder: Path, tmp_path: Path, excitant: Callable[..., Any]
+) -> None:
+    options = ("--payload", "--unloaded", folder / "free.csv", "--json", "-o", tmp_path)
+    ran = excitant("identify planar_2r", folder / "held.csv", *options)
+    values = {p["name"]: p for p in ran.result["payload"]["parameters"]}
     # two parallel axes show what is felt in their plane
     for name, true in (("mcx", 0.2), ("mcz", 0.0)):
         assert abs(values[name]["value"] - true) < 4 * values[name]["std"], name
     assert values["mcx"]["value"] == pytest.approx(0.2, rel=0.1)
-
-
-@pytest.mark.parametrize(
-    ("words", "why"),
-    [
-        (["--unloaded", "free.csv"], "give --payload too"),
-        (["--forgetting", "3"], "give --online too"),
-        (["--online", "--forgetting", "0"], "longer time constant"),
-    ],
-)
-def test_options_that_do_not_fit_are_refused(
-    folder: Path, words: list[str], why: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = [str(folder / w) if w.endswith(".csv") else w for w in words]
-    assert main(["identify", "planar_2r", str(folder / "held.csv"), *words]) == 1
-    error = capsys.readouterr().err
-    assert why in error
-    assert len(error.splitlines()) == 1

@@ -10,12 +10,7 @@ import pytest
 
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput
-from excitant.identify import (
-    PayloadEstimate,
-    Recording,
-    identify_payload,
-    recording_from_table,
-)
+from excitant.identify import PayloadEstimate, Recording, identify_payload, recording_from_table
 from excitant.identify.information import gaussian, information_of
 from excitant.identify.payload import estimate_payload, payload_information
 from excitant.identify.prior import base_prior
@@ -31,6 +26,7 @@ SPREAD = np.diag([0.004, 0.005, 0.006])
 ABOUT_JOINT = SPREAD + MASS * (CENTRE @ CENTRE * np.eye(3) - np.outer(CENTRE, CENTRE))
 PHI = np.array([MASS, *(MASS * CENTRE), *ABOUT_JOINT[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
 MotionOf = Callable[..., Motion]
+Runs = tuple[Recording, Recording]
 
 
 def task(robot: Robot, rng: np.random.Generator) -> Callable[[Array, int], Array]:
@@ -59,7 +55,7 @@ def panda() -> Robot:
 
 
 @pytest.fixture(scope="module")
-def held(panda: Robot) -> tuple[Recording, Recording]:
+def held(panda: Robot) -> Runs:
     """Ten seconds of a virtual arm's task with its payload, and an excitation without."""
     payload = HiddenEffect("payload", panda.joints[-1], tuple(zip(STANDARD, PHI, strict=True)))
     sensors = industrial_sensors(panda, 250.0)
@@ -77,7 +73,7 @@ def held(panda: Robot) -> tuple[Recording, Recording]:
 
 
 @pytest.fixture(scope="module")
-def found(panda: Robot, held: tuple[Recording, Recording]) -> PayloadEstimate:
+def found(panda: Robot, held: Runs) -> PayloadEstimate:
     loaded, free = held
     return identify_payload(panda, [loaded], unloaded=[free])
 
@@ -87,18 +83,15 @@ def test_mass_and_centre_after_ten_seconds_of_task(found: PayloadEstimate) -> No
     assert np.linalg.norm(found.centre - CENTRE) < 0.003
     assert not found.shortcomings
     assert (np.abs(found.phi - PHI) < 4 * found.std).all()
-    assert abs(found.mass - MASS) < 4 * found.mass_std
     assert (np.abs(found.centre - CENTRE) < 4 * found.centre_std).all()
     assert not violations(found.phi, ["payload"])
     entry = found.result()
     assert [p["name"] for p in entry["parameters"]] == list(STANDARD)
-    assert entry["mass"] == {"value": found.mass, "std": found.mass_std, "unit": "kg"}
+    assert entry["mass"] == {"value": found.mass, "std": found.std[0], "unit": "kg"}
     assert entry["link"] == "panda_link7"
 
 
-def test_an_arm_that_carries_nothing_is_said_to_carry_nothing(
-    panda: Robot, held: tuple[Recording, Recording]
-) -> None:
+def test_an_arm_that_carries_nothing_is_said_to_carry_nothing(panda: Robot, held: Runs) -> None:
     _, free = held
     first, second = free.between(0, 0.5, "first"), free.between(0.5, 1, "second")
     empty = identify_payload(panda, [first], unloaded=[second])
@@ -106,20 +99,16 @@ def test_an_arm_that_carries_nothing_is_said_to_carry_nothing(
     assert "no payload is seen" in empty.shortcomings[0]
 
 
-def test_too_little_motion_says_so(panda: Robot, held: tuple[Recording, Recording]) -> None:
+def test_too_little_motion_says_so(panda: Robot, held: Runs) -> None:
     loaded, free = held
-    short = loaded.between(0, 0.06, "half a move")
-    poor = identify_payload(panda, [short], unloaded=[free])
+    poor = identify_payload(panda, [loaded.between(0, 0.06, "half a move")], unloaded=[free])
     assert poor.shortcomings
     assert "only" in poor.shortcomings[0]
     assert (np.abs(poor.centre - CENTRE) < 4 * poor.centre_std).all()
 
 
-def test_the_given_model_may_stand_for_the_unloaded_arm(
-    panda: Robot, held: tuple[Recording, Recording]
-) -> None:
-    loaded, _ = held
-    rough = identify_payload(panda, [loaded])
+def test_the_given_model_may_stand_for_the_unloaded_arm(panda: Robot, held: Runs) -> None:
+    rough = identify_payload(panda, held[:1])
     assert "--unloaded" in rough.notes[0]
     # the model is 3 % off where 1 % is taken, so this is no test of the interval
     assert rough.mass == pytest.approx(MASS, rel=0.3)
@@ -156,7 +145,7 @@ def test_information_about_other_parameters_is_refused(ur10: Robot) -> None:
 
 
 def test_currents_need_the_unloaded_arm_and_leave_the_gain_open(
-    panda: Robot, held: tuple[Recording, Recording], found: PayloadEstimate
+    panda: Robot, held: Runs, found: PayloadEstimate
 ) -> None:
     gains = np.array([20.0, 18.0, 17.0, 19.0, 9.0, 8.0, 7.0])
     loaded, free = (replace(r, tau=r.tau / gains, unit="A") for r in held)

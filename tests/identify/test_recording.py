@@ -83,23 +83,22 @@ def test_a_bad_table_is_refused_where_it_is_bad(
         assert "\n" not in text
 
 
-FILES = {
-    "empty.csv": (b"", "cannot be read"),
-    "corrupt.parquet": (b"PAR1 rubbish", "cannot be read"),
-    "binary.csv": (bytes(range(128, 256)) * 20, "cannot be read"),
-    "unknown.xyz": (b"t,q1\n", "give .parquet or .csv"),
-    "nothing.csv": (None, "no such file"),
-}
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_a_bad_file_is_refused_by_name(name: str, tmp_path: Path) -> None:
-    content, why = FILES[name]
+@pytest.mark.parametrize(
+    ("name", "content", "why"),
+    [
+        ("corrupt.parquet", b"PAR1 rubbish", "cannot be read"),
+        ("binary.csv", bytes(range(128, 256)) * 20, "cannot be read"),
+        ("unknown.xyz", b"t,q1\n", "give .parquet or .csv"),
+        ("nothing.csv", None, "no such file"),
+    ],
+)
+def test_a_bad_file_is_refused_by_name(
+    name: str, content: bytes | None, why: str, tmp_path: Path
+) -> None:
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(BadRecording, match=why) as refusal:
+    with pytest.raises(BadRecording, match=f"{name}.*{why}") as refusal:
         load_recording(tmp_path / name, 2)
-    assert name in str(refusal.value)
     assert "\n" not in str(refusal.value)
 
 
@@ -111,16 +110,14 @@ def test_recordings_in_different_units_are_refused(table: pd.DataFrame) -> None:
     for first, second in ((one, other), (other, one)):
         with pytest.raises(BadRecording, match="use recordings of one unit") as refusal:
             split([first], [second])
-        assert "torque.csv" in str(refusal.value)
-        assert "current.csv" in str(refusal.value)
+        assert all(name in str(refusal.value) for name in ("torque.csv", "current.csv"))
 
 
 def test_too_little_to_hold_out_is_refused_with_advice(table: pd.DataFrame) -> None:
     recording = recording_from_table(table, 2, file="f.csv", name="n")
     assert recording.duration > 2.0
-    with pytest.raises(BadRecording, match="hold-out of its own") as refusal:
+    with pytest.raises(BadRecording, match=r"f\.csv.*hold-out of its own"):
         split([recording])
-    assert refusal.value.file == "f.csv"
     split([recording], [recording])
 
 
@@ -190,36 +187,32 @@ def test_files_of_one_log_go_on(table: pd.DataFrame, tmp_path: Path) -> None:
 def test_a_bad_row_is_counted_from_the_start(
     suffix: str, table: pd.DataFrame, tmp_path: Path
 ) -> None:
-    bad = table.copy()
-    bad.loc[217, "q2"] = np.nan
-    parts = read_chunks(write(bad, tmp_path / f"log{suffix}"), 2, 100)
-    assert [len(next(parts).t), len(next(parts).t)] == [100, 100]
-    with pytest.raises(BadRecording, match="not a finite number") as refusal:
-        next(parts)
-    assert (refusal.value.row, refusal.value.column) == (217, "q2")
-    for row in (100, 150):  # the first row of a piece, and one within
+    cases = [(217, "q2", np.nan, "not a finite number")]  # and the first row of a piece, one within
+    cases += [(row, "t", table["t"][row - 1], "time repeats") for row in (100, 150)]
+    for row, column, value, why in cases:
         bad = table.copy()
-        bad.loc[row, "t"] = bad.loc[row - 1, "t"]
-        with pytest.raises(BadRecording, match="time repeats") as refusal:
-            list(read_chunks(write(bad, tmp_path / f"log{suffix}"), 2, 100))
-        assert (refusal.value.row, refusal.value.column) == (row, "t")
+        bad.loc[row, column] = value
+        parts = read_chunks(write(bad, tmp_path / f"log{suffix}"), 2, 100)
+        assert [len(next(parts)) for _ in range(row // 100)] == [100] * (row // 100)
+        with pytest.raises(BadRecording, match=why) as refusal:
+            next(parts)
+        assert (refusal.value.row, refusal.value.column) == (row, column)
 
 
 def test_what_only_the_whole_shows_is_refused_at_the_end(
     table: pd.DataFrame, tmp_path: Path
 ) -> None:
+    path = tmp_path / "log.csv"
     with pytest.raises(BadRecording, match="dead channel: 2 in every row") as refusal:
-        list(read_chunks(write(table.assign(tau2=2.0), tmp_path / "a.csv"), 2, 100))
+        list(read_chunks(write(table.assign(tau2=2.0), path), 2, 100))
     assert refusal.value.column == "tau2"
-    with pytest.raises(BadRecording, match="too short"):
-        list(read_chunks(write(table[:150], tmp_path / "b.csv"), 2, 100))
-    for rows in (0, 1):
+    for rows in (0, 1, 150):
         with pytest.raises(BadRecording, match="too short"):
-            list(read_chunks(write(table[:rows], tmp_path / "b.csv"), 2, 100))
+            list(read_chunks(write(table[:rows], path), 2, 100))
     with pytest.raises(BadInput, match="at least one row"):
-        next(read_chunks(tmp_path / "a.csv", 2, 0))
+        next(read_chunks(path, 2, 0))
     still = table.assign(tau2=(table.index >= 200) * 1.0)  # dead in a piece, alive in the log
-    assert len(list(read_chunks(write(still, tmp_path / "c.csv"), 2, 100))) == 3
+    assert len(list(read_chunks(write(still, path), 2, 100))) == 3
 
 
 @pytest.mark.slow

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,13 +13,11 @@ import pytest
 from khosla import torque_matrix
 from seed import dd_arm_chain
 
-from excitant.cli import main
 from excitant.design import random_trajectory
 from excitant.identify import Recording, identify_link_by_link, identify_robot, load_dataset
-from excitant.identify.prior import BasePrior, base_prior
+from excitant.identify.prior import base_prior
 from excitant.identify.rows import split
 from excitant.identify.sequential import (
-    Cascade,
     LinkByLink,
     beginning,
     further,
@@ -124,13 +121,6 @@ def test_property_4_holds_for_our_regressor_and_its_base_columns(name: str) -> N
         assert np.linalg.matrix_rank(own / np.linalg.norm(own, axis=0)) == own.shape[1]
 
 
-def cascade_of(W: Array, tau: Array, prior: BasePrior) -> Cascade:
-    known = beginning(prior)
-    for j in reversed(range(W.shape[1])):
-        known, *_ = further(known, W[:, j], tau[:, j])
-    return known
-
-
 def test_covariance_against_monte_carlo(planar: Robot) -> None:
     rng, effects = np.random.default_rng(0), standard_effects(planar.joints)
     base = base_parameters(planar, effects)
@@ -142,7 +132,9 @@ def test_covariance_against_monte_carlo(planar: Robot) -> None:
     true = prior.mean + 0.1 * np.sqrt(np.diag(prior.covariance))
     size, errors, claimed = np.array([0.01, 0.03]), [], []  # the outer joint is the noisier one
     for _ in range(400):
-        found = cascade_of(W, W @ true + size * rng.standard_normal((len(t), 2)), prior)
+        tau, found = W @ true + size * rng.standard_normal((len(t), 2)), beginning(prior)
+        for j in (1, 0):
+            found, *_ = further(found, W[:, j], tau[:, j])
         assert len(found.c) == len(base)
         errors.append(found.beta - true)
         claimed.append(found.covariance)
@@ -160,25 +152,6 @@ def test_covariance_against_monte_carlo(planar: Robot) -> None:
     assert (np.diag(actual)[inner] > 1.5 * np.diag(alone)).any()  # outer uncertainty counts
 
 
-def errors_of(known: Cascade, true: Array) -> Array:
-    """Errors of what is known, made independent and of unit variance by their covariance."""
-    error = known.c - known.D.T @ np.linalg.solve(known.L, true - known.mean)
-    return np.linalg.solve(np.linalg.cholesky(known.P), error)
-
-
-def calibration(robot: Robot, seeds: range, white: bool) -> Array:
-    errors = []
-    for seed in seeds:
-        rng = np.random.default_rng(seed)
-        truth = truth_near(robot, rng)
-        runs = [recorded(robot, truth, rng, white=white, name=f"run{k}") for k in range(2)]
-        data = split(runs, runs[:1])  # nothing is judged here
-        known, stages = run_stages(link_rows(robot, standard_effects(robot.joints), data))
-        errors.append(errors_of(known, truth.beta(robot)))
-        assert len(errors[-1]) == sum(len(stage.determined) for stage in stages)
-    return np.concatenate(errors)
-
-
 @pytest.mark.parametrize(
     ("name", "draws", "white"),
     [
@@ -190,7 +163,17 @@ def calibration(robot: Robot, seeds: range, white: bool) -> Array:
 def test_values_are_within_two_standard_deviations_as_often_as_they_should(
     name: str, draws: int, white: bool
 ) -> None:
-    errors = calibration(load_robot(name), range(draws), white)
+    robot, found = load_robot(name), []
+    for seed in range(draws):
+        rng = np.random.default_rng(seed)
+        truth = truth_near(robot, rng)
+        runs = [recorded(robot, truth, rng, white=white, name=f"run{k}") for k in range(2)]
+        data = split(runs, runs[:1])  # nothing is judged here
+        known, stages = run_stages(link_rows(robot, standard_effects(robot.joints), data))
+        error = known.c - known.D.T @ np.linalg.solve(known.L, truth.beta(robot) - known.mean)
+        found.append(np.linalg.solve(np.linalg.cholesky(known.P), error))  # unit variance
+        assert len(error) == sum(len(stage.determined) for stage in stages)
+    errors = np.concatenate(found)
     assert 0.9 < np.mean(np.abs(errors) < 2) < 0.99
     assert 0.85 < np.sqrt(np.mean(errors**2)) < 1.25
 
@@ -304,18 +287,18 @@ def test_a_joint_that_never_moves_is_said(planar: Robot) -> None:
     assert found.refusal
 
 
-def test_command_writes_stages_and_comparison(planar: Robot, tmp_path: Path) -> None:
+def test_command_writes_stages_and_comparison(
+    planar: Robot, tmp_path: Path, excitant: Callable[..., Any]
+) -> None:
     rng = np.random.default_rng(5)
-    truth = truth_near(planar, rng)
-    words = ["identify", "planar_2r"]
+    truth, files = truth_near(planar, rng), []
     for name in ("one", "two"):
         run = recorded(planar, truth, rng, name=name)
+        files.append(tmp_path / f"{name}.csv")
         table = np.column_stack([run.t, run.q, run.tau])
-        file = tmp_path / f"{name}.csv"
-        np.savetxt(file, table, delimiter=",", header="t,q1,q2,tau1,tau2", comments="")
-        words.append(str(file))
-    assert main([*words, "--link-by-link", "-o", str(tmp_path / "run")]) == 0
-    result = json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))
+        np.savetxt(files[-1], table, delimiter=",", header="t,q1,q2,tau1,tau2", comments="")
+    options = ("--link-by-link", "--json", "-o", tmp_path / "run")
+    result = excitant("identify planar_2r", *files, *options).result
     found = result["link_by_link"]
     assert [stage["joint"] for stage in found["stages"]] == [*reversed(planar.joints)]
     for stage in found["stages"]:
