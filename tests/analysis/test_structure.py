@@ -309,10 +309,7 @@ def test_one_joint_at_a_time_in_many_poses(inner: bool, together: int) -> None:
     robot = load_robot("cmu_dd_arm_ii")
     rows = [
         structure(
-            robot,
-            moving=[joint],
-            measured=robot.joints[: i + 1] if inner else [joint],
-            held="any",
+            robot, moving=[joint], measured=robot.joints[: i + 1] if inner else [joint], held="any"
         ).base.regrouping
         for i, joint in enumerate(robot.joints)
     ]
