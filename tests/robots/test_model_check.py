@@ -251,16 +251,6 @@ def test_a_joint_that_cannot_be_is_named(plant: Plant, check: str, joint: str, h
     assert found(robot, hint=not hint) == set()
 
 
-def test_opposite_axes_of_equal_links_are_a_hint() -> None:
-    def plant(root: ET.Element) -> None:
-        one, other = (of_link(root, link, "inertial") for link in ("link1", "link2"))
-        other[:] = list(one)
-        set_axis("joint2", "0 1 0")(root)
-
-    assert ("opposite_axes", "joint2") in found(planted("planar_2r", plant), hint=True)
-    assert "opposite_axes" not in {c for c, _ in found(load_robot("ur10"), hint=True)}
-
-
 @pytest.mark.parametrize(
     ("text", "rounded"),
     [
@@ -277,17 +267,6 @@ def test_a_right_angle_with_few_digits_is_a_hint(text: str, rounded: bool) -> No
 
     hints = found(planted("planar_2r", plant), hint=True)
     assert (("rounded_angles", "joint2") in hints) == rounded
-
-
-def test_a_mirrored_mesh_is_a_hint() -> None:
-    def plant(root: ET.Element) -> None:
-        visual = ET.SubElement(child(root, "link[@name='link2']"), "visual")
-        geometry = ET.SubElement(visual, "geometry")
-        ET.SubElement(geometry, "mesh", filename="absent.stl", scale="0.001 0.001 -0.001")
-
-    robot = planted("planar_2r", plant)
-    assert found(robot) == set()
-    assert found(robot, hint=True) == {("mirrored_mesh", "link2")}
 
 
 def test_gravity_peak_is_the_stretched_arm_level() -> None:
