@@ -3,11 +3,4 @@ from .diagnosis import Diagnosis, diagnose
 from .experiment import identify_shown
 from .identifiability import Identifiability, analyze
 
-__all__ = [
-    "Diagnosis",
-    "Finding",
-    "Identifiability",
-    "analyze",
-    "diagnose",
-    "identify_shown",
-]
+__all__ = ["Diagnosis", "Finding", "Identifiability", "analyze", "diagnose", "identify_shown"]

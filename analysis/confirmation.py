@@ -23,7 +23,7 @@ from excitant.identify.preprocessing import Segment
 from excitant.identify.prior import EffectPrior
 from excitant.identify.rows import Series, identified_robot, series
 from excitant.robots.effects import Effect, merged
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array
 from excitant.robots.parameters import from_pseudo_inertia
 from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values
@@ -135,18 +135,16 @@ class Extension:
     evidence: Evidence  # by which the causes were chosen
     chosen: tuple[Candidate, ...]
     model: Robot  # the given robot with re-identified inertias and effects, those found included
-    std: dict[str, float]  # standard deviation of each effect coefficient, by name
-    link_std: Array  # the same of the standard parameters, shape (10 nv,)
+    std: dict[str, float]  # standard deviation of each parameter, by name
     held: Observed  # rows of the hold-out by that model
     predicted: Array  # its torque at them, shape (n, nv) [torque unit]
+    findings: tuple[Finding, ...] = ()  # what each cause brings on the hold-out
     refuted: frozenset[Key] = frozenset()  # called for, but the hold-out is plainly worse with them
 
 
 def unextended(evidence: Evidence, held: HeldOut) -> Extension:
     """The given model as it is."""
-    robot = held.observed.robot
-    nothing = read_only(np.zeros(10 * robot.nv))
-    return Extension(evidence, (), robot, {}, nothing, held.observed, held.simulated)
+    return Extension(evidence, (), held.observed.robot, {}, held.observed, held.simulated)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,19 +172,19 @@ class Extender:
         open_ = self._effect_prior(effects, chosen, W[:, :, 10 * len(bodies) :])
         metric = tolerance_metric(bodies)
         fit = fit_physical(R[:, :-1], R[:, -1], bodies, open_, sigma, metric)
-        std, links = read_only(np.sqrt(np.diag(fit.covariance))), 10 * robot.nv
         names = [p.name for e in effects for p in e.parameters(robot)]
+        std = np.sqrt(np.diag(fit.covariance)).tolist()
         model = identified_robot(robot, effects, fit.x)
         found = self.held.observed.by(model)
-        return Extension(
+        extension = Extension(
             evidence,
             tuple(chosen),
             model,
-            dict(zip(names, std[links:].tolist(), strict=True)),
-            std[:links],
+            dict(zip([*robot.parameter_names, *names], std, strict=True)),
             found,
             found.torque() / self.held.gains,
         )
+        return replace(extension, findings=_findings(robot, extension, self.held))
 
     def _bodies(self, chosen: Sequence[Candidate]) -> tuple[Array, Array]:
         """Prior and its relative uncertainty for every link, and for a payload if there is one."""
@@ -223,34 +221,30 @@ def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
     return [*bodies, *robot.effects, *merged(added)]
 
 
-def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> tuple[Extension, list[Finding]]:
-    """The causes that pay on the hold-out.
+def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> Extension:
+    """The fit with those causes that pay on the hold-out, or that others rest on.
 
     The one that pays least goes first, and all others are fitted anew. What others rest on stays:
     plain friction below finer friction, and a cause without which the new fit is clearly worse.
-    Returns the fit with those that pay or that others rest on, and a finding for each.
     """
-    held, robot, fit = extender.held, extender.held.observed.robot, extender(chosen)
+    held, fit = extender.held, extender(chosen)
     kept, refuted = set[Candidate](), set[Key]()
-    findings = _findings(robot, fit, held)
-    while (worst := _least(robot, fit, findings, kept)) is not None:
-        if findings[fit.chosen.index(worst)].refuted:
+    while (worst := _least(held.observed.robot, fit, kept)) is not None:
+        if fit.findings[fit.chosen.index(worst)].refuted:
             refuted.add(worst.key)
         fewer = extender([c for c in fit.chosen if c is not worst])
         if held.worse(fewer.predicted, fit.predicted, FLOOR):
             kept.add(worst)
         else:
-            fit, findings = fewer, _findings(robot, fewer, held)
-    return replace(fit, refuted=frozenset(refuted)), findings
+            fit = fewer
+    return replace(fit, refuted=frozenset(refuted))
 
 
-def _least(
-    robot: Robot, fit: Extension, findings: Sequence[Finding], kept: set[Candidate]
-) -> Candidate | None:
+def _least(robot: Robot, fit: Extension, kept: set[Candidate]) -> Candidate | None:
     """The cause that pays least, if one does not pay and nothing rests on it."""
-    for k in np.argsort([finding.margin for finding in findings], kind="stable"):
+    for k in np.argsort([finding.margin for finding in fit.findings], kind="stable"):
         candidate: Candidate = fit.chosen[k]
-        if findings[k].pays:
+        if fit.findings[k].pays:
             return None
         rest = [c for c in fit.chosen if c is not candidate]
         if candidate not in kept and not underlies(robot, rest, candidate):
@@ -258,8 +252,7 @@ def _least(
     return None
 
 
-def _findings(robot: Robot, fit: Extension, held: HeldOut) -> list[Finding]:
-    """What each cause of a fit brings on the hold-out."""
+def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...]:
     error, weight = held.series.measured - fit.predicted, held.moves * held.gains
     weight = weight / fit.evidence.sigma
     power = float(((held.given * weight) ** 2).sum())
@@ -289,7 +282,7 @@ def _findings(robot: Robot, fit: Extension, held: HeldOut) -> list[Finding]:
                 margin=margin,
             )
         )
-    return findings
+    return tuple(findings)
 
 
 def _relative_gain(error: Array, torque: Array) -> tuple[float, float]:
@@ -313,11 +306,10 @@ def _coefficients(robot: Robot, fit: Extension, effect: Effect) -> tuple[Array, 
     if effect.role == "link":
         j = robot.joint_index(effect.joints[0])
         part = slice(10 * j, 10 * j + 10)
-        return fit.model.phi[part] - robot.phi[part], np.zeros(10), fit.link_std[part]
+        std = np.array([fit.std[name] for name in robot.parameter_names[part]])
+        return fit.model.phi[part] - robot.phi[part], np.zeros(10), std
     fitted, known = effect_values(fit.model), effect_values(robot)
     names = [p.name for p in effect.parameters(robot)]
-    return (
-        np.array([fitted[name] for name in names]),
-        np.array([known.get(name, 0.0) for name in names]),
-        np.array([fit.std[name] for name in names]),
-    )
+    columns = [(fitted[name], known.get(name, 0.0), fit.std[name]) for name in names]
+    value, given, std = np.array(columns).T
+    return value, given, std

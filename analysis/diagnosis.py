@@ -50,7 +50,7 @@ _ROUNDS = 3  # until what the data call for no longer changes what effects rest 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What a given model gets wrong.
+    """What a given model gets wrong, on the hold-out.
 
     Attributes:
         robot: The given robot.
@@ -59,9 +59,9 @@ class Diagnosis:
         held: The hold-out, of the given robot.
         extension: The extended model.
         findings: Causes in order of importance.
-        given_residuals: What the given model leaves on the hold-out, joint by joint.
-        residuals: What the extended model leaves there.
-        waterfall: Error on the hold-out, relative to the given model's, as causes are added.
+        given_residuals: What the given model leaves, joint by joint.
+        residuals: What the extended model leaves.
+        waterfall: Error relative to the given model's, as causes are added.
         notes: What the user should know, as sentences.
     """
 
@@ -77,39 +77,19 @@ class Diagnosis:
     notes: tuple[str, ...]
 
     @property
-    def gains(self) -> Array:
-        """Torque per reading, shape (nv,)."""
-        return self.held.gains
-
-    @property
-    def measured(self) -> Array:
-        """Torque at the rows of the hold-out, shape (n, nv) [torque unit]."""
-        return self.held.series.measured
-
-    @property
-    def simulated(self) -> Array:
-        """The same of the given model."""
-        return self.held.simulated
-
-    @property
-    def predicted(self) -> Array:
-        """The same of the extended model."""
-        return self.extension.predicted
-
-    @property
     def left(self) -> Array:
-        """What the extended model leaves there."""
-        return np.asarray(self.measured - self.predicted, float)
+        """What the extended model leaves at the rows of the hold-out, (n, nv) [torque unit]."""
+        return np.asarray(self.held.series.measured - self.extension.predicted, float)
 
     @cached_property
     def simulation(self) -> Accuracy:
         """Accuracy of the given model on the hold-out."""
-        return self.held.series.accuracy(self.simulated)
+        return self.held.series.accuracy(self.held.simulated)
 
     @cached_property
     def extended(self) -> Accuracy:
         """Accuracy of the extended model on the hold-out."""
-        return self.held.series.accuracy(self.predicted)
+        return self.held.series.accuracy(self.extension.predicted)
 
     @cached_property
     def states(self) -> tuple[Array, Array, Array]:
@@ -122,19 +102,14 @@ class Diagnosis:
 
     @cached_property
     def refit(self) -> Refit:
-        """What wrong inertias alone would explain.
-
-        Raises:
-            BadRobot: A link without mass.
-            Infeasible: The semidefinite solver failed.
-        """
-        tau = series(self.data.train).measured * self.gains
-        return refit(self.train, tau, self.held, self.predicted)
+        """What wrong inertias alone would explain; Infeasible where the solver failed."""
+        tau = series(self.data.train).measured * self.held.gains
+        return refit(self.train, tau, self.held, self.extension.predicted)
 
     @cached_property
     def forward(self) -> Forward:
         """Both models simulated forward over short windows of the hold-out."""
-        return forward(self.robot, self.extension.model, self.data.validate, self.gains)
+        return forward(self.robot, self.extension.model, self.data.validate, self.held.gains)
 
     @cached_property
     def headline(self) -> str:
@@ -188,14 +163,11 @@ class Diagnosis:
         return before, after
 
     def result(self, plan: Plan = _NO_PLAN) -> dict[str, Any]:
-        """Machine-readable result of `diagnose` (keys of DESIGN.md, section 5).
-
-        Args:
-            plan: Experiments that settle what is undecided; general actions without one.
-        """
+        """Contents of result.json, with a plan's experiments or else general actions."""
         notes = [*self.notes, placeholders(self), at_rest(self)]
         pairs = zip(self.ordered, self.curves, strict=True)
         both = zip(self.given_residuals, self.residuals, strict=True)
+        joints, y = self.robot.joints, f"torque [{self.data.unit}]"
         return {
             "verb": "diagnose",
             "robot": self.robot.name,
@@ -207,7 +179,7 @@ class Diagnosis:
             "faults": [],
             "findings": [
                 (_unknown(self, item) if isinstance(item, Residual) else _cause(self, item, plan))
-                | {"figure": curve.labels(self.robot, self.data.unit)}
+                | {"figure": {"x_label": curve.x_label, "y_label": y, "joint": joints[curve.joint]}}
                 for item, curve in pairs
             ],
             "unexplained": [
@@ -232,9 +204,9 @@ class Diagnosis:
         """Measured, simulated and extended torque on the hold-out, and the evidence per finding."""
         arrays = {
             "t": self.held.series.t,
-            "measured": self.measured,
-            "simulated": self.simulated,
-            "extended": self.predicted,
+            "measured": self.held.series.measured,
+            "simulated": self.held.simulated,
+            "extended": self.extension.predicted,
         }
         for k, curve in enumerate(self.curves):
             for name in ("x", "residual", "fit", "rival"):
@@ -252,9 +224,8 @@ class Diagnosis:
             return {"sentence": f"Inertias could not be fitted alone: {error}"}
         bodies = [f.effect for f in self.findings if f.effect.role != "torque"]
         wrong = {self.robot.links[row] for effect in bodies for row in effect.rows(self.robot)}
-        joints, unit = self.robot.joints, self.data.unit
-        said = found.sentence(joints, unit, bool(self.findings), wrong)
-        return {"sentence": said, **found.result(joints)}
+        said = found.sentence(self.robot.joints, self.data.unit, bool(self.findings), wrong)
+        return {"sentence": said, **found.result(self.robot.joints)}
 
     def _forward(self) -> dict[str, Any]:
         try:
@@ -346,26 +317,34 @@ def diagnose(
         BadRobot: Links without mass.
         Infeasible: The semidefinite solver failed.
     """
-    data = split(recordings, validate, cutoff_hz)
-    train = observed(robot, data.train)
-    held = held_out(robot, data.validate, _gains(train, data.unit))
-    prior = prior_parameters(robot)
-    tau = series(data.train).measured * held.gains
+    data, prior = split(recordings, validate, cutoff_hz), prior_parameters(robot)
+    data, prior = split(recordings, validate, cutoff_hz), prior_parameters(robot)
+    train, measured = observed(robot, data.train), series(data.train).measured
+    notes, gains = [data.holdout], np.ones(robot.nv)
+    if data.unit == "A":
+        usual = standard_effects(robot.joints)
+        base = base_parameters(robot, usual)
+        gains = current_gains(robot, base, train.matrix(usual), measured)[0]
+        notes.append(
+            "torque came as motor current; effects are in N·m by drive gains whose common scale "
+            "rests on the given masses"
+        )
+    held, tau = held_out(robot, data.validate, gains), measured * gains
     evidence = gather(robot, train, tau, tolerance_metric(prior))
     first = Extender(prior, train, tau, held, evidence)
-    fit, findings = _understood(first)
+    fit = _understood(first)
     if fit.refuted:
         again = _understood(first, fit.refuted)
-        if held.worse(fit.predicted, again[0].predicted, FLOOR):
-            fit, findings = again
+        if held.worse(fit.predicted, again.predicted, FLOOR):
+            fit = again
     if held.worse(fit.predicted, held.simulated):
-        fit, findings = unextended(fit.evidence, held), []
+        fit = unextended(fit.evidence, held)
     error = held.series.measured - fit.predicted
     given = residuals(robot.joints, data.validate, held.given, held.given, held.simulated)
     left = residuals(robot.joints, data.validate, error, held.given, fit.predicted)
     paying = [
         replace(finding, rivals=tuple(rivals(fit.evidence, robot, fit.chosen, candidate)))
-        for finding, candidate in zip(findings, fit.chosen, strict=True)
+        for finding, candidate in zip(fit.findings, fit.chosen, strict=True)
         if finding.pays
     ]
     others = [(f.effect, f.explained) for f in paying]
@@ -373,19 +352,11 @@ def diagnose(
         replace(f, downgrade=reason_to_downgrade(f.effect, f.torque, f.explained, others, left))
         for f in sorted(paying, key=lambda f: -f.explained)
     ]
-    notes = [data.holdout]
-    if data.unit == "A":
-        notes.append(
-            "torque came as motor current; effects are in N·m by drive gains whose common scale "
-            "rests on the given masses"
-        )
     steps = _waterfall(held.given, error, judged)
     return Diagnosis(robot, data, train, held, fit, tuple(judged), given, left, steps, tuple(notes))
 
 
-def _understood(
-    first: Extender, refuted: frozenset[Key] = frozenset()
-) -> tuple[Extension, list[Finding]]:
+def _understood(first: Extender, refuted: frozenset[Key] = frozenset()) -> Extension:
     """Causes that the data call for and the hold-out confirms, and the model with them.
 
     Effects that rest on torque take it from the model as understood so far, and shapes are first
@@ -393,50 +364,33 @@ def _understood(
     that may change them, for as long as the hold-out does not lose. Causes that it speaks against
     are left out.
     """
-    held, robot, extender = first.held, first.train.robot, first
-    best: tuple[Extension, list[Finding]] | None = None
-    shapes = None
+    held, robot, metric = first.held, first.train.robot, tolerance_metric(first.prior)
+    best: Extension | None = None
+    extender, shapes = first, None
     for _ in range(_ROUNDS):
         if best is not None:
-            train = first.train.by(best[0].model)
-            metric = tolerance_metric(first.prior)
-            evidence = gather(robot, train, first.tau, metric, best[0].chosen)
+            train = first.train.by(best.model)
+            evidence = gather(robot, train, first.tau, metric, best.chosen)
             extender = replace(first, train=train, evidence=evidence)
         evidence, chosen = select(extender.evidence, robot, refuted)
-        fit, findings = confirmed(replace(extender, evidence=evidence), chosen)
-        if best is not None and held.worse(fit.predicted, best[0].predicted, FLOOR):
+        fit = confirmed(replace(extender, evidence=evidence), chosen)
+        if best is not None and held.worse(fit.predicted, best.predicted, FLOOR):
             break
-        best = fit, findings
-        before, shapes = shapes, {c.effect for c in fit.chosen}
+        best, before, shapes = fit, shapes, {c.effect for c in fit.chosen}
         if shapes == before or not any(e.depends_on_model or e.shapes for e in shapes):
             break
     assert best is not None
     return best
 
 
-def _gains(train: Observed, unit: str) -> Array:
-    """Torque per reading, from the links' base parameters and the standard effects."""
-    robot = train.robot
-    if unit != "A":
-        return np.ones(robot.nv)
-    effects = standard_effects(robot.joints)
-    base = base_parameters(robot, effects)
-    current = series(train.segments).measured
-    return current_gains(robot, base, train.matrix(effects), current)[0]
-
-
 def _waterfall(
     given: Array, extended: Array, findings: Sequence[Finding]
 ) -> tuple[tuple[str, float], ...]:
     """Error over all joints as causes are added to the given model in order of importance."""
-    size = np.sqrt((given**2).mean(axis=0))
-
-    def relative(error: Array) -> float:
-        return float(np.sqrt(((error / size) ** 2).mean()))
-
-    steps, error = [("given model", 1.0)], given
+    steps, errors = ["given model"], [given]
     for finding in findings:
-        error = error - finding.torque
-        label = f"+ {plain(finding.effect.name)} at {', '.join(finding.effect.joints)}"
-        steps.append((label, relative(error)))
-    return (*steps, ("all re-identified", relative(extended)))
+        errors.append(errors[-1] - finding.torque)
+        steps.append(f"+ {plain(finding.effect.name)} at {', '.join(finding.effect.joints)}")
+    relative = np.array([*errors, extended]) / np.sqrt((given**2).mean(axis=0))
+    sizes = np.sqrt((relative**2).mean(axis=(1, 2)))
+    return tuple(zip([*steps, "all re-identified"], sizes.tolist(), strict=True))

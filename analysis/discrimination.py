@@ -31,7 +31,7 @@ from excitant.identify.preprocessing import Segment
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.regression import dense
 from excitant.robots.effects import Effect, JointFacts, joint_facts
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
@@ -85,9 +85,6 @@ class Contest:
     cutoff_hz: float = 10.0  # of the filter that torque and columns pass
     recorded: tuple[Segment, ...] = ()  # what both causes explain
     tolerance: float = TOLERANCE  # relative standard deviation of the given values
-
-    def __post_init__(self) -> None:
-        freeze(self, "weight")
 
     @cached_property
     def causes(self) -> dict[Effect, slice]:
@@ -214,10 +211,8 @@ class Contest:
         return [column for effect in pair.beside for column in self._places(effect)]
 
     def _gram(self, segments: Sequence[Segment]) -> Array:
-        """Weighted products of all columns at the rows of segments, those at rest left out.
-
-        A joint that is slow beside what was recorded of it rests.
-        """
+        """Weighted products of all columns at the rows of segments, those at rest left out."""
+        # A joint that is slow beside what was recorded of it rests
         W = np.concatenate(list(self._blocks(segments)), axis=2)
         problem = dense(W, np.zeros(W.shape[:2]), [str(k) for k in range(W.shape[2])])
         counts = moving(segments, top_speed(self.recorded) if self.recorded else 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,17 +11,9 @@ import numpy as np
 
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
-from excitant.analysis.discrimination import (
-    Advice,
-    Contest,
-    Pair,
-    Plan,
-    Separation,
-    key,
-    needed,
-)
+from excitant.analysis.discrimination import Advice, Contest, Pair, Plan, Separation, key, needed
 from excitant.analysis.selection import is_plain_friction
-from excitant.design import CLEARANCE, FourierTrajectory, clearance, random_trajectory
+from excitant.design import CLEARANCE, FourierTrajectory, random_trajectory
 from excitant.design.constraints import kinematic_limits, position_range, within_limits
 from excitant.design.feasible import torque_use
 from excitant.design.trajectory import FourierSeries, from_coefficients
@@ -34,6 +26,7 @@ from excitant.robots.robot import Robot
 
 _MATTERS = 0.01  # share of the given model's error that a finding explains, at least
 _DURATION = 20.0  # s of a motion
+_MOST = 3  # motions
 _NEAREST = 0.01  # m: a recording that comes nearer says that the collision shapes are too rough
 HOPELESS = 4.0  # Δ below which no motion is worth running
 _SCREENED, _REFINED = 48, 48  # motions judged, at most
@@ -67,8 +60,6 @@ def discriminating_motions(
     contest: Contest,
     rng: np.random.Generator,
     *,
-    duration: float = 20.0,
-    most: int = 3,
     time_limit: float = 15.0,
     scene: Scene | None = None,
 ) -> tuple[list[Discriminating], Array]:
@@ -77,35 +68,28 @@ def discriminating_motions(
     Many motions are judged: random ones at several frequencies, and joints of interest that
     reverse within a swelling envelope, from tiny to large, others held or moving. The one that
     settles most pairs is improved by random changes until its smallest Δ is plenty; pairs that it
-    leaves open get another.
-
-    Args:
-        contest: The rivals.
-        rng: Source of randomness.
-        duration: Period of each motion [s].
-        most: Number of motions, at most.
-        time_limit: Time after which the best so far is taken [s].
-        scene: Bodies that must keep apart; None to leave clearance out.
+    leaves open get another. Bodies of a scene must keep apart.
 
     Returns:
         The motions, and for each pair the largest Δ of all motions judged, shape (pairs,).
     """
     deadline = time.monotonic() + time_limit
-    series = FourierSeries(duration, max(max(_WAVES), round(_TOP_HZ * duration)))
-    robot = within_recording(contest.robot, [segment.motion for segment in contest.recorded])
+    series = FourierSeries(_DURATION, max(*_WAVES, round(_TOP_HZ * _DURATION)))
+    robot = _within_recording(contest.robot, [segment.motion for segment in contest.recorded])
     search = _Search(contest, robot, series, scene, rng)
     pool = search.screened(time.monotonic() + _SCREENING * time_limit)
     highest = np.max([np.zeros(len(contest.pairs)), *(m.deltas for m in pool)], axis=0)
     open_, motions = highest > HOPELESS, list[Discriminating]()
-    while open_.any() and len(motions) < most:
+    while open_.any() and len(motions) < _MOST:
         best = search.best(pool, open_)
         served = open_ & (best.deltas > HOPELESS) if best is not None else open_ & False
         if best is None or not served.any():
             break
-        shares = most - len(motions) if (open_ & ~served).any() else 1
+        shares = _MOST - len(motions) if (open_ & ~served).any() else 1
         left = max(deadline - time.monotonic(), 0.0)
         best = search.improved(best, served, time.monotonic() + left / shares)
-        motions.append(search.counted(best))
+        counted = contest.counted(search.information(best.trajectory))
+        motions.append(replace(best, separations=tuple(counted)))
         open_ &= (best.deltas < needed()) & (highest > _MUCH_BETTER * best.deltas)
         highest = np.maximum(highest, best.deltas)
     return motions, highest
@@ -132,41 +116,26 @@ class _Search:
         return t, [self.series.basis(t, order) for order in range(4)]
 
     def screened(self, until: float) -> list[Discriminating]:
-        """Motions of all kinds, judged; at least one where there is any."""
+        """Motions of all kinds in turn, judged; those that find no way into the limits left out."""
         pool: list[Discriminating] = []
-        for trajectory in self.drawn(_SCREENED):
-            pool.append(self.judged(trajectory))
-            if time.monotonic() > until:
+        for k in range(_SCREENED):
+            drawn = self._sweep() if k % 4 else self._random(_WAVES[k // 4 % len(_WAVES)])
+            if drawn is not None:
+                pool.append(self.judged(drawn))
+            if pool and time.monotonic() > until:
                 break
         return pool
 
-    def drawn(self, count: int) -> Iterator[FourierTrajectory]:
-        """Motions of all kinds, in turn; those that find no way into the limits left out."""
-        for k in range(count):
-            if k % 4 == 0:
-                try:
-                    harmonics = _WAVES[(k // 4) % len(_WAVES)]
-                    period = self.series.period
-                    wave = random_trajectory(self.robot, self.rng, period, harmonics)
-                    yield from_coefficients(self._padded(wave), period)
-                except Infeasible:
-                    continue
-            elif (found := self._sweep()) is not None:
-                yield found
+    def information(self, trajectory: FourierTrajectory) -> Array:
+        """Information of a motion, shape (columns, columns)."""
+        t, bases = self.instants
+        motion = Motion(t, *(basis @ trajectory.coefficients for basis in bases))
+        return self.contest.information(motion)
 
     def judged(self, trajectory: FourierTrajectory) -> Discriminating:
         """A motion with its separations."""
-        information = self.contest.information(self._motion(trajectory))
-        return Discriminating(trajectory, tuple(self.contest.separations(information)))
-
-    def counted(self, motion: Discriminating) -> Discriminating:
-        """The same motion with the runs that each pair needs."""
-        information = self.contest.information(self._motion(motion.trajectory))
-        return replace(motion, separations=tuple(self.contest.counted(information)))
-
-    def _motion(self, trajectory: FourierTrajectory) -> Motion:
-        t, bases = self.instants
-        return Motion(t, *(basis @ trajectory.coefficients for basis in bases))
+        separations = self.contest.separations(self.information(trajectory))
+        return Discriminating(trajectory, tuple(separations))
 
     def best(self, pool: list[Discriminating], open_: Array) -> Discriminating | None:
         """The motion of a pool that tells most of what is open, of those that keep the limits."""
@@ -196,11 +165,8 @@ class _Search:
 
     def _kept(self, trajectory: FourierTrajectory) -> FourierTrajectory | None:
         """The trajectory within all limits, certified; None where that fails."""
-        kept = within_limits(self.robot, trajectory)
-        if kept is None or not isinstance(kept, FourierTrajectory):
-            return None
-        apart = self.scene is None or clearance(self.scene, kept).certified >= CLEARANCE
-        return kept if apart else None
+        kept = within_limits(self.robot, trajectory, self.scene, CLEARANCE)
+        return kept if isinstance(kept, FourierTrajectory) else None
 
     def _clear(self, trajectory: FourierTrajectory) -> bool:
         """Whether poses along a trajectory keep their distance."""
@@ -209,13 +175,17 @@ class _Search:
         poses = trajectory(np.linspace(0.0, trajectory.period, _POSES))
         return bool(self.scene.distances(poses).min() > CLEARANCE)
 
-    def _padded(self, trajectory: FourierTrajectory) -> Array:
-        """Coefficients of a trajectory of fewer harmonics in the series, shape (c, nv)."""
-        X, H = np.zeros((self.series.size, trajectory.nv)), self.series.harmonics
-        X[0] = trajectory.offset
-        X[1 : 1 + trajectory.harmonics] = trajectory.cosine
-        X[1 + H : 1 + H + trajectory.harmonics] = trajectory.sine
-        return X
+    def _random(self, harmonics: int) -> FourierTrajectory | None:
+        """A random motion of fewer harmonics than the series has."""
+        series = self.series
+        try:
+            drawn = random_trajectory(self.robot, self.rng, series.period, harmonics)
+        except Infeasible:
+            return None
+        X = np.zeros((series.size, self.robot.nv))
+        X[0], first = drawn.offset, 1 + series.harmonics
+        X[1 : 1 + harmonics], X[first : first + harmonics] = drawn.cosine, drawn.sine
+        return from_coefficients(X, series.period)
 
     @property
     def _interest(self) -> set[int]:
@@ -236,10 +206,10 @@ class _Search:
             share = np.zeros(self.robot.nv)
             for j in range(self.robot.nv):
                 if j in self._interest:
-                    X[:, j] = envelope(series, self.rng)
+                    X[:, j] = _envelope(series, self.rng)
                     share[j] = np.exp(self.rng.uniform(np.log(_SMALLEST), 0.0))
                 elif self.rng.uniform() > _HELD:
-                    X[:, j] = wave(series, self.rng)
+                    X[:, j] = _wave(series, self.rng)
                     share[j] = self.rng.uniform(0.3, 1.0)
             pose = middle + self.rng.uniform(-0.8, 0.8, self.robot.nv) * half
             if (found := self._fitted(X, pose, share)) is not None:
@@ -256,7 +226,7 @@ class _Search:
             if rng.uniform() < 0.5:
                 X[:, j] *= np.exp(step * rng.normal())
             if rng.uniform() < 0.3:
-                fresh = envelope(series, rng) if rng.uniform() < 0.5 else wave(series, rng)
+                fresh = _envelope(series, rng) if rng.uniform() < 0.5 else _wave(series, rng)
                 X[:, j] += step * rng.uniform() * np.linalg.norm(X[:, j]) * fresh
         return self._fitted(X, pose)
 
@@ -291,11 +261,9 @@ def _worth(deltas: Array) -> float:
     return float(np.log(np.clip(deltas, 0.1, _PLENTY * needed())).sum())
 
 
-def envelope(series: FourierSeries, rng: np.random.Generator) -> Array:
-    """((1 − cos ωt) / 2)^p cos(kωt + φ): reversals that swell and fade, shape (c,), norm 1.
-
-    With p ≥ 2 it is at rest at both ends; its peak speeds range from nothing to the highest.
-    """
+def _envelope(series: FourierSeries, rng: np.random.Generator) -> Array:
+    """((1 − cos ωt) / 2)^p cos(kωt + φ): reversals that swell and fade, shape (c,), norm 1."""
+    # with p ≥ 2 it is at rest at both ends; its peak speeds range from nothing to the highest
     p = int(rng.integers(2, 5))
     top = max(series.harmonics - p, 1)
     k = min(round(float(np.exp(rng.uniform(np.log(2), np.log(max(top, 3)))))), top)
@@ -306,7 +274,7 @@ def envelope(series: FourierSeries, rng: np.random.Generator) -> Array:
     return _at_rest(series, np.concatenate([[0.0], spectrum.real, -spectrum.imag]))
 
 
-def wave(series: FourierSeries, rng: np.random.Generator) -> Array:
+def _wave(series: FourierSeries, rng: np.random.Generator) -> Array:
     """A few random harmonics, low ones mostly, shape (c,), norm 1."""
     h = np.arange(1, series.harmonics + 1)
     top = np.exp(rng.uniform(np.log(2), np.log(series.harmonics)))
@@ -322,55 +290,37 @@ def _at_rest(series: FourierSeries, x: Array) -> Array:
     return np.asarray(x / norm if norm > 0 else x, float)
 
 
-def within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
+def _within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
     """The arm, limits that it does not state set to what the recording reached."""
     limits = robot.limits
     if not recorded:
         return robot
-    q = np.concatenate([m.q for m in recorded])
+    low, high = (f(np.array([f(m.q, axis=0) for m in recorded]), axis=0) for f in (np.min, np.max))
     speed, push = (
         np.max([np.abs(getattr(m, name)).max(axis=0) for m in recorded], axis=0)
         for name in ("dq", "ddq")
     )
-    reached = np.column_stack([q.min(axis=0), q.max(axis=0)])
-    unbounded = ~np.isfinite(limits.position).all(axis=1, keepdims=True)
+    bounded = np.isfinite(limits.position).all(axis=1, keepdims=True)
     known = replace(
         limits,
-        position=np.where(unbounded, reached, limits.position),
+        position=np.where(bounded, limits.position, np.column_stack([low, high])),
         velocity=np.where(np.isfinite(limits.velocity), limits.velocity, speed),
         acceleration=np.where(np.isfinite(limits.acceleration), limits.acceleration, push),
     )
     return robot.with_limits(known)
 
 
-def plan(
-    diagnosis: Diagnosis,
-    rng: np.random.Generator,
-    *,
-    duration: float = _DURATION,
-    most: int = 3,
-    time_limit: float = 15.0,
-) -> Plan:
+def plan(diagnosis: Diagnosis, rng: np.random.Generator, *, time_limit: float = 15.0) -> Plan:
     """Experiments that settle what a diagnosis leaves undecided.
 
-    Motions are looked for where findings that explain at least one per cent have rivals; where
-    none tells two causes apart, an action from outside the motion is named.
-
-    Args:
-        diagnosis: What was found.
-        rng: Source of randomness.
-        duration: Period of each motion [s].
-        most: Number of motions, at most.
-        time_limit: Time for the search [s].
+    For time_limit seconds, motions are looked for where findings that explain at least one per
+    cent have rivals; where none tells two causes apart, an action outside the motion is named.
     """
-    contest = contest_of(diagnosis)
+    contest, around = _contest(diagnosis), _surroundings(diagnosis)
     if not contest.pairs:
         return Plan()
-    around = _surroundings(diagnosis)
     try:
-        motions, _ = discriminating_motions(
-            contest, rng, duration=duration, most=most, time_limit=time_limit, scene=around
-        )
+        motions, _ = discriminating_motions(contest, rng, time_limit=time_limit, scene=around)
     except Infeasible:
         motions = []
     chosen = [_best(motions, index) for index in range(len(contest.pairs))]
@@ -382,11 +332,11 @@ def plan(
     return Plan(found, tuple(motion.trajectory for motion in used))
 
 
-def contest_of(diagnosis: Diagnosis) -> Contest:
+def _contest(diagnosis: Diagnosis) -> Contest:
     """The rivals of a diagnosis, with the noise that its hold-out shows."""
     open_ = [f for f in diagnosis.findings if f.rivals and f.explained >= _MATTERS]
     counts = diagnosis.held.moves
-    error = diagnosis.left * diagnosis.gains * counts
+    error = diagnosis.left * diagnosis.held.gains * counts
     sigma = np.sqrt((error**2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
     inflation = np.array([autocorrelation_time(column) for column in error.T])
     return Contest(

@@ -302,9 +302,7 @@ def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
     that may be off by far more than their tolerance: what it leaves is near the noise whatever
     is wrong, so that one cause does not pass for the noise that hides another, or itself.
     """
-    taken = {c.columns.start for c in chosen}
-    common = [c for c in evidence.candidates if c.effect.usual]
-    rough = [*chosen, *(c for c in common if c.columns.start not in taken)]
+    rough = [*chosen, *(c for c in evidence.candidates if c.effect.usual and c not in chosen)]
     for _ in range(_ROUNDS):
         sigma, inflation = _noise(evidence.left(rough, _LOOSE), evidence.counted)
         evidence = replace(evidence, sigma=sigma, inflation=inflation)

@@ -1,29 +1,30 @@
-"""An experiment to judge an arm by: a planned motion with assumed noise, or a recording."""
+"""An experiment to judge an arm by, planned or recorded, and what the prior decides in it.
+
+Two sets of initial values that lead to the same table within a few per cent show nothing: both
+may agree where the data are silent. So the prior is moved where the data are silent, along the
+null space of the observation matrix and along what it shows worst, and in random directions as
+well, always to bodies that can exist; the physically consistent fit is repeated, and each entry
+compared with how far its prior was moved: 1, the prior alone decides; 0, the data do. When that
+makes an entry the prior's is the rule of `excitant.identify.prior`, which `identify` applies to
+linear theory.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
-from excitant.analysis.next_experiment import (
-    PAYLOAD_KG,
-    known_values,
-    resting_joints,
-    scale_deviation,
-)
-from excitant.analysis.prior_influence import (
-    Prior,
-    PriorInfluence,
-    prior_influence,
-    prior_of,
-    refits,
-)
 from excitant.analysis.uncertainty import (
+    PAYLOAD_KG,
     TORQUE_NOISE,
     MotionInformation,
+    known_values,
     motion_information,
+    resting_joints,
+    scale_deviation,
     shown_base,
     torque_noise,
     without_rounding,
@@ -32,61 +33,217 @@ from excitant.exceptions import BadRobot
 from excitant.identify.estimate import Estimate, judged
 from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import fit_physical
-from excitant.identify.prior import EffectPrior, prior_parameters
+from excitant.identify.prior import (
+    DOMINATED,
+    KINDS,
+    PRIOR_SIGMA,
+    UNSEEN,
+    UPPER,
+    WEAKEST,
+    EffectPrior,
+    follows,
+    link_coordinates,
+    link_weights,
+    matrices,
+    prior_parameters,
+    reached,
+    silent_columns,
+)
 from excitant.identify.recording import Recording
 from excitant.identify.regression import dense, regression_of
 from excitant.identify.rows import FitRows, fit_rows, implausible_size, split
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, standard_effects
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names, observation_columns, torque
+
+STEP = 0.2  # of a link's inertia in any direction, by which the prior is moved
+_NOTHING = 0.01  # of an entry's uncertainty, below which a kind says nothing of it
+_DRAWS = 8  # perturbations in the null space, and random ones
+_FLAT = 1e-3  # of the prior's second moment in some direction: the body is at its limit
+
+Response = Callable[[Array], Array]
+"""How far the estimate moves, shape (p,), when the prior is moved by δ, shape (p,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of all parameters x beforehand, as x = mean + L w with w of unit variance."""
+
+    mean: Array  # shape (p,)
+    L: Array  # blocks of ten by ten for each link and a diagonal for effects, shape (p, p)
+    links: int  # number of links
+
+    def directions(self, R: Array) -> tuple[Array, Array]:
+        """What data say per unit of w: singular values of R L, and its right vectors as rows."""
+        _, s, Vt = np.linalg.svd(R @ self.L)
+        return np.pad(s, (0, len(Vt) - len(s))), Vt
+
+    def posterior_std(self, R: Array) -> Array:
+        """Standard deviation of each parameter after data, constraints ignored, shape (p,)."""
+        s, Vt = self.directions(R)
+        return np.asarray(np.linalg.norm(self.L @ Vt.T / np.sqrt(1 + s**2), axis=1), float)
+
+    def stretches(self, w: Array) -> Array:
+        """Eigenvalues of Q − 1 of each link, as in `fit_physical`, ascending, shape (links, 4)."""
+        y = w[: 10 * self.links] / link_weights(self.links, PRIOR_SIGMA)
+        return np.asarray(np.linalg.eigvalsh(matrices(y, self.links)), float)
+
+    def size(self, w: Array) -> float:
+        """Largest relative change of any link in any direction, or of an effect in its std."""
+        largest = np.abs(self.stretches(w)).max(initial=0.0)
+        return float(max(largest, np.abs(w[10 * self.links :]).max(initial=0.0)))
+
+    def at_limit(self, x: Array) -> tuple[int, ...]:
+        """Links of x, shape (p,), that are flat or thin beyond what a body can be, but a hair."""
+        w = np.asarray(np.linalg.solve(self.L, x - self.mean), float)
+        smallest = 1 + self.stretches(w)[:, 0]
+        return tuple(int(k) for k in np.flatnonzero(smallest < _FLAT))
+
+
+def prior_of(phi: Array, effects: EffectPrior) -> Prior:
+    """The prior of `fit_physical`, of consistent standard parameters, shape (links, 10)."""
+    links = len(phi)
+    scale = link_coordinates(phi) / link_weights(links, PRIOR_SIGMA)
+    L = scipy.linalg.block_diag(scale, np.diag(effects.std))
+    return Prior(np.concatenate([phi.ravel(), effects.mean]), L, links)
+
+
+@dataclass(frozen=True, eq=False)
+class PriorInfluence:
+    """How far each parameter follows the prior, by kind of perturbation (`KINDS`)."""
+
+    ratio: Array  # move of each entry over that of its prior, (3, p); NaN where that stays
+    reach: Array  # share of each entry's prior uncertainty that a kind reaches, shape (3, p)
+    linear: Array  # what the ratio would be without constraints of physics, shape (3, p)
+    base_move: Array  # largest move of each base parameter, in standard deviations, shape (r,)
+    refits: int  # number of fits behind it; 0 where the move follows from linear theory
+
+    @property
+    def overall(self) -> Array:
+        """Largest ratio of the kinds that reach a material part of the entry, shape (p,)."""
+        return follows(self.ratio, self.reach)
+
+    @property
+    def decided_by(self) -> tuple[str, ...]:
+        """Who decides each entry: ``data``, ``prior``, or ``physics``.
+
+        Physics where the prior would decide but the body is at the limit of what can exist, and
+        stays there wherever the prior is.
+        """
+        free = follows(self.linear, self.reach)
+        return tuple(
+            "prior" if bound > DOMINATED else "physics" if loose > DOMINATED else "data"
+            for bound, loose in zip(self.overall, free, strict=True)
+        )
+
+
+def prior_influence(
+    information: MotionInformation,
+    regrouping: Array,
+    prior: Prior,
+    x: Array,
+    rng: np.random.Generator,
+    response: Response | None = None,
+) -> PriorInfluence:
+    """Move the prior in several directions of each kind and see what the estimate does.
+
+    The estimate x (p,) says what is material of an effect, which has no prior value; regrouping
+    (r, p) gives base parameters; without a response by refits, linear theory does.
+    """
+    s, Vt = prior.directions(information.R)
+    free = _linear(prior, s, Vt)
+    silent = s <= UNSEEN * s.max(initial=0.0)
+    null, weak = Vt[silent], Vt[~silent][-WEAKEST:]
+    steps = {
+        "null space": [rng.normal(size=len(null)) @ null for _ in range(_DRAWS) if len(null)],
+        "weakly seen": list(weak),
+        "random": [_random_bodies(prior, rng) for _ in range(_DRAWS)],
+    }
+    p = len(prior.mean)
+    ratio, linear, reach = (np.full((len(KINDS), p), np.nan) for _ in range(3))
+    base_move, base_std = np.zeros(len(regrouping)), information.std(np.eye(len(regrouping)))
+    for k, kind in enumerate(KINDS):
+        given = np.array([prior.L @ (STEP * w / prior.size(w)) for w in steps[kind]]).reshape(-1, p)
+        moves = np.array([(response or free)(delta) for delta in given]).reshape(-1, p)
+        ratio[k] = _ratio(moves, given, prior)
+        linear[k] = _ratio(np.array([free(delta) for delta in given]).reshape(-1, p), given, prior)
+        relative = np.abs(moves @ regrouping.T) / np.where(base_std > 0, base_std, np.inf)
+        base_move = np.maximum(base_move, relative.max(axis=0, initial=0.0))
+    reach[:2] = [reached(prior.L, part, x, prior.links) for part in (null, weak)]
+    reach[0, silent_columns(information.R)] = 1.0
+    reach[2] = np.arange(p) < 10 * prior.links
+    ratio[reach < _NOTHING] = linear[reach < _NOTHING] = np.nan
+    fits = 0 if response is None else sum(map(len, steps.values()))
+    return PriorInfluence(ratio, reach, linear, base_move, fits)
+
+
+def _ratio(moves: Array, given: Array, prior: Prior) -> Array:
+    """How far entries move for how far their prior was moved; NaN where it was not, shape (p,)."""
+    got, size = (np.sqrt((values**2).sum(axis=0)) for values in (moves, given))
+    unmoved, std = np.full(len(size), np.nan), np.linalg.norm(prior.L, axis=1)
+    return np.asarray(np.divide(got, size, out=unmoved, where=size > 1e-9 * std), float)
+
+
+def _random_bodies(prior: Prior, rng: np.random.Generator) -> Array:
+    """Every link changed by the same share in random directions, effects left, shape (p,)."""
+    w = np.zeros(len(prior.mean))
+    A = rng.normal(size=(prior.links, 4, 4))
+    A = A + A.transpose(0, 2, 1)
+    A /= np.abs(np.linalg.eigvalsh(A)).max(axis=1)[:, None, None]
+    y = A[:, *UPPER].reshape(-1)
+    w[: 10 * prior.links] = y * link_weights(prior.links, PRIOR_SIGMA)
+    return w
+
+
+def _linear(prior: Prior, s: Array, Vt: Array) -> Response:
+    """Posterior mean of a linear problem: in w it moves by V (1 + s²)⁻¹ Vᵀ of the prior's move."""
+
+    def moved(delta: Array) -> Array:
+        w = np.linalg.solve(prior.L, delta)
+        return np.asarray(prior.L @ (Vt.T @ ((Vt @ w) / (1 + s**2))), float)
+
+    return moved
+
+
+def refits(estimate: Estimate, rows: FitRows) -> Response:
+    """Moves of an estimate by repeating its physically consistent fit from another prior.
+
+    Distances are measured as around the original prior, so that only its place changes.
+    """
+    R, z = rows.regression.factor(estimate.least_squares.weight)
+    phi, effects = estimate.prior.reshape(-1, 10), rows.open_prior
+    links = phi.size
+
+    def moved(delta: Array) -> Array:
+        other = replace(effects, mean=effects.mean + delta[links:])
+        prior = phi + delta[:links].reshape(-1, 10)
+        found = fit_physical(
+            R, z, prior, other, metric=phi, knowledge=estimate.knowledge, links=estimate.given.links
+        )
+        return np.asarray(found.x - estimate.physical.x, float)
+
+    return moved
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A motion with its noise, and what is known of the parameters.
+    """A motion with its noise, and what is known of the p parameters."""
 
-    Attributes:
-        W: Columns of all parameters at the measured joints, shape (n, rows, p).
-        sigma: Noise of those joints' torque, per independent row, shape (rows,) [N·m].
-        information: What the motion shows.
-        x: Values of all parameters, zero where not known, shape (p,).
-        known: Which of them are known.
-        beta: Values of the base parameters, shape (r,).
-        prior: What is known without data; None where a link has no mass.
-        std: Standard deviation of each parameter with the prior counted in, shape (p,).
-        influence: How far each parameter follows the prior.
-        resting: Joints that do not move.
-        motion: The motion, or the longest stretch of a recording.
-        pose: Where joints are on average, shape (nv,) [rad or m].
-        basis: Where the standard deviations come from, as a sentence.
-        notes: What the user should know, as sentences.
-    """
-
-    W: Array
-    sigma: Array
+    sigma: Array  # noise of the measured joints' torque, per independent row, shape (rows,) [N·m]
     information: MotionInformation
-    x: Array
-    known: tuple[bool, ...]
-    beta: Array
-    prior: Prior | None
-    std: Array | None
+    x: Array  # values of all parameters, zero where not known, shape (p,)
+    known: tuple[bool, ...]  # which of them are known
+    beta: Array  # values of the base parameters, shape (r,)
+    prior: Prior | None  # what is known without data; None where a link has no mass
+    std: Array | None  # standard deviation of each parameter with the prior counted in, shape (p,)
     influence: PriorInfluence | None
-    resting: tuple[int, ...]
-    motion: Motion
-    pose: Array
-    basis: str
+    motion: Motion  # or the longest stretch of a recording
+    resting: tuple[int, ...]  # joints that do not move
+    pose: Array  # where joints are on average, shape (nv,) [rad or m]
+    basis: str  # where the standard deviations come from, as a sentence
     notes: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        freeze(self, "W", "sigma", "x", "beta", "pose")
-
-    @property
-    def signal(self) -> Array:
-        """Largest rms torque of each parameter per unit, in noise, shape (p,)."""
-        rms = np.sqrt((self.W**2).mean(axis=0)) / self.sigma[:, None]
-        return np.asarray(rms.max(axis=0), float)
 
 
 def planned_experiment(
@@ -94,26 +251,20 @@ def planned_experiment(
     base: BaseParameters,
     effects: Sequence[Effect],
     motion: Motion,
-    noise: Sequence[float] | None = None,
-    measured: Sequence[int] | None = None,
+    noise: Sequence[float] | None,
+    rows: list[int],
 ) -> Experiment:
-    """A motion to judge before it is run.
+    """A motion to judge before it is run, its torque noise [N·m] independent at every instant.
 
-    Args:
-        robot: The arm.
-        base: Base parameters of links and effects.
-        effects: Effects whose coefficients are unknown too.
-        motion: The motion; torque noise is independent at every instant of it.
-        noise: Torque noise of each joint [N·m]; 1 % of each limit if None.
-        measured: Joints whose torque is measured; all if None.
+    Torque is measured at the joints of ``rows``.
 
     Raises:
         BadInput: Noise that does not fit, or no torque limit to scale it by.
     """
-    rows = list(range(robot.nv) if measured is None else measured)
     sigma = torque_noise(robot, noise)[rows]
     W = observation_columns(robot, effects, motion)[:, rows]
-    seen, (x, known) = motion_information(base, W, sigma), known_values(robot, effects)
+    seen, known = motion_information(base, W, sigma), known_values(robot, effects)
+    x = np.array([value or 0.0 for value in known])
     notes: tuple[str, ...] = ()
     prior, influence = None, None
     try:
@@ -125,11 +276,10 @@ def planned_experiment(
         notes = (f"there is no prior to count in: {error.why}",)
     how = "as given" if noise is not None else f"of {100 * TORQUE_NOISE:g} % of each limit"
     return Experiment(
-        W=W,
         sigma=sigma,
         information=seen,
         x=x,
-        known=tuple(known),
+        known=tuple(value is not None for value in known),
         beta=base.regrouping @ x,
         prior=prior,
         std=None if prior is None else prior.posterior_std(seen.R),
@@ -145,20 +295,16 @@ def planned_experiment(
 def recorded_experiment(
     robot: Robot, base: BaseParameters, estimate: Estimate, rng: np.random.Generator | None = None
 ) -> Experiment:
-    """What a recording came to.
+    """What a recording came to, of all base parameters or of those that it shows.
 
-    Args:
-        robot: The arm.
-        base: Base parameters of links and effects.
-        estimate: What was identified, of all base parameters or of those the recording shows.
-        rng: Draws perturbed priors for refits; linear theory instead if None.
+    Draws perturbed priors for refits, or takes the prior's influence from linear theory.
 
     Raises:
         Infeasible: A refit failed.
     """
     q = np.concatenate([s.motion.q[s.keep] for s in estimate.data.train])
     fit, effects = estimate.least_squares, estimate.model.effects
-    rows = clean_rows(fit_rows(robot, effects, estimate.base, estimate.data))
+    rows = _clean(fit_rows(robot, effects, estimate.base, estimate.data))
     sigma = fit.sigma * np.sqrt(fit.inflation)
     complete = estimate.base.columns == base.columns
     seen = motion_information(base, rows.W, sigma, fit.covariance if complete else None)
@@ -185,7 +331,6 @@ def recorded_experiment(
             "all joints"
         )
     return Experiment(
-        W=rows.W,
         sigma=sigma,
         information=seen,
         x=estimate.physical.x,
@@ -229,14 +374,14 @@ def identify_shown(
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     data = split(recordings, validate)
     W = without_rounding(regression_of(robot, effects, data.train).W)
-    rows = clean_rows(fit_rows(robot, effects, shown_base(column_names(robot, effects), W), data))
+    rows = _clean(fit_rows(robot, effects, shown_base(column_names(robot, effects), W), data))
     fit = weighted_least_squares(rows.reduced)
     R, z = rows.regression.factor(fit.weight)
     physical = fit_physical(R, z, prior, rows.open_prior)
     return judged(robot, rows, fit, physical, (data.holdout,))
 
 
-def clean_rows(rows: FitRows) -> FitRows:
+def _clean(rows: FitRows) -> FitRows:
     """The rows without columns that are rounding alone, of which nothing is known beforehand."""
     known = rows.regression
     clean = dense(without_rounding(known.W), known.tau, known.names, known.starts)

@@ -197,11 +197,6 @@ class Curve:
     fit: Array | None = None  # torque of the cause; None where there is none
     rival: Array | None = None  # of its closest rival, fitted to the residual; None without one
 
-    def labels(self, robot: Robot, unit: str) -> dict[str, str]:
-        """What its axes are, as result.json says it; unit of torque."""
-        joint = robot.joints[self.joint]
-        return {"x_label": self.x_label, "y_label": f"torque [{unit}]", "joint": joint}
-
 
 def curve_of(diagnosis: Diagnosis, item: Finding | Residual) -> Curve:
     """The figure that shows a finding, or what is left unexplained."""
@@ -260,9 +255,9 @@ def _abscissa(diagnosis: Diagnosis, domain: str, j: int, other: int = 0) -> tupl
     unit, name = diagnosis.data.unit, diagnosis.robot.joints[other]
     way_unit, far_unit = ("rad" if diagnosis.robot.revolute[k] else "m" for k in (j, other))
     q, dq, ddq = diagnosis.states
-    t, torque = diagnosis.held.series.t, diagnosis.predicted[:, j]
+    t, torque = diagnosis.held.series.t, diagnosis.extension.predicted[:, j]
     if domain == "reversal":
-        where = explanatory(diagnosis.data.validate, diagnosis.predicted)
+        where = explanatory(diagnosis.data.validate, diagnosis.extension.predicted)
         label = f"distance since the last reversal, signed by direction [{way_unit}]"
         return label, where.reversal[:, j]
     return {
@@ -271,7 +266,7 @@ def _abscissa(diagnosis: Diagnosis, domain: str, j: int, other: int = 0) -> tupl
         "acceleration": (f"joint acceleration [{way_unit}/s²]", ddq[:, j]),
         "other acceleration": (f"acceleration of {name} [{far_unit}/s²]", ddq[:, other]),
         "position": (f"joint position [{way_unit}]", q[:, j]),
-        "torque": (f"torque of the given model [{unit}]", diagnosis.simulated[:, j]),
+        "torque": (f"torque of the given model [{unit}]", diagnosis.held.simulated[:, j]),
         "torque rate": (f"rate of torque [{unit}/s]", np.gradient(torque, t)),
         "load": (
             f"size of the joint's torque, signed by direction [{unit}]",

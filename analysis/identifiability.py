@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pinocchio as pin
 
-from excitant.analysis.next_experiment import candidate_experiments, experiments_needed
 from excitant.analysis.structure import Structure, structure
 from excitant.analysis.uncertainty import (
     NOT_SHOWN,
     TORQUE_NOISE,
     Direction,
     Practical,
+    candidate_experiments,
     correlation,
     dependent_groups,
+    experiments_needed,
+    known_values,
     largest_correlations,
     practical,
-    size_to_resolve,
+    resolution,
     verdict,
     weak_directions,
 )
@@ -32,57 +33,34 @@ from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, freeze, read_only
 from excitant.robots.parameters import UNITS
 from excitant.robots.robot import Robot
-from excitant.robots.torque import effect_values
 
 if TYPE_CHECKING:
-    from excitant.analysis.experiment import Experiment
-    from excitant.analysis.prior_influence import PriorInfluence
+    from excitant.analysis.experiment import Experiment, PriorInfluence
     from excitant.identify.estimate import Estimate
     from excitant.identify.excitation import Persistency
 
 _NAMED = 8  # parameters in a sentence
-_POSES = 400  # tried for the drawing
-_BELOW = 0.3  # how strongly points under the base count against a pose
 
 
 @dataclass(frozen=True)
 class ParameterIdentifiability:
-    """One standard parameter or effect coefficient.
-
-    Attributes:
-        name: Its name.
-        owner: Link or joint it belongs to.
-        unit: Its unit.
-        category: ``unique``, ``combined`` or ``unidentifiable``.
-        expressions: Base parameters that it is part of.
-        margin: Factor on the tolerance of all rank decisions that changes its category.
-        needed: What would show it by itself; empty where that is shown already.
-        value: Estimate, or the value of the model as given; None if neither is known.
-        prior: Value before any data; None if there is none.
-        std: Standard deviation with the prior counted in; None without a motion.
-        std_data: The same from the data alone; inf where they do not show it by itself.
-        influence: How far it follows the prior, 0 to 1; None without a motion or prior.
-        moves: The same by kind of perturbation of the prior.
-        decided_by: ``data``, ``prior`` or ``physics`` (the limit of what a body can have); empty
-            without a motion or prior.
-        verdict: In a word, how well the motion determines it by itself; empty without a motion.
-    """
+    """One standard parameter or effect coefficient; what takes a motion is None without one."""
 
     name: str
-    owner: str
+    owner: str  # link or joint it belongs to
     unit: str
-    category: str
-    expressions: tuple[str, ...]
-    margin: float
-    needed: str
-    value: float | None = None
-    prior: float | None = None
-    std: float | None = None
-    std_data: float | None = None
-    influence: float | None = None
-    moves: dict[str, float] | None = None
-    decided_by: str = ""
-    verdict: str = ""
+    category: str  # unique, combined or unidentifiable
+    expressions: tuple[str, ...]  # base parameters that it is part of
+    margin: float  # factor on the tolerance of all rank decisions that changes its category
+    needed: str  # what would show it by itself; empty where that is shown already
+    value: float | None = None  # estimate, or the value of the model as given, if known
+    prior: float | None = None  # value before any data
+    std: float | None = None  # standard deviation with the prior counted in
+    std_data: float | None = None  # from the data alone; inf where they do not show it by itself
+    influence: float | None = None  # how far it follows the prior, 0 to 1
+    moves: dict[str, float] | None = None  # the same by kind of perturbation of the prior
+    decided_by: str = ""  # data, prior or physics (the limit of what a body can have)
+    verdict: str = ""  # in a word, how well the motion determines it by itself
 
     @property
     def rel_std(self) -> float | None:
@@ -109,31 +87,18 @@ class ParameterIdentifiability:
 
 @dataclass(frozen=True, eq=False)
 class PracticalIdentifiability:
-    """What one motion, or one recording, shows of an arm.
+    """What one motion, or one recording, shows of an arm."""
 
-    Attributes:
-        condition_number: Of the unscaled base columns, cond₂(W); inf when some are not shown.
-        singular_values: Of the base columns scaled to unit length, greatest first.
-        practical: Each base parameter.
-        directions: Directions of the base parameters that are not seen or seen worst.
-        correlation: Of the base parameters, shape (r, r).
-        influence: How the prior decides; None where the arm's links give no prior.
-        noise: Torque noise of each joint that was assumed or found, shape (nv,) [N·m].
-        resting: Joints that do not move.
-        basis: Where the standard deviations come from, as a sentence.
-        persistency: Whether it is persistently exciting; None when not all torques are measured.
-    """
-
-    condition_number: float
-    singular_values: Array
-    practical: tuple[Practical, ...]
-    directions: tuple[Direction, ...]
-    correlation: Array
-    influence: PriorInfluence | None
-    noise: Array
-    resting: tuple[str, ...]
-    basis: str
-    persistency: Persistency | None
+    condition_number: float  # of the unscaled base columns, cond₂(W); inf when some are not shown
+    singular_values: Array  # of the base columns scaled to unit length, greatest first
+    practical: tuple[Practical, ...]  # each base parameter
+    directions: tuple[Direction, ...]  # of the base parameters, not seen or seen worst
+    correlation: Array  # of the base parameters, shape (r, r)
+    influence: PriorInfluence | None  # None where the arm's links give no prior
+    noise: Array  # of each joint's torque, assumed or found, shape (nv,) [N·m]
+    resting: tuple[str, ...]  # joints that do not move
+    basis: str  # where the standard deviations come from, as a sentence
+    persistency: Persistency | None  # None when not all torques are measured
 
     def __post_init__(self) -> None:
         freeze(self, "singular_values", "correlation", "noise")
@@ -244,17 +209,10 @@ class Identifiability:
         }
 
     def series(self) -> dict[str, Array]:
-        """Arrays for figures.
-
-        Returns:
-            ``chain``, points of base, joints and tip, shape (nv + 2, 3) [m]; with a motion also
-            ``correlation``, shape (r, r), and ``singular_values``, shape (r,).
-        """
-        arrays = {"chain": chain(self.robot)}
-        if self.motion:
-            arrays["correlation"] = self.motion.correlation
-            arrays["singular_values"] = self.motion.singular_values
-        return arrays
+        """Arrays for figures under a motion: correlation (r, r) and singular values (r,)."""
+        if not self.motion:
+            return {}
+        return {name: getattr(self.motion, name) for name in ("correlation", "singular_values")}
 
     def _repr_html_(self) -> str:
         title = f"Identifiability of {self.robot.name}: {len(self.base)} base parameters"
@@ -346,10 +304,8 @@ def _refuse_contradictions(
 
 
 def _noise_of_all(robot: Robot, given: Experiment | None, rows: Sequence[int]) -> Array:
-    """Torque noise of every joint, shape (nv,) [N·m].
-
-    Of those not measured, and where only rank is asked for, 1 % of the limit, or 1 N·m.
-    """
+    """Torque noise of every joint, shape (nv,) [N·m]."""
+    # of those not measured, and where only rank is asked for, 1 % of the limit, or 1 N·m
     limits = robot.limits.torque
     usable = np.isfinite(limits) & (limits > 0)
     sigma = np.asarray(np.where(usable, TORQUE_NOISE * np.where(usable, limits, 0.0), 1.0), float)
@@ -367,18 +323,13 @@ def _under_motion(
     excitation: Persistency | None,
 ) -> PracticalIdentifiability:
     columns, seen = list(base.columns), given.information
-    found = practical(base, given.beta, seen)
     lengths = np.linalg.norm(seen.R[:, columns], axis=0)
     scaled = seen.R[:, columns] / np.where(lengths > 0, lengths, 1.0)
-    plain = np.linalg.qr(given.W[:, :, columns].reshape(-1, len(base)), mode="r")
-    std, quiet = np.array([p.std for p in found]), np.array([p.negligible for p in found])
-    size = size_to_resolve(given.beta, std, quiet, seen.signal)
-    wanted = experiments_needed(seen.R, base.regrouping, size, candidates)
-    units = [parameter_units(robot, effects)[k] for k in columns]
+    units = [_units(robot, effects)[k] for k in columns]
     return PracticalIdentifiability(
-        condition_number=np.inf if len(seen.unseen) else float(np.linalg.cond(plain)),
+        condition_number=seen.condition_number,
         singular_values=read_only(np.linalg.svd(scaled, compute_uv=False)),
-        practical=tuple(replace(p, needed=what) for p, what in zip(found, wanted, strict=True)),
+        practical=practical(base, given.beta, seen, candidates),
         directions=weak_directions(base, units, seen, _sizes(robot, effects, base, given)),
         correlation=correlation(seen.covariance),
         influence=given.influence,
@@ -392,15 +343,13 @@ def _under_motion(
 def _sizes(
     robot: Robot, effects: Sequence[Effect], base: BaseParameters, given: Experiment
 ) -> Array:
-    """What counts as much of each base parameter: its prior uncertainty, shape (r,).
-
-    Without a prior, what makes as much torque as the noise.
-    """
+    """What counts as much of each base parameter: its prior uncertainty, shape (r,)."""
+    # without a prior, what makes as much torque as the noise
     if given.prior is not None:
         from excitant.identify.prior import base_prior
 
         return np.asarray(np.sqrt(np.diag(base_prior(robot, effects, base).covariance)), float)
-    loud = given.information.signal
+    loud = given.information.signal[list(base.columns)]
     return np.asarray(1 / np.maximum(loud, 1e-6 * loud.max()), float)
 
 
@@ -425,7 +374,7 @@ def _notes(
 
 
 def _prior_notes(influence: PriorInfluence, table: Sequence[ParameterIdentifiability]) -> list[str]:
-    from excitant.analysis.prior_influence import STEP
+    from excitant.analysis.experiment import STEP
 
     named = [entry for entry in table if entry.category != "unidentifiable"]
     prior, physics = (sum(e.decided_by == who for e in named) for who in ("prior", "physics"))
@@ -446,7 +395,7 @@ def _prior_notes(influence: PriorInfluence, table: Sequence[ParameterIdentifiabi
     return notes
 
 
-def parameter_units(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
+def _units(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
     """Units of the standard parameters followed by those of effects."""
     return (*UNITS * robot.nv, *(p.unit for e in effects for p in e.parameters(robot)))
 
@@ -459,17 +408,32 @@ def _entries(
     given: Experiment | None,
 ) -> tuple[ParameterIdentifiability, ...]:
     """Every parameter of the base's names, with what a motion or recording says of it."""
-    known = dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True))
-    known |= effect_values(robot)
-    base, units = found.base, parameter_units(robot, effects)
-    R = base.regrouping if given is None else given.information.R
-    figures: list[dict[str, Any]] = [
-        {"value": known.get(n), "prior": known.get(n)} for n in base.names
-    ]
-    size = np.zeros(len(units))
+    base, units, alone = found.base, _units(robot, effects), np.array(found.category) == "unique"
+    before = known_values(robot, effects)
+    R, size = base.regrouping, np.zeros(len(units))
+    said: dict[str, Sequence[Any]] = {"value": before, "prior": before}
     if given is not None:
-        under, size = _under(given, found)
-        figures = [before | now for before, now in zip(figures, under, strict=True)]
+        R, influence = given.information.R, given.influence
+        std = given.information.std(np.eye(len(units))[:, list(base.columns)])
+        std = np.where(alone, std, np.inf)
+        quiet, size = resolution(given.x, std, given.information.signal)
+        said["std_data"], x = std.tolist(), given.x.tolist()
+        said["value"] = [v if known else None for v, known in zip(x, given.known, strict=True)]
+        said["verdict"] = [
+            verdict(std[k], x[k], bool(quiet[k])) if alone[k] else kind
+            for k, kind in enumerate(found.category)
+        ]
+        if given.prior is not None:
+            bodies = given.prior.mean[: 10 * given.prior.links].tolist()
+            said["prior"] = [*bodies, *before[len(bodies) :]]
+        if given.std is not None:
+            said["std"] = given.std.tolist()
+        if influence is not None:
+            kinds = [kind.replace(" ", "_") for kind in KINDS]
+            said["moves"] = [
+                dict(zip(kinds, row, strict=True)) for row in influence.ratio.T.tolist()
+            ]
+            said["influence"], said["decided_by"] = influence.overall.tolist(), influence.decided_by
     wanted = experiments_needed(R, np.eye(len(units)), size, candidates)
     expressions = np.array(base.expressions, object)
     return tuple(
@@ -481,61 +445,7 @@ def _entries(
             expressions=tuple(expressions[base.regrouping[:, k] != 0]),
             margin=float(found.margin[k]),
             needed=wanted[k],
-            **figures[k],
+            **{key: values[k] for key, values in said.items()},
         )
         for k, name in enumerate(base.names)
     )
-
-
-def _under(given: Experiment, found: Structure) -> tuple[list[dict[str, Any]], Array]:
-    """What a motion says of each parameter, and the size its deviation is to be small beside."""
-    p, influence = len(found.category), given.influence
-    alone = np.array(found.category) == "unique"
-    std = np.where(alone, given.information.std(np.eye(p)[:, list(found.base.columns)]), np.inf)
-    quiet = (np.abs(given.x) + 2 * std) * np.maximum(given.signal, 1e-300) < 1
-    under: list[dict[str, Any]] = [
-        {
-            "value": x if known else None,
-            "std_data": s,
-            "verdict": verdict(s, x, q) if unique else category,
-        }
-        for x, known, s, q, unique, category in zip(
-            given.x.tolist(), given.known, std.tolist(), quiet, alone, found.category, strict=True
-        )
-    ]
-    for k, row in enumerate(under):
-        if given.prior is not None and k < 10 * given.prior.links:
-            row["prior"] = float(given.prior.mean[k])
-        if given.std is not None:
-            row["std"] = float(given.std[k])
-        if influence is not None:
-            kinds = (kind.replace(" ", "_") for kind in KINDS)
-            row["moves"] = dict(zip(kinds, influence.ratio[:, k].tolist(), strict=True))
-            row["influence"] = float(influence.overall[k])
-            row["decided_by"] = influence.decided_by[k]
-    return under, size_to_resolve(given.x, std, quiet, given.signal)
-
-
-def chain(robot: Robot) -> Array:
-    """Base, joints in order, and tip of an arm in a clear pose, shape (nv + 2, 3) [m].
-
-    Of random poses within the limits, always the same ones, the one whose joints are seen farthest
-    from those that are not their neighbours, with the arm above its base. Joints that meet in a
-    point in every pose do not count.
-    """
-    q, _, _ = robot.random_motion(np.random.default_rng(0), _POSES)
-    points = np.array([_points(robot, pose) for pose in q])
-    seen = points[:, :, [0, 2]]
-    pairs = np.triu_indices(points.shape[1], 2)
-    apart = np.linalg.norm(seen[:, pairs[0]] - seen[:, pairs[1]], axis=2)
-    apart = apart[:, apart.max(axis=0) > 1e-3 * apart.max(initial=1e-9)]
-    below = np.minimum(points[:, :, 2].min(axis=1), 0.0)
-    clarity = apart.min(axis=1, initial=np.inf) + _BELOW * below
-    return read_only(points[int(np.argmax(clarity))])
-
-
-def _points(robot: Robot, q: Array) -> Array:
-    model, data = robot.model, robot.model.createData()
-    pin.framesForwardKinematics(model, data, np.asarray(q, float))
-    joints = [data.oMi[j].translation.copy() for j in range(1, robot.nv + 1)]
-    return np.array([np.zeros(3), *joints, data.oMf[robot.tip].translation.copy()])

@@ -78,30 +78,28 @@ def _item(name: str, joint: str, passed: bool, detail: str, advice: str) -> Item
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """What all items look at: the robot as given, the arm, and its run of the motion."""
+    """What all items look at: the robot as given, and the arm's run of the motion."""
 
     robot: Robot
-    arm: VirtualArm
     run: Run
 
     @property
-    def use(self) -> Array:
+    def use(self) -> dict[str, float]:
         """Highest speed of each joint relative to its limit, 3 rad/s where there is none."""
         limit = self.robot.limits.velocity
         top = np.where(np.isfinite(limit), limit, _UNLIMITED)
-        return np.asarray(np.abs(self.run.dq).max(axis=0) / top, dtype=np.float64)
+        shares = np.abs(self.run.dq).max(axis=0) / top
+        return dict(zip(self.robot.joints, shares.tolist(), strict=True))
 
-    def faster(self, joint: str | None = None, lack: float = 0.0) -> str:
-        """Advice: more amplitude on joints that hardly move, else a longer motion.
-
-        For one joint or any; ``lack`` is by what factor an uncertainty is too large.
-        """
-        names = [joint] if joint else self.robot.joints
-        use = {name: float(self.use[self.robot.joint_index(name)]) for name in names}
-        feeble = {name: share for name, share in use.items() if share < _FEEBLE}
+    def faster(self, joint: str = "", lack: float = 0.0) -> str:
+        """Advice for an uncertainty too large by a factor: more amplitude, else a longer motion."""
+        feeble = [
+            f"{name} ({100 * share:.2g} %)"
+            for name, share in self.use.items()
+            if share < _FEEBLE and joint in ("", name)
+        ]
         if feeble:
-            listed = ", ".join(f"{name} ({100 * share:.2g} %)" for name, share in feeble.items())
-            return f"move farther and faster: {listed} of the speed limit is reached now"
+            return f"move farther and faster: {', '.join(feeble)} of the speed limit is reached now"
         times = f"{int(np.ceil(lack**2))} times as long" if 1 < lack < _HOPELESS else "longer"
         return f"record {times}, or design a motion with more harmonics"
 
@@ -119,10 +117,9 @@ def limit_items(situation: Situation) -> list[Item]:
     }
     for name, share in shares.items():
         joint, worst = situation.robot.joints[int(share.argmax())], float(share.max())
-        speed = 1 / max(worst, 1.0) ** (0.5 if name == "torque" else 1.0)
-        advice = f"play the motion at {100 * min(speed, 0.99):.0f} % of its speed"
-        if name == "position":
-            advice = f"make the motion of {joint} smaller"
+        speed = min(1 / max(worst, 1.0) ** (0.5 if name == "torque" else 1.0), 0.99)
+        slower = f"play the motion at {100 * speed:.0f} % of its speed"
+        advice = f"make the motion of {joint} smaller" if name == "position" else slower
         detail = f"{100 * worst:.1f} % of the limit used"
         items.append(_item(f"{name} limits", joint, worst <= 1 + _OVER, detail, advice))
     return items
@@ -131,12 +128,11 @@ def limit_items(situation: Situation) -> list[Item]:
 def _recovered(situation: Situation, estimates: Sequence[Estimate], x: Array) -> list[Item]:
     """What estimates from several readings recover of the arm's parameters x, shape (p,)."""
     beta, std = estimates[0].base.regrouping @ x, [_std(e) for e in estimates]
-    inside = [
-        np.abs(e.least_squares.beta - beta) <= 1.96 * s for e, s in zip(estimates, std, strict=True)
-    ]
-    share = float(np.mean(inside))
+    errors = np.array([e.least_squares.beta for e in estimates]) - beta
+    inside = np.abs(errors) <= 1.96 * np.array(std)
+    share = float(inside.mean())
     detail = (
-        f"{100 * share:.1f} % of {np.size(inside)} cases within their 95 % intervals "
+        f"{100 * share:.1f} % of {inside.size} cases within their 95 % intervals "
         f"({len(beta)} parameters, {len(estimates)} readings)"
     )
     return [
@@ -174,10 +170,8 @@ def _prediction(situation: Situation, estimate: Estimate, beta: Array) -> Item:
     worse = rms / floor
     j = int(worse.argmax())
     unit = "N·m" if robot.revolute[j] else "N"
-    detail = (
-        f"rms error {rms[j]:.3g} {unit}, of which noise leaves {floor[j]:.3g} {unit} even to the "
-        "true parameters"
-    )
+    left = f"noise leaves {floor[j]:.3g} {unit} even to the true parameters"
+    detail = f"rms error {rms[j]:.3g} {unit}, of which {left}"
     advice = situation.faster(lack=float(worse[j] / _WORSE))
     return _item("torque on the hold-out", robot.joints[j], worse[j] <= _WORSE, detail, advice)
 
@@ -193,27 +187,23 @@ def _other_motions(situation: Situation, estimate: Estimate, beta: Array) -> Ite
     j = int(share.argmax())
     unsure = np.sqrt(np.mean(W[:, j] ** 2, axis=0)) * _std(estimate)
     weak = base.names[base.columns[int(unsure.argmax())]]
-    detail = (
-        f"rms error {100 * share[j]:.2g} % of the torque at half the limits, known least: {weak}"
-    )
-    advice = situation.faster(lack=float(share[j] / _ELSEWHERE))
-    passed = share[j] <= _ELSEWHERE
+    size = f"rms error {100 * share[j]:.2g} % of the torque at half the limits"
+    advice, passed = situation.faster(lack=float(share[j] / _ELSEWHERE)), share[j] <= _ELSEWHERE
+    detail = f"{size}, known least: {weak}"
     return _item("torque at other motions", robot.joints[j], passed, detail, advice)
 
 
 def _undetermined(situation: Situation, error: RankDeficient) -> Item:
     """The motion does not determine the parameters at all."""
     names = ", ".join(error.names[:4]) + (", ..." if len(error.names) > 4 else "")
-    weakest = situation.robot.joints[int(situation.use.argmin())]
+    weakest = min(situation.use, key=situation.use.__getitem__)
     detail = f"the motion leaves {len(error.names)} parameters undetermined: {names}"
     return _item("identification", weakest, False, detail, situation.faster(weakest))
 
 
 def _named(situation: Situation, found: Diagnosis, change: HiddenEffect) -> Item:
-    """The change of the arm is named, on its joint, before anything else.
-
-    A payload is inertia by another name: that other inertia explains it as well is no fault.
-    """
+    """The change of the arm is named, on its joint, before anything else."""
+    # A payload is inertia by another name: that other inertia explains it as well is no fault
     planted = f"{plain(change.effect)} on {change.joint}"
     advice = situation.faster(change.joint)
     if not found.findings:
@@ -275,7 +265,8 @@ class Rehearsal:
     def result(self) -> dict[str, Any]:
         """Contents of result.json: what was required, and whether it was met."""
         failed = [item for item in self.items if not item.passed]
-        limits = self.robot.limits
+        limits, change = self.robot.limits, self.change
+        effect = {"effect": change.effect, "joint": change.joint}
         return {
             "verb": "rehearse",
             "robot": self.robot.name,
@@ -285,11 +276,7 @@ class Rehearsal:
             "headline": self.headline,
             "items": [asdict(item) for item in self.items],
             "advice": list(dict.fromkeys(item.advice for item in failed)),
-            "effect": {
-                "effect": self.change.effect,
-                "joint": self.change.joint,
-                "parameters": dict(self.change.parameters),
-            },
+            "effect": {**effect, "parameters": dict(change.parameters)},
             "limit_values": {
                 name: getattr(limits, name) for name in ("position", "velocity", "torque")
             },
@@ -344,7 +331,7 @@ def rehearse(
     tell(0.0, "running the motion")
     arm, change = rehearsal_arm(robot, rng), draw_change(robot, rng)
     run = arm.run(path, duration, rng)
-    situation = Situation(robot, arm, run)
+    situation = Situation(robot, run)
     common = (robot, duration, arm, change, run)
     items = limit_items(situation)
     tell(0.15, "running it slower")

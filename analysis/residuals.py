@@ -18,7 +18,7 @@ import scipy
 
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.preprocessing import Segment
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array
 
 Mask = npt.NDArray[np.bool_]
 
@@ -94,20 +94,15 @@ class Explanatory:
     steps: tuple[float, ...]  # time between the rows of each part [s]
     bands: Array  # lowest and highest frequency of each joint's motion, shape (nv, 2) [Hz]
 
-    def __post_init__(self) -> None:
-        freeze(self, "position", "velocity", "load", "reversal", "bands")
-
 
 def explanatory(segments: Sequence[Segment], load: Array) -> Explanatory:
     """What an error at the rows of segments may vary with, beside a load (n, nv)."""
-    q, dq = (
-        np.concatenate([getattr(s.motion, name)[s.keep] for s in segments]) for name in ("q", "dq")
-    )
     slowest = _NO_DIRECTION * top_speed(segments)
     since = [since_reversal(s.motion.q, s.motion.dq, slowest)[s.keep] for s in segments]
+    motions = [s.motion[s.keep] for s in segments]
     return Explanatory(
-        position=q,
-        velocity=dq,
+        position=np.concatenate([m.q for m in motions]),
+        velocity=np.concatenate([m.dq for m in motions]),
         load=load,
         reversal=np.concatenate(since),
         lengths=tuple(len(s.t) for s in segments),
@@ -119,10 +114,7 @@ def explanatory(segments: Sequence[Segment], load: Array) -> Explanatory:
 def since_reversal(q: Array, dq: Array, slowest: Array) -> Array:
     """Signed distance from where each joint last turned back, or from the start, shape (n, nv).
 
-    Args:
-        q: Positions, shape (n, nv).
-        dq: Velocities, shape (n, nv).
-        slowest: Speed up to which a joint has no direction, shape (nv,).
+    Up to the slowest speed, shape (nv,), a joint has no direction.
     """
     way = np.where(np.abs(dq) > slowest, np.sign(dq), 0.0)
     at = np.arange(len(q))[:, None]
@@ -200,10 +192,8 @@ def band_shares(e: Array, by: Explanatory, j: int) -> dict[str, float]:
 
 
 def _motion_bands(segments: Sequence[Segment]) -> Array:
-    """Lowest and highest frequency at which each joint moves, shape (nv, 2) [Hz].
-
-    All but a fiftieth of the power of its positions lies above, of its velocities below.
-    """
+    """Lowest and highest frequency at which each joint moves, shape (nv, 2) [Hz]."""
+    # all but a fiftieth of the power of its positions lies above, of its velocities below
     longest = max(segments, key=lambda s: len(s.motion))
     step = 1 / longest.rate_hz
     f, positions = _spectrum(longest.motion.q - longest.motion.q.mean(axis=0), step)
@@ -298,12 +288,7 @@ def residuals(
 ) -> tuple[Residual, ...]:
     """What a model leaves of each joint's torque where it moves.
 
-    Args:
-        joints: Names.
-        segments: The hold-out.
-        error: What the model leaves at its rows, shape (n, nv) [torque unit].
-        given: What the given model leaves there.
-        load: Torque of the model there.
+    Given are its error, that of the given model, and its torque, each (n, nv) [torque unit].
     """
     by, moves = explanatory(segments, load), moving(segments)
     step, cutoff = by.steps[0], segments[0].cutoff_hz

@@ -58,23 +58,21 @@ def _grown(
     evidence: Evidence, robot: Robot, chosen: list[Candidate], allowed: Sequence[Candidate]
 ) -> tuple[Evidence, list[Candidate]]:
     """A set with all of the allowed candidates that the evidence calls for."""
-    seen: set[frozenset[int]] = set()
-    falls: dict[int, float] = {}
+    seen, falls = set[frozenset[Candidate]](), dict[Candidate, float]()
     while len(chosen) < _LARGEST_SET:
         evidence = reweighed(evidence, chosen)
-        best = _best_addition(evidence, robot, chosen, {c.columns.start for c in allowed})
+        best = _best_addition(evidence, robot, chosen, allowed)
         if best is None:
             break
         chosen = _pruned(evidence, robot, [*chosen, best], falls)
-        state = frozenset(c.columns.start for c in chosen)
-        if state in seen:
+        if frozenset(chosen) in seen:
             break
-        seen.add(state)
+        seen.add(frozenset(chosen))
     return evidence, chosen
 
 
 def _best_addition(
-    evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], allowed: set[int]
+    evidence: Evidence, robot: Robot, chosen: list[Candidate], allowed: Sequence[Candidate]
 ) -> Candidate | None:
     falls, taken = evidence.additions(chosen), {c.key for c in chosen}
     scores = falls - [_chance(c.trials, c.size) for c in evidence.candidates]
@@ -82,20 +80,18 @@ def _best_addition(
         candidate: Candidate = evidence.candidates[k]
         if scores[k] <= 0:
             return None
-        if candidate.key in taken or candidate.columns.start not in allowed:
+        if candidate.key in taken or candidate not in allowed:
             continue
-        if _significant(evidence, chosen, candidate, float(falls[k])) and _plausible(
-            evidence, robot, [*chosen, candidate], candidate
-        ):
+        if not _significant(evidence, chosen, candidate, float(falls[k])):
+            continue
+        if _plausible(evidence, robot, [*chosen, candidate], candidate):
             return _simplest(evidence, chosen, candidate)
     return None
 
 
 def _simplest(evidence: Evidence, chosen: Sequence[Candidate], found: Candidate) -> Candidate:
-    """A special case of what was found, where its other coefficients bring nothing more.
-
-    A shape that this motion does not show is one as well: play that is never crossed is an offset.
-    """
+    """A special case of what was found, where its other coefficients bring nothing more."""
+    # A shape that this motion does not show is one as well: play that is never crossed is an offset
     if found.effect.shapes:
         for plain in evidence.candidates:
             same = plain.size == found.size and {*plain.effect.joints} == {*found.effect.joints}
@@ -127,22 +123,20 @@ def _significant(
 
 
 def _pruned(
-    evidence: Evidence, robot: Robot, chosen: list[Candidate], falls: dict[int, float]
+    evidence: Evidence, robot: Robot, chosen: list[Candidate], falls: dict[Candidate, float]
 ) -> list[Candidate]:
-    """The set without those whose removal costs less than chance would.
-
-    ``falls`` is what each brought when last looked at; looked at again when much has gone since.
-    """
+    """The set without those whose removal costs less than chance would."""
+    # ``falls`` is what each brought when last looked at; looked at again when much has gone since
     kept = list(chosen)
     for candidate in chosen:
         rest = [c for c in kept if c is not candidate]
         if underlies(robot, rest, candidate):
             continue
         fall = evidence.cost(rest) - evidence.cost(kept)
-        if fall > _FADED * falls.get(candidate.columns.start, np.inf):
+        if fall > _FADED * falls.get(candidate, np.inf):
             continue
         if _significant(evidence, rest, candidate, fall):
-            falls[candidate.columns.start] = fall
+            falls[candidate] = fall
         else:
             kept = rest
     return kept
@@ -169,10 +163,8 @@ def is_plain_friction(effect: Effect) -> bool:
 def _plausible(
     evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], candidate: Candidate
 ) -> bool:
-    """Whether a candidate's coefficients, with what is given, are such as physics allows.
-
-    Those of a cause that is common to all joints must be the same for all.
-    """
+    """Whether a candidate's coefficients, with what is given, are such as physics allows."""
+    # those of a cause that is common to all joints must be the same for all
     if candidate.effect.is_common(robot) and not _agrees(evidence, chosen, candidate):
         return False
     coordinates, covariance = evidence.solve(chosen)

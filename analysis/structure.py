@@ -39,22 +39,16 @@ _STEPS = 8  # half decades to there
 class Structure:
     """What torque can show of each parameter, under stated circumstances.
 
-    Attributes:
-        base: Base parameters of links and effects.
-        category: ``unique``, ``combined`` or ``unidentifiable`` for each of ``base.names``.
-        margin: Factor by which the tolerance of all decisions (1e-8 of the longest column)
-            can grow or shrink before the category changes, at most 1e4, shape (p,).
-        circumstances: What it holds for, as sentences.
-        close: Names whose margin is below 1e4: decided by a hair.
-        flips_at: Tolerance at which the category changes, nan where the margin is 1e4, (p,).
+    The margin is the factor by which the tolerance of all decisions (1e-8 of the longest column)
+    can grow or shrink before a category changes, at most `HAIR`.
     """
 
-    base: BaseParameters
-    category: tuple[str, ...]
-    margin: Array
-    circumstances: tuple[str, ...]
-    close: tuple[str, ...]
-    flips_at: Array
+    base: BaseParameters  # of links and effects
+    category: tuple[str, ...]  # unique, combined or unidentifiable, of each of ``base.names``
+    margin: Array  # shape (p,)
+    circumstances: tuple[str, ...]  # what it holds for, as sentences
+    close: tuple[str, ...]  # names whose margin is below `HAIR`: decided by a hair
+    flips_at: Array  # tolerance at which the category changes, nan where it does not, shape (p,)
 
     def __post_init__(self) -> None:
         freeze(self, "margin", "flips_at")
@@ -81,20 +75,20 @@ def structure(
     measured: Sequence[str] | None = None,
     held: Held | None = None,
 ) -> Structure:
-    """What torque can show of an arm's parameters.
+    """What torque can show of an arm's parameters; gravity and locked joints count.
 
     Args:
-        robot: The arm; gravity and locked joints count.
+        robot: The arm.
         effects: Effects whose coefficients are unknown too.
         moving: Joints that move; all when None.
         measured: Joints whose torque is known; all when None.
-        held: Positions of the joints that do not move [rad or m], 0 for those left out;
-            ``"any"`` when they are at rest at many positions.
+        held: Where the others are [rad or m], 0 when left out; or ``"any"``, many positions.
 
     Raises:
         UnknownName: A joint that the arm does not have.
     """
-    _check_names(robot, moving, measured, held)
+    positions = held if isinstance(held, Mapping) else {}
+    UnknownName.refuse("joint", (*(moving or ()), *(measured or ()), *positions), robot.joints)
     motion = _circumstantial(robot, moving, {} if held is None else held)
     rows = None if measured is None else np.isin(robot.joints, measured)
     seen = observe(robot, effects, motion, rows)
@@ -112,15 +106,6 @@ def structure(
     )
 
 
-def _check_names(
-    robot: Robot, moving: Sequence[str] | None, measured: Sequence[str] | None, held: Held | None
-) -> None:
-    positions = held if isinstance(held, Mapping) else {}
-    for name in (*(moving or ()), *(measured or ()), *positions):
-        if name not in robot.joints:
-            raise UnknownName("joint", name, robot.joints)
-
-
 def _circumstantial(robot: Robot, moving: Sequence[str] | None, held: Held) -> Motion:
     """Random states in which only some joints move, and the others are held."""
     motion = structural_motion(robot, np.random.default_rng(0))
@@ -135,10 +120,8 @@ def _circumstantial(robot: Robot, moving: Sequence[str] | None, held: Held) -> M
 
 
 def _flips(seen: Observation, category: tuple[str, ...]) -> Array:
-    """Tolerance nearest to the one in use at which each category changes, shape (p,).
-
-    In the middle of the half decade in which it does; nan if none within a factor of `HAIR`.
-    """
+    """Tolerance nearest to the one in use at which each category changes, shape (p,)."""
+    # in the middle of the half decade in which it does; nan if none within a factor of `HAIR`
     flips_at = np.full(len(category), np.nan)
     for step in range(_STEPS, 0, -1):  # the nearest is written last
         for sign in (1, -1):
@@ -149,30 +132,29 @@ def _flips(seen: Observation, category: tuple[str, ...]) -> Array:
 
 
 def _circumstances(
-    robot: Robot,
-    moving: Sequence[str] | None,
-    measured: Sequence[str] | None,
-    held: Held | None,
+    robot: Robot, moving: Sequence[str] | None, measured: Sequence[str] | None, held: Held | None
 ) -> tuple[str, ...]:
     found = ["the base is fixed", _gravity_sentence(robot.gravity)]
     if robot.locked:
-        names = ", ".join(f"{name} at {value:.4g}" for name, value in robot.locked)
-        found.append(f"{_joints(len(robot.locked))} {names} locked")
+        found.append(f"{_joints(_places(dict(robot.locked)))} locked")
     still = [name for name in robot.joints if moving is not None and name not in moving]
     if still and held == "any":
-        found.append(f"{_joints(len(still))} {', '.join(still)} at rest at many positions")
+        found.append(f"{_joints(still)} at rest at many positions")
     elif still:
         at = held if isinstance(held, Mapping) else {}
-        names = ", ".join(f"{name} at {at.get(name, 0.0):.4g}" for name in still)
-        found.append(f"{_joints(len(still))} {names} held")
+        found.append(f"{_joints(_places({name: at.get(name, 0.0) for name in still}))} held")
     missing = [name for name in robot.joints if measured is not None and name not in measured]
     if missing:
-        found.append(f"torque of {_joints(len(missing))} {', '.join(missing)} not measured")
+        found.append(f"torque of {_joints(missing)} not measured")
     return tuple(found)
 
 
-def _joints(count: int) -> str:
-    return "joint" if count == 1 else "joints"
+def _places(positions: Mapping[str, float]) -> list[str]:
+    return [f"{name} at {value:.4g}" for name, value in positions.items()]
+
+
+def _joints(words: Sequence[str]) -> str:
+    return f"{'joint' if len(words) == 1 else 'joints'} {', '.join(words)}"
 
 
 def _gravity_sentence(gravity: Array) -> str:

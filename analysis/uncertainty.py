@@ -1,29 +1,40 @@
-"""How well one motion shows an arm's parameters: deviations, unseen directions, correlations.
+"""How well one motion shows an arm's parameters, and which further experiment would show more.
 
 With the torque noise σ of each joint, the whitened columns W/σ of all parameters x have a
 triangular factor R, and ‖R δ‖ is the torque that a change δ makes, in standard deviations of the
 noise. All of this page is R: null directions are not seen, and (RᵀR)⁻¹ is the covariance of what
-is (Gautier and Khalil 1992; Swevers et al. 1997).
+is (Gautier and Khalil 1992; Swevers et al. 1997). A further experiment adds rows: a joint moves
+that rested, the base is tilted, a sensor is put under it; what it shows is read from all rows.
+
+A known payload is no such experiment where torque is in N·m: it adds known torque and no row that
+the last link's own columns do not have already. Where torque comes as current, the common scale of
+all drive gains is one more unknown, and a known payload is what shows it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
 
 from excitant.exceptions import BadInput
-from excitant.identify.prior import silent_columns
+from excitant.identify.prior import reference_motion, silent_columns
 from excitant.robots.base_parameters import (
     BaseParameters,
     Observation,
     independent_columns,
     regroup,
 )
-from excitant.robots.motion import Array, freeze
+from excitant.robots.effects import Effect
+from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
+from excitant.robots.torque import effect_values, observation_columns
+
+Mask = npt.NDArray[np.bool_]
 
 TORQUE_NOISE = 0.01  # of each joint's torque limit, where no recording tells the noise
 WELL, ROUGHLY = 0.1, 0.3  # relative standard deviation
@@ -32,13 +43,17 @@ _MEMBER = 0.3  # coefficient of a unit vector from which a parameter is named
 _SEEN = 1e-9  # smallest singular value of normalised columns, relative; below it is rounding
 _TOUCHES = 1e-6  # part of a unit vector in unseen directions from which it counts
 
+_DURATION, _RATE_HZ = 10.0, 20.0  # of a further experiment
+_RESTS = 0.01  # rad or m: a joint that moves less than this rests
+_REPEATS = 10.0  # longest recording worth proposing, in lengths of the given one
+PAYLOAD_KG = 1.0  # at the last joint's frame, where a known payload is tried
+_SENSOR_NOISE = 0.01  # of the largest force and torque that the base sensor sees
+_NEVER = "never by joint torques"
+APART = f"{_NEVER} or base forces: weigh or swing the link apart from the arm"
+
 
 def torque_noise(robot: Robot, given: Sequence[float] | None = None) -> Array:
-    """Standard deviation of each joint's torque noise, shape (nv,) [N·m].
-
-    Args:
-        robot: The arm; 1 % of its torque limits where nothing is given.
-        given: One value per joint.
+    """Standard deviation of each joint's torque noise, 1 % of its limit by default, (nv,) [N·m].
 
     Raises:
         BadInput: Values that do not fit the arm, or a joint without a limit to scale by.
@@ -62,27 +77,16 @@ def torque_noise(robot: Robot, given: Sequence[float] | None = None) -> Array:
 
 
 def triangle(W: Array, sigma: Array) -> Array:
-    """Triangular factor R of whitened columns, ‖R x‖ = ‖W x / σ‖, shape (p, p).
-
-    Args:
-        W: Columns of all parameters, shape (n, rows, p).
-        sigma: Standard deviation of each row's noise, shape (rows,).
-    """
+    """Triangular factor R of columns (n, rows, p) whitened by σ (rows,), shape (p, p)."""
     p = W.shape[2]
     R = np.linalg.qr((W / sigma[:, None]).reshape(-1, p), mode="r")
     return np.vstack([R, np.zeros((p - len(R), p))])
 
 
 def deviations(R: Array, A: Array) -> Array:
-    """Standard deviation of each combination A x by least squares, shape (m,); inf where unseen.
-
-    Args:
-        R: Factor of the whitened columns, shape (rows, p).
-        A: Combinations of interest, shape (m, p).
-    """
-    scale, s, V = _decomposed(R)
+    """Standard deviation of combinations A x, A (m, p), by least squares, (m,); inf if unseen."""
+    scale, s, V, seen = _decomposed(R)
     parts = (A / scale) @ V
-    seen = s > _SEEN * max(float(s[0]), 1e-300)
     size = np.linalg.norm(parts, axis=1)
     hidden = np.linalg.norm(parts[:, ~seen], axis=1) > _TOUCHES * size
     std = np.sqrt(((parts[:, seen] / s[seen]) ** 2).sum(axis=1))
@@ -93,12 +97,9 @@ def dependent_groups(R: Array) -> tuple[tuple[int, ...], ...]:
     """Columns that follow from each other: once one of a group is known, so are the others.
 
     Those are the columns whose rows of the null space are parallel.
-
-    Args:
-        R: Shape (rows, p).
     """
-    _, s, V = _decomposed(R)
-    N = V[:, s <= _SEEN * max(float(s[0]), 1e-300)] if len(s) else V[:, :0]
+    _, _, V, seen = _decomposed(R)
+    N = V[:, ~seen]
     size = np.linalg.norm(N, axis=1)
     hidden = np.flatnonzero(size > _TOUCHES)
     directions = N[hidden] / size[hidden, None]
@@ -121,20 +122,16 @@ def _unit_columns(R: Array) -> tuple[Array, Array]:
     return scale, np.where(heard, R / scale, 0.0)
 
 
-def _decomposed(R: Array) -> tuple[Array, Array, Array]:
-    """Column scales, and singular values with right vectors of R in these scales."""
+def _decomposed(R: Array) -> tuple[Array, Array, Array, Mask]:
+    """Column scales; singular values and right vectors of R in these scales, and which are seen."""
     scale, unit = _unit_columns(R)
     _, s, Vt = np.linalg.svd(unit, full_matrices=True)
-    return scale, np.pad(s, (0, len(Vt) - len(s))), Vt.T
+    s = np.pad(s, (0, len(Vt) - len(s)))
+    return scale, s, Vt.T, s > _SEEN * max(float(s.max(initial=0.0)), 1e-300)
 
 
 def shown_base(names: tuple[str, ...], W: Array) -> BaseParameters:
-    """The base parameters that the rows of one motion have, which may be fewer than the arm's.
-
-    Args:
-        names: Names of the parameters, p of them.
-        W: Columns of all parameters, shape (n, rows, p).
-    """
+    """The base parameters that rows (n, rows, p) of one motion have, which may be fewer."""
     R = triangle(W, np.ones(W.shape[1]))
     norms, unit = _unit_columns(R)
     return regroup(Observation(names, unit, np.where(unit.any(axis=0), norms, 0.0)), _SEEN)
@@ -142,30 +139,16 @@ def shown_base(names: tuple[str, ...], W: Array) -> BaseParameters:
 
 @dataclass(frozen=True, eq=False)
 class MotionInformation:
-    """What the torque of a motion tells of the base parameters β.
+    """What the torque of a motion tells of the r base parameters β of p parameters x."""
 
-    Attributes:
-        R: Triangular factor of the whitened columns of all parameters, shape (p, p).
-        covariance: Of β as far as it is seen, shape (r, r); zero along the unseen directions.
-        unseen: Directions of β that change no torque of this motion, shape (d, r), each
-            with as few members as there can be.
-        signal: Largest rms torque per unit of a base parameter, in noise, shape (r,).
-    """
-
-    R: Array
-    covariance: Array
-    unseen: Array
-    signal: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "R", "covariance", "unseen", "signal")
+    R: Array  # triangular factor of the whitened columns, shape (p, p)
+    covariance: Array  # of β as far as it is seen, shape (r, r); zero along unseen directions
+    unseen: Array  # directions of β that change no torque, each with few members, shape (d, r)
+    signal: Array  # largest rms torque per unit of each parameter, in noise, shape (p,)
+    condition_number: float = np.nan  # of the unscaled columns of β; inf when some are not shown
 
     def std(self, C: Array) -> Array:
-        """Standard deviation of combinations C β, shape (m,); inf where unseen.
-
-        Args:
-            C: Combinations, shape (m, r).
-        """
+        """Standard deviation of combinations C β, C (m, r), shape (m,); inf where unseen."""
         values = np.sqrt(np.maximum(np.einsum("mr,rs,ms->m", C, self.covariance, C), 0.0))
         length = np.linalg.norm(self.unseen, axis=1, keepdims=True)
         hidden = (np.abs(C @ (self.unseen / length).T) > _TOUCHES).any(axis=1)
@@ -175,28 +158,24 @@ class MotionInformation:
 def motion_information(
     base: BaseParameters, W: Array, sigma: Array, covariance: Array | None = None
 ) -> MotionInformation:
-    """What a motion with this noise shows.
+    """What a motion of columns (n, rows, p) with noise (rows,) shows of r base parameters.
 
-    Args:
-        base: Base parameters, r of them.
-        W: Columns of all parameters, shape (n, rows, p).
-        sigma: Standard deviation of each row's noise, shape (rows,).
-        covariance: Of the base parameters when it is known already, shape (r, r).
+    Their covariance (r, r) may be known already.
     """
-    R = triangle(W, sigma)
-    columns = list(base.columns)
+    R, columns = triangle(W, sigma), list(base.columns)
     if covariance is None:
-        covariance = _covariance(R[:, columns])
-    whitened = np.sqrt((W[:, :, columns] ** 2).mean(axis=0)) / sigma[:, None]
-    return MotionInformation(R, covariance, unseen_directions(R[:, columns]), whitened.max(axis=0))
+        scale, s, V, seen = _decomposed(R[:, columns])
+        half = V[:, seen] / s[seen] / scale[:, None]
+        covariance = half @ half.T
+    unseen = unseen_directions(R[:, columns])
+    plain = np.linalg.qr(W[:, :, columns].reshape(-1, len(base)), mode="r")
+    condition = np.inf if len(unseen) else float(np.linalg.cond(plain))
+    signal = (np.sqrt((W**2).mean(axis=0)) / sigma[:, None]).max(axis=0)
+    return MotionInformation(R, covariance, unseen, signal, condition)
 
 
 def unseen_directions(R: Array) -> Array:
-    """Null space of R by sparse vectors: each column that depends on those before it, shape (d, r).
-
-    Args:
-        R: Shape (rows, r).
-    """
+    """Null space of R by sparse vectors, one a column that depends on those before, (d, r)."""
     scale, unit = _unit_columns(R)
     own, _ = independent_columns(unit, _SEEN)
     rest = [k for k in range(R.shape[1]) if k not in own]
@@ -208,31 +187,15 @@ def unseen_directions(R: Array) -> Array:
     return np.asarray(found / found[range(len(rest)), rest][:, None], float)
 
 
-def _covariance(R: Array) -> Array:
-    scale, s, V = _decomposed(R)
-    seen = s > _SEEN * max(float(s[0]), 1e-300)
-    half = V[:, seen] / s[seen] / scale[:, None]
-    return np.asarray(half @ half.T, float)
-
-
 @dataclass(frozen=True)
 class Practical:
-    """How well a motion shows one base parameter.
-
-    Attributes:
-        expression: The base parameter.
-        value: Its value.
-        std: Standard deviation of its estimate; inf when the motion does not show it.
-        negligible: Whether its torque stays below the noise whatever value within two standard
-            deviations it has.
-        needed: What would show it; empty where the motion does.
-    """
+    """How well a motion shows one base parameter."""
 
     expression: str
     value: float
-    std: float
+    std: float  # of its estimate; inf when the motion does not show it
     negligible: bool
-    needed: str = ""
+    needed: str  # what would show it; empty where the motion does
 
     @property
     def rel_std(self) -> float | None:
@@ -259,54 +222,40 @@ def verdict(std: float, value: float, negligible: bool) -> str:
     return "negligible" if negligible else "hardly"
 
 
-def size_to_resolve(value: Array, std: Array, negligible: Array, signal: Array) -> Array:
-    """The size beside which a standard deviation should be small; 0 if being shown is enough.
+def resolution(value: Array, std: Array, signal: Array) -> tuple[Mask, Array]:
+    """What is negligible, and the size beside which a deviation should be small; all (m,).
 
-    Of something not known to have a value: what makes a torque of twice the noise.
-
-    Args:
-        value: Values, zero where not known, shape (m,).
-        std: Standard deviations so far, shape (m,).
-        negligible: What is negligible, shape (m,).
-        signal: Torque per unit, in noise, shape (m,).
+    Negligible is what stays below the noise at any value within two deviations. The size is that
+    of the value, or of what makes twice the noise where it is zero; 0 if being shown is enough.
     """
-    unknown = 0.5 / ROUGHLY / np.maximum(signal, 1e-300)
-    size = np.where(value == 0, unknown, np.abs(value))
-    return np.asarray(np.where(negligible | ~np.isfinite(std), 0.0, size), float)
+    loud = np.maximum(signal, 1e-300)
+    negligible = (np.abs(value) + 2 * std) * loud < 1
+    size = np.where(value == 0, 0.5 / ROUGHLY / loud, np.abs(value))
+    return negligible, np.where(negligible | ~np.isfinite(std), 0.0, size)
 
 
 def practical(
-    base: BaseParameters, values: Array, seen: MotionInformation
+    base: BaseParameters, values: Array, seen: MotionInformation, candidates: Mapping[str, Array]
 ) -> tuple[Practical, ...]:
-    """Every base parameter under a motion.
-
-    Args:
-        base: Base parameters, r of them.
-        values: Their values, shape (r,).
-        seen: What the motion shows.
-    """
+    """Every base parameter, of these values (r,), under a motion, and what would show it."""
     std = seen.std(np.eye(len(base)))
-    torque = (np.abs(values) + 2 * std) * np.maximum(seen.signal, 1e-300)
-    return tuple(
-        Practical(text, float(value), float(s), bool(t < 1))
-        for text, value, s, t in zip(base.expressions, values, std, torque, strict=True)
-    )
+    negligible, size = resolution(values, std, seen.signal[list(base.columns)])
+    needed = experiments_needed(seen.R, base.regrouping, size, candidates)
+    columns = (values.tolist(), std.tolist(), negligible.tolist(), needed)
+    return tuple(map(Practical, base.expressions, *columns))
 
 
 @dataclass(frozen=True)
 class Direction:
     """Base parameters that trade against each other because torque hardly shows it.
 
-    Attributes:
-        members: Name and unit of each, with the change that one standard deviation of the
-            torque noise hides; of a direction not seen at all, the change per unit of the first.
-        std: Standard deviation along it relative to the sizes of its members; inf if unseen.
-        share: Part of the direction that its members make.
+    Each member has its name, the change that one standard deviation of the torque noise hides (of
+    an unseen direction, the change per unit of the first), and its unit.
     """
 
     members: tuple[tuple[str, float, str], ...]
-    std: float
-    share: float
+    std: float  # along it, relative to the sizes of its members; inf if unseen
+    share: float  # part of the direction that its members make
 
     @property
     def expression(self) -> str:
@@ -353,17 +302,11 @@ def listed(words: Sequence[str]) -> str:
 def weak_directions(
     base: BaseParameters, units: Sequence[str], seen: MotionInformation, size: Array, count: int = 5
 ) -> tuple[Direction, ...]:
-    """Directions that a motion does not see, then those it sees worst.
+    """Directions that a motion does not see, then a count of those it sees worst.
 
-    With D the sizes of the base parameters, the latter are the leading eigenvectors u of
-    D⁻¹ C D⁻¹, C the covariance; a change D u √λ of the parameters is one standard deviation.
-
-    Args:
-        base: Base parameters, r of them.
-        units: Units of the base parameters.
-        seen: What the motion shows.
-        size: What counts as much of each base parameter, shape (r,).
-        count: How many of those that are seen.
+    With D the sizes of the base parameters, what counts as much of each, shape (r,), the latter
+    are the leading eigenvectors u of D⁻¹ C D⁻¹, C the covariance; a change D u √λ of the
+    parameters is one standard deviation.
     """
     names = [base.names[k] for k in base.columns]
     found = [_direction(row, row, np.inf, names, units, size) for row in seen.unseen]
@@ -405,3 +348,139 @@ def largest_correlations(matrix: Array, count: int = 10) -> list[tuple[int, int,
     values = matrix[rows, columns]
     order = np.argsort(-np.abs(values), kind="stable")[:count]
     return [(int(rows[k]), int(columns[k]), float(values[k])) for k in order if values[k]]
+
+
+def resting_joints(q: Array) -> tuple[int, ...]:
+    """Joints whose positions, shape (n, nv), do not change."""
+    return tuple(int(j) for j in np.flatnonzero(np.ptp(q, axis=0) < _RESTS))
+
+
+def candidate_experiments(
+    robot: Robot,
+    effects: Sequence[Effect],
+    sigma: Array,
+    rests: Sequence[int],
+    pose: Array,
+    measured: Sequence[int],
+) -> dict[str, Array]:
+    """Factors (p, p) of experiments to add, the easiest first, by words after "shown by ...".
+
+    Joints rested so far at a pose (nv,); sigma is the torque noise of each joint, (nv,) [N·m].
+    """
+    every_joint = reference_motion(robot, _DURATION, _RATE_HZ)
+
+    def factor(arm: Robot, motion: Motion = every_joint, others: Sequence[int] = ()) -> Array:
+        rows = [*measured, *others]
+        return triangle(observation_columns(arm, effects, motion)[:, rows], sigma[rows])
+
+    found = {}
+    for j in rests:
+        held = _holding(every_joint, [k for k in rests if k != j], pose)
+        found[f"moving {robot.joints[j]}, which rests"] = factor(robot, held)
+    if len(rests) > 1:
+        found[f"moving {listed([robot.joints[j] for j in rests])} together"] = factor(robot)
+    elif not rests:
+        found["a wider and faster motion of all joints"] = factor(robot)
+    for j, name in enumerate(robot.joints):
+        if j not in measured:
+            found[f"measuring the torque of {name}"] = factor(robot, others=[j])
+    sensor = f"{_NEVER}; by a force and torque sensor under the base"
+    tilts, others = _tilts(robot), sum(len(effect.parameters(robot)) for effect in effects)
+    found |= {f"the base {how}": factor(arm) for how, arm in tilts.items()}
+    for how, arm in {"": robot, **tilts}.items():
+        found[f"{sensor}, {how}".removesuffix(", ")] = _base_sensor(arm, every_joint, others)
+    return found
+
+
+def _tilts(robot: Robot) -> dict[str, Robot]:
+    """The arm with its base tilted by 90° about each axis of the base that tilts gravity."""
+    g, found = robot.gravity, {}
+    for name, axis in zip("xyz", np.eye(3), strict=True):
+        turned = np.cross(axis, g) + axis * (axis @ g)
+        if np.linalg.norm(turned - g) > 1e-6:
+            found[f"tilted by 90° about its {name} axis"] = robot.with_gravity(turned)
+    return found
+
+
+def _holding(motion: Motion, rests: Sequence[int], pose: Array) -> Motion:
+    """The motion with some joints held where a pose has them."""
+    q, dq, ddq = (np.array(values) for values in (motion.q, motion.dq, motion.ddq))
+    q[:, list(rests)] = pose[list(rests)]
+    dq[:, list(rests)] = ddq[:, list(rests)] = 0.0
+    return Motion(motion.t, q, dq, ddq)
+
+
+def base_wrench_columns(robot: Robot, motion: Motion) -> Array:
+    """Force and torque on the base per unit of each standard parameter, shape (n, 6, 10 nv).
+
+    In the base frame, force before torque [N, N·m]; the sum over links of what each body of
+    inertia I under acceleration a and velocity v asks for, I (a − g) + v ×* I v.
+    """
+    model, data = robot.model, robot.model.createData()
+    columns = np.empty((len(motion), 6, 10 * robot.nv))
+    for k in range(len(motion)):
+        pin.forwardKinematics(model, data, motion.q[k], motion.dq[k], motion.ddq[k])
+        for j in range(1, robot.nv + 1):
+            a = data.a[j] - data.oMi[j].actInv(model.gravity)
+            body = pin.bodyRegressor(data.v[j], a)
+            columns[k, :, 10 * j - 10 : 10 * j] = data.oMi[j].toDualActionMatrix() @ body
+    return columns
+
+
+def _base_sensor(robot: Robot, motion: Motion, others: int) -> Array:
+    """Factor of the whitened rows of a sensor under the base, and zeros of other columns."""
+    W = base_wrench_columns(robot, motion)
+    largest = np.abs(W @ robot.phi).max(axis=0)
+    sigma = _SENSOR_NOISE * np.maximum(largest, 1e-3 * max(float(largest.max()), 1e-3))
+    return triangle(np.pad(W, ((0, 0), (0, 0), (0, others))), sigma)
+
+
+def experiments_needed(
+    R: Array, A: Array, size: Array, candidates: Mapping[str, Array]
+) -> tuple[str, ...]:
+    """What would show each combination A x, A (m, p); empty where the rows so far show it.
+
+    The first candidate that shows it to 30 % of its size (m,), else, or where that is 0, the first
+    that shows it at all.
+    """
+    enough = np.where(size == 0, np.inf, ROUGHLY * np.abs(size))
+    now = deviations(R, A)
+    tried = {what: deviations(np.vstack([R, more]), A) for what, more in candidates.items()}
+    answers = []
+    for k, (std, limit) in enumerate(zip(now, enough, strict=True)):
+        some = [what for what, with_it in tried.items() if np.isfinite(with_it[k])]
+        good = [what for what in some if tried[what][k] <= limit]
+        times = (std / limit) ** 2 if np.isfinite(std) else np.inf
+        if np.isfinite(std) and std <= limit:
+            answers.append("")
+        elif times <= _REPEATS:
+            answers.append(f"about {int(np.ceil(times))} times as much of this motion")
+        elif good:
+            answers.append(good[0])
+        elif np.isfinite(std):
+            answers.append("less torque noise: too small beside it in any motion tried")
+        else:
+            answers.append(f"{some[0]}, and then roughly" if some else APART)
+    return tuple(answers)
+
+
+def known_values(robot: Robot, effects: Sequence[Effect]) -> list[float | None]:
+    """Values of all parameters as the robot is given; None where not known."""
+    known = effect_values(robot)
+    return [*robot.phi.tolist(), *(known.get(p.name) for e in effects for p in e.parameters(robot))]
+
+
+def scale_deviation(robot: Robot, effects: Sequence[Effect], sigma: Array) -> float:
+    """Relative standard deviation of the drive gains' common scale κ, once a payload is known.
+
+    With readings i = W (φ + φ_L) where the payload φ_L is on, W φ where it is off, a change δκ is
+    seen as W δφ − i δκ. Without the payload δφ = φ δκ changes nothing; with it, W φ_L does.
+    """
+    motion = reference_motion(robot, _DURATION, _RATE_HZ)
+    W = observation_columns(robot, effects, motion)
+    load = np.zeros(W.shape[2])
+    load[10 * robot.nv - 10] = PAYLOAD_KG
+    x = np.array([value or 0.0 for value in known_values(robot, effects)])
+    rows = [np.concatenate([W, -(W @ values)[:, :, None]], axis=2) for values in (x, x + load)]
+    R = triangle(np.concatenate(rows), sigma)
+    return float(deviations(R, np.eye(len(load) + 1)[-1:])[0])

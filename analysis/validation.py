@@ -16,7 +16,7 @@ recorded motion (`excitant.robots.simulation.forward_error`).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,15 +31,16 @@ from excitant.identify.least_squares import SMALLEST, autocorrelation_time
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment
 from excitant.identify.prior import EffectPrior, link_coordinates, link_weights, prior_parameters
+from excitant.identify.regression import Regression, dense
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, plain
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.robot import Robot
 from excitant.robots.simulation import LOOP_HZ, Diverged, forward_error, forward_model
 
 LIKELY = 3.0  # times the tolerance's standard deviation: farther off, given values are wrong
-_ROUNDS = 3  # of estimating the noise
+_ROUNDS = 4  # of fitting with the noise of the fit before
 _FREE = 30.0  # relative size of changes that nothing but consistency holds back
 _WEAK = 1.0  # relative size of changes where the least one is looked for
 _DEPENDENT = 1e-6  # of the largest singular value: what the motion does not show
@@ -53,22 +54,13 @@ _COARSE = 2e-3  # s: longest step of integration, a twentieth of that time const
 
 @dataclass(frozen=True)
 class Move:
-    """How far one link would have to change.
-
-    Attributes:
-        link: Name.
-        mass: Change of its mass [kg].
-        centre: Distance its centre of mass moves [m].
-        inertia: Logarithm of the factor by which its mean moment of inertia about the centre of
-            mass changes.
-        deviations: Each of the three over the standard deviation of given values.
-    """
+    """How far one link would have to change."""
 
     link: str
-    mass: float
-    centre: float
-    inertia: float
-    deviations: dict[str, float]
+    mass: float  # change [kg]
+    centre: float  # distance that its centre of mass moves [m]
+    inertia: float  # logarithm of the factor on its mean moment about the centre of mass
+    deviations: dict[str, float]  # of each of the three, over the std of given values
 
     @property
     def most(self) -> float:
@@ -78,44 +70,37 @@ class Move:
     @property
     def sentence(self) -> str:
         """The change that deviates most."""
-        which = max(self.deviations, key=self.deviations.__getitem__)
-        if which == "mass":
-            return f"the mass of {self.link} would have to change by {self.mass:+.2g} kg"
-        if which == "centre":
-            far = f"{1e3 * self.centre:.0f} mm"
-            return f"the centre of mass of {self.link} would have to move {far}"
-        change = 100 * (np.exp(self.inertia) - 1)
-        return f"the inertia of {self.link} would have to change by {change:+.0f} %"
+        would = f"of {self.link} would have to"
+        return {
+            "mass": f"the mass {would} change by {self.mass:+.2g} kg",
+            "centre": f"the centre of mass {would} move {1e3 * self.centre:.0f} mm",
+            "inertia": f"the inertia {would} change by {100 * np.expm1(self.inertia):+.0f} %",
+        }[max(self.deviations, key=self.deviations.__getitem__)]
+
+    def result(self) -> dict[str, Any]:
+        """Entry of result.json."""
+        return {
+            "link": self.link,
+            "mass_kg": self.mass,
+            "centre_mm": 1e3 * self.centre,
+            "inertia": self.inertia,
+            "deviations": self.deviations,
+        }
 
 
 @dataclass(frozen=True, eq=False)
 class Refit:
     """The given model with inertias fitted anew and its effects kept.
 
-    Errors are rms on the hold-out while the joint moves, each of shape (nv,) [torque unit].
-
-    Attributes:
-        given: Error of the given model.
-        free: Error of the unconstrained fit.
-        physical: Error of the nearest bodies.
-        extended: Error of the extended model.
-        spread: Standard deviation of the measured torque.
-        possible: Whether bodies can have the values of the unconstrained fit.
-        distance: How far these are from what bodies can have, over what chance allows.
-        moves: How far each link would have to change.
+    ``errors`` are rms on the hold-out while joints move, each of shape (nv,) [torque unit]: of the
+    ``given`` model, of free ``inertias``, of the nearest ``bodies`` and of the ``extended`` model.
     """
 
-    given: Array
-    free: Array
-    physical: Array
-    extended: Array
-    spread: Array
-    possible: bool
-    distance: float
-    moves: tuple[Move, ...]
-
-    def __post_init__(self) -> None:
-        freeze(self, "given", "free", "physical", "extended", "spread")
+    errors: Mapping[str, Array]
+    spread: Array  # standard deviation of the measured torque, shape (nv,)
+    possible: bool  # whether bodies can have the values of the unconstrained fit
+    distance: float  # of these from what bodies can have, over what chance allows
+    moves: tuple[Move, ...]  # of each link
 
     @property
     def most_moved(self) -> Move:
@@ -125,27 +110,21 @@ class Refit:
     @property
     def gain(self) -> float:
         """Share of the squared error that free inertias take off, joints relative to torque."""
-        left, given = (
-            float(((error / np.maximum(self.spread, 1e-12)) ** 2).sum())
-            for error in (self.free, self.given)
-        )
+        sizes = {name: (e / np.maximum(self.spread, 1e-12)) for name, e in self.errors.items()}
+        left, given = (float((sizes[name] ** 2).sum()) for name in ("inertias", "given"))
         return 1 - left / max(given, 1e-300)
 
     def sentence(
         self, joints: Sequence[str], unit: str, findings: bool, wrong_links: Collection[str]
     ) -> str:
-        """What re-fitting the inertias alone would do, and whether it is believable.
-
-        Args:
-            joints: Names.
-            unit: Of torque.
-            findings: Whether the diagnosis has any.
-            wrong_links: Links among them.
-        """
-        worst = int(np.argmax(self.given / np.maximum(self.spread, 1e-12)))
-        quoted = f"{joints[worst]} from {self.given[worst]:.3g} to {self.free[worst]:.3g} {unit}"
+        """What re-fitting the inertias alone would do, and whether it is believable."""
+        worst = int(np.argmax(self.errors["given"] / np.maximum(self.spread, 1e-12)))
+        given, free, extended = (
+            f"{self.errors[name][worst]:.3g}" for name in ("given", "inertias", "extended")
+        )
+        quoted = f"{joints[worst]} from {given} to {free} {unit}"
         if findings:
-            quoted += f"; with the findings {self.extended[worst]:.3g}"
+            quoted += f"; with the findings {extended}"
         if self.gain < _HARDLY:
             what = "would not help" if self.gain < 0 else "would hardly help"
             return (
@@ -169,41 +148,22 @@ class Refit:
 
     def result(self, joints: Sequence[str]) -> dict[str, Any]:
         """Entries of result.json."""
-        models = {
-            "given": self.given,
-            "inertias": self.free,
-            "bodies": self.physical,
-            "extended": self.extended,
-        }
         return {
             "joints": [
-                {"name": joint, **{key: float(each[j]) for key, each in models.items()}}
+                {"name": joint, **{key: float(each[j]) for key, each in self.errors.items()}}
                 for j, joint in enumerate(joints)
             ],
             "possible": self.possible,
             "distance": self.distance,
             "most_moved": self.most_moved.link,
-            "links": [
-                {
-                    "link": move.link,
-                    "mass_kg": move.mass,
-                    "centre_mm": 1e3 * move.centre,
-                    "inertia": move.inertia,
-                    "deviations": move.deviations,
-                }
-                for move in sorted(self.moves, key=lambda move: -move.most)
-            ],
+            "links": [move.result() for move in sorted(self.moves, key=lambda move: -move.most)],
         }
 
 
 def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
-    """Fit the inertias alone to what was fitted, and judge that on the hold-out.
+    """Fit the inertias alone to torque tau [N·m] that was fitted, and judge that on the hold-out.
 
-    Args:
-        train: What was fitted, of the given robot.
-        tau: Measured torque at its rows, shape (n, nv) [N·m].
-        held: The hold-out.
-        extended: Torque of the extended model there [torque unit].
+    There the extended model makes a torque of its own [torque unit].
 
     Raises:
         BadRobot: A link without mass.
@@ -213,7 +173,9 @@ def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
     base, prior = base_parameters(robot), prior_parameters(robot)
     B = base.regrouping
     rest = tau - (train.torque() - Y @ robot.phi)
-    root, beta, rank = _least_squares(Y[:, :, base.columns], rest, moving(train.segments))
+    W = Y[:, :, base.columns]
+    problem = dense(W, rest, base.expressions)
+    root, beta, rank = _least_squares(problem, moving(train.segments))
     nothing = EffectPrior(*(np.zeros(0),) * 3)
     free, least = (
         fit_physical(root @ B, root @ beta, prior, nothing, sigma, tolerance_metric(prior)).x
@@ -222,11 +184,14 @@ def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
     distance = float(((root @ (B @ free - beta)) ** 2).sum())
     allowed = float(scipy.stats.chi2.ppf(_CERTAIN, rank))
     left = held.given + Yv @ robot.phi / held.gains
+    errors = {
+        "given": held.given,
+        "inertias": left - Yv[:, :, base.columns] @ beta / held.gains,
+        "bodies": left - Yv @ least / held.gains,
+        "extended": held.series.measured - extended,
+    }
     return Refit(
-        given=held.rms(held.given),
-        free=held.rms(left - Yv[:, :, base.columns] @ beta / held.gains),
-        physical=held.rms(left - Yv @ least / held.gains),
-        extended=held.rms(held.series.measured - extended),
+        {name: held.rms(error) for name, error in errors.items()},
         spread=held.series.measured.std(axis=0),
         possible=distance <= allowed,
         distance=distance / allowed,
@@ -234,26 +199,20 @@ def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
     )
 
 
-def _least_squares(W: Array, tau: Array, counts: Mask) -> tuple[Array, Array, int]:
-    """Root of the information on base parameters, shape (r, r), their estimate, and its rank.
-
-    What the motion does not show stays at its smallest size and has no information.
-    """
-    W, tau = W * counts[:, :, None], tau * counts
-    scale = np.sqrt((W**2).sum(axis=(0, 1)))
+def _least_squares(problem: Regression, counts: Mask) -> tuple[Array, Array, int]:
+    """Root of the information on base parameters, their estimate, and its rank."""
+    # what the motion does not show stays at its smallest size and has no information
+    problem, counted = problem.counting(counts), np.maximum(counts.sum(axis=0), 1)
+    scale = np.linalg.norm(problem.factor(np.ones(problem.nv))[0], axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    sigma, rounds = tau.std(axis=0), 0
-    while True:
-        weight = 1 / np.maximum(sigma, SMALLEST)
-        rows = (W / scale * weight[:, None]).reshape(-1, W.shape[2])
-        Q, R = scipy.linalg.qr(rows, mode="economic")
-        beta, _, rank, _ = np.linalg.lstsq(R, Q.T @ (tau * weight).ravel(), rcond=_DEPENDENT)
-        if rounds == _ROUNDS:
-            return np.asarray(R * scale, float), np.asarray(beta / scale, float), int(rank)
-        error = tau - W @ (beta / scale)
-        size = np.sqrt((error**2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
+    sigma = problem.tau.std(axis=0)
+    for _ in range(_ROUNDS):
+        R, z = problem.factor(1 / np.maximum(sigma, SMALLEST))
+        beta, _, rank, _ = np.linalg.lstsq(R / scale, z, rcond=_DEPENDENT)
+        error = problem.residual(beta / scale)
         slow = np.array([autocorrelation_time(column) for column in error.T])
-        sigma, rounds = size * np.sqrt(slow), rounds + 1
+        sigma = np.sqrt((error**2).sum(axis=0) / counted * slow)
+    return R, np.asarray(beta / scale, float), int(rank)
 
 
 def _moves(robot: Robot, prior: Array, found: Array) -> tuple[Move, ...]:
@@ -298,40 +257,22 @@ def _slopes(phi: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """A model simulated forward over windows of the hold-out.
+    """A model simulated forward over windows of the hold-out; rms errors of joints, (nv,)."""
 
-    Attributes:
-        position: Rms error of position per joint, shape (nv,) [rad or m]; NaN where it diverges.
-        velocity: Rms error of velocity per joint, shape (nv,) [rad/s or m/s].
-        diverged: Why the simulation was given up, empty when it was not.
-        along: Effects whose torque was taken on the recorded motion: those of sensors, and those
-            that depend on the past.
-    """
-
-    position: Array
-    velocity: Array
-    diverged: str
-    along: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        freeze(self, "position", "velocity")
+    position: Array  # [rad or m]; NaN where it diverges
+    velocity: Array  # [rad/s or m/s]
+    diverged: str  # why the simulation was given up, empty when it was not
+    along: tuple[str, ...]  # effects of sensors and of the past, taken on the recorded motion
 
 
 @dataclass(frozen=True, eq=False)
 class Forward:
-    """The given and the extended model, simulated alike.
-
-    Attributes:
-        given: The given model.
-        extended: The extended model.
-        windows: Number of windows.
-        seconds: Length of each [s].
-    """
+    """The given and the extended model, simulated alike."""
 
     given: Simulated
     extended: Simulated
-    windows: int
-    seconds: float
+    windows: int  # number of windows
+    seconds: float  # length of each [s]
 
     def result(self, robot: Robot) -> dict[str, Any]:
         """Entries of result.json."""
@@ -346,19 +287,16 @@ class Forward:
                 notes.append(
                     f"In the {name} model, torque of {along} was taken along the recorded motion."
                 )
+        rows = []
+        for j, (joint, unit) in enumerate(zip(robot.joints, units, strict=True)):
+            far, fast = (
+                {name: float(getattr(model, what)[j]) for name, model in models.items()}
+                for what in ("position", "velocity")
+            )
+            velocity = {**fast, "unit": f"{unit}/s"}
+            rows.append({"name": joint, **far, "unit": unit, "velocity": velocity})
         return {
-            "joints": [
-                {
-                    "name": joint,
-                    **{name: float(model.position[j]) for name, model in models.items()},
-                    "unit": unit,
-                    "velocity": {
-                        **{name: float(model.velocity[j]) for name, model in models.items()},
-                        "unit": f"{unit}/s",
-                    },
-                }
-                for j, (joint, unit) in enumerate(zip(robot.joints, units, strict=True))
-            ],
+            "joints": rows,
             "windows": self.windows,
             "window_s": self.seconds,
             "bandwidth_hz": LOOP_HZ,
@@ -367,14 +305,7 @@ class Forward:
 
 
 def forward(given: Robot, extended: Robot, segments: Sequence[Segment], gains: Array) -> Forward:
-    """Simulate two models forward over short windows of the hold-out.
-
-    Args:
-        given: The given robot.
-        extended: The extended model.
-        segments: The hold-out.
-        gains: Torque per reading, shape (nv,).
-    """
+    """Simulate two models forward over short windows of the hold-out; gains are (nv,)."""
     found = windows(segments)
     return Forward(
         _simulated(given, gains, found),

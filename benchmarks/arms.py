@@ -16,7 +16,6 @@ import os
 import site
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,6 +29,9 @@ from excitant.robots import Robot, load_robot, torque
 from excitant.robots.effects import standard_effects
 from excitant.robots.geometry import scene
 
+ASSUMED = {"velocity": 1.5, "acceleration": 10.0}  # rad/s or m/s, rad/s² or m/s²
+NOISE = 0.01  # of each joint's largest torque in the motion
+
 
 def data_folder(given: str | None) -> Path | None:
     """Folder of the models: given, from EXAMPLE_ROBOT_DATA, or installed beside this Python."""
@@ -39,10 +41,6 @@ def data_folder(given: str | None) -> Path | None:
         for packages in site.getsitepackages()
     )
     return next((f for f in ([Path(named)] if named else installed) if f.is_dir()), None)
-
-
-ASSUMED = {"velocity": 1.5, "acceleration": 10.0}  # rad/s or m/s, rad/s² or m/s²
-NOISE = 0.01  # of each joint's largest torque in the motion
 
 
 @dataclass(frozen=True)
@@ -64,65 +62,69 @@ class Case:
         return name + (f" {ends}" if ends else "")
 
 
-_SIDES = ("left", "right")
-DUAL = tuple(
-    f"{side}_{joint}" for side in _SIDES for joint in ("s0", "s1", "e0", "e1", "w0", "w1", "w2")
-)
+WHOLE = """
+ur_description/urdf: ur3_robot ur3_joint_limited_robot ur3_gripper ur5_robot
+    ur5_joint_limited_robot ur5_gripper ur10_robot ur10_joint_limited_robot ur3
+kinova_description/robots: kinova
+xarm_description/urdf: xarm7
+z1_description/urdf: z1
+so_arm_description/urdf: so100 so101
+double_pendulum_description/urdf: double_pendulum double_pendulum_continuous double_pendulum_simple
+asr_twodof_description/urdf: TwoDofs
+finger_edu_description/robots: finger_edu
+borinot_description/urdf: borinot_flying_arm_2
+hextilt_description/urdf: hextilt_flying_arm_5
+talos_data/robots: talos_left_arm
+"""
+CHAINS = """
+panda_description/urdf/panda: panda_hand
+panda_description/urdf/panda_collision: panda_link8
+z1_description/urdf/z1: link06
+anymal_b_simple_description/robots/anymal-kinova: j2s6s200_end_effector
+b1_description/urdf/b1-z1: gripperMover
+tiago_description/robots/tiago_no_hand: wrist_ft_tool_link
+tiago_description/robots/tiago: torso_lift_link:wrist_ft_tool_link
+tiago_description/robots/tiago_dual: torso_lift_link:hand_left_tool_link
+    torso_lift_link:hand_right_tool_link
+tiago_pro_description/robots/tiago_pro: torso_lift_link:arm_left_7_link
+    torso_lift_link:arm_right_7_link
+talos_data/robots/talos_reduced: torso_2_link:arm_left_7_link torso_2_link:arm_right_7_link
+talos_data/robots/talos_full_v2: arm_left_7_link
+baxter_description/urdf/baxter: left_gripper_base_link right_gripper_base_link
+pr2_description/urdf/pr2: torso_lift_link:l_gripper_palm_link torso_lift_link:r_gripper_palm_link
+    r_gripper_led_frame
+romeo_description/urdf/romeo_small: l_gripper r_gripper
+icub_description/robots/icub: chest:l_gripper chest:r_gripper
+centauro_description/urdf/centauro: ball1_tip ball2_tip
+g1_description/urdf/g1_29dof_rev_1_0: torso_link:left_rubber_hand torso_link:right_rubber_hand
+simple_humanoid_description/urdf/simple_humanoid: l_wrist r_wrist
+human_description/robots/human: right_hand
+alex_description/urdf/alex_nub_hands: leftNub rightNub
+alex_description/urdf/alex_psyonic_hands: LeftGripperYawLink
+alex_description/urdf/alex_sake_hands: RightSakeFingerTip1
+allegro_hand_description/urdf/allegro_right_hand: link_3.0_tip
+"""
+
+
+def listed(text: str) -> list[tuple[str, str]]:
+    """Every word of a line with what stands before its first colon."""
+    lines = text.strip().replace("\n    ", " ").splitlines()
+    return [(place, w) for place, words in (x.split(": ") for x in lines) for w in words.split()]
+
+
+def case(file: str, ends: str) -> Case:
+    """The chain BASE:TIP, or TIP, of a file."""
+    base, _, tip = ends.rpartition(":")
+    return Case(file, tip or None, base or None)
+
+
+_ARM = ("s0", "s1", "e0", "e1", "w0", "w1", "w2")
+DUAL = tuple(f"{side}_{joint}" for side in ("left", "right") for joint in _ARM)
 ARMS = (
-    Case("panda_description/urdf/panda.urdf", "panda_hand"),
-    Case("panda_description/urdf/panda_collision.urdf", "panda_link8"),
-    Case("ur_description/urdf/ur3_robot.urdf"),
-    Case("ur_description/urdf/ur3_joint_limited_robot.urdf"),
-    Case("ur_description/urdf/ur3_gripper.urdf"),
-    Case("ur_description/urdf/ur5_robot.urdf"),
-    Case("ur_description/urdf/ur5_joint_limited_robot.urdf"),
-    Case("ur_description/urdf/ur5_gripper.urdf"),
-    Case("ur_description/urdf/ur10_robot.urdf"),
-    Case("ur_description/urdf/ur10_joint_limited_robot.urdf"),
-    Case("ur_description/urdf/ur3.urdf"),
-    Case("kinova_description/robots/kinova.urdf"),
-    Case("xarm_description/urdf/xarm7.urdf"),
-    Case("z1_description/urdf/z1.urdf"),
-    Case("z1_description/urdf/z1.urdf", "link06"),
-    Case("so_arm_description/urdf/so100.urdf"),
-    Case("so_arm_description/urdf/so101.urdf"),
-    Case("double_pendulum_description/urdf/double_pendulum.urdf"),
-    Case("double_pendulum_description/urdf/double_pendulum_continuous.urdf"),
-    Case("double_pendulum_description/urdf/double_pendulum_simple.urdf"),
-    Case("asr_twodof_description/urdf/TwoDofs.urdf"),
-    Case("finger_edu_description/robots/finger_edu.urdf"),
-    Case("borinot_description/urdf/borinot_flying_arm_2.urdf"),
-    Case("hextilt_description/urdf/hextilt_flying_arm_5.urdf"),
-    Case("anymal_b_simple_description/robots/anymal-kinova.urdf", "j2s6s200_end_effector"),
-    Case("b1_description/urdf/b1-z1.urdf", "gripperMover"),
-    Case("tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"),
-    Case("tiago_description/robots/tiago.urdf", "wrist_ft_tool_link", "torso_lift_link"),
-    *(Case("tiago_description/robots/tiago_dual.urdf", f"hand_{side}_tool_link", "torso_lift_link")
-      for side in _SIDES),
-    *(Case("tiago_pro_description/robots/tiago_pro.urdf", f"arm_{side}_7_link", "torso_lift_link")
-      for side in _SIDES),
-    Case("talos_data/robots/talos_left_arm.urdf"),
-    *(Case("talos_data/robots/talos_reduced.urdf", f"arm_{side}_7_link", "torso_2_link")
-      for side in _SIDES),
-    Case("talos_data/robots/talos_full_v2.urdf", "arm_left_7_link"),
-    *(Case("baxter_description/urdf/baxter.urdf", f"{side}_gripper_base_link") for side in _SIDES),
+    *(Case(f"{folder}/{name}.urdf") for folder, name in listed(WHOLE)),
+    *(case(f"{file}.urdf", ends) for file, ends in listed(CHAINS)),
     Case("baxter_description/urdf/baxter.urdf", joints=DUAL),
-    *(Case("pr2_description/urdf/pr2.urdf", f"{side[0]}_gripper_palm_link", "torso_lift_link")
-      for side in _SIDES),
-    Case("pr2_description/urdf/pr2.urdf", "r_gripper_led_frame"),
-    *(Case("romeo_description/urdf/romeo_small.urdf", f"{side[0]}_gripper") for side in _SIDES),
-    *(Case("icub_description/robots/icub.urdf", f"{side[0]}_gripper", "chest") for side in _SIDES),
-    *(Case("centauro_description/urdf/centauro.urdf", f"ball{k}_tip") for k in (1, 2)),
-    *(Case("g1_description/urdf/g1_29dof_rev_1_0.urdf", f"{side}_rubber_hand", "torso_link")
-      for side in _SIDES),
-    *(Case("simple_humanoid_description/urdf/simple_humanoid.urdf", f"{side[0]}_wrist")
-      for side in _SIDES),
-    Case("human_description/robots/human.urdf", "right_hand"),
-    *(Case("alex_description/urdf/alex_nub_hands.urdf", f"{side}Nub") for side in _SIDES),
-    Case("alex_description/urdf/alex_psyonic_hands.urdf", "LeftGripperYawLink"),
-    Case("alex_description/urdf/alex_sake_hands.urdf", "RightSakeFingerTip1"),
-    Case("allegro_hand_description/urdf/allegro_right_hand.urdf", "link_3.0_tip"),
-)  # fmt: skip
+)
 
 
 def with_assumed_limits(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
@@ -176,17 +178,6 @@ def designed(robot: Robot, time_limit: float) -> tuple[str, str]:
     return figures, "a limit is exceeded" if not held else "not all shown" if unseen else "ok"
 
 
-def cases(folder: Path | None, also: list[str], only: list[str]) -> Iterator[tuple[Case, Path]]:
-    """Cases with the file of each."""
-    for case in ARMS if folder else ():
-        if not only or any(word in case.name for word in only):
-            yield case, Path(str(folder)) / case.file
-    for word in also:
-        file, _, ends = word.partition("@")
-        base, _, tip = ends.rpartition(":")
-        yield Case(file, tip or None, base or None), Path(file)
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--data", help="folder of example-robot-data's robots")
@@ -199,12 +190,19 @@ def main() -> int:
     folder = data_folder(given.data)
     if folder is None:
         print("no example-robot-data: install it, or name its folder with --data")
+    chosen = [
+        (arm, folder / arm.file)
+        for arm in (ARMS if folder else ())
+        if not given.only or any(word in arm.name for word in given.only)
+    ]
+    for file, _, ends in (word.partition("@") for word in given.also):
+        chosen.append((case(file, ends), Path(file)))
     print(f"{'arm':46} {'joints':10} load s        κ base thin unseen  verdict")
     verdicts = []
-    for case, path in cases(folder, given.also, given.only):
-        figures, verdict = attempt(case, path, given.time_limit)
+    for arm, path in chosen:
+        figures, verdict = attempt(arm, path, given.time_limit)
         verdicts.append(verdict)
-        print(f"{case.name[:46]:46} {figures}  {verdict}", flush=True)
+        print(f"{arm.name[:46]:46} {figures}  {verdict}", flush=True)
     failed = len(verdicts) - verdicts.count("ok")
     print(f"{len(verdicts)} arms, {len(verdicts) - failed} ok, {failed} not")
     return 1 if failed else 0

@@ -60,9 +60,8 @@ class LocalPolynomial:
     Attributes:
         half_width: m, samples on either side.
         degree: Degree of the polynomial, from 2 to 2m.
-        causal: Whether it serves a loop that knows no future: it then speaks about the instant m
-            samples ago. The numbers are those of the other kind; only instants whose window
-            ends at a sample are given.
+        causal: Whether it serves a loop that knows no future: it then gives the same numbers for
+            those instants only whose window ends at a sample, m samples late.
     """
 
     half_width: int
@@ -155,8 +154,7 @@ def _butterworth(cutoff_hz: float, rate_hz: float) -> Array:
 class ZeroPhaseButterworth:
     """Butterworth filter of fourth order forward and backward, then a quintic spline.
 
-    Attributes:
-        cutoff_hz: Cut-off of one pass [Hz]; the gain there is one half.
+    At the cut-off [Hz] the gain is one half.
     """
 
     cutoff_hz: float
@@ -179,16 +177,7 @@ class ZeroPhaseButterworth:
 
 
 class Spectrum(NamedTuple):
-    """Positions as signal and white noise.
-
-    Attributes:
-        f: Frequencies, shape (m,) [Hz].
-        signal: Power density of the signal, zero where the noise could make what is seen,
-            shape (m, nv) [rad²/Hz].
-        noise: Standard deviation of the white noise of each joint, shape (nv,) [rad or m].
-        rate_hz: Sampling rate [Hz].
-        samples: How many there are.
-    """
+    """Positions as signal, its power density over f, (m, nv) [rad²/Hz], and noise, (nv,) [rad]."""
 
     f: Array
     signal: Array

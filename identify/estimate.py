@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -40,10 +40,9 @@ from excitant.identify.shapes import Shapes, refined_shapes
 from excitant.robots.base_parameters import BaseParameters, base_parameters, categories
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.html_table import html_table
-from excitant.robots.motion import Array, Motion, freeze, read_only
+from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import UNITS, violations
 from excitant.robots.robot import Robot
-from excitant.robots.torque import observation_columns
 
 LEVEL = 0.95
 _FEWEST = 3.0  # degrees of freedom, below which no noise is known
@@ -122,12 +121,8 @@ class Estimate:
     @cached_property
     def holdout_columns(self) -> Array:
         """Columns of the base parameters at the rows of the hold-out, shape (n, nv, r)."""
-        model, used = self.model, list(self.base.columns)
-
-        def columns(motion: Motion) -> Array:
-            return np.asarray(observation_columns(model, model.effects, motion)[:, :, used], float)
-
-        return read_only(np.concatenate([part.rows(columns) for part in self.data.validate]))
+        found = regression_of(self.model, self.model.effects, self.data.validate)
+        return read_only(found.select(self.base.columns).W)
 
     @cached_property
     def interval(self) -> PredictionInterval:
@@ -140,8 +135,16 @@ class Estimate:
         """Machine-readable result of `identify` (keys of DESIGN.md, section 5)."""
         robot = self.given
         broken = violations(self.phi, robot.links)
-        half_width = self.interval.half_width
-        held = coverage(self.holdout.measured, self.predicted, half_width)
+        half, known = self.interval.half_width, self.interval.parameters
+        held = coverage(self.holdout.measured, self.predicted, half)
+        intervals = [
+            {
+                "half_width": float(half[:, j].mean()),
+                "half_width_parameters": float(1.96 * known[:, j].mean()),
+                "coverage": float(held.share[j]),
+            }
+            for j in range(robot.nv)
+        ]
         return {
             "verb": "identify",
             "robot": robot.name,
@@ -156,7 +159,7 @@ class Estimate:
                 {
                     "name": joint,
                     "train": self.train.entry(j),
-                    "validate": self.validate.entry(j) | {"interval95": self._interval(held, j)},
+                    "validate": self.validate.entry(j) | {"interval95": intervals[j]},
                     "baseline": self.baseline.entry(j),
                 }
                 for j, joint in enumerate(robot.joints)
@@ -187,26 +190,17 @@ class Estimate:
             "half_width": self.interval.half_width,
         }
 
-    def _interval(self, held: Coverage, joint: int) -> dict[str, float]:
-        """Mean half width of the 95 % intervals of one joint, and how many readings they hold."""
-        half, parameters = self.interval.half_width, self.interval.parameters
-        return {
-            "half_width": float(half[:, joint].mean()),
-            "half_width_parameters": float(1.96 * parameters[:, joint].mean()),
-            "coverage": float(held.share[joint]),
-        }
-
     def _essential(self) -> dict[str, Any]:
         """The fewest base parameters, and what the hold-out says of them (median over joints)."""
         essential = essential_parameters(self.least_squares.beta, self.least_squares.covariance)
-        expressions, gains = self.base.expressions, self.gains
+        names = self.base.expressions
         every, few = (
-            float(np.nanmedian(self.holdout.accuracy(self.holdout_columns @ b / gains).nrmse))
+            float(np.nanmedian(self.holdout.accuracy(self.holdout_columns @ b / self.gains).nrmse))
             for b in (self.least_squares.beta, essential.beta)
         )
         return {
-            "kept": [expressions[k] for k in essential.kept],
-            "dropped": [expressions[k] for k in essential.dropped],
+            "kept": [names[k] for k in essential.kept],
+            "dropped": [names[k] for k in essential.dropped],
             "p_value": essential.p_value,
             "nrmse_all": every,
             "nrmse_essential": few,
@@ -214,7 +208,6 @@ class Estimate:
 
     def _parameters(self) -> list[dict[str, Any]]:
         robot, physical = self.given, self.physical
-        names = self.base.names
         effects = [p for e in self.model.effects for p in e.parameters(robot)]
         units = [*UNITS * robot.nv, *(p.unit for p in effects)]
         owners = [link for link in robot.links for _ in UNITS]
@@ -223,7 +216,7 @@ class Estimate:
         std = np.sqrt(np.diag(physical.covariance))
         return [
             {
-                "name": names[k],
+                "name": self.base.names[k],
                 "link": owners[k],
                 "value": float(physical.x[k]),
                 "std": float(std[k]),
@@ -237,7 +230,6 @@ class Estimate:
 
     def _base_parameters(self) -> list[dict[str, Any]]:
         fit = self.least_squares
-        std = np.sqrt(np.diag(fit.covariance))
         return [
             {
                 "expression": text,
@@ -245,7 +237,7 @@ class Estimate:
                 "std": float(s),
                 "rel_std": float(s / abs(value)) if value else None,
             }
-            for text, value, s in zip(self.base.expressions, fit.beta, std, strict=True)
+            for text, value, s in zip(self.base.expressions, fit.beta, fit.std, strict=True)
         ]
 
     def _repr_html_(self) -> str:
@@ -279,11 +271,10 @@ def identify_robot(
         recordings: What to fit.
         validate: What to judge on; the last 30 % of each recording when empty.
         effects: Effects to estimate; friction, offset and rotor inertia when None.
-        cutoff_hz: Cut-off of the torque filter [Hz]; see `excitant.identify.rows.split`.
+        cutoff_hz: Cut-off of the torque filter [Hz]; see `excitant.identify.split`.
         estimator: One of `excitant.identify.estimators.ESTIMATORS`.
         knowledge: What is known of the bodies beforehand, and the kind of prior.
-        harmonics_hz: Highest harmonic of the motion as planned [Hz]; without a cut-off given,
-            none is taken that filters its torque away.
+        harmonics_hz: Highest harmonic of the motion as planned [Hz], which the filter passes.
 
     Raises:
         BadInput: Knowledge that no body fulfils, or of links that the arm does not have.
@@ -354,12 +345,7 @@ def with_own_torque(rows: FitRows, prior: Array, knowledge: Knowledge) -> FitRow
 
     Columns of load, delay or elasticity hold the torque of the arm, from which that of the given
     one may be far off. The arm is identified without them first, then with those that it calls for
-    itself.
-
-    Args:
-        rows: What is fitted.
-        prior: Standard parameters of the prior, shape (nv, 10).
-        knowledge: What is known of the bodies.
+    itself. The prior has shape (nv, 10).
     """
     robot, effects = rows.robot, rows.effects
     apart = tuple(e for e in effects if not e.depends_on_model)
@@ -391,8 +377,7 @@ def _missed(joints: Sequence[str], held: Coverage) -> list[str]:
     ]
 
 
-@dataclass(frozen=True, eq=False)
-class PredictionInterval:
+class PredictionInterval(NamedTuple):
     """Where a new reading lies with 95 % probability, around the predicted torque.
 
     The torque W β̂ of a row has the variance w Σ wᵀ, Σ the covariance of the base parameters, which
@@ -413,9 +398,6 @@ class PredictionInterval:
     noise: Array
     freedom: Array
 
-    def __post_init__(self) -> None:
-        freeze(self, "parameters", "noise", "freedom")
-
     @property
     def half_width(self) -> Array:
         """Half of the interval's width, shape (n, nv) [torque unit]."""
@@ -423,21 +405,15 @@ class PredictionInterval:
         return np.asarray(quantile * np.hypot(self.parameters, self.noise), float)
 
 
-@dataclass(frozen=True, eq=False)
-class Coverage:
-    """Share of readings that lie in their intervals.
+class Coverage(NamedTuple):
+    """Share of readings that lie in their intervals, each array of shape (nv,).
 
-    Attributes:
-        share: Shape (nv,).
-        std: Its standard deviation by chance where 95 % do, readings in a row counted by how many
-            are independent, shape (nv,).
+    The standard deviation is that by chance where 95 % do, readings in a row counted by how many
+    are independent.
     """
 
     share: Array
     std: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "share", "std")
 
     @property
     def too_few(self) -> Array:
@@ -446,12 +422,7 @@ class Coverage:
 
 
 def torque_std(W: Array, covariance: Array) -> Array:
-    """Standard deviation of the torque W β, shape (n, nv).
-
-    Args:
-        W: Columns of the base parameters, shape (n, nv, r).
-        covariance: Of β, shape (r, r).
-    """
+    """Standard deviation of the torque W β by the covariance of β, shape (n, nv)."""
     variance = np.einsum("njr,njr->nj", W @ covariance, W, optimize=True)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)), float)
 

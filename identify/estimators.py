@@ -13,7 +13,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -78,10 +78,7 @@ def estimated(
 ) -> tuple[LeastSquares, tuple[str, ...]]:
     """Base parameters by the estimator of a name, and what the user should know.
 
-    Args:
-        rows: What is fitted.
-        recordings: Behind these rows, in order; `iv` and `oe` look at them again.
-        name: One of `ESTIMATORS`.
+    `iv` and `oe` look again at the recordings behind these rows, in order.
 
     Raises:
         UnknownName: There is no such estimator.
@@ -195,14 +192,9 @@ def iv(problem: Regression, instruments: Regression) -> LeastSquares:
     Least squares is biased where W has errors, because WᵀW contains their squares. Instruments
     have errors independent of those of W and of the torque, so that Zᵀ(τ − W β) = 0 has no such
     term. Janot, Vandanjon, Gautier (2014) simulate the closed loop for them; here they are
-    columns on other samples of the same motion (`half_regressions`). For as many instruments as
-    columns the estimate is (ZᵀW)⁻¹ Zᵀτ, rows weighted by the noise of their joint. Variance is
-    larger than that of least squares; weak instruments leave bias. Columns that are no linear
-    functions of the noise (signs of velocities) keep part of theirs.
-
-    Args:
-        problem: Columns W and torque.
-        instruments: Columns Z at the same instants, at least as many.
+    columns on other samples of the same motion (`half_regressions`), at least as many. Variance is
+    larger than that of least squares; weak instruments leave bias, and so do columns that are no
+    linear functions of the noise (signs of velocities).
 
     Raises:
         RankDeficient: Columns, or instruments, that the motion does not show.
@@ -229,15 +221,12 @@ def _projected(problem: Regression, instruments: Regression, sigma: Array) -> Re
 
 
 def errors_in_variables(problem: Regression, instruments: Regression) -> tuple[float, float]:
-    """Test whether errors of W move with those of the torque.
+    """Test whether errors of W move with those of the torque (Durbin, Wu, Hausman 1978).
 
-    Durbin (1954), Wu (1973), Hausman (1978), as a regression with the errors added.
     V is the part of W that instruments do not explain. Without errors in W that matter, V has no
     coefficient of its own in τ ≈ W β + V γ. The statistic γ̂ᵀ C⁻¹ γ̂, C the covariance of γ̂ under
     coloured noise, is then χ² with as many degrees of freedom as V has independent columns. A
-    small p says that least squares is biased, by noise in the motion or by its filter (perhaps by
-    little: compare the estimates); a model that lacks physics leaves p large, unless what it lacks
-    moves with V.
+    model that lacks physics leaves p large, unless what it lacks moves with V.
 
     Returns:
         Statistic, and p, the chance of one as large where least squares is not biased.
@@ -281,10 +270,7 @@ def _tested(problem: Regression, instruments: Regression, fit: LeastSquares) -> 
 
 
 def every_second(first: int, inner: Differentiator) -> Differentiator:
-    """A differentiator that sees even (0) or odd (1) samples, and speaks about all instants.
-
-    Samples left out are interpolated by a quintic spline before.
-    """
+    """A differentiator that interpolates odd samples from even ones (0), or even ones (1)."""
     seen = slice(first, None, 2)
 
     def motion(t: Array, q: Array) -> Motion:
@@ -296,15 +282,11 @@ def every_second(first: int, inner: Differentiator) -> Differentiator:
 def half_regressions(
     rows: FitRows, recordings: Sequence[Recording]
 ) -> tuple[Regression, Regression]:
-    """Base columns from even and from odd samples at the rows of a fit.
+    """Base columns from even and from odd samples at the rows of a fit, of recordings in order.
 
-    Their errors are independent where the noise of a position sensor is so from sample to sample
-    at regular time: not for a sensor that low-passes before it logs, nor for errors that depend
-    on the position (scale, eccentricity), for which every sample is wrong alike.
-
-    Args:
-        rows: What is fitted.
-        recordings: Behind these rows, in order.
+    Their errors are independent where the noise of a position sensor is so from sample to sample:
+    not for a sensor that low-passes before it logs, nor for errors that depend on the position
+    (scale, eccentricity), for which every sample is wrong alike.
 
     Raises:
         BadInput: A rate below five times the cut-off.
@@ -331,8 +313,7 @@ def half_regressions(
 # output error
 
 
-@dataclass(frozen=True, eq=False)
-class OutputError:
+class OutputError(NamedTuple):
     """An output-error estimate, the weighted least squares it began with, simulations it took."""
 
     fit: LeastSquares
@@ -340,11 +321,7 @@ class OutputError:
     iterations: int
 
     def sentence(self, bandwidth_hz: Array) -> str:
-        """What the simulation was told, and what came of it.
-
-        Args:
-            bandwidth_hz: Up to where positions were the reference [Hz].
-        """
+        """What came of simulating with positions up to a bandwidth for reference [Hz]."""
         low, high = bandwidth_hz.min(), bandwidth_hz.max()
         width = f"{low:.3g} Hz" if high - low < 0.1 * low else f"{low:.3g} to {high:.3g} Hz"
         moved = np.abs(self.fit.beta - self.start.beta) / self.fit.std
@@ -363,9 +340,7 @@ def output_error(problem: Regression, simulated: Callable[[Array], Regression]) 
     squares for the next. How the simulated motion depends on β is left out of the derivative,
     because the controller holds the motion whatever β is.
 
-    Args:
-        problem: Columns on the reference, to begin with.
-        simulated: Columns on the motion that the model with parameters β makes, shape (r,) → p = r.
+    Begins with the columns on the reference; ``simulated`` gives those of parameters β.
 
     Raises:
         Infeasible: It does not converge.
@@ -408,7 +383,7 @@ class ClosedLoop(NamedTuple):
 
 
 def closed_loop(rows: FitRows, recordings: Sequence[Recording]) -> ClosedLoop:
-    """The regression of a fit with the simulated loop of each of its segments.
+    """The regression of a fit with the simulated loop of each segment of its recordings.
 
     A recording holds neither the commanded motion nor the controller, so measured positions are
     the reference, passed up to 2.5 times the frequency where noise drowns the acceleration. Noise
@@ -418,10 +393,6 @@ def closed_loop(rows: FitRows, recordings: Sequence[Recording]) -> ClosedLoop:
     Base parameters far from the truth may be those of no arm: inertia or friction is negative
     somewhere, and no motion comes of it. The model simulated is then one between the given arm and
     the estimate.
-
-    Args:
-        rows: What is fitted; where β leaves parameters open, they stay near the arm's own.
-        recordings: Behind these rows, in order.
     """
     pairs = _with_recordings(rows.data.train, recordings)
     loops = [_reference(segment, recording) for segment, recording in pairs]
@@ -484,10 +455,6 @@ def _motion_bandwidth(q: Array, rate_hz: float) -> Array:
     Σ_{f ≤ f_b} f⁴ (2N − P) is. White noise N of encoders is taken from the upper part of the
     spectrum P, its median there being ln 2 of its mean; it counts twice. The window falls off at
     both ends, so that a motion that does not end where it began does not pass for a fast one.
-
-    Args:
-        q: Positions at a regular rate, shape (n, nv).
-        rate_hz: That rate [Hz].
     """
     window = scipy.signal.windows.blackmanharris(len(q))[:, None]
     spectrum = np.fft.rfft(window * scipy.signal.detrend(q, axis=0), axis=0)

@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -78,14 +79,9 @@ class LeastSquares:
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """QR factorisation of weighted columns, W_j / weight_j = Q_j R diag(norms).
+    """QR factorisation of columns, W_j / weight_j = Q_j R diag(norms), z = Qᵀ τ / weight.
 
-    Attributes:
-        problem: The columns and torque.
-        weight: Noise that rows were divided by, shape (nv,) [torque unit].
-        norms: Lengths of the weighted columns, shape (r,).
-        R: Shape (r, r).
-        z: Qᵀ of the weighted torque, shape (r,).
+    Rows were divided by the noise of their joint, weight, shape (nv,) [torque unit].
     """
 
     problem: Regression
@@ -103,18 +99,9 @@ class Factor:
         """R⁻¹, shape (r, r)."""
         return np.asarray(scipy.linalg.solve_triangular(self.R, np.eye(len(self.R))), float)
 
-    def information(self) -> Array:
-        """X_jᵀ X_j of each joint, X_j the weighted columns of unit length, shape (nv, r, r)."""
-        problem = self.problem
-        found = np.zeros((problem.nv, problem.p, problem.p))
-        for j, (index, R) in enumerate(zip(problem.index, problem.triangles, strict=True)):
-            X = R[:, :-1] / self.weight[j] / self.norms[index]
-            found[j][np.ix_(index, index)] = X.T @ X
-        return found
-
 
 def factorised(problem: Regression, weight: Array) -> Factor:
-    """Factorisation of columns, rows divided by their joint's noise, shape (nv,) [torque unit].
+    """Factorisation of columns, rows divided by their joint's noise.
 
     Raises:
         RankDeficient: Columns that are silent, or that others explain.
@@ -172,40 +159,27 @@ def with_covariance(factor: Factor, beta: Array, error: Array, sigma: Array) -> 
         error: ε_j as the residual shows it, shape (n, nv) [torque unit].
         sigma: What to report as noise of each joint, shape (nv,) [torque unit].
     """
-    problem, inverse = factor.problem, factor.inverse
+    problem, inverse, norms = factor.problem, factor.inverse, factor.norms
     scaled = error / factor.weight
     size = max(float(np.sqrt((scaled**2).mean())), SMALLEST)  # far from underflow
-    rows = [
-        JointRows(index, columns / factor.weight[j] / factor.norms[index])
-        for j, (index, columns) in enumerate(zip(problem.index, problem.columns, strict=True))
-    ]
-    scores, freedom = score_covariances(rows, scaled / size, inverse @ inverse.T)
-    scores *= size**2
-    root = inverse / factor.norms[:, None]
-    parts = np.array([root @ (inverse.T @ each @ inverse) @ root.T for each in scores])
-    widths = _widths(np.diagonal(parts, axis1=1, axis2=2), freedom)
-    effect, plain = (
-        np.einsum("ra,jrs,sa->j", inverse, each, inverse, optimize=True)
-        for each in (scores, factor.information())
+    joints = list(
+        zip(problem.index, problem.columns, problem.triangles, factor.weight, strict=True)
     )
-    plain = plain * (sigma / factor.weight) ** 2
-    inflation = np.divide(effect, plain, out=np.ones(len(sigma)), where=plain > 0)
-    covariance = parts.sum(axis=0) * np.outer(widths, widths)
-    return LeastSquares(beta, covariance, sigma, np.maximum(inflation, 1.0))
-
-
-def _widths(variances: Array, freedom: Array) -> Array:
-    """Student's over normal 97.5 % quantile of each parameter, shape (r,).
-
-    Degrees of freedom of a sum of variances by Satterthwaite (1946).
-
-    Args:
-        variances: Part of each parameter's variance from each joint's noise, shape (nv, r).
-        freedom: Degrees of freedom of each joint, shape (nv,).
-    """
+    rows = [JointRows(index, columns / w / norms[index]) for index, columns, _, w in joints]
+    scores, freedom = score_covariances(rows, scaled / size, inverse @ inverse.T)
+    inner = size**2 * np.array([inverse.T @ each @ inverse for each in scores])
+    root = inverse / norms[:, None]
+    parts = root @ inner @ root.T
+    # Student's t of the sum of all joints' variances (Satterthwaite 1946)
+    variances = np.diagonal(parts, axis1=1, axis2=2)
     total, spread = variances.sum(axis=0), (variances**2 / freedom[:, None]).sum(axis=0)
     nu = np.divide(total**2, spread, out=np.full(len(total), np.inf), where=spread > 0)
-    return student_width(nu)
+    covariance = parts.sum(axis=0) * np.outer(student_width(nu), student_width(nu))
+    alone = [np.sum((R[:, :-1] / norms[k] @ inverse[k]) ** 2) for k, _, R, _ in joints]
+    plain = np.array(alone) * (sigma / factor.weight**2) ** 2
+    effect = np.trace(inner, axis1=1, axis2=2)
+    inflation = np.divide(effect, plain, out=np.ones(len(sigma)), where=plain > 0)
+    return LeastSquares(beta, covariance, sigma, np.maximum(inflation, 1.0))
 
 
 def student_width(freedom: Array | float) -> Array:
@@ -215,7 +189,7 @@ def student_width(freedom: Array | float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class JointRows:
-    """Rows of one joint: which columns are not silent there, u of them, and these, shape (n, u)."""
+    """Rows of one joint: which columns are not silent there, and these, shape (n, u)."""
 
     used: npt.NDArray[np.intp]
     W: Array
@@ -241,14 +215,7 @@ class JointRows:
         return np.asarray(scipy.fft.irfft(power * self.spectrum, self.size)[:, :n], float)
 
     def taken(self, G: Array, inverse: Array, both: Array, lags: int) -> Array:
-        """Autocovariance that the fit took, shape (lags + 1,).
-
-        Args:
-            G: W_jᵀ Γ_j, shape (u, n).
-            inverse: A⁻¹.
-            both: A⁻¹ Ω A⁻¹.
-            lags: Largest lag.
-        """
+        """Autocovariance that the fit took, with G = W_jᵀ Γ_j, A⁻¹ and A⁻¹ Ω A⁻¹, (lags + 1,)."""
         block = np.ix_(self.used, self.used)
         H = inverse[block] @ G - both[block] @ self.W.T / 2
         cross = np.einsum("uf,uf->f", self.spectrum.conj(), scipy.fft.rfft(H, self.size)).real
@@ -258,9 +225,7 @@ class JointRows:
 def score_covariances(
     rows: Sequence[JointRows], residual: Array, inverse: Array
 ) -> tuple[Array, Array]:
-    """W_jᵀ Γ_j W_j of each joint, shape (nv, r, r), and their degrees of freedom, shape (nv,).
-
-    The sum of the former is Ω.
+    """W_jᵀ Γ_j W_j of each joint, whose sum is Ω, (nv, r, r), and degrees of freedom, (nv,).
 
     Args:
         rows: Of each joint, divided by its noise.
@@ -311,12 +276,8 @@ def autocovariance(values: Array, lags: int) -> Array:
 def autoregression(gamma: Array, n: int) -> tuple[Array, float]:
     """The autoregression that Akaike's criterion prefers (Levinson and Durbin's recursion).
 
-    Args:
-        gamma: Autocovariance at lags 0 to p, shape (p + 1,).
-        n: Number of samples behind it.
-
-    Returns:
-        Polynomial 1 + a_1 z⁻¹ + …, and the variance of the innovations.
+    From the autocovariance of n samples at lags 0 to p: polynomial 1 + a_1 z⁻¹ + …, and the
+    variance of the innovations.
     """
     a, variance = np.ones(1), float(gamma[0])
     best = (n * np.log(variance), a, variance)
@@ -349,8 +310,7 @@ def autocorrelation_time(residual: Array) -> float:
     return float(max(1.0, 1 + 2 * rho[1:end].sum()))
 
 
-@dataclass(frozen=True, eq=False)
-class Essential:
+class Essential(NamedTuple):
     """Which base parameters the data need.
 
     Attributes:
@@ -367,9 +327,6 @@ class Essential:
     covariance: Array
     p_value: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "beta", "covariance")
-
 
 def essential_parameters(beta: Array, covariance: Array) -> Essential:
     """Drop parameters one by one as long as noise may have made them: the fewest that explain all.
@@ -381,12 +338,7 @@ def essential_parameters(beta: Array, covariance: Array) -> Essential:
 
     until that costs more than noise does. The squares β_k² / Σ_kk of the steps add up to Wald's
     statistic of all that is dropped, β_Sᵀ Σ_SS⁻¹ β_S, which is χ² of as many degrees of freedom
-    where the dropped ones are zero indeed. Σ counts coloured noise, so slow structure in the
-    residual does not keep parameters alive.
-
-    Args:
-        beta: Base parameters, shape (r,).
-        covariance: Their covariance, shape (r, r).
+    where the dropped ones are zero indeed.
     """
     unit = np.sqrt(np.diag(covariance))
     unit = np.where(unit > 0, unit, 1.0)
@@ -407,7 +359,6 @@ def essential_parameters(beta: Array, covariance: Array) -> Essential:
         statistic, p_value = statistic + square, together
         kept.remove(k)
         dropped.append(k)
-    b[dropped] = 0.0
-    S[dropped] = 0.0
+    b[dropped] = S[dropped] = 0.0
     S[:, dropped] = 0.0
     return Essential(tuple(kept), tuple(dropped), b * unit, S * np.outer(unit, unit), p_value)

@@ -116,8 +116,7 @@ def prepare(
         recording: What was logged.
         cutoff_hz: Cut-off of the torque filter; 10 Hz, or 0.2 times the sampling rate when that
             is lower, so that the filter of positions, twice as high, still filters.
-        differentiator: From positions to the motion, in place of the Butterworth filter with
-            a quintic spline; it must have no delay.
+        differentiator: In place of the Butterworth filter with a quintic spline; without delay.
 
     Raises:
         BadRecording: The cut-off is not below half the sampling rate, or no uninterrupted
@@ -190,8 +189,7 @@ def longest_step(step: float) -> float:
 
 def resampled(recording: Recording, part: Index) -> tuple[Array, Array, Array]:
     """Time, positions and torque of a part at a regular rate, the median of the recording's."""
-    t = recording.t[part]
-    step = float(np.median(np.diff(recording.t)))
+    t, step = recording.t[part], float(np.median(np.diff(recording.t)))
     grid = np.arange(t[0], t[-1] + _SAME * step, step)
     return grid, *at_instants(t, recording.q[part], recording.tau[part], grid)
 
@@ -238,12 +236,7 @@ def moving(robot: Robot, segments: Sequence[Segment]) -> list[Mask]:
 
 
 def stilled(segment: Segment, moves: Mask) -> Segment:
-    """The segment with joints that never move in it held exactly, at their mean position.
-
-    Args:
-        segment: A segment.
-        moves: Instants at which each joint moves, shape (n, nv).
-    """
+    """The segment with joints that never move in it held exactly, at their mean position."""
     motion, still = segment.motion, ~moves.any(axis=0)
     q, dq, ddq = (np.array(values) for values in (motion.q, motion.dq, motion.ddq))
     q[:, still] = q[:, still].mean(axis=0)

@@ -220,13 +220,8 @@ def silent_columns(R: Array) -> npt.NDArray[np.bool_]:
 def linear_influence(R: Array, L: Array, x: Array, links: int) -> Array:
     """How far each entry follows the prior in linear theory, 0 to 1, shape (p,).
 
-    An entry that is known exactly beforehand follows by 1.
-
-    Args:
-        R: Factor of the whitened columns, shape (rows, p).
-        L: Root of the prior covariance, shape (p, k).
-        x: Estimate, shape (p,).
-        links: Number of links, whose ten parameters come first.
+    An entry that is known exactly beforehand follows by 1. R is a factor of the whitened columns,
+    shape (rows, p); the rest as in `reached`.
     """
     _, s, Vt = np.linalg.svd(R @ L)
     s = np.pad(s, (0, len(Vt) - len(s)))

@@ -1,10 +1,8 @@
 """The weighted linear problem W x ≈ τ: filtered columns, joint by joint, built once.
 
 The columns of one joint are kept without those that are silent there: a joint feels its own link
-and those beyond, and its own friction, so that less than half of W is held. Everything that is
-computed from W many times over (weights of joints, parts of the time left out, columns added or
-left out) comes from products: [W_j τ_j]ᵀ[W_j τ_j] of each joint j and block of time, made when
-first asked for.
+and those beyond, and its own friction, so that less than half of W is held. What is computed from W
+many times over comes from products [W_j τ_j]ᵀ[W_j τ_j] of each joint j and block of time.
 
     problem = regression_of(model, model.effects, segments)      # all columns, torque, segments
     problem = problem.in_blocks(evenly(len(problem), 40))        # blocks of time
@@ -164,12 +162,7 @@ class Regression:
         return tuple(found)
 
     def gram(self, weight: Array, blocks: Index | Mask | slice = slice(None)) -> Array:
-        """[W τ]ᵀ[W τ] of some blocks of time, rows of joints weighted, shape (p + 1, p + 1).
-
-        Args:
-            weight: Of the squares of each joint's rows, shape (nv,).
-            blocks: Which blocks.
-        """
+        """[W τ]ᵀ[W τ] of some blocks of time, squares of joints weighted, shape (p + 1, p + 1)."""
         total = np.zeros((self.p + 1, self.p + 1))
         for w, index, own in zip(weight, self.index, self.grams, strict=True):
             place = np.append(index, self.p)
@@ -191,11 +184,7 @@ class Regression:
         return tuple(triangle(np.column_stack([X, self.tau[:, j]])) for j, X in pairs)
 
     def factor(self, weight: Array) -> tuple[Array, Array]:
-        """R and z with ‖R x − z‖² = Σ_j (w_j ‖τ_j − W_j x‖)².
-
-        Args:
-            weight: Of each joint's rows, shape (nv,).
-        """
+        """R and z with ‖R x − z‖² = Σ_j (w_j ‖τ_j − W_j x‖)²."""
         R = triangle(self.stacked(weight))
         return R[:, :-1], R[:, -1]
 

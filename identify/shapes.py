@@ -52,16 +52,9 @@ _OFF = ((0, 1), (1, 2), (0, 2))  # s₁₂, s₂₃, s₁₃, the order of Rucke
 
 @dataclass(frozen=True)
 class Shape:
-    """One number of an effect that its torque is not linear in.
+    """One number, a field, of an effect on a joint that its torque is not linear in.
 
-    Attributes:
-        effect: Name of the effect.
-        joint: The joint it acts on.
-        field: What it is called there.
-        unit: Its unit.
-        given: What it was.
-        value: What it is now.
-        std: Standard deviation, from the logarithm's [unit].
+    It was as given, and has now a value with standard deviation, from the logarithm's.
     """
 
     effect: str
@@ -286,14 +279,7 @@ class _Search:
 
 
 def from_log_cholesky(numbers: Array) -> tuple[Array, Array]:
-    """Standard parameters of (α, d₁, d₂, d₃, s₁₂, s₂₃, s₁₃, t₁, t₂, t₃), and their Jacobian.
-
-    Args:
-        numbers: Of one body, shape (10,).
-
-    Returns:
-        Shapes (10,) and (10, 10).
-    """
+    """Standard parameters of (α, d₁, d₂, d₃, s₁₂, s₂₃, s₁₃, t₁, t₂, t₃), and Jacobian (10, 10)."""
     body = pin.LogCholeskyParameters(np.array(numbers, float))
     return np.asarray(body.toDynamicParameters()), np.asarray(body.calculateJacobian())
 
@@ -336,16 +322,11 @@ class Descent:
     slopes: Callable[[Array], Array]
 
     def fit(self, bodies: Array, theta: Array, tolerance: float = _TOLERANCE) -> PhysicalFit:
-        """Descend from a consistent point, such as a semidefinite fit, as far as it pays.
+        """Descend from consistent bodies, (links, 10), and θ as far as it pays.
 
-        Args:
-            bodies: Standard parameters to start from, consistent, shape (links, 10).
-            theta: θ to start from.
-            tolerance: Relative change of objective and parameters at which the descent ends.
-
-        Returns:
-            Standard parameters and θ there, with the covariance of the Gauss-Newton approximation;
-            ``kkt`` says how close to a minimum that is.
+        Ends where objective and parameters change relatively by less than the tolerance. The
+        covariance is that of the Gauss-Newton approximation; ``kkt`` says how close to a minimum
+        it ends.
 
         Raises:
             BadInput: Impossible bodies.

@@ -54,7 +54,7 @@ from excitant.analysis.structure import Held
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots.base_parameters import LENGTH_POWERS, arm_length
 from excitant.robots.dh import DHChain
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array
 from excitant.robots.parameters import (
     PSEUDO_INERTIA_BASIS,
     STANDARD,
@@ -67,40 +67,27 @@ _TOLERANCE = 1e-8  # of unit vectors in lengths of the arm
 
 
 @dataclass(frozen=True, eq=False)
-class ParameterNullspace:
-    """What no torque shows, link by link.
+class NullSpace:
+    """What no torque shows of the standard parameters, link by link.
 
     Attributes:
-        names: Names of the standard parameters, p of them.
-        shown: Number of parameters that each link adds to what torque shows, one per link.
+        shown: Number of base parameters that each link brings.
         basis: Orthonormal basis of the null space, shape (p, p − r).
-        gap: Smallest accepted and largest rejected singular value of all rank decisions, of unit
-            vectors with the arm's length as unit of length.
     """
 
-    names: tuple[str, ...]
     shown: tuple[int, ...]
     basis: Array
-    gap: tuple[float, float]
-
-    def __post_init__(self) -> None:
-        freeze(self, "basis")
 
     def __len__(self) -> int:
         """Number r of base parameters."""
         return sum(self.shown)
 
-    def angle(self, other: npt.ArrayLike, length: float = 1.0) -> float:
-        """Largest angle to another null space of the same parameters, or π/2 [rad].
-
-        Args:
-            other: Basis of the other one, shape (p, any).
-            length: Unit of length in which angles are measured, as `arm_length` gives it [m].
-        """
+    def angle(self, other: npt.ArrayLike, length: float) -> float:
+        """Largest angle to another basis, (p, any), or π/2 [rad]; ``length`` is the unit [m]."""
         other = np.asarray(other, float)
         if other.shape[1] != self.basis.shape[1]:
             return np.pi / 2
-        unit = np.tile(length**-LENGTH_POWERS, len(self.names) // 10)[:, None]
+        unit = np.tile(length**-LENGTH_POWERS, len(other) // 10)[:, None]
         bases = (
             unit * basis / np.linalg.norm(unit * basis, axis=0) for basis in (self.basis, other)
         )
@@ -118,27 +105,15 @@ class _Joint:
     kind: Literal["moving", "any", "fixed"]
 
 
-class _Ranks:
-    """Spans with their smallest accepted and largest rejected singular value."""
-
-    def __init__(self) -> None:
-        self.accepted, self.rejected = 1.0, 0.0
-
-    def span(self, vectors: Array) -> Array:
-        """Orthonormal basis of columns."""
-        if vectors.shape[1] == 0:
-            return vectors
-        U, s, _ = np.linalg.svd(vectors, full_matrices=False)
-        kept = s > _TOLERANCE
-        self.accepted = min([self.accepted, *s[kept]])
-        self.rejected = max([self.rejected, *s[~kept]])
-        basis: Array = U[:, kept]
-        return basis
+def _span(vectors: Array) -> Array:
+    """Orthonormal basis of columns."""
+    U, s, _ = np.linalg.svd(vectors, full_matrices=False)
+    return U[:, s > _TOLERANCE]
 
 
 def parameter_nullspace(
     robot: Robot, *, moving: Sequence[str] | None = None, held: Held | None = None
-) -> ParameterNullspace:
+) -> NullSpace:
     """Null space of the standard parameters by recursion from base to tip.
 
     Args:
@@ -146,16 +121,13 @@ def parameter_nullspace(
         moving: Joints that move, and whose torques are known; all when None.
         held: Positions of the others [rad or m], 0 for those left out; ``"any"`` when they are
             at rest at many positions.
-
-    Raises:
-        UnknownName: A joint that the arm does not have.
     """
     length = arm_length(robot)
-    ranks, blocks, shown = _Ranks(), [], []
+    blocks, shown = [], []
     attained = {-1: _gravity(robot)}
     for i, joint in enumerate(_joints(robot, moving, {} if held is None else held, length)):
         (V, K), to_parent = attained[joint.parent], _moved(joint.place)
-        V, K, conditions = _step(joint, _velocity_map(joint.place) @ V, to_parent.T @ K, ranks)
+        V, K, conditions = _step(joint, _velocity_map(joint.place) @ V, to_parent.T @ K)
         attained[i] = V, K
         U = scipy.linalg.null_space(conditions.T, rcond=0.5) if conditions.size else np.eye(10)
         block = np.zeros((10 * robot.nv, U.shape[1]))
@@ -165,18 +137,12 @@ def parameter_nullspace(
         blocks.append(block)
         shown.append(10 - U.shape[1])
     N = np.hstack(blocks) * np.tile(length**LENGTH_POWERS, robot.nv)[:, None]
-    basis = np.linalg.qr(N / np.linalg.norm(N, axis=0))[0]
-    return ParameterNullspace(
-        robot.parameter_names, tuple(shown), basis, (ranks.accepted, ranks.rejected)
-    )
+    return NullSpace(tuple(shown), np.linalg.qr(N / np.linalg.norm(N, axis=0))[0])
 
 
 def _gravity(robot: Robot) -> tuple[Array, Array]:
     """Velocities and energies of the base: it slides along gravity."""
-    size = np.linalg.norm(robot.gravity)
-    if size == 0:
-        return np.zeros((6, 0)), np.zeros((10, 0))
-    slide = np.concatenate([robot.gravity / size, np.zeros(3)])
+    slide = np.append(robot.gravity, np.zeros(3)) / (np.linalg.norm(robot.gravity) or 1.0)
     return slide[:, None], _energy(slide, slide)[:, None]
 
 
@@ -198,7 +164,7 @@ def _joints(robot: Robot, moving: Sequence[str] | None, held: Held, length: floa
     return found
 
 
-def _step(joint: _Joint, V: Array, K: Array, ranks: _Ranks) -> tuple[Array, Array, Array]:
+def _step(joint: _Joint, V: Array, K: Array) -> tuple[Array, Array, Array]:
     """Velocities and energies that a link attains, from its parent's in the joint frame.
 
     Returns:
@@ -209,15 +175,17 @@ def _step(joint: _Joint, V: Array, K: Array, ranks: _Ranks) -> tuple[Array, Arra
         return V, K, np.zeros((10, 0))
     places = 2 * np.pi * np.arange(5) / 5 if joint.turns else np.array([-1.0, 0.0, 1.0])
     moves = [scipy.linalg.expm(x * _twist(joint.axis)) for x in places]
-    V = ranks.span(np.hstack([_velocity_map(T) @ V for T in moves]))
-    K = ranks.span(np.hstack([_moved(T).T @ K for T in moves]))
-    conditions = _rate(joint.axis).T @ K
+    V = _span(np.hstack([_velocity_map(T) @ V for T in moves]))
+    K = _span(np.hstack([_moved(T).T @ K for T in moves]))
+    S = _twist(joint.axis)  # below: derivative of `_moved` along the axis at the identity
+    rate = from_pseudo_inertia(S @ PSEUDO_INERTIA_BASIS + PSEUDO_INERTIA_BASIS @ S.T)
+    conditions = rate @ K
     if joint.kind == "moving":
-        V = ranks.span(np.column_stack([V, joint.axis]))
+        V = _span(np.column_stack([V, joint.axis]))
         pairs = np.column_stack([_energy(joint.axis, v) for v in V.T])
-        K = ranks.span(np.hstack([K, pairs]))
+        K = _span(np.hstack([K, pairs]))
         conditions = np.hstack([conditions, pairs])
-    return V, K, ranks.span(conditions)
+    return V, K, _span(conditions)
 
 
 def _twist(axis: Array) -> Array:
@@ -230,10 +198,7 @@ def _twist(axis: Array) -> Array:
 
 
 def _velocity_map(T: Array) -> Array:
-    """Velocities in the frame at pose T of the same body, from those in the frame it is given in.
-
-    Shape (6, 6).
-    """
+    """Velocities in the frame at pose T of a body, from those where T is given, (6, 6)."""
     R, p = T[:3, :3], T[:3, 3]
     cross = _twist(np.concatenate([np.zeros(3), p]))[:3, :3]
     return np.block([[R.T, -R.T @ cross], [np.zeros((3, 3)), R.T]])
@@ -241,107 +206,48 @@ def _velocity_map(T: Array) -> Array:
 
 def _moved(T: Array) -> Array:
     """Parameters about a frame from those about the frame at pose T in it, P ← T P Tᵀ, (10, 10)."""
-    return from_pseudo_inertia(T @ PSEUDO_INERTIA_BASIS @ T.T).T
-
-
-def _rate(axis: Array) -> Array:
-    """Derivative of `_moved` along an axis at the identity, shape (10, 10)."""
-    S = _twist(axis)
-    return from_pseudo_inertia(S @ PSEUDO_INERTIA_BASIS + PSEUDO_INERTIA_BASIS @ S.T).T
+    return moved_parameters(np.eye(10), T).T
 
 
 def _energy(a: Array, b: Array) -> Array:
-    """y(a, b) with y(a, b)ᵀ π = aᵀ I(π) b, shape (10,); in the order of the parameters.
-
-    By the pseudo-inertia: aᵀ I(π) b = tr(Â P B̂ᵀ) with the twists Â and B̂.
-    """
-    A, B = _twist(a), _twist(b)
-    y: Array = np.einsum("ij,kjl,il->k", A, PSEUDO_INERTIA_BASIS, B)
-    return y
+    """y(a, b) with y(a, b)ᵀ π = aᵀ I(π) b = tr(Â P B̂ᵀ), shape (10,)."""
+    return np.einsum("ij,kjl,il->k", _twist(a), PSEUDO_INERTIA_BASIS, _twist(b))
 
 
 _SAME = 1e-9  # rad, or parts of the chain's length
 _INDEX = {name: k for k, name in enumerate(STANDARD)}
-_INERTIAS = ("Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 
 
-@dataclass(frozen=True, eq=False)
-class Grouping:
-    """What the rules say of an arm.
-
-    Attributes:
-        names: Names of the standard parameters, p of them.
-        shown: Number of base parameters that each link brings, one per link.
-        rule: Which rule each link follows.
-        null_space: Orthonormal basis of the null space in the robot's joint frames, (p, p − r).
-    """
-
-    names: tuple[str, ...]
-    shown: tuple[int, ...]
-    rule: tuple[str, ...]
-    null_space: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "null_space")
-
-    def __len__(self) -> int:
-        """Number r of base parameters."""
-        return sum(self.shown)
-
-
-def grouping(robot: Robot) -> Grouping:
-    """Base parameters of an arm by rule.
-
-    Args:
-        robot: A serial arm.
+def grouping(robot: Robot) -> NullSpace:
+    """Null space of a serial arm by rule, in the robot's joint frames.
 
     Raises:
-        BadRobot: Joints that branch.
         BadInput: No gravity, and axes that are not parallel: no rule is published for it.
     """
     chain = dh_from_robot(robot, "modified")
-    frames = _frames_in_joints(robot, chain)
-    kinds = _rules(chain)
-    lost = [_lost(chain, j, kind) for j, kind in enumerate(kinds)]
-    N = np.zeros((10 * chain.nv, sum(len(u) for u in lost)))
-    column = 0
+    places = list(robot.model.jointPlacements)[1:]
+    poses = np.array(list(accumulate((place.homogeneous for place in places), np.matmul)))
+    placed = np.linalg.inv(poses) @ frames(chain, np.zeros((1, chain.nv)))[0, 1:]
+    lost = [_lost(chain, j, rule) for j, rule in enumerate(_rules(chain))]
+    blocks = []
     for j, directions in enumerate(lost):
-        end = column + len(directions)
-        N[10 * j : 10 * j + 10, column:end] = _about(frames[j], directions).T
+        block = np.zeros((10 * chain.nv, len(directions)))
+        block[10 * j : 10 * j + 10] = moved_parameters(directions, placed[j]).T
         if j > 0:
-            before = into_previous(chain, j, directions)
-            N[10 * j - 10 : 10 * j, column:end] = -_about(frames[j - 1], before).T
-        column = end
+            before = moved_parameters(into_previous(chain, j, directions), placed[j - 1])
+            block[10 * j - 10 : 10 * j] = -before.T
+        blocks.append(block)
+    N = np.hstack(blocks)
     basis = np.linalg.qr(N / np.linalg.norm(N, axis=0))[0]
-    shown = tuple(10 - len(u) for u in lost)
-    return Grouping(robot.parameter_names, shown, kinds, basis)
+    return NullSpace(tuple(10 - len(u) for u in lost), basis)
 
 
 def largest_count(revolute: int, prismatic: int, first_along_gravity: bool) -> int:
-    """Most base parameters an arm can have: 7 n_r + 4 n_p − 4 − 2 n_g, n_g 0 or 1.
+    """Most base parameters an arm can have (Mayeda, Yoshida and Osuka, IEEE T-RA 1990).
 
-    For revolute arms with parallel or orthogonal axes, of which the first two are not parallel,
-    this is the count itself (Mayeda, Yoshida and Osuka, IEEE T-RA 1990).
-
-    Args:
-        revolute: Number n_r of revolute joints, at least one.
-        prismatic: Number n_p of prismatic joints.
-        first_along_gravity: Whether the first joint is revolute and along gravity (n_g = 1).
+    The count itself for revolute arms with parallel or orthogonal axes, the first two not parallel.
     """
     return 7 * revolute + 4 * prismatic - 4 - 2 * first_along_gravity
-
-
-def _frames_in_joints(robot: Robot, chain: DHChain) -> Array:
-    """Pose of each link's frame of the chain in the robot's own joint frame, (nv, 4, 4)."""
-    placements = list(robot.model.jointPlacements)[1:]
-    poses = list(accumulate((place.homogeneous for place in placements), np.matmul))
-    found: Array = np.linalg.inv(np.array(poses)) @ frames(chain, np.zeros((1, chain.nv)))[0, 1:]
-    return found
-
-
-def _about(T: Array, phi: Array) -> Array:
-    """Parameters about the robot's joint frame, from those about the chain's link frame."""
-    return moved_parameters(phi, np.broadcast_to(T, (len(phi), 4, 4)))
 
 
 def _rules(chain: DHChain) -> tuple[str, ...]:
@@ -352,11 +258,9 @@ def _rules(chain: DHChain) -> tuple[str, ...]:
     first = turning[0] if turning else chain.nv
     other = next((j for j in turning if not _along(axes[j], axes[first])), chain.nv)
     if not chain.gravity.any() and other < chain.nv:
-        raise BadInput(
-            f"{chain.name}: without gravity the closed-form rules only hold for parallel axes; "
-            "use parameter_nullspace"
-        )
+        raise BadInput("without gravity the closed-form rules only hold for parallel axes")
     slides = [k for k in range(other) if not chain.revolute[k]]
+    reach = float(np.abs(chain.a).sum() + np.abs(chain.d).sum())
     found = []
     for j in range(chain.nv):
         if j >= other:
@@ -365,7 +269,8 @@ def _rules(chain: DHChain) -> tuple[str, ...]:
             across = j > first and not _along(axes[j], axes[first])
             found.append("prismatic across r1" if across else "prismatic, mass only")
         else:
-            still = all(_same_line(axes[j], points[k] - points[j], chain) for k in turning if k < j)
+            gaps = [np.cross(axes[j], points[k] - points[j]) for k in turning if k < j]
+            still = all(np.linalg.norm(gap) <= _SAME * reach for gap in gaps)
             still &= all(_along(axes[k], axes[first]) for k in slides if k < j)
             still &= _along(chain.gravity, axes[first])
             found.append("parallel to r1, standing still" if still else "parallel to r1")
@@ -377,34 +282,27 @@ def _along(a: Array, b: Array) -> bool:
     return bool(np.linalg.norm(np.cross(a, b)) <= _SAME * size)
 
 
-def _same_line(axis: Array, gap: Array, chain: DHChain) -> bool:
-    length = float(np.abs(chain.a).sum() + np.abs(chain.d).sum())
-    return bool(np.linalg.norm(np.cross(axis, gap)) <= _SAME * length)
+_KEPT = {
+    "prismatic": ("m", "mcx", "mcy", "mcz"),
+    "prismatic across r1": ("m", "mcx", "mcy", "mcz"),
+    "prismatic, mass only": ("m",),
+    "parallel to r1": ("Izz", "mcx", "mcy"),
+    "parallel to r1, standing still": ("Izz",),
+}
 
 
 def _lost(chain: DHChain, j: int, rule: str) -> Array:
-    """Directions of a link's parameters that group into the link before or show nowhere, (k, 10).
-
-    About the link's frame.
-    """
+    """Directions of a link's parameters that group into the one before or show nowhere, (k, 10)."""
     unit = np.eye(10)
     if rule == "revolute":
         both = unit[_INDEX["Ixx"]] + unit[_INDEX["Iyy"]]
         return np.array([both, unit[_INDEX["mcz"]], unit[_INDEX["m"]]])
-    kept = {
-        "prismatic": ("m", "mcx", "mcy", "mcz"),
-        "prismatic across r1": ("m", "mcx", "mcy", "mcz"),
-        "prismatic, mass only": ("m",),
-        "parallel to r1": ("Izz", "mcx", "mcy"),
-        "parallel to r1, standing still": ("Izz",),
-    }[rule]
-    lost = unit[[k for name, k in _INDEX.items() if name not in kept]]
+    lost = unit[[k for name, k in _INDEX.items() if name not in _KEPT[rule]]]
     if rule != "prismatic across r1":
         return lost
     placed = frames(chain, np.zeros((1, chain.nv)))[0, 1:]
-    first = int(np.argmax(chain.revolute))
     along = np.zeros(10)
-    along[1:4] = placed[j, :3, :3].T @ placed[first, :3, 2]
+    along[1:4] = placed[j, :3, :3].T @ placed[int(np.argmax(chain.revolute)), :3, 2]
     return np.vstack([lost, along])
 
 
@@ -412,23 +310,13 @@ def into_previous(chain: DHChain, j: int, phi: Array) -> Array:
     """Parameters about frame j − 1 of what has parameters φ about frame j, (k, 10), q_j = 0.
 
     For a revolute joint and parameters that turning about its axis does not change (YY with XX,
-    MZ, M), these are the published relations, with α, d of Khalil and Dombre's table called
-    alpha, a here, and their r called d.
+    MZ, M), these are relations (9.34) of Khalil and Dombre; their r is called d here.
     """
-    if chain.revolute[j] and _turns_into_itself(phi):
-        return _published(chain.a[j], chain.d[j], chain.alpha[j], phi)
-    return moved_parameters(phi, chain.poses(np.zeros((1, chain.nv)))[0, [j] * len(phi)])
-
-
-def _turns_into_itself(phi: Array) -> bool:
     others = [_INDEX[name] for name in ("mcx", "mcy", "Ixy", "Ixz", "Iyz", "Izz")]
     alike = np.array_equal(phi[:, _INDEX["Ixx"]], phi[:, _INDEX["Iyy"]])
-    return alike and not phi[:, others].any()
-
-
-def _published(a: float, d: float, alpha: float, phi: Array) -> Array:
-    """Relations (9.34) of Khalil and Dombre for YY, MZ and M of a revolute link."""
-    c, s = np.cos(alpha), np.sin(alpha)
+    if not chain.revolute[j] or not alike or phi[:, others].any():
+        return moved_parameters(phi, chain.poses(np.zeros((1, chain.nv)))[0, j])
+    a, d, c, s = chain.a[j], chain.d[j], np.cos(chain.alpha[j]), np.sin(chain.alpha[j])
     YY, MZ, M = (phi[:, _INDEX[name]] for name in ("Iyy", "mcz", "m"))
     h = 2 * d * MZ + d**2 * M
     moved = {

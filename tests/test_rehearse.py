@@ -114,7 +114,7 @@ def test_limits_are_judged_on_what_the_arm_does(planar: Robot, motion: FourierTr
     rng = np.random.default_rng(0)
     arm = rehearsal_arm(tight, rng)
     run = arm.run(motion, motion.period, rng)
-    [torque] = [x for x in limit_items(Situation(tight, arm, run)) if x.name == "torque limits"]
+    [torque] = [x for x in limit_items(Situation(tight, run)) if x.name == "torque limits"]
     used = np.abs(run.tau[:, 1]).max() / 0.5
     assert used > 1.05
     assert (torque.passed, torque.joint) == (False, "joint2")

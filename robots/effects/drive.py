@@ -161,11 +161,7 @@ class TorqueGain(_ReadingEffect):
 @registered
 @dataclass(frozen=True)
 class TorqueRipple(JointEffect):
-    """τ = a cos(N q) + b sin(N q): cogging, tooth mesh, eccentricity.
-
-    Attributes:
-        order: N, periods per turn of the joint.
-    """
+    """τ = a cos(N q) + b sin(N q): cogging, tooth mesh, eccentricity."""
 
     name = "torque_ripple"
     family = "static"
@@ -178,7 +174,7 @@ class TorqueRipple(JointEffect):
         (by.UNLOADED, "payload"),
     )
 
-    order: float = 1.0
+    order: float = 1.0  # N, periods per turn of the joint
 
     @classmethod
     def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
@@ -249,11 +245,7 @@ def _gains(orders: Array, q: Array, e: Array) -> Array:
 @registered
 @dataclass(frozen=True)
 class Spring(JointEffect):
-    """A spring beside the joint: τ = k q − k q_0, or a cos q + b sin q where it pulls a lever.
-
-    Attributes:
-        lever: Whether it pulls a lever, as in counterbalanced shoulders.
-    """
+    """A spring beside the joint: τ = k q − k q_0, or a cos q + b sin q where it pulls a lever."""
 
     name = "spring"
     family = "static"
@@ -267,7 +259,7 @@ class Spring(JointEffect):
     )
     terms = (Parameter("k", "N·m/rad"), Parameter("moment", "N·m"))
 
-    lever: bool = False
+    lever: bool = False  # whether it pulls one, as in counterbalanced shoulders
 
     @classmethod
     def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
@@ -315,9 +307,6 @@ class Backlash(_Lag):
 
     Where the load's sign changes the link flies from one end of the gap to the other, its
     acceleration less than the motor's by the torque that nothing gives it.
-
-    Attributes:
-        trial: Gap for which the flights are computed [rad].
     """
 
     name = "backlash"
@@ -327,7 +316,7 @@ class Backlash(_Lag):
     )
     told = ((by.SPEEDS, "time_delay"),)
 
-    trial: float = 3e-3
+    trial: float = 3e-3  # gap for which the flights are computed [rad]
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         j = self.rows(robot)[0]
@@ -338,12 +327,9 @@ class Backlash(_Lag):
 
 
 def play(t: Array, acceleration: Array, gap: float) -> Array:
-    """Lag of a link behind its motor over time, shape (n,), within ± gap / 2.
+    """Lag of a link behind its motor over time, within ± gap / 2; arrays of shape (n,).
 
-    Args:
-        t: Time, shape (n,) [s].
-        acceleration: What the motor would have to give the link to take it along, shape (n,).
-        gap: Width of the play.
+    ``acceleration`` is what the motor would have to give the link to take it along.
     """
     half, lag, speed = gap / 2, gap / 2 * float(np.sign(acceleration[0]) or 1.0), 0.0
     lags = [lag]
@@ -362,9 +348,6 @@ class TimeDelay(_ReadingEffect):
     """Reading(t) = τ(t − d), to first order in d around a trial delay.
 
     Positions that come late are a negative delay of the torque.
-
-    Attributes:
-        trial: Delay at which the column is the exact difference [s].
     """
 
     name = "time_delay"
@@ -385,7 +368,7 @@ class TimeDelay(_ReadingEffect):
         (by.WARM, "thermal_friction_drift"),
     )
 
-    trial: float = 1e-3
+    trial: float = 1e-3  # delay at which the column is the exact difference [s]
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -119,10 +119,7 @@ class GravityDirection(Effect):
     family = "static"
     further = False
     told = (
-        (
-            f"{by.LEVEL}; or turn the first joint slowly with the arm stretched",
-            "inertial_parameters",
-        ),
+        (f"{by.LEVEL}; or {by.STRETCHED}", "inertial_parameters"),
         (f"{by.UNLOADED}; {by.LEVEL}", "payload"),
     )
 

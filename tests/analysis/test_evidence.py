@@ -9,13 +9,7 @@ import pytest
 import scipy.signal
 import scipy.stats
 
-from excitant.analysis.evidence import (
-    FALSE_ALARM,
-    Candidate,
-    Evidence,
-    reweighed,
-    weigh,
-)
+from excitant.analysis.evidence import FALSE_ALARM, Candidate, Evidence, reweighed, weigh
 from excitant.identify.regression import dense
 from excitant.robots.effects import StribeckFriction, TorqueOffset
 

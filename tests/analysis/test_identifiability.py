@@ -161,19 +161,6 @@ def test_the_result_has_the_agreed_keys(ur10: Robot) -> None:
     assert {"persistency", "directions", "correlations", "not_shown"} <= set(result)
 
 
-@pytest.mark.parametrize("name", ["planar_2r", "ur10", "puma560"])
-def test_the_drawn_chain_keeps_the_distances_of_neighbours(name: str) -> None:
-    robot = load_robot(name)
-    points = analyze(robot).series()["chain"]
-    assert points.shape == (robot.nv + 2, 3)
-    places = [np.asarray(p.translation) for p in list(robot.model.jointPlacements)[1:]]
-    np.testing.assert_allclose(
-        np.linalg.norm(np.diff(points[:-1], axis=0), axis=1),
-        [np.linalg.norm(place) for place in places],
-        atol=1e-12,
-    )
-
-
 def test_every_parameter_appears_in_the_result(ur10: Robot) -> None:
     result = analyze(ur10, effects=standard_effects(ur10.joints)).result()
     seen: set[str] = set()

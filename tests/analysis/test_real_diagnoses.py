@@ -45,7 +45,7 @@ def better(diagnosis: Diagnosis, factor: float) -> None:
     """Better on every joint, by a factor over all of them, and with bodies that can be."""
     given, extended = (diagnosis.held.rms(e) for e in (diagnosis.held.given, diagnosis.left))
     assert (extended < SAME * given).all(), extended / given
-    size = diagnosis.measured.std(axis=0)
+    size = diagnosis.held.series.measured.std(axis=0)
     total = [float(np.sqrt(((e / size) ** 2).sum())) for e in (given, extended)]
     assert total[1] * factor < total[0], total
     model = diagnosis.extension.model

@@ -133,9 +133,7 @@ def test_effects_of_the_motion_alone_need_no_identified_arm(
     of_torque = (*standard_effects(planar.joints), TimeDelay(planar.joints))
     same, other = (
         with_own_torque(
-            fit_rows(planar, effects, base_parameters(planar, effects), fit.data),
-            prior,
-            nothing,
+            fit_rows(planar, effects, base_parameters(planar, effects), fit.data), prior, nothing
         )
         for effects in (of_motion, of_torque)
     )

@@ -119,7 +119,7 @@ def test_three_methods_agree_on_random_chains(seed: int, nv: int, special: bool)
     if given_chain.gravity.any():
         rules = grouping(robot)
         assert rules.shown == other.shown
-        assert other.angle(rules.null_space, arm_length(robot)) < SAME
+        assert other.angle(rules.basis, arm_length(robot)) < SAME
 
 
 @given(seed=SEEDS, nv=st.integers(2, 6), special=st.booleans(), any_pose=st.booleans())
@@ -309,10 +309,7 @@ def test_one_joint_at_a_time_in_many_poses(inner: bool, together: int) -> None:
     robot = load_robot("cmu_dd_arm_ii")
     rows = [
         structure(
-            robot,
-            moving=[joint],
-            measured=robot.joints[: i + 1] if inner else [joint],
-            held="any",
+            robot, moving=[joint], measured=robot.joints[: i + 1] if inner else [joint], held="any"
         ).base.regrouping
         for i, joint in enumerate(robot.joints)
     ]

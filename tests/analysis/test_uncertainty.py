@@ -8,16 +8,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from excitant.analysis import next_experiment
-from excitant.analysis.experiment import identify_shown
+from excitant.analysis import uncertainty
+from excitant.analysis.experiment import identify_shown, prior_influence, prior_of
 from excitant.analysis.identifiability import Identifiability, analyze
-from excitant.analysis.next_experiment import APART, base_wrench_columns, scale_deviation
-from excitant.analysis.prior_influence import prior_influence, prior_of
 from excitant.analysis.uncertainty import (
+    APART,
     MotionInformation,
+    base_wrench_columns,
     correlation,
     deviations,
     largest_correlations,
+    scale_deviation,
     triangle,
     unseen_directions,
     weak_directions,
@@ -248,7 +249,7 @@ def test_a_known_payload_shows_the_scale_of_currents(
 ) -> None:
     sigma, std = 0.01 * ur10.limits.torque, {}
     for mass in (0.0, 0.05, 0.1):
-        monkeypatch.setattr(next_experiment, "PAYLOAD_KG", mass)
+        monkeypatch.setattr(uncertainty, "PAYLOAD_KG", mass)
         std[mass] = scale_deviation(ur10, standard_effects(ur10.joints), sigma)
     assert std[0.0] == np.inf
     assert std[0.05] / std[0.1] == pytest.approx(2.0, rel=0.02)
