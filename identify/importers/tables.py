@@ -229,7 +229,7 @@ def _topic(reader: Any, wanted: str | None, path: Path) -> tuple[str, tuple[str,
     topics = sorted({c.topic for c in reader.connections if c.msgtype == _MESSAGE})
     measured = [topic for topic in topics if not meaning(topic).commanded]
     some = ", ".join(topics)
-    if wanted in topics:
+    if wanted is not None and wanted in topics:
         return wanted, ()
     if wanted is not None:
         why = f"has no joint states on {wanted}; topics with them: {some or 'none'}"
@@ -272,7 +272,7 @@ def as_numbers(values: pd.Series) -> Array:
     if not kinds.is_numeric_dtype(values) and not isinstance(values.dtype, pd.StringDtype):
         real = (str, Real, Decimal)
         plain = [isinstance(v, real) and not isinstance(v, bool | np.bool_) for v in values]
-        values = values.astype(object).where(plain, None)
+        values = values.astype(object).where(np.array(plain, bool), None)
     numbers = pd.to_numeric(values, errors="coerce")
     return np.asarray(numbers.to_numpy(float, na_value=np.nan))
 
@@ -300,8 +300,9 @@ def in_seconds(values: pd.Series, unit: Unit | None) -> tuple[Array, Array]:
     dated, lasting = unit == ISO or _is_date(values), pd.api.types.is_timedelta64_dtype(values)
     if dated or lasting:
         values = _dates(values) if dated else values
-        bad, kind = values.isna().to_numpy(), "datetime64[us, UTC]" if dated else "timedelta64[us]"
+        kind: Any = "datetime64[us, UTC]" if dated else "timedelta64[us]"
         ticks, per_second = values.astype(kind).astype("int64").to_numpy(), 1_000_000
+        bad = values.isna().to_numpy()
     else:
         scale = (factor("t", unit) or 1.0) if isinstance(unit, str) else unit or 1.0
         whole = pd.api.types.is_integer_dtype(values) and not values.isna().any()
