@@ -20,11 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.differentiators import (
-    LocalPolynomial,
-    causal_polynomial,
-    position_spectrum,
-)
+from excitant.identify.differentiators import LocalPolynomial, causal_polynomial, position_spectrum
 from excitant.identify.estimate import Estimate, judged
 from excitant.identify.excitation import ROWS_PER_SECOND, WindowExcitation, excitation_judge
 from excitant.identify.information import Information, InformationFilter, combined

@@ -183,10 +183,7 @@ def _refuse_contradictions(
             load.unloaded and not load.payload,
             "--unloaded names what --payload is compared with; give --payload too",
         ),
-        (
-            known[0] != known[1],
-            "--payload-recording and --payload-mass belong together; give both",
-        ),
+        (known[0] != known[1], "--payload-recording and --payload-mass belong together; give both"),
         (com and len(com) != 3, "--payload-com needs three numbers, X,Y,Z in metres"),
         (forgetting is not None and not online, "--forgetting is for --online; give --online too"),
         (by_link and online, "--link-by-link needs whole recordings; leave --online out"),
