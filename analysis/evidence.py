@@ -209,7 +209,7 @@ class Evidence:
         grams, crosses, moments, used = [], [], [], set[int]()
         for j, here in self.acting(cause):
             at, weight = self.problem.index[j], self.weight[j]
-            G = weight * self.problem.grams[j][0]
+            G = weight * self.problem.grams[j]
             cross = np.zeros((len(self.moment), len(here)))
             cross[at] = G[:-1, here]
             grams.append(G[np.ix_(here, here)] + np.diag(self.precision[at[here]]))

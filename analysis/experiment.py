@@ -361,5 +361,5 @@ def identify_shown(
 def _clean(rows: FitRows) -> FitRows:
     """The rows without columns that are rounding alone, of which nothing is known beforehand."""
     known = rows.regression
-    clean = dense(without_rounding(known.W), known.tau, known.names, known.starts)
+    clean = dense(without_rounding(known.W), known.tau, known.names)
     return replace(rows, regression=clean)

@@ -36,23 +36,14 @@ _PER_HARMONIC = 16  # samples by which random search judges
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A design problem, inertial columns, rigid bodies only.
+    """A design problem, inertial columns, rigid bodies only."""
 
-    Attributes:
-        name: Name of its file.
-        robot: The arm with the problem's limits and without effects.
-        duration: Duration of the motion [s].
-        harmonics: Number of harmonics of the Fourier contestants.
-        rate_hz: Rate at which motions are judged [Hz].
-        folder: Where ``robot.urdf`` and ``problem.json`` are written for the contestants.
-    """
-
-    name: str
-    robot: Robot
-    duration: float
-    harmonics: int
-    rate_hz: float
-    folder: Path
+    name: str  # of its file
+    robot: Robot  # the arm with the problem's limits and without effects
+    duration: float  # of the motion [s]
+    harmonics: int  # of the Fourier contestants
+    rate_hz: float  # at which motions are judged [Hz]
+    folder: Path  # where ``robot.urdf`` and ``problem.json`` are written for the contestants
 
     @property
     def urdf(self) -> Path:
@@ -115,11 +106,8 @@ def load_problem(
 ) -> Problem:
     """Problem of a JSON file: ``model``, ``duration``, ``harmonics``, ``limits``, ``evaluate_hz``.
 
-    Args:
-        path: The file; its ``model`` is a built-in arm or a path relative to it.
-        folder: Where the contestants' files go; beside the problem by default.
-        robot: Another arm under the same limits.
-        harmonics: Another number of harmonics.
+    ``model`` is a built-in arm or a path relative to the file; another arm may be put under the
+    same limits, with another number of harmonics. The contestants' files go into the folder.
 
     Raises:
         BadInput: Entries missing, or limits that leave position, velocity or torque open.
@@ -147,16 +135,9 @@ def load_problem(
 
 @dataclass(frozen=True)
 class Settings:
-    """What is common to the contestants; see the options of ``design.py``.
+    """What is common to the contestants; see the options of ``design.py``."""
 
-    Attributes:
-        deadline: `time.time` at which to stop [s].
-        jobs: Number of processes.
-        seed: Seed of all randomness.
-        harmonics: Number of harmonics.
-    """
-
-    deadline: float
+    deadline: float  # `time.time` at which to stop [s]
     jobs: int
     seed: int
     harmonics: int

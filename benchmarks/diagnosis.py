@@ -31,14 +31,15 @@ from hidden_effects import KINDS, draw_effect, typical_trajectory  # noqa: E402
 
 from excitant.analysis.diagnosis import diagnose  # noqa: E402
 from excitant.exceptions import ExcitantError  # noqa: E402
-from excitant.identify.recording import recording_from_table  # noqa: E402
+from excitant.identify.recording import Recording, recording_from_table  # noqa: E402
 from excitant.robots import Robot, load_robot  # noqa: E402
+from excitant.robots.plant.arm import Trajectory  # noqa: E402
 from excitant.robots.torque import effect_values  # noqa: E402
-from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors, virtual_arm  # noqa: E402
+from excitant.robots.virtual_arm import HiddenEffect, VirtualArm, virtual_arm  # noqa: E402
 
 ARMS = ("ur10", "panda", "puma560", "planar_2r")
-_DURATION = 15.0  # s of each motion
-_TOLERANCE = 0.03  # of the given inertias
+DURATION = 15.0  # s of each motion
+TOLERANCE = 0.03  # of the given inertias
 _WIDER = 8.0  # a wrong body must show beyond what the tolerance of all bodies does
 _CLEARLY = 3.0  # times the noise floor
 _SIZES = (2.0, 3.0, 5.0, 8.0, 13.0, 30.0)
@@ -52,19 +53,12 @@ _PAIRED = (
 
 @dataclass(frozen=True)
 class Case:
-    """One virtual arm with what it hides.
+    """One virtual arm with what it hides."""
 
-    Attributes:
-        number: Its seed, beside that of the suite.
-        seed: Of the suite.
-        arm: Name of the nominal arm.
-        kinds: What is hidden; empty for a clean arm.
-    """
-
-    number: int
+    number: int  # its seed, beside that of the suite
     seed: int
     arm: str
-    kinds: tuple[str, ...]
+    kinds: tuple[str, ...]  # what is hidden; empty for a clean arm
 
 
 def cases(args: argparse.Namespace) -> list[Case]:
@@ -81,6 +75,14 @@ def cases(args: argparse.Namespace) -> list[Case]:
     return [Case(k, args.seed, *each) for k, each in enumerate(hidden, start=1)]
 
 
+def recorded(
+    arm: VirtualArm, motion: Trajectory, duration: float, rng: np.random.Generator, name: str
+) -> Recording:
+    """A run of a virtual arm as a recording."""
+    table = arm.record(motion, duration, rng)
+    return recording_from_table(table, arm.nominal.nv, file=name, name=name)
+
+
 def run(case: Case) -> dict[str, Any]:
     """Draw, record and diagnose one case."""
     rng = np.random.default_rng([case.seed, case.number])
@@ -91,16 +93,11 @@ def run(case: Case) -> dict[str, Any]:
             size = float(np.exp(rng.uniform(np.log(_SIZES[0]), np.log(_SIZES[-1]))))
             shown = size * (_WIDER if kind in _BODIES else 1.0)
             hidden.append(draw_effect(robot, rng, kind, shown))
-        arm = virtual_arm(
-            robot, rng, hidden=hidden, sensors=industrial_sensors(robot), tolerance=_TOLERANCE
-        )
+        arm = virtual_arm(robot, rng, hidden=hidden, tolerance=TOLERANCE)
         train, held = (
-            recording_from_table(
-                arm.record(typical_trajectory(robot, rng, _DURATION), _DURATION, rng),
-                robot.nv, file=name, name=name,
-            )
+            recorded(arm, typical_trajectory(robot, rng, DURATION), DURATION, rng, name)
             for name in ("excitation", "holdout")
-        )  # fmt: skip
+        )
     except ExcitantError as error:
         return {"case": vars(case), "not_drawn": str(error)}
     drawn = time.perf_counter()
@@ -125,12 +122,7 @@ def _brief(finding: dict[str, Any]) -> list[Any]:
 def score(
     robot: Robot, hidden: Sequence[HiddenEffect], findings: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """What was right and what was wrong about a diagnosis of the nominal robot.
-
-    Returns:
-        ``right``: how many hidden effects were named or in the set of an undecided finding;
-        ``named``: how many were named; ``wrong``: named causes that were not hidden.
-    """
+    """How many hidden effects were named, or in an undecided set too; named ones not hidden."""
     right = named = 0
     for effect in hidden:
         if any(_is(f, effect) and f["verdict"] in ("named", "unknown") for f in findings):
@@ -170,20 +162,20 @@ def summary(results: Sequence[dict[str, Any]]) -> str:
     done = [r for r in results if "score" in r]
     singles = [r for r in done if len(r["hidden"]) == 1]
     known = [r for r in singles if r["hidden"][0][0] != "unknown"]
-    clear = [r for r in known if r["size"] >= _CLEARLY]
-    unknown = [r for r in singles if r["hidden"][0][0] == "unknown"]
-    clean = [r for r in done if not r["hidden"]]
-    pairs = [r for r in done if len(r["hidden"]) == 2]
+    clear = [r["score"] for r in known if r["size"] >= _CLEARLY]
+    unknown = [r["score"] for r in singles if r["hidden"][0][0] == "unknown"]
+    clean = [r["score"] for r in done if not r["hidden"]]
+    pairs = [r["score"] for r in done if len(r["hidden"]) == 2]
     lines = [
-        _rate("right, effects of at least 3 x the floor", [r["score"]["right"] for r in clear]),
-        _rate("  of these named", [r["score"]["named"] for r in clear]),
-        _rate("a wrong name given", [bool(r["score"]["wrong"]) for r in clear]),
+        _rate("right, effects of at least 3 x the floor", [s["right"] for s in clear]),
+        _rate("  of these named", [s["named"] for s in clear]),
+        _rate("a wrong name given", [s["wrong"] for s in clear]),
         _rate("right, all sizes", [r["score"]["right"] for r in known]),
-        _rate("unknown said of unknown", [r["score"]["right"] for r in unknown]),
-        _rate("a name given to unknown", [bool(r["score"]["wrong"]) for r in unknown]),
-        _rate("clean, nothing named", [not r["score"]["wrong"] for r in clean]),
-        _rate("both of two found", [r["score"]["right"] == 2 for r in pairs]),
-        _rate("a wrong name beside two", [bool(r["score"]["wrong"]) for r in pairs]),
+        _rate("unknown said of unknown", [s["right"] for s in unknown]),
+        _rate("a name given to unknown", [s["wrong"] for s in unknown]),
+        _rate("clean, nothing named", [not s["wrong"] for s in clean]),
+        _rate("both of two found", [s["right"] == 2 for s in pairs]),
+        _rate("a wrong name beside two", [s["wrong"] for s in pairs]),
         f"not drawn (the arm cannot show it): {len(results) - len(done)}",
         "",
         "size     right",

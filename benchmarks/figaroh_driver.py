@@ -29,33 +29,19 @@ from figaroh.tools.robot import load_robot
 
 @dataclass(frozen=True)
 class Specification:
-    """What FIGAROH is asked for.
+    """What FIGAROH is asked for."""
 
-    Attributes:
-        urdf: File of the robot.
-        limits: ``position`` (nv, 2), and ``velocity`` and ``torque`` (nv,), SI units.
-        segment_s: Duration of each segment [s].
-        segments: Number of segments, stacked in the regressor of the next one.
-        moves: Rest-to-rest moves per segment.
-        rate_hz: Rate of the trajectory written [Hz].
-        frequency_hz: Lowest rate of the regressor and constraints inside the optimiser [Hz].
-        iterations: Limit on IPOPT's iterations per segment.
-        attempts: New initial guesses for a segment that fails.
-        seed: Seed of NumPy's global generator, which FIGAROH draws from.
-        csv: File to write the trajectory to.
-    """
-
-    urdf: str
-    limits: dict[str, Any]
-    segment_s: float
-    segments: int
-    moves: int
-    rate_hz: float
-    frequency_hz: int
-    iterations: int
-    attempts: int
-    seed: int
-    csv: str
+    urdf: str  # file of the robot
+    limits: dict[str, Any]  # position (nv, 2), velocity and torque (nv,), SI units
+    segment_s: float  # duration of each segment [s]
+    segments: int  # stacked in the regressor of the next one
+    moves: int  # from rest to rest per segment
+    rate_hz: float  # of the trajectory written [Hz]
+    frequency_hz: int  # lowest rate of regressor and constraints inside the optimiser [Hz]
+    iterations: int  # of IPOPT per segment, at most
+    attempts: int  # new initial guesses for a segment that fails
+    seed: int  # of NumPy's global generator, which FIGAROH draws from
+    csv: str  # file to write the trajectory to
 
     @property
     def inner_hz(self) -> int:
@@ -188,15 +174,8 @@ def main() -> int:
     names = ["t", *(f"{kind}{j + 1}" for kind in ("q", "dq", "ddq") for j in range(nv))]
     np.savetxt(specification.csv, table, "%.17g", ",", header=",".join(names), comments="")
     segments = results["iteration_data"]
-    print(
-        json.dumps(
-            {
-                "solved": len(optimiser.solved),
-                "converged": [bool(segment["converged"]) for segment in segments],
-                "status": [int(segment["status"]) for segment in segments],
-            }
-        )
-    )
+    converged = [bool(segment["converged"]) for segment in segments]
+    print(json.dumps({"solved": len(optimiser.solved), "converged": converged}))
     return 0
 
 

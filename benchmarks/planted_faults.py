@@ -208,35 +208,19 @@ def hardly_moving(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
     return replace(log, q=q, dq=dq + 2e-3 * noise[1], tau=tau)
 
 
-PLANTS: list[tuple[str, Plant]] = [
-    ("dead_channel", zero_torque),
-    ("dead_channel", noise_for_torque),
-    ("dead_channel", frozen_torque),
-    ("wrong_sign", velocity_negated),
-    ("wrong_sign", torque_negated),
-    ("wrong_sign", position_negated),
-    ("wrong_unit", velocity_in_rpm),
-    ("wrong_unit", position_in_degrees),
-    ("wrong_unit", all_in_degrees),
-    ("wrong_sample_rate", half_rate),
-    ("wrong_sample_rate", half_rate_without_velocity),
-    ("wrong_sample_rate", milliseconds),
-    ("wrong_sample_rate", counted_samples),
-    ("duplicate_samples", rows_logged_twice),
-    ("duplicate_samples", stamps_twice),
-    ("duplicate_samples", held_torque),
-    ("dropped_samples", rows_lost),
-    ("dropped_samples", rows_lost_unseen),
-    ("corrupt_rows", not_a_number),
-    ("corrupt_rows", torque_outliers),
-    ("corrupt_rows", position_outliers),
-    ("corrupt_rows", unsigned_torque),
-    ("saturation", clipped_torque),
-    ("not_measured", model_for_torque),
-    ("poor_excitation", hardly_moving),
-]
-
-
+FAULTS: dict[str, tuple[Plant, ...]] = {
+    "dead_channel": (zero_torque, noise_for_torque, frozen_torque),
+    "wrong_sign": (velocity_negated, torque_negated, position_negated),
+    "wrong_unit": (velocity_in_rpm, position_in_degrees, all_in_degrees),
+    "wrong_sample_rate": (half_rate, half_rate_without_velocity, milliseconds, counted_samples),
+    "duplicate_samples": (rows_logged_twice, stamps_twice, held_torque),
+    "dropped_samples": (rows_lost, rows_lost_unseen),
+    "corrupt_rows": (not_a_number, torque_outliers, position_outliers, unsigned_torque),
+    "saturation": (clipped_torque,),
+    "not_measured": (model_for_torque,),
+    "poor_excitation": (hardly_moving,),
+}
+PLANTS = [(name, plant) for name, plants in FAULTS.items() for plant in plants]
 RATES_HZ = (100.0, 125.0, 250.0, 500.0)
 
 

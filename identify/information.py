@@ -67,11 +67,16 @@ def combined(parts: Sequence[Information]) -> Information:
     return Information(total.R, total.z, total.rest + sum(part.rest for part in parts))
 
 
-def gaussian(mean: Array, covariance: Array) -> Information:
-    """What a normal distribution knows, covariance regular."""
+def square_root(covariance: Array) -> Array:
+    """L of covariance = L Lᵀ, lower triangular, whatever the units of its rows."""
     scale = np.sqrt(np.diag(covariance))
     L = np.linalg.cholesky(covariance / np.outer(scale, scale))
-    A = scipy.linalg.solve_triangular(L, np.eye(len(mean)), lower=True) / scale
+    return np.asarray(scale[:, None] * L, float)
+
+
+def gaussian(mean: Array, covariance: Array) -> Information:
+    """What a normal distribution knows, covariance regular."""
+    A = scipy.linalg.solve_triangular(square_root(covariance), np.eye(len(mean)), lower=True)
     return information_of(A, A @ mean)
 
 

@@ -373,7 +373,7 @@ class Monitor:
         seen = found.excitation
         if seen is not None and seen.enough != self._enough:
             self._enough = seen.enough
-            self.messages.append((estimate.t, seen.sentence()))
+            self.messages.append((estimate.t, seen.sentence))
         return found
 
     def _uncertainty(self, P: Array) -> Array:
@@ -432,12 +432,9 @@ class OnlineIdentification:
 
     def series(self) -> dict[str, Array]:
         """For figures: estimates over time, ``online_t`` (k,), values and std (k, r)."""
-        looks = [look.estimate for look in self.looks]
-        return {
-            "online_t": np.array([each.t for each in looks]),
-            "online_value": np.array([each.beta for each in looks]),
-            "online_std": np.array([each.std for each in looks]),
-        }
+        looks = [(each.estimate.t, each.estimate.beta, each.estimate.std) for each in self.looks]
+        keys = ("online_t", "online_value", "online_std")
+        return {key: np.array(x) for key, x in zip(keys, zip(*looks, strict=True), strict=True)}
 
 
 def identify_online(

@@ -115,8 +115,6 @@ class ModelCheck:
             *_inertias(robot, self.bodies),
             *_axes(robot, root),
             *_rounded(root),
-            *_mirrored(root),
-            *_opposite(robot),
             *_limits(robot, root),
             *self._weight(),
         ]
@@ -263,41 +261,6 @@ def _rounded(root: ET.Element) -> Warnings:
             f"one hides, and what hardly shows is identified badly; write {meant!r}",
             hint=True,
         )
-
-
-def _mirrored(root: ET.Element) -> Warnings:
-    for link in root.findall("link"):
-        scales = [mesh.get("scale", "1 1 1") for mesh in link.iter("mesh")]
-        mirrored = [s for s in scales if np.prod([float(x) for x in s.split()]) < 0]
-        if mirrored:
-            yield ModelWarning(
-                "mirrored_mesh",
-                (str(link.get("name")),),
-                f"a mesh of it is mirrored (scale {mirrored[0]}), which makes its frame "
-                "left-handed; mirror its inertia and axes too, or export the true part",
-                hint=True,
-            )
-
-
-def _opposite(robot: Robot) -> Warnings:
-    """Equal links one after the other whose parallel axes point in opposite directions."""
-    axes, phi = robot.axes(np.zeros(robot.nv)), robot.phi.reshape(-1, 10)
-    diagonals = np.sort(np.abs(phi[:, [4, 6, 9]]), axis=1)
-    for j in range(robot.nv - 1):
-        if (
-            phi[j, 0] > 0
-            and np.allclose(phi[j, 0], phi[j + 1, 0], rtol=1e-9)
-            and np.allclose(diagonals[j], diagonals[j + 1], rtol=1e-6)
-            and robot.revolute[j] == robot.revolute[j + 1]
-            and axes[j] @ axes[j + 1] < -1 + 1e-9
-        ):
-            yield ModelWarning(
-                "opposite_axes",
-                (robot.joints[j], robot.joints[j + 1]),
-                "equal links whose parallel axes differ in sign only; check that the arm counts "
-                "these angles in opposite directions",
-                hint=True,
-            )
 
 
 def _limits(robot: Robot, root: ET.Element) -> Warnings:

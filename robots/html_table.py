@@ -7,13 +7,7 @@ from html import escape
 
 
 def html_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table under a title, all of its texts escaped.
-
-    Args:
-        title: What it shows, in a line.
-        columns: Headings.
-        rows: One cell per column; numbers are written with four digits, None as a dash.
-    """
+    """A table under a title, texts escaped, numbers with four digits, None as a dash."""
     heads = "".join(f"<th>{escape(column)}</th>" for column in columns)
     lines = "".join(
         f"<tr>{''.join(f'<td>{escape(_written(cell))}</td>' for cell in row)}</tr>" for row in rows

@@ -2,14 +2,11 @@
 
     M(q) q̈ + b(q, q̇) + τ_e(t, q, q̇) = τ,    τ = τ_ff + B (ω² (q_d − q) + 2 ω (q̇_d − q̇))
 
-with the rotors in M, Coriolis, centrifugal and gravity torque b, and the torque τ_e of the
-effects. Friction jumps where a joint reverses; within ± v₀ of rest, torque is interpolated between
-those at −v₀ and at v₀, so that a joint at rest creeps with up to v₀ instead of sticking. A step is
-one of the Rosenbrock method ROS2 (Verwer, Spee, Blom, Hundsdorfer 1999): of second order whatever
-stands in for the Jacobian, here controller and friction, so that neither stiff gains nor the dry
-friction of light joints limit its length.
-
-The plant of the virtual arm (`excitant.robots.plant`) shares no code with this.
+with the rotors in M and the torque τ_e of the effects. Friction jumps where a joint reverses;
+within ± v₀ of rest, torque is interpolated between those at −v₀ and at v₀, so that a joint at rest
+creeps with up to v₀ instead of sticking. A step is one of the Rosenbrock method ROS2 (Verwer,
+Spee, Blom, Hundsdorfer 1999): of second order whatever stands in for the Jacobian, here controller
+and friction, so that neither stiff gains nor the dry friction of light joints limit its length.
 """
 
 from __future__ import annotations
@@ -112,15 +109,12 @@ class StateTorque:
 def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
     """A robot as forward dynamics needs it.
 
-    Effects of the torque sensor (a wrong gain, a delay) do not move the arm and are left out.
-
-    Returns:
-        Pinocchio's model with the bodies that effects add; the constant part of the mass matrix
-        beside it, rotors and their coupling, shape (nv, nv) [kg·m²]; and the rest of the effects.
+    Pinocchio's model with the bodies that effects add; the constant part of the mass matrix
+    beside it, rotors and their coupling, shape (nv, nv) [kg·m²]; and the rest of the effects, but
+    for those of the torque sensor (a wrong gain, a delay), which do not move the arm.
 
     Raises:
-        BadInput: An effect without values, or one that depends on the past otherwise than by
-            presliding hysteresis.
+        BadInput: An effect without values, or one that depends on the past but has no stepper.
     """
     plain = {kind: np.zeros(robot.nv) for kind in _PLAIN}
     carrying, inertia = robot, np.zeros((robot.nv, robot.nv))
@@ -202,18 +196,11 @@ def _inertia(robot: Robot, effect: Effect) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """Feed-forward of a model, and a position loop in terms of its inertia.
+    """Feed-forward of a model, and a position loop in terms of its inertia."""
 
-    Attributes:
-        omega: ω, natural frequency of the error, one for all joints or shape (nv,) [rad/s].
-        believed: The robot whose inverse dynamics on the commanded motion gives τ_ff, and whose
-            mass matrix at the commanded positions is B; the simulated one itself when None.
-        floor: Smallest diagonal of B, for joints that move little, 0 or shape (nv,) [kg·m²].
-    """
-
-    omega: Array | float = 40.0
-    believed: Robot | None = None
-    floor: Array | float = 0.0
+    omega: Array | float = 40.0  # ω, one for all joints or shape (nv,) [rad/s]
+    believed: Robot | None = None  # gives τ_ff and B; the simulated one itself when None
+    floor: Array | float = 0.0  # smallest diagonal of B, 0 or shape (nv,) [kg·m²]
 
     def gains(self, robot: Robot, q: Array) -> tuple[Array, Array]:
         """B ω² and 2 B ω at commanded positions, each (n, nv, nv) [N·m/rad, N·m·s/rad]."""
@@ -258,12 +245,9 @@ def simulate(
 ) -> Simulation:
     """Let a model with its effects follow a motion, from that motion's first state.
 
-    Between its instants the commanded motion is the quintic polynomial through position, velocity
-    and acceleration.
-
     Args:
         robot: The model; effects need values.
-        command: The motion.
+        command: The motion; quintic polynomials between its instants.
         controller: None lets the robot move under ``applied`` alone, or no torque.
         applied: Feed-forward instead of the controller's own, shape (n, nv) [N·m].
         step: Longest step of integration, shorter where joints turn back [s].
@@ -303,19 +287,9 @@ def forward_error(
     Torque that the model does not need, or lacks, δτ, moves it by about δτ / (B ω²) below the
     bandwidth and by δτ / (M (2πf)²) at frequencies f above. Without the loop any model drifts
     away, and in a slow one a joint that sticks for too much dry friction is left behind; compare
-    models in one and the same loop. A joint that moves so little inertia that its rms torque would
-    turn it by more than a radian gets the stiffness for that.
-
-    Args:
-        robot: The model; effects need values.
-        motion: Recorded motion, filtered, as of `excitant.identify.preprocessing.Segment`.
-        tau: Recorded torque at its instants, shape (n, nv) [N·m].
-        bandwidth_hz: ω / 2π of the loop, critically damped [Hz].
-        step: Longest step of integration [s].
-
-    Raises:
-        BadInput: Effects that cannot be simulated, or shapes and times that do not fit.
-        Diverged: The model left the motion for good.
+    models in one and the same loop, critically damped with ω / 2π as bandwidth. A joint that moves
+    so little inertia that its rms torque would turn it by more than a radian gets the stiffness
+    for that. The recorded motion is filtered, the torque of shape (n, nv) [N·m]; see `simulate`.
     """
     omega = 2 * np.pi * bandwidth_hz
     floor = np.sqrt((np.asarray(tau, float) ** 2).mean(axis=0)) / omega**2
@@ -341,10 +315,7 @@ def _check(robot: Robot, command: Motion, applied: Array | None, step: float) ->
 
 
 def _steps(command: Motion, step: float) -> npt.NDArray[np.intp]:
-    """Steps of integration between each two instants, more where a joint turns back.
-
-    Dry friction jumps there, and a method that steps over the jump is of first order only.
-    """
+    """Steps between each two instants, more where a joint turns back: dry friction jumps there."""
     dt = np.diff(command.t)
     counts = np.maximum(1, np.ceil(dt / step - 1e-9)).astype(np.intp)
     reach = _NEAR * (dt / counts)[:, None] * np.abs(command.ddq)[1:]

@@ -36,9 +36,8 @@ def column_names(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
 def largest_torque(robot: Robot, motion: Motion) -> Array:
     """Torque of largest magnitude within the uncertainty of the masses, shape (n, nv).
 
-    With each link's parameters free within ± p of the model's, Σᵢ p |τᵢ| is added to the
-    magnitude, τᵢ the torque of link i. `torque` where p, the robot's limits'
-    ``mass_uncertainty``, is 0.
+    With each link's parameters free within ± p, the limits' ``mass_uncertainty``, Σᵢ p |τᵢ| is
+    added to the magnitude, τᵢ the torque of link i.
     """
     tau, p = torque(robot, motion), robot.limits.mass_uncertainty
     if p == 0:

@@ -71,13 +71,7 @@ class VirtualArm:
         rng: np.random.Generator,
         progress: Progress | None = None,
     ) -> pd.DataFrame:
-        """Run a trajectory and record it.
-
-        Args:
-            trajectory: ``trajectory(t, order)``, shape (n, nv); starts at rest.
-            duration: Length of the recording [s].
-            rng: Noise of the sensors.
-            progress: Called with the fraction done.
+        """Run a trajectory ``trajectory(t, order)`` for a time [s] and record it.
 
         Returns:
             Columns ``t``, ``q1..qn``, ``dq1..dqn``, ``tau1..taun``.
@@ -208,12 +202,11 @@ def _spring(x: Numbers) -> dict[str, float]:
     return {"stiffness": x["k"], "rest": -x["moment"] / x["k"] if x["k"] else 0.0}
 
 
-_ALIKE = (
+_ALIKE = (  # whose parameters have the same names and meaning in the plant
     *("viscous_friction", "coulomb_friction", "stribeck_friction", "asymmetric_friction"),
     *("nonlinear_viscous_friction", "load_dependent_friction", "presliding_hysteresis"),
     *("rotor_inertia", "torque_offset", "friction_coupling", "inertia_coupling", "time_delay"),
 )
-"""Effects whose parameters have the same names and meaning in the plant."""
 _TRANSLATION: dict[str, Callable[[Numbers], Numbers]] = {
     **dict.fromkeys(_ALIKE, lambda x: x),
     "thermal_friction_drift": lambda x: {"Fv": x["Fv_cold"], "Fc": x["Fc_cold"], "time": x["time"]},
@@ -228,28 +221,21 @@ _SHAPES = ("velocity", "exponent", "distance", "time", "order", "ratio")
 
 
 def _described(robot: Robot, known: Any) -> list[HiddenEffect]:
-    """One effect of a nominal arm, joint by joint where it acts on each alone.
-
-    Raises:
-        BadRobot: It has no values.
-        UnknownName: The plant cannot have it as a known effect.
-    """
-    if known.name not in _TRANSLATION:
-        raise UnknownName("effect of a nominal virtual arm", known.name, _TRANSLATION)
+    """One effect of a nominal arm, joint by joint where it acts on each alone."""
+    UnknownName.refuse("effect of a nominal virtual arm", [known.name], _TRANSLATION)
     if known.values is None:
         raise BadRobot(robot.source, f"effect {known.name} has no values; give them")
     symbols = [p.name.rsplit(".", 1)[-1] for p in known.parameters(robot)]
     shape = {name: getattr(known, name) for name in _SHAPES if hasattr(known, name)}
     together = known.name in _TOGETHER
     groups = [known.joints] if together else [(joint,) for joint in known.joints]
-    width = len(symbols) // max(len(groups), 1)
-    rows = np.reshape(known.values, (len(groups), width)).tolist()
+    rows = np.reshape(known.values, (len(groups), -1)).tolist()
     found = []
-    for k, (joints, row) in enumerate(zip(groups, rows, strict=True)):
-        numbers = dict(zip(symbols[k * width : (k + 1) * width], row, strict=True)) | shape
+    for joints, row in zip(groups, rows, strict=True):
+        numbers = dict(zip(symbols, row, strict=False)) | shape
         parameters = tuple(_TRANSLATION[known.name](numbers).items())
         several = joints if len(joints) > 1 else ()
-        found.append(HiddenEffect(known.name, (*joints, "")[0], parameters, several))
+        found.append(HiddenEffect(known.name, joints[0], parameters, several))
     return found
 
 
@@ -263,8 +249,7 @@ def draw_hidden_effect(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
     """
     kinds = ["viscous_friction", "coulomb_friction", "stribeck_friction", "torque_offset"]
     separable = separable_rotors(robot)
-    kinds += ["payload", *(["rotor_inertia"] if separable else [])]
-    kind = str(rng.choice(kinds))
+    kind = str(rng.choice([*kinds, "payload", *(["rotor_inertia"] if separable else [])]))
     if kind == "payload":
         return draw_payload(robot, rng)
     joint = str(rng.choice(separable if kind == "rotor_inertia" else robot.joints))

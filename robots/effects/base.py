@@ -6,7 +6,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, TypeVar
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Literal,
+    Protocol,
+    Self,
+    TypeVar,
+    dataclass_transform,
+)
 
 import numpy as np
 import numpy.typing as npt
@@ -91,7 +100,7 @@ def joint_facts(
 
 @dataclass(frozen=True)
 class Shape:
-    """A number that torque of an effect is not linear in; its field is named so."""
+    """A field of an effect that torque is not linear in, by its name."""
 
     name: str
     unit: str
@@ -105,20 +114,14 @@ class Shape:
 class Stepper(Protocol):
     """An effect in a simulation that carries a state of its own from step to step."""
 
-    def __call__(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
-        """Torque in a state, shape (nv,) [N·m]."""
+    def __call__(self, t: float, q: Array, dq: Array, ddq: Array) -> Array: ...
 
-    def advance(self, q: Array) -> None:
-        """End a step at some positions, shape (nv,)."""
+    def advance(self, q: Array) -> None: ...
 
 
 @dataclass(frozen=True)
 class Effect(ABC):
     """Torque that is linear in the effect's coefficients once its shape is fixed.
-
-    Attributes:
-        joints: The joints it acts on.
-        values: One value per parameter; None while unknown.
 
     Raises:
         BadInput: It acts on another number of joints, or a field of its shape cannot be.
@@ -147,8 +150,8 @@ class Effect(ABC):
     formats: ClassVar[tuple[str, ...]] = ()  # of the files that have it
     format_notes: ClassVar[Mapping[str, str]] = {}  # what it means there otherwise
 
-    joints: tuple[str, ...]
-    values: tuple[float, ...] | None = None
+    joints: tuple[str, ...]  # it acts on
+    values: tuple[float, ...] | None = None  # one per parameter; None while unknown
 
     def __post_init__(self) -> None:
         count = len(self.joints)
@@ -213,8 +216,6 @@ class Effect(ABC):
             return [self.bare()]
         return [replace(self, joints=(joint,), values=None) for joint in self.joints]
 
-    # where it acts
-
     def rows(self, robot: Robot) -> list[int]:
         """Indices of its joints."""
         return [robot.joint_index(joint) for joint in self.joints]
@@ -230,8 +231,6 @@ class Effect(ABC):
     def link(self, robot: Robot) -> int | None:
         """The link whose columns of the regressor are its own; None for what is no body."""
         return None if self.role == "torque" else robot.joint_index(self.joints[0])
-
-    # which it may be
 
     @classmethod
     def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
@@ -253,12 +252,7 @@ class Effect(ABC):
         ]
 
     def refined(self, beside: Iterable[Effect], facts: JointFacts) -> list[Self]:
-        """The effect in shapes at thirds of the way to the nearest ones beside its own.
-
-        Args:
-            beside: The same kind of effect on the same joints in other shapes.
-            facts: What recordings show of its first joint.
-        """
+        """The effect in shapes at thirds of the way to the nearest of some beside its own."""
         near: list[Self] = []
         for name in (shape.name for shape in self.shapes):
             own, others = getattr(self, name), {getattr(e, name) for e in beside}
@@ -272,15 +266,15 @@ class Effect(ABC):
     def alternatives(self, facts: JointFacts) -> list[Self]:
         """The effect without values in its own shape and those that it may have as well."""
         own = self.bare()
-        for shape in self.shapes:
+        for shape in self.shapes[:1]:
             value = getattr(own, shape.name)
             if shape.most is not None:
                 most = max(abs(value), shape.most(facts))
-                near = (times * value for times in _TIMES)
-                return [own.reshaped(shape.name, v) for v in near if abs(v) <= most]
-            if shape.grid is not None:
-                others = (v for v in shape.grid(facts) if v != value)
-                return [own, *(own.reshaped(shape.name, v) for v in others)]
+                values = [times * value for times in _TIMES if abs(times * value) <= most]
+            else:
+                grid = () if shape.grid is None else shape.grid(facts)
+                values = [value, *(v for v in grid if v != value)]
+            return [own.reshaped(shape.name, v) for v in values]
         return [own]
 
     def reshaped(self, name: str, value: float) -> Self:
@@ -292,8 +286,6 @@ class Effect(ABC):
     def tuned(self) -> Shape | None:
         """What a fit may refine of its shape, if anything."""
         return next((shape for shape in self.shapes if shape.positive and not shape.trial), None)
-
-    # whether to believe it
 
     def credible(self, robot: Robot, values: Array) -> bool:
         """Whether coefficients are of a size at which they mean what the effect says."""
@@ -310,8 +302,6 @@ class Effect(ABC):
         lower = np.array([p.lower - known.get(p.name, 0.0) for p in parameters])
         return within(values, lower, std) and self.credible(robot, values)
 
-    # how it acts in a simulation
-
     def applied(self, robot: Robot) -> Robot:
         """The robot with what the effect changes of its bodies and gravity."""
         return robot
@@ -320,21 +310,13 @@ class Effect(ABC):
         """The effect with a state of its own, carried from step to step, where it has one."""
         return None
 
-    # how it is said and shown
-
     def noun(self, robot: Robot) -> str:
         """The cause with its place."""
         where = "all joints" if len(self.joints) > 3 else ", ".join(self.joints)
         return f"{plain(self.name)} at {where}"
 
     def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
-        """What a diagnosis of the given robot says of the effect that it found.
-
-        Args:
-            robot: The given robot.
-            joints: Where it was found, its own joint first.
-            given: Values that the given robot has.
-        """
+        """What a diagnosis says of the effect at joints, its own first, beside given values."""
         name, value = plain(self.name), self._known()[0]
         if len(joints) > 1:
             return f"{name[0].upper()}{name[1:]} of {len(joints)} joints is missing or wrong"
@@ -416,12 +398,7 @@ class PairEffect(Effect):
 
     @classmethod
     def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
-        return [(effect, 1) for pair in pairwise(robot.joints) for effect in cls.between(pair)]
-
-    @classmethod
-    def between(cls, pair: tuple[str, str]) -> Sequence[Self]:
-        """Shapes of the effect to consider between a joint and the next; the usual one."""
-        return (cls(pair),)
+        return [(cls(pair), 1) for pair in pairwise(robot.joints)]
 
 
 Kind = TypeVar("Kind", bound=Effect)
@@ -429,10 +406,11 @@ EFFECTS: dict[str, type[Effect]] = {}
 """Effects by their name in JSON, command line and documentation."""
 
 
+@dataclass_transform(frozen_default=True)
 def registered(kind: type[Kind]) -> type[Kind]:
-    """Make a class of effects known by its name to files, commands and diagnoses."""
-    EFFECTS[kind.name] = kind
-    return kind
+    """A frozen dataclass of effects, known by its name to files, commands and diagnoses."""
+    EFFECTS[kind.name] = made = dataclass(frozen=True)(kind)
+    return made
 
 
 def standard_effects(joints: tuple[str, ...]) -> tuple[Effect, ...]:
@@ -445,11 +423,7 @@ def proposals(
 ) -> list[tuple[Effect, int]]:
     """All effects to consider on an arm, each with the number of shapes it is the best of.
 
-    Args:
-        robot: The arm.
-        facts: What recordings show of each joint.
-        believed: Effects of the model so far, each with that number. They are considered again,
-            and with them shapes close to theirs.
+    Effects believed so far, with that number, are considered again, and shapes close to theirs.
     """
     found = [pair for kind in EFFECTS.values() for pair in kind.proposed(robot, facts)]
     known, again = {effect: effect for effect, _ in found}, dict[Effect, int]()

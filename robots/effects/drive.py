@@ -38,7 +38,6 @@ _SLOWEST = 1e-3  # rad/s
 
 
 @registered
-@dataclass(frozen=True)
 class TorqueOffset(StandardEffect):
     """τ = τ_0: constant torque, current-sensor offset or asymmetric Coulomb friction."""
 
@@ -66,7 +65,6 @@ class TorqueOffset(StandardEffect):
 
 
 @registered
-@dataclass(frozen=True)
 class RotorInertia(StandardEffect):
     """τ = I_a q̈: rotor and gear inertia at the joint side."""
 
@@ -96,7 +94,6 @@ class RotorInertia(StandardEffect):
 
 
 @registered
-@dataclass(frozen=True)
 class InertiaCoupling(PairEffect):
     """τ_i = I q̈_k, τ_k = I q̈_i: a rotor that turns with both joints."""
 
@@ -129,7 +126,6 @@ class _ReadingEffect(Effect):
 
 
 @registered
-@dataclass(frozen=True)
 class TorqueGain(_ReadingEffect):
     """Reading = (1 + g) τ: the torque sensor's or the drive's constant is wrong."""
 
@@ -159,13 +155,8 @@ class TorqueGain(_ReadingEffect):
 
 
 @registered
-@dataclass(frozen=True)
 class TorqueRipple(JointEffect):
-    """τ = a cos(N q) + b sin(N q): cogging, tooth mesh, eccentricity.
-
-    Attributes:
-        order: N, periods per turn of the joint.
-    """
+    """τ = a cos(N q) + b sin(N q): cogging, tooth mesh, eccentricity."""
 
     name = "torque_ripple"
     family = "static"
@@ -178,7 +169,7 @@ class TorqueRipple(JointEffect):
         (by.UNLOADED, "payload"),
     )
 
-    order: float = 1.0
+    order: float = 1.0  # N, periods per turn of the joint
 
     @classmethod
     def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
@@ -247,13 +238,8 @@ def _gains(orders: Array, q: Array, e: Array) -> Array:
 
 
 @registered
-@dataclass(frozen=True)
 class Spring(JointEffect):
-    """A spring beside the joint: τ = k q − k q_0, or a cos q + b sin q where it pulls a lever.
-
-    Attributes:
-        lever: Whether it pulls a lever, as in counterbalanced shoulders.
-    """
+    """A spring beside the joint: τ = k q − k q_0, or a cos q + b sin q where it pulls a lever."""
 
     name = "spring"
     family = "static"
@@ -267,7 +253,7 @@ class Spring(JointEffect):
     )
     terms = (Parameter("k", "N·m/rad"), Parameter("moment", "N·m"))
 
-    lever: bool = False
+    lever: bool = False  # whether it pulls one, as in counterbalanced shoulders
 
     @classmethod
     def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
@@ -292,7 +278,6 @@ class _Lag(Effect):
 
 
 @registered
-@dataclass(frozen=True)
 class JointElasticity(_Lag):
     """Link angle = motor angle − c τ with the compliance c = 1/k, to first order in c."""
 
@@ -309,15 +294,11 @@ class JointElasticity(_Lag):
 
 
 @registered
-@dataclass(frozen=True)
 class Backlash(_Lag):
     """Link angle = motor angle − lag, the lag within ± g / 2.
 
     Where the load's sign changes the link flies from one end of the gap to the other, its
     acceleration less than the motor's by the torque that nothing gives it.
-
-    Attributes:
-        trial: Gap for which the flights are computed [rad].
     """
 
     name = "backlash"
@@ -327,7 +308,7 @@ class Backlash(_Lag):
     )
     told = ((by.SPEEDS, "time_delay"),)
 
-    trial: float = 3e-3
+    trial: float = 3e-3  # gap for which the flights are computed [rad]
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         j = self.rows(robot)[0]
@@ -338,12 +319,9 @@ class Backlash(_Lag):
 
 
 def play(t: Array, acceleration: Array, gap: float) -> Array:
-    """Lag of a link behind its motor over time, shape (n,), within ± gap / 2.
+    """Lag of a link behind its motor over time, within ± gap / 2; arrays of shape (n,).
 
-    Args:
-        t: Time, shape (n,) [s].
-        acceleration: What the motor would have to give the link to take it along, shape (n,).
-        gap: Width of the play.
+    ``acceleration`` is what the motor would have to give the link to take it along.
     """
     half, lag, speed = gap / 2, gap / 2 * float(np.sign(acceleration[0]) or 1.0), 0.0
     lags = [lag]
@@ -357,14 +335,10 @@ def play(t: Array, acceleration: Array, gap: float) -> Array:
 
 
 @registered
-@dataclass(frozen=True)
 class TimeDelay(_ReadingEffect):
     """Reading(t) = τ(t − d), to first order in d around a trial delay.
 
     Positions that come late are a negative delay of the torque.
-
-    Attributes:
-        trial: Delay at which the column is the exact difference [s].
     """
 
     name = "time_delay"
@@ -385,7 +359,7 @@ class TimeDelay(_ReadingEffect):
         (by.WARM, "thermal_friction_drift"),
     )
 
-    trial: float = 1e-3
+    trial: float = 1e-3  # delay at which the column is the exact difference [s]
 
     def __post_init__(self) -> None:
         super().__post_init__()

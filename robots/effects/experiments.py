@@ -27,6 +27,7 @@ SAME = "hold one of the joints in question and move the others, then the other w
 GENERAL = "repeat with a motion that moves this joint faster, slower and in other postures"
 BACKWARDS = "repeat the motion backwards in time: friction turns its sign"
 POSTURE = "repeat the motion in another posture"
+STRETCHED = "turn the first joint slowly with the arm stretched"
 TILTED = "tilt the base: gravity's part turns"
 FOLDED = (
     "move the joint with the outer joints folded and stretched; for a first joint, and those "

@@ -30,15 +30,17 @@ _SHORT = 0.1  # of a joint's range: friction that builds up over more is a sprin
 _REACH = 8.0  # break-away distances from a reversal that show hysteresis
 
 
+class _Friction:
+    family: ClassVar[str] = "friction"
+    abscissa: ClassVar[str] = "velocity"
+
+
 @registered
-@dataclass(frozen=True)
-class ViscousFriction(StandardEffect):
+class ViscousFriction(_Friction, StandardEffect):
     """τ = F_v q̇."""
 
     name = "viscous_friction"
-    family = "friction"
     terms = (Parameter("Fv", "N·m·s/rad", 0.0),)
-    abscissa = "velocity"
     joint_property = "viscous"
     formats = ("urdf", "mjcf", "sdf")
     told = (
@@ -56,14 +58,11 @@ class ViscousFriction(StandardEffect):
 
 
 @registered
-@dataclass(frozen=True)
-class CoulombFriction(StandardEffect):
+class CoulombFriction(_Friction, StandardEffect):
     """τ = F_c sign(q̇)."""
 
     name = "coulomb_friction"
-    family = "friction"
     terms = (Parameter("Fc", "N·m", 0.0),)
-    abscissa = "velocity"
     joint_property = "coulomb"
     formats = ("urdf", "mjcf", "sdf")
     format_notes: ClassVar[Mapping[str, str]] = {
@@ -84,16 +83,10 @@ class CoulombFriction(StandardEffect):
 
 
 @registered
-@dataclass(frozen=True)
-class AsymmetricFriction(JointEffect):
-    """τ = F_c± sign(q̇) + F_v± q̇: friction that differs with the direction.
-
-    Attributes:
-        viscous: Whether viscous friction differs too.
-    """
+class AsymmetricFriction(_Friction, JointEffect):
+    """τ = F_c± sign(q̇) + F_v± q̇: friction that differs with the direction."""
 
     name = "asymmetric_friction"
-    family = "friction"
     contains = ("torque_offset", "coulomb_friction", "viscous_friction")
     imitates = ("torque_offset",)
     terms = (
@@ -102,7 +95,6 @@ class AsymmetricFriction(JointEffect):
         Parameter("Fv_plus", "N·m·s/rad"),
         Parameter("Fv_minus", "N·m·s/rad"),
     )
-    abscissa = "velocity"
     told = (
         (f"{by.AT_REST}, and once with the motor unpowered", "torque_offset"),
         (by.LADDER, "stribeck_friction nonlinear_viscous_friction"),
@@ -111,7 +103,7 @@ class AsymmetricFriction(JointEffect):
         (by.HOLD_OTHER, "friction_coupling"),
     )
 
-    viscous: bool = True
+    viscous: bool = True  # whether viscous friction differs too
 
     @classmethod
     def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
@@ -133,16 +125,10 @@ class AsymmetricFriction(JointEffect):
 
 
 @registered
-@dataclass(frozen=True)
-class StribeckFriction(JointEffect):
-    """τ = F_s exp(−|q̇ / v_s|²) sign(q̇), on top of Coulomb friction (Armstrong-Hélouvry 1991).
-
-    Attributes:
-        velocity: Stribeck velocity v_s [rad/s].
-    """
+class StribeckFriction(_Friction, JointEffect):
+    """τ = F_s exp(−|q̇ / v_s|²) sign(q̇), on top of Coulomb friction (Armstrong-Hélouvry 1991)."""
 
     name = "stribeck_friction"
-    family = "friction"
     terms = (Parameter("Fs", "N·m", 0.0),)
     shapes = (
         Shape(
@@ -152,7 +138,6 @@ class StribeckFriction(JointEffect):
             most=lambda facts: _SLOW * facts.speed,
         ),
     )
-    abscissa = "velocity"
     told = (
         (by.LADDER, "nonlinear_viscous_friction"),
         (by.REVERSALS, "presliding_hysteresis backlash"),
@@ -161,41 +146,32 @@ class StribeckFriction(JointEffect):
         (by.WARM, "thermal_friction_drift"),
     )
 
-    velocity: float = 0.1
+    velocity: float = 0.1  # v_s [rad/s]
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         return (np.sign(dq) * np.exp(-((dq / self.velocity) ** 2)),)
 
 
 @registered
-@dataclass(frozen=True)
-class NonlinearViscousFriction(JointEffect):
-    """τ = F_n |q̇|^a sign(q̇), on top of viscous friction.
-
-    Attributes:
-        exponent: a, not one.
-    """
+class NonlinearViscousFriction(_Friction, JointEffect):
+    """τ = F_n |q̇|^a sign(q̇), on top of viscous friction."""
 
     name = "nonlinear_viscous_friction"
-    family = "friction"
     contains = ("viscous_friction",)  # exponent one
     terms = (Parameter("Fn", "N·m·(s/rad)^a"),)
     shapes = (Shape("exponent", "1", grid=lambda facts: (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)),)
-    abscissa = "velocity"
 
-    exponent: float = 2.0
+    exponent: float = 2.0  # a, not one
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         return (np.sign(dq) * np.abs(dq) ** self.exponent,)
 
 
 @registered
-@dataclass(frozen=True)
-class LoadDependentFriction(JointwiseEffect):
+class LoadDependentFriction(_Friction, JointwiseEffect):
     """τ = F_l |τ_load| sign(q̇) with the torque of the bodies as load."""
 
     name = "load_dependent_friction"
-    family = "friction"
     terms = (Parameter("Fl", "1", 0.0),)
     abscissa = "load"
     told = (
@@ -211,19 +187,14 @@ class LoadDependentFriction(JointwiseEffect):
 
 
 @registered
-@dataclass(frozen=True)
-class PreslidingHysteresis(JointwiseEffect):
+class PreslidingHysteresis(_Friction, JointwiseEffect):
     """τ = F_h (z − sign q̇): dry friction that builds up over a distance instead of at once.
 
     z follows Dahl's law dz/dq = (1 − z sign q̇) / δ (Dahl 1968), so that Coulomb friction F_c
     with F_h = F_c is F_c z; its motion must come in the order of time.
-
-    Attributes:
-        distance: δ, over which friction builds up [rad].
     """
 
     name = "presliding_hysteresis"
-    family = "friction"
     depends_on_model = False
     terms = (Parameter("Fh", "N·m", 0.0),)
     shapes = (
@@ -237,7 +208,7 @@ class PreslidingHysteresis(JointwiseEffect):
     abscissa = "reversal"
     told = ((by.REVERSALS, "backlash"),)
 
-    distance: float = 0.01
+    distance: float = 0.01  # δ, over which friction builds up [rad]
 
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         return (bristles(motion.q[:, j], self.distance) - np.sign(motion.dq[:, j]),)
@@ -287,29 +258,26 @@ def bristles(q: Array, distance: float) -> Array:
 
 
 @registered
-@dataclass(frozen=True)
-class FrictionCoupling(PairEffect):
+class FrictionCoupling(_Friction, PairEffect):
     """Friction of a shaft that turns with both joints, at speed w = q̇_i + ρ q̇_k.
 
     τ_i = F_v w + F_c sign(w), τ_k = ρ τ_i, as in wrists whose motors sit in the forearm
     (Gautier, Janot, Vandanjon 2013, Stäubli TX40).
-
-    Attributes:
-        ratio: ρ.
     """
 
     name = "friction_coupling"
-    family = "friction"
     terms = (Parameter("Fv", "N·m·s/rad", 0.0), Parameter("Fc", "N·m", 0.0))
     shapes = (Shape("ratio", "1", positive=False),)
     abscissa = "other velocity"
     told = ((by.HOLD_OTHER, "inertia_coupling"),)
 
-    ratio: float = 1.0
+    ratio: float = 1.0  # ρ
 
     @classmethod
-    def between(cls, pair: tuple[str, str]) -> Sequence[Self]:
-        return cls(pair), cls(pair, ratio=-1.0)
+    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+        """Shafts that turn with the sum or the difference of a joint and the next."""
+        usual = super().proposed(robot, facts)
+        return [(e.reshaped("ratio", ratio), 1) for e, _ in usual for ratio in (1.0, -1.0)]
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         i, k = self.rows(robot)
@@ -321,25 +289,18 @@ class FrictionCoupling(PairEffect):
 
 
 @registered
-@dataclass(frozen=True)
-class ThermalFrictionDrift(JointwiseEffect):
-    """τ = e^{−(t − t_0)/T} (F_v q̇ + F_c sign q̇): what friction loses while the joint warms up.
-
-    Attributes:
-        time: T [s].
-        start: t_0, when the arm was cold [s].
-    """
+class ThermalFrictionDrift(_Friction, JointwiseEffect):
+    """τ = e^{−(t − t_0)/T} (F_v q̇ + F_c sign q̇): what friction loses while the joint warms up."""
 
     name = "thermal_friction_drift"
-    family = "friction"
     depends_on_model = False
     shapes = (Shape("time", "s", most=lambda facts: facts.duration),)
     abscissa = "time"
     contains = ("viscous_friction", "coulomb_friction")
     terms = (Parameter("Fv_cold", "N·m·s/rad"), Parameter("Fc_cold", "N·m"))
 
-    time: float = 60.0
-    start: float = 0.0
+    time: float = 60.0  # T [s]
+    start: float = 0.0  # t_0, when the arm was cold [s]
 
     @classmethod
     def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:

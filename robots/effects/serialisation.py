@@ -46,14 +46,12 @@ def _effect(entry: dict[str, Any], robot: Robot, source: str) -> Effect:
     if not isinstance(joints, list | tuple):
         raise BadInput(f"{source}: effect {name} needs 'joints: [names]', not '{joints}'")
     joints = tuple(str(joint) for joint in joints)
-    for joint in joints:
-        if joint not in robot.joints:
-            raise BadInput(f"{source}: {UnknownName('joint', joint, robot.joints)}")
     try:
+        UnknownName.refuse("joint", joints, robot.joints)
         values = np.array(entry.pop("values"), float).ravel()
         shape = {key: _shape(defaults[key], value) for key, value in entry.items()}
         effect = EFFECTS[name](joints=joints, **shape).with_values(values)
-    except BadInput as error:
+    except (BadInput, UnknownName) as error:
         raise BadInput(f"{source}: {error}") from None
     except (KeyError, TypeError, ValueError):
         raise BadInput(

@@ -71,14 +71,7 @@ def tracking_controller(
     """Controller that would follow a trajectory exactly if the model were the arm.
 
     A joint that moves little inertia still gets the stiffness to bear 5 % of its torque limit
-    at 0.01 rad.
-
-    Args:
-        robot: The arm, for its torque limits.
-        model: What the controller believes, rotor inertia as armature.
-        drives: The friction it compensates.
-        trajectory: Desired motion.
-        t: Instants at which the controller will be asked, shape (n,) [s].
+    at 0.01 rad. The controller will be asked at instants t, shape (n,) [s].
     """
     q, dq, ddq = (np.ascontiguousarray(trajectory(t, order), dtype=float) for order in range(3))
     data, limit = model.createData(), robot.limits.torque
@@ -106,7 +99,7 @@ def simulate(
 
     Args:
         robot: The arm, for its names and torque limits.
-        believed: Model and friction of the controller.
+        believed: Model, rotor inertia as armature, and friction of the controller.
         truth: The physics of the arm.
         trajectory: Desired motion; starts at rest, where the arm starts too.
         duration: Length of the run [s].
@@ -230,32 +223,25 @@ class Arm:
         reaction: Array = (BANDWIDTH + h / 4 * BANDWIDTH**2) * control.gain[k]
         reaction *= self.truth.encoder.scale
         bounds = self._dry(speed, t, load)
-        dv = self._solve(K, passive, wanted, reaction, v, bounds)
+
+        def solved() -> Array:
+            """Velocity change under motor torques that react to it."""
+            mass, impulse = K.copy(), -passive
+            mass[self.grid] += h * reaction
+            impulse[self.motor] += wanted
+            return velocity_change(mass, h * impulse, v, *bounds, self.G)
+
+        dv = solved()
         torque: Array = wanted - reaction @ dv[self.motor]
         saturated = np.abs(torque) > control.limit
         if saturated.any():
             reaction[saturated] = 0.0
             wanted[saturated] = np.copysign(control.limit, torque)[saturated]
-            dv = self._solve(K, passive, wanted, reaction, v, bounds)
+            dv = solved()
         for i, contact in enumerate(self.truth.presliding):
             moved = h * (v + dv / 2)[self.motor[contact.joint]]
             self.bristles[i] = contact.after(self.bristles[i], float(moved))
         return x + h * v + (h / 2) * dv, v + dv, dv / h
-
-    def _solve(
-        self,
-        K: Array,
-        passive: Array,
-        wanted: Array,
-        reaction: Array,
-        v: Array,
-        bounds: tuple[Array, Array],
-    ) -> Array:
-        """Velocity change under motor torques that react to it."""
-        K, impulse = K.copy(), -passive
-        K[self.grid] += self.h * reaction
-        impulse[self.motor] += wanted
-        return velocity_change(K, self.h * impulse, v, *bounds, self.G)
 
     def _resistance(
         self, x: Array, speed: Array, v: Array, a: Array, t: float
@@ -345,11 +331,7 @@ def stick_or_slip(
         v: Velocity before, shape (N,) [rad/s].
         forward: Largest impulse of friction against positive motion, shape (c,) [N·m·s].
         backward: The same against negative motion.
-        G: Velocity of each contact per velocity of the arm, shape (c, N), where the first N
-            contacts are those of the coordinates.
-
-    Returns:
-        δ, shape (N,).
+        G: Velocity of each contact, of the N coordinates first, per v, shape (c, N).
     """
     A: Array = np.asarray(np.linalg.inv(K), dtype=np.float64)
     w, GA = G @ v, G @ A
@@ -362,7 +344,9 @@ def stick_or_slip(
         friction[stuck] = 0.0
         if stuck.any():
             free = GA @ (impulse - friction @ G)
-            friction[stuck] = _holding(S[np.ix_(stuck, stuck)], (free + w)[stuck], len(w) > len(v))
+            among = S[np.ix_(stuck, stuck)]  # redundant with shafts: the smallest impulses then
+            solve = np.linalg.solve if len(w) == len(v) else _smallest
+            friction[stuck] = solve(among, (free + w)[stuck])
         delta: Array = A @ (impulse - friction @ G)
         own = stuck[: len(v)]
         delta[own] = -v[own]
@@ -378,7 +362,5 @@ def stick_or_slip(
     return delta
 
 
-def _holding(S: Array, velocity: Array, redundant: bool) -> Array:
-    """Impulses that stop these contacts; the smallest where they are not unique."""
-    solve = np.linalg.lstsq(S, velocity)[0] if redundant else np.linalg.solve(S, velocity)
-    return np.asarray(solve, dtype=np.float64)
+def _smallest(S: Array, velocity: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(S, velocity)[0], dtype=np.float64)

@@ -40,17 +40,12 @@ class Drives:
 class DryFriction:
     """Further friction of one joint, opposed to its motion.
 
-    Attributes:
-        joint: Index of the joint.
-        level: Torque to overcome [N·m] at a velocity, signed, where ±0 tells the direction in
-            which a joint would start [rad/s], a time [s], and a torque that the gear transmits
-            [N·m].
-        loaded: Whether it depends on the latter.
+    ``level`` is the torque to overcome [N·m] at a velocity, signed, where ±0 tells the direction
+    in which a joint would start [rad/s], a time [s], and a torque that the gear transmits [N·m].
     """
 
     joint: int
     level: Callable[[float, float, float], float]
-    loaded: bool = False
 
 
 @dataclass(frozen=True)
@@ -124,12 +119,7 @@ class Gear:
     inertia: float  # what the motor has beside the rotor inertia of its drive [kg·m²]
 
     def torque(self, deflection: float, rate: float) -> tuple[float, float, float]:
-        """Torque on the link, and its derivatives by deflection and rate.
-
-        Args:
-            deflection: Motor minus link angle, both at the joint side [rad].
-            rate: Its derivative [rad/s].
-        """
+        """Torque on the link, and its derivatives by motor minus link angle and its rate."""
         beyond = deflection - max(-self.gap / 2, min(self.gap / 2, deflection))
         torque = self.stiffness * beyond + self.damping * rate
         if self.gap > 0 and torque * beyond <= 0:

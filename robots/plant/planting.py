@@ -33,22 +33,13 @@ _PAIRS = ("friction_coupling", "inertia_coupling", "sensor_crosstalk")
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """Something the true arm has and the nominal one has not.
+    """Something the true arm has and the nominal one has not."""
 
-    Attributes:
-        effect: Name of the effect.
-        joint: Joint it acts on; for a payload the joint whose link holds it; empty for an effect
-            of the whole arm.
-        parameters: Names and values in SI units, as `parameters_of` lists them.
-        joints: All joints it acts on, where there are several.
-        structure: Which one, of an ``unknown`` effect.
-    """
-
-    effect: str
-    joint: str
-    parameters: tuple[tuple[str, float], ...]
-    joints: tuple[str, ...] = ()
-    structure: str = ""
+    effect: str  # its name
+    joint: str  # it acts on, or whose link holds it; empty for an effect of the whole arm
+    parameters: tuple[tuple[str, float], ...]  # as `parameters_of` names them, in SI units
+    joints: tuple[str, ...] = ()  # all that it acts on, where there are several
+    structure: str = ""  # which one, of an ``unknown`` effect
 
     @property
     def kind(self) -> str:
@@ -76,12 +67,7 @@ def parameters_of(kind: str) -> dict[str, float | None]:
 
 
 def plant(truth: Truth, joints: tuple[str, ...], effects: Iterable[HiddenEffect]) -> Truth:
-    """A truth with further effects; the one given is left alone.
-
-    Args:
-        truth: What there is already.
-        joints: Names of the joints.
-        effects: What to add.
+    """A truth with further effects, its joints named; the one given is left alone.
 
     Raises:
         UnknownName: An effect that the plant does not have, or a joint it has not.
@@ -89,17 +75,12 @@ def plant(truth: Truth, joints: tuple[str, ...], effects: Iterable[HiddenEffect]
     """
     for effect in effects:
         kind, given = effect.kind, dict(effect.parameters)
-        if kind not in KINDS:
-            raise UnknownName("effect of a virtual arm", kind, KINDS)
-        for joint in effect.acts_on:
-            if joint not in joints:
-                raise UnknownName("joint", joint, joints)
+        UnknownName.refuse("effect of a virtual arm", [kind], KINDS)
+        UnknownName.refuse("joint", effect.acts_on, joints)
         if kind in _PAIRS and len(effect.acts_on) != 2:
             raise BadInput(f"virtual arm: {kind} acts on two joints; give both")
         usual = parameters_of(kind)
-        for name in given:
-            if name not in usual:
-                raise UnknownName(f"parameter of {kind}", name, usual)
+        UnknownName.refuse(f"parameter of {kind}", given, usual)
         numbers = {**usual, **given}
         missing = [name for name, x in numbers.items() if x is None or not np.isfinite(x)]
         if missing:
@@ -120,30 +101,19 @@ def _with(truth: Truth, part: str, *further: object) -> Truth:
     return replace(truth, **more)
 
 
-Change = Callable[[Array, float], Array]
-
-
-def _added(old: Array, value: float) -> Array:
-    return old + value
-
-
-def _scaled(old: Array, value: float) -> Array:
-    return old * value
-
-
-NUMBERS: dict[str, dict[str, tuple[str, str, Change]]] = {
-    "viscous_friction": {"Fv": ("drives", "viscous", _added)},
-    "coulomb_friction": {"Fc": ("drives", "coulomb", _added)},
+NUMBERS: dict[str, dict[str, tuple[str, str, Callable[[Array, float], Array]]]] = {
+    "viscous_friction": {"Fv": ("drives", "viscous", np.add)},
+    "coulomb_friction": {"Fc": ("drives", "coulomb", np.add)},
     "stribeck_friction": {
-        "Fs": ("drives", "stribeck", _added),
+        "Fs": ("drives", "stribeck", np.add),
         "velocity": ("drives", "stribeck_velocity", lambda old, value: 0 * old + value),
     },
-    "rotor_inertia": {"Ia": ("drives", "rotor", _added)},
-    "torque_offset": {"offset": ("drives", "offset", _added)},
-    "encoder_scale": {"scale": ("encoder", "scale", _scaled)},
-    "encoder_offset": {"offset": ("encoder", "offset", _added)},
-    "torque_gain": {"gain": ("recorder", "gain", _scaled)},
-    "time_delay": {"delay": ("recorder", "delay", _added)},
+    "rotor_inertia": {"Ia": ("drives", "rotor", np.add)},
+    "torque_offset": {"offset": ("drives", "offset", np.add)},
+    "encoder_scale": {"scale": ("encoder", "scale", np.multiply)},
+    "encoder_offset": {"offset": ("encoder", "offset", np.add)},
+    "torque_gain": {"gain": ("recorder", "gain", np.multiply)},
+    "time_delay": {"delay": ("recorder", "delay", np.add)},
 }
 """Parameters of effects that change numbers of drives and sensors: which, and how."""
 
@@ -185,7 +155,7 @@ def _power_law(joint: int, *, Fn: float, exponent: float) -> DryFriction:
 
 def _load_dependent(joint: int, *, Fl: float) -> DryFriction:
     """F_l |τ_transmitted|: tooth friction."""
-    return DryFriction(joint, lambda speed, t, load: Fl * abs(load), loaded=True)
+    return DryFriction(joint, lambda speed, t, load: Fl * abs(load))
 
 
 def _warming(joint: int, *, Fv: float = 0.0, Fc: float = 0.0, time: float) -> DryFriction:
@@ -276,21 +246,15 @@ def _crosstalk(truth: Truth, joints: list[int], *, gain: float) -> Truth:
 
 
 def _gear(
-    truth: Truth, joints: list[int], *, stiffness: float, damping: float = 0.0, motor: float = 0.0
-) -> Truth:
-    """An elastic gear; ``motor`` is inertia of the motor beside the rotor inertia."""
-    return _play(truth, joints, gap=0.0, stiffness=stiffness, damping=damping, motor=motor)
-
-
-def _play(
     truth: Truth,
     joints: list[int],
     *,
-    gap: float,
     stiffness: float,
     damping: float = 0.0,
     motor: float = 0.0,
+    gap: float = 0.0,
 ) -> Truth:
+    """An elastic gear; ``motor`` is inertia of the motor beside the rotor inertia."""
     for j in joints:
         if truth.drives.rotor[j] + motor <= 0:
             raise BadInput("virtual arm: an elastic joint needs inertia of its motor; give motor")
@@ -324,7 +288,7 @@ PLANTERS: dict[str, Callable[..., Truth]] = {
     "friction_coupling": _shaft,
     "inertia_coupling": _coupled_rotors,
     "joint_elasticity": _gear,
-    "backlash": _play,
+    "backlash": _gear,
     "kinematic_error": _misplaced,
     "wall_contact": _wall,
     "sensor_crosstalk": _crosstalk,

@@ -12,21 +12,13 @@ from excitant.robots.motion import Array, freeze
 
 @dataclass(frozen=True, eq=False)
 class Sensors:
-    """What is recorded of the truth, noise as standard deviations, steps 0 for none.
+    """What is recorded of the truth, noise as standard deviations, steps 0 for none."""
 
-    Attributes:
-        rate_hz: Sampling rate [Hz].
-        position_resolution: Encoder step [rad or m].
-        velocity_noise: Of the tachometers [rad/s or m/s].
-        torque_noise: Of each torque, shape (nv,) [N·m].
-        torque_resolution: Step of each torque, shape (nv,) [N·m].
-    """
-
-    rate_hz: float
-    position_resolution: float
-    velocity_noise: float
-    torque_noise: Array
-    torque_resolution: Array
+    rate_hz: float  # sampling rate [Hz]
+    position_resolution: float  # encoder step [rad or m]
+    velocity_noise: float  # of the tachometers [rad/s or m/s]
+    torque_noise: Array  # of each torque, shape (nv,) [N·m]
+    torque_resolution: Array  # step of each torque, shape (nv,) [N·m]
 
     def __post_init__(self) -> None:
         freeze(self, "torque_noise", "torque_resolution")
@@ -53,17 +45,10 @@ class Encoder:
 
 @dataclass(frozen=True, eq=False)
 class Recorder:
-    """How the recorded channels differ from what the drives saw.
+    """How the recorded channels differ from what the drives saw."""
 
-    Attributes:
-        gain: Recorded torque per torque of each joint, shape (nv, nv); off its diagonal the
-            cross-talk between channels.
-        delay: How late each torque is recorded; negative where position and velocity are,
-            shape (nv,) [s].
-    """
-
-    gain: Array
-    delay: Array
+    gain: Array  # recorded torque per torque of each joint, cross-talk off the diagonal, (nv, nv)
+    delay: Array  # of each torque; negative where position and velocity are late, (nv,) [s]
 
     def __post_init__(self) -> None:
         freeze(self, "gain", "delay")
@@ -83,17 +68,9 @@ class Run:
 def recorded(
     run: Run, sensors: Sensors, recorder: Recorder, offset: Array, rng: np.random.Generator
 ) -> pd.DataFrame:
-    """The table that the sensors give.
+    """The table that the sensors give of a run at the sampling rate or a multiple of it.
 
-    Args:
-        run: What happened, at the sampling rate or a multiple of it.
-        sensors: What is recorded.
-        recorder: How the record lies.
-        offset: What the torque sensors add, shape (nv,) [N·m].
-        rng: Noise.
-
-    Returns:
-        Columns ``t``, ``q1..qn``, ``dq1..dqn``, ``tau1..taun``.
+    Columns ``t``, ``q1..qn``, ``dq1..dqn``, ``tau1..taun``; torque with an offset, (nv,) [N·m].
     """
     q, dq, tau = (np.array(x) for x in (run.q, run.dq, run.tau))
     for j, delay in enumerate(recorder.delay):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -50,6 +52,19 @@ def gantry_urdf() -> str:
 @pytest.fixture(scope="session")
 def gantry() -> Robot:
     return robot_from_urdf(GANTRY, source="gantry.urdf")
+
+
+@pytest.fixture(scope="session")
+def wedge() -> Callable[[Path], None]:
+    """``wedge(path)`` writes a closed mesh of four faces as binary STL."""
+
+    def write(path: Path) -> None:
+        corners = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0.1, 0.1, 0.4]], np.float32)
+        faces = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]
+        triangles = (struct.pack("<12fH", 0, 0, 0, *corners[list(f)].ravel(), 0) for f in faces)
+        path.write_bytes(bytes(80) + struct.pack("<I", 4) + b"".join(triangles))
+
+    return write
 
 
 KINDS = ("planar_2r", "scara", "ur10", "panda")

@@ -8,19 +8,15 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from second_opinion import parameter_nullspace
 
-from excitant.analysis.structure import structure
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots import (
     Motion,
     Robot,
-    base_parameters,
     load_robot,
     regressor,
     rigid_body_torque,
 )
-from excitant.robots.base_parameters import arm_length
 
 LINK = (
     '<link name="{0}"><inertial><origin xyz="0.05 0.02 {1}" rpy="0.1 0 0"/><mass value="{2}"/>'
@@ -195,25 +191,6 @@ def test_a_tree_needs_the_torque_of_newton_and_euler(both: Robot, path: Path) ->
     left, right = (slice(10 * (1 + 3 * k), 10 * (4 + 3 * k)) for k in (0, 1))
     assert not Y[:, 1:4, right].any()
     assert not Y[:, 4:, left].any()
-
-
-def test_base_parameters_of_a_tree_are_those_of_its_torque(both: Robot) -> None:
-    """Torque on states that the base was not found on needs no other columns."""
-    base, motion = base_parameters(both), states(both, seed=5, n=60)
-    W = regressor(both, motion).reshape(-1, 10 * both.nv)
-    tau = W @ both.phi
-    assert np.abs(W[:, list(base.columns)] @ (base.regrouping @ both.phi) - tau).max() <= (
-        1e-8 * np.abs(tau).max()
-    )
-    assert np.linalg.matrix_rank(W, tol=1e-9 * np.linalg.norm(W, 2)) == len(base)
-
-
-def test_recursion_of_null_spaces_knows_trees_too(both: Robot, path: Path) -> None:
-    """The tree and each of its arms have the null space of their regressor."""
-    for arm in (both, *(load_robot(path, tip=f"{side}_elbow") for side in ("left", "right"))):
-        numerical, recursive = structure(arm), parameter_nullspace(arm)
-        assert len(recursive) == len(numerical.base)
-        assert recursive.angle(numerical.base.null_space, arm_length(arm)) < 1e-6
 
 
 def test_robot_yaml_chooses_a_chain(path: Path) -> None:

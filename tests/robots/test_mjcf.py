@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -153,10 +153,12 @@ def test_shapes_that_touch_are_collision_shapes(full: Path) -> None:
     assert {"elbow", "tool"} <= moving
 
 
-def geom_body(rng: np.random.Generator, number: int, compiler: str) -> str:
+def geom_body(rng: np.random.Generator, number: int, angle: float) -> str:
     """A body of random shapes, orientation, joint, and perhaps a given inertia."""
-    angle = 1.0 if "radian" in compiler else 57.0
-    numbers = lambda n, size=1.0: " ".join(map(str, rng.uniform(-size, size, n)))  # noqa: E731
+
+    def numbers(n: int, size: float = 1.0) -> str:
+        return " ".join(map(str, rng.uniform(-size, size, n)))
+
     turn = (
         f'quat="{numbers(4)}"',
         f'euler="{numbers(3, 3 * angle)}"',
@@ -167,25 +169,27 @@ def geom_body(rng: np.random.Generator, number: int, compiler: str) -> str:
     )[rng.integers(6)]
     kind = ("sphere", "box", "capsule", "cylinder", "ellipsoid")[rng.integers(5)]
     size = " ".join(map(str, rng.uniform(0.02, 0.2, 3)))
-    shapes = (
-        f'<geom type="{kind}" size="{size}" pos="{numbers(3)}" {turn} group="{rng.integers(6)}"/>'
+    moments = " ".join(map(str, rng.uniform(0.01, 0.02, 3)))
+    given = (
+        f'<inertial pos="{numbers(3)}" mass="{rng.uniform(0.1, 4)}" diaginertia="{moments}" '
+        f"{turn}/>"
     )
-    shapes += (
-        f'<geom type="capsule" size="0.03" fromto="{numbers(6)}" mass="{rng.uniform(0.1, 3)}"/>'
-    )
-    given = ""
-    if rng.random() < 0.4:
-        a, b, c = rng.uniform(0.01, 0.02, 3)
-        given = (
-            f'<inertial pos="{numbers(3)}" mass="{rng.uniform(0.1, 4)}" '
-            f'diaginertia="{a} {b} {c}" {turn}/>'
-        )
-    joint = (
-        f'<joint name="j{number}" type="{("hinge", "slide")[rng.integers(2)]}" '
-        f'axis="{numbers(3)}" pos="{numbers(3, 0.3)}" ref="{rng.uniform(-1, 1)}" '
-        f'damping="{rng.uniform(0, 2)}" armature="{rng.uniform(0, 1)}"/>'
-    )
-    return f'<body name="b{number}" pos="{numbers(3)}" {turn}>{joint}{given}{shapes}'
+    return f"""<body name="b{number}" pos="{numbers(3)}" {turn}>
+      <joint name="j{number}" type="{("hinge", "slide")[rng.integers(2)]}" axis="{numbers(3)}"
+        pos="{numbers(3, 0.3)}" ref="{rng.uniform(-1, 1)}" damping="{rng.uniform(0, 2)}"
+        armature="{rng.uniform(0, 1)}"/>
+      {given if rng.random() < 0.4 else ""}
+      <geom type="{kind}" size="{size}" pos="{numbers(3)}" {turn} group="{rng.integers(6)}"/>
+      <geom type="capsule" size="0.03" fromto="{numbers(6)}" mass="{rng.uniform(0.1, 3)}"/>"""
+
+
+BOUNDS = (
+    "",
+    'boundmass="2.5" boundinertia="0.02"',
+    'balanceinertia="true"',
+    'settotalmass="7"',
+    'inertiagrouprange="0 3"',
+)
 
 
 @given(
@@ -193,15 +197,7 @@ def geom_body(rng: np.random.Generator, number: int, compiler: str) -> str:
     angle=st.sampled_from(("radian", "degree")),
     sequence=st.sampled_from(("xyz", "ZYX", "zXz", "YzX")),
     geoms=st.sampled_from(("auto", "true")),
-    bounds=st.sampled_from(
-        (
-            "",
-            'boundmass="2.5" boundinertia="0.02"',
-            'balanceinertia="true"',
-            'settotalmass="7"',
-            'inertiagrouprange="0 3"',
-        )
-    ),
+    bounds=st.sampled_from(BOUNDS),
 )
 @settings(max_examples=20, suppress_health_check=list(HealthCheck))
 def test_any_compiler_gives_the_torque_of_mujoco(
@@ -216,27 +212,19 @@ def test_any_compiler_gives_the_torque_of_mujoco(
     compiler = (
         f'<compiler angle="{angle}" eulerseq="{sequence}" inertiafromgeom="{geoms}" {bounds}/>'
     )
-    bodies = "".join(geom_body(rng, k, compiler) for k in range(3)) + "</body>" * 3
+    size = 1.0 if angle == "radian" else 57.0
+    bodies = "".join(geom_body(rng, k, size) for k in range(3)) + "</body>" * 3
     path = tmp_path_factory.mktemp("mjcf") / "arm.xml"
     path.write_text(f"<mujoco>{compiler}<worldbody>{bodies}</worldbody></mujoco>")
     assert_same_torque(path, load_robot(path))
 
 
-def tetrahedron(path: Path, scale: float = 1.0) -> None:
-    """A closed mesh as binary STL."""
-    corners = scale * np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0.1, 0.1, 0.4]])
-    faces = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]
-    content = b"".join(
-        struct.pack("<12fH", 0, 0, 0, *corners[list(face)].astype(np.float32).ravel(), 0)
-        for face in faces
-    )
-    path.write_bytes(bytes(80) + struct.pack("<I", len(faces)) + content)
-
-
 @pytest.mark.parametrize("frame", ["", 'refpos="0.1 0.2 -0.1" refquat="1 0.5 0.2 0.1"'])
-def test_inertia_of_a_mesh_is_that_of_its_volume(tmp_path: Path, frame: str) -> None:
+def test_inertia_of_a_mesh_is_that_of_its_volume(
+    tmp_path: Path, wedge: Callable[[Path], None], frame: str
+) -> None:
     (tmp_path / "meshes").mkdir()
-    tetrahedron(tmp_path / "meshes" / "wedge.stl")
+    wedge(tmp_path / "meshes" / "wedge.stl")
     path = tmp_path / "mesh.xml"
     path.write_text(
         f"""<mujoco><compiler meshdir="meshes"/>

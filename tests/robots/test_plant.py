@@ -7,7 +7,6 @@ must be the effect's own law; MuJoCo simulates two-mass joints, and energy must 
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -29,13 +28,7 @@ from plant_recordings import (
 )
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
-from excitant.robots import (
-    Motion,
-    Robot,
-    base_parameters,
-    load_robot,
-    torque,
-)
+from excitant.robots import Motion, Robot, base_parameters, load_robot, torque
 from excitant.robots.effects import EFFECTS, RotorInertia
 from excitant.robots.parameters import violations
 from excitant.robots.plant import arm as plant_arm
@@ -56,13 +49,6 @@ from excitant.robots.virtual_arm import (
 @pytest.fixture(scope="module")
 def robot(planar: Robot) -> Robot:
     return planar
-
-
-def test_thermal_friction_drift(robot: Robot) -> None:
-    effect = hidden("thermal_friction_drift", robot.joints[0], Fv=2.0, Fc=3.0, time=2.0)
-    run = Recorded(robot, effect)
-    v = run.dq[:, 0]
-    run.agree(at(robot, 0, (2.0 * v + 3.0 * np.sign(v)) * np.exp(-run.t / 2.0)), 3e-3)
 
 
 def test_a_jammed_shaft_couples_the_joints(ur10: Robot) -> None:
@@ -107,8 +93,6 @@ def test_torque_gain_and_crosstalk(robot: Robot) -> None:
     true = Recorded(robot).tau
     gain = hidden("torque_gain", robot.joints[1], gain=1.2)
     assert np.allclose(Recorded(robot, gain).tau, true * np.where(np.arange(robot.nv) == 1, 1.2, 1))
-    everywhere = hidden("torque_gain", *robot.joints, gain=0.9)
-    assert np.allclose(Recorded(robot, everywhere).tau, 0.9 * true)
     talk = hidden("sensor_crosstalk", robot.joints[1], robot.joints[0], gain=0.1)
     assert np.allclose(Recorded(robot, talk).tau, true + at(robot, 1, 0.1 * true[:, 0]))
 
@@ -191,17 +175,9 @@ def pendulum() -> Robot:
 def chirp(t: np.ndarray, order: int = 0) -> np.ndarray:
     """0.4 (1 − cos 2π(t + t²)): up to 13 Hz·rad in three seconds, by its own derivatives."""
     t = np.asarray(t, dtype=float)[:, None]
-    phase, rate, growth = (
-        2 * np.pi * (0.5 * t + 0.3 * t**2),
-        2 * np.pi * (0.5 + 0.6 * t),
-        1.2 * np.pi,
-    )
-    values = (
-        0.4 * (1 - np.cos(phase)),
-        0.4 * rate * np.sin(phase),
-        0.4 * (rate**2 * np.cos(phase) + growth * np.sin(phase)),
-    )
-    return values[order]
+    phase, rate = 2 * np.pi * (0.5 * t + 0.3 * t**2), 2 * np.pi * (0.5 + 0.6 * t)
+    slopes = 1 - np.cos(phase), rate * np.sin(phase)
+    return 0.4 * (*slopes, rate**2 * np.cos(phase) + 1.2 * np.pi * np.sin(phase))[order]
 
 
 def test_elastic_joint_is_mujocos_two_bodies(pendulum: Robot) -> None:
@@ -223,31 +199,6 @@ def test_elastic_joint_is_mujocos_two_bodies(pendulum: Robot) -> None:
         pendulum, hidden("rotor_inertia", "joint", Ia=0.4), trajectory=chirp, duration=3.0
     )
     assert np.abs(run.tau - rigid.tau).max() > 0.1 * np.abs(rigid.tau).max()
-
-
-def test_an_elastic_joint_rings_at_its_resonance(pendulum: Robot) -> None:
-    """With the motor held, √(k/J) to within a per cent, and damped as told."""
-    inertia = 4 * 0.25 + 0.1
-    stiffness, zeta = 900.0, 0.03
-    damping = 2 * zeta * np.sqrt(stiffness * inertia)
-    bare = pendulum.with_gravity([0.0, 0.0, 0.0])
-    gear = hidden("joint_elasticity", "joint", stiffness=stiffness, damping=damping, motor=100.0)
-    kick = lambda t, order=0: [  # noqa: E731
-        0.05 * (1 - np.exp(-40 * np.asarray(t)[:, None]) * (1 + 40 * np.asarray(t)[:, None])),
-        0.05 * 1600 * np.asarray(t)[:, None] * np.exp(-40 * np.asarray(t)[:, None]),
-        0.05 * 1600 * (1 - 40 * np.asarray(t)[:, None]) * np.exp(-40 * np.asarray(t)[:, None]),
-    ][order]
-    limits = bare.limits
-    strong = type(limits)(limits.position, limits.velocity, limits.acceleration, [1e6])
-    run = true_arm(bare.with_limits(strong), gear).run(kick, 3.0, np.random.default_rng(0))
-    tail = (run.link - run.q)[600:, 0]
-    up = np.flatnonzero((tail[:-1] < 0) & (tail[1:] >= 0))
-    instants = up - tail[up] / (tail[up + 1] - tail[up])
-    period = np.diff(instants).mean() / RATE
-    assert 2 * np.pi / period == pytest.approx(np.sqrt(stiffness / inertia), rel=0.01)
-    peaks = np.array([np.abs(tail[a:b]).max() for a, b in pairwise(up)])
-    decrement = np.log(peaks[:-1] / peaks[1:]).mean()
-    assert decrement == pytest.approx(2 * np.pi * zeta / np.sqrt(1 - zeta**2), rel=0.05)
 
 
 def test_an_elastic_joint_sags_under_gravity(pendulum: Robot) -> None:
@@ -333,6 +284,7 @@ def test_every_effect_has_a_planter_and_refuses_wrong_parameters(robot: Robot) -
         ("spring", 1, {}, [4.0, -1.0]),
         ("spring", 1, {"lever": True}, [1.0, -2.0]),
         ("friction_coupling", 2, {"ratio": -1.0}, [0.3, 0.5]),
+        ("friction_coupling", 2, {"ratio": 0.4}, [0.3, 0.5]),
         ("inertia_coupling", 2, {}, [0.06]),
         ("torque_gain", 2, {}, [0.1]),
     ],
@@ -344,7 +296,8 @@ def test_a_known_effect_is_the_one_that_is_fitted(
     effect = EFFECTS[name](planar.joints[:joints], **shape).with_values(values)
     known = planar.with_effects((*planar.effects, effect))
     run = Recorded(known)
-    shaft = run.dq[:, 0] - run.dq[:, 1]  # that of the coupling, which may stick
+    # the shaft of a coupling may stick
+    shaft = run.dq[:, 0] + shape.get("ratio", -1.0) * run.dq[:, 1]
     rows = run.sliding & away_from_changes(np.sign(shaft)) & (np.abs(shaft) > 1e-3)
     motion = run.motion
     expected = torque(known, motion)
@@ -487,14 +440,8 @@ def draw_payload(robot: Robot) -> HiddenEffect:
 
 def test_drawn_effects_are_of_every_kind_and_show(planar: Robot) -> None:
     drawn = [draw_hidden_effect(planar, np.random.default_rng(seed)) for seed in range(60)]
-    assert {effect.effect for effect in drawn} == {
-        "viscous_friction",
-        "coulomb_friction",
-        "stribeck_friction",
-        "torque_offset",
-        "rotor_inertia",
-        "payload",
-    }
+    friction = {f"{kind}_friction" for kind in ("viscous", "coulomb", "stribeck")}
+    assert {e.effect for e in drawn} == {*friction, "torque_offset", "rotor_inertia", "payload"}
     motion = Motion(np.arange(200.0), *planar.random_motion(np.random.default_rng(1), 200))
     half = Motion(motion.t, motion.q, motion.dq / 2, motion.ddq / 2)
     slow = Motion(motion.t, motion.q, motion.dq / 40, motion.ddq / 2)

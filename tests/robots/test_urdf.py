@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-import struct
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from excitant.exceptions import BadRobot, ExcitantError, UnknownName
@@ -229,16 +228,11 @@ def test_a_link_that_hangs_from_two_joints_is_refused(gantry_urdf: str) -> None:
         robot_from_urdf(gantry_urdf.replace("</robot>", second), source="loop.urdf")
 
 
-def wedge(path: Path) -> None:
-    """A tetrahedron as binary STL."""
-    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.3]], np.float32)
-    faces = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]
-    triangles = (struct.pack("<12fH", 0, 0, 0, *corners[list(f)].ravel(), 0) for f in faces)
-    path.write_bytes(bytes(80) + struct.pack("<I", 4) + b"".join(triangles))
-
-
 def test_meshes_beside_the_file_are_found_from_anywhere(
-    tmp_path: Path, gantry_urdf: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    gantry_urdf: str,
+    wedge: Callable[[Path], None],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     (tmp_path / "model" / "meshes").mkdir(parents=True)
     wedge(tmp_path / "model" / "meshes" / "wedge.stl")
@@ -254,67 +248,34 @@ def test_meshes_beside_the_file_are_found_from_anywhere(
     assert scene(load_robot(path)) is None
 
 
-URDF = """<?xml version="1.0"?>
-<robot name="three">
-  <link name="world"/>
-  <link name="base"><inertial><origin xyz="0 0 0.1" rpy="0 0 0"/><mass value="4"/>
-    <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.05"/></inertial></link>
-  <link name="upper"><inertial><origin xyz="0.1 0 0.2" rpy="0 0.3 0"/><mass value="3"/>
-    <inertia ixx="0.1" ixy="0.01" ixz="0" iyy="0.12" iyz="0" izz="0.03"/></inertial></link>
-  <link name="fore"><inertial><origin xyz="0 0 0.15" rpy="0 0 0"/><mass value="2"/>
-    <inertia ixx="0.05" ixy="0" ixz="0" iyy="0.05" iyz="0" izz="0.01"/></inertial>
-    <collision><geometry><cylinder radius="0.05" length="0.3"/></geometry></collision></link>
-  <link name="tool"/>
-  <joint name="fixed" type="fixed"><parent link="world"/><child link="base"/></joint>
-  <joint name="pan" type="revolute"><parent link="base"/><child link="upper"/>
-    <origin xyz="0 0 0.2" rpy="0 0 0"/><axis xyz="0 0 1"/>
-    <limit lower="-3" upper="3" velocity="2" effort="100"/>
-    <dynamics damping="1" friction="2"/></joint>
-  <joint name="lift" type="prismatic"><parent link="upper"/><child link="fore"/>
-    <origin xyz="0 0 0.4" rpy="1.57 0 0"/><axis xyz="0 1 0"/>
-    <limit lower="-0.5" upper="0.5" velocity="1" effort="80"/></joint>
-  <joint name="grip" type="fixed"><parent link="fore"/><child link="tool"/>
-    <origin xyz="0 0 0.3"/></joint>
-</robot>
-"""
 VALUES = ("nan", "inf", "-inf", "-1", "0", "1e308", "1e-308", "", "abc", "1,5", "0x10", "٣")
+PATTERNS = {"number": r'(?<=["\s])-?\d+\.?\d*(?=["\s])', "word": "[A-Za-z_]+"}
 
 
 @st.composite
-def damaged(draw: st.DrawFn) -> bytes:
-    """The description with one to three kinds of damage."""
-    text = URDF
+def damaged(draw: st.DrawFn, text: str) -> bytes:
+    """A description with one to three kinds of damage."""
     for _ in range(draw(st.integers(1, 3))):
-        kind = draw(st.sampled_from(("number", "word", "cut", "line", "twice", "swap", "bytes")))
-        lines = text.splitlines()
-        k = draw(st.integers(0, len(lines) - 1))
-        if kind == "number":
-            found = list(re.finditer(r'(?<=["\s])-?\d+\.?\d*(?=["\s])', text))
+        kind = draw(st.sampled_from((*PATTERNS, "cut", "line", "twice", "swap", "byte")))
+        lines = text.splitlines() or [""]
+        k, other = (draw(st.integers(0, len(lines) - 1)) for _ in range(2))
+        if kind in PATTERNS:
+            found = [*re.finditer(PATTERNS[kind], text)]
             if found:
-                at = draw(st.sampled_from(found))
-                text = text[: at.start()] + draw(st.sampled_from(VALUES)) + text[at.end() :]
-        elif kind == "word":
-            found = list(re.finditer(r"[A-Za-z_]+", text))
-            if found:
-                at, other = draw(st.sampled_from(found)), draw(st.sampled_from(found))
-                text = text[: at.start()] + other.group() + text[at.end() :]
+                words = VALUES if kind == "number" else [match.group() for match in found]
+                at, new = draw(st.sampled_from(found)), draw(st.sampled_from(words))
+                text = text[: at.start()] + new + text[at.end() :]
+        elif kind == "byte":
+            raw = bytearray(text.encode() or b" ")
+            raw[draw(st.integers(0, len(raw) - 1))] = draw(st.integers(0, 255))
+            return bytes(raw)
         elif kind == "cut":
             text = text[: draw(st.integers(0, len(text)))]
-        elif kind == "line":
-            text = "\n".join(lines[:k] + lines[k + 1 :])
-        elif kind == "twice":
-            text = "\n".join([*lines[: k + 1], *lines[k:]])
         elif kind == "swap":
-            other_line = draw(st.integers(0, len(lines) - 1))
-            lines[k], lines[other_line] = lines[other_line], lines[k]
+            lines[k], lines[other] = lines[other], lines[k]
             text = "\n".join(lines)
         else:
-            raw, at_byte = bytearray(text.encode()), draw(st.integers(0, max(len(text) - 1, 0)))
-            if raw:
-                raw[at_byte % len(raw)] = draw(st.integers(0, 255))
-            return bytes(raw)
-        if not text:
-            break
+            text = "\n".join([*lines[: k + (kind == "twice")], *lines[k + (kind == "line") :]])
     return text.encode()
 
 
@@ -344,15 +305,30 @@ def check(content: bytes) -> None:
     assert not (robot.limits.torque < 0).any()
 
 
-@given(content=damaged())
-@example(content=URDF.encode())
-@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
-def test_damaged_descriptions_are_refused_or_work(content: bytes) -> None:
-    check(content)
+@pytest.fixture
+def whole(gantry_urdf: str) -> str:
+    """The gantry with everything that a description can have."""
+    axis, dynamics = '<axis xyz="0 0 -1"/>', '<dynamics damping="1" friction="2"/>'
+    text = gantry_urdf.replace(axis, axis + dynamics)
+    shape = '<collision><geometry><cylinder radius="0.05" length="0.3"/></geometry></collision>'
+    return text.replace('<link name="hand">', f'<link name="hand">{shape}')
+
+
+@given(data=st.data())
+@settings(max_examples=60, suppress_health_check=list(HealthCheck))
+def test_damaged_descriptions_are_refused_or_work(whole: str, data: st.DataObject) -> None:
+    check(data.draw(damaged(whole)))
 
 
 @pytest.mark.slow
-@given(content=damaged())
-@settings(max_examples=2000, suppress_health_check=[HealthCheck.too_slow])
-def test_many_damaged_descriptions_are_refused_or_work(content: bytes) -> None:
-    check(content)
+@given(data=st.data())
+@settings(max_examples=2000, suppress_health_check=list(HealthCheck))
+def test_many_damaged_descriptions_are_refused_or_work(whole: str, data: st.DataObject) -> None:
+    check(data.draw(damaged(whole)))
+
+
+def test_the_undamaged_description_works(whole: str, tmp_path: Path) -> None:
+    path = tmp_path / "whole.urdf"
+    path.write_text(whole)
+    names = [effect.name for effect in load_robot(path).effects]
+    assert names == ["viscous_friction", "coulomb_friction"]
