@@ -10,9 +10,7 @@ import argparse
 import importlib.util
 import json
 import math
-import os
 import resource
-import subprocess
 import sys
 import time
 from collections.abc import Sequence
@@ -31,17 +29,15 @@ from contestants import (
     Settings,
     load_problem,
     problem_file,
-    problems_folder,
     run_contestant,
     run_figaroh,
 )
 from judge import DRAWS, ParameterError, conditioning, parameter_error, read_motion
 
 from excitant.design import check, load_trajectory
-from excitant.exceptions import BadInput, ExcitantError
+from excitant.exceptions import ExcitantError
 
 METHODS = (*CONTESTANTS, "figaroh")
-_AGREE = 1e-6  # relative; both judges work in double precision, κ loses a few digits
 _REST = 1e-9
 NOISE = {"equal": "1 N·m on every joint", "limit": "1% of each joint's torque limit"}
 
@@ -62,7 +58,6 @@ def arguments(words: Sequence[str] | None) -> argparse.Namespace:
     add("--figaroh-moves", type=int, nargs="+", help="moves per segment; as long as 2 s by default")
     add("--figaroh-iterations", type=int, help="of IPOPT per segment (100; quick: 10)")
     add("--quick", action="store_true", help="small budgets, to see that it runs")
-    add("--judge", type=Path, help="evaluate.py; the one of the shared problems by default")
     add("-o", "--output", type=Path, help="folder of trajectories and result.json")
     add("--json", action="store_true", help="print result.json and nothing else")
     given = parser.parse_args(words)
@@ -75,39 +70,22 @@ def arguments(words: Sequence[str] | None) -> argparse.Namespace:
 
 @dataclass(frozen=True)
 class Row:
-    """One contestant's work and what the judges say of it; infinite or empty without a motion.
+    """One contestant's work and what the judge says of it; infinite or empty without a motion."""
 
-    Attributes:
-        method: Contestant, of `METHODS`.
-        setting: Harmonics ``H=5``, or segments and moves ``2x5``, or ``search``.
-        wall_s: Time by the clock, from the start of the processes to their end [s].
-        cpu_s: Processor time of all processes together [s].
-        note: What the contestant said.
-        left: Condition number of the base columns chosen from left to right.
-        proj: Condition number of the projection on the row space.
-        base: Number of base parameters.
-        samples: Number of samples judged.
-        worst: Largest use of a limit over the continuous motion; at most 1 holds.
-        worst_where: The quantity and joint of it.
-        peak_ddq: Largest acceleration [rad/s²].
-        at_rest: Whether velocity and acceleration vanish at both ends.
-        errors: Parameter errors by kind of noise.
-    """
-
-    method: str
-    setting: str
-    wall_s: float
-    cpu_s: float
-    note: str
-    left: float = np.inf
-    proj: float = np.inf
-    base: int = 0
-    samples: int = 0
-    worst: float = np.inf
-    worst_where: str = ""
-    peak_ddq: float = np.inf
-    at_rest: bool = False
-    errors: dict[str, ParameterError] | None = None
+    method: str  # contestant, of `METHODS`
+    setting: str  # harmonics "H=5", or segments and moves "2x5", or "search"
+    wall_s: float  # by the clock, from the start of the processes to their end
+    cpu_s: float  # of all processes together
+    note: str  # what the contestant said
+    left: float = np.inf  # condition number of the base columns chosen from left to right
+    proj: float = np.inf  # that of the projection on the row space
+    base: int = 0  # number of base parameters
+    samples: int = 0  # judged
+    worst: float = np.inf  # largest use of a limit over the continuous motion; at most 1 holds
+    worst_where: str = ""  # quantity and joint of it
+    peak_ddq: float = np.inf  # largest acceleration [rad/s²]
+    at_rest: bool = False  # whether velocity and acceleration vanish at both ends
+    errors: dict[str, ParameterError] | None = None  # by kind of noise
 
     @property
     def label(self) -> str:
@@ -116,11 +94,7 @@ class Row:
 
 
 def compete(problem: Problem, given: argparse.Namespace) -> list[Row]:
-    """One contestant after the other, ours first, so that none takes time from another.
-
-    Raises:
-        ExcitantError: Two motions differ in duration or rate, or the judges in their figures.
-    """
+    """One contestant after the other, ours first, so that none takes time from another."""
     rows = []
     for method in (m for m in METHODS if m in given.methods):
         settings = given.harmonics or [problem.harmonics]
@@ -131,7 +105,7 @@ def compete(problem: Problem, given: argparse.Namespace) -> list[Row]:
             settings = settings[:1]
         for setting in settings:
             row, files = run(problem, given, method, setting)
-            tries = [judged(problem, row, file, given.judge) for file in files]
+            tries = [judged(problem, row, file) for file in files]
             rows.append(min(tries, key=lambda tried: tried.left, default=row))
             if not given.json:
                 print(f"{row.label} done after {row.wall_s:.0f} s", file=sys.stderr, flush=True)
@@ -170,36 +144,25 @@ def _children() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def judged(problem: Problem, row: Row, file: Path, judge: Path | None) -> Row:
+def judged(problem: Problem, row: Row, file: Path) -> Row:
     """The row with all figures of a motion.
 
     The limits of a Fourier series or spline are judged by its coefficients, those of any other
     motion along the quintic Hermite interpolant of its samples.
-
-    Raises:
-        ExcitantError: Both judges' condition numbers differ.
     """
     model = pin.buildModelFromUrdf(str(problem.urdf))
-    _, states = read_motion(file, problem.robot.nv)
+    states = read_motion(file, problem.robot.nv)
     found = conditioning(model, problem.limits, states)
-    left, proj = found.left, found.proj
-    if judge is not None:
-        left, proj = evaluated(problem, file, judge)
-        if abs(left - found.left) > _AGREE * left or abs(proj - found.proj) > _AGREE * proj:
-            raise ExcitantError(
-                f"{file}: {judge} finds {left}, {proj}; judge.py {found.left}, {found.proj}"
-            )
     exact = file.with_suffix(".json")
-    use = check(
-        problem.robot, load_trajectory(exact if exact.exists() else file, problem.robot)
-    ).worst
+    motion = load_trajectory(exact if exact.exists() else file, problem.robot)
+    use = check(problem.robot, motion).worst
     ends = np.abs(np.vstack([states.dq[[0, -1]], states.ddq[[0, -1]]])).max()
     torque = np.asarray(problem.limits["torque"], float)
     sigma = {"equal": np.ones_like(torque), "limit": 0.01 * torque}
     return replace(
         row,
-        left=left,
-        proj=proj,
+        left=found.left,
+        proj=found.proj,
         base=found.base,
         samples=len(states.q),
         worst=use.ratio,
@@ -208,25 +171,6 @@ def judged(problem: Problem, row: Row, file: Path, judge: Path | None) -> Row:
         at_rest=bool(ends <= _REST * np.abs(states.ddq).max()),
         errors={k: parameter_error(model, problem.limits, states, s) for k, s in sigma.items()},
     )
-
-
-def evaluated(problem: Problem, file: Path, judge: Path) -> tuple[float, float]:
-    """Condition numbers, left and proj, by an external judge in a process of its own."""
-    low, high = np.asarray(problem.limits["position"], float).T.tolist()
-    short = {"velocity": "dq", "torque": "tau", "acceleration": "ddq"}
-    named = {short[name]: x for name, x in problem.limits.items() if name in short}
-    limits, out = problem.folder / "judge-limits.json", file.with_suffix(".judged.json")
-    limits.write_text(json.dumps({"q_lo": low, "q_hi": high, **named}), encoding="utf-8")
-    words = [sys.executable, judge, problem.urdf, file, "--no-collision"]
-    words += ["--limits", limits, "--json", out]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [str(word) for word in words], capture_output=True, text=True, env=environment, check=False
-    )
-    if done.returncode:
-        raise ExcitantError(f"judge {judge}: {done.stderr.strip().splitlines()[-1]}")
-    condition = json.loads(out.read_text(encoding="utf-8"))["condition"]["inertial"]
-    return float(condition["left"]["raw"]), float(condition["proj"]["raw"])
 
 
 def reference(row: Row, rows: Sequence[Row]) -> Row | None:
@@ -249,7 +193,7 @@ def conditioning_table(rows: Sequence[Row]) -> list[str]:
     """κ, use of the limits and time of every contestant, and its ratios to ours."""
     lines = [
         f"{'':20}{'κ left':>9}{'κ proj':>9}{'worst limit':>13}{'rest':>6}{'ddq':>7}"
-        f"{'wall s':>8}{'CPU s':>8}   other : excitant (κ, wall, CPU)",
+        f"{'wall s':>8}{'CPU s':>8}   other : excitant (κ, wall, CPU)"
     ]
     for row in rows:
         times = f"{row.wall_s:8.1f}{row.cpu_s:8.1f}"
@@ -293,27 +237,25 @@ def _figures(row: Row, kind: str) -> tuple[float, float, float]:
     return error.scaled, error.predicted, error.worst
 
 
-def result(problem: Problem, rows: Sequence[Row], judge: Path | None) -> dict[str, Any]:
+def result(problem: Problem, rows: Sequence[Row]) -> dict[str, Any]:
     """The content of ``result.json``; null for what there is no figure of."""
-    infinite = {key for key, value in vars(Row("", "", 0, 0, "")).items() if value == math.inf}
+    plain = [
+        {k: None if isinstance(v, float) and math.isinf(v) else v for k, v in asdict(row).items()}
+        for row in rows
+    ]
     return {
         "problem": problem.name,
         "robot": problem.robot.name,
         "duration": problem.duration,
         "rate_hz": problem.rate_hz,
-        "judge": "evaluate.py" if judge else "judge.py",
-        "rows": [
-            {k: None if k in infinite and math.isinf(v) else v for k, v in asdict(row).items()}
-            for row in rows
-        ],
+        "rows": plain,
     }
 
 
 def report(problem: Problem, rows: Sequence[Row], given: argparse.Namespace) -> str:
-    judge = "evaluate.py, confirmed by judge.py" if given.judge else "judge.py (no evaluate.py)"
     top = (
         f"{problem.name}: {problem.robot.name}, {problem.robot.nv} joints, {problem.duration:g} s, "
-        f"judged at {problem.rate_hz:g} Hz by {judge}; {given.jobs} processes, seed {given.seed}, "
+        f"judged at {problem.rate_hz:g} Hz; {given.jobs} processes, seed {given.seed}, "
         f"time limit {given.time_limit:g} s"
     )
     return "\n".join(["", top, "", *conditioning_table(rows), "", *noise_table(rows)])
@@ -322,10 +264,6 @@ def report(problem: Problem, rows: Sequence[Row], given: argparse.Namespace) -> 
 def main(words: Sequence[str] | None = None) -> int:
     given = arguments(words)
     try:
-        if given.judge is None and (problems_folder() / "evaluate.py").is_file():
-            given.judge = problems_folder() / "evaluate.py"
-        elif given.judge is not None and not given.judge.is_file():
-            raise BadInput(f"judge {given.judge}: no such file")
         file = problem_file(given.problem)
         folder = given.output or Path("runs") / f"benchmark-design-{file.stem}"
         first = given.harmonics[0] if given.harmonics else None
@@ -335,7 +273,7 @@ def main(words: Sequence[str] | None = None) -> int:
     except ExcitantError as error:
         print(f"benchmark: {error}", file=sys.stderr)
         return 1
-    content = json.dumps(result(problem, rows, given.judge), indent=1) + "\n"
+    content = json.dumps(result(problem, rows), indent=1) + "\n"
     (folder / "result.json").write_text(content, encoding="utf-8")
     print(content if given.json else report(problem, rows, given))
     return 0

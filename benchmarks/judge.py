@@ -37,26 +37,20 @@ class States:
 
 @dataclass(frozen=True)
 class Conditioning:
-    """Condition numbers of a motion.
+    """Condition numbers of a motion."""
 
-    Attributes:
-        left: Of the base columns chosen from left to right.
-        proj: Of the projection on the row space.
-        base: Number of base parameters.
-    """
-
-    left: float
-    proj: float
-    base: int
+    left: float  # of the base columns chosen from left to right
+    proj: float  # of the projection on the row space
+    base: int  # number of base parameters
 
 
-def read_motion(path: Path, nv: int) -> tuple[Array, States]:
-    """Instants [s] and states of a table ``t,q1..,dq1..,ddq1..``."""
+def read_motion(path: Path, nv: int) -> States:
+    """States of a table ``t,q1..,dq1..,ddq1..``."""
     with path.open(encoding="utf-8") as file:
         names = file.readline().strip().split(",")
         table = np.loadtxt(file, delimiter=",")
     columns = [[names.index(f"{kind}{j + 1}") for j in range(nv)] for kind in ("q", "dq", "ddq")]
-    return table[:, names.index("t")], States(*(table[:, c] for c in columns))
+    return States(*(table[:, c] for c in columns))
 
 
 def random_states(limits: dict[str, Any], rng: np.random.Generator, n: int = _STATES) -> States:
@@ -74,22 +68,18 @@ def random_states(limits: dict[str, Any], rng: np.random.Generator, n: int = _ST
 
 def observation(model: Any, states: States) -> Array:
     """Stacked joint torque regressor W, shape (n nv, 10 nv)."""
-    data = model.createData()
-    rows = [
-        pin.computeJointTorqueRegressor(model, data, *state).copy()
-        for state in zip(states.q, states.dq, states.ddq, strict=True)
-    ]
-    return np.vstack(rows)
+    return np.vstack(_each(pin.computeJointTorqueRegressor, model, states))
 
 
 def torques(model: Any, states: States) -> Array:
     """Joint torques by the recursive Newton-Euler algorithm, shape (n, nv) [N·m or N]."""
+    return np.array(_each(pin.rnea, model, states))
+
+
+def _each(compute: Any, model: Any, states: States) -> list[Array]:
     data = model.createData()
-    rows = [
-        pin.rnea(model, data, *state).copy()
-        for state in zip(states.q, states.dq, states.ddq, strict=True)
-    ]
-    return np.array(rows)
+    rows = zip(states.q, states.dq, states.ddq, strict=True)
+    return [compute(model, data, *state).copy() for state in rows]
 
 
 def left_columns(W: Array) -> npt.NDArray[np.intp]:
@@ -124,8 +114,7 @@ class ParameterError:
 
     Attributes:
         scaled: Root mean square over draws and parameters of δβᵢ cᵢ [N·m], where cᵢ is the rms
-            of regressor column i over random states within the limits: the torque that the
-            error of one parameter makes there.
+            of regressor column i over random states within the limits.
         predicted: Root mean square of the torque error Y δβ of one joint over draws and the
             same random states [N·m]; does not depend on the choice of base parameters.
         worst: Standard deviation of the worst determined combination of unit length [SI].
@@ -141,14 +130,10 @@ class ParameterError:
 def parameter_error(
     model: Any, limits: dict[str, Any], states: States, sigma: Array
 ) -> ParameterError:
-    """Fit noisy torques of a motion, known exactly, ``DRAWS`` times.
+    """Fit noisy torques of a motion, known exactly, ``DRAWS`` times, rows weighted by 1 / σ.
 
-    Args:
-        model: The true arm.
-        limits: Limits within which the random states lie.
-        states: The motion.
-        sigma: Standard deviation of the torque noise per joint, shape (nv,) [N·m]; rows are
-            weighted by its inverse. Every motion of the same length meets the same noise.
+    σ is the standard deviation of the torque noise per joint, shape (nv,) [N·m]. The random states
+    lie within the limits; every motion of the same length meets the same noise.
     """
     reference = random_states(limits, np.random.default_rng(0))
     Y = observation(model, reference)

@@ -146,10 +146,9 @@ def kinematic_limits(limits: Limits) -> tuple[Array, Array]:
 def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
     """Worst use of every limit of the robot over a continuous motion.
 
-    A trajectory is judged at its exact extrema, over one period; a sampled motion
-    between its samples too, along the quintic Hermite interpolant of q, q̇ and q̈. Torque is
-    that of the rigid bodies and the robot's effects, located by cubic interpolation of a fine
-    grid and evaluated at the interpolant's extrema.
+    A trajectory is judged at its exact extrema, over one period; a sampled motion between its
+    samples too, along the quintic Hermite interpolant of q, q̇ and q̈. Torque, the robot's effects
+    included, is evaluated at the extrema of a cubic interpolant of a fine grid.
 
     Raises:
         BadInput: The motion has another number of joints, or fewer than two samples.
@@ -271,11 +270,8 @@ def _extreme(times: Iterable[Array], values: Iterable[Array]) -> Extrema:
 class Clearance:
     """Smallest distance over a continuous motion.
 
-    Attributes:
-        distance: Smallest distance found [m]; negative where bodies overlap.
-        certified: No instant has a smaller distance than this [m].
-        bodies: The two bodies.
-        time: When [s].
+    The one found between two bodies, and when [s]; certified is one that no instant is nearer
+    than. Distances [m] are negative where bodies overlap.
     """
 
     distance: float

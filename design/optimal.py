@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 
 import joblib
@@ -141,17 +141,9 @@ def design_trajectory(
     began = time.time()
     with effort_of(starts, _STARTS, jobs, cluster, seed, time_limit) as effort:
         first = build_design(
-            robot,
-            duration=duration,
-            harmonics=harmonics,
-            series=series,
-            criterion=criterion,
-            columns=columns,
-            noise=noise,
-            earlier=earlier,
-            scene=scene,
-            clearance=clearance,
-        )
+            robot, duration=duration, harmonics=harmonics, series=series, criterion=criterion,
+            columns=columns, noise=noise, earlier=earlier, scene=scene, clearance=clearance,
+        )  # fmt: skip
         first.random(np.random.default_rng([seed, 0]))  # refuses at once what no motion keeps
         if progress is not None:
             effort = replace(effort, report=_Teller(effort.starts, progress))
@@ -184,12 +176,8 @@ def effort_of(
     if starts is None and time_limit is None:
         starts = default
     deadline = np.inf if time_limit is None else time.time() + time_limit
-    effort = Effort(starts, jobs or int(joblib.cpu_count()), seed, deadline)
-    if cluster is None:
-        yield effort
-        return
-    with connect(cluster) as client:
-        yield replace(effort, client=client)
+    with connect(cluster) if cluster else nullcontext() as client:
+        yield Effort(starts, jobs or int(joblib.cpu_count()), seed, deadline, client)
 
 
 class _Teller:

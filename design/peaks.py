@@ -36,21 +36,13 @@ Candidates = tuple[Array, Joints, Array, Array]  # instants, joints, sides and w
 
 @dataclass(frozen=True, eq=False)
 class TorquePeaks:
-    """Instants at which one joint's torque is locally largest.
+    """Instants at which one joint's torque is locally largest."""
 
-    Attributes:
-        t: Instants, shape (k,) [s].
-        joint: Joint, shape (k,).
-        side: 0, or the sign of velocity where the joint turns back, shape (k,).
-        weight: Weight of the torque; 1, but less where the joint only almost turns, shape (k,).
-        use: Weighted magnitude over the torque bound, shape (k,).
-    """
-
-    t: Array
-    joint: Joints
-    side: Array
-    weight: Array
-    use: Array
+    t: Array  # instants, shape (k,) [s]
+    joint: Joints  # joint, shape (k,)
+    side: Array  # 0, or the sign of velocity where the joint turns back, shape (k,)
+    weight: Array  # weight of the torque; 1, but less where the joint only almost turns, shape (k,)
+    use: Array  # weighted magnitude over the torque bound, shape (k,)
 
     def above(self, share: float) -> TorquePeaks:
         """Those whose use exceeds a share."""
@@ -195,20 +187,14 @@ def _delay(peaks: TorquePeaks, motion: Motion, rate: Array) -> Array:
 
 
 def torque_derivatives(
-    robot: Robot, motion: Motion, joint: Joints | None = None
+    robot: Robot, motion: Motion, joint: Joints
 ) -> tuple[Array, Array, Array, Array]:
-    """Torque and its derivatives by q, q̇, q̈: rigid bodies analytically, effects by differences.
+    """Largest torque, shape (n, nv), and its derivatives by q, q̇, q̈, (n, nv, nv), torque first.
 
-    Args:
-        robot: The arm.
-        motion: The motion.
-        joint: The joint, at every instant, whose torque is to be the largest within the
-            uncertainty of the masses; without it they count as certain.
-
-    Returns:
-        Shapes (n, nv), and three of (n, nv, nv): torque joint first.
+    Rigid bodies analytically, effects by differences. Within the uncertainty of the masses that
+    of ``joint[k]`` is to be the largest at instant k.
     """
-    if joint is None or robot.limits.mass_uncertainty == 0:
+    if robot.limits.mass_uncertainty == 0:
         D = np.stack(rigid_derivatives(robot, motion))
     else:
         D = np.empty((3, len(motion), robot.nv, robot.nv))
@@ -216,8 +202,7 @@ def torque_derivatives(
             D[:, [k]] = rigid_derivatives(body, motion[k : k + 1])
     if robot.effects:
         D += _effect_derivatives(robot, motion)
-    tau = torque(robot, motion) if joint is None else largest_torque(robot, motion)
-    return tau, D[0], D[1], D[2]
+    return largest_torque(robot, motion), D[0], D[1], D[2]
 
 
 def _worst_bodies(robot: Robot, motion: Motion, joint: Joints) -> list[Robot]:

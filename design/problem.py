@@ -28,20 +28,13 @@ class DesignProblem:
 
     The unknowns z, shape (c − 2, nv), are the coefficients X = Z z in an orthonormal basis Z
     of those at rest at both ends.
-
-    Attributes:
-        information: What is to be made visible, on which robot.
-        criterion: ``"condition"``, ``"d"``, ``"a"`` or ``"e"``.
-        series: Functions of time that the motion is a combination of; c of them.
-        scene: The arm's bodies and obstacles; None to leave clearance out.
-        required: Smallest distance between bodies [m].
     """
 
-    information: Information
-    criterion: str
-    series: Series
-    scene: Scene | None = None
-    required: float = 0.0
+    information: Information  # what is to be made visible, on which robot
+    criterion: str  # ``"condition"``, ``"d"``, ``"a"`` or ``"e"``
+    series: Series  # functions of time that the motion is a combination of; c of them
+    scene: Scene | None = None  # the arm's bodies and obstacles; None to leave clearance out
+    required: float = 0.0  # smallest distance between bodies [m]
 
     @property
     def robot(self) -> Robot:

@@ -35,16 +35,8 @@ class StateSpace:
         b = min(speed, Ω √(half² − (q − middle)²)),   c = min(acceleration, Ω √(speed² − q̇²)).
 
     For a finite Fourier series with harmonics up to Ω = Hω these are the inequalities of
-    Bernstein and Szegő; for any other motion Ω = ∞.
-
-    Attributes:
-        robot: The arm.
-        middle: Middle of each joint's range, shape (nv,).
-        half: Half the range; π for a joint that turns freely, shape (nv,).
-        bounded: Whether the joint has position limits, shape (nv,).
-        speed: Highest speed, shape (nv,).
-        acceleration: Highest acceleration, shape (nv,).
-        top: Ω, the highest angular frequency [rad/s].
+    Bernstein and Szegő; for any other motion Ω = ∞. A joint without position limits
+    is not bounded and turns by half = π.
     """
 
     robot: Robot
@@ -156,9 +148,7 @@ class TestFunctions:
     virial theorem where f = 1 or x, the balance of generalised momentum in general. Functions
     even in q̇ would say nothing, for M is even, and a motion and its reverse count alike.
 
-    Attributes:
-        table: Joint j and kind of the factor f, and joint i of the velocity, shape (m, 3).
-        scale: Divisor of each function, shape (m,).
+    The table holds j, the kind of f, and i of each function, shape (m, 3); the scale divides them.
     """
 
     table: npt.NDArray[np.intp]
@@ -179,10 +169,7 @@ class TestFunctions:
 class Multipliers:
     """Dual variables of the best mixture of states: a lower bound tr P on κ, when all agree.
 
-    Attributes:
-        P: Of Σ w M ⪰ I, positive semidefinite, shape (r, r).
-        Q: Of Σ w M ⪯ κ I, positive semidefinite with trace 1, shape (r, r).
-        y: Of the equality rows, shape (m,).
+    P ⪰ 0 of Σ w M ⪰ I and Q ⪰ 0 of Σ w M ⪯ κ I, tr Q = 1, both (r, r); y of the equality rows (m,).
     """
 
     P: Array
@@ -213,20 +200,13 @@ class Relaxation:
     M = ∫ M(x) dξ(x) over states x, with E[dφ/dt] = 0 for the test functions. Each M(x) is
     averaged with its reverse in time, M(q, −q̇, q̈) = S M S with signs S: columns even and columns
     odd in q̇ then have nothing in common.
-
-    Attributes:
-        information: What is to be made visible.
-        space: The feasible states.
-        odd: Whether each base column is odd in q̇, shape (r,).
-        tests: Test functions, scaled; none of them for any motion whatever.
-        unit: Typical tr M of a state.
     """
 
-    information: Information
-    space: StateSpace
-    odd: npt.NDArray[np.bool_]
-    tests: TestFunctions
-    unit: float
+    information: Information  # what is to be made visible
+    space: StateSpace  # the feasible states
+    odd: npt.NDArray[np.bool_]  # whether each base column is odd in q̇, shape (r,)
+    tests: TestFunctions  # test functions, scaled; none of them for any motion whatever
+    unit: float  # typical tr M of a state
 
     def matrices(self, motion: Motion) -> Array:
         """M of each state, shape (n, r, r)."""

@@ -54,35 +54,21 @@ _PATIENCE = "20s"  # for a cluster to answer
 
 @dataclass(frozen=True, eq=False)
 class SearchState:
-    """Where a search from one start stands.
+    """Where a search from one start stands."""
 
-    Attributes:
-        index: Number of the start.
-        z: Unknowns, shape (c − 2, nv); before the first iteration those to begin from, if any.
-        value: Criterion to be minimised, at z.
-        excess: Torque beyond its bound at z, as a share of it; or clearance missing.
-        best: Unknowns of the lowest value within all limits; None before there is one.
-        best_value: That value.
-        radius: Trust region.
-        status: ``"running"``, ``"stalled"`` (slow; may go on), ``"stopped"`` (not worth it beside
-            others), ``"converged"``, ``"iteration limit"``, ``"time limit"``, ``"interrupted"`` or
-            ``"infeasible"``.
-        parent: Start whose solution this one began from, mixed with a random one; or None.
-        history: Condition number at the beginning and after every iteration.
-        merits: Merit likewise.
-    """
-
-    index: int
-    z: Array
-    value: float = np.inf
-    excess: float = np.inf
-    best: Array | None = None
-    best_value: float = np.inf
-    radius: float = _RADIUS
+    index: int  # number of the start
+    z: Array  # unknowns, shape (c − 2, nv); before the first iteration those to begin from, if any
+    value: float = np.inf  # criterion to be minimised, at z
+    excess: float = np.inf  # torque beyond its bound at z, as a share of it; or clearance missing
+    best: Array | None = None  # unknowns of the lowest value within all limits, if there is one yet
+    best_value: float = np.inf  # that value
+    radius: float = _RADIUS  # trust region
+    # "running", "stalled" (slow; may go on), "stopped" (not worth it beside others), "converged",
+    # "iteration limit", "time limit", "interrupted" or "infeasible"
     status: str = "running"
-    parent: int | None = None
-    history: tuple[float, ...] = ()
-    merits: tuple[float, ...] = field(default=(), repr=False)
+    parent: int | None = None  # start whose solution, mixed with a random one, this began from
+    history: tuple[float, ...] = ()  # condition number at the beginning and after every iteration
+    merits: tuple[float, ...] = field(default=(), repr=False)  # merit likewise
 
     @property
     def merit(self) -> float:
@@ -189,23 +175,14 @@ def _iterate(problem: DesignProblem, state: SearchState) -> SearchState:
 
 @dataclass(frozen=True, eq=False)
 class Effort:
-    """What a design may spend, and where.
+    """What a design may spend, and where."""
 
-    Attributes:
-        starts: Number of starts; None for as many as fit until the deadline.
-        jobs: Number of processes.
-        seed: Seed of start k is (seed, k).
-        deadline: `time.time` at which to stop [s].
-        client: Dask cluster to use instead of processes here.
-        report: Called with the problem and the states so far whenever one changes.
-    """
-
-    starts: int | None
-    jobs: int
-    seed: int
-    deadline: float = np.inf
-    client: Any = None
-    report: Report = lambda problem, states: None
+    starts: int | None  # number of starts; None for as many as fit until the deadline
+    jobs: int  # number of processes
+    seed: int  # seed of start k is (seed, k)
+    deadline: float = np.inf  # `time.time` at which to stop [s]
+    client: Any = None  # Dask cluster to use instead of processes here
+    report: Report = lambda problem, states: None  # called whenever a state changes
 
     def share(self, starts: int | None, share: float) -> Effort:
         """Other starts within a share of the time left."""
@@ -235,8 +212,8 @@ def _best_period(problem: DesignProblem, effort: Effort, shortest: float) -> Des
     for k, period in enumerate(np.geomspace(shortest, problem.period, _PERIODS)):
         series = problem.series.resized(problem.series.terms, float(period))
         candidate = replace(problem, series=series)
-        until = began + (k + 1) * span
-        searches = _MultiStart(candidate, replace(effort, starts=_SAMPLED, deadline=until)).run()
+        part = replace(effort, starts=_SAMPLED, deadline=began + (k + 1) * span)
+        searches = _MultiStart(candidate, part).run()
         tried.append((_value(searches), k, candidate))
         if _interrupted(searches):
             break

@@ -61,24 +61,6 @@ Progress = Callable[[float, str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class LinkMotion:
-    """The motion of one link.
-
-    Attributes:
-        joint: Index of the link's joint.
-        design: Of the whole arm; its information is that of row τ_i about link i.
-    """
-
-    joint: int
-    design: Design
-
-    @property
-    def name(self) -> str:
-        """Stem of its files, ``link1`` to ``link<nv>``."""
-        return f"link{self.joint + 1}"
-
-
-@dataclass(frozen=True, eq=False)
 class LinkByLinkDesign:
     """A motion for every link.
 
@@ -87,7 +69,8 @@ class LinkByLinkDesign:
         columns: ``"friction"`` or ``"inertial"``.
         criterion: What was minimised.
         base: Number of base parameters of the arm.
-        motions: The last link's first.
+        motions: By the index of each link's joint, the last first: its design on the whole arm,
+            whose information is that of row τ_i about link i.
         wall_s: Time taken [s].
     """
 
@@ -95,20 +78,32 @@ class LinkByLinkDesign:
     columns: str
     criterion: str
     base: int
-    motions: tuple[LinkMotion, ...]
+    motions: dict[int, Design]
     wall_s: float
 
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``: the worst of all at the top, each in ``stages``."""
-        single = [motion.design.result() for motion in self.motions]
+        designs = list(self.motions.values())
+        single = [design.result() for design in designs]
         starts = np.cumsum([0.0, *(one["duration"] for one in single)]).tolist()
-        worst = int(np.argmax([motion.design.condition_final for motion in self.motions]))
+        worst = int(np.argmax([design.condition_final for design in designs]))
         limits, when = {}, {}
         for quantity in single[0]["limits"]:
             k = max(range(len(single)), key=lambda k: single[k]["limits"][quantity] or 0.0)
             limits[quantity], row = single[k]["limits"][quantity], single[k]["worst"][quantity]
             when[quantity] = row and row | {"t": row["t"] + starts[k]}
         distances = [one["clearance_m"] for one in single if one["clearance_m"] is not None]
+        stages = [
+            {
+                "link": self.robot.links[joint],
+                "joint": self.robot.joints[joint],
+                "file": f"{_stem(joint)}.csv",
+                "moves": list(self.robot.joints[: joint + 1]),
+                "determines": list(design.base.expressions),
+                **{key: one[key] for key in _OWN},
+            }
+            for (joint, design), one in zip(self.motions.items(), single, strict=True)
+        ]
         return {
             "verb": "design",
             "robot": self.robot.name,
@@ -128,41 +123,32 @@ class LinkByLinkDesign:
             "notes": [
                 "one motion per link, from the last inward; identify with --link-by-link from all "
                 "of their recordings. The condition number above is that of "
-                f"{self.motions[worst].name}, the worst"
+                f"{_stem(list(self.motions)[worst])}, the worst"
             ],
-            "link_by_link": {
-                "stages": [
-                    {
-                        "link": self.robot.links[motion.joint],
-                        "joint": self.robot.joints[motion.joint],
-                        "file": f"{motion.name}.csv",
-                        "moves": list(self.robot.joints[: motion.joint + 1]),
-                        "determines": list(motion.design.base.expressions),
-                        **{key: one[key] for key in _OWN},
-                    }
-                    for motion, one in zip(self.motions, single, strict=True)
-                ]
-            },
+            "link_by_link": {"stages": stages},
             "files": {},
         }
 
     def series(self) -> dict[str, Array]:
         """Curves of all motions one after the other, as of `Design.series`."""
         parts, start = [], 0.0
-        for motion in self.motions:
-            part = motion.design.series()
+        for design in self.motions.values():
+            part = design.series()
             parts.append(part | {key: part[key] + start for key in ("t", "arm_t")})
-            start += motion.design.duration
+            start += design.duration
         return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
 
     def files(self, rate_hz: float, periods: int = 1) -> dict[str, str | bytes]:
         """``link<i>.csv`` and ``link<i>.json`` of every motion, the last link's first."""
         files: dict[str, str | bytes] = {}
-        for motion in self.motions:
-            trajectory = motion.design.trajectory
-            files[f"{motion.name}.csv"] = trajectory_csv(trajectory, rate_hz, periods)
-            files[f"{motion.name}.json"] = trajectory_json(trajectory, self.robot)
+        for joint, design in self.motions.items():
+            files[f"{_stem(joint)}.csv"] = trajectory_csv(design.trajectory, rate_hz, periods)
+            files[f"{_stem(joint)}.json"] = trajectory_json(design.trajectory, self.robot)
         return files
+
+
+def _stem(joint: int) -> str:
+    return f"link{joint + 1}"
 
 
 def design_link_by_link(
@@ -185,25 +171,9 @@ def design_link_by_link(
 ) -> LinkByLinkDesign:
     """Motions at rest at both ends that show link after link best within all limits.
 
-    The options are those of `design_trajectory`, for each motion; ``criterion`` is that of the
-    columns of each link in its own row.
-
-    Args:
-        robot: The arm; its limits and effects count.
-        duration: Of each motion [s], or the shortest and the longest to choose from.
-        harmonics: Number of harmonics; None to add harmonics while they pay.
-        series: ``"fourier"`` or ``"spline"``.
-        top_hz: Highest frequency up to which harmonics are added [Hz].
-        criterion: ``"condition"``, ``"d"``, ``"a"`` or ``"e"``.
-        columns: ``"friction"`` or ``"inertial"``.
-        scene: The arm's bodies among obstacles, kept apart; None to leave clearance out.
-        clearance: Smallest distance that they keep [m].
-        starts: Searches per motion; 6 by default, or as many as fit in the time limit.
-        jobs: Number of processes.
-        cluster: Address of a Dask scheduler to search on instead.
-        seed: Seed of all randomness.
-        time_limit: For all motions together, split evenly over those still to come [s].
-        progress: Called whenever a search has news.
+    The options are those of `design_trajectory`, of each motion. The criterion is that of the
+    columns of each link in its own row. ``starts`` counts the searches per motion, 6 by default;
+    the time limit is that of all motions together, split evenly over those still to come [s].
 
     Raises:
         Infeasible: No motion of some link keeps the limits.
@@ -219,7 +189,7 @@ def design_link_by_link(
         "columns": columns,
         "clearance": clearance,
     }
-    motions = []
+    motions: dict[int, Design] = {}
     with effort_of(starts, _STARTS, jobs, cluster, seed, time_limit) as effort:
         goal = build_design(robot, **options).information
         last = last_rows(robot, goal.effects, goal.base)
@@ -239,10 +209,8 @@ def design_link_by_link(
             seen = _of_link(goal, joint, last == joint)
             values = [objective(seen.matrix(dense_motion(motion)), criterion) for motion in kept]
             chosen = kept[int(np.argmin(values))]
-            found = Design(seen, criterion, kept[0], chosen, scene, searches, 0.0)
-            motions.append(LinkMotion(joint, found))
-    wall = time.time() - began
-    return LinkByLinkDesign(robot, columns, criterion, len(last), tuple(motions), wall)
+            motions[joint] = Design(seen, criterion, kept[0], chosen, scene, searches, 0.0)
+    return LinkByLinkDesign(robot, columns, criterion, len(last), motions, time.time() - began)
 
 
 def _problem(

@@ -27,17 +27,11 @@ _LOOSE = 0.01  # the same, as a share of the step's length
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Part of M in a subspace, as a share of its extreme eigenvalue; with derivatives.
+    """Part of M in a subspace, as a share of its extreme eigenvalue; with derivatives."""
 
-    Attributes:
-        value: Shape (m, m).
-        derivative: By the unknowns, shape (k, m, m).
-        lowest: Whether λmin is followed (bounded from below) or λmax.
-    """
-
-    value: Array
-    derivative: Array
-    lowest: bool
+    value: Array  # shape (m, m)
+    derivative: Array  # by the unknowns, shape (k, m, m)
+    lowest: bool  # whether λmin is followed (bounded from below) or λmax
 
     @property
     def sign(self) -> float:
@@ -47,23 +41,14 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class LocalModel:
-    """Criterion and torque of a design problem around z.
+    """Criterion and torque of a design problem around z."""
 
-    Attributes:
-        z: Where, shape (c − 2, nv).
-        blocks: Eigenvalue subspaces, for ``condition`` and ``e``.
-        gradient: Of the smooth criteria, shape (k,).
-        hessian: Of the smooth criteria, shape (k, k).
-        rows: Use of torque bounds and of clearance by the unknowns, shape (m, k).
-        use: Their use at z, shape (m,).
-    """
-
-    z: Array
-    blocks: tuple[Block, ...]
-    gradient: Array
-    hessian: Array
-    rows: Array
-    use: Array
+    z: Array  # where, shape (c − 2, nv)
+    blocks: tuple[Block, ...]  # eigenvalue subspaces, for ``condition`` and ``e``
+    gradient: Array  # of the smooth criteria, shape (k,)
+    hessian: Array  # of the smooth criteria, shape (k, k)
+    rows: Array  # use of torque bounds and of clearance by the unknowns, shape (m, k)
+    use: Array  # their use at z, shape (m,)
 
 
 def local_model(problem: DesignProblem, z: Array) -> LocalModel:

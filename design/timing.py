@@ -85,8 +85,7 @@ def approach(
     path = _free_path(robot, ends[0], ends[1], scene, clearance, rng)
     if isinstance(path, str):
         raise Infeasible(
-            name,
-            f"{path} of the straight line and no way around was found; choose another pose",
+            name, f"{path} of the straight line and no way around was found; choose another pose"
         )
     return timed(robot, path, rate_hz, name)
 

@@ -187,16 +187,11 @@ class Trajectory(_Curve):
 
 @dataclass(frozen=True, eq=False)
 class FourierSeries(Series):
-    """1, cos hωt, sin hωt for h = 1 … H, ω = 2π / period (Swevers et al. 1997).
-
-    Attributes:
-        period: Duration of one period [s].
-        harmonics: Number of harmonics H.
-    """
+    """1, cos hωt, sin hωt for h = 1 … H, ω = 2π / period (Swevers et al. 1997)."""
 
     name = "fourier"
-    period: float
-    harmonics: int
+    period: float  # duration of one period [s]
+    harmonics: int  # number of harmonics H
 
     def __post_init__(self) -> None:
         _require_positive(self.period)
@@ -277,11 +272,7 @@ class FourierTrajectory(Trajectory):
     """
 
     def __init__(
-        self,
-        offset: npt.ArrayLike,
-        cosine: npt.ArrayLike,
-        sine: npt.ArrayLike,
-        period: float,
+        self, offset: npt.ArrayLike, cosine: npt.ArrayLike, sine: npt.ArrayLike, period: float
     ) -> None:
         parts = [np.asarray(part, float) for part in (offset, cosine, sine)]
         shapes = [part.shape for part in parts]
@@ -337,15 +328,11 @@ class SplineSeries(Series):
     """Quintic B-splines B(t / h − k) on equidistant knots that close to a period (de Boor 1978).
 
     h = period / pieces; the coefficients are control points.
-
-    Attributes:
-        period: Duration of one period [s].
-        pieces: Number of polynomial pieces, and of basis functions; at least 6.
     """
 
     name = "spline"
-    period: float
-    pieces: int
+    period: float  # duration of one period [s]
+    pieces: int  # number of polynomial pieces, and of basis functions; at least 6
 
     def __post_init__(self) -> None:
         _require_positive(self.period)

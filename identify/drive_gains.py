@@ -170,18 +170,15 @@ class KnownPayload:
                 "a standard deviation that is not negative"
             )
 
-    @property
-    def known(self) -> Array:
-        """The standard parameters that are known, zero elsewhere, shape (10,)."""
-        if self.centre is None:
-            return np.asarray(self.mass * np.eye(10)[0])
-        point = pin.Inertia(self.mass, np.array(self.centre), np.zeros((3, 3)))
-        return np.asarray(point.toDynamicParameters(), float)
+    def columns(self, body: Array) -> Array:
+        """Columns of what is not known of it, and last what is known adds, shape (n, ≤ 10).
 
-    @property
-    def open_parameters(self) -> slice:
-        """Standard parameters that are not known."""
-        return slice(1, 10) if self.centre is None else slice(4, 10)
+        Body holds the columns of the standard parameters of a body on the last link, (n, 10).
+        """
+        if self.centre is None:
+            return np.column_stack([body[:, 1:], self.mass * body[:, 0]])
+        point = pin.Inertia(self.mass, np.array(self.centre), np.zeros((3, 3)))
+        return np.column_stack([body[:, 4:], body @ point.toDynamicParameters()])
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,12 +209,9 @@ class DriveGains:
 
     def result(self) -> dict[str, Any]:
         """Entries of result.json."""
-        return {
-            "drive_gain_Nm_per_A": self.gains.tolist(),
-            "drive_gain_std_Nm_per_A": self.std.tolist(),
-            "drive_gain_shown": list(self.shown),
-            "drive_gain_scale_rel_std": self.scale_std,
-        }
+        keys = ("Nm_per_A", "std_Nm_per_A", "shown", "scale_rel_std")
+        values = (self.gains.tolist(), self.std.tolist(), list(self.shown), self.scale_std)
+        return {f"drive_gain_{key}": value for key, value in zip(keys, values, strict=True)}
 
 
 def payload_gains(
@@ -239,7 +233,7 @@ def payload_gains(
         "where its centre of mass is, or move it through more poses and longer"
     )
     current = np.concatenate([free.tau, loaded.tau])
-    exact = _exact_columns(free.W, loaded.W, payload, body, hardly)
+    exact = _exact_columns(free.W, loaded.W, payload.columns(body), hardly)
     k, theta, shown = _solved(exact, current)
     if (k <= 0).any():
         raise BadInput(f"{hardly}: the gains found are not positive")
@@ -256,11 +250,8 @@ def payload_gains(
     return DriveGains(k, std, tuple(bool(each) for each in shown), scale)
 
 
-def _exact_columns(
-    free: Array, loaded: Array, payload: KnownPayload, body: Array, hardly: str
-) -> Array:
+def _exact_columns(free: Array, loaded: Array, own: Array, hardly: str) -> Array:
     """Columns without errors, those of the payload that others explain left out, (n, nv, e)."""
-    own = np.column_stack([body[:, payload.open_parameters], body @ payload.known])
     r, added = own.shape
     empty = np.pad(free, ((0, 0), (0, 0), (0, added)))
     exact = np.concatenate([empty, np.concatenate([loaded, loaded @ own], axis=2)])

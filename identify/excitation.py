@@ -11,7 +11,7 @@ to know a parameter better from the window than from the prior.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +19,7 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import BadInput
+from excitant.identify.information import square_root
 from excitant.identify.prior import BasePrior, base_prior, reference_motion
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
@@ -31,6 +32,7 @@ _NOISE_SHARE = 0.01  # noise of a row in parts of the torque of a reference moti
 _ENOUGH = 1.0  # the window knows as much as the prior
 _VISIBLE = 10.0  # level of a reference motion that makes a direction worth asking for
 _LISTED = 6  # weak directions that are spelt out
+_SHORTEST = 4  # samples of a window
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,7 @@ class WindowExcitation:
         """Whether every visible direction reaches level 1."""
         return self.missing == 0
 
+    @property
     def sentence(self) -> str:
         """What it means, in words."""
         if self.enough:
@@ -172,69 +175,50 @@ def excitation_judge(
     if sigma is None:
         rms = np.sqrt((torque(robot, reference) ** 2).mean(axis=0))
         sigma = _NOISE_SHARE * np.maximum(rms, 1e-3 * rms.max())
-    scale = np.sqrt(np.diag(prior.covariance))
-    L = scale[:, None] * np.linalg.cholesky(prior.covariance / np.outer(scale, scale))
+    L = square_root(prior.covariance)
     judge = ExcitationJudge(robot, effects, base, sigma, L, reference)
     levels, V = scipy.linalg.eigh(_information(reference, judge.rows(reference)))
     return replace(judge, basis=L @ V[:, levels >= _VISIBLE])
 
 
 @dataclass(frozen=True, eq=False)
-class Persistency:
-    """Excitation along a motion."""
+class Persistency(WindowExcitation):
+    """Excitation of a whole motion, and the shortest length tried whose windows all suffice [s]."""
 
-    window: float  # length of the windows [s]
-    windows: tuple[WindowExcitation, ...]  # half overlapping
-    shortest: float | None  # length tried over which the motion is persistently exciting [s]
-
-    @property
-    def level(self) -> float:
-        """Level α: that of the weakest direction in the weakest window."""
-        return min(each.level for each in self.windows)
-
-    @property
-    def persistent(self) -> bool:
-        """Whether every window reaches level 1."""
-        return all(each.enough for each in self.windows)
-
-    @property
-    def weakest(self) -> WindowExcitation:
-        """The window that shows least."""
-        return min(self.windows, key=lambda each: (-each.missing, each.level))
+    shortest: float | None = None
 
     @property
     def sentence(self) -> str:
         """What it means, in words."""
-        weakest, visible = self.weakest, len(self.weakest.levels)
+        visible, length = len(self.levels), self.end - self.start
         if not visible:
             return "no motion of this arm shows any parameter above the noise"
-        if self.persistent:
+        if self.enough:
             text = (
-                f"persistently exciting over {self.window:.3g} s at level {self.level:.3g}: all "
+                f"persistently exciting over {length:.3g} s at level {self.level:.3g}: all "
                 f"{visible} visible combinations become better known than they were"
             )
-            if self.shortest is not None and self.shortest < self.window:
+            if self.shortest is not None and self.shortest < length:
                 text += f"; windows of {self.shortest:.3g} s are enough"
             return text
         text = (
-            f"not persistently exciting over {self.window:.3g} s: from {weakest.start:.3g} to "
-            f"{weakest.end:.3g} s {weakest.missing} of {visible} visible combinations are missing "
-            f"(level {self.level:.2g}), first of all {weakest.weak[0].parameters[0]}"
+            f"not persistently exciting over {length:.3g} s: from {self.start:.3g} to "
+            f"{self.end:.3g} s {self.missing} of {visible} visible combinations are missing "
+            f"(level {self.level:.2g}), first of all {self.weak[0].parameters[0]}"
         )
-        return text + (f"; move {', '.join(weakest.joints)}" if weakest.joints else "")
+        return text + (f"; move {', '.join(self.joints)}" if self.joints else "")
 
     def result(self) -> dict[str, Any]:
         """What ``result.json`` says of it."""
-        weakest = self.weakest
         return {
-            "persistent": self.persistent,
+            "persistent": self.enough,
             "level": self.level,
-            "window_s": self.window,
+            "window_s": self.end - self.start,
             "shortest_window_s": self.shortest,
-            "visible": len(weakest.levels),
-            "missing": weakest.missing,
-            "joints": weakest.joints,
-            "weak": [vars(direction) for direction in weakest.weak],
+            "visible": len(self.levels),
+            "missing": self.missing,
+            "joints": self.joints,
+            "weak": [vars(direction) for direction in self.weak],
             "sentence": self.sentence,
         }
 
@@ -244,49 +228,44 @@ def persistency(
     motion: Motion,
     effects: Sequence[Effect] | None = None,
     *,
-    window: float | None = None,
     sigma: Array | None = None,
 ) -> Persistency:
-    """Whether a motion is persistently exciting, over which window, at which level.
+    """Whether a motion is persistently exciting, at which level, and over which windows.
 
-    What counts as visible is what a reference motion shows in the window asked for.
+    What counts as visible is what a reference motion shows in the same time.
 
     Args:
         robot: The arm; its inertias are the prior.
         motion: Samples evenly spread in time.
         effects: Effects to estimate; friction, offset and rotor inertia when None.
-        window: Length of the windows [s]; the whole motion when None.
         sigma: Noise of an independent row of torque, shape (nv,) [torque unit].
 
     Raises:
-        BadInput: A window longer than the motion or without samples.
+        BadInput: A motion without duration.
     """
     duration = float(motion.t[-1] - motion.t[0])
-    window = duration if window is None else window
-    if not 0 < window <= duration * (1 + 1e-9):
-        raise BadInput(f"excitation: a window of {window:.4g} s, the motion lasts {duration:.4g} s")
+    if not duration > 0:
+        raise BadInput(f"excitation: a motion of {duration:.4g} s; give one that lasts")
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     base = base_parameters(robot, effects)
     prior = base_prior(robot, effects, base)
-    judge = excitation_judge(robot, effects, window=window, sigma=sigma, base=base, prior=prior)
+    judge = excitation_judge(robot, effects, window=duration, sigma=sigma, base=base, prior=prior)
     thin = motion[:: max(1, int((len(motion) - 1) / (duration * 2 * ROWS_PER_SECOND)))]
-    rows, shortest = judge.rows(thin), None
-    for length in duration / 2.0 ** np.arange(8):
+    rows = judge.rows(thin)
+    found, shortest = judge.judge(thin, rows), None
+    for length in duration / 2.0 ** np.arange(max(1, int(np.log2(len(thin) / _SHORTEST)))):
         if not all(each.enough for each in _windows(judge, thin, rows, float(length))):
             break
         shortest = float(length)
-    return Persistency(window, tuple(_windows(judge, thin, rows, window)), shortest)
+    return Persistency(**vars(found), shortest=shortest)
 
 
 def _windows(
     judge: ExcitationJudge, motion: Motion, rows: Array, window: float
-) -> list[WindowExcitation]:
+) -> Iterator[WindowExcitation]:
+    """What windows of one length show, half overlapping."""
     start, end = float(motion.t[0]), float(motion.t[-1])
     count = max(1, int(np.ceil(2 * (end - start) / window - 1 - 1e-9)))
-    found = []
     for first in np.linspace(start, max(start, end - window), count):
         inside = (motion.t >= first - 1e-9) & (motion.t <= first + window + 1e-9)
-        if inside.sum() < 2:
-            raise BadInput(f"excitation: a window of {window:.4g} s holds no two samples")
-        found.append(judge.judge(motion[inside], rows[inside]))
-    return found
+        yield judge.judge(motion[inside], rows[inside])

@@ -67,11 +67,16 @@ def combined(parts: Sequence[Information]) -> Information:
     return Information(total.R, total.z, total.rest + sum(part.rest for part in parts))
 
 
-def gaussian(mean: Array, covariance: Array) -> Information:
-    """What a normal distribution knows, covariance regular."""
+def square_root(covariance: Array) -> Array:
+    """L of covariance = L Lᵀ, lower triangular, whatever the units of its rows."""
     scale = np.sqrt(np.diag(covariance))
     L = np.linalg.cholesky(covariance / np.outer(scale, scale))
-    A = scipy.linalg.solve_triangular(L, np.eye(len(mean)), lower=True) / scale
+    return np.asarray(scale[:, None] * L, float)
+
+
+def gaussian(mean: Array, covariance: Array) -> Information:
+    """What a normal distribution knows, covariance regular."""
+    A = scipy.linalg.solve_triangular(square_root(covariance), np.eye(len(mean)), lower=True)
     return information_of(A, A @ mean)
 
 
@@ -85,16 +90,12 @@ class InformationFilter:
         self.columns, self.p = columns, p
         self._size = len(columns) + 1
         self._factor = np.zeros((self._size, self._size), order="F")
-        self._panel = min(_PANEL, self._size)
 
     def update(self, rows: Array) -> None:
         """Add rows [A, b] of the chosen columns, shape (m, columns + 1); the rows are used up."""
         if len(rows):
-            stacked = np.asfortranarray(rows)
-            result = lapack.dtpqrt(
-                0, self._panel, self._factor, stacked, overwrite_a=1, overwrite_b=1
-            )
-            self._factor = result[0]
+            stacked, block = np.asfortranarray(rows), min(_PANEL, self._size)
+            self._factor = lapack.dtpqrt(0, block, self._factor, stacked, 1, 1)[0]
 
     def forget(self, factor: float) -> None:
         """Weigh everything so far by a factor on the information, 0 < factor ≤ 1."""

@@ -67,11 +67,6 @@ class PayloadEstimate:
         return float(self.phi[0])
 
     @property
-    def mass_std(self) -> float:
-        """Standard deviation of the mass [kg]."""
-        return float(self.std[0])
-
-    @property
     def centre(self) -> Array:
         """Centre of mass in the joint frame, shape (3,) [m]."""
         return np.asarray(self.phi[1:4] / self.mass, float)
@@ -90,7 +85,7 @@ class PayloadEstimate:
     @property
     def shortcomings(self) -> tuple[str, ...]:
         """Why the payload is not known to 2 % and 3 mm with 95 % confidence; empty when it is."""
-        spread = _CERTAIN * self.mass_std
+        spread = _CERTAIN * float(self.std[0])
         if spread >= self.mass:
             return (f"no payload is seen: {self.mass:.2g} kg, give or take {spread:.2g} kg",)
         found = []
@@ -117,7 +112,7 @@ class PayloadEstimate:
         centre, std = self.centre.tolist(), self.centre_std.tolist()
         return {
             "link": self.link,
-            "mass": {"value": self.mass, "std": self.mass_std, "unit": "kg"},
+            "mass": {"value": self.mass, "std": float(self.std[0]), "unit": "kg"},
             "centre_of_mass": {"value": centre, "std": std, "unit": "m"},
             "parameters": parameters,
             "shortcomings": list(self.shortcomings),

@@ -36,7 +36,7 @@ import scipy
 from excitant.exceptions import RankDeficient
 from excitant.identify.drive_gains import current_gains
 from excitant.identify.estimate import Estimate, identify_robot, judged, notes_on
-from excitant.identify.information import Information, gaussian
+from excitant.identify.information import Information, gaussian, square_root
 from excitant.identify.least_squares import (
     JointRows,
     LeastSquares,
@@ -105,9 +105,8 @@ class Cascade:
 
 def beginning(prior: BasePrior) -> Cascade:
     """Nothing known but the given robot."""
-    scale = np.sqrt(np.diag(prior.covariance))
-    L = scale[:, None] * np.linalg.cholesky(prior.covariance / np.outer(scale, scale))
-    return Cascade(prior.mean, L, np.zeros((len(scale), 0)), np.zeros(0), np.zeros((0, 0)))
+    L = square_root(prior.covariance)
+    return Cascade(prior.mean, L, np.zeros((len(L), 0)), np.zeros(0), np.zeros((0, 0)))
 
 
 def further(known: Cascade, W: Array, tau: Array) -> tuple[Cascade, float, float]:
@@ -219,11 +218,9 @@ class LinkRows(FitRows):
 
     def pose(self, joint: int) -> Array:
         """Where the arm stands on average while a joint moves, shape (nv,)."""
-        train = self.data.train
-        pairs = zip(train, self.moves, strict=True)
-        poses = [s.motion.q[m[:, joint]] for s, m in pairs if m[:, joint].any()]
-        poses = poses or [s.motion.q for s in train]
-        return np.asarray(np.concatenate(poses).mean(axis=0), float)
+        q = np.concatenate([s.motion.q for s in self.data.train])
+        moves = np.concatenate(self.moves)[:, joint]
+        return np.asarray(q[moves if moves.any() else ~moves].mean(axis=0), float)
 
     def mode(self, joint: int) -> str:
         """Which joints move while a joint does, in words; rare moments are left aside."""
@@ -293,16 +290,11 @@ class Stage:
 
     def result(self, robot: Robot) -> dict[str, Any]:
         """Entry of result.json."""
-        return {
+        return vars(self) | {
             "link": robot.links[self.joint],
             "joint": robot.joints[self.joint],
-            "rows": self.rows,
-            "recordings": list(self.recordings),
-            "mode": self.mode,
             "noise": self.noise if np.isfinite(self.noise) else None,
             "determined": [vars(each) for each in self.determined],
-            "missing": list(self.missing),
-            "needed": list(self.needed),
         }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,16 +20,10 @@ _SHOWN = 6  # parameters drawn of links, and as many of joints, of the many that
 _BAND = 2.0  # standard deviations
 
 
-@dataclass(frozen=True, eq=False)
-class History:
-    """Estimates over time: k looks at r base parameters.
+class History(NamedTuple):
+    """Estimates and standard deviations (k, r) of r base parameters at k times [s].
 
-    Attributes:
-        t: Time of the looks, shape (k,) [s].
-        value: Estimates, shape (k, r).
-        std: Their standard deviations, shape (k, r).
-        names: Leading parameter of each, r of them.
-        units: Their units; empty where unknown.
+    Each has the name of its leading parameter and its unit, which is empty where unknown.
     """
 
     t: Array
@@ -59,32 +53,6 @@ def excitation_levels(result: Result) -> tuple[Array, Array]:
     t = v.reals(result, "online", "history", "t")
     level = v.reals(result, "online", "history", "excitation_level")
     return (t, level) if len(t) == len(level) else (np.empty(0), np.empty(0))
-
-
-def uncertainty_figure(history: History | None) -> Figure | None:
-    """Standard deviation of every parameter relative to its first, over time."""
-    if history is None:
-        return None
-    first = history.std[0]
-    usable = np.isfinite(history.std).all(axis=0) & (first > 0) & (history.std > 0).all(axis=0)
-    if not usable.any():
-        return None
-    share = history.std[:, usable] / first[usable]
-    (ax,) = draw.axes(2.5)
-    for column in share.T:
-        draw.draw_curve(ax, history.t, [], column, color=draw.LIGHT, lw=0.7)
-    middle = np.median(share, axis=1)
-    draw.draw_curve(ax, history.t, [], middle, color=draw.FITTED, lw=1.8)
-    draw.log_y(ax)
-    draw.over_time(ax, history.t, "std / std at first look")
-    said = f"the median falls to {v.percent(middle[-1])} of its value at the first look"
-    return draw.single(
-        ax,
-        f"standard deviation over time of {usable.sum()} base parameters; {said}",
-        "Remaining uncertainty of each base parameter, relative to the first look one second "
-        f"in: {said}; a curve that stays level is a parameter that this motion does not show.",
-        [Key("line", draw.FITTED, "median"), Key("line", draw.LIGHT, "each base parameter")],
-    )
 
 
 def estimates_figure(history: History | None) -> Figure | None:

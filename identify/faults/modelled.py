@@ -155,7 +155,7 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fau
         yield Fault("poor_excitation", log.joints, detail, {"span": span})
         return
     try:
-        window = persistency(robot, data.motion).weakest
+        window = persistency(robot, data.motion)
     except ExcitantError:
         return None  # the arm has no inertia to compare with
     missing = int((window.levels < _TELLS).sum())

@@ -199,6 +199,21 @@ class Data:
     repair: bool = False
     "Repair the faults of the recordings to fit that can be repaired; else they are only reported."
 
+    def read(
+        self, dataset: Dataset, names: Sequence[str], others: Sequence[str] = ()
+    ) -> tuple[list[Recording], list[Recording], dict[str, Any], list[str]]:
+        """What to fit, what is held out, entries of the result about both, and notes.
+
+        Where no recording to fit is named, all of the folder but the held-out ones and others are.
+        """
+        from excitant.identify.faults import read_checked
+
+        held = self.validate or []
+        checked = read_checked(dataset, names, without=[*held, *others], repaired=self.repair)
+        fit, unseen = checked.recordings, dataset.recordings(held) if held else []
+        said = {"faults": checked.entries(), "import": show_import([*fit, *unseen])}
+        return list(fit), list(unseen), said, list(checked.notes)
+
 
 @Parameter(name="*")
 @dataclass(frozen=True)

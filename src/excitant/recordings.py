@@ -100,7 +100,6 @@ def identify(
     import excitant.identify as identification
     from excitant.identify.estimators import ESTIMATORS
     from excitant.identify.export import FORMATS
-    from excitant.identify.faults import read_checked
     from excitant.identify.rows import fitted
 
     chosen = effects == ["auto"]
@@ -114,12 +113,8 @@ def identify(
         "effects": None if chosen else _named(effects, arm),
         "cutoff_hz": data.cutoff,
     }
-    without = [*(data.validate or ()), *(load.unloaded or ()), *(load.payload_recording or ())]
-    checked = read_checked(dataset, recordings, without=without, repaired=data.repair)
-    fit: Sequence[Recording] = checked.recordings
-    held: Sequence[Recording] = dataset.recordings(data.validate) if data.validate else []
-    imported = show_import([*fit, *held])
-    notes = list(checked.notes)
+    others = [*(load.unloaded or ()), *(load.payload_recording or ())]
+    fit, held, said, notes = data.read(dataset, recordings, others)
     drive = load.drive(dataset, fit, options | {"validate": held})
     if drive is not None:
         fit, held = drive.torque(fit), drive.torque(held)
@@ -159,7 +154,7 @@ def identify(
             arm, fit, unloaded=unloaded, effects=options["effects"]
         )
         result["payload"] = carried.result()
-    result |= {"faults": checked.entries(), "import": imported}
+    result |= said
     if drive is not None:
         result |= drive.result()
         notes.append(drive.sentence(arm.joints))
@@ -177,21 +172,16 @@ def _refuse_contradictions(
 ) -> None:  # fmt: skip
     """Refuse options that exclude each other; those of whole need all rows at once."""
     com, another = load.payload_com, online or by_link
-    known = (bool(load.payload_recording), load.payload_mass is not None)
+    alone = load.unloaded and not load.payload
+    apart = bool(load.payload_recording) != (load.payload_mass is not None)
     refused: list[tuple[object, str]] = [
         (
             chosen and (another or load.payload),
             "--effects auto needs all rows at once and the arm alone; name effects, or leave "
             "--online, --link-by-link and --payload out",
         ),
-        (
-            load.unloaded and not load.payload,
-            "--unloaded names what --payload is compared with; give --payload too",
-        ),
-        (
-            known[0] != known[1],
-            "--payload-recording and --payload-mass belong together; give both",
-        ),
+        (alone, "--unloaded names what --payload is compared with; give --payload too"),
+        (apart, "--payload-recording and --payload-mass belong together; give both"),
         (com and len(com) != 3, "--payload-com needs three numbers, X,Y,Z in metres"),
         (forgetting is not None and not online, "--forgetting is for --online; give --online too"),
         (by_link and online, "--link-by-link needs whole recordings; leave --online out"),
@@ -328,26 +318,19 @@ def diagnose(
     from excitant.analysis.discrimination import Plan
     from excitant.design import trajectory_csv, trajectory_json
     from excitant.identify import model_files
-    from excitant.identify.faults import read_checked
 
     dataset = part.dataset(robot, data.map)
-    held = data.validate or ()
-    checked = read_checked(dataset, recordings, without=held, repaired=data.repair)
-    validate = dataset.recordings(held) if held else []
-    imported = show_import([*checked.recordings, *validate])
+    fit, held, said, notes = data.read(dataset, recordings)
     with progress_bar("diagnose"):
-        found = diagnosis.diagnose(
-            dataset.robot, checked.recordings, validate=validate, cutoff_hz=data.cutoff
-        )
+        found = diagnosis.diagnose(dataset.robot, fit, validate=held, cutoff_hz=data.cutoff)
     plan = Plan()
     if experiments:
         from excitant.analysis.discrimination_plan import plan as planned
 
         plan = planned(found, np.random.default_rng(0), time_limit=experiment_time)
     files = model_files(found.extension.model, "extended", "extended.yaml")
-    result = found.result(plan)
-    result |= {"import": imported, "faults": checked.entries()}
-    result["notes"] += checked.notes
+    result = found.result(plan) | said
+    result["notes"] += notes
     folder = run.folder(result)
     result["extended"]["files"] = [str(folder / name) for name in files]
     for k, motion in enumerate(plan.motions, start=1):

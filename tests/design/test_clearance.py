@@ -1,5 +1,6 @@
 """Clearance is a distance that holds at every instant, not only at the samples."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +8,10 @@ import pytest
 
 from excitant.design import clearance, design_trajectory, from_coefficients
 from excitant.exceptions import BadInput, Infeasible
-from excitant.robots import Robot, load_robot
+from excitant.robots import load_robot
 from excitant.robots.geometry import Obstacle, Scene, load_obstacles, scene
 from excitant.robots.schema import BoxRecord, HalfSpaceRecord, SphereRecord, WorkspaceRecord
+from excitant.robots.urdf import robot_from_urdf
 
 FLOOR = Obstacle("floor", "half_space", HalfSpaceRecord((0.0, 0.0, 1.0), -0.15))
 
@@ -54,19 +56,9 @@ def test_gradient_is_that_of_the_distance(cell: Scene) -> None:
     assert checked > 50
 
 
-def test_gradient_of_an_arm_of_one_joint(tmp_path: Path) -> None:
-    arm = tmp_path / "pendulum.urdf"
-    arm.write_text(
-        """<robot name="pendulum"><link name="base"/><link name="arm">
-        <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>
-        </inertial></link><link name="tip"/>
-        <joint name="hinge" type="revolute"><parent link="base"/><child link="arm"/>
-        <axis xyz="0 1 0"/><limit lower="-3" upper="3" velocity="6" effort="20"/></joint>
-        <joint name="end" type="fixed"><parent link="arm"/><child link="tip"/>
-        <origin xyz="0 0 -0.5"/></joint></robot>"""
-    )
+def test_gradient_of_an_arm_of_one_joint() -> None:
     room = Obstacle("room", "workspace", WorkspaceRecord((-1.0,) * 3, (1.0,) * 3))
-    one = scene(load_robot(arm), (room,))
+    one = scene(load_robot("planar_2r", lock={"joint2": 0.3}), (room,))
     assert one is not None
     h, q = 1e-3, np.array([0.7])
     above, below = (one.distances(q[None] + s * h)[0] for s in (1, -1))
@@ -88,15 +80,12 @@ def test_speeds_bound_every_gradient(cell: Scene) -> None:
 
 def test_design_keeps_the_clearance() -> None:
     robot = load_robot("planar_2r")
-    wall = Obstacle(
-        "wall", "box", BoxRecord((0.1, 4.0, 4.0), (0.55, 0.0, 0.0))
-    )  # before the arm: half of its reach is gone
+    wall = Obstacle("wall", "box", BoxRecord((0.1, 4.0, 4.0), (0.55, 0.0, 0.0)))  # in its reach
     around = scene(robot, (wall,))
     assert around is not None
-    free = design_trajectory(robot, columns="inertial", harmonics=3, starts=2, jobs=1)
-    kept = design_trajectory(
-        robot, columns="inertial", harmonics=3, starts=2, jobs=1, scene=around, clearance=0.03
-    )
+    options = {"columns": "inertial", "harmonics": 3, "starts": 2, "jobs": 1}
+    free = design_trajectory(robot, **options)  # type: ignore[arg-type]
+    kept = design_trajectory(robot, scene=around, clearance=0.03, **options)  # type: ignore[arg-type]
     assert clearance(around, free.trajectory).distance < 0.03  # the wall matters
     assert kept.clearance is not None
     assert kept.clearance.certified >= 0.03
@@ -112,19 +101,9 @@ def test_a_cell_without_room_is_refused() -> None:
         design_trajectory(robot, starts=1, jobs=1, scene=scene(robot, (everywhere,)))
 
 
-def test_a_robot_without_shapes_has_no_scene(robot_without_shapes: Robot) -> None:
-    assert scene(robot_without_shapes) is None
-
-
-@pytest.fixture
-def robot_without_shapes() -> Robot:
-    from excitant.robots.urdf import robot_from_urdf
-
-    text = load_robot("planar_2r").urdf
-    while "<collision>" in text:
-        start, end = text.index("<collision>"), text.index("</collision>") + len("</collision>")
-        text = text[:start] + text[end:]
-    return robot_from_urdf(text, source="bare.urdf")
+def test_a_robot_without_shapes_has_no_scene() -> None:
+    bare = re.sub("<collision>.*?</collision>", "", load_robot("planar_2r").urdf, flags=re.DOTALL)
+    assert scene(robot_from_urdf(bare, source="bare.urdf")) is None
 
 
 @pytest.mark.parametrize(

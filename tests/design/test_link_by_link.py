@@ -12,7 +12,6 @@ from limit_use import limit_shares
 
 from excitant.cli import main
 from excitant.design import LinkByLinkDesign, check, design_link_by_link, load_trajectory
-from excitant.exceptions import BadInput
 from excitant.robots import Robot, base_parameters, load_robot
 
 
@@ -34,41 +33,41 @@ def row_of_link(robot: Robot, joint: int, q: np.ndarray, dq: np.ndarray, ddq: np
 
 
 def test_one_motion_per_link_from_the_last_inward(puma: LinkByLinkDesign) -> None:
-    assert [motion.joint for motion in puma.motions] == [2, 1, 0]
-    assert [motion.name for motion in puma.motions] == ["link3", "link2", "link1"]
-    determined = sum(len(motion.design.base) for motion in puma.motions)
+    assert list(puma.motions) == [2, 1, 0]
+    assert list(puma.files(10.0))[::2] == ["link3.csv", "link2.csv", "link1.csv"]
+    determined = sum(len(design.base) for design in puma.motions.values())
     assert determined == puma.base == len(base_parameters(puma.robot))
 
 
 def test_motions_rest_at_both_ends_hold_outer_joints_and_keep_limits(
     puma: LinkByLinkDesign,
 ) -> None:
-    for motion in puma.motions:
-        path = motion.design.trajectory
+    for joint, design in puma.motions.items():
+        path = design.trajectory
         t = np.linspace(0, path.period, 1501)
         q, dq, ddq = (path(t, order) for order in range(3))
         for values in (dq, ddq):
             assert np.abs(values[[0, -1]]).max() < 1e-9
-        assert np.ptp(q[:, motion.joint + 1 :], axis=0).max(initial=0.0) == 0.0
-        assert (np.ptp(q[:, : motion.joint + 1], axis=0) > 0.1).all()
+        assert np.ptp(q[:, joint + 1 :], axis=0).max(initial=0.0) == 0.0
+        assert (np.ptp(q[:, : joint + 1], axis=0) > 0.1).all()
         for shares in limit_shares(puma.robot, path.at(t)).values():
             assert shares.max() <= 1.0
         assert check(puma.robot, path).hold
 
 
 def test_the_condition_number_is_that_of_the_link_in_its_own_row(puma: LinkByLinkDesign) -> None:
-    for motion in puma.motions:
-        path = motion.design.trajectory
+    for joint, design in puma.motions.items():
+        path = design.trajectory
         t = np.linspace(0, path.period, 1001)
-        own = row_of_link(puma.robot, motion.joint, *(path(t, order) for order in range(3)))
-        chosen = [c - 10 * motion.joint for c in motion.design.base.columns]
+        own = row_of_link(puma.robot, joint, *(path(t, order) for order in range(3)))
+        chosen = [c - 10 * joint for c in design.base.columns]
         s = np.linalg.svd(own[:, chosen], compute_uv=False)
-        assert motion.design.condition_final == pytest.approx(s[0] / s[-1], rel=1e-6)
+        assert design.condition_final == pytest.approx(s[0] / s[-1], rel=1e-6)
         # the other parameters of the link add nothing: these are all that the row can show
         scaled = own / np.maximum(np.linalg.norm(own, axis=0), 1e-12)
         assert np.linalg.matrix_rank(scaled, tol=1e-7 * np.sqrt(len(t))) == len(chosen)
         if len(chosen) > 1:
-            assert motion.design.condition_final < motion.design.condition_initial
+            assert design.condition_final < design.condition_initial
 
 
 def test_command_writes_a_file_per_link(tmp_path: Path, planar: Robot) -> None:
@@ -101,8 +100,3 @@ def test_options_for_one_motion_are_refused(
 ) -> None:
     assert main(["design", "planar_2r", "--link-by-link", *words]) == 1
     assert f"leave {words[0]} out" in capsys.readouterr().err
-
-
-def test_starts_must_be_positive(planar: Robot) -> None:
-    with pytest.raises(BadInput, match="at least one"):
-        design_link_by_link(planar, starts=0)

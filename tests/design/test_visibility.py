@@ -15,10 +15,7 @@ from excitant.robots.geometry import load_obstacles, scene
 
 OBSTACLES = [
     {"name": "table", "half_space": {"normal": [0.0, 0.6, 0.8], "offset": -0.9}},
-    {
-        "name": "pillar",
-        "box": {"size": [0.2, 0.3, 0.9], "position": [1.5, 0.3, 0.45], "rpy": [0.1, 0.2, 0.5]},
-    },
+    {"name": "pillar", "box": {"size": [1, 3, 9], "position": [2, 0, 4], "rpy": [0.1, 0.2, 0.5]}},
     {"name": "ball", "sphere": {"radius": 0.1, "position": [-1.6, -0.7, 0.6]}},
     {"name": "my cell", "workspace": {"low": [-1.0, -2.0, -0.5], "high": [2.0, 3.0, 1.5]}},
 ]

@@ -89,8 +89,11 @@ def test_every_part_is_there_with_its_figure(page, written):
     for part in parts:
         assert re.search(f"<h3[^>]*>{part}</h3>", page), part
     said = " ".join(labels(page))
-    for start in ("standard deviation over time", "excitation level over time",
-                  "torque uncertainty falls"):  # fmt: skip
+    for start in (
+        "over time, at the end",
+        "excitation level over time",
+        "torque uncertainty falls",
+    ):
         assert start in said, start
     assert "nan" not in re.sub(r"[a-z]*nan[a-z]+|[a-z]+nan[a-z]*", "", words(page).lower())
     without = written("identify")

@@ -5,7 +5,7 @@ import difflib
 import pytest
 
 from excitant.reports import brief, html, page_of, summary
-from excitant.reports.page import Cell, Fact, Facts, Notes, Page, Part, Section, Table
+from excitant.reports.page import Cell, Fact, Facts, Folded, Notes, Page, Section, Table
 from excitant.reports.values import at
 
 
@@ -30,7 +30,6 @@ def test_summary_is_plain_lines(run, undrawn):
     ("verb", "path"),
     [
         ("design", ("condition_number", "initial")),
-        ("design", ("starts", 2, "condition_number")),
         ("check", ("limits", "velocity")),
         ("identify", ("joints", 2, "validate", "rms")),
         ("identify", ("parameters", 17, "value")),
@@ -89,7 +88,7 @@ def test_names_cannot_break_lines():
 def test_terminal_shows_leads_and_what_is_marked():
     rows = ((Cell("run1"), Cell("dead channel"), Cell("–")),)
     heads = (("Recording", "name"), ("Fault", "name"), ("Joints", "name"))
-    part = Part(
+    part = Folded(
         "Part",
         (
             Notes(("Shown.",), brief="hint"),
