@@ -79,7 +79,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _line(error: BaseException) -> str:
-    """What went wrong, in a line."""
     if _interrupted(error):
         return "interrupted; nothing was written"
     if isinstance(error, ExcitantError):

@@ -194,7 +194,6 @@ def _earlier(robot: Robot, recordings: Sequence[str] | None) -> list[Motion]:
 
 
 def _bound(found: Design, seed: int) -> dict[str, Any]:
-    """Entries of the result about what any such motion could reach."""
     from excitant.design import lower_bound
 
     with progress_bar("bound") as advance:

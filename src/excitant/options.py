@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 
 def _arms(_: object) -> Iterator[str]:
-    """Built-in arms and files, for completion."""
     from excitant.robots import builtin_robots
 
     yield from builtin_robots()
@@ -37,12 +36,10 @@ def _effects(_: object) -> Iterator[str]:
 
 
 def _words(_: Any, tokens: Sequence[Token]) -> list[str]:
-    """Words between commas."""
     return [word for token in tokens for word in token.value.replace(",", " ").split()]
 
 
 def _numbers(_: Any, tokens: Sequence[Token]) -> list[float]:
-    """Numbers between commas."""
     return [float(word) for word in _words(_, tokens)]
 
 
