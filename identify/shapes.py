@@ -50,7 +50,7 @@ _OFF = ((0, 1), (1, 2), (0, 2))  # s₁₂, s₂₃, s₁₃, the order of Rucke
 
 @dataclass(frozen=True)
 class Shape:
-    """One number, a field, of an effect on a joint that its torque is not linear in, now a value."""
+    """One number, a field, of an effect on a joint that its torque is not linear in."""
 
     effect: str
     joint: str
