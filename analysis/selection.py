@@ -195,7 +195,7 @@ def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool
     """Whether a cause makes far more torque than there is to explain, which others take back."""
     made = there = 0.0
     for j, here in evidence.acting(cause):
-        x, G = coordinates[evidence.problem.index[j][here]], evidence.problem.grams[j][0]
+        x, G = coordinates[evidence.problem.index[j][here]], evidence.problem.grams[j]
         made += float(evidence.weight[j] * (x @ G[np.ix_(here, here)] @ x))
         there += float(evidence.weight[j] * G[-1, -1])
     return made > _CANCELLED * there

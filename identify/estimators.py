@@ -217,7 +217,7 @@ def _projected(problem: Regression, instruments: Regression, sigma: Array) -> Re
     C = scipy.linalg.solve_triangular(R[:k, :k], R[:k, k:]) / stage.norms[:, None]
     pairs = zip(instruments.index, instruments.columns, strict=True)
     explained = np.stack([Z @ C[index] for index, Z in pairs], axis=1)
-    return dense(explained, problem.tau, problem.names, problem.starts)
+    return dense(explained, problem.tau, problem.names)
 
 
 def errors_in_variables(problem: Regression, instruments: Regression) -> tuple[float, float]:

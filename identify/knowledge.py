@@ -16,7 +16,7 @@ from excitant.robots.motion import Array
 from excitant.robots.parameters import PSEUDO_INERTIA_BASIS
 from excitant.robots.schema import Positive, Record, Three, convert, read_yaml
 
-PRIORS = ("pullback", "entropic", "euclidean")
+PRIORS = ("pullback", "euclidean")
 
 
 class Quantity(Record, frozen=True):
@@ -83,8 +83,7 @@ class Knowledge:
     """What a physically consistent fit may take for granted.
 
     Attributes:
-        prior: How distance to the given bodies is measured: ``"pullback"``, ``"entropic"`` or
-            ``"euclidean"``.
+        prior: How distance to the given bodies is measured: ``"pullback"`` or ``"euclidean"``.
         total_mass: Mass of all moving links together, the base not counted [kg].
         links: What is known of links, by name.
         source: File it was read from.
@@ -131,7 +130,7 @@ class Knowledge:
 def load_knowledge(path: str | Path, links: Sequence[str]) -> Knowledge:
     """Knowledge from YAML.
 
-    ``{prior: entropic, total_mass: 33.5, links: {forearm: {mass: {value: 2.3, std: 0.1},
+    ``{prior: euclidean, total_mass: 33.5, links: {forearm: {mass: {value: 2.3, std: 0.1},
     com_box: [[-0.1, -0.1, 0], [0.1, 0.1, 0.4]]}}}``; lengths in metres in the link's frame.
 
     Args:

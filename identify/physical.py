@@ -10,8 +10,6 @@ the recording) and x holds the standard parameters φ and the effect coefficient
 the prior is one of
 
     pullback   ‖Q − 1‖_F², coordinate-invariant (Lee, Wensing, Park 2020),
-    entropic   2 (tr Q − log det Q − 4), the relative entropy of the bodies' densities, alike to
-               second order (Lee and Park 2018); it needs no ε,
     euclidean  Σ_i (φ_i − φ̄_i)² / u_i², u the units by each link's mass and radius of gyration.
 
 The consistent parameters are fitted directly, never projected afterwards (Sousa and Cortesão 2014).
@@ -42,7 +40,6 @@ from excitant.identify.semidefinite import (
     KktResiduals,
     Program,
     Restriction,
-    Solution,
     contradiction,
     definite,
     solve,
@@ -113,8 +110,7 @@ def fit_physical(
         prior: Standard parameters of the prior, consistent, shape (links, 10).
         effects: Prior and bounds of the p − 10 links effect coefficients.
         prior_sigma: Relative uncertainty σ of the prior, for all links or for each.
-        metric: Bodies that σ is relative to, shape (links, 10); those of the prior if None. Of
-            no account to an entropic prior.
+        metric: Bodies that σ is relative to, shape (links, 10); those of the prior if None.
         knowledge: What is known of the bodies beforehand, and the kind of prior.
         links: Names of the links that knowledge is about, in order.
 
@@ -125,8 +121,7 @@ def fit_physical(
     knowledge = knowledge or Knowledge()
     names = links or [f"link {k + 1}" for k in range(len(prior))]
     sigma = np.broadcast_to(np.asarray(prior_sigma, float), (len(prior),))
-    entropic = knowledge.prior == "entropic"
-    reference = prior if metric is None or entropic else metric
+    reference = prior if metric is None else metric
     units = _effect_units(R[:, prior.size :], effects.std)
     T = link_coordinates(reference)
     scale = scipy.linalg.block_diag(T, np.diag(units))
@@ -140,10 +135,9 @@ def fit_physical(
         C=scipy.linalg.block_diag(np.vstack([distance, C]), np.diag(weight)),
         d=np.concatenate([distance @ centre[: len(T)], d, weight * centre[len(T) :]]),
         restrictions=restrictions,
-        entropy=2 / sigma**2 if entropic else np.zeros(0),
     )
     found = solve(program, centre)
-    covariance, root = _uncertainty(program, found, scale)
+    covariance, root = _uncertainty(program, scale)
     return PhysicalFit(scale @ found.y, covariance, found.kkt(program), R, root, len(prior))
 
 
@@ -167,7 +161,7 @@ def _known(
             f"{knowledge.source}: {what} {together}: no body near the given one fulfils "
             f"{'them together; correct one of them' if len(names) > 1 else 'it; correct it'}"
         )
-    return C @ T, d, (*(() if knowledge.prior == "entropic" else bodies), *restrictions)
+    return C @ T, d, (*bodies, *restrictions)
 
 
 def _distance_rows(reference: Array, T: Array, sigma: Array, distance: str) -> Array:
@@ -178,7 +172,7 @@ def _distance_rows(reference: Array, T: Array, sigma: Array, distance: str) -> A
         second = np.trace(pseudo_inertia(reference)[:, :3, :3], axis1=1, axis2=2)[:, None]
         units = mass * np.sqrt(second / mass) ** np.array([0, 1, 1, 1, *(2,) * 6])
         return np.asarray(T / (units * sigma[:, None]).ravel()[:, None], float)
-    return np.diag(link_weights(len(reference), sigma))[: 0 if distance == "entropic" else None]
+    return np.diag(link_weights(len(reference), sigma))
 
 
 def _scaled(restriction: Restriction, T: Array, p: int) -> Restriction:
@@ -197,15 +191,13 @@ def _effect_units(R: Array, std: Array) -> Array:
     return np.asarray(np.sqrt(len(R)) / norms, float)
 
 
-def _uncertainty(program: Program, solution: Solution, scale: Array) -> tuple[Array, Array]:
+def _uncertainty(program: Program, scale: Array) -> tuple[Array, Array]:
     """Posterior covariance of x, and root of the prior's."""
-    curved = program.local(solution.y)
     exact = [r.G for r in program.restrictions if r.cone == "zero"]
-    N = scipy.linalg.null_space(np.vstack(exact)) if exact else np.eye(len(solution.y))
+    N = scipy.linalg.null_space(np.vstack(exact)) if exact else np.eye(len(scale))
     S = scale @ N
-    data, before = (
-        np.linalg.qr(A @ N, mode="r") for A in (np.vstack([program.A, curved.C]), curved.C)
-    )
-    after, root = (scipy.linalg.solve_triangular(A, S.T, trans=1).T for A in (data, before))
+    both = np.vstack([program.A, program.C])
+    factors = (np.linalg.qr(rows @ N, mode="r") for rows in (both, program.C))
+    after, root = (scipy.linalg.solve_triangular(F, S.T, trans=1).T for F in factors)
     root[np.linalg.norm(root, axis=1) <= _ROUNDING * np.linalg.norm(scale, axis=1)] = 0.0
     return after @ after.T, root

@@ -1,12 +1,9 @@
 """The weighted linear problem W x ≈ τ: filtered columns, joint by joint, built once.
 
 The columns of one joint are kept without those that are silent there: a joint feels its own link
-and those beyond, and its own friction, so that less than half of W is held. What is computed from W
-many times over comes from products [W_j τ_j]ᵀ[W_j τ_j] of each joint j and block of time.
+and those beyond, and its own friction, so that less than half of W is held.
 
     problem = regression_of(model, model.effects, segments)      # all columns, torque, segments
-    problem = problem.in_blocks(evenly(len(problem), 40))        # blocks of time
-    G = problem.gram(weight, problem.block != k)                 # without block k, (p + 1, p + 1)
     R, z = problem.factor(weight)                                # ‖R x − z‖² is the weighted misfit
     wider = problem.with_columns(more, names)                    # further effects
     fit = weighted_least_squares(problem.select(base.columns))   # with noise and covariance
@@ -27,7 +24,7 @@ from excitant.identify.preprocessing import Segment
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, freeze, read_only
 from excitant.robots.robot import Robot
-from excitant.robots.torque import observation_columns
+from excitant.robots.torque import column_names, observation_columns
 
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
@@ -42,24 +39,15 @@ class Regression:
         index: For each joint, which columns act on it, u of them.
         columns: For each joint, those columns, shape (n, u).
         tau: Torque, shape (n, nv) [N·m].
-        starts: First instant of every uninterrupted segment; the first is 0.
-        block: Block of time of every instant, shape (n,); all one when not given.
     """
 
     names: tuple[str, ...]
     index: tuple[Index, ...]
     columns: tuple[Array, ...]
     tau: Array
-    starts: tuple[int, ...] = (0,)
-    block: Index | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "tau")
-        if self.starts[:1] != (0,) or not (np.diff([*self.starts, len(self)]) > 0).all():
-            raise BadInput(
-                f"regression: segments start at {self.starts} of {len(self)} instants; begin "
-                "with 0, rise"
-            )
         if not all(np.isfinite(values).all() for values in (*self.columns, self.tau)):
             raise BadInput("regression: values that are no finite numbers; remove their instants")
 
@@ -75,12 +63,6 @@ class Regression:
     def p(self) -> int:
         """Number of columns."""
         return len(self.names)
-
-    @property
-    def segments(self) -> tuple[slice, ...]:
-        """Instants of every uninterrupted segment."""
-        ends = (*self.starts[1:], len(self))
-        return tuple(slice(*pair) for pair in zip(self.starts, ends, strict=True))
 
     @property
     def W(self) -> Array:
@@ -129,53 +111,29 @@ class Regression:
         return replace(self, columns=tuple(map(read_only, columns)), tau=self.tau * rows)
 
     def at(self, instants: slice) -> Regression:
-        """The problem at evenly taken instants, as one segment each as before."""
-        kept = np.arange(len(self))[instants]
-        starts = np.unique(np.searchsorted(kept, self.starts))
-        return replace(
-            self,
-            columns=tuple(read_only(values[instants]) for values in self.columns),
-            tau=self.tau[instants],
-            starts=tuple(int(k) for k in starts if k < len(kept)),
-            block=None if self.block is None else self.block[instants],
-        )
+        """The problem at some instants."""
+        columns = tuple(read_only(values[instants]) for values in self.columns)
+        return replace(self, columns=columns, tau=self.tau[instants])
 
     def with_torque(self, tau: Array) -> Regression:
         """The same columns for another torque, shape (n, nv)."""
         return replace(self, tau=tau)
 
-    def in_blocks(self, block: Index) -> Regression:
-        """The problem with blocks of time, shape (n,), numbered from 0."""
-        return replace(self, block=block)
-
     # products
 
     @cached_property
     def grams(self) -> tuple[Array, ...]:
-        """Of each joint [W τ]ᵀ[W τ] in every block of time, shape (blocks, u + 1, u + 1)."""
-        block = np.zeros(len(self), np.intp) if self.block is None else self.block
-        rows = [np.flatnonzero(block == k) for k in range(int(block.max(initial=0)) + 1)]
-        found = []
-        for j, columns in enumerate(self.columns):
-            whole = np.column_stack([columns, self.tau[:, j]])
-            found.append(read_only([whole[k].T @ whole[k] for k in rows]))
-        return tuple(found)
+        """Of each joint [W τ]ᵀ[W τ], shape (u + 1, u + 1)."""
+        whole = (np.column_stack([X, self.tau[:, j]]) for j, X in enumerate(self.columns))
+        return tuple(read_only(A.T @ A) for A in whole)
 
-    def gram(self, weight: Array, blocks: Index | Mask | slice = slice(None)) -> Array:
-        """[W τ]ᵀ[W τ] of some blocks of time, squares of joints weighted, shape (p + 1, p + 1)."""
+    def gram(self, weight: Array) -> Array:
+        """[W τ]ᵀ[W τ], squares of joints weighted, shape (p + 1, p + 1)."""
         total = np.zeros((self.p + 1, self.p + 1))
         for w, index, own in zip(weight, self.index, self.grams, strict=True):
             place = np.append(index, self.p)
-            total[np.ix_(place, place)] += w * own[blocks].sum(axis=0)
+            total[np.ix_(place, place)] += w * own
         return total
-
-    def squares(self, x: Array) -> Array:
-        """Σ (τ − W x)² of each block and joint, from products, shape (blocks, nv)."""
-        found = []
-        for index, own in zip(self.index, self.grams, strict=True):
-            v = np.append(x[index], -1.0)
-            found.append(np.maximum(np.einsum("brs,r,s->b", own, v, v, optimize=True), 0.0))
-        return np.stack(found, axis=1)
 
     @cached_property
     def triangles(self) -> tuple[Array, ...]:
@@ -203,11 +161,11 @@ def triangle(A: Array) -> Array:
     return np.asarray(scipy.linalg.qr(A, mode="r")[0][: A.shape[1]], float)
 
 
-def dense(W: Array, tau: Array, names: Sequence[str], starts: Sequence[int] = (0,)) -> Regression:
+def dense(W: Array, tau: Array, names: Sequence[str]) -> Regression:
     """The problem of columns of shape (n, nv, p) and torque of shape (n, nv).
 
     Raises:
-        BadInput: Shapes, names or starts that do not fit, or values that are no numbers.
+        BadInput: Shapes or names that do not fit, or values that are no numbers.
     """
     if W.ndim != 3 or tau.shape != W.shape[:2] or len(names) != W.shape[2]:
         raise BadInput(
@@ -216,7 +174,7 @@ def dense(W: Array, tau: Array, names: Sequence[str], starts: Sequence[int] = (0
         )
     index = tuple(np.flatnonzero(W[:, j].any(axis=0)) for j in range(W.shape[1]))
     columns = tuple(read_only(W[:, j, own]) for j, own in enumerate(index))
-    return Regression(tuple(names), index, columns, tau, tuple(starts))
+    return Regression(tuple(names), index, columns, tau)
 
 
 def regression_of(
@@ -226,20 +184,19 @@ def regression_of(
 
     Effects that rest on the torque of the arm take it from the robot.
     """
-    names = [*robot.parameter_names, *(p.name for e in effects for p in e.parameters(robot))]
-    parts = [
-        dense(segment.rows(lambda m: observation_columns(robot, effects, m)), tau, names)
-        for segment in segments
-        for tau in [segment.tau[segment.keep]]
-    ]
-    return joined(parts)
+    names = column_names(robot, effects)
+    return joined(
+        [
+            dense(s.rows(lambda m: observation_columns(robot, effects, m)), s.tau[s.keep], names)
+            for s in segments
+        ]
+    )
 
 
 def joined(parts: Sequence[Regression]) -> Regression:
-    """One problem of problems with the same columns, segments one after the other."""
-    first = parts[0]
+    """One problem of problems with the same columns, one after the other."""
     index, columns = [], []
-    for j in range(first.nv):
+    for j in range(parts[0].nv):
         acting = np.unique(np.concatenate([part.index[j] for part in parts]))
         found = np.zeros((sum(map(len, parts)), len(acting)))
         begin = 0
@@ -249,12 +206,5 @@ def joined(parts: Sequence[Regression]) -> Regression:
             begin += len(part)
         index.append(acting)
         columns.append(read_only(found))
-    sizes = np.cumsum([0, *map(len, parts)])[:-1]
-    starts = [int(k) + s for k, part in zip(sizes, parts, strict=True) for s in part.starts]
     tau = np.concatenate([part.tau for part in parts])
-    return Regression(first.names, tuple(index), tuple(columns), tau, tuple(starts))
-
-
-def evenly(rows: int, parts: int) -> Index:
-    """Block of each of some rows, as equal as can be, shape (rows,)."""
-    return np.arange(rows) * parts // rows
+    return Regression(parts[0].names, tuple(index), tuple(columns), tau)

@@ -1,13 +1,12 @@
 """Least squares over bodies that can exist: the convex programme, its solver and its judge.
 
-The unknowns y begin with the coordinates of the links, symmetric matrices Q_k that are 1 for the
-bodies of the prior (`excitant.identify.prior`).
+The unknowns y begin with the coordinates of the links (`excitant.identify.prior`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import clarabel
@@ -15,11 +14,10 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import Infeasible
-from excitant.identify.prior import NORMS, SYMMETRIC, UPPER, matrices
+from excitant.identify.prior import NORMS, UPPER, matrices
 from excitant.robots.motion import Array
 
 MARGIN = 1e-4  # smallest eigenvalue of Q: no link shrinks below this part of its reference
-FIT = "physically consistent fit"
 _COLUMNS = np.lexsort(UPPER)  # the solver takes the triangle column by column
 _CONES = {
     "nonnegative": clarabel.NonnegativeConeT,
@@ -33,17 +31,6 @@ _PRECISE = 1e-2  # posterior standard deviations from the optimum, or
 _NEAR = 1e-4  # this part of the way from the fit without restrictions
 _FEASIBLE = 1e-6  # violation in units of the restriction; far below the margin
 _SOLVED, _ALMOST = "Solved", "AlmostSolved"  # states of the solver with a solution
-_STEPS = 100  # Newton steps with log-determinants
-_EXACT = 1e-8  # squared Newton decrement, from which one more full step is exact to rounding
-_NEARLY = 0.1  # the same, while log-determinants weigh more than they should
-_FACTOR = 8.0  # by which they weigh less then
-_STATIONARY = 1e-3  # gradient left at what counts as an optimum, relative to that of the data
-_ROUNDING = 1e-13  # of the objective
-_ENOUGH = 1e-3  # of the decrease that the slope promises
-_SHORTEST = 1e-6  # share of a step
-_ADVICE = (
-    "the data call for bodies far from any that can exist: look for wrong units or signs of torque"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,65 +74,20 @@ def definite(links: int, margin: float, p: int) -> tuple[Restriction, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """min ‖A y − z‖² + ‖C y − d‖² + Σ_k w_k (tr Q_k − log det Q_k), y restricted.
-
-    The Bregman divergence of −log det, D(P ‖ P̄) = tr(P̄⁻¹ P) − log det(P̄⁻¹ P) − 4, is the relative
-    entropy of two densities and keeps every body possible by itself (Lee and Park 2018).
-
-    Attributes:
-        A: Data, shape (m, p).
-        z: Shape (m,).
-        C: What is known beforehand, shape (c, p).
-        d: Shape (c,).
-        restrictions: What y must satisfy.
-        entropy: Weights w of the log-determinants, shape (links,); empty without.
-    """
+    """min ‖A y − z‖² + ‖C y − d‖², y restricted: data, shape (m, p), and what is known, (c, p)."""
 
     A: Array
     z: Array
     C: Array
     d: Array
     restrictions: tuple[Restriction, ...]
-    entropy: Array
 
     def triangle(self) -> tuple[Array, Array]:
-        """F and t with ‖F y − t‖² the sum of squares, F upper triangular."""
+        """F and t with ‖F y − t‖² the objective but for a constant, F upper triangular, (p, p)."""
         rows, targets = np.vstack([self.A, self.C]), np.concatenate([self.z, self.d])
         both = np.asarray(np.linalg.qr(np.column_stack([rows, targets]), mode="r"), float)
-        return both[:, :-1], both[:, -1]
-
-    def value(self, y: Array) -> float:
-        """The objective; infinite where a matrix with a log-determinant is not positive."""
-        total = float(np.sum((self.A @ y - self.z) ** 2) + np.sum((self.C @ y - self.d) ** 2))
-        Q = matrices(y, len(self.entropy))
-        if np.linalg.eigvalsh(Q).min(initial=np.inf) <= 0:
-            return np.inf
-        divergence = np.trace(Q, axis1=1, axis2=2) - np.linalg.slogdet(Q)[1]
-        return total + float(self.entropy @ divergence)
-
-    def gradient(self, y: Array) -> Array:
-        """Gradient of the objective, shape (p,)."""
-        total = 2 * self.A.T @ (self.A @ y - self.z) + 2 * self.C.T @ (self.C @ y - self.d)
-        links = len(self.entropy)
-        slopes = self.entropy[:, None, None] * (np.eye(4) - np.linalg.inv(matrices(y, links)))
-        total[: 10 * links] += (NORMS**2 * slopes[:, *UPPER]).ravel()
-        return np.asarray(total, float)
-
-    def local(self, y: Array) -> Program:
-        """The programme with its log-determinants to second order around y.
-
-        Around Q = X Xᵀ the divergence is ½‖X⁻¹ (Q' − Q) X⁻ᵀ‖² beside its slope.
-        """
-        if not len(self.entropy):
-            return self
-        X = np.linalg.cholesky(matrices(y, len(self.entropy)))
-        K, weights = np.linalg.inv(X)[:, None], np.sqrt(self.entropy / 2)[:, None] * NORMS
-        blocks = (K @ SYMMETRIC @ K.mT)[..., *UPPER].mT * weights[..., None]
-        targets = weights * (2 * np.eye(4) - X.mT @ X)[:, *UPPER]
-        rows = np.zeros((targets.size, len(y)))
-        rows[:, : len(rows)] = scipy.linalg.block_diag(*blocks)
-        C, d = np.vstack([self.C, rows]), np.concatenate([self.d, targets.ravel()])
-        return replace(self, C=C, d=d, entropy=np.zeros(0))
+        p = rows.shape[1]
+        return both[:p, :p], both[:p, p]
 
 
 @dataclass(frozen=True)
@@ -180,70 +122,27 @@ class Solution:
         """How well it satisfies the optimality conditions."""
         pull, slackness = self.forces(program)
         size = float(np.linalg.norm(2 * program.A.T @ program.z)) + 1.0
+        parts = (program.A, program.z), (program.C, program.d)
+        gradient = sum(2 * M.T @ (M @ self.y - target) for M, target in parts)
         return KktResiduals(
-            float(np.linalg.norm(program.gradient(self.y) - pull)) / size,
+            float(np.linalg.norm(gradient - pull)) / size,
             slackness / size,
             max([0.0, *(r.violation(self.y) for r in program.restrictions)]),
         )
 
 
 def solve(program: Program, centre: Array) -> Solution:
-    """Minimiser and multipliers of a programme.
-
-    Args:
-        program: What to solve; its quadratic part must have one minimum.
-        centre: The prior, shape (p,), where all Q_k with log-determinants are 1.
-
-    Raises:
-        Infeasible: Restrictions without a common point, or no solution that passes its own check.
-    """
-    if not len(program.entropy):
-        return _quadratic(program, centre)
-    # log-determinants are weighed ever less, from where their second order at the centre holds
-    F, t = program.triangle()
-    program = replace(program, A=F, z=t, C=np.zeros((0, len(centre))), d=np.zeros(0))
-    excess = float(np.sum((F @ centre - t)[: len(centre)] ** 2))
-    factor = max(1.0, excess / float(program.entropy.min()))
-    heavier = replace(program, entropy=factor * program.entropy).local(centre)
-    bodies = definite(len(program.entropy), MARGIN, len(centre))
-    y = _quadratic(replace(heavier, restrictions=(*bodies, *program.restrictions)), centre).y
-    while factor > 1.0:
-        y = _newton(replace(program, entropy=factor * program.entropy), y, _NEARLY).y
-        factor /= _FACTOR
-    found = _newton(program, y, _EXACT)
-    if found.kkt(program).stationarity > _STATIONARY:
-        raise Infeasible(
-            FIT, "Newton's method reaches no optimum of the log-determinants; " + _ADVICE
-        )
-    return found
-
-
-def _newton(program: Program, y: Array, precision: float) -> Solution:
-    """Minimiser with log-determinants to a squared Newton decrement, from a feasible point."""
-    for _ in range(_STEPS):
-        found = _quadratic(program.local(y), y)
-        step = found.y - y
-        decrease, value = -float(program.gradient(y) @ step), program.value(y)
-        if decrease <= max(precision * float(program.entropy.min()), _ROUNDING * abs(value)):
-            return found if np.isfinite(program.value(found.y)) else Solution(y, found.multipliers)
-        share = 1.0
-        while program.value(y + share * step) > value - _ENOUGH * share * decrease:
-            share /= 2
-            if share < _SHORTEST:
-                return Solution(y, found.multipliers)
-        y = y + share * step
-    return Solution(y, found.multipliers)
-
-
-def _quadratic(program: Program, centre: Array) -> Solution:
-    """Minimiser without log-determinants.
+    """Minimiser and multipliers of a programme with one minimum; centre is the prior, shape (p,).
 
     With U a QR factor of data and prior together and y₀ the minimum without restrictions, the
     objective is ‖U (y − y₀)‖² plus a constant. It is solved for U (y − y₀), which no quality of
     data makes ill-conditioned. Where the solver does not reach its tolerance, other scalings are
     tried, and the solution nearest to the optimum is taken if it passes a check of its own.
+
+    Raises:
+        Infeasible: Restrictions without a common point, or no solution that passes its own check.
     """
-    U, target = (x[: len(centre)] for x in program.triangle())
+    U, target = program.triangle()
     free = scipy.linalg.solve_triangular(U, target)
     if all(r.violation(free) <= 0 for r in program.restrictions):
         return Solution(free, tuple(np.zeros_like(r.h) for r in program.restrictions))
@@ -259,9 +158,10 @@ def _quadratic(program: Program, centre: Array) -> Solution:
             break
     if not checked:
         raise Infeasible(
-            FIT,
-            "the semidefinite solver reaches no solution near the optimum under any scaling; "
-            + _ADVICE,
+            "physically consistent fit",
+            "the semidefinite solver reaches no solution near the optimum under any scaling; the "
+            "data call for bodies far from any that can exist: look for wrong units or signs of "
+            "torque",
         )
     return min(checked, key=lambda pair: pair[0])[1]
 

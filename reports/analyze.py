@@ -6,17 +6,12 @@ from dataclasses import replace
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.motion_figures import correlation_figure, spectrum_figure
+from excitant.reports.motion_figures import spectrum_figure
 from excitant.reports.values import NONE, Result, Series
 from excitant.robots.parameters import STANDARD
 
-_TONES = {
-    "well": p.GOOD,
-    "roughly": p.FAIR,
-    "negligible": p.GOOD,
-    "hardly": p.POOR,
-    "not shown": p.POOR,
-}
+_TONES = {"well": p.GOOD, "roughly": p.FAIR, "negligible": p.GOOD}
+_TONES |= {"hardly": p.POOR, "not shown": p.POOR}
 _DECIDES = {
     "data": ("data", p.GOOD),
     "prior": ("prior", p.POOR),
@@ -45,19 +40,8 @@ def analyze_section(result: Result, series: Series) -> p.Section:
         [
             ("Key figures", [_facts(result), p.notes(_basis(result)), p.notes(said, brief="")]),
             ("Parameters by link", [_matrix(links)]),
-            (
-                "With the given motion",
-                [
-                    _excitation(result),
-                    _missing(result),
-                    spectrum_figure(series),
-                    _practical(result),
-                ],
-            ),
-            (
-                "Least determined by the motion",
-                [_directions(result), correlation_figure(series), _correlations(result)],
-            ),
+            ("With the given motion", _motion(result, series)),
+            ("Least determined by the motion", _weakest(result)),
             *(
                 (_title(link), _link(result, link, f"Link {k} of {len(links)}"))
                 for k, link in enumerate(links, start=1)
@@ -73,7 +57,7 @@ def links_folded(found: p.Section, result: Result) -> p.Section:
     titles = {_title(link) for link in v.records(result, "links")}
     folds = tuple(p.Folded(part.title, part.blocks) for part in found.parts if part.title in titles)
     others = tuple(part for part in found.parts if part.title not in titles)
-    return replace(found, parts=(*others, *[p.Part("Link by link", folds)] * bool(folds)))
+    return replace(found, parts=(*others, *[p.Folded("Link by link", folds)] * bool(folds)))
 
 
 def _lead_and_brief(result: Result) -> tuple[str, p.Brief]:
@@ -126,12 +110,6 @@ def _basis(result: Result) -> list[str]:
     return [each for each in said if each]
 
 
-def _excitation(result: Result) -> p.Notes | None:
-    said = v.text(result, "persistency", "sentence")
-    verdict = isinstance(v.at(result, "persistency", "persistent"), bool)
-    return p.notes([v.sentence(f"this motion is {said}" if verdict else said)] * bool(said))
-
-
 def _matrix(links: list[Result]) -> p.Matrix | None:
     shared = {n for k in links for row in v.records(k, "combined") for n in v.words(row, "members")}
 
@@ -151,9 +129,20 @@ def _matrix(links: list[Result]) -> p.Matrix | None:
     return p.Matrix("Link", STANDARD, tuple(rows), caption, _LEGEND) if links else None
 
 
-def _practical(result: Result) -> p.Table | None:
+def _motion(result: Result, series: Series) -> p.Blocks:
+    """How well a motion excites, what it does not show, and each base parameter."""
+    said = v.text(result, "persistency", "sentence")
+    if isinstance(v.at(result, "persistency", "persistent"), bool):
+        said = f"this motion is {said}"
+    resting = v.words(result, "resting_joints")
+    missing = p.table(
+        v.records(result, "not_shown"),
+        [("expression:Not shown by this motion", "name"), ("text:Shown by", "needed")],
+        "These base parameters make no torque of their own in this motion: they keep their prior "
+        f"values{f'; at rest: {v.listing(resting)}' if resting else ''}.",
+    )
     rows = p.numbered(v.records(result, "practical"))
-    return p.table(
+    practical = p.table(
         rows,
         [
             ("number:No.", lambda r: v.text(r, "k")),
@@ -166,6 +155,7 @@ def _practical(result: Result) -> p.Table | None:
         "● below 5\u00a0%, ◐ below 30\u00a0%, ○ above.",
         p.folded(f"All {len(rows)} base parameters", len(rows)),
     )
+    return [p.notes([v.sentence(said)] * bool(said)), missing, spectrum_figure(series), practical]
 
 
 def _determined(row: Result) -> p.Cell:
@@ -174,31 +164,16 @@ def _determined(row: Result) -> p.Cell:
     return p.Cell(verdict or NONE, _TONES.get(verdict, p.quality(v.real(row, "rel_std"))))
 
 
-def _directions(result: Result) -> p.Table | None:
-    """Directions that the motion does not show, and those it shows worst."""
+def _weakest(result: Result) -> p.Blocks:
+    """Directions that the motion does not show or shows worst, and correlated estimates."""
+    names = [v.text(row, "name") for row in v.records(result, "practical")]
+    numbers = {name.split(" ")[0]: f"{k}: " for k, name in enumerate(names, start=1)}
 
     def share(row: Result) -> p.Cell:
         rel = v.real(row, "rel_std")
         if rel is None:
             return p.Cell("not seen", p.POOR)
         return p.Cell(v.percent(rel), p.quality(rel), rel)
-
-    return p.table(
-        v.records(result, "directions"),
-        [
-            ("expression:Direction", "expression"),
-            ("number:Std relative to prior", share),
-            ("text:What it means", "meaning"),
-        ],
-        "Combinations of base parameters, each named by its first member, that this motion shows "
-        "worst; above 100\u00a0% the data say less than the prior.",
-    )
-
-
-def _correlations(result: Result) -> p.Table | None:
-    """Pairs of base parameters whose estimates are most correlated."""
-    names = [v.text(row, "name") for row in v.records(result, "practical")]
-    numbers = {name.split(" ")[0]: f"{k}: " for k, name in enumerate(names, start=1)}
 
     def correlation(row: Result) -> p.Cell:
         rho = v.real(row, "correlation")
@@ -209,7 +184,17 @@ def _correlations(result: Result) -> p.Table | None:
     def numbered(name: object) -> str:
         return f"{numbers.get(str(name), '')}{name or ''}"
 
-    return p.table(
+    directions = p.table(
+        v.records(result, "directions"),
+        [
+            ("expression:Direction", "expression"),
+            ("number:Std relative to prior", share),
+            ("text:What it means", "meaning"),
+        ],
+        "Combinations of base parameters, each named by its first member, that this motion shows "
+        "worst; above 100\u00a0% the data say less than the prior.",
+    )
+    correlations = p.table(
         v.records(result, "correlations"),
         [
             ("name:Base parameter", "first", numbered),
@@ -218,17 +203,7 @@ def _correlations(result: Result) -> p.Table | None:
         ],
         "The most correlated pairs, each base parameter named by its first member.",
     )
-
-
-def _missing(result: Result) -> p.Table | None:
-    """Base parameters that the motion does not show, and what would."""
-    resting = v.words(result, "resting_joints")
-    return p.table(
-        v.records(result, "not_shown"),
-        [("expression:Not shown by this motion", "name"), ("text:Shown by", "needed")],
-        "These base parameters make no torque of their own in this motion: they keep their prior "
-        f"values{f'; at rest: {v.listing(resting)}' if resting else ''}.",
-    )
+    return [directions, correlations]
 
 
 def _title(link: Result) -> str:
@@ -237,7 +212,6 @@ def _title(link: Result) -> str:
 
 
 def _link(result: Result, link: Result, place: str) -> p.Blocks:
-    """Blocks on one link: its parameters, combinations, and what would show more of it."""
     inertial = [row for row in v.records(link, "parameters") if _symbol(row) in STANDARD]
     unique, combined, none = (
         sum(v.text(row, "category") == category for row in inertial) for category in _CATEGORY
@@ -248,13 +222,31 @@ def _link(result: Result, link: Result, place: str) -> p.Blocks:
         f"{where}. Of its ten parameters, {unique} are identifiable individually, {combined} only "
         f"in combination and {none} not at all."
     )
-    return [
-        p.notes([said]),
-        _parameters(link),
-        _combinations(result, link),
-        _needed(link),
-        _following(result, link),
+    groups: dict[str, list[str]] = {}
+    for row in v.records(link, "parameters"):
+        if v.text(row, "needed"):
+            groups.setdefault(v.text(row, "needed"), []).append(_symbol(row))
+    needed = p.table(
+        [{"names": names, "needed": what} for what, names in groups.items()],
+        [("name:To identify individually", "names"), ("text:Required", "needed")],
+        "Found by adding each experiment's rows and looking at rank and standard deviation again.",
+    )
+    own = {v.text(row, "name") for row in v.records(link, "parameters")}
+    follow = [
+        f"Once one of {', '.join(group)} is known from elsewhere, the data give the rest of them."
+        for group in map(v.words, v.items(result, "follow_each_other"))
+        if own & set(group)
     ]
+    known = {v.text(row, "name"): row for row in v.records(result, "practical")}
+    names = [v.text(row, "expression") for row in v.records(link, "combined")]
+    seen: tuple[p.Column, ...] = (*p.estimates(), ("text:Determined", _determined))
+    combinations = p.table(
+        [{"expression": name, **known.get(name, {})} for name in names],
+        [("expression:Identifiable combination", "expression"), *(seen if known else ())],
+        "Torque depends on these sums alone, not on how they divide among their members.",
+        p.folded(f"Its {len(names)} combinations", len(names), 1),
+    )
+    return [p.notes([said]), _parameters(link), combinations, needed, p.notes(follow)]
 
 
 def _symbol(row: Result) -> str:
@@ -262,7 +254,6 @@ def _symbol(row: Result) -> str:
 
 
 def _parameters(link: Result) -> p.Table | None:
-    """The table of parameters; columns that nothing is known for are left out."""
     rows = v.records(link, "parameters")
     motion = any(v.real(row, "std") is not None for row in rows)
     influence = any(v.real(row, "prior_influence") is not None for row in rows)
@@ -284,7 +275,7 @@ def _parameters(link: Result) -> p.Table | None:
             ("text:Identifiable", lambda r: p.Cell(*_CATEGORY.get(v.text(r, "category"), (NONE,)))),
             ("text:This motion determines it", _shown) if motion else None,
             ("number:Prior", "prior") if motion else None,
-            ("number:Follows prior", "prior_influence", _hundredths) if influence else None,
+            ("number:Follows prior", _follows) if influence else None,
             ("text:Decided by", _decided) if influence else None,
         ],
         said,
@@ -300,44 +291,11 @@ def _shown(row: Result) -> p.Cell:
     return p.Cell(word + share if word else NONE, _TONES.get(word, p.PLAIN))
 
 
-def _hundredths(share: object) -> str:
-    return NONE if v.real(share) is None else f"{share:.2f}"
+def _follows(row: Result) -> p.Cell:
+    share = v.real(row, "prior_influence")
+    return p.Cell(NONE if share is None else f"{share:.2f}", p.PLAIN, share)
 
 
 def _decided(row: Result) -> p.Cell:
     hidden = v.text(row, "category") == "unidentifiable"
     return p.Cell(*_DECIDES.get("prior" if hidden else v.text(row, "decided_by"), (NONE,)))
-
-
-def _combinations(result: Result, link: Result) -> p.Table | None:
-    """The combinations that its parameters are part of, and how well the motion shows them."""
-    known = {v.text(row, "name"): row for row in v.records(result, "practical")}
-    names = [v.text(row, "expression") for row in v.records(link, "combined")]
-    seen: tuple[p.Column, ...] = (*p.estimates(), ("text:Determined", _determined))
-    return p.table(
-        [{"expression": name, **known.get(name, {})} for name in names],
-        [("expression:Identifiable combination", "expression"), *(seen if known else ())],
-        "Torque depends on these sums alone, not on how they divide among their members.",
-        p.folded(f"Its {len(names)} combinations", len(names), 1),
-    )
-
-
-def _needed(link: Result) -> p.Table | None:
-    """What would identify each parameter individually, those with the same answer together."""
-    groups: dict[str, list[str]] = {}
-    for row in v.records(link, "parameters"):
-        if v.text(row, "needed"):
-            groups.setdefault(v.text(row, "needed"), []).append(_symbol(row))
-    return p.table(
-        [{"names": names, "needed": what} for what, names in groups.items()],
-        [("name:To identify individually", "names"), ("text:Required", "needed")],
-        "Found by adding each experiment's rows and looking at rank and standard deviation again.",
-    )
-
-
-def _following(result: Result, link: Result) -> p.Notes | None:
-    """Which parameters would follow from one that is known from elsewhere."""
-    own = {v.text(row, "name") for row in v.records(link, "parameters")}
-    groups = [v.words(group) for group in v.items(result, "follow_each_other")]
-    said = "Once one of {} is known from elsewhere, the data give the rest of them."
-    return p.notes([said.format(", ".join(group)) for group in groups if own & set(group)])

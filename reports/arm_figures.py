@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +14,6 @@ from excitant.reports import values as v
 from excitant.reports.page import Figure, Key, Panel
 from excitant.reports.values import Result, Series
 from excitant.robots.motion import Array
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _FILLS = (("#c3dcec", "#7fb0cf"), ("#e3e7ea", "#aab2b8"))  # by turns, so that neighbours differ
 _BASE = ("#8a9299", draw.MEASURED)
@@ -42,7 +39,7 @@ class _View:
     screen: Array
     labels: tuple[str, str] | None = None  # of abscissa and ordinate
 
-    def axes(self, points: Array, room: float) -> tuple[Axes, float]:
+    def axes(self, points: Array, room: float) -> tuple[draw.Axes, float]:
         """Axes with one scale in which these points (n, 3) fit, and their shorter side [m]."""
         (ax,) = draw.axes(_HEIGHT, left=0.6 if self.labels else 0.12)
         flat = points @ self.screen[:2].T
@@ -96,9 +93,7 @@ def arm_figure(series: Series) -> Figure | None:
     solids = "and its collision solids" if len(zero.solids) else "as lines"
     caption = (
         f"The arm with its {len(zero.axes)} joints numbered from the base, {solids}: at zero, or "
-        "as near to it as its ranges allow, and in a bent pose. Compare the zero pose with "
-        "the maker's drawing: a joint that bends the other way or a link that lies elsewhere shows "
-        "here."
+        "as near to it as its ranges allow, and bent. Compare it with the maker's drawing."
     )
     legend = (
         Key("line", draw.MEASURED, "base, joints and tool in order"),
@@ -167,7 +162,7 @@ def _draw_axis(ax: Any, centre: Array, axis: Array, size: float) -> None:
     ax.annotate("", tip, centre, zorder=4, arrowprops={**look, "shrinkA": 0, "shrinkB": 0})
 
 
-def _number_joints(ax: Axes, points: Array, near: float) -> None:
+def _number_joints(ax: draw.Axes, points: Array, near: float) -> None:
     """Number the joints, those that lie together in the picture with one label."""
     groups: list[list[int]] = []
     for k, point in enumerate(points):
@@ -212,7 +207,10 @@ def space_figure(result: Result, series: Series) -> Figure | None:
         found = [solid_of(obstacle, centre, reach, *box) for obstacle in drawn]
         solids = [solid for solid in found if solid is not None]
         box = _box([box, *(edge for solid in solids for edge in solid.edges)])
-    near = _near_pose(result, series, len(arm))
+    when, t = v.real(result, "closest", "t"), v.array(series, "arm_t", len(arm))
+    near = None  # the pose at the instant of least clearance
+    if when is not None and t is not None and np.abs(t - when).min() < 0.05:
+        near = int(np.abs(t - when).argmin())
     seen = [(v.text(o, "name"), s is not None) for o, s in zip(obstacles, found, strict=True)]
     names = [name for name, shown in seen if shown]
     label = f"path of the tool with {len(arm)} poses of the arm"
@@ -260,14 +258,13 @@ def _draw_cell(
 
 
 def _box(points: Sequence[Array]) -> Array:
-    """Least and greatest coordinates of points, shape (2, 3)."""
     every = np.vstack(points)
     return np.array([np.nanmin(every, axis=0), np.nanmax(every, axis=0)])
 
 
 def _draw_base(ax: Any, view: _View, extent: float) -> None:
-    """The axes of the base frame, as long as a power of ten that fits, with their length."""
-    length = 10.0 ** np.floor(np.log10(0.5 * extent))
+    """The axes of the base frame with their length, round and at most a third of the extent."""
+    length = max(x for x in np.outer(10.0 ** np.arange(-6, 4), [1, 2, 5]).flat if 3 * x <= extent)
     for name, tip in zip("xyz", length * view.screen[:2].T, strict=True):
         ax.plot([0, tip[0]], [0, tip[1]], color="#222222", lw=1.2, zorder=4)
         ax.text(*(1.12 * tip), name, ha="center", va="center", fontsize=8, zorder=4)
@@ -287,15 +284,6 @@ def _caption(result: Result, paths: Sequence[Array], hidden: list[str]) -> str:
         )
     outside = f" Not in the picture, farther away: {v.listing(hidden)}." if hidden else ""
     return f"{sentence}.{outside}"
-
-
-def _near_pose(result: Result, series: Series, poses: int) -> int | None:
-    """The pose at the instant of least clearance, if one is."""
-    when, t = v.real(result, "closest", "t"), v.array(series, "arm_t", poses)
-    if when is None or t is None:
-        return None
-    k = int(np.abs(t - when).argmin())
-    return k if abs(t[k] - when) < 0.05 else None
 
 
 def solid_of(
@@ -337,7 +325,6 @@ def solid_of(
 
 
 def _block(low: Array, high: Array, R: Array, origin: Array) -> Solid:
-    """A block along the axes of a frame."""
     corners = origin + np.array(list(product(*zip(low, high, strict=True)))) @ R.T
     return Solid(tuple(corners[_FACES_OF_BLOCK]), tuple(corners[_EDGES_OF_BLOCK]))
 

@@ -24,6 +24,7 @@ _CRITERIA = {
     "a": ("A-optimal", "least mean variance: least trace of (WᵀW)⁻¹"),
     "e": ("E-optimal", "greatest least singular value of W"),
 }
+_FULL = 1 + 1e-9  # share of a limit that holds, up to rounding
 _COLUMNS = {"friction": "of links, friction, offsets and rotors", "inertial": "of the links only"}
 
 
@@ -40,8 +41,8 @@ def design_section(result: Result, series: Series) -> p.Section:
             ("Key figures", [_facts(result), p.notes(v.words(result, "notes"), brief="")]),
             ("One motion per link", [_link_motions(result)]),
             *_motion(result, series),
-            ("Least excited parameters", [_weakest(result), _directions(result)]),
-            ("The search", [convergence_figure(result), _starts(result)]),
+            ("Least excited parameters", _weakest(result)),
+            ("The search", [convergence_figure(result)]),
             ("Files", [p.files(v.words(result, "files"))]),
         ],
         (
@@ -146,10 +147,9 @@ def _error(row: Result) -> p.Cell:
 
 
 def _motion(result: Result, series: Series) -> p.Parts:
-    """Parts that a design and a check share."""
     motion = motion_figure(v.joint_names(result), result, series)
     return [
-        ("Motion against limits", [_limits(result), _joint_limits(result), motion]),
+        ("Motion against limits", [*_limits(result), motion]),
         ("Path of the tool", [space_figure(result, series)]),
         ("Excitation of the parameters", [spectrum_figure(series)]),
     ]
@@ -170,7 +170,7 @@ def _lead(result: Result) -> str:
     if worst is not None:
         used = share_of_limit(worst)
         holds = f" Limits are exceeded: {used} of one is used."
-        if _holds(worst):
+        if worst <= _FULL:
             holds = f" All limits hold, used up to {used}."
     reached = f"a condition number of {v.number(final)}"
     if stages:
@@ -180,11 +180,6 @@ def _lead(result: Result) -> str:
         )
     before = "" if initial is None else f", {v.number(initial)} at the start of the search"
     return f"{motion} reaches {reached}{before} (1 would be best).{holds}"
-
-
-def _holds(ratio: float) -> bool:
-    """Whether a limit holds, up to rounding."""
-    return ratio <= 1 + 1e-9
 
 
 def _facts(result: Result) -> p.Facts | None:
@@ -248,21 +243,22 @@ def _worst_ratio(result: Result) -> float | None:
     return max((x for row in _worst(result) if (x := row["ratio"]) is not None), default=None)
 
 
-def _limits(result: Result) -> p.Table | None:
-    names = v.items(result, "joints")
+def _limits(result: Result) -> p.Blocks:
+    """The worst share of each limit, and the certified share joint by joint."""
+    names, certified = v.joint_names(result), v.at(result, "certified")
 
     def joint(row: Result) -> str:
         where = v.at(row, "joint")
         known = isinstance(where, int) and 0 <= where < len(names)
-        return str(names[where]) if known else (v.text(row, "joint") or NONE)
+        return names[where] if known else v.text(row, "joint") or NONE
 
     def verdict(row: Result) -> p.Cell:
         ratio = v.real(row, "ratio")
         if ratio is None:
             return p.Cell("no limit given")
-        return _verdict(_holds(ratio), "holds", "exceeded")
+        return _verdict(ratio <= _FULL, "holds", "exceeded")
 
-    return p.table(
+    worst = p.table(
         _worst(result),
         [
             ("name:Quantity", "quantity"),
@@ -273,18 +269,13 @@ def _limits(result: Result) -> p.Table | None:
         ],
         "The worst point of the continuous motion, also between samples: 100 % is the limit.",
     )
-
-
-def _joint_limits(result: Result) -> p.Table | None:
-    """The certified share of each limit, joint by joint."""
-    certified, joints = v.at(result, "certified"), v.joint_names(result)
     quantities = [q for q in certified or () if v.records(certified, q)]
     rows: list[Result] = [
         {"joint": joint}
-        | {q: e.ratio for q in quantities if (e := envelope_of(result, q, k)) is not None}
-        for k, joint in enumerate(joints)
+        | {q: e[2] for q in quantities if (e := envelope_of(result, q, k)) is not None}
+        for k, joint in enumerate(names)
     ]
-    return p.table(
+    each = p.table(
         rows if quantities else [],
         [
             ("name:Joint", "joint"),
@@ -292,16 +283,17 @@ def _joint_limits(result: Result) -> p.Table | None:
         ],
         "Certified share of every joint's limit: a limit used to 100 % bounds what the motion can "
         "show; a dash means no limit.",
-        f"Share of the limits joint by joint ({len(joints)})",
+        f"Share of the limits joint by joint ({len(names)})",
     )
+    return [worst, each]
 
 
-def _weakest(result: Result) -> p.Table | None:
-    """The weakest base parameters in full, with the standard deviation to expect."""
+def _weakest(result: Result) -> p.Blocks:
+    """The weakest base parameters and combinations of them, before and after."""
     weights = v.reals(result, "joint_weights")
     equal = not len(weights) or bool(np.all(weights == weights[0]))
     weighted = "" if equal else " (joints differ as the noise given for the design)"
-    return p.table(
+    parameters = p.table(
         v.records(result, "weakest"),
         [
             ("expression:Base parameter", "expression"),
@@ -310,14 +302,10 @@ def _weakest(result: Result) -> p.Table | None:
             ("text:Unit", "unit"),
             ("number:Value in the model", "value"),
         ],
-        "Standard deviation (std) by least squares from one period at 100 Hz, or 1000 samples if "
-        f"more, for white torque noise of 1 N·m{weighted}; it grows with the noise. "
-        "Fv is viscous and Fc Coulomb friction, Ia the rotor's inertia.",
+        "Standard deviation (std) by least squares from one period at 100 Hz, at least 1000 "
+        f"samples, for white torque noise of 1 N·m{weighted}. Fv is viscous and Fc Coulomb "
+        "friction, Ia the rotor's inertia.",
     )
-
-
-def _directions(result: Result) -> p.Table | None:
-    """The least excited combinations of base parameters, before and after."""
     rows: list[Result] = [
         {**row, "of": name, key: v.at(row, "strength"), other: v.at(row, "other")}
         for key, other, name in (
@@ -326,7 +314,7 @@ def _directions(result: Result) -> p.Table | None:
         )
         for row in v.records(result, "weak_directions", key)
     ]
-    return p.table(
+    directions = p.table(
         rows,
         [
             ("name:Least excited by the", "of"),
@@ -337,6 +325,7 @@ def _directions(result: Result) -> p.Table | None:
         "Combinations that change torque least (the last right singular vectors of W) and by how "
         "much; members with a weight below 0.3 are behind the dots.",
     )
+    return [parameters, directions]
 
 
 def _combination(direction: Result) -> str:
@@ -347,21 +336,6 @@ def _combination(direction: Result) -> str:
         sign = (" − " if size < 0 else " + ") if written else ("−" if size < 0 else "")
         written += f"{sign}{abs(size):.2f}·{v.text(member, 'name')}"
     return written + (" + …" if (v.real(direction, "share") or 0.0) < 0.99 else "")
-
-
-def _starts(result: Result) -> p.Table | None:
-    rows: list[Result] = [{"start": k, **row} for k, row in enumerate(v.records(result, "starts"))]
-    return p.table(
-        rows,
-        [
-            ("name:Start", "start"),
-            ("number:Condition number", "condition_number", v.number4),
-            ("number:Iterations", "iterations", v.whole),
-            ("text:Status", "status", lambda status: v.plain(status or "")),
-        ],
-        "Every start of the search and where it ended.",
-        p.folded(f"All {len(rows)} starts", len(rows), 8),
-    )
 
 
 def _link_motions(result: Result) -> p.Table | None:
@@ -377,7 +351,6 @@ def _link_motions(result: Result) -> p.Table | None:
             ("number:Condition number", "condition_number.final"),
             ("number:Condition number, scaled", "condition_number_scaled.final"),
         ],
-        "Each motion shows the base parameters of its link in the torque of that link's joint "
-        "alone, the links further out being known by then; the figures below show the motions one "
-        "after the other.",
+        "Each motion shows the base parameters of its link in the torque of that link's joint, the "
+        "links further out being known by then; the figures below show one motion after the other.",
     )

@@ -13,7 +13,6 @@ from excitant.reports.error_figures import (
     error_bars,
     evidence_figure,
     over_holdout,
-    share_figure,
     torque_figure,
     waterfall_figure,
 )
@@ -21,56 +20,46 @@ from excitant.reports.identify import CUTOFF_REMARK, fault_table
 from excitant.reports.values import NONE, Result, Series
 
 _NOISE = "noise-like"  # what a diagnosis calls a residual without structure
-_WHAT = "Prediction error per joint on the hold-out"
+_QUANTITIES = ("constant", "direction", "velocity", "position", "load", "reversal", "time")
+_MEANING = (
+    "Constant: offset. Direction of motion: dry friction. Velocity: viscous friction. Position: "
+    "springs, ripple. Load: gain, load-dependent friction. Distance since the last reversal: "
+    "hysteresis, backlash. Time: drift. Last, the error slower, as fast, faster than the motion."
+)
+_BANDS = ("slower", "motion", "faster")
 _LEADING = 3  # findings that are shown without opening a fold
 _CURVES = Curves(
     "simulated",
-    "model as given",
     "extended",
     "extended model",
-    "Measured torque and prediction over the hold-out, below it each model's residual: where blue "
-    "is flat and orange is not, the named effects are the cause.",
+    "Measured torque and predictions over the hold-out, below them the residuals: where blue is "
+    "flat and orange is not, the named effects are the cause.",
 )
 _ONE_MODEL = (
-    "Measured torque and the given model's prediction over the hold-out, below it its residual: "
-    "one without shape is noise, one with shape is something the model lacks."
+    "Measured torque and the given model's prediction over the hold-out, below them the residual: "
+    "structure in it shows something that the model lacks."
 )
 
 
 def diagnose_section(result: Result, series: Series) -> p.Section:
     """The diagnosis: faults, findings in order of importance with evidence, what stays open."""
     unit = v.text(result, "unit") or "N·m"
-    joints = v.joint_names(result, "simulation.joints", "extended.joints")
-    findings, pairs, changed = v.records(result, "findings"), _pairs(result), _changed(result)
+    joints = [v.text(row, "name") for row in _pairs(result)]
+    findings, changed = v.records(result, "findings"), _changed(result)
     lead = v.text(result, "headline")
     said = [v.sentence(note) for note in v.words(result, "notes") if note and note not in lead]
     curves = _CURVES if changed else replace(_CURVES, after="", caption=_ONE_MODEL)
-    models = ("simulation", "extended")[: 1 + changed]
     wrong = "What is wrong with the given model" if findings else "Error of the given model"
+    shares = [_shares(result, left, unit) for left in (False, True)[: 1 + changed]]
     return p.section(
         "Diagnosis",
         lead,
         [
             ("Key figures", [_facts(result), fault_table(result), _finding_table(findings, unit)]),
-            (
-                wrong,
-                [
-                    share_figure(result, unit, changed),
-                    p.notes(v.words(result, "refit", "sentence")),
-                    *_refit(result, unit),
-                    _forward(result, changed),
-                    p.notes(v.words(result, "forward", "notes")),
-                ],
-            ),
+            (wrong, [*shares, *_refit(result, unit), *_forward(result, changed)]),
             ("Error step by step", [waterfall_figure(result) if changed else None]),
             *_finding_parts(findings, series, unit),
-            (
-                "Error per joint",
-                [
-                    error_bars(pairs, models, unit, _CURVES, _WHAT),
-                    _joint_table(result, unit, changed),
-                ],
-            ),
+            ("Error per joint", _errors(result, unit, changed)),
             (over_holdout(unit), [torque_figure(joints, series, unit, curves)]),
             ("Not explained", _unexplained(result)),
             ("Notes", [p.notes(said)]),
@@ -96,12 +85,10 @@ def _changed(result: Result) -> bool:
 
 
 def _cause(finding: Result) -> str:
-    """The effect of a finding in words."""
     return "unknown cause" if _unknown(finding) else v.plain(v.text(finding, "effect"))
 
 
 def _unknown(finding: Result) -> bool:
-    """Whether structure was found that no candidate explains."""
     return v.text(finding, "effect") == "unknown"
 
 
@@ -123,7 +110,6 @@ def _facts(result: Result) -> p.Facts | None:
 
 
 def _finding_table(findings: list[Result], unit: str) -> p.Table | None:
-    """All findings in a line each, most important first; an unknown cause claims no share."""
     rows = [
         {**finding, "explained": None, "after": None}
         if _unknown(finding)
@@ -141,9 +127,8 @@ def _finding_table(findings: list[Result], unit: str) -> p.Table | None:
             (f"number:rms with it [{unit}]", "after"),
             ("text:Verdict", _verdict),
         ],
-        "What the model lacks, most important first: its share of the squared error that the given "
-        "model leaves, and the error at its joints on data that were held out, while they move, "
-        "without and with it, everything else that was found being kept.",
+        "What the model lacks, most important first: its share of the given model's squared error, "
+        "and the hold-out error of its moving joints without and with it, with all other findings.",
     )
 
 
@@ -233,10 +218,37 @@ def _rivals(finding: Result) -> p.Table | None:
             None if said else ("number:Separation [σ]", "separation"),
             None if said else ("number:Runs", "repetitions", v.whole),
         ],
-        "Other effects that look alike in these data, and the experiment that separates them, by "
-        "how many standard deviations of the noise, and in how many runs. Within few standard "
-        "errors: the rival predicts no worse than chance allows. |cos| is 1 where its torque has "
-        "the same course as the finding's.",
+        "Other effects that look alike in these data, and the experiment that separates them by so "
+        "many standard deviations of the noise in so many runs. |cos| is 1 where both torques are "
+        "proportional.",
+    )
+
+
+def _shares(result: Result, left: bool, unit: str) -> p.Table | None:
+    """Share of each joint's squared error by quantity, of the given model or of what is left."""
+    rows = [
+        {"joint": v.text(row, "name"), **((v.at(row, "left") or {}) if left else row)}
+        for row in v.records(result, "error", "joints")
+    ]
+
+    def share(group: str, key: str) -> p.Column:
+        def cell(row: Result) -> p.Cell:
+            x = v.real(row, group, key)
+            return p.Cell(v.percent(x), p.POOR if v.text(row, "telling") == key else p.PLAIN, x)
+
+        return f"number:{key}", cell
+
+    return p.table(
+        rows,
+        [
+            ("name:Joint", "joint"),
+            (f"number:rms [{unit}]", "rms"),
+            *(share("shares", key) for key in _QUANTITIES),
+            *(share("bands", key) for key in _BANDS),
+        ],
+        f"Error {'left by the extended model' if left else 'of the model as given'} while the "
+        "joint moves, and the shares of its square that go with one quantity (they overlap): "
+        f"○ marks the simplest that explains it. {'' if left else _MEANING}",
     )
 
 
@@ -251,14 +263,13 @@ def _refit(result: Result, unit: str) -> p.Blocks:
         share = None if factor is None else 100 * float(np.expm1(factor))
         return p.Cell(v.number(share, 2), p.PLAIN, share)
 
+    models = {"given": "Given", "inertias": "Inertias free", "bodies": "Nearest bodies"}
+    models["extended"] = "With the findings"
     errors = p.table(
         v.records(result, "refit", "joints"),
         [
             ("name:Joint", "name"),
-            (f"number:Given, rms [{unit}]", "given"),
-            (f"number:Inertias free, rms [{unit}]", "inertias"),
-            (f"number:Nearest bodies, rms [{unit}]", "bodies"),
-            (f"number:With the findings, rms [{unit}]", "extended"),
+            *((f"number:{name}, rms [{unit}]", key) for key, name in models.items()),
         ],
         "What inertias alone would explain on the hold-out while joints move, all given effects "
         "being kept: fitted freely, and as the closest physically consistent inertias.",
@@ -279,11 +290,10 @@ def _refit(result: Result, unit: str) -> p.Blocks:
         "taken as right to two of these standard deviations.",
         "Which link would have to change, and how much",
     )
-    return [errors, links]
+    return [p.notes(v.words(result, "refit", "sentence")), errors, links]
 
 
-def _forward(result: Result, changed: bool) -> p.Table | None:
-    """Both models simulated forward under the recorded torque."""
+def _forward(result: Result, changed: bool) -> p.Blocks:
     rows = v.records(result, "forward", "joints")
     units = v.listing(list(dict.fromkeys(v.text(row, "unit") for row in rows)))
     count, length = (v.real(result, "forward", key) for key in ("windows", "window_s"))
@@ -297,36 +307,35 @@ def _forward(result: Result, changed: bool) -> p.Table | None:
     ]
     closer = " The extended model stays closer on every joint."
     if worse:
-        closer = (
-            f" The extended model is no closer at {v.listing(worse)}: there its dry friction near "
-            "rest, or overestimated effects, move the joint more than the findings help."
-        )
-    return p.table(
+        closer = f" The extended model is no closer at {v.listing(worse)}."
+
+    def milli(value: object) -> str:
+        x = v.real(value)
+        return "diverges" if x is None else v.number(1e3 * x)
+
+    table = p.table(
         rows,
         [
             ("name:Joint", "name"),
-            *((f"number:Position, {m} [m{units}]", m, _milli) for m in models),
-            *((f"number:Velocity, {m} [m{units}/s]", f"velocity.{m}", _milli) for m in models),
+            *((f"number:Position, {m} [m{units}]", m, milli) for m in models),
+            *((f"number:Velocity, {m} [m{units}/s]", f"velocity.{m}", milli) for m in models),
         ],
         f"Simulated forward under the recorded torque over {count or 0:.0f} windows of "
         f"{v.quantity(length, 's', 2)} of the hold-out: rms by which the model leaves the recorded "
         f"motion, held on it by {'the same' if changed else 'a'} loop of {loop}."
         f"{closer if changed else ''}",
     )
+    return [table, p.notes(v.words(result, "forward", "notes"))]
 
 
-def _milli(value: object) -> str:
-    x = v.real(value)
-    return "diverges" if x is None else v.number(1e3 * x)
-
-
-def _joint_table(result: Result, unit: str, changed: bool) -> p.Table | None:
+def _errors(result: Result, unit: str, changed: bool) -> p.Blocks:
+    pairs, what = _pairs(result), "Prediction error per joint on the hold-out"
     models = [("Given", "simulation"), ("Extended", "extended")][: 1 + changed]
     cutoff = v.real(result, "cutoff_hz")
     same = "" if cutoff is None else f", all after the same filter ({v.quantity(cutoff, 'Hz')})"
     measures = ((f"rms [{unit}]", "rms", v.number), ("nrmse", "nrmse", v.percent))
-    return p.table(
-        _pairs(result),
+    table = p.table(
+        pairs,
         [
             ("name:Joint", "name"),
             *(
@@ -338,6 +347,7 @@ def _joint_table(result: Result, unit: str, changed: bool) -> p.Table | None:
         f"The model as given{' and with the findings added' * changed}, on the hold-out{same}; "
         "nrmse is rms over the measured torque's standard deviation.",
     )
+    return [error_bars(pairs, [model for _, model in models], unit, _CURVES, what), table]
 
 
 def _unexplained(result: Result) -> p.Blocks:

@@ -1,9 +1,7 @@
-"""Drawing with Matplotlib: one calm style, compact SVG that sits inside a page.
+"""Drawing with Matplotlib, imported with the first figure: one style, compact SVG for a page.
 
-Every panel is drawn at one width, so that its letters have the same size everywhere; the page
-lays panels side by side or one above the other. Colours are those of Okabe and Ito (2008),
-which the colour-blind can tell apart; each meaning keeps its colour through all reports.
-Matplotlib is imported with the first drawing: pages without one need not wait for it.
+All panels have one width, so that letters have the same size everywhere. Colours are those of
+Okabe and Ito (2008), which the colour-blind can tell apart.
 """
 
 from __future__ import annotations
@@ -13,6 +11,7 @@ import html
 import io
 import math
 import re
+import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
@@ -26,7 +25,7 @@ from excitant.reports.values import power_of_ten
 from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from matplotlib.axes import Axes as Axes
     from matplotlib.figure import Figure
 
 MEASURED, GIVEN, FITTED = "#4d4d4d", "#d55e00", "#0072b2"
@@ -77,10 +76,7 @@ _open: ContextVar[ExitStack | None] = ContextVar("style of drawings", default=No
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Matplotlib's own defaults under the report's style, whatever the user has configured.
-
-    They hold from the first drawing inside to the end.
-    """
+    """The report's style over Matplotlib's defaults, from the first drawing inside to the end."""
     with ExitStack() as stack:
         token = _open.set(stack)
         try:
@@ -171,21 +167,19 @@ def label_y(ax: Axes, words: str) -> None:
 
 def label_x(ax: Axes, words: str) -> None:
     """Name the abscissa, in two lines where one is too short; the axes make room."""
-    if len(words) <= _LINE:
-        ax.set_xlabel(words)
-        return
-    cut = words.rfind(" ", 0, max(len(words) // 2 + 6, len(words) - _LINE))
-    ax.set_xlabel(f"{words[:cut]}\n{words[cut + 1 :]}", linespacing=1.1)
-    height = float(cast("Figure", ax.get_figure(root=True)).get_figheight())
+    lines = textwrap.wrap(words, _LINE)
+    ax.set_xlabel("\n".join(lines), linespacing=1.1)
+    room = 0.15 * (len(lines) - 1) / _figure(ax).get_figheight()
     box = ax.get_position()
-    ax.set_position((box.x0, box.y0 + 0.15 / height, box.width, box.height - 0.15 / height))
+    ax.set_position((box.x0, box.y0 + room, box.width, box.height - room))
 
 
-def over_time(ax: Axes, t: Array, ordinate: str) -> None:
+def over_time(ax: Axes, t: Array, ordinate: str = "") -> None:
     """Make the abscissa time t [s] and name the ordinate."""
     ax.set_xlim(t[0], t[-1])
     ax.set_xlabel("time [s]")
-    label_y(ax, ordinate)
+    if ordinate:
+        label_y(ax, ordinate)
 
 
 def percent_x(ax: Axes) -> None:
@@ -221,9 +215,13 @@ def _log_tick(value: float, _position: float | None = None) -> str:
     return f"{value:g}"
 
 
+def _figure(ax: Axes) -> Figure:
+    return cast("Figure", ax.get_figure(root=True))
+
+
 def panel(ax: Axes, label: str, title: str = "") -> Panel:
     """The finished drawing that holds these axes."""
-    figure = cast("Figure", ax.get_figure(root=True))
+    figure = _figure(ax)
     for each in figure.axes:
         for artist in (*each.lines, *each.patches, *each.collections):
             artist.set_clip_on(False)
@@ -238,7 +236,7 @@ def single(
 
 
 def _svg(figure: Figure, label: str) -> str:
-    """SVG element to be put into a page: no namespaces, unique ids, short coordinates."""
+    """SVG element for a page: no namespaces, unique ids, short coordinates."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", dpi=200, metadata={"Date": None, "Creator": None})
     raw = buffer.getvalue()
@@ -293,7 +291,7 @@ def thin(x: Array, y: Array, bins: int = _BINS) -> tuple[Array, Array]:
     first = size * np.arange(len(rows))
     least = first + np.where(np.isnan(rows), np.inf, rows).argmin(axis=1)
     greatest = first + np.where(np.isnan(rows), -np.inf, rows).argmax(axis=1)
-    keep = np.unique(np.concatenate([[0], least, greatest, [len(y) - 1]]))
+    keep = np.unique([0, *least, *greatest, len(y) - 1])
     return x[keep], y[keep]
 
 

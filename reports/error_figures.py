@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,22 +16,18 @@ from excitant.reports.page import Figure, Key, Panel, figure
 from excitant.reports.values import Result, Series
 from excitant.robots.motion import Array
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 INTERVAL = "95\u00a0% interval of a reading"
 _INTERVAL_CAPTION = (
     " The band holds 95\u00a0% of readings if noise and parameters are all that is off."
 )
+_GIVEN = "model as given"
 _BINS = 120
 _SHARE = "rms of residual, share of the measured torque's std"
 _THREE = (draw.GIVEN, draw.GREEN, draw.FITTED)  # colours of models, the given one first
 
-_DOMAINS = ("constant", "direction", "velocity", "position", "load", "reversal", "time")
-_BANDS = ("slower", "motion", "faster")
-_ROW, _GAP = 0.29, 0.35  # inch, cells
-_LEFT, _TOP, _BELOW, _LEAST = 1.3, 0.64, 0.06, 0.4  # inch
-_DARK = 0.55  # share from which on letters are white
+# lengths and colours of the pieces of a bar one after the other, and the words behind it
+_Bar = tuple[Sequence[tuple[float, str]], str]
+
 _STEPS = 12  # of the waterfall that are drawn one by one
 _POINTS, _MEDIANS, _CURVE = 2500, 24, 60  # drawn of a finding: points, medians, along the fit
 _WIDE = 0.08  # of the abscissa: across wider stretches without data no curve is drawn
@@ -39,13 +35,12 @@ _WIDE = 0.08  # of the abscissa: across wider stretches without data no curve is
 
 @dataclass(frozen=True)
 class Curves:
-    """Which series are drawn against the measurement: key and legend, before and after.
+    """Series drawn against the measurement: the given model, another with its label, and a band.
 
-    The band is the half width of intervals around the model after, where a run has any.
+    The band is the half width of intervals around the other model, where a run has any.
     """
 
     before: str
-    before_label: str
     after: str
     after_label: str
     caption: str
@@ -68,7 +63,7 @@ def torque_figure(
 
     legend = [
         Key("line", draw.MEASURED, "measured"),
-        *[Key("line", draw.GIVEN, curves.before_label)] * drawn(curves.before),
+        *[Key("line", draw.GIVEN, _GIVEN)] * drawn(curves.before),
         *[Key("line", draw.FITTED, curves.after_label)] * drawn(curves.after),
         *[Key("box", draw.BAND, INTERVAL)] * drawn(curves.band),
     ]
@@ -90,7 +85,7 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
         draw_band(residual, time, joins, np.zeros(len(t)), half)
         said.append(f"{INTERVAL} ±{v.quantity(float(half.mean()), unit)}")
     for key, label, colour in (
-        (curves.before, curves.before_label, draw.GIVEN),
+        (curves.before, _GIVEN, draw.GIVEN),
         (curves.after, curves.after_label, draw.FITTED),
     ):
         model = _of_rows(series, key, k, len(t))
@@ -107,12 +102,11 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
 
 
 def _of_rows(series: Series, key: str, joint: int, n: int) -> Array | None:
-    """One joint's column of n rows; None where a run has none."""
     found = v.curve(series, key, joint)
     return found if found is not None and len(found) == n else None
 
 
-def draw_band(ax: Axes, t: Array, joins: Sequence[int], centre: Array, half: Array) -> None:
+def draw_band(ax: draw.Axes, t: Array, joins: Sequence[int], centre: Array, half: Array) -> None:
     """Fill centre ± half over time, broken where recordings were joined.
 
     Bins take the least and the greatest edge in them, so that no part of the band is lost.
@@ -136,7 +130,7 @@ def error_bars(
         for row in rows
     ]
     changed = any(rms is not None for _, pairs in errors for rms, _ in pairs[1:])
-    return bars(errors, unit, [curves.before_label, curves.after_label][: 1 + changed], what)
+    return bars(errors, unit, [_GIVEN, curves.after_label][: 1 + changed], what)
 
 
 def bars(
@@ -145,16 +139,10 @@ def bars(
     models: Sequence[str],
     what: str,
 ) -> Figure | None:
-    """Errors per joint of some models as bars, the rms written beside each.
+    """Errors per joint of some models as bars as long as nrmse, or else rms, which stands beside.
 
-    The bars' length is the share of the measured torque's standard deviation (nrmse), so that
-    large and small joints compare; without it, the rms itself.
-
-    Args:
-        errors: Of each joint: its name, then rms and nrmse of every model.
-        unit: Of the torque.
-        models: Label of each.
-        what: First words of the caption.
+    Of each joint ``errors`` holds its name, then rms and nrmse of every model; ``what`` begins the
+    caption.
     """
     count = len(models)
     every = [pair for _, pairs in errors for pair in pairs[:count]]
@@ -164,20 +152,17 @@ def bars(
         return None
     # one useless model must not make all other bars invisible
     top = min(max(known), max(1.5, 4 * float(np.median(known)))) if shares else max(known)
-    top = top or 1.0
-    step, colours = 0.25 if count < 3 else 0.23, (_THREE if count == 3 else _THREE[::2][:count])
-    (ax,) = draw.axes((0.24 + 0.13 * count) * len(errors) + 0.52, left=0.14)
-    for row, (joint, pairs) in enumerate(errors):
-        ax.text(0, row - 0.36, v.shorten(joint, 40), va="center", ha="left")
-        for i, (pair, colour) in enumerate(zip(pairs, colours, strict=False)):
+    colours = _THREE if count == 3 else _THREE[::2][:count]
+    rows = []
+    for joint, pairs in errors:
+        bars_ = []
+        for pair, colour in zip(pairs, colours, strict=False):
             length = pair[shares]
-            if length is None:
-                continue
-            y = row + 0.045 * (count - 1) + step * (i - (count - 1) / 2)
-            ax.barh(y, min(length, top), height=0.88 * step, color=colour)
-            rms = v.quantity(pair[0], unit) + " (bar cut)" * (length > top * 1.0001)
-            ax.text(min(length, top) + 0.012 * top, y, rms, va="center", ha="left", fontsize=8)
-    _bar_axes(ax, len(errors) - (0.6 if count < 3 else 0.5), 1.38 * top)
+            cut = length is not None and length > (top or 1.0) * 1.0001
+            words = v.quantity(pair[0], unit) + " (bar cut)" * cut
+            bars_.append(([] if length is None else [(min(length, top), colour)], words))
+        rows.append((joint, bars_))
+    ax = _bar_axes(rows, top or 1.0, 1.38)
     if shares:
         draw.percent_x(ax)
     ax.set_xlabel(_SHARE if shares else f"rms [{unit}]")
@@ -195,87 +180,25 @@ def bars(
     )
 
 
-def _bar_axes(ax: Axes, bottom: float, right: float) -> None:
-    """Frame for horizontal bars with their names above them."""
-    ax.set_ylim(bottom, -0.6)
-    ax.set_xlim(0, right)
+def _bar_axes(rows: Sequence[tuple[str, Sequence[_Bar]]], top: float, room: float) -> draw.Axes:
+    """Horizontal bars below the name of their row, up to ``top``, words behind each."""
+    count = max(len(bars) for _, bars in rows)
+    step = 0.25 if count < 3 else 0.23
+    (ax,) = draw.axes((0.24 + 0.13 * count) * len(rows) + 0.52, left=0.14)
+    for row, (name, bars) in enumerate(rows):
+        ax.text(0, row - 0.36, v.shorten(name, 40 if count > 1 else 52), va="center", ha="left")
+        for i, (pieces, words) in enumerate(bars):
+            y, end = row + 0.045 * (count - 1) + step * (i - (count - 1) / 2), 0.0
+            for length, colour in pieces:
+                ax.barh(y, length, left=end, height=0.88 * step, color=colour)
+                end += length
+            if pieces:
+                ax.text(end + 0.012 * top, y, words, va="center", ha="left", fontsize=8)
+    ax.set_ylim(len(rows) - (0.6 if count < 3 else 0.5), -0.6)
+    ax.set_xlim(0, room * top)
     ax.set_yticks([])
     ax.spines["left"].set_visible(False)
-
-
-def share_figure(result: Result, unit: str, changed: bool = True) -> Figure | None:
-    """Joints by quantities: share of the squared error, as given and left over.
-
-    Args:
-        result: Of a diagnosis.
-        unit: Of the torque.
-        changed: Whether the extended model differs; else only the given one is shown.
-    """
-    joints = v.records(result, "error", "joints")
-    if not joints:
-        return None
-    panels = [_shares(joints, False, "model as given", unit)]
-    if changed:
-        panels.append(_shares(joints, True, "left by the extended model", unit))
-    said = "Orange: model as given; blue: after the findings are added. " if changed else ""
-    caption = (
-        "Percentage of each joint's squared error that goes with one quantity alone; the simplest "
-        "that explains it is framed: an offset, the direction of motion (dry friction), velocity "
-        "(viscous friction), position (springs, ripple), load (gain, load-dependent friction), "
-        "distance since the last reversal (hysteresis, backlash) or time (drift). Shares overlap. "
-        "The last three columns divide the error by frequency: slower than the motion, as fast, "
-        f"faster. A dash: not judged. {said}The rms stands beside each row, over rows at which the "
-        "joint moves."
-    )
-    return Figure(tuple(panels), caption)
-
-
-def _shares(joints: list[Result], left: bool, title: str, unit: str) -> Panel:
-    names, count = (*_DOMAINS, *_BANDS), len(joints)
-    across = [k + _GAP * (k >= len(_DOMAINS)) for k in range(len(names))]
-    height = max(_ROW * count, _LEAST) + _TOP + _BELOW
-    (ax,) = draw.axes(height, left=_LEFT, top=_TOP)
-    box, rows = ax.get_position(), _ROW * count / height
-    ax.set_position((box.x0, 1 - _TOP / height - rows, box.width, rows))
-    ax.grid(False)
-    ax.spines[:].set_visible(False)
-    for row, joint in enumerate(joints):
-        source = v.at(joint, "left") if left else joint
-        rms, before = v.real(source, "rms"), v.real(joint, "rms")
-        size = v.quantity(rms, unit, 2)
-        if left and before and rms is not None:
-            size += f", {v.percent(rms / before)} of it"
-        said = f"{v.shorten(v.text(joint, 'name'), 20)}\n{size}"
-        ax.text(-0.15, row + 0.5, said, ha="right", va="center", fontsize=7.2, linespacing=1.05)
-        for x, name in zip(across, names, strict=True):
-            group = "shares" if name in _DOMAINS else "bands"
-            colour, framed = draw.FITTED if left else draw.GIVEN, name == v.text(source, "telling")
-            _cell(ax, x, row, v.real(source, group, name), colour, framed)
-    for x, name in zip(across, names, strict=True):
-        ax.text(x + 0.35, -0.12, name, rotation=50, ha="left", va="bottom", fontsize=7.5)
-    ax.set_xlim(0, across[-1] + 1)
-    ax.set_ylim(count, 0)
-    ax.set_xticks([])
-    ax.set_yticks([])
-    worst = "; ".join(f"{v.text(j, 'name')} by {v.text(j, 'telling') or 'unknown'}" for j in joints)
-    return draw.panel(ax, f"share of the squared error by quantity, {title}: {worst}", title)
-
-
-def _cell(ax: Axes, x: float, row: int, share: float | None, colour: str, framed: bool) -> None:
-    """One share as a box of a shade, framed where it is the one to look at."""
-    from matplotlib.colors import to_rgb
-    from matplotlib.patches import Rectangle
-
-    depth = min(max(share or 0.0, 0.0), 1.0)
-    shade = [1 - depth * (1 - part) for part in to_rgb(colour)]
-    frame: Any = {"ec": "#d8dadd", "lw": 0.5, "zorder": 2}
-    if framed:
-        frame = {"ec": "#222222", "lw": 1.5, "zorder": 3}
-    ax.add_patch(Rectangle((x + 0.03, row + 0.05), 0.94, 0.9, fc=shade, **frame))
-    said = "–" if share is None else f"{100 * share:.0f}" if share < 9.995 else ">999"
-    ink, weight = "white" if depth > _DARK else "#222222", "bold" if framed else "normal"
-    look: Any = {"ha": "center", "va": "center", "fontsize": 7, "zorder": 4}
-    ax.text(x + 0.5, row + 0.52, said, color=ink, fontweight=weight, **look)
+    return ax
 
 
 def waterfall_figure(result: Result) -> Figure | None:
@@ -295,16 +218,13 @@ def waterfall_figure(result: Result) -> Figure | None:
     if len(steps) < 2:
         return None
     top, before = max(rms for _, rms in steps) or 1.0, 0.0
-    (ax,) = draw.axes(0.44 * len(steps) + 0.52, left=0.14)
+    rows = []
     for k, (label, rms) in enumerate(steps):
-        end, y = max(rms, before), k + 0.06
-        ax.text(0, k - 0.3, v.shorten(label, 52), va="center", ha="left")
-        ax.barh(y, rms, height=0.26, color=draw.FITTED if k else draw.GIVEN)
-        if end > rms:
-            ax.barh(y, end - rms, left=rms, height=0.26, color=draw.LIGHT)
-        ax.text(end + 0.012 * top, y, v.percent(rms, 3), va="center", fontsize=8)
+        removed = [(before - rms, draw.LIGHT)] * (before > rms)
+        bar = [(rms, draw.FITTED if k else draw.GIVEN), *removed]
+        rows.append((label, [(bar, v.percent(rms, 3))]))
         before = rms
-    _bar_axes(ax, len(steps) - 0.65, 1.27 * top)
+    ax = _bar_axes(rows, top, 1.27)
     ax.set_xlabel("error on the hold-out, share of the given model's")
     draw.few_ticks(ax.xaxis, 5)
     ax.set_xticks([x for x in ax.get_xticks() if 0 <= x <= top])
@@ -313,8 +233,8 @@ def waterfall_figure(result: Result) -> Figure | None:
     return draw.single(
         ax,
         f"error on the hold-out step by step: {said}",
-        "Error on the hold-out after each effect that was added, every joint relative to the "
-        "model as given: long grey pieces are effects that matter.",
+        "Hold-out error after each effect that was added, every joint relative to the model as "
+        "given: long grey pieces are effects that matter.",
         [
             Key("box", draw.GIVEN, "model as given"),
             Key("box", draw.FITTED, "what remains"),
@@ -355,15 +275,14 @@ def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> F
         _curve(ax, x, fit[order], color=draw.FITTED, lw=1.8)
         legend.append(Key("line", draw.FITTED, "fitted effect"))
         caption = (
-            f"Residual at {joint} without {effect}, everything else that was found being kept, "
-            f"against {x_label}: the blue curve is the fitted effect, and should run through the "
-            f"{'medians' if binned else 'points'}."
+            f"Residual at {joint} without {effect} but with all other findings, against {x_label}: "
+            f"the fitted effect (blue) should run through the {'medians' if binned else 'points'}."
         )
     if rival is not None and rivals:
         _curve(ax, x, rival[order], color=draw.PURPLE, lw=1.5, ls=(0, (3, 2)))
         legend.append(Key("dash", draw.PURPLE, f"{rivals[0]} instead, fitted to these points"))
         caption += (
-            f" Where the dashed curve of {rivals[0]} runs there too, these data cannot decide."
+            f" Where the dashed curve of {rivals[0]} does too, these data cannot decide."
         ) * (fit is not None)
     if binned:
         look: Any = {"ms": 4, "color": draw.MEASURED, "mec": "white", "mew": 0.7}
@@ -397,7 +316,7 @@ def _along(x: Array, y: Array, bins: int, fewest: int | None = None) -> tuple[Ar
     return centres, medians
 
 
-def _curve(ax: Axes, x: Array, y: Array, **look: Any) -> None:
+def _curve(ax: draw.Axes, x: Array, y: Array, **look: Any) -> None:
     """Draw a fitted effect along the abscissa, broken where nothing was measured."""
     along, height = _along(x, y, _CURVE, 1)
     gaps = np.flatnonzero(np.diff(along, prepend=along[:1]) > _WIDE * np.ptp(along))

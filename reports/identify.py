@@ -16,7 +16,6 @@ from excitant.reports.online_figures import (
     excitation_figure,
     excitation_levels,
     history_of,
-    uncertainty_figure,
 )
 from excitant.reports.values import Result, Series
 
@@ -25,11 +24,10 @@ _FEW = 3  # notes that may stand among the key figures
 _MESSAGES = 8  # shown without opening a fold
 _CURVES = Curves(
     "given",
-    "model as given",
     "identified",
     "identified model",
-    "Measured torque and the models' prediction over the hold-out; below it each model's residual: "
-    "one without shape is noise, one with shape is something the model lacks.",
+    "Measured torque and the models' predictions over the hold-out, below them the residuals: a "
+    "residual with structure shows something that the model lacks.",
     band="half_width",
 )
 
@@ -37,11 +35,8 @@ _CURVES = Curves(
 def identify_section(result: Result, series: Series) -> p.Section:
     """The identified model: errors before and after, and each parameter with its uncertainty."""
     joints, unit = v.joint_names(result), v.text(result, "unit") or "N·m"
-    rows, held = v.records(result, "joints"), _held_out(result)
     said = [v.sentence(n) for n in v.words(result, "notes") if n and n != v.text(result, "holdout")]
     few = len(said) <= _FEW
-    what = f"Prediction error per joint on the {'hold-out' if held else 'fitted data'}"
-    models = ("baseline", "validate" if held else "train")
     return p.section(
         "Identification",
         _lead(result),
@@ -50,17 +45,14 @@ def identify_section(result: Result, series: Series) -> p.Section:
             ("Data faults", [fault_table(result)]),
             *_link_by_link(result, unit),
             ("Payload", _payload(v.at(result, "payload"))),
-            (
-                "Error per joint",
-                [error_bars(rows, models, unit, _CURVES, what), _joint_table(result, unit)],
-            ),
+            ("Error per joint", _errors(result, unit)),
             (
                 over_holdout(unit),
-                [torque_figure(joints, series, unit, _CURVES), _intervals(rows, unit)],
+                [torque_figure(joints, series, unit, _CURVES), _intervals(result, unit)],
             ),
             ("Notes on the fit", [None if few else p.notes(said)]),
             *_online(result, series),
-            ("Base parameters", [_essential(result), _base_table(result)]),
+            ("Base parameters", _base_parameters(result)),
             ("Standard parameters", [_parameter_table(result)]),
             ("Physical consistency", [_physical(result)]),
             ("Files", [p.files(v.words(result, "files"))]),
@@ -139,13 +131,14 @@ def _facts(result: Result) -> p.Facts | None:
     )
 
 
-def _joint_table(result: Result, unit: str) -> p.Table | None:
-    held = _held_out(result)
+def _errors(result: Result, unit: str) -> p.Blocks:
+    rows, held = v.records(result, "joints"), _held_out(result)
     judged, where = ("validate", "hold-out") if held else ("train", "fitted data")
     cutoff = v.real(result, "cutoff_hz")
     same = "" if cutoff is None else f" after the same filter ({v.quantity(cutoff, 'Hz')})"
-    return p.table(
-        v.records(result, "joints"),
+    what, models = f"Prediction error per joint on the {where}", ("baseline", judged)
+    table = p.table(
+        rows,
         [
             ("name:Joint", "name"),
             (f"number:Model as given, rms [{unit}]", "baseline.rms"),
@@ -159,27 +152,26 @@ def _joint_table(result: Result, unit: str) -> p.Table | None:
         + ("; last, the error on the data it was fitted to" if held else "")
         + ". nrmse is rms over the measured torque's standard deviation.",
     )
+    return [error_bars(rows, models, unit, _CURVES, what), table]
 
 
-def _intervals(rows: list[Result], unit: str) -> p.Table | None:
-    """Width and coverage of the intervals per joint; None where a run has none."""
+def _intervals(result: Result, unit: str) -> p.Table | None:
     key = "validate.interval95"
     return p.table(
-        [r for r in rows if v.real(r, *key.split("."), "half_width")],
+        [r for r in v.records(result, "joints") if v.real(r, *key.split("."), "half_width")],
         [
             ("name:Joint", "name"),
             (f"number:95\u00a0% interval of a reading, ± [{unit}]", f"{key}.half_width"),
             (f"number:of which by the parameters, ± [{unit}]", f"{key}.half_width_parameters"),
             ("number:Hold-out inside", f"{key}.coverage", v.percent),
         ],
-        "How far off a new reading may be by the fitted data, with parameters and coloured noise "
-        "counted; far less than 95\u00a0% of the hold-out inside means that the model lacks "
-        "something.",
+        "Interval for a new reading, from the uncertainty of the parameters and coloured noise; "
+        "far less than 95\u00a0% of the hold-out inside means that the model lacks something.",
     )
 
 
-def _essential(result: Result) -> p.Notes | None:
-    """How many base parameters are essential; None where that was not asked."""
+def _base_parameters(result: Result) -> p.Blocks:
+    """How many base parameters are essential, where that was asked, and all of them."""
     kept, dropped = (len(v.words(result, "essential", key)) for key in ("kept", "dropped"))
     few, every = (v.real(result, "essential", key) for key in ("nrmse_essential", "nrmse_all"))
     said = (
@@ -187,14 +179,10 @@ def _essential(result: Result) -> p.Notes | None:
         f"least squares misses {v.percent(few)} of the hold-out instead of {v.percent(every)} "
         "(median over joints)."
     )
-    return p.notes([said] * bool(kept + dropped))
-
-
-def _base_table(result: Result) -> p.Table | None:
     rows = v.records(result, "base_parameters")
     units = any(v.text(row, "unit") for row in rows)
     si = "" if units else " (SI)"
-    return p.table(
+    table = p.table(
         rows,
         [
             ("expression:Base parameter", "expression"),
@@ -206,6 +194,7 @@ def _base_table(result: Result) -> p.Table | None:
         "● below 5\u00a0%, ◐ below 30\u00a0%, ○ above; near zero it is large by nature.",
         p.folded(f"All {len(rows)} base parameters", len(rows)),
     )
+    return [p.notes([said] * bool(kept + dropped)), table]
 
 
 def _parameter_table(result: Result) -> p.Table | None:
@@ -239,7 +228,6 @@ def _physical(result: Result) -> p.Notes | None:
 
 
 def _link_by_link(result: Result, unit: str) -> p.Parts:
-    """Parts of the page that `identify --link-by-link` adds; none without its result."""
     found = v.at(result, "link_by_link")
     stages, rows = v.records(found, "stages"), v.records(found, "comparison", "joints")
     if not stages:
@@ -252,11 +240,8 @@ def _link_by_link(result: Result, unit: str) -> p.Parts:
         f"{each}, from the last link inward",
         p.GOOD if determined is not None and determined == total else p.FAIR,
     )
-    models = {
-        "given": "Model as given",
-        "all_at_once": "All links at once",
-        "link_by_link": "Link by link",
-    }
+    models = {"given": "Model as given", "all_at_once": "All links at once"}
+    models["link_by_link"] = "Link by link"
     comparison = p.table(
         rows,
         [
@@ -271,10 +256,7 @@ def _link_by_link(result: Result, unit: str) -> p.Parts:
         every, std = [v.real(row, key) for key in models], v.real(row, "measured_std")
         shares = [None if rms is None or not std else rms / std for rms in every]
         errors.append((v.text(row, "name"), list(zip(every, shares, strict=True))))
-    what = (
-        "Prediction error per joint on the hold-out, links fitted at once and link by link from "
-        "the same recordings"
-    )
+    what = "Prediction error per joint on the hold-out, fitted to the same recordings"
     drawn = bars(errors, unit, [name[:1].lower() + name[1:] for name in models.values()], what)
     return [
         ("Link by link against all links at once", [p.Facts((count,)), drawn, comparison]),
@@ -307,7 +289,7 @@ def _stage(stage: Result) -> p.Blocks:
                 ("text:Verdict", lambda r: shown if "value" in r else not_shown),
                 *p.estimates("number:Value (SI)", "number:± std (SI)"),
             ],
-            "What the joint's own torque adds to what the links further out have shown already; "
+            "What the joint's own torque adds to what the links further out have shown; "
             f"{left if missing else 'nothing of this link is left open'}.",
             p.folded(
                 f"{len(found)} combinations determined, {len(missing)} not shown", len(cells), 6
@@ -318,7 +300,6 @@ def _stage(stage: Result) -> p.Blocks:
 
 
 def _payload(payload: Result | None) -> p.Blocks:
-    """What the arm carries: mass, centre of mass and inertia, and how well they are known."""
     if payload is None:
         return []
     return [
@@ -356,10 +337,8 @@ def _payload_facts(payload: Result) -> p.Facts | None:
 
 
 def _online(result: Result, series: Series) -> p.Parts:
-    """Parts of the page that `identify --online` adds; none without its result."""
     if v.at(result, "online") is None:
         return []
-    history = history_of(result, series)
     rows = v.records(result, "online", "messages")
     messages = p.table(
         rows,
@@ -369,7 +348,7 @@ def _online(result: Result, series: Series) -> p.Parts:
     )
     return [
         ("On-line estimation", [_online_facts(result), messages]),
-        ("Estimates over time", [uncertainty_figure(history), estimates_figure(history)]),
+        ("Estimates over time", [estimates_figure(history_of(result, series))]),
         ("Excitation over time", [excitation_figure(result)]),
         ("Convergence", [convergence_figure(result)]),
     ]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +12,6 @@ from excitant.reports import values as v
 from excitant.reports.page import Figure, Key, Panel, figure
 from excitant.reports.values import Result, Series
 from excitant.robots.motion import Array
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _Curve = tuple[str, str, str, tuple[str, str]]
 _CURVES: tuple[_Curve, ...] = (
@@ -31,62 +27,34 @@ _BEFORE_AFTER = (
 )
 _ROW, _ABOVE, _BELOW = 0.56, 0.22, 0.42  # inch: curve, its heading, the time axis
 _NEAR = 0.15  # share of a limit from which on the limit is drawn in
-_DASHED = (0, (4, 3))
 
 _CERTIFIED = (
-    "Every joint's motion in its own units: each curve touches the edge of its shaded band at "
-    "the marked instant and never leaves it, between samples too, and a limit holds where "
-    "the band ends inside the dashed lines (a limit far outside is only written)."
+    "Every joint's motion in its own units. The shaded band bounds the continuous motion, which "
+    "touches it at the marked instant; a limit holds where the band ends inside the dashed lines "
+    "(a limit far outside is only written)."
 )
 _SAMPLED = (
-    "Every joint's motion in its own units: a shaded band, which the motion never leaves, between "
-    "samples too, stands at the joint that comes closest to a limit; other shares are those of "
-    "the samples drawn."
+    "Every joint's motion in its own units, and the largest share of each limit over the samples "
+    "drawn (a limit far outside is only written)."
 )
 
 
-@dataclass(frozen=True)
-class Envelope:
-    """What a quantity of a joint provably stays within over the continuous motion.
-
-    Attributes:
-        low: Least value, in the quantity's unit.
-        high: Greatest value.
-        ratio: Largest magnitude over its limit.
-        t: When it occurs [s].
-    """
-
-    low: float
-    high: float
-    ratio: float
-    t: float | None
-
-
-def envelope_of(result: Result, name: str, joint: int) -> Envelope | None:
-    """The certified envelope of a quantity of a joint, or None where there is no limit."""
-    rows, limits = v.at(result, "certified", name), _limit_of(result, name, joint)
+def envelope_of(result: Result, name: str, joint: int) -> tuple[float, float, float, float] | None:
+    """What a quantity of a joint provably stays within: least, greatest, ratio to limit, when."""
+    rows = v.at(result, "certified", name)
     row = rows[joint] if isinstance(rows, list) and joint < len(rows) else None
-    names, worst = v.items(result, "joints"), v.at(result, "worst", name)
-    if row is None and joint < len(names) and v.at(worst, "joint") in (names[joint], joint):
-        row = {"ratio": v.at(result, "limits", name), "t": v.at(worst, "t")}
-    low, high, ratio = (v.real(row, key) for key in ("low", "high", "ratio"))
-    if ratio is None:
+    low, high, ratio, t = (v.real(row, key) for key in ("low", "high", "ratio", "t"))
+    if low is None or high is None or ratio is None or t is None:
         return None
-    if (low is None or high is None) and limits is not None:
-        centre, half = (limits[0] + limits[1]) / 2, (limits[1] - limits[0]) / 2
-        low, high = centre - ratio * half, centre + ratio * half
-    return None if low is None or high is None else Envelope(low, high, ratio, v.real(row, "t"))
+    return low, high, ratio, t
 
 
 def _limit_of(result: Result, name: str, joint: int) -> tuple[float, float] | None:
-    """Lower and upper limit of a quantity of a joint, or None where it has none."""
     values = v.at(result, "limit_values", name)
     value = values[joint] if isinstance(values, list) and joint < len(values) else None
-    if isinstance(value, list) and len(value) == 2:
-        lower, upper = v.real(value[0]), v.real(value[1])
-    else:
-        upper = v.real(value)
-        lower = None if upper is None else -upper
+    low, high = value if isinstance(value, list) and len(value) == 2 else (None, value)
+    upper = v.real(high)
+    lower = v.real(low) if isinstance(value, list) or upper is None else -upper
     return None if lower is None or upper is None or lower >= upper else (lower, upper)
 
 
@@ -98,41 +66,35 @@ def share_of_limit(ratio: object) -> str:
 
 def motion_figure(joints: Sequence[str], result: Result, series: Series) -> Figure | None:
     """Position, velocity, acceleration, jerk and torque of each joint against their limits."""
-    t, count = v.times(series), len(joints)
+    t = v.times(series)
     if t is None:
         return None
-    known: dict[tuple[str, int], Array] = {
-        (row[0], k): values
-        for row in _CURVES
-        for k in range(count)
-        if (values := v.curve(series, row[1], k)) is not None and len(values) == len(t)
-    }
-    rows = [row for row in _CURVES if any((row[0], k) in known for k in range(count))]
-    panels = [
-        _panel(k, joint, rows, {row[0]: known.get((row[0], k)) for row in rows}, t, result)
-        for k, joint in enumerate(joints)
-        if any((row[0], k) in known for row in rows)
+    curves = [
+        {
+            row[0]: values
+            for row in _CURVES
+            if (values := v.curve(series, row[1], k)) is not None and len(values) == len(t)
+        }
+        for k in range(len(joints))
     ]
-    if not any(_limit_of(result, row[0], k) for row in rows for k in range(count)):
+    rows = [row for row in _CURVES if any(row[0] in known for known in curves)]
+    panels = [
+        _panel(k, joint, rows, curves[k], t, result) for k, joint in enumerate(joints) if curves[k]
+    ]
+    if not any(_limit_of(result, row[0], k) for row in rows for k in range(len(joints))):
         caption = "The motion of every joint; the arm has no limits to compare it with."
         return figure(panels, caption)
-    legend = (
-        Key("dash", draw.MEASURED, "limit"),
+    certified = [
         Key("box", "#cfe3f1", "certified envelope"),
         Key("ring", draw.MEASURED, "where it is touched"),
-    )
-    return figure(panels, _CERTIFIED if v.at(result, "certified") else _SAMPLED, legend)
+    ] * bool(v.at(result, "certified"))
+    caption = _CERTIFIED if certified else _SAMPLED
+    return figure(panels, caption, [Key("dash", draw.MEASURED, "limit"), *certified])
 
 
 def _panel(
-    k: int,
-    joint: str,
-    rows: Sequence[_Curve],
-    curves: dict[str, Array | None],
-    t: Array,
-    result: Result,
+    k: int, joint: str, rows: list[_Curve], curves: dict[str, Array], t: Array, result: Result
 ) -> Panel:
-    """The curves of one joint one above the other."""
     time, joins = draw.timeline(t)
     height = len(rows) * (_ROW + _ABOVE) + _BELOW
     stack = draw.axes(height, [1.0] * len(rows), top=_ABOVE, space=_ABOVE / _ROW)
@@ -142,52 +104,50 @@ def _panel(
     for ax, (name, _, colour, units) in zip(stack, rows, strict=True):
         look: Any = {"fontsize": 8.5, "pad": 2.5}
         ax.set_title(f"{name} [{units[slides]}]", loc="left", color=draw.ink(colour), **look)
-        values = curves[name]
-        if values is None:
+        if name not in curves:
             ax.set_yticks([])
             continue
-        draw.draw_curve(ax, time, joins, values, color=colour, lw=1.1)
-        limits, within = _limit_of(result, name, k), envelope_of(result, name, k)
-        remark = _against(ax, time, t, values, colour, limits, within)
+        draw.draw_curve(ax, time, joins, curves[name], color=colour, lw=1.1)
+        remark = _against(ax, time, t, curves[name], colour, result, name, k)
         ax.set_title(remark, loc="right", color="#5a626a", **look)
         said.append(f"{name} {remark}")
         draw.few_ticks(ax.yaxis, 3)
-    stack[-1].set_xlim(time[0], time[-1])
-    stack[-1].set_xlabel("time [s]")
+    draw.over_time(stack[-1], time)
     return draw.panel(stack[0], f"{joint} over time: {', '.join(said)}", v.shorten(joint, 60))
 
 
 def _against(
-    ax: Axes,
+    ax: draw.Axes,
     time: Array,
     t: Array,
-    values: Array,
+    y: Array,
     colour: str,
-    limits: tuple[float, float] | None,
-    within: Envelope | None,
+    result: Result,
+    name: str,
+    joint: int,
 ) -> str:
     """Limit lines, certified band and its point of contact; what they say in words."""
-    lowest, highest = float(np.nanmin(values)), float(np.nanmax(values))
-    ratio = None if within is None else within.ratio
+    limits, within = _limit_of(result, name, joint), envelope_of(result, name, joint)
+    lowest, highest = float(np.nanmin(y)), float(np.nanmax(y))
+    ratio, far = None, ""
     if within is not None:
-        ax.axhspan(within.low, within.high, color=colour, alpha=0.11, lw=0)
-        lowest, highest = min(lowest, within.low), max(highest, within.high)
-        if within.t is not None:
-            near = int(np.abs(t - within.t).argmin())
-            edge = min((within.high, within.low), key=lambda each: abs(values[near] - each))
-            ring: Any = {"ms": 5.5, "mfc": "none", "mec": colour, "mew": 1.2}
-            ax.plot(time[near] + within.t - t[near], edge, "o", **ring)
-    far = ""
+        low, high, ratio, when = within
+        ax.axhspan(low, high, color=colour, alpha=0.11, lw=0)
+        lowest, highest = min(lowest, low), max(highest, high)
+        near = int(np.abs(t - when).argmin())
+        edge = min((high, low), key=lambda each: abs(y[near] - each))
+        ring: Any = {"ms": 5.5, "mfc": "none", "mec": colour, "mew": 1.2}
+        ax.plot(time[near] + when - t[near], edge, "o", **ring)
     if limits is not None:
         centre, half = (limits[0] + limits[1]) / 2, (limits[1] - limits[0]) / 2
         if ratio is None:
-            ratio = float(np.nanmax(np.abs(values - centre))) / half
+            ratio = float(np.nanmax(np.abs(y - centre))) / half
         if max(abs(lowest - centre), abs(highest - centre)) < _NEAR * half:
-            low, high = (v.number(limit) for limit in limits)
-            far = f" ±{high}" if limits[0] == -limits[1] else f" {low} to {high}"
+            least, most = (v.number(limit) for limit in limits)
+            far = f" ±{most}" if limits[0] == -limits[1] else f" {least} to {most}"
         else:
             for limit in limits:
-                ax.axhline(limit, color=draw.MEASURED, lw=1.0, ls=_DASHED)
+                ax.axhline(limit, color=draw.MEASURED, lw=1.0, ls=draw.DASHED)
             lowest, highest = min(lowest, limits[0]), max(highest, limits[1])
     pad = 0.1 * max(highest - lowest, 1e-9)
     ax.set_ylim(lowest - pad, highest + pad)
@@ -219,18 +179,16 @@ def spectrum_figure(series: Series) -> Figure | None:
     ax.set_xlabel("direction in parameter space, best seen first")
     draw.label_y(ax, "singular value [N·m]" if designed else "singular value [–]")
     caption = (
-        "Singular values of the observation matrix W/√n, the torque by which each direction of "
-        "the base parameters shows: the design lifts the weakest, on the right, and the ratio of "
-        "the first to the last is the condition number."
+        "Singular values of the observation matrix W/√n, the torque that each direction of the "
+        "base parameters makes; the ratio of the first to the last is the condition number."
         if designed
-        else "Singular values of the normalised observation matrix: directions far below the "
-        "others are hardly seen in this motion, and their estimates are uncertain."
+        else "Singular values of the normalised observation matrix: estimates along directions far "
+        "below the others are uncertain."
     )
     return draw.single(ax, f"singular values; {'; '.join(said)}", caption, legend)
 
 
 def _positive(series: Series, key: str) -> Array:
-    """The positive values of a series, greatest first."""
     values = v.curve(series, key)
     return np.empty(0) if values is None else np.sort(values[values > 0])[::-1]
 
@@ -253,7 +211,7 @@ def convergence_figure(result: Result) -> Figure | None:
     legend += [Key("line", draw.LIGHT, "other starts")] * (len(starts) > 1)
     bound = v.real(result, "condition_number", "lower_bound")
     if bound is not None and bound > 0:
-        ax.axhline(bound, color=draw.AMBER, lw=1.2, ls=_DASHED)
+        ax.axhline(bound, color=draw.AMBER, lw=1.2, ls=draw.DASHED)
         legend.append(Key("dash", draw.AMBER, "proven lower bound"))
     reached: Array = np.concatenate([h[np.isfinite(h)] for _, h in starts])
     if reached.min() > 0 and reached.max() > 8 * reached.min():
@@ -263,45 +221,9 @@ def convergence_figure(result: Result) -> Figure | None:
     ax.set_xlabel("iteration")
     draw.label_y(ax, "condition number [–]")
     count = f"{len(starts)} starts; best ends at {v.number(ends[best])}"
-    caption = (
-        "Each start of the optimisation, a dot where it ended: several that end at the same height "
-        "suggest that a much better motion does not exist."
-    )
+    caption = "Each start of the optimisation, a dot where it ended: several that end at the same "
+    caption += "value suggest that a much better motion does not exist."
     cut = sum(v.text(row, "status").replace("_", " ") == "time limit" for row, _ in starts)
     if cut:
         caption += f" The time limit ended {cut} of these {len(starts)}: more time may find better."
     return draw.single(ax, f"condition number over iterations of {count}", caption, legend)
-
-
-def correlation_figure(series: Series) -> Figure | None:
-    """Correlations of the base parameters as a map of colours."""
-    matrix = v.array(series, "correlation", None, None)
-    if matrix is None or matrix.shape[0] != matrix.shape[1]:
-        return None
-    from matplotlib.colors import LinearSegmentedColormap
-
-    r = len(matrix)
-    (ax,) = draw.axes(3.75, left=0.42)
-    ax.imshow(
-        np.nan_to_num(matrix),
-        cmap=LinearSegmentedColormap.from_list("signed", [draw.FITTED, "#ffffff", draw.GIVEN]),
-        vmin=-1,
-        vmax=1,
-        interpolation="nearest",
-        extent=(0.5, r + 0.5, r + 0.5, 0.5),
-        aspect="equal",
-    )
-    ax.grid(visible=False)
-    ax.set_xlabel("number of the base parameter")
-    strong = int((np.abs(np.triu(matrix, 1)) > 0.9).sum())
-    return draw.single(
-        ax,
-        f"correlations of {r} base parameters; {strong} pairs beyond 0.9",
-        "Correlation of the estimates of each two base parameters, numbered as in the table of "
-        "all: a strong colour off the diagonal means that this motion shows the two mostly "
-        "together, so that one can make up for the other.",
-        [
-            Key("box", draw.GIVEN, "rise together (+1)"),
-            Key("box", draw.FITTED, "one rises, the other falls (−1)"),
-        ],
-    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,16 +20,10 @@ _SHOWN = 6  # parameters drawn of links, and as many of joints, of the many that
 _BAND = 2.0  # standard deviations
 
 
-@dataclass(frozen=True, eq=False)
-class History:
-    """Estimates over time: k looks at r base parameters.
+class History(NamedTuple):
+    """Estimates and standard deviations (k, r) of r base parameters at k times [s].
 
-    Attributes:
-        t: Time of the looks, shape (k,) [s].
-        value: Estimates, shape (k, r).
-        std: Their standard deviations, shape (k, r).
-        names: Leading parameter of each, r of them.
-        units: Their units; empty where unknown.
+    Each has the name of its leading parameter and its unit, which is empty where unknown.
     """
 
     t: Array
@@ -61,42 +55,15 @@ def excitation_levels(result: Result) -> tuple[Array, Array]:
     return (t, level) if len(t) == len(level) else (np.empty(0), np.empty(0))
 
 
-def uncertainty_figure(history: History | None) -> Figure | None:
-    """Standard deviation of every parameter relative to its first, over time."""
-    if history is None:
-        return None
-    first = history.std[0]
-    usable = np.isfinite(history.std).all(axis=0) & (first > 0) & (history.std > 0).all(axis=0)
-    if not usable.any():
-        return None
-    share = history.std[:, usable] / first[usable]
-    (ax,) = draw.axes(2.5)
-    for column in share.T:
-        draw.draw_curve(ax, history.t, [], column, color=draw.LIGHT, lw=0.7)
-    middle = np.median(share, axis=1)
-    draw.draw_curve(ax, history.t, [], middle, color=draw.FITTED, lw=1.8)
-    draw.log_y(ax)
-    draw.over_time(ax, history.t, "std / std at first look")
-    said = f"the median falls to {v.percent(middle[-1])} of its value at the first look"
-    return draw.single(
-        ax,
-        f"standard deviation over time of {usable.sum()} base parameters; {said}",
-        "Remaining uncertainty of each base parameter, relative to the first look one second "
-        f"in: {said}; a curve that stays level is a parameter that this motion does not show.",
-        [Key("line", draw.FITTED, "median"), Key("line", draw.LIGHT, "each base parameter")],
-    )
-
-
 def estimates_figure(history: History | None) -> Figure | None:
     """Estimate and band over time of the parameters that the data determined most."""
     if history is None:
         return None
     panels = [_estimate_panel(history, k) for k in _chosen(history)]
     caption = (
-        f"Estimate ± {_BAND:g} standard deviations over time of the {len(panels)} base parameters "
-        f"(of {len(history.names)}) whose uncertainty fell most, at most one of each link or "
-        "joint: the band should close around a level line. A title names the leading "
-        "parameter of its combination. Scaled to the second half of the time."
+        f"Estimates of the {len(panels)} base parameters (of {len(history.names)}) whose "
+        "uncertainty fell most, at most one of each link or joint, named by the first parameter of "
+        "their combination: the band should close around a level line."
     )
     band = Key("box", draw.BAND, f"± {_BAND:g} standard deviations")
     return figure(panels, caption, [Key("line", draw.FITTED, "estimate"), band])
@@ -163,9 +130,8 @@ def excitation_figure(result: Result) -> Figure | None:
             f"({v.quantity(lacking, 's')} in all; a message's “since” is where its window began)"
         )
     caption = (
-        "Excitation level of the last seconds at each look: information about the weakest "
-        "direction that a fast motion of all joints shows, relative to what was known beforehand. "
-        f"Level 1 is enough; here {said}."
+        "Information of the last seconds about the weakest direction that a fast motion of all "
+        f"joints shows, relative to the prior's. Level 1 is enough; here {said}."
     )
     return draw.single(ax, f"excitation level over time; {said}", caption, legend)
 
@@ -190,8 +156,7 @@ def convergence_figure(result: Result) -> Figure | None:
     ]
     caption = (
         "Torque error that the uncertainty of the estimate makes on a fast motion of all joints "
-        f"[{unit}, rms]: the estimate has converged where it lies below the noise of one "
-        "row of data in every joint, because more rows then change no prediction visibly."
+        f"[{unit}, rms]: converged when below the noise of one row of data in every joint."
     )
     legend = [Key("line", draw.FITTED, "torque uncertainty of the estimate")]
     legend += [Key("dash", draw.MEASURED, "noise of a row")] * (noise is not None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 from excitant.reports import values as v
 from excitant.reports.values import NONE, Result
@@ -32,18 +32,11 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A table that scrolls in its own container.
+    """A table with columns of a heading and a kind: ``number``, ``name``, ``text``, ``expression``.
 
-    Attributes:
-        columns: Heading and kind of each column: ``number``, ``name``, ``text`` or ``expression``.
-        rows: Cells, one per column.
-        caption: One sentence that says what to see.
-        folded: When not empty, the table is behind this line until opened.
-        brief: Label under which the terminal shows every row as a line, its first cell when empty;
-            None where it shows none.
+    It may be ``folded`` behind a line until opened. Under the label ``brief``, its first cell when
+    empty, the terminal shows every row as a line; none where it is None.
     """
-
-    kind: ClassVar[str] = "table"
 
     columns: tuple[tuple[str, str], ...]
     rows: tuple[tuple[Cell, ...], ...]
@@ -74,8 +67,6 @@ class Key:
 class Figure:
     """Small multiples that share a legend; the caption says what to see."""
 
-    kind: ClassVar[str] = "figure"
-
     panels: tuple[Panel, ...]
     caption: str
     legend: tuple[Key, ...] = ()
@@ -84,8 +75,6 @@ class Figure:
 @dataclass(frozen=True)
 class Matrix:
     """Categories by row and column, e.g. parameters by link; legend: category and its meaning."""
-
-    kind: ClassVar[str] = "matrix"
 
     corner: str
     columns: tuple[str, ...]
@@ -96,15 +85,9 @@ class Matrix:
 
 @dataclass(frozen=True)
 class Fact:
-    """One figure of merit.
+    """One figure of merit in words, and the number by which runs are compared, if it is one.
 
-    Attributes:
-        label: What it is.
-        value: What it comes to.
-        remark: A few words more.
-        tone: Judgement behind its colour.
-        number: The number by which runs are compared, if it is one.
-        timing: Whether it changes from run to run of the same data, so that texts leave it out.
+    Texts leave out a ``timing``, which changes from run to run of the same data.
     """
 
     label: str
@@ -119,23 +102,15 @@ class Fact:
 class Facts:
     """Figures of merit side by side."""
 
-    kind: ClassVar[str] = "facts"
-
     facts: tuple[Fact, ...]
 
 
 @dataclass(frozen=True)
 class Notes:
-    """Sentences, as a list when there are several.
+    """Sentences, as a list when there are several; the tone of a page's headline is ``lead``.
 
-    Attributes:
-        sentences: What they say.
-        tone: Judgement behind their colour, or ``lead`` for the headline of a page.
-        brief: Label under which the terminal shows them too; None where it does not.
-        paths: Whether they are files, which texts leave out.
+    Under the label ``brief`` the terminal shows them too; texts leave out ``paths`` of files.
     """
-
-    kind: ClassVar[str] = "notes"
 
     sentences: tuple[str, ...]
     tone: str = PLAIN
@@ -145,9 +120,7 @@ class Notes:
 
 @dataclass(frozen=True)
 class Folded:
-    """Blocks behind one line until it is opened."""
-
-    kind: ClassVar[str] = "folded"
+    """Titled blocks: a part of a section or, within one, behind their title until opened."""
 
     title: str
     blocks: tuple[Block, ...]
@@ -160,20 +133,12 @@ Brief = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
-class Part:
-    """Titled blocks within a section."""
-
-    title: str
-    blocks: tuple[Block, ...]
-
-
-@dataclass(frozen=True)
 class Section:
     """One verb's result: the lead says it, the parts support it, the terminal shows the brief."""
 
     title: str
     lead: str
-    parts: tuple[Part, ...]
+    parts: tuple[Folded, ...]
     brief: Brief = ()
 
 
@@ -201,16 +166,11 @@ def table(
     *,
     brief: str | None = None,
 ) -> Table | None:
-    """A table of records; None without any.
+    """A table of records, one a row; None without any.
 
-    Args:
-        rows: One record a row.
-        columns: Heading as ``kind:heading``, then where the cell comes from: a path of keys with
-            dots, or a function of the record; a third item writes what the path leads to. Columns
-            that are None are left out.
-        caption: One sentence that says what to see.
-        folded: Line behind which the table waits to be opened.
-        brief: Label under which the terminal shows it too.
+    A column is its heading as ``kind:heading``, then where the cell comes from: a path of keys with
+    dots, or a function of the record; a third item writes what the path leads to. Columns that are
+    None are left out.
     """
     if not rows:
         return None
@@ -302,5 +262,5 @@ def files(names: Sequence[str]) -> Notes | None:
 
 def section(title: str, lead: str, parts: Parts, brief: Brief = ()) -> Section:
     """A section without the blocks that are None and the parts that are left empty."""
-    kept = (Part(heading, tuple(b for b in blocks if b is not None)) for heading, blocks in parts)
+    kept = (Folded(heading, tuple(b for b in blocks if b is not None)) for heading, blocks in parts)
     return Section(title, lead, tuple(part for part in kept if part.blocks), brief)

@@ -79,7 +79,8 @@ def _demo_page(result: Result, series: Series) -> Page:
     sections = []
     for verb, build in _SECTIONS.items():
         if isinstance(found := v.at(result, verb), dict):
-            section = build({"robot": v.text(result, "robot"), **found}, v.part(series, verb))
+            own = {k.removeprefix(f"{verb}/"): x for k, x in series.items() if f"{verb}/" in k}
+            section = build({"robot": v.text(result, "robot"), **found}, own)
             sections.append(links_folded(section, found))
     headline, seed = v.text(result, "diagnose", "headline"), v.text(result, "seed")
     hidden, named = _hidden(result), v.at(result, "verdict", "correct") is True
@@ -102,7 +103,12 @@ def _demo_page(result: Result, series: Series) -> Page:
 
 def _hidden(result: Result) -> Fact:
     effect, joint = v.plain(v.text(result, "truth", "effect")), v.text(result, "truth", "joint")
-    values, units = v.at(result, "truth", "parameters"), _units(result)
+    values, rows = v.at(result, "truth", "parameters"), v.records(result, "identify", "parameters")
+    for finding in v.records(result, "diagnose", "findings"):
+        rows = [*v.records(finding, "parameters"), *rows]
+    units = {
+        v.text(r, "name").rpartition(".")[2]: v.text(r, "unit").removeprefix("1") for r in rows
+    }
     said = [
         f"{name} = {value if isinstance(value, str) else v.quantity(value, units.get(name, ''))}"
         for name, value in (values.items() if isinstance(values, dict) else ())
@@ -110,16 +116,6 @@ def _hidden(result: Result) -> Fact:
     ]
     remark = ", ".join(said[:_FEW]) + (", …" if len(said) > _FEW else "")
     return Fact("Hidden effect", f"{effect}{' at ' * bool(joint)}{joint}", remark)
-
-
-def _units(result: Result) -> dict[str, str]:
-    """Units of parameters by the last part of their names."""
-    found = [
-        row for f in v.records(result, "diagnose", "findings") for row in v.records(f, "parameters")
-    ]
-    found += v.records(result, "identify", "parameters")
-    named = {v.text(row, "name").rpartition(".")[2]: v.text(row, "unit") for row in found}
-    return {name: unit for name, unit in named.items() if unit != "1"}
 
 
 def _verdict(result: Result) -> Fact:
@@ -159,10 +155,9 @@ class SavedRun:
 
 
 def compare(*runs: SavedRun) -> dict[str, Any]:
-    """What runs of one command have in common and where they differ.
+    """Figures of several runs of one command, with differences and ratios to the first.
 
-    Their pages are walked: facts and the tables of the same heading, row by row. Differences and
-    ratios are those to the first run.
+    Their pages are walked: facts and the tables of the same heading, row by row.
 
     Returns:
         A result of its own (``verb`` is ``compare``).
@@ -221,17 +216,12 @@ def _remarks(runs: Sequence[SavedRun]) -> list[str]:
 
 def _same_rows(series: Sequence[Series]) -> bool:
     """Whether all runs were judged on the same instants and readings, as far as is known."""
-
-    def rows(each: Series) -> list[Any]:
-        joints = range(np.asarray(each.get("measured", np.empty((0, 0)))).shape[-1])
-        return [v.times(each), *(v.curve(each, "measured", k) for k in joints)]
-
-    first, *others = (rows(each) for each in series)
-    return all(
-        x is None or y is None or (x.shape == y.shape and np.allclose(x, y, 1e-5, 1e-9, True))
-        for other in others
-        for x, y in zip(first, other, strict=False)
-    )
+    for key in ("t", "measured"):
+        first, *others = [np.asarray(each[key]) for each in series if key in each] or [np.empty(0)]
+        for other in others:
+            if other.shape != first.shape or not np.allclose(first, other, 1e-5, 1e-9, True):
+                return False
+    return True
 
 
 def _compared(pages: Sequence[Page], judged: bool) -> list[dict[str, Any]]:
@@ -261,7 +251,6 @@ def _compared(pages: Sequence[Page], judged: bool) -> list[dict[str, Any]]:
 
 
 def _tables(blocks: Sequence[p.Block]) -> Iterator[p.Table]:
-    """All tables with names, those behind a fold and of facts included."""
     for block in blocks:
         match block:
             case p.Folded():
@@ -307,7 +296,6 @@ def deviations(
 
 
 def _comparison_page(result: Result) -> Page:
-    """Page of a comparison, from its saved result."""
     runs, remarks = v.records(result, "runs"), v.words(result, "remarks")
     letters = list(_LETTERS[: len(runs)])
     legend = [
@@ -343,8 +331,7 @@ def _count(each: Result) -> str:
         far = sum(x > _APART for x in apart)
         said += (
             f" {far} of {len(apart)} estimates lie more than two standard deviations of their "
-            f"difference apart; by chance about {0.0455 * len(apart):.0f} would, if the runs' data "
-            "are independent."
+            f"difference apart; of independent data, about {0.0455 * len(apart):.0f} would."
         )
     return said
 

@@ -54,6 +54,7 @@ def _environment() -> jinja2.Environment:
     )
     environment.filters["drawing"] = Markup  # SVG of ours, its texts are escaped
     environment.filters["breakable"] = _breakable
+    environment.filters["kind"] = lambda block: type(block).__name__
     return environment
 
 

@@ -162,7 +162,6 @@ def _links(result: Result) -> p.Table | None:
 
 
 def _effects(result: Result) -> p.Table | None:
-    """Parameters of friction and drives, one column a symbol."""
     values = {v.text(each, "name"): each for each in v.records(result, "effect_values")}
 
     def column(symbol: str, effect: str) -> p.Column:

@@ -36,14 +36,10 @@ def save_run(
     series: Mapping[str, Array],
     files: Mapping[str, str | bytes] | None = None,
 ) -> tuple[list[Path], Page]:
-    """Write a run directory with its report.
-
-    Everything is rendered and written beside its final name first, then moved into place,
-    ``result.json`` last. On failure no file is left half-written, and a directory made here is
-    removed again.
+    """Write a run directory with its report: all files, ``result.json`` last, or none.
 
     Args:
-        directory: Where to write; made when missing.
+        directory: Made when missing, and removed again on failure.
         result: JSON-like; NumPy numbers and arrays are converted, NaN and infinity become null.
         series: Numeric arrays by key.
         files: Further artefacts, content by name relative to the directory.
@@ -116,7 +112,7 @@ def _content(path: Path) -> bytes:
 def _refuse_name(name: str) -> None:
     path = PurePosixPath(name)
     inside = name and not path.is_absolute() and ".." not in path.parts and "\\" not in name
-    if not inside or path.parts == ():
+    if not inside or not path.parts:
         raise BadInput(f"artefact '{name}': its name must stay inside the run's folder")
     if str(path) in (RESULT, SERIES, SUMMARY, REPORT):
         raise BadInput(f"artefact '{name}': this name is taken by the run itself")

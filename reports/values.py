@@ -73,13 +73,9 @@ def median(rows: Sequence[Result], *keys: str) -> float | None:
     return float(np.median(found)) if found else None
 
 
-def joint_names(result: Result, *sources: str) -> list[str]:
-    """Joint names of a result: its ``joints``, else those of the first source that has any."""
-    for keys in (("joints",), *(source.split(".") for source in sources)):
-        found = items(result, *keys)
-        if found:
-            return [text(x, "name") if isinstance(x, Mapping) else str(x) for x in found]
-    return []
+def joint_names(result: Result) -> list[str]:
+    """Names of ``joints``, which may be records."""
+    return [text(x, "name") if isinstance(x, Mapping) else str(x) for x in items(result, "joints")]
 
 
 def array(series: Series, key: str, *shape: int | None) -> Array | None:
@@ -108,12 +104,6 @@ def times(series: Series) -> Array | None:
     """Time ``t``, shape (n,) [s]; None unless there are two finite instants or more."""
     t = curve(series, "t")
     return t if t is not None and len(t) > 1 and np.isfinite(t).all() else None
-
-
-def part(series: Series, name: str) -> dict[str, Array]:
-    """The series of one verb of a demo, saved under ``name/``."""
-    prefix = f"{name}/"
-    return {key[len(prefix) :]: value for key, value in series.items() if key.startswith(prefix)}
 
 
 def _positional(value: float, decimals: int) -> str:

@@ -214,7 +214,7 @@ def test_known_twice_over_is_no_contradiction(ur10_data: Data) -> None:
 def test_what_is_written_is_what_is_read(tmp_path: Path) -> None:
     file = tmp_path / "known.yaml"
     content = {
-        "prior": "entropic",
+        "prior": "euclidean",
         "total_mass": {"value": 33.5, "std": 0.5},
         "links": {
             "forearm": {
@@ -238,7 +238,7 @@ def test_what_is_written_is_what_is_read(tmp_path: Path) -> None:
     [
         ("a: [", "not valid YAML .line 1: "),
         ("- 1", "expected entries 'name: value'"),
-        ("prior: entropy", "did you mean 'entropic'"),
+        ("prior: euclid", "did you mean 'euclidean'"),
         ("totalmass: 3", "did you mean 'total_mass'"),
         ("total_mass: -3", "total_mass: expected a number above 0"),
         ("total_mass: {value: 3, std: -1}", "total_mass.std: expected a number >= 0"),
@@ -283,7 +283,7 @@ def test_command(
         columns |= {f"q{k + 1}": recording.q[:, k], f"tau{k + 1}": recording.tau[:, k]}
     log, file, out = tmp_path / "log.csv", tmp_path / "known.yaml", tmp_path / "run"
     pd.DataFrame(columns).to_csv(log, index=False)
-    content = {"prior": "entropic", "total_mass": 7.5, "links": {"link2": {"mass": 2.5}}}
+    content = {"prior": "euclidean", "total_mass": 7.5, "links": {"link2": {"mass": 2.5}}}
     file.write_text(yaml.safe_dump(content))
     call = ["identify", "planar_2r", str(log), "--knowledge", str(file), "-o", str(out)]
     assert main(call) == 0

@@ -10,7 +10,7 @@ import pytest
 from excitant.exceptions import BadInput
 from excitant.identify import Recording
 from excitant.identify.preprocessing import prepare
-from excitant.identify.regression import Regression, dense, evenly, joined, regression_of
+from excitant.identify.regression import Regression, dense, joined, regression_of
 from excitant.robots import load_robot
 from excitant.robots.effects import standard_effects
 from excitant.robots.torque import observation_columns
@@ -28,7 +28,7 @@ def arrays(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture
 def problem() -> Regression:
-    return dense(*arrays(), NAMES, (0, 25)).in_blocks(evenly(N, 4))
+    return dense(*arrays(), NAMES)
 
 
 def test_rows_come_back(problem: Regression) -> None:
@@ -36,20 +36,14 @@ def test_rows_come_back(problem: Regression) -> None:
     np.testing.assert_array_equal(problem.W, W)
     x = np.arange(P, dtype=float)
     np.testing.assert_allclose(problem.residual(x), tau - W @ x)
-    assert problem.segments == (slice(0, 25), slice(25, N))
     assert all((W[:, j, own] != 0).any() for j, own in enumerate(problem.index))
 
 
-def test_products_of_blocks_are_those_of_their_rows(problem: Regression) -> None:
-    W, tau = arrays()
-    weight, some = np.array([1.0, 2.0, 0.5]), np.array([1, 3])
-    rows = np.isin(evenly(N, 4), some)
-    A = np.concatenate([W, tau[:, :, None]], axis=2)[rows] * np.sqrt(weight)[:, None]
+def test_products_are_those_of_the_rows(problem: Regression) -> None:
+    (W, tau), weight = arrays(), np.array([1.0, 2.0, 0.5])
+    A = np.concatenate([W, tau[:, :, None]], axis=2) * np.sqrt(weight)[:, None]
     flat = A.reshape(-1, P + 1)
-    np.testing.assert_allclose(problem.gram(weight, some), flat.T @ flat, atol=1e-12)
-    x = np.linspace(-1, 1, P)
-    squares = np.array([((tau - W @ x)[evenly(N, 4) == b] ** 2).sum(axis=0) for b in range(4)])
-    np.testing.assert_allclose(problem.squares(x), squares)
+    np.testing.assert_allclose(problem.gram(weight), flat.T @ flat, atol=1e-12)
 
 
 def test_the_factor_gives_the_misfit(problem: Regression) -> None:
@@ -76,10 +70,8 @@ def test_other_problems_are_those_of_other_rows_and_columns(problem: Regression)
     np.testing.assert_array_equal(counted.tau, tau * rows)
     thin = problem.at(slice(None, None, 4))
     np.testing.assert_array_equal(thin.W, W[::4])
-    assert thin.starts == (0, 7)
     both = joined([problem, dense(*arrays(4), NAMES)])
     np.testing.assert_array_equal(both.W, np.concatenate([W, arrays(4)[0]]))
-    assert both.starts == (0, 25, N)
 
 
 def test_an_arm_has_the_filtered_columns_of_its_segments(exact: Callable[..., Recording]) -> None:
@@ -89,7 +81,6 @@ def test_an_arm_has_the_filtered_columns_of_its_segments(exact: Callable[..., Re
     W = segments[0].rows(lambda motion: observation_columns(robot, effects, motion))
     np.testing.assert_array_equal(found.W, np.concatenate([W, W]))
     assert found.names[:2] == ("link1.m", "link1.mcx")
-    assert found.starts == (0, len(W))
 
 
 def test_what_does_not_fit_is_refused() -> None:
@@ -97,7 +88,6 @@ def test_what_does_not_fit_is_refused() -> None:
     for given, why in (
         ((W, tau[:-1], NAMES), "shape"),
         ((W, tau, NAMES[1:]), "4 names"),
-        ((W, tau, NAMES, (0, N)), "segments start"),
         ((W, np.where(tau == tau.max(), np.nan, tau), NAMES), "finite"),
     ):
         with pytest.raises(BadInput, match=why):

@@ -22,6 +22,7 @@ STANDARD = ["m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz"]
 SIZE = np.array([40.0, 30.0, 4.0, 0.6])
 
 Run = tuple[dict[str, Any], dict[str, np.ndarray]]
+ARM, FILTER = {"robot": "made_up_arm"}, {"cutoff_hz": 12.5, "unit": "N·m"}
 
 
 def _motion(n: int, duration: float, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
@@ -29,25 +30,24 @@ def _motion(n: int, duration: float, rng: np.random.Generator) -> tuple[np.ndarr
     w = 2 * np.pi / duration * np.arange(1, 6)
     a, b = rng.normal(size=(2, 5, NV)) / np.arange(1, 6)[:, None]
     s, c = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
-    q = s @ a + c @ b
-    dq = (c * w) @ a - (s * w) @ b
-    ddq = -(s * w**2) @ a - (c * w**2) @ b
-    return t, q, dq, ddq
+    return t, s @ a + c @ b, (c * w) @ a - (s * w) @ b, -(s * w**2) @ a - (c * w**2) @ b
 
 
 def _expression(rng: np.random.Generator, link: int, terms: int) -> str:
     text = f"{LINKS[link]}.{STANDARD[int(rng.integers(10))]}"
     for _ in range(terms):
-        sign = "+" if rng.random() < 0.6 else "−"
         other = f"{LINKS[int(rng.integers(link, NV))]}.{STANDARD[int(rng.integers(10))]}"
-        text += f" {sign} {rng.random():.5g}·{other}"
+        text += f" {'+' if rng.random() < 0.6 else '−'} {rng.random():.5g}·{other}"
     return text
 
 
-def _accuracy(rms: float, scale: float, raw: bool = False) -> dict[str, Any]:
+def _accuracy(rms: float, scale: float) -> dict[str, Any]:
     nrmse = rms / scale
-    found = {"rms": rms, "nrmse": nrmse, "r2": 1 - nrmse**2}
-    return {**found, "rms_raw": rms * 1.4} if raw else found
+    return {"rms": rms, "nrmse": nrmse, "r2": 1 - nrmse**2, "rms_raw": rms * 1.4}
+
+
+def _by_joint(rms: np.ndarray, scale: np.ndarray) -> list[dict[str, Any]]:
+    return [{"name": n, **_accuracy(rms[j], scale[j])} for j, n in enumerate(JOINTS)]
 
 
 def _visibility(rng: np.random.Generator) -> dict[str, Any]:
@@ -58,23 +58,17 @@ def _visibility(rng: np.random.Generator) -> dict[str, Any]:
             "expression": _expression(rng, k % NV, 25 if k == 3 else k % 4),
             "unit": "kg·m²",
             "value": None if k == 4 else float(rng.normal()),
-            "information_initial": None if k == 5 else 0.01 * (1 + k),
-            "information_final": 0.2 * (1 + k),
             "std_per_unit_noise_initial": 3.0 / (1 + k),
             "std_per_unit_noise_final": 0.15 / (1 + k),
         }
         for k in range(10)
     ]
+    members = [
+        {"name": f"{LINKS[1]}.Izz", "coefficient": 0.81},
+        {"name": f"{JOINTS[2]}.Fv", "coefficient": -0.52},
+    ]
     directions = [
-        {
-            "strength": 0.1 * (1 + k),
-            "other": 0.01,
-            "members": [
-                {"name": f"{LINKS[1]}.Izz", "coefficient": 0.81},
-                {"name": f"{JOINTS[2]}.Fv", "coefficient": -0.52},
-            ],
-            "share": 0.93,
-        }
+        {"strength": 0.1 * (1 + k), "other": 0.01, "members": members, "share": 0.93}
         for k in range(3)
     ]
     return {
@@ -85,15 +79,10 @@ def _visibility(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
+BOX = {"shape": "box", "size": [0.2, 0.3, 0.9], "position": [0.9, 0.0, 0.45]}
 OBSTACLES = [
     {"name": "table", "shape": "half_space", "normal": [0.0, 0.0, 1.0], "offset": -0.1},
-    {
-        "name": "pillar",
-        "shape": "box",
-        "size": [0.2, 0.3, 0.9],
-        "position": [0.9, 0.0, 0.45],
-        "rpy": [0.0, 0.0, 0.4],
-    },
+    {"name": "pillar", **BOX, "rpy": [0.0, 0.0, 0.4]},
     {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [0.0, 0.9, 0.4]},
     {"name": "cell", "shape": "workspace", "low": [-0.9, -0.9, 0.0], "high": [0.9, 0.9, 1.3]},
     {"name": "far wall", "shape": "box", "size": [1.0, 1.0, 1.0], "position": [40.0, 0.0, 0.0]},
@@ -111,21 +100,21 @@ def _space(q: np.ndarray) -> dict[str, np.ndarray]:
 def design_run() -> Run:
     rng = np.random.default_rng(1)
     t, q, dq, ddq = _motion(2001, 10.0, rng)
-    tau = SIZE * (0.5 * np.sin(q) + 0.05 * ddq) + 0.1 * SIZE * np.sign(dq)
-    ratios = {"position": 0.9998, "velocity": 1.0, "acceleration": 0.734, "torque": None}
+    most = {"position": abs(q).max(0), "velocity": abs(dq).max(0), "acceleration": abs(ddq).max(0)}
+    ends = [9.31 + 0.7 * k**1.5 for k in range(8)]
     starts = [
         {
             "start": k,
-            "condition_number": 9.31 + 0.7 * k**1.5,
+            "condition_number": end,
             "status": "converged" if k < 6 else "stopped: time limit",
             "iterations": 40 + 7 * k,
-            "history": [*(9.31 + 0.7 * k**1.5 + 160 * np.exp(-np.arange(39) / (4 + k))), None],
+            "history": [*(end + 160 * np.exp(-np.arange(39) / (4 + k))), None],
         }
-        for k in range(8)
+        for k, end in enumerate(ends)
     ]
     result = {
         "verb": "design",
-        "robot": "made_up_arm",
+        **ARM,
         "joints": JOINTS,
         "duration": 10.0,
         "harmonics": 5,
@@ -133,30 +122,24 @@ def design_run() -> Run:
         "base_parameters": 57,
         "criterion": "condition",
         "condition_number": {"initial": 171.2, "final": 9.31, "lower_bound": 6.02},
-        "limits": ratios,
+        "limits": {"position": 0.9998, "velocity": 1.0, "acceleration": 0.734, "torque": None},
         "limit_values": {
-            "position": [
-                [-1.02 * abs(q[:, j]).max(), 1.02 * abs(q[:, j]).max()] for j in range(NV)
-            ],
-            "velocity": (abs(dq).max(0) * 1.0).tolist(),
-            "acceleration": [*(abs(ddq).max(0) * 1.3)[:-1].tolist(), None],
+            "position": [[-1.02 * x, 1.02 * x] for x in most["position"]],
+            "velocity": most["velocity"].tolist(),
+            "acceleration": [*(most["acceleration"] * 1.3)[:-1].tolist(), None],
             "torque": None,
         },
         "worst": {
-            "position": {"joint": JOINTS[2], "t": 3.21},
             "velocity": {"joint": "elbow_joint", "t": 7.77},
             "acceleration": {"joint": 2, "t": None},
             "torque": None,
         },
         "certified": {
             "position": [
-                {"low": q[:, j].min(), "high": q[:, j].max(), "ratio": 0.98, "t": 3.2}
-                for j in range(NV)
+                {"low": low, "high": high, "ratio": 0.98, "t": 3.2}
+                for low, high in zip(q.min(0), q.max(0), strict=True)
             ],
-            "velocity": [
-                {"low": -abs(dq[:, j]).max(), "high": abs(dq[:, j]).max(), "ratio": 1.0, "t": 7.77}
-                for j in range(NV)
-            ],
+            "velocity": [{"low": -x, "high": x, "ratio": 1.0, "t": 7.77} for x in most["velocity"]],
             "acceleration": [{"ratio": 0.77, "t": None}, *[None] * (NV - 1)],
             "torque": [None] * NV,
         },
@@ -170,18 +153,59 @@ def design_run() -> Run:
         "wall_s": 23.4,
         "files": ["trajectory.csv", "trajectory.json", "approach.csv", "return.csv"],
     }
-    values = np.sort(10 ** rng.uniform(-4.2, 0, 57))[::-1]
-    series = {
-        "t": t,
-        "q": q,
-        "dq": dq,
-        "ddq": ddq,
-        "tau": tau,
-        "eigenvalues_initial": values,
-        "eigenvalues_final": np.sort(10 ** rng.uniform(-1.9, 0, 57))[::-1],
-        **_space(q),
+    tau = SIZE * (0.5 * np.sin(q) + 0.05 * ddq) + 0.1 * SIZE * np.sign(dq)
+    spectra = {
+        f"eigenvalues_{key}": np.sort(10 ** rng.uniform(least, 0, 57))[::-1]
+        for key, least in (("initial", -4.2), ("final", -1.9))
     }
-    return result, series
+    return result, {"t": t, "q": q, "dq": dq, "ddq": ddq, "tau": tau, **spectra, **_space(q)}
+
+
+def check_run() -> Run:
+    designed, series = design_run()
+    result = {
+        "verb": "check",
+        **ARM,
+        "trajectory": "somebody/trajectory.csv",
+        "joints": JOINTS,
+        "limits": {"position": 0.81, "velocity": 1.31, "acceleration": None, "torque": 0.5},
+        "worst": {"velocity": {"joint": "elbow_joint", "t": 2.5}},
+        "limit_values": designed["limit_values"],
+        "condition_number": None,
+        "holds": False,
+        "verdicts": [
+            "velocity of elbow_joint reaches 131 % of its limit at 2.5 s: slow down by 1.31.",
+            "all other limits hold.",
+        ],
+    }
+    return result, {key: series[key] for key in ("t", "q", "dq", "ddq")}
+
+
+def rehearse_run() -> Run:
+    designed, series = design_run()
+    friction = {"name": "viscous friction", "unit": "N·m·s/rad", "planted": 0.57}
+    items = [
+        {"name": "velocity limits", "joint": JOINTS[2], "passed": True, "detail": "99 % used"},
+        {**friction, "joint": JOINTS[1], "recovered": 0.572, "std": 0.005, "passed": True,
+         "detail": "planted 0.57, recovered 0.572 ± 0.005 N·m·s/rad"},
+        {**friction, "joint": JOINTS[3], "recovered": 0.3, "std": None, "passed": False,
+         "detail": "planted 0.57, recovered 0.3 N·m·s/rad"},
+        {"name": "base parameters", "joint": None, "passed": True, "planted": None,
+         "detail": "94.2 % of 312 cases within their 95 % intervals (13 parameters, 24 readings)"},
+    ]  # fmt: skip
+    result = {
+        "verb": "rehearse",
+        **ARM,
+        "joints": JOINTS,
+        "duration": 10.0,
+        "passed": False,
+        "headline": "the motion would not do: 1 of 4 requirements is not met",
+        "items": items,
+        "advice": ["Move wrist_roll_joint faster."],
+        "effect": {"effect": "payload", "joint": JOINTS[1]},
+        "limit_values": designed["limit_values"],
+    }
+    return result, {key: series[key] for key in ("t", "q", "dq", "tau")}
 
 
 def _holdout(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
@@ -189,67 +213,52 @@ def _holdout(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     clean = SIZE * (0.5 * np.sin(q) + 0.05 * ddq)
     friction = SIZE * (0.12 * np.tanh(dq / 0.02) + 0.05 * dq)
     measured = clean + friction + 0.02 * SIZE * rng.normal(size=q.shape)
-    given = 0.85 * clean
     t = np.concatenate([14 + t[:1500], 30 + t[1500:] - t[1500] - 16])  # two recordings joined
-    return t, dq, measured, given, clean + 0.98 * friction
+    return t, dq, measured, 0.85 * clean, clean + 0.98 * friction
 
 
 def identify_run() -> Run:
     rng = np.random.default_rng(2)
     t, _, measured, given, identified = _holdout(rng)
-    scale, before, after = (
-        measured.std(0),
-        (measured - given).std(0),
-        (measured - identified).std(0),
-    )
+    scale, before, after = (x.std(0) for x in (measured, measured - given, measured - identified))
     given = given.copy()
     given[:, 3] = np.nan
     joints = [
         {
             "name": name,
-            "train": _accuracy(0.95 * after[j], scale[j], raw=True),
-            "validate": None if j == 0 else _accuracy(after[j], scale[j], raw=True),
+            "train": _accuracy(0.95 * after[j], scale[j]),
+            "validate": None if j == 0 else _accuracy(after[j], scale[j]),
             "baseline": None if j == 3 else _accuracy(before[j] * (60 if j == 2 else 1), scale[j]),
         }
         for j, name in enumerate(JOINTS)
     ]
-    categories = ["unique", "combined", "unidentifiable"]
-    parameters = []
+    parameters, base = [], []
     for j, link in enumerate(LINKS):
         for k, symbol in enumerate(STANDARD):
-            category = categories[int(rng.integers(3))]
-            parameters.append(
-                {
-                    "name": f"{link}.{symbol}",
-                    "link": link,
-                    "value": float(rng.normal() * 10 ** rng.uniform(-5, 1)),
-                    "std": None
-                    if category == "unidentifiable"
-                    else float(10 ** rng.uniform(-5, 0)),
-                    "unit": "kg" if k == 0 else "kg·m" if k < 4 else "kg·m²",
-                    "category": category,
-                    "prior": None if j == 1 else float(rng.normal()),
-                    "prior_dominated": category != "unique",
-                }
-            )
-    base = []
-    for k in range(57):
-        value, std = float(rng.normal()), float(10 ** rng.uniform(-4, -0.3))
-        base.append(
-            {
-                "expression": _expression(rng, k % NV, 25 if k == 3 else int(rng.integers(6))),
-                "value": value,
-                "std": None if k == 9 else std,
-                "rel_std": None if k == 9 else abs(std / value),
+            category = ["unique", "combined", "unidentifiable"][int(rng.integers(3))]
+            row = {
+                "name": f"{link}.{symbol}",
+                "link": link,
+                "value": float(rng.normal() * 10 ** rng.uniform(-5, 1)),
+                "std": None if category == "unidentifiable" else float(10 ** rng.uniform(-5, 0)),
+                "unit": "kg" if k == 0 else "kg·m" if k < 4 else "kg·m²",
+                "category": category,
+                "prior": None if j == 1 else float(rng.normal()),
+                "prior_dominated": category != "unique",
             }
+            parameters.append(row)
+    for k in range(57):
+        value, std = float(rng.normal()), None if k == 9 else float(10 ** rng.uniform(-4, -0.3))
+        name = _expression(rng, k % NV, 25 if k == 3 else int(rng.integers(6)))
+        base.append(
+            {"expression": name, "value": value, "std": std, "rel_std": std and abs(std / value)}
         )
     result = {
         "verb": "identify",
-        "robot": "made_up_arm",
+        **ARM,
         "estimator": "physical",
         "effects": ["viscous_friction", "coulomb_friction", "torque_offset"],
-        "cutoff_hz": 12.5,
-        "unit": "N·m",
+        **FILTER,
         "holdout": "The last 30 % of each of 2 recordings was held out.",
         "joints": joints,
         "parameters": parameters,
@@ -273,15 +282,8 @@ def analyze_run() -> Run:
             {"expression": _expression(rng, j, 24 if i == 1 else 4), "members": combined}
             for i in range(3)
         ]
-        links.append(
-            {
-                "link": link,
-                "joint": None if j == 3 else joint,
-                "unique": unique,
-                "combined": groups,
-                "unidentifiable": none,
-            }
-        )
+        row = {"link": link, "joint": None if j == 3 else joint, "unique": unique}
+        links.append({**row, "combined": groups, "unidentifiable": none})
     practical = [
         {
             "name": _expression(rng, k % NV, k % 4),
@@ -291,40 +293,30 @@ def analyze_run() -> Run:
         }
         for k in range(57)
     ]
-    result = {
-        "verb": "analyze",
-        "robot": "made_up_arm",
-        "standard_parameters": 70,
-        "base_parameters": 43,
-        "links": links,
-        "condition_number": 31.4159,
-        "practical": practical,
-    }
+    counts = {"standard_parameters": 70, "base_parameters": 43, "condition_number": 31.4159}
+    result = {"verb": "analyze", **ARM, **counts, "links": links, "practical": practical}
     return result, {"singular_values": np.sort(10 ** rng.uniform(-2, 1, 43))[::-1]}
 
 
 def _findings() -> list[dict[str, Any]]:
+    level = {"name": "elbow_joint.stribeck", "value": 4.8123, "std": 0.0312, "unit": "N·m"}
+    speed = {"name": "elbow_joint.stribeck_velocity", "value": 0.0712, "std": None, "unit": "rad/s"}
     first = {
         "effect": "stribeck_friction",
         "joints": ["elbow_joint"],
-        "parameters": [
-            {"name": "elbow_joint.stribeck", "value": 4.8123, "std": 0.0312, "unit": "N·m"},
-            {
-                "name": "elbow_joint.stribeck_velocity",
-                "value": 0.0712,
-                "std": None,
-                "unit": "rad/s",
-            },
-        ],
+        "parameters": [level, speed],
         "explained": 0.731,
         "holdout": {"rms_before": 4.62, "rms_after": 1.31},
         "verdict": "named",
         "rivals": [],
-        "figure": {
-            "x_label": "velocity of elbow_joint [rad/s]",
-            "y_label": "residual [N·m]",
-            "joint": "elbow_joint",
-        },
+        "figure": {"x_label": "velocity of elbow_joint [rad/s]", "joint": "elbow_joint"},
+    }
+    rival = {
+        "effect": "payload",
+        "joints": [JOINTS[3]],
+        "why": "A mass at the flange makes the torque of a heavier wrist link.",
+        "experiment": "Move wrist_roll_joint through ±1.5 rad at 0.2 rad/s, first with the "
+        "forearm level, then upright.",
     }
     second = {
         "effect": "inertial_parameters",
@@ -336,16 +328,7 @@ def _findings() -> list[dict[str, Any]]:
         "explained": 0.112,
         "holdout": {"rms_before": 1.31, "rms_after": 1.18},
         "verdict": "undecided",
-        "rivals": [
-            {
-                "effect": "payload",
-                "joints": [JOINTS[3]],
-                "why": "A mass at the flange makes the torque of a heavier wrist link.",
-                "experiment": "Move wrist_roll_joint through ±1.5 rad at 0.2 rad/s, first with the "
-                "forearm level, then upright.",
-            },
-            {"effect": "rotor_inertia", "joints": None, "why": None, "experiment": None},
-        ],
+        "rivals": [rival, dict.fromkeys(rival) | {"effect": "rotor_inertia"}],
         "figure": None,
     }
     third = {"effect": "unknown", "joints": None, "parameters": None, "explained": None}
@@ -355,18 +338,21 @@ def _findings() -> list[dict[str, Any]]:
 def diagnose_run() -> Run:
     rng = np.random.default_rng(4)
     t, dq, measured, given, extended = _holdout(rng)
-    scale, before, after = measured.std(0), (measured - given).std(0), (measured - extended).std(0)
+    scale, before, after = (x.std(0) for x in (measured, measured - given, measured - extended))
     stribeck = 6 * np.sign(dq[:, 1]) * np.exp(-np.abs(dq[:, 1]) / 0.3) + 3 * np.sign(dq[:, 1])
+    steps = {
+        "as given": 4.62,
+        "+ stribeck_friction at elbow_joint": 1.31,
+        f"+ inertial_parameters at {JOINTS[2]}, wrist_roll_joint": 1.18,
+        "+ unknown": None,
+    }
     result = {
         "verb": "diagnose",
         "headline": "elbow_joint has Stribeck friction that the model lacks; the inertia of the "
         "forearm is probably wrong too.",
-        "robot": "made_up_arm",
-        "unit": "N·m",
-        "cutoff_hz": 12.5,
-        "simulation": {
-            "joints": [{"name": n, **_accuracy(before[j], scale[j])} for j, n in enumerate(JOINTS)]
-        },
+        **ARM,
+        **FILTER,
+        "simulation": {"joints": _by_joint(before, scale)},
         "faults": [
             {"fault": "saturation", "joints": ["elbow_joint"], "detail": "41 samples at ±87 N·m"},
             {"fault": "duplicate_samples", "joints": None, "detail": None},
@@ -377,15 +363,10 @@ def diagnose_run() -> Run:
             {"joint": "elbow_joint", "share": None, "structure": None},
         ],
         "extended": {
-            "joints": [{"name": n, **_accuracy(after[j], scale[j])} for j, n in enumerate(JOINTS)],
+            "joints": _by_joint(after, scale),
             "files": ["extended.urdf", "extended.yaml"],
         },
-        "waterfall": [
-            {"label": "as given", "rms": 4.62},
-            {"label": "+ stribeck_friction at elbow_joint", "rms": 1.31},
-            {"label": f"+ inertial_parameters at {JOINTS[2]}, wrist_roll_joint", "rms": 1.18},
-            {"label": "+ unknown", "rms": None},
-        ],
+        "waterfall": [{"label": label, "rms": rms} for label, rms in steps.items()],
         "notes": ["Velocities below 0.05 rad/s are rare: presliding was not judged."],
     }
     series = {
@@ -403,74 +384,39 @@ def diagnose_run() -> Run:
     return result, series
 
 
-def check_run() -> Run:
-    _, series = design_run()
-    designed, _ = design_run()
-    result = {
-        "verb": "check",
-        "robot": "made_up_arm",
-        "trajectory": "somebody/trajectory.csv",
-        "joints": JOINTS,
-        "limits": {"position": 0.81, "velocity": 1.31, "acceleration": None, "torque": 0.5},
-        "worst": {"velocity": {"joint": "elbow_joint", "t": 2.5}},
-        "limit_values": designed["limit_values"],
-        "condition_number": None,
-        "holds": False,
-        "verdicts": [
-            "velocity of elbow_joint reaches 131 % of its limit at 2.5 s: slow down by 1.31.",
-            "all other limits hold.",
-        ],
-    }
-    return result, {key: series[key] for key in ("t", "q", "dq", "ddq")}
-
-
 def demo_run() -> Run:
-    parts = {
-        "design": design_run(),
-        "identify": identify_run(),
-        "analyze": analyze_run(),
-        "diagnose": diagnose_run(),
-    }
+    effect = "stribeck_friction"
+    parameters = {"level_Nm": 5.0, "velocity_rad_s": 0.07}
     result: dict[str, Any] = {
         "verb": "demo",
-        "robot": "made_up_arm",
+        **ARM,
         "seed": 7,
-        "truth": {
-            "effect": "stribeck_friction",
-            "joint": "elbow_joint",
-            "parameters": {"level_Nm": 5.0, "velocity_rad_s": 0.07},
-        },
-        "verdict": {"effect": "stribeck_friction", "joints": ["elbow_joint"], "correct": True},
+        "truth": {"effect": effect, "joint": "elbow_joint", "parameters": parameters},
+        "verdict": {"effect": effect, "joints": ["elbow_joint"], "correct": True},
     }
     series = {}
-    for verb, (content, arrays) in parts.items():
-        result[verb] = {key: value for key, value in content.items() if key != "verb"}
+    for build in (design_run, identify_run, analyze_run, diagnose_run):
+        content, arrays = build()
+        verb = content.pop("verb")
+        result[verb] = content
         series |= {f"{verb}/{key}": values for key, values in arrays.items()}
     return result, series
 
 
 def compare_run() -> Run:
     """Two demonstrations of the same arm, the second of a worse motion and fit."""
-    first, second = demo_run(), demo_run()
-    result, series = second
+    result, series = demo_run()
     result["design"]["condition_number"]["final"] *= 1.7
-    for row in (
-        *result["identify"]["base_parameters"][::4],
-        *result["identify"]["parameters"][::9],
-    ):
+    identified = result["identify"]
+    for row in (*identified["base_parameters"][::4], *identified["parameters"][::9]):
         row["value"] += 3 * (row["std"] or 1.0)
     result["diagnose"]["findings"][2]["effect"] = "backlash"
-    return compare(SavedRun("runs/one", *first), SavedRun("runs/two", result, series)), {}
+    return compare(SavedRun("runs/one", *demo_run()), SavedRun("runs/two", result, series)), {}
 
 
+_ALL = (design_run, check_run, rehearse_run, identify_run, analyze_run, diagnose_run, demo_run)
 BUILDERS: dict[str, Callable[[], Run]] = {
-    "design": design_run,
-    "check": check_run,
-    "identify": identify_run,
-    "analyze": analyze_run,
-    "diagnose": diagnose_run,
-    "demo": demo_run,
-    "compare": compare_run,
+    build.__name__.removesuffix("_run"): build for build in (*_ALL, compare_run)
 }
 
 

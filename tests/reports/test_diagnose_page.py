@@ -8,7 +8,6 @@ import pytest
 from excitant.reports import html, page_of
 from excitant.reports.diagnose import diagnose_section
 from excitant.reports.drawing import style
-from excitant.reports.error_figures import share_figure
 from excitant.reports.page import Figure, Notes
 
 SHARES = {"constant": 0.02, "direction": 0.81, "velocity": 0.83, "position": 0.0, "load": 0.8,
@@ -29,179 +28,132 @@ def run(make):
     result, series = make["diagnose"]()
     names = [row["name"] for row in result["simulation"]["joints"]]
     velocity = {"given": 0.2, "extended": 0.02, "unit": "rad/s"}
-    result |= {
-        "error": {"joints": [{"name": n, **shape(4.0), "left": shape(1.0)} for n in names]},
-        "refit": {
-            "sentence": "Re-fitting the inertias alone would hardly help.",
-            "joints": [
-                {"name": n, "given": 4.0, "inertias": 3.9, "bodies": 3.95, "extended": 1.0}
-                for n in names
-            ],
-            "links": [
-                {
-                    "link": "forearm",
-                    "mass_kg": 0.2,
-                    "centre_mm": 31.0,
-                    "inertia": 0.1,
-                    "deviations": {"mass": 1.0, "centre": 9.0, "inertia": None},
-                }
-            ],
-        },
-        "forward": {
-            "joints": [
-                {"name": n, "given": 0.05, "extended": 0.002, "unit": "rad", "velocity": velocity}
-                for n in names
-            ],
-            "windows": 4,
-            "window_s": 0.6,
-            "bandwidth_hz": 4.0,
-            "notes": [],
-        },
+    errors = {"given": 4.0, "inertias": 3.9, "bodies": 3.95, "extended": 1.0}
+    forward = {"given": 0.05, "extended": 0.002, "unit": "rad", "velocity": velocity}
+    deviations = {"mass": 1.0, "centre": 9.0, "inertia": None}
+    link = {"link": "forearm", "mass_kg": 0.2, "centre_mm": 31.0, "inertia": 0.1}
+    result["error"] = {"joints": [{"name": n, **shape(4.0), "left": shape(1.0)} for n in names]}
+    result["refit"] = {
+        "sentence": "Re-fitting the inertias alone would hardly help.",
+        "joints": [{"name": n, **errors} for n in names],
+        "links": [{**link, "deviations": deviations}],
     }
-    return result, series
+    result["forward"] = {"windows": 4, "window_s": 0.6, "bandwidth_hz": 4.0, "notes": []}
+    result["forward"]["joints"] = [{"name": n, **forward} for n in names]
+    return copy.deepcopy(result), series
 
 
-def titles(result, series):
+def parts_of(result, series):
     with style():
-        return [part.title for part in diagnose_section(result, series).parts]
-
-
-def test_page_says_what_is_wrong_with_the_given_model(run, undrawn):
-    page = render(*run)
-    words = re.sub(r"<[^>]*>", " ", page)
-    assert "What is wrong with the given model" in words
-    assert "Re-fitting the inertias alone would hardly help." in words
-    assert "31" in words
-    assert titles(*run)[1] == "What is wrong with the given model"
-
-
-def test_shares_are_drawn_for_both_models(run):
-    result, _ = run
-    with style():
-        figure = share_figure(result, "N·m")
-    given, left = figure.panels
-    for panel in (given, left):
-        assert panel.svg.count(">81</text>") == len(result["error"]["joints"])
-        assert "by direction" in panel.label
-    assert "25" in left.svg  # percent of the given model's error
-
-
-def test_what_was_not_judged_is_a_dash(run):
-    result, _ = run
-    with style():
-        figure = share_figure(result, "N·m")
-    assert figure.panels[0].svg.count(">–</text>") == len(result["error"]["joints"])
-
-
-@pytest.mark.parametrize("count", [1, 4])
-def test_any_number_of_joints_can_be_drawn(run, count):
-    result, _ = copy.deepcopy(run)
-    result["error"]["joints"] = result["error"]["joints"][:count]
-    with style():
-        assert len(share_figure(result, "A").panels) == 2
+        return {part.title: part.blocks for part in diagnose_section(result, series).parts}
 
 
 def wrong(result):
     """Blocks on what is wrong with the given model, the forward simulation last."""
-    with style():
-        return diagnose_section(result, {}).parts[1].blocks
+    return parts_of(result, {})["What is wrong with the given model"]
+
+
+def texts(table):
+    return [[cell.text for cell in row] for row in table.rows]
+
+
+def test_page_says_what_is_wrong_with_the_given_model(run, undrawn):
+    words = re.sub(r"<[^>]*>", " ", render(*run))
+    assert "Re-fitting the inertias alone would hardly help." in words
+    assert "31" in words
+    assert list(parts_of(*run))[1] == "What is wrong with the given model"
+
+
+def test_shares_of_the_error_are_written_for_both_models(run, undrawn):
+    given, left = wrong(run[0])[:2]
+    heads = [head for head, _ in given.columns]
+    for table, rms in ((given, "4.00"), (left, "1.00")):
+        assert len(table.rows) == len(run[0]["error"]["joints"])
+        for row in table.rows:
+            cells = dict(zip(heads, row, strict=True))
+            assert cells["rms [N·m]"].text == rms
+            assert cells["direction"].text == "81\u00a0%"
+            assert [head for head, cell in cells.items() if cell.tone] == ["direction"]
+            assert cells["time"].text == "–"  # not judged
 
 
 def test_divergence_is_said(run, undrawn):
-    result, _ = copy.deepcopy(run)
-    result["forward"]["joints"][0]["given"] = None
-    result["forward"]["notes"] = ["The given model leaves the motion for good."]
-    table, notes = wrong(result)[-2:]
-    assert table.rows[0][1].text == "diverges"
-    assert table.rows[0][2].text == "2.00"
+    run[0]["forward"]["joints"][0]["given"] = None
+    run[0]["forward"]["notes"] = ["The given model leaves the motion for good."]
+    table, notes = wrong(run[0])[-2:]
+    assert texts(table)[0][1:3] == ["diverges", "2.00"]
     assert isinstance(notes, Notes)
 
 
 def test_joints_where_the_extended_model_is_no_closer_are_named(run, undrawn):
-    result, _ = copy.deepcopy(run)
-    assert "closer on every joint" in wrong(result)[-1].caption
-    result["forward"]["joints"][1]["extended"] = 0.06
-    caption = wrong(result)[-1].caption
-    assert f"no closer at {result['forward']['joints'][1]['name']}" in caption
+    assert "closer on every joint" in wrong(run[0])[-1].caption
+    run[0]["forward"]["joints"][1]["extended"] = 0.06
+    name = run[0]["forward"]["joints"][1]["name"]
+    assert f"no closer at {name}" in wrong(run[0])[-1].caption
 
 
 @pytest.mark.parametrize("key", ["error", "refit", "forward"])
 def test_page_does_without(run, key, undrawn):
-    result, _ = copy.deepcopy(run)
     for nothing in ({}, None):
-        result[key] = nothing
-        assert "Error step by step" in titles(result, {})
+        run[0][key] = nothing
+        assert "Error step by step" in parts_of(run[0], {})
 
 
 def test_small_findings_share_a_part(run, undrawn):
-    result, series = copy.deepcopy(run)
+    result, series = run
     lead = result["findings"][0]
     result["findings"] = [{**lead, "explained": share} for share in (0.7, 0.2, 0.1, 0.05, 0.004)]
-    found = titles(result, series)
-    assert [title[:10] for title in found if title.startswith("Finding ")] == [
-        f"Finding {k}:" for k in (1, 2, 3)
-    ]
-    with style():
-        parts = diagnose_section(result, series).parts
-    (further,) = (part for part in parts if part.title == "Further findings")
-    assert [block.title[:10] for block in further.blocks] == ["Finding 4:", "Finding 5:"]
-    assert "0.40\u00a0%" in further.blocks[1].title
-    assert any(isinstance(block, Figure | Notes) for block in further.blocks[1].blocks)
+    parts = parts_of(result, series)
+    leading = [title[:10] for title in parts if title.startswith("Finding ")]
+    assert leading == [f"Finding {k}:" for k in (1, 2, 3)]
+    further = parts["Further findings"]
+    assert [block.title[:10] for block in further] == ["Finding 4:", "Finding 5:"]
+    assert "0.40\u00a0%" in further[1].title
+    assert any(isinstance(block, Figure | Notes) for block in further[1].blocks)
 
 
 def test_nothing_found_shows_one_model(run, undrawn):
-    result, series = copy.deepcopy(run)
+    result, series = run
     result["findings"] = []
     result["extended"]["joints"] = copy.deepcopy(result["simulation"]["joints"])
-    page = render(result, series)
-    assert titles(result, series)[1] == "Error of the given model"
-    assert "Error step by step" not in titles(result, series)
-    words = " ".join(re.sub(r"<[^>]*>", " ", page.split("<main", 1)[1]).split())
+    parts = parts_of(result, series)
+    assert list(parts)[1] == "Error of the given model"
+    assert "Error step by step" not in parts
+    page = render(result, series).split("<main", 1)[1]
+    words = " ".join(re.sub(r"<[^>]*>", " ", page).split())
     assert "extended model" not in words.lower()
     assert "closer on every joint" not in words
-    (row,) = (f for f in summary_facts(result, series) if f.label == "Hold-out error")
-    assert "→" not in row.value
-
-
-def summary_facts(result, series):
-    with style():
-        parts = diagnose_section(result, series).parts
-    return parts[0].blocks[0].facts
+    (fact,) = (f for f in parts["Key figures"][0].facts if f.label == "Hold-out error")
+    assert "→" not in fact.value
 
 
 def test_noise_is_said_in_a_sentence(run, undrawn):
-    result, series = copy.deepcopy(run)
+    result, series = run
     names = [row["name"] for row in result["simulation"]["joints"]]
     result["unexplained"] = [{"joint": n, "share": 1e-4, "structure": "noise-like"} for n in names]
-    with style():
-        parts = diagnose_section(result, series).parts
-    (left,) = (part for part in parts if part.title == "Not explained")
-    sentence, table = left.blocks
+    sentence, table = parts_of(result, series)["Not explained"]
     assert "looks like noise" in sentence.sentences[0]
     assert table.folded
     assert "Against the noise" not in [heading for heading, _ in table.columns]
 
 
 def test_an_unknown_cause_claims_no_share(run, undrawn):
-    result, series = copy.deepcopy(run)
-    unknown = {"effect": "unknown", "joints": ["joint1"], "explained": 0.0, "verdict": "unknown",
-               "structure": "structured: stays correlated over 0.4 s",
-               "holdout": {"rms_before": 2.0, "rms_after": 2.0}}  # fmt: skip
-    result["findings"] = [unknown]
-    with style():
-        parts = diagnose_section(result, series).parts
-    table = parts[0].blocks[-1]
-    assert [cell.text for cell in table.rows[0]][1] == "unknown cause"
-    assert [cell.text for cell in table.rows[0]][3] == "–"
-    assert [cell.text for cell in table.rows[0]][5] == "–"
-    (part,) = (part for part in parts if part.title.startswith("Finding 1"))
-    assert part.blocks[0].sentences[0].endswith("explains: it stays correlated over 0.4 s.")
+    result, series = run
+    result["findings"] = [{
+        "effect": "unknown", "joints": ["joint1"], "explained": 0.0, "verdict": "unknown",
+        "structure": "structured: stays correlated over 0.4 s",
+        "holdout": {"rms_before": 2.0, "rms_after": 2.0},
+    }]  # fmt: skip
+    parts = parts_of(result, series)
+    (row,) = texts(parts["Key figures"][-1])
+    assert (row[1], row[3], row[5]) == ("unknown cause", "–", "–")
+    (blocks,) = (blocks for title, blocks in parts.items() if title.startswith("Finding 1"))
+    assert blocks[0].sentences[0].endswith("explains: it stays correlated over 0.4 s.")
 
 
 def test_long_waterfalls_are_cut(run):
-    result, series = copy.deepcopy(run)
-    steps = [{"label": f"+ spring at joint{k}", "rms": 1 - k / 40} for k in range(30)]
-    result["waterfall"] = steps
+    result, series = run
+    result["waterfall"] = [{"label": f"+ spring at joint{k}", "rms": 1 - k / 40} for k in range(30)]
     page = render(result, series)
     assert "smaller causes" in page
     assert "joint29" in page

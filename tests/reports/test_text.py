@@ -5,8 +5,7 @@ import difflib
 import pytest
 
 from excitant.reports import brief, html, page_of, summary
-from excitant.reports.page import Cell, Fact, Facts, Notes, Page, Part, Section, Table
-from excitant.reports.values import at
+from excitant.reports.page import Cell, Fact, Facts, Folded, Notes, Page, Section, Table
 
 
 def text_of(result):
@@ -30,7 +29,6 @@ def test_summary_is_plain_lines(run, undrawn):
     ("verb", "path"),
     [
         ("design", ("condition_number", "initial")),
-        ("design", ("starts", 2, "condition_number")),
         ("check", ("limits", "velocity")),
         ("identify", ("joints", 2, "validate", "rms")),
         ("identify", ("parameters", 17, "value")),
@@ -89,7 +87,7 @@ def test_names_cannot_break_lines():
 def test_terminal_shows_leads_and_what_is_marked():
     rows = ((Cell("run1"), Cell("dead channel"), Cell("–")),)
     heads = (("Recording", "name"), ("Fault", "name"), ("Joints", "name"))
-    part = Part(
+    part = Folded(
         "Part",
         (
             Notes(("Shown.",), brief="hint"),
@@ -121,8 +119,3 @@ def test_terminal_says_what_every_verb_came_to(make, undrawn):
         "demo": "hidden       Stribeck friction at elbow_joint (seed 7): named",
     }.items():
         assert words in brief(page_of(make[verb]()[0], {})).replace("\u00a0", " ")
-
-
-def test_missing_keys_are_none():
-    assert at({"a": {"b": None}}, "a", "b", "c") is None
-    assert at([1], "a") is None
