@@ -106,10 +106,7 @@ class HeldOut:
         return np.asarray(np.sqrt((error**2 * counts).sum(axis=0) / counts.sum(axis=0)), float)
 
     def worse(self, predicted: Array, than: Array, share: float = 0.0) -> bool:
-        """Whether a prediction leaves more squared error than another, by a share of it.
-
-        Rows at which a joint rests do not count for it.
-        """
+        """Whether a prediction leaves more squared error than another where joints move."""
         measured, weight = self.series.measured, self.moves / self.series.measured.std(axis=0)
         errors = [float((((measured - tau) * weight) ** 2).sum()) for tau in (predicted, than)]
         return errors[0] > (1 + share) * errors[1]
@@ -118,14 +115,9 @@ class HeldOut:
 def held_out(robot: Robot, segments: tuple[Segment, ...], gains: Array) -> HeldOut:
     """The hold-out of a given robot, with its torque per reading, shape (nv,)."""
     found = observed(robot, segments)
-    return HeldOut(
-        found,
-        gains,
-        series(segments),
-        found.torque() / gains,
-        moving(segments),
-        np.array([noise_floor(segments, j) for j in range(robot.nv)]),
-    )
+    floor = np.array([noise_floor(segments, j) for j in range(robot.nv)])
+    moves, simulated = moving(segments), found.torque() / gains
+    return HeldOut(found, gains, series(segments), simulated, moves, floor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,14 +168,9 @@ class Extender:
         std = np.sqrt(np.diag(fit.covariance)).tolist()
         model = identified_robot(robot, effects, fit.x)
         found = self.held.observed.by(model)
-        extension = Extension(
-            evidence,
-            tuple(chosen),
-            model,
-            dict(zip([*robot.parameter_names, *names], std, strict=True)),
-            found,
-            found.torque() / self.held.gains,
-        )
+        known = dict(zip([*robot.parameter_names, *names], std, strict=True))
+        predicted = found.torque() / self.held.gains
+        extension = Extension(evidence, tuple(chosen), model, known, found, predicted)
         return replace(extension, findings=_findings(robot, extension, self.held))
 
     def _bodies(self, chosen: Sequence[Candidate]) -> tuple[Array, Array]:
@@ -286,10 +273,9 @@ def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...
 
 
 def _relative_gain(error: Array, torque: Array) -> tuple[float, float]:
-    """Fall of the squared error, relative to it, when a cause's torque is taken off it.
+    """Fall of the squared error, relative to it, when a cause's torque f is taken off it.
 
-    The gain is (2a − 1)‖f‖² with the slope a of the error on the torque f. Its standard error
-    is that of the slope, robust to autocorrelation by blocks of time.
+    That is (2a − 1)‖f‖² with the slope a of the error on f, its standard error from blocks of time.
     """
     power = (torque**2).sum()
     if power <= 0:

@@ -347,9 +347,8 @@ def diagnose(
         for finding, candidate in zip(fit.findings, fit.chosen, strict=True)
         if finding.pays
     ]
-    others = [(f.effect, f.explained) for f in paying]
     judged = [
-        replace(f, downgrade=reason_to_downgrade(f.effect, f.torque, f.explained, others, left))
+        replace(f, downgrade=reason_to_downgrade(f, paying, left))
         for f in sorted(paying, key=lambda f: -f.explained)
     ]
     steps = _waterfall(held.given, error, judged)

@@ -121,10 +121,9 @@ class Contest:
         R, floor = _without_given(self.known, self.precision)
         found = []
         for pair in self.pairs:
-            at, rival = self._places(pair.found), self._places(pair.rival)
-            beside = self._beside(pair)
+            at, beside = self._places(pair.found), self._beside(pair)
             b = R[:, at] @ np.array(pair.found.values)
-            both = [*beside, *rival]
+            both = [*beside, *self._places(pair.rival)]
             found.append(_explaining(R, floor, both, b)[len(beside) :])
         return tuple(found)
 
@@ -170,11 +169,8 @@ class Contest:
         return found
 
     def counted(self, information: Array) -> list[Separation]:
-        """Separation of every pair, the runs counted with what the given values' prior allows.
-
-        The price of given values that are off does not grow with the number of runs, so more of
-        them may not help.
-        """
+        """Separation of every pair, the runs counted with what the given values' prior allows."""
+        # the price of given values that are off does not grow with the number of runs
         once = self.separations(information)
         runs: list[int | None] = [None] * len(once)
         for n in range(MOST_RUNS, 0, -1):
@@ -251,8 +247,8 @@ def along(motion: Motion, cutoff_hz: float, rows_hz: float | None = None) -> Seg
 def repetitions(delta: float, power: float = POWER, level: float = LEVEL) -> int:
     """Runs that tell two causes apart with this probability at this level.
 
-    Both are compared by the squared error that each leaves (Vuong 1989). The difference has mean
-    N Δ and standard deviation 2 √(N Δ), so N = 4 (z_{level/2} + z_{1−power})² / Δ.
+    The difference of the squared errors that they leave (Vuong 1989) has mean N Δ and standard
+    deviation 2 √(N Δ), so N = 4 (z_{level/2} + z_{1−power})² / Δ.
     """
     return max(1, int(np.ceil(needed(power, level) / max(delta, 1e-9) - 1e-9)))
 

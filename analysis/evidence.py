@@ -153,15 +153,11 @@ class Evidence:
         return falls
 
     def threshold(self, candidate: Candidate, beside: int = 0) -> float:
-        """Fall of J over λ that a candidate must exceed, the search accounted for.
-
-        The noise behind λ is known from as many blocks as there are, and half from theory.
-        ``beside`` is how many others are at work.
-        """
+        """Fall of J over λ that a candidate must exceed beside others, the search accounted for."""
+        # the noise behind λ is known from as many blocks as there are, and half from theory
         alarms = FALSE_ALARM * (1 + beside if self.by_share else 1)
-        tail = alarms / (len(self.candidates) * candidate.trials)
-        size, blocks = candidate.size, len(self.blocks)
-        return size * _fisher_quantile(tail, size, 2 * size * (blocks - 1))
+        tail, size = alarms / (len(self.candidates) * candidate.trials), candidate.size
+        return size * _fisher_quantile(tail, size, 2 * size * (len(self.blocks) - 1))
 
     def dispersion(self, chosen: Sequence[Candidate], candidate: Candidate) -> float:
         """λ of a candidate added to a set: variance of its score over that of white noise.
@@ -238,9 +234,7 @@ class Evidence:
 
     def active(self, chosen: Sequence[Candidate]) -> Index:
         """Columns that are at work with a set."""
-        parts = [np.arange(self.nuisance)]
-        parts += [np.arange(c.columns.start, c.columns.stop) for c in chosen]
-        return np.concatenate(parts)
+        return np.asarray(np.r_[(slice(0, self.nuisance), *(c.columns for c in chosen))], np.intp)
 
     def _information(self, active: Index) -> Array:
         return self.gram[np.ix_(active, active)] + np.diag(self.precision[active])
@@ -273,17 +267,7 @@ def weigh(
     *,
     by_share: bool = False,
 ) -> Evidence:
-    """Evidence from rows.
-
-    Args:
-        problem: Columns, nuisance first, for the residual of the given model as torque.
-        counts: Rows that count, shape (n, nv).
-        precision: Prior precision of each column's coordinate, shape (p,).
-        nuisance: Number of leading columns that are nuisance.
-        candidates: What the other columns stand for.
-        period: Time between rows [s].
-        by_share: Whether false alarms are a share of what is found.
-    """
+    """Evidence from rows that count (n, nv), a period [s] apart; for the rest see `Evidence`."""
     n, problem = len(counts), problem.counting(counts)
     count = int(np.clip(n * period / _BLOCK_S, *_BLOCKS))
     counted = np.maximum(counts.sum(axis=0), 1)
@@ -298,9 +282,9 @@ def weigh(
 def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
     """The same evidence with the noise that a rough model leaves.
 
-    The rough model has the set of candidates and every common cause at once, and given values
-    that may be off by far more than their tolerance: what it leaves is near the noise whatever
-    is wrong, so that one cause does not pass for the noise that hides another, or itself.
+    It has the set of candidates and every common cause at once, and given values that may be off by
+    far more than their tolerance: what it leaves is near the noise whatever is wrong, so that one
+    cause does not pass for the noise that hides another, or itself.
     """
     rough = [*chosen, *(c for c in evidence.candidates if c.effect.usual and c not in chosen)]
     for _ in range(_ROUNDS):

@@ -23,7 +23,6 @@ from excitant.analysis.uncertainty import (
     MotionInformation,
     known_values,
     motion_information,
-    resting_joints,
     scale_deviation,
     shown_base,
     torque_noise,
@@ -61,6 +60,7 @@ from excitant.robots.torque import column_names, observation_columns, torque
 STEP = 0.2  # of a link's inertia in any direction, by which the prior is moved
 _NOTHING = 0.01  # of an entry's uncertainty, below which a kind says nothing of it
 _DRAWS = 8  # perturbations in the null space, and random ones
+_RESTS = 0.01  # rad or m: a joint that moves less than this rests
 _FLAT = 1e-3  # of the prior's second moment in some direction: the body is at its limit
 
 Response = Callable[[Array], Array]
@@ -92,8 +92,7 @@ class Prior:
 
     def size(self, w: Array) -> float:
         """Largest relative change of any link in any direction, or of an effect in its std."""
-        largest = np.abs(self.stretches(w)).max(initial=0.0)
-        return float(max(largest, np.abs(w[10 * self.links :]).max(initial=0.0)))
+        return float(np.abs(np.append(self.stretches(w), w[10 * self.links :])).max(initial=0.0))
 
     def at_limit(self, x: Array) -> tuple[int, ...]:
         """Links of x, shape (p,), that are flat or thin beyond what a body can be, but a hair."""
@@ -127,10 +126,9 @@ class PriorInfluence:
 
     @property
     def decided_by(self) -> tuple[str, ...]:
-        """Who decides each entry: ``data``, ``prior``, or ``physics``.
+        """Who decides each entry: ``data``, ``prior``, or ``physics`` where the prior would.
 
-        Physics where the prior would decide but the body is at the limit of what can exist, and
-        stays there wherever the prior is.
+        There the body is at the limit of what can exist, and stays so wherever the prior is.
         """
         free = follows(self.linear, self.reach)
         return tuple(
@@ -153,7 +151,6 @@ def prior_influence(
     (r, p) gives base parameters; without a response by refits, linear theory does.
     """
     s, Vt = prior.directions(information.R)
-    free = _linear(prior, s, Vt)
     silent = s <= UNSEEN * s.max(initial=0.0)
     null, weak = Vt[silent], Vt[~silent][-WEAKEST:]
     steps = {
@@ -165,10 +162,11 @@ def prior_influence(
     ratio, linear, reach = (np.full((len(KINDS), p), np.nan) for _ in range(3))
     base_move, base_std = np.zeros(len(regrouping)), information.std(np.eye(len(regrouping)))
     for k, kind in enumerate(KINDS):
-        given = np.array([prior.L @ (STEP * w / prior.size(w)) for w in steps[kind]]).reshape(-1, p)
-        moves = np.array([(response or free)(delta) for delta in given]).reshape(-1, p)
-        ratio[k] = _ratio(moves, given, prior)
-        linear[k] = _ratio(np.array([free(delta) for delta in given]).reshape(-1, p), given, prior)
+        w = np.array([STEP * w / prior.size(w) for w in steps[kind]]).reshape(-1, p)
+        given, free = w @ prior.L.T, (w @ Vt.T / (1 + s**2)) @ Vt @ prior.L.T
+        moves = free if response is None else np.array([response(delta) for delta in given])
+        moves = moves.reshape(-1, p)
+        ratio[k], linear[k] = (_ratio(each, given, prior) for each in (moves, free))
         relative = np.abs(moves @ regrouping.T) / np.where(base_std > 0, base_std, np.inf)
         base_move = np.maximum(base_move, relative.max(axis=0, initial=0.0))
     reach[:2] = [reached(prior.L, part, x, prior.links) for part in (null, weak)]
@@ -195,16 +193,6 @@ def _random_bodies(prior: Prior, rng: np.random.Generator) -> Array:
     y = A[:, *UPPER].reshape(-1)
     w[: 10 * prior.links] = y * link_weights(prior.links, PRIOR_SIGMA)
     return w
-
-
-def _linear(prior: Prior, s: Array, Vt: Array) -> Response:
-    """Posterior mean of a linear problem: in w it moves by V (1 + s²)⁻¹ Vᵀ of the prior's move."""
-
-    def moved(delta: Array) -> Array:
-        w = np.linalg.solve(prior.L, delta)
-        return np.asarray(prior.L @ (Vt.T @ ((Vt @ w) / (1 + s**2))), float)
-
-    return moved
 
 
 def refits(estimate: Estimate, rows: FitRows) -> Response:
@@ -240,10 +228,14 @@ class Experiment:
     std: Array | None  # standard deviation of each parameter with the prior counted in, shape (p,)
     influence: PriorInfluence | None
     motion: Motion  # or the longest stretch of a recording
-    resting: tuple[int, ...]  # joints that do not move
-    pose: Array  # where joints are on average, shape (nv,) [rad or m]
+    q: Array  # positions at all rows, shape (n, nv) [rad or m]
     basis: str  # where the standard deviations come from, as a sentence
-    notes: tuple[str, ...] = ()
+    notes: Sequence[str] = ()
+
+    @property
+    def resting(self) -> tuple[int, ...]:
+        """Joints that do not move."""
+        return tuple(int(j) for j in np.flatnonzero(np.ptp(self.q, axis=0) < _RESTS))
 
 
 def planned_experiment(
@@ -265,7 +257,7 @@ def planned_experiment(
     W = observation_columns(robot, effects, motion)[:, rows]
     seen, known = motion_information(base, W, sigma), known_values(robot, effects)
     x = np.array([value or 0.0 for value in known])
-    notes: tuple[str, ...] = ()
+    notes: list[str] = []
     prior, influence = None, None
     try:
         size = implausible_size(W[:, :, 10 * robot.nv :], torque(robot, motion)[:, rows])
@@ -273,7 +265,7 @@ def planned_experiment(
         prior = prior_of(prior_parameters(robot), nothing)
         influence = prior_influence(seen, base.regrouping, prior, x, np.random.default_rng(0))
     except BadRobot as error:
-        notes = (f"there is no prior to count in: {error.why}",)
+        notes.append(f"there is no prior to count in: {error.why}")
     how = "as given" if noise is not None else f"of {100 * TORQUE_NOISE:g} % of each limit"
     return Experiment(
         sigma=sigma,
@@ -284,9 +276,8 @@ def planned_experiment(
         prior=prior,
         std=None if prior is None else prior.posterior_std(seen.R),
         influence=influence,
-        resting=resting_joints(motion.q),
         motion=motion,
-        pose=motion.q.mean(axis=0),
+        q=motion.q,
         basis=f"for torque noise {how}, independent at each of {len(motion)} instants",
         notes=notes,
     )
@@ -297,28 +288,19 @@ def recorded_experiment(
 ) -> Experiment:
     """What a recording came to, of all base parameters or of those that it shows.
 
-    Draws perturbed priors for refits, or takes the prior's influence from linear theory.
-
-    Raises:
-        Infeasible: A refit failed.
+    The prior's influence is from refits, drawn by a generator, or from linear theory.
     """
-    q = np.concatenate([s.motion.q[s.keep] for s in estimate.data.train])
     fit, effects = estimate.least_squares, estimate.model.effects
     rows = _clean(fit_rows(robot, effects, estimate.base, estimate.data))
     sigma = fit.sigma * np.sqrt(fit.inflation)
     complete = estimate.base.columns == base.columns
     seen = motion_information(base, rows.W, sigma, fit.covariance if complete else None)
     prior = prior_of(estimate.prior.reshape(-1, 10), rows.open_prior)
-    influence = prior_influence(
-        seen,
-        base.regrouping,
-        prior,
-        estimate.physical.x,
-        np.random.default_rng(0) if rng is None else rng,
-        refits(estimate, rows) if rng is not None else None,
-    )
+    x, response = estimate.physical.x, None if rng is None else refits(estimate, rows)
+    draws = np.random.default_rng(0) if rng is None else rng
+    influence = prior_influence(seen, base.regrouping, prior, x, draws, response)
     notes = []
-    if flat := prior.at_limit(estimate.physical.x):
+    if flat := prior.at_limit(x):
         names = ", ".join(robot.links[k] for k in flat)
         notes.append(
             f"at the limit of what a body can have: {names}; the data alone would go beyond"
@@ -333,17 +315,16 @@ def recorded_experiment(
     return Experiment(
         sigma=sigma,
         information=seen,
-        x=estimate.physical.x,
+        x=x,
         known=(True,) * len(base.names),
-        beta=fit.beta if complete else base.regrouping @ estimate.physical.x,
+        beta=fit.beta if complete else base.regrouping @ x,
         prior=prior,
         std=np.sqrt(np.diag(estimate.physical.covariance)),
         influence=influence,
-        resting=resting_joints(q),
         motion=max((s.motion for s in estimate.data.train), key=len),
-        pose=q.mean(axis=0),
+        q=np.concatenate([s.motion.q[s.keep] for s in estimate.data.train]),
         basis="from the residual of the recording, with its autocorrelation",
-        notes=tuple(notes),
+        notes=notes,
     )
 
 
@@ -359,11 +340,7 @@ def identify_shown(
     Base parameters are taken from the recorded rows in place of random states, so that a motion
     that rests a joint is no error; what it leaves open stays at the prior.
 
-    Args:
-        robot: The arm; its inertias are the prior.
-        recordings: What to fit.
-        effects: Effects to estimate; friction, offset and rotor inertia when None.
-        validate: What to judge on; the last 30 % of each recording when empty.
+    Arguments are those of `identify_robot`.
 
     Raises:
         BadRecording: Recordings that cannot be used.

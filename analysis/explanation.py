@@ -10,7 +10,7 @@ import numpy as np
 
 from excitant.analysis.evidence import are_placeholders
 from excitant.analysis.residuals import Residual, explanatory
-from excitant.robots.effects import Effect, plain, standard_effects
+from excitant.robots.effects import plain, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -26,22 +26,9 @@ _PLAINLY = 3.0  # times the noise
 _DRAWN_OVER = {"": "time", "constant": "time", "direction": "velocity"}
 
 
-def reason_to_downgrade(
-    effect: Effect,
-    torque: Array,
-    explained: float,
-    others: Sequence[tuple[Effect, float]],
-    left: Sequence[Residual],
-) -> str:
-    """Why a finding without rivals is still not decided, as half a sentence; empty without one.
-
-    Args:
-        effect: The cause.
-        torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
-        explained: Share of the given model's squared error that it removes.
-        others: All causes that pay, each with that share.
-        left: What the extended model leaves, joint by joint.
-    """
+def reason_to_downgrade(found: Finding, others: Sequence[Finding], left: Sequence[Residual]) -> str:
+    """Why one of the causes that pay is not decided although nothing rivals it; half a sentence."""
+    effect, torque = found.effect, found.torque
     # what a cause on several joints leaves on some counts sooner: it has to explain them all
     several = bool(torque.any(axis=0).sum() > 1)
     scale = np.array([r.floor for r in left])
@@ -55,10 +42,11 @@ def reason_to_downgrade(
                 return "it acts on several joints at once, and what it leaves on some is not small"
             return "more is left unexplained on its joints than it explains"
     # what a shape misses of a large cause looks like a small one
-    for other, share in others:
-        same = {*effect.joints} <= {*other.joints}
-        if same and other.shapes and explained < _SMALL * share:
-            return f"it is small beside {plain(other.name)}, whose shape is only roughly known"
+    for other in others:
+        same = {*effect.joints} <= {*other.effect.joints}
+        if same and other.effect.shapes and found.explained < _SMALL * other.explained:
+            name = plain(other.effect.name)
+            return f"it is small beside {name}, whose shape is only roughly known"
     return ""
 
 

@@ -157,19 +157,9 @@ class Identifiability:
         return self.structure.base
 
     @property
-    def category(self) -> tuple[str, ...]:
-        """``unique``, ``combined`` or ``unidentifiable`` for each parameter of ``base.names``."""
-        return self.structure.category
-
-    @property
     def practical(self) -> tuple[Practical, ...]:
         """Each base parameter under the motion; empty without one."""
         return self.motion.practical if self.motion else ()
-
-    @property
-    def condition_number(self) -> float | None:
-        """Of the unscaled base columns under the motion, cond₂(W); None without one."""
-        return self.motion.condition_number if self.motion else None
 
     def result(self) -> dict[str, Any]:
         """Everything as plain values: what ``result.json`` says (DESIGN, section 5)."""
@@ -217,7 +207,10 @@ class Identifiability:
     def _repr_html_(self) -> str:
         title = f"Identifiability of {self.robot.name}: {len(self.base)} base parameters"
         if self.motion is None:
-            rows = [(name, kind) for name, kind in zip(self.base.names, self.category, strict=True)]
+            rows = [
+                (name, kind)
+                for name, kind in zip(self.base.names, self.structure.category, strict=True)
+            ]
             return html_table(title, ("parameter", "identifiable"), rows)
         shown = [(p.expression, p.value, p.std, p.verdict) for p in self.practical]
         return html_table(title, ("base parameter", "value", "std", "shown by the motion"), shown)
@@ -253,7 +246,23 @@ def analyze(
         UnknownName: A joint that the arm does not have.
         Infeasible: A refit failed.
     """
-    _refuse_contradictions(motion, estimate, noise, moving, measured)
+    shown = motion is not None or estimate is not None
+    refused = {
+        "moving: a trajectory or recording says itself which joints move; leave out": (
+            moving is not None and shown
+        ),
+        "measured: is for motions before they are run; a recording has all torques": (
+            estimate is not None and measured is not None
+        ),
+        "noise: is for a trajectory, give one; a recording has its own noise": (
+            noise is not None and motion is None
+        ),
+        "moving: name at least one joint": moving is not None and not moving,
+        "measured: name at least one joint": measured is not None and not measured,
+    }
+    for why, wrong in refused.items():
+        if wrong:
+            raise BadInput(why)
     effects = tuple(effects) if estimate is None else estimate.model.effects
     found = structure(robot, effects, moving=moving, measured=measured)
     rows = [j for j, name in enumerate(robot.joints) if measured is None or name in measured]
@@ -268,39 +277,18 @@ def analyze(
         given = planned_experiment(robot, found.base, effects, motion, noise, rows)
     noise_of_all = _noise_of_all(robot, given, rows)
     still = [j for j, name in enumerate(robot.joints) if moving is not None and name not in moving]
-    rests, pose = (still, np.zeros(robot.nv)) if given is None else (given.resting, given.pose)
+    rests, pose = (
+        (still, np.zeros(robot.nv)) if given is None else (given.resting, given.q.mean(axis=0))
+    )
     candidates = candidate_experiments(robot, effects, noise_of_all, rests, pose, rows)
     table = _entries(robot, effects, found, candidates, given)
-    shown = found.base.regrouping if given is None else given.information.R
-    follow = tuple(tuple(found.base.names[k] for k in group) for group in dependent_groups(shown))
+    R = found.base.regrouping if given is None else given.information.R
+    follow = tuple(tuple(found.base.names[k] for k in group) for group in dependent_groups(R))
     if given is None:
         return Identifiability(robot, effects, found, table, follow)
-    excitation = None
-    if len(rows) == robot.nv:
-        from excitant.identify.excitation import persistency
-
-        excitation = persistency(robot, given.motion, effects, sigma=noise_of_all)
-    under = _under_motion(robot, effects, found.base, given, candidates, excitation)
+    under = _under_motion(robot, effects, found.base, given, candidates)
     notes = (*_notes(found, under, table), *given.notes)
     return Identifiability(robot, effects, found, table, follow, under, notes)
-
-
-def _refuse_contradictions(
-    motion: Motion | None,
-    estimate: Estimate | None,
-    noise: Sequence[float] | None,
-    moving: Sequence[str] | None,
-    measured: Sequence[str] | None,
-) -> None:
-    if moving is not None and (motion is not None or estimate is not None):
-        raise BadInput("moving: a trajectory or recording says itself which joints move; leave out")
-    if estimate is not None and measured is not None:
-        raise BadInput("measured: is for motions before they are run; a recording has all torques")
-    if noise is not None and motion is None:
-        raise BadInput("noise: is for a trajectory, give one; a recording has its own noise")
-    for name, joints in (("moving", moving), ("measured", measured)):
-        if joints is not None and not joints:
-            raise BadInput(f"{name}: name at least one joint")
 
 
 def _noise_of_all(robot: Robot, given: Experiment | None, rows: Sequence[int]) -> Array:
@@ -320,8 +308,12 @@ def _under_motion(
     base: BaseParameters,
     given: Experiment,
     candidates: Mapping[str, Array],
-    excitation: Persistency | None,
 ) -> PracticalIdentifiability:
+    from excitant.identify.excitation import persistency
+
+    excitation = None
+    if len(given.sigma) == robot.nv:
+        excitation = persistency(robot, given.motion, effects, sigma=given.sigma)
     columns, seen = list(base.columns), given.information
     lengths = np.linalg.norm(seen.R[:, columns], axis=0)
     scaled = seen.R[:, columns] / np.where(lengths > 0, lengths, 1.0)
@@ -370,18 +362,16 @@ def _notes(
             f"this motion does not show {', '.join(names[:_NAMED])}{more} "
             f"({len(names)} of {len(base)} base parameters); shown by {what}"
         )
-    return (*notes, *(_prior_notes(under.influence, table) if under.influence else ()))
-
-
-def _prior_notes(influence: PriorInfluence, table: Sequence[ParameterIdentifiability]) -> list[str]:
+    if (influence := under.influence) is None:
+        return tuple(notes)
     from excitant.analysis.experiment import STEP
 
     named = [entry for entry in table if entry.category != "unidentifiable"]
     prior, physics = (sum(e.decided_by == who for e in named) for who in ("prior", "physics"))
-    notes = [
+    notes.append(
         f"besides what no torque shows, {prior} of {len(table)} parameters follow the prior "
         "rather than the data: two sets of initial values that agree prove nothing there"
-    ]
+    )
     if influence.refits:
         notes.append(
             f"{influence.refits} fits from priors moved by up to {100 * STEP:g} % moved no base "
@@ -392,7 +382,7 @@ def _prior_notes(influence: PriorInfluence, table: Sequence[ParameterIdentifiabi
             f"{physics} more would follow the prior if bodies were not at the limit of what can "
             "exist; there physical consistency decides, wherever the prior is"
         )
-    return notes
+    return tuple(notes)
 
 
 def _units(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:

@@ -133,10 +133,8 @@ def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
     """
     e, time = e[rows], np.flatnonzero(rows).astype(float)
     dq, load = by.velocity[rows, j], by.load[rows, j]
-    constant = float(e.mean())
-    rest, total = e - constant, max(float((e**2).sum()), 1e-300)
-    independent = max(len(e) / autocorrelation_time(rest), 1.0)
-    found = {"constant": (len(e) * constant**2 - float((rest**2).sum()) / independent) / total}
+    constant, total = float(e.mean()), max(float((e**2).sum()), 1e-300)
+    found, rest = {"constant": _explained(e, constant, 1) / total}, e - constant
     forward = (dq > 0).astype(np.intp)
 
     def even(x: Array, bins: int) -> npt.NDArray[np.intp]:
@@ -161,29 +159,18 @@ def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
     return {name: float(np.clip(share, 0.0, 1.0)) for name, share in found.items()}
 
 
-def _explained(e: Array, fitted: Array, freedom: int) -> float:
+def _explained(e: Array, fitted: Array | float, freedom: int) -> float:
     """Power that a fit with some coefficients takes off an error, less what chance gives it."""
     rest = e - fitted
-    left = float((rest**2).sum())
-    independent = max(len(e) / autocorrelation_time(rest), 1.0)
+    left, independent = float((rest**2).sum()), max(len(e) / autocorrelation_time(rest), 1.0)
     return float((e**2).sum()) - left - left * freedom / independent
-
-
-def dominant(found: Mapping[str, float]) -> str:
-    """The simplest quantity that explains nearly as much as the best; none where all say little."""
-    best = max(found.values())
-    if best < _LITTLE:
-        return ""
-    return next(name for name in QUANTITIES if found.get(name, -1.0) >= best - _NEARLY)
 
 
 def band_shares(e: Array, by: Explanatory, j: int) -> dict[str, float]:
     """Share of the power of joint j's error (n,), its mean left out, in each of `BANDS`."""
-    power, start, (low, high) = np.zeros(3), 0, by.bands[j]
-    centred = e - e.mean()
-    for length, step in zip(by.lengths, by.steps, strict=True):
-        part = centred[start : start + length]
-        start += length
+    power, (low, high) = np.zeros(3), by.bands[j]
+    parts = np.split(e - e.mean(), np.cumsum(by.lengths)[:-1])
+    for part, step in zip(parts, by.steps, strict=True):
         f, density = _spectrum(part[:, None], step)
         at = np.searchsorted([low - f[1] / 2, high + f[1] / 2], f)
         power += np.bincount(at, density[:, 0], minlength=3)
@@ -239,8 +226,11 @@ class Residual:
 
     @property
     def dominant(self) -> str:
-        """What tells the error best, empty where nothing alone does."""
-        return dominant(self.shares)
+        """Simplest quantity that explains nearly as much as the best; none if all say little."""
+        enough = max(self.shares.values()) - _NEARLY
+        if enough < _LITTLE - _NEARLY:
+            return ""
+        return next(name for name in QUANTITIES if self.shares.get(name, -1.0) >= enough)
 
     @property
     def structure(self) -> str:
@@ -312,11 +302,8 @@ def residuals(
 
 
 def noise_floor(segments: Sequence[Segment], j: int) -> float:
-    """Rms that white noise of one joint's raw torque leaves behind the filter [torque unit].
-
-    Its density is the median of the periodogram above the motion's band; zero where the rate
-    leaves no such band.
-    """
+    """Rms that white noise of joint j's raw torque leaves behind the filter [torque unit]."""
+    # its density: the median of the periodogram above the motion's band; zero without such a band
     power, weight = 0.0, 0
     for s in segments:
         n = len(s.tau_raw)

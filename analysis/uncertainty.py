@@ -44,7 +44,6 @@ _SEEN = 1e-9  # smallest singular value of normalised columns, relative; below i
 _TOUCHES = 1e-6  # part of a unit vector in unseen directions from which it counts
 
 _DURATION, _RATE_HZ = 10.0, 20.0  # of a further experiment
-_RESTS = 0.01  # rad or m: a joint that moves less than this rests
 _REPEATS = 10.0  # longest recording worth proposing, in lengths of the given one
 PAYLOAD_KG = 1.0  # at the last joint's frame, where a known payload is tried
 _SENSOR_NOISE = 0.01  # of the largest force and torque that the base sensor sees
@@ -348,11 +347,6 @@ def largest_correlations(matrix: Array, count: int = 10) -> list[tuple[int, int,
     values = matrix[rows, columns]
     order = np.argsort(-np.abs(values), kind="stable")[:count]
     return [(int(rows[k]), int(columns[k]), float(values[k])) for k in order if values[k]]
-
-
-def resting_joints(q: Array) -> tuple[int, ...]:
-    """Joints whose positions, shape (n, nv), do not change."""
-    return tuple(int(j) for j in np.flatnonzero(np.ptp(q, axis=0) < _RESTS))
 
 
 def candidate_experiments(

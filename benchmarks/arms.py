@@ -16,7 +16,7 @@ import os
 import site
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from excitant.analysis.uncertainty import NOT_SHOWN
 from excitant.design import design_trajectory
 from excitant.exceptions import ExcitantError, Infeasible
 from excitant.robots import Robot, load_robot, torque
+from excitant.robots.chains import RobotSpec
 from excitant.robots.effects import standard_effects
 from excitant.robots.geometry import scene
 
@@ -41,25 +42,6 @@ def data_folder(given: str | None) -> Path | None:
         for packages in site.getsitepackages()
     )
     return next((f for f in ([Path(named)] if named else installed) if f.is_dir()), None)
-
-
-@dataclass(frozen=True)
-class Case:
-    """One arm: a file, and the chain in it (all joints where no end is named)."""
-
-    file: str
-    tip: str | None = None
-    base: str | None = None
-    joints: tuple[str, ...] | None = None
-
-    @property
-    def name(self) -> str:
-        """The file, and the chain's ends."""
-        part = "+".join(self.joints[:1] + self.joints[-1:]) if self.joints else ""
-        ends = "..".join(filter(None, (self.base, self.tip))) or part
-        path = Path(self.file)
-        name = path.stem if path.stem != "robot" else f"{path.parent.name}/robot"
-        return name + (f" {ends}" if ends else "")
 
 
 WHOLE = """
@@ -112,19 +94,28 @@ def listed(text: str) -> list[tuple[str, str]]:
     return [(place, w) for place, words in (x.split(": ") for x in lines) for w in words.split()]
 
 
-def case(file: str, ends: str) -> Case:
-    """The chain BASE:TIP, or TIP, of a file."""
+def chain(file: str, ends: str) -> RobotSpec:
+    """The chain BASE:TIP, or TIP, of a file; all joints where no end is named."""
     base, _, tip = ends.rpartition(":")
-    return Case(file, tip or None, base or None)
+    return RobotSpec(file, base=base or None, tip=tip or None)
 
 
 _ARM = ("s0", "s1", "e0", "e1", "w0", "w1", "w2")
 DUAL = tuple(f"{side}_{joint}" for side in ("left", "right") for joint in _ARM)
 ARMS = (
-    *(Case(f"{folder}/{name}.urdf") for folder, name in listed(WHOLE)),
-    *(case(f"{file}.urdf", ends) for file, ends in listed(CHAINS)),
-    Case("baxter_description/urdf/baxter.urdf", joints=DUAL),
+    *(RobotSpec(f"{folder}/{name}.urdf") for folder, name in listed(WHOLE)),
+    *(chain(f"{file}.urdf", ends) for file, ends in listed(CHAINS)),
+    RobotSpec("baxter_description/urdf/baxter.urdf", joints=DUAL),
 )
+
+
+def name_of(arm: RobotSpec) -> str:
+    """The file, and the chain's ends."""
+    path = Path(arm)
+    name = path.stem if path.stem != "robot" else f"{path.parent.name}/robot"
+    ends = "..".join(filter(None, (arm.base, arm.tip)))
+    ends = ends or "+".join((arm.joints or ())[:: len(DUAL) - 1])
+    return f"{name} {ends}".strip()
 
 
 def with_assumed_limits(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
@@ -144,11 +135,11 @@ def with_assumed_limits(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
     return robot.with_limits(limits), tuple(assumed)
 
 
-def attempt(case: Case, path: Path, time_limit: float) -> tuple[str, str]:
+def attempt(arm: RobotSpec, time_limit: float) -> tuple[str, str]:
     """Load, design, check, analyze: the figures as text, and ``ok`` or why not."""
     start, figures = time.perf_counter(), ""
     try:
-        robot = load_robot(path, joints=case.joints, base=case.base, tip=case.tip)
+        robot = load_robot(arm)
         kinds = "".join("R" if turns else "P" for turns in robot.revolute)
         figures = f"{kinds:10} {time.perf_counter() - start:6.2f}"
         robot, assumed = with_assumed_limits(robot)
@@ -156,7 +147,7 @@ def attempt(case: Case, path: Path, time_limit: float) -> tuple[str, str]:
         extra = f" (assumed: {', '.join(assumed)})" if assumed else ""
         return figures + more + extra, verdict
     except ExcitantError as error:
-        return figures, str(error).replace(f"{path.parent}/", "")
+        return figures, str(error).replace(f"{Path(arm).parent}/", "")
 
 
 def designed(robot: Robot, time_limit: float) -> tuple[str, str]:
@@ -190,22 +181,18 @@ def main() -> int:
     folder = data_folder(given.data)
     if folder is None:
         print("no example-robot-data: install it, or name its folder with --data")
-    chosen = [
-        (arm, folder / arm.file)
-        for arm in (ARMS if folder else ())
-        if not given.only or any(word in arm.name for word in given.only)
-    ]
-    for file, _, ends in (word.partition("@") for word in given.also):
-        chosen.append((case(file, ends), Path(file)))
+    chosen = [replace(arm, path=folder / arm.path) for arm in ARMS] if folder else []
+    chosen = [a for a in chosen if not given.only or any(w in name_of(a) for w in given.only)]
+    chosen += [chain(file, ends) for file, _, ends in (w.partition("@") for w in given.also)]
     print(f"{'arm':46} {'joints':10} load s        κ base thin unseen  verdict")
     verdicts = []
-    for arm, path in chosen:
-        figures, verdict = attempt(arm, path, given.time_limit)
+    for arm in chosen:
+        figures, verdict = attempt(arm, given.time_limit)
         verdicts.append(verdict)
-        print(f"{arm.name[:46]:46} {figures}  {verdict}", flush=True)
-    failed = len(verdicts) - verdicts.count("ok")
-    print(f"{len(verdicts)} arms, {len(verdicts) - failed} ok, {failed} not")
-    return 1 if failed else 0
+        print(f"{name_of(arm)[:46]:46} {figures}  {verdict}", flush=True)
+    good = verdicts.count("ok")
+    print(f"{len(verdicts)} arms, {good} ok, {len(verdicts) - good} not")
+    return int(good < len(verdicts))
 
 
 if __name__ == "__main__":

@@ -18,10 +18,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 import scipy.linalg
 from seed import (
     TableEntry,
@@ -40,7 +40,14 @@ from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.preprocessing import prepare
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.rows import FitRows, fit_rows
-from excitant.robots import Motion, Robot, base_parameters, regressor, robot_from_dh
+from excitant.robots import (
+    Motion,
+    Robot,
+    base_parameters,
+    regressor,
+    rigid_body_torque,
+    robot_from_dh,
+)
 from excitant.robots.effects import CoulombFriction, ViscousFriction
 from excitant.robots.parameters import (
     STANDARD,
@@ -62,29 +69,17 @@ DATA, PRIOR = 0.1, 0.7  # std after over std before, below and above which one o
 MARGIN = 1e-4  # smallest eigenvalue of Q, as in the fit
 
 
-@dataclass(frozen=True, eq=False)
-class Entry:
-    """One table entry after the experiment.
-
-    Attributes:
-        entry: The row of the tables.
-        initial: Value in the prior.
-        truth: Value of the simulated arm.
-        value: Identified value.
-        std: Its standard deviation.
-        kept: Standard deviation after over before the data: 1 where they say nothing.
-        silent: Share of the prior's variance that lies in the null space of the regressor.
-        moved: Largest change of the value when the prior moves along the null space.
-    """
+class Entry(NamedTuple):
+    """One table entry after the experiment."""
 
     entry: TableEntry
-    initial: float
+    initial: float  # in the prior
     truth: float
     value: float
     std: float
-    kept: float
-    silent: float
-    moved: float
+    kept: float  # standard deviation after over before the data: 1 where they say nothing
+    silent: float  # share of the prior's variance in the null space of the regressor
+    moved: float  # largest change when the prior moves along the null space
 
     @property
     def decided_by(self) -> str:
@@ -92,19 +87,14 @@ class Entry:
         return "data" if self.kept < DATA else "prior" if self.kept > PRIOR else "both"
 
 
-@dataclass(frozen=True, eq=False)
-class Recovery:
-    """The 46 table entries; base parameters of links and friction, true and by least squares.
-
-    ``base_moved`` is the largest change of a base parameter when the prior moved along the null
-    space, in standard deviations.
-    """
+class Recovery(NamedTuple):
+    """The 46 table entries; base parameters of links and friction, true and by least squares."""
 
     entries: tuple[Entry, ...]
     beta_true: np.ndarray
     beta: np.ndarray
     beta_std: np.ndarray
-    base_moved: float
+    base_moved: float  # largest change when the prior moves along the null space [std]
 
 
 def simulated(truth: Robot, rng: np.random.Generator, seconds: float) -> list[Recording]:
@@ -114,9 +104,7 @@ def simulated(truth: Robot, rng: np.random.Generator, seconds: float) -> list[Re
         trajectory = random_trajectory(dd_arm("initial"), rng, PERIOD_S, HARMONICS)
         t = np.arange(0, PERIOD_S, STEP_S)
         q, dq, ddq = (trajectory(t, order) for order in range(3))
-        model, data = truth.model, truth.model.createData()
-        states = zip(q, dq, ddq, strict=True)
-        tau = np.array([pin.rnea(model, data, *state) for state in states])
+        tau = rigid_body_torque(truth, Motion(t, q, dq, ddq))
         tau += VISCOUS * dq + COULOMB * np.sign(dq)
         size = NOISE_SHARE * np.sqrt((tau**2).mean(axis=0))
         tau += size * rng.standard_normal(tau.shape)
@@ -133,8 +121,7 @@ def fitted(given: Robot, recordings: Sequence[Recording]) -> FitRows:
     return fit_rows(given, effects, base_parameters(given, effects), data)
 
 
-@dataclass(frozen=True, eq=False)
-class Tables:
+class Tables(NamedTuple):
     """The table entries as functions of the standard parameters about the joint frames."""
 
     entries: tuple[TableEntry, ...]
@@ -170,12 +157,9 @@ def tables() -> Tables:
 
 
 def recovery(seconds: float = 60.0, *, likely: bool = True, seed: int = 0) -> Recovery:
-    """Simulate with the estimated values, identify from the initial ones.
+    """Simulate some seconds with the estimated values, identify from the initial ones.
 
-    Args:
-        seconds: Recorded time [s].
-        likely: Doubtful digits of the truth as they probably are, or as read.
-        seed: Of motions and noise.
+    ``likely``: doubtful digits of the truth as they probably are, or as read.
     """
     given, truth = dd_arm("initial"), dd_arm("estimated", likely=likely)
     rng = np.random.default_rng(seed)
@@ -235,18 +219,14 @@ def _entries(
         yield Entry(entry, *(float(figure) for figure in figures))
 
 
-@dataclass(frozen=True, eq=False)
-class NearestBody:
-    """A link's printed parameters (10,), the inequality they break, and the nearest possible.
-
-    ``distance`` is ‖Q − Q_printed‖_F, relative to the link's initial body.
-    """
+class NearestBody(NamedTuple):
+    """A link's printed parameters (10,), the inequality they break, and the nearest possible."""
 
     link: str
     violated: str
     printed: np.ndarray
     nearest: np.ndarray
-    distance: float
+    distance: float  # ‖Q − Q_printed‖_F, relative to the link's initial body
 
 
 def nearest_bodies() -> Iterator[NearestBody]:
@@ -271,8 +251,7 @@ def _rank(M: np.ndarray) -> int:
     flat = M.reshape(-1, M.shape[-1])
     norms = np.linalg.norm(flat, axis=0)
     used = norms > 1e-10 * norms.max()
-    s = np.linalg.svd(flat[:, used] / norms[used], compute_uv=False)
-    return int((s > 1e-9 * s[0]).sum())
+    return int(np.linalg.matrix_rank(flat[:, used] / norms[used], rtol=1e-9))
 
 
 EXPERIMENTS = {
@@ -285,9 +264,7 @@ EXPERIMENTS = {
 def counts(rng: np.random.Generator, across: bool = False) -> dict[str, list[int]]:
     """Parameters per link, link 6 first, that experiments of several kinds determine.
 
-    Args:
-        rng: Draws the states.
-        across: The assumed offset of link 3 across joint 3 (a3) instead of along it (d3).
+    ``across``: the assumed offset of link 3 across joint 3 (a3) instead of along it (d3).
     """
     chain = dd_arm_chain()
     if across:

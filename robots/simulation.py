@@ -2,14 +2,11 @@
 
     M(q) q̈ + b(q, q̇) + τ_e(t, q, q̇) = τ,    τ = τ_ff + B (ω² (q_d − q) + 2 ω (q̇_d − q̇))
 
-with the rotors in M, Coriolis, centrifugal and gravity torque b, and the torque τ_e of the
-effects. Friction jumps where a joint reverses; within ± v₀ of rest, torque is interpolated between
-those at −v₀ and at v₀, so that a joint at rest creeps with up to v₀ instead of sticking. A step is
-one of the Rosenbrock method ROS2 (Verwer, Spee, Blom, Hundsdorfer 1999): of second order whatever
-stands in for the Jacobian, here controller and friction, so that neither stiff gains nor the dry
-friction of light joints limit its length.
-
-The plant of the virtual arm (`excitant.robots.plant`) shares no code with this.
+with the rotors in M and the torque τ_e of the effects. Friction jumps where a joint reverses;
+within ± v₀ of rest, torque is interpolated between those at −v₀ and at v₀, so that a joint at rest
+creeps with up to v₀ instead of sticking. A step is one of the Rosenbrock method ROS2 (Verwer,
+Spee, Blom, Hundsdorfer 1999): of second order whatever stands in for the Jacobian, here controller
+and friction, so that neither stiff gains nor the dry friction of light joints limit its length.
 """
 
 from __future__ import annotations

@@ -6,7 +6,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, TypeVar
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Literal,
+    Protocol,
+    Self,
+    TypeVar,
+    dataclass_transform,
+)
 
 import numpy as np
 import numpy.typing as npt
@@ -389,12 +398,7 @@ class PairEffect(Effect):
 
     @classmethod
     def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
-        return [(effect, 1) for pair in pairwise(robot.joints) for effect in cls.between(pair)]
-
-    @classmethod
-    def between(cls, pair: tuple[str, str]) -> Sequence[Self]:
-        """Shapes of the effect to consider between a joint and the next; the usual one."""
-        return (cls(pair),)
+        return [(cls(pair), 1) for pair in pairwise(robot.joints)]
 
 
 Kind = TypeVar("Kind", bound=Effect)
@@ -402,10 +406,11 @@ EFFECTS: dict[str, type[Effect]] = {}
 """Effects by their name in JSON, command line and documentation."""
 
 
+@dataclass_transform(frozen_default=True)
 def registered(kind: type[Kind]) -> type[Kind]:
-    """Make a class of effects known by its name to files, commands and diagnoses."""
-    EFFECTS[kind.name] = kind
-    return kind
+    """A frozen dataclass of effects, known by its name to files, commands and diagnoses."""
+    EFFECTS[kind.name] = made = dataclass(frozen=True)(kind)
+    return made
 
 
 def standard_effects(joints: tuple[str, ...]) -> tuple[Effect, ...]:

@@ -38,7 +38,6 @@ _SLOWEST = 1e-3  # rad/s
 
 
 @registered
-@dataclass(frozen=True)
 class TorqueOffset(StandardEffect):
     """τ = τ_0: constant torque, current-sensor offset or asymmetric Coulomb friction."""
 
@@ -66,7 +65,6 @@ class TorqueOffset(StandardEffect):
 
 
 @registered
-@dataclass(frozen=True)
 class RotorInertia(StandardEffect):
     """τ = I_a q̈: rotor and gear inertia at the joint side."""
 
@@ -96,7 +94,6 @@ class RotorInertia(StandardEffect):
 
 
 @registered
-@dataclass(frozen=True)
 class InertiaCoupling(PairEffect):
     """τ_i = I q̈_k, τ_k = I q̈_i: a rotor that turns with both joints."""
 
@@ -129,7 +126,6 @@ class _ReadingEffect(Effect):
 
 
 @registered
-@dataclass(frozen=True)
 class TorqueGain(_ReadingEffect):
     """Reading = (1 + g) τ: the torque sensor's or the drive's constant is wrong."""
 
@@ -159,7 +155,6 @@ class TorqueGain(_ReadingEffect):
 
 
 @registered
-@dataclass(frozen=True)
 class TorqueRipple(JointEffect):
     """τ = a cos(N q) + b sin(N q): cogging, tooth mesh, eccentricity."""
 
@@ -243,7 +238,6 @@ def _gains(orders: Array, q: Array, e: Array) -> Array:
 
 
 @registered
-@dataclass(frozen=True)
 class Spring(JointEffect):
     """A spring beside the joint: τ = k q − k q_0, or a cos q + b sin q where it pulls a lever."""
 
@@ -284,7 +278,6 @@ class _Lag(Effect):
 
 
 @registered
-@dataclass(frozen=True)
 class JointElasticity(_Lag):
     """Link angle = motor angle − c τ with the compliance c = 1/k, to first order in c."""
 
@@ -301,7 +294,6 @@ class JointElasticity(_Lag):
 
 
 @registered
-@dataclass(frozen=True)
 class Backlash(_Lag):
     """Link angle = motor angle − lag, the lag within ± g / 2.
 
@@ -343,7 +335,6 @@ def play(t: Array, acceleration: Array, gap: float) -> Array:
 
 
 @registered
-@dataclass(frozen=True)
 class TimeDelay(_ReadingEffect):
     """Reading(t) = τ(t − d), to first order in d around a trial delay.
 

@@ -36,7 +36,6 @@ class _Friction:
 
 
 @registered
-@dataclass(frozen=True)
 class ViscousFriction(_Friction, StandardEffect):
     """τ = F_v q̇."""
 
@@ -59,7 +58,6 @@ class ViscousFriction(_Friction, StandardEffect):
 
 
 @registered
-@dataclass(frozen=True)
 class CoulombFriction(_Friction, StandardEffect):
     """τ = F_c sign(q̇)."""
 
@@ -85,7 +83,6 @@ class CoulombFriction(_Friction, StandardEffect):
 
 
 @registered
-@dataclass(frozen=True)
 class AsymmetricFriction(_Friction, JointEffect):
     """τ = F_c± sign(q̇) + F_v± q̇: friction that differs with the direction."""
 
@@ -128,7 +125,6 @@ class AsymmetricFriction(_Friction, JointEffect):
 
 
 @registered
-@dataclass(frozen=True)
 class StribeckFriction(_Friction, JointEffect):
     """τ = F_s exp(−|q̇ / v_s|²) sign(q̇), on top of Coulomb friction (Armstrong-Hélouvry 1991)."""
 
@@ -157,7 +153,6 @@ class StribeckFriction(_Friction, JointEffect):
 
 
 @registered
-@dataclass(frozen=True)
 class NonlinearViscousFriction(_Friction, JointEffect):
     """τ = F_n |q̇|^a sign(q̇), on top of viscous friction."""
 
@@ -173,7 +168,6 @@ class NonlinearViscousFriction(_Friction, JointEffect):
 
 
 @registered
-@dataclass(frozen=True)
 class LoadDependentFriction(_Friction, JointwiseEffect):
     """τ = F_l |τ_load| sign(q̇) with the torque of the bodies as load."""
 
@@ -193,7 +187,6 @@ class LoadDependentFriction(_Friction, JointwiseEffect):
 
 
 @registered
-@dataclass(frozen=True)
 class PreslidingHysteresis(_Friction, JointwiseEffect):
     """τ = F_h (z − sign q̇): dry friction that builds up over a distance instead of at once.
 
@@ -265,7 +258,6 @@ def bristles(q: Array, distance: float) -> Array:
 
 
 @registered
-@dataclass(frozen=True)
 class FrictionCoupling(_Friction, PairEffect):
     """Friction of a shaft that turns with both joints, at speed w = q̇_i + ρ q̇_k.
 
@@ -282,8 +274,10 @@ class FrictionCoupling(_Friction, PairEffect):
     ratio: float = 1.0  # ρ
 
     @classmethod
-    def between(cls, pair: tuple[str, str]) -> Sequence[Self]:
-        return cls(pair), cls(pair, ratio=-1.0)
+    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+        """Shafts that turn with the sum or the difference of a joint and the next."""
+        usual = super().proposed(robot, facts)
+        return [(e.reshaped("ratio", ratio), 1) for e, _ in usual for ratio in (1.0, -1.0)]
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         i, k = self.rows(robot)
@@ -295,7 +289,6 @@ class FrictionCoupling(_Friction, PairEffect):
 
 
 @registered
-@dataclass(frozen=True)
 class ThermalFrictionDrift(_Friction, JointwiseEffect):
     """τ = e^{−(t − t_0)/T} (F_v q̇ + F_c sign q̇): what friction loses while the joint warms up."""
 

@@ -41,7 +41,6 @@ class _GeometryEffect(Effect):
 
 
 @registered
-@dataclass(frozen=True)
 class EncoderOffset(_GeometryEffect):
     """True angle = reading + δ."""
 
@@ -63,7 +62,6 @@ class EncoderOffset(_GeometryEffect):
 
 
 @registered
-@dataclass(frozen=True)
 class EncoderScale(_GeometryEffect):
     """True angle = (1 + s) reading; speed and acceleration alike."""
 
@@ -77,7 +75,6 @@ class EncoderScale(_GeometryEffect):
 
 
 @registered
-@dataclass(frozen=True)
 class KinematicError(_GeometryEffect):
     """The joint sits elsewhere in its parent link than the model says."""
 
@@ -110,7 +107,6 @@ def _moved(robot: Robot, j: int, step: Array) -> Robot:
 
 
 @registered
-@dataclass(frozen=True)
 class GravityDirection(Effect):
     """Gravity points elsewhere in the base frame: the arm is mounted otherwise, or tilted."""
 
@@ -171,7 +167,6 @@ class AddedInertia(Effect):
 
 
 @registered
-@dataclass(frozen=True)
 class Payload(AddedInertia):
     """A body held by the last link: mass, first moment and inertia about its joint frame."""
 
@@ -200,7 +195,6 @@ class Payload(AddedInertia):
 
 
 @registered
-@dataclass(frozen=True)
 class InertialParameters(AddedInertia):
     """A link's inertial parameters differ from the given ones."""
 

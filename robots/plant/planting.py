@@ -246,21 +246,15 @@ def _crosstalk(truth: Truth, joints: list[int], *, gain: float) -> Truth:
 
 
 def _gear(
-    truth: Truth, joints: list[int], *, stiffness: float, damping: float = 0.0, motor: float = 0.0
-) -> Truth:
-    """An elastic gear; ``motor`` is inertia of the motor beside the rotor inertia."""
-    return _play(truth, joints, gap=0.0, stiffness=stiffness, damping=damping, motor=motor)
-
-
-def _play(
     truth: Truth,
     joints: list[int],
     *,
-    gap: float,
     stiffness: float,
     damping: float = 0.0,
     motor: float = 0.0,
+    gap: float = 0.0,
 ) -> Truth:
+    """An elastic gear; ``motor`` is inertia of the motor beside the rotor inertia."""
     for j in joints:
         if truth.drives.rotor[j] + motor <= 0:
             raise BadInput("virtual arm: an elastic joint needs inertia of its motor; give motor")
@@ -294,7 +288,7 @@ PLANTERS: dict[str, Callable[..., Truth]] = {
     "friction_coupling": _shaft,
     "inertia_coupling": _coupled_rotors,
     "joint_elasticity": _gear,
-    "backlash": _play,
+    "backlash": _gear,
     "kinematic_error": _misplaced,
     "wall_contact": _wall,
     "sensor_crosstalk": _crosstalk,

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
+from excitant.analysis.confirmation import Finding
 from excitant.analysis.explanation import reason_to_downgrade
 from excitant.analysis.residuals import Residual
 from excitant.robots.effects import Effect, StribeckFriction, ViscousFriction
@@ -31,7 +35,11 @@ def reason(
 ) -> str:
     """Of a cause whose torque has this rms at each of two joints."""
     torque = np.array(rms) * np.ones((10, 1))
-    return reason_to_downgrade(VISCOUS, torque, explained, others, residuals)
+    found, *beside = (
+        cast(Finding, SimpleNamespace(effect=effect, torque=torque, explained=share))
+        for effect, share in ((VISCOUS, explained), *others)
+    )
+    return reason_to_downgrade(found, beside, residuals)
 
 
 def test_nothing_beside_it_is_no_reason() -> None:

@@ -12,7 +12,6 @@ from excitant.analysis.residuals import (
     QUANTITIES,
     Explanatory,
     band_shares,
-    dominant,
     explanatory,
     moving,
     noise_floor,
@@ -173,7 +172,7 @@ def test_noise_alone_and_structure_below_it_are_not_visible(size: float) -> None
     if not size:
         assert found.structure == "noise-like"
         assert max(found.shares.values()) < 0.05
-        assert dominant(found.shares) == ""
+        assert found.dominant == ""
         assert found.structured < found.floor
 
 

@@ -229,44 +229,31 @@ def set_limit(joint: str, **values: str) -> Plant:
     return plant
 
 
-JOINTS: list[tuple[str, Plant, str, str, bool]] = [
-    ("axis too long", set_axis("joint2", "0 -2 0"), "joint_axis", "joint2", False),
-    ("no effort", set_limit("joint1", effort="0"), "no_effort_limit", "joint1", False),
-    ("no speed", set_limit("joint2", velocity="0"), "no_velocity_limit", "joint2", False),
-    ("upside down", set_limit("joint2", lower="1", upper="-1"), "position_limits", "joint2", False),
-    ("empty range", set_limit("joint1", lower="0", upper="0"), "position_limits", "joint1", False),
-    ("zero outside", set_limit("joint2", lower="0.5"), "zero_outside_limits", "joint2", True),
-    ("too weak", set_limit("joint1", effort="20"), "gravity", "joint1", False),
-]
+JOINTS: dict[str, tuple[Plant, str, str, bool]] = {
+    "axis too long": (set_axis("joint2", "0 -2 0"), "joint_axis", "joint2", False),
+    "no effort": (set_limit("joint1", effort="0"), "no_effort_limit", "joint1", False),
+    "no speed": (set_limit("joint2", velocity="0"), "no_velocity_limit", "joint2", False),
+    "upside down": (set_limit("joint2", lower="1", upper="-1"), "position_limits", "joint2", False),
+    "empty range": (set_limit("joint1", lower="0", upper="0"), "position_limits", "joint1", False),
+    "zero outside": (set_limit("joint2", lower="0.5"), "zero_outside_limits", "joint2", True),
+    "too weak": (set_limit("joint1", effort="20"), "gravity", "joint1", False),
+}
 
 
-@pytest.mark.parametrize(
-    ("plant", "check", "joint", "hint"),
-    [case[1:] for case in JOINTS],
-    ids=[case[0] for case in JOINTS],
-)
+@pytest.mark.parametrize(("plant", "check", "joint", "hint"), JOINTS.values(), ids=JOINTS.keys())
 def test_a_joint_that_cannot_be_is_named(plant: Plant, check: str, joint: str, hint: bool) -> None:
     robot = planted("planar_2r", plant)
     assert found(robot, hint=hint) == {(check, joint)}
     assert found(robot, hint=not hint) == set()
 
 
-@pytest.mark.parametrize(
-    ("text", "rounded"),
-    [
-        ("-1.57", True),
-        ("0.7853", True),
-        ("1.5707963267948966", False),
-        ("1.5712", False),
-        ("0.00", False),
-    ],
-)
-def test_a_right_angle_with_few_digits_is_a_hint(text: str, rounded: bool) -> None:
+@pytest.mark.parametrize("text", ["-1.57", "0.7853", "1.5707963267948966", "1.5712", "0.00"])
+def test_a_right_angle_with_few_digits_is_a_hint(text: str) -> None:
     def plant(root: ET.Element) -> None:
         child(root, "joint[@name='joint2']/origin").set("rpy", f"0 {text} 0")
 
     hints = found(planted("planar_2r", plant), hint=True)
-    assert (("rounded_angles", "joint2") in hints) == rounded
+    assert (("rounded_angles", "joint2") in hints) == (text in ("-1.57", "0.7853"))
 
 
 def test_gravity_peak_is_the_stretched_arm_level() -> None:

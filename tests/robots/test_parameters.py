@@ -20,7 +20,7 @@ from excitant.robots import (
     regressor_derivatives,
     rigid_body_torque,
 )
-from excitant.robots.base_parameters import categories, coefficient_text
+from excitant.robots.base_parameters import BaseParameters, categories, coefficient_text
 from excitant.robots.effects import StribeckFriction, standard_effects
 from excitant.robots.parameters import (
     from_pseudo_inertia,
@@ -180,20 +180,18 @@ def test_a_tilted_base_shows_more(builtin: Robot) -> None:
     assert len(base_parameters(tilted)) >= len(base_parameters(builtin))
 
 
+def assert_same_torque(base: BaseParameters, W: np.ndarray, seed: int) -> None:
+    """W φ = W_base B φ for any φ, and no torque along the null space."""
+    phi = np.random.default_rng(seed).standard_normal(W.shape[2])
+    difference = W @ phi - W[:, :, base.columns] @ (base.regrouping @ phi)
+    assert np.abs(difference).max() <= 1e-9 * np.abs(W @ phi).max()
+    assert base.null_space.shape == (len(phi), len(phi) - len(base))
+    assert np.abs(W @ base.null_space).max() <= 1e-9 * np.abs(W).max()
+
+
 @given(seed=st.integers(0, 2**32 - 1))
 def test_regrouping_keeps_the_torque(arm: Robot, random_states: States, seed: int) -> None:
-    base, W = base_parameters(arm), regressor(arm, random_states(arm, seed, 10))
-    phi = np.random.default_rng(seed).standard_normal(len(arm.phi))
-    beta = base.regrouping @ phi
-    difference = W @ phi - W[:, :, base.columns] @ beta
-    assert np.abs(difference).max() <= 1e-9 * np.abs(W @ phi).max()
-
-
-@given(seed=st.integers(0, 2**32 - 1))
-def test_no_torque_along_the_null_space(arm: Robot, random_states: States, seed: int) -> None:
-    base, W = base_parameters(arm), regressor(arm, random_states(arm, seed, 10))
-    assert base.null_space.shape == (len(arm.phi), len(arm.phi) - len(base))
-    assert np.abs(W @ base.null_space).max() <= 1e-9 * np.abs(W).max()
+    assert_same_torque(base_parameters(arm), regressor(arm, random_states(arm, seed, 10)), seed)
 
 
 def test_base_columns_are_independent(arm: Robot, random_states: States) -> None:
@@ -259,6 +257,4 @@ def test_effects_extend_the_base(builtin: Robot, random_states: States) -> None:
     kept = {names[k] for k in base.columns}
     assert {f"{joint}.Fv" for joint in builtin.joints} <= kept
     W = observation_columns(builtin, effects, random_states(builtin, 7, 20))
-    phi = np.random.default_rng(0).standard_normal(len(names))
-    difference = W @ phi - W[:, :, base.columns] @ (base.regrouping @ phi)
-    assert np.abs(difference).max() <= 1e-9 * np.abs(W @ phi).max()
+    assert_same_torque(base, W, 0)

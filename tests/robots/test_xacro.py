@@ -100,22 +100,14 @@ def test_written_out_it_is_the_same_arm(arm: Path, tmp_path: Path) -> None:
     assert np.array_equal(load_robot(plain).phi, robot.phi)
 
 
-WRONG = {
+NO_VALUE = ARM.replace("$(arg length)", "$(arg reach)")
+NO_FILE = ARM.replace("links.xacro", "limbs.xacro")
+WRONG: dict[str, tuple[str, dict[str, str], list[str], str]] = {
     "package that is not there": (ARM, {}, [], r"no package 'parts'.*--package /path/to/parts"),
     "argument of another name": (ARM, {"lenght": "1"}, ["elsewhere"], "did you mean 'length'"),
-    "argument without a value": (
-        ARM.replace("$(arg length)", "$(arg reach)"),
-        {},
-        ["elsewhere"],
-        "--xacro-arg NAME:=VALUE",
-    ),
+    "argument without a value": (NO_VALUE, {}, ["elsewhere"], "--xacro-arg NAME:=VALUE"),
     "value that is no number": (ARM, {"length": "long"}, ["elsewhere"], "length / 2"),
-    "file that is not there": (
-        ARM.replace("links.xacro", "limbs.xacro"),
-        {},
-        ["elsewhere"],
-        "limbs.xacro",
-    ),
+    "file that is not there": (NO_FILE, {}, ["elsewhere"], "limbs.xacro"),
     "macros alone": (LINKS, {}, [], "only defines macros"),
 }
 
