@@ -90,16 +90,12 @@ class InformationFilter:
         self.columns, self.p = columns, p
         self._size = len(columns) + 1
         self._factor = np.zeros((self._size, self._size), order="F")
-        self._panel = min(_PANEL, self._size)
 
     def update(self, rows: Array) -> None:
         """Add rows [A, b] of the chosen columns, shape (m, columns + 1); the rows are used up."""
         if len(rows):
-            stacked = np.asfortranarray(rows)
-            result = lapack.dtpqrt(
-                0, self._panel, self._factor, stacked, overwrite_a=1, overwrite_b=1
-            )
-            self._factor = result[0]
+            stacked, block = np.asfortranarray(rows), min(_PANEL, self._size)
+            self._factor = lapack.dtpqrt(0, block, self._factor, stacked, 1, 1)[0]
 
     def forget(self, factor: float) -> None:
         """Weigh everything so far by a factor on the information, 0 < factor ≤ 1."""

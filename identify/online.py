@@ -20,11 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.differentiators import (
-    LocalPolynomial,
-    causal_polynomial,
-    position_spectrum,
-)
+from excitant.identify.differentiators import LocalPolynomial, causal_polynomial, position_spectrum
 from excitant.identify.estimate import Estimate, judged
 from excitant.identify.excitation import ROWS_PER_SECOND, WindowExcitation, excitation_judge
 from excitant.identify.information import Information, InformationFilter, combined
@@ -137,11 +133,10 @@ class OnlineEstimator:
         noise = np.broadcast_to(np.maximum(position_noise, _ROUNDING), (robot.nv,))
         self._still = _CERTAIN * np.sqrt(2) * noise
         self._dry = dry_joints(self.effects, robot.joints)
-        r, orders = len(self.base), range(3)
-        self._acting = _acting_columns(robot, self.effects, self.base)
-        self._filters = [InformationFilter(columns, r) for columns in self._acting]
+        acting = _acting_columns(robot, self.effects, self.base)
+        self._filters = [InformationFilter(columns, len(self.base)) for columns in acting]
         self._weight = np.zeros(robot.nv)
-        self._kernels = np.array([self.differentiator.kernel(k) * rate_hz**k for k in orders])
+        self._kernels = np.array([self.differentiator.kernel(k) * rate_hz**k for k in range(3)])
         self.span = self._kernels.shape[1] + self.block - 1  # samples that a row rests on
         self._samples, self._filled = np.zeros((self.span, 2 * robot.nv)), 0
         self._clock, self._instants = -np.inf, list[tuple[float, Array, Array]]()
@@ -198,10 +193,10 @@ class OnlineEstimator:
             raise BadInput(f"on-line estimation: a value before {self._clock:g} s is not a number")
         used = self._goes_one_way() | ~self._dry
         self._weight = self._fade * self._weight + used
-        for j, (grown, acting) in enumerate(zip(self._filters, self._acting, strict=True)):
+        for row, counts, grown in zip(rows, used, self._filters, strict=True):
             grown.forget(self._fade)
-            if used[j]:
-                grown.update(rows[[j]][:, [*acting, -1]])
+            if counts:
+                grown.update(row[None, [*grown.columns, -1]])
         self._recent.append((float(t.mean()), states[self.block // 2], rows, used))
         self.rows += 1
 

@@ -56,10 +56,7 @@ def feeble(planar: Robot, motion: FourierTrajectory) -> Rehearsal:
 
 @pytest.mark.slow
 def test_a_good_motion_passes(
-    planar: Robot,
-    motion: FourierTrajectory,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    planar: Robot, motion: FourierTrajectory, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "trajectory.json"
     file.write_text(trajectory_json(motion, planar), encoding="utf-8")

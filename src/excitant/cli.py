@@ -62,9 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         command, bound, _ = app.parse_args(
-            [word for word in words if word != "--debug"],
-            print_error=False,
-            exit_on_error=False,
+            [word for word in words if word != "--debug"], print_error=False, exit_on_error=False
         )
         if not words:
             raise BadInput("no command given")
@@ -116,11 +114,7 @@ def _failed(why: str) -> int:
 
 
 def demo(
-    *,
-    seed: Seed = 0,
-    robot: RobotName = "ur10",
-    part: Part = Part(),
-    run: Run = Run(),
+    *, seed: Seed = 0, robot: RobotName = "ur10", part: Part = Part(), run: Run = Run()
 ) -> None:
     """The main job on a virtual arm that hides an effect.
 

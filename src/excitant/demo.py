@@ -9,12 +9,7 @@ import numpy as np
 
 from excitant.analysis.diagnosis import diagnose
 from excitant.analysis.identifiability import analyze
-from excitant.design import (
-    design_trajectory,
-    random_trajectory,
-    trajectory_csv,
-    trajectory_json,
-)
+from excitant.design import design_trajectory, random_trajectory, trajectory_csv, trajectory_json
 from excitant.identify import identify_robot, model_files, recording_from_table
 from excitant.motions import table_bytes
 from excitant.progress import Advance

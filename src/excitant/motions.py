@@ -45,15 +45,17 @@ class Search:
 
     duration: str = "10"
     "Period [s], or the shortest and the longest to choose from as S:S."
-    harmonics: str = "5"
+    harmonics: int | Literal["search"] = 5
     "Fourier terms, or 'search' to add them while they pay."
     series: Literal["fourier", "spline"] = "fourier"
     "spline: B-splines of 2 H pieces, for tight cells."
     max_frequency: float = 2.5
     "Highest frequency [Hz] that a search for harmonics adds."
     criterion: Literal["condition", "d", "a", "e"] = "condition"
-    """What to make small: the condition number, or of the covariance the determinant (d), the
-    trace (a) or the largest eigenvalue (e)."""
+    (
+        "What to make small: the condition number, or of the covariance the determinant (d), the "
+        "trace (a) or the largest eigenvalue (e)."
+    )
     columns: Columns = "friction"
     "What to make visible: all that identify estimates, or the links only."
     starts: int | None = None
@@ -69,23 +71,14 @@ class Search:
 
     def options(self) -> dict[str, Any]:
         """Arguments of the functions that design."""
-        given = vars(self) | {"duration": self._span(), "harmonics": self._terms()}
-        return given | {"top_hz": given.pop("max_frequency")}
-
-    def _span(self) -> float | tuple[float, float]:
         try:
-            shortest, _, longest = self.duration.partition(":")
-            return (float(shortest), float(longest)) if longest else float(shortest)
+            ends = [float(end) for end in self.duration.split(":", 1)]
         except ValueError:
             raise BadInput(f"--duration {self.duration}: give seconds, as in 10 or 5:20") from None
-
-    def _terms(self) -> int | None:
-        try:
-            return None if self.harmonics == "search" else int(self.harmonics)
-        except ValueError:
-            raise BadInput(
-                f"--harmonics {self.harmonics}: give a whole number, or 'search'"
-            ) from None
+        harmonics = None if self.harmonics == "search" else self.harmonics
+        given = vars(self) | {"harmonics": harmonics, "top_hz": self.max_frequency}
+        del given["max_frequency"]
+        return given | {"duration": ends[0] if len(ends) == 1 else tuple(ends)}
 
 
 def design(

@@ -172,21 +172,16 @@ def _refuse_contradictions(
 ) -> None:  # fmt: skip
     """Refuse options that exclude each other; those of whole need all rows at once."""
     com, another = load.payload_com, online or by_link
-    known = (bool(load.payload_recording), load.payload_mass is not None)
+    alone = load.unloaded and not load.payload
+    apart = bool(load.payload_recording) != (load.payload_mass is not None)
     refused: list[tuple[object, str]] = [
         (
             chosen and (another or load.payload),
             "--effects auto needs all rows at once and the arm alone; name effects, or leave "
             "--online, --link-by-link and --payload out",
         ),
-        (
-            load.unloaded and not load.payload,
-            "--unloaded names what --payload is compared with; give --payload too",
-        ),
-        (
-            known[0] != known[1],
-            "--payload-recording and --payload-mass belong together; give both",
-        ),
+        (alone, "--unloaded names what --payload is compared with; give --payload too"),
+        (apart, "--payload-recording and --payload-mass belong together; give both"),
         (com and len(com) != 3, "--payload-com needs three numbers, X,Y,Z in metres"),
         (forgetting is not None and not online, "--forgetting is for --online; give --online too"),
         (by_link and online, "--link-by-link needs whole recordings; leave --online out"),

@@ -12,12 +12,7 @@ import pinocchio as pin
 import pytest
 
 from excitant.exceptions import BadInput
-from excitant.identify import (
-    KnownPayload,
-    Recording,
-    identify_drive_gains,
-    identify_robot,
-)
+from excitant.identify import KnownPayload, Recording, identify_drive_gains, identify_robot
 from excitant.identify.drive_gains import DriveGains, payload_gains
 from excitant.identify.regression import Regression, dense
 from excitant.robots import Array, Motion, Robot, base_parameters, load_robot

@@ -11,13 +11,7 @@ import pytest
 import scipy.linalg
 
 from excitant.exceptions import BadInput
-from excitant.identify import (
-    LocalPolynomial,
-    Monitor,
-    OnlineEstimator,
-    Recording,
-    identify_online,
-)
+from excitant.identify import LocalPolynomial, Monitor, OnlineEstimator, Recording, identify_online
 from excitant.identify.information import InformationFilter, combined, gaussian, information_of
 from excitant.identify.online import replayable
 from excitant.identify.prior import base_prior

@@ -17,13 +17,7 @@ from excitant.design import random_trajectory
 from excitant.identify import Recording, identify_link_by_link, identify_robot, load_dataset
 from excitant.identify.prior import base_prior
 from excitant.identify.rows import split
-from excitant.identify.sequential import (
-    LinkByLink,
-    beginning,
-    further,
-    link_rows,
-    run_stages,
-)
+from excitant.identify.sequential import LinkByLink, beginning, further, link_rows, run_stages
 from excitant.robots import Motion, Robot, base_parameters, load_robot
 from excitant.robots.base_parameters import last_rows
 from excitant.robots.effects import CoulombFriction, standard_effects
@@ -154,11 +148,7 @@ def test_covariance_against_monte_carlo(planar: Robot) -> None:
 
 @pytest.mark.parametrize(
     ("name", "draws", "white"),
-    [
-        ("planar_2r", 12, True),
-        ("planar_2r", 12, False),
-        *(slow(name, 6, False) for name in SIX),
-    ],
+    [("planar_2r", 12, True), ("planar_2r", 12, False), *(slow(name, 6, False) for name in SIX)],
 )
 def test_values_are_within_two_standard_deviations_as_often_as_they_should(
     name: str, draws: int, white: bool
@@ -195,11 +185,7 @@ def rms_link_by_link_and_at_once(robot: Robot, seed: int, total: float) -> tuple
 
 
 @pytest.mark.parametrize(
-    ("name", "draws", "total"),
-    [
-        ("planar_2r", 4, 20.0),
-        *(slow(name, 1, 60.0) for name in SIX),
-    ],
+    ("name", "draws", "total"), [("planar_2r", 4, 20.0), *(slow(name, 1, 60.0) for name in SIX)]
 )
 def test_predicts_as_well_as_all_at_once_in_the_same_time(
     name: str, draws: int, total: float
