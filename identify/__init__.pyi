@@ -9,7 +9,7 @@ from .drive_gains import DriveGains, KnownPayload
 from .estimate import Estimate, identify_robot
 from .excitation import Persistency, persistency
 from .export import Publication, model_files, publication
-from .importers.mapping import ColumnMap, load_column_map
+from .importers.names import ColumnMap, load_column_map
 from .knowledge import Knowledge, load_knowledge
 from .online import (
     Monitor,

@@ -21,7 +21,7 @@ import pyarrow.parquet
 import scipy
 
 from excitant.exceptions import BadInput, BadRecording, UnknownName
-from excitant.identify.importers.mapping import ColumnMap, column_map, drive_of, load_column_map
+from excitant.identify.importers.names import ColumnMap, column_map, drive_of, load_column_map
 from excitant.identify.preprocessing import CUTOFF_HZ, POSITION_RATIO, at_instants, uninterrupted
 from excitant.identify.recording import SUFFIXES, Recording, load_recording, read_chunks
 from excitant.robots.loading import load_robot
@@ -153,7 +153,6 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
 
 
 def _with_drive(given: ColumnMap, model: Path) -> ColumnMap:
-    """A column map with the drive constants of a robot.yaml, where it says none."""
     if given.drive or model.suffix not in (".yaml", ".yml") or not model.is_file():
         return given
     drive = drive_of(read_yaml(model, RobotRecord, "a robot").drive, str(model))

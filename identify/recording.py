@@ -14,7 +14,7 @@ import pandas as pd
 from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.importers import tables
 from excitant.identify.importers.columns import Channel, Columns, resolve
-from excitant.identify.importers.mapping import ColumnMap
+from excitant.identify.importers.names import ColumnMap
 from excitant.identify.importers.text import text_table
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, freeze, read_only
@@ -161,13 +161,10 @@ def read_chunks(
     after the last piece.
 
     Args:
-        paths: A log, or the files it was split into, in order.
+        paths: A log, or the files it was split into, in order; ``t`` counts from its first sample.
         robot: The arm, or its number of joints.
         rows: Most rows of a piece.
         mapping: What the user says about the columns.
-
-    Yields:
-        Pieces of at least one row; ``t`` counts from the first sample of the log.
 
     Raises:
         BadRecording: As `load_recording`, when the piece at fault is reached.
@@ -229,22 +226,14 @@ def _pieces(
     for frame in table.frames(rows, narrow):
         if rows is not None and frame.empty:
             continue
-        if not timed:
-            columns, timed = _timed(columns, frame), True
+        if not timed and (unit := tables.stamps_unit(frame[columns.t[0]])) not in (None, "s"):
+            what = "dates" if unit == tables.ISO else f"stamps since 1970 [{unit}]"
+            notes = (*columns.notes, f"time: {columns.t[0]} holds {what}")
+            columns = replace(columns, t_unit=unit, notes=notes)
+        timed = True
         raw = _in_si_units(table, frame, columns, origin)
         origin = raw.start
         yield raw
-
-
-def _timed(columns: Columns, frame: pd.DataFrame) -> Columns:
-    """The columns with the unit of time that the values show, where names say none."""
-    unit = tables.stamps_unit(frame[columns.t[0]])
-    if unit is None or unit == "s":
-        return columns
-    what = "dates" if unit == tables.ISO else f"stamps since 1970 [{unit}]"
-    return replace(
-        columns, t_unit=unit, notes=(*columns.notes, f"time: {columns.t[0]} holds {what}")
-    )
 
 
 def _in_si_units(

@@ -21,9 +21,8 @@ from excitant.identify.faults.channels import (
 )
 from excitant.identify.faults.fault import FAULTS, Fault, Log, after_repair, repair
 from excitant.identify.faults.modelled import not_measured, poor_excitation, wrong_frame
-from excitant.identify.faults.physics import physics_faults, smooth, torque_fit
+from excitant.identify.faults.physics import physics_faults, smooth, torque_fit, velocity_faults
 from excitant.identify.faults.time import gap_faults, repeated_rows, stamp_faults
-from excitant.identify.faults.velocity import velocity_faults
 from excitant.identify.recording import CHANNELS, Recording, checked, raw_recording
 from excitant.robots.robot import Robot
 
@@ -42,15 +41,11 @@ _OF_ROWS = (
 
 
 def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
-    """Faults of a recording, before anything is fitted to it.
+    """Faults of a recording as logged; the arm's masses matter for signs and excitation only.
 
     Rows first, then channels, velocity against position, and last the physics: each test sees
     the recording as the repairs of the earlier ones would leave it, so that one fault is not
     named twice. All tests together raise a fault in at most one of fifty faultless recordings.
-
-    Args:
-        robot: The arm; its masses matter for signs and excitation only.
-        recording: As logged; nothing is changed in it.
     """
     log = Log.of(robot, recording)
     found: list[Fault] = []
@@ -84,7 +79,6 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
 
 
 def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault]:
-    """Faults that only a model of the arm shows."""
     data, found = smooth(log), list[Fault]()
     if data is not None:
         dead = {
@@ -146,13 +140,7 @@ def read_checked(
     without: Sequence[str] = (),
     repaired: bool = False,
 ) -> Checked:
-    """Recordings of a dataset by name (all when none) and their faults.
-
-    Args:
-        dataset: Where they are, and of which arm.
-        names: Recordings to read.
-        without: Recordings that are held out.
-        repaired: Whether to repair what can be; each file is then a recording of its own.
+    """Recordings of a dataset as `Dataset.recordings`, and their faults, repaired where asked for.
 
     Raises:
         BadInput: Nothing to read.

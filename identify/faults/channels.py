@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
+from typing import Any
 
 import numpy as np
 import scipy
@@ -47,18 +48,18 @@ _MANY = 0.5  # of all channels: the row is at fault, not a channel
 def dead_channels(log: Log) -> Iterator[Fault]:
     """Channels that are constant, only noise, or stop for a while, though the joint moves."""
     for (name, x), j in product(log.channels(), range(log.nv)):
-        column = x[:, j]
-        found = _constant(log, name, column, j) or _white(log, name, column, j)
-        if found := found or _stretch(log, name, column, j):
-            yield found
+        found = (test(log, name, x[:, j], j) for test in (_constant, _white, _stretch))
+        for detail, evidence in filter(None, found):
+            sentence = f"{name} of {log.joints[j]} {detail}"
+            yield Fault("dead_channel", (log.joints[j],), sentence, {"channel": name} | evidence)
+            break
 
 
-def _dead(log: Log, name: str, j: int, detail: str, **evidence: object) -> Fault:
-    sentence = f"{name} of {log.joints[j]} {detail}"
-    return Fault("dead_channel", (log.joints[j],), sentence, {"channel": name, **evidence})
+_Found = tuple[str, dict[str, Any]] | None
+"""Detail and evidence."""
 
 
-def _constant(log: Log, name: str, x: Array, j: int) -> Fault | None:
+def _constant(log: Log, name: str, x: Array, j: int) -> _Found:
     """A channel with one value, of which a position or velocity counts where the other moves."""
     moves = log.moving[:, j].any()
     if np.ptp(x) > 0 or (name == "dq" and not moves):
@@ -69,10 +70,10 @@ def _constant(log: Log, name: str, x: Array, j: int) -> Fault | None:
         if np.ptp(speed) == 0 or np.abs(speed).mean() < 5 * noise(speed):
             return None
         against = f", while dq of the joint varies over {np.ptp(speed):.4g}"
-    return _dead(log, name, j, f"is {x[0]:.6g} in every row{against}", value=float(x[0]))
+    return f"is {x[0]:.6g} in every row{against}", {"value": float(x[0])}
 
 
-def _white(log: Log, name: str, x: Array, j: int) -> Fault | None:
+def _white(log: Log, name: str, x: Array, j: int) -> _Found:
     """A channel whose block means scatter no more than those of white noise.
 
     Means of b samples of white noise have 1/b of its variance; b times the variance of B of them
@@ -90,19 +91,19 @@ def _white(log: Log, name: str, x: Array, j: int) -> Fault | None:
         f"is only noise of {x.std():.3g} while the joint moves: means of {block} samples vary "
         f"{ratio:.2f} times as much as those of white noise (by chance up to {bound:.2f})"
     )
-    return _dead(log, name, j, detail, ratio=ratio, bound=bound, std=x.std())
+    return detail, {"ratio": ratio, "bound": bound, "std": x.std()}
 
 
-def _stretch(log: Log, name: str, x: Array, j: int) -> Fault | None:
+def _stretch(log: Log, name: str, x: Array, j: int) -> _Found:
     """The longest run of one value, if the channel never else keeps a value that long."""
     starts, lengths = run_lengths(np.diff(x) == 0)
-    if not len(lengths):
+    length = int(lengths.max(initial=0))
+    if length < 10 or length <= tail_bound(lengths, ALARM / log.nv):
         return None
-    k = int(np.argmax(lengths))
-    start, length = int(starts[k]), int(lengths[k])
+    start = int(starts[np.argmax(lengths)])
     rows = slice(start, start + length + 1)
-    seconds = float(log.t[start + length] - log.t[start])
-    if seconds < _STRETCH_S or length < 10 or length <= tail_bound(lengths, ALARM / log.nv):
+    seconds = float(np.ptp(log.t[rows]))
+    if seconds < _STRETCH_S:
         return None
     way, clear = float(np.ptp(log.q[rows, j])), float(_TRAVELLED * log.grain[j])
     if name == "q":
@@ -119,11 +120,11 @@ def _stretch(log: Log, name: str, x: Array, j: int) -> Fault | None:
         f"stays at {value:.6g} for {seconds:.3g} s from t = {t:.4g} s while the "
         f"joint moves; else it keeps no value for that long"
     )
-    return _dead(log, name, j, detail, value=value, start=t, seconds=seconds)
+    return detail, {"value": value, "start": t, "seconds": seconds}
 
 
 def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
-    """Torque that stays at its extreme value while the motion goes on.
+    """Torque that stays at its extreme value, or at its limit but for noise, while joints move.
 
     Of a channel that is not cut off no more samples lie exactly at the extreme value than in the
     band below it, four steps of resolution or three standard deviations of noise wide: even a
@@ -131,49 +132,33 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
     """
     moved = np.asarray(log.moving.any(axis=1), bool)
     for j, sign in product(range(log.nv), (1.0, -1.0)):
-        x = sign * log.tau[:, j]
-        found = _at_extreme(log, x, sign, moved)
-        if found := found or _at_limit(log, x, sign, float(robot.limits.torque[j])):
-            said, evidence = found
-            detail = f"tau of {log.joints[j]} is {said}"
-            yield Fault("saturation", (log.joints[j],), detail, evidence)
-
-
-_Said = tuple[str, dict[str, float]]
-
-
-def _at_extreme(log: Log, x: Array, sign: float, moved: Mask) -> _Said | None:
-    top, step, span = float(x.max()), quantum(x), float(np.ptp(x))
-    band = max(_LEVELS * step, _SIGMAS * noise(x), 1e-6 * span)
-    at = moved & (x > top - min(step / 2, 1e-9 * span))
-    count, near = int(at.sum()), int((moved & ~at & (x > top - band)).sum())
-    if count < _AT_LEAST or band == 0:
-        return None
-    if scipy.special.pdtrc(count - 1, near + 1) > ALARM / (2 * log.nv):
-        return None
-    longest = int(run_lengths(at)[1].max())
-    said = (
-        f"at its {'largest' if sign > 0 else 'smallest'} value {sign * top:.6g} "
-        f"{log.unit} in {count} of {len(log)} rows, up to {longest} in a row, while joints move; "
-        f"only {near} lie within {band:.3g} of it"
-    )
-    return said, {"value": sign * top, "count": count, "longest": longest, "near": near}
-
-
-def _at_limit(log: Log, x: Array, sign: float, limit: float) -> _Said | None:
-    """Torque that reaches the given limit of its motor, and leaves it by noise alone."""
-    scatter, top = noise(x), float(x.max())
-    if log.unit != "N·m" or not np.isfinite(limit) or scatter > 0.05 * limit:
-        return None
-    at = x > limit - 2 * scatter
-    longest, count = int(run_lengths(at)[1].max(initial=0)), int(at.sum())
-    if top > limit + 6 * scatter or longest < _AT_LEAST:
-        return None
-    said = (
-        f"within its noise of the limit {sign * limit:.6g} {log.unit} in "
-        f"{count} of {len(log)} rows, up to {longest} in a row"
-    )
-    return said, {"value": sign * limit, "count": count, "longest": longest}
+        x, limit = sign * log.tau[:, j], float(robot.limits.torque[j])
+        top, step, span, scatter = float(x.max()), quantum(x), float(np.ptp(x)), noise(x)
+        band = max(_LEVELS * step, _SIGMAS * scatter, 1e-6 * span)
+        at = moved & (x > top - min(step / 2, 1e-9 * span))
+        near, many = int((moved & ~at & (x > top - band)).sum()), int(at.sum()) >= _AT_LEAST
+        evidence = {"value": sign * top, "near": near}
+        if (
+            many
+            and band > 0
+            and scipy.special.pdtrc(at.sum() - 1, near + 1) <= ALARM / (2 * log.nv)
+        ):
+            where = f"at its {'largest' if sign > 0 else 'smallest'} value"
+            more = f", while joints move; only {near} lie within {band:.3g} of it"
+        else:
+            at = x > limit - 2 * scatter
+            known = log.unit == "N·m" and np.isfinite(limit) and scatter <= 0.05 * limit
+            long = run_lengths(at)[1].max(initial=0) >= _AT_LEAST
+            if not (known and long and top <= limit + 6 * scatter):
+                continue
+            where, more, evidence = "within its noise of the limit", "", {"value": sign * limit}
+        joint, count, longest = log.joints[j], int(at.sum()), int(run_lengths(at)[1].max())
+        detail = (
+            f"tau of {joint} is {where} {evidence['value']:.6g} {log.unit} in {count} of "
+            f"{len(log)} rows, up to {longest} in a row{more}"
+        )
+        evidence |= {"count": count, "longest": longest}
+        yield Fault("saturation", (joint,), detail, evidence)
 
 
 def held_channels(log: Log) -> Iterator[Fault]:
@@ -337,13 +322,11 @@ def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:
 
 
 def _near(mask: Mask, reach: int = 1) -> Mask:
-    """A mask widened along the rows."""
     wide = scipy.ndimage.maximum_filter1d(mask.astype(np.uint8), 2 * reach + 1, axis=0)
     return np.asarray(wide, bool)
 
 
 def _running_median(x: Array, window: int) -> Array:
-    """Median of so many samples around each one, column by column, shape as given."""
     size = min(window, len(x))
     columns = [scipy.ndimage.median_filter(column, size, mode="nearest") for column in x.T]
     return np.column_stack(columns)

@@ -17,16 +17,8 @@ from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
 FAULTS = (
-    "dead_channel",
-    "wrong_sign",
-    "wrong_unit",
-    "wrong_sample_rate",
-    "duplicate_samples",
-    "dropped_samples",
-    "corrupt_rows",
-    "saturation",
-    "not_measured",
-    "wrong_frame",
+    *("dead_channel", "wrong_sign", "wrong_unit", "wrong_sample_rate", "duplicate_samples"),
+    *("dropped_samples", "corrupt_rows", "saturation", "not_measured", "wrong_frame"),
     "poor_excitation",
 )
 """The vocabulary, the same in results, interface and documentation."""

@@ -45,14 +45,14 @@ def not_measured(case: TorqueFit) -> Iterator[Fault]:
     ]
     if len(ideal) > _HALF * len(case.joints):
         worst, names = max(ideal, key=lambda j: missed[j]), log.names(ideal)
+        noise = [own[j] for j in ideal]
         detail = (
             f"tau of {', '.join(names)} is the output of a model, not a measurement: rigid bodies "
             f"with viscous and Coulomb friction miss it by no more than {missed[worst]:.2%} of its "
-            f"spread ({log.joints[worst]}), and its own noise is at most "
-            f"{max(own[j] for j in ideal):.1g} {log.unit}"
+            f"spread ({log.joints[worst]}), and its own noise is at most {max(noise):.1g} "
+            f"{log.unit}"
         )
-        evidence = {"missed": missed[ideal], "noise": [own[j] for j in ideal]}
-        yield Fault("not_measured", names, detail, evidence)
+        yield Fault("not_measured", names, detail, {"missed": missed[ideal], "noise": noise})
     copied = _derived(log, case.joints)
     if len(copied) > _HALF * len(case.joints):
         worst, names = max(copied, key=lambda j: copied[j]), log.names(copied)

@@ -1,36 +1,55 @@
-"""Rate, units and signs judged by the physics: which reading of the log explains its torque.
+"""Rate, units and signs: velocity against position, and torque against the physics of the arm.
 
-A hypothesis ("positions in degrees", "joint 3 counted the other way", "time twice too slow") is
-named when it explains the torque better than the log as it stands: a likelihood ratio beyond
-chance in independent rows, at least one joint's squared error halved, and no joint's doubled.
+Without any model: over windows, ∫ q̇ dt must be Δq. The slope b of one against the other is 1; it is
+−1 where a sign is flipped, 180/π or 30/π where the velocity is in degrees or revolutions per
+minute, and c for all joints at once where the time runs c times too fast.
 
-Y(q, q̇, q̈) = G(q) + D(q, q̇, q̈), and D scales with 1/c² when the time of the log runs c times too
-slow. All parameters are free, so nothing depends on the masses given, and filters are set in parts
-of the motion's own bandwidth, so that they mean the same whatever the unit of time.
+With a model, a hypothesis ("positions in degrees", "joint 3 counted the other way", "time twice too
+slow") is named when it explains the torque better than the log as it stands: a likelihood ratio
+beyond chance in independent rows, at least one joint's squared error halved, and no joint's
+doubled. Y(q, q̇, q̈) = G(q) + D(q, q̇, q̈), and D scales with 1/c² when the time runs c times too slow.
+All parameters are free, so nothing depends on the masses given, and filters are set in parts of the
+motion's own bandwidth, so that they mean the same whatever the unit of time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from excitant.identify.differentiators import low_pass
-from excitant.identify.faults.fault import ALARM, Fault, Log, Remedy, Rows, normal_bound
-from excitant.identify.faults.velocity import RATES, slower
+from excitant.identify.faults.fault import ALARM, Fault, Log, Remedy, normal_bound
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
+_WINDOW_S, _WINDOW_ROWS = 0.2, 8
+_ENOUGH = 8  # windows in which the joint moves
+_CLEAR = 20.0  # resolutions: what counts as moving
+_FOLLOWS = 0.9  # correlation from which on one channel is the other's integral
+_MARGIN = 0.05  # a scale that is off by less changes inertial torque by less than a tenth
+_UNIT_NEAR = 0.03  # of a named factor
+_FALLS = 0.1  # of what one rate leaves, two leave at most
+_UNITS = {
+    180 / np.pi: ("dq", ": dq is in degrees per second"),
+    30 / np.pi: ("dq", ": dq is in revolutions per minute"),
+    1 / (2 * np.pi): ("dq", ": dq is in revolutions per second"),
+    np.pi / 180: ("q", ", as with q in degrees and dq in rad/s"),
+    2 * np.pi: ("q", ", as with q in turns and dq in rad/s"),
+}
+"""Slopes of ∫q̇ dt against Δq that a unit explains, the channel in that unit, and words."""
+_RATES = (0.5, 2.0, 0.25, 4.0, 1e-3, 1e3, 1e-6, 1e6, 1e-9, 1e9)
+"""Factors by which a clock may be off for a reason."""
 _BAND = 8.0  # bandwidth kept, in parts of the motion's rms frequency
 _OVERSAMPLED = 8  # rows per period of the cut-off
 _ROWS = 1200  # at most
 _NYQUIST = 0.2  # of the sampling rate: highest cut-off
-_PER_JOINT = 4  # columns of each joint's own effects
 _RANK = 1e-10
 _HALVED = 0.5
 _BROAD = np.geomspace(1e-3, 1e3, 25)  # time factors tried first
@@ -40,8 +59,117 @@ _SIGNAL = 3.0  # a part of the torque that is to have a sign exceeds the error b
 _BEYOND = 1.2 * 2 * np.pi  # rad: more than joints turn to one side
 
 
-@dataclass(frozen=True, eq=False)
-class Smooth:
+def velocity_faults(log: Log) -> list[Fault]:
+    """Faults that show in the velocity against the position."""
+    b, error, follows = _slopes(log)
+    bound = normal_bound(log.nv)
+    wrong = [j for j in follows if abs(b[j] - 1) > max(_MARGIN, bound * error[j])]
+    # the factor that all moving joints share, when more than one moves
+    common = float(np.median(b[follows])) if len(follows) > 1 and wrong == follows else None
+    if common is not None and (np.abs(b[follows] / common - 1) >= _MARGIN).any():
+        common = None
+    if len(log) > 3 and (np.diff(log.t) == 1.0).all():
+        detail = (
+            f"every time step is exactly 1, so t counts samples ({log.t[0]:g} to {log.t[-1]:g})"
+        )
+        if common is None or common <= 0:
+            return [Fault("wrong_sample_rate", log.joints, detail, {"step": 1.0})]
+        detail += f"; q and dq agree at a step of {1 / common:.4g} s ({common:.4g} Hz)"
+        return [_slower(log, common, detail, step=1.0)]
+    if wrong and (change := _rate_change(log)) is not None:
+        return [change]
+    if common is None or common <= 0 or _named(common) is not None:
+        return [_of_joint(log, j, float(b[j]), float(error[j])) for j in wrong]
+    factor = next((c for c in _RATES if abs(common / c - 1) < _UNIT_NEAR), common)
+    detail = (
+        f"the time runs {common:.4g} times too {'slow' if common > 1 else 'fast'} for the motion: "
+        f"∫dq dt is {common:.4g} ± {np.nanmedian(error):.2g} times the change of q at all "
+        f"{len(follows)} moving joints; the median step is {log.step:.4g} s, "
+        f"{log.step / factor:.4g} s would fit"
+    )
+    return [_slower(log, factor, detail, factor=common, slopes=b, errors=error)]
+
+
+def _windows(log: Log, dq: Array) -> tuple[int, Array, Array]:
+    """Rows of a window, Δq and ∫q̇ dt over windows, each of shape (windows, nv)."""
+    w = min(max(_WINDOW_ROWS, round(_WINDOW_S / log.step)), len(log) // 20)
+    way = scipy.integrate.cumulative_trapezoid(dq, log.t, axis=0, initial=0)
+    return w, np.diff(log.q[::w], axis=0), np.diff(way[::w], axis=0)
+
+
+def _slopes(log: Log) -> tuple[Array, Array, list[int]]:
+    """Slopes of ∫q̇ dt on Δq (NaN without motion), their standard errors, joints in proportion."""
+    b, error = np.full((2, log.nv), np.nan)
+    follows: list[int] = []
+    if log.dq is None or len(log) < 5 * _WINDOW_ROWS:
+        return b, error, follows
+    _, dq, dv = _windows(log, log.dq)
+    for j, (x, y) in enumerate(zip(dq.T, dv.T, strict=True)):
+        clear = np.abs(x) > _CLEAR * log.grain[j]
+        if clear.sum() < _ENOUGH or np.ptp(y) == 0:
+            continue
+        b[j] = x @ y / (x @ x)
+        error[j] = np.sqrt(((y - b[j] * x) ** 2 * x**2).sum()) / (x @ x)
+        if abs(x @ y) > _FOLLOWS * np.sqrt((x @ x) * (y @ y)):
+            follows.append(j)
+    return b, error, follows
+
+
+def _rate_change(log: Log) -> Fault | None:
+    """A rate that changes once, all joints alike, while the stamps run on as before."""
+    w, x, y = _windows(log, np.asarray(log.dq))
+    unit = np.maximum(np.abs(x).max(axis=0), 1e-12)
+    x, y = x / unit, y / unit
+    xx, xy, yy = ((a * b).sum(axis=1).cumsum() for a, b in ((x, x), (x, y), (y, y)))
+    k = np.arange(_ENOUGH, len(x) - _ENOUGH)
+    if not len(k) or (xx[k] <= 0).any() or (xx[-1] - xx[k] <= 0).any():
+        return None
+    first, second = xy[k] / xx[k], (xy[-1] - xy[k]) / (xx[-1] - xx[k])
+    left = yy[-1] - first * xy[k] - second * (xy[-1] - xy[k])
+    best = int(np.argmin(left))
+    before, after = float(first[best]), float(second[best])
+    clear = left[best] <= _FALLS * (yy[-1] - xy[-1] ** 2 / xx[-1])
+    if not clear or not any(abs(after / before / r - 1) < _MARGIN for r in _RATES):
+        return None
+    at = float(log.t[(int(k[best]) + 1) * w])
+    detail = (
+        f"the sample rate changes near t = {at:.4g} s though the stamps run on: ∫dq dt is "
+        f"{before:.4g} times the change of q before and {after:.4g} times after, at all moving "
+        f"joints alike; cut the recording there and stretch the time of one part"
+    )
+    evidence = {"at": at, "before": before, "after": after}
+    return Fault("wrong_sample_rate", log.joints, detail, evidence)
+
+
+def _named(slope: float) -> float | None:
+    return next((factor for factor in _UNITS if abs(abs(slope) / factor - 1) < _UNIT_NEAR), None)
+
+
+def _slower(log: Log, factor: float, detail: str, /, **evidence: object) -> Fault:
+    """The fault of a clock that runs so many times too slow."""
+    done, remedy = f"divides the time by {factor:.5g}", Remedy("scale", "t", factor=1 / factor)
+    known = {"factor": factor, **evidence}
+    return Fault("wrong_sample_rate", log.joints, detail, known, done, (remedy,))
+
+
+def _of_joint(log: Log, j: int, b: float, error: float) -> Fault:
+    joint, unit, sign = log.joints[j], _named(b), float(np.sign(b))
+    fault, flipped = "wrong_unit", ", and its sign is flipped" if b < 0 else ""
+    channel, what = _UNITS[unit] if unit else ("dq", ": no unit that is known, a scale is wrong")
+    factor, repair = unit or abs(b), f"divides dq of {joint} by {sign * (unit or abs(b)):.6g}"
+    remedy = Remedy("scale", channel, (j,), factor=sign / factor)
+    if abs(b + 1) <= _MARGIN:
+        fault, what, flipped = "wrong_sign", ": dq has the opposite sign of q", ""
+        repair, remedy = f"negates dq of {joint}", replace(remedy, factor=-1.0)
+    elif channel == "q":
+        repair = f"multiplies q of {joint} by {factor:.6g}"
+        remedy = replace(remedy, factor=sign * factor)
+    detail = f"∫dq dt of {joint} is {b:.4g} ± {error:.2g} times the change of its q{what}{flipped}"
+    evidence = {"channel": channel, "slope": b, "error": error}
+    return Fault(fault, (joint,), detail, evidence, repair, (remedy,))
+
+
+class Smooth(NamedTuple):
     """A log in its motion's own bandwidth, evenly sampled at N instants."""
 
     motion: Motion
@@ -78,8 +206,8 @@ class TorqueFit:
 
     Normal equations, assembled for any time factor and torque signs. Columns of the links at rest G
     and what motion adds to them D have the shape (N, nv, 10 nv), those of each joint's own effects
-    F (N, nv, 4). ``size`` is the mean square of each joint's torque, ``sigma`` its error by
-    parameters of its own, shape (nv,). Positions (and velocities) are multiplied by ``factor``.
+    F (N, nv, 4). ``size`` is the mean square of each joint's torque, shape (nv,), ``sigma`` the
+    error of each of ``joints`` by parameters of its own. Positions are multiplied by ``factor``.
     """
 
     def __init__(
@@ -94,47 +222,33 @@ class TorqueFit:
         filtered = (low_pass(x, cutoff, data.rate) for x in (G, D, F, data.tau))
         self.G, self.D, self.F, self.tau = (x[edge : len(q) - edge] for x in filtered)
         self.robot, self.log, self.data, self.joints = robot, log, data, joints
-        self.freedom = self.G.shape[2] + _PER_JOINT * robot.nv
         self.size: Array = np.maximum((self.tau**2).mean(axis=0), 1e-300)
-        self._A, self._b = {}, {}
-        alone = self.size.copy()
-        for j in joints:
-            own, y = self.F[:, j], self.tau[:, j]
-            W, V = np.hstack([self.G[:, j], own]), np.hstack([self.D[:, j], 0 * own])
-            self._A[j] = W.T @ W, W.T @ V + V.T @ W, V.T @ V
-            self._b[j] = W.T @ y, V.T @ y
-            A, b = np.sum(self._A[j], axis=0), np.sum(self._b[j], axis=0)
-            alone[j] = self._left(j, A, b, _solve(A, b))
-        self.sigma: Array = np.sqrt(alone)
+        own = np.einsum("njk,ji->njik", self.F, np.eye(robot.nv)).reshape(len(self.F), robot.nv, -1)
+        still, moved = np.dstack([self.G, own]), np.dstack([self.D, 0 * own])
+        W, V, y = (x[:, joints].swapaxes(0, 1) for x in (still, moved, self.tau[..., None]))
+        Wt, Vt = W.swapaxes(1, 2), V.swapaxes(1, 2)
+        self._columns, self.freedom = W + V, W.shape[2]
+        self._A = Wt @ W, Wt @ V + Vt @ W, Vt @ V
+        self._b = (Wt @ y)[..., 0], (Vt @ y)[..., 0]
+        A, b = np.sum(self._A, axis=0), np.sum(self._b, axis=0)
+        self.sigma = np.sqrt(self._left(A, b, np.array(list(map(_solve, A, b)))))
 
-    def _left(self, j: int, A: Array, b: Array, x: Array) -> float:
-        left = self.size[j] - (2 * b - A @ x) @ x / len(self.tau)
-        return float(max(left, 1e-10 * self.size[j]))
-
-    def _members(self, j: int) -> Rows:
-        """Indices of the parameters that act on joint j."""
-        p = self.G.shape[2]
-        return np.append(np.arange(p), p + _PER_JOINT * j + np.arange(_PER_JOINT))
+    def _left(self, A: Array, b: Array, x: Array) -> Array:
+        """Mean square that parameters leave of each of the joints' torque."""
+        size, x = self.size[self.joints], np.broadcast_to(x, b.shape)
+        left = size - ((2 * b - np.einsum("jkl,jl->jk", A, x)) * x).sum(axis=1) / len(self.tau)
+        return np.asarray(np.maximum(left, 1e-10 * size))
 
     def fit(self, s: float = 1.0, sign: Array | None = None) -> tuple[Array, Array]:
         """Parameters, shape (14 nv,), and mean square of what is left of each torque, shape (nv,).
 
         What motion adds is multiplied by s, torques by their sign.
         """
-        A, b = np.zeros((self.freedom, self.freedom)), np.zeros(self.freedom)
-        parts = []
-        for j in self.joints:
-            still, mixed, moved = self._A[j]
-            own = still + s * mixed + s**2 * moved
-            side = (1.0 if sign is None else sign[j]) * (self._b[j][0] + s * self._b[j][1])
-            rows = self._members(j)
-            A[np.ix_(rows, rows)] += own / self.sigma[j] ** 2
-            b[rows] += side / self.sigma[j] ** 2
-            parts.append((j, rows, own, side))
-        x = _solve(A, b)
+        A, b = self._A[0] + s * self._A[1] + s**2 * self._A[2], self._b[0] + s * self._b[1]
+        b = b if sign is None else sign[self.joints, None] * b
+        x = _solve(np.tensordot(self.sigma**-2, A, 1), self.sigma**-2 @ b)
         power = self.size.copy()
-        for j, rows, own, side in parts:
-            power[j] = self._left(j, own, side, x[rows])
+        power[self.joints] = self._left(A, b, x)
         return x, power
 
     @cached_property
@@ -145,10 +259,9 @@ class TorqueFit:
     @cached_property
     def rows(self) -> Array:
         """Independent rows of each joint's error, shape (nv,)."""
-        rows, (x, _) = np.ones(self.robot.nv), self.fit()
-        for j in self.joints:
-            W = np.hstack([self.G[:, j] + self.D[:, j], self.F[:, j]])
-            error = self.tau[:, j] - W @ x[self._members(j)]
+        rows = np.ones(self.robot.nv)
+        for j, predicted in zip(self.joints, self._columns @ self.fit()[0], strict=True):
+            error = self.tau[:, j] - predicted
             rows[j] = len(error) / autocorrelation_time(error) if error.any() else 1.0
         return rows
 
@@ -180,8 +293,8 @@ class TorqueFit:
 def torque_fit(robot: Robot, log: Log, data: Smooth, dead: set[str]) -> TorqueFit | None:
     """The fit of a log's torque; None when no joint's torque can be used."""
     alive = [j for j in range(robot.nv) if log.joints[j] not in dead and np.ptp(data.tau[:, j]) > 0]
-    case = TorqueFit(robot, log, data, alive)
-    return case if alive and len(case.tau) >= 60 else None
+    case = TorqueFit(robot, log, data, alive) if alive else None
+    return case if case and len(case.tau) >= 60 else None
 
 
 def scaled_least_squares(W: Array, y: Array) -> tuple[Array, Array, Array]:
@@ -193,7 +306,6 @@ def scaled_least_squares(W: Array, y: Array) -> tuple[Array, Array, Array]:
 
 
 def _solve(A: Array, b: Array) -> Array:
-    """Least-squares solution of normal equations that may be singular."""
     d = np.sqrt(np.diag(A))
     d = np.where(d > 0, d, 1.0)
     values, V = np.linalg.eigh(A / np.outer(d, d))
@@ -226,19 +338,14 @@ def _degrees(case: TorqueFit) -> Iterator[Fault]:
     widest = int(np.argmax(largest))
     if not case.better(power, len(tried)):
         return
-    yield Fault(
-        "wrong_unit",
-        log.names(joints),
+    detail = (
         f"q is in degrees: it reaches {largest[widest]:.4g} at {log.joints[widest]}, and read in "
-        f"degrees {case.compared(power)}",
-        {"channel": "q", "gain": gain, "largest": largest},
-        "multiplies q and dq, which agrees with it, by π/180",
-        tuple(
-            Remedy("scale", name, (int(j),), factor=np.pi / 180)
-            for j in joints
-            for name in ("q", "dq")
-        ),
+        f"degrees {case.compared(power)}"
     )
+    done = "multiplies q and dq, which agrees with it, by π/180"
+    remedies = [Remedy("scale", name, tuple(joints), factor=np.pi / 180) for name in ("q", "dq")]
+    evidence = {"channel": "q", "gain": gain, "largest": largest}
+    yield Fault("wrong_unit", log.names(joints), detail, evidence, done, tuple(remedies))
 
 
 def _position_signs(case: TorqueFit) -> Iterator[Fault]:
@@ -285,7 +392,7 @@ def _rate(case: TorqueFit) -> Iterator[Fault]:
     ).x
     c, log = float(np.exp(peak)), case.log
     power = case.fit(s=c**2)[1]
-    near = [r for r in RATES if abs(c / r - 1) < _NEAR]
+    near = [r for r in _RATES if abs(c / r - 1) < _NEAR]
     freedom = 1 if near else None  # an odd factor may stand for anything the model lacks
     if abs(c - 1) < 2 * _NEAR or not case.better(power, len(_BROAD), freedom):
         return
@@ -296,7 +403,7 @@ def _rate(case: TorqueFit) -> Iterator[Fault]:
         f"(95 % between {low:.3g} and {high:.3g}): so corrected, {case.compared(power)}; the "
         f"median step is {log.step:.4g} s, {log.step / factor:.4g} s would fit"
     )
-    yield slower(log, factor, detail, factor=c, interval=(low, high), gain=case.gain(power))
+    yield _slower(log, factor, detail, factor=c, interval=(low, high), gain=case.gain(power))
 
 
 def _torque_signs(case: TorqueFit) -> Iterator[Fault]:

@@ -149,8 +149,6 @@ def hidden_gaps(log: Log) -> Iterator[Fault]:
 
 
 class _Order(NamedTuple):
-    """How rows come into the order of time."""
-
     again: Rows = _NONE  # repeat an earlier one, not the row before, with its stamp and values
     late: Rows = _NONE  # belong between earlier ones, where sorting puts them
     lost: Rows = _NONE  # their stamps fit nowhere
@@ -197,7 +195,6 @@ def _settled(log: Log, rows: Rows, step: float) -> tuple[Rows, Rows] | None:
 
 
 def _stray(t: Array, step: float) -> Mask:
-    """Short runs of stamps far from those around them."""
     return np.asarray(np.abs(t - _smoothed(t)) > _STRAY * step, bool)
 
 
@@ -333,7 +330,6 @@ def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
 
 
 def _listed(rows: Rows) -> str:
-    """Rows in words; of many the first ones."""
     runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     shown = [str(r[0]) if len(r) == 1 else f"{r[0]} to {r[-1]}" for r in runs[:_LISTED]]
     more = f" and {len(rows) - sum(map(len, runs[:_LISTED]))} more" if len(runs) > _LISTED else ""

@@ -15,8 +15,14 @@ from typing import Any
 import yaml
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.importers.mapping import ColumnMap
-from excitant.identify.importers.names import PARTS_OF_TIME, Meaning, Unit, factor, meaning
+from excitant.identify.importers.names import (
+    PARTS_OF_TIME,
+    ColumnMap,
+    Meaning,
+    Unit,
+    factor,
+    meaning,
+)
 from excitant.identify.importers.tables import Table
 from excitant.robots.robot import Robot
 
@@ -160,8 +166,6 @@ class _Group:
 
 
 class _Search:
-    """What the names of a log's columns, and the user's map, say about them."""
-
     def __init__(self, table: Table, robot: Robot | int, mapping: ColumnMap) -> None:
         self.table, self.mapping = table, mapping
         arm = None if isinstance(robot, int) else robot
@@ -195,7 +199,6 @@ class _Search:
         self.t_unit: Unit | None = unit if said is None or isinstance(said, tuple) else said
 
     def _meaning(self, column: str) -> Meaning:
-        """What a column's name says, given the arm's joints."""
         joint, _, quantity = column.rpartition(".")
         if not self.table.joined or not joint:
             return meaning(column, self.joints)
@@ -282,7 +285,6 @@ class _Search:
         return group
 
     def _given(self, role: str, given: str | tuple[str, ...]) -> tuple[str, ...]:
-        """The columns that the map names, in the robot's order."""
         names, one = self.table.names, self.count == 1
         columns = (given,) if isinstance(given, str) else given
         if isinstance(given, str) and "{" in given:
@@ -310,7 +312,6 @@ class _Search:
                 raise BadRecording(self.table.file, why, column=column)
 
     def _factors(self, role: str, hints: Sequence[str | None]) -> tuple[float, ...]:
-        """SI units per logged unit and joint, signs included."""
         source = self.mapping.source
         given = self.mapping.units.get(role, tuple(hints))
         units = given if isinstance(given, tuple) else (given,) * self.count
@@ -359,7 +360,6 @@ class _Search:
         return f"say which in a file for --map, such as {text.strip()}"
 
     def _ambiguous(self, role: str, spans: Sequence[str]) -> BadRecording:
-        """The refusal of columns of which several could be meant."""
         choices = "; or ".join(f"{span} ..." if role != "t" else span for span in spans)
         why = f"{_SAID[role]} could be {choices}: {self._suggestion()}"
         return BadRecording(self.table.file, why)
@@ -394,7 +394,6 @@ def _times(meanings: Sequence[Meaning]) -> tuple[tuple[tuple[str, ...], ...], st
 
 
 def _in_unit(units: Unit | tuple[Unit | None, ...] | None, column: str) -> str:
-    """A unit in brackets, unless the column's name ends with it."""
     if units is None or (isinstance(units, str) and column.endswith((f"[{units}]", f"({units})"))):
         return ""
     return f" [{', '.join(map(str, units)) if isinstance(units, tuple) else units}]"

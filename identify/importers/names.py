@@ -1,4 +1,4 @@
-"""Names of columns and units: which quantity, joint and unit a column holds, as its name says."""
+"""What columns hold: quantity, joint and unit, as their names say, and as a user's map says."""
 
 from __future__ import annotations
 
@@ -6,7 +6,15 @@ import math
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+
+from excitant.exceptions import BadInput
+from excitant.robots.schema import Finite, Name, convert, read_yaml
 
 Unit = str | float
 """The name of a unit, or how many SI units one logged unit is."""
@@ -133,26 +141,16 @@ def meaning(column: str, joints: Sequence[str] = ()) -> Meaning:
         numbers = [k for k, word in enumerate(words) if word.isdecimal()]
         joint = int(words.pop(numbers[-1])) if numbers else None
     role, rest, present = _role(words)
+    term = next((word for word in words if word not in rest), "")
     others = tuple(word for word in rest if word not in _NEUTRAL | _MEASURED | _COMMANDED)
-    found = Meaning(
-        column,
-        role,
-        joint,
-        next((word for word in words if word not in rest), ""),
-        others,
-        unit,
-        present or any(word in _MEASURED for word in rest),
-        any(word in _COMMANDED for word in rest),
-    )
-    if unit is None or role is None or unit in units_of(role):
-        return found
-    if role == "tau" and unit in units_of("i"):  # a torque in ampere is a current
-        return replace(found, role="i")
-    return replace(found, words=(*others, unit))
+    if unit is not None and role is not None and unit not in units_of(role):
+        current = role == "tau" and unit in units_of("i")  # a torque in ampere is a current
+        role, others = ("i", others) if current else (role, (*others, unit))
+    measured, commanded = (not known.isdisjoint(rest) for known in (_MEASURED, _COMMANDED))
+    return Meaning(column, role, joint, term, others, unit, present or measured, commanded)
 
 
 def _words(column: str) -> tuple[list[str], str | None]:
-    """Words of a name in lower case, and its unit."""
     unit: str | None = None
 
     def inside(match: re.Match[str]) -> str:
@@ -213,3 +211,128 @@ def _role(words: list[str]) -> tuple[str | None, list[str], bool]:
         rest = [word for word in rest if word not in ("dot", "ddot")]
         role = "dq" if dots == 1 else "ddq"
     return role, rest, current
+
+
+_ASKED = ("t", "q", "dq", "tau", "i")
+_Names = Name | Annotated[list[Name], msgspec.Meta(min_length=1)] | None
+_UnitsGiven = str | Finite | list[str | Finite] | None
+_Constants = Finite | list[Finite] | None
+
+
+def _record(name: str, kinds: Mapping[str, Any]) -> Any:
+    fields = [(entry, kind, None) for entry, kind in kinds.items()]
+    return msgspec.defstruct(name, fields, frozen=True, forbid_unknown_fields=True)
+
+
+_UnitsRecord = _record("Units", {**dict.fromkeys(_ASKED, _UnitsGiven), "t": str | Finite | None})
+_DriveRecord = _record("Drive", {"gain_Nm_per_A": _Constants, "gear_ratio": _Constants})
+_ColumnsRecord = _record(
+    "Columns",
+    {
+        **dict.fromkeys(_ASKED, _Names),
+        **dict.fromkeys(("units", "drive"), Any),
+        "sign": dict[Name, float | dict[Name, float]] | None,
+        "topic": str | None,
+    },
+)
+
+
+@dataclass(frozen=True)
+class ColumnMap:
+    """Where the quantities of a recording are; what it leaves out is guessed from names.
+
+    Attributes:
+        columns: Per quantity (``t, q, dq, tau, i``) the column of each joint in the robot's
+            order, or one text: a column, a pattern with ``{0}`` (joints counted from 0), ``{1}``
+            (from 1) or ``{joint}`` (its name), or what the columns' names have in common.
+        units: Per quantity one unit or one per joint; a number is how many SI units one is.
+        sign: +1 or −1 per quantity (``q, dq, tau``) and joint whose axis is logged reversed.
+        drive: Torque at each joint per ampere [N·m/A], where currents are to become torques.
+        topic: Topic of a bag.
+        torque: Prefix of the torque columns where ``columns`` names none: ``i`` for ``i1, i2, ..``.
+        source: File it was read from.
+    """
+
+    columns: Mapping[str, str | tuple[str, ...]] = field(default_factory=dict)
+    units: Mapping[str, Unit | tuple[Unit, ...]] = field(default_factory=dict)
+    sign: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    drive: tuple[float, ...] | None = None
+    topic: str | None = None
+    torque: str | None = None
+    source: str = "columns.yaml"
+
+
+def load_column_map(path: str | Path) -> ColumnMap:
+    """Column map from YAML, such as ``{t: stamp, q: 'pos_{1}', tau: [a, b], units: {q: deg}}``.
+
+    ``sign: {joint: -1}`` turns a joint round, ``sign: {tau: {joint: -1}}`` its torque alone.
+    ``drive: {gain_Nm_per_A: [..], gear_ratio: [..]}`` makes torque of current.
+
+    Raises:
+        BadInput: Unreadable, unknown entries or units, with the nearest that exists.
+    """
+    return column_map(read_yaml(path, Any, "what columns mean"), str(path))
+
+
+def column_map(content: object, source: str) -> ColumnMap:
+    """Column map from the content of a YAML file; see `load_column_map`."""
+    record = convert(content, _ColumnsRecord, source)
+    units = convert(record.units or {}, _UnitsRecord, source, "units")
+    columns: dict[str, str | tuple[str, ...]] = {}
+    given: dict[str, Unit | tuple[Unit, ...]] = {}
+    for role in _ASKED:
+        if (names := getattr(record, role)) is not None:
+            listed = isinstance(names, list)
+            columns[role] = tuple(map(str, names)) if listed else str(names)
+        if (unit := getattr(units, role)) is not None:
+            some = [_unit(role, u, source) for u in (unit if isinstance(unit, list) else [unit])]
+            given[role] = tuple(some) if isinstance(unit, list) else some[0]
+    return ColumnMap(
+        columns=columns,
+        units=given,
+        sign=_signs(record.sign or {}, source),
+        drive=drive_of(record.drive, source),
+        topic=record.topic,
+        source=source,
+    )
+
+
+def drive_of(content: object, source: str) -> tuple[float, ...] | None:
+    """Torque at each joint per ampere [N·m/A] from ``{gain_Nm_per_A: [..], gear_ratio: [..]}``.
+
+    The gains are those of the motors where there are ratios. None without gains.
+
+    Raises:
+        BadInput: Unknown entries, or anything but finite numbers other than zero.
+    """
+    record = convert(content or {}, _DriveRecord, source, "drive")
+    if not record.gain_Nm_per_A:
+        return None
+    gains = np.atleast_1d(np.array(record.gain_Nm_per_A, float))
+    ratios = np.atleast_1d(np.array(record.gear_ratio or np.ones(len(gains)), float))
+    if len(ratios) != len(gains):
+        raise BadInput(f"{source}: drive: {len(gains)} gains and {len(ratios)} gear ratios")
+    if not (gains * ratios).all():
+        raise BadInput(f"{source}: drive: no gain and no gear ratio may be 0")
+    return tuple((gains * ratios).tolist())
+
+
+def _unit(role: str, value: str | float, source: str) -> Unit:
+    unit = spelled(value) if isinstance(value, str) else float(value)
+    if unit and (isinstance(unit, float) or unit in units_of(role)):
+        return unit
+    known = ", ".join(units_of(role))
+    raise BadInput(f"{source}: {role} has no unit '{value}'; known: {known}, or a number")
+
+
+def _signs(content: Mapping[Any, Any], source: str) -> dict[str, dict[str, float]]:
+    found: dict[str, dict[str, float]] = {"q": {}, "dq": {}, "tau": {}}
+    for name, value in content.items():
+        some = value if isinstance(value, dict) else {name: value}
+        roles = [str(name)] if isinstance(value, dict) else list(found)
+        for joint, sign in some.items():
+            if sign not in (1, -1) or roles[0] not in found:
+                raise BadInput(f"{source}: sign of '{joint}' must be 1 or -1, for q, dq or tau")
+            for role in roles:
+                found[role][str(joint)] = sign
+    return found

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from itertools import islice
 from numbers import Real
@@ -28,8 +28,6 @@ _BUFFER = 1 << 18  # bytes of a Parquet column at a time: row groups may be larg
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _MESSAGE = "sensor_msgs/msg/JointState"
 _USUAL = "/joint_states"
-_FIELDS = ("position", "velocity", "effort")
-_LOOKED_AT = 500  # messages, of which several nodes may write to one topic
 _AT_ONCE = 20_000  # messages turned into a table at a time
 _SECONDS_SINCE_1970 = (0.95e9, 4.2e9)  # the years 2000 to 2103
 
@@ -129,30 +127,26 @@ def npz_table(path: Path) -> Table:
 
 
 def mat_table(path: Path) -> Table:
-    """The log in a MAT file of version 4 to 7.2; fields of structs become ``struct.field``.
-
-    Raises:
-        BadRecording: Version 7.3, which is another format (HDF5).
-    """
+    """The log in a MAT file of version 4 to 7.2; fields of structs become ``struct.field``."""
     import scipy.io
 
     with path.open("rb") as stream:
         start = stream.read(520)
     if _HDF5 in (start[:8], start[512:520]) or start.startswith(b"MATLAB 7.3"):
-        raise BadRecording(
-            path, "is a MAT file of version 7.3 (HDF5); save it with save(..., '-v7') in MATLAB"
-        )
+        why = "is a MAT file of version 7.3 (HDF5); save it with save(..., '-v7') in MATLAB"
+        raise BadRecording(path, why)
 
-    def flattened(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-        arrays: dict[str, Any] = {}
-        for name, value in content.items():
-            if isinstance(value, Mapping):
-                arrays |= flattened(value, f"{before}{name}.")
-            elif not name.startswith("__"):
-                arrays[f"{before}{name}"] = np.asarray(value)
-        return arrays
+    return _table_of_arrays(_flattened(scipy.io.loadmat(path, simplify_cells=True)), path)
 
-    return _table_of_arrays(flattened(scipy.io.loadmat(path, simplify_cells=True)), path)
+
+def _flattened(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    arrays: dict[str, Any] = {}
+    for name, value in content.items():
+        if isinstance(value, Mapping):
+            arrays |= _flattened(value, f"{before}{name}.")
+        elif not name.startswith("__"):
+            arrays[f"{before}{name}"] = np.asarray(value)
+    return arrays
 
 
 def _table_of_arrays(arrays: Mapping[str, Any], path: Path) -> Table:
@@ -197,28 +191,24 @@ def bag_table(path: Path, topic: str | None = None) -> Table:
     """
     with _opened(path) as reader:
         topic, notes = _topic(reader, topic, path)
-        some = [message for _, message in islice(_messages(reader, topic), _LOOKED_AT)]
-    joints = tuple(dict.fromkeys(str(name) for message in some for name in message.name))
+        cells = _cells_of_messages(reader, topic, path)
+        blocks = iter(lambda: list(islice(cells, _AT_ONCE)), [])
+        parts = [pd.DataFrame(block) for block in blocks]
+    log = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["", "stamp_ns"])
+    joints = dict.fromkeys(name.rpartition(".")[0] for name in log.columns[2:])
     if not joints:
         raise BadRecording(path, f"no message on {topic} names a joint; record {_USUAL}")
-    fields = [f for f in _FIELDS if any(len(m.name) == len(getattr(m, f)) for m in some)]
-    stamped = any(m.header.stamp.sec or m.header.stamp.nanosec for m in some)
-    if not stamped:
+    if not log["stamp_ns"].any():
         notes += ("time: headers hold none, so it is that of recording",)
-    names = ("stamp_ns", *(f"{joint}.{what}" for what in fields for joint in joints))
+        log["stamp_ns"] = log[""]
+    table = table_of_frame(log.drop(columns=""), str(path), notes)
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
-        kept = list(names if columns is None else columns)
-        with _opened(path) as reader:
-            cells = _cells_of_messages(reader, topic, fields, stamped, kept, path)
-            blocks = iter(lambda: list(islice(cells, rows or _AT_ONCE)), [])
-            parts = (pd.DataFrame(block, columns=kept) for block in blocks)
-            if rows is not None:
-                yield from parts
-            else:
-                yield pd.concat(list(parts) or [pd.DataFrame(columns=kept)], ignore_index=True)
+        for part in table.frames(rows, columns):
+            kept = part.drop(columns="stamp_ns").notna().any(axis=1)
+            yield part[kept].reset_index(drop=True)
 
-    return Table(str(path), names, frames, dict(enumerate(joints)), notes, joined=True)
+    return replace(table, frames=frames, labels=dict(enumerate(joints)), joined=True)
 
 
 @contextmanager
@@ -237,52 +227,40 @@ def _opened(path: Path) -> Iterator[Any]:
 
 def _topic(reader: Any, wanted: str | None, path: Path) -> tuple[str, tuple[str, ...]]:
     topics = sorted({c.topic for c in reader.connections if c.msgtype == _MESSAGE})
-    if wanted is not None:
-        if wanted not in topics:
-            some = ", ".join(topics) or "none"
-            raise BadRecording(path, f"has no joint states on {wanted}; topics with them: {some}")
-        return wanted, ()
-    if not topics:
-        kinds = ", ".join(sorted({str(c.msgtype) for c in reader.connections})[:8]) or "nothing"
-        raise BadRecording(path, f"holds no {_MESSAGE}, only {kinds}; record {_USUAL}")
     measured = [topic for topic in topics if not meaning(topic).commanded]
-    if len(measured) == 1 or _USUAL in measured:
+    some = ", ".join(topics)
+    if wanted is not None and wanted in topics:
+        return wanted, ()
+    if wanted is not None:
+        why = f"has no joint states on {wanted}; topics with them: {some or 'none'}"
+    elif not topics:
+        kinds = ", ".join(sorted({str(c.msgtype) for c in reader.connections})[:8]) or "nothing"
+        why = f"holds no {_MESSAGE}, only {kinds}; record {_USUAL}"
+    elif len(measured) == 1 or _USUAL in measured:
         chosen = measured[0] if len(measured) == 1 else _USUAL
         return chosen, (f"topic: {chosen}",) if len(topics) > 1 else ()
-    raise BadRecording(
-        path,
-        f"joint states are on {', '.join(topics)}: say which in a file for --map, such as "
-        f"{{topic: {topics[0]}}}",
-    )
+    else:
+        advice = f"say which in a file for --map, such as {{topic: {topics[0]}}}"
+        why = f"joint states are on {some}: {advice}"
+    raise BadRecording(path, why)
 
 
-def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
+def _cells_of_messages(reader: Any, topic: str, path: Path) -> Iterator[dict[str, Any]]:
+    """Time of recording and of the header [ns], and values by column, of each message."""
     wanted = [c for c in reader.connections if c.topic == topic and c.msgtype == _MESSAGE]
-    for connection, logged, data in reader.messages(wanted):
-        yield logged, reader.deserialize(data, connection.msgtype)
-
-
-def _cells_of_messages(
-    reader: Any, topic: str, fields: Sequence[str], stamped: bool, kept: Sequence[str], path: Path
-) -> Iterator[dict[str, Any]]:
-    """Stamp and values, by column, of messages that hold any of the columns."""
-    wanted, row = frozenset(kept), 0
-    for logged, message in _messages(reader, topic):
-        if len(set(message.name)) < len(message.name):
+    for row, (connection, logged, data) in enumerate(reader.messages(wanted)):
+        message = reader.deserialize(data, connection.msgtype)
+        joints, stamp = message.name, message.header.stamp
+        if len(set(joints)) < len(joints):
             raise BadRecording(path, "names a joint twice; repair the recorder", row=row)
-        found: dict[str, Any] = {}
-        for what in fields:
+        cells = {"": logged, "stamp_ns": int(stamp.sec * 1_000_000_000 + stamp.nanosec)}
+        for what in ("position", "velocity", "effort"):
             numbers = getattr(message, what)
-            if len(numbers) not in (0, len(message.name)):
-                why = f"{len(numbers)} values of {what} for {len(message.name)} joints"
+            if len(numbers) not in (0, len(joints)):
+                why = f"{len(numbers)} values of {what} for {len(joints)} joints"
                 raise BadRecording(path, why, row=row)
-            cells = zip((f"{joint}.{what}" for joint in message.name), numbers, strict=False)
-            found |= {column: value for column, value in cells if column in wanted}
-        if found:
-            stamp = message.header.stamp
-            at = stamp.sec * 1_000_000_000 + stamp.nanosec if stamped else logged
-            yield {"stamp_ns": int(at), **found}
-            row += 1
+            cells |= {f"{j}.{what}": value for j, value in zip(joints, numbers, strict=False)}
+        yield cells
 
 
 def as_numbers(values: pd.Series) -> Array:
@@ -292,15 +270,11 @@ def as_numbers(values: pd.Series) -> Array:
     if any(is_other(values) for is_other in others):
         return np.full(len(values), np.nan)
     if not kinds.is_numeric_dtype(values) and not isinstance(values.dtype, pd.StringDtype):
-        plain = values.astype(object).map(lambda v: v if _is_plain(v) else None)
-        values = plain.astype(object)
+        real = (str, Real, Decimal)
+        plain = [isinstance(v, real) and not isinstance(v, bool | np.bool_) for v in values]
+        values = values.astype(object).where(np.array(plain, bool), None)
     numbers = pd.to_numeric(values, errors="coerce")
     return np.asarray(numbers.to_numpy(float, na_value=np.nan))
-
-
-def _is_plain(value: object) -> bool:
-    """Whether a cell is text or a real number, and no truth value."""
-    return isinstance(value, str | Real | Decimal) and not isinstance(value, bool | np.bool_)
 
 
 def stamps_unit(values: pd.Series) -> str | None:
@@ -323,32 +297,21 @@ def in_seconds(values: pd.Series, unit: Unit | None) -> tuple[Array, Array]:
 
     ``unit`` is `ISO` for dates, or seconds per logged unit; cells that are no time become NaN.
     """
-    if unit == ISO or _is_date(values):
-        dates = _dates(values)
-        return _split(*_ticks(dates, "datetime64[{}, UTC]"), dates.isna().to_numpy())
-    if pd.api.types.is_timedelta64_dtype(values):
-        return _split(*_ticks(values, "timedelta64[{}]"), values.isna().to_numpy())
-    scale = (factor("t", unit) or 1.0) if isinstance(unit, str) else unit or 1.0
-    whole = pd.api.types.is_integer_dtype(values) and not values.isna().any()
-    if whole and scale in (1e-3, 1e-6, 1e-9):
-        return _split(values.to_numpy(), round(1 / scale), np.zeros(len(values), bool))
-    numbers = as_numbers(values)
-    with np.errstate(over="ignore", invalid="ignore"):
-        return numbers * scale, np.zeros(len(numbers))
-
-
-def _ticks(values: Any, kind: str) -> tuple[np.ndarray, int]:
-    """Whole ticks of dates and how many make a second; nanoseconds where their range allows."""
-    try:
-        return values.astype(kind.format("ns")).astype("int64").to_numpy(), 1_000_000_000
-    except (pd.errors.OutOfBoundsDatetime, pd.errors.OutOfBoundsTimedelta, OverflowError):
-        return values.astype(kind.format("us")).astype("int64").to_numpy(), 1_000_000
-
-
-def _split(values: np.ndarray, per_second: int, bad: np.ndarray) -> tuple[Array, Array]:
-    whole = (values // per_second).astype(float)
-    whole[bad] = np.nan
-    return whole, (values % per_second).astype(float) / per_second
+    dated, lasting = unit == ISO or _is_date(values), pd.api.types.is_timedelta64_dtype(values)
+    if dated or lasting:
+        values = _dates(values) if dated else values
+        kind: Any = "datetime64[us, UTC]" if dated else "timedelta64[us]"
+        ticks, per_second = values.astype(kind).astype("int64").to_numpy(), 1_000_000
+        bad = values.isna().to_numpy()
+    else:
+        scale = (factor("t", unit) or 1.0) if isinstance(unit, str) else unit or 1.0
+        whole = pd.api.types.is_integer_dtype(values) and not values.isna().any()
+        if not whole or scale not in (1e-3, 1e-6, 1e-9):
+            with np.errstate(over="ignore", invalid="ignore"):
+                return as_numbers(values) * scale, np.zeros(len(values))
+        ticks, per_second, bad = values.to_numpy(), round(1 / scale), np.zeros(len(values), bool)
+    seconds = np.where(bad, np.nan, ticks // per_second)
+    return seconds, (ticks % per_second).astype(float) / per_second
 
 
 def _is_date(values: pd.Series) -> bool:

@@ -29,8 +29,6 @@ _CUT = "last line left out: it has no end, so it may have been cut"
 
 @dataclass(frozen=True)
 class _Dialect:
-    """How a text file writes its table."""
-
     encoding: str
     separator: str  # between cells; a space stands for any white space
     decimal: str
@@ -189,7 +187,6 @@ def _head(path: Path) -> tuple[str, str, bool]:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """Cells of a line, without white space around them."""
     if separator == " ":
         return line.split()
     try:
