@@ -22,7 +22,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 import scipy.linalg
 from seed import (
     TableEntry,
@@ -41,7 +40,14 @@ from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.preprocessing import prepare
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.rows import FitRows, fit_rows
-from excitant.robots import Motion, Robot, base_parameters, regressor, robot_from_dh
+from excitant.robots import (
+    Motion,
+    Robot,
+    base_parameters,
+    regressor,
+    rigid_body_torque,
+    robot_from_dh,
+)
 from excitant.robots.effects import CoulombFriction, ViscousFriction
 from excitant.robots.parameters import (
     STANDARD,
@@ -98,9 +104,7 @@ def simulated(truth: Robot, rng: np.random.Generator, seconds: float) -> list[Re
         trajectory = random_trajectory(dd_arm("initial"), rng, PERIOD_S, HARMONICS)
         t = np.arange(0, PERIOD_S, STEP_S)
         q, dq, ddq = (trajectory(t, order) for order in range(3))
-        model, data = truth.model, truth.model.createData()
-        states = zip(q, dq, ddq, strict=True)
-        tau = np.array([pin.rnea(model, data, *state) for state in states])
+        tau = rigid_body_torque(truth, Motion(t, q, dq, ddq))
         tau += VISCOUS * dq + COULOMB * np.sign(dq)
         size = NOISE_SHARE * np.sqrt((tau**2).mean(axis=0))
         tau += size * rng.standard_normal(tau.shape)
@@ -247,8 +251,7 @@ def _rank(M: np.ndarray) -> int:
     flat = M.reshape(-1, M.shape[-1])
     norms = np.linalg.norm(flat, axis=0)
     used = norms > 1e-10 * norms.max()
-    s = np.linalg.svd(flat[:, used] / norms[used], compute_uv=False)
-    return int((s > 1e-9 * s[0]).sum())
+    return int(np.linalg.matrix_rank(flat[:, used] / norms[used], rtol=1e-9))
 
 
 EXPERIMENTS = {

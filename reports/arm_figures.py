@@ -93,9 +93,7 @@ def arm_figure(series: Series) -> Figure | None:
     solids = "and its collision solids" if len(zero.solids) else "as lines"
     caption = (
         f"The arm with its {len(zero.axes)} joints numbered from the base, {solids}: at zero, or "
-        "as near to it as its ranges allow, and in a bent pose. Compare the zero pose with "
-        "the maker's drawing: a joint that bends the other way or a link that lies elsewhere shows "
-        "here."
+        "as near to it as its ranges allow, and bent. Compare it with the maker's drawing."
     )
     legend = (
         Key("line", draw.MEASURED, "base, joints and tool in order"),

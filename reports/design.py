@@ -302,9 +302,9 @@ def _weakest(result: Result) -> p.Blocks:
             ("text:Unit", "unit"),
             ("number:Value in the model", "value"),
         ],
-        "Standard deviation (std) by least squares from one period at 100 Hz, or 1000 samples if "
-        f"more, for white torque noise of 1 N·m{weighted}; it grows with the noise. "
-        "Fv is viscous and Fc Coulomb friction, Ia the rotor's inertia.",
+        "Standard deviation (std) by least squares from one period at 100 Hz, at least 1000 "
+        f"samples, for white torque noise of 1 N·m{weighted}. Fv is viscous and Fc Coulomb "
+        "friction, Ia the rotor's inertia.",
     )
     rows: list[Result] = [
         {**row, "of": name, key: v.at(row, "strength"), other: v.at(row, "other")}
@@ -351,7 +351,6 @@ def _link_motions(result: Result) -> p.Table | None:
             ("number:Condition number", "condition_number.final"),
             ("number:Condition number, scaled", "condition_number_scaled.final"),
         ],
-        "Each motion shows the base parameters of its link in the torque of that link's joint "
-        "alone, the links further out being known by then; the figures below show the motions one "
-        "after the other.",
+        "Each motion shows the base parameters of its link in the torque of that link's joint, the "
+        "links further out being known by then; the figures below show one motion after the other.",
     )

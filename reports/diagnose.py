@@ -21,19 +21,23 @@ from excitant.reports.values import NONE, Result, Series
 
 _NOISE = "noise-like"  # what a diagnosis calls a residual without structure
 _QUANTITIES = ("constant", "direction", "velocity", "position", "load", "reversal", "time")
+_MEANING = (
+    "Constant: offset. Direction of motion: dry friction. Velocity: viscous friction. Position: "
+    "springs, ripple. Load: gain, load-dependent friction. Distance since the last reversal: "
+    "hysteresis, backlash. Time: drift. Last, the error slower, as fast, faster than the motion."
+)
 _BANDS = ("slower", "motion", "faster")
 _LEADING = 3  # findings that are shown without opening a fold
 _CURVES = Curves(
     "simulated",
-    "model as given",
     "extended",
     "extended model",
-    "Measured torque and prediction over the hold-out, below it each model's residual: where blue "
-    "is flat and orange is not, the named effects are the cause.",
+    "Measured torque and predictions over the hold-out, below them the residuals: where blue is "
+    "flat and orange is not, the named effects are the cause.",
 )
 _ONE_MODEL = (
-    "Measured torque and the given model's prediction over the hold-out, below it its residual: "
-    "one without shape is noise, one with shape is something the model lacks."
+    "Measured torque and the given model's prediction over the hold-out, below them the residual: "
+    "structure in it shows something that the model lacks."
 )
 
 
@@ -123,9 +127,8 @@ def _finding_table(findings: list[Result], unit: str) -> p.Table | None:
             (f"number:rms with it [{unit}]", "after"),
             ("text:Verdict", _verdict),
         ],
-        "What the model lacks, most important first: its share of the squared error that the given "
-        "model leaves, and the error at its joints on data that were held out, while they move, "
-        "without and with it, everything else that was found being kept.",
+        "What the model lacks, most important first: its share of the given model's squared error, "
+        "and the hold-out error of its moving joints without and with it, with all other findings.",
     )
 
 
@@ -215,10 +218,9 @@ def _rivals(finding: Result) -> p.Table | None:
             None if said else ("number:Separation [σ]", "separation"),
             None if said else ("number:Runs", "repetitions", v.whole),
         ],
-        "Other effects that look alike in these data, and the experiment that separates them, by "
-        "how many standard deviations of the noise, and in how many runs. Within few standard "
-        "errors: the rival predicts no worse than chance allows. |cos| is 1 where its torque has "
-        "the same course as the finding's.",
+        "Other effects that look alike in these data, and the experiment that separates them by so "
+        "many standard deviations of the noise in so many runs. |cos| is 1 where both torques are "
+        "proportional.",
     )
 
 
@@ -245,11 +247,8 @@ def _shares(result: Result, left: bool, unit: str) -> p.Table | None:
             *(share("bands", key) for key in _BANDS),
         ],
         f"Error {'left by the extended model' if left else 'of the model as given'} while the "
-        "joint moves, and the share of its square that goes with one quantity alone: ○ marks the "
-        "simplest that explains it. Constant: an offset; direction of motion: dry friction; "
-        "velocity: viscous friction; position: springs, ripple; load: gain, load-dependent "
-        "friction; distance since the last reversal: hysteresis, backlash; time: drift. Shares "
-        "overlap. The last three divide the error by frequency, relative to the motion's.",
+        "joint moves, and the shares of its square that go with one quantity (they overlap): "
+        f"○ marks the simplest that explains it. {'' if left else _MEANING}",
     )
 
 
@@ -264,14 +263,13 @@ def _refit(result: Result, unit: str) -> p.Blocks:
         share = None if factor is None else 100 * float(np.expm1(factor))
         return p.Cell(v.number(share, 2), p.PLAIN, share)
 
+    models = {"given": "Given", "inertias": "Inertias free", "bodies": "Nearest bodies"}
+    models["extended"] = "With the findings"
     errors = p.table(
         v.records(result, "refit", "joints"),
         [
             ("name:Joint", "name"),
-            (f"number:Given, rms [{unit}]", "given"),
-            (f"number:Inertias free, rms [{unit}]", "inertias"),
-            (f"number:Nearest bodies, rms [{unit}]", "bodies"),
-            (f"number:With the findings, rms [{unit}]", "extended"),
+            *((f"number:{name}, rms [{unit}]", key) for key, name in models.items()),
         ],
         "What inertias alone would explain on the hold-out while joints move, all given effects "
         "being kept: fitted freely, and as the closest physically consistent inertias.",
@@ -309,10 +307,7 @@ def _forward(result: Result, changed: bool) -> p.Blocks:
     ]
     closer = " The extended model stays closer on every joint."
     if worse:
-        closer = (
-            f" The extended model is no closer at {v.listing(worse)}: there its dry friction near "
-            "rest, or overestimated effects, move the joint more than the findings help."
-        )
+        closer = f" The extended model is no closer at {v.listing(worse)}."
 
     def milli(value: object) -> str:
         x = v.real(value)

@@ -20,6 +20,7 @@ INTERVAL = "95\u00a0% interval of a reading"
 _INTERVAL_CAPTION = (
     " The band holds 95\u00a0% of readings if noise and parameters are all that is off."
 )
+_GIVEN = "model as given"
 _BINS = 120
 _SHARE = "rms of residual, share of the measured torque's std"
 _THREE = (draw.GIVEN, draw.GREEN, draw.FITTED)  # colours of models, the given one first
@@ -34,13 +35,12 @@ _WIDE = 0.08  # of the abscissa: across wider stretches without data no curve is
 
 @dataclass(frozen=True)
 class Curves:
-    """Which series are drawn against the measurement: key and legend, before and after.
+    """Series drawn against the measurement: the given model, another with its label, and a band.
 
-    The band is the half width of intervals around the model after, where a run has any.
+    The band is the half width of intervals around the other model, where a run has any.
     """
 
     before: str
-    before_label: str
     after: str
     after_label: str
     caption: str
@@ -63,7 +63,7 @@ def torque_figure(
 
     legend = [
         Key("line", draw.MEASURED, "measured"),
-        *[Key("line", draw.GIVEN, curves.before_label)] * drawn(curves.before),
+        *[Key("line", draw.GIVEN, _GIVEN)] * drawn(curves.before),
         *[Key("line", draw.FITTED, curves.after_label)] * drawn(curves.after),
         *[Key("box", draw.BAND, INTERVAL)] * drawn(curves.band),
     ]
@@ -85,7 +85,7 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
         draw_band(residual, time, joins, np.zeros(len(t)), half)
         said.append(f"{INTERVAL} ±{v.quantity(float(half.mean()), unit)}")
     for key, label, colour in (
-        (curves.before, curves.before_label, draw.GIVEN),
+        (curves.before, _GIVEN, draw.GIVEN),
         (curves.after, curves.after_label, draw.FITTED),
     ):
         model = _of_rows(series, key, k, len(t))
@@ -130,7 +130,7 @@ def error_bars(
         for row in rows
     ]
     changed = any(rms is not None for _, pairs in errors for rms, _ in pairs[1:])
-    return bars(errors, unit, [curves.before_label, curves.after_label][: 1 + changed], what)
+    return bars(errors, unit, [_GIVEN, curves.after_label][: 1 + changed], what)
 
 
 def bars(
@@ -139,16 +139,10 @@ def bars(
     models: Sequence[str],
     what: str,
 ) -> Figure | None:
-    """Errors per joint of some models as bars, the rms written beside each.
+    """Errors per joint of some models as bars as long as nrmse, or else rms, which stands beside.
 
-    The bars' length is the share of the measured torque's standard deviation (nrmse), so that
-    large and small joints compare; without it, the rms itself.
-
-    Args:
-        errors: Of each joint: its name, then rms and nrmse of every model.
-        unit: Of the torque.
-        models: Label of each.
-        what: First words of the caption.
+    Of each joint ``errors`` holds its name, then rms and nrmse of every model; ``what`` begins the
+    caption.
     """
     count = len(models)
     every = [pair for _, pairs in errors for pair in pairs[:count]]
@@ -239,8 +233,8 @@ def waterfall_figure(result: Result) -> Figure | None:
     return draw.single(
         ax,
         f"error on the hold-out step by step: {said}",
-        "Error on the hold-out after each effect that was added, every joint relative to the "
-        "model as given: long grey pieces are effects that matter.",
+        "Hold-out error after each effect that was added, every joint relative to the model as "
+        "given: long grey pieces are effects that matter.",
         [
             Key("box", draw.GIVEN, "model as given"),
             Key("box", draw.FITTED, "what remains"),
@@ -281,15 +275,14 @@ def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> F
         _curve(ax, x, fit[order], color=draw.FITTED, lw=1.8)
         legend.append(Key("line", draw.FITTED, "fitted effect"))
         caption = (
-            f"Residual at {joint} without {effect}, everything else that was found being kept, "
-            f"against {x_label}: the blue curve is the fitted effect, and should run through the "
-            f"{'medians' if binned else 'points'}."
+            f"Residual at {joint} without {effect} but with all other findings, against {x_label}: "
+            f"the fitted effect (blue) should run through the {'medians' if binned else 'points'}."
         )
     if rival is not None and rivals:
         _curve(ax, x, rival[order], color=draw.PURPLE, lw=1.5, ls=(0, (3, 2)))
         legend.append(Key("dash", draw.PURPLE, f"{rivals[0]} instead, fitted to these points"))
         caption += (
-            f" Where the dashed curve of {rivals[0]} runs there too, these data cannot decide."
+            f" Where the dashed curve of {rivals[0]} does too, these data cannot decide."
         ) * (fit is not None)
     if binned:
         look: Any = {"ms": 4, "color": draw.MEASURED, "mec": "white", "mew": 0.7}

@@ -24,11 +24,10 @@ _FEW = 3  # notes that may stand among the key figures
 _MESSAGES = 8  # shown without opening a fold
 _CURVES = Curves(
     "given",
-    "model as given",
     "identified",
     "identified model",
-    "Measured torque and the models' prediction over the hold-out; below it each model's residual: "
-    "one without shape is noise, one with shape is something the model lacks.",
+    "Measured torque and the models' predictions over the hold-out, below them the residuals: a "
+    "residual with structure shows something that the model lacks.",
     band="half_width",
 )
 
@@ -166,9 +165,8 @@ def _intervals(result: Result, unit: str) -> p.Table | None:
             (f"number:of which by the parameters, ± [{unit}]", f"{key}.half_width_parameters"),
             ("number:Hold-out inside", f"{key}.coverage", v.percent),
         ],
-        "How far off a new reading may be by the fitted data, with parameters and coloured noise "
-        "counted; far less than 95\u00a0% of the hold-out inside means that the model lacks "
-        "something.",
+        "Interval for a new reading, from the uncertainty of the parameters and coloured noise; "
+        "far less than 95\u00a0% of the hold-out inside means that the model lacks something.",
     )
 
 
@@ -242,11 +240,8 @@ def _link_by_link(result: Result, unit: str) -> p.Parts:
         f"{each}, from the last link inward",
         p.GOOD if determined is not None and determined == total else p.FAIR,
     )
-    models = {
-        "given": "Model as given",
-        "all_at_once": "All links at once",
-        "link_by_link": "Link by link",
-    }
+    models = {"given": "Model as given", "all_at_once": "All links at once"}
+    models["link_by_link"] = "Link by link"
     comparison = p.table(
         rows,
         [
@@ -261,10 +256,7 @@ def _link_by_link(result: Result, unit: str) -> p.Parts:
         every, std = [v.real(row, key) for key in models], v.real(row, "measured_std")
         shares = [None if rms is None or not std else rms / std for rms in every]
         errors.append((v.text(row, "name"), list(zip(every, shares, strict=True))))
-    what = (
-        "Prediction error per joint on the hold-out, links fitted at once and link by link from "
-        "the same recordings"
-    )
+    what = "Prediction error per joint on the hold-out, fitted to the same recordings"
     drawn = bars(errors, unit, [name[:1].lower() + name[1:] for name in models.values()], what)
     return [
         ("Link by link against all links at once", [p.Facts((count,)), drawn, comparison]),
@@ -297,7 +289,7 @@ def _stage(stage: Result) -> p.Blocks:
                 ("text:Verdict", lambda r: shown if "value" in r else not_shown),
                 *p.estimates("number:Value (SI)", "number:± std (SI)"),
             ],
-            "What the joint's own torque adds to what the links further out have shown already; "
+            "What the joint's own torque adds to what the links further out have shown; "
             f"{left if missing else 'nothing of this link is left open'}.",
             p.folded(
                 f"{len(found)} combinations determined, {len(missing)} not shown", len(cells), 6

@@ -61,10 +61,9 @@ def estimates_figure(history: History | None) -> Figure | None:
         return None
     panels = [_estimate_panel(history, k) for k in _chosen(history)]
     caption = (
-        f"Estimate ± {_BAND:g} standard deviations over time of the {len(panels)} base parameters "
-        f"(of {len(history.names)}) whose uncertainty fell most, at most one of each link or "
-        "joint: the band should close around a level line. A title names the leading "
-        "parameter of its combination. Scaled to the second half of the time."
+        f"Estimates of the {len(panels)} base parameters (of {len(history.names)}) whose "
+        "uncertainty fell most, at most one of each link or joint, named by the first parameter of "
+        "their combination: the band should close around a level line."
     )
     band = Key("box", draw.BAND, f"± {_BAND:g} standard deviations")
     return figure(panels, caption, [Key("line", draw.FITTED, "estimate"), band])
@@ -131,9 +130,8 @@ def excitation_figure(result: Result) -> Figure | None:
             f"({v.quantity(lacking, 's')} in all; a message's “since” is where its window began)"
         )
     caption = (
-        "Excitation level of the last seconds at each look: information about the weakest "
-        "direction that a fast motion of all joints shows, relative to what was known beforehand. "
-        f"Level 1 is enough; here {said}."
+        "Information of the last seconds about the weakest direction that a fast motion of all "
+        f"joints shows, relative to the prior's. Level 1 is enough; here {said}."
     )
     return draw.single(ax, f"excitation level over time; {said}", caption, legend)
 
@@ -158,8 +156,7 @@ def convergence_figure(result: Result) -> Figure | None:
     ]
     caption = (
         "Torque error that the uncertainty of the estimate makes on a fast motion of all joints "
-        f"[{unit}, rms]: the estimate has converged where it lies below the noise of one "
-        "row of data in every joint, because more rows then change no prediction visibly."
+        f"[{unit}, rms]: converged when below the noise of one row of data in every joint."
     )
     legend = [Key("line", draw.FITTED, "torque uncertainty of the estimate")]
     legend += [Key("dash", draw.MEASURED, "noise of a row")] * (noise is not None)

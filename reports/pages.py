@@ -331,8 +331,7 @@ def _count(each: Result) -> str:
         far = sum(x > _APART for x in apart)
         said += (
             f" {far} of {len(apart)} estimates lie more than two standard deviations of their "
-            f"difference apart; by chance about {0.0455 * len(apart):.0f} would, if the runs' data "
-            "are independent."
+            f"difference apart; of independent data, about {0.0455 * len(apart):.0f} would."
         )
     return said
 

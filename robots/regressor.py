@@ -21,8 +21,9 @@ import pinocchio as pin
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.robot import Robot
 
-_ANGLES = 2 * np.pi * np.arange(1, 5) / 5
-_WEIGHTS = 0.5 * np.array([1, -1, 1, -1]) / np.sin(_ANGLES / 2)
+_ANGLES = 0.4 * np.pi * np.arange(1, 5)
+_CIRCLE = [(x, 0.5 * (-1) ** k / np.sin(x / 2)) for k, x in enumerate(_ANGLES)]
+_LINE = [(1.0, 0.5), (-1.0, -0.5)]  # steps of a derivative by position, and their weights
 
 _KEPT = 8  # motions at a time: the segments of one diagnosis, fitted and held out
 
@@ -49,11 +50,7 @@ def _evaluate(robot: Robot, q: Array, dq: Array, ddq: Array) -> Array:
 class RegressorDerivatives:
     """Regressor with its derivatives by each joint's position, velocity and acceleration.
 
-    Attributes:
-        Y: Shape (n, nv, 10 nv).
-        by_q: Derivative by joint position; first index the joint, shape (nv, n, nv, 10 nv).
-        by_dq: Derivative by joint velocity, same shape.
-        by_ddq: Derivative by joint acceleration, same shape.
+    ``Y`` has shape (n, nv, 10 nv), the others (nv, n, nv, 10 nv), the joint first.
     """
 
     Y: Array
@@ -71,12 +68,8 @@ def regressor_derivatives(robot: Robot, motion: Motion) -> RegressorDerivatives:
     for j, unit in enumerate(np.eye(robot.nv)):
         by_ddq[j] = _evaluate(robot, q, dq, ddq + unit) - Y
         by_dq[j] = (_evaluate(robot, q, dq + unit, ddq) - _evaluate(robot, q, dq - unit, ddq)) / 2
-        if robot.revolute[j]:
-            for angle, weight in zip(_ANGLES, _WEIGHTS, strict=True):
-                by_q[j] += weight * _evaluate(robot, q + angle * unit, dq, ddq)
-        else:
-            ahead, behind = (_evaluate(robot, q + s * unit, dq, ddq) for s in (1.0, -1.0))
-            by_q[j] = (ahead - behind) / 2
+        for step, weight in _CIRCLE if robot.revolute[j] else _LINE:
+            by_q[j] += weight * _evaluate(robot, q + step * unit, dq, ddq)
     return RegressorDerivatives(Y, by_q, by_dq, by_ddq)
 
 

@@ -94,16 +94,15 @@ def virtual_arm(
     sensors: Sensors | None = None,
     tolerance: float = 0.03,
 ) -> VirtualArm:
-    """Build a truth around a nominal arm.
+    """Build a truth around a nominal arm, whose effects, if any, are known ones.
 
     Args:
-        robot: The nominal arm; its effects, if any, are known ones.
+        robot: The nominal arm.
         rng: Draws the deviations.
         hidden: What the truth has besides; one effect drawn at random when not given.
         sensors: `industrial_sensors` when not given.
-        tolerance: Largest relative deviation of masses, centres of mass (relative to the
-            radius of gyration) and central inertias; friction deviates by up to 5 % when this is
-            not zero.
+        tolerance: Largest relative deviation of masses, centres of mass (in radii of gyration)
+            and central inertias; with any, friction deviates by up to 5 %.
 
     Raises:
         BadInput: Hidden effects that leave a mass without physical consistency.
@@ -171,10 +170,9 @@ def ideal_sensors(robot: Robot, rate_hz: float = 250.0) -> Sensors:
 
 def typical_torque(robot: Robot) -> Array:
     """Root mean square torque at moderate speeds, shape (nv,) [N·m]."""
-    truth = nominal_truth(robot)
-    model, drives = truth.model, truth.drives
-    data, q, dq, ddq = model.createData(), *typical_motion(robot)
-    tau = drives.friction(dq) + [pin.rnea(model, data, *x) for x in zip(q, dq, ddq, strict=True)]
+    truth, (q, dq, ddq) = nominal_truth(robot), typical_motion(robot)
+    data, states = truth.model.createData(), zip(q, dq, ddq, strict=True)
+    tau = truth.drives.friction(dq) + [pin.rnea(truth.model, data, *x) for x in states]
     return read_only(np.sqrt(np.mean(tau**2, axis=0)))
 
 

@@ -101,11 +101,10 @@ class Recorded:
         """The recorded motion."""
         return Motion(self.t, self.q, self.dq, self.ddq)
 
-    def rigid(self, robot: Robot | None = None, q: np.ndarray | None = None) -> np.ndarray:
+    def rigid(self, robot: Robot | None = None) -> np.ndarray:
         """Pinocchio's torque for the motion, without friction and rotors."""
         model = (robot or self.robot).model
-        data, q = model.createData(), self.q if q is None else q
-        states = zip(q, self.dq, self.ddq, strict=True)
+        data, states = model.createData(), zip(self.q, self.dq, self.ddq, strict=True)
         return np.array([pin.rnea(model, data, *state) for state in states])
 
     def drives(self) -> np.ndarray:

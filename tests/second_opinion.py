@@ -318,17 +318,7 @@ def into_previous(chain: DHChain, j: int, phi: Array) -> Array:
         return moved_parameters(phi, chain.poses(np.zeros((1, chain.nv)))[0, j])
     a, d, c, s = chain.a[j], chain.d[j], np.cos(chain.alpha[j]), np.sin(chain.alpha[j])
     YY, MZ, M = (phi[:, _INDEX[name]] for name in ("Iyy", "mcz", "m"))
-    h = 2 * d * MZ + d**2 * M
-    moved = {
-        "m": M,
-        "mcx": a * M,
-        "mcy": -s * (MZ + d * M),
-        "mcz": c * (MZ + d * M),
-        "Ixx": YY + h,
-        "Ixy": a * s * (MZ + d * M),
-        "Ixz": -a * c * (MZ + d * M),
-        "Iyy": c**2 * (YY + h) + a**2 * M,
-        "Iyz": c * s * (YY + h),
-        "Izz": s**2 * (YY + h) + a**2 * M,
-    }
-    return np.column_stack([moved[name] for name in STANDARD])
+    h, z = 2 * d * MZ + d**2 * M, MZ + d * M
+    Ixx, Iyy, Izz = YY + h, c**2 * (YY + h) + a**2 * M, s**2 * (YY + h) + a**2 * M
+    inertia = (Ixx, a * s * z, Iyy, -a * c * z, c * s * (YY + h), Izz)
+    return np.column_stack([M, a * M, -s * z, c * z, *inertia])

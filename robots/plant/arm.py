@@ -81,8 +81,8 @@ def tracking_controller(
         feedforward[k] += pin.rnea(model, data, q[k], dq[k], ddq[k])
         gain[k] = pin.crba(model, data, q[k])
     floor = np.where(np.isfinite(limit), 0.05 * limit / 0.01, 0.0) / BANDWIDTH**2
-    diagonal = np.arange(robot.nv)
-    gain[:, diagonal, diagonal] = np.maximum(gain[:, diagonal, diagonal], floor)
+    diagonal = np.einsum("kjj->kj", gain)
+    np.maximum(diagonal, floor, out=diagonal)
     return Controller(q, dq, feedforward, gain, limit)
 
 

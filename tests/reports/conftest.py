@@ -22,7 +22,7 @@ STANDARD = ["m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz"]
 SIZE = np.array([40.0, 30.0, 4.0, 0.6])
 
 Run = tuple[dict[str, Any], dict[str, np.ndarray]]
-ARM = {"robot": "made_up_arm"}
+ARM, FILTER = {"robot": "made_up_arm"}, {"cutoff_hz": 12.5, "unit": "N·m"}
 
 
 def _motion(n: int, duration: float, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
@@ -130,7 +130,6 @@ def design_run() -> Run:
             "torque": None,
         },
         "worst": {
-            "position": {"joint": JOINTS[2], "t": 3.21},
             "velocity": {"joint": "elbow_joint", "t": 7.77},
             "acceleration": {"joint": 2, "t": None},
             "torque": None,
@@ -259,8 +258,7 @@ def identify_run() -> Run:
         **ARM,
         "estimator": "physical",
         "effects": ["viscous_friction", "coulomb_friction", "torque_offset"],
-        "cutoff_hz": 12.5,
-        "unit": "N·m",
+        **FILTER,
         "holdout": "The last 30 % of each of 2 recordings was held out.",
         "joints": joints,
         "parameters": parameters,
@@ -311,11 +309,7 @@ def _findings() -> list[dict[str, Any]]:
         "holdout": {"rms_before": 4.62, "rms_after": 1.31},
         "verdict": "named",
         "rivals": [],
-        "figure": {
-            "x_label": "velocity of elbow_joint [rad/s]",
-            "y_label": "residual [N·m]",
-            "joint": "elbow_joint",
-        },
+        "figure": {"x_label": "velocity of elbow_joint [rad/s]", "joint": "elbow_joint"},
     }
     rival = {
         "effect": "payload",
@@ -357,8 +351,7 @@ def diagnose_run() -> Run:
         "headline": "elbow_joint has Stribeck friction that the model lacks; the inertia of the "
         "forearm is probably wrong too.",
         **ARM,
-        "unit": "N·m",
-        "cutoff_hz": 12.5,
+        **FILTER,
         "simulation": {"joints": _by_joint(before, scale)},
         "faults": [
             {"fault": "saturation", "joints": ["elbow_joint"], "detail": "41 samples at ±87 N·m"},
@@ -421,15 +414,9 @@ def compare_run() -> Run:
     return compare(SavedRun("runs/one", *demo_run()), SavedRun("runs/two", result, series)), {}
 
 
+_ALL = (design_run, check_run, rehearse_run, identify_run, analyze_run, diagnose_run, demo_run)
 BUILDERS: dict[str, Callable[[], Run]] = {
-    "design": design_run,
-    "check": check_run,
-    "rehearse": rehearse_run,
-    "identify": identify_run,
-    "analyze": analyze_run,
-    "diagnose": diagnose_run,
-    "demo": demo_run,
-    "compare": compare_run,
+    build.__name__.removesuffix("_run"): build for build in (*_ALL, compare_run)
 }
 
 

@@ -75,12 +75,6 @@ def test_several_runs_are_compared_with_the_first(make):
     assert "C / A" in html(page_of(found, {}))
 
 
-def test_a_difference_counts_in_standard_deviations():
-    assert deviations(1.0, 0.3, 2.5, 0.4) == pytest.approx(1.5 / 0.5)
-    for case in ((1.0, None, 9.0, 0.1), (None, 0.1, 9.0, 0.1), (1.0, 0.0, 9.0, 0.0)):
-        assert deviations(*case) is None
-
-
 def test_values_of_the_prior_are_not_judged(make):
     result = compare(*runs(make["identify"](), worse))
     names = [p["name"] for p in make["identify"]()[0]["parameters"] if p["prior_dominated"]]
@@ -91,11 +85,14 @@ def test_values_of_the_prior_are_not_judged(make):
     assert any(row["deviations"] == [0.0] for row in judged)
 
 
-def test_equal_parameters_are_apart_as_often_as_chance_has_it():
+def test_differences_count_in_standard_deviations_as_often_as_chance_has_it():
     rng = np.random.default_rng(0)
     n, (s, t) = 20_000, (0.3, 1.7)
     pairs = (np.array([[s], [t]]) * rng.normal(size=(2, n))).T
     share = np.mean([deviations(a, s, b, t) > 2 for a, b in pairs])
+    assert deviations(1.0, 0.3, 2.5, 0.4) == pytest.approx(1.5 / 0.5)
+    for case in ((1.0, None, 9.0, 0.1), (None, 0.1, 9.0, 0.1), (1.0, 0.0, 9.0, 0.0)):
+        assert deviations(*case) is None
     expected = 0.0455  # of a normal variable beyond two standard deviations
     assert abs(share - expected) < 4 * np.sqrt(expected * (1 - expected) / n)
 

@@ -85,7 +85,7 @@ def test_obstacles_are_drawn_and_those_out_of_sight_named(make):
     assert "43.4" in figure.caption
 
 
-def test_solids_have_the_shape_of_their_obstacles(make):
+def test_solids_have_the_shape_of_their_obstacles_and_end_where_the_picture_does(make):
     pillar, ball = make["design"]()[0]["obstacles"][1:3]
     block = (-np.ones(3), np.ones(3))
     box = solid_of(pillar, np.zeros(3), 3.0, *block)
@@ -101,9 +101,6 @@ def test_solids_have_the_shape_of_their_obstacles(make):
     tilted = {"shape": "half_space", "normal": [0.0, 3.0, 4.0], "offset": 1.0}
     (face,) = solid_of(tilted, np.zeros(3), 3.0, *block).faces
     np.testing.assert_allclose(face @ tilted["normal"], 1.0)
-
-
-def test_large_obstacles_end_where_the_picture_does():
     hall = {"shape": "box", "size": [90.0, 90.0, 0.1], "position": [0.0, 0.0, -0.2]}
     solid = solid_of(hall, np.zeros(3), 2.0, -np.ones(3), np.ones(3))
     assert np.abs(np.concatenate(solid.faces)).max() == pytest.approx(2.0)
@@ -125,16 +122,12 @@ def test_curves_touch_the_certified_envelope_and_stay_inside(saved):
             assert min(abs(there - least), abs(there - most)) <= 1e-6 * size
 
 
-def test_a_quantity_without_limit_says_so_on_the_page(saved):
+def test_page_of_a_design_without_a_limit_on_torque_or_a_scene(saved):
     _, result, _, page = saved
     assert result["certified"]["torque"] == [None, None]
     assert any("torque no limit" in label for label in labels(page))
     assert "greatest determinant" in words(page)
     assert len(page.encode()) < 1_000_000
-
-
-def test_page_of_a_design_without_a_scene(saved):
-    _, result, _, page = saved
     assert result["obstacles"] == []
     assert result["closest"] is None
     assert "obstacle" not in " ".join(labels(page))
@@ -167,16 +160,12 @@ def test_twelve_joints_fit_on_a_small_page(make):
     assert len(page.encode()) < 1_000_000
 
 
-def test_sliding_joints_have_their_own_units(make):
+def test_sliding_joints_have_their_own_units_and_jerk_is_shown_when_it_is_there(make):
     result, series = make["design"]()
     with style():
         panels = motion_figure(result["joints"], result, series).panels
     assert "velocity [m/s]" in panels[3].svg
     assert "velocity [rad/s]" in panels[2].svg
-
-
-def test_jerk_is_shown_when_it_is_there(make):
-    result, series = make["design"]()
     series = {key: series[key][::50] for key in ("t", "ddq")}
     series["dddq"] = np.gradient(series["ddq"], series["t"], axis=0)
     with style():

@@ -27,17 +27,15 @@ def test_gap_stays_a_gap():
     assert np.isfinite(short[(x < 3000) | (x >= 6000)]).all()
 
 
-def test_time_of_joined_recordings_grows():
+def test_time_of_joined_recordings_grows_and_since_the_epoch_starts_at_zero():
     t = np.concatenate([14 + np.arange(5) * 0.1, 3 + np.arange(4) * 0.1])
-    time, joins = timeline(t)
-    np.testing.assert_allclose(time, 14 + np.arange(9) * 0.1)
-    assert joins == [5]
-
-
-def test_time_since_the_epoch_starts_at_zero():
-    time, joins = timeline(1.7e9 + np.arange(3.0))
-    np.testing.assert_allclose(time, [0, 1, 2])
-    assert joins == []
+    for given, shown, joins in (
+        (t, 14 + np.arange(9) * 0.1, [5]),
+        (1.7e9 + np.arange(3.0), [0, 1, 2], []),
+    ):
+        time, found = timeline(given)
+        np.testing.assert_allclose(time, shown)
+        assert found == joins
 
 
 @pytest.mark.parametrize(
@@ -58,13 +56,10 @@ def test_numbers_have_three_digits(value, written):
     assert number(value) == written
 
 
-def test_value_has_the_decimals_of_its_std():
-    assert value_and_std(12.34567, 0.0123) == ("12.346", "0.012")
+def test_values_shares_and_names():
+    assert value_and_std(12.34567, 0.0123) == ("12.346", "0.012")  # the decimals of the std
     assert value_and_std(-1234.5, 56) == ("−1234", "56")
     assert value_and_std(1.5, None) == ("1.500", "–")
-
-
-def test_shares_and_names():
     assert percent(0.0731) == "7.3\u00a0%"
     assert percent(2.341) == "234\u00a0%"
     assert percent(50) == ">\u00a0999\u00a0%"

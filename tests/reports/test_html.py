@@ -56,14 +56,11 @@ class Page(HTMLParser):
         return " ".join("".join(self.text).split())
 
 
-def test_page_needs_no_network(page):
+def test_page_needs_no_network_and_only_its_own_script_may_run(page):
     for _, attrs in Page(page).elements:
         for name in ("src", "href", "xlink:href", "action", "srcset", "data", "poster"):
             assert (attrs.get(name) or "#").startswith(("#", "data:image/png"))
     assert not re.search(r"https?://|@import|<link|url\((?!#)", page)
-
-
-def test_only_the_script_of_the_page_may_run(page):
     scripts = re.findall(r"<script[^>]*>(.*?)</script>", page, re.DOTALL)
     policy = next(a["content"] for a in Page(page).all("meta") if "http-equiv" in a)
     assert len(scripts) == page.count("<script") == 1
@@ -79,43 +76,33 @@ def test_page_is_well_formed_and_small(page):
     ids = [attrs["id"] for _, attrs in Page(page).elements if "id" in attrs]
     assert len(ids) == len(set(ids))
     assert len(Page(page).all("meta")) >= 3
-
-
-def test_headings_go_down_one_level_at_a_time(page):
     levels = [int(tag[1]) for tag, _ in Page(page).elements if re.fullmatch("h[1-6]", tag)]
     assert levels[0] == 1
     assert levels.count(1) == 1
     assert all(after <= before + 1 for before, after in pairwise(levels))
 
 
-def test_contents_lead_to_every_heading(page):
+def test_contents_lead_to_every_heading_and_tables_scroll_in_their_container(page):
     page = Page(page)
     links = {(attrs["href"] or "")[1:] for attrs in page.all("a")}
     assert {attrs["id"] for attrs in page.all("h3")} <= links
     assert links <= {attrs.get("id") for _, attrs in page.elements}
+    containers = [attrs for attrs in page.all("div") if "scroll" in (attrs.get("class") or "")]
+    assert len(containers) == len(page.all("table"))
+    assert all(attrs["tabindex"] == "0" and attrs["aria-label"] for attrs in containers)
 
 
-def test_every_figure_says_what_it_shows(page):
+def test_every_figure_says_what_it_shows_and_has_a_unit_on_its_axes(page):
     found = Page(page)
     drawings = [attrs for attrs in found.all("svg") if attrs.get("aria-hidden") != "true"]
     assert all(attrs["role"] == "img" and len(attrs["aria-label"] or "") > 20 for attrs in drawings)
     assert len(found.all("figure")) == len(found.all("figcaption"))
     panels = [a for a in found.all("div") if (a.get("class") or "").split()[:1] == ["panel"]]
     assert len(panels) == len(drawings)
-
-
-def test_every_drawing_has_a_unit_on_its_axes(page):
     drawings = re.findall(r'<svg role="img".*?</svg>', page, re.DOTALL)
     for drawing in drawings:
         texts = re.findall(r"<text[^>]*>([^<]*)</text>", drawing)
         assert any(re.search(r"\[.+\]|share of", text) for text in texts), texts
-
-
-def test_tables_scroll_inside_their_container(page):
-    page = Page(page)
-    containers = [attrs for attrs in page.all("div") if "scroll" in (attrs.get("class") or "")]
-    assert len(containers) == len(page.all("table"))
-    assert all(attrs["tabindex"] == "0" and attrs["aria-label"] for attrs in containers)
 
 
 @pytest.mark.parametrize("verb", ["diagnose", "demo"])

@@ -12,7 +12,7 @@ from excitant.reports.identify import identify_section
 from excitant.reports.page import Notes, Table
 
 LOOKS, N = 24, 400
-CURVES = Curves("given", "model as given", "identified", "identified", "caption", band="half_width")
+CURVES = Curves("given", "identified", "identified", "caption", band="half_width")
 
 
 def extra_run(make):
@@ -25,8 +25,6 @@ def extra_run(make):
     level = np.where((t > 6) & (t < 9), 0.01, 30.0)
     history = {
         "t": t.tolist(),
-        "value": value.tolist(),
-        "std": std.tolist(),
         "excitation_level": [None] * 4 + level[4:].tolist(),
         "torque_uncertainty": (np.exp(-t)[:, None] * np.ones(4)).tolist(),
         "noise": (0.02 * np.ones((LOOKS, 4))).tolist(),
@@ -35,10 +33,8 @@ def extra_run(make):
         {"t": 4.0, "text": "converged: the estimate is surer of the torque than a row of data"},
         {"t": 6.5, "text": "not exciting enough since 2.1 s: 3 of 40 visible <directions>"},
     ]
-    result["online"] = {
-        "delay_s": 0.03, "converged": True, "messages": messages, "history": history,
-        "differentiator": ""
-    }  # fmt: skip
+    result["online"] = {"delay_s": 0.03, "converged": True, "messages": messages}
+    result["online"]["history"] = history
     result["payload"] = payload()
     more = {"online_t": t, "online_value": value, "online_std": std}
     return result, series | more

@@ -21,14 +21,11 @@ from excitant.robots.check import ModelCheck
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """With a planar arm whose first joint cannot hold it and whose second has no speed limit."""
+    urdf = load_robot("planar_2r").urdf.replace('effort="80"', 'effort="20"')
+    (tmp_path / "weak.urdf").write_text(urdf.replace('velocity="5"', 'velocity="0"'))
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def weak_urdf() -> str:
-    """A planar arm whose first joint cannot hold it and whose second has no speed limit."""
-    urdf = load_robot("planar_2r").urdf
-    return urdf.replace('effort="80"', 'effort="20"').replace('velocity="5"', 'velocity="0"')
 
 
 @pytest.mark.parametrize("name", ["planar_2r", "scara", "so100", "iiwa14"])
@@ -76,7 +73,6 @@ def test_a_section_needs_no_key() -> None:
 
 
 def test_the_page_says_what_is_wrong_and_where(here: Path) -> None:
-    (here / "weak.urdf").write_text(weak_urdf())
     assert main(["robots", "weak.urdf", "-o", "out", "--mass", "12"]) == 0
     result, series = load_run(here / "out")
     assert [(w["check"], w["where"]) for w in result["warnings"]] == [
@@ -111,7 +107,6 @@ def test_a_sound_arm_is_said_to_be(here: Path, capsys: pytest.CaptureFixture[str
 
 
 def test_the_terminal_shows_the_same(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (here / "weak.urdf").write_text(weak_urdf())
     assert main(["robots", "weak.urdf"]) == 0
     out = capsys.readouterr().out
     assert "WARNING: joint1: gravity takes up to" in out

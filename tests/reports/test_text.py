@@ -6,7 +6,6 @@ import pytest
 
 from excitant.reports import brief, html, page_of, summary
 from excitant.reports.page import Cell, Fact, Facts, Folded, Notes, Page, Section, Table
-from excitant.reports.values import at
 
 
 def text_of(result):
@@ -120,8 +119,3 @@ def test_terminal_says_what_every_verb_came_to(make, undrawn):
         "demo": "hidden       Stribeck friction at elbow_joint (seed 7): named",
     }.items():
         assert words in brief(page_of(make[verb]()[0], {})).replace("\u00a0", " ")
-
-
-def test_missing_keys_are_none():
-    assert at({"a": {"b": None}}, "a", "b", "c") is None
-    assert at([1], "a") is None

@@ -34,6 +34,7 @@ from excitant.robots.parameters import violations
 from excitant.robots.plant import arm as plant_arm
 from excitant.robots.plant.arm import Arm, stick_or_slip, tracking_controller
 from excitant.robots.plant.planting import KINDS, parameters_of, plant
+from excitant.robots.urdf import robot_from_urdf
 from excitant.robots.virtual_arm import (
     HiddenEffect,
     Sensors,
@@ -144,7 +145,7 @@ def test_a_telegraph_switches_at_random(ur10: Robot) -> None:
     assert 2 <= np.count_nonzero(np.diff(np.sign(rest))) <= 30
 
 
-def two_masses(stiffness: float, damping: float, **joint: str) -> mujoco.MjModel:
+def two_masses(stiffness: float, damping: float) -> mujoco.MjModel:
     """A pendulum behind an elastic gear: MuJoCo's own two bodies on one axis."""
     return mujoco.MjModel.from_xml_string(f"""
     <mujoco><compiler autolimits="false"/><option timestep="0.0001" integrator="implicitfast"
@@ -167,8 +168,6 @@ PENDULUM = """
 
 @pytest.fixture(scope="module")
 def pendulum() -> Robot:
-    from excitant.robots.urdf import robot_from_urdf
-
     return robot_from_urdf(PENDULUM, source="pendulum.urdf")
 
 
