@@ -156,15 +156,10 @@ def _friction_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, A
 
 
 def information_derivative(linear: RegressorDerivatives, basis: Sequence[Array], U: Array) -> Array:
-    """Derivatives of UᵀMU by coefficients of the motion q⁽ᵒ⁾ = basis[o] @ X.
+    """Derivatives of UᵀMU by coefficients of q⁽ᵒ⁾ = basis[o] @ X, shape (c · nv, m, m).
 
-    Args:
-        linear: Base columns at n instants, with their derivatives.
-        basis: Basis functions of q, q̇ and q̈ there, each of shape (n, c).
-        U: Directions in the space of base parameters, shape (r, m).
-
-    Returns:
-        Shape (c · nv, m, m), coefficients in the order of ``X.ravel()``.
+    From base columns at n instants, the basis functions of q, q̇ and q̈ there, each (n, c), and
+    directions U (r, m) in the space of base parameters; coefficients in the order of X.ravel().
     """
     n, nv, _ = linear.Y.shape
     m, c = U.shape[1], basis[0].shape[1]
@@ -195,10 +190,9 @@ def objective(M: Array, criterion: str) -> float:
 
 
 def smooth_model(M: Array, dM: Array, criterion: str) -> tuple[Array, Array]:
-    """Gradient and Hessian of objective ``d`` or ``a`` along M + Σ dM_i x_i at x = 0.
+    """Gradient (k,) and Hessian (k, k) of objective ``d`` or ``a`` along M + Σ dM_i x_i at x = 0.
 
-    Both are convex in the linearised M, so the Hessian is positive semidefinite. With M of shape
-    (r, r) and its derivatives dM of (k, r, r) their shapes are (k,) and (k, k).
+    Both are convex in the linearised M, so the Hessian is positive semidefinite.
     """
     eigenvalues, V = np.linalg.eigh(M)
     eigenvalues = np.maximum(eigenvalues, 1e-300)

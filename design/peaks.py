@@ -252,10 +252,9 @@ def worst_use(problem: DesignProblem, z: Array) -> float:
 
 
 def clearance_rows(problem: DesignProblem, z: Array, near: float) -> tuple[Array, Array]:
-    """Linearised use of the clearance above ``near``, at each pair's nearest instants.
+    """Linearised use (m, unknowns) of the clearance above ``near`` at each pair's nearest instants.
 
-    Returns:
-        Rows of shape (m, unknowns), and the use at z, shape (m,).
+    Followed by the use at z, shape (m,).
     """
     if problem.scene is None:
         return np.zeros((0, problem.size)), np.zeros(0)

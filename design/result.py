@@ -115,11 +115,7 @@ class Design:
         return None if self.scene is None else clearance(self.scene, self.trajectory)
 
     def result(self) -> dict[str, Any]:
-        """The content of ``result.json``: numbers, names and lists only, null where unlimited.
-
-        The parameters with the least torque of their own after the design are the ``weakest``,
-        least first; see `weak_directions` for the combinations shown worst.
-        """
+        """The content of ``result.json``; ``weakest`` have the least torque of their own after."""
         robot, near, uses = self.robot, self.clearance, self.limits.uses
         names = [self.base.names[k] for k in self.base.columns]
         before, after = self.before, self.after

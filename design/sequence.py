@@ -1,10 +1,9 @@
 """Motions for identification link by link: one per link, from the last inward.
 
-Motion i moves joints 1 to i and holds the others; from its row τ_i, with the links further out
-known, follow all base parameters of link i (Property 4, Khosla 1987). Nothing of the row depends
-on where the outer joints stand as far as link i goes, so each motion is designed for the arm with
-those joints locked: few unknowns, and the only columns that count are those of link i in row i.
-Limits, those on the torque that holds the outer joints too, are then kept on the whole arm.
+Motion i moves joints 1 to i and holds the others; its row τ_i, with the links further out known,
+shows all base parameters of link i (Property 4, Khosla 1987), wherever the outer joints stand. So
+each motion is designed for the arm with those joints locked, and for the columns of link i in row
+i alone. Limits, those on the torque that holds outer joints too, are then kept on the whole arm.
 """
 
 from __future__ import annotations

@@ -31,12 +31,7 @@ class Block:
 
     value: Array  # shape (m, m)
     derivative: Array  # by the unknowns, shape (k, m, m)
-    lowest: bool  # whether λmin is followed (bounded from below) or λmax
-
-    @property
-    def sign(self) -> float:
-        """Of the bound in the criterion."""
-        return -1.0 if self.lowest else 1.0
+    sign: float  # -1 where λmin is followed (bounded from below), 1 with λmax
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,12 +57,12 @@ def local_model(problem: DesignProblem, z: Array) -> LocalModel:
         gradient, hessian = smooth_model(M, dM, problem.criterion)
     else:
         eigenvalues, V = np.linalg.eigh(M)
-        spans = [(True, slice(0, _LOWEST)), (False, slice(max(len(M) - _HIGHEST, 0), None))]
-        for lowest, span in spans[: 1 + (problem.criterion == "condition")]:
-            scale = eigenvalues[0 if lowest else -1]
+        spans = [(-1.0, slice(0, _LOWEST)), (1.0, slice(max(len(M) - _HIGHEST, 0), None))]
+        for sign, span in spans[: 1 + (problem.criterion == "condition")]:
+            scale = eigenvalues[0 if sign < 0 else -1]
             value = np.diag(eigenvalues[span]) / scale
             dM = information_derivative(linear, problem.sample_bases, V[:, span]) / scale
-            blocks.append(Block(value, dM, lowest))
+            blocks.append(Block(value, dM, sign))
     torque = torque_rows(problem, z, _NEAR_TORQUE)
     apart = clearance_rows(problem, z, _NEAR_CLEARANCE)
     rows, use = (np.concatenate(parts) for parts in zip(torque, apart, strict=True))

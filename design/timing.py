@@ -36,7 +36,7 @@ _TIGHTENED = 6  # attempts to hold the limits between samples by lower limits
 _SLOWER = 15  # and by a lower speed
 
 Edge = Callable[[Array, Array], bool]
-Tree = tuple[list[Array], list[int]]  # poses, and the index of each one's parent
+Branch = list[Array]  # poses from the root of a tree to one of its nodes
 Dynamics = tuple[Array, Array, Array, Array]  # a, b, smallest and largest c
 
 
@@ -232,11 +232,7 @@ def _obstruction(robot: Robot, path: Path, scene: Scene | None, clearance: float
 
 
 def static_torque(robot: Robot, q: Array, direction: Array) -> Array:
-    """Torque that holds poses (n, nv) while they begin to move, shape (n, nv) [N·m].
-
-    Gravity and everything that does not vanish with the speed, as Coulomb friction; of the
-    velocities only the direction counts.
-    """
+    """Torque that holds poses while they begin to move, gravity and dry friction, (n, nv) [N·m]."""
     return torque(robot, _creeping(q, direction))
 
 
@@ -265,47 +261,34 @@ def _detour(
     """
     around = np.stack([np.minimum(start, goal) - np.pi, np.maximum(start, goal) + np.pi])
     low, high = np.clip(around, *robot.limits.position.T)
-    trees: list[Tree] = [([start], [-1]), ([goal], [-1])]
-    edges: list[Edge] = [free, lambda a, b: free(b, a)]  # from the goal it is travelled backwards
+    trees, edges = [[[start]], [[goal]]], [free, lambda a, b: free(b, a)]  # the way back from goal
     for count in range(_SAMPLES):
         order = slice(None, None, -1 if count % 2 else 1)
         (here, there), (edge, back) = trees[order], edges[order]
         grown = _grow(here, rng.uniform(low, high), edge, once=True)
         if grown is None:
             continue
-        met = _grow(there, here[0][grown], back, once=False)
-        if met is not None and np.array_equal(there[0][met], here[0][grown]):
-            halves = [_branch(here, grown), _branch(there, met)]
-            first, second = halves if count % 2 == 0 else halves[::-1]
-            return _shortened(np.array(first[::-1] + second[1:]), free, rng)
+        met = _grow(there, grown[-1], back, once=False)
+        if met is not None and np.array_equal(met[-1], grown[-1]):
+            first, second = (grown, met)[order]
+            return _shortened(np.array(first + second[-2::-1]), free, rng)
     return None
 
 
-def _grow(tree: Tree, target: Array, free: Edge, *, once: bool) -> int | None:
-    """Grow the nearest branch towards a pose; index of the last node added."""
-    nodes, parents = tree
-    at = int(np.linalg.norm(np.array(nodes) - target, axis=1).argmin())
-    added = None
+def _grow(tree: list[Branch], target: Array, free: Edge, *, once: bool) -> Branch | None:
+    """Grow the nearest branch of a tree towards a pose; the last one added."""
+    ends = np.array([branch[-1] for branch in tree])
+    branch, added = tree[int(np.linalg.norm(ends - target, axis=1).argmin())], None
     while True:
-        ahead = target - nodes[at]
+        ahead = target - branch[-1]
         distance = float(np.linalg.norm(ahead))
-        pose = target if distance <= _REACH else nodes[at] + ahead * (_REACH / distance)
-        if distance == 0 or not free(nodes[at], pose):
+        pose = target if distance <= _REACH else branch[-1] + ahead * (_REACH / distance)
+        if distance == 0 or not free(branch[-1], pose):
             return added
-        nodes.append(pose)
-        parents.append(at)
-        added = at = len(nodes) - 1
+        branch = added = [*branch, pose]
+        tree.append(branch)
         if once or pose is target:
             return added
-
-
-def _branch(tree: Tree, leaf: int) -> list[Array]:
-    nodes, parents = tree
-    branch = []
-    while leaf >= 0:
-        branch.append(nodes[leaf])
-        leaf = parents[leaf]
-    return branch
 
 
 def _shortened(waypoints: Array, free: Edge, rng: np.random.Generator) -> Array:

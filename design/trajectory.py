@@ -25,6 +25,10 @@ class Series(ABC):
     name: ClassVar[str]
     period: float
 
+    def __post_init__(self) -> None:
+        if not self.period > 0:
+            raise ValueError(f"period {self.period} is not positive")
+
     @property
     @abstractmethod
     def size(self) -> int:
@@ -193,9 +197,6 @@ class FourierSeries(Series):
     period: float  # duration of one period [s]
     harmonics: int  # number of harmonics H
 
-    def __post_init__(self) -> None:
-        _require_positive(self.period)
-
     @property
     def size(self) -> int:
         """Number of basis functions, 1 + 2 H."""
@@ -304,11 +305,6 @@ def from_coefficients(coefficients: npt.ArrayLike, period: float) -> FourierTraj
     return FourierTrajectory(X[0], cosine, sine, period)
 
 
-def _require_positive(period: float) -> None:
-    if not period > 0:
-        raise ValueError(f"period {period} is not positive")
-
-
 def _root_angles(x: Array, order: int) -> Array:
     """Angles of all complex roots of a derivative of coefficients (1 + 2 H,), padded to (2 H,)."""
     H = len(x) // 2
@@ -335,7 +331,7 @@ class SplineSeries(Series):
     pieces: int  # number of polynomial pieces, and of basis functions; at least 6
 
     def __post_init__(self) -> None:
-        _require_positive(self.period)
+        super().__post_init__()
         if self.pieces <= _DEGREE:
             raise ValueError(f"{self.pieces} pieces: at least {_DEGREE + 1} are needed")
 

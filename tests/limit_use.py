@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from excitant.design import Design
 from excitant.robots import Array, Motion, Robot, torque
 
 
@@ -17,3 +18,18 @@ def limit_shares(robot: Robot, motion: Motion) -> dict[str, Array]:
         "torque": np.abs(torque(robot, motion)) / robot.limits.torque,
     }
     return {name: size.max(axis=0) for name, size in sizes.items()}
+
+
+def assert_limits_hold(found: Design, rate_hz: float = 2000.0) -> None:
+    assert found.trajectory.at_rest
+    assert found.limits.worst.ratio <= 1.0
+    for shares in limit_shares(found.robot, found.trajectory.motion(rate_hz)).values():
+        assert shares.max() <= 1.0
+
+
+def assert_holds_for_every_mass(robot: Robot, motion: Motion, uncertainty: float) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        shares = 1 + uncertainty * rng.choice([-1.0, 1.0], robot.nv)
+        other = robot.with_parameters(robot.phi * np.repeat(shares, 10))
+        assert np.all(np.abs(torque(other, motion)) <= robot.limits.torque)

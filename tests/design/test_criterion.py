@@ -36,7 +36,7 @@ def test_what_rounded_angles_show_is_not_counted() -> None:
     for placement in model.jointPlacements:
         roll, pitch, yaw = pin.rpy.matrixToRpy(placement.rotation)
         placement.rotation = pin.rpy.rpyToMatrix(*np.round([roll, pitch, yaw], 4))
-    rounded = arm.with_model(model)
+    rounded = replace(arm, model=model)
     effects = standard_effects(arm.joints)
     assert len(base_parameters(rounded, effects)) > len(base_parameters(arm, effects))
     exact, seen = (information(robot, "friction") for robot in (arm, rounded))
@@ -70,7 +70,7 @@ def test_gradient_of_every_criterion(ur10: Robot, criterion: str) -> None:
     problem, z = problem_and_point(ur10, "inertial", criterion)
     model = local_model(problem, z)
     gradient = model.gradient + sum(
-        (-1 if block.lowest else 1) * block.derivative[:, i, i]
+        block.sign * block.derivative[:, i, i]
         for block, i in zip(model.blocks, (0, -1), strict=False)
     )
     direction = np.random.default_rng(0).normal(size=z.shape)

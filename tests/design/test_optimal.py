@@ -9,20 +9,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from limit_use import limit_shares
+from limit_use import assert_limits_hold
 
 from excitant.design import Design, design_link_by_link, design_trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots import Robot
 
 Limited = Callable[..., Robot]
-
-
-def assert_limits_hold(result: Design, rate_hz: float = 2000.0) -> None:
-    assert result.trajectory.at_rest
-    for shares in limit_shares(result.robot, result.trajectory.motion(rate_hz)).values():
-        assert shares.max() <= 1.0
-    assert result.limits.worst.ratio <= 1.0
 
 
 @pytest.fixture(scope="module")
