@@ -102,7 +102,7 @@ def run(case: Case) -> dict[str, Any]:
         return {"case": vars(case), "not_drawn": str(error)}
     drawn = time.perf_counter()
     result = diagnose(robot, [train], validate=[held]).result()
-    found = [_brief(finding) for finding in result["findings"]]
+    found = [brief(finding) for finding in result["findings"]]
     return {
         "case": vars(case),
         "hidden": [[h.effect, list(h.acts_on), h.kind, dict(h.parameters)] for h in hidden],
@@ -113,7 +113,7 @@ def run(case: Case) -> dict[str, Any]:
     }
 
 
-def _brief(finding: dict[str, Any]) -> list[Any]:
+def brief(finding: dict[str, Any]) -> list[Any]:
     rivals = [f"{r['effect']}@{'+'.join(r['joints'][:2])}" for r in finding["rivals"]]
     share = round(finding.get("share", finding["explained"]), 3)
     return [finding["effect"], finding["joints"][:2], finding["verdict"], share, rivals]
@@ -167,26 +167,26 @@ def summary(results: Sequence[dict[str, Any]]) -> str:
     clean = [r["score"] for r in done if not r["hidden"]]
     pairs = [r["score"] for r in done if len(r["hidden"]) == 2]
     lines = [
-        _rate("right, effects of at least 3 x the floor", [s["right"] for s in clear]),
-        _rate("  of these named", [s["named"] for s in clear]),
-        _rate("a wrong name given", [s["wrong"] for s in clear]),
-        _rate("right, all sizes", [r["score"]["right"] for r in known]),
-        _rate("unknown said of unknown", [s["right"] for s in unknown]),
-        _rate("a name given to unknown", [s["wrong"] for s in unknown]),
-        _rate("clean, nothing named", [not s["wrong"] for s in clean]),
-        _rate("both of two found", [s["right"] == 2 for s in pairs]),
-        _rate("a wrong name beside two", [s["wrong"] for s in pairs]),
+        rate("right, effects of at least 3 x the floor", [s["right"] for s in clear]),
+        rate("  of these named", [s["named"] for s in clear]),
+        rate("a wrong name given", [s["wrong"] for s in clear]),
+        rate("right, all sizes", [r["score"]["right"] for r in known]),
+        rate("unknown said of unknown", [s["right"] for s in unknown]),
+        rate("a name given to unknown", [s["wrong"] for s in unknown]),
+        rate("clean, nothing named", [not s["wrong"] for s in clean]),
+        rate("both of two found", [s["right"] == 2 for s in pairs]),
+        rate("a wrong name beside two", [s["wrong"] for s in pairs]),
         f"not drawn (the arm cannot show it): {len(results) - len(done)}",
         "",
         "size     right",
     ]
     for low, high in itertools.pairwise(_SIZES):
         at = [r["score"]["right"] for r in known if low <= r["size"] < high]
-        lines.append(f"{low:3g}-{high:<3g}  " + _rate("", at))
+        lines.append(f"{low:3g}-{high:<3g}  " + rate("", at))
     return "\n".join([*lines, "", *_confusion(singles)])
 
 
-def _rate(label: str, hits: Sequence[Any]) -> str:
+def rate(label: str, hits: Sequence[Any]) -> str:
     share = f"{100 * np.mean([bool(h) for h in hits]):5.1f} %" if hits else "    -  "
     return f"{share} of {len(hits):3d}  {label}"
 

@@ -13,19 +13,18 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(threads, "1")
 
 import numpy as np  # noqa: E402
-from diagnosis import DURATION, TOLERANCE, recorded  # noqa: E402
+from diagnosis import DURATION, TOLERANCE, brief, rate, recorded  # noqa: E402
 from hidden_effects import KINDS, draw_effect, typical_trajectory  # noqa: E402
 
-from excitant.analysis.diagnosis import Diagnosis, Finding, diagnose  # noqa: E402
+from excitant.analysis.diagnosis import Diagnosis, diagnose  # noqa: E402
 from excitant.analysis.discrimination import Plan, key  # noqa: E402
 from excitant.analysis.discrimination_plan import plan  # noqa: E402
 from excitant.design import Trajectory  # noqa: E402
@@ -39,20 +38,6 @@ _LEFT_OUT = ("inertial_parameters", "thermal_friction_drift", "unknown")
 _RANGE, _SPEED = 0.3, 0.4  # of the limits: what makes a motion poor
 _SIZES = (4.0, 15.0)  # visible sizes
 _MOST_RUNS = 10
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of one undecided pair."""
-
-    hidden: str  # the effect at work
-    found: str  # the cause found, or of the pair, that was named before
-    rival: str  # the other
-    how: str  # ``motion`` or ``action``
-    separation: float | None  # expected standard deviations
-    runs: int  # of the motion
-    settled: bool  # whether the rival is out and the hidden effect is named
-    true: bool  # whether the hidden effect is one of the pair
 
 
 def poor(robot: Robot, rng: np.random.Generator) -> Trajectory:
@@ -69,25 +54,22 @@ def poor(robot: Robot, rng: np.random.Generator) -> Trajectory:
     return typical_trajectory(robot.with_limits(narrow), rng, DURATION)
 
 
-def is_true(finding: Finding, hidden: HiddenEffect) -> bool:
-    """Whether a finding is the hidden effect."""
+def is_true(effect: Effect, hidden: HiddenEffect) -> bool:
+    """Whether an effect is the hidden one."""
     where = set(hidden.acts_on)
-    same = finding.effect.name == hidden.effect
-    return same and (not where or bool(where & set(finding.effect.joints)))
+    return effect.name == hidden.effect and (not where or bool(where & set(effect.joints)))
 
 
 def settled(after: Diagnosis, hidden: HiddenEffect, pair: Sequence[Effect]) -> bool:
     """Whether the hidden effect is found and nothing else of a pair stands beside it, or for it."""
-    true = [f for f in after.findings if is_true(f, hidden)]
+    true = [f for f in after.findings if is_true(f.effect, hidden)]
     false = [f.effect for f in after.findings if f not in true]
     false += [r.candidate.effect for f in true for r in f.rivals]
     wrong = {(e.name, e.joints) for e in false}
     return bool(true) and not any((e.name, e.joints) in wrong for e in pair)
 
 
-def run_case(
-    name: str, kind: str, number: int, time_limit: float
-) -> tuple[list[Outcome], dict[str, Any]]:
+def run_case(name: str, kind: str, number: int, time_limit: float) -> dict[str, Any]:
     """Record, diagnose, plan, record, diagnose again."""
     robot, rng = load_robot(name), np.random.default_rng([77, number])
     size = float(np.exp(rng.uniform(*np.log(_SIZES))))
@@ -95,22 +77,16 @@ def run_case(
     arm = virtual_arm(robot, rng, hidden=[hidden], tolerance=TOLERANCE)
     first, held = (recorded(arm, poor(robot, rng), DURATION, rng, n) for n in ("first", "held"))
     before = diagnose(robot, [first], validate=[held])
-    begun = time.perf_counter()
     proposed = plan(before, np.random.default_rng(0), time_limit=time_limit)
-    seconds = time.perf_counter() - begun
-    log: dict[str, Any] = {
-        "arm": name, "hidden": [kind, hidden.acts_on, dict(hidden.parameters)],
-        "before": _brief(before), "planned_s": round(seconds, 1),
-    }  # fmt: skip
-    if not proposed.experiments:
-        return [], log
     runs = list(_runs(arm, proposed, rng))
     after = diagnose(robot, [first, *runs], validate=[held]) if runs else before
-    log |= {
-        "after": _brief(after),
-        "experiments": [[*k, e.experiment] for k, e in proposed.experiments.items()],
+    return {
+        "arm": name,
+        "hidden": [kind, hidden.acts_on, dict(hidden.parameters)],
+        "before": [brief(finding) for finding in before.result()["findings"]],
+        "after": [brief(finding) for finding in after.result()["findings"]],
+        "outcomes": list(_outcomes(before, after, proposed, hidden)),
     }
-    return list(_outcomes(before, after, proposed, hidden)), log
 
 
 def _runs(arm: VirtualArm, proposed: Plan, rng: np.random.Generator) -> Iterator[Recording]:
@@ -124,55 +100,25 @@ def _runs(arm: VirtualArm, proposed: Plan, rng: np.random.Generator) -> Iterator
 
 def _outcomes(
     before: Diagnosis, after: Diagnosis, proposed: Plan, hidden: HiddenEffect
-) -> Iterator[Outcome]:
+) -> Iterator[dict[str, Any]]:
+    """What became of each undecided pair for which an experiment was proposed."""
     for finding in before.findings:
         for rival in finding.rivals:
-            other = rival.candidate.effect
-            experiment = proposed.experiments.get(key(finding.effect, other))
-            if experiment is None:
-                continue
-            pair = (finding.effect, other)
-            names = {(e.name, bool(set(e.joints) & set(hidden.acts_on)) or not hidden.acts_on)
-                     for e in pair}  # fmt: skip
-            yield Outcome(
-                hidden.effect,
-                finding.effect.name,
-                other.name,
-                "action" if experiment.file is None else "motion",
-                experiment.separation,
-                experiment.repetitions or 0,
-                settled(after, hidden, pair),
-                (hidden.effect, True) in names,
-            )
-
-
-def _brief(diagnosis: Diagnosis) -> list[Any]:
-    return [
-        [f.effect.name, f.effect.joints, f.verdict, round(f.explained, 3),
-         [(r.candidate.effect.name, r.candidate.effect.joints, round(r.deviations, 1))
-          for r in f.rivals]]
-        for f in diagnosis.findings
-    ]  # fmt: skip
-
-
-def summary(outcomes: Sequence[Outcome]) -> str:
-    """Rates as text: of pairs in which the hidden effect is, and of all."""
-    lines = []
-    for label, chosen in (
-        ("pairs with the hidden effect, by motion",
-         [o for o in outcomes if o.how == "motion" and o.true]),
-        ("all pairs, by motion", [o for o in outcomes if o.how == "motion"]),
-    ):  # fmt: skip
-        hits = sum(o.settled for o in chosen)
-        share = f"{100 * hits / len(chosen):5.1f} %" if chosen else "    -  "
-        lines.append(f"{share} of {len(chosen):3d} settled: {label}")
-    actions = [o for o in outcomes if o.how == "action"]
-    lines.append(f"{len(actions)} pairs need an action: no motion tells them apart")
-    return "\n".join(lines)
+            pair = (finding.effect, rival.candidate.effect)
+            experiment = proposed.experiments.get(key(*pair))
+            if experiment is not None:
+                yield {
+                    "pair": [effect.name for effect in pair],
+                    "how": "action" if experiment.file is None else "motion",
+                    "separation": experiment.separation,
+                    "runs": experiment.repetitions or 0,
+                    "settled": settled(after, hidden, pair),
+                    "true": any(is_true(effect, hidden) for effect in pair),
+                }
 
 
 def main() -> None:
-    """Run all cases and print the rates."""
+    """Run all cases and print the rates: of pairs with the hidden effect, and of all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--draws", type=int, default=2, help="of each kind and arm")
     parser.add_argument("--arms", default="planar_2r,ur10")
@@ -182,20 +128,23 @@ def main() -> None:
     parser.add_argument("--time-limit", type=float, default=15.0)
     parser.add_argument("--log", help="write every case as a line of JSON")
     args = parser.parse_args()
-    outcomes: list[Outcome] = []
+    outcomes: list[dict[str, Any]] = []
     for name in args.arms.split(","):
         for kind in args.kinds.split(","):
             for number in range(args.first, args.first + args.draws):
                 try:
-                    found, log = run_case(name, kind, number, args.time_limit)
+                    case = run_case(name, kind, number, args.time_limit)
                 except ExcitantError as error:
-                    found, log = [], {"arm": name, "hidden": kind, "error": str(error)}
-                outcomes += found
-                log["outcomes"] = [asdict(o) for o in found]
+                    case = {"arm": name, "hidden": kind, "error": str(error), "outcomes": []}
+                outcomes += case["outcomes"]
                 if args.log:
                     with open(args.log, "a", encoding="utf-8") as file:
-                        file.write(json.dumps(log) + "\n")
-    print(summary(outcomes))
+                        file.write(json.dumps(case) + "\n")
+    moved = [o for o in outcomes if o["how"] == "motion"]
+    true = [o["settled"] for o in moved if o["true"]]
+    print(rate("settled: pairs with the hidden effect, by motion", true))
+    print(rate("settled: all pairs, by motion", [o["settled"] for o in moved]))
+    print(f"{len(outcomes) - len(moved)} pairs need an action: no motion tells them apart")
 
 
 if __name__ == "__main__":
