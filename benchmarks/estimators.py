@@ -1,7 +1,6 @@
 """What each estimator makes of a UR10 whose parameters are known.
 
     OMP_NUM_THREADS=1 python benchmarks/estimators.py [--draws 2] [--seconds 30]
-    OMP_NUM_THREADS=1 python benchmarks/estimators.py --bias 12 [--kinds fine encoders]
 
 Torque comes from Pinocchio's recursive Newton-Euler algorithm with friction, offset and rotor
 inertia written here, in no way from the regressor that is fitted. Kinds of noise:
@@ -18,9 +17,6 @@ known without noise. ``iv`` fits the columns of even samples with those of odd o
 instruments; ``wls half`` is weighted least squares of the same columns. ``oe`` simulates the model
 on the measured positions, as far as these themselves suggest. The last line is the
 Durbin-Wu-Hausman test on ``wls half``: its median chance that least squares is not biased.
-
-``--bias D`` keeps one motion and draws only its noise, D times: the mean error over draws of each
-parameter, divided by its own standard deviation, rms over parameters: about 1 without bias.
 """
 
 from __future__ import annotations
@@ -67,24 +63,13 @@ def arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--draws", type=int, default=2, help="recordings per kind of noise")
     parser.add_argument("--seconds", type=float, default=30.0, help="of one recording")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--bias", type=int, metavar="D", help="bias over D draws of noise")
     parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS, help="of noise")
     return parser.parse_args(words)
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """An arm of which everything is known.
-
-    Attributes:
-        robot: Its links.
-        viscous: Viscous friction, shape (nv,) [N·m·s/rad].
-        coulomb: Coulomb friction, shape (nv,) [N·m].
-        offset: Constant torque, shape (nv,) [N·m].
-        rotor: Rotor inertia, shape (nv,) [kg·m²].
-        base: Base parameters of links and effects.
-        beta: Their true values, shape (r,).
-    """
+    """An arm of which everything is known: links, coefficients of each joint's effects [SI], β."""
 
     robot: Robot
     viscous: Array
@@ -138,15 +123,9 @@ def torque_noise(kind: str, rng: np.random.Generator, n: int, nv: int) -> Array:
     return np.asarray(found)
 
 
-def recorded(
-    known: Truth,
-    kind: str,
-    rng: np.random.Generator,
-    seconds: float,
-    motion: np.random.Generator | None = None,
-) -> Recording:
-    """One random motion, drawn by its own generator if given, with one kind of noise."""
-    trajectory = random_trajectory(known.robot, rng if motion is None else motion, 10.0, HARMONICS)
+def recorded(known: Truth, kind: str, rng: np.random.Generator, seconds: float) -> Recording:
+    """One random motion with one kind of noise."""
+    trajectory = random_trajectory(known.robot, rng, 10.0, HARMONICS)
     t = np.arange(0, seconds, 1 / RATE_HZ)
     q, dq, ddq = (trajectory(t, order) for order in range(3))
     tau = known.torque(q, dq, ddq)
@@ -158,14 +137,7 @@ def recorded(
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """What an estimate is held against.
-
-    Attributes:
-        known: The arm.
-        scale: Rms of each base column over random states, shape (r,).
-        W: Base columns of another motion, shape (n, nv, r).
-        tau: Its torque, shape (n, nv) [N·m].
-    """
+    """What an estimate is held against: rms of base columns, another motion and its torque."""
 
     known: Truth
     scale: Array
@@ -233,38 +205,10 @@ def cells(
             yield f"{kind}, {filtering}", figures, float(np.median([p for _, p in runs]))
 
 
-def biases(name: str, draws: int, seconds: float, seed: int, kinds: Sequence[str]) -> Iterator[str]:
-    """Table of mean errors over their standard deviations, rms over parameters."""
-    known = truth(name)
-    held = judge(known, seed)
-    yield f"{'':20}" + "".join(f"{method:>10}" for method in METHODS)
-    for kind in kinds:
-        for filtering, cutoff_hz in FILTERS.items():
-            errors: dict[str, list[Array]] = {method: [] for method in METHODS}
-            for d in range(draws):
-                rng, motion = np.random.default_rng([seed, 1, d]), np.random.default_rng([seed, 2])
-                recording = recorded(known, kind, rng, seconds, motion)
-                for method, fit in estimates(known, recording, cutoff_hz)[0].items():
-                    errors[method].append(held.errors(fit)[0])
-            yield f"{kind + ', ' + filtering:20}" + "".join(
-                f"{_mean_over_deviation(np.array(errors[method])):10.2f}" for method in METHODS
-            )
-
-
-def _mean_over_deviation(errors: Array) -> float:
-    deviation = errors.std(axis=0, ddof=1) / np.sqrt(len(errors))
-    return float(np.sqrt(((errors.mean(axis=0) / deviation) ** 2).mean()))
-
-
 def main(words: Sequence[str] | None = None) -> None:
     args = arguments(words)
-    options = (args.seconds, args.seed, args.kinds)
     with threadpool_limits(1):
-        if args.bias is not None:
-            for line in biases(args.robot, args.bias, *options):
-                print(line, flush=True)
-            return
-        settings = list(cells(args.robot, args.draws, *options))
+        settings = list(cells(args.robot, args.draws, args.seconds, args.seed, args.kinds))
     print(f"{'':10}" + "".join(f"{name:>20}" for name, _, _ in settings))
     print(f"{'':10}" + f"{'N·m':>10}{'%':>10}" * len(settings))
     for method in METHODS:

@@ -3,11 +3,8 @@
 Every set and split of the recordings' own README (EXCITANT_DATA or ../shared/data), joint by joint:
 
 * ``readme``: the quick baseline that the README gives (weighted least squares of base parameters,
-  rotor inertia, viscous and Coulomb friction, offset), as printed there. Its filter is not stated;
-  all other rows share one cut-off of judging, which stands in the title, so the comparison is
-  between figures of like meaning, not of identical ones;
-* ``ols``: the same kind of fit made here, at the cut-off of the rows below: what a filter and a
-  constraint change shows against it;
+  rotor inertia, viscous and Coulomb friction, offset); its filter is not stated;
+* ``ols``: the same kind of fit made here, at the cut-off of the rows below;
 * ``standard``: `identify` with standard effects, physically consistent;
 * ``chosen``: the same with effects that the data call for (`choose_effects`);
 * ``given``: the model as it comes.
@@ -19,16 +16,13 @@ of nrmse over joints, and its ratio is to the README's.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from excitant.analysis.selection import choose_effects, described
@@ -37,11 +31,9 @@ from excitant.identify import Estimate, Recording, identify_robot, load_dataset
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import Accuracy, series
 from excitant.robots import Robot
-from excitant.robots.loading import load_robot
 from excitant.robots.parameters import violations
 
 DIGITS = 3
-FULL_DUTY = 885.0  # counts of the servo's pulse width
 SHARES = {0.6: "first 60 % → last 40 %", 0.7: "first 70 % → last 30 %"}
 
 Row = tuple[float, ...]
@@ -49,17 +41,9 @@ Row = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Split:
-    """What is fitted, what is judged, and what the README reaches there.
+    """What is fitted, what is judged (or the share that is fitted), and what others reach there.
 
-    Attributes:
-        dataset: Folder.
-        fit: Recordings to fit.
-        judge: Recordings to judge; the rest of those fitted where a share is given.
-        share: Part of each recording that is fitted.
-        readme: r2 of the quick baseline per joint; empty where the README gives none.
-        published_rms: Error of the published model on the same part [N·m].
-        cutoff_hz: Cut-off of judging; that of `identify` when None.
-        note: What else is known of it.
+    Cut-off of judging [Hz] is that of `identify` when None; published is the rms of a model [N·m].
     """
 
     dataset: str
@@ -116,76 +100,20 @@ SPLITS = (
     ),
     Split(
         "bam_xl330", ("rec01", "rec03", "rec04", "rec05", "rec07", "rec08"),
-        ("rec13", "rec15", "rec16"), note="no baseline; voltage of the motor, controller gain x 4",
+        ("rec13", "rec15", "rec16"), note="no baseline; controller gain x 4",
     ),
 )  # fmt: skip
 
 
-def data_folder() -> Path:
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    return Path(os.environ.get("EXCITANT_DATA", beside))
-
-
 def loaded(split: Split, folder: Path) -> tuple[Robot, list[Recording], list[Recording]]:
     """The arm, what to fit and what to judge."""
-    if split.dataset == "bam_xl330":
-        robot, read = pendulum(folder / split.dataset)
-    else:
-        dataset = load_dataset(folder / split.dataset)
-        robot, read = dataset.robot, dataset.recordings
-    fit = read(list(split.fit))
+    dataset = load_dataset(folder / split.dataset)
+    robot, fit = dataset.robot, dataset.recordings(list(split.fit))
     if split.share is None:
-        return robot, fit, read(list(split.judge))
+        return robot, fit, dataset.recordings(list(split.judge))
     first, rest = SHARES[split.share].split(" → ")
     parts = [r.between(0, split.share, first) for r in fit]
     return robot, parts, [r.between(split.share, 1, rest) for r in fit]
-
-
-def pendulum(folder: Path) -> tuple[Robot, Any]:
-    """The pendulum of the sidecar as a robot, and its recordings by name.
-
-    Its mass is taken for a point at the end of a massless rod. What is logged is the pulse width;
-    times the supply it is the motor's voltage, which stands in the place of a current: torque is
-    proportional to it less what the speed induces, which is viscous friction to a model.
-    """
-    described = {
-        r["name"]: r for r in json.loads((folder / "dataset.json").read_text())["recordings"]
-    }
-    first = next(iter(described.values()))
-    robot = robot_of_pendulum(first["mass_kg"], first["length_m"])
-
-    def read(names: list[str]) -> list[Recording]:
-        found = []
-        for name in names:
-            table = pd.read_parquet(folder / described[name]["file"])
-            table = table[table["enable"] > 0]
-            voltage = table["pwm1"] / FULL_DUTY * table["volt"]
-            found.append(
-                Recording(
-                    name, str(folder / described[name]["file"]), table["t"].to_numpy(float),
-                    table[["q1"]].to_numpy(float), voltage.to_numpy(float)[:, None], "A",
-                )
-            )  # fmt: skip
-        return found
-
-    return robot, read
-
-
-def robot_of_pendulum(mass: float, length: float) -> Robot:
-    """A point mass on a rod that hangs down at q = 0."""
-    spread = 1e-3 * length  # no body is a point
-    tensor = " ".join(f'{name}="{mass * spread**2:.3g}"' for name in ("ixx", "iyy", "izz"))
-    text = f"""<robot name="pendulum"><link name="base"/><link name="rod"><inertial>
-    <origin xyz="0 0 {-length}"/><mass value="{mass}"/>
-    <inertia {tensor} ixy="0" ixz="0" iyz="0"/></inertial></link>
-    <joint name="joint1" type="revolute"><parent link="base"/><child link="rod"/>
-    <axis xyz="0 1 0"/><limit lower="-3.2" upper="3.2" velocity="15" effort="1"/></joint></robot>"""
-    path = Path(os.environ.get("TMPDIR", "/tmp")) / f"pendulum-{os.getpid()}.urdf"
-    path.write_text(text)
-    try:
-        return load_robot(path)
-    finally:
-        path.unlink()
 
 
 def unconstrained(estimate: Estimate) -> Accuracy:
@@ -194,14 +122,6 @@ def unconstrained(estimate: Estimate) -> Accuracy:
     W = regression_of(estimate.model, estimate.model.effects, data.validate).W
     predicted = W[:, :, list(estimate.base.columns)] @ estimate.least_squares.beta
     return series(data.validate).accuracy(predicted / estimate.gains)
-
-
-def possible(estimate: Estimate) -> bool:
-    """Whether every link is a body that can be, and every coefficient within its bounds."""
-    effects = [p.lower for e in estimate.model.effects for p in e.parameters(estimate.given)]
-    values = [v for e in estimate.model.effects for v in e.values or ()]
-    signs = all(v >= low - 1e-7 for v, low in zip(values, effects, strict=True))
-    return signs and not violations(estimate.phi, estimate.given.links)
 
 
 def report(split: Split, folder: Path, chosen: bool) -> None:
@@ -249,8 +169,8 @@ def report(split: Split, folder: Path, chosen: bool) -> None:
 
 
 def _said(estimate: Estimate, start: float) -> str:
-    consistent = "yes" if possible(estimate) else "NO"
-    return f"  consistent: {consistent}  {time.perf_counter() - start:.0f} s"
+    broken = violations(estimate.phi, estimate.given.links)
+    return f"  consistent: {'NO' if broken else 'yes'}  {time.perf_counter() - start:.0f} s"
 
 
 def _line(row: str, r2: np.ndarray, nrmse: float, below: Sequence[bool], extra: str) -> None:
@@ -260,6 +180,8 @@ def _line(row: str, r2: np.ndarray, nrmse: float, below: Sequence[bool], extra: 
 
 def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    parser.add_argument("--data", type=Path, default=Path(os.environ.get("EXCITANT_DATA", beside)))
     parser.add_argument("--sets", nargs="+", help="data sets (default: all)")
     parser.add_argument("--standard-only", action="store_true", help="choose no effects")
     args = parser.parse_args(words)
@@ -267,7 +189,7 @@ def main(words: Sequence[str] | None = None) -> None:
         for split in SPLITS:
             if args.sets and split.dataset not in args.sets:
                 continue
-            report(split, data_folder(), not args.standard_only)
+            report(split, args.data, not args.standard_only)
 
 
 if __name__ == "__main__":

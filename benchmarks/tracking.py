@@ -2,15 +2,12 @@
 
     OMP_NUM_THREADS=1 python benchmarks/tracking.py [--data ../shared/data] [--robots ur10 panda]
 
-Both models run under the same commands: the recorded torque as feed-forward and one PD controller
-on the recorded position, for a soft and a stiff loop: stiffness ω² times the mean inertia of both
-models, but no less than what bears the recorded rms torque at 0.2 rad, since friction, not
-inertia, rules small joints.
-What a model gets wrong shows as tracking error, so the ratio given : identified is above 1 where
-identification made the simulation more like the arm. Models are fitted on the first part of a
-recording (or on an excitation of its own) and simulated on the hold-out, which is cut into pieces
-of a few seconds that each start in the recorded state. A piece in which a model runs away
-(2 rad or m off) ends there, and the error stays at what it was.
+Both models run under the recorded torque as feed-forward and one PD controller on the recorded
+position, for a soft and a stiff loop: stiffness ω² times the mean inertia of both models, but no
+less than what bears the recorded rms torque at 0.2 rad. The ratio of tracking errors, given :
+identified, is above 1 where identification made the simulation more like the arm. The hold-out is
+cut into pieces of a few seconds that each start in the recorded state; where a model runs away (2
+rad or m off) the error stays at what it was.
 """
 
 from __future__ import annotations
@@ -27,7 +24,6 @@ from threadpoolctl import threadpool_limits
 from excitant.design import random_trajectory
 from excitant.identify import (
     Estimate,
-    Recording,
     identify_robot,
     load_dataset,
     recording_from_table,
@@ -42,9 +38,7 @@ _PIECE = 3.0  # s, of simulation from a recorded state
 _LOST = 2.0  # rad or m: the model has run away
 _YIELD = 0.2  # rad or m: the loop bears the recorded torque there
 
-
-Case = tuple[str, Estimate]
-"""Where a recording came from, and its estimate."""
+Case = tuple[str, Estimate]  # where a recording came from, and its estimate
 
 
 def arguments(words: Sequence[str] | None) -> argparse.Namespace:
@@ -63,12 +57,9 @@ def simulated(name: str, seed: int) -> Case:
     """A virtual arm, off by some per cent and with a hidden effect, on two motions."""
     robot, rng = load_robot(name), np.random.default_rng(seed)
     arm = virtual_arm(robot, rng)
-    runs: list[Recording] = []
-    for run in ("excitation", "holdout"):
-        table = arm.record(random_trajectory(robot, rng, 10.0, 5), 10.0, rng)
-        runs.append(recording_from_table(table, robot.nv, file=f"{run}.parquet", name=run))
-    hidden = arm.hidden[0]
-    found = identify_robot(robot, runs[:1], validate=runs[1:])
+    tables = [arm.record(random_trajectory(robot, rng, 10.0, 5), 10.0, rng) for _ in range(2)]
+    fit, held = (recording_from_table(x, robot.nv, file="x.parquet", name="x") for x in tables)
+    hidden, found = arm.hidden[0], identify_robot(robot, [fit], validate=[held])
     return f"{name}, virtual, hides {hidden.effect} at {hidden.joint}", found
 
 
@@ -108,8 +99,7 @@ def squared_error(
 ) -> np.ndarray:
     """Squared tracking error of one piece at every step, shape (n, nv) [rad² or m²].
 
-    The loop's damping is part of the model, where the integrator takes it implicitly: a joint
-    with little inertia does not go unstable.
+    The loop's damping is part of the model, where the integrator takes it implicitly.
     """
     motion, tau = segment.motion[rows], segment.tau[rows]
     damping = 2 * stiffness / omega
@@ -149,15 +139,15 @@ def tracking(
 def report(case: Case, bandwidths: Sequence[float]) -> None:
     name, found = case
     gains = found.gains if found.data.unit == "A" else None
-    given, identified = (loaded(robot, gains) for robot in (found.given, found.model))
+    models = [loaded(robot, gains) for robot in (found.given, found.model)]
     segments = found.data.validate
-    inertia = (mean_inertia(given, segments[0]) + mean_inertia(identified, segments[0])) / 2
+    inertia = np.mean([mean_inertia(model, segments[0]) for model in models], axis=0)
     nrmse = [float(np.nansum(x.nrmse)) for x in (found.baseline, found.validate)]
     print(f"\n{name}: hold-out nrmse, sum of joints, {nrmse[0]:.3g} → {nrmse[1]:.3g}")
     torque = np.sqrt(np.mean((segments[0].tau * found.gains) ** 2, axis=0))
     for omega in bandwidths:
         stiffness = np.maximum(omega**2 * inertia, torque / _YIELD)
-        before, after = (tracking(m, segments, stiffness, omega) for m in (given, identified))
+        before, after = (tracking(model, segments, stiffness, omega) for model in models)
         joints = " ".join(f"{b / a:7.2f}" for b, a in zip(before, after, strict=True))
         first, second = (1e3 * float(np.sqrt((x**2).mean())) for x in (before, after))
         print(f"  loop of {omega:4g} rad/s: rms {first:8.3f} → {second:8.3f} mrad, "

@@ -5,13 +5,10 @@
   `five_point` is Khosla's (1987, §5.1), f' = (−2f₋₂ − f₋₁ + f₁ + 2f₂) / (10T). The causal kind
   serves a loop; `causal_polynomial` takes the window that suits the positions best.
 
-Positions are signal plus white noise. The noise level is the floor of the upper part of the
-periodogram; the signal is what stands out of the floor. A polynomial with gain g then makes the
-acceleration error
+Positions are signal plus white noise, whose level is the floor of the upper part of the
+periodogram. A polynomial with gain g then makes the acceleration error
 
-    e² = ∫ S(f) (2πf)⁴ (g(f) − 1)² df + σ² · noise_gain²,
-
-lost signal plus noise let through, both known before anything is differentiated.
+    e² = ∫ S(f) (2πf)⁴ (g(f) − 1)² df + σ² · noise_gain².
 """
 
 from __future__ import annotations
@@ -106,10 +103,7 @@ class LocalPolynomial:
         return float(np.linalg.norm(self.kernel(order))) * rate_hz**order
 
     def __call__(self, t: Array, q: Array) -> Motion:
-        """Motion at the samples; q has shape (n, nv).
-
-        Where it is not causal, the first and last m instants take the polynomial of the
-        nearest whole window.
+        """Motion; where not causal, the first and last m instants take the nearest whole window's.
 
         Raises:
             BadInput: Too few samples, or irregular time.
@@ -234,10 +228,7 @@ def causal_polynomials(spectrum: Spectrum) -> list[LocalPolynomial]:
 
 
 def causal_polynomial(spectrum: Spectrum) -> Choice:
-    """The causal polynomial with the smallest predicted acceleration error.
-
-    Joints count relative to the acceleration their signal has.
-    """
+    """The causal polynomial of smallest predicted error, relative to what joints accelerate."""
     options, (f, signal, noise, rate, _) = causal_polynomials(spectrum), spectrum
     power = (2 * np.pi * f) ** 4 * (f[1] - f[0])
     size = np.sqrt(power @ signal)

@@ -21,7 +21,7 @@ from excitant.identify.least_squares import (
     weighted_least_squares,
 )
 from excitant.identify.physical import PhysicalFit, fit_physical
-from excitant.identify.prior import prior_parameters
+from excitant.identify.prior import DOMINATED, prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import (
@@ -133,7 +133,7 @@ class Estimate:
 
     def result(self) -> dict[str, Any]:
         """Machine-readable result of `identify` (keys of DESIGN.md, section 5)."""
-        robot = self.given
+        robot, fit = self.given, self.least_squares
         broken = violations(self.phi, robot.links)
         half, known = self.interval.half_width, self.interval.parameters
         held = coverage(self.holdout.measured, self.predicted, half)
@@ -165,7 +165,15 @@ class Estimate:
                 for j, joint in enumerate(robot.joints)
             ],
             "parameters": self._parameters(),
-            "base_parameters": self._base_parameters(),
+            "base_parameters": [
+                {
+                    "expression": text,
+                    "value": float(value),
+                    "std": float(s),
+                    "rel_std": float(s / abs(value)) if value else None,
+                }
+                for text, value, s in zip(self.base.expressions, fit.beta, fit.std, strict=True)
+            ],
             "essential": self._essential(),
             "physical": {
                 "consistent": not broken,
@@ -223,21 +231,10 @@ class Estimate:
                 "unit": units[k],
                 "category": category,
                 "prior": None if given[k] is None else float(given[k]),
-                "prior_dominated": category == "unidentifiable" or physical.prior_dominated[k],
+                "prior_dominated": category == "unidentifiable"
+                or bool(physical.influence[k] > DOMINATED),
             }
             for k, category in enumerate(categories(self.base))
-        ]
-
-    def _base_parameters(self) -> list[dict[str, Any]]:
-        fit = self.least_squares
-        return [
-            {
-                "expression": text,
-                "value": float(value),
-                "std": float(s),
-                "rel_std": float(s / abs(value)) if value else None,
-            }
-            for text, value, s in zip(self.base.expressions, fit.beta, fit.std, strict=True)
         ]
 
     def _repr_html_(self) -> str:
@@ -382,14 +379,11 @@ class PredictionInterval(NamedTuple):
 
     The torque W β̂ of a row has the variance w Σ wᵀ, Σ the covariance of the base parameters, which
     counts coloured noise. A new reading lies around it by that and by the noise of its joint, whose
-    variance is that of the residuals the fit left, with what the fit took out of them given back:
-    E ‖e‖² = (N − tr(A⁻¹Ω)) σ², of which each joint has a share by its inflation. Coloured residuals
-    know their variance from ν = n / Σ ρ_k² independent samples (Bartlett), so quantiles are
-    Student's.
+    variance is that of the residuals, with what the fit took out of them given back. Coloured
+    residuals know it from ν = n / Σ ρ_k² independent samples (Bartlett): quantiles are Student's.
 
     Attributes:
-        parameters: Standard deviation of the predicted torque by that of the base parameters,
-            shape (n, nv) [torque unit].
+        parameters: Standard deviation of the predicted torque, shape (n, nv) [torque unit].
         noise: Standard deviation of the noise, shape (nv,) [torque unit].
         freedom: Degrees of freedom that the noise is known with, shape (nv,).
     """
@@ -430,13 +424,9 @@ def torque_std(W: Array, covariance: Array) -> Array:
 def prediction_interval(
     W: Array, fit: LeastSquares, residual: Array, gains: Array | float = 1.0
 ) -> PredictionInterval:
-    """95 % intervals of readings at new rows.
+    """95 % intervals of readings at new rows of the base columns, shape (n, nv, r).
 
-    Args:
-        W: Columns of the base parameters at the new rows, shape (n, nv, r).
-        fit: Their estimate.
-        residual: Measured less predicted at the fitted rows, shape (m, nv) [torque unit].
-        gains: Torque per reading, shape (nv,).
+    The residual, measured less predicted at the fitted rows, has shape (m, nv) [torque unit].
     """
     left = 1 - np.minimum(fit.inflation * len(fit.beta) / residual.size, _MOST)
     noise = np.sqrt((residual**2).mean(axis=0) / left)

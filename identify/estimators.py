@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from excitant.exceptions import BadInput, Infeasible, UnknownName
+from excitant.exceptions import BadInput, Infeasible
 from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth, low_pass
 from excitant.identify.least_squares import (
     SMALLEST,
@@ -52,8 +52,7 @@ ESTIMATORS: Mapping[str, str] = MappingProxyType(
 """Every estimator's name, and what it is, in words."""
 
 _CERTAIN = 0.01  # chance of a false alarm of the test for errors in the motion
-_ROUNDS = 200  # of reweighting
-_SETTLED = 1e-7  # of the noise: change of the fitted torque, rms
+_ROUNDS, _SETTLED = 200, 1e-7  # of reweighting; change of the fitted torque, rms, of the noise
 _ROUNDING = 1e-13  # of the largest torque: what rounding leaves of an exact fit
 _FLATTEST = 0.05  # mean slope of an influence; less is no minimum
 _NORMAL = 0.6744897501960817  # median magnitude of a standard normal variable
@@ -63,8 +62,7 @@ _STAGES = 3  # of re-estimating the noise of each joint with instruments
 _SAME = 1e-6  # of a column's length: smaller errors are those of interpolation
 _RATE_SHARE = 0.2  # of the rate of all samples: 0.8 of what every second one can show
 _SIMULATIONS = 15  # at most; two to four do
-_STILL = 1e-2  # of a standard deviation, by which no parameter moves any more
-_UNCHANGED = 1e-6  # of the rms torque, by which the prediction does not
+_STILL, _UNCHANGED = 1e-2, 1e-6  # of a standard deviation; of the rms torque
 _WIDER = 2.5  # than the motion: cut-off of the reference, which leaves the motion alone to 1e-3
 _HIGHEST = 0.4  # of the sampling rate
 _SHARES = (1.0, 0.5, 0.25, 0.1)  # of the way from the given arm to an estimate
@@ -81,12 +79,9 @@ def estimated(
     `iv` and `oe` look again at the recordings behind these rows, in order.
 
     Raises:
-        UnknownName: There is no such estimator.
         RankDeficient: Motion that leaves base parameters undetermined.
         Infeasible: Robust regression or output error that does not converge.
     """
-    if name not in ESTIMATORS:
-        raise UnknownName("estimator", name, ESTIMATORS)
     problem, said = rows.reduced, f"base parameters by {ESTIMATORS[name]}"
     if name == "wls":
         return weighted_least_squares(problem), ()
@@ -101,9 +96,6 @@ def estimated(
     return found.fit, (said, found.sentence(loop.bandwidth_hz))
 
 
-# robust regression
-
-
 def irls(problem: Regression) -> LeastSquares:
     """Solve Σ_j W_jᵀ ψ(ε_j / σ_j) / σ_j = 0, σ_j from the median magnitude of joint j's residual.
 
@@ -113,8 +105,8 @@ def irls(problem: Regression) -> LeastSquares:
     which the estimate responds to first order as least squares does: hence the covariance, valid
     for coloured noise too (Huber and Ronchetti 2009, ch. 7; Holland and Welsch 1977).
 
-    It withstands wrong torques, not wrong positions: a row wrong in W may fit and still mislead.
-    A filter before it spreads a spike over its neighbours, which then look like noise.
+    It withstands wrong torques, not wrong positions. A filter before it spreads a spike over its
+    neighbours, which then look like noise.
 
     Raises:
         RankDeficient: The motion does not show some columns.
@@ -181,9 +173,6 @@ def _settled(start: Factor, beta: Array, influence: Callable[[Array], Array]) ->
         "robust regression",
         f"weights did not settle in {_ROUNDS} rounds; use another estimator, or record more",
     )
-
-
-# instrumental variables
 
 
 def iv(problem: Regression, instruments: Regression) -> LeastSquares:
@@ -310,9 +299,6 @@ def half_regressions(
     return halves[0], halves[1]
 
 
-# output error
-
-
 class OutputError(NamedTuple):
     """An output-error estimate, the weighted least squares it began with, simulations it took."""
 
@@ -386,13 +372,10 @@ def closed_loop(rows: FitRows, recordings: Sequence[Recording]) -> ClosedLoop:
     """The regression of a fit with the simulated loop of each segment of its recordings.
 
     A recording holds neither the commanded motion nor the controller, so measured positions are
-    the reference, passed up to 2.5 times the frequency where noise drowns the acceleration. Noise
-    below that stays in the columns; what reaches the acceleration falls with the bandwidth to the
-    power 5/2, so that the bias it makes, small as it then is, is its square.
-
-    Base parameters far from the truth may be those of no arm: inertia or friction is negative
-    somewhere, and no motion comes of it. The model simulated is then one between the given arm and
-    the estimate.
+    the reference, passed up to 2.5 times the frequency where noise drowns the acceleration. The
+    bias that noise below that makes falls with the bandwidth to the power 5. Base parameters far
+    from the truth may be those of no arm, of which no motion comes: the model simulated is then
+    one between the given arm and the estimate.
     """
     pairs = _with_recordings(rows.data.train, recordings)
     loops = [_reference(segment, recording) for segment, recording in pairs]
@@ -450,11 +433,9 @@ def _reference(segment: Segment, recording: Recording) -> tuple[Segment, Motion,
 def _motion_bandwidth(q: Array, rate_hz: float) -> Array:
     """Frequency up to which passing positions makes the best acceleration, shape (nv,) [Hz].
 
-    Passing all up to f_b loses the signal above and keeps the noise below it. The expected squared
-    error of acceleration, Σ_{f > f_b} (2πf)⁴ (P − N) + Σ_{f ≤ f_b} (2πf)⁴ N, is smallest where
-    Σ_{f ≤ f_b} f⁴ (2N − P) is. White noise N of encoders is taken from the upper part of the
-    spectrum P, its median there being ln 2 of its mean; it counts twice. The window falls off at
-    both ends, so that a motion that does not end where it began does not pass for a fast one.
+    The expected squared error of acceleration, Σ_{f > f_b} (2πf)⁴ (P − N) + Σ_{f ≤ f_b} (2πf)⁴ N
+    (signal lost, noise kept), is smallest where Σ_{f ≤ f_b} f⁴ (2N − P) is. Noise N of encoders is
+    taken from the upper part of the spectrum P, its median there being ln 2 of its mean.
     """
     window = scipy.signal.windows.blackmanharris(len(q))[:, None]
     spectrum = np.fft.rfft(window * scipy.signal.detrend(q, axis=0), axis=0)

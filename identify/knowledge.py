@@ -133,10 +133,6 @@ def load_knowledge(path: str | Path, links: Sequence[str]) -> Knowledge:
     ``{prior: euclidean, total_mass: 33.5, links: {forearm: {mass: {value: 2.3, std: 0.1},
     com_box: [[-0.1, -0.1, 0], [0.1, 0.1, 0.4]]}}}``; lengths in metres in the link's frame.
 
-    Args:
-        path: The file.
-        links: Names of the robot's links.
-
     Raises:
         BadInput: Unreadable, unknown entries or links, or values that nothing can have.
     """
@@ -161,9 +157,8 @@ def known_rows(
 
     All of it is convex in the standard parameters: masses and their sum are linear; a centre of
     mass c in a box is m c_lo ≤ m c ≤ m c_hi; in an ellipsoid of radii r around c₀ it is the
-    second-order cone ‖(m c − m c₀) / r‖ ≤ m; and a body of positive density inside an ellipsoid
-    exists for P ≻ 0 exactly when tr(P E) ≥ 0, the mean of 1 − ‖(x − c₀) / r‖² over its mass
-    (Wensing, Kim, Slotine 2018).
+    second-order cone ‖(m c − m c₀) / r‖ ≤ m; and a body inside an ellipsoid exists for P ≻ 0
+    exactly when tr(P E) ≥ 0, the mean of 1 − ‖(x − c₀) / r‖² over its mass (Wensing et al. 2018).
 
     Raises:
         BadInput: Knowledge of a link that the arm does not have.

@@ -11,10 +11,9 @@ equations). Residuals lack what the fit explained of the noise, most of it slow:
     E[e_j e_jᵀ] = Γ_j − W_j H_jᵀ − H_j W_jᵀ,   H_j = Γ_j W_j A⁻¹ − ½ W_j A⁻¹ Ω A⁻¹,
 
 so the autocovariance of the residual is corrected by the second and third term, which depend on γ
-themselves: a fixed point, reached in a few rounds. (Sums over lags are divided by n, not by their
-number: only then is γ an autocovariance.) As γ comes from few samples that count, the power at low
-frequency has relative variance 2 / ν (delta method for the coefficients), and an estimate over its
-standard deviation is Student's t of ν degrees of freedom, not normal.
+themselves: a fixed point. (Sums over lags are divided by n: only then is γ an autocovariance.) As γ
+comes from few samples that count, the power at low frequency has relative variance 2 / ν (delta
+method for the coefficients), and an estimate over its standard deviation is Student's t.
 """
 
 from __future__ import annotations
@@ -149,9 +148,9 @@ def noise_of(residual: Array, r: int) -> Array:
 def with_covariance(factor: Factor, beta: Array, error: Array, sigma: Array) -> LeastSquares:
     """An estimate with its covariance A⁻¹ Ω A⁻¹, widened for what the noise is known from.
 
-    Every estimator here is, at its solution and to first order in the noise, least squares of some
-    columns X_j with an error ε_j: β̂ − β = A⁻¹ Σ_j X_jᵀ ε_j, A = Σ_j X_jᵀ X_j. The columns are W
-    itself (weighted), W with the slope of the influence (robust), or W projected on instruments.
+    Every estimator here is, to first order in the noise, least squares of some columns X_j with an
+    error ε_j: β̂ − β = A⁻¹ Σ_j X_jᵀ ε_j, A = Σ_j X_jᵀ X_j. The columns are W itself (weighted), W
+    with the slope of the influence (robust), or W projected on instruments.
 
     Args:
         factor: Columns X_j.
@@ -227,10 +226,8 @@ def score_covariances(
 ) -> tuple[Array, Array]:
     """W_jᵀ Γ_j W_j of each joint, whose sum is Ω, (nv, r, r), and degrees of freedom, (nv,).
 
-    Args:
-        rows: Of each joint, divided by its noise.
-        residual: Residuals of least squares, divided alike, shape (n, nv).
-        inverse: A⁻¹ = (Σ_j W_jᵀ W_j)⁻¹, shape (r, r).
+    Rows and residuals of least squares, (n, nv), are divided by the noise of their joint; the
+    inverse is A⁻¹, (r, r).
     """
     n = len(residual)
     lags = min(n // 4, int(10 * np.log10(n)))
@@ -331,14 +328,13 @@ class Essential(NamedTuple):
 def essential_parameters(beta: Array, covariance: Array) -> Essential:
     """Drop parameters one by one as long as noise may have made them: the fewest that explain all.
 
-    Backward elimination (Pham and Gautier 1991; Gautier and Venture 2013): the parameter of largest
-    relative standard deviation is set to zero and the others follow as the data want them to,
+    Backward elimination (Pham and Gautier 1991): the parameter of largest relative standard
+    deviation is set to zero and the others follow as the data want them to,
 
         β ← β − Σ e_k β_k / Σ_kk,   Σ ← Σ − Σ e_k e_kᵀ Σ / Σ_kk,
 
     until that costs more than noise does. The squares β_k² / Σ_kk of the steps add up to Wald's
-    statistic of all that is dropped, β_Sᵀ Σ_SS⁻¹ β_S, which is χ² of as many degrees of freedom
-    where the dropped ones are zero indeed.
+    statistic of all that is dropped, χ² of as many degrees of freedom where these are zero indeed.
     """
     unit = np.sqrt(np.diag(covariance))
     unit = np.where(unit > 0, unit, 1.0)

@@ -27,7 +27,6 @@ import scipy
 from excitant.exceptions import BadInput
 from excitant.identify.knowledge import Knowledge, known_rows
 from excitant.identify.prior import (
-    DOMINATED,
     PRIOR_SIGMA,
     EffectPrior,
     linear_influence,
@@ -56,8 +55,7 @@ class PhysicalFit:
 
     Attributes:
         x: Standard parameters followed by effect coefficients, shape (p,).
-        covariance: Posterior covariance (data, prior and equalities; inequalities ignored),
-            shape (p, p).
+        covariance: Posterior covariance, inequalities ignored, shape (p, p).
         kkt: Residuals of the optimality conditions.
         R: Factor of the whitened columns, shape (rows, p).
         root: L of the prior covariance L Lᵀ at the solution, shape (p, k); k < p with equalities.
@@ -85,11 +83,6 @@ class PhysicalFit:
     def influence(self) -> Array:
         """How far each parameter follows the prior in linear theory, 0 to 1, shape (p,)."""
         return read_only(linear_influence(self.R, self.root, self.x, self.links))
-
-    @property
-    def prior_dominated(self) -> tuple[bool, ...]:
-        """Whether the prior rather than the data decides each parameter."""
-        return tuple(bool(each > DOMINATED) for each in self.influence)
 
 
 def fit_physical(
@@ -122,7 +115,8 @@ def fit_physical(
     names = links or [f"link {k + 1}" for k in range(len(prior))]
     sigma = np.broadcast_to(np.asarray(prior_sigma, float), (len(prior),))
     reference = prior if metric is None else metric
-    units = _effect_units(R[:, prior.size :], effects.std)
+    # units of the effect coefficients that make their columns alike
+    units = np.sqrt(len(R) / ((R[:, prior.size :] ** 2).sum(axis=0) + effects.std**-2.0))
     T = link_coordinates(reference)
     scale = scipy.linalg.block_diag(T, np.diag(units))
     centre = np.concatenate([np.linalg.solve(T, prior.ravel()), effects.mean / units])
@@ -183,12 +177,6 @@ def _scaled(restriction: Restriction, T: Array, p: int) -> Restriction:
     if restriction.cone == "second_order":
         norms = np.full_like(norms, norms.max())
     return Restriction(restriction.cone, G / norms, restriction.h / norms[:, 0], restriction.name)
-
-
-def _effect_units(R: Array, std: Array) -> Array:
-    """Units of the effect coefficients that make their columns alike, shape (e,)."""
-    norms = np.sqrt((R**2).sum(axis=0) + std**-2.0)
-    return np.asarray(np.sqrt(len(R)) / norms, float)
 
 
 def _uncertainty(program: Program, scale: Array) -> tuple[Array, Array]:

@@ -5,8 +5,7 @@ Every column of the regressor and the torque then pass one and the same zero-pha
 ("parallel filtering", Gautier 1997), friction columns too, and are decimated.
 
 A joint at rest with dry friction holds any torque within ± Coulomb of what motion would need, so
-its row says nothing. A row counts where the joint certainly moves within the reach of the torque
-filter (`moving`); a quick reversal counts too, because the filter spans both sides.
+its row counts only where it certainly moves within the reach of the torque filter (`moving`).
 """
 
 from __future__ import annotations

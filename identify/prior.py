@@ -8,10 +8,8 @@ all Q_k: they have no units, and ‖Q − 1‖_F is the coordinate-invariant dis
 Rule for entries: the prior x = x̄ + L w, w of unit variance, is moved where the data are silent (the
 null space of R L), along what they show worst, and at random. An entry is the prior's when it
 follows by more than half in any of these ways that reaches at least a quarter of its uncertainty.
-A small standard deviation is no proof that data decide: entries that torque shows in combination
-only lose most of theirs and still follow the prior along the rest. In linear theory the estimate
-moves by L V (1 + s²)⁻¹ Vᵀ w, where R L = U diag(s) Vᵀ; `excitant.analysis.prior_influence` repeats
-the fit instead.
+In linear theory the estimate moves by L V (1 + s²)⁻¹ Vᵀ w, where R L = U diag(s) Vᵀ;
+`excitant.analysis` repeats the fit instead.
 """
 
 from __future__ import annotations
@@ -75,11 +73,7 @@ def link_weights(links: int, sigma: float | Array) -> Array:
 
 
 def link_coordinates(reference: Array) -> Array:
-    """Map T from coordinates to standard parameters, φ = T y, shape (10 links, 10 links).
-
-    Args:
-        reference: Consistent standard parameters, which lie at Q = 1, shape (links, 10).
-    """
+    """Map T, φ = T y, to standard parameters; consistent ones, (links, 10), lie at Q = 1."""
     roots = np.linalg.cholesky([pseudo_inertia(values) for values in reference])
     blocks = (from_pseudo_inertia(L @ SYMMETRIC @ L.T).T for L in roots)
     return np.asarray(scipy.linalg.block_diag(*blocks), float)
@@ -125,8 +119,8 @@ def base_prior(
 ) -> BasePrior:
     """The given robot as a prior of its base parameters.
 
-    Links are known to a relative σ; coefficients of effects are those of the robot where it has
-    them, else zero, give or take one that makes all torque of its joint.
+    Coefficients of effects are those of the robot where it has them, else zero, give or take one
+    that makes all torque of its joint.
 
     Raises:
         BadRobot: A link without mass.
@@ -160,8 +154,7 @@ def _effect_sizes(robot: Robot, effects: Sequence[Effect]) -> Array:
 def reference_motion(robot: Robot, duration: float, rate_hz: float) -> Motion:
     """All joints moving at once at half their limits: what a motion of this length can show.
 
-    Sums of five harmonics with fixed random phases around the middle of the position limits;
-    always the same for the same arm and duration.
+    Sums of five harmonics around the middle of the position limits, always the same for an arm.
     """
     rng = np.random.default_rng(0)
     t = np.arange(0, duration, 1 / rate_hz)
@@ -185,10 +178,8 @@ def reference_motion(robot: Robot, duration: float, rate_hz: float) -> Motion:
 def follows(ratio: Array, reach: Array) -> Array:
     """Largest ratio of the kinds that reach a material part of an entry, at most 1, shape (p,).
 
-    Args:
-        ratio: Move of each entry relative to that of its prior, shape (kinds, p); NaN where a kind
-            leaves the entry's prior as it is.
-        reach: Share of each entry's uncertainty that a kind reaches, shape (kinds, p).
+    Ratios compare the move of an entry with that of its prior; NaN where a kind leaves it. Reach
+    is the share of its uncertainty that a kind reaches. Both have shape (kinds, p).
     """
     counted = np.where((reach >= _MATERIAL) & np.isfinite(ratio), ratio, 0.0)
     return np.asarray(np.clip(counted.max(axis=0), 0.0, 1.0), float)
@@ -197,13 +188,8 @@ def follows(ratio: Array, reach: Array) -> Array:
 def reached(L: Array, directions: Array, x: Array, links: int) -> Array:
     """Share of each entry's uncertainty in some directions of w, at most 1, shape (p,).
 
-    An effect has no prior value; its estimate is what a share of it is compared with.
-
-    Args:
-        L: Root of the prior covariance, shape (p, k).
-        directions: Orthonormal rows, shape (d, k).
-        x: Estimate, shape (p,).
-        links: Number of links, whose ten parameters come first.
+    An effect has no prior value; its estimate x, after those of links, is what a share of it is
+    compared with. L is a root of the prior covariance, (p, k); directions are rows, (d, k).
     """
     spread, size = np.linalg.norm(L @ directions.T, axis=1), np.linalg.norm(L, axis=1)
     effects = slice(10 * links, None)

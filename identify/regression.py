@@ -81,8 +81,6 @@ class Regression:
         """τ − W x, shape (n, nv)."""
         return np.asarray(self.tau - self.torque(x), float)
 
-    # other problems
-
     def select(self, columns: Sequence[int], names: Sequence[str] | None = None) -> Regression:
         """The problem with some of its columns, in this order, and names for them."""
         place = np.full(self.p, -1)
@@ -118,8 +116,6 @@ class Regression:
     def with_torque(self, tau: Array) -> Regression:
         """The same columns for another torque, shape (n, nv)."""
         return replace(self, tau=tau)
-
-    # products
 
     @cached_property
     def grams(self) -> tuple[Array, ...]:

@@ -53,19 +53,21 @@ def split(
 ) -> Data:
     """Prepare recordings; without a hold-out, keep back the last 30 % of each.
 
-    Args:
-        recordings: What to fit.
-        validate: What to hold out.
-        cutoff_hz: Cut-off of the torque filter [Hz]. When None 10 Hz, or twice the highest
-            harmonic of the motion where that is higher, or a fifth of the slowest sampling rate
-            where that is lower.
-        harmonics_hz: Highest harmonic of the motion as planned [Hz], where that is known.
+    Without a cut-off of the torque filter [Hz], it is 10 Hz, or twice the highest harmonic of the
+    motion as planned [Hz] where that is higher, or a fifth of the slowest sampling rate where that
+    is lower.
 
     Raises:
         BadRecording: Recordings in different units, or too short to split.
     """
-    refuse_mixed_units((*recordings, *validate))
-    why = "as given"
+    first, why = recordings[0], "as given"
+    for recording in (*recordings, *validate):
+        if recording.unit != first.unit:
+            raise BadRecording(
+                recording.file,
+                f"torque is in {recording.unit}, but in {first.unit} in {first.file}; "
+                "use recordings of one unit",
+            )
     if cutoff_hz is None:
         wanted = max(CUTOFF_HZ, _PRODUCTS * (harmonics_hz or 0.0))
         highest = min(default_cutoff(r) for group in _parts(recordings, validate) for r in group)
@@ -84,18 +86,7 @@ def split(
     names = ", ".join(r.name for r in validate)
     said = f"held out: {names or 'the last 30 % of each recording (no hold-out was named)'}"
     reason = f"cut-off: {cutoff_hz:.3g} Hz ({why})"
-    return Data(train, held, recordings[0].unit, cutoff_hz, said, reason)
-
-
-def refuse_mixed_units(recordings: Sequence[Recording]) -> None:
-    """Refuse recordings whose torque is not in the unit of the first."""
-    for recording in recordings:
-        if recording.unit != recordings[0].unit:
-            raise BadRecording(
-                recording.file,
-                f"torque is in {recording.unit}, but in {recordings[0].unit} in "
-                f"{recordings[0].file}; use recordings of one unit",
-            )
+    return Data(train, held, first.unit, cutoff_hz, said, reason)
 
 
 def fitted(recordings: Sequence[Recording], validate: Sequence[Recording]) -> list[Recording]:
@@ -212,10 +203,8 @@ class FitRows:
     @property
     def open_prior(self) -> EffectPrior:
         """Nothing known of coefficients of effects but their signs."""
-        size = np.zeros(self.regression.p)
-        for index, columns in zip(self.regression.index, self.regression.columns, strict=True):
-            size[index] += (columns**2).sum(axis=0)
-        std = _implausible(np.sqrt(size / self.tau.size)[10 * self.robot.nv :], self.tau)
+        effects = self.regression.select(range(10 * self.robot.nv, self.regression.p))
+        std = implausible_size(effects.W, self.tau)
         lower = np.array([p.lower for e in self.effects for p in e.parameters(self.robot)])
         return EffectPrior(np.zeros_like(std), std, lower)
 
@@ -231,18 +220,9 @@ def fit_rows(robot: Robot, effects: Sequence[Effect], base: BaseParameters, data
 
 
 def implausible_size(columns: Array, tau: Array) -> Array:
-    """A hundred times the coefficient that would explain all torque, or 1e3 when silent.
-
-    Args:
-        columns: Columns of effects, shape (n, nv, e).
-        tau: Torque, shape (n, nv).
-    """
-    return _implausible(np.sqrt((columns**2).mean(axis=(0, 1))), tau)
-
-
-def _implausible(size: Array, tau: Array) -> Array:
-    torque = np.sqrt((tau**2).mean())
-    return np.asarray(np.where(size > 0, 100 * torque / np.where(size > 0, size, 1.0), 1e3))
+    """A hundred times the coefficient of columns, (n, nv, e), that explains all torque, (e,)."""
+    size, most = np.sqrt((columns**2).mean(axis=(0, 1))), np.sqrt((tau**2).mean())
+    return np.asarray(np.where(size > 0, 100 * most / np.where(size > 0, size, 1.0), 1e3))
 
 
 def identified_robot(robot: Robot, effects: Sequence[Effect], x: Array) -> Robot:

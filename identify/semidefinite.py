@@ -107,7 +107,7 @@ class KktResiduals:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Minimiser of a programme, shape (p,), with one array of multipliers per restriction."""
+    """Minimiser y, shape (p,), with one array of multipliers per restriction."""
 
     y: Array
     multipliers: tuple[Array, ...]
@@ -204,8 +204,7 @@ def _conic(
 def _distance_to_optimum(program: Program, U: Array, free: Array, found: Solution) -> float:
     """Bound of ‖U (y − y*)‖, in posterior standard deviations, by the duality gap.
 
-    The objective grows with ‖U (y − y*)‖² from its optimum y* on, and a feasible y with multipliers
-    λ lies ‖U (y − y₀) − ½ U⁻ᵀ Σ Gᵀλ‖² + Σ λᵀ(G y − h) above the dual value.
+    A feasible y with multipliers λ lies ‖U (y − y₀) − ½ U⁻ᵀ Σ Gᵀλ‖² + Σ λᵀ(G y − h) above the dual.
     """
     pull, slackness = found.forces(program)
     dual = 0.5 * scipy.linalg.solve_triangular(U, pull, trans=1)
@@ -213,9 +212,9 @@ def _distance_to_optimum(program: Program, U: Array, free: Array, found: Solutio
 
 
 def contradiction(restrictions: Sequence[Restriction]) -> tuple[str, ...]:
-    """Names of restrictions that no y fulfils together, none of which can be spared.
+    """Names of restrictions that no y fulfils together, none of which can be spared, if any.
 
-    Those without a name always stay. Empty when all can be fulfilled.
+    Those without a name always stay.
     """
     kept = list(restrictions)
     if _fulfillable(kept):

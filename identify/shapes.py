@@ -14,8 +14,7 @@ D the pull-back distance of `excitant.identify.physical`. Every body is written 
     P = U Uᵀ,   U = e^α [[e^d₁, s₁₂, s₁₃, t₁], [0, e^d₂, s₂₃, t₂], [0, 0, e^d₃, t₃], [0, 0, 0, 1]],
 
 which is positive definite for all of them and reaches every P ≻ 0 exactly once. Where data call for
-a body that cannot be, its numbers run away while the objective and θ settle: no minimum is
-demanded. Other shapes are taken where the objective is lower by more than chance.
+a body that cannot be, its numbers run away while the objective settles: no minimum is demanded.
 """
 
 from __future__ import annotations
@@ -36,10 +35,9 @@ from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.prior import PRIOR_SIGMA, EffectPrior, link_coordinates, link_weights
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import FitRows
-from excitant.identify.semidefinite import KktResiduals
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, joint_facts
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import pseudo_inertia
 
 _CHANCE = 0.01  # that shapes change where the ones they had are right
@@ -52,10 +50,7 @@ _OFF = ((0, 1), (1, 2), (0, 2))  # s₁₂, s₂₃, s₁₃, the order of Rucke
 
 @dataclass(frozen=True)
 class Shape:
-    """One number, a field, of an effect on a joint that its torque is not linear in.
-
-    It was as given, and has now a value with standard deviation, from the logarithm's.
-    """
+    """One number, a field, of an effect on a joint that its torque is not linear in."""
 
     effect: str
     joint: str
@@ -75,8 +70,8 @@ class Shapes:
         effects: Effects with these shapes, in the order of their columns, without values.
         before: Objective with the shapes given.
         after: Objective with these.
-        spread: How parameters of links and effects move with one standard deviation of each
-            independent combination of shapes, shape (p, k).
+        spread: Moves of all parameters with one standard deviation of each independent
+            combination of shapes, shape (p, k).
     """
 
     found: tuple[Shape, ...]
@@ -84,9 +79,6 @@ class Shapes:
     before: float
     after: float
     spread: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "spread")
 
     @property
     def better(self) -> bool:
@@ -138,10 +130,7 @@ class Shapes:
 def refined_shapes(rows: FitRows, prior: Array, knowledge: Knowledge) -> Shapes | None:
     """Shapes that fit better together with bodies and coefficients; None where none can be found.
 
-    Args:
-        rows: What is fitted.
-        prior: Standard parameters of the prior, shape (nv, 10).
-        knowledge: What is known of the bodies; of no account while shapes are looked for.
+    The prior has shape (nv, 10). What is known of the bodies is of no account in the descent.
     """
     effects = tuple(own for e in rows.effects for own in (e.singles() if e.tuned else [e]))
     if not any(effect.tuned for effect in effects):
@@ -205,9 +194,9 @@ class _Search:
         )
         descent = Descent(self.R[:, : self.links], self.z, prior, known, self.torque, self.slopes)
         theta = np.concatenate([start.x[self.links :], np.log(self._on_grids())])
-        fit = descent.fit(start.x[: self.links].reshape(-1, 10), theta)
+        x, covariance = descent.fit(start.x[: self.links].reshape(-1, 10), theta)
         before = descent.objective(np.concatenate([start.x, np.log(given)]))
-        return self._shapes(given, fit, before, descent.objective(fit.x))
+        return self._shapes(given, x, covariance, before, descent.objective(x))
 
     def _on_grids(self) -> Array:
         """Each shape as it is given or, where that explains more, from the effect's own grid."""
@@ -261,10 +250,10 @@ class _Search:
             self.last = theta[count:].tobytes(), columns
         return theta[:count], self.last[1]
 
-    def _shapes(self, given: Array, fit: PhysicalFit, before: float, after: float) -> Shapes:
-        """The result; shapes as they are given where others are no better."""
-        p, C = len(fit.x) - len(given), fit.covariance
-        values, std = np.exp(fit.x[p:]), np.sqrt(np.diag(C)[p:])
+    def _shapes(self, given: Array, x: Array, C: Array, before: float, after: float) -> Shapes:
+        """The result of a descent to x with covariance C."""
+        p = len(x) - len(given)
+        values, std = np.exp(x[p:]), np.sqrt(np.diag(C)[p:])
         # the part of the parameters' covariance that comes from that of the shapes
         root = np.linalg.cholesky(C[p:, p:])
         spread = scipy.linalg.solve_triangular(root, C[:p, p:].T, lower=True).T
@@ -275,7 +264,7 @@ class _Search:
             effects[k] = effects[k].reshaped(name, float(new))
             entry = effects[k].name, effects[k].joints[0], name, shape.unit
             found.append(Shape(*entry, float(old), float(new), float(new * s)))
-        return Shapes(tuple(found), tuple(effects), before, after, spread)
+        return Shapes(tuple(found), tuple(effects), before, after, read_only(spread))
 
 
 def from_log_cholesky(numbers: Array) -> tuple[Array, Array]:
@@ -305,8 +294,7 @@ class Descent:
     """The fit of bodies and θ where the torque of effects is any function of θ, shape (k,).
 
     Attributes:
-        R: Whitened columns of the links, shape (m, 10 links); the rows themselves, since a QR
-            factor has lost what the torque of effects is compared with.
+        R: Whitened columns of the links, row by row, shape (m, 10 links).
         z: Whitened torque, shape (m,).
         prior: Standard parameters of the prior, consistent, shape (links, 10).
         known: What is known of θ beforehand, and its bounds.
@@ -321,12 +309,14 @@ class Descent:
     torque: Callable[[Array], Array]
     slopes: Callable[[Array], Array]
 
-    def fit(self, bodies: Array, theta: Array, tolerance: float = _TOLERANCE) -> PhysicalFit:
+    def fit(
+        self, bodies: Array, theta: Array, tolerance: float = _TOLERANCE
+    ) -> tuple[Array, Array]:
         """Descend from consistent bodies, (links, 10), and θ as far as it pays.
 
-        Ends where objective and parameters change relatively by less than the tolerance. The
-        covariance is that of the Gauss-Newton approximation; ``kkt`` says how close to a minimum
-        it ends.
+        Returns:
+            Standard parameters and θ where both and the objective change relatively by less than
+            the tolerance, shape (10 links + k,), and their Gauss-Newton covariance.
 
         Raises:
             BadInput: Impossible bodies.
@@ -347,16 +337,10 @@ class Descent:
                 gtol=tolerance,
                 max_nfev=_EVALUATIONS,
             )
-        numbers, m = np.asarray(found.x, float), len(self.z)
-        phi, theta = self._split(numbers)
-        J = self._rows(theta)
-        data, factor, before = (np.asarray(np.linalg.qr(A, mode="r")) for A in (J[:m], J, J[m:]))
-        after, root = (scipy.linalg.solve_triangular(A, np.eye(len(A))) for A in (factor, before))
-        quality = self._optimality(numbers, bounds)
-        links = len(self.prior)
-        return PhysicalFit(
-            np.concatenate([phi, theta]), after @ after.T, quality, data, root, links
-        )
+        phi, theta = self._split(np.asarray(found.x, float))
+        factor = np.linalg.qr(self._rows(theta), mode="r")
+        inverse = scipy.linalg.solve_triangular(factor, np.eye(len(factor)))
+        return np.concatenate([phi, theta]), inverse @ inverse.T
 
     def objective(self, x: Array) -> float:
         """What is minimised, at standard parameters and θ, shape (10 links + k,)."""
@@ -394,14 +378,3 @@ class Descent:
         """Jacobian of the residual by (φ, θ), shape (rows, p)."""
         prior = scipy.linalg.block_diag(self._distance, np.diag(1 / self.known.std))
         return np.vstack([np.hstack([self.R, self.slopes(theta)]), prior])
-
-    def _optimality(self, numbers: Array, lower: Array) -> KktResiduals:
-        """Gradient that no active bound takes, relative to that of the data."""
-        J = self.jacobian(numbers)
-        gradient, scale = 2 * J.T @ self.residual(numbers), np.linalg.norm(J, axis=0)
-        room, size = numbers - lower, float(np.linalg.norm(self.z)) + 1.0
-        with np.errstate(invalid="ignore"):  # without bound and without slope
-            bound = (gradient > 0) & (room * scale < 1e-6 * np.linalg.norm(self.z))
-        free = np.where(bound, 0.0, gradient) / np.where(scale > 0, scale, 1.0)
-        slack = float(np.sum(gradient[bound] * room[bound])) / size**2
-        return KktResiduals(float(np.linalg.norm(free)) / size, slack, max(0.0, -float(room.min())))

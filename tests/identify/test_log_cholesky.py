@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from excitant.exceptions import BadInput
-from excitant.identify.physical import PhysicalFit, fit_physical
+from excitant.identify.physical import fit_physical
 from excitant.identify.prior import EffectPrior, prior_parameters
 from excitant.identify.shapes import Descent, from_log_cholesky, to_log_cholesky
 from excitant.robots import Array, Motion, load_robot
@@ -56,7 +56,7 @@ def descent(
     return Descent(R, z, prior, known, lambda x: torque(x)[0], lambda x: torque(x)[1])
 
 
-def fitted(problem: Descent) -> PhysicalFit:
+def fitted(problem: Descent) -> tuple[Array, Array]:
     """From the prior on, to the minimum."""
     return problem.fit(problem.prior, problem.known.mean, tolerance=1e-15)
 
@@ -72,16 +72,14 @@ def test_the_minimiser_is_that_of_the_semidefinite_fit(name: str) -> None:
     convex = fit_physical(R, z, prior, NONE)
     Q = np.linalg.solve(pseudo_inertia(prior), pseudo_inertia(convex.x.reshape(-1, 10)))
     assert np.linalg.eigvals(Q).real.min() > 1e-2  # no constraint is near
-    free = fitted(descent(R, z, prior))
-    assert free.kkt.stationarity < 1e-7
+    x, covariance = fitted(descent(R, z, prior))
     scale = np.sqrt(np.diag(convex.covariance))
-    assert (np.abs(free.x - convex.x) <= 1e-5 * scale).all()
+    assert (np.abs(x - convex.x) <= 1e-5 * scale).all()
     np.testing.assert_allclose(
-        free.covariance / np.outer(scale, scale),
+        covariance / np.outer(scale, scale),
         convex.covariance / np.outer(scale, scale),
         atol=1e-5,
     )
-    np.testing.assert_allclose(free.prior_share, convex.prior_share, atol=1e-5)
 
 
 class Stribeck:
@@ -129,16 +127,15 @@ def test_signs_of_effects_hold() -> None:
     column = column.reshape(200, 1)
     known = EffectPrior(np.zeros(1), np.full(1, 10.0), np.zeros(1))
     z = R @ prior.ravel() - 0.5 * column[:, 0]
-    fit = fitted(descent(R, z, prior, lambda theta: (column @ theta, column), known))
-    assert 0 <= fit.x[20] < 1e-4  # viscous friction that drives is refused
+    x, _ = fitted(descent(R, z, prior, lambda theta: (column @ theta, column), known))
+    assert 0 <= x[20] < 1e-4  # viscous friction that drives is refused
 
 
-def test_data_that_no_body_can_make_are_not_taken_for_solved() -> None:
+def test_data_that_no_body_can_make_still_give_bodies() -> None:
     """The minimum lies on the edge of the cone, where no numbers are."""
     robot = load_robot("planar_2r")
     impossible = np.array(robot.phi)
     impossible[10 + 9] *= -1
     R = np.diag(1 / np.maximum(np.abs(robot.phi), 1e-3)) / 1e-2
-    fit = fitted(descent(R, R @ impossible, prior_parameters(robot)))
-    assert violations(fit.x, robot.links) == []
-    assert fit.kkt.stationarity > 1e-6
+    x, _ = fitted(descent(R, R @ impossible, prior_parameters(robot)))
+    assert violations(x, robot.links) == []
