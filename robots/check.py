@@ -51,19 +51,12 @@ _UNSEEN = "hardly any torque depends on it"  # makes a hint of a warning
 
 @dataclass(frozen=True)
 class ModelWarning:
-    """What looks wrong, where, and what to do about it.
+    """What looks wrong, where, and what to do about it."""
 
-    Attributes:
-        check: Which check says so, e.g. ``placeholder_inertia``.
-        where: The links or joints concerned.
-        sentence: What was found and what to do, in one line.
-        hint: Whether it may well be right, or matters to no torque.
-    """
-
-    check: str
-    where: tuple[str, ...]
-    sentence: str
-    hint: bool = False
+    check: str  # which check says so, e.g. "placeholder_inertia"
+    where: tuple[str, ...]  # the links or joints concerned
+    sentence: str  # what was found and what to do, in one line
+    hint: bool = False  # it may well be right, or matters to no torque
 
     def __str__(self) -> str:
         return f"{', '.join(self.where)}: {self.sentence}"

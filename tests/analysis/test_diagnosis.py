@@ -22,6 +22,7 @@ from excitant.robots import Robot, load_robot, torque
 from excitant.robots.virtual_arm import HiddenEffect, draw_hidden_effect, industrial_sensors
 
 Runs = Callable[..., list[Recording]]
+Example = tuple[Robot, Recording, Diagnosis]
 PAN, LIFT, ELBOW = "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"
 WRISTS = ("wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 DRAWN = (
@@ -199,15 +200,13 @@ def test_play_that_is_never_crossed_is_not_called_play(planar: Robot, runs: Runs
 
 
 @pytest.fixture(scope="module")
-def example(planar: Robot, runs: Runs) -> tuple[Robot, Recording, Diagnosis]:
+def example(planar: Robot, runs: Runs) -> Example:
     effect = drawn(planar, "coulomb_friction", 3)
     recordings = runs(planar, 3, (effect,), industrial_sensors(planar), 0.03)
     return planar, recordings[1], diagnose(planar, recordings[:1], validate=recordings[1:])
 
 
-def test_gains_are_those_of_the_written_model(
-    example: tuple[Robot, Recording, Diagnosis], tmp_path: Path
-) -> None:
+def test_gains_are_those_of_the_written_model(example: Example, tmp_path: Path) -> None:
     robot, holdout, diagnosis = example
     for name, text in model_files(diagnosis.extension.model, "extended", "extended.yaml").items():
         (tmp_path / name).write_text(text, encoding="utf-8")
@@ -225,7 +224,7 @@ def test_gains_are_those_of_the_written_model(
 
 
 def test_a_finding_is_the_extended_model_without_it(
-    example: tuple[Robot, Recording, Diagnosis],
+    example: Example,
 ) -> None:
     robot, holdout, diagnosis = example
     lead, without = diagnosis.findings[0], []
@@ -241,7 +240,7 @@ def test_a_finding_is_the_extended_model_without_it(
     assert lead.rms_before == pytest.approx(np.sqrt((error[:, j] ** 2).mean()), rel=1e-6)
 
 
-def test_the_result_has_the_agreed_keys(example: tuple[Robot, Recording, Diagnosis]) -> None:
+def test_the_result_has_the_agreed_keys(example: Example) -> None:
     robot, _, diagnosis = example
     result, arrays = diagnosis.result(), diagnosis.series()
     assert {"simulation", "faults", "findings", "unexplained", "extended"} <= set(result)

@@ -78,11 +78,11 @@ def test_a_rest_does_not_count_as_far_as_the_filter_carries_it(creep: float) -> 
     assert counts[far].all()
 
 
-@pytest.mark.parametrize(("samples", "counted"), [(5, True), (12, False)])  # 25 ms, 60 ms
-def test_a_short_stop_counts_and_a_longer_one_does_not(samples: int, counted: bool) -> None:
-    dq = np.ones((400, 1))
-    dq[200 : 200 + samples] = 0.0
-    assert moving([at_speed(dq)]).all() == counted
+def test_a_short_stop_counts_and_a_longer_one_does_not() -> None:
+    for samples, counted in ((5, True), (12, False)):  # 25 ms, 60 ms
+        dq = np.ones((400, 1))
+        dq[200 : 200 + samples] = 0.0
+        assert moving([at_speed(dq)]).all() == counted
 
 
 def test_each_joint_rests_by_its_own_fastest_motion_in_all_segments() -> None:
