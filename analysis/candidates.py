@@ -147,13 +147,7 @@ def gather(
 
 
 def coefficient_sizes(parameters: Sequence[Parameter], columns: Array, torque: Array) -> Array:
-    """What coefficients are small against when only data decide, shape (e,).
-
-    Args:
-        parameters: The coefficients.
-        columns: Their columns, shape (n, joints, e).
-        torque: Torque of these joints, shape (n, joints).
-    """
+    """What coefficients of columns (n, joints, e) are small against when only data decide, (e,)."""
     typical = np.array([p.typical if p.typical is not None else np.nan for p in parameters])
     return np.where(np.isnan(typical), implausible_size(columns, torque), typical)
 

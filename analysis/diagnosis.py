@@ -247,11 +247,10 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[s
     lead, robot = group[0], diagnosis.robot
     before, after = diagnosis.before_and_after(group)
     parameters = [
-        {"name": p.name, "value": value, "std": std, "unit": p.unit, "given": given}
+        {"name": p.name, "value": (f.effect.values or ())[k], "std": f.std[k], "unit": p.unit}
+        | {"given": f.given[k]}
         for f in group
-        for p, value, std, given in zip(
-            f.effect.parameters(robot), f.effect.values or (), f.std, f.given, strict=True
-        )
+        for k, p in enumerate(f.effect.parameters(robot))
     ]
     shapes: list[dict[str, Any]] = [
         {"name": f"{f.effect.joints[0]}.{s.name}", "value": getattr(f.effect, s.name)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -374,15 +375,11 @@ def _friction(robot: Robot, found: Effect, rival: Effect, others: Sequence[Effec
 
 def _surroundings(diagnosis: Diagnosis) -> Scene | None:
     """The arm's own bodies, where the recording bears out their shapes."""
-    try:
+    q, found = diagnosis.states[0], None
+    with suppress(ValueError, RuntimeError):
         found = scene(diagnosis.robot)
-    except (ValueError, RuntimeError):
-        return None
-    if found is None:
-        return None
-    q = diagnosis.states[0]
-    nearest = found.distances(q[:: max(1, len(q) // 100)]).min()
-    return found if nearest > _NEAREST else None
+    near = found is None or found.distances(q[:: max(1, len(q) // 100)]).min() <= _NEAREST
+    return None if near else found
 
 
 def _best(motions: Sequence[Discriminating], index: int) -> Discriminating | None:
@@ -421,10 +418,6 @@ def described(trajectory: FourierTrajectory, robot: Robot) -> str:
             turns = int((np.diff(np.sign(motion.dq[1:-1, j])) != 0).sum())
             unit = "rad/s" if robot.revolute[j] else "m/s"
             parts.append(f"{robot.joints[j]} reverses {turns} times at up to {speed[j]:.2g} {unit}")
-        parts.append("the other joints held")
-    elif len(moving) < robot.nv:
-        held = [joint for j, joint in enumerate(robot.joints) if j not in moving]
-        parts.append(f"{', '.join(held)} held, the others move")
-    else:
-        parts.append("all joints move")
-    return ", ".join(parts)
+        return ", ".join([*parts, "the other joints held"])
+    held = ", ".join(joint for j, joint in enumerate(robot.joints) if j not in moving)
+    return f"{parts[0]}, {f'{held} held, the others move' if held else 'all joints move'}"

@@ -136,10 +136,9 @@ def _lacks_friction(diagnosis: Diagnosis) -> bool:
 
 def _everything(diagnosis: Diagnosis) -> str:
     """What all findings together bring."""
-    given, after = (
-        100 * float(np.median(each.nrmse)) for each in (diagnosis.simulation, diagnosis.extended)
-    )
-    before, now = (f"{x:.0f}" if x >= 10 else f"{x:.2g}" for x in (given, after))
+    both = (diagnosis.simulation, diagnosis.extended)
+    sizes = [100 * float(np.median(each.nrmse)) for each in both]
+    before, now = (f"{x:.0f}" if x >= 10 else f"{x:.2g}" for x in sizes)
     return (
         f"everything found, the hold-out error falls from {before} to {now} % of the torque's "
         "variation (median over joints)."

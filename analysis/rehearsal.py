@@ -213,9 +213,8 @@ def _named(situation: Situation, found: Diagnosis, change: HiddenEffect) -> Item
     if lead.rivals:
         named += f" (or {', '.join(_cause(rival.candidate) for rival in lead.rivals)})"
     right = lead.effect.name == change.effect and change.joint in lead.effect.joints
-    masses = {name for name, kind in EFFECTS.items() if kind.family == "body"}
-    alike = masses if change.effect in masses else set()
-    others = {rival.candidate.effect.name for rival in lead.rivals} - alike
+    mass = EFFECTS[change.effect].family == "body"
+    others = [r for r in lead.rivals if not (mass and r.candidate.effect.family == "body")]
     passed = right and not lead.downgrade and not others
     item = _item("diagnosis", change.joint, passed, f"{planted}: {named}", advice)
     if not right or lead.effect.values is None:
@@ -265,8 +264,7 @@ class Rehearsal:
     def result(self) -> dict[str, Any]:
         """Contents of result.json: what was required, and whether it was met."""
         failed = [item for item in self.items if not item.passed]
-        limits, change = self.robot.limits, self.change
-        effect = {"effect": change.effect, "joint": change.joint}
+        change = {"effect": self.change.effect, "joint": self.change.joint}
         return {
             "verb": "rehearse",
             "robot": self.robot.name,
@@ -276,25 +274,24 @@ class Rehearsal:
             "headline": self.headline,
             "items": [asdict(item) for item in self.items],
             "advice": list(dict.fromkeys(item.advice for item in failed)),
-            "effect": {**effect, "parameters": dict(change.parameters)},
+            "effect": {**change, "parameters": dict(self.change.parameters)},
             "limit_values": {
-                name: getattr(limits, name) for name in ("position", "velocity", "torque")
+                x: getattr(self.robot.limits, x) for x in ("position", "velocity", "torque")
             },
         }
 
     def series(self) -> dict[str, Array]:
         """The run of the motion on the virtual arm: t [s], q, dq, tau in SI units, (n, nv)."""
-        run = self.run
-        return {"t": run.t, "q": run.q, "dq": run.dq, "tau": run.tau}
+        return {name: getattr(self.run, name) for name in ("t", "q", "dq", "tau")}
 
     @property
     def headline(self) -> str:
         """The verdict in a sentence."""
-        failed = [item for item in self.items if not item.passed]
-        if not failed:
-            count = len(self.items)
-            return f"The motion would do: all {count} requirements are met on a virtual arm"
-        names = list(dict.fromkeys(f"{x.name} of {x.joint}" if x.joint else x.name for x in failed))
+        if self.passed:
+            met = f"all {len(self.items)} requirements are met"
+            return f"The motion would do: {met} on a virtual arm"
+        failed = [f"{x.name} of {x.joint}".removesuffix(" of ") for x in self.items if not x.passed]
+        names = list(dict.fromkeys(failed))
         listed = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
         return f"The motion would not do: {listed}"
 

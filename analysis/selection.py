@@ -38,14 +38,12 @@ _ROUNDS = 2  # of choosing effects: the second with what the first identified
 def select(
     evidence: Evidence, robot: Robot, refuted: Set[Key] = frozenset()
 ) -> tuple[Evidence, list[Candidate]]:
-    """Causes by forward selection, each step pruned backwards.
+    """Causes by forward selection, each step pruned backwards, and the evidence at the end.
 
     A candidate enters when the fall of J exceeds what the best of all candidates reaches by
     chance, and leaves when the others have made it dispensable. Joints that the model gives no
     friction get that of the standard model first, so that finer kinds must bring more than it.
-
-    Causes that a hold-out speaks against are left out. Returns the evidence with the noise at the
-    end, and the causes.
+    Causes that a hold-out speaks against are left out.
     """
     bare = _frictionless(robot)
     allowed = [c for c in evidence.candidates if c.key not in refuted]
@@ -281,11 +279,8 @@ def choose_effects(
     identification. Effects that rest on torque take it from the arm identified so far, and shapes
     are first searched over coarse grids, then between their points.
 
-    Args:
-        robot: The arm.
-        recordings: What is to be fitted; nothing that is held out.
-        cutoff_hz: Cut-off of the torque filter [Hz]; that of `identify` when None.
-        progress: Called with a fraction done and what was found.
+    Recordings are those to be fitted, nothing that is held out; progress is told the fraction done
+    and what was found.
 
     Raises:
         BadRecording: Recordings that cannot be used.

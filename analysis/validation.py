@@ -17,6 +17,7 @@ recorded motion (`excitant.robots.simulation.forward_error`).
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -348,10 +349,6 @@ def _simulated(robot: Robot, gains: Array, found: list[tuple[Motion, Array]]) ->
 
 def _simulable(robot: Robot, effect: Effect) -> bool:
     """Whether a simulation from state to state knows an effect."""
-    if not effect.of_state_alone:
-        return False
-    try:
-        forward_model(robot.with_effects([effect]))
-    except BadInput:
-        return False
-    return True
+    with suppress(BadInput):
+        return effect.of_state_alone and forward_model(robot.with_effects([effect])) is not None
+    return False
