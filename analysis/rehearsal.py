@@ -126,7 +126,6 @@ def limit_items(situation: Situation) -> list[Item]:
 
 
 def _recovered(situation: Situation, estimates: Sequence[Estimate], x: Array) -> list[Item]:
-    """What estimates from several readings recover of the arm's parameters x, shape (p,)."""
     beta, std = estimates[0].base.regrouping @ x, [_std(e) for e in estimates]
     errors = np.array([e.least_squares.beta for e in estimates]) - beta
     inside = np.abs(errors) <= 1.96 * np.array(std)
@@ -148,7 +147,6 @@ def _std(estimate: Estimate) -> Array:
 
 
 def _friction(situation: Situation, estimate: Estimate, beta: Array) -> list[Item]:
-    """Viscous and Coulomb friction of every joint, each known to 10 %."""
     robot, items, std = situation.robot, [], _std(estimate)
     names = [estimate.base.names[k] for k in estimate.base.columns]
     for effect in standard_effects(robot.joints)[:2]:
@@ -164,7 +162,6 @@ def _friction(situation: Situation, estimate: Estimate, beta: Array) -> list[Ite
 
 
 def _prediction(situation: Situation, estimate: Estimate, beta: Array) -> Item:
-    """Error on the hold-out close to that of the true parameters behind the same sensors."""
     robot, rms = situation.robot, estimate.validate.rms
     floor = estimate.holdout.accuracy(estimate.holdout_columns @ beta).rms
     worse = rms / floor
@@ -194,7 +191,6 @@ def _other_motions(situation: Situation, estimate: Estimate, beta: Array) -> Ite
 
 
 def _undetermined(situation: Situation, error: RankDeficient) -> Item:
-    """The motion does not determine the parameters at all."""
     names = ", ".join(error.names[:4]) + (", ..." if len(error.names) > 4 else "")
     weakest = min(situation.use, key=situation.use.__getitem__)
     detail = f"the motion leaves {len(error.names)} parameters undetermined: {names}"
@@ -363,7 +359,6 @@ def rehearse(
 
 
 def _recording(arm: VirtualArm, run: Run, name: str, rng: np.random.Generator) -> Recording:
-    """One reading of a run; every reading has other noise."""
     table = arm.recorded(run, rng)
     return recording_from_table(table, arm.nominal.nv, file=name, name=name)
 
@@ -384,7 +379,6 @@ def rehearsal_arm(robot: Robot, rng: np.random.Generator) -> VirtualArm:
 
 
 def _drives(robot: Robot, rng: np.random.Generator) -> list[Effect]:
-    """Friction, offset and rotor inertia of all joints, as known or else as usual."""
     known = robot.with_effects([e for e in robot.effects if e.standard])
     given, limit = nominal_truth(known).drives, robot.limits.torque
     strength = np.where(np.isfinite(limit), limit, 4 * typical_torque(robot))

@@ -55,7 +55,6 @@ def select(
 def _grown(
     evidence: Evidence, robot: Robot, chosen: list[Candidate], allowed: Sequence[Candidate]
 ) -> tuple[Evidence, list[Candidate]]:
-    """A set with all of the allowed candidates that the evidence calls for."""
     seen, falls = set[frozenset[Candidate]](), dict[Candidate, float]()
     while len(chosen) < _LARGEST_SET:
         evidence = reweighed(evidence, chosen)
@@ -200,7 +199,6 @@ def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool
 
 
 def _frictionless(robot: Robot) -> set[str]:
-    """Joints that the model gives no friction."""
     return set(robot.joints) - {j for e in robot.effects if is_plain_friction(e) for j in e.joints}
 
 
@@ -260,7 +258,6 @@ def _friction(evidence: Evidence, other: Candidate, rest: Sequence[Candidate]) -
 
 
 def _only_more(evidence: Evidence, found: Candidate, other: Candidate) -> bool:
-    """Whether another cause is the one found with more coefficients."""
     special = found.effect.name in other.effect.contains and other.size > found.size
     real = found.effect.name in other.effect.imitates
     return special and not real and evidence.cosine(found, other) > _SAME

@@ -102,7 +102,6 @@ def structure(
 
 
 def _circumstantial(robot: Robot, moving: Sequence[str] | None, held: Held) -> Motion:
-    """Random states in which only some joints move, and the others are held."""
     motion = structural_motion(robot, np.random.default_rng(0))
     if moving is None:
         return motion

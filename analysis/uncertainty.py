@@ -320,7 +320,6 @@ def weak_directions(
 def _direction(
     row: Array, change: Array, std: float, names: Sequence[str], units: Sequence[str], size: Array
 ) -> Direction:
-    """A direction with its named members, strongest first; an unseen one in its own units."""
     weight = row if np.isfinite(std) else row / size
     weight = weight / np.linalg.norm(weight)
     order = [int(k) for k in np.argsort(-np.abs(weight), kind="stable")]
@@ -397,7 +396,6 @@ def _tilts(robot: Robot) -> dict[str, Robot]:
 
 
 def _holding(motion: Motion, rests: Sequence[int], pose: Array) -> Motion:
-    """The motion with some joints held where a pose has them."""
     still = np.isin(np.arange(motion.nv), rests)
     dq, ddq = (np.where(still, 0.0, values) for values in (motion.dq, motion.ddq))
     return Motion(motion.t, np.where(still, pose, motion.q), dq, ddq)

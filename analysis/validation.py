@@ -217,7 +217,6 @@ def _least_squares(problem: Regression, counts: Mask) -> tuple[Array, Array, int
 
 
 def _moves(robot: Robot, prior: Array, found: Array) -> tuple[Move, ...]:
-    """Change of each link; given values have the covariance spread · spreadᵀ."""
     moves = []
     metric = tolerance_metric(prior)
     for link, before, after, body in zip(robot.links, prior, found, metric, strict=True):
@@ -245,7 +244,6 @@ def _figures(phi: Array) -> Array:
 
 
 def _slopes(phi: Array) -> Array:
-    """Derivatives of `_figures`, shape (5, 10)."""
     m, centre = phi[0], phi[1:4] / phi[0]
     J = np.zeros((5, 10))
     J[0, 0] = 1.0
