@@ -99,7 +99,6 @@ def _compared(W: Array, F: Array, current: Array, given: Array) -> Array:
 
 
 def _alternate(gram: Array, moment: Array, weight: Array, gains: Array) -> tuple[Array, Array]:
-    """Gains and base parameters by turns until the gains settle."""
     prior = 1 / _SPREAD**2  # of 1/k around the geometric mean, which is kept at 1
     for _ in range(_ALTERNATIONS):
         A = np.einsum("j,jrs->rs", weight / gains**2, gram)

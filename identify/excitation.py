@@ -152,7 +152,6 @@ def _share(motion: Motion) -> float:
 
 
 def _information(motion: Motion, rows: Array) -> Array:
-    """Information of whitened rows, shape (v, v)."""
     flat = rows.reshape(-1, rows.shape[-1])
     return np.asarray(_share(motion) * (flat.T @ flat), float)
 

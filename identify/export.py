@@ -322,7 +322,6 @@ def _frames(robot: Robot, joint: int) -> Iterator[tuple[str, pin.SE3]]:
 
 
 def _pose(T: pin.SE3) -> dict[str, str]:
-    """Position and quaternion (w, x, y, z)."""
     x, y, z, w = pin.Quaternion(T.rotation).coeffs()
     return {"pos": _written(T.translation), "quat": _written([w, x, y, z])}
 

@@ -183,7 +183,6 @@ class OnlineEstimator:
             self.push(float(t[k]), q[k], tau[k])
 
     def _finish_block(self) -> None:
-        """Make the rows of the block, one per joint, and take them in."""
         t, states, tau = (np.array(each) for each in zip(*self._instants, strict=True))
         self._instants = []
         motion = Motion(t, *states.transpose(1, 0, 2))
@@ -234,7 +233,6 @@ class OnlineEstimator:
         return OnlineEstimate(total.solve(), covariance, sigma, inflation, t, data)
 
     def _total(self, parts: list[Information], sigma: Array) -> tuple[Information, Information]:
-        """Data of all joints, and data with the prior."""
         data = combined([part.scaled(1 / s) for part, s in zip(parts, sigma, strict=True)])
         return data, data if self.prior is None else combined([data, self.prior])
 

@@ -85,7 +85,7 @@ class PayloadEstimate:
     @property
     def shortcomings(self) -> tuple[str, ...]:
         """Why the payload is not known to 2 % and 3 mm with 95 % confidence; empty when it is."""
-        spread = _CERTAIN * float(self.std[0])
+        spread, centre = _CERTAIN * float(self.std[0]), _CERTAIN * self.centre_std
         if spread >= self.mass:
             return (f"no payload is seen: {self.mass:.2g} kg, give or take {spread:.2g} kg",)
         found = []
@@ -94,9 +94,8 @@ class PayloadEstimate:
                 f"mass {self.mass:.4g} kg is known to ±{spread:.2g} kg only: lift it through "
                 "more poses, move slower or longer"
             )
-        worst = int(np.argmax(self.centre_std))
-        if _CERTAIN * self.centre_std[worst] > _CENTRE_GOAL:
-            off = float(f"{1e3 * _CERTAIN * self.centre_std[worst]:.2g}")
+        if centre.max() > _CENTRE_GOAL:
+            worst, off = int(np.argmax(centre)), float(f"{1e3 * centre.max():.2g}")
             found.append(
                 f"centre of mass along {'xyz'[worst]} is known to ±{off:g} mm only: turn the last "
                 "joints through more orientations"

@@ -484,9 +484,8 @@ def _notes(rows: LinkRows, stages: Sequence[Stage], prior: Array) -> tuple[str, 
             *notes[:-1],
             "torque came as motor current, and joints that move one at a time do not show their "
             f"drives' gains relative to each other: they ({gains} N·m/A) rest on the given "
-            "masses, and on each other where masses hardly load the joint. A joint's own current "
-            "is predicted alike for any gain; what outer links cost inner joints, and values in "
-            "N·m, kg or kg·m², are as good as these gains",
+            "masses, and on each other where masses hardly load the joint; values in N·m, kg or "
+            "kg·m², and what outer links cost inner joints, are as good as these gains",
         )
     said = f"link by link, these recordings determine {count} of {r} base combinations{rest}"
     return (notes[0], said, *notes[1:])

@@ -47,13 +47,9 @@ app = App(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command.
+    """Run one command: 0 when done, 1 when refused, failed or not passed; wrong usage exits with 2.
 
-    Args:
-        arguments: Words after ``excitant``; those of the process when None.
-
-    Returns:
-        0 when done, 1 when refused, failed or not passed; wrong usage exits with 2.
+    Arguments are the words after ``excitant``; those of the process when None.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
@@ -61,9 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        command, bound, _ = app.parse_args(
-            [word for word in words if word != "--debug"], print_error=False, exit_on_error=False
-        )
+        rest = [word for word in words if word != "--debug"]
+        command, bound, _ = app.parse_args(rest, print_error=False, exit_on_error=False)
         if not words:
             raise BadInput("no command given")
     except (CycloptsError, BadInput) as error:
@@ -77,23 +72,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except BaseException as error:
-        if _interrupted(error):
-            return _failed("interrupted; nothing was written")
-        if debug or not isinstance(error, Exception):
+        if not _interrupted(error) and (debug or not isinstance(error, Exception)):
             raise
-        return _failed(_line(error))
+        print(f"excitant: {_line(error)}", file=sys.stderr)
+        return 1
 
 
-def _line(error: Exception) -> str:
-    """What went wrong, in a line."""
+def _line(error: BaseException) -> str:
+    if _interrupted(error):
+        return "interrupted; nothing was written"
     if isinstance(error, ExcitantError):
         return str(error)
     if isinstance(error, OSError):
         return f"{error.filename or 'file'}: {error.strerror or error}"
-    if (
-        isinstance(error, ModuleNotFoundError)
-        and (name := str(error.name).partition(".")[0]) in _EXTRAS
-    ):
+    name = str(getattr(error, "name", "")).partition(".")[0]
+    if isinstance(error, ModuleNotFoundError) and name in _EXTRAS:
         return f"this needs {name}: pip install 'excitant[{_EXTRAS[name]}]'"
     what = " ".join(f"{type(error).__name__}: {error}".split())
     return f"a bug ({what}); please run it again with --debug and report what it prints"
@@ -106,11 +99,6 @@ def _interrupted(error: BaseException | None) -> bool:
             return True
         error = error.__cause__ or error.__context__
     return False
-
-
-def _failed(why: str) -> int:
-    print(f"excitant: {why}", file=sys.stderr)
-    return 1
 
 
 def demo(
@@ -154,9 +142,8 @@ def robots(
             if value is not None:
                 raise BadInput(f"{option} is about one arm; name it, e.g. excitant robots ur10")
         if run.json:
-            arms = [
-                asdict(arm) | {"joints": arm.joints, "mass": arm.moving_mass} for arm in catalogue()
-            ]
+            more = ({"joints": arm.joints, "mass": arm.moving_mass} for arm in catalogue())
+            arms = [asdict(arm) | own for arm, own in zip(catalogue(), more, strict=True)]
             print_json({"verb": "robots", "robots": arms})
             return
         heads, *rows = catalogue_rows()

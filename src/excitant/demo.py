@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from excitant.identify import identify_robot, model_files, recording_from_table
 from excitant.motions import table_bytes
 from excitant.progress import Advance
 from excitant.robots import Array, Robot
-from excitant.robots.virtual_arm import HiddenEffect, virtual_arm
+from excitant.robots.virtual_arm import virtual_arm
 
 _DURATION = 10.0  # s, of the excitation and of the hold-out
 _HARMONICS = 5
@@ -52,24 +51,20 @@ def run_demo(
     advance(0.85, "diagnosing")
     diagnosis = diagnose(robot, [recording], validate=[held])
     known = analyze(robot, estimate=estimate)
-    verbs: dict[str, Any] = {
-        "design": found,
-        "identify": estimate,
-        "analyze": known,
-        "diagnose": diagnosis,
-    }
+    nouns: tuple[Any, ...] = (found, estimate, known, diagnosis)
+    verbs = dict(zip(("design", "identify", "analyze", "diagnose"), nouns, strict=True))
     results = {verb: noun.result() for verb, noun in verbs.items()}
     series = {f"{v}/{key}": a for v, noun in verbs.items() for key, a in noun.series().items()}
     advance(0.95, "writing the report")
     [hidden] = arm.hidden
     truth = {"effect": hidden.effect, "joint": hidden.joint, "parameters": dict(hidden.parameters)}
-    about: dict[str, Any] = {
-        "verb": "demo",
-        "robot": robot.name,
-        "seed": seed,
-        "truth": truth,
-        "verdict": _verdict(hidden, results["diagnose"]),
-    }
+    nothing: dict[str, Any] = {"effect": None, "joints": [], "verdict": ""}
+    lead = next(iter(results["diagnose"]["findings"]), nothing)
+    named = (lead["effect"], lead["joints"], lead["verdict"])
+    right = named == (hidden.effect, [hidden.joint], "named")
+    verdict = {"effect": lead["effect"], "joints": lead["joints"], "correct": right}
+    about: dict[str, Any] = {"verb": "demo", "robot": robot.name, "seed": seed, "truth": truth}
+    about["verdict"] = verdict
     files: dict[str, str | bytes] = {
         "trajectory.csv": trajectory_csv(found.trajectory),
         "trajectory.json": trajectory_json(found.trajectory, robot),
@@ -79,16 +74,3 @@ def run_demo(
         **model_files(diagnosis.extension.model, "extended", "extended.yaml"),
     }
     return about | results, series, files
-
-
-def _verdict(hidden: HiddenEffect, diagnosis: Mapping[str, Any]) -> dict[str, Any]:
-    """Whether the leading finding is the hidden effect, on its joint, and named."""
-    if not diagnosis["findings"]:
-        return {"effect": None, "joints": [], "correct": False}
-    lead = diagnosis["findings"][0]
-    right = (
-        lead["effect"] == hidden.effect
-        and lead["joints"] == [hidden.joint]
-        and lead["verdict"] == "named"
-    )
-    return {"effect": lead["effect"], "joints": lead["joints"], "correct": right}

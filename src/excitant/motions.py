@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
     from excitant.design import Design, HermiteTrajectory, Trajectory
     from excitant.robots import Motion, Robot
-    from excitant.robots.geometry import Scene
 
 _DENSE_HZ = 100.0
 _BOUND_TIME = 60.0  # s: much less leaves the bound near 1
@@ -110,6 +109,8 @@ def design(
         rate: Rate of trajectory.csv [Hz].
         repeat: Periods in trajectory.csv, for averaging.
     """
+    import numpy as np
+
     import excitant.design as designs
     from excitant.robots.limits import require_limits
 
@@ -166,8 +167,13 @@ def design(
     if bound:
         result |= _bound(found, search.seed)
     if start is not None:
+        there, here = trajectory(0.0)[0], np.array(start)
+        near: dict[str, Any] = {"scene": scene, "clearance": least, "rate_hz": rate}
         try:
-            ways = _ways(arm, start, trajectory, rate, scene, least)
+            ways = {
+                name: designs.approach(arm, *ends, name=name, **near)
+                for name, ends in (("approach", (here, there)), ("return", (there, here)))
+            }
             files |= {f"{name}.csv": designs.motion_csv(motion) for name, motion in ways.items()}
             written |= ways
         except Infeasible as error:  # the design stands without them
@@ -178,7 +184,6 @@ def design(
 
 
 def _earlier(robot: Robot, recordings: Sequence[str] | None) -> list[Motion]:
-    """Motions of recordings made already."""
     if not recordings:
         return []
     from excitant.identify.dataset import Dataset
@@ -189,7 +194,6 @@ def _earlier(robot: Robot, recordings: Sequence[str] | None) -> list[Motion]:
 
 
 def _bound(found: Design, seed: int) -> dict[str, Any]:
-    """Numerical lower bound on what any such motion could reach, as entries of the result."""
     from excitant.design import lower_bound
 
     with progress_bar("bound") as advance:
@@ -209,23 +213,6 @@ def _bound(found: Design, seed: int) -> dict[str, Any]:
     ratio = found.condition_final / bound.value
     note = f"within ×{ratio:.2g} of the best possible: {bound.assumptions}"
     return {"condition_number": condition, "notes": [note]}
-
-
-def _ways(
-    robot: Robot, start: Sequence[float], trajectory: Trajectory, rate: float,
-    scene: Scene | None, least: float,
-) -> dict[str, Motion]:  # fmt: skip
-    """Approach from a pose to the trajectory, and return from it."""
-    import numpy as np
-
-    from excitant.design import approach
-
-    there, here = trajectory(0.0)[0], np.array(start)
-    options: dict[str, Any] = {"scene": scene, "clearance": least, "rate_hz": rate}
-    return {
-        "approach": approach(robot, here, there, **options),
-        "return": approach(robot, there, here, name="return", **options),
-    }
 
 
 def check(
@@ -332,10 +319,9 @@ def simulate(
         table = virtual.record(path, duration, rng, lambda share: advance(share, ""))
     write_all(target.parent, {target.name: table_bytes(table, target.suffix)})
     if json:
-        effects = [
-            {"effect": h.effect, "joint": h.joint, "parameters": dict(h.parameters)}
-            for h in virtual.hidden
-        ]
+        hide = ((h.effect, h.joint, dict(h.parameters)) for h in virtual.hidden)
+        keys = ("effect", "joint", "parameters")
+        effects = [dict(zip(keys, values, strict=True)) for values in hide]
         result = {"verb": "simulate", "robot": arm.name, "samples": len(table)}
         print_json(result | {"duration": duration, "hidden": effects, "files": [str(target)]})
     else:

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 
 def _arms(_: object) -> Iterator[str]:
-    """Built-in arms and files, for completion."""
     from excitant.robots import builtin_robots
 
     yield from builtin_robots()
@@ -37,12 +36,10 @@ def _effects(_: object) -> Iterator[str]:
 
 
 def _words(_: Any, tokens: Sequence[Token]) -> list[str]:
-    """Words between commas."""
     return [word for token in tokens for word in token.value.replace(",", " ").split()]
 
 
 def _numbers(_: Any, tokens: Sequence[Token]) -> list[float]:
-    """Numbers between commas."""
     return [float(word) for word in _words(_, tokens)]
 
 
@@ -111,7 +108,8 @@ class Part:
         """The robot with the limits of a file; its notes go to the error stream."""
         from excitant.robots import load_limits, load_robot
 
-        robot = _noted(load_robot(self.spec(path)))
+        robot = load_robot(self.spec(path))
+        _say({robot.source: robot.notes})
         return robot.with_limits(load_limits(limits, robot)) if limits else robot
 
     def dataset(self, path: str, mapping: str | None) -> Dataset:
@@ -119,14 +117,8 @@ class Part:
         from excitant.identify import load_dataset
 
         dataset = load_dataset(self.spec(path), columns=mapping)
-        _noted(dataset.robot)
+        _say({dataset.robot.source: dataset.robot.notes})
         return dataset
-
-
-def _noted(robot: Robot) -> Robot:
-    for note in robot.notes:
-        print(f"{robot.source}: {note}", file=sys.stderr)
-    return robot
 
 
 def _position(word: str) -> tuple[str, float]:
@@ -264,7 +256,11 @@ def print_json(content: Mapping[str, Any]) -> None:
 
 def show_import(recordings: Sequence[Recording]) -> dict[str, list[str]]:
     """Say at once how columns were understood, where names left a choice."""
-    for recording in recordings:
-        for note in recording.notes:
-            print(f"{recording.name}: {note}", file=sys.stderr)
-    return {recording.name: list(recording.notes) for recording in recordings if recording.notes}
+    return _say({each.name: each.notes for each in recordings if each.notes})
+
+
+def _say(notes: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
+    for name, own in notes.items():
+        for note in own:
+            print(f"{name}: {note}", file=sys.stderr)
+    return {name: list(own) for name, own in notes.items()}

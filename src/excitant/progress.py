@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 _LONGEST = 36_000.0  # s over which speed is averaged: all of the work so far
 
@@ -21,20 +22,14 @@ def progress_bar(label: str) -> Iterator[Advance]:
     if not sys.stderr.isatty():
         yield lambda fraction, words: None
         return
-    import rich.console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich import progress as show
+    from rich.console import Console
 
     columns = (
-        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("left"),
-        TimeRemainingColumn(), TextColumn("{task.fields[words]}"),
-    )  # fmt: skip
-    console = rich.console.Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, speed_estimate_period=_LONGEST) as bar:
+        *("{task.description}", show.BarColumn(), show.TimeElapsedColumn()),
+        *("left", show.TimeRemainingColumn(), "{task.fields[words]}"),
+    )
+    options: Any = {"console": Console(stderr=True), "speed_estimate_period": _LONGEST}
+    with show.Progress(*columns, transient=True, **options) as bar:
         task = bar.add_task(label, total=None, words="")
         yield lambda fraction, words: bar.update(task, total=1.0, completed=fraction, words=words)

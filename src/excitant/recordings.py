@@ -271,11 +271,7 @@ def analyze(
 def _as_far_as_shown(
     robot: Robot, recordings: Sequence[Recording], effects: Sequence[Effect]
 ) -> tuple[Estimate, list[str]]:
-    """An estimate even where the recorded motion leaves parameters open.
-
-    Where recordings are too brief to hold a part of them back, all rows are fitted: only what they
-    show is asked for, not how well the estimate predicts.
-    """
+    """An estimate even where the recorded motion leaves parameters open, or is brief."""
     from excitant.analysis import identify_shown
     from excitant.identify import identify_robot
     from excitant.identify.recording import MINIMUM_DURATION
