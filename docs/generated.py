@@ -30,6 +30,17 @@ def names(package: str) -> str:
     return "\n".join(f"::: {_place(module, name)}\n" for name in public)
 
 
+def arms() -> tuple[str, str]:
+    """The table of the built-in arms and their sources, as arms.md has them."""
+    from excitant.robots.library import catalogue, catalogue_rows
+
+    heads, *rows = catalogue_rows()
+    table = ["| " + " | ".join(heads) + " |", "|" + " --- |" * len(heads)]
+    table += ["| `" + "` | ".join((row[0], " | ".join(row[1:]))) + " |" for row in rows]
+    sources = [f"**{arm.name}.** {arm.sources}" for arm in catalogue()]
+    return "\n".join(table), "\n\n".join(sources)
+
+
 def _place(package: ModuleType, name: str) -> str:
     """Where a name is defined, if a module of the package has the same name."""
     if hasattr(package, "__path__") and find_spec(f"{package.__name__}.{name}"):

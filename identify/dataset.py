@@ -1,9 +1,7 @@
 """Dataset: a folder of recordings with its robot, described by ``dataset.json``.
 
-Logs too long to hold are low-passed and decimated while they are read, piece by piece. Torque is
-judged up to 10 Hz and positions are filtered at twice that (`excitant.identify.preprocessing`), so
-160 samples a second say all that identification uses. A linear-phase filter passes what lies below
-20 Hz and takes away what decimation would fold onto it.
+Logs too long to hold are low-passed and decimated while they are read. Torque is judged up to 10 Hz
+and positions are filtered at twice that, so 160 samples a second say all that identification uses.
 """
 
 from __future__ import annotations
@@ -59,17 +57,11 @@ class _Sidecar(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Dataset:
-    """A robot and where its recordings are.
-
-    Attributes:
-        robot: The arm.
-        folder: Folder the recordings are named relative to; None when they are paths.
-        mapping: What is said about the columns and drives.
-    """
+    """A robot and where its recordings are."""
 
     robot: Robot
-    folder: Path | None = None
-    mapping: ColumnMap = field(default_factory=ColumnMap)
+    folder: Path | None = None  # the recordings are named relative to; None when they are paths
+    mapping: ColumnMap = field(default_factory=ColumnMap)  # of columns and drives
 
     def recordings(self, names: Sequence[str], *, without: Sequence[str] = ()) -> list[Recording]:
         """Recordings by name; all of the folder that are not held out when none is named.

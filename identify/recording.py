@@ -41,18 +41,12 @@ class Recording:
     `raw_recording` leaves them (cells that are no number are NaN).
 
     Attributes:
-        name: Name for tables and figures.
-        file: File it was read from.
         t: Time from the first row, not necessarily regular, shape (n,) [s].
         q: Measured positions, shape (n, nv) [rad or m].
-        tau: Measured torque, shape (n, nv) [`unit`].
-        unit: ``"N·m"`` or ``"A"``.
+        tau: Measured torque, shape (n, nv) [`unit`, ``"N·m"`` or ``"A"``].
         dq: Measured speeds, shape (n, nv) [rad/s or m/s]; None where not logged for all joints.
         notes: How columns were understood and what was left out, one line each.
         extras: Other numeric columns by name, as logged, each shape (n,).
-        columns: Names in the file of the columns of time, positions and torque.
-        start: Time of the first row as logged, whole and remaining seconds [s].
-        unreadable: Text of cells that are no number, by row and column.
     """
 
     name: str
@@ -64,9 +58,9 @@ class Recording:
     dq: Array | None = None
     notes: tuple[str, ...] = ()
     extras: Mapping[str, Array] = field(default_factory=dict)
-    columns: tuple[str, ...] = ()
-    start: tuple[float, float] = (0.0, 0.0)
-    unreadable: Mapping[tuple[int, str], str] = field(default_factory=dict)
+    columns: tuple[str, ...] = ()  # names in the file, of time, positions and torque
+    start: tuple[float, float] = (0.0, 0.0)  # of time as logged, whole and remaining seconds
+    unreadable: Mapping[tuple[int, str], str] = field(default_factory=dict)  # by row and column
 
     def __post_init__(self) -> None:
         freeze(self, "t", *(name for name, _ in self.channels()))
@@ -165,10 +159,6 @@ def read_chunks(
         robot: The arm, or its number of joints.
         rows: Most rows of a piece.
         mapping: What the user says about the columns.
-
-    Raises:
-        BadRecording: As `load_recording`, when the piece at fault is reached.
-        BadInput: ``rows`` below 1, or a map that does not fit the robot.
     """
     if rows < 1:
         raise BadInput(f"rows is {rows}; a piece must hold at least one row")
@@ -280,9 +270,7 @@ def _in_si_units(
 
 
 def checked(raw: Recording) -> Recording:
-    """The recording, refused where a row cannot be used as it is.
-
-    Speeds are left out, with a note, where some are no finite numbers; they are not needed.
+    """The recording, refused where a row cannot be used; speeds with holes are left out.
 
     Raises:
         BadRecording: Cells that are no finite number, time that does not rise, a channel without

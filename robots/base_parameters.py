@@ -99,18 +99,11 @@ def coefficient_text(size: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Columns of all parameters over many states, condensed for decisions about their rank.
+    """Columns of all parameters over many states, condensed for decisions about their rank."""
 
-    Attributes:
-        names: Names of the parameters, p of them.
-        R: Triangular factor of the columns in units of the arm, so that the longest inertial
-            column and every column of an effect has length one, shape (min(rows, p), p).
-        units: What the columns were divided by; infinite for a column that is zero, shape (p,).
-    """
-
-    names: tuple[str, ...]
-    R: Array
-    units: Array
+    names: tuple[str, ...]  # p of them
+    R: Array  # triangular factor, the longest inertial column and every other of length one, (, p)
+    units: Array  # what the columns were divided by; infinite for a column of zeros, shape (p,)
 
 
 def base_parameters(

@@ -17,25 +17,15 @@ _SHOWN = 4  # names of joints in a note
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """Which robot is meant and what is kept of it; everything when nothing is said.
+    """Which robot is meant and what is kept of it; everything when nothing is said."""
 
-    Attributes:
-        path: Built-in name, URDF, xacro, MJCF or ``robot.yaml``.
-        joints: Joints to keep; all others are held.
-        base: Link that the chain starts from; the root of the tree when None.
-        tip: Link that the chain ends at; links beyond it are carried along.
-        lock: Joints to hold and their positions [rad or m].
-        xacro_args: Values of the arguments of a xacro file.
-        packages: Folders in which ``$(find name)`` of a xacro file looks.
-    """
-
-    path: str | Path
-    joints: tuple[str, ...] | None = None
-    base: str | None = None
-    tip: str | None = None
-    lock: Mapping[str, float] = field(default_factory=dict)
+    path: str | Path  # built-in name, URDF, xacro, MJCF or robot.yaml
+    joints: tuple[str, ...] | None = None  # to keep; all others are held
+    base: str | None = None  # link that the chain starts from; the root of the tree when None
+    tip: str | None = None  # link that the chain ends at; links beyond it are carried along
+    lock: Mapping[str, float] = field(default_factory=dict)  # joints held, and where [rad or m]
     xacro_args: Mapping[str, str] = field(default_factory=dict)
-    packages: tuple[str | Path, ...] = ()
+    packages: tuple[str | Path, ...] = ()  # folders in which $(find name) of a xacro file looks
 
     def __fspath__(self) -> str:
         """The path, so that a spec stands where a path does."""

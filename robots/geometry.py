@@ -31,48 +31,28 @@ _POINT = 1e-4  # m, radius of the sphere that stands for it
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A solid of a link: box, sphere, or cylinder (a capsule counts as one).
+    """A solid of a link: box, sphere, or cylinder (a capsule counts as one); in the link frame."""
 
-    Attributes:
-        start: One end of its axis in the link frame, shape (3,) [m].
-        end: The other end; the same point for a sphere.
-        radius: Around the axis; of a box, half its mean width [m].
-        corners: Corners of a box around it in the link frame, shape (8, 3) [m].
-        volume: Volume [m³].
-        spread: Second moment per volume about its centre, in the link frame, (3, 3) [m²].
-    """
-
-    start: Array
-    end: Array
-    radius: float
-    corners: Array
-    volume: float
-    spread: Array
+    start: Array  # one end of its axis, shape (3,) [m]
+    end: Array  # the other end; the same point for a sphere
+    radius: float  # around the axis; of a box, half its mean width [m]
+    corners: Array  # of a box around it, shape (8, 3) [m]
+    volume: float  # [m³]
+    spread: Array  # second moment per volume about its centre, (3, 3) [m²]
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A link of a description, in its own frame.
-
-    Attributes:
-        link: Its name.
-        carrier: The moving link it is fixed to, itself included; empty for what stands still.
-        given: Whether the description states an inertia.
-        mass: Mass [kg].
-        com: Centre of mass, shape (3,) [m].
-        inertia: Tensor about the centre of mass as given, shape (3, 3) [kg·m²].
-        points: Its origin and the origins of the joints on it, shape (k, 3) [m].
-        shapes: Its solids, of the collision elements if they have any; meshes are not among them.
-    """
+    """A link of a description, in its own frame."""
 
     link: str
-    carrier: str
-    given: bool
-    mass: float
-    com: Array
-    inertia: Array
-    points: Array
-    shapes: tuple[Shape, ...]
+    carrier: str  # the moving link it is fixed to, itself included; empty for what stands still
+    given: bool  # whether the description states an inertia
+    mass: float  # [kg]
+    com: Array  # centre of mass, shape (3,) [m]
+    inertia: Array  # tensor about the centre of mass as given, shape (3, 3) [kg·m²]
+    points: Array  # its origin and the origins of the joints on it, shape (k, 3) [m]
+    shapes: tuple[Shape, ...]  # of the collision elements if they have solids; no meshes
 
     @property
     def box(self) -> tuple[Array, Array]:
@@ -236,18 +216,11 @@ def sketch(robot: Robot, q: Array) -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class Obstacle:
-    """A body that stands in the cell, in the base frame of the URDF.
-
-    Attributes:
-        name: Name for messages.
-        shape: ``"box"``, ``"sphere"``, ``"half_space"`` (all points x with n·x ≤ offset) or
-            ``"workspace"``, the axis-aligned box that the tool point stays in.
-        values: Its numbers, a record of `excitant.robots.schema`.
-    """
+    """A body that stands in the cell, in the base frame of the URDF."""
 
     name: str
-    shape: str
-    values: Any
+    shape: str  # box, sphere, half_space, or workspace: the box that the tool point stays in
+    values: Any  # its record of `excitant.robots.schema`
 
     def bodies(self) -> list[tuple[str, Any, Any]]:
         """Name, shape and placement for Pinocchio; of a workspace, all that is outside it."""
@@ -292,19 +265,13 @@ def load_obstacles(path: str | Path) -> tuple[Obstacle, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """An arm's bodies among obstacles, with the pairs that must keep apart.
+    """An arm's bodies among obstacles, with the pairs of names that must keep apart.
 
     Bodies on the same joint or on neighbouring joints are not paired.
-
-    Attributes:
-        robot: The arm.
-        geometry: Pinocchio's geometry model; never edited.
-        pairs: Names of both bodies of every pair.
-        obstacles: What stands in the cell.
     """
 
     robot: Robot
-    geometry: Any
+    geometry: Any  # Pinocchio's geometry model; never edited
     pairs: tuple[tuple[str, str], ...]
     obstacles: tuple[Obstacle, ...] = ()
 

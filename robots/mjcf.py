@@ -32,25 +32,15 @@ from excitant.robots.urdf import (
 
 @dataclass(frozen=True)
 class Description:
-    """A robot as URDF text, and what the text cannot hold.
-
-    Attributes:
-        urdf: The URDF.
-        gravity: Gravity in the root's frame, shape (3,) [m/s²].
-        armature: Rotor inertia at the joint by joint [kg·m² or kg].
-        springs: Stiffness and rest position by joint [N·m/rad and rad, or N/m and m].
-        lock: Joints that the description holds, and where [rad or m].
-        loops: Pairs of links that a constraint ties together.
-        notes: What was left out.
-    """
+    """A robot as URDF text, and what the text cannot hold."""
 
     urdf: str
-    gravity: tuple[float, float, float] = GRAVITY
-    armature: Mapping[str, float] = field(default_factory=dict)
-    springs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    lock: Mapping[str, float] = field(default_factory=dict)
-    loops: tuple[tuple[str, str], ...] = ()
-    notes: tuple[str, ...] = ()
+    gravity: tuple[float, float, float] = GRAVITY  # in the root's frame [m/s²]
+    armature: Mapping[str, float] = field(default_factory=dict)  # by joint [kg·m² or kg]
+    springs: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # stiffness, rest
+    lock: Mapping[str, float] = field(default_factory=dict)  # joints held, and where [rad or m]
+    loops: tuple[tuple[str, str], ...] = ()  # pairs of links that a constraint ties together
+    notes: tuple[str, ...] = ()  # what was left out
 
 
 def description_from_mjcf(path: str | Path) -> Description:
@@ -214,12 +204,8 @@ class _Writer:
             self.armature[name] = armature
         if stiffness := float(model.jnt_stiffness[j]):
             self.springs[name] = (stiffness, float(model.qpos_spring[at]))
-        terms = {"stiffness": model.jnt_stiffnesspoly[j], "damping": model.dof_dampingpoly[dof]}
-        self.notes += [
-            f"joint {name}: {key} beyond its first number is left out"
-            for key, beyond in terms.items()
-            if np.any(beyond)
-        ]
+        if np.any(model.jnt_stiffnesspoly[j]) or np.any(model.dof_dampingpoly[dof]):
+            self.notes.append(f"joint {name}: higher powers of stiffness and damping are left out")
         if name in self.followers:
             master, offset, slope = self.followers[name]
             numbers = {"joint": master, "multiplier": repr(slope), "offset": repr(offset)}

@@ -50,11 +50,7 @@ def _evaluate(robot: Robot, q: Array, dq: Array, ddq: Array) -> Array:
 class RegressorDerivatives:
     """Regressor with its derivatives by each joint's position, velocity and acceleration.
 
-    Attributes:
-        Y: Shape (n, nv, 10 nv).
-        by_q: Derivative by joint position; first index the joint, shape (nv, n, nv, 10 nv).
-        by_dq: Derivative by joint velocity, same shape.
-        by_ddq: Derivative by joint acceleration, same shape.
+    ``Y`` has shape (n, nv, 10 nv), the others (nv, n, nv, 10 nv), the joint first.
     """
 
     Y: Array

@@ -107,10 +107,6 @@ class Robot:
         model.gravity.linear = np.asarray(gravity, float)
         return replace(self, model=model)
 
-    def with_model(self, model: Any) -> Robot:
-        """The same arm with another model of Pinocchio's of the same joints."""
-        return replace(self, model=model)
-
     def with_effects(self, effects: Iterable[Effect]) -> Robot:
         """The same arm with these effects instead of its own."""
         return replace(self, effects=tuple(effects))

@@ -30,14 +30,6 @@ __all__ = ["FAULTS", "Checked", "Fault", "Log", "find_copies", "find_faults", "r
 __all__ += ["repair"]
 
 _SHORTEST = 50  # samples: fewer prove nothing
-_OF_ROWS = (
-    missing_values,
-    repeated_rows,
-    wrapped_counters,
-    held_channels,
-    jumps_and_outliers,
-)
-"""Tests of rows in the order in which one fault can hide or feign another."""
 
 
 def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
@@ -65,7 +57,8 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     parts = log.t[np.isin(rows, starts)]
     if len(log) >= _SHORTEST:
         note(*gap_faults(log, parts))
-    for test in _OF_ROWS:
+    tests = (repeated_rows, wrapped_counters, held_channels, jumps_and_outliers)
+    for test in (missing_values, *tests):
         if len(log) >= _SHORTEST or test is missing_values:
             note(*test(log))
     if len(log) < _SHORTEST:

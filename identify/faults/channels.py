@@ -74,11 +74,7 @@ def _constant(log: Log, name: str, x: Array, j: int) -> _Found:
 
 
 def _white(log: Log, name: str, x: Array, j: int) -> _Found:
-    """A channel whose block means scatter no more than those of white noise.
-
-    Means of b samples of white noise have 1/b of its variance; b times the variance of B of them
-    in parts of that of all samples is χ² with B − 1 degrees of freedom, over B − 1.
-    """
+    """A channel whose block means scatter no more than those of white noise, as χ² with B − 1."""
     block = len(x) // _BLOCKS
     if name == "q" or block < 5 or log.moving[:, j].mean() < 0.5:
         return None
@@ -126,9 +122,8 @@ def _stretch(log: Log, name: str, x: Array, j: int) -> _Found:
 def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
     """Torque that stays at its extreme value, or at its limit but for noise, while joints move.
 
-    Of a channel that is not cut off no more samples lie exactly at the extreme value than in the
-    band below it, four steps of resolution or three standard deviations of noise wide: even a
-    smooth peak spends longer there. The excess is tested as a Poisson count.
+    Of a channel that is not cut off no more samples lie exactly at the extreme value than in a
+    narrow band below it, where even a smooth peak spends longer; the excess is a Poisson count.
     """
     moved = np.asarray(log.moving.any(axis=1), bool)
     for j, sign in product(range(log.nv), (1.0, -1.0)):
@@ -162,11 +157,7 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
 
 
 def held_channels(log: Log) -> Iterator[Fault]:
-    """Channels that are refreshed more seldom than they are logged.
-
-    Changes of a measured channel are distributed without a peak at zero: no change at all is
-    rarer than a small one. Where it is more frequent by far more than chance, values were held.
-    """
+    """Channels refreshed more seldom than logged: no change is more frequent than a small one."""
     for name, x in log.channels():
         held = {j: share for j in range(log.nv) if (share := _held_share(log, x[:, j], j)) > 0}
         if held:
@@ -197,10 +188,9 @@ def _held_share(log: Log, x: Array, j: int) -> float:
 
 
 def wrapped_counters(log: Log) -> Iterator[Fault]:
-    """Channels whose negative values were logged as a counter's upper half, or that wrap.
+    """Channels that wrap, or whose negative values were logged as a counter's upper half.
 
-    A wrapped channel jumps by the full range of the counter, a power of two of its steps (a full
-    turn for positions), leaves the middle of its range empty, and is smooth without the jumps.
+    They jump by its range, leave the middle of it empty, and are smooth without the jumps.
     """
     for (name, values), j in product(log.channels(), range(log.nv)):
         x = values[:, j]
@@ -285,16 +275,10 @@ def jumps_and_outliers(log: Log) -> Iterator[Fault]:
 def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:
     """Values that cannot be, by channel, each (n, nv); none around rows before missing ones.
 
-    r is the distance of a value from the cubic through its four neighbours (their own times),
-    over its local scale. Beyond what the largest of n such values reaches by chance
-    (`tail_bound`) a value is an outlier only if nothing that happened explains it:
-
-    * it stands apart from the running median, which a step does not;
-    * a position is off by more than half its way from sample to sample (less is jitter of the
-      stamp) and looks like a single wrong value, or jumps beyond all speeds of the joint;
-    * a velocity is contradicted by the positions around it;
-    * neither comes with a jolt: a velocity that the positions confirm, or those of several joints
-      at once where the positions are in order, as a brake or an impact makes them.
+    r is the distance of a value from the cubic through its four neighbours, over its local scale.
+    Beyond chance a value is an outlier only if nothing that happened explains it: a step (it would
+    not stand apart from the running median), jitter of the stamp (a position off by less than half
+    its way per sample), a velocity that the positions confirm, or a jolt of several joints at once.
     """
     r = {name: _distance(log.t, x) for name, x in log.channels()}
     if jumps is not None:

@@ -162,8 +162,7 @@ def repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, tuple[str, ...]]
 def after_repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, Rows]:
     """The recording with its faults repaired, and which of its rows are left, in their new order.
 
-    Rows of remedies count rows of this recording. Rows are sorted first, so that those beside each
-    other are neighbours in time, and left out last, so that all remedies may name them.
+    Rows of remedies count rows of this recording: sorted first, and left out last.
     """
     remedies = [r for fault in faults for r in fault.remedies]
     t, kept, order = np.array(recording.t), np.ones(len(recording), bool), np.arange(len(recording))
@@ -227,9 +226,8 @@ def quantum(x: Array) -> float:
 def tail_bound(values: Array, alarm: float = ALARM) -> float:
     """Level that the largest of some magnitudes exceeds by chance with probability ``alarm``.
 
-    Their distribution is taken to fall off beyond its 90 % quantile like exp(−√z), as fast as
-    between the median and there: far heavier than Gaussian, as dry friction, impacts and
-    jitter of stamps make it, and blind to up to a tenth of outliers.
+    Beyond its 90 % quantile their distribution is taken to fall off like exp(−√z), as fast as
+    between the median and there: far heavier than Gaussian, and blind to a tenth of outliers.
     """
     if not len(values):
         return np.inf

@@ -1,12 +1,9 @@
 """Torque that is a model's output, a model in other frames, motion that shows too little.
 
 A column computed from planned or smoothed motion has no noise of its own, and rigid bodies with
-plain friction explain nearly all of it, which they do for no drive. A column computed from the
-measured motion has the noise of the differentiated positions, which a sensor knows nothing of.
-
-Tables of parameters by Denavit and Hartenberg's standard convention give each link's first moments
-and inertia in its distal frame, at the next joint; a URDF has them at the link's own joint. Numbers
-of the one taken for the other are bodies that could be, so that nothing but the torque tells.
+plain friction explain nearly all of it, which they do for no drive. One computed from measured
+motion has the noise of the differentiated positions. Denavit and Hartenberg's standard convention
+gives inertia in the distal frame, at the next joint, a URDF at the link's own joint.
 """
 
 from __future__ import annotations
@@ -100,8 +97,7 @@ def _derived(log: Log, joints: list[int]) -> dict[int, float]:
 def wrong_frame(case: TorqueFit) -> Iterator[Fault]:
     """The given inertias, where they explain the torque only if all are read in the distal frames.
 
-    Both readings get each joint's friction, offset, rotor inertia and a gain, so that neither the
-    unit of torque nor what else the model lacks counts.
+    Both readings get each joint's friction, offset, rotor inertia and a gain.
     """
     if (case.robot.phi[::10] <= 0).any():
         return  # links without mass say nothing

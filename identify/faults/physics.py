@@ -202,12 +202,10 @@ def smooth(log: Log) -> Smooth | None:
 
 
 class TorqueFit:
-    """Least squares of a log's filtered torque on everything that is free.
+    """Least squares of a log's filtered torque on everything that is free, by normal equations.
 
-    Normal equations, assembled for any time factor and torque signs. Columns of the links at rest G
-    and what motion adds to them D have the shape (N, nv, 10 nv), those of each joint's own effects
-    F (N, nv, 4). ``size`` is the mean square of each joint's torque, shape (nv,), ``sigma`` the
-    error of each of ``joints`` by parameters of its own. Positions are multiplied by ``factor``.
+    Columns of the links at rest G and what motion adds D, (N, nv, 10 nv), of each joint's own
+    effects F, (N, nv, 4). ``factor`` multiplies positions.
     """
 
     def __init__(
@@ -240,10 +238,7 @@ class TorqueFit:
         return np.asarray(np.maximum(left, 1e-10 * size))
 
     def fit(self, s: float = 1.0, sign: Array | None = None) -> tuple[Array, Array]:
-        """Parameters, shape (14 nv,), and mean square of what is left of each torque, shape (nv,).
-
-        What motion adds is multiplied by s, torques by their sign.
-        """
+        """Parameters and mean square left of each torque; what motion adds is multiplied by s."""
         A, b = self._A[0] + s * self._A[1] + s**2 * self._A[2], self._b[0] + s * self._b[1]
         b = b if sign is None else sign[self.joints, None] * b
         x = _solve(np.tensordot(self.sigma**-2, A, 1), self.sigma**-2 @ b)
@@ -270,11 +265,7 @@ class TorqueFit:
         return float((self.rows * np.log(self.power / power))[self.joints].sum())
 
     def better(self, power: Array, tests: int, freedom: int | None = None) -> bool:
-        """Whether another of some readings, which leaves ``power``, is better beyond chance.
-
-        ``freedom`` counts the parameters that it has more; where the models are not nested (None),
-        as many as the model has, since all of them can adapt to a wrong reading.
-        """
+        """Whether another of some readings, with ``freedom`` more parameters, is beyond chance."""
         ratio = (power / self.power)[self.joints]
         bound = float(scipy.special.chdtri(freedom or self.freedom, ALARM / tests))
         return self.gain(power) > bound and bool(ratio.min() < _HALVED and ratio.max() < 2)
@@ -407,10 +398,9 @@ def _rate(case: TorqueFit) -> Iterator[Fault]:
 
 
 def _torque_signs(case: TorqueFit) -> Iterator[Fault]:
-    """Torques against the given model and against the friction they pay for.
+    """Torques whose gain g on the model, or whose friction power, is negative beyond chance.
 
-    τ_j = g τ_model + F_v q̇ + F_c sign q̇ + I_a q̈ + offset. Gain g and the power that friction takes
-    must not be negative. One that is, beyond chance, flips the sign unless the other objects.
+    τ_j = g τ_model + F_v q̇ + F_c sign q̇ + I_a q̈ + offset; neither may object to the other.
     """
     model = (case.G + case.D) @ case.robot.phi
     bound = normal_bound(2 * len(case.joints))

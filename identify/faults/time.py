@@ -47,7 +47,7 @@ _LISTED = 5  # runs of rows that are spelt out
 
 
 def stamp_faults(log: Log) -> tuple[list[Fault], Rows | None]:
-    """Stamps that are missing, repeat or go back, and the rows at which the clock starts anew.
+    """Stamps that are no numbers, repeat or go back, and rows where the clock starts anew.
 
     None for those where no repair brings the rows into the order of time.
     """
@@ -63,9 +63,7 @@ def stamp_faults(log: Log) -> tuple[list[Fault], Rows | None]:
 def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
     """Samples that are missing between stamps; none before ``starts`` of other parts [s].
 
-    A step counts as a gap when it is nearer to a whole number ≥ 2 of median steps than to one,
-    and when together with either neighbour it is nearer to three than to two: a stamp that came
-    late is made up for by the next, a sample that is missing is not.
+    A stamp that came late is made up for by the next, a sample that is missing is not.
     """
     steps = np.diff(log.t) / log.step
     if len(steps) < 3:
@@ -89,11 +87,7 @@ def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
 
 
 def repeated_rows(log: Log) -> Iterator[Fault]:
-    """Rows that repeat all values of the row before, with a stamp of their own.
-
-    Counted only where some joint moves by several resolutions per sample, so that not one
-    position would repeat by itself; three such rows are no accident.
-    """
+    """Rows that repeat all values of the row before, with a stamp of their own, in motion."""
     same = np.all([(np.diff(x, axis=0) == 0).all(axis=1) for _, x in log.channels()], axis=0)
     moved = np.asarray(log.moving.any(axis=1), bool)
     rows = np.flatnonzero(same & (moved[1:] | moved[:-1])) + 1
@@ -110,11 +104,7 @@ def repeated_rows(log: Log) -> Iterator[Fault]:
 
 
 def hidden_gaps(log: Log) -> Iterator[Fault]:
-    """Rows that are missing though the stamps run on.
-
-    All joints then jump by a whole number m of samples: m is estimated from all joints by least
-    squares and tested against its own scatter.
-    """
+    """Rows that are missing though the stamps run on: all joints jump by m whole samples."""
     rate = np.diff(log.q, axis=0) / np.diff(log.t)[:, None]
     n = len(rate)
     if n < 30:
@@ -174,14 +164,11 @@ def _order_of(log: Log) -> _Order:
 
 
 def _settled(log: Log, rows: Rows, step: float) -> tuple[Rows, Rows] | None:
-    """Of some rows those that sorting puts right, and few to leave out; None when that is not all.
-
-    ``step`` is the usual one [s].
-    """
+    """Of some rows those that sorting puts right, and few to leave out; None when that fails."""
     t = log.t[rows]
     if (np.diff(t) > 0).all():
         return _NONE, _NONE
-    moved = _stray(t, step)
+    moved = np.abs(t - _smoothed(t)) > _STRAY * step
     near = t[~moved]
     behind = near < np.maximum.accumulate(near)
     ahead = near > np.minimum.accumulate(near[::-1])[::-1]
@@ -194,19 +181,12 @@ def _settled(log: Log, rows: Rows, step: float) -> tuple[Rows, Rows] | None:
     return rows[moved & ~unfit], rows[unfit]
 
 
-def _stray(t: Array, step: float) -> Mask:
-    return np.asarray(np.abs(t - _smoothed(t)) > _STRAY * step, bool)
-
-
 def _smoothed(t: Array) -> Array:
     return np.asarray(scipy.ndimage.median_filter(t, 2 * _SHORT + 1, mode="nearest"))
 
 
 def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:
-    """Of rows sorted by time, the moved ones that do not belong where sorting puts them.
-
-    ``order`` says which rows they were before, ``moved`` which were out of order.
-    """
+    """Of rows sorted by time, the moved ones that do not belong where sorting puts them."""
     one, two = (np.median(np.abs(q[k:] - q[:-k]), axis=0) for k in (1, 2))
     steps, change = np.diff(t), np.abs(np.diff(q, axis=0))
     gap = steps > longest_step(step)
@@ -228,7 +208,7 @@ def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:
 def _cut(log: Log, rows: Rows, again: Rows, step: float) -> _Order:
     """The order of a log whose clock starts anew, if that is what it did."""
     t = log.t
-    clear = rows[~_stray(t[rows], step)]
+    clear = rows[np.abs(t[rows] - _smoothed(t[rows])) <= _STRAY * step]
     falls = np.flatnonzero(np.diff(_smoothed(t[clear])) < 0) + 1
     if not len(falls):
         return _Order(again, unclear="its rows fit nowhere else")

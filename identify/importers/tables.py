@@ -69,55 +69,31 @@ def table_of_frame(frame: pd.DataFrame, file: str, notes: tuple[str, ...] = ()) 
 
 
 def parquet_table(path: Path) -> Table:
-    """The log in a Parquet file; a column of lists becomes ``name[0]``, ``name[1]``, ..."""
+    """The log in a Parquet file."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    kinds = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
-    with pq.ParquetFile(path) as file:
-        schema = file.schema_arrow
-        lists = [each.name for each in schema if any(is_kind(each.type) for is_kind in kinds)]
-        first = next(file.iter_batches(1, columns=lists), None) if lists else None
-    rows = first.to_pylist() if first is not None else []
-    widths = {name: len(rows[0][name] or ()) if rows else 0 for name in lists}
-
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
-        logged = None
-        if columns is not None:
-            logged = [each.name for each in schema if each.name in columns or each.name in widths]
+        wanted = None if columns is None else [name for name in names if name in columns]
         try:
             with pq.ParquetFile(
                 path, pre_buffer=False, buffer_size=_BUFFER, page_checksum_verification=True
             ) as file:
                 if rows is None:
-                    yield _frame(file.read(columns=logged, use_threads=False), widths, path)
+                    yield framed(file.read(columns=wanted, use_threads=False))
                     return
-                for batch in file.iter_batches(rows, columns=logged, use_threads=False):
-                    yield _frame(pa.Table.from_batches([batch]), widths, path)
+                for batch in file.iter_batches(rows, columns=wanted, use_threads=False):
+                    yield framed(batch)
         except (pa.ArrowException, OSError, ValueError) as error:
             raise unreadable(path, error) from None
 
-    names = [name for each in schema for name in _spread(each.name, widths)]
-    return Table(str(path), tuple(names), frames)
+    def framed(table: Any) -> pd.DataFrame:
+        columns = [pd.Series(each.to_pandas()) for each in table.columns]
+        frame = pd.concat(columns, axis=1) if columns else pd.DataFrame()
+        return frame.set_axis(table.schema.names, axis=1)
 
-
-def _spread(name: str, widths: Mapping[str, int]) -> list[str]:
-    return [f"{name}[{k}]" for k in range(widths[name])] if name in widths else [name]
-
-
-def _frame(table: Any, widths: Mapping[str, int], path: Path) -> pd.DataFrame:
-    columns: list[Any] = []
-    for name, column in zip(table.column_names, table.columns, strict=True):
-        values = column.to_pandas(ignore_metadata=True)
-        if name in widths:
-            lengths = values.map(lambda value: 0 if value is None else len(value))
-            for row in np.flatnonzero(lengths != widths[name]):
-                why = f"holds {lengths[row]} values, the first row {widths[name]}; remove it"
-                raise BadRecording(path, why, row=int(row), column=name)
-            values = pd.DataFrame(values.tolist(), columns=range(widths[name]))
-        columns.append(values)
-    frame = pd.concat(columns, axis=1) if columns else pd.DataFrame()
-    return frame.set_axis([n for name in table.column_names for n in _spread(name, widths)], axis=1)
+    names = tuple(pq.read_schema(path).names)
+    return Table(str(path), names, frames)
 
 
 def npz_table(path: Path) -> Table:
@@ -300,9 +276,12 @@ def in_seconds(values: pd.Series, unit: Unit | None) -> tuple[Array, Array]:
     dated, lasting = unit == ISO or _is_date(values), pd.api.types.is_timedelta64_dtype(values)
     if dated or lasting:
         values = _dates(values) if dated else values
-        kind: Any = "datetime64[us, UTC]" if dated else "timedelta64[us]"
-        ticks, per_second = values.astype(kind).astype("int64").to_numpy(), 1_000_000
-        bad = values.isna().to_numpy()
+        kind: Any = "datetime64[{}, UTC]" if dated else "timedelta64[{}]"
+        try:
+            stamps, per_second = values.astype(kind.format("ns")), 1_000_000_000
+        except (pd.errors.OutOfBoundsDatetime, pd.errors.OutOfBoundsTimedelta, OverflowError):
+            stamps, per_second = values.astype(kind.format("us")), 1_000_000
+        ticks, bad = stamps.astype("int64").to_numpy(), values.isna().to_numpy()
     else:
         scale = (factor("t", unit) or 1.0) if isinstance(unit, str) else unit or 1.0
         whole = pd.api.types.is_integer_dtype(values) and not values.isna().any()

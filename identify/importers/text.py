@@ -42,11 +42,7 @@ class _Dialect:
 
 
 def text_table(path: Path) -> Table:
-    """The log in a text file.
-
-    Raises:
-        BadRecording: No text, or no line that could name columns.
-    """
+    """The log in a text file."""
     dialect = _dialect_of(path)
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
@@ -201,10 +197,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _first_row(lines: Sequence[str], separator: str) -> int | None:
-    """The first line with most cells numbers, when the line of names before it has as many cells.
-
-    A separator at the end of a line makes no cell.
-    """
+    """The first line of mostly numbers, when the names before it are as many."""
     for k, line in enumerate(lines):
         cells = _cells(line, separator)
         numbers = sum(map(_is_number, cells))

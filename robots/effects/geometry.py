@@ -6,7 +6,7 @@ All are linear in their coefficients to first order, at the given model's torque
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -103,7 +103,7 @@ class KinematicError(_GeometryEffect):
 def _moved(robot: Robot, j: int, step: Array) -> Robot:
     model = robot.model.copy()
     model.jointPlacements[j + 1].translation = model.jointPlacements[j + 1].translation + step
-    return robot.with_model(model)
+    return replace(robot, model=model)
 
 
 @registered

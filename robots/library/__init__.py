@@ -15,29 +15,17 @@ from excitant.robots.loading import builtin_record, builtin_robots, load_robot
 
 @dataclass(frozen=True)
 class ArmEntry:
-    """One built-in arm.
-
-    Attributes:
-        name: Its name.
-        kind: What it is.
-        revolute: Number of joints that turn.
-        prismatic: Number of joints that slide.
-        payload: What it may carry [kg]; None where nobody says.
-        weight: What it weighs with its base, as published [kg]; None where nobody says.
-        moving_mass: What its joints move in the model [kg].
-        source: Where its inertias come from, in a few words.
-        sources: Sources of all numbers, and which are only representative.
-    """
+    """One built-in arm."""
 
     name: str
     kind: str
-    revolute: int
-    prismatic: int
-    payload: float | None
-    weight: float | None
-    moving_mass: float
-    source: str
-    sources: str
+    revolute: int  # number of joints that turn
+    prismatic: int  # number of joints that slide
+    payload: float | None  # what it may carry [kg]; None where nobody says
+    weight: float | None  # with its base, as published [kg]; None where nobody says
+    moving_mass: float  # what its joints move in the model [kg]
+    source: str  # where its inertias come from, in a few words
+    sources: str  # sources of all numbers, and which are only representative
 
     @property
     def joints(self) -> int:
@@ -82,29 +70,3 @@ def catalogue_rows() -> list[tuple[str, ...]]:
         ]
         rows.append((arm.name, joints, arm.kind, *numbers, arm.source))
     return rows
-
-
-def catalogue_page() -> str:
-    """The page of the documentation that lists the arms (Markdown)."""
-    heads, *rows = catalogue_rows()
-    table = ["| " + " | ".join(heads) + " |", "|" + " --- |" * len(heads)]
-    table += ["| `" + "` | ".join((row[0], " | ".join(row[1:]))) + " |" for row in rows]
-    notes = [f"**{arm.name}.** {arm.sources}" for arm in catalogue()]
-    return "\n".join((_HEAD, *table, "", _NOTES, "", "\n\n".join(notes), ""))
-
-
-_HEAD = """\
-# Built-in arms
-
-Every arm has kinematics, masses and inertias, limits of position, speed, acceleration and torque,
-friction and rotor inertia, and rough collision shapes. No meshes, nothing to download.
-`excitant robots NAME` prints one arm with its joints, links and what looks odd about its numbers;
-`excitant robots NAME -o DIR` draws it. *Mass* is what the maker says of the whole arm, *moving*
-what the joints carry in the model. This page is written by
-`excitant.robots.library.catalogue_page()`.
-"""
-_NOTES = """\
-## Sources
-
-What is not published is called representative or assumed in the arm's file: good for trying things
-out, not for your arm."""

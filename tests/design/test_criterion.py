@@ -36,7 +36,7 @@ def test_what_rounded_angles_show_is_not_counted() -> None:
     for placement in model.jointPlacements:
         roll, pitch, yaw = pin.rpy.matrixToRpy(placement.rotation)
         placement.rotation = pin.rpy.rpyToMatrix(*np.round([roll, pitch, yaw], 4))
-    rounded = arm.with_model(model)
+    rounded = replace(arm, model=model)
     effects = standard_effects(arm.joints)
     assert len(base_parameters(rounded, effects)) > len(base_parameters(arm, effects))
     exact, seen = (information(robot, "friction") for robot in (arm, rounded))

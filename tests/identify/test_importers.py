@@ -340,17 +340,6 @@ def test_arrays_that_do_not_fit_are_refused(ur10: Robot, tmp_path: Path) -> None
             load_recording(tmp_path / "a.mat", ur10)
 
 
-def test_lists_in_parquet(ur10: Robot, tmp_path: Path) -> None:
-    log = pd.DataFrame({"stamp": T, "q": list(Q), "dq": list(DQ), "tau": list(TAU)})
-    log.to_parquet(tmp_path / "a.parquet")
-    assert_read(tmp_path / "a.parquet", ur10)
-    log.at[7, "q"] = Q[7, :5]
-    log.to_parquet(tmp_path / "a.parquet")
-    with pytest.raises(BadRecording, match="holds 5 values, the first row 6") as refusal:
-        load_recording(tmp_path / "a.parquet", ur10)
-    assert (refusal.value.row, refusal.value.column) == (7, "q")
-
-
 @pytest.fixture
 def write_bag(ur10: Robot, write_joint_states: Callable[..., None]) -> Callable[..., None]:
     """Joint states in the order of ROS, with a gripper, and messages of another node."""

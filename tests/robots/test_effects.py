@@ -154,7 +154,7 @@ def test_in_a_simulation_it_makes_the_torque_of_its_columns(
             forward_model(robot)
         return
     model, inertia, state = forward_model(robot)
-    bodies = planar.with_model(model)
+    bodies = replace(planar, model=model)
     motion = random_states(planar, 9, 20)
     assert (np.abs(motion.dq) > REST).all()
     changed = rigid_body_torque(bodies, motion) - rigid_body_torque(planar, motion)
