@@ -130,7 +130,6 @@ def _matrix(links: list[Result]) -> p.Matrix | None:
 
 
 def _motion(result: Result, series: Series) -> p.Blocks:
-    """How well a motion excites, what it does not show, and each base parameter."""
     said = v.text(result, "persistency", "sentence")
     if isinstance(v.at(result, "persistency", "persistent"), bool):
         said = f"this motion is {said}"
@@ -159,13 +158,11 @@ def _motion(result: Result, series: Series) -> p.Blocks:
 
 
 def _determined(row: Result) -> p.Cell:
-    """The verdict on a base parameter, in the tone of its relative std where it has none."""
     verdict = v.plain(v.text(row, "verdict"))
     return p.Cell(verdict or NONE, _TONES.get(verdict, p.quality(v.real(row, "rel_std"))))
 
 
 def _weakest(result: Result) -> p.Blocks:
-    """Directions that the motion does not show or shows worst, and correlated estimates."""
     names = [v.text(row, "name") for row in v.records(result, "practical")]
     numbers = {name.split(" ")[0]: f"{k}: " for k, name in enumerate(names, start=1)}
 

@@ -86,7 +86,9 @@ def arm_figure(series: Series) -> Figure | None:
     if zero is None:
         return None
     views = [_SIDE, _FRONT, _ABOVE]
-    views.remove(min(views, key=lambda each: _area(zero.outermost(each), each)))
+    views.remove(
+        min(views, key=lambda x: np.prod(np.ptp(zero.outermost(x) @ x.screen[:2].T, axis=0)))
+    )
     panels = [_arm_panel(zero, view, f"at zero, {view.name}") for view in views]
     if bent is not None:
         panels.append(_arm_panel(bent, _CORNER, f"bent, {_CORNER.name}"))
@@ -102,10 +104,6 @@ def arm_figure(series: Series) -> Figure | None:
         *[Key("box", _FILLS[0][0], "solids of the links")] * bool(len(zero.solids)),
     )
     return Figure(tuple(panels), caption, legend)
-
-
-def _area(points: Array, view: _View) -> float:
-    return float(np.prod(np.ptp(points @ view.screen[:2].T, axis=0)))
 
 
 def _arm(series: Series, name: str) -> _Arm | None:
@@ -151,7 +149,6 @@ def _outline(ends: Array, radius: float) -> Array:
 
 
 def _draw_axis(ax: Any, centre: Array, axis: Array, size: float) -> None:
-    """An arrow along the axis, or a ring where it points to the eye or away from it."""
     if np.linalg.norm(axis[:2]) < 0.3:
         ax.plot(*centre, "o", ms=8.0, mfc="none", mec=draw.GIVEN, mew=1.0, zorder=4)
         if axis[2] < 0:
@@ -332,7 +329,6 @@ def _block(low: Array, high: Array, R: Array, origin: Array) -> Solid:
 def _plane(
     normal: Array, offset: float | None, low: Array, high: Array, reach: float
 ) -> Solid | None:
-    """The surface of a half-space beside a block; its sides run along the axes where they can."""
     if offset is None:
         return None
     n, d = normal / np.linalg.norm(normal), offset / float(np.linalg.norm(normal))

@@ -244,7 +244,6 @@ def _worst_ratio(result: Result) -> float | None:
 
 
 def _limits(result: Result) -> p.Blocks:
-    """The worst share of each limit, and the certified share joint by joint."""
     names, certified = v.joint_names(result), v.at(result, "certified")
 
     def joint(row: Result) -> str:
@@ -289,7 +288,6 @@ def _limits(result: Result) -> p.Blocks:
 
 
 def _weakest(result: Result) -> p.Blocks:
-    """The weakest base parameters and combinations of them, before and after."""
     weights = v.reals(result, "joint_weights")
     equal = not len(weights) or bool(np.all(weights == weights[0]))
     weighted = "" if equal else " (joints differ as the noise given for the design)"

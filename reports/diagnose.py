@@ -70,7 +70,6 @@ def diagnose_section(result: Result, series: Series) -> p.Section:
 
 
 def _pairs(result: Result) -> list[Result]:
-    """Errors of both models, one record a joint."""
     found: dict[str, dict[str, object]] = {}
     for model in ("simulation", "extended"):
         for row in v.records(result, model, "joints"):
@@ -138,7 +137,6 @@ def _verdict(finding: Result) -> p.Cell:
 
 
 def _finding_parts(findings: list[Result], series: Series, unit: str) -> p.Parts:
-    """The leading findings in parts of their own, the others folded in one."""
     parts: p.Parts = []
     others: p.Blocks = []
     for k, finding in enumerate(findings):
@@ -225,7 +223,6 @@ def _rivals(finding: Result) -> p.Table | None:
 
 
 def _shares(result: Result, left: bool, unit: str) -> p.Table | None:
-    """Share of each joint's squared error by quantity, of the given model or of what is left."""
     rows = [
         {"joint": v.text(row, "name"), **((v.at(row, "left") or {}) if left else row)}
         for row in v.records(result, "error", "joints")
@@ -253,7 +250,6 @@ def _shares(result: Result, left: bool, unit: str) -> p.Table | None:
 
 
 def _refit(result: Result, unit: str) -> p.Blocks:
-    """What other inertias would explain, and how far each link would have to change for that."""
 
     def deviations(key: str) -> p.Column:
         return ("number:in std", f"deviations.{key}", lambda x: v.number(x, 2))

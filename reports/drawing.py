@@ -86,7 +86,6 @@ def style() -> Iterator[None]:
 
 
 def _begin() -> None:
-    """Set the style unless the style around this drawing is set already."""
     import matplotlib as mpl
 
     stack = _open.get()
@@ -104,10 +103,9 @@ def axes(
     top: float = _TOP,
     space: float = 0.16,
 ) -> list[Axes]:
-    """Axes one above the other with a common abscissa.
+    """Axes one above the other with a common abscissa, heights in these ratios; sizes in inch.
 
-    The height of the drawing and its margins are in inch, ``ratios`` are the heights of the axes
-    in proportion, ``space`` between them is a share of their mean height.
+    The ``space`` between them is a share of their mean height.
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -236,7 +234,6 @@ def single(
 
 
 def _svg(figure: Figure, label: str) -> str:
-    """SVG element for a page: no namespaces, unique ids, short coordinates."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", dpi=200, metadata={"Date": None, "Creator": None})
     raw = buffer.getvalue()
@@ -268,10 +265,7 @@ def _shorten_path(found: re.Match[str]) -> str:
 
 
 def timeline(t: Array) -> tuple[Array, list[int]]:
-    """Time with each recording after the one before, and the first index of each later one.
-
-    In the given time (n,) [s], the next recording begins where time falls.
-    """
+    """Time of joined recordings, each after the one before, and the first row of each later one."""
     step = np.diff(t)
     joins = [int(k) + 1 for k in np.flatnonzero(step <= 0)]
     usual = float(np.median(step[step > 0])) if (step > 0).any() else 1.0

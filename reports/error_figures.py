@@ -317,7 +317,6 @@ def _along(x: Array, y: Array, bins: int, fewest: int | None = None) -> tuple[Ar
 
 
 def _curve(ax: draw.Axes, x: Array, y: Array, **look: Any) -> None:
-    """Draw a fitted effect along the abscissa, broken where nothing was measured."""
     along, height = _along(x, y, _CURVE, 1)
     gaps = np.flatnonzero(np.diff(along, prepend=along[:1]) > _WIDE * np.ptp(along))
     ax.plot(np.insert(along, gaps, np.nan), np.insert(height, gaps, np.nan), **look)

@@ -171,7 +171,6 @@ def _intervals(result: Result, unit: str) -> p.Table | None:
 
 
 def _base_parameters(result: Result) -> p.Blocks:
-    """How many base parameters are essential, where that was asked, and all of them."""
     kept, dropped = (len(v.words(result, "essential", key)) for key in ("kept", "dropped"))
     few, every = (v.real(result, "essential", key) for key in ("nrmse_essential", "nrmse_all"))
     said = (

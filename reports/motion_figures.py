@@ -126,7 +126,6 @@ def _against(
     name: str,
     joint: int,
 ) -> str:
-    """Limit lines, certified band and its point of contact; what they say in words."""
     limits, within = _limit_of(result, name, joint), envelope_of(result, name, joint)
     lowest, highest = float(np.nanmin(y)), float(np.nanmax(y))
     ratio, far = None, ""
@@ -223,7 +222,6 @@ def convergence_figure(result: Result) -> Figure | None:
     count = f"{len(starts)} starts; best ends at {v.number(ends[best])}"
     caption = "Each start of the optimisation, a dot where it ended: several that end at the same "
     caption += "value suggest that a much better motion does not exist."
-    cut = sum(v.text(row, "status").replace("_", " ") == "time limit" for row, _ in starts)
-    if cut:
+    if cut := sum(v.text(row, "status") in ("time_limit", "time limit") for row, _ in starts):
         caption += f" The time limit ended {cut} of these {len(starts)}: more time may find better."
     return draw.single(ax, f"condition number over iterations of {count}", caption, legend)

@@ -21,10 +21,7 @@ _BAND = 2.0  # standard deviations
 
 
 class History(NamedTuple):
-    """Estimates and standard deviations (k, r) of r base parameters at k times [s].
-
-    Each has the name of its leading parameter and its unit, which is empty where unknown.
-    """
+    """Estimates and std (k, r) at k times, r leading parameters and their units, if known."""
 
     t: Array
     value: Array
@@ -70,7 +67,6 @@ def estimates_figure(history: History | None) -> Figure | None:
 
 
 def _chosen(history: History) -> list[int]:
-    """Parameters whose uncertainty fell most: of links and of joints, one of each at most."""
     with np.errstate(divide="ignore", invalid="ignore"):
         gain = np.log(history.std[0] / history.std[-1])
     order = np.argsort(-np.where(np.isfinite(gain), gain, -np.inf), kind="stable")
@@ -164,7 +160,6 @@ def convergence_figure(result: Result) -> Figure | None:
 
 
 def _by_joint(result: Result, key: str, looks: int, joints: int) -> Array | None:
-    """A quantity of every look and joint, shape (looks, joints); None where it has another."""
     rows = [v.reals({key: row}, key) for row in v.items(result, "online", "history", key)]
     fits = len(rows) == looks and all(len(row) == joints for row in rows)
     return np.array(rows) if fits else None

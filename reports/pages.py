@@ -49,11 +49,7 @@ _REMARKS = {
 
 
 def page_of(result: Result, series: Series) -> Page:
-    """The page of a result.
-
-    Args:
-        result: Content of ``result.json``; the page leaves out what it lacks.
-        series: Content of ``series.npz``; without it, the page has no curves.
+    """The page of ``result.json`` and ``series.npz``, without what these lack.
 
     Raises:
         BadInput: The result's ``verb`` is none that has a report.
@@ -131,7 +127,6 @@ def _verdict(result: Result) -> Fact:
 
 
 def _holdout(result: Result) -> Fact:
-    """Error of the hidden effect's joint without and with it, else of all joints."""
     diagnosis, joint = v.at(result, "diagnose"), v.text(result, "truth", "joint")
     unit, label = v.text(diagnosis, "unit") or "N·m", "Hold-out error, before → after"
     for finding in v.records(diagnosis, "findings"):
@@ -157,10 +152,7 @@ class SavedRun:
 def compare(*runs: SavedRun) -> dict[str, Any]:
     """Figures of several runs of one command, with differences and ratios to the first.
 
-    Their pages are walked: facts and the tables of the same heading, row by row.
-
-    Returns:
-        A result of its own (``verb`` is ``compare``).
+    It is a result of its own (``verb`` is ``compare``).
 
     Raises:
         BadInput: Fewer than two runs, more than there are letters, or runs of different commands.
@@ -199,7 +191,6 @@ def compare(*runs: SavedRun) -> dict[str, Any]:
 
 
 def _remarks(runs: Sequence[SavedRun]) -> list[str]:
-    """What keeps the figures of the runs from being compared one to one."""
     found = []
     for key, said in _REMARKS.items():
         for part in ((), ("design",), ("identify",), ("analyze",), ("diagnose",)):  # of a demo
@@ -225,7 +216,6 @@ def _same_rows(series: Sequence[Series]) -> bool:
 
 
 def _compared(pages: Sequence[Page], judged: bool) -> list[dict[str, Any]]:
-    """Figures by section and table, each with what every page says and how far that differs."""
     walked = [_figures(page) for page in pages]
     sections: dict[str, dict[tuple[str, str], list[dict[str, Any]]]] = {}
     for key in dict.fromkeys(key for figures in walked for key in figures):
@@ -337,7 +327,6 @@ def _count(each: Result) -> str:
 
 
 def _table(found: Result, letters: Sequence[str]) -> p.Table | None:
-    """The figures of all runs side by side, then what each has other than the first."""
     rows = v.records(found, "rows")
 
     def value(row: Result, key: str, k: int) -> float | None:

@@ -24,10 +24,7 @@ _ASCII = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
 def html(page: Page) -> str:
-    """A page as one HTML file: no network, figures inside.
-
-    Its one script enlarges figures; the page allows no other, and can do without it.
-    """
+    """A page as one HTML file: no network, figures inside, one script, which enlarges them."""
     from markupsafe import Markup
 
     script = _template("report.js")
@@ -68,8 +65,7 @@ def _breakable(name: str) -> Markup:
 def summary(page: Page) -> str:
     """A page as text of fixed columns, so that two runs compare with ``diff``.
 
-    The layout follows the fit reports of lmfit. Figures are left out, and so are durations of the
-    computation and paths: a line changes only when what it says has changed.
+    Figures, durations of the computation and paths are left out.
     """
     lines = [f"[[{page.title}]]"]
     for block in page.summary:
@@ -103,7 +99,6 @@ def _brief(section: Section) -> Iterator[tuple[str, str]]:
 
 
 def _plain(line: str) -> str:
-    """A line without typography or breaks: what other programs read too."""
     line = re.sub(r"×10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", lambda e: "e" + e[1].translate(_ASCII), line)
     return re.sub(r"[\s\u00a0]", " ", line).replace("−", "-").rstrip()
 
@@ -117,7 +112,6 @@ def _parts(section: Section) -> list[str]:
 
 
 def _block(block: Block) -> list[str]:
-    """Lines of one block; none for figures."""
     match block:
         case Notes():
             label = f"{block.brief}: " if block.brief else ""
@@ -146,13 +140,7 @@ def _block(block: Block) -> list[str]:
 def table_lines(
     columns: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]], indent: str = ""
 ) -> list[str]:
-    """A table as text, its head first; expressions, as long as they like, stand last.
-
-    Args:
-        columns: Heading and kind of each.
-        rows: Texts, one per column.
-        indent: What every line begins with.
-    """
+    """A table as text, its head (heading and kind) first; expressions stand last."""
     order = sorted(range(len(columns)), key=lambda k: columns[k][1] == "expression")
     written = [[" ".join(row[k].split()) for k in order] for row in rows]
     lines = [indent] * (len(rows) + 1)

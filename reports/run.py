@@ -77,11 +77,7 @@ def as_saved(
 
 
 def load_run(directory: str | Path) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Result and series of a run directory.
-
-    Raises:
-        BadInput: A file is missing or corrupt.
-    """
+    """Result and series of a run directory; BadInput when a file is missing or corrupt."""
     directory = Path(directory)
     if not directory.is_dir():
         raise BadInput(f"{directory}: no such folder; give the folder that a run was written to")
@@ -124,7 +120,6 @@ def _dump(result: Mapping[str, Any]) -> bytes:
 
 
 def _plain(value: Any, where: str) -> Any:
-    """The value in JSON's own types; what is not finite becomes None."""
     if value is None or isinstance(value, bool):
         return value
     if isinstance(value, str | Path):
@@ -228,10 +223,7 @@ class Report:
 
 
 def report(noun: Reportable) -> Report:
-    """The page that the command line would write of a result, figures included.
-
-    Args:
-        noun: A design, an estimate, an identifiability, a diagnosis or a rehearsal.
+    """The page of a design, estimate, identifiability, diagnosis or rehearsal.
 
     Raises:
         BadInput: Something else.
