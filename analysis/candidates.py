@@ -95,18 +95,12 @@ def gather(
     *,
     identified: bool = False,
 ) -> Evidence:
-    """Evidence for all that may be wrong with a robot.
+    """Evidence for all that may be wrong with a given robot, which has its effects.
 
-    Args:
-        robot: The given robot with its effects.
-        train: What the candidates are to explain, of the robot as understood so far; effects that
-            rest on torque take it from there.
-        tau: Measured torque at the rows, shape (n, nv) [N·m].
-        metric: Bodies that tolerances are relative to, shape (nv, 10).
-        believed: Causes in the robot as understood so far; they are considered again, and with
-            them shapes close to theirs.
-        identified: Whether all given values are as open as in an identification, and only effects
-            beyond the standard model are considered; else given values are right to ±10 %.
+    Torque tau [N·m] at the rows of ``train`` is to be explained, which is of the robot as known so
+    far; causes believed in it are considered again, and shapes close to theirs. Tolerances are
+    relative to the bodies of the metric (nv, 10): ±10 %, or, where the arm is identified, as open
+    as in an identification, and then only effects beyond the standard model are considered.
     """
     given, segments = train.by(robot), train.segments
     known = train.matrix(robot.effects)[:, :, 10 * robot.nv :]
@@ -147,13 +141,7 @@ def gather(
 
 
 def coefficient_sizes(parameters: Sequence[Parameter], columns: Array, torque: Array) -> Array:
-    """What coefficients are small against when only data decide, shape (e,).
-
-    Args:
-        parameters: The coefficients.
-        columns: Their columns, shape (n, joints, e).
-        torque: Torque of these joints, shape (n, joints).
-    """
+    """What coefficients of columns (n, joints, e) are small against when only data decide, (e,)."""
     typical = np.array([p.typical if p.typical is not None else np.nan for p in parameters])
     return np.where(np.isnan(typical), implausible_size(columns, torque), typical)
 
@@ -161,7 +149,6 @@ def coefficient_sizes(parameters: Sequence[Parameter], columns: Array, torque: A
 def _coordinates(
     robot: Robot, effect: Effect, metric: Array, columns: Array, torque: Array
 ) -> tuple[Array, Array]:
-    """Scale of a candidate's coordinates and their prior precision."""
     if effect.role == "link":
         return link_coordinates(metric[effect.rows(robot)]), link_weights(1, WRONG_LINK) ** 2
     if effect.role == "body":

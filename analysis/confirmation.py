@@ -187,7 +187,6 @@ class Extender:
     def _effect_prior(
         self, effects: Sequence[Effect], chosen: Sequence[Candidate], columns: Array
     ) -> EffectPrior:
-        """Given coefficients within tolerance; those found, free."""
         robot = self.held.observed.robot
         free = {p.name for c in chosen for p in c.effect.parameters(robot)}
         scalar = [e for e in effects if e.role != "body"]
@@ -228,7 +227,6 @@ def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> Extension:
 
 
 def _least(robot: Robot, fit: Extension, kept: set[Candidate]) -> Candidate | None:
-    """The cause that pays least, if one does not pay and nothing rests on it."""
     for k in np.argsort([finding.margin for finding in fit.findings], kind="stable"):
         candidate: Candidate = fit.chosen[k]
         if fit.findings[k].pays:
@@ -288,7 +286,6 @@ def _relative_gain(error: Array, torque: Array) -> tuple[float, float]:
 
 
 def _coefficients(robot: Robot, fit: Extension, effect: Effect) -> tuple[Array, Array, Array]:
-    """Coefficients of a cause in the extended and the given model, and standard deviations."""
     if effect.role == "link":
         j = robot.joint_index(effect.joints[0])
         part = slice(10 * j, 10 * j + 10)

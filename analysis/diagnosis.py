@@ -243,15 +243,13 @@ class Diagnosis:
 
 
 def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[str, Any]:
-    """One cause on the joints of a group."""
     lead, robot = group[0], diagnosis.robot
     before, after = diagnosis.before_and_after(group)
     parameters = [
-        {"name": p.name, "value": value, "std": std, "unit": p.unit, "given": given}
+        {"name": p.name, "value": (f.effect.values or ())[k], "std": f.std[k], "unit": p.unit}
+        | {"given": f.given[k]}
         for f in group
-        for p, value, std, given in zip(
-            f.effect.parameters(robot), f.effect.values or (), f.std, f.given, strict=True
-        )
+        for k, p in enumerate(f.effect.parameters(robot))
     ]
     shapes: list[dict[str, Any]] = [
         {"name": f"{f.effect.joints[0]}.{s.name}", "value": getattr(f.effect, s.name)}
@@ -283,7 +281,6 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[s
 
 
 def _unknown(diagnosis: Diagnosis, left: Residual) -> dict[str, Any]:
-    """What no candidate explains."""
     return {
         "effect": "unknown",
         "joints": [left.joint],
@@ -385,7 +382,6 @@ def _understood(first: Extender, refuted: frozenset[Key] = frozenset()) -> Exten
 def _waterfall(
     given: Array, extended: Array, findings: Sequence[Finding]
 ) -> tuple[tuple[str, float], ...]:
-    """Error over all joints as causes are added to the given model in order of importance."""
     steps, errors = ["given model"], [given]
     for finding in findings:
         errors.append(errors[-1] - finding.torque)

@@ -55,11 +55,6 @@ class Separation:
     repetitions: int | None  # runs until `diagnose` decides; None where `MOST_RUNS` do not do
 
     @property
-    def deviations(self) -> float:
-        """√Δ: by how many standard deviations the two differ."""
-        return float(np.sqrt(max(self.delta, 0.0)))
-
-    @property
     def enough(self) -> bool:
         """Whether `diagnose` decides, at a stricter level where both still look alike."""
         return self.delta >= needed(level=_ALIKE_LEVEL if self.cosine > ALIKE else LEVEL)
@@ -199,7 +194,6 @@ class Contest:
         return effect.alternatives(self._facts[self.robot.joint_index(effect.joints[0])])
 
     def _places(self, effect: Effect) -> list[int]:
-        """Columns of a cause, among those after the given values'."""
         at, skip = self.causes[effect.bare()], len(self.precision)
         return list(range(at.start - skip, at.stop - skip))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -164,19 +165,16 @@ class _Search:
         return steps[0]
 
     def _kept(self, trajectory: FourierTrajectory) -> FourierTrajectory | None:
-        """The trajectory within all limits, certified; None where that fails."""
         kept = within_limits(self.robot, trajectory, self.scene, CLEARANCE)
         return kept if isinstance(kept, FourierTrajectory) else None
 
     def _clear(self, trajectory: FourierTrajectory) -> bool:
-        """Whether poses along a trajectory keep their distance."""
         if self.scene is None:
             return True
         poses = trajectory(np.linspace(0.0, trajectory.period, _POSES))
         return bool(self.scene.distances(poses).min() > CLEARANCE)
 
     def _random(self, harmonics: int) -> FourierTrajectory | None:
-        """A random motion of fewer harmonics than the series has."""
         series = self.series
         try:
             drawn = random_trajectory(self.robot, self.rng, series.period, harmonics)
@@ -217,7 +215,6 @@ class _Search:
         return None
 
     def _changed(self, trajectory: FourierTrajectory, step: float) -> FourierTrajectory | None:
-        """A motion nearby: another pose, larger or smaller movements, other waves."""
         series, rng = self.series, self.rng
         X, half = trajectory.coefficients.copy(), position_range(self.robot.limits)[1]
         pose = X[0] + step * 0.3 * half * rng.normal(size=self.robot.nv) * (rng.uniform() < 0.5)
@@ -255,7 +252,6 @@ class _Search:
 
 
 def _worth(deltas: Array) -> float:
-    """How much a motion settles: pairs first, then how well."""
     if not len(deltas):
         return -np.inf
     return float(np.log(np.clip(deltas, 0.1, _PLENTY * needed())).sum())
@@ -275,7 +271,6 @@ def _envelope(series: FourierSeries, rng: np.random.Generator) -> Array:
 
 
 def _wave(series: FourierSeries, rng: np.random.Generator) -> Array:
-    """A few random harmonics, low ones mostly, shape (c,), norm 1."""
     h = np.arange(1, series.harmonics + 1)
     top = np.exp(rng.uniform(np.log(2), np.log(series.harmonics)))
     size = np.where(h <= max(top, 3), 1 / h ** rng.uniform(0, 2), 0.0)
@@ -291,7 +286,6 @@ def _at_rest(series: FourierSeries, x: Array) -> Array:
 
 
 def _within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
-    """The arm, limits that it does not state set to what the recording reached."""
     limits = robot.limits
     if not recorded:
         return robot
@@ -333,7 +327,6 @@ def plan(diagnosis: Diagnosis, rng: np.random.Generator, *, time_limit: float = 
 
 
 def _contest(diagnosis: Diagnosis) -> Contest:
-    """The rivals of a diagnosis, with the noise that its hold-out shows."""
     open_ = [f for f in diagnosis.findings if f.rivals and f.explained >= _MATTERS]
     counts = diagnosis.held.moves
     error = diagnosis.left * diagnosis.held.gains * counts
@@ -374,19 +367,14 @@ def _friction(robot: Robot, found: Effect, rival: Effect, others: Sequence[Effec
 
 def _surroundings(diagnosis: Diagnosis) -> Scene | None:
     """The arm's own bodies, where the recording bears out their shapes."""
-    try:
+    q, found = diagnosis.states[0], None
+    with suppress(ValueError, RuntimeError):
         found = scene(diagnosis.robot)
-    except (ValueError, RuntimeError):
-        return None
-    if found is None:
-        return None
-    q = diagnosis.states[0]
-    nearest = found.distances(q[:: max(1, len(q) // 100)]).min()
-    return found if nearest > _NEAREST else None
+    near = found is None or found.distances(q[:: max(1, len(q) // 100)]).min() <= _NEAREST
+    return None if near else found
 
 
 def _best(motions: Sequence[Discriminating], index: int) -> Discriminating | None:
-    """The motion that separates a pair best, if any does in a number of runs."""
     able = [motion for motion in motions if motion.separations[index].repetitions]
     return max(able, key=lambda m: m.separations[index].delta, default=None)
 
@@ -398,16 +386,15 @@ def _experiment(
     best: Discriminating | None,
     motions: Sequence[Discriminating],
 ) -> Advice:
-    """The motion to run for a pair, or the action where none helps."""
     action = pair.found.told_from(pair.rival)
     if best is None:
         return Advice(f"no motion within the limits was found to tell them apart: {action}")
-    separated, runs = best.separations[index], best.separations[index].repetitions
+    runs, deviations = best.separations[index].repetitions, np.sqrt(best.deltas[index])
     file = f"separate-{motions.index(best) + 1}.csv"
     often = "one run is enough" if runs == 1 else f"{runs} runs are needed, or else: {action}"
     does = described(best.trajectory, robot)
-    apart = f"separates by {separated.deviations:.3g} standard deviations"
-    return Advice(f"run {file} ({does}): {apart}; {often}", separated.deviations, runs, file)
+    apart = f"separates by {deviations:.3g} standard deviations"
+    return Advice(f"run {file} ({does}): {apart}; {often}", float(deviations), runs, file)
 
 
 def described(trajectory: FourierTrajectory, robot: Robot) -> str:
@@ -421,10 +408,6 @@ def described(trajectory: FourierTrajectory, robot: Robot) -> str:
             turns = int((np.diff(np.sign(motion.dq[1:-1, j])) != 0).sum())
             unit = "rad/s" if robot.revolute[j] else "m/s"
             parts.append(f"{robot.joints[j]} reverses {turns} times at up to {speed[j]:.2g} {unit}")
-        parts.append("the other joints held")
-    elif len(moving) < robot.nv:
-        held = [joint for j, joint in enumerate(robot.joints) if j not in moving]
-        parts.append(f"{', '.join(held)} held, the others move")
-    else:
-        parts.append("all joints move")
-    return ", ".join(parts)
+        return ", ".join([*parts, "the other joints held"])
+    held = ", ".join(joint for j, joint in enumerate(robot.joints) if j not in moving)
+    return f"{parts[0]}, {f'{held} held, the others move' if held else 'all joints move'}"

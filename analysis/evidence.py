@@ -294,7 +294,6 @@ def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
 
 
 def _noise(e: Array, counted: Array) -> tuple[Array, Array]:
-    """Standard deviation and integrated autocorrelation time of columns of an error (n, nv)."""
     sigma = np.maximum(np.sqrt((e**2).sum(axis=0) / counted), 1e-9)
     return sigma, np.array([autocorrelation_time(column) for column in e.T])
 
@@ -326,7 +325,6 @@ def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
 
 
 def _typical_deviation(evidence: Evidence, part: Index) -> float:
-    """Typical deviation of given values in units of the tolerance."""
     if len(part) < 2:
         return _RANGE[1]
     others = np.setdiff1d(np.arange(evidence.nuisance), part)

@@ -185,7 +185,6 @@ def _ratio(moves: Array, given: Array, prior: Prior) -> Array:
 
 
 def _random_bodies(prior: Prior, rng: np.random.Generator) -> Array:
-    """Every link changed by the same share in random directions, effects left, shape (p,)."""
     w = np.zeros(len(prior.mean))
     A = rng.normal(size=(prior.links, 4, 4))
     A = A + A.transpose(0, 2, 1)

@@ -126,7 +126,6 @@ def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
 
 
 def _lacks_friction(diagnosis: Diagnosis) -> bool:
-    """Whether the given model has no friction at all, and that is most of what it misses."""
     if any(effect.family == "friction" for effect in diagnosis.robot.effects):
         return False
     parts = {f: max(f.explained, 0.0) for f in diagnosis.findings}
@@ -135,11 +134,9 @@ def _lacks_friction(diagnosis: Diagnosis) -> bool:
 
 
 def _everything(diagnosis: Diagnosis) -> str:
-    """What all findings together bring."""
-    given, after = (
-        100 * float(np.median(each.nrmse)) for each in (diagnosis.simulation, diagnosis.extended)
-    )
-    before, now = (f"{x:.0f}" if x >= 10 else f"{x:.2g}" for x in (given, after))
+    both = (diagnosis.simulation, diagnosis.extended)
+    sizes = [100 * float(np.median(each.nrmse)) for each in both]
+    before, now = (f"{x:.0f}" if x >= 10 else f"{x:.2g}" for x in sizes)
     return (
         f"everything found, the hold-out error falls from {before} to {now} % of the torque's "
         "variation (median over joints)."
@@ -147,7 +144,6 @@ def _everything(diagnosis: Diagnosis) -> str:
 
 
 def _no_friction(diagnosis: Diagnosis) -> str:
-    """The first sentence for models without friction; kinds and joints are in the table."""
     groups = diagnosis.groups
     friction = [group for group in groups if group[0].effect.family == "friction"]
     joints = {joint for group in friction for f in group for joint in f.effect.joints}
@@ -164,7 +160,6 @@ def _no_friction(diagnosis: Diagnosis) -> str:
 
 
 def _apart_from(known: str, groups: Sequence[Sequence[Finding]], diagnosis: Diagnosis) -> str:
-    """The first of some causes, said after what makes up most."""
     if not groups:
         return ""
     words = _sentence(groups[0], diagnosis.robot)
@@ -239,7 +234,6 @@ def _shown(diagnosis: Diagnosis, finding: Finding) -> tuple[int, int]:
 
 
 def _abscissa(diagnosis: Diagnosis, domain: str, j: int, other: int = 0) -> tuple[str, Array]:
-    """Label and values of a quantity at the rows of the hold-out."""
     unit, name = diagnosis.data.unit, diagnosis.robot.joints[other]
     way_unit, far_unit = ("rad" if diagnosis.robot.revolute[k] else "m" for k in (j, other))
     q, dq, ddq = diagnosis.states

@@ -292,8 +292,7 @@ def analyze(
 
 
 def _noise_of_all(robot: Robot, given: Experiment | None, rows: Sequence[int]) -> Array:
-    """Torque noise of every joint, shape (nv,) [N·m]."""
-    # of those not measured, and where only rank is asked for, 1 % of the limit, or 1 N·m
+    # of joints not measured, and where only rank is asked for, 1 % of the limit, or 1 N·m
     limits = robot.limits.torque
     usable = np.isfinite(limits) & (limits > 0)
     sigma = np.asarray(np.where(usable, TORQUE_NOISE * np.where(usable, limits, 0.0), 1.0), float)
@@ -335,8 +334,7 @@ def _under_motion(
 def _sizes(
     robot: Robot, effects: Sequence[Effect], base: BaseParameters, given: Experiment
 ) -> Array:
-    """What counts as much of each base parameter: its prior uncertainty, shape (r,)."""
-    # without a prior, what makes as much torque as the noise
+    # what counts as much: the prior uncertainty, or else what makes as much torque as the noise
     if given.prior is not None:
         from excitant.identify.prior import base_prior
 
@@ -386,7 +384,6 @@ def _notes(
 
 
 def _units(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
-    """Units of the standard parameters followed by those of effects."""
     return (*UNITS * robot.nv, *(p.unit for e in effects for p in e.parameters(robot)))
 
 
@@ -397,7 +394,6 @@ def _entries(
     candidates: Mapping[str, Array],
     given: Experiment | None,
 ) -> tuple[ParameterIdentifiability, ...]:
-    """Every parameter of the base's names, with what a motion or recording says of it."""
     base, units, alone = found.base, _units(robot, effects), np.array(found.category) == "unique"
     before = known_values(robot, effects)
     R, size = base.regrouping, np.zeros(len(units))

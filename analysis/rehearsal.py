@@ -126,7 +126,6 @@ def limit_items(situation: Situation) -> list[Item]:
 
 
 def _recovered(situation: Situation, estimates: Sequence[Estimate], x: Array) -> list[Item]:
-    """What estimates from several readings recover of the arm's parameters x, shape (p,)."""
     beta, std = estimates[0].base.regrouping @ x, [_std(e) for e in estimates]
     errors = np.array([e.least_squares.beta for e in estimates]) - beta
     inside = np.abs(errors) <= 1.96 * np.array(std)
@@ -148,7 +147,6 @@ def _std(estimate: Estimate) -> Array:
 
 
 def _friction(situation: Situation, estimate: Estimate, beta: Array) -> list[Item]:
-    """Viscous and Coulomb friction of every joint, each known to 10 %."""
     robot, items, std = situation.robot, [], _std(estimate)
     names = [estimate.base.names[k] for k in estimate.base.columns]
     for effect in standard_effects(robot.joints)[:2]:
@@ -164,7 +162,6 @@ def _friction(situation: Situation, estimate: Estimate, beta: Array) -> list[Ite
 
 
 def _prediction(situation: Situation, estimate: Estimate, beta: Array) -> Item:
-    """Error on the hold-out close to that of the true parameters behind the same sensors."""
     robot, rms = situation.robot, estimate.validate.rms
     floor = estimate.holdout.accuracy(estimate.holdout_columns @ beta).rms
     worse = rms / floor
@@ -194,7 +191,6 @@ def _other_motions(situation: Situation, estimate: Estimate, beta: Array) -> Ite
 
 
 def _undetermined(situation: Situation, error: RankDeficient) -> Item:
-    """The motion does not determine the parameters at all."""
     names = ", ".join(error.names[:4]) + (", ..." if len(error.names) > 4 else "")
     weakest = min(situation.use, key=situation.use.__getitem__)
     detail = f"the motion leaves {len(error.names)} parameters undetermined: {names}"
@@ -213,9 +209,8 @@ def _named(situation: Situation, found: Diagnosis, change: HiddenEffect) -> Item
     if lead.rivals:
         named += f" (or {', '.join(_cause(rival.candidate) for rival in lead.rivals)})"
     right = lead.effect.name == change.effect and change.joint in lead.effect.joints
-    masses = {name for name, kind in EFFECTS.items() if kind.family == "body"}
-    alike = masses if change.effect in masses else set()
-    others = {rival.candidate.effect.name for rival in lead.rivals} - alike
+    mass = EFFECTS[change.effect].family == "body"
+    others = [r for r in lead.rivals if not (mass and r.candidate.effect.family == "body")]
     passed = right and not lead.downgrade and not others
     item = _item("diagnosis", change.joint, passed, f"{planted}: {named}", advice)
     if not right or lead.effect.values is None:
@@ -265,8 +260,7 @@ class Rehearsal:
     def result(self) -> dict[str, Any]:
         """Contents of result.json: what was required, and whether it was met."""
         failed = [item for item in self.items if not item.passed]
-        limits, change = self.robot.limits, self.change
-        effect = {"effect": change.effect, "joint": change.joint}
+        change = {"effect": self.change.effect, "joint": self.change.joint}
         return {
             "verb": "rehearse",
             "robot": self.robot.name,
@@ -276,25 +270,24 @@ class Rehearsal:
             "headline": self.headline,
             "items": [asdict(item) for item in self.items],
             "advice": list(dict.fromkeys(item.advice for item in failed)),
-            "effect": {**effect, "parameters": dict(change.parameters)},
+            "effect": {**change, "parameters": dict(self.change.parameters)},
             "limit_values": {
-                name: getattr(limits, name) for name in ("position", "velocity", "torque")
+                x: getattr(self.robot.limits, x) for x in ("position", "velocity", "torque")
             },
         }
 
     def series(self) -> dict[str, Array]:
         """The run of the motion on the virtual arm: t [s], q, dq, tau in SI units, (n, nv)."""
-        run = self.run
-        return {"t": run.t, "q": run.q, "dq": run.dq, "tau": run.tau}
+        return {name: getattr(self.run, name) for name in ("t", "q", "dq", "tau")}
 
     @property
     def headline(self) -> str:
         """The verdict in a sentence."""
-        failed = [item for item in self.items if not item.passed]
-        if not failed:
-            count = len(self.items)
-            return f"The motion would do: all {count} requirements are met on a virtual arm"
-        names = list(dict.fromkeys(f"{x.name} of {x.joint}" if x.joint else x.name for x in failed))
+        if self.passed:
+            met = f"all {len(self.items)} requirements are met"
+            return f"The motion would do: {met} on a virtual arm"
+        failed = [f"{x.name} of {x.joint}".removesuffix(" of ") for x in self.items if not x.passed]
+        names = list(dict.fromkeys(failed))
         listed = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
         return f"The motion would not do: {listed}"
 
@@ -366,7 +359,6 @@ def rehearse(
 
 
 def _recording(arm: VirtualArm, run: Run, name: str, rng: np.random.Generator) -> Recording:
-    """One reading of a run; every reading has other noise."""
     table = arm.recorded(run, rng)
     return recording_from_table(table, arm.nominal.nv, file=name, name=name)
 
@@ -387,7 +379,6 @@ def rehearsal_arm(robot: Robot, rng: np.random.Generator) -> VirtualArm:
 
 
 def _drives(robot: Robot, rng: np.random.Generator) -> list[Effect]:
-    """Friction, offset and rotor inertia of all joints, as known or else as usual."""
     known = robot.with_effects([e for e in robot.effects if e.standard])
     given, limit = nominal_truth(known).drives, robot.limits.torque
     strength = np.where(np.isfinite(limit), limit, 4 * typical_torque(robot))

@@ -193,7 +193,6 @@ def _motion_bands(segments: Sequence[Segment]) -> Array:
 
 
 def _spectrum(x: Array, step: float) -> tuple[Array, Array]:
-    """Frequencies and power of columns under Hann's window, without the constant."""
     power = np.abs(np.fft.rfft(x * np.hanning(len(x))[:, None], axis=0)) ** 2
     power[0] = 0.0
     return np.asarray(np.fft.rfftfreq(len(x), step), float), np.asarray(power, float)
@@ -302,8 +301,7 @@ def residuals(
 
 
 def noise_floor(segments: Sequence[Segment], j: int) -> float:
-    """Rms that white noise of joint j's raw torque leaves behind the filter [torque unit]."""
-    # its density: the median of the periodogram above the motion's band; zero without such a band
+    """Rms that white noise of joint j's raw torque leaves behind the filter; 0 if not visible."""
     power, weight = 0.0, 0
     for s in segments:
         n = len(s.tau_raw)

@@ -38,14 +38,12 @@ _ROUNDS = 2  # of choosing effects: the second with what the first identified
 def select(
     evidence: Evidence, robot: Robot, refuted: Set[Key] = frozenset()
 ) -> tuple[Evidence, list[Candidate]]:
-    """Causes by forward selection, each step pruned backwards.
+    """Causes by forward selection, each step pruned backwards, and the evidence at the end.
 
     A candidate enters when the fall of J exceeds what the best of all candidates reaches by
     chance, and leaves when the others have made it dispensable. Joints that the model gives no
     friction get that of the standard model first, so that finer kinds must bring more than it.
-
-    Causes that a hold-out speaks against are left out. Returns the evidence with the noise at the
-    end, and the causes.
+    Causes that a hold-out speaks against are left out.
     """
     bare = _frictionless(robot)
     allowed = [c for c in evidence.candidates if c.key not in refuted]
@@ -57,7 +55,6 @@ def select(
 def _grown(
     evidence: Evidence, robot: Robot, chosen: list[Candidate], allowed: Sequence[Candidate]
 ) -> tuple[Evidence, list[Candidate]]:
-    """A set with all of the allowed candidates that the evidence calls for."""
     seen, falls = set[frozenset[Candidate]](), dict[Candidate, float]()
     while len(chosen) < _LARGEST_SET:
         evidence = reweighed(evidence, chosen)
@@ -202,7 +199,6 @@ def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool
 
 
 def _frictionless(robot: Robot) -> set[str]:
-    """Joints that the model gives no friction."""
     return set(robot.joints) - {j for e in robot.effects if is_plain_friction(e) for j in e.joints}
 
 
@@ -262,7 +258,6 @@ def _friction(evidence: Evidence, other: Candidate, rest: Sequence[Candidate]) -
 
 
 def _only_more(evidence: Evidence, found: Candidate, other: Candidate) -> bool:
-    """Whether another cause is the one found with more coefficients."""
     special = found.effect.name in other.effect.contains and other.size > found.size
     real = found.effect.name in other.effect.imitates
     return special and not real and evidence.cosine(found, other) > _SAME
@@ -281,11 +276,8 @@ def choose_effects(
     identification. Effects that rest on torque take it from the arm identified so far, and shapes
     are first searched over coarse grids, then between their points.
 
-    Args:
-        robot: The arm.
-        recordings: What is to be fitted; nothing that is held out.
-        cutoff_hz: Cut-off of the torque filter [Hz]; that of `identify` when None.
-        progress: Called with a fraction done and what was found.
+    Recordings are those to be fitted, nothing that is held out; progress is told the fraction done
+    and what was found.
 
     Raises:
         BadRecording: Recordings that cannot be used.

@@ -96,18 +96,12 @@ def structure(
     category = categories(base)
     flips_at = _flips(seen, category)
     margin = np.nan_to_num(np.maximum(flips_at / TOLERANCE, TOLERANCE / flips_at), nan=HAIR)
-    return Structure(
-        base,
-        category,
-        margin,
-        _circumstances(robot, moving, measured, held),
-        tuple(n for n, at in zip(base.names, flips_at, strict=True) if np.isfinite(at)),
-        flips_at,
-    )
+    close = tuple(np.array(base.names)[np.isfinite(flips_at)].tolist())
+    circumstances = _circumstances(robot, moving, measured, held)
+    return Structure(base, category, margin, circumstances, close, flips_at)
 
 
 def _circumstantial(robot: Robot, moving: Sequence[str] | None, held: Held) -> Motion:
-    """Random states in which only some joints move, and the others are held."""
     motion = structural_motion(robot, np.random.default_rng(0))
     if moving is None:
         return motion

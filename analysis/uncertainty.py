@@ -320,7 +320,6 @@ def weak_directions(
 def _direction(
     row: Array, change: Array, std: float, names: Sequence[str], units: Sequence[str], size: Array
 ) -> Direction:
-    """A direction with its named members, strongest first; an unseen one in its own units."""
     weight = row if np.isfinite(std) else row / size
     weight = weight / np.linalg.norm(weight)
     order = [int(k) for k in np.argsort(-np.abs(weight), kind="stable")]
@@ -397,18 +396,15 @@ def _tilts(robot: Robot) -> dict[str, Robot]:
 
 
 def _holding(motion: Motion, rests: Sequence[int], pose: Array) -> Motion:
-    """The motion with some joints held where a pose has them."""
-    q, dq, ddq = (np.array(values) for values in (motion.q, motion.dq, motion.ddq))
-    q[:, list(rests)] = pose[list(rests)]
-    dq[:, list(rests)] = ddq[:, list(rests)] = 0.0
-    return Motion(motion.t, q, dq, ddq)
+    still = np.isin(np.arange(motion.nv), rests)
+    dq, ddq = (np.where(still, 0.0, values) for values in (motion.dq, motion.ddq))
+    return Motion(motion.t, np.where(still, pose, motion.q), dq, ddq)
 
 
 def base_wrench_columns(robot: Robot, motion: Motion) -> Array:
-    """Force and torque on the base per unit of each standard parameter, shape (n, 6, 10 nv).
+    """Force and torque on the base [N, N·m] per unit of each standard parameter, (n, 6, 10 nv).
 
-    In the base frame, force before torque [N, N·m]; the sum over links of what each body of
-    inertia I under acceleration a and velocity v asks for, I (a − g) + v ×* I v.
+    In the base frame, the sum over links of what a body of inertia I asks: I (a − g) + v ×* I v.
     """
     model, data = robot.model, robot.model.createData()
     columns = np.empty((len(motion), 6, 10 * robot.nv))

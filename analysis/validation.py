@@ -17,6 +17,7 @@ recorded motion (`excitant.robots.simulation.forward_error`).
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -216,7 +217,6 @@ def _least_squares(problem: Regression, counts: Mask) -> tuple[Array, Array, int
 
 
 def _moves(robot: Robot, prior: Array, found: Array) -> tuple[Move, ...]:
-    """Change of each link; given values have the covariance spread · spreadᵀ."""
     moves = []
     metric = tolerance_metric(prior)
     for link, before, after, body in zip(robot.links, prior, found, metric, strict=True):
@@ -244,7 +244,6 @@ def _figures(phi: Array) -> Array:
 
 
 def _slopes(phi: Array) -> Array:
-    """Derivatives of `_figures`, shape (5, 10)."""
     m, centre = phi[0], phi[1:4] / phi[0]
     J = np.zeros((5, 10))
     J[0, 0] = 1.0
@@ -348,10 +347,6 @@ def _simulated(robot: Robot, gains: Array, found: list[tuple[Motion, Array]]) ->
 
 def _simulable(robot: Robot, effect: Effect) -> bool:
     """Whether a simulation from state to state knows an effect."""
-    if not effect.of_state_alone:
-        return False
-    try:
-        forward_model(robot.with_effects([effect]))
-    except BadInput:
-        return False
-    return True
+    with suppress(BadInput):
+        return effect.of_state_alone and forward_model(robot.with_effects([effect])) is not None
+    return False

@@ -22,7 +22,7 @@ Durbin-Wu-Hausman test on ``wls half``: its median chance that least squares is 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,16 +55,6 @@ SHARE = 0.02  # of each joint's rms torque is noise
 BURST_S, BURST_SHARE, BURST_SIZE = 0.1, 0.03, 3.0
 METHODS = ("wls", "irls", "wls half", "iv", "oe")
 Array = np.ndarray
-
-
-def arguments(words: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--robot", default="ur10")
-    parser.add_argument("--draws", type=int, default=2, help="recordings per kind of noise")
-    parser.add_argument("--seconds", type=float, default=30.0, help="of one recording")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS, help="of noise")
-    return parser.parse_args(words)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,32 +125,23 @@ def recorded(known: Truth, kind: str, rng: np.random.Generator, seconds: float) 
     return Recording(kind, kind, t, measured, tau + size * torque_noise(kind, rng, *tau.shape))
 
 
-@dataclass(frozen=True, eq=False)
-class Judge:
-    """What an estimate is held against: rms of base columns, another motion and its torque."""
-
-    known: Truth
-    scale: Array
-    W: Array
-    tau: Array
-
-    def errors(self, fit: LeastSquares) -> tuple[Array, float]:
-        """Scaled errors, shape (r,) [N·m], and nrmse of the worst joint."""
-        rms = np.sqrt(((self.tau - self.W @ fit.beta) ** 2).mean(axis=0))
-        return (fit.beta - self.known.beta) * self.scale, float((rms / self.tau.std(axis=0)).max())
-
-
-def judge(known: Truth, seed: int) -> Judge:
-    """Random states and one more motion of the arm."""
+def judge(known: Truth, seed: int) -> Callable[[LeastSquares], tuple[Array, float]]:
+    """Scaled errors of an estimate, shape (r,) [N·m], and worst nrmse on one more motion."""
     rng = np.random.default_rng([seed, 10**6])
     effects, columns = standard_effects(known.robot.joints), list(known.base.columns)
     states = Motion(np.arange(600.0), *known.robot.random_motion(rng, 600))
     Y = observation_columns(known.robot, effects, states)[:, :, columns]
+    scale = np.sqrt((Y**2).mean(axis=(0, 1)) * Y.shape[1])
     trajectory, t = random_trajectory(known.robot, rng, 10.0, HARMONICS), np.arange(0, 10, 0.02)
     motion = Motion(t, *(trajectory(t, order) for order in range(3)))
     W = observation_columns(known.robot, effects, motion)[:, :, columns]
     tau = known.torque(motion.q, motion.dq, motion.ddq)
-    return Judge(known, np.sqrt((Y**2).mean(axis=(0, 1)) * Y.shape[1]), W, tau)
+
+    def errors(fit: LeastSquares) -> tuple[Array, float]:
+        rms = np.sqrt(((tau - W @ fit.beta) ** 2).mean(axis=0))
+        return (fit.beta - known.beta) * scale, float((rms / tau.std(axis=0)).max())
+
+    return errors
 
 
 def estimates(
@@ -199,14 +180,20 @@ def cells(
             runs = [estimates(known, recording, cutoff_hz) for recording in recordings]
             figures = {}
             for method in METHODS:
-                errors = [held.errors(fits[method]) for fits, _ in runs]
+                errors = [held(fits[method]) for fits, _ in runs]
                 scaled = float(np.sqrt(np.mean([e**2 for e, _ in errors])))
                 figures[method] = scaled, float(np.mean([worst for _, worst in errors]))
             yield f"{kind}, {filtering}", figures, float(np.median([p for _, p in runs]))
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    args = arguments(words)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--robot", default="ur10")
+    parser.add_argument("--draws", type=int, default=2, help="recordings per kind of noise")
+    parser.add_argument("--seconds", type=float, default=30.0, help="of one recording")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS, help="of noise")
+    args = parser.parse_args(words)
     with threadpool_limits(1):
         settings = list(cells(args.robot, args.draws, args.seconds, args.seed, args.kinds))
     print(f"{'':10}" + "".join(f"{name:>20}" for name, _, _ in settings))

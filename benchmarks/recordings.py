@@ -55,53 +55,29 @@ class Split:
     cutoff_hz: float | None = None
     note: str = ""
 
-    @property
-    def title(self) -> str:
-        """The split in words."""
-        names = " + ".join(self.fit)
-        if self.share is not None:
-            return f"{self.dataset} {names}: {SHARES[self.share]}"
-        return f"{self.dataset}: {names} → {' + '.join(self.judge)}"
-
 
 UR10E = ("id_12harm_30s", "id_12harm_40s", "id_8harm_20s")
+PENDULUMS = ("rec01", "rec03", "rec04", "rec05", "rec07", "rec08")
+OTHER_LAB = "another lab's robot, logged at 30 Hz; at 5 Hz our quick fit comes to the README's"
 SPLITS = (
-    Split(
-        "ur10", ("unisa_exciting",), share=0.6,
-        readme=(0.978, 0.992, 0.996, 0.983, 0.984, 0.882),
-    ),
-    Split(
-        "ur10", ("unisa_exciting",), share=0.7,
-        published_rms=(4.06, 3.18, 1.71, 0.48, 0.63, 0.99),
-    ),
-    Split(
-        "panda", ("gaz_traj1",), share=0.6,
-        readme=(0.992, 1.0, 0.999, 0.998, 0.994, 0.999, 0.966),
-    ),
-    Split(
-        "panda", ("gaz_traj1",), ("unisa_exciting",),
-        readme=(-0.02, 0.998, 0.991, 0.962, 0.919, 0.882, 0.949), cutoff_hz=5.0,
-        note="another lab's robot, logged at 30 Hz; at 5 Hz our quick fit comes to the README's",
-    ),
-    Split(
-        "ur10e", UR10E, ("id_12harm_50s",), readme=(0.992, 0.987, 0.997, 0.986, 0.972, 0.988),
-        note="the README does not say which three runs",
-    ),
-    Split(
-        "ur10e", UR10E, ("val_ptp_10_points",),
-        readme=(0.943, 0.987, 0.996, 0.962, 0.883, 0.728),
-    ),
+    Split("ur10", ("unisa_exciting",), share=0.6,
+          readme=(0.978, 0.992, 0.996, 0.983, 0.984, 0.882)),
+    Split("ur10", ("unisa_exciting",), share=0.7,
+          published_rms=(4.06, 3.18, 1.71, 0.48, 0.63, 0.99)),
+    Split("panda", ("gaz_traj1",), share=0.6,
+          readme=(0.992, 1.0, 0.999, 0.998, 0.994, 0.999, 0.966)),
+    Split("panda", ("gaz_traj1",), ("unisa_exciting",), cutoff_hz=5.0, note=OTHER_LAB,
+          readme=(-0.02, 0.998, 0.991, 0.962, 0.919, 0.882, 0.949)),
+    Split("ur10e", UR10E, ("id_12harm_50s",), note="the README does not say which three runs",
+          readme=(0.992, 0.987, 0.997, 0.986, 0.972, 0.988)),
+    Split("ur10e", UR10E, ("val_ptp_10_points",),
+          readme=(0.943, 0.987, 0.996, 0.962, 0.883, 0.728)),
     Split("rokae_xmate3", ("rec01",), share=0.6, note="README: .39 to 1.00"),
     Split("rokae_xmate3", ("rec02",), share=0.6, note="README: .39 to 1.00"),
     Split("rokae_xmate3", ("rec02",), ("rec01",), note="another robot; README: -.89 at joint 1"),
-    Split(
-        "dualarm_v2", ("exc_13p5", "exc_15p7"), ("exc_52p2",),
-        readme=(0.958, 0.924, 0.987, 0.972, 0.983, 0.986, 0.986),
-    ),
-    Split(
-        "bam_xl330", ("rec01", "rec03", "rec04", "rec05", "rec07", "rec08"),
-        ("rec13", "rec15", "rec16"), note="no baseline; controller gain x 4",
-    ),
+    Split("dualarm_v2", ("exc_13p5", "exc_15p7"), ("exc_52p2",),
+          readme=(0.958, 0.924, 0.987, 0.972, 0.983, 0.986, 0.986)),
+    Split("bam_xl330", PENDULUMS, ("rec13", "rec15", "rec16"), note="no baseline"),
 )  # fmt: skip
 
 
@@ -135,7 +111,9 @@ def report(split: Split, folder: Path, chosen: bool) -> None:
         "standard": (standard.validate, _said(standard, start)),
     }
     cutoff_hz, unit = standard.data.cutoff_hz, standard.data.unit
-    print(f"\n{split.title}  [judged at {cutoff_hz:.3g} Hz, {unit}]", flush=True)
+    what = " + ".join(split.judge) if split.share is None else SHARES[split.share]
+    title = f"{split.dataset} {' + '.join(split.fit)}: {what}"
+    print(f"\n{title}  [judged at {cutoff_hz:.3g} Hz, {unit}]", flush=True)
     if split.note:
         print(f"  {split.note}")
     closing: list[str] = []

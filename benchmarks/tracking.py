@@ -41,18 +41,6 @@ _YIELD = 0.2  # rad or m: the loop bears the recorded torque there
 Case = tuple[str, Estimate]  # where a recording came from, and its estimate
 
 
-def arguments(words: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    parser.add_argument("--data", type=Path, default=Path(os.environ.get("EXCITANT_DATA", beside)))
-    parser.add_argument("--sets", nargs="*", default=["ur10", "panda"])
-    parser.add_argument("--robots", nargs="*", default=["planar_2r", "ur10", "panda"])
-    parser.add_argument("--bandwidth", nargs="+", type=float, default=[5.0, 20.0],
-                        help="of the position loops [rad/s]")  # fmt: skip
-    parser.add_argument("--seed", type=int, default=0)
-    return parser.parse_args(words)
-
-
 def simulated(name: str, seed: int) -> Case:
     """A virtual arm, off by some per cent and with a hidden effect, on two motions."""
     robot, rng = load_robot(name), np.random.default_rng(seed)
@@ -61,15 +49,6 @@ def simulated(name: str, seed: int) -> Case:
     fit, held = (recording_from_table(x, robot.nv, file="x.parquet", name="x") for x in tables)
     hidden, found = arm.hidden[0], identify_robot(robot, [fit], validate=[held])
     return f"{name}, virtual, hides {hidden.effect} at {hidden.joint}", found
-
-
-def recorded(folder: Path) -> list[Case]:
-    """The recordings of a folder, each fitted on its first 70 %."""
-    dataset = load_dataset(folder)
-    return [
-        (f"{folder.name}, {recording.name}", identify_robot(dataset.robot, [recording]))
-        for recording in dataset.recordings([])
-    ]
 
 
 def loaded(robot: Robot, gains: np.ndarray | None) -> mujoco.MjModel:
@@ -155,7 +134,15 @@ def report(case: Case, bandwidths: Sequence[float]) -> None:
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    args = arguments(words)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    parser.add_argument("--data", type=Path, default=Path(os.environ.get("EXCITANT_DATA", beside)))
+    parser.add_argument("--sets", nargs="*", default=["ur10", "panda"])
+    parser.add_argument("--robots", nargs="*", default=["planar_2r", "ur10", "panda"])
+    parser.add_argument("--bandwidth", nargs="+", type=float, default=[5.0, 20.0],
+                        help="of the position loops [rad/s]")  # fmt: skip
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args(words)
     with threadpool_limits(1):
         for name in args.robots:
             report(simulated(name, args.seed), args.bandwidth)
@@ -163,8 +150,10 @@ def main(words: Sequence[str] | None = None) -> None:
             if not (args.data / name).is_dir():
                 print(f"\n{name}: no recordings in {args.data}; set EXCITANT_DATA")
                 continue
-            for case in recorded(args.data / name):
-                report(case, args.bandwidth)
+            dataset = load_dataset(args.data / name)
+            for run in dataset.recordings([]):
+                found = identify_robot(dataset.robot, [run])
+                report((f"{name}, {run.name}", found), args.bandwidth)
 
 
 if __name__ == "__main__":

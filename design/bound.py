@@ -43,38 +43,24 @@ _PATIENCE = 5  # steps without progress
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """A numerical lower bound on cond₂(W): certified at every state tried, not proved.
+    """A numerical lower bound on cond₂(W): certified at every state tried, not proved."""
 
-    Attributes:
-        value: The bound.
-        without_repair: What it would be, were no state to violate the certificate.
-        history: Ceiling (best mixture of the states so far; the relaxation cannot give more) and
-            bound after each round, shape (rounds, 2).
-        relaxation: What was relaxed.
-        multipliers: The certificate, repaired: P, Q ⪰ 0, tr Q = 1, value² = tr P.
-        weights: Of the states in the best mixture, shape (n,).
-        assumptions: One sentence: for which motions it holds, and how far it is certain.
-    """
-
-    value: float
-    without_repair: float
-    history: Array
-    relaxation: Relaxation
-    multipliers: Multipliers
-    weights: Array
-    assumptions: str
+    value: float  # the bound
+    without_repair: float  # what it would be, were no state to violate the certificate
+    history: Array  # ceiling of the relaxation and bound after each round, shape (rounds, 2)
+    relaxation: Relaxation  # what was relaxed
+    multipliers: Multipliers  # the certificate, repaired: P, Q ⪰ 0, tr Q = 1, value² = tr P
+    weights: Array  # of the states in the best mixture, shape (n,)
+    assumptions: str  # for which motions it holds, and how far it is certain, in one sentence
 
     def __post_init__(self) -> None:
         freeze(self, "history", "weights")
 
     def slack(self, motion: Motion) -> Array:
-        """−⟨P − Q, M(x)⟩ − y·dφ/dt over the mean tr M at each state, shape (n,).
-
-        The bound holds for motions through states where it is not negative.
-        """
+        """−⟨P − Q, M(x)⟩ − y·dφ/dt over the mean tr M, shape (n,); ≥ 0 where the bound holds."""
         M, rows = self.relaxation.matrices(motion), self.relaxation.tests.rates(motion)
-        difference = self.multipliers.P - self.multipliers.Q
-        g = rows @ self.multipliers.y + np.einsum("nij,ij->n", M, difference)
+        F = self.multipliers.P - self.multipliers.Q
+        g = rows @ self.multipliers.y + np.einsum("nij,ij->n", M, F)
         slack: Array = -g / self.relaxation.unit
         return slack
 

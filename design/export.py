@@ -176,13 +176,10 @@ def _csv_fault(lines: Sequence[list[str]], robot: Robot) -> str | None:
 def write_formats(
     motion: Motion, robot: Robot, names: Sequence[str], stem: str = "trajectory"
 ) -> dict[str, bytes | str]:
-    """Contents of files in several formats, by file name.
+    """Contents of files in several formats, by file name: the stem with the format's suffix.
 
-    Args:
-        motion: Samples at the control rate.
-        robot: Arm that gives the names of the joints.
-        names: Formats: ``"ros2"`` (YAML), ``"mcap"``, ``"urscript"``, ``"npz"``.
-        stem: File name before the suffix.
+    The motion is sampled at the control rate; the robot gives the names of the joints. Formats
+    are ``"ros2"`` (YAML), ``"mcap"``, ``"urscript"`` and ``"npz"``.
 
     Raises:
         UnknownName: A format that does not exist; suggests the nearest.
@@ -246,10 +243,9 @@ def mcap_bag(motion: Motion, robot: Robot) -> bytes:
 
 
 def urscript(motion: Motion, robot: Robot) -> str:
-    """A URScript program that servoes through the positions at the control rate.
+    """A URScript program that servoes through the positions, after a slow ``movej`` to the first.
 
-    It first goes to the first pose by a slow ``movej``, and ends with ``stopj``. The program
-    holds positions only, with 12 digits; the controller derives the speed.
+    It holds positions only, with 12 digits; the controller derives the speed.
 
     Raises:
         BadInput: Not six turning joints, or samples that are not equidistant.

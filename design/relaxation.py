@@ -189,8 +189,8 @@ class Multipliers:
 
     def repaired(self, violation: float) -> Multipliers:
         """Multipliers that hold wherever the violation is at most this: Q + violation R."""
-        e = max(violation, 0.0)
-        return Multipliers(self.P / (1 + e), (self.Q + e * self.repair) / (1 + e), self.y / (1 + e))
+        e = 1 + violation
+        return Multipliers(self.P / e, (self.Q + violation * self.repair) / e, self.y / e)
 
 
 @dataclass(frozen=True, eq=False)

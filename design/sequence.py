@@ -61,24 +61,15 @@ Progress = Callable[[float, str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class LinkByLinkDesign:
-    """A motion for every link.
+    """A motion for every link."""
 
-    Attributes:
-        robot: The arm.
-        columns: ``"friction"`` or ``"inertial"``.
-        criterion: What was minimised.
-        base: Number of base parameters of the arm.
-        motions: By the index of each link's joint, the last first: its design on the whole arm,
-            whose information is that of row τ_i about link i.
-        wall_s: Time taken [s].
-    """
-
-    robot: Robot
-    columns: str
-    criterion: str
-    base: int
+    robot: Robot  # the arm
+    columns: str  # ``"friction"`` or ``"inertial"``
+    criterion: str  # what was minimised
+    base: int  # number of base parameters of the arm
+    # by the link's joint, the last first; their information is that of row τ_i on it
     motions: dict[int, Design]
-    wall_s: float
+    wall_s: float  # time taken [s]
 
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``: the worst of all at the top, each in ``stages``."""

@@ -78,9 +78,8 @@ class Dataset:
         held = {self._path(name).resolve() for name in without}
         for name in names:
             if self._path(name).resolve() in held:
-                raise BadInput(
-                    f"{name} is to be fitted and held out; leave it out of one of the two"
-                )
+                why = "is to be fitted and held out; leave it out of one of the two"
+                raise BadInput(f"{name} {why}")
         paths = [self._path(name) for name in names] or self._all()
         kept = [path for path in paths if path.resolve() not in held]
         if not kept:
@@ -109,10 +108,8 @@ class Dataset:
 def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Dataset:
     """Dataset from a folder with ``dataset.json`` or ``robot.urdf``, or from a robot alone.
 
-    Args:
-        spec: Folder, or anything that `load_robot` takes.
-        columns: File that says what columns mean (`load_column_map`); ``columns.yaml`` of the
-            folder when not given. Drive constants that it leaves out are those of a robot.yaml.
+    ``columns`` is a file that says what columns mean (`load_column_map`), the folder's
+    ``columns.yaml`` when not given; drive constants that it leaves out are those of a robot.yaml.
 
     Raises:
         BadInput: A folder without a robot, or a file that cannot be read.

@@ -103,11 +103,7 @@ class LocalPolynomial:
         return float(np.linalg.norm(self.kernel(order))) * rate_hz**order
 
     def __call__(self, t: Array, q: Array) -> Motion:
-        """Motion; where not causal, the first and last m instants take the nearest whole window's.
-
-        Raises:
-            BadInput: Too few samples, or irregular time.
-        """
+        """Motion; where not causal, the first and last m instants take the nearest window's."""
         m, n = self.half_width, len(t)
         step, inner = _step(t, 2 * m + 1, self.name), slice(m, n - m) if self.causal else slice(n)
         parts = (
@@ -154,11 +150,7 @@ class ZeroPhaseButterworth:
     cutoff_hz: float
 
     def __call__(self, t: Array, q: Array) -> Motion:
-        """Motion at the samples; q has shape (n, nv).
-
-        Raises:
-            BadInput: Too few samples, irregular time, or a cut-off above half the rate.
-        """
+        """Motion at the samples; q has shape (n, nv)."""
         name = f"zero-phase Butterworth ({self.cutoff_hz:.4g} Hz)"
         rate = 1 / _step(t, 20, name)
         if not 0 < self.cutoff_hz < rate / 2:

@@ -152,11 +152,7 @@ def with_covariance(factor: Factor, beta: Array, error: Array, sigma: Array) -> 
     error ε_j: β̂ − β = A⁻¹ Σ_j X_jᵀ ε_j, A = Σ_j X_jᵀ X_j. The columns are W itself (weighted), W
     with the slope of the influence (robust), or W projected on instruments.
 
-    Args:
-        factor: Columns X_j.
-        beta: The estimate, shape (r,).
-        error: ε_j as the residual shows it, shape (n, nv) [torque unit].
-        sigma: What to report as noise of each joint, shape (nv,) [torque unit].
+    The error, shape (n, nv), is ε_j as the residual shows it; sigma is reported as noise, (nv,).
     """
     problem, inverse, norms = factor.problem, factor.inverse, factor.norms
     scaled = error / factor.weight
@@ -308,14 +304,9 @@ def autocorrelation_time(residual: Array) -> float:
 
 
 class Essential(NamedTuple):
-    """Which base parameters the data need.
+    """Base parameters kept, and dropped in order; the estimate is zero where dropped.
 
-    Attributes:
-        kept: Indices of those that stay, in order.
-        dropped: Indices of those set to zero, in the order of dropping.
-        beta: Base parameters, zero where dropped, shape (r,).
-        covariance: Of β, zero where dropped, shape (r, r).
-        p_value: Probability of data that deny the dropped ones as much, where they are zero.
+    The p-value is the probability of data that deny the dropped ones as much, where they are zero.
     """
 
     kept: tuple[int, ...]

@@ -188,9 +188,10 @@ def longest_step(step: float) -> float:
 
 def resampled(recording: Recording, part: Index) -> tuple[Array, Array, Array]:
     """Time, positions and torque of a part at a regular rate, the median of the recording's."""
-    t, step = recording.t[part], float(np.median(np.diff(recording.t)))
+    rows = slice(int(part[0]), int(part[-1]) + 1)  # no copy of a long recording
+    t, step = recording.t[rows], float(np.median(np.diff(recording.t)))
     grid = np.arange(t[0], t[-1] + _SAME * step, step)
-    return grid, *at_instants(t, recording.q[part], recording.tau[part], grid)
+    return grid, *at_instants(t, recording.q[rows], recording.tau[rows], grid)
 
 
 def at_instants(t: Array, q: Array, tau: Array, grid: Array) -> tuple[Array, Array]:

@@ -86,13 +86,7 @@ def matrices(y: Array, links: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class EffectPrior:
-    """What is known of effect coefficients beforehand, each array of shape (e,).
-
-    Attributes:
-        mean: Expected values.
-        std: Their standard deviations; large where only the data shall decide.
-        lower: Smallest values physics allows.
-    """
+    """Expected values of effect coefficients, standard deviations and least values, each (e,)."""
 
     mean: Array
     std: Array

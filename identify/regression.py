@@ -158,11 +158,7 @@ def triangle(A: Array) -> Array:
 
 
 def dense(W: Array, tau: Array, names: Sequence[str]) -> Regression:
-    """The problem of columns of shape (n, nv, p) and torque of shape (n, nv).
-
-    Raises:
-        BadInput: Shapes or names that do not fit, or values that are no numbers.
-    """
+    """The problem of columns of shape (n, nv, p) and torque of shape (n, nv)."""
     if W.ndim != 3 or tau.shape != W.shape[:2] or len(names) != W.shape[2]:
         raise BadInput(
             f"regression: columns of shape {W.shape} with torque of shape {tau.shape} and "

@@ -129,13 +129,7 @@ class Accuracy:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Torque at the rows of segments, one after the other.
-
-    Attributes:
-        t: Time; parts follow each other without gaps, shape (n,) [s].
-        measured: Filtered torque, shape (n, nv) [torque unit].
-        raw: Unfiltered torque at the same instants, shape (n, nv) [torque unit].
-    """
+    """Time without gaps, (n,) [s], and torque, filtered and raw, (n, nv) [unit], of segments."""
 
     t: Array
     measured: Array

@@ -35,14 +35,10 @@ _SOLVED, _ALMOST = "Solved", "AlmostSolved"  # states of the solver with a solut
 
 @dataclass(frozen=True, eq=False)
 class Restriction:
-    """G y − h, shape (m,), lies in a cone.
+    """G y − h, shape (m,), lies in a cone; the name is for contradictions.
 
-    Attributes:
-        cone: ``"nonnegative"``, ``"zero"``, ``"second_order"`` (first value ≥ norm of the rest) or
-            ``"semidefinite"`` (triangle of a 4×4 matrix, off-diagonal terms times √2, shape (10,)).
-        G: Shape (m, p).
-        h: Shape (m,).
-        name: What it says, for messages; empty where it cannot be in contradiction.
+    Cones: ``"nonnegative"``, ``"zero"``, ``"second_order"`` (first value ≥ norm of the rest) or
+    ``"semidefinite"`` (triangle of a 4×4 matrix, off-diagonal terms times √2, shape (10,)).
     """
 
     cone: str
@@ -92,13 +88,7 @@ class Program:
 
 @dataclass(frozen=True)
 class KktResiduals:
-    """How well a solution satisfies the optimality conditions, relative to the gradient.
-
-    Attributes:
-        stationarity: Gradient of the Lagrangian.
-        complementarity: Inner products of multipliers and slacks.
-        primal: Violation of the constraints, absolute in Q and θ.
-    """
+    """Gradient of the Lagrangian and multipliers times slacks, relative; violation, absolute."""
 
     stationarity: float
     complementarity: float

@@ -65,13 +65,9 @@ class Shape:
 class Shapes:
     """Shapes of all effects that have one, each joint with its own.
 
-    Attributes:
-        found: The shapes.
-        effects: Effects with these shapes, in the order of their columns, without values.
-        before: Objective with the shapes given.
-        after: Objective with these.
-        spread: Moves of all parameters with one standard deviation of each independent
-            combination of shapes, shape (p, k).
+    Effects carry them, in the order of their columns, without values; the objective was before and
+    is after. Spread: how all parameters move with one standard deviation of each independent
+    combination of shapes, shape (p, k).
     """
 
     found: tuple[Shape, ...]
@@ -293,13 +289,8 @@ def to_log_cholesky(phi: Array) -> Array:
 class Descent:
     """The fit of bodies and θ where the torque of effects is any function of θ, shape (k,).
 
-    Attributes:
-        R: Whitened columns of the links, row by row, shape (m, 10 links).
-        z: Whitened torque, shape (m,).
-        prior: Standard parameters of the prior, consistent, shape (links, 10).
-        known: What is known of θ beforehand, and its bounds.
-        torque: Whitened torque of effects at θ, shape (m,).
-        slopes: Its Jacobian, shape (m, k).
+    R holds the whitened columns of the links, (m, 10 links), z the torque, (m,); the prior bodies
+    are consistent; torque and slopes are those of effects at θ, (m,) and (m, k), whitened.
     """
 
     R: Array

@@ -84,8 +84,24 @@ class ModelCheck:
 
     @cached_property
     def gravity_peaks(self) -> Array:
-        """Largest gravity torque of each joint within the ranges, shape (nv,) [N·m or N]."""
-        return gravity_peaks(self.robot)
+        """Largest gravity torque of each joint within the ranges, by search, (nv,) [N·m or N]."""
+        robot = self.robot
+        model, data = robot.model, robot.model.createData()
+
+        def weight(q: Array) -> Array:
+            return np.abs([pin.computeGeneralizedGravity(model, data, pose) for pose in q])
+
+        poses = robot.random_motion(np.random.default_rng(0), _POSES)[0]
+        tau, (low, high) = weight(poses), np.clip(robot.limits.position, -np.pi, np.pi).T
+        best, peak = poses[tau.argmax(axis=0)], tau.max(axis=0)
+        for j in np.flatnonzero(peak > _LEVEL):
+            for k in [*range(robot.nv)] * _ROUNDS:
+                q = np.tile(best[j], (_STEPS, 1))
+                q[:, k] = np.linspace(low[k], high[k], _STEPS)
+                tau = weight(q)[:, j]
+                if tau.max() > peak[j]:
+                    peak[j], best[j] = tau.max(), q[tau.argmax()]
+        return np.where(peak > _LEVEL, peak, 0.0)
 
     @property
     def moving_mass(self) -> float:
@@ -199,29 +215,6 @@ def _link(body: Body) -> dict[str, Any]:
         "size": body.size,
         "solids": len(body.shapes),
     }
-
-
-def gravity_peaks(robot: Robot) -> Array:
-    """Largest gravity torque of each joint within the ranges, by search, (nv,) [N·m or N]."""
-    model, data = robot.model, robot.model.createData()
-
-    def weight(q: Array) -> Array:
-        tau: Array = np.abs(np.asarray(pin.computeGeneralizedGravity(model, data, q), float))
-        return tau
-
-    poses = robot.random_motion(np.random.default_rng(0), _POSES)[0]
-    tau = np.array([weight(q) for q in poses])
-    low, high = np.clip(robot.limits.position, -np.pi, np.pi).T
-    best = poses[tau.argmax(axis=0)]
-    peak: Array = tau.max(axis=0)
-    for j in np.flatnonzero(peak > _LEVEL):
-        for k in [*range(robot.nv)] * _ROUNDS:
-            for x in np.linspace(low[k], high[k], _STEPS):
-                q = best[j].copy()
-                q[k] = x
-                if (torque := weight(q)[j]) > peak[j]:
-                    peak[j], best[j] = torque, q
-    return np.where(peak > _LEVEL, peak, 0.0)
 
 
 def _axes(robot: Robot, root: ET.Element) -> Warnings:

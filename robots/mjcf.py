@@ -204,12 +204,8 @@ class _Writer:
             self.armature[name] = armature
         if stiffness := float(model.jnt_stiffness[j]):
             self.springs[name] = (stiffness, float(model.qpos_spring[at]))
-        terms = {"stiffness": model.jnt_stiffnesspoly[j], "damping": model.dof_dampingpoly[dof]}
-        self.notes += [
-            f"joint {name}: {key} beyond its first number is left out"
-            for key, beyond in terms.items()
-            if np.any(beyond)
-        ]
+        if np.any(model.jnt_stiffnesspoly[j]) or np.any(model.dof_dampingpoly[dof]):
+            self.notes.append(f"joint {name}: higher powers of stiffness and damping are left out")
         if name in self.followers:
             master, offset, slope = self.followers[name]
             numbers = {"joint": master, "multiplier": repr(slope), "offset": repr(offset)}

@@ -213,6 +213,11 @@ REFUSED = {
     "identify planar_2r": "name at least one file",
     "analyze folder/arm.urdf": "folder/arm.urdf: no such file",
     f"{ONE} --effects coulomb": "mean 'coulomb_friction'",
+    f"{ONE} --estimator wsl": "did you mean 'wls'?",
+    f"{ONE} --formats mjfc": "did you mean 'mjcf'?",
+    "design planar_2r --formats rso2 --starts 1 --jobs 1 --harmonics 2": "did you mean 'ros2'?",
+    "analyze planar_2r --moving jiont1": "did you mean 'joint1'?",
+    "analyze planar_2r --measured joitn2": "did you mean 'joint2'?",
     f"{ONE} --cutoff 60": "up to 40 Hz",
     "check ur10 trajectory.csv": "trajectory.csv",  # of another arm
     f"{ONE} --trajectory trajectory.csv": "give the trajectory.json",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -67,12 +66,10 @@ def test_what_is_named_makes_the_model_better(result: dict[str, Any]) -> None:
 
 
 def test_the_written_recordings_give_the_same_diagnosis(
-    directory: Path, result: dict[str, Any], capsys: pytest.CaptureFixture[str], tmp_path: Path
+    directory: Path, result: dict[str, Any], excitant: Any, tmp_path: Path
 ) -> None:
-    words = ["diagnose", "planar_2r", str(directory / "excitation.parquet"), "--json"]
-    words += ["--validate", str(directory / "holdout.parquet"), "-o", str(tmp_path / "again")]
-    assert main(words) == 0
-    again = json.loads(capsys.readouterr().out)
+    options = ("--json", "--validate", directory / "holdout.parquet", "-o", tmp_path / "again")
+    again = excitant("diagnose planar_2r", directory / "excitation.parquet", *options).result
     for found, expected in zip(again["findings"], result["diagnose"]["findings"], strict=True):
         assert (found["effect"], found["joints"]) == (expected["effect"], expected["joints"])
         assert found["holdout"] == pytest.approx(expected["holdout"], rel=1e-9)

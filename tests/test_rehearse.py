@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +21,6 @@ from excitant.analysis.rehearsal import (
     rehearsal_arm,
     rehearse,
 )
-from excitant.cli import main
 from excitant.design import (
     FourierTrajectory,
     design_trajectory,
@@ -30,6 +31,8 @@ from excitant.design import (
 )
 from excitant.robots import Robot
 from excitant.robots.effects import standard_effects
+
+Command = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
@@ -56,13 +59,11 @@ def feeble(planar: Robot, motion: FourierTrajectory) -> Rehearsal:
 
 @pytest.mark.slow
 def test_a_good_motion_passes(
-    planar: Robot, motion: FourierTrajectory, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    planar: Robot, motion: FourierTrajectory, tmp_path: Path, excitant: Command
 ) -> None:
     file = tmp_path / "trajectory.json"
     file.write_text(trajectory_json(motion, planar), encoding="utf-8")
-    words = ["rehearse", "planar_2r", str(file), "--seed", "1", "-o", str(tmp_path / "out")]
-    status = main(words)
-    out, err = capsys.readouterr()
+    status, out, err = excitant("rehearse planar_2r", file, "--seed", 1, "-o", tmp_path / "out")
     assert (status, err) == (0, ""), out
     result = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
     assert result["passed"] is True
@@ -155,9 +156,8 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_input_is_refused_in_one_line(
-    name: str, planar: Robot, ur10: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    name: str, planar: Robot, ur10: Robot, tmp_path: Path, monkeypatch: Any, excitant: Command
+) -> None:
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(0)
     fast = from_coefficients(0.2 * rng.uniform(-1, 1, (7, 2)), 5.0)
@@ -168,9 +168,8 @@ def test_bad_input_is_refused_in_one_line(
     Path("short.csv").write_text(trajectory_csv(short), "utf-8")
     Path("wide.csv").write_text(trajectory_csv(random_trajectory(ur10, rng, 5.0, 3)), "utf-8")
     file, evidence = BAD[name]
-    assert main(["rehearse", "planar_2r", file, "-o", "out"]) == 1
-    out, err = capsys.readouterr()
-    assert out == ""
+    status, out, err = excitant(f"rehearse planar_2r {file} -o out")
+    assert (status, out) == (1, "")
     assert err.count("\n") == 1
     assert evidence in err
     assert not Path("out").exists()

@@ -23,13 +23,14 @@ from excitant.identify.faults.fault import FAULTS, Fault, Log, after_repair, rep
 from excitant.identify.faults.modelled import not_measured, poor_excitation, wrong_frame
 from excitant.identify.faults.physics import physics_faults, smooth, torque_fit, velocity_faults
 from excitant.identify.faults.time import gap_faults, repeated_rows, stamp_faults
-from excitant.identify.recording import CHANNELS, Recording, checked, raw_recording
+from excitant.identify.recording import Recording, checked, raw_recording
 from excitant.robots.robot import Robot
 
 __all__ = ["FAULTS", "Checked", "Fault", "Log", "find_copies", "find_faults", "read_checked"]
 __all__ += ["repair"]
 
 _SHORTEST = 50  # samples: fewer prove nothing
+_NO_TORQUE = "dead_channel", "tau"
 
 
 def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
@@ -74,12 +75,8 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
 def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault]:
     data, found = smooth(log), list[Fault]()
     if data is not None:
-        dead = {
-            fault.joints[0]
-            for fault in channels
-            if fault.fault == "dead_channel" and fault.evidence["channel"] == "tau"
-        }
-        case = torque_fit(robot, log, data, dead)
+        dead = [f for f in channels if (f.fault, f.evidence.get("channel")) == _NO_TORQUE]
+        case = torque_fit(robot, log, data, {fault.joints[0] for fault in dead})
         found = [] if case is None else physics_faults(case)
         if found:
             log, _ = repair(log, found)
@@ -94,18 +91,14 @@ def find_copies(recordings: Mapping[str, Recording]) -> dict[str, Fault]:
     first: dict[bytes, str] = {}
     found = {}
     for name, recording in recordings.items():
-        made = hashlib.sha256()
-        for x in (getattr(recording, channel) for channel in CHANNELS):
-            made.update(b"" if x is None else np.ascontiguousarray(x).tobytes())
-        same = first.setdefault(made.digest(), name)
-        if same != name:
-            found[name] = Fault(
-                "duplicate_samples",
-                (),
+        made = hashlib.sha256(b"".join(x.tobytes() for _, x in recording.channels()))
+        if (same := first.setdefault(made.digest(), name)) != name:
+            detail = (
                 f"{name} holds the same {len(recording)} rows as {same}: all positions, velocities "
-                f"and torques are equal, so it adds no evidence and is no hold-out",
-                {"same_as": same, "count": len(recording)},
+                f"and torques are equal, so it adds no evidence and is no hold-out"
             )
+            evidence = {"same_as": same, "count": len(recording)}
+            found[name] = Fault("duplicate_samples", (), detail, evidence)
     return found
 
 

@@ -194,8 +194,7 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
     """
     for (name, values), j in product(log.channels(), range(log.nv)):
         x = values[:, j]
-        size = _wrap(x, name == "q")
-        if size is None:
+        if (size := _wrap(x, name == "q")) is None:
             continue
         jumps = int((np.abs(np.diff(x)) > size / 2).sum())
         high = int((x > x.min() + size / 2).sum())

@@ -158,17 +158,13 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fau
     if not missing:
         return
     lacking = tuple(j for j in log.joints if j in window.joints)
-    names = lacking or log.names(np.flatnonzero(still)) or log.joints
+    resting = log.names(np.flatnonzero(still))
+    names, visible = lacking or resting or log.joints, len(window.levels)
     weakest = ", ".join(window.weak[0].parameters) if window.weak else "all"
     detail = (
-        f"{missing} of {len(window.levels)} directions of the parameters that such an arm can show "
+        f"{missing} of {visible} directions of the parameters that such an arm can show "
         f"in this time get less than {_TELLS:g} of the information that the given model already "
         f"has, the weakest {window.level:.2g} ({weakest}); move {', '.join(names)}"
     )
-    evidence = {
-        "missing": missing,
-        "visible": len(window.levels),
-        "level": window.level,
-        "still": log.names(np.flatnonzero(still)),
-    }
+    evidence = {"missing": missing, "visible": visible, "level": window.level, "still": resting}
     yield Fault("poor_excitation", names, detail, evidence)

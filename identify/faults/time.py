@@ -76,14 +76,13 @@ def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
         return
     missing = int(np.round(steps[at] - 1).sum())
     k = int(at[np.argmax(steps[at])])
-    yield Fault(
-        "dropped_samples",
-        log.joints,
+    detail = (
         f"{len(at)} gaps in time, about {missing} samples missing of {len(log) + missing}; the "
         f"longest, {steps[k] * log.step:.4g} s after t = {log.t[k]:.4g} s, is {steps[k]:.3g} times "
-        f"the median step of {log.step:.4g} s",
-        {"gaps": len(at), "missing": missing, "rows": at, "longest": float(steps[k])},
+        f"the median step of {log.step:.4g} s"
     )
+    evidence = {"gaps": len(at), "missing": missing, "rows": at, "longest": float(steps[k])}
+    yield Fault("dropped_samples", log.joints, detail, evidence)
 
 
 def repeated_rows(log: Log) -> Iterator[Fault]:
@@ -126,16 +125,14 @@ def hidden_gaps(log: Log) -> Iterator[Fault]:
     rows = rows[(rows > 5) & (rows < n - 6)]
     if not len(rows):
         return
-    missing = int(np.round(m[rows]).sum())
-    yield Fault(
-        "dropped_samples",
-        log.joints,
+    missing, k = int(np.round(m[rows]).sum()), rows[0]
+    detail = (
         f"all joints jump together in {len(rows)} places by whole numbers of samples, about "
-        f"{missing} rows are missing though the stamps run on; first after "
-        f"t = {log.t[rows[0]]:.4g} s, where q moves {1 + m[rows[0]]:.2f} times as far as its speed "
-        f"allows",
-        {"rows": rows, "missing": missing, "ratio": 1 + m[rows]},
+        f"{missing} rows are missing though the stamps run on; first after t = {log.t[k]:.4g} s, "
+        f"where q moves {1 + m[k]:.2f} times as far as its speed allows"
     )
+    evidence = {"rows": rows, "missing": missing, "ratio": 1 + m[rows]}
+    yield Fault("dropped_samples", log.joints, detail, evidence)
 
 
 class _Order(NamedTuple):

@@ -247,9 +247,8 @@ class _Search:
         prefix = self.mapping.torque
         said = [role for role in ("tau", "i") if role in self.mapping.columns]
         if len(said) == 2:
-            raise BadInput(
-                f"{self.mapping.source}: both 'tau' and 'i' are given; keep the measured one"
-            )
+            why = "both 'tau' and 'i' are given; keep the measured one"
+            raise BadInput(f"{self.mapping.source}: {why}")
         if not said and prefix is not None:
             role, form = "i" if prefix == "i" else "tau", rf"{re.escape(prefix)}([1-9]\d*)"
             found = ((name, re.fullmatch(form, name, re.ASCII)) for name in self.table.names)

@@ -57,33 +57,6 @@ def test_an_autoregression_is_found_from_its_own_autocovariance() -> None:
     assert variance == pytest.approx(3.0 * (1 - a * gamma[1] - b * gamma[2]))
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.6, 0.95])
-def test_columns_under_coloured_noise(rho: float) -> None:
-    """W_jᵀ Γ_j by way of an autoregression is that of the matrix itself."""
-    W, _ = problem()
-    for j, rows in enumerate(joint_rows(W)):
-        made = rows.coloured(2.0 * rho ** np.arange(26))
-        np.testing.assert_allclose(made, 2.0 * W[:, j, rows.used].T @ covariance(rho), atol=1e-7)
-
-
-@pytest.mark.parametrize("rho", [0.0, 0.6, 0.95])
-def test_what_the_fit_took_is_given_back(rho: float) -> None:
-    """Autocovariance of the residual and what the fit took make that of the noise, exactly."""
-    W, inverse = problem()
-    gammas = [covariance(rho), 2.0 * covariance(0.5 * rho)]
-    flat = W.transpose(1, 0, 2).reshape(-1, R)
-    M = np.eye(NV * N) - flat @ inverse @ flat.T
-    residual = M @ scipy.linalg.block_diag(*gammas) @ M.T
-    parts = [W[:, j].T @ gamma for j, gamma in enumerate(gammas)]
-    omega = sum(part @ W[:, j] for j, part in enumerate(parts))
-    for j, gamma in enumerate(gammas):
-        rows, block = joint_rows(W)[j], slice(j * N, (j + 1) * N)
-        taken = rows.taken(parts[j][rows.used], inverse, inverse @ omega @ inverse, 30)
-        for lag in range(31):
-            left, true = (np.trace(X, lag) / N for X in (residual[block, block], gamma))
-            assert left + taken[lag] == pytest.approx(true, abs=1e-10), (j, lag)
-
-
 def test_uncorrected_residuals_would_be_too_sure() -> None:
     """Over many draws the corrected scores are right on average; those of residuals are not."""
     W, inverse = problem()

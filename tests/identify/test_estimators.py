@@ -8,15 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import scipy.signal
 
 from excitant.cli import main
-from excitant.exceptions import BadInput, RankDeficient, UnknownName
+from excitant.exceptions import BadInput, Infeasible, RankDeficient, UnknownName
 from excitant.identify import Recording, Regression, identify_robot
 from excitant.identify.differentiators import ZeroPhaseButterworth
 from excitant.identify.estimators import (
     ESTIMATORS,
+    closed_loop,
     errors_in_variables,
     every_second,
     irls,
@@ -27,8 +29,8 @@ from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.physical import fit_physical
 from excitant.identify.prior import prior_parameters
 from excitant.identify.regression import dense
-from excitant.identify.rows import fit_rows, split
-from excitant.robots import load_robot
+from excitant.identify.rows import FitRows, fit_rows, split
+from excitant.robots import Motion, Robot, base_parameters, load_robot
 from excitant.robots.effects import standard_effects
 from excitant.robots.parameters import violations
 
@@ -247,6 +249,9 @@ def test_a_robot_is_identified_by_every_estimator(name: str, noisy: Recording) -
     said = " ".join(found.notes)
     assert (name == "wls") != (f"base parameters by {ESTIMATORS[name]}" in said)
     assert (name == "iv") == ("Durbin-Wu-Hausman" in said)
+    for words in ("simulated on the measured motion up to", "converged after"):
+        assert (name == "oe") == (words in said)
+    assert found.estimator == ESTIMATORS[name]
 
 
 def test_the_default_identifies_bit_for_bit_as_by_hand(noisy: Recording) -> None:
@@ -306,3 +311,112 @@ def test_the_command_says_which_estimator(noisy: Recording, tmp_path: Path) -> N
     assert main(words) == 0
     result = json.loads((tmp_path / "o" / "result.json").read_text(encoding="utf-8"))
     assert result["estimator"].startswith(ESTIMATORS["irls"])
+
+
+RATE = 125.0
+FRICTION = np.array([[0.8, 0.4], [1.0, 0.5], [0.1, -0.2]])  # viscous, Coulomb, offset
+DRAWS = 12
+Z95 = 1.959963984540054
+
+
+def motion_at(t: np.ndarray) -> Motion:
+    """Sines of incommensurate frequencies, so that nothing repeats, differentiated on paper."""
+    f = np.array([[0.21, 0.34], [0.47, 0.58], [0.83, 0.71]])[:, None, :]
+    phase = np.random.default_rng(7).uniform(0, 2 * np.pi, (3, 1, 2))
+    w, size = 2 * np.pi * f, np.array([0.7, 0.5, 0.3])[:, None, None]
+    parts = (
+        (size * w**order * np.sin(w * t[:, None] + phase + order * np.pi / 2)).sum(axis=0)
+        for order in range(3)
+    )
+    return Motion(t, *parts)
+
+
+def recorded(robot: Robot, seed: int, encoder: float, noise: float = 0.02) -> Recording:
+    """Recursive Newton-Euler and friction written here."""
+    rng, t = np.random.default_rng(seed), np.arange(0, 16, 1 / RATE)
+    motion, data = motion_at(t), robot.model.createData()
+    states = zip(motion.q, motion.dq, motion.ddq, strict=True)
+    tau = np.array([pin.rnea(robot.model, data, *state) for state in states])
+    viscous, coulomb, offset = FRICTION
+    tau += viscous * motion.dq + coulomb * np.sign(motion.dq) + offset
+    tau += noise * np.sqrt((tau**2).mean(axis=0)) * rng.standard_normal(tau.shape)
+    q = motion.q + encoder * rng.standard_normal(tau.shape)
+    return Recording("run", "run.csv", t, q, tau)
+
+
+def rows_of(robot: Robot, recording: Recording, cutoff_hz: float = 10.0) -> FitRows:
+    effects = standard_effects(robot.joints)
+    data = split([recording], [recording], cutoff_hz)
+    return fit_rows(robot, effects, base_parameters(robot, effects), data)
+
+
+def truth(robot: Robot) -> np.ndarray:
+    effects = standard_effects(robot.joints)
+    values = np.concatenate([robot.phi, *FRICTION, np.zeros(2)])
+    beta: np.ndarray = base_parameters(robot, effects).regrouping @ values
+    return beta
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cutoff_hz", [10.0, 25.0])
+def test_noisy_encoders_do_not_bias_it_though_least_squares(
+    planar: Robot, cutoff_hz: float
+) -> None:
+    """One motion, draws of noise only: mean error over its standard deviation."""
+    beta, errors, plain, held = truth(planar), [], [], []
+    for seed in range(DRAWS):
+        recording = recorded(planar, seed, encoder=5e-4)
+        rows = rows_of(planar, recording, cutoff_hz)
+        loop = closed_loop(rows, [recording])
+        fit = output_error(loop.problem, loop.simulated).fit
+        errors.append(fit.beta - beta)
+        held.append(np.abs(errors[-1]) < Z95 * np.sqrt(np.diag(fit.covariance)))
+        plain.append(weighted_least_squares(rows.reduced).beta - beta)
+    assert biased(np.array(errors)).max() < 4
+    assert np.mean(held) > 0.95 - 3 * np.sqrt(0.05 * 0.95 / DRAWS)
+    if cutoff_hz == 25.0:
+        assert biased(np.array(plain)).max() > 15
+
+
+def test_one_draw_is_better_than_least_squares_of_a_bad_filter(planar: Robot) -> None:
+    recording = recorded(planar, 0, encoder=1e-3)
+    rows = rows_of(planar, recording, 25.0)
+    loop = closed_loop(rows, [recording])
+    found = output_error(loop.problem, loop.simulated)
+    size = np.sqrt((rows.W[:, :, list(rows.base.columns)] ** 2).mean(axis=(0, 1)))
+    error, plain = (
+        np.linalg.norm((fit.beta - truth(planar)) * size)
+        for fit in (found.fit, weighted_least_squares(rows.reduced))
+    )
+    assert error < 0.2 * plain
+    assert 1 <= found.iterations <= 4
+    # the motion ends at 0.83 and 0.71 Hz; the reference goes 2.5 times as far, or a little more
+    assert (loop.bandwidth_hz >= 2.5 * np.array([0.83, 0.71])).all()
+    assert (loop.bandwidth_hz < 6).all()
+
+
+def test_parameters_of_no_arm_still_give_a_motion(planar: Robot) -> None:
+    """Inertia below zero: what is simulated lies between the given arm and these parameters."""
+    recording = recorded(planar, 0, encoder=1e-4)
+    loop = closed_loop(rows_of(planar, recording), [recording])
+    W = loop.simulated(-3 * truth(planar)).W
+    assert np.isfinite(W).all()
+    np.testing.assert_allclose(
+        np.sqrt((W**2).mean(axis=(0, 1))),
+        np.sqrt((loop.problem.W**2).mean(axis=(0, 1))),
+        rtol=0.05,
+    )
+
+
+def test_what_does_not_converge_is_refused_in_one_line() -> None:
+    rng = np.random.default_rng(0)
+    W = rng.standard_normal((200, 1, 2))
+
+    def simulated(beta: np.ndarray) -> Regression:
+        """A motion so different for every estimate that none fits its own."""
+        return dense(W * (2.0 if abs(beta[0]) > 1.5 else 0.5), tau, ("a", "b"))
+
+    tau = W @ [1.6, 1.0]
+    with pytest.raises(Infeasible, match=r"output error: parameters still move") as refusal:
+        output_error(dense(W, tau, ("a", "b")), simulated)
+    assert "\n" not in str(refusal.value)

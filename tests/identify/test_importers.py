@@ -438,15 +438,11 @@ def test_damaged_rows_and_columns(ur10: Robot, save: Save) -> None:
 
 
 MEANINGS = {
-    "actual_qd_3": ("dq", 3, False),
     "target_moment_0": ("tau", 0, True),
     "J2 Torque [Nm]": ("tau", 2, False),
     "torque_1 [A]": ("i", 1, False),
-    "wrist_1_joint.effort": ("tau", "wrist_1_joint", False),
     "shoulder_pan position": ("q", "shoulder_pan_joint", False),
     "q_ref4": ("q", 4, True),
-    "actual_current_5": ("i", 5, False),
-    "current_position_5": ("q", 5, False),
     "ddq_logged1": ("ddq", 1, False),
     "temperature_1": (None, 1, False),
     "actual_TCP_speed_0": ("dq", 0, False),

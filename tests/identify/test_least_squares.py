@@ -5,16 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.signal
+import scipy.stats
+from hypothesis import given
+from hypothesis import strategies as st
 
-from excitant.exceptions import RankDeficient
-from excitant.identify.least_squares import autocorrelation_time, weighted_least_squares
+from excitant.identify.least_squares import (
+    autocorrelation_time,
+    essential_parameters,
+    weighted_least_squares,
+)
 from excitant.identify.regression import dense
 
 N, NV, R = 800, 2, 5
 NAMES = tuple(f"beta{k}" for k in range(R))
 BETA = np.array([3.0, -0.5, 0.02, 10.0, 1.0])
 SIGMA = np.array([0.3, 2.0])
-INSIDE = 1.959963984540054
 
 
 def columns(seed: int = 0) -> np.ndarray:
@@ -31,42 +36,6 @@ def noise(rng: np.random.Generator, rho: float) -> np.ndarray:
     """Autoregressive noise of unit variance."""
     white = rng.standard_normal((N + 500, NV)) * np.sqrt(1 - rho**2)
     return scipy.signal.lfilter([1.0], [1.0, -rho], white, axis=0)[500:]
-
-
-def covered(rho: float, draws: int) -> float:
-    """Share of 95 % intervals that hold the truth."""
-    W, rng, hits = columns(), np.random.default_rng(1), 0
-    for _ in range(draws):
-        fit = weighted_least_squares(dense(W, W @ BETA + SIGMA * noise(rng, rho), NAMES))
-        error = np.abs(fit.beta - BETA) / np.sqrt(np.diag(fit.covariance))
-        hits += int((error <= INSIDE).sum())
-    return hits / (draws * R)
-
-
-def test_noiseless_data_give_the_truth() -> None:
-    W = columns()
-    fit = weighted_least_squares(dense(W, W @ BETA, NAMES))
-    np.testing.assert_allclose(fit.beta, BETA, rtol=1e-8)
-    for values in (fit.beta, fit.covariance, fit.sigma, fit.inflation):
-        assert not values.flags.writeable
-
-
-@pytest.mark.parametrize("rho", [0.0, 0.8])
-def test_intervals_cover_the_truth(rho: float) -> None:
-    draws = 100
-    deviation = np.sqrt(0.95 * 0.05 / draws)  # as if all intervals of one draw were one
-    assert abs(covered(rho, draws) - 0.95) <= 3 * deviation
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("rho", [0.0, 0.5, 0.8])
-def test_intervals_cover_the_truth_over_many_draws(rho: float) -> None:
-    draws = 1000
-    deviation = np.sqrt(0.95 * 0.05 / draws)
-    # the correlation time of N rows is itself known to about √(2 τ / N): 15 % of a width at
-    # ρ = 0.8, which costs up to 2 % of coverage
-    short = 0.02 if rho else 0.0
-    assert -3 * deviation - short <= covered(rho, draws) - 0.95 <= 3 * deviation
 
 
 def test_noise_levels_and_correlation_are_found() -> None:
@@ -103,17 +72,82 @@ def test_the_noisier_joint_counts_less() -> None:
     assert (np.abs(fit.beta - best) <= 4 / np.sqrt(2 * N) * std).all()
 
 
-def test_a_column_that_the_motion_does_not_show_is_named() -> None:
-    W = columns()
-    W[:, :, 3] = 0.0
-    with pytest.raises(RankDeficient, match="does not determine") as refusal:
-        weighted_least_squares(dense(W, W @ BETA, NAMES))
-    assert refusal.value.names == ("beta3",)
+ZERO = [1, 4, 5, 9]
+P = 12
 
 
-def test_columns_that_the_motion_cannot_tell_apart_are_named() -> None:
-    W = columns()
-    W[:, :, 4] = 7 * W[:, :, 1]
-    with pytest.raises(RankDeficient) as refusal:
-        weighted_least_squares(dense(W, W @ BETA, NAMES))
-    assert set(refusal.value.names) == {"beta1", "beta4"}
+def draw(seed: int, kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns, torque and truth of an arm with four parameters that are zero."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(800)[:, None, None] / 40
+    W = sum(
+        rng.normal(size=(2, P)) * np.sin(2 * np.pi * f * t + rng.uniform(0, 6, (2, P)))
+        for f in rng.uniform(0.1, 2.0, 6)
+    )
+    beta = rng.choice([-1, 1], P) * rng.uniform(0.5, 3, P)
+    beta[ZERO] = 0.0
+    white = rng.standard_normal((1100, 2))
+    if kind == "ar":
+        white = scipy.signal.lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], white, axis=0)
+    return W, W @ beta + 0.5 * white[300:], beta
+
+
+@pytest.mark.parametrize("kind", ["white", "ar"])
+def test_planted_zeros_are_dropped_and_nothing_else(kind: str) -> None:
+    all_found = 0
+    for seed in range(40):
+        W, tau, beta = draw(seed, kind)
+        fit = weighted_least_squares(dense(W, tau, tuple(map(str, range(P)))))
+        found = essential_parameters(fit.beta, fit.covariance)
+        assert set(found.dropped) <= set(ZERO), seed  # the others are 8 or more deviations away
+        assert sorted((*found.kept, *found.dropped)) == list(range(P))
+        assert (found.beta[list(found.dropped)] == 0).all()
+        all_found += set(found.dropped) == set(ZERO)
+        inside = np.abs(found.beta - beta)[list(found.kept)]
+        assert (inside <= 5 * np.sqrt(np.diag(found.covariance)[list(found.kept)])).all()
+    assert all_found >= 34  # of 40; 5 % are kept by chance
+
+
+def test_dropping_is_least_squares_without_the_columns() -> None:
+    """With the covariance of least squares, the rest follows as a fit of fewer columns."""
+    W, tau, _ = draw(0, "white")
+    A, b = W.reshape(-1, P), tau.ravel()
+    inverse = np.linalg.inv(A.T @ A)
+    found = essential_parameters(inverse @ A.T @ b, 0.25 * inverse)
+    kept = list(found.kept)
+    assert found.dropped
+    alone = np.linalg.lstsq(A[:, kept], b, rcond=None)[0]
+    np.testing.assert_allclose(found.beta[kept], alone, rtol=1e-8)
+    covariance = 0.25 * np.linalg.inv(A[:, kept].T @ A[:, kept])
+    np.testing.assert_allclose(found.covariance[np.ix_(kept, kept)], covariance, rtol=1e-6)
+
+
+@given(st.integers(0, 10**6), st.floats(0.1, 30))
+def test_the_p_value_is_walds(seed: int, size: float) -> None:
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(6, 6)) + 3 * np.eye(6)
+    S, b = root @ root.T, size * rng.normal(size=6)
+    found = essential_parameters(b, S)
+    d = list(found.dropped)
+    statistic = b[d] @ np.linalg.solve(S[np.ix_(d, d)], b[d]) if d else 0.0
+    expected = scipy.stats.chi2.sf(statistic, len(d)) if d else 1.0
+    assert found.p_value == pytest.approx(expected, rel=1e-6)
+    assert found.p_value >= 0.05
+    assert (np.abs(found.beta[d]) == 0).all()
+
+
+def test_units_do_not_matter() -> None:
+    W, tau, _ = draw(1, "ar")
+    fit = weighted_least_squares(dense(W, tau, tuple(map(str, range(P)))))
+    unit = 10.0 ** np.arange(-6, 6)
+    one = essential_parameters(fit.beta, fit.covariance)
+    two = essential_parameters(fit.beta * unit, fit.covariance * np.outer(unit, unit))
+    assert one.dropped == two.dropped
+    np.testing.assert_allclose(two.beta, one.beta * unit, rtol=1e-6)
+
+
+def test_noise_alone_needs_nothing_and_a_sure_thing_stays() -> None:
+    nothing = essential_parameters(np.array([0.1, -0.2]), np.eye(2))
+    assert nothing.kept == ()
+    exact = essential_parameters(np.array([1.0, 0.1]), np.diag([0.0, 1.0]))
+    assert exact.kept == (0,)

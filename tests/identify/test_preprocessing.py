@@ -93,10 +93,8 @@ def test_gaps_split_and_nothing_is_invented_across_them(
 
 def test_parts_too_short_between_gaps_are_left_out_or_refused() -> None:
     t = T + 1.0 * np.floor(T)  # one second on, one second off
-    wave = np.sin(t)[:, None]
-    with pytest.raises(
-        BadRecording, match=r"time jumps 19 times, first after 0\.9961 s"
-    ) as refusal:
+    wave, why = np.sin(t)[:, None], r"time jumps 19 times, first after 0\.9961 s"
+    with pytest.raises(BadRecording, match=why) as refusal:
         prepare(Recording("n", "f.csv", t, wave, wave))
     assert (refusal.value.file, refusal.value.column) == ("f.csv", "t")
     t = np.where(T < 10, T, t)

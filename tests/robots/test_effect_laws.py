@@ -123,6 +123,25 @@ def test_bristles_follow_the_closed_form_between_reversals() -> None:
     assert (np.diff(z) * np.diff(q) >= 0).all()
 
 
+@pytest.mark.parametrize("distance", [0.02, 0.3, 2.0])
+def test_hysteresis_loop_loses_what_dahls_law_says(planar: Robot, distance: float) -> None:
+    """∮ F_c z dq = 4 F_c (A − δ tanh(A / δ)) per cycle of amplitude A, once it is periodic."""
+    force, amplitude, per_cycle, cycles = 3.0, 0.5, 4000, 30
+    phase = np.arange(cycles * per_cycle + 1) * 2 * np.pi / per_cycle
+    motion = turning(amplitude * np.sin(phase), phase)
+    tau = sum(
+        first(effect(planar.joints[:1], (force,), **shape), planar, motion)
+        for effect, shape in (
+            (fx.CoulombFriction, {}),
+            (fx.PreslidingHysteresis, {"distance": distance}),
+        )
+    )
+    q, last = motion.q[:, 0], slice(-per_cycle - 1, None)
+    loss = np.trapezoid(tau[last], q[last])
+    expected = 4 * force * (amplitude - distance * np.tanh(amplitude / distance))
+    assert loss == pytest.approx(expected, rel=2e-3)
+
+
 def test_presliding_needs_motion_and_tends_to_coulomb_friction(planar: Robot) -> None:
     t = np.linspace(0, 6, 3001)
     rest = np.zeros((len(t), 2))
@@ -147,6 +166,70 @@ def test_warming_up_fades_exponentially(planar: Robot) -> None:
     tau = first(effect, planar, Motion(t, 0 * rates, rates, 0 * rates))
     fading = np.array([1.0, 1.0, np.exp(-1), np.exp(-2), 0.0])
     np.testing.assert_allclose(tau, -4.0 * fading, rtol=1e-12, atol=1e-20)
+
+
+def test_ripple_repeats_with_its_order_and_no_sooner(gantry: Robot, random_states: States) -> None:
+    motion, order = random_states(gantry, 7, 20), 17.0
+    n = gantry.nv
+    effect = fx.TorqueRipple(gantry.joints, (0.3, 0.4) * n, order=order)
+    tau = effect.torque(gantry, motion)
+    ahead, half = (
+        effect.torque(gantry, Motion(motion.t, motion.q + turn, motion.dq, motion.ddq))
+        for turn in (2 * np.pi / order, np.pi / order)
+    )
+    np.testing.assert_allclose(ahead, tau, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(half, -tau, rtol=0, atol=1e-12)
+    fine = turning(np.linspace(0, 1, 2000), np.linspace(0, 1, 2000), n)
+    assert effect.torque(gantry, fine).max() == pytest.approx(0.5, rel=1e-4)
+
+
+@pytest.mark.parametrize("lever", [False, True])
+def test_spring_is_the_derivative_of_its_energy(
+    gantry: Robot, random_states: States, lever: bool
+) -> None:
+    """½ k (q − q₀)², or M cos(q − q₀) of a weight on a lever."""
+    k, rest, step = 50.0, 0.4, 1e-5
+    motion, n = random_states(gantry, 8, 20), gantry.nv
+    values = (k * np.sin(rest), -k * np.cos(rest)) if lever else (k, -k * rest)
+
+    def energy(q: np.ndarray) -> np.ndarray:
+        return k * np.cos(q - rest) if lever else k * (q - rest) ** 2 / 2
+
+    tau = fx.Spring(gantry.joints, values * n, lever=lever).torque(gantry, motion)
+    expected = (energy(motion.q + step) - energy(motion.q - step)) / (2 * step)
+    np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-6)  # rounding over the step
+
+
+@pytest.mark.parametrize("ratio", [1.0, -1.0, 0.4])
+def test_coupled_friction_takes_the_power_of_its_shaft(
+    gantry: Robot, random_states: States, ratio: float
+) -> None:
+    motion, viscous, coulomb = random_states(gantry, 9, 50), 1.5, 0.7
+    pair = (gantry.joints[-1], gantry.joints[0])
+    tau = fx.FrictionCoupling(pair, (viscous, coulomb), ratio=ratio).torque(gantry, motion)
+    shaft = motion.dq[:, -1] + ratio * motion.dq[:, 0]
+    power = (tau * motion.dq).sum(axis=1)
+    np.testing.assert_allclose(power, viscous * shaft**2 + coulomb * np.abs(shaft), rtol=1e-9)
+    assert not tau[:, 1:-1].any()
+    still = Motion(motion.t, motion.q, motion.dq - motion.dq, motion.ddq)
+    assert not fx.FrictionCoupling(pair, (1.0, 1.0)).torque(gantry, still).any()
+
+
+def test_a_rotor_that_turns_with_two_joints_keeps_its_energy(planar: Robot) -> None:
+    """Power into T = ½ J (a q̇₁ + b q̇₂)² is its rate; rotor inertias and coupling make it up."""
+    J, a, b = 0.2, 3.0, -5.0
+    t = np.linspace(0, 2, 4001)
+    phase = np.outer(t, [3.0, 5.0]) + np.array([0.2, 1.0])
+    motion = Motion(t, np.sin(phase), np.cos(phase) * [3, 5], -np.sin(phase) * [9, 25])
+    effects = (
+        fx.RotorInertia(planar.joints, (J * a**2, J * b**2)),
+        fx.InertiaCoupling(planar.joints, (J * a * b,)),
+    )
+    tau = np.sum([effect.torque(planar, motion) for effect in effects], axis=0)
+    T = J * (motion.dq @ [a, b]) ** 2 / 2
+    power = (tau * motion.dq).sum(axis=1)
+    rate = np.gradient(T, t)
+    assert np.abs(power - rate)[1:-1].max() <= 1e-4 * np.abs(rate).max()
 
 
 STEP = 1e-3  # s
@@ -307,6 +390,19 @@ def test_joint_elasticity_is_the_torque_of_a_link_that_yields(ur10: Robot) -> No
         soft, stiff = (yielding(ur10, motion, j, s * c)[inside] for s in (1, -1))
         column = fx.JointElasticity((ur10.joints[j],)).columns(ur10, motion)[inside, :, 0]
         close(column, (soft - stiff) / (2 * c), 1e-3)  # (w h)², fourth derivatives of the motion
+
+
+def test_gap_that_never_opens_is_an_encoder_offset(ur10: Robot) -> None:
+    """The shoulder lift carries the stretched arm all the time: always the same flank."""
+    t, j, gap = np.arange(0, 1, STEP), 1, 2e-3
+    zero = np.zeros((len(t), 6))
+    motion = Motion(t, zero + 0.05 * np.sin(t)[:, None], zero, zero)
+    load = rigid_body_torque(ur10, motion)[:, j]
+    assert np.abs(load).min() > 1
+    joint = (ur10.joints[j],)
+    shift = -np.sign(load[0]) * gap / 2
+    expected = fx.EncoderOffset(joint, (shift,)).torque(ur10, motion)
+    close(fx.Backlash(joint, (gap,)).torque(ur10, motion), expected, 1e-6)
 
 
 def test_backlash_changes_flank_with_the_load(ur10: Robot) -> None:

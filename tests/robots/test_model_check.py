@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from excitant.robots import Robot, builtin_robots, load_robot
-from excitant.robots.check import ModelCheck, gravity_peaks
+from excitant.robots.check import ModelCheck
 from excitant.robots.geometry import bodies
 from excitant.robots.urdf import robot_from_urdf
 
@@ -258,7 +258,7 @@ def test_a_right_angle_with_few_digits_is_a_hint(text: str) -> None:
 
 def test_gravity_peak_is_the_stretched_arm_level() -> None:
     """Both links level: m1 g l1/2 + m2 g (l1 + l2/2), and m2 g l2/2 at the second joint."""
-    peak = gravity_peaks(load_robot("planar_2r"))
+    peak = ModelCheck(load_robot("planar_2r")).gravity_peaks
     exact = 9.81 * np.array([5 * 0.25 + 3 * 0.7, 3 * 0.2])
     assert np.all(peak <= exact * (1 + 1e-12))
     assert peak == pytest.approx(exact, rel=5e-3)

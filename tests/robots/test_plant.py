@@ -7,6 +7,7 @@ must be the effect's own law; MuJoCo simulates two-mass joints, and energy must 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -52,6 +53,12 @@ def robot(planar: Robot) -> Robot:
     return planar
 
 
+def test_thermal_friction_drift(robot: Robot) -> None:
+    run = Recorded(robot, hidden("thermal_friction_drift", robot.joints[0], Fv=2.0, Fc=3.0, time=2))
+    v = run.dq[:, 0]
+    run.agree(at(robot, 0, (2.0 * v + 3.0 * np.sign(v)) * np.exp(-run.t / 2)), 3e-3)
+
+
 def test_a_jammed_shaft_couples_the_joints(ur10: Robot) -> None:
     """With dry friction that nothing overcomes, q̇_j + r q̇_k stays zero while both joints move."""
     run = Recorded(ur10, hidden("friction_coupling", *ur10.joints[4:], Fc=1e3, ratio=1.0))
@@ -94,6 +101,8 @@ def test_torque_gain_and_crosstalk(robot: Robot) -> None:
     true = Recorded(robot).tau
     gain = hidden("torque_gain", robot.joints[1], gain=1.2)
     assert np.allclose(Recorded(robot, gain).tau, true * np.where(np.arange(robot.nv) == 1, 1.2, 1))
+    everywhere = hidden("torque_gain", *robot.joints, gain=0.9)
+    assert np.allclose(Recorded(robot, everywhere).tau, 0.9 * true)
     talk = hidden("sensor_crosstalk", robot.joints[1], robot.joints[0], gain=0.1)
     assert np.allclose(Recorded(robot, talk).tau, true + at(robot, 1, 0.1 * true[:, 0]))
 
@@ -198,6 +207,30 @@ def test_elastic_joint_is_mujocos_two_bodies(pendulum: Robot) -> None:
         pendulum, hidden("rotor_inertia", "joint", Ia=0.4), trajectory=chirp, duration=3.0
     )
     assert np.abs(run.tau - rigid.tau).max() > 0.1 * np.abs(rigid.tau).max()
+
+
+def test_an_elastic_joint_rings_at_its_resonance(pendulum: Robot) -> None:
+    """With the motor held, √(k/J) to within a per cent, and damped as told."""
+    inertia, stiffness, zeta, rate = 4 * 0.25 + 0.1, 900.0, 0.03, 40.0
+    damping = 2 * zeta * np.sqrt(stiffness * inertia)
+    limits = pendulum.limits
+    strong = type(limits)(limits.position, limits.velocity, limits.acceleration, [1e6])
+    bare = pendulum.with_gravity([0.0, 0.0, 0.0]).with_limits(strong)
+    gear = hidden("joint_elasticity", "joint", stiffness=stiffness, damping=damping, motor=100.0)
+
+    def kick(t: np.ndarray, order: int = 0) -> np.ndarray:
+        x = rate * np.asarray(t)[:, None]
+        rest = np.exp(-x)
+        return 0.05 * (1 - rest * (1 + x), rate * x * rest, rate**2 * (1 - x) * rest)[order]
+
+    run = true_arm(bare, gear).run(kick, 3.0, np.random.default_rng(0))
+    tail = (run.link - run.q)[600:, 0]
+    up = np.flatnonzero((tail[:-1] < 0) & (tail[1:] >= 0))
+    period = np.diff(up - tail[up] / (tail[up + 1] - tail[up])).mean() / RATE
+    assert 2 * np.pi / period == pytest.approx(np.sqrt(stiffness / inertia), rel=0.01)
+    peaks = np.array([np.abs(tail[a:b]).max() for a, b in pairwise(up)])
+    decrement = np.log(peaks[:-1] / peaks[1:]).mean()
+    assert decrement == pytest.approx(2 * np.pi * zeta / np.sqrt(1 - zeta**2), rel=0.05)
 
 
 def test_an_elastic_joint_sags_under_gravity(pendulum: Robot) -> None:

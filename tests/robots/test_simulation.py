@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -147,6 +148,32 @@ def test_the_closed_loop_is_that_of_an_adaptive_solver(ur10: Robot) -> None:
     inner = slice(2, -2)
     slopes = np.array([slope(at, state)[6:] for at, state in zip(t, solved, strict=True)])
     assert np.abs(run.motion.ddq - slopes)[inner].max() < 5e-3 * np.abs(slopes).max()
+
+
+def test_a_falling_arm_is_that_of_mujoco(planar: Robot) -> None:
+    rotor, viscous = (0.1, 0.05), (0.2, 0.1)
+    spec = mujoco.MjSpec.from_string(planar.urdf)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    spec.option.timestep = 1e-3
+    spec.option.gravity = planar.gravity
+    spec.option.disableflags = (
+        mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    )
+    model = spec.compile()
+    model.dof_armature[:], model.dof_damping[:] = rotor, viscous
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.4, -0.6
+    found = []
+    for k in range(1001):
+        if k % 10 == 0:
+            found.append(data.qpos.copy())
+        mujoco.mj_step(model, data)
+    j = planar.joints
+    robot = planar.with_effects((RotorInertia(j, rotor), ViscousFriction(j, viscous)))
+    t = np.arange(101) / 100
+    motion = simulate(robot, at_rest(t, np.array([0.4, -0.6])), step=5e-4).motion
+    assert np.ptp(motion.q, axis=0).min() > 0.5
+    np.testing.assert_allclose(motion.q, np.array(found), atol=5e-5)
 
 
 def test_dry_friction_is_that_of_the_plant(ur10: Robot) -> None:
