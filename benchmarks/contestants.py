@@ -150,7 +150,6 @@ def excitant(
 
 
 def random_search(problem: Problem, settings: Settings) -> Found:
-    """The best of random Fourier series within the limits, of all processes."""
     draws, file = joblib.delayed(_random_draws), problem.folder / "problem.json"
     found = joblib.Parallel(settings.jobs)(draws(file, settings, k) for k in range(settings.jobs))
     condition, trajectory, _ = min(found, key=lambda f: f[0])
@@ -203,7 +202,6 @@ def answer(words: Sequence[object], stem: Path) -> tuple[tuple[Path, ...], dict[
 def run_contestant(
     problem: Problem, method: str, settings: Settings
 ) -> tuple[tuple[Path, ...], str]:
-    """A contestant of ours in a process: the file it wrote, if any, and what it said."""
     stem = problem.folder / f"{method}-{settings.harmonics}"
     file, text = problem.folder / "problem.json", json.dumps(asdict(settings))
     script = Path(__file__).resolve()
@@ -214,7 +212,6 @@ def run_contestant(
 def run_figaroh(
     problem: Problem, python: Path, moves: int, segments: int, iterations: int, seed: int
 ) -> tuple[tuple[Path, ...], str]:
-    """One run of FIGAROH: the file it wrote, if any, and what it said."""
     stem = problem.folder / f"figaroh-{moves}-{seed}"
     specification = {
         "urdf": str(problem.urdf.resolve()),

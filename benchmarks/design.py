@@ -139,13 +139,11 @@ def run(
 
 
 def _children() -> float:
-    """Processor time of ended child processes [s]."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
 
 
 def judged(problem: Problem, row: Row, file: Path) -> Row:
-    """The row with all figures of a motion."""
     model = pin.buildModelFromUrdf(str(problem.urdf))
     states = read_motion(file, problem.robot.nv)
     found = conditioning(model, problem.limits, states)
@@ -180,7 +178,6 @@ def reference(row: Row, rows: Sequence[Row]) -> Row | None:
 
 
 def conditioning_table(rows: Sequence[Row]) -> list[str]:
-    """κ, use of the limits and time of every contestant, and its ratios to ours."""
     lines = [
         f"{'':20}{'κ left':>9}{'κ proj':>9}{'worst limit':>13}{'rest':>6}{'ddq':>7}"
         f"{'wall s':>8}{'CPU s':>8}   other : excitant (κ, wall, CPU)"
@@ -203,7 +200,6 @@ def conditioning_table(rows: Sequence[Row]) -> list[str]:
 
 
 def noise_table(rows: Sequence[Row]) -> list[str]:
-    """Parameter errors of every contestant with a motion, and the ratio of ours to them."""
     lines = [
         f"Base parameters fitted to {DRAWS} draws of torque noise: rms error scaled to torque, rms "
         "error of torque on random states [N·m], std of the worst direction [SI]"

@@ -107,7 +107,6 @@ class RecordingTrajectory(BaseOptimalTrajectory):
 
 
 def prepared(given: SimpleNamespace) -> RecordingTrajectory:
-    """The optimiser, initialised for the robot under the limits of the problem."""
     robot = load_robot(given.urdf, load_by_urdf=True)
     limits = {k: np.asarray(v, float) for k, v in given.limits.items()}
     robot.model.lowerPositionLimit[:] = limits["position"][:, 0]

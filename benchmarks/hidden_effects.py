@@ -176,7 +176,6 @@ def _sign(rng: Rng) -> float:
 
 
 def recipe(kind: str, m: TypicalMotion, rng: Rng) -> Recipe:
-    """Draw joints and shape of a kind of effect."""
     match kind:
         case "friction_coupling" | "inertia_coupling":
             j = int(rng.integers(max(m.nv - 1, 1)))
@@ -383,7 +382,6 @@ def _torque_at(robot: Robot, truth: Truth, t: Array, q: Array, sensors: Sensors)
 
 
 def _filtered_rms(error: Array, rate_hz: float) -> Array:
-    """Root mean square behind the filter, away from the edges."""
     edge = int(_EDGE * rate_hz)
     inner = scipy.signal.sosfiltfilt(_filter(rate_hz), error, axis=0)[edge:-edge]
     return np.asarray(np.sqrt(np.mean(inner**2, axis=0)), dtype=np.float64)

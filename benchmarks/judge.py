@@ -93,7 +93,6 @@ def left_columns(W: Array) -> npt.NDArray[np.intp]:
 
 
 def conditioning(model: Any, limits: dict[str, Any], states: States) -> Conditioning:
-    """Condition numbers of a motion of the model."""
     reference = observation(model, random_states(limits, np.random.default_rng(0)))
     W, columns = observation(model, states), left_columns(reference)
     _, sizes, Vt = np.linalg.svd(reference, full_matrices=False)

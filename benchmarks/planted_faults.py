@@ -1,10 +1,4 @@
-"""Faults of recordings: how many planted ones are found, how often a faultless one is accused.
-
-``--real`` lists what is said about every recording of real arms (EXCITANT_DATA or ../shared/data)
-as it is. Otherwise faults are planted in recordings of virtual arms that deviate from their model,
-seed by seed, and each is counted as found when its name is among those returned. "Beside" counts
-recordings in which other names were returned too.
-"""
+"""Faults of recordings: how many planted ones are found, how often a faultless one is accused."""
 
 from __future__ import annotations
 
@@ -64,7 +58,6 @@ def flipped(log: Log, joint: int, *names: str) -> Log:
 
 
 def edited(log: Log, name: str, where: object, change: Callable[[np.ndarray], object]) -> Log:
-    """Samples ``where`` of a channel changed."""
     values = np.array(getattr(log, name))
     values[where] = change(values[where])
     return replace(log, **{name: values})
@@ -200,7 +193,6 @@ RATES_HZ = (100.0, 125.0, 250.0, 500.0)
 
 
 def report_real() -> None:
-    """What is said of every recording of real arms, by data set and name."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     logs = {}
     for folder in sorted(Path(os.environ.get("EXCITANT_DATA", beside)).iterdir()):
