@@ -177,10 +177,7 @@ def _number_joints(ax: draw.Axes, points: Array, near: float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """What is drawn of an obstacle: polygons and lines, each (points, 3) [m].
-
-    The tool stays ``inside`` a workspace.
-    """
+    """What is drawn of an obstacle: polygons and lines, each (points, 3) [m], maybe ``inside``."""
 
     faces: tuple[Array, ...]
     edges: tuple[Array, ...]
