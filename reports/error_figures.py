@@ -34,10 +34,7 @@ _WIDE = 0.08  # of the abscissa: across wider stretches without data no curve is
 
 @dataclass(frozen=True)
 class Curves:
-    """Series drawn against the measurement: the given model, another with its label, and a band.
-
-    The band is the half width of intervals around the other model, where a run has any.
-    """
+    """Series drawn against the measurement: two models, the half width of intervals."""
 
     before: str
     after: str
@@ -106,10 +103,7 @@ def _of_rows(series: Series, key: str, joint: int, n: int) -> Array | None:
 
 
 def draw_band(ax: draw.Axes, t: Array, joins: Sequence[int], centre: Array, half: Array) -> None:
-    """Fill centre ± half over time, broken where recordings were joined.
-
-    Bins take the least and the greatest edge in them, so that no part of the band is lost.
-    """
+    """Fill centre ± half, broken where recordings were joined; bins lose no edge."""
     for first, last in zip([0, *joins], [*joins, len(t)], strict=True):
         bins = max(20, round(_BINS * (last - first) / len(t)))
         starts = np.unique(np.linspace(first, last, bins, endpoint=False).astype(int))
@@ -188,10 +182,7 @@ def _bar_axes(rows: Sequence[tuple[str, Sequence[_Bar]]], top: float, room: floa
 
 
 def waterfall_figure(result: Result) -> Figure | None:
-    """Hold-out error, relative to the model as given, after each effect that was added.
-
-    The smaller effects at the end are one step.
-    """
+    """Hold-out error, relative to the given model, after each effect; small ones as one."""
     steps = []
     for row in v.records(result, "waterfall"):
         effect, where, joints = v.text(row, "label").partition(" at ")
@@ -282,10 +273,7 @@ def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> F
 
 
 def _along(x: Array, y: Array, bins: int, fewest: int | None = None) -> tuple[Array, Array]:
-    """Median of y in equal bins of the sorted abscissa; the points themselves when few.
-
-    Bins with fewer points than ``fewest`` are left out; by default, than make a steady median.
-    """
+    """Median of y in equal bins of the sorted x, of few points in none; x and y when short."""
     if len(x) <= 2 * bins or x[-1] <= x[0]:
         return x, y
     lower, upper = np.quantile(x, [0.002, 0.998])
