@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -120,6 +121,19 @@ class LimitReport:
     def hold(self) -> bool:
         """Whether no limit is exceeded."""
         return self.worst.ratio <= 1.0
+
+    def entries(self, limits: Limits) -> dict[str, Any]:
+        """Entries of result.json, by quantity."""
+        names, uses = [use.quantity for use in self.uses], self.uses
+        worst = (
+            {"joint": u.joint, "t": u.time, "ratio": u.ratio} if u.ratio else None for u in uses
+        )
+        return {
+            "limits": {use.quantity: use.ratio for use in uses},
+            "limit_values": {name: getattr(limits, name) for name in names},
+            "worst": dict(zip(names, worst, strict=True)),
+            "certified": {use.quantity: use.certified() for use in uses},
+        }
 
 
 def position_range(limits: Limits) -> tuple[Array, Array]:

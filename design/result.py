@@ -16,6 +16,7 @@ from excitant.design.constraints import Clearance, LimitReport, check, clearance
 from excitant.design.criterion import Information, condition_number
 from excitant.design.search import SearchState
 from excitant.design.trajectory import Trajectory
+from excitant.exceptions import OutsideLimits
 from excitant.robots import Array, BaseParameters, Motion, Robot, torque
 from excitant.robots.geometry import Scene
 from excitant.robots.parameters import UNITS
@@ -116,9 +117,10 @@ class Design:
 
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``; ``weakest`` have the least torque of their own after."""
-        robot, near, uses = self.robot, self.clearance, self.limits.uses
+        robot, near = self.robot, self.clearance
         names = [self.base.names[k] for k in self.base.columns]
-        before, after = self.before, self.after
+        before, after, limits = self.before, self.after, self.limits.entries(robot.limits)
+        limits["limit_values"] = {k: _plain(x) for k, x in limits["limit_values"].items()}
         return {
             "verb": "design",
             "robot": robot.name,
@@ -145,17 +147,7 @@ class Design:
                 "initial": weak_directions(names, before, after),
                 "final": weak_directions(names, after, before),
             },
-            "limits": {use.quantity: use.ratio for use in uses},
-            "limit_values": {
-                use.quantity: _plain(getattr(robot.limits, use.quantity)) for use in uses
-            },
-            "worst": {
-                use.quantity: {"joint": use.joint, "t": use.time, "ratio": use.ratio}
-                if use.ratio > 0
-                else None
-                for use in uses
-            },
-            "certified": {use.quantity: use.certified() for use in uses},
+            **limits,
             "clearance_m": near and near.certified,
             "closest": near
             and {"bodies": list(near.bodies), "t": near.time, "distance_m": near.distance},
@@ -227,6 +219,65 @@ class Design:
                 row[f"std_per_unit_noise_{when}"] = 1 / (root * float(size[k]))
             rows.append(row)
         return rows
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryCheck:
+    """Whether a motion keeps all limits and clear of bodies, and how well it excites."""
+
+    information: Information  # what it is to make visible, on which arm
+    motion: Motion
+    limits: LimitReport
+    clearance: Clearance | None
+    least: float  # distance required [m]
+
+    @property
+    def touched(self) -> bool:
+        """Whether bodies come too close."""
+        return self.clearance is not None and self.clearance.distance < self.least
+
+    def result(self) -> dict[str, Any]:
+        """The content of ``result.json``."""
+        robot, near = self.information.robot, self.clearance
+        entries = self.limits.entries(robot.limits)
+        entries["worst"] = {name: worst for name, worst in entries["worst"].items() if worst}
+        verdicts = [
+            f"{use.quantity} limit of {use.joint} exceeded by {100 * (use.ratio - 1):.3g} % "
+            f"at {use.time:.4g} s"
+            for use in self.limits.uses
+            if use.ratio > 1
+        ]
+        if near is not None and self.touched:
+            verdicts.append(
+                f"{near.bodies[0]} and {near.bodies[1]} come within {1000 * near.distance:.3g} mm "
+                f"at {near.time:.4g} s, required {1000 * self.least:.3g} mm"
+            )
+        return {
+            "verb": "check",
+            "robot": robot.name,
+            "joints": list(robot.joints),
+            "holds": self.limits.hold and not self.touched,
+            **entries,
+            "columns": self.information.columns,
+            "condition_number": condition_number(self.information.matrix(self.motion)),
+            "clearance_m": near and near.certified,
+            "verdicts": verdicts or ["all limits hold, between samples too"],
+        }
+
+    def series(self) -> dict[str, Array]:
+        """The motion with its torque."""
+        return vars(self.motion) | {"tau": torque(self.information.robot, self.motion)}
+
+    def require(self) -> None:
+        """Refuse a limit that is exceeded, or bodies that come too close.
+
+        Raises:
+            OutsideLimits: With what is worst.
+        """
+        self.limits.worst.require()
+        if (near := self.clearance) is not None and self.touched:
+            bodies = " and ".join(near.bodies)
+            raise OutsideLimits(bodies, "distance", near.distance, self.least, near.time)
 
 
 def scaled_condition_number(M: Array) -> float | None:
