@@ -26,22 +26,15 @@ _ROUNDED = 1e-5  # of the longest column: less is shown by a right angle written
 class Information:
     """What a design makes visible: base columns of the observation matrix W.
 
-    Attributes:
-        robot: The arm.
-        columns: ``"inertial"`` (standard parameters of the links) or ``"friction"`` (those with
-            viscous and Coulomb friction, torque offset and rotor inertia of every joint).
-        base: Base parameters of these columns.
-        weights: Weight of each joint's equations, 1 / its noise relative to the others,
-            shape (nv,).
-        earlier: Information that earlier recordings hold already, divided by the samples of
-            the motion to be designed, shape (r, r).
+    They are ``"inertial"`` (standard parameters of the links) or ``"friction"`` (those with
+    viscous and Coulomb friction, torque offset and rotor inertia of every joint).
     """
 
     robot: Robot
     columns: str
-    base: BaseParameters
-    weights: Array
-    earlier: Array
+    base: BaseParameters  # of these columns
+    weights: Array  # of each joint's equations, 1 / its noise relative to the others, shape (nv,)
+    earlier: Array  # information of earlier recordings per sample of the new motion, (r, r)
 
     def __post_init__(self) -> None:
         freeze(self, "weights", "earlier")

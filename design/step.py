@@ -72,12 +72,10 @@ def local_model(problem: DesignProblem, z: Array) -> LocalModel:
 def solve_step(
     problem: DesignProblem, model: LocalModel, radius: float
 ) -> tuple[Array, float] | None:
-    """Best step within the trust region, and the decrease of the merit that it promises.
+    """Best step within the trust region, and the decrease of the merit that it promises, or None.
 
-    Only limit rows near current extrema enter. Extrema that the solution moves beyond their
-    limits are added, and it is solved again until none is (an exchange). A long step may leave
-    a small share of its length beyond the limits, which the next one takes back. None without
-    a solution.
+    Extrema that the solution moves beyond their limits are added until none is (an exchange). A
+    long step may leave a small share of its length beyond them, which the next one takes back.
     """
     cost, A, right, cones = _programme(problem, model, radius)
     rows, room = _extremum_rows(problem, model.z, model.z, _NEAR)
