@@ -156,7 +156,6 @@ class _Search:
                 return
 
     def round(self) -> float:
-        """One master problem and one search for violating states; the ceiling."""
         early = len(self.history) < _LOOSE_ROUNDS
         tolerance, polish = (_LOOSE, 0) if early else (_TIGHT, _POLISH)
         self.weights, multipliers = mixture_of(self.problem, self.states, tolerance)
@@ -172,7 +171,6 @@ class _Search:
         return ceiling
 
     def exchange(self, multipliers: Multipliers, found: Motion) -> None:
-        """Add states; drop the worst-priced when there are many more than carry weight."""
         self.archive = _together([self.archive, found])
         w = self.weights
         room = 2 * int((w > _SUPPORT * w.max()).sum()) + _SPARE
@@ -207,7 +205,6 @@ def _seeds(
     harmonics: int | None,
     pool: Sequence[Motion],
 ) -> Motion:
-    """States of random trajectories, which obey every row together, and of those given."""
     if harmonics is None:
         duration, harmonics = _SEED_DURATION, _SEED_HARMONICS
     t = (np.arange(_SEED_STATES) + 0.5) / _SEED_STATES * duration
@@ -317,7 +314,6 @@ class _Programme:
         return _Point(one / r, x, _SLACK * one, np.full(len(x), _SLACK), np.zeros(len(self.b)))
 
     def forward(self, X: Array, x: Array) -> Array:
-        """A X + L x, shape (equations,)."""
         out: Array = self.L @ x
         out[: self.n] += self.flat @ (X[1] - X[0]).ravel()
         out[self.n] += np.trace(X[1])

@@ -62,11 +62,7 @@ class LimitUse:
         return float(self.times[self.ratios.argmax()])
 
     def require(self) -> None:
-        """Refuse a joint beyond its limit.
-
-        Raises:
-            OutsideLimits: With the worst joint, its value and the limit.
-        """
+        """Raise `OutsideLimits` with the worst joint, value and limit if one is exceeded."""
         if self.ratio > 1.0:
             j = int(self.ratios.argmax())
             above, below = self.high[j] - self.limits[j, 1], self.limits[j, 0] - self.low[j]
@@ -227,11 +223,7 @@ def _reversals(spline: HermiteTrajectory, t: Array) -> Array:
 def _extrema(
     evaluate: Callable[[Array], Array], slope: Callable[[Array], Array], t: Array
 ) -> Extrema:
-    """Smallest and largest value of each channel over continuous time, and when.
-
-    Increasing instants are joined by cubic Hermite interpolation (error h⁴ |f⁗| / 384); the
-    function itself is then evaluated at the interpolants' stationary points.
-    """
+    """Extrema of each channel, evaluated where its cubic Hermite interpolant is stationary."""
     value = evaluate(t)
     joined = CubicHermiteSpline(t, value, slope(t)).derivative()
     roots = joined.roots(discontinuity=False, extrapolate=False)

@@ -145,7 +145,6 @@ def _from_csv(text: str, path: Path, robot: Robot) -> Motion:
 
 
 def _csv_fault(lines: Sequence[list[str]], robot: Robot) -> str | None:
-    """The first thing wrong with a table, its header first."""
     if len(lines) < 3:
         return "needs a header and at least two rows"
     (header, *rows), nv = lines, robot.nv

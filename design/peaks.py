@@ -139,7 +139,6 @@ def _polished(problem: DesignProblem, z: Array, t: Array, joint: Joints, order: 
 
 
 def _own(problem: DesignProblem, z: Array, t: Array, joint: Joints, order: int) -> Array:
-    """A derivative of joint ``joint[k]`` at instant ``t[k]``."""
     values: Array = np.einsum("kd,kd->k", problem.basis(t, order), z[:, joint].T)
     return values
 

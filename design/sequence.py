@@ -223,7 +223,6 @@ def _of_link(information: Information, joint: int, chosen: npt.NDArray[np.bool_]
 def _keeping(
     robot: Robot, motions: Sequence[Trajectory], scene: Scene | None, clearance: float
 ) -> list[Trajectory]:
-    """Motions shrunk to keep all limits of the whole arm, without those that cannot."""
     shrunk = (within_limits(robot, motion, scene, clearance) for motion in motions)
     kept = [motion for motion in shrunk if motion is not None]
     if not kept:

@@ -116,10 +116,7 @@ def _extremum_rows(
 def _programme(
     problem: DesignProblem, model: LocalModel, radius: float
 ) -> tuple[tuple[sp.csc_matrix, Array], Array, Array, list[Any]]:
-    """(P, c), A, b and cones of min ½vᵀPv + cᵀv with b − A v in the cones.
-
-    The variables v are dz, one bound per block, and the torque excess.
-    """
+    """(P, c), A, b, cones of min ½vᵀPv + cᵀv; v is dz, a bound per block and the torque excess."""
     k, nb, m = problem.size, len(model.blocks), len(model.use)
     n = k + nb + 1
     box = np.kron(problem.series.rest, np.eye(problem.robot.nv)) / problem.reach.reshape(-1, 1)

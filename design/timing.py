@@ -207,7 +207,6 @@ def _free_path(
 
 
 def _obstruction(robot: Robot, path: Path, scene: Scene | None, clearance: float) -> str | None:
-    """Where and why a path comes too close or cannot be held still, if it does."""
     coarse = path(np.linspace(0.0, 1.0, 20 * path.pieces + 1))
     travel = np.abs(np.diff(coarse, axis=0)) / np.where(robot.revolute, *_RESOLUTION)
     s = np.linspace(0.0, 1.0, max(8, int(np.ceil(travel.max(axis=1).sum()))) + 1)
@@ -264,7 +263,6 @@ def _detour(
 
 
 def _grow(tree: list[Branch], target: Array, free: Edge, *, once: bool) -> Branch | None:
-    """Grow the nearest branch of a tree towards a pose; the last one added."""
     ends = np.array([branch[-1] for branch in tree])
     branch, added = tree[int(np.linalg.norm(ends - target, axis=1).argmin())], None
     while True:

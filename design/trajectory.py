@@ -304,10 +304,7 @@ def _root_angles(x: Array, order: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SplineSeries(Series):
-    """Quintic B-splines B(t / h − k) on equidistant knots that close to a period (de Boor 1978).
-
-    h = period / pieces; the coefficients are control points.
-    """
+    """Quintic B-splines B(t / h − k), h = period / pieces, closed to a period (de Boor 1978)."""
 
     name = "spline"
     period: float  # duration of one period [s]
