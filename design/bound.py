@@ -82,7 +82,7 @@ def lower_bound(
     x = (q, q̇, q̈). Those of finite Fourier series obey Bernstein's and Szegő's inequalities too,
     and their mixtures the rows of `TestFunctions`. Column generation adds the states that violate
     the multipliers of the best mixture most. P, Q ⪰ 0, tr Q = 1 with ⟨P − Q, M(x)⟩ + y·dφ/dt ≤ 0
-    for every x prove cond² ≥ tr P; a remaining violation e is repaired by Q + e I / r.
+    for every x prove cond² ≥ tr P; a remaining violation e is repaired by Q + e R, tr R = 1.
 
     Args:
         robot: The arm; its limits on position, velocity, acceleration and torque count.
