@@ -173,11 +173,10 @@ class Design:
 
         Returns:
             ``t`` (n,), ``q``, ``dq``, ``ddq``, ``tau`` (n, nv), ``eigenvalues_initial``,
-            ``eigenvalues_final`` (r,), ascending, and in the base frame [m] ``tool`` (n, 3), the
-            origin of the tool's frame, and ``arm`` (poses, nodes, 3), the arm as a line from the
-            base through the joints to the tool at the instants ``arm_t`` (poses,). A branched arm
-            has ``other_tools`` (n, ends − 1, 3) too, and its lines are parted by NaN. With a limit
-            on jerk also ``dddq`` (n, nv).
+            ``eigenvalues_final`` (r,), ascending, and in the base frame [m] ``tool`` (n, 3) and
+            ``arm`` (poses, nodes, 3), a line from the base through the joints to the tool at
+            ``arm_t`` (poses,). A branched arm has ``other_tools`` (n, ends − 1, 3) too, and its
+            lines are parted by NaN. With a limit on jerk also ``dddq`` (n, nv).
         """
         robot, motion = self.robot, dense_motion(self.trajectory)
         tool, others, arm = _skeleton(robot, motion.q)
@@ -289,9 +288,8 @@ def scaled_condition_number(M: Array) -> float | None:
 def lone_torque(M: Array) -> Array:
     """Torque that only one base parameter explains, root mean square per its unit, shape (r,).
 
-    From M = WᵀW / n: 1 / √(M⁻¹)ₖₖ is the length of column k of W / √n outside the span of the
-    others. From n instants with white noise of standard deviation σ (with weighted joints the
-    geometric mean of theirs) the parameter's is σ / (√n · this).
+    1 / √(M⁻¹)ₖₖ is the length of column k of W / √n outside the span of the others. From n
+    instants with white noise σ the standard deviation of the parameter is σ / (√n · this).
     """
     values, V = np.linalg.eigh(M)
     floor = max(float(values[-1]), 1e-300) * np.finfo(float).eps
@@ -302,17 +300,11 @@ def lone_torque(M: Array) -> Array:
 def weak_directions(
     names: Sequence[str], M: Array, other: Array, count: int = _DIRECTIONS
 ) -> list[dict[str, Any]]:
-    """Combinations of base parameters that a motion shows worst, weakest first.
+    """Combinations of base parameters that M = WᵀW / n (r, r) shows worst, weakest first.
 
     They are the last right singular vectors v of W. ``strength`` is ‖W v‖ / √n [N·m], the root
-    mean square torque per unit; ``other`` is that of the same direction in another motion;
-    ``members`` are the coefficients of size 0.3 and more, and ``share`` their part of v (of 1).
-
-    Args:
-        names: Names of the base parameters, r of them.
-        M: Information WᵀW / n of the motion, shape (r, r).
-        other: Information of the other motion, same shape.
-        count: How many.
+    mean square torque per unit; ``other`` is that in another motion; ``members`` are the
+    coefficients of size 0.3 and more, and ``share`` their part of v (of 1).
     """
     found = []
     for v in np.linalg.eigh(M)[1].T[:count]:
@@ -332,7 +324,6 @@ def weak_directions(
 
 
 def _skeleton(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
-    """Path of the tool (n, 3), those of further ends (n, ends − 1, 3), arm (n, nodes, 3) [m]."""
     model, data = robot.model, robot.model.createData()
     leaves = sorted(set(range(1, robot.nv + 1)) - set(list(model.parents)[1:]))
     chains = [(list(model.supports[leaf]), _last_body(robot, leaf)) for leaf in leaves]
@@ -352,7 +343,6 @@ def _skeleton(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
 
 
 def _last_body(robot: Robot, joint: int) -> int:
-    """Frame of the last body fixed to a joint's link; the tool's if it is."""
     frames = list(robot.model.frames)
     if frames[robot.tip].parentJoint == joint:
         return robot.tip
@@ -372,7 +362,6 @@ def _telling_poses(tool: Array, t: Array, near: float | None) -> list[int]:
 
 
 def _plain(values: npt.ArrayLike) -> Any:
-    """Numbers, None for those that are not finite, in lists as deep as the array."""
     found = np.array(values, object)
     found[~np.isfinite(np.asarray(values, float))] = None
     return found.tolist()
