@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import os
 import sys
 import time
 from collections import Counter, defaultdict
@@ -13,20 +12,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(threads, "1")
+import joblib
+import numpy as np
+from hidden_effects import KINDS, draw_effect, typical_trajectory
+from threadpoolctl import threadpool_limits
 
-import joblib  # noqa: E402
-import numpy as np  # noqa: E402
-from hidden_effects import KINDS, draw_effect, typical_trajectory  # noqa: E402
-
-from excitant.analysis.diagnosis import diagnose  # noqa: E402
-from excitant.exceptions import ExcitantError  # noqa: E402
-from excitant.identify.recording import Recording, recording_from_table  # noqa: E402
-from excitant.robots import Robot, load_robot  # noqa: E402
-from excitant.robots.plant.arm import Trajectory  # noqa: E402
-from excitant.robots.torque import effect_values  # noqa: E402
-from excitant.robots.virtual_arm import HiddenEffect, VirtualArm, virtual_arm  # noqa: E402
+from excitant.analysis.diagnosis import diagnose
+from excitant.exceptions import ExcitantError
+from excitant.identify.recording import Recording, recording_from_table
+from excitant.robots import Robot, load_robot
+from excitant.robots.plant.arm import Trajectory
+from excitant.robots.torque import effect_values
+from excitant.robots.virtual_arm import HiddenEffect, VirtualArm, virtual_arm
 
 ARMS = ("ur10", "panda", "puma560", "planar_2r")
 DURATION = 15.0  # s of each motion
@@ -73,6 +70,7 @@ def recorded(
 
 
 def run(case: Case) -> dict[str, Any]:
+    threadpool_limits(1)
     rng = np.random.default_rng([case.seed, case.number])
     robot, hidden, size = load_robot(case.arm), [], float("nan")
     begun = time.perf_counter()

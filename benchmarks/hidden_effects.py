@@ -406,15 +406,10 @@ def draw_effect(
     trajectory: Trajectory | None = None,
     duration: float = _DURATION,
 ) -> HiddenEffect:
-    """Draw a hidden effect: its kind, its joints and its parameters.
+    """Draw joints and parameters of a kind of effect, or of a structure of an unknown one.
 
-    Args:
-        robot: The nominal arm.
-        rng: Source of randomness.
-        kind: Name of an effect or a structure of an unknown one.
-        size: Wanted visible size, met within 15 %, behind `industrial_sensors`.
-        trajectory: Motion that the size holds for, from rest; a typical one when not given.
-        duration: Length of that motion [s].
+    It shows as much as wanted, within 15 %, behind `industrial_sensors` on a motion from rest; on
+    a typical one when none is given.
 
     Raises:
         UnknownName: There is no such kind.

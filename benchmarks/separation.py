@@ -4,27 +4,24 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(threads, "1")
+import numpy as np
+from diagnosis import DURATION, TOLERANCE, brief, rate, recorded
+from hidden_effects import KINDS, draw_effect, typical_trajectory
+from threadpoolctl import threadpool_limits
 
-import numpy as np  # noqa: E402
-from diagnosis import DURATION, TOLERANCE, brief, rate, recorded  # noqa: E402
-from hidden_effects import KINDS, draw_effect, typical_trajectory  # noqa: E402
-
-from excitant.analysis.diagnosis import Diagnosis, diagnose  # noqa: E402
-from excitant.analysis.discrimination import Plan, key  # noqa: E402
-from excitant.analysis.discrimination_plan import plan  # noqa: E402
-from excitant.design import Trajectory  # noqa: E402
-from excitant.exceptions import ExcitantError  # noqa: E402
-from excitant.identify.recording import Recording  # noqa: E402
-from excitant.robots import Robot, load_robot  # noqa: E402
-from excitant.robots.effects import Effect  # noqa: E402
-from excitant.robots.virtual_arm import HiddenEffect, VirtualArm, virtual_arm  # noqa: E402
+from excitant.analysis.diagnosis import Diagnosis, diagnose
+from excitant.analysis.discrimination import Plan, key
+from excitant.analysis.discrimination_plan import plan
+from excitant.design import Trajectory
+from excitant.exceptions import ExcitantError
+from excitant.identify.recording import Recording
+from excitant.robots import Robot, load_robot
+from excitant.robots.effects import Effect
+from excitant.robots.virtual_arm import HiddenEffect, VirtualArm, virtual_arm
 
 _LEFT_OUT = ("inertial_parameters", "thermal_friction_drift", "unknown")
 _RANGE, _SPEED = 0.3, 0.4  # of the limits: what makes a motion poor
@@ -117,6 +114,7 @@ def main() -> None:
     parser.add_argument("--log", help="write every case as a line of JSON")
     args = parser.parse_args()
     outcomes: list[dict[str, Any]] = []
+    threadpool_limits(1)
     for name in args.arms.split(","):
         for kind in args.kinds.split(","):
             for number in range(args.first, args.first + args.draws):
