@@ -141,10 +141,7 @@ def unextended(evidence: Evidence, held: HeldOut) -> Extension:
 
 @dataclass(frozen=True, eq=False)
 class Extender:
-    """Fits the given robot with causes to a recording.
-
-    What was found wrong is free; everything else stays within the tolerance of its given value.
-    """
+    """Fits the given robot with causes, which are free; the rest stays within its tolerance."""
 
     prior: Array  # standard parameters of the given robot as prior, shape (nv, 10)
     train: Observed  # what to fit, of the robot as understood so far
@@ -271,10 +268,7 @@ def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...
 
 
 def _relative_gain(error: Array, torque: Array) -> tuple[float, float]:
-    """Fall of the squared error, relative to it, when a cause's torque f is taken off it.
-
-    That is (2a − 1)‖f‖² with the slope a of the error on f, its standard error from blocks of time.
-    """
+    """Relative fall (2a − 1)‖f‖² of the squared error, a its slope on torque f, and its error."""
     power = (torque**2).sum()
     if power <= 0:
         return 0.0, 0.0

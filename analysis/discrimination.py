@@ -227,10 +227,7 @@ class Contest:
 
 
 def along(motion: Motion, cutoff_hz: float, rows_hz: float | None = None) -> Segment:
-    """An equidistant motion as it would be prepared were it recorded; its torque is not known.
-
-    It has ``rows_hz`` rows per second, four times the cut-off by default.
-    """
+    """An equidistant motion as prepared, at four rows per period of the cut-off by default."""
     step, still = float(motion.t[1] - motion.t[0]), np.zeros_like(motion.q)
     edge = round(1 / (cutoff_hz * step))
     stride = max(1, round(1 / ((rows_hz or _ROWS * cutoff_hz) * step)))

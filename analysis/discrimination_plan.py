@@ -64,15 +64,10 @@ def discriminating_motions(
     time_limit: float = 15.0,
     scene: Scene | None = None,
 ) -> tuple[list[Discriminating], Array]:
-    """Motions that tell rivals apart, the most telling first.
+    """Motions that tell rivals apart, and the largest Δ of each pair judged, shape (pairs,).
 
-    Many motions are judged: random ones at several frequencies, and joints of interest that
-    reverse within a swelling envelope, from tiny to large, others held or moving. The one that
-    settles most pairs is improved by random changes until its smallest Δ is plenty; pairs that it
-    leaves open get another. Bodies of a scene must keep apart.
-
-    Returns:
-        The motions, and for each pair the largest Δ of all motions judged, shape (pairs,).
+    The motion that settles most pairs is improved by random changes until its smallest Δ is plenty;
+    pairs that it leaves open get another. Bodies of a scene must keep apart.
     """
     deadline = time.monotonic() + time_limit
     series = FourierSeries(_DURATION, max(*_WAVES, round(_TOP_HZ * _DURATION)))
@@ -305,11 +300,7 @@ def _within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
 
 
 def plan(diagnosis: Diagnosis, rng: np.random.Generator, *, time_limit: float = 15.0) -> Plan:
-    """Experiments that settle what a diagnosis leaves undecided.
-
-    For time_limit seconds, motions are looked for where findings that explain at least one per
-    cent have rivals; where none tells two causes apart, an action outside the motion is named.
-    """
+    """Experiments that settle what a diagnosis leaves undecided, searched for time_limit seconds."""
     contest, around = _contest(diagnosis), _surroundings(diagnosis)
     if not contest.pairs:
         return Plan()

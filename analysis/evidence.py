@@ -282,9 +282,7 @@ def weigh(
 def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
     """The same evidence with the noise that a rough model leaves.
 
-    It has the set of candidates and every common cause at once, and given values that may be off by
-    far more than their tolerance: what it leaves is near the noise whatever is wrong, so that one
-    cause does not pass for the noise that hides another, or itself.
+    It has every common cause at once and loose given values, so that no cause passes for noise.
     """
     rough = [*chosen, *(c for c in evidence.candidates if c.effect.usual and c not in chosen)]
     for _ in range(_ROUNDS):
@@ -310,10 +308,7 @@ def widened(robot: Robot) -> float:
 
 
 def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
-    """The same evidence with the tolerance of given values that the data support.
-
-    Its leading columns stand for the links, those up to `Evidence.nuisance` for the effects.
-    """
+    """The same evidence with the tolerance of given values that the data support."""
     links = 10 * robot.nv
     parts = np.arange(links), np.arange(links, evidence.nuisance)
     bodies, effects = (_typical_deviation(evidence, part) for part in parts)

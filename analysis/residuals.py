@@ -66,8 +66,7 @@ def top_speed(segments: Sequence[Segment]) -> Array:
 def moving(segments: Sequence[Segment], fastest: Array | float = 0.0) -> Mask:
     """Rows at which each joint moves, or reverses without a rest, shape (rows, nv).
 
-    Dry friction at rest takes any value up to its level, so other rows say nothing of it. Joints
-    are slow beside their fastest motion, here or, if given, elsewhere.
+    Joints are slow beside their fastest motion, here or, if given, elsewhere.
     """
     fastest = np.maximum(fastest, top_speed(segments))
     masks = []
@@ -112,10 +111,7 @@ def explanatory(segments: Sequence[Segment], load: Array) -> Explanatory:
 
 
 def since_reversal(q: Array, dq: Array, slowest: Array) -> Array:
-    """Signed distance from where each joint last turned back, or from the start, shape (n, nv).
-
-    Up to the slowest speed, shape (nv,), a joint has no direction.
-    """
+    """Signed distance from where each joint last turned back, or from the start, shape (n, nv)."""
     way = np.where(np.abs(dq) > slowest, np.sign(dq), 0.0)
     at = np.arange(len(q))[:, None]
     known = np.maximum.accumulate(np.where(way != 0, at, 0), axis=0)

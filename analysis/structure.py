@@ -1,9 +1,7 @@
 """Structural identifiability under stated circumstances, and how firmly it stands.
 
-Which joints move, which are held and where, which torques are known, and gravity decide what
-torque can show of each parameter. Every category is a decision about sizes that are zero or not;
-with geometry that is nearly special (a twist 1e-6 rad off a right angle) it hangs by a hair, and
-the result says so.
+Every category is a decision about sizes that are zero or not; with geometry that is nearly special
+(a twist 1e-6 rad off a right angle) it hangs by a hair, and the result says so.
 """
 
 from __future__ import annotations
@@ -83,9 +81,6 @@ def structure(
         moving: Joints that move; all when None.
         measured: Joints whose torque is known; all when None.
         held: Where the others are [rad or m], 0 when left out; or ``"any"``, many positions.
-
-    Raises:
-        UnknownName: A joint that the arm does not have.
     """
     positions = held if isinstance(held, Mapping) else {}
     UnknownName.refuse("joint", (*(moving or ()), *(measured or ()), *positions), robot.joints)

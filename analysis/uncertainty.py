@@ -2,13 +2,9 @@
 
 With the torque noise σ of each joint, the whitened columns W/σ of all parameters x have a
 triangular factor R, and ‖R δ‖ is the torque that a change δ makes, in standard deviations of the
-noise. All of this page is R: null directions are not seen, and (RᵀR)⁻¹ is the covariance of what
-is (Gautier and Khalil 1992; Swevers et al. 1997). A further experiment adds rows: a joint moves
-that rested, the base is tilted, a sensor is put under it; what it shows is read from all rows.
-
-A known payload is no such experiment where torque is in N·m: it adds known torque and no row that
-the last link's own columns do not have already. Where torque comes as current, the common scale of
-all drive gains is one more unknown, and a known payload is what shows it.
+noise: null directions are not seen, and (RᵀR)⁻¹ is the covariance of what is (Gautier and Khalil
+1992; Swevers et al. 1997). A further experiment adds rows. A known payload adds none where torque
+is in N·m; where it comes as current, it shows the common scale of all drive gains.
 """
 
 from __future__ import annotations
@@ -52,11 +48,7 @@ APART = f"{_NEVER} or base forces: weigh or swing the link apart from the arm"
 
 
 def torque_noise(robot: Robot, given: Sequence[float] | None = None) -> Array:
-    """Standard deviation of each joint's torque noise, 1 % of its limit by default, (nv,) [N·m].
-
-    Raises:
-        BadInput: Values that do not fit the arm, or a joint without a limit to scale by.
-    """
+    """Standard deviation of each joint's torque noise, 1 % of its limit by default, (nv,) [N·m]."""
     if given is not None:
         sigma = np.asarray(given, float)
         if sigma.shape != (robot.nv,) or not (np.isfinite(sigma) & (sigma > 0)).all():
@@ -93,10 +85,7 @@ def deviations(R: Array, A: Array) -> Array:
 
 
 def dependent_groups(R: Array) -> tuple[tuple[int, ...], ...]:
-    """Columns that follow from each other: once one of a group is known, so are the others.
-
-    Those are the columns whose rows of the null space are parallel.
-    """
+    """Columns that follow from each other: their rows of the null space are parallel."""
     _, _, V, seen = _decomposed(R)
     N = V[:, ~seen]
     size = np.linalg.norm(N, axis=1)
@@ -157,10 +146,7 @@ class MotionInformation:
 def motion_information(
     base: BaseParameters, W: Array, sigma: Array, covariance: Array | None = None
 ) -> MotionInformation:
-    """What a motion of columns (n, rows, p) with noise (rows,) shows of r base parameters.
-
-    Their covariance (r, r) may be known already.
-    """
+    """What columns (n, rows, p) with noise (rows,) show; the covariance (r, r) may be known."""
     R, columns = triangle(W, sigma), list(base.columns)
     if covariance is None:
         scale, s, V, seen = _decomposed(R[:, columns])

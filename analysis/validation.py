@@ -162,14 +162,7 @@ class Refit:
 
 
 def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
-    """Fit the inertias alone to torque tau [N·m] that was fitted, and judge that on the hold-out.
-
-    There the extended model makes a torque of its own [torque unit].
-
-    Raises:
-        BadRobot: A link without mass.
-        Infeasible: The semidefinite solver failed.
-    """
+    """Fit the inertias alone to torque tau [N·m], and judge them beside the extended model."""
     robot, Y, Yv = train.robot, train.links, held.observed.links
     base, prior = base_parameters(robot), prior_parameters(robot)
     B = base.regrouping
