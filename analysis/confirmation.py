@@ -196,7 +196,6 @@ class Extender:
 
 
 def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
-    """A payload first, then the given effects, then those found on joints that had none."""
     has = {p.name for e in robot.effects for p in e.parameters(robot)}
     bodies = [c.effect for c in chosen if c.effect.role == "body"]
     found = [c.effect for c in chosen if c.effect.role == "torque"]
@@ -205,10 +204,9 @@ def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
 
 
 def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> Extension:
-    """The fit with those causes that pay on the hold-out, or that others rest on.
+    """The fit with those causes that pay on the hold-out, the least going first.
 
-    The one that pays least goes first, and all others are fitted anew. What others rest on stays:
-    plain friction below finer friction, and a cause without which the new fit is clearly worse.
+    Plain friction below finer friction stays, and a cause without which a new fit is clearly worse.
     """
     held, fit = extender.held, extender(chosen)
     kept, refuted = set[Candidate](), set[Key]()

@@ -123,13 +123,11 @@ class _Search:
         return pool
 
     def information(self, trajectory: FourierTrajectory) -> Array:
-        """Information of a motion, shape (columns, columns)."""
         t, bases = self.instants
         motion = Motion(t, *(basis @ trajectory.coefficients for basis in bases))
         return self.contest.information(motion)
 
     def judged(self, trajectory: FourierTrajectory) -> Discriminating:
-        """A motion with its separations."""
         separations = self.contest.separations(self.information(trajectory))
         return Discriminating(trajectory, tuple(separations))
 
@@ -300,14 +298,13 @@ def _within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
 
 
 def plan(diagnosis: Diagnosis, rng: np.random.Generator, *, time_limit: float = 15.0) -> Plan:
-    """Experiments that settle what a diagnosis leaves undecided, searched for time_limit seconds."""
+    """Experiments that settle what a diagnosis leaves undecided, in time_limit seconds."""
     contest, around = _contest(diagnosis), _surroundings(diagnosis)
     if not contest.pairs:
         return Plan()
-    try:
+    motions = list[Discriminating]()
+    with suppress(Infeasible):
         motions, _ = discriminating_motions(contest, rng, time_limit=time_limit, scene=around)
-    except Infeasible:
-        motions = []
     chosen = [_best(motions, index) for index in range(len(contest.pairs))]
     used = sorted((m for m in motions if m in chosen), key=lambda m: -chosen.count(m))
     found = {
@@ -344,7 +341,6 @@ def _pairs(diagnosis: Diagnosis, finding: Finding) -> list[Pair]:
 
 
 def _friction(robot: Robot, found: Effect, rival: Effect, others: Sequence[Effect]) -> list[Effect]:
-    """Standard friction of joints that have none, which a kind of friction may bring along."""
     known = {(e.name, j) for e in (*robot.effects, *others) for j in e.joints}
     known |= {(e.name, e.joints[0]) for e in (found, rival)}
     joints = {j for e in (found, rival) if e.family == "friction" for j in e.joints}

@@ -200,7 +200,7 @@ def curve_of(diagnosis: Diagnosis, item: Finding | Residual) -> Curve:
 
 
 def _rival(diagnosis: Diagnosis, finding: Finding, j: int, residual: Array) -> Array | None:
-    """Torque of the first rival fitted to the residual of a joint, for friction against friction."""
+    """Torque of the first rival fitted to a joint's residual, friction against friction."""
     effects = [finding.effect, *(r.candidate.effect for r in finding.rivals[:1])]
     alike = all(e.jointwise and e.family == "friction" for e in effects)
     if len(effects) < 2 or not alike:

@@ -228,16 +228,27 @@ def _cause(found: Finding | Candidate) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal:
-    """What a motion recovered of a virtual arm."""
+    """What a motion recovered of a virtual arm.
 
-    robot: Robot  # as given, with the limits that count
-    duration: float  # of the motion [s]
-    arm: VirtualArm  # that ran it
-    change: HiddenEffect  # what the arm had beside that when it was diagnosed
+    Attributes:
+        robot: The robot as given, with the limits that count.
+        duration: Length of the motion [s].
+        arm: The arm that ran it.
+        change: What the arm had beside that when it was diagnosed.
+        run: What it did.
+        items: What was required, in order.
+        estimate: What was identified; None where the motion leaves parameters undetermined.
+        diagnosis: What was diagnosed after the change; None without an estimate.
+    """
+
+    robot: Robot
+    duration: float
+    arm: VirtualArm
+    change: HiddenEffect
     run: Run
-    items: tuple[Item, ...]  # what was required, in order
-    estimate: Estimate | None = None  # None where the motion leaves parameters undetermined
-    diagnosis: Diagnosis | None = None  # after the change; None without an estimate
+    items: tuple[Item, ...]
+    estimate: Estimate | None = None
+    diagnosis: Diagnosis | None = None
 
     @property
     def passed(self) -> bool:

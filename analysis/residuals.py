@@ -1,9 +1,8 @@
 """What a model leaves of a joint's torque: how much is noise, and with what the rest varies.
 
-The share of a quantity x is that of the means of the error over bins of x (the correlation ratio
-of Pearson 1905), less what chance gives to as many bins, after the constant part is taken off.
-Shares overlap: friction that grows with speed also differs by direction. The dominant quantity is
-therefore the simplest of those that explain nearly as much as the best.
+The share of a quantity is that of the means of the error over its bins (the correlation ratio of
+Pearson 1905), less what chance gives to as many. Shares overlap, so the simplest quantity that
+explains nearly as much as the best is the dominant one.
 """
 
 from __future__ import annotations

@@ -168,7 +168,7 @@ def _plausible(
 
 
 def _agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) -> bool:
-    """Whether joints explain no more with coefficients of their own (heterogeneity: Cochran 1954)."""
+    """Whether joints explain no more with coefficients of their own (Cochran 1954)."""
     rest = [c for c in chosen if c is not cause]
     more, freedom = evidence.separate_joints([*rest, cause], cause)
     if not freedom:

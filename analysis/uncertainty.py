@@ -232,12 +232,9 @@ def practical(
 
 @dataclass(frozen=True)
 class Direction:
-    """Base parameters that trade against each other because torque hardly shows it.
+    """Base parameters that trade against each other because torque hardly shows it."""
 
-    Each member has its name, the change that one standard deviation of the torque noise hides (of
-    an unseen direction, the change per unit of the first), and its unit.
-    """
-
+    # name, change that one deviation of the noise hides (unseen: per unit of the first), and unit
     members: tuple[tuple[str, float, str], ...]
     std: float  # along it, relative to the sizes of its members; inf if unseen
     share: float  # part of the direction that its members make
@@ -289,9 +286,8 @@ def weak_directions(
 ) -> tuple[Direction, ...]:
     """Directions that a motion does not see, then a count of those it sees worst.
 
-    With D the sizes of the base parameters, what counts as much of each, shape (r,), the latter
-    are the leading eigenvectors u of D⁻¹ C D⁻¹, C the covariance; a change D u √λ of the
-    parameters is one standard deviation.
+    With D the sizes (r,) that count as much, those are the leading eigenvectors u of D⁻¹ C D⁻¹;
+    a change D u √λ of the base parameters is one standard deviation.
     """
     names = [base.names[k] for k in base.columns]
     found = [_direction(row, row, np.inf, names, units, size) for row in seen.unseen]
@@ -390,7 +386,7 @@ def _holding(motion: Motion, rests: Sequence[int], pose: Array) -> Motion:
 def base_wrench_columns(robot: Robot, motion: Motion) -> Array:
     """Force and torque on the base [N, N·m] per unit of each standard parameter, (n, 6, 10 nv).
 
-    In the base frame, the sum over links of what a body of inertia I asks: I (a − g) + v ×* I v.
+    The sum over links of what a body of inertia I asks: I (a − g) + v ×* I v.
     """
     model, data = robot.model, robot.model.createData()
     columns = np.empty((len(motion), 6, 10 * robot.nv))
@@ -404,7 +400,6 @@ def base_wrench_columns(robot: Robot, motion: Motion) -> Array:
 
 
 def _base_sensor(robot: Robot, motion: Motion, others: int) -> Array:
-    """Factor of the whitened rows of a sensor under the base, and zeros of other columns."""
     W = base_wrench_columns(robot, motion)
     largest = np.abs(W @ robot.phi).max(axis=0)
     sigma = _SENSOR_NOISE * np.maximum(largest, 1e-3 * max(float(largest.max()), 1e-3))
@@ -449,8 +444,7 @@ def known_values(robot: Robot, effects: Sequence[Effect]) -> list[float | None]:
 def scale_deviation(robot: Robot, effects: Sequence[Effect], sigma: Array) -> float:
     """Relative standard deviation of the drive gains' common scale κ, once a payload is known.
 
-    With readings i = W (φ + φ_L) where the payload φ_L is on, W φ where it is off, a change δκ is
-    seen as W δφ − i δκ. Without the payload δφ = φ δκ changes nothing; with it, W φ_L does.
+    Of readings i, a change δκ is seen as W δφ − i δκ; without a payload, δφ = φ δκ hides it.
     """
     motion = reference_motion(robot, _DURATION, _RATE_HZ)
     W = observation_columns(robot, effects, motion)

@@ -5,13 +5,9 @@ Inertias alone, all given effects kept:
     τ − τ_effects ≈ W β     least squares of the links' base parameters, and
     β = B φ, P(φ_k) ≻ 0     the nearest bodies that have them, if any
 
-The unconstrained fit says how far inertias can go at most; whether bodies can have its values is
-decided by their distance from the nearest consistent ones under their covariance, which is χ²
-distributed when they can. How far each link would have to move is the least change, in units of
-the tolerance of given values, that explains what inertias can explain.
-
-Forward: the recorded torque drives a model over short windows, and one slow loop holds it on the
-recorded motion (`excitant.robots.simulation.forward_error`).
+Whether bodies can have the values of the unconstrained fit is decided by their distance from the
+nearest consistent ones, χ² distributed when they can. Links move by the least change, in units of
+the tolerance of given values, that explains as much.
 """
 
 from __future__ import annotations
