@@ -258,7 +258,6 @@ class Rehearsal:
     def result(self) -> dict[str, Any]:
         """Contents of result.json: what was required, and whether it was met."""
         failed = [item for item in self.items if not item.passed]
-        change = {"effect": self.change.effect, "joint": self.change.joint}
         return {
             "verb": "rehearse",
             "robot": self.robot.name,
@@ -268,7 +267,7 @@ class Rehearsal:
             "headline": self.headline,
             "items": [asdict(item) for item in self.items],
             "advice": list(dict.fromkeys(item.advice for item in failed)),
-            "effect": {**change, "parameters": dict(self.change.parameters)},
+            "effect": self.change.entry(),
             "limit_values": {
                 x: getattr(self.robot.limits, x) for x in ("position", "velocity", "torque")
             },

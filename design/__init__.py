@@ -12,7 +12,7 @@ from excitant.design.export import (
 )
 from excitant.design.feasible import random_trajectory
 from excitant.design.optimal import CLEARANCE, build_design, design_trajectory
-from excitant.design.result import Design
+from excitant.design.result import Design, TrajectoryCheck
 from excitant.design.sequence import LinkByLinkDesign, design_link_by_link
 from excitant.design.timing import approach
 from excitant.design.trajectory import (
@@ -34,6 +34,7 @@ __all__ = [
     "LimitUse",
     "LinkByLinkDesign",
     "Trajectory",
+    "TrajectoryCheck",
     "approach",
     "build_design",
     "check",

@@ -78,18 +78,16 @@ def lower_bound(
 ) -> Bound:
     """Numerical lower bound on cond₂(W) of every motion within the limits of a robot.
 
-    M of a motion is a mixture ∫ M(x) dξ(x) of those of its states x = (q, q̇, q̈), so cond² is
-    at least the smallest κ with I ⪯ Σ w_k M(x_k) ⪯ κ I, w ≥ 0 over all feasible states. For
-    finite Fourier series states obey Bernstein's and Szegő's inequalities besides the limits,
-    and mixtures the rows of `TestFunctions`. Solved by column generation: the best mixture of
-    the states found so far gives multipliers; states that violate these most are added.
-    Multipliers P, Q ⪰ 0, tr Q = 1 with ⟨P − Q, M(x)⟩ + y·dφ/dt ≤ 0 for every feasible x prove
-    cond² ≥ tr P; a remaining violation e is repaired by Q + e R, tr R = 1.
+    cond² is at least the smallest κ with I ⪯ Σ w_k M(x_k) ⪯ κ I, w ≥ 0 over the feasible states
+    x = (q, q̇, q̈). Those of finite Fourier series obey Bernstein's and Szegő's inequalities too,
+    and their mixtures the rows of `TestFunctions`. Column generation adds the states that violate
+    the multipliers of the best mixture most. P, Q ⪰ 0, tr Q = 1 with ⟨P − Q, M(x)⟩ + y·dφ/dt ≤ 0
+    for every x prove cond² ≥ tr P; a remaining violation e is repaired by Q + e R, tr R = 1.
 
     Args:
         robot: The arm; its limits on position, velocity, acceleration and torque count.
         duration: Period of the motion [s].
-        harmonics: Number of harmonics H of its Fourier series; None for any motion whatever.
+        harmonics: Of its Fourier series; None for any motion whatever.
         columns: ``"inertial"`` or ``"friction"``.
         seed: Seed of all randomness.
         time_limit: Time after which the bound so far is returned [s].
@@ -145,7 +143,6 @@ class _Search:
         self.bound, self.violation = 0.0, np.inf
 
     def run(self, began: float, time_limit: float, progress: BoundProgress | None) -> None:
-        """Rounds until the bound meets its ceiling or time is up."""
         longest = 0.0
         while True:
             started = time.time()
@@ -159,7 +156,6 @@ class _Search:
                 return
 
     def round(self) -> float:
-        """One master problem and one search for violating states; the ceiling."""
         early = len(self.history) < _LOOSE_ROUNDS
         tolerance, polish = (_LOOSE, 0) if early else (_TIGHT, _POLISH)
         self.weights, multipliers = mixture_of(self.problem, self.states, tolerance)
@@ -175,7 +171,6 @@ class _Search:
         return ceiling
 
     def exchange(self, multipliers: Multipliers, found: Motion) -> None:
-        """Add states; drop the worst-priced when there are many more than carry weight."""
         self.archive = _together([self.archive, found])
         w = self.weights
         room = 2 * int((w > _SUPPORT * w.max()).sum()) + _SPARE
@@ -210,7 +205,6 @@ def _seeds(
     harmonics: int | None,
     pool: Sequence[Motion],
 ) -> Motion:
-    """States of random trajectories, which obey every row together, and of those given."""
     if harmonics is None:
         duration, harmonics = _SEED_DURATION, _SEED_HARMONICS
     t = (np.arange(_SEED_STATES) + 0.5) / _SEED_STATES * duration
@@ -224,7 +218,6 @@ def _seeds(
 
 
 def _together(motions: Sequence[Motion]) -> Motion:
-    """All states of several motions."""
     names = ("q", "dq", "ddq")
     return numbered(*(np.concatenate([getattr(m, name) for m in motions]) for name in names))
 
@@ -246,13 +239,11 @@ def best_mixture(
 
         I ⪯ Σ w_k M_k ⪯ κ I,   Σ w_k a_k = 0 (softly)
 
-    The dual maximises tr P over P, Q ⪰ 0, tr Q = 1, |y| ≤ bound with ⟨P − Q, M_k⟩ + y·a_k ≤ 0
-    for every k. An equality row may be violated at the price ``bound`` per unit, which is what
-    bounds its multiplier. Primal-dual interior-point method, HKM direction with Mehrotra's
-    corrector (Helmberg, Rendl, Vanderbei, Wolkowicz 1996): its linear system has a row for every
-    state, that of a general conic solver one for every entry of M, which is 50 times slower.
-    Stopped at a loose tolerance (relative gap), the multipliers are well inside the optimal face,
-    as column generation likes it. M has the shape (n, r, r), the rows (n, m), the weights (n,).
+    M has the shape (n, r, r), the rows a (n, m), the weights (n,). The dual maximises tr P over
+    P, Q ⪰ 0, tr Q = 1, |y| ≤ bound with ⟨P − Q, M_k⟩ + y·a_k ≤ 0. Primal-dual interior-point
+    method, HKM direction with Mehrotra's corrector (Helmberg, Rendl, Vanderbei, Wolkowicz 1996):
+    its linear system has a row for every state, that of a general conic solver one for every
+    entry of M, which is 50 times slower. Stopped at the tolerance of the relative gap.
     """
     n, m = rows.shape
     programme = _Programme(M, rows, bound)
@@ -286,7 +277,6 @@ class _Point:
     v: Array
 
     def mu(self) -> float:
-        """⟨X, S⟩ + x·s over the order of the cone."""
         order = len(self.x) + 2 * len(self.X[0])
         return float(np.vdot(self.X, self.S) + self.x @ self.s) / order
 
@@ -324,7 +314,6 @@ class _Programme:
         return _Point(one / r, x, _SLACK * one, np.full(len(x), _SLACK), np.zeros(len(self.b)))
 
     def forward(self, X: Array, x: Array) -> Array:
-        """A X + L x, shape (equations,)."""
         out: Array = self.L @ x
         out[: self.n] += self.flat @ (X[1] - X[0]).ravel()
         out[self.n] += np.trace(X[1])

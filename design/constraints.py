@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -33,26 +34,15 @@ Extrema = tuple[Array, Array, Array, Array]  # smallest values, when; largest va
 
 @dataclass(frozen=True, eq=False)
 class LimitUse:
-    """How far one quantity goes, as a share of its limit; ≤ 1 holds.
+    """How far one quantity goes, as a share of its limit; ≤ 1 holds."""
 
-    Attributes:
-        quantity: ``"position"``, ``"velocity"``, ``"acceleration"``, ``"jerk"`` or ``"torque"``.
-        ratios: Largest magnitude over limit per joint, shape (nv,); 0 without a limit. For
-            position it is |q − middle| over half the range.
-        times: When each joint's largest ratio occurs, shape (nv,) [s].
-        low: Smallest value per joint, between samples too, shape (nv,).
-        high: Largest value, shape (nv,).
-        limits: Lower and upper limit, infinite without one, shape (nv, 2).
-        joints: Names of the joints.
-    """
-
-    quantity: str
-    ratios: Array
-    times: Array
-    low: Array
-    high: Array
-    limits: Array
-    joints: tuple[str, ...]
+    quantity: str  # ``"position"``, ``"velocity"``, ``"acceleration"``, ``"jerk"`` or ``"torque"``
+    ratios: Array  # per joint largest |value − middle of the range| over limit; 0 without one
+    times: Array  # when each joint's largest ratio occurs, shape (nv,) [s]
+    low: Array  # smallest value per joint, between samples too, shape (nv,)
+    high: Array  # largest value, shape (nv,)
+    limits: Array  # lower and upper limit, infinite without one, shape (nv, 2)
+    joints: tuple[str, ...]  # names of the joints
 
     def __post_init__(self) -> None:
         freeze(self, "ratios", "times", "low", "high", "limits")
@@ -73,11 +63,7 @@ class LimitUse:
         return float(self.times[self.ratios.argmax()])
 
     def require(self) -> None:
-        """Refuse a joint beyond its limit.
-
-        Raises:
-            OutsideLimits: With the worst joint, its value and the limit.
-        """
+        """Raise `OutsideLimits` with the worst joint, value and limit if one is exceeded."""
         if self.ratio > 1.0:
             j = int(self.ratios.argmax())
             above, below = self.high[j] - self.limits[j, 1], self.limits[j, 0] - self.low[j]
@@ -120,6 +106,19 @@ class LimitReport:
     def hold(self) -> bool:
         """Whether no limit is exceeded."""
         return self.worst.ratio <= 1.0
+
+    def entries(self, limits: Limits) -> dict[str, Any]:
+        """Entries of result.json, by quantity."""
+        names, uses = [use.quantity for use in self.uses], self.uses
+        worst = (
+            {"joint": u.joint, "t": u.time, "ratio": u.ratio} if u.ratio else None for u in uses
+        )
+        return {
+            "limits": {use.quantity: use.ratio for use in uses},
+            "limit_values": {name: getattr(limits, name) for name in names},
+            "worst": dict(zip(names, worst, strict=True)),
+            "certified": {use.quantity: use.certified() for use in uses},
+        }
 
 
 def position_range(limits: Limits) -> tuple[Array, Array]:
@@ -228,7 +227,6 @@ def _torque_use(
 
 
 def _reversals(spline: HermiteTrajectory, t: Array) -> Array:
-    """Instants at which a joint changes direction, by linear interpolation of its velocity."""
     v = spline(t, 1)
     k, joint = np.nonzero(v[:-1] * v[1:] < 0)
     before, after = v[k, joint], v[k + 1, joint]
@@ -239,11 +237,7 @@ def _reversals(spline: HermiteTrajectory, t: Array) -> Array:
 def _extrema(
     evaluate: Callable[[Array], Array], slope: Callable[[Array], Array], t: Array
 ) -> Extrema:
-    """Smallest and largest value of each channel over continuous time, and when.
-
-    Increasing instants are joined by cubic Hermite interpolation (error h⁴ |f⁗| / 384); the
-    function itself is then evaluated at the interpolants' stationary points.
-    """
+    """Extrema of each channel, evaluated where its cubic Hermite interpolant is stationary."""
     value = evaluate(t)
     joined = CubicHermiteSpline(t, value, slope(t)).derivative()
     roots = joined.roots(discontinuity=False, extrapolate=False)
@@ -257,7 +251,6 @@ def _extrema(
 
 
 def _extreme(times: Iterable[Array], values: Iterable[Array]) -> Extrema:
-    """Smallest and largest value of every joint, and when, from its own instants."""
     found = []
     for t, x in zip(times, values, strict=True):
         low, high = int(x.argmin()), int(x.argmax())
@@ -268,16 +261,12 @@ def _extreme(times: Iterable[Array], values: Iterable[Array]) -> Extrema:
 
 @dataclass(frozen=True)
 class Clearance:
-    """Smallest distance over a continuous motion.
+    """Smallest distance over a continuous motion, negative where bodies overlap."""
 
-    The one found between two bodies, and when [s]; certified is one that no instant is nearer
-    than. Distances [m] are negative where bodies overlap.
-    """
-
-    distance: float
-    certified: float
+    distance: float  # the smallest found [m]
+    certified: float  # one that no instant is nearer than [m]
     bodies: tuple[str, str]
-    time: float
+    time: float  # [s]
 
 
 def clearance(scene: Scene, path: Trajectory | HermiteTrajectory) -> Clearance:
@@ -309,7 +298,6 @@ def clearance(scene: Scene, path: Trajectory | HermiteTrajectory) -> Clearance:
 
 
 def _span(path: Trajectory | HermiteTrajectory) -> tuple[float, float, Array]:
-    """First and last instant [s] and a bound on each joint's speed in between."""
     if isinstance(path, Trajectory):
         return 0.0, path.period, np.abs(path.extrema(1)).max(axis=0)
     t = path.samples.t

@@ -26,22 +26,15 @@ _ROUNDED = 1e-5  # of the longest column: less is shown by a right angle written
 class Information:
     """What a design makes visible: base columns of the observation matrix W.
 
-    Attributes:
-        robot: The arm.
-        columns: ``"inertial"`` (standard parameters of the links) or ``"friction"`` (those with
-            viscous and Coulomb friction, torque offset and rotor inertia of every joint).
-        base: Base parameters of these columns.
-        weights: Weight of each joint's equations, 1 / its noise relative to the others,
-            shape (nv,).
-        earlier: Information that earlier recordings hold already, divided by the samples of
-            the motion to be designed, shape (r, r).
+    They are ``"inertial"`` (standard parameters of the links) or ``"friction"`` (those with
+    viscous and Coulomb friction, torque offset and rotor inertia of every joint).
     """
 
     robot: Robot
     columns: str
-    base: BaseParameters
-    weights: Array
-    earlier: Array
+    base: BaseParameters  # of these columns
+    weights: Array  # of each joint's equations, 1 / its noise relative to the others, shape (nv,)
+    earlier: Array  # information of earlier recordings per sample of the new motion, (r, r)
 
     def __post_init__(self) -> None:
         freeze(self, "weights", "earlier")
@@ -158,8 +151,8 @@ def _friction_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, A
 def information_derivative(linear: RegressorDerivatives, basis: Sequence[Array], U: Array) -> Array:
     """Derivatives of UᵀMU by coefficients of q⁽ᵒ⁾ = basis[o] @ X, shape (c · nv, m, m).
 
-    From base columns at n instants, the basis functions of q, q̇ and q̈ there, each (n, c), and
-    directions U (r, m) in the space of base parameters; coefficients in the order of X.ravel().
+    From the basis functions at n instants, each (n, c), and directions U (r, m); ordered as
+    X.ravel().
     """
     n, nv, _ = linear.Y.shape
     m, c = U.shape[1], basis[0].shape[1]
@@ -190,10 +183,7 @@ def objective(M: Array, criterion: str) -> float:
 
 
 def smooth_model(M: Array, dM: Array, criterion: str) -> tuple[Array, Array]:
-    """Gradient (k,) and Hessian (k, k) of objective ``d`` or ``a`` along M + Σ dM_i x_i at x = 0.
-
-    Both are convex in the linearised M, so the Hessian is positive semidefinite.
-    """
+    """Gradient (k,) and Hessian (k, k) ⪰ 0 of objective ``d`` or ``a`` along M + Σ dM_i x_i."""
     eigenvalues, V = np.linalg.eigh(M)
     eigenvalues = np.maximum(eigenvalues, 1e-300)
     root = V / np.sqrt(eigenvalues)

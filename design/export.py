@@ -46,7 +46,7 @@ def trajectory_csv(trajectory: Trajectory, rate_hz: float = 100.0, repetitions: 
 
 
 class _FourierRecord(msgspec.Struct, frozen=True):
-    """A ``trajectory.json`` of a Fourier series; entries that it does not know are left out."""
+    """A ``trajectory.json`` of a Fourier series."""
 
     period: Positive
     offset: list[Finite]
@@ -90,9 +90,8 @@ def load_trajectory(path: str | Path, robot: Robot) -> Trajectory | Motion:
     """Trajectory from a ``.json`` file of coefficients or a table of samples (CSV).
 
     Raises:
-        BadInput: Unreadable, missing columns, another number of joints, values that are not
-            finite numbers, or time that does not increase; names file, row and column. Rows
-            count from 0 after the header.
+        BadInput: Of file, row (from 0 after the header) and column: unreadable, missing, of
+            another number of joints, not finite, or time that does not increase.
     """
     path = Path(path)
     if path.suffix.lower() == ".json":
@@ -146,7 +145,6 @@ def _from_csv(text: str, path: Path, robot: Robot) -> Motion:
 
 
 def _csv_fault(lines: Sequence[list[str]], robot: Robot) -> str | None:
-    """The first thing wrong with a table, its header first."""
     if len(lines) < 3:
         return "needs a header and at least two rows"
     (header, *rows), nv = lines, robot.nv
@@ -176,10 +174,7 @@ def _csv_fault(lines: Sequence[list[str]], robot: Robot) -> str | None:
 def write_formats(
     motion: Motion, robot: Robot, names: Sequence[str], stem: str = "trajectory"
 ) -> dict[str, bytes | str]:
-    """Contents of files in several formats, by file name: the stem with the format's suffix.
-
-    The motion is sampled at the control rate; the robot gives the names of the joints. Formats
-    are ``"ros2"`` (YAML), ``"mcap"``, ``"urscript"`` and ``"npz"``.
+    """Files in formats among ``ros2`` (YAML), ``mcap``, ``urscript``, ``npz``, by their names.
 
     Raises:
         UnknownName: A format that does not exist; suggests the nearest.
@@ -198,10 +193,7 @@ def write_formats(
 
 
 def joint_trajectory_yaml(motion: Motion, robot: Robot) -> str:
-    """A ROS 2 ``trajectory_msgs/msg/JointTrajectory`` as YAML, as ``ros2 topic pub`` takes it.
-
-    Values are exact, times rounded to 1 ns and counted from the first sample.
-    """
+    """A ROS 2 ``JointTrajectory`` as YAML for ``ros2 topic pub``, exact; times rounded to 1 ns."""
     names = yaml.safe_dump(list(robot.joints), default_flow_style=True, width=10**9)
     lines = ["header: {stamp: {sec: 0, nanosec: 0}, frame_id: ''}"]
     lines += [f"joint_names: {names.strip()}", "points:"]
@@ -213,10 +205,9 @@ def joint_trajectory_yaml(motion: Motion, robot: Robot) -> str:
 
 
 def mcap_bag(motion: Motion, robot: Robot) -> bytes:
-    """An MCAP bag with one ``trajectory_msgs/msg/JointTrajectory`` message at time 0.
+    """An MCAP bag with one ``JointTrajectory`` message at time 0, exact; times rounded to 1 ns.
 
-    Values are exact, times rounded to 1 ns and counted from the first sample. The bag embeds
-    the definition of its message and plays in every ROS 2 since Humble.
+    The bag embeds the definition of its message and plays in every ROS 2 since Humble.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -245,10 +236,7 @@ def mcap_bag(motion: Motion, robot: Robot) -> bytes:
 def urscript(motion: Motion, robot: Robot) -> str:
     """A URScript program that servoes through the positions, after a slow ``movej`` to the first.
 
-    It holds positions only, with 12 digits; the controller derives the speed.
-
-    Raises:
-        BadInput: Not six turning joints, or samples that are not equidistant.
+    For six turning joints and equidistant samples; positions only, with 12 digits.
     """
     if robot.nv != 6 or not robot.revolute.all():
         raise BadInput(
@@ -280,7 +268,6 @@ def npz(motion: Motion, robot: Robot) -> bytes:
 
 
 def _points(motion: Motion) -> Iterator[tuple[int, int, list[float], list[float], list[float]]]:
-    """Seconds and nanoseconds since the first sample, positions, velocities, accelerations."""
     ticks = [round(1e9 * float(t)) for t in motion.t - motion.t[0]]
     for k in np.flatnonzero(np.diff(ticks) <= 0)[:1]:
         raise BadInput(f"samples {k} and {k + 1} of the motion are less than 1 ns apart")

@@ -31,11 +31,7 @@ def random_trajectory(
 ) -> FourierTrajectory:
     """A random Fourier series at rest at both ends and within all limits of the robot.
 
-    Args:
-        robot: The arm; its limits count.
-        rng: Source of randomness.
-        duration: Period [s].
-        harmonics: Number of harmonics, at least 2.
+    The duration is its period [s]; harmonics are at least 2.
 
     Raises:
         Infeasible: No pose, or no motion found, within position and torque limits.

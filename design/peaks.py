@@ -1,12 +1,9 @@
 """Where a trajectory needs most torque or comes closest, and how that changes with its unknowns.
 
-Torque is smooth but for friction, which jumps where a joint turns back. There the largest
-torque is a one-sided limit, which no sample attains: both sides are evaluated at the very
-instant, with the joint's velocity replaced by a tiny one of either sign.
-
-A joint that slows down to almost nothing without turning would need the torque of the other
-side as soon as it turned. That torque counts with a weight that grows to 1 as the velocity
-falls to 0, so that the constraint does not appear from nowhere between two steps.
+Friction jumps where a joint turns back: there both one-sided limits of torque are evaluated, at
+a tiny velocity of either sign. Where a joint only almost turns, the torque of the other side
+counts with a weight that grows to 1 as the velocity falls to 0, so that no constraint appears
+from nowhere between two steps.
 """
 
 from __future__ import annotations
@@ -39,10 +36,10 @@ class TorquePeaks:
     """Instants at which one joint's torque is locally largest."""
 
     t: Array  # instants, shape (k,) [s]
-    joint: Joints  # joint, shape (k,)
-    side: Array  # 0, or the sign of velocity where the joint turns back, shape (k,)
-    weight: Array  # weight of the torque; 1, but less where the joint only almost turns, shape (k,)
-    use: Array  # weighted magnitude over the torque bound, shape (k,)
+    joint: Joints
+    side: Array  # 0, or the sign of velocity where the joint turns back
+    weight: Array  # 1, but less where the joint only almost turns
+    use: Array  # weighted magnitude over the torque bound
 
     def above(self, share: float) -> TorquePeaks:
         """Those whose use exceeds a share."""
@@ -87,10 +84,7 @@ def _jump(robot: Robot, motion: Motion) -> Array:
 
 
 def _smooth_peaks(problem: DesignProblem, z: Array, tau: Array, side: float) -> Candidates:
-    """Peaks of torque without jumps: friction as if every joint moved to this side.
-
-    Where a joint moves to the other side, the peak counts only if it is slow.
-    """
+    """Peaks with friction as if every joint moved to this side; else they count if it is slow."""
     use = np.abs(tau) / problem.torque_bound
     before, after = np.roll(use, 1, axis=0), np.roll(use, -1, axis=0)
     k, joint = np.nonzero((use >= before) & (use > after))
@@ -131,7 +125,6 @@ def _almost_turns(problem: DesignProblem, z: Array, dq: Array) -> Candidates:
 
 
 def _slow_speed(robot: Robot) -> Array:
-    """Speed below which a joint almost turns, shape (nv,) [rad/s or m/s]."""
     return _SLOW * speed_scale(robot)
 
 
@@ -146,16 +139,12 @@ def _polished(problem: DesignProblem, z: Array, t: Array, joint: Joints, order: 
 
 
 def _own(problem: DesignProblem, z: Array, t: Array, joint: Joints, order: int) -> Array:
-    """A derivative of joint ``joint[k]`` at instant ``t[k]``."""
     values: Array = np.einsum("kd,kd->k", problem.basis(t, order), z[:, joint].T)
     return values
 
 
 def torque_rows(problem: DesignProblem, z: Array, share: float) -> tuple[Array, Array]:
-    """Derivatives of the use at peaks above a share, shape (m, unknowns), and the use, (m,).
-
-    A smooth peak moves without effect on its height; a turn takes its torque with it.
-    """
+    """Derivatives of the use at peaks above a share, shape (m, unknowns), and the use, (m,)."""
     if np.all(np.isinf(problem.torque_bound)):
         return np.zeros((0, problem.size)), np.zeros(0)
     peaks = torque_peaks(problem, z).above(share)
@@ -191,8 +180,7 @@ def torque_derivatives(
 ) -> tuple[Array, Array, Array, Array]:
     """Largest torque, shape (n, nv), and its derivatives by q, q̇, q̈, (n, nv, nv), torque first.
 
-    Rigid bodies analytically, effects by differences. Within the uncertainty of the masses that
-    of ``joint[k]`` is to be the largest at instant k.
+    Within the uncertainty of the masses that of ``joint[k]`` is to be the largest at instant k.
     """
     if robot.limits.mass_uncertainty == 0:
         D = np.stack(rigid_derivatives(robot, motion))
@@ -252,10 +240,7 @@ def worst_use(problem: DesignProblem, z: Array) -> float:
 
 
 def clearance_rows(problem: DesignProblem, z: Array, near: float) -> tuple[Array, Array]:
-    """Linearised use (m, unknowns) of the clearance above ``near`` at each pair's nearest instants.
-
-    Followed by the use at z, shape (m,).
-    """
+    """Derivatives (m, unknowns) of the clearance's use above ``near``, and the use, (m,)."""
     if problem.scene is None:
         return np.zeros((0, problem.size)), np.zeros(0)
     q = problem.grid_bases[0] @ z

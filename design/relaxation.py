@@ -100,11 +100,7 @@ def _arc(x: Array, radius: Array, cap: Array) -> Array:
 
 
 def state_space(robot: Robot, top: float) -> StateSpace:
-    """Feasible states of motions without angular frequencies above ``top`` [rad/s].
-
-    Raises:
-        BadInput: A joint's speed or acceleration, or a sliding joint's position, is unlimited.
-    """
+    """Feasible states of motions without angular frequencies above ``top`` [rad/s]."""
     limits = robot.limits
     middle, half = position_range(limits)
     bounded = np.isfinite(half)
@@ -145,14 +141,12 @@ class TestFunctions:
     """Functions φ = f(q_j) q̇_i with f among 1, sin, cos (turning) or 1, x, x² (sliding joints).
 
     Over a period, and from rest to rest, E[dφ/dt] = E[f′(q_j) q̇_j q̇_i + f(q_j) q̈_i] = 0: the
-    virial theorem where f = 1 or x, the balance of generalised momentum in general. Functions
-    even in q̇ would say nothing, for M is even, and a motion and its reverse count alike.
-
-    The table holds j, the kind of f, and i of each function, shape (m, 3); the scale divides them.
+    virial theorem where f = 1 or x. Functions even in q̇ would say nothing: a motion and its
+    reverse count alike.
     """
 
-    table: npt.NDArray[np.intp]
-    scale: Array
+    table: npt.NDArray[np.intp]  # j, kind of f, and i of each function, shape (m, 3)
+    scale: Array  # that divides them
 
     def rates(self, motion: Motion) -> Array:
         """dφ/dt at n states, shape (n, m)."""
@@ -227,11 +221,10 @@ class Relaxation:
     def worst(
         self, multipliers: Multipliers, starts: Array, steps: int, kept: int, polish: int
     ) -> tuple[Motion, Array]:
-        """States of highest price and their prices, highest first, by ascent from the cube.
+        """States of highest price and their prices, highest first, by ascent from starts (n, 3 nv).
 
-        From all starts, shape (n, 3 nv), some steps are taken; the best that are kept go on and
-        are polished. Torque above its limit is penalised on the way, and time stretched in the
-        end until it holds.
+        The best are polished. Torque above its limit is penalised on the way, and time stretched
+        in the end until it holds.
         """
         u, merit = self._ascend(multipliers, starts, steps)
         order = np.argsort(-merit)
@@ -293,10 +286,7 @@ def _form(Y: Array, F: Array) -> Array:
 
 
 def relaxation(robot: Robot, columns: str, top: float, *, stationary: bool) -> Relaxation:
-    """The relaxation for motions without angular frequencies above ``top`` [rad/s].
-
-    ``stationary`` says whether E[dφ/dt] = 0 holds.
-    """
+    """The relaxation up to ``top`` [rad/s]; ``stationary`` says whether E[dφ/dt] = 0 holds."""
     visible, space = information(robot, columns), state_space(robot, top)
     rng = np.random.default_rng(0)
     motion = space.motion(rng.uniform(-1, 1, (_STATES, 3 * robot.nv)))

@@ -16,6 +16,7 @@ from excitant.design.constraints import Clearance, LimitReport, check, clearance
 from excitant.design.criterion import Information, condition_number
 from excitant.design.search import SearchState
 from excitant.design.trajectory import Trajectory
+from excitant.exceptions import OutsideLimits
 from excitant.robots import Array, BaseParameters, Motion, Robot, torque
 from excitant.robots.geometry import Scene
 from excitant.robots.parameters import UNITS
@@ -116,9 +117,10 @@ class Design:
 
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``; ``weakest`` have the least torque of their own after."""
-        robot, near, uses = self.robot, self.clearance, self.limits.uses
+        robot, near = self.robot, self.clearance
         names = [self.base.names[k] for k in self.base.columns]
-        before, after = self.before, self.after
+        before, after, limits = self.before, self.after, self.limits.entries(robot.limits)
+        limits["limit_values"] = {k: _plain(x) for k, x in limits["limit_values"].items()}
         return {
             "verb": "design",
             "robot": robot.name,
@@ -145,17 +147,7 @@ class Design:
                 "initial": weak_directions(names, before, after),
                 "final": weak_directions(names, after, before),
             },
-            "limits": {use.quantity: use.ratio for use in uses},
-            "limit_values": {
-                use.quantity: _plain(getattr(robot.limits, use.quantity)) for use in uses
-            },
-            "worst": {
-                use.quantity: {"joint": use.joint, "t": use.time, "ratio": use.ratio}
-                if use.ratio > 0
-                else None
-                for use in uses
-            },
-            "certified": {use.quantity: use.certified() for use in uses},
+            **limits,
             "clearance_m": near and near.certified,
             "closest": near
             and {"bodies": list(near.bodies), "t": near.time, "distance_m": near.distance},
@@ -181,11 +173,10 @@ class Design:
 
         Returns:
             ``t`` (n,), ``q``, ``dq``, ``ddq``, ``tau`` (n, nv), ``eigenvalues_initial``,
-            ``eigenvalues_final`` (r,), ascending, and in the base frame [m] ``tool`` (n, 3), the
-            origin of the tool's frame, and ``arm`` (poses, nodes, 3), the arm as a line from the
-            base through the joints to the tool at the instants ``arm_t`` (poses,). A branched arm
-            has ``other_tools`` (n, ends − 1, 3) too, and its lines are parted by NaN. With a limit
-            on jerk also ``dddq`` (n, nv).
+            ``eigenvalues_final`` (r,), ascending, and in the base frame [m] ``tool`` (n, 3) and
+            ``arm`` (poses, nodes, 3), a line from the base through the joints to the tool at
+            ``arm_t`` (poses,). A branched arm has ``other_tools`` (n, ends − 1, 3) too, and its
+            lines are parted by NaN. With a limit on jerk also ``dddq`` (n, nv).
         """
         robot, motion = self.robot, dense_motion(self.trajectory)
         tool, others, arm = _skeleton(robot, motion.q)
@@ -229,6 +220,65 @@ class Design:
         return rows
 
 
+@dataclass(frozen=True, eq=False)
+class TrajectoryCheck:
+    """Whether a motion keeps all limits and clear of bodies, and how well it excites."""
+
+    information: Information  # what it is to make visible, on which arm
+    motion: Motion
+    limits: LimitReport
+    clearance: Clearance | None
+    least: float  # distance required [m]
+
+    @property
+    def touched(self) -> bool:
+        """Whether bodies come too close."""
+        return self.clearance is not None and self.clearance.distance < self.least
+
+    def result(self) -> dict[str, Any]:
+        """The content of ``result.json``."""
+        robot, near = self.information.robot, self.clearance
+        entries = self.limits.entries(robot.limits)
+        entries["worst"] = {name: worst for name, worst in entries["worst"].items() if worst}
+        verdicts = [
+            f"{use.quantity} limit of {use.joint} exceeded by {100 * (use.ratio - 1):.3g} % "
+            f"at {use.time:.4g} s"
+            for use in self.limits.uses
+            if use.ratio > 1
+        ]
+        if near is not None and self.touched:
+            verdicts.append(
+                f"{near.bodies[0]} and {near.bodies[1]} come within {1000 * near.distance:.3g} mm "
+                f"at {near.time:.4g} s, required {1000 * self.least:.3g} mm"
+            )
+        return {
+            "verb": "check",
+            "robot": robot.name,
+            "joints": list(robot.joints),
+            "holds": self.limits.hold and not self.touched,
+            **entries,
+            "columns": self.information.columns,
+            "condition_number": condition_number(self.information.matrix(self.motion)),
+            "clearance_m": near and near.certified,
+            "verdicts": verdicts or ["all limits hold, between samples too"],
+        }
+
+    def series(self) -> dict[str, Array]:
+        """The motion with its torque."""
+        return vars(self.motion) | {"tau": torque(self.information.robot, self.motion)}
+
+    def require(self) -> None:
+        """Refuse a limit that is exceeded, or bodies that come too close.
+
+        Raises:
+            OutsideLimits: With what is worst.
+        """
+        self.limits.worst.require()
+        if (near := self.clearance) is not None and self.touched:
+            bodies = " and ".join(near.bodies)
+            raise OutsideLimits(bodies, "distance", near.distance, self.least, near.time)
+
+
 def scaled_condition_number(M: Array) -> float | None:
     """cond₂ of W with columns scaled to unit length, from M = WᵀW / n; None with a zero column."""
     length = np.sqrt(np.diag(M))
@@ -238,9 +288,8 @@ def scaled_condition_number(M: Array) -> float | None:
 def lone_torque(M: Array) -> Array:
     """Torque that only one base parameter explains, root mean square per its unit, shape (r,).
 
-    From M = WᵀW / n: 1 / √(M⁻¹)ₖₖ is the length of column k of W / √n outside the span of the
-    others. From n instants with white noise of standard deviation σ (with weighted joints the
-    geometric mean of theirs) the parameter's is σ / (√n · this).
+    1 / √(M⁻¹)ₖₖ is the length of column k of W / √n outside the span of the others. From n
+    instants with white noise σ the standard deviation of the parameter is σ / (√n · this).
     """
     values, V = np.linalg.eigh(M)
     floor = max(float(values[-1]), 1e-300) * np.finfo(float).eps
@@ -251,17 +300,11 @@ def lone_torque(M: Array) -> Array:
 def weak_directions(
     names: Sequence[str], M: Array, other: Array, count: int = _DIRECTIONS
 ) -> list[dict[str, Any]]:
-    """Combinations of base parameters that a motion shows worst, weakest first.
+    """Combinations of base parameters that M = WᵀW / n (r, r) shows worst, weakest first.
 
     They are the last right singular vectors v of W. ``strength`` is ‖W v‖ / √n [N·m], the root
-    mean square torque per unit; ``other`` is that of the same direction in another motion;
-    ``members`` are the coefficients of size 0.3 and more, and ``share`` their part of v (of 1).
-
-    Args:
-        names: Names of the base parameters, r of them.
-        M: Information WᵀW / n of the motion, shape (r, r).
-        other: Information of the other motion, same shape.
-        count: How many.
+    mean square torque per unit; ``other`` is that in another motion; ``members`` are the
+    coefficients of size 0.3 and more, and ``share`` their part of v (of 1).
     """
     found = []
     for v in np.linalg.eigh(M)[1].T[:count]:
@@ -281,7 +324,6 @@ def weak_directions(
 
 
 def _skeleton(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
-    """Path of the tool (n, 3), those of further ends (n, ends − 1, 3), arm (n, nodes, 3) [m]."""
     model, data = robot.model, robot.model.createData()
     leaves = sorted(set(range(1, robot.nv + 1)) - set(list(model.parents)[1:]))
     chains = [(list(model.supports[leaf]), _last_body(robot, leaf)) for leaf in leaves]
@@ -301,7 +343,6 @@ def _skeleton(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
 
 
 def _last_body(robot: Robot, joint: int) -> int:
-    """Frame of the last body fixed to a joint's link; the tool's if it is."""
     frames = list(robot.model.frames)
     if frames[robot.tip].parentJoint == joint:
         return robot.tip
@@ -321,7 +362,6 @@ def _telling_poses(tool: Array, t: Array, near: float | None) -> list[int]:
 
 
 def _plain(values: npt.ArrayLike) -> Any:
-    """Numbers, None for those that are not finite, in lists as deep as the array."""
     found = np.array(values, object)
     found[~np.isfinite(np.asarray(values, float))] = None
     return found.tolist()

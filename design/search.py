@@ -195,8 +195,7 @@ def search(
 ) -> tuple[DesignProblem, Searches]:
     """All searches for a problem, and the problem with the period and harmonics chosen.
 
-    The problem comes with the longest period, and the least number of harmonics; they are added
-    up to a frequency [Hz] if one is given. The shortest period is in [s].
+    It comes with the longest period [s] and the fewest harmonics; they are added up to ``top_hz``.
     """
     if shortest < problem.period:
         problem = _best_period(problem, effort, shortest)
@@ -221,11 +220,7 @@ def _best_period(problem: DesignProblem, effort: Effort, shortest: float) -> Des
 
 
 def _grow(problem: DesignProblem, effort: Effort, top_hz: float) -> tuple[DesignProblem, Searches]:
-    """The design with harmonics added up to a frequency [Hz], for as long as they pay.
-
-    The best solutions for few harmonics are, or are near, trajectories with more: the search
-    goes on from them.
-    """
+    """Searches with harmonics added while they pay, each from the best solutions before."""
     searches = _MultiStart(problem, effort.share(effort.starts, _FIRST)).run()
     while time.time() < effort.deadline and not _interrupted(searches):
         terms = int(np.ceil(_FACTOR * problem.series.terms))
@@ -267,10 +262,10 @@ def _interrupted(searches: Searches) -> bool:
 class _MultiStart:
     """Searches from many starts: random ones (or given seeds) first, then restarts from the best.
 
-    Random starts are screened: after a few iterations the better half goes on. Restarts begin
-    at a mixture of one of the best solutions and a random trajectory; the kinematic limits are
-    convex, so it keeps them. Searches run until they become slow; only the best are then
-    driven to convergence. When restarts bring nothing more, all this begins anew: an island.
+    The better half of the random starts goes on after a few iterations. Restarts begin at a
+    mixture of one of the best and a random trajectory, which keeps the convex kinematic limits.
+    Slow searches stop; the best are driven to convergence in the end. When restarts bring
+    nothing more, all this begins anew: an island.
     """
 
     def __init__(
@@ -282,7 +277,6 @@ class _MultiStart:
         self.first = 0  # start of the island
 
     def run(self) -> Searches:
-        """All searches, ended one way or another; Ctrl-C ends them early."""
         try:
             self.island()
             while self.more():
@@ -331,7 +325,6 @@ class _MultiStart:
 
     @property
     def room(self) -> float:
-        """Starts still to be made."""
         return np.inf if self.effort.starts is None else self.effort.starts - len(self.states)
 
     def more(self) -> bool:
@@ -341,12 +334,10 @@ class _MultiStart:
         return min((s.merit for s in self.ranked(self.first)), default=np.inf)
 
     def ranked(self, first: int) -> list[SearchState]:
-        """The searches from a start onwards, best first."""
         states = (state for state in self.states.values() if state.index >= first)
         return sorted(states, key=lambda s: (s.merit, s.index))
 
     def polishing(self, count: int, first: int) -> list[Task]:
-        """Tasks that drive the best searches to convergence."""
         slow = [s for s in self.ranked(first)[:count] if s.status == "stalled"]
         return [Task(state, pace=_FINE) for state in slow]
 
@@ -386,7 +377,6 @@ def connect(address: str) -> Any:
 def _results(
     problem: DesignProblem, tasks: Sequence[Task], effort: Effort
 ) -> Iterable[SearchState]:
-    """States after their tasks, as they come."""
     if not tasks:
         return
     packed = pickle.dumps(problem)
@@ -419,15 +409,12 @@ def _deaf_to_interrupts(wanted: bool) -> Iterator[None]:
         signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
 
 
-@lru_cache(maxsize=1)
-def _unpacked(packed: bytes) -> DesignProblem:
-    problem: DesignProblem = pickle.loads(packed)
-    return problem
+_unpacked = lru_cache(maxsize=1)(pickle.loads)
 
 
 def _perform(packed: bytes, task: Task, seed: int, deadline: float) -> SearchState:
     """The state of a search after its task, on one thread; the problem is packed once for all."""
-    problem = _unpacked(packed)
+    problem: DesignProblem = _unpacked(packed)
     with threadpool_limits(1):
         if not task.state.history:
             try:
@@ -438,7 +425,6 @@ def _perform(packed: bytes, task: Task, seed: int, deadline: float) -> SearchSta
 
 
 def _begun(problem: DesignProblem, state: SearchState, seed: int) -> SearchState:
-    """A search at its start: the unknowns given, random ones, or with a parent a mixture."""
     if len(state.z) and state.parent is None:
         return state.at(problem, state.z)
     rng = np.random.default_rng([seed, state.index])

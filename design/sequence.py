@@ -1,9 +1,8 @@
 """Motions for identification link by link: one per link, from the last inward.
 
 Motion i moves joints 1 to i and holds the others; its row τ_i, with the links further out known,
-shows all base parameters of link i (Property 4, Khosla 1987), wherever the outer joints stand. So
-each motion is designed for the arm with those joints locked, and for the columns of link i in row
-i alone. Limits, those on the torque that holds outer joints too, are then kept on the whole arm.
+shows all base parameters of link i (Property 4, Khosla 1987). So it is designed for the arm with
+the outer joints locked and the columns of link i in row i; limits are kept on the whole arm.
 """
 
 from __future__ import annotations
@@ -161,14 +160,9 @@ def design_link_by_link(
 ) -> LinkByLinkDesign:
     """Motions at rest at both ends that show link after link best within all limits.
 
-    The options are those of `design_trajectory`, of each motion. The criterion is that of the
-    columns of each link in its own row. ``starts`` counts the searches per motion, 6 by default;
-    the time limit is that of all motions together, split evenly over those still to come [s].
-
-    Raises:
-        Infeasible: No motion of some link keeps the limits.
-        UnknownName: Another criterion, other columns or another series.
-        BadInput: Duration, harmonics or starts out of range, or no cluster there.
+    Options and errors are those of `design_trajectory`, for each motion; the criterion is that of
+    each link's columns in its own row. ``starts`` counts the searches per motion, 6 by default;
+    the time limit [s] is that of all motions together.
     """
     began = time.time()
     options: dict[str, Any] = {
@@ -206,7 +200,6 @@ def design_link_by_link(
 def _problem(
     robot: Robot, joint: int, pose: Array, scene: Scene | None, options: dict[str, Any]
 ) -> DesignProblem:
-    """The design of one link's motion on the arm with the joints after it locked."""
     arm = _held(robot, joint, pose)
     around = None if scene is None else scene_of(arm, scene.obstacles)
     problem = build_design(arm, scene=around, **options)
@@ -230,7 +223,6 @@ def _of_link(information: Information, joint: int, chosen: npt.NDArray[np.bool_]
 def _keeping(
     robot: Robot, motions: Sequence[Trajectory], scene: Scene | None, clearance: float
 ) -> list[Trajectory]:
-    """Motions shrunk to keep all limits of the whole arm, without those that cannot."""
     shrunk = (within_limits(robot, motion, scene, clearance) for motion in motions)
     kept = [motion for motion in shrunk if motion is not None]
     if not kept:
@@ -288,7 +280,6 @@ def _held(robot: Robot, joint: int, pose: Array) -> Robot:
 
 
 def _kept(effect: Effect, joints: Sequence[str]) -> Effect:
-    """An effect on those of its joints that are left."""
     rows = [k for k, joint in enumerate(effect.joints) if joint in joints]
     values = effect.values
     if values is not None:
@@ -298,7 +289,6 @@ def _kept(effect: Effect, joints: Sequence[str]) -> Effect:
 
 
 def _whole(trajectory: Trajectory, pose: Array) -> Trajectory:
-    """A motion of the first joints as one of the arm, the other joints at their pose."""
     X = trajectory.series.constant(pose)
     X[:, : trajectory.nv] = trajectory.coefficients
     return trajectory.series.trajectory(X)

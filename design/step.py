@@ -72,12 +72,10 @@ def local_model(problem: DesignProblem, z: Array) -> LocalModel:
 def solve_step(
     problem: DesignProblem, model: LocalModel, radius: float
 ) -> tuple[Array, float] | None:
-    """Best step within the trust region, and the decrease of the merit that it promises.
+    """Best step within the trust region, and the decrease of the merit that it promises, or None.
 
-    Only limit rows near current extrema enter. Extrema that the solution moves beyond their
-    limits are added, and it is solved again until none is (an exchange). A long step may leave
-    a small share of its length beyond the limits, which the next one takes back. None without
-    a solution.
+    Extrema that the solution moves beyond their limits are added until none is (an exchange). A
+    long step may leave a small share of its length beyond them, which the next one takes back.
     """
     cost, A, right, cones = _programme(problem, model, radius)
     rows, room = _extremum_rows(problem, model.z, model.z, _NEAR)
@@ -118,10 +116,7 @@ def _extremum_rows(
 def _programme(
     problem: DesignProblem, model: LocalModel, radius: float
 ) -> tuple[tuple[sp.csc_matrix, Array], Array, Array, list[Any]]:
-    """(P, c), A, b and cones of min ½vᵀPv + cᵀv with b − A v in the cones.
-
-    The variables v are dz, one bound per block, and the torque excess.
-    """
+    """(P, c), A, b, cones of min ½vᵀPv + cᵀv; v is dz, a bound per block and the torque excess."""
     k, nb, m = problem.size, len(model.blocks), len(model.use)
     n = k + nb + 1
     box = np.kron(problem.series.rest, np.eye(problem.robot.nv)) / problem.reach.reshape(-1, 1)

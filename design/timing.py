@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
 
-from excitant.design.constraints import LimitUse, check
+from excitant.design.constraints import check
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Array, Motion, Robot, torque
 from excitant.robots.geometry import Scene
@@ -128,15 +128,16 @@ def _end_pose(
 
 
 def _unheld(robot: Robot, motion: Motion) -> tuple[str, int] | None:
-    """Which joint cannot hold the arm with torque to spare, and at which instant, if any."""
+    """The joint that cannot hold the arm with torque to spare, and the instant, if any."""
     bound = robot.limits.torque
     share = np.abs(largest_torque(robot, motion)) / bound
     k, j = np.unravel_index(int(share.argmax()), share.shape)
     if share[k, j] <= HOLDING:
         return None
-    need = f"joint {robot.joints[j]} needs {share[k, j] * bound[j]:.4g} N·m to hold the arm"
-    limit = f"{100 * HOLDING:.0f} % of its torque limit of {bound[j]:.4g} N·m"
-    return f"{need}, more than {limit}", int(k)
+    return (
+        f"joint {robot.joints[j]} needs {share[k, j] * bound[j]:.4g} N·m to hold the arm, more "
+        f"than {100 * HOLDING:.0f} % of its torque limit of {bound[j]:.4g} N·m"
+    ), int(k)
 
 
 def _still(pose: Array, t: Array) -> Motion:
@@ -150,6 +151,7 @@ class Path:
 
     spline: BSpline
     pieces: int
+    path_interval = np.array([0.0, 1.0])
 
     def __call__(self, s: npt.ArrayLike, order: int = 0) -> Array:
         """Evaluate the path or its derivative with respect to s, shape (n, nv)."""
@@ -161,19 +163,12 @@ class Path:
         """Number of joints."""
         return int(self.spline.c.shape[1])
 
-    @property
-    def path_interval(self) -> Array:
-        """First and last value of s."""
-        return np.array([0.0, 1.0])
-
 
 def rounded_path(waypoints: Array, spacing: float = 1.0) -> Path:
     """Polyline with rounded corners: the variation-diminishing cubic spline (Schoenberg 1967).
 
     Its control points lie on the polyline of differing corners (k, nv), about ``spacing`` apart
-    [rad or m], at the Greville abscissae of a clamped uniform knot vector. So it starts and ends
-    where the polyline does, is straight at constant speed where four neighbours lie on one
-    segment, and never leaves their hull.
+    [rad or m], at the Greville abscissae: it has the same ends and stays in the corners' hull.
     """
     length = _lengths(waypoints)
     pieces = 1 if len(waypoints) == 2 else max(4, int(np.ceil(length[-1] / spacing)))
@@ -205,16 +200,13 @@ def _free_path(
     if blocked is None:
         return rounded_path(straight)
     waypoints = _detour(robot, start, goal, free, rng)
-    if waypoints is None:
-        return blocked
     for spacing in _SPACINGS:
-        if blocking(waypoints, spacing) is None:
+        if waypoints is not None and blocking(waypoints, spacing) is None:
             return rounded_path(waypoints, spacing)
     return blocked
 
 
 def _obstruction(robot: Robot, path: Path, scene: Scene | None, clearance: float) -> str | None:
-    """Where and why a path comes too close or cannot be held still, if it does."""
     coarse = path(np.linspace(0.0, 1.0, 20 * path.pieces + 1))
     travel = np.abs(np.diff(coarse, axis=0)) / np.where(robot.revolute, *_RESOLUTION)
     s = np.linspace(0.0, 1.0, max(8, int(np.ceil(travel.max(axis=1).sum()))) + 1)
@@ -242,23 +234,18 @@ def _creeping(q: Array, direction: Array) -> Motion:
 
 
 def _lengths(waypoints: Array) -> Array:
-    """Length of a polyline up to each waypoint, shape (k,)."""
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1)))
 
 
 def _between(waypoints: Array, length: Array, at: Array) -> Array:
-    """Points of a polyline where it has these lengths, shape (n, nv)."""
     return np.stack([np.interp(at, length, column) for column in waypoints.T], axis=1)
 
 
 def _detour(
     robot: Robot, start: Array, goal: Array, free: Edge, rng: np.random.Generator
 ) -> Array | None:
-    """Waypoints from start to goal over free straight segments, shape (k, nv), or None.
-
-    RRT-Connect (Kuffner and LaValle 2000), shortened by random shortcuts, among poses inside the
-    position limits and at most half a turn beyond the box of start and goal.
-    """
+    """Waypoints (k, nv) over free segments, by RRT-Connect (Kuffner and LaValle 2000), or None."""
+    # at most half a turn beyond the box of start and goal
     around = np.stack([np.minimum(start, goal) - np.pi, np.maximum(start, goal) + np.pi])
     low, high = np.clip(around, *robot.limits.position.T)
     trees, edges = [[[start]], [[goal]]], [free, lambda a, b: free(b, a)]  # the way back from goal
@@ -276,7 +263,6 @@ def _detour(
 
 
 def _grow(tree: list[Branch], target: Array, free: Edge, *, once: bool) -> Branch | None:
-    """Grow the nearest branch of a tree towards a pose; the last one added."""
     ends = np.array([branch[-1] for branch in tree])
     branch, added = tree[int(np.linalg.norm(ends - target, axis=1).argmin())], None
     while True:
@@ -292,7 +278,6 @@ def _grow(tree: list[Branch], target: Array, free: Edge, *, once: bool) -> Branc
 
 
 def _shortened(waypoints: Array, free: Edge, rng: np.random.Generator) -> Array:
-    """The polyline with free shortcuts between random points of it."""
     for _ in range(_SHORTCUTS):
         length = _lengths(waypoints)
         cut = np.sort(rng.uniform(0.0, length[-1], 2))
@@ -309,17 +294,13 @@ def timed(robot: Robot, path: Path, rate_hz: float, name: str = "timing") -> Mot
     """The fastest motion along a path from rest to rest, all limits held between samples too.
 
     Where the samples [Hz] exceed a limit, the speed is computed again under a limit lower by the
-    excess. Where that leaves no solution, because an arm barely holds its own weight, the motion
-    is slowed down as a whole.
-
-    Raises:
-        Infeasible: No speed holds the limits; begins with the name of what fails.
+    excess; where that leaves no solution, the motion is slowed down as a whole.
     """
     tightened = robot
     first = profile = time_optimal(robot, path, blur=_BLUR / rate_hz, name=name)
     for _ in range(_TIGHTENED):
         motion = profile.motion(path, rate_hz)
-        uses = _uses_of_speed(robot, motion)
+        uses = check(robot, motion).uses[1:4]  # of speed, acceleration and torque
         if all(use.ratio <= 1 for use in uses):
             return motion
         lower: dict[str, Any] = {
@@ -334,7 +315,7 @@ def timed(robot: Robot, path: Path, rate_hz: float, name: str = "timing") -> Mot
             break
     for factor in 1 + 1e-3 * 2.0 ** np.arange(_SLOWER):
         motion = replace(first, speed=first.speed / factor).motion(path, rate_hz)
-        uses = _uses_of_speed(robot, motion)
+        uses = check(robot, motion).uses[1:4]
         if all(use.ratio <= 1 for use in uses):
             return motion
     worst = max(uses, key=lambda use: use.ratio)
@@ -345,18 +326,9 @@ def timed(robot: Robot, path: Path, rate_hz: float, name: str = "timing") -> Mot
     )
 
 
-def _uses_of_speed(robot: Robot, motion: Motion) -> tuple[LimitUse, ...]:
-    """Of the limits that depend on the speed along the path."""
-    report = check(robot, motion)
-    return (report.velocity, report.acceleration, report.torque)
-
-
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Speed ṡ [1/s] at positions s of a path from 0 to 1, both (n,), with constant s̈ between.
-
-    The speed is nowhere zero at two neighbours.
-    """
+    """Speed ṡ [1/s] at positions s of a path from 0 to 1, both (n,), with constant s̈ between."""
 
     s: Array
     speed: Array
@@ -372,7 +344,6 @@ class Profile:
         return float(self.t[-1])
 
     def _positions(self, n: int) -> Array:
-        """Positions at ``n`` equidistant instants, first and last included, shape (n,)."""
         t = self.t
         instants = np.linspace(0.0, t[-1], n)
         i = np.clip(np.searchsorted(t, instants, side="right") - 1, 0, len(t) - 2)
@@ -385,9 +356,8 @@ class Profile:
     def motion(self, path: Path, rate_hz: float) -> Motion:
         """Samples of the path at a control rate [Hz], with q̇ = q̈ = 0 at both ends.
 
-        The positions at the control instants become control points of a uniform cubic spline
-        s(t): jumps of acceleration become ramps of one sample, and it is nowhere faster nor more
-        accelerated than the profile. It takes up to three samples longer.
+        The positions at the control instants are control points of a uniform cubic spline s(t),
+        nowhere faster nor more accelerated than the profile, and up to three samples longer.
         """
         n = max(1, int(np.ceil(self.duration * rate_hz - 1e-9)))
         control = np.concatenate([np.zeros(2), self._positions(n + 1), np.ones(2)])
@@ -404,18 +374,17 @@ def time_optimal(robot: Robot, path: Path, *, blur: float = 0.0, name: str = "ti
     """Fastest speed along a path from rest to rest, by TOPP-RA (Pham and Pham 2018).
 
     Friction that depends on the speed is linearised in its square at the result before, until
-    the duration settles or there is no solution any more. Dry friction jumps where a joint turns
-    back while the acceleration takes time: it is taken at its worst over the time ``blur`` [s]
-    before and after.
-
-    Raises:
-        Infeasible: No speed holds the limits; begins with the name of what fails.
+    the duration settles. Dry friction is taken at its worst over ``blur`` [s] before and after,
+    for it jumps where a joint turns back while the acceleration takes time.
     """
     s = np.linspace(0.0, 1.0, max(_STAGES, _STAGES_PER_PIECE * path.pieces) + 1)
     limits = robot.limits
     unlimited = np.isinf(limits.acceleration) & np.isinf(limits.torque)
     acceleration = np.where(unlimited, DEFAULT_ACCELERATION, limits.acceleration)
-    unit, profile = _time_scale(robot, path, acceleration), None
+    way = np.abs(np.diff(path(np.linspace(0, 1, 20 * path.pieces + 1)), axis=0)).sum(axis=0)
+    finite = np.where(np.isinf(acceleration), DEFAULT_ACCELERATION, acceleration)
+    unit = float(np.max(np.maximum(way / limits.velocity, 2 * np.sqrt(way / finite))))
+    profile = None
     for _ in range(_PASSES):
         speed = None if profile is None else profile.speed
         dynamics = _dynamics(robot, path, s, speed, blur)
@@ -431,19 +400,8 @@ def time_optimal(robot: Robot, path: Path, *, blur: float = 0.0, name: str = "ti
     return profile
 
 
-def _time_scale(robot: Robot, path: Path, acceleration: Array) -> float:
-    """Order of magnitude of the duration, the unit of time of the first pass [s]."""
-    way = np.abs(np.diff(path(np.linspace(0, 1, 20 * path.pieces + 1)), axis=0)).sum(axis=0)
-    finite = np.where(np.isinf(acceleration), DEFAULT_ACCELERATION, acceleration)
-    return float(np.max(np.maximum(way / robot.limits.velocity, 2 * np.sqrt(way / finite))))
-
-
 def _dynamics(robot: Robot, path: Path, s: Array, speed: Array | None, blur: float) -> Dynamics:
-    """Torque on a path as τ = a s̈ + b ṡ² + c (Bobrow et al. 1985), each of shape (n, nv).
-
-    Friction that depends on the speed enters as its secant in ṡ² between rest and a given speed;
-    c is gravity and dry friction, the smallest and the largest around each position.
-    """
+    """a, b, smallest and largest c of τ = a s̈ + b ṡ² + c, each (n, nv) (Bobrow et al. 1985)."""
     q, dq, ddq = path(s), path(s, 1), path(s, 2)
     zero = np.zeros_like(q)
 
@@ -464,7 +422,6 @@ def _dynamics(robot: Robot, path: Path, s: Array, speed: Array | None, blur: flo
 
 
 def _largest_around(values: Array, reach: npt.NDArray[np.int_]) -> Array:
-    """Largest value of each column within ``reach`` rows, same shape (n, m)."""
     rows = np.arange(len(values))
     largest = values.copy()
     for shift in range(1, min(int(reach.max()), len(values)) + 1):

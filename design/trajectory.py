@@ -53,11 +53,7 @@ class Series(ABC):
 
     @abstractmethod
     def reach(self, bound: Array) -> Array:
-        """Largest useful change of each coefficient alone, shape (c, nv).
-
-        Args:
-            bound: Half ranges of q, q̇, q̈ (and more derivatives), shape (≥ 3, nv).
-        """
+        """Largest useful change of each coefficient alone (c, nv), from half ranges of q, q̇, q̈."""
 
     def trajectory(self, coefficients: npt.ArrayLike) -> Trajectory:
         """The motion with these coefficients, shape (c, nv)."""
@@ -112,15 +108,10 @@ class _Curve(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory(_Curve):
-    """Periodic joint motion, known at every instant with its derivatives.
+    """Periodic joint motion, known at every instant with its derivatives."""
 
-    Attributes:
-        series: The basis functions, c of them.
-        coefficients: Coefficient of each, shape (c, nv) [rad or m].
-    """
-
-    series: Series
-    coefficients: Array
+    series: Series  # the basis functions, c of them
+    coefficients: Array  # of each, shape (c, nv) [rad or m]
 
     def __post_init__(self) -> None:
         freeze(self, "coefficients")
@@ -199,12 +190,10 @@ class FourierSeries(Series):
 
     @property
     def size(self) -> int:
-        """Number of basis functions, 1 + 2 H."""
         return 1 + 2 * self.harmonics
 
     @property
     def one(self) -> Array:
-        """Coefficients of the constant 1, shape (1 + 2 H,)."""
         one: Array = np.eye(self.size)[0]
         return one
 
@@ -216,7 +205,6 @@ class FourierSeries(Series):
         return scipy.linalg.null_space(np.array([[0.0, *zero, *h], [0.0, *(h**2), *zero]]))
 
     def basis(self, t: npt.ArrayLike, order: int = 0) -> Array:
-        """The order-th time derivative of the basis functions, shape (n, 1 + 2 H)."""
         w = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)
         angle = np.atleast_1d(np.asarray(t, float))[:, None] * w
         cos, sin = np.cos(angle), np.sin(angle)
@@ -225,14 +213,11 @@ class FourierSeries(Series):
         return np.hstack([constant, turned[0] * w**order, turned[1] * w**order])
 
     def trajectory(self, coefficients: npt.ArrayLike) -> FourierTrajectory:
-        """The motion with these coefficients, shape (1 + 2 H, nv)."""
         return from_coefficients(coefficients, self.period)
 
     def extremum_times(self, coefficients: Array, order: int) -> Array:
-        """Instants among which every extremum of a derivative lies, shape (2 H + 1, nv) [s].
+        """Roots of the next derivative, polished by Newton's method, and the start [s].
 
-        They are the roots of the next derivative, a trigonometric polynomial: eigenvalues of
-        its companion matrix, polished by Newton's method; the start of the period is added.
         Roots off the unit circle give instants too; they are no extrema and do no harm.
         """
         # in the angle θ = ωt high derivatives keep their size
@@ -247,11 +232,9 @@ class FourierSeries(Series):
         return times
 
     def resized(self, terms: int, period: float | None = None) -> FourierSeries:
-        """The same functions with another number of harmonics, or another period [s]."""
         return FourierSeries(period or self.period, terms)
 
     def reach(self, bound: Array) -> Array:
-        """Largest useful size of each coefficient alone, shape (1 + 2 H, nv)."""
         w = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)
         peaks = [np.concatenate([[float(k == 0)], w**k, w**k]) for k in range(len(bound))]
         with np.errstate(divide="ignore"):
@@ -306,7 +289,7 @@ def from_coefficients(coefficients: npt.ArrayLike, period: float) -> FourierTraj
 
 
 def _root_angles(x: Array, order: int) -> Array:
-    """Angles of all complex roots of a derivative of coefficients (1 + 2 H,), padded to (2 H,)."""
+    """Angles of all complex roots of a derivative, by its companion matrix, padded to (2 H,)."""
     H = len(x) // 2
     c = (1j * np.arange(1, H + 1)) ** order * (x[1 : 1 + H] - 1j * x[1 + H :])
     size = np.abs(c)
@@ -321,10 +304,7 @@ def _root_angles(x: Array, order: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SplineSeries(Series):
-    """Quintic B-splines B(t / h − k) on equidistant knots that close to a period (de Boor 1978).
-
-    h = period / pieces; the coefficients are control points.
-    """
+    """Quintic B-splines B(t / h − k), h = period / pieces, closed to a period (de Boor 1978)."""
 
     name = "spline"
     period: float  # duration of one period [s]
@@ -337,12 +317,10 @@ class SplineSeries(Series):
 
     @property
     def size(self) -> int:
-        """Number of basis functions."""
         return self.pieces
 
     @property
     def one(self) -> Array:
-        """Coefficients of the constant 1, shape (pieces,)."""
         return np.ones(self.pieces)
 
     @cached_property
@@ -350,13 +328,11 @@ class SplineSeries(Series):
         return self._spline(np.eye(self.pieces))
 
     def _spline(self, coefficients: Array) -> BSpline:
-        """Spline over one period of coefficients (pieces, ...)."""
         knots = np.arange(-_DEGREE, self.pieces + _DEGREE + 1) * (self.period / self.pieces)
         wrapped = coefficients[np.arange(self.pieces + _DEGREE) % self.pieces]
         return BSpline(knots, wrapped, _DEGREE)
 
     def basis(self, t: npt.ArrayLike, order: int = 0) -> Array:
-        """The order-th time derivative of the basis functions, shape (n, pieces)."""
         t = np.atleast_1d(np.asarray(t, float))
         values: Array = self._unit(np.mod(t, self.period), nu=order)
         return values
@@ -375,7 +351,6 @@ class SplineSeries(Series):
         return np.stack([np.pad(times, (0, length - len(times))) for times in found], axis=1)
 
     def resized(self, terms: int, period: float | None = None) -> SplineSeries:
-        """The same functions with another number of terms, or another period [s]."""
         return SplineSeries(period or self.period, 2 * terms)
 
     def reach(self, bound: Array) -> Array:
@@ -384,11 +359,7 @@ class SplineSeries(Series):
 
 
 class HermiteTrajectory(_Curve):
-    """Quintic Hermite interpolant through the q, q̇, q̈ samples of a motion.
-
-    Args:
-        samples: The motion; its time strictly increasing.
-    """
+    """Quintic Hermite interpolant through q, q̇, q̈ of samples at strictly increasing times."""
 
     def __init__(self, samples: Motion) -> None:
         self.samples = samples
@@ -396,6 +367,5 @@ class HermiteTrajectory(_Curve):
         self._q = BPoly.from_derivatives(samples.t, knots)
 
     def __call__(self, t: npt.ArrayLike, order: int = 0) -> Array:
-        """Evaluate the motion or its time derivative of the given order, shape (n, nv)."""
         values: Array = self._q(np.atleast_1d(np.asarray(t, float)), nu=order)
         return values

@@ -59,14 +59,8 @@ def current_gains(
 ) -> tuple[Array, bool]:
     """Gains k with torque = k · current, shape (nv,) [N·m/A], and whether joints were compared.
 
-    A gain that the motion hardly shows stays near those of the other joints.
-
-    Args:
-        robot: The arm with the given masses.
-        base: Base parameters of links and effects.
-        W: Columns of links and effects, shape (n, nv, p).
-        current: Motor currents, shape (n, nv) [A].
-        moves: Rows in which a joint moves, shape (n, nv); only these count. All when None.
+    A gain that the motion hardly shows stays near those of the other joints. W are the columns of
+    links and effects, (n, nv, p); only rows in which a joint moves count, (n, nv), all when None.
     """
     links = 10 * robot.nv
     if moves is not None:
@@ -81,7 +75,6 @@ def current_gains(
 
 
 def _compared(W: Array, F: Array, current: Array, given: Array) -> Array:
-    """Gains from rows of several joints at once: base columns of links, and those of effects."""
     nv = W.shape[1]
     parts = [_without_effects(F[:, j], W[:, j], current[:, j], given[:, j]) for j in range(nv)]
     W, current, given = (np.stack(values, axis=1) for values in zip(*parts, strict=True))
@@ -170,10 +163,7 @@ class KnownPayload:
             )
 
     def columns(self, body: Array) -> Array:
-        """Columns of what is not known of it, and last what is known adds, shape (n, ≤ 10).
-
-        Body holds the columns of the standard parameters of a body on the last link, (n, 10).
-        """
+        """Columns of what is not known of it, and last what is known adds; body (n, 10)."""
         if self.centre is None:
             return np.column_stack([body[:, 1:], self.mass * body[:, 0]])
         point = pin.Inertia(self.mass, np.array(self.centre), np.zeros((3, 3)))
@@ -208,21 +198,20 @@ class DriveGains:
 
     def result(self) -> dict[str, Any]:
         """Entries of result.json."""
-        keys = ("Nm_per_A", "std_Nm_per_A", "shown", "scale_rel_std")
-        values = (self.gains.tolist(), self.std.tolist(), list(self.shown), self.scale_std)
-        return {f"drive_gain_{key}": value for key, value in zip(keys, values, strict=True)}
+        return {
+            "drive_gain_Nm_per_A": self.gains.tolist(),
+            "drive_gain_std_Nm_per_A": self.std.tolist(),
+            "drive_gain_shown": list(self.shown),
+            "drive_gain_scale_rel_std": self.scale_std,
+        }
 
 
 def payload_gains(
     free: Regression, loaded: Regression, payload: KnownPayload, body: Array
 ) -> DriveGains:
-    """Drive gains from currents without and with a known payload.
+    """Drive gains from currents [A], in place of torque, without and with a known payload.
 
-    Args:
-        free: Base parameters of the arm without it, currents [A] in place of torque.
-        loaded: The same of the arm with it, any motion.
-        payload: What is known of it.
-        body: Base parameters that a body on the last link adds per standard parameter, (r, 10).
+    Body: base parameters that a body on the last link adds per standard parameter, (r, 10).
 
     Raises:
         BadInput: The payload does not show in the currents, or hardly.
@@ -293,15 +282,10 @@ def _solved(exact: Array, current: Array) -> tuple[Array, Array, Mask]:
 def _eliminated(
     triangles: Sequence[Array], weight: Array, noise: Array
 ) -> tuple[Array, Array, Mask]:
-    """Solution of the weighted homogeneous system, of norm one, and which gains it shows.
-
-    Noise is what squares of the weighted errors of each current column should be, shape (nv,).
-    """
+    """Gains and coefficients, of norm one, and which are shown; noise of the columns, squared."""
     rows = [w * T for w, T in zip(weight, triangles, strict=True)]
-    X, currents = (
-        np.vstack([T[:, :-1] for T in rows]),
-        scipy.linalg.block_diag(*(T[:, -1:] for T in rows)),
-    )
+    X = np.vstack([T[:, :-1] for T in rows])
+    currents = scipy.linalg.block_diag(*(T[:, -1:] for T in rows))
     norms = np.linalg.norm(X, axis=0)
     Q, R = np.linalg.qr(X / norms)
     left = currents - Q @ (Q.T @ currents)

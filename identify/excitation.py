@@ -77,11 +77,15 @@ class WindowExcitation:
         """What it means, in words."""
         if self.enough:
             return f"exciting: all {len(self.levels)} visible directions (level {self.level:.3g})"
-        text = (
+        return (
             f"not exciting enough since {self.start:.1f} s: {self.missing} of "
-            f"{len(self.levels)} visible directions missing"
+            f"{len(self.levels)} visible directions missing{self.advice}"
         )
-        return text + (f"; move {', '.join(self.joints)}" if self.joints else "")
+
+    @property
+    def advice(self) -> str:
+        """Which joints to move, as the end of a sentence."""
+        return f"; move {', '.join(self.joints)}" if self.joints else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +100,7 @@ class ExcitationJudge:
     reference: Motion  # as long as the window
 
     def whitened(self, W: Array) -> Array:
-        """Rows of base parameters, shape (n, nv, r), so that squares are levels, (n, nv, v)."""
+        """Rows of base parameters, (n, nv, r), so that squares are levels, (n, nv, v)."""
         return np.asarray(W / self.sigma[:, None] @ self.basis, float)
 
     def rows(self, motion: Motion) -> Array:
@@ -165,11 +169,7 @@ def excitation_judge(
     base: BaseParameters,
     prior: BasePrior,
 ) -> ExcitationJudge:
-    """Prepare to judge windows of one length [s].
-
-    Sigma is the noise of an independent row of torque, shape (nv,); 1 % of the torque of a
-    reference motion when None.
-    """
+    """Prepare to judge windows of one length [s]; sigma as in `persistency`."""
     reference = reference_motion(robot, window, ROWS_PER_SECOND if window > 2 else 40 / window)
     if sigma is None:
         rms = np.sqrt((torque(robot, reference) ** 2).mean(axis=0))
@@ -200,12 +200,11 @@ class Persistency(WindowExcitation):
             if self.shortest is not None and self.shortest < length:
                 text += f"; windows of {self.shortest:.3g} s are enough"
             return text
-        text = (
+        return (
             f"not persistently exciting over {length:.3g} s: from {self.start:.3g} to "
             f"{self.end:.3g} s {self.missing} of {visible} visible combinations are missing "
-            f"(level {self.level:.2g}), first of all {self.weak[0].parameters[0]}"
+            f"(level {self.level:.2g}), first of all {self.weak[0].parameters[0]}{self.advice}"
         )
-        return text + (f"; move {', '.join(self.joints)}" if self.joints else "")
 
     def result(self) -> dict[str, Any]:
         """What ``result.json`` says of it."""
@@ -229,15 +228,11 @@ def persistency(
     *,
     sigma: Array | None = None,
 ) -> Persistency:
-    """Whether a motion is persistently exciting, at which level, and over which windows.
+    """Whether a motion, evenly sampled, is persistently exciting, and over which windows.
 
-    What counts as visible is what a reference motion shows in the same time.
-
-    Args:
-        robot: The arm; its inertias are the prior.
-        motion: Samples evenly spread in time.
-        effects: Effects to estimate; friction, offset and rotor inertia when None.
-        sigma: Noise of an independent row of torque, shape (nv,) [torque unit].
+    The robot's inertias are the prior; effects are friction, offset and rotor inertia when None;
+    sigma, the noise of an independent row of torque, shape (nv,) [torque unit], is 1 % of the
+    torque of a reference motion when None.
 
     Raises:
         BadInput: A motion without duration.
@@ -262,7 +257,7 @@ def persistency(
 def _windows(
     judge: ExcitationJudge, motion: Motion, rows: Array, window: float
 ) -> Iterator[WindowExcitation]:
-    """What windows of one length show, half overlapping."""
+    """What windows show, half overlapping."""
     start, end = float(motion.t[0]), float(motion.t[-1])
     count = max(1, int(np.ceil(2 * (end - start) / window - 1 - 1e-9)))
     for first in np.linspace(start, max(start, end - window), count):

@@ -45,14 +45,8 @@ def model_files(
     """A robot as files; URDF and YAML always.
 
     The YAML refers to the URDF and adds what that cannot hold: `load_robot` reads it back to the
-    same torque. The others are ``.xml`` (MJCF) and ``.sdf``.
-
-    Args:
-        model: The robot; its effects have values.
-        stem: Name of the files without ending.
-        yaml_name: Name of the YAML.
-        formats: Some of `FORMATS`.
-        gains: Drive gains, shape (nv,) [N·m/A], where torque was measured as current.
+    same torque. The others are ``.xml`` (MJCF) and ``.sdf``. Gains, shape (nv,) [N·m/A], are given
+    where torque was measured as current.
 
     Raises:
         UnknownName: A format that is not one of `FORMATS`.
@@ -72,13 +66,7 @@ def model_files(
 
 
 def folded(robot: Robot) -> tuple[Robot, Mapping[str, Array]]:
-    """The robot with bodies among its effects in its links, and its drives as files have them.
-
-    Drives are sums of values by the property of a joint, shape (nv,) each; zero for any other.
-
-    Raises:
-        BadInput: An effect without values.
-    """
+    """The robot with bodies among its effects in its links; its drives by joint property, (nv,)."""
     drives: Mapping[str, Array] = defaultdict(lambda: np.zeros(robot.nv))
     given = robot
     for effect in given.effects:
@@ -93,13 +81,7 @@ def folded(robot: Robot) -> tuple[Robot, Mapping[str, Array]]:
 
 
 def comment(robot: Robot, file_format: str, complete: str) -> str:
-    """What a file leaves out or means in its own way, as the text of an XML comment.
-
-    Args:
-        robot: The model, as `folded` gives it.
-        file_format: One of `FORMATS`.
-        complete: File that holds everything, to refer to.
-    """
+    """What a file leaves out or means in its own way, and the file that is complete."""
     left_out, own = [], []
     for effect in robot.effects:
         values, joints, below = effect.values or (), list(effect.joints), list[str]()
@@ -126,7 +108,6 @@ def comment(robot: Robot, file_format: str, complete: str) -> str:
 
 
 def _urdf(arm: Robot, drives: Mapping[str, Array], complete: str) -> str:
-    """URDF text of an arm; meshes and everything else in its URDF stay."""
     pairs = np.maximum([drives["viscous"], drives["coulomb"]], 0.0).T.tolist()
     friction = {joint: (v, c) for joint, (v, c) in zip(arm.joints, pairs, strict=True)}
     root = ET.fromstring(urdf_with_parameters(arm, arm.phi, friction))
@@ -172,13 +153,8 @@ def _yaml(arm: Robot, urdf: str, gains: Array | None) -> str:
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
 
 
-def _mjcf(
-    arm: Robot, drives: Mapping[str, Array], complete: str, gains: Array | None = None
-) -> str:
-    """MJCF text: bodies on their joints, actuators, frames as sites; no meshes.
-
-    A control is a torque [N·m], or a current [A] where drive gains are given.
-    """
+def _mjcf(arm: Robot, drives: Mapping[str, Array], complete: str, gains: Array | None) -> str:
+    """MJCF text; a control is a torque [N·m], or a current [A] where drive gains are given."""
     root = ET.Element("mujoco", model=arm.name)
     root.append(ET.Comment(comment(arm, "mjcf", complete)))
     _add(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
@@ -190,9 +166,7 @@ def _mjcf(
     for j, (joint, link) in enumerate(zip(arm.joints, arm.links, strict=True)):
         place, parent = arm.model.jointPlacements[j + 1], elements[arm.model.parents[j + 1]]
         length = float(np.linalg.norm(place.translation))
-        if (
-            parent is not elements[0] and length > _THIN
-        ):  # a line to the next joint, for the eye only
+        if parent is not elements[0] and length > _THIN:  # a line to look at, no more
             line = f"0 0 0 {_written(place.translation)}"
             _add(parent, "geom", type="capsule", size=0.1 * min(length, 0.5), fromto=line)
         name = link if link != "world" else "world_"  # that of MuJoCo's own root
@@ -227,10 +201,7 @@ def _sites(parent: ET.Element, arm: Robot, joint: int) -> None:
 
 
 def _sdf(arm: Robot, drives: Mapping[str, Array], complete: str) -> str:
-    """SDF text of an arm, fixed in a world, which is where SDF holds gravity; no meshes.
-
-    Links, joints and frames share one list of names, so one that occurs twice gets an underscore.
-    """
+    """SDF text of an arm, fixed in a world; links, joints and frames share one list of names."""
     root = ET.Element("sdf", {"version": "1.9", "xmlns:drake": "drake.mit.edu"})
     root.append(ET.Comment(comment(arm, "sdf", complete)))
     world = _add(root, "world", name="default")
@@ -293,7 +264,6 @@ def _placed(parent: ET.Element, T: pin.SE3, relative_to: str) -> None:
 
 
 def _fresh(name: str, taken: set[str]) -> str:
-    """A name that is not taken yet, and is from now on."""
     while name in taken:
         name += "_"
     taken.add(name)
@@ -308,7 +278,6 @@ def _unreserved(name: str) -> str:
 
 
 def _axis(robot: Robot, joint: int) -> Array:
-    """Direction of a joint in its own frame, a unit vector, shape (3,)."""
     S = np.reshape(robot.model.joints[joint + 1].createData().S, 6)
     return np.asarray(S[3:] if robot.revolute[joint] else S[:3], float)
 
@@ -329,7 +298,6 @@ def _pose(T: pin.SE3) -> dict[str, str]:
 def _add(
     parent: ET.Element, tag: str, content: str | npt.ArrayLike | None = None, **attributes: Any
 ) -> ET.Element:
-    """A further element with a text and attributes; numbers read back to the same ones."""
     own = {k: v if isinstance(v, str) else _written(v) for k, v in attributes.items()}
     element = ET.SubElement(parent, tag, own)
     if content is not None:
@@ -368,9 +336,7 @@ def publication(
     """
     gains = estimate.gains if estimate.data.unit == "A" else None
     files = model_files(estimate.model, "identified", "model.yaml", formats, gains)
-    found, given = (
-        float(np.nansum(accuracy.nrmse)) for accuracy in (estimate.validate, estimate.baseline)
-    )
+    found, given = (float(np.nansum(x.nrmse)) for x in (estimate.validate, estimate.baseline))
     if found <= _AS_GOOD * given:
         return Publication(files, True, "")
     why = (

@@ -81,10 +81,7 @@ def gaussian(mean: Array, covariance: Array) -> Information:
 
 
 class InformationFilter:
-    """Information that grows row by row and may be forgotten.
-
-    Rows contain some columns of the p parameters; each costs a rank-one triangular update.
-    """
+    """Information about some of p parameters that grows row by row and may be forgotten."""
 
     def __init__(self, columns: npt.NDArray[np.intp], p: int) -> None:
         self.columns, self.p = columns, p
@@ -93,9 +90,8 @@ class InformationFilter:
 
     def update(self, rows: Array) -> None:
         """Add rows [A, b] of the chosen columns, shape (m, columns + 1); the rows are used up."""
-        if len(rows):
-            stacked, block = np.asfortranarray(rows), min(_PANEL, self._size)
-            self._factor = lapack.dtpqrt(0, block, self._factor, stacked, 1, 1)[0]
+        stacked, block = np.asfortranarray(rows), min(_PANEL, self._size)
+        self._factor = lapack.dtpqrt(0, block, self._factor, stacked, 1, 1)[0]
 
     def forget(self, factor: float) -> None:
         """Weigh everything so far by a factor on the information, 0 < factor ≤ 1."""

@@ -289,8 +289,9 @@ def autoregression(gamma: Array, n: int) -> tuple[Array, float]:
 def autocorrelation(values: Array) -> Array:
     """ρ_k of the first third of all lags, ρ_0 = 1, shape (n,) → (n / 3,); white if constant."""
     centred, n = values - values.mean(), len(values)
-    spectrum = np.abs(scipy.fft.rfft(centred, scipy.fft.next_fast_len(2 * n, True))) ** 2
-    correlation = np.asarray(scipy.fft.irfft(spectrum)[: max(n // 3, 1)], float)
+    size = scipy.fft.next_fast_len(2 * n, True)
+    spectrum = np.abs(scipy.fft.rfft(centred, size)) ** 2
+    correlation = np.asarray(scipy.fft.irfft(spectrum, size)[: max(n // 3, 1)], float)
     if correlation[0] <= 0:
         return np.asarray(np.eye(len(correlation))[0], float)
     return np.asarray(correlation / correlation[0], float)

@@ -55,15 +55,10 @@ _REFERENCE = 10.0  # s of reference motion over which the uncertainty of the tor
 
 @dataclass(frozen=True, eq=False)
 class OnlineEstimate(LeastSquares):
-    """What is known at an instant; inflation is that of recent residuals.
+    """What is known at an instant; inflation is that of recent residuals."""
 
-    Attributes:
-        t: Instant it speaks about: the newest block [s].
-        data: What the data alone say, rows of unit noise.
-    """
-
-    t: float
-    data: Information
+    t: float  # instant it speaks about: the newest block [s]
+    data: Information  # what the data alone say, rows of unit noise
 
 
 class RecentRows(NamedTuple):
@@ -79,9 +74,7 @@ class OnlineEstimator:
     """Recursive estimation of base parameters inside a control loop: `push`, then `estimate`.
 
     Args:
-        robot: The arm; its inertias and effects are the prior.
         effects: Effects to estimate; friction, offset and rotor inertia when None.
-        rate_hz: Sampling rate [Hz].
         differentiator: A causal polynomial; 61 samples of degree 4 at 1 kHz when None.
         block: Samples per row; 10 ms when None.
         forgetting: Time constant τ [s]; nothing is forgotten when None.
@@ -89,7 +82,6 @@ class OnlineEstimator:
         prior: What is known beforehand; the given robot when None, ``False`` for nothing.
         position_noise: Of the encoders, shape (nv,) [rad]: a joint that does not go one way all
             through the window gives no row, because its dry friction could be anything.
-        base: Base parameters of robot and effects, where they are at hand.
 
     Raises:
         BadInput: Options that do not fit, or an effect that depends on the past.
@@ -154,9 +146,7 @@ class OnlineEstimator:
         return self.differentiator.delay(self.rate_hz)
 
     def push(self, t: float, q: Array, tau: Array) -> None:
-        """Take one sample: positions and torque, shape (nv,), at a time [s].
-
-        After a pause of more than two samples the window of the differentiator fills anew.
+        """Take one sample, shapes (nv,); after a pause of two samples the window fills anew.
 
         Raises:
             BadInput: Time that goes back, or a value that is not a number.
@@ -200,7 +190,6 @@ class OnlineEstimator:
         self.rows += 1
 
     def _goes_one_way(self) -> Mask:
-        """Joints that do, certainly, under the block's window, shape (nv,)."""
         corners = np.linspace(-self.span, -1, _CORNERS).astype(int)
         steps = np.diff(self._samples[corners, : self.robot.nv], axis=0)
         one_way = (steps > self._still).all(axis=0) | (steps < -self._still).all(axis=0)
@@ -220,12 +209,8 @@ class OnlineEstimator:
         parts = [each.information() for each in self._filters]
         sigma, beta = self._noise(parts)
         residual = rows.tau - rows.W @ beta
-        inflation = np.array(
-            [
-                autocorrelation_time(residual[used, j]) if used.sum() > 20 else 1.0
-                for j, used in enumerate(rows.used.T)
-            ]
-        )
+        counted = [e[used] for e, used in zip(residual.T, rows.used.T, strict=True)]
+        inflation = np.array([autocorrelation_time(e) if len(e) > 20 else 1.0 for e in counted])
         data, total = self._total(parts, sigma * np.sqrt(inflation))
         known = np.abs(np.diag(total.R)).min() > 0
         covariance = total.covariance() if known else np.full(total.R.shape, np.inf)
@@ -284,9 +269,8 @@ def replayable(
 ) -> tuple[OnlineEstimator, tuple[Array, Array, Array], str]:
     """An estimator for recordings, their samples at a regular rate, and why these velocities.
 
-    The causal differentiator is the one that suits the recorded positions best. Recordings follow
-    each other a second apart; where time is irregular they are resampled, gaps stay. Gains are
-    torque per reading, shape (nv,); the other options are those of `OnlineEstimator`.
+    Recordings follow each other a second apart; where time is irregular they are resampled, gaps
+    stay. Gains are torque per reading, shape (nv,).
 
     Raises:
         BadRecording: Too short for one row.
@@ -338,16 +322,15 @@ class Look:
 class Monitor:
     """Watches an `OnlineEstimator`: convergence, and excitation in a sliding window.
 
-    A look costs some ten milliseconds: once a second, beside the loop rather than inside it.
-    ``messages`` holds what changed from look to look, time [s] and text; the window is in seconds,
-    the prior what excitation is measured against.
+    A look costs some ten milliseconds: once a second, beside the loop rather than inside it. The
+    window is in seconds; excitation is measured against the prior.
     """
 
     def __init__(
         self, estimator: OnlineEstimator, prior: BasePrior, window: float = _LOOKED_AT
     ) -> None:
         self.estimator, self.prior, self.window = estimator, prior, window
-        self.messages: list[tuple[float, str]] = []
+        self.messages: list[tuple[float, str]] = []  # what changed from look to look, time [s]
         self._enough, self._converged = True, False
         motion = reference_motion(estimator.robot, _REFERENCE, ROWS_PER_SECOND)
         columns = observation_columns(estimator.robot, estimator.effects, motion)
@@ -446,7 +429,6 @@ def identify_online(
     is forgotten when None); ``progress`` is told the fraction done.
     """
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
-    prior = prior_parameters(robot)
     data = split(recordings, validate, cutoff_hz)
     base = base_parameters(robot, effects)
     rows = fit_rows(robot, effects, base, data)
@@ -465,9 +447,8 @@ def identify_online(
     if not looks or looks[-1].estimate.t < estimator.recent().motion.t[-1]:
         looks.append(monitor.look())
     fit = looks[-1].estimate
-    known = fit.data
-    physical = fit_physical(known.R @ base.regrouping, known.z, prior, rows.open_prior)
+    R, z = fit.data.R @ base.regrouping, fit.data.z
+    physical = fit_physical(R, z, prior_parameters(robot), rows.open_prior)
     estimate = judged(robot, rows, fit, physical, (data.holdout, why))
-    return OnlineIdentification(
-        estimate, tuple(looks), tuple(monitor.messages), estimator.delay, why
-    )
+    messages = tuple(monitor.messages)
+    return OnlineIdentification(estimate, tuple(looks), messages, estimator.delay, why)

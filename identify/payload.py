@@ -22,15 +22,14 @@ from excitant.exceptions import BadInput
 from excitant.identify.drive_gains import DriveGains, KnownPayload, payload_gains
 from excitant.identify.information import Information, gaussian, information_of
 from excitant.identify.online import replayable
-from excitant.identify.physical import fit_physical
+from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.prior import EffectPrior, base_prior
 from excitant.identify.recording import Recording
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import fit_rows, split
-from excitant.identify.semidefinite import KktResiduals
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
-from excitant.robots.motion import Array, freeze
+from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD, UNITS
 from excitant.robots.robot import Robot
 
@@ -52,14 +51,13 @@ class PayloadEstimate:
     """A body on the last link, about the frame of its joint."""
 
     link: str  # that carries it
-    phi: Array  # standard parameters, physically consistent, shape (10,)
-    covariance: Array  # of them, constraints ignored, shape (10, 10)
-    prior_share: Array  # of each parameter's uncertainty, which no data reduced, shape (10,)
-    kkt: KktResiduals  # optimality of the consistent fit
+    fit: PhysicalFit  # of its standard parameters
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        freeze(self, "phi", "covariance", "prior_share")
+    @property
+    def phi(self) -> Array:
+        """Standard parameters, shape (10,)."""
+        return self.fit.x
 
     @property
     def mass(self) -> float:
@@ -75,12 +73,12 @@ class PayloadEstimate:
     def centre_std(self) -> Array:
         """Standard deviation of the centre of mass, shape (3,) [m]."""
         J = np.column_stack([-self.centre, np.eye(3)]) / self.mass
-        return np.asarray(np.sqrt(np.diag(J @ self.covariance[:4, :4] @ J.T)), float)
+        return np.asarray(np.sqrt(np.diag(J @ self.fit.covariance[:4, :4] @ J.T)), float)
 
     @property
     def std(self) -> Array:
         """Standard deviations of the ten parameters."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)), float)
+        return np.asarray(np.sqrt(np.diag(self.fit.covariance)), float)
 
     @property
     def shortcomings(self) -> tuple[str, ...]:
@@ -106,7 +104,7 @@ class PayloadEstimate:
         """Entries of result.json."""
         rows = zip(STANDARD, self.phi.tolist(), self.std.tolist(), UNITS, strict=True)
         parameters = [dict(zip(("name", "value", "std", "unit"), row, strict=True)) for row in rows]
-        for entry, share in zip(parameters, self.prior_share, strict=True):
+        for entry, share in zip(parameters, self.fit.prior_share, strict=True):
             entry["prior_dominated"] = bool(share > 0.5)
         centre, std = self.centre.tolist(), self.centre_std.tolist()
         return {
@@ -128,11 +126,8 @@ def identify_payload(
 ) -> PayloadEstimate:
     """What the arm carries in some recordings.
 
-    Args:
-        robot: The arm without its load.
-        loaded: Recordings with the load.
-        unloaded: Recordings of the same arm without it, any motion; else the given model stands.
-        effects: Effects of the arm; friction, offset and rotor inertia when None.
+    Unloaded are recordings of the same arm without it, any motion; else the given model stands.
+    Effects of the arm are friction, offset and rotor inertia when None.
 
     Raises:
         BadInput: Currents of a loaded arm with nothing to compare them with.
@@ -189,7 +184,7 @@ def estimate_payload(
     ball = pin.Inertia(mass, tip, 2 * mass * _RADIUS**2 * np.eye(3)).toDynamicParameters()
     nothing = EffectPrior(np.zeros(0), np.zeros(0), np.zeros(0))
     fit = fit_physical(about.R, about.z, ball[None], nothing, prior_sigma=_OPEN)
-    return PayloadEstimate(robot.links[-1], fit.x, fit.covariance, fit.prior_share, fit.kkt)
+    return PayloadEstimate(robot.links[-1], fit)
 
 
 def payload_information(
@@ -210,7 +205,6 @@ def payload_information(
 
 
 def _body(robot: Robot, base: BaseParameters) -> Array:
-    """What a body on the last link adds to the base parameters, K of shape (r, 10)."""
     return base.regrouping[:, 10 * (robot.nv - 1) : 10 * robot.nv]
 
 
@@ -224,16 +218,9 @@ def identify_drive_gains(
     effects: Sequence[Effect] | None = None,
     cutoff_hz: float | None = None,
 ) -> DriveGains:
-    """Drive gains of an arm whose motor currents were recorded; its masses are of no account.
+    """Drive gains of an arm from motor currents without and with (``loaded``) a payload.
 
-    Args:
-        robot: The arm without the payload.
-        recordings: Currents without the payload; what `identify_robot` fits of them is used.
-        loaded: Currents with the payload.
-        payload: What is known of it.
-        validate: As `identify_robot` takes it, like effects and cut-off [Hz].
-        effects: Effects of the arm; friction, offset and rotor inertia when None.
-        cutoff_hz: Cut-off of the filter [Hz].
+    Its masses are of no account. The other arguments are those of `identify_robot`.
 
     Raises:
         BadInput: Recordings that are no currents, or a payload that hardly shows in them.

@@ -110,11 +110,9 @@ def beginning(prior: BasePrior) -> Cascade:
 
 
 def further(known: Cascade, W: Array, tau: Array) -> tuple[Cascade, float, float]:
-    """One stage further inward, from rows of its joint, shape (n, r), and its torque, (n,).
+    """One stage further inward, from rows of its joint, (n, r), and its torque, (n,).
 
-    A direction counts as shown when its standard deviation is at most half of that of the given
-    robot. Beside what is known then: the noise of the rows [torque unit], NaN without rows, and
-    how many of them count as one independent row, at least 1.
+    Beside what is known then: the noise of the rows, and how many count as one independent row.
     """
     if len(tau) == 0:
         return known, np.nan, 1.0
@@ -147,10 +145,7 @@ def _directions(A: Array, size: float) -> tuple[Array, Array, Array]:
 
 
 def _noise(every: Array, U: Array, target: Array) -> tuple[Array, float, float]:
-    """Covariance of the scores Uᵀε, widened for the samples it is known from; size of ε; inflation.
-
-    U, shape (n, k), is part of the orthonormal basis of all that parameters can explain, (n, m).
-    """
+    """Covariance of scores Uᵀε, size of ε, inflation; U lies in the span of every, (n, m)."""
     n, m = every.shape
     residual = target - every @ (every.T @ target)
     floor = 1e-9 * float(np.linalg.norm(target)) / np.sqrt(n) + 1e-12  # data without noise
@@ -167,11 +162,7 @@ def _noise(every: Array, U: Array, target: Array) -> tuple[Array, float, float]:
 def _led_combinations(
     F: Array, led: list[int], rows: Array, scale: Array, preferred: Sequence[int]
 ) -> tuple[Array, list[int]]:
-    """Combinations F β in readable form, shape (k, r), with further independent ones, (m, r).
-
-    In each, one parameter leads: its coefficient is 1, and no later combination has it. Those
-    preferred lead first, in this order.
-    """
+    """Combinations F β with further ones; in each one parameter leads, with coefficient 1."""
     if len(rows) == 0:
         return F, led
     rest = (rows - rows[:, led] @ F) * scale
@@ -186,7 +177,6 @@ def _led_combinations(
 
 
 def _clearly_independent(Q: Array, order: Sequence[int]) -> list[int]:
-    """The first columns, in an order, that are clearly independent; as many as rows."""
     chosen: list[int] = []
     basis = np.zeros((len(Q), 0))
     for clear in _CLEAR:
@@ -300,32 +290,22 @@ class Stage:
 
 @dataclass(frozen=True, eq=False)
 class LinkByLink:
-    """What was identified link by link.
+    """What was identified link by link."""
 
-    Attributes:
-        estimate: Physically consistent model and its accuracy.
-        cascade: The base parameters with their covariance.
-        stages: The links, last one first.
-        all_at_once: All links from all rows together, for comparison.
-        refusal: Why weighted least squares of all rows was not possible, empty if it was; the
-            comparison then rests on the given robot too.
-    """
-
-    estimate: Estimate
-    cascade: Cascade
-    stages: tuple[Stage, ...]
-    all_at_once: Estimate
-    refusal: str
+    estimate: Estimate  # physically consistent model and its accuracy
+    cascade: Cascade  # the base parameters with their covariance
+    stages: tuple[Stage, ...]  # the links, last one first
+    all_at_once: Estimate  # all links from all rows together, for comparison
+    refusal: str  # why weighted least squares of all rows was not possible; empty if it was
 
     def result(self) -> dict[str, Any]:
-        """Machine-readable result: that of `identify`, and the stages under ``link_by_link``."""
+        """What result.json says: that of `identify`, and the stages under ``link_by_link``."""
         robot, estimate = self.estimate.given, self.estimate
-        how = "weighted least squares of all rows, then physically consistent fit"
-        if self.refusal:
-            how = (
-                "all rows with the given robot as prior, because weighted least squares refuses: "
-                + self.refusal
-            )
+        how = (
+            "all rows with the given robot as prior, because weighted least squares refuses: "
+            if self.refusal
+            else "weighted least squares of all rows, then physically consistent fit"
+        ) + self.refusal
         rms = {
             "given": estimate.baseline.rms,
             "all_at_once": self.all_at_once.validate.rms,
@@ -365,8 +345,7 @@ def identify_link_by_link(
 ) -> LinkByLink:
     """Identify a robot from the last link inward, and compare with all links at once.
 
-    One joint, a few or all may move. Args and errors are those of `identify_robot`, but no motion
-    is refused for what it leaves undetermined.
+    Args and errors are those of `identify_robot`, but no motion is refused for what it leaves open.
     """
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     prior = prior_parameters(robot)
@@ -391,7 +370,7 @@ def identify_link_by_link(
 
 
 def run_stages(rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]]:
-    """All stages, from the last joint inward, and what is known of the base parameters then."""
+    """What is known of the base parameters after all stages, and these, the last joint's first."""
     W, tau, base = rows.W[:, :, rows.base.columns], rows.tau, rows.base
     known = beginning(base_prior(rows.robot, rows.effects, base))
     F, leading, stages = np.zeros((0, len(base))), list[int](), []
@@ -409,7 +388,6 @@ def run_stages(rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]]:
 def _determined(
     rows: LinkRows, known: Cascade, F: Array, leading: Sequence[int]
 ) -> tuple[Determined, ...]:
-    """Known combinations F β that parameters lead, with what matters of each in words."""
     base, J, found = rows.base, F @ known.L @ known.D, []
     spread = np.sqrt(np.diag(J @ known.P @ J.T))
     for row, lead, value, s in zip(F, leading, F @ known.beta, spread, strict=True):
@@ -421,7 +399,6 @@ def _determined(
 
 
 def _completed(rows: LinkRows, F: Array, leading: Sequence[int], stage: Stage) -> Stage:
-    """The stage with what is still missing of its link, and the motion that would show it."""
     own = np.flatnonzero(rows.last == stage.joint)
     missing = [k for k in own if k not in leading]
     if not missing:
@@ -435,11 +412,7 @@ def _completed(rows: LinkRows, F: Array, leading: Sequence[int], stage: Stage) -
 
 
 def _needed_motion(rows: LinkRows, joint: int, own: npt.NDArray[np.intp], shown: Array) -> str:
-    """The smallest change of the recordings whose torque of a joint shows all its parameters.
-
-    Of its own base parameters, m of them, combinations of shape (k, m) are shown already. Joints
-    that are not mentioned stand as in the recordings.
-    """
+    """The smallest change of the recordings that shows a joint's own m parameters; shown (k, m)."""
     robot, scale = rows.robot, rows.scale[own]
     columns, count = [rows.base.columns[k] for k in own], len(own) + _STATES
     name, pose = robot.joints[joint], rows.pose(joint)
@@ -465,7 +438,7 @@ def _needed_motion(rows: LinkRows, joint: int, own: npt.NDArray[np.intp], shown:
 
 
 def _changes(nv: int, joint: int) -> Iterator[tuple[tuple[int, ...], tuple[int, ...]]]:
-    """Joints that move too and those at several positions, the smallest change first."""
+    """Joints that move too and those at several positions."""
     yield (), ()
     others = [k for k in range(nv) if k != joint]
     for size in (1, 2) if nv <= _PAIRS else (1,):

@@ -51,6 +51,11 @@ class HiddenEffect:
         """Its joints, one or several."""
         return self.joints or ((self.joint,) if self.joint else ())
 
+    def entry(self) -> dict[str, Any]:
+        """Entry of result.json."""
+        parameters = dict(self.parameters)
+        return {"effect": self.effect, "joint": self.joint, "parameters": parameters}
+
 
 def parameters_of(kind: str) -> dict[str, float | None]:
     """Parameters of a kind of effect with their usual values; None where there is none."""

@@ -26,9 +26,8 @@ def run_demo(
 ) -> tuple[dict[str, Any], dict[str, Array], dict[str, str | bytes]]:
     """Design, run, identify, analyze and diagnose on an arm that hides something.
 
-    The virtual arm differs from the given robot by some per cent in every value and by one
-    effect drawn from the seed; nothing but its recordings reaches the other steps. Result.json
-    has one entry per verb, arrays have keys prefixed by the verb, files have names.
+    It differs from the robot by some per cent in every value and by one effect drawn from the seed;
+    nothing but its recordings reaches the other steps. Result, arrays (``verb/key``) and files.
     """
     rng = np.random.default_rng(seed)
     arm = virtual_arm(robot, rng)
@@ -57,14 +56,13 @@ def run_demo(
     series = {f"{v}/{key}": a for v, noun in verbs.items() for key, a in noun.series().items()}
     advance(0.95, "writing the report")
     [hidden] = arm.hidden
-    truth = {"effect": hidden.effect, "joint": hidden.joint, "parameters": dict(hidden.parameters)}
     nothing: dict[str, Any] = {"effect": None, "joints": [], "verdict": ""}
     lead = next(iter(results["diagnose"]["findings"]), nothing)
     named = (lead["effect"], lead["joints"], lead["verdict"])
     right = named == (hidden.effect, [hidden.joint], "named")
-    verdict = {"effect": lead["effect"], "joints": lead["joints"], "correct": right}
-    about: dict[str, Any] = {"verb": "demo", "robot": robot.name, "seed": seed, "truth": truth}
-    about["verdict"] = verdict
+    about: dict[str, Any] = {"verb": "demo", "robot": robot.name, "seed": seed}
+    about["truth"] = hidden.entry()
+    about["verdict"] = {"effect": lead["effect"], "joints": lead["joints"], "correct": right}
     files: dict[str, str | bytes] = {
         "trajectory.csv": trajectory_csv(found.trajectory),
         "trajectory.json": trajectory_json(found.trajectory, robot),

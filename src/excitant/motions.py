@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from excitant.exceptions import BadInput, Infeasible, OutsideLimits
+from excitant.exceptions import BadInput, Infeasible
 from excitant.options import (
     Columns,
     Files,
@@ -137,11 +137,8 @@ def design(
     asked = search.options() | {"scene": scene, "clearance": least}
     if link_by_link:
         with progress_bar("design") as advance:
-            links = designs.design_link_by_link(
-                arm,
-                **asked,
-                progress=lambda share, link, best: advance(share, f"{link}, best κ {best:.4g}"),
-            )
+            asked["progress"] = lambda done, link, best: advance(done, f"{link}, best κ {best:.4g}")
+            links = designs.design_link_by_link(arm, **asked)
         result = links.result() | {"periods": repeat}
         run.finish(result, links.series(), links.files(rate, repeat))
         return
@@ -234,7 +231,6 @@ def check(
         OutsideLimits: A limit is exceeded, or bodies come too close; after the run is saved.
     """
     import excitant.design as designs
-    from excitant.robots import torque
 
     arm = surroundings.robot(part, robot)
     planned = designs.load_trajectory(trajectory, arm)
@@ -242,44 +238,10 @@ def check(
     scene, least = surroundings.scene(arm)
     report = designs.check(arm, planned)
     near = None if scene is None else designs.clearance(scene, path)
-    verdicts = [
-        f"{use.quantity} limit of {use.joint} exceeded by {100 * (use.ratio - 1):.3g} % "
-        f"at {use.time:.4g} s"
-        for use in report.uses
-        if use.ratio > 1
-    ]
-    touched = near if near is not None and near.distance < least else None
-    if touched:
-        verdicts.append(
-            f"{touched.bodies[0]} and {touched.bodies[1]} come within "
-            f"{1000 * touched.distance:.3g} mm at {touched.time:.4g} s, "
-            f"required {1000 * least:.3g} mm"
-        )
-    conditioning = designs.information(arm, columns).matrix(motion)
-    result = {
-        "verb": "check",
-        "robot": arm.name,
-        "trajectory": trajectory,
-        "joints": list(arm.joints),
-        "holds": report.hold and not touched,
-        "limits": {use.quantity: use.ratio for use in report.uses},
-        "worst": {
-            use.quantity: {"joint": use.joint, "t": use.time, "ratio": use.ratio}
-            for use in report.uses
-            if use.ratio > 0
-        },
-        "limit_values": {use.quantity: getattr(arm.limits, use.quantity) for use in report.uses},
-        "certified": {use.quantity: use.certified() for use in report.uses},
-        "columns": columns,
-        "condition_number": designs.condition_number(conditioning),
-        "clearance_m": None if near is None else near.certified,
-        "verdicts": verdicts or ["all limits hold, between samples too"],
-    }
-    run.finish(result, vars(motion) | {"tau": torque(arm, motion)})
-    report.worst.require()
-    if touched:
-        bodies = " and ".join(touched.bodies)
-        raise OutsideLimits(bodies, "distance", touched.distance, least, touched.time)
+    asked = designs.information(arm, columns)
+    found = designs.TrajectoryCheck(asked, motion, report, near, least)
+    run.finish(found.result() | {"trajectory": trajectory}, found.series())
+    found.require()
 
 
 def simulate(
@@ -319,11 +281,9 @@ def simulate(
         table = virtual.record(path, duration, rng, lambda share: advance(share, ""))
     write_all(target.parent, {target.name: table_bytes(table, target.suffix)})
     if json:
-        hide = ((h.effect, h.joint, dict(h.parameters)) for h in virtual.hidden)
-        keys = ("effect", "joint", "parameters")
-        effects = [dict(zip(keys, values, strict=True)) for values in hide]
         result = {"verb": "simulate", "robot": arm.name, "samples": len(table)}
-        print_json(result | {"duration": duration, "hidden": effects, "files": [str(target)]})
+        hides = [effect.entry() for effect in virtual.hidden]
+        print_json(result | {"duration": duration, "hidden": hides, "files": [str(target)]})
     else:
         print(f"{target}  {len(table)} samples over {duration:g} s")
 
@@ -352,18 +312,16 @@ def rehearse(
     arm = part.robot(robot, limits)
     motion, path = path_of(load_trajectory(trajectory, arm))
     with progress_bar("rehearse") as advance:
-        found = rehearse_motion(
-            arm, path, float(motion.t[-1]), np.random.default_rng(seed), advance
-        )
+        rng = np.random.default_rng(seed)
+        found = rehearse_motion(arm, path, float(motion.t[-1]), rng, advance)
     run.finish(found.result() | {"trajectory": trajectory, "seed": seed}, found.series())
     return 0 if found.passed else 1
 
 
 def table_bytes(table: DataFrame, suffix: str) -> bytes:
     """A table as the content of a ``.csv`` or ``.parquet`` file."""
-    if suffix == ".csv":
-        return table.to_csv(index=False).encode()
-    return bytes(table.to_parquet(index=False))
+    csv = suffix == ".csv"
+    return table.to_csv(index=False).encode() if csv else bytes(table.to_parquet(index=False))
 
 
 def path_of(trajectory: Trajectory | Motion) -> tuple[Motion, Trajectory | HermiteTrajectory]:

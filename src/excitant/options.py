@@ -88,11 +88,11 @@ class Part:
         """The robot to load, with the part of it that is meant."""
         from excitant.robots.chains import RobotSpec
 
-        given = [name for name, value in vars(self).items() if value is not None]
+        given = next((name for name, value in vars(self).items() if value is not None), None)
         if given and Path(path).is_dir():
             raise BadInput(
                 f"{path}: a folder says itself which joints its robot has; leave "
-                f"--{given[0].replace('_', '-')} out, or put it into a robot.yaml there"
+                f"--{given.replace('_', '-')} out, or put it into a robot.yaml there"
             )
         return RobotSpec(
             path,
@@ -194,10 +194,7 @@ class Data:
     def read(
         self, dataset: Dataset, names: Sequence[str], others: Sequence[str] = ()
     ) -> tuple[list[Recording], list[Recording], dict[str, Any], list[str]]:
-        """What to fit, what is held out, entries of the result about both, and notes.
-
-        Where no recording to fit is named, all of the folder but the held-out ones and others are.
-        """
+        """What to fit (all but others where none is named), hold-out, entries of result, notes."""
         from excitant.identify.faults import read_checked
 
         held = self.validate or []
@@ -218,7 +215,7 @@ class Run:
     "Print result.json and nothing else."
 
     def folder(self, result: Mapping[str, Any]) -> Path:
-        """Folder named by the user, else one named by verb, robot and time."""
+        """Where the run is saved."""
         name = f"{result['verb']}-{result.get('robot') or result['of']}"
         return Path(self.output or f"runs/{name}-{time.strftime('%Y%m%d-%H%M%S')}")
 
@@ -250,8 +247,7 @@ def print_paths(paths: Sequence[Path]) -> None:
 
 def print_json(content: Mapping[str, Any]) -> None:
     """Print plain values as JSON."""
-    json.dump(content, sys.stdout, indent=1, ensure_ascii=False)
-    print()
+    print(json.dumps(content, indent=1, ensure_ascii=False))
 
 
 def show_import(recordings: Sequence[Recording]) -> dict[str, list[str]]:

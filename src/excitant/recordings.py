@@ -109,10 +109,8 @@ def identify(
     UnknownName.refuse("format", formats or (), FORMATS)
     dataset = part.dataset(robot, data.map)
     arm = dataset.robot
-    options: dict[str, Any] = {
-        "effects": None if chosen else _named(effects, arm),
-        "cutoff_hz": data.cutoff,
-    }
+    named = None if chosen else _named(effects, arm)
+    options: dict[str, Any] = {"effects": named, "cutoff_hz": data.cutoff}
     others = [*(load.unloaded or ()), *(load.payload_recording or ())]
     fit, held, said, notes = data.read(dataset, recordings, others)
     drive = load.drive(dataset, fit, options | {"validate": held})
@@ -129,30 +127,22 @@ def identify(
     options["validate"] = held
     with progress_bar("identify") as advance:
         if online:
-            tell: Any = {"forgetting": forgetting, "progress": lambda share: advance(share, "")}
-            found: Any = identification.identify_online(arm, fit, **options, **tell)
+            options |= {"forgetting": forgetting, "progress": lambda share: advance(share, "")}
+            found: Any = identification.identify_online(arm, fit, **options)
         elif link_by_link:
             found = identification.identify_link_by_link(arm, fit, **options)
         else:
-            found = identification.identify_robot(
-                arm,
-                fit,
-                **options,
-                estimator=estimator or "wls",
-                knowledge=identification.load_knowledge(knowledge, arm.links)
-                if knowledge
-                else None,
-                harmonics_hz=_highest_harmonic(trajectory, arm) if trajectory else None,
-            )
+            known = identification.load_knowledge(knowledge, arm.links) if knowledge else None
+            highest = _highest_harmonic(trajectory, arm) if trajectory else None
+            options |= {"knowledge": known, "harmonics_hz": highest}
+            found = identification.identify_robot(arm, fit, **options, estimator=estimator or "wls")
     estimate: Estimate = getattr(found, "estimate", found)
     result = found.result()
     if load.payload:
         unloaded = dataset.recordings(load.unloaded) if load.unloaded else []
         if drive is not None:
             unloaded = drive.torque(unloaded)
-        carried = identification.identify_payload(
-            arm, fit, unloaded=unloaded, effects=options["effects"]
-        )
+        carried = identification.identify_payload(arm, fit, unloaded=unloaded, effects=named)
         result["payload"] = carried.result()
     result |= said
     if drive is not None:
@@ -170,7 +160,6 @@ def _refuse_contradictions(
     load: Load, chosen: bool, online: bool, by_link: bool, forgetting: float | None,
     whole: dict[str, str | None],
 ) -> None:  # fmt: skip
-    """Refuse options that exclude each other; those of whole need all rows at once."""
     com, another = load.payload_com, online or by_link
     alone = load.unloaded and not load.payload
     apart = bool(load.payload_recording) != (load.payload_mass is not None)
@@ -186,16 +175,14 @@ def _refuse_contradictions(
         (forgetting is not None and not online, "--forgetting is for --online; give --online too"),
         (by_link and online, "--link-by-link needs whole recordings; leave --online out"),
     ]
-    for name, value in whole.items():
-        why = f"--{name} is for all rows at once; leave the other way out"
-        refused.append((value and another, why))
+    why = "is for all rows at once; leave the other way out"
+    refused += [(value and another, f"--{name} {why}") for name, value in whole.items()]
     for wrong, why in refused:
         if wrong:
             raise BadInput(why)
 
 
 def _highest_harmonic(path: str, robot: Robot) -> float:
-    """Highest frequency of a planned motion [Hz]."""
     from excitant.design import load_trajectory
     from excitant.robots import Motion
 

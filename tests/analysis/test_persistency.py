@@ -44,6 +44,14 @@ def test_level_is_information_per_noise(planar: Robot) -> None:
     assert half.levels[-1] == pytest.approx(4 * one.levels[-1], rel=1e-6)
 
 
+def test_windows_of_six_seconds_are_enough_for_two_joints(planar: Robot) -> None:
+    found = persistency(planar, wide(planar))
+    assert found.enough
+    assert found.level > 1
+    assert found.shortest is not None
+    assert found.shortest <= 6.0
+
+
 def test_a_motion_of_all_joints_is_exciting(ur10: Robot) -> None:
     effects = standard_effects(ur10.joints)
     motion = wide(ur10)

@@ -12,6 +12,7 @@ from excitant.design import random_trajectory
 from excitant.identify import Data, Recording
 from excitant.identify.least_squares import (
     JointRows,
+    autocorrelation,
     autocovariance,
     autoregression,
     score_covariances,
@@ -144,3 +145,10 @@ def test_intervals_cover_the_truth() -> None:
 def test_intervals_cover_the_truth_on_many_recordings(robot: str, recordings: int) -> None:
     for kind, value, spread in zip(NOISES, *coverage(robot, recordings, 30.0, 1), strict=True):
         assert 0.93 - 2 * spread <= value <= 0.97 + 2 * spread, (kind, value)
+
+
+@pytest.mark.parametrize("n", [541, 600, 1012])  # transforms of odd and even length
+def test_autocorrelation_is_that_of_sums_over_lags(n: int) -> None:
+    x = np.random.default_rng(n).standard_normal(n).cumsum()
+    sums = np.correlate(x - x.mean(), x - x.mean(), "full")[n - 1 :][: n // 3]
+    np.testing.assert_allclose(autocorrelation(x), sums / sums[0], rtol=0, atol=1e-12)
