@@ -180,7 +180,6 @@ class _Search:
 
     @property
     def _interest(self) -> set[int]:
-        """Joints of any rival, where that is not a matter of all of them."""
         joints: set[int] = set()
         for pair in self.contest.pairs:
             for effect in (pair.found, pair.rival):
