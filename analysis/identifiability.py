@@ -199,10 +199,8 @@ class Identifiability:
         }
 
     def series(self) -> dict[str, Array]:
-        """Arrays for figures under a motion: correlation (r, r) and singular values (r,)."""
-        if not self.motion:
-            return {}
-        return {name: getattr(self.motion, name) for name in ("correlation", "singular_values")}
+        """Arrays for figures under a motion: singular values (r,)."""
+        return {"singular_values": self.motion.singular_values} if self.motion else {}
 
     def _repr_html_(self) -> str:
         title = f"Identifiability of {self.robot.name}: {len(self.base)} base parameters"

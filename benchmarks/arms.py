@@ -1,13 +1,4 @@
-"""Whether any serial arm loads, gets a motion within its limits, and shows its parameters by it.
-
-    python benchmarks/arms.py [--data FOLDER] [--also FILE[@[BASE:]TIP] ...]
-
-Arms and arms of larger robots of ``example-robot-data``, and any other URDF, xacro or MJCF file
-named with ``--also``. For each: load it, design for ``--time-limit`` seconds from one start, check
-every limit over the continuous motion, and see what the motion shows. Where a model has no limits,
-those of `ASSUMED` are put in and named. ``thin`` counts parameters told apart by a hair, as where a
-model rounds right angles: its condition number says more about that than about the motion.
-"""
+"""Whether any serial arm loads, gets a motion within its limits, and shows its parameters by it."""
 
 from __future__ import annotations
 
@@ -110,7 +101,6 @@ ARMS = (
 
 
 def name_of(arm: RobotSpec) -> str:
-    """The file, and the chain's ends."""
     path = Path(arm)
     name = path.stem if path.stem != "robot" else f"{path.parent.name}/robot"
     ends = "..".join(filter(None, (arm.base, arm.tip)))
@@ -119,7 +109,6 @@ def name_of(arm: RobotSpec) -> str:
 
 
 def with_assumed_limits(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
-    """The robot with `ASSUMED` limits where nothing else bounds its motion."""
     limits, assumed = robot.limits, []
     slides = ~robot.revolute & ~np.isfinite(limits.position).all(axis=1)
     if slides.any():

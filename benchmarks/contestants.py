@@ -32,6 +32,7 @@ HERE = Path(__file__).resolve().parent
 _FIGAROH_TIMEOUT = 1800.0  # s
 _ATTEMPTS = 3  # initial guesses of FIGAROH per segment
 _PER_HARMONIC = 16  # samples by which random search judges
+_LIMITS = ("position", "velocity", "acceleration", "torque")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,36 +52,22 @@ class Problem:
         return self.folder / "robot.urdf"
 
     @property
-    def file(self) -> Path:
-        """The problem as a file that names the arm's."""
-        return self.folder / "problem.json"
-
-    @property
     def limits(self) -> dict[str, Any]:
         """Limits in SI units, as lists; without those that there are not."""
-        named = {
-            name: getattr(self.robot.limits, name)
-            for name in ("position", "velocity", "acceleration", "torque")
-        }
+        named = {name: getattr(self.robot.limits, name) for name in _LIMITS}
         return {name: value.tolist() for name, value in named.items() if np.isfinite(value).all()}
 
     def write(self) -> None:
         """Write the files that contestants and judges read."""
         self.folder.mkdir(parents=True, exist_ok=True)
         self.urdf.write_text(self.robot.urdf, encoding="utf-8")
-        content = {
-            "model": self.urdf.name,
-            "duration": self.duration,
-            "harmonics": self.harmonics,
-            "limits": self.limits,
-            "evaluate_hz": self.rate_hz,
-        }
-        self.file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        content = {"model": self.urdf.name, "duration": self.duration, "harmonics": self.harmonics}
+        content |= {"limits": self.limits, "evaluate_hz": self.rate_hz}
+        _write_json(self.folder / "problem.json", content)
 
 
-def problems_folder() -> Path:
-    """Folder of the shared problems: EXCITANT_PROBLEMS, else ``../shared/problems``."""
-    return Path(os.environ.get("EXCITANT_PROBLEMS", HERE.parents[1] / "shared" / "problems"))
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def problem_file(name: str) -> Path:
@@ -89,12 +76,13 @@ def problem_file(name: str) -> Path:
     Raises:
         BadInput: There is none; lists those there are.
     """
-    folders = (problems_folder(), HERE / "problems")
+    shared = Path(os.environ.get("EXCITANT_PROBLEMS", HERE.parents[1] / "shared" / "problems"))
+    folders = (shared, HERE / "problems")
     for file in (Path(name), *(folder / f"{Path(name).stem}.json" for folder in folders)):
         if file.is_file():
             return file
     known = sorted(path.stem for folder in folders for path in folder.glob("*.json"))
-    missing = "" if folders[0].is_dir() else f"; no shared problems in {folders[0]}"
+    missing = "" if shared.is_dir() else f"; no shared problems in {shared}"
     raise BadInput(
         f"problem '{name}' is no file and none of {', '.join(known)}{missing}; give a file or set "
         "EXCITANT_PROBLEMS"
@@ -104,10 +92,7 @@ def problem_file(name: str) -> Path:
 def load_problem(
     path: Path, folder: Path | None = None, robot: str | None = None, harmonics: int | None = None
 ) -> Problem:
-    """Problem of a JSON file: ``model``, ``duration``, ``harmonics``, ``limits``, ``evaluate_hz``.
-
-    ``model`` is a built-in arm or a path relative to the file; another arm may be put under the
-    same limits, with another number of harmonics. The contestants' files go into the folder.
+    """Problem of a JSON file, perhaps with another arm or another number of harmonics.
 
     Raises:
         BadInput: Entries missing, or limits that leave position, velocity or torque open.
@@ -143,8 +128,7 @@ class Settings:
     harmonics: int
 
 
-Found = tuple[float, Any, int]
-"""Condition number, the trajectory, and the number of starts or draws."""
+Found = tuple[float, Any, int]  # condition number, trajectory, number of starts or draws
 
 
 def excitant(
@@ -166,11 +150,8 @@ def excitant(
 
 
 def random_search(problem: Problem, settings: Settings) -> Found:
-    """The best of random Fourier series within the limits, of all processes."""
-    work = joblib.Parallel(settings.jobs)
-    found = work(
-        joblib.delayed(_random_draws)(problem.file, settings, k) for k in range(settings.jobs)
-    )
+    draws, file = joblib.delayed(_random_draws), problem.folder / "problem.json"
+    found = joblib.Parallel(settings.jobs)(draws(file, settings, k) for k in range(settings.jobs))
     condition, trajectory, _ = min(found, key=lambda f: f[0])
     return condition, trajectory, sum(runs for _, _, runs in found)
 
@@ -201,73 +182,57 @@ CONTESTANTS: dict[str, Callable[[Problem, Settings], Found]] = {
 }
 
 
-def answer(words: Sequence[str]) -> dict[str, Any]:
-    """The JSON object on the last line that a process prints, or ``error``."""
+def answer(words: Sequence[object], stem: Path) -> tuple[tuple[Path, ...], dict[str, Any]]:
+    """The table that a process wrote, if any, and the JSON object it said, or ``error``."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    options = {"capture_output": True, "text": True, "env": environment}
+    for suffix in (".csv", ".json"):
+        stem.with_suffix(suffix).unlink(missing_ok=True)
     try:
-        done = subprocess.run(
-            words,
-            capture_output=True,
-            text=True,
-            env=environment,
-            timeout=_FIGAROH_TIMEOUT,
-            check=False,
-        )
+        done = subprocess.run(list(map(str, words)), timeout=_FIGAROH_TIMEOUT, **options)
+        said = dict(json.loads(done.stdout.strip().splitlines()[-1]))
     except (OSError, subprocess.TimeoutExpired) as error:
-        return {"error": str(error)}
-    try:
-        return dict(json.loads(done.stdout.strip().splitlines()[-1]))
+        said = {"error": str(error)}
     except (ValueError, IndexError):
         lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
-        return {"error": lines[-1]}
+        said = {"error": lines[-1]}
+    return tuple(filter(Path.exists, (stem.with_suffix(".csv"),))), said
 
 
 def run_contestant(
     problem: Problem, method: str, settings: Settings
 ) -> tuple[tuple[Path, ...], str]:
-    """A contestant of ours in a process: the file it wrote, if any, and what it said."""
     stem = problem.folder / f"{method}-{settings.harmonics}"
-    _clear(stem)
-    words = [method, str(problem.file), json.dumps(asdict(settings)), str(stem)]
-    said = answer([sys.executable, str(Path(__file__).resolve()), *words])
-    note = said["error"] if "error" in said else f"{said['runs']} starts"
-    return tuple(filter(Path.exists, (stem.with_suffix(".csv"),))), note
+    file, text = problem.folder / "problem.json", json.dumps(asdict(settings))
+    script = Path(__file__).resolve()
+    files, said = answer([sys.executable, script, method, file, text, stem], stem)
+    return files, said["error"] if "error" in said else f"{said['runs']} starts"
 
 
 def run_figaroh(
     problem: Problem, python: Path, moves: int, segments: int, iterations: int, seed: int
 ) -> tuple[tuple[Path, ...], str]:
-    """One run of FIGAROH: the file it wrote, if any, and what it said."""
     stem = problem.folder / f"figaroh-{moves}-{seed}"
-    _clear(stem)
     specification = {
         "urdf": str(problem.urdf.resolve()),
         "limits": problem.limits,
         "segment_s": problem.duration / segments,
-        "segments": segments,
-        "moves": moves,
-        "rate_hz": problem.rate_hz,
-        "frequency_hz": 20,
-        "iterations": iterations,
+        "segments": segments,  # stacked in the regressor of the next one
+        "moves": moves,  # from rest to rest per segment
+        "rate_hz": problem.rate_hz,  # of the trajectory written
+        "frequency_hz": 20,  # lowest rate of regressor and constraints inside the optimiser
+        "iterations": iterations,  # of IPOPT per segment, at most
         "attempts": _ATTEMPTS,
-        "seed": seed,
+        "seed": seed,  # of NumPy's global generator, which FIGAROH draws from
         "csv": str(stem.with_suffix(".csv").resolve()),
     }
     file = stem.with_suffix(".specification.json")
-    file.write_text(json.dumps(specification, indent=1), encoding="utf-8")
-    said = answer([str(python), str(HERE / "figaroh_driver.py"), str(file)])
+    _write_json(file, specification)
+    files, said = answer([python, HERE / "figaroh_driver.py", file], stem)
     if "error" in said:
-        note = f"seed {seed} failed: {said['error']}"
-    else:
-        converged = sum(said.get("converged", []))
-        note = f"seed {seed}: {said['solved']} of {segments} segments, {converged} converged"
-    return tuple(filter(Path.exists, (stem.with_suffix(".csv"),))), note
-
-
-def _clear(stem: Path) -> None:
-    """Forget the motion of an earlier run."""
-    for suffix in (".csv", ".json"):
-        stem.with_suffix(suffix).unlink(missing_ok=True)
+        return files, f"seed {seed} failed: {said['error']}"
+    converged = sum(said.get("converged", []))
+    return files, f"seed {seed}: {said['solved']} of {segments} segments, {converged} converged"
 
 
 def main() -> int:

@@ -1,17 +1,8 @@
-"""Khosla's Tables 2 to 4 as a recovery experiment on the CMU DD Arm II.
+"""Khosla's Tables 2 to 4 as a recovery experiment on the CMU DD Arm II; see docs/dd_arm.md.
 
-    OMP_NUM_THREADS=1 python benchmarks/dd_arm.py [--seconds 60] [--as-read]
-
-A simulated arm has the *estimated* values of the tables; it is identified from the *initial*
-values as prior, and the 46 table entries are set side by side: initial, truth, identified ± one
-standard deviation, and who decided. Torque is Pinocchio's recursive Newton-Euler algorithm with
-friction written here, sampled every 2 ms with noise, encoders quantised; velocities and
-accelerations are differentiated from the positions. Doubtful digits of the truth are taken as they
-probably are, or with --as-read as the print shows them: no body then has the inertia of links 4 and
-5, and the physically consistent fit cannot follow. All lengths of the arm are assumed.
-
-Who decided is not told from a close result, but by moving the prior where the data are silent:
-along the null space of the regressor the torque stays as it is and the entries move with it.
+Torque is Pinocchio's recursive Newton-Euler algorithm with friction written here. Who decided is
+not told from a close result, but by moving the prior where the data are silent: along the null
+space of the regressor the torque stays as it is and the entries move with it.
 """
 
 from __future__ import annotations
@@ -23,14 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
-from seed import (
-    TableEntry,
-    dd_arm,
-    dd_arm_chain,
-    dd_arm_parameters,
-    dd_arm_tables,
-    parameter_map,
-)
+from seed import TableEntry, dd_arm, dd_arm_chain, dd_arm_parameters, dd_arm_tables, parameter_map
 from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
@@ -114,7 +98,6 @@ def simulated(truth: Robot, rng: np.random.Generator, seconds: float) -> list[Re
 
 
 def fitted(given: Robot, recordings: Sequence[Recording]) -> FitRows:
-    """Rows of all recordings, none held out."""
     effects = (ViscousFriction(given.joints), CoulombFriction(given.joints))
     train = tuple(segment for recording in recordings for segment in prepare(recording))
     data = Data(train, (), "N·m", train[0].cutoff_hz, "nothing held out")
@@ -145,7 +128,6 @@ class Tables(NamedTuple):
 
 
 def tables() -> Tables:
-    """All rows of Tables 2 to 4."""
     entries = dd_arm_tables()
     rows = np.zeros((len(entries), 60))
     for row, entry in zip(rows, entries, strict=True):

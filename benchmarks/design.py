@@ -70,21 +70,21 @@ def arguments(words: Sequence[str] | None) -> argparse.Namespace:
 
 @dataclass(frozen=True)
 class Row:
-    """One contestant's work and what the judge says of it; infinite or empty without a motion."""
+    """A contestant's work and the judge's figures (README.md); infinite or empty without motion."""
 
     method: str  # contestant, of `METHODS`
     setting: str  # harmonics "H=5", or segments and moves "2x5", or "search"
-    wall_s: float  # by the clock, from the start of the processes to their end
+    wall_s: float
     cpu_s: float  # of all processes together
     note: str  # what the contestant said
-    left: float = np.inf  # condition number of the base columns chosen from left to right
-    proj: float = np.inf  # that of the projection on the row space
+    left: float = np.inf
+    proj: float = np.inf
     base: int = 0  # number of base parameters
     samples: int = 0  # judged
-    worst: float = np.inf  # largest use of a limit over the continuous motion; at most 1 holds
+    worst: float = np.inf  # largest use of a limit
     worst_where: str = ""  # quantity and joint of it
-    peak_ddq: float = np.inf  # largest acceleration [rad/s²]
-    at_rest: bool = False  # whether velocity and acceleration vanish at both ends
+    peak_ddq: float = np.inf  # [rad/s²]
+    at_rest: bool = False
     errors: dict[str, ParameterError] | None = None  # by kind of noise
 
     @property
@@ -139,17 +139,11 @@ def run(
 
 
 def _children() -> float:
-    """Processor time of ended child processes [s]."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
 
 
 def judged(problem: Problem, row: Row, file: Path) -> Row:
-    """The row with all figures of a motion.
-
-    The limits of a Fourier series or spline are judged by its coefficients, those of any other
-    motion along the quintic Hermite interpolant of its samples.
-    """
     model = pin.buildModelFromUrdf(str(problem.urdf))
     states = read_motion(file, problem.robot.nv)
     found = conditioning(model, problem.limits, states)
@@ -161,9 +155,7 @@ def judged(problem: Problem, row: Row, file: Path) -> Row:
     sigma = {"equal": np.ones_like(torque), "limit": 0.01 * torque}
     return replace(
         row,
-        left=found.left,
-        proj=found.proj,
-        base=found.base,
+        **vars(found),
         samples=len(states.q),
         worst=use.ratio,
         worst_where=f"{use.quantity} {use.joint}",
@@ -174,11 +166,7 @@ def judged(problem: Problem, row: Row, file: Path) -> Row:
 
 
 def reference(row: Row, rows: Sequence[Row]) -> Row | None:
-    """Our row that a row is compared with, if there is one.
-
-    That of as many harmonics; for a motion that is no Fourier series, the best of all ours that
-    accelerate no harder, or else the one that accelerates least.
-    """
+    """Our row of as many harmonics; for FIGAROH the best no harder accelerated, or gentlest."""
     if row.method != "figaroh":
         same = (r for r in rows if r.method == "excitant" and r.setting == row.setting)
         return next((r for r in same if r.samples), None)
@@ -190,7 +178,6 @@ def reference(row: Row, rows: Sequence[Row]) -> Row | None:
 
 
 def conditioning_table(rows: Sequence[Row]) -> list[str]:
-    """κ, use of the limits and time of every contestant, and its ratios to ours."""
     lines = [
         f"{'':20}{'κ left':>9}{'κ proj':>9}{'worst limit':>13}{'rest':>6}{'ddq':>7}"
         f"{'wall s':>8}{'CPU s':>8}   other : excitant (κ, wall, CPU)"
@@ -213,7 +200,6 @@ def conditioning_table(rows: Sequence[Row]) -> list[str]:
 
 
 def noise_table(rows: Sequence[Row]) -> list[str]:
-    """Parameter errors of every contestant with a motion, and the ratio of ours to them."""
     lines = [
         f"Base parameters fitted to {DRAWS} draws of torque noise: rms error scaled to torque, rms "
         "error of torque on random states [N·m], std of the worst direction [SI]"
@@ -238,18 +224,12 @@ def _figures(row: Row, kind: str) -> tuple[float, float, float]:
 
 
 def result(problem: Problem, rows: Sequence[Row]) -> dict[str, Any]:
-    """The content of ``result.json``; null for what there is no figure of."""
     plain = [
         {k: None if isinstance(v, float) and math.isinf(v) else v for k, v in asdict(row).items()}
         for row in rows
     ]
-    return {
-        "problem": problem.name,
-        "robot": problem.robot.name,
-        "duration": problem.duration,
-        "rate_hz": problem.rate_hz,
-        "rows": plain,
-    }
+    figures = {"duration": problem.duration, "rate_hz": problem.rate_hz, "rows": plain}
+    return {"problem": problem.name, "robot": problem.robot.name, **figures}
 
 
 def report(problem: Problem, rows: Sequence[Row], given: argparse.Namespace) -> str:

@@ -1,13 +1,4 @@
-"""Hide effects in virtual arms, diagnose the recordings, and count what was named.
-
-    python benchmarks/diagnosis.py [--draws 8] [--clean 60] [--pairs 40] [--jobs 2] [--log FILE]
-        [--arms ur10,panda,puma560,planar_2r] [--seed 2026]
-
-The plant shares no code with the effects that are fitted. Every case is drawn by its number: arm,
-kind of effect, joint, visible size (rms torque over the noise floor, 2 to 30), two motions. The
-first is fitted, the second held out. A case is *right* when the hidden effect is named at its
-joint, or is in the declared undecided set; *wrong* when a cause is named that is not there.
-"""
+"""Hide effects in virtual arms, diagnose the recordings, count what was named; see README.md."""
 
 from __future__ import annotations
 
@@ -62,7 +53,6 @@ class Case:
 
 
 def cases(args: argparse.Namespace) -> list[Case]:
-    """All cases; arms take turns."""
     rng = np.random.default_rng(0)
     single = [(kind,) for kind in args.kinds.split(",")]
     pairs = [tuple(map(str, rng.choice(_PAIRED, 2, replace=False))) for _ in range(args.pairs)]
@@ -78,13 +68,11 @@ def cases(args: argparse.Namespace) -> list[Case]:
 def recorded(
     arm: VirtualArm, motion: Trajectory, duration: float, rng: np.random.Generator, name: str
 ) -> Recording:
-    """A run of a virtual arm as a recording."""
     table = arm.record(motion, duration, rng)
     return recording_from_table(table, arm.nominal.nv, file=name, name=name)
 
 
 def run(case: Case) -> dict[str, Any]:
-    """Draw, record and diagnose one case."""
     rng = np.random.default_rng([case.seed, case.number])
     robot, hidden, size = load_robot(case.arm), [], float("nan")
     begun = time.perf_counter()
@@ -158,7 +146,6 @@ def _among(finding: dict[str, Any], effect: HiddenEffect) -> bool:
 
 
 def summary(results: Sequence[dict[str, Any]]) -> str:
-    """Rates, confusion matrix and detection against size as text."""
     done = [r for r in results if "score" in r]
     singles = [r for r in done if len(r["hidden"]) == 1]
     known = [r for r in singles if r["hidden"][0][0] != "unknown"]
@@ -192,7 +179,6 @@ def rate(label: str, hits: Sequence[Any]) -> str:
 
 
 def _confusion(singles: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """For each hidden effect, what came first."""
     rows: dict[str, Counter[str]] = defaultdict(Counter)
     for r in singles:
         truth, found = r["hidden"][0], r["found"]
@@ -206,7 +192,6 @@ def _confusion(singles: Sequence[dict[str, Any]]) -> Iterator[str]:
 
 
 def main() -> None:
-    """Run all cases and print the rates."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--draws", type=int, default=8, help="of each kind of effect")
     parser.add_argument("--clean", type=int, default=60)

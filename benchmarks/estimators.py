@@ -1,23 +1,4 @@
-"""What each estimator makes of a UR10 whose parameters are known.
-
-    OMP_NUM_THREADS=1 python benchmarks/estimators.py [--draws 2] [--seconds 30]
-
-Torque comes from Pinocchio's recursive Newton-Euler algorithm with friction, offset and rotor
-inertia written here, in no way from the regressor that is fitted. Kinds of noise:
-
-    fine       encoders 2e-5 rad; torque: white noise, 2 % of each joint's rms
-    coloured   the same, torque noise with a correlation time of 0.2 s
-    outliers   fine, and bursts of 0.1 s in each joint, 3 % of the time, of three times its rms
-    encoders   encoders 2e-4 rad, torque noise as in fine
-
-each with good filtering (torque and columns at 10 Hz, positions at 20 Hz) and bad (25 and 50 Hz).
-Two figures per cell: rms over draws and base parameters of δβᵢ cᵢ [N·m], cᵢ the rms of column i
-over random states of the arm; and the worst joint's nrmse [%] of the torque of another motion,
-known without noise. ``iv`` fits the columns of even samples with those of odd ones for
-instruments; ``wls half`` is weighted least squares of the same columns. ``oe`` simulates the model
-on the measured positions, as far as these themselves suggest. The last line is the
-Durbin-Wu-Hausman test on ``wls half``: its median chance that least squares is not biased.
-"""
+"""What each estimator makes of a UR10 whose parameters are known; see README.md."""
 
 from __future__ import annotations
 
@@ -114,7 +95,6 @@ def torque_noise(kind: str, rng: np.random.Generator, n: int, nv: int) -> Array:
 
 
 def recorded(known: Truth, kind: str, rng: np.random.Generator, seconds: float) -> Recording:
-    """One random motion with one kind of noise."""
     trajectory = random_trajectory(known.robot, rng, 10.0, HARMONICS)
     t = np.arange(0, seconds, 1 / RATE_HZ)
     q, dq, ddq = (trajectory(t, order) for order in range(3))

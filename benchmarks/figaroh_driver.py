@@ -1,7 +1,7 @@
 """Excitation trajectory by FIGAROH's public interface, for its own Python environment.
 
-Called as ``python figaroh_driver.py SPECIFICATION.json``; imports nothing of excitant. The
-entries of the specification are the fields of `Specification`.
+Called as ``python figaroh_driver.py SPECIFICATION.json``, which `contestants.run_figaroh` writes;
+imports nothing of excitant.
 
 The steps are those of FIGAROH's UR10 example: load the robot, derive from
 `BaseOptimalTrajectory`, initialise, solve segment by segment with IPOPT. The problem's limits
@@ -14,8 +14,8 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -27,76 +27,57 @@ from figaroh.optimal.base_optimal_trajectory import (
 from figaroh.tools.robot import load_robot
 
 
-@dataclass(frozen=True)
-class Specification:
-    """What FIGAROH is asked for."""
+def inner_hz(given: SimpleNamespace) -> int:
+    """Lowest rate whose samples hit every waypoint exactly, as FIGAROH presumes."""
+    move = given.segment_s / given.moves
+    for rate in range(given.frequency_hz, 10 * given.frequency_hz):
+        samples = {k * (1 / rate) for k in range(round(given.segment_s * rate) + 1)}
+        if all(move * k in samples for k in range(given.moves + 1)):
+            return rate
+    raise SystemExit(f"no sampling rate meets {given.moves} moves in {given.segment_s} s")
 
-    urdf: str  # file of the robot
-    limits: dict[str, Any]  # position (nv, 2), velocity and torque (nv,), SI units
-    segment_s: float  # duration of each segment [s]
-    segments: int  # stacked in the regressor of the next one
-    moves: int  # from rest to rest per segment
-    rate_hz: float  # of the trajectory written [Hz]
-    frequency_hz: int  # lowest rate of regressor and constraints inside the optimiser [Hz]
-    iterations: int  # of IPOPT per segment, at most
-    attempts: int  # new initial guesses for a segment that fails
-    seed: int  # of NumPy's global generator, which FIGAROH draws from
-    csv: str  # file to write the trajectory to
 
-    @property
-    def inner_hz(self) -> int:
-        """Lowest rate whose samples hit every waypoint exactly, as FIGAROH presumes."""
-        move = self.segment_s / self.moves
-        for rate in range(self.frequency_hz, 10 * self.frequency_hz):
-            samples = {k * (1 / rate) for k in range(round(self.segment_s * rate) + 1)}
-            if all(move * k in samples for k in range(self.moves + 1)):
-                return rate
-        raise SystemExit(f"no sampling rate meets {self.moves} moves in {self.segment_s} s")
-
-    def configuration(self, joints: list[str]) -> dict[str, Any]:
-        """FIGAROH's unified configuration: rigid bodies only, no margin inside the limits."""
-        components = ("friction", "joint_offset", "actuator_inertia")
-        mechanics = {
-            "reduction_ratios": [1.0] * len(joints),
-            "friction_coefficients": {k: [0.0] * len(joints) for k in ("viscous", "static")},
-            "actuator_inertias": [0.0] * len(joints),
-            "joint_offsets": [0.0] * len(joints),
-        }
-        identification = {
-            "problem": {
-                "include_external_forces": False,
-                "use_joint_torques": True,
-                "model_components": {
-                    **dict.fromkeys(components, False),
-                    "static_regressor": True,
-                    "inertia_regressor": True,
-                },
-            },
-            "signal_processing": {
-                "sampling_frequency": self.rate_hz,
-                "cutoff_frequency": 0.1 * self.rate_hz,
-            },
-        }
-        optimal = {
-            "problem": {
-                "soft_lim": 0.0,
-                "max_attempts": 500,
-                "max_iterations": self.iterations,
-                "segment_attempts": self.attempts,
-            },
-            "trajectory": {
-                "waypoints": self.moves + 1,
-                "frequency": self.inner_hz,
-                "segment_duration": self.segment_s / self.moves,
-            },
-        }
-        return {
-            "robot": {
-                "name": "arm",
-                "properties": {"joints": {"active_joints": joints}, "mechanics": mechanics},
-            },
-            "tasks": {"identification": identification, "optimal_trajectory": optimal},
-        }
+def configuration(given: SimpleNamespace, joints: list[str]) -> dict[str, Any]:
+    """FIGAROH's unified configuration: rigid bodies only, no margin inside the limits."""
+    mechanics = {
+        "reduction_ratios": [1.0] * len(joints),
+        "friction_coefficients": {k: [0.0] * len(joints) for k in ("viscous", "static")},
+        "actuator_inertias": [0.0] * len(joints),
+        "joint_offsets": [0.0] * len(joints),
+    }
+    components = {
+        **dict.fromkeys(("friction", "joint_offset", "actuator_inertia"), False),
+        **dict.fromkeys(("static_regressor", "inertia_regressor"), True),
+    }
+    identification = {
+        "problem": {
+            "include_external_forces": False,
+            "use_joint_torques": True,
+            "model_components": components,
+        },
+        "signal_processing": {
+            "sampling_frequency": given.rate_hz,
+            "cutoff_frequency": 0.1 * given.rate_hz,
+        },
+    }
+    optimal = {
+        "problem": {
+            "soft_lim": 0.0,
+            "max_attempts": 500,
+            "max_iterations": given.iterations,
+            "segment_attempts": given.attempts,
+        },
+        "trajectory": {
+            "waypoints": given.moves + 1,
+            "frequency": inner_hz(given),
+            "segment_duration": given.segment_s / given.moves,
+        },
+    }
+    properties = {"joints": {"active_joints": joints}, "mechanics": mechanics}
+    return {
+        "robot": {"name": "arm", "properties": properties},
+        "tasks": {"identification": identification, "optimal_trajectory": optimal},
+    }
 
 
 class RecordingProblem(BaseTrajectoryIPOPTProblem):
@@ -125,17 +106,16 @@ class RecordingTrajectory(BaseOptimalTrajectory):
         return RecordingProblem(self, *arguments)
 
 
-def prepared(specification: Specification) -> RecordingTrajectory:
-    """The optimiser, initialised for the robot under the limits of the problem."""
-    robot = load_robot(specification.urdf, load_by_urdf=True)
-    limits = {k: np.asarray(v, float) for k, v in specification.limits.items()}
+def prepared(given: SimpleNamespace) -> RecordingTrajectory:
+    robot = load_robot(given.urdf, load_by_urdf=True)
+    limits = {k: np.asarray(v, float) for k, v in given.limits.items()}
     robot.model.lowerPositionLimit[:] = limits["position"][:, 0]
     robot.model.upperPositionLimit[:] = limits["position"][:, 1]
     robot.model.velocityLimit[:] = limits["velocity"]
     robot.model.effortLimit[:] = limits["torque"]
     joints = [str(name) for name in list(robot.model.names)[1:]]
     with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
-        yaml.safe_dump(specification.configuration(joints), file)
+        yaml.safe_dump(configuration(given, joints), file)
         file.flush()
         optimiser = RecordingTrajectory(robot, joints, file.name)
     bodies = [robot.model.joints[robot.model.getJointId(name)] for name in joints]
@@ -162,19 +142,18 @@ def sampled(optimiser: RecordingTrajectory, rate_hz: float) -> np.ndarray:
 
 def main() -> int:
     """Design, write the trajectory, and tell what the optimiser said on standard output."""
-    specification = Specification(**json.loads(Path(sys.argv[1]).read_text(encoding="utf-8")))
-    np.random.seed(specification.seed)  # noqa: NPY002
-    optimiser = prepared(specification)
-    results = optimiser.solve(stack_reps=specification.segments)
-    if len(optimiser.solved) < specification.segments:
+    given = SimpleNamespace(**json.loads(Path(sys.argv[1]).read_text(encoding="utf-8")))
+    np.random.seed(given.seed)  # noqa: NPY002
+    optimiser = prepared(given)
+    results = optimiser.solve(stack_reps=given.segments)
+    if len(optimiser.solved) < given.segments:
         print(json.dumps({"solved": len(optimiser.solved)}))
         return 3
-    table = sampled(optimiser, specification.rate_hz)
+    table = sampled(optimiser, given.rate_hz)
     nv = table.shape[1] // 3
     names = ["t", *(f"{kind}{j + 1}" for kind in ("q", "dq", "ddq") for j in range(nv))]
-    np.savetxt(specification.csv, table, "%.17g", ",", header=",".join(names), comments="")
-    segments = results["iteration_data"]
-    converged = [bool(segment["converged"]) for segment in segments]
+    np.savetxt(given.csv, table, "%.17g", ",", header=",".join(names), comments="")
+    converged = [bool(segment["converged"]) for segment in results["iteration_data"]]
     print(json.dumps({"solved": len(optimiser.solved), "converged": converged}))
     return 0
 

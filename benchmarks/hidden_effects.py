@@ -94,19 +94,19 @@ def _nominal_torque(robot: Robot, q: Array, dq: Array, ddq: Array) -> tuple[Trut
 
 @dataclass(frozen=True, eq=False)
 class TypicalMotion:
-    """A typical motion of an arm; arrays of samples have shape (n, nv)."""
+    """A typical motion of the nominal arm: samples (n, nv), figures of joints (nv,), SI units."""
 
-    robot: Robot  # the nominal arm
+    robot: Robot
     q: Array
     dq: Array
     ddq: Array
-    tau: Array  # torque of the nominal arm [N·m]
-    load: Array  # the same without friction and rotors [N·m]
-    tip: Array  # positions of the tip in the base frame, shape (n, 3) [m]
-    coulomb: Array  # dry friction of the nominal arm, shape (nv,) [N·m]
-    inertia: Array  # mean of each joint's own entry of the mass matrix, shape (nv,) [kg·m²]
-    rotor: Array  # rotor inertia of the nominal arm, shape (nv,) [kg·m²]
-    wanted: Array  # torque that an effect should make, shape (nv,) [N·m]
+    tau: Array
+    load: Array  # torque without friction and rotors
+    tip: Array  # positions in the base frame, shape (n, 3)
+    coulomb: Array
+    inertia: Array  # mean of each joint's own entry of the mass matrix
+    rotor: Array
+    wanted: Array  # torque that an effect should make
 
     @property
     def nv(self) -> int:
@@ -126,7 +126,6 @@ class TypicalMotion:
 def typical_motion(
     robot: Robot, trajectory: Trajectory, duration: float, wanted: Array
 ) -> TypicalMotion:
-    """What an arm does on a motion of a length [s]; effects should make the wanted torque there."""
     t = np.linspace(0.0, duration, 300)
     states = [trajectory(t, order) for order in range(3)]
     truth, tau = _nominal_torque(robot, *states)
@@ -139,8 +138,7 @@ def typical_motion(
         inertia[k] = np.diag(pin.crba(bare, data, q))
         pin.forwardKinematics(bare, data, q)
         tip[k] = pin.updateFramePlacement(bare, data, robot.tip).translation
-    drives = truth.drives
-    mean = inertia.mean(axis=0)
+    drives, mean = truth.drives, inertia.mean(axis=0)
     return TypicalMotion(robot, *states, tau, load, tip, drives.coulomb, mean, drives.rotor, wanted)
 
 
@@ -177,179 +175,124 @@ def _sign(rng: Rng) -> float:
     return float(rng.choice([-1.0, 1.0]))
 
 
-def _any(m: TypicalMotion, rng: Rng) -> int:
-    return int(rng.integers(m.nv))
+def recipe(kind: str, m: TypicalMotion, rng: Rng) -> Recipe:
+    match kind:
+        case "friction_coupling" | "inertia_coupling":
+            j = int(rng.integers(max(m.nv - 1, 1)))
+            return _coupled(kind, m, rng, j, j + 1)
+        case "joint_elasticity" | "backlash":  # where much inertia bends the gear
+            strong = np.flatnonzero(m.inertia >= 0.1 * m.inertia.max())
+            return _gear(kind, m, rng, int(rng.choice(strong)))
+        case "torque_gain" | "time_delay":  # one time in four of all joints
+            every = rng.random() < 0.25
+            joints = tuple(range(m.nv)) if every else (int(rng.integers(m.nv)),)
+            if kind == "time_delay":
+                return Recipe(joints, {"delay": _sign(rng) * 0.01}, most=6.0)
+            size = min(m.per(j, m.tau[:, j]) for j in joints)
+            return Recipe(joints, {"gain": _sign(rng) * size}, most=0.4 / size, around=1.0)
+        case "rotor_inertia":  # only where no inertia of the links can pass for it
+            j = m.robot.joint_index(str(rng.choice(separable_rotors(m.robot))))
+            return Recipe((j,), {"Ia": m.per(j, m.ddq[:, j])})
+        case "kinematic_error":  # never of the first joint
+            j = int(rng.integers(min(1, m.nv - 1), m.nv))
+            d = rng.standard_normal(3)
+            d *= 0.03 * m.size / np.linalg.norm(d)
+            return Recipe((j,), dict(zip(("dx", "dy", "dz"), d, strict=True)), most=6.0)
+        case "gravity_direction":
+            way = rng.uniform(-np.pi, np.pi)
+            tilt = {"roll": 0.03 * np.cos(way), "pitch": 0.03 * np.sin(way)}
+            return Recipe((), tilt, most=10.0)
+        case "payload":
+            drawn = dict(draw_payload(m.robot, rng).parameters)
+            return Recipe((m.nv - 1,), drawn, guess=0.3, most=3.0)
+        case "wall_contact":
+            return _wall(m, rng)
+        case "sensor_crosstalk":  # from a joint that is not a neighbour, where there is one
+            j, k = (int(i) for i in rng.choice(m.nv, 2, replace=False))
+            if abs(j - k) < 2 and m.nv > 2:
+                k = (j + 2) % m.nv
+            size = m.per(j, m.tau[:, k])
+            return Recipe((j, k), {"gain": _sign(rng) * size}, most=0.6 / size)
+        case _:
+            return _at_a_joint(kind, m, rng, int(rng.integers(m.nv)))
 
 
-def _neighbours(m: TypicalMotion, rng: Rng) -> tuple[int, int]:
-    j = int(rng.integers(max(m.nv - 1, 1)))
-    return j, j + 1
+def _at_a_joint(kind: str, m: TypicalMotion, rng: Rng, j: int) -> Recipe:
+    q, dq, wanted = m.q[:, j], m.dq[:, j], m.wanted[j]
+    match kind:
+        case "viscous_friction":
+            return Recipe((j,), {"Fv": m.per(j, dq)})
+        case "coulomb_friction":
+            return Recipe((j,), {"Fc": wanted})
+        case "asymmetric_friction":
+            side, share = str(rng.choice(["plus", "minus"])), rng.uniform(0.3, 0.7)
+            dry, wet = (1 - share) * wanted, share * m.per(j, dq)
+            return Recipe((j,), {f"Fc_{side}": dry, f"Fv_{side}": wet}, guess=1.4)
+        case "stribeck_friction":
+            v = rng.uniform(0.05, 0.2) * float(np.abs(dq).max())
+            return Recipe((j,), {"Fs": wanted}, {"velocity": v}, 3.0)
+        case "nonlinear_viscous_friction":
+            a = float(rng.choice([rng.uniform(0.3, 0.6), rng.uniform(1.6, 2.0)]))
+            return Recipe((j,), {"Fn": m.per(j, np.abs(dq) ** a)}, {"exponent": a})
+        case "load_dependent_friction":
+            size = m.per(j, m.load[:, j])
+            return Recipe((j,), {"Fl": size}, most=0.3 / size)
+        case "presliding_hysteresis":  # shows beside at most 1.5 times the dry friction there is
+            x = float(np.exp(rng.uniform(np.log(0.01), np.log(0.15))))
+            most = 1.5 * m.coulomb[j] if m.coulomb[j] > 0 else 0.5 * rms(m.tau[:, j])
+            return Recipe((j,), {"Fh": wanted}, {"distance": x}, 3.0, most / wanted)
+        case "thermal_friction_drift":
+            share, time = rng.uniform(0.3, 0.7), rng.uniform(6.0, 25.0)
+            sizes = {"Fv": share * m.per(j, dq), "Fc": (1 - share) * wanted}
+            return Recipe((j,), sizes, {"time": time}, 1.3)
+        case "torque_offset":
+            return Recipe((j,), {"offset": _sign(rng) * wanted})
+        case "torque_ripple":  # slow enough at typical speed to pass the filter
+            phase = rng.uniform(-np.pi, np.pi)
+            fastest = np.clip(2 * np.pi * 6.0 / rms(dq), 2.0, 60.0)
+            order = float(np.round(np.exp(rng.uniform(0.0, np.log(fastest)))))
+            amplitude = np.sqrt(2) * wanted
+            return Recipe((j,), {"amplitude": amplitude}, {"order": order, "phase": phase})
+        case "spring":  # a coil or a counterbalance
+            name = str(rng.choice(["stiffness", "moment"]))
+            rest = float(q.mean() + rng.uniform(-0.5, 0.5))
+            size = m.per(j, q - rest if name == "stiffness" else np.sin(q - rest))
+            return Recipe((j,), {name: size}, {"rest": rest})
+        case "encoder_offset":
+            return Recipe((j,), {"offset": _sign(rng) * 0.05}, most=8.0)
+        case "encoder_scale":
+            return Recipe((j,), {"scale": _sign(rng) * 0.02}, most=4.0, around=1.0)
+        case "telegraph_torque":
+            return Recipe((j,), {"amplitude": wanted}, {"rate": rng.uniform(0.7, 3.0)})
+        case _:
+            return _inertial(m, rng, j)
 
 
-def _strong(m: TypicalMotion, rng: Rng) -> int:
-    """A joint that moves much inertia: where elastic gears bend."""
-    return int(rng.choice(np.flatnonzero(m.inertia >= 0.1 * m.inertia.max())))
-
-
-def _one_or_all(m: TypicalMotion, rng: Rng) -> tuple[int, ...]:
-    """A joint by chance, or one time in four all of them."""
-    return tuple(range(m.nv)) if rng.random() < 0.25 else (_any(m, rng),)
-
-
-def _viscous(m: TypicalMotion, rng: Rng) -> Recipe:
-    j = _any(m, rng)
-    return Recipe((j,), {"Fv": m.per(j, m.dq[:, j])})
-
-
-def _coulomb(m: TypicalMotion, rng: Rng) -> Recipe:
-    j = _any(m, rng)
-    return Recipe((j,), {"Fc": m.wanted[j]})
-
-
-def _asymmetric(m: TypicalMotion, rng: Rng) -> Recipe:
-    """More friction in one direction, of both kinds."""
-    j, side, share = _any(m, rng), str(rng.choice(["plus", "minus"])), rng.uniform(0.3, 0.7)
-    dry, wet = (1 - share) * m.wanted[j], share * m.per(j, m.dq[:, j])
-    return Recipe((j,), {f"Fc_{side}": dry, f"Fv_{side}": wet}, guess=1.4)
-
-
-def _stribeck(m: TypicalMotion, rng: Rng) -> Recipe:
-    j, slow = _any(m, rng), rng.uniform(0.05, 0.2)
-    v = slow * float(np.abs(m.dq[:, j]).max())
-    return Recipe((j,), {"Fs": m.wanted[j]}, {"velocity": v}, 3.0)
-
-
-def _power_law(m: TypicalMotion, rng: Rng) -> Recipe:
-    j = _any(m, rng)
-    a = float(rng.choice([rng.uniform(0.3, 0.6), rng.uniform(1.6, 2.0)]))
-    return Recipe((j,), {"Fn": m.per(j, np.abs(m.dq[:, j]) ** a)}, {"exponent": a})
-
-
-def _load_dependent(m: TypicalMotion, rng: Rng) -> Recipe:
-    j = _any(m, rng)
-    size = m.per(j, m.load[:, j])
-    return Recipe((j,), {"Fl": size}, most=0.3 / size)
-
-
-def _presliding(m: TypicalMotion, rng: Rng) -> Recipe:
-    """At most one and a half times the dry friction there is, so that the hysteresis shows."""
-    j, x = _any(m, rng), float(np.exp(rng.uniform(np.log(0.01), np.log(0.15))))
-    most = 1.5 * m.coulomb[j] if m.coulomb[j] > 0 else 0.5 * rms(m.tau[:, j])
-    return Recipe((j,), {"Fh": m.wanted[j]}, {"distance": x}, 3.0, most / m.wanted[j])
-
-
-def _coupled_friction(m: TypicalMotion, rng: Rng) -> Recipe:
-    """A shaft that turns with the sum or difference of neighbouring joints."""
-    j, k = _neighbours(m, rng)
-    ratio, share = _sign(rng), rng.uniform(0.3, 0.7)
-    dry = min(m.wanted[j], m.wanted[k])
-    wet = dry / rms(m.dq[:, j] + ratio * m.dq[:, k])
-    return Recipe((j, k), {"Fv": share * wet, "Fc": (1 - share) * dry}, {"ratio": ratio})
-
-
-def _thermal(m: TypicalMotion, rng: Rng) -> Recipe:
-    j, share, time = _any(m, rng), rng.uniform(0.3, 0.7), rng.uniform(6.0, 25.0)
-    sizes = {"Fv": share * m.per(j, m.dq[:, j]), "Fc": (1 - share) * m.wanted[j]}
-    return Recipe((j,), sizes, {"time": time}, 1.3)
-
-
-def _rotor(m: TypicalMotion, rng: Rng) -> Recipe:
-    """Only where no inertia of the links can pass for it."""
-    j = m.robot.joint_index(str(rng.choice(separable_rotors(m.robot))))
-    return Recipe((j,), {"Ia": m.per(j, m.ddq[:, j])})
-
-
-def _coupled_rotors(m: TypicalMotion, rng: Rng) -> Recipe:
-    """At most 60 % of what would make the mass matrix singular."""
-    j, k = _neighbours(m, rng)
-    sign, own = _sign(rng), m.inertia + m.rotor
-    size = min(m.per(j, m.ddq[:, k]), m.per(k, m.ddq[:, j]))
+def _coupled(kind: str, m: TypicalMotion, rng: Rng, j: int, k: int) -> Recipe:
+    """A shaft that turns with both joints, or at most 60 % of a singular mass matrix."""
+    sign = _sign(rng)
+    if kind == "friction_coupling":
+        share, dry = rng.uniform(0.3, 0.7), min(m.wanted[j], m.wanted[k])
+        wet = dry / rms(m.dq[:, j] + sign * m.dq[:, k])
+        return Recipe((j, k), {"Fv": share * wet, "Fc": (1 - share) * dry}, {"ratio": sign})
+    own, size = m.inertia + m.rotor, min(m.per(j, m.ddq[:, k]), m.per(k, m.ddq[:, j]))
     return Recipe((j, k), {"Ic": sign * size}, most=0.6 * np.sqrt(own[j] * own[k]) / size)
 
 
-def _offset(m: TypicalMotion, rng: Rng) -> Recipe:
-    j, sign = _any(m, rng), _sign(rng)
-    return Recipe((j,), {"offset": sign * m.wanted[j]})
+def _gear(kind: str, m: TypicalMotion, rng: Rng, j: int) -> Recipe:
+    """Backlash, or a gear softer with scale, down to a resonance of 3 Hz with the motor held."""
+    elastic = kind == "joint_elasticity"
+    resonance, damping = (12.0, rng.uniform(0.03, 0.1)) if elastic else (25.0, 0.15)
+    k = m.inertia[j] * (2 * np.pi * resonance) ** 2
+    gear = {"stiffness": k, "damping": 2 * damping * np.sqrt(k * m.inertia[j])}
+    motor = {"motor": 0.0 if m.rotor[j] > 0 else 0.2 * float(m.inertia[j])}
+    if not elastic:
+        return Recipe((j,), {"gap": 0.01}, gear | motor, most=10.0)
+    return Recipe((j,), gear, motor, most=16.0, powers={"stiffness": -1.0, "damping": -0.5})
 
 
-def _gain(m: TypicalMotion, rng: Rng) -> Recipe:
-    joints, sign = _one_or_all(m, rng), _sign(rng)
-    size = min(m.per(j, m.tau[:, j]) for j in joints)
-    return Recipe(joints, {"gain": sign * size}, most=0.4 / size, around=1.0)
-
-
-def _ripple(m: TypicalMotion, rng: Rng) -> Recipe:
-    """Orders up to 60, and slow enough at typical speed to pass the filter."""
-    j, phase = _any(m, rng), rng.uniform(-np.pi, np.pi)
-    fastest = np.clip(2 * np.pi * 6.0 / rms(m.dq[:, j]), 2.0, 60.0)
-    order = float(np.round(np.exp(rng.uniform(0.0, np.log(fastest)))))
-    amplitude = np.sqrt(2) * m.wanted[j]
-    return Recipe((j,), {"amplitude": amplitude}, {"order": order, "phase": phase})
-
-
-def _spring(m: TypicalMotion, rng: Rng) -> Recipe:
-    """A coil or a counterbalance."""
-    j, name = _any(m, rng), str(rng.choice(["stiffness", "moment"]))
-    rest = float(m.q[:, j].mean() + rng.uniform(-0.5, 0.5))
-    bent = m.q[:, j] - rest
-    size = m.per(j, bent if name == "stiffness" else np.sin(bent))
-    return Recipe((j,), {name: size}, {"rest": rest})
-
-
-def _elasticity(m: TypicalMotion, rng: Rng) -> Recipe:
-    """Softer with scale, down to a resonance of 3 Hz with the motor held."""
-    j, damping = _strong(m, rng), rng.uniform(0.03, 0.1)
-    stiff = m.inertia[j] * (2 * np.pi * 12.0) ** 2
-    gear = {"stiffness": stiff, "damping": 2 * damping * np.sqrt(stiff * m.inertia[j])}
-    softer = {"stiffness": -1.0, "damping": -0.5}
-    return Recipe((j,), gear, {"motor": _motor(m, j)}, most=16.0, powers=softer)
-
-
-def _motor(m: TypicalMotion, j: int) -> float:
-    """Inertia of a motor that the nominal arm does not have [kg·m²]."""
-    return 0.0 if m.rotor[j] > 0 else 0.2 * float(m.inertia[j])
-
-
-def _backlash(m: TypicalMotion, rng: Rng) -> Recipe:
-    j = _strong(m, rng)
-    k = m.inertia[j] * (2 * np.pi * 25.0) ** 2
-    damping = 0.3 * np.sqrt(k * m.inertia[j])
-    gear = {"stiffness": k, "damping": damping, "motor": _motor(m, j)}
-    return Recipe((j,), {"gap": 0.01}, gear, most=10.0)
-
-
-def _delay(m: TypicalMotion, rng: Rng) -> Recipe:
-    """Of the torque or of the position."""
-    joints, sign = _one_or_all(m, rng), _sign(rng)
-    return Recipe(joints, {"delay": sign * 0.01}, most=6.0)
-
-
-def _encoder_offset(m: TypicalMotion, rng: Rng) -> Recipe:
-    j, sign = _any(m, rng), _sign(rng)
-    return Recipe((j,), {"offset": sign * 0.05}, most=8.0)
-
-
-def _encoder_scale(m: TypicalMotion, rng: Rng) -> Recipe:
-    j, sign = _any(m, rng), _sign(rng)
-    return Recipe((j,), {"scale": sign * 0.02}, most=4.0, around=1.0)
-
-
-def _kinematic(m: TypicalMotion, rng: Rng) -> Recipe:
-    """A joint that is not where the drawing says; never the first."""
-    j = int(rng.integers(min(1, m.nv - 1), m.nv))
-    d = rng.standard_normal(3)
-    d *= 0.03 * m.size / np.linalg.norm(d)
-    return Recipe((j,), dict(zip(("dx", "dy", "dz"), d, strict=True)), most=6.0)
-
-
-def _tilt(m: TypicalMotion, rng: Rng) -> Recipe:
-    way = rng.uniform(-np.pi, np.pi)
-    return Recipe((), {"roll": 0.03 * np.cos(way), "pitch": 0.03 * np.sin(way)}, most=10.0)
-
-
-def _inertial(m: TypicalMotion, rng: Rng) -> Recipe:
+def _inertial(m: TypicalMotion, rng: Rng, j: int) -> Recipe:
     """A link that is lighter or heavier throughout, or carries something beside its centre."""
-    j = _any(m, rng)
     body = list(m.robot.model.inertias)[j + 1]
     mass, way = max(float(body.mass), 0.1), str(rng.choice(["lighter", "heavier", "beside"]))
     phi = body.toDynamicParameters()
@@ -359,11 +302,6 @@ def _inertial(m: TypicalMotion, rng: Rng) -> Recipe:
         phi = pin.Inertia(mass, lever, box.inertia).toDynamicParameters()
     sign, most = (-1.0, 0.6) if way == "lighter" else (1.0, 1.0)
     return Recipe((j,), dict(zip(STANDARD, sign * phi, strict=True)), guess=0.1, most=most)
-
-
-def _payload(m: TypicalMotion, rng: Rng) -> Recipe:
-    drawn = draw_payload(m.robot, rng)
-    return Recipe((m.nv - 1,), dict(drawn.parameters), guess=0.3, most=3.0)
 
 
 def _wall(m: TypicalMotion, rng: Rng) -> Recipe:
@@ -376,52 +314,14 @@ def _wall(m: TypicalMotion, rng: Rng) -> Recipe:
     return Recipe((), {"stiffness": k, "damping": 0.01 * k}, place, 0.3, 50.0)
 
 
-def _telegraph(m: TypicalMotion, rng: Rng) -> Recipe:
-    j, rate = _any(m, rng), rng.uniform(0.7, 3.0)
-    return Recipe((j,), {"amplitude": m.wanted[j]}, {"rate": rate})
-
-
-def _crosstalk(m: TypicalMotion, rng: Rng) -> Recipe:
-    """From a joint that is not a neighbour, where there is one."""
-    j, k = (int(i) for i in rng.choice(m.nv, 2, replace=False))
-    if abs(j - k) < 2 and m.nv > 2:
-        k = (j + 2) % m.nv
-    size, sign = m.per(j, m.tau[:, k]), _sign(rng)
-    return Recipe((j, k), {"gain": sign * size}, most=0.6 / size)
-
-
-RECIPES: dict[str, Callable[[TypicalMotion, Rng], Recipe]] = {
-    "inertial_parameters": _inertial,
-    "payload": _payload,
-    "gravity_direction": _tilt,
-    "viscous_friction": _viscous,
-    "coulomb_friction": _coulomb,
-    "asymmetric_friction": _asymmetric,
-    "stribeck_friction": _stribeck,
-    "nonlinear_viscous_friction": _power_law,
-    "load_dependent_friction": _load_dependent,
-    "presliding_hysteresis": _presliding,
-    "friction_coupling": _coupled_friction,
-    "thermal_friction_drift": _thermal,
-    "rotor_inertia": _rotor,
-    "inertia_coupling": _coupled_rotors,
-    "torque_offset": _offset,
-    "torque_gain": _gain,
-    "torque_ripple": _ripple,
-    "spring": _spring,
-    "joint_elasticity": _elasticity,
-    "backlash": _backlash,
-    "time_delay": _delay,
-    "encoder_offset": _encoder_offset,
-    "encoder_scale": _encoder_scale,
-    "kinematic_error": _kinematic,
-    "wall_contact": _wall,
-    "telegraph_torque": _telegraph,
-    "sensor_crosstalk": _crosstalk,
-}
-"""How each kind is drawn."""
-
-KINDS = (*(kind for kind in RECIPES if kind not in STRUCTURES), "unknown")
+KINDS = (
+    *("inertial_parameters", "payload", "gravity_direction", "viscous_friction"),
+    *("coulomb_friction", "asymmetric_friction", "stribeck_friction", "nonlinear_viscous_friction"),
+    *("load_dependent_friction", "presliding_hysteresis", "friction_coupling"),
+    *("thermal_friction_drift", "rotor_inertia", "inertia_coupling", "torque_offset"),
+    *("torque_gain", "torque_ripple", "spring", "joint_elasticity", "backlash", "time_delay"),
+    *("encoder_offset", "encoder_scale", "kinematic_error", "unknown"),
+)
 """Kinds of effects that `draw_effect` draws."""
 
 _CUTOFF = 10.0  # Hz, of the zero-phase low-pass (Butterworth, fourth order)
@@ -431,7 +331,6 @@ _DURATION = 6.0  # s of motion on which a drawn effect is measured
 _PRECISION = 1.15  # to which a wanted size is met
 _TRIALS, _DRAWS = 7, 16  # of scales, and of joints and shapes
 _GROWTH = 3.0  # how much faster than its scale an effect may grow at most
-_SMALLEST, _LARGEST = 2.0, 30.0  # visible sizes drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -448,29 +347,15 @@ class VisibleSize:
             return float(np.where(self.rms > 0, self.rms / self.floor, 0.0).max())
 
 
-def visible_size(
-    arm: VirtualArm,
-    trajectory: Trajectory,
-    duration: float,
-    rng: Rng,
-    effects: Sequence[HiddenEffect] | None = None,
-) -> VisibleSize:
-    """Torque that hidden effects make at the motion that is recorded with them.
+def visible_size(arm: VirtualArm, trajectory: Trajectory, duration: float, rng: Rng) -> VisibleSize:
+    """Torque that an arm's hidden effects make at the motion that is recorded with them.
 
     The arm is recorded without noise, then the same arm without the effects follows the recorded
-    motion; the difference of what is recorded as torque is filtered. While a joint stands still
-    its motion does not determine its torque, so no difference counts.
-
-    Args:
-        arm: The virtual arm; its sensors' noise sets the floor.
-        trajectory: Desired motion; starts at rest.
-        duration: Length of the run [s].
-        rng: Decides what chance decides in the run.
-        effects: The hidden effects to measure, beside which the others stay; all when not given.
+    motion; the difference of the recorded torques is filtered. While a joint stands still its
+    motion does not determine its torque, so no difference counts. The noise of the arm's sensors
+    sets the floor.
     """
-    chosen = arm.hidden if effects is None else tuple(effects)
-    kept = [effect for effect in arm.hidden if effect not in chosen]
-    without = plant(arm.bare, arm.nominal.joints, kept)
+    without = plant(arm.bare, arm.nominal.joints, ())
     still = np.zeros_like(arm.sensors.torque_noise)
     true = Sensors(arm.sensors.rate_hz, 0.0, 0.0, still, still)
     table = replace(arm, sensors=true).record(trajectory, duration, rng)
@@ -497,27 +382,27 @@ def _torque_at(robot: Robot, truth: Truth, t: Array, q: Array, sensors: Sensors)
 
 
 def _filtered_rms(error: Array, rate_hz: float) -> Array:
-    """Root mean square behind the filter, away from the edges."""
-    sections = scipy.signal.butter(4, _CUTOFF, fs=rate_hz, output="sos")
     edge = int(_EDGE * rate_hz)
-    inner = scipy.signal.sosfiltfilt(sections, error, axis=0)[edge:-edge]
+    inner = scipy.signal.sosfiltfilt(_filter(rate_hz), error, axis=0)[edge:-edge]
     return np.asarray(np.sqrt(np.mean(inner**2, axis=0)), dtype=np.float64)
 
 
 def _noise_floor(sensors: Sensors) -> Array:
     """What the torque noise leaves behind the filter."""
-    sections = scipy.signal.butter(4, _CUTOFF, fs=sensors.rate_hz, output="sos")
-    _, H = scipy.signal.sosfreqz(sections, 4096)
+    _, H = scipy.signal.sosfreqz(_filter(sensors.rate_hz), 4096)
     noise = np.sqrt(sensors.torque_noise**2 + sensors.torque_resolution**2 / 12)
     return np.asarray(np.sqrt(np.mean(np.abs(H) ** 4)) * noise, dtype=np.float64)
+
+
+def _filter(rate_hz: float) -> Array:
+    return np.asarray(scipy.signal.butter(4, _CUTOFF, fs=rate_hz, output="sos"))
 
 
 def draw_effect(
     robot: Robot,
     rng: Rng,
-    kind: str | None = None,
-    size: float | None = None,
-    sensors: Sensors | None = None,
+    kind: str,
+    size: float,
     trajectory: Trajectory | None = None,
     duration: float = _DURATION,
 ) -> HiddenEffect:
@@ -526,10 +411,8 @@ def draw_effect(
     Args:
         robot: The nominal arm.
         rng: Source of randomness.
-        kind: Name of an effect or a structure of an unknown one; any of `KINDS` when not given.
-        size: Wanted visible size, met within 15 %; when not given one between 2 and 30, or the
-            next smaller one that the arm can show.
-        sensors: Their torque noise sets the floor; `industrial_sensors` when not given.
+        kind: Name of an effect or a structure of an unknown one.
+        size: Wanted visible size, met within 15 %, behind `industrial_sensors`.
         trajectory: Motion that the size holds for, from rest; a typical one when not given.
         duration: Length of that motion [s].
 
@@ -537,16 +420,13 @@ def draw_effect(
         UnknownName: There is no such kind.
         BadInput: No joint of this arm can show so much of it.
     """
-    kind = kind or str(rng.choice(KINDS))
     if kind == "unknown":
         kind = str(rng.choice(STRUCTURES))
-    if kind not in RECIPES:
-        raise UnknownName("kind of hidden effect", kind, (*RECIPES, "unknown"))
-    sensors = sensors or industrial_sensors(robot)
+    UnknownName.refuse("kind of hidden effect", [kind], (*KINDS, *STRUCTURES))
+    sensors = industrial_sensors(robot)
     if trajectory is None:
         trajectory = typical_trajectory(robot, rng, duration)
-    sizes = [size] if size else _sizes(rng)
-    motion = typical_motion(robot, trajectory, duration, sizes[0] * _noise_floor(sensors))
+    motion = typical_motion(robot, trajectory, duration, size * _noise_floor(sensors))
 
     def measure(effect: HiddenEffect) -> float:
         """Visible size on an arm that is otherwise nominal; huge where it fails."""
@@ -557,19 +437,12 @@ def draw_effect(
         except BadInput:
             return 1e6
 
-    for wanted in sizes:
-        for _ in range(_DRAWS):
-            recipe = RECIPES[kind](motion, rng)
-            found = _sized(recipe, partial(recipe.make, robot, kind), wanted, measure)
-            if found is not None:
-                return found
-    raise BadInput(f"virtual arm: {robot.name} cannot show a {kind} of size {sizes[-1]:.3g}")
-
-
-def _sizes(rng: Rng) -> list[float]:
-    """A size by chance, and smaller ones for what no joint can show so much of."""
-    size = float(np.exp(rng.uniform(np.log(_SMALLEST), np.log(_LARGEST))))
-    return [max(size * share, _SMALLEST) for share in (1.0, 0.4, 0.1)]
+    for _ in range(_DRAWS):
+        drawn = recipe(kind, motion, rng)
+        found = _sized(drawn, partial(drawn.make, robot, kind), size, measure)
+        if found is not None:
+            return found
+    raise BadInput(f"virtual arm: {robot.name} cannot show a {kind} of size {size:.3g}")
 
 
 def _sized(

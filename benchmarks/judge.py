@@ -37,11 +37,11 @@ class States:
 
 @dataclass(frozen=True)
 class Conditioning:
-    """Condition numbers of a motion."""
+    """Condition numbers of a motion, and the number of base parameters."""
 
-    left: float  # of the base columns chosen from left to right
-    proj: float  # of the projection on the row space
-    base: int  # number of base parameters
+    left: float
+    proj: float
+    base: int
 
 
 def read_motion(path: Path, nv: int) -> States:
@@ -68,15 +68,10 @@ def random_states(limits: dict[str, Any], rng: np.random.Generator, n: int = _ST
 
 def observation(model: Any, states: States) -> Array:
     """Stacked joint torque regressor W, shape (n nv, 10 nv)."""
-    return np.vstack(_each(pin.computeJointTorqueRegressor, model, states))
+    return np.vstack(each(pin.computeJointTorqueRegressor, model, states))
 
 
-def torques(model: Any, states: States) -> Array:
-    """Joint torques by the recursive Newton-Euler algorithm, shape (n, nv) [N·m or N]."""
-    return np.array(_each(pin.rnea, model, states))
-
-
-def _each(compute: Any, model: Any, states: States) -> list[Array]:
+def each(compute: Any, model: Any, states: States) -> list[Array]:
     data = model.createData()
     rows = zip(states.q, states.dq, states.ddq, strict=True)
     return [compute(model, data, *state).copy() for state in rows]
@@ -98,7 +93,6 @@ def left_columns(W: Array) -> npt.NDArray[np.intp]:
 
 
 def conditioning(model: Any, limits: dict[str, Any], states: States) -> Conditioning:
-    """Condition numbers of a motion of the model."""
     reference = observation(model, random_states(limits, np.random.default_rng(0)))
     W, columns = observation(model, states), left_columns(reference)
     _, sizes, Vt = np.linalg.svd(reference, full_matrices=False)
@@ -110,21 +104,12 @@ def conditioning(model: Any, limits: dict[str, Any], states: States) -> Conditio
 
 @dataclass(frozen=True)
 class ParameterError:
-    """Errors of the base parameters (chosen from left to right), over all draws of the noise.
+    """Errors of the base parameters (chosen from left to right), over all draws of the noise."""
 
-    Attributes:
-        scaled: Root mean square over draws and parameters of δβᵢ cᵢ [N·m], where cᵢ is the rms
-            of regressor column i over random states within the limits.
-        predicted: Root mean square of the torque error Y δβ of one joint over draws and the
-            same random states [N·m]; does not depend on the choice of base parameters.
-        worst: Standard deviation of the worst determined combination of unit length [SI].
-        misfit: Largest difference of the noise-free torque to W β, over the largest torque.
-    """
-
-    scaled: float
-    predicted: float
-    worst: float
-    misfit: float
+    scaled: float  # rms of δβᵢ cᵢ [N·m], cᵢ the rms of regressor column i over random states
+    predicted: float  # rms of the torque error Y δβ of a joint on the same states [N·m]
+    worst: float  # standard deviation of the worst determined combination of unit length [SI]
+    misfit: float  # largest difference of noise-free torque to W β, over the largest torque
 
 
 def parameter_error(
@@ -139,8 +124,8 @@ def parameter_error(
     Y = observation(model, reference)
     columns = left_columns(Y)
     Y = Y[:, columns]
-    beta = np.linalg.lstsq(Y, torques(model, reference).ravel())[0]
-    W, tau = observation(model, states)[:, columns], torques(model, states)
+    beta = np.linalg.lstsq(Y, np.ravel(each(pin.rnea, model, reference)))[0]
+    W, tau = observation(model, states)[:, columns], np.array(each(pin.rnea, model, states))
     noisy = tau + sigma * np.random.default_rng(0).standard_normal((DRAWS, *tau.shape))
     weight = np.tile(1 / sigma, len(tau))
     inverse = np.linalg.pinv(weight[:, None] * W)

@@ -1,10 +1,4 @@
-"""Faults of recordings: how many planted ones are found, how often a faultless one is accused.
-
-``--real`` lists what is said about every recording of real arms (EXCITANT_DATA or ../shared/data)
-as it is. Otherwise faults are planted in recordings of virtual arms that deviate from their model,
-seed by seed, and each is counted as found when its name is among those returned. "Beside" counts
-recordings in which other names were returned too.
-"""
+"""Faults of recordings: how many planted ones are found, how often a faultless one is accused."""
 
 from __future__ import annotations
 
@@ -63,74 +57,25 @@ def flipped(log: Log, joint: int, *names: str) -> Log:
     return log
 
 
+def edited(log: Log, name: str, where: object, change: Callable[[np.ndarray], object]) -> Log:
+    values = np.array(getattr(log, name))
+    values[where] = change(values[where])
+    return replace(log, **{name: values})
+
+
 def with_rows(log: Log, rows: np.ndarray) -> Log:
     """Values of other rows at the log's own times."""
     return replace(log.take(rows), t=log.t[: len(rows)])
-
-
-def edited(log: Log, name: str, edit: Callable[[np.ndarray], None]) -> Log:
-    values = np.array(getattr(log, name))
-    edit(values)
-    return replace(log, **{name: values})
 
 
 def livelier(log: Log) -> int:
     return int(np.argmax(np.ptp(log.q, axis=0)))
 
 
-def zero_torque(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    return edited(log, "tau", lambda x: x[:, rng.integers(log.nv)].fill(0.0))
-
-
-def noise_for_torque(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    j, noise = livelier(log), rng.standard_normal(len(log))
-    return edited(log, "tau", lambda x: x.__setitem__((slice(None), j), noise))
-
-
 def frozen_torque(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
     j, start = livelier(log), int(0.4 * len(log))
     rows = slice(start, start + round(1.0 / log.step))
-    return edited(log, "tau", lambda x: x.__setitem__((rows, j), x[start, j]))
-
-
-def velocity_negated(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    return flipped(log, int(rng.integers(log.nv)), "dq")
-
-
-def torque_negated(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    return flipped(log, int(rng.integers(log.nv)), "tau")
-
-
-def position_negated(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    return flipped(log, log.nv - 1, "q", "dq")
-
-
-def velocity_in_rpm(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    return scaled(log, "dq", 30 / np.pi)
-
-
-def position_in_degrees(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    return scaled(log, "q", 180 / np.pi)
-
-
-def all_in_degrees(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    return scaled(scaled(log, "q", 180 / np.pi), "dq", 180 / np.pi)
-
-
-def half_rate(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    return scaled(log, "t", 2.0)
-
-
-def half_rate_without_velocity(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    return replace(scaled(log, "t", 2.0), dq=None)
-
-
-def milliseconds(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    return scaled(log, "t", 1000.0)
-
-
-def counted_samples(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    return replace(log, t=np.arange(float(len(log))))
+    return edited(log, "tau", (rows, j), lambda x: x[0])
 
 
 def rows_logged_twice(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
@@ -142,10 +87,6 @@ def rows_logged_twice(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
 
 def stamps_twice(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
     return log.take(np.sort(np.r_[np.arange(len(log)), rng.choice(len(log), 20)]))
-
-
-def held_torque(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    return replace(log, tau=log.tau[np.arange(len(log)) // 4 * 4])
 
 
 def rows_lost(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
@@ -161,19 +102,15 @@ def rows_lost_unseen(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
     return with_rows(log, np.delete(np.arange(len(log)), np.arange(k, k + 5)))
 
 
-def not_a_number(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    return edited(log, "tau", lambda x: x.__setitem__((rng.integers(len(log)), 0), np.nan))
-
-
 def torque_outliers(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
     rows, j = rng.choice(np.arange(10, len(log) - 10), 5), int(rng.integers(log.nv))
     jump = 2 * np.ptp(log.tau[:, j]) * rng.choice([-1, 1], 5)
-    return edited(log, "tau", lambda x: x.__setitem__((rows, j), x[rows, j] + jump))
+    return edited(log, "tau", (rows, j), lambda x: x + jump)
 
 
 def position_outliers(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
     rows, j = rng.choice(np.arange(10, len(log) - 10), 3), int(rng.integers(log.nv))
-    return edited(log, "q", lambda x: x.__setitem__((rows, j), x[rows, j] + 0.1))
+    return edited(log, "q", (rows, j), lambda x: x + 0.1)
 
 
 def unsigned_torque(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
@@ -188,12 +125,10 @@ def clipped_torque(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
 
 
 def model_for_torque(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
-    rate = 1 / log.step
-    sections = scipy.signal.butter(4, 5.0, fs=rate, output="sos")
-    spline = scipy.interpolate.make_interp_spline(
-        log.t, scipy.signal.sosfiltfilt(sections, log.q, axis=0), k=5
-    )
-    states = zip(*(spline.derivative(k)(log.t) if k else spline(log.t) for k in range(3)))  # noqa: B905
+    sections = scipy.signal.butter(4, 5.0, fs=1 / log.step, output="sos")
+    smooth = scipy.signal.sosfiltfilt(sections, log.q, axis=0)
+    spline = scipy.interpolate.make_interp_spline(log.t, smooth, k=5)
+    states = zip(*(spline(log.t, k) for k in range(3)), strict=True)
     data = robot.model.createData()
     tau = np.array([pin.rnea(robot.model, data, *state) + 0.3 * state[1] for state in states])
     return replace(log, tau=tau)
@@ -208,33 +143,56 @@ def hardly_moving(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
     return replace(log, q=q, dq=dq + 2e-3 * noise[1], tau=tau)
 
 
-FAULTS: dict[str, tuple[Plant, ...]] = {
-    "dead_channel": (zero_torque, noise_for_torque, frozen_torque),
-    "wrong_sign": (velocity_negated, torque_negated, position_negated),
-    "wrong_unit": (velocity_in_rpm, position_in_degrees, all_in_degrees),
-    "wrong_sample_rate": (half_rate, half_rate_without_velocity, milliseconds, counted_samples),
-    "duplicate_samples": (rows_logged_twice, stamps_twice, held_torque),
-    "dropped_samples": (rows_lost, rows_lost_unseen),
-    "corrupt_rows": (not_a_number, torque_outliers, position_outliers, unsigned_torque),
-    "saturation": (clipped_torque,),
-    "not_measured": (model_for_torque,),
-    "poor_excitation": (hardly_moving,),
+DEGREES, ALL = 180 / np.pi, slice(None)
+FAULTS: dict[str, dict[str, Plant]] = {
+    "dead_channel": {
+        "zero_torque": lambda _, log, rng: edited(
+            log, "tau", (ALL, rng.integers(log.nv)), lambda x: 0.0
+        ),
+        "noise_for_torque": lambda _, log, rng: edited(
+            log, "tau", (ALL, livelier(log)), lambda x: rng.standard_normal(len(x))
+        ),
+        "frozen_torque": frozen_torque,
+    },
+    "wrong_sign": {
+        "velocity_negated": lambda _, log, rng: flipped(log, rng.integers(log.nv), "dq"),
+        "torque_negated": lambda _, log, rng: flipped(log, rng.integers(log.nv), "tau"),
+        "position_negated": lambda _, log, rng: flipped(log, log.nv - 1, "q", "dq"),
+    },
+    "wrong_unit": {
+        "velocity_in_rpm": lambda _, log, rng: scaled(log, "dq", 30 / np.pi),
+        "position_in_degrees": lambda _, log, rng: scaled(log, "q", DEGREES),
+        "all_in_degrees": lambda _, log, rng: scaled(scaled(log, "q", DEGREES), "dq", DEGREES),
+    },
+    "wrong_sample_rate": {
+        "half_rate": lambda _, log, rng: scaled(log, "t", 2.0),
+        "half_rate_without_velocity": lambda _, log, rng: replace(scaled(log, "t", 2.0), dq=None),
+        "milliseconds": lambda _, log, rng: scaled(log, "t", 1000.0),
+        "counted_samples": lambda _, log, rng: replace(log, t=np.arange(float(len(log)))),
+    },
+    "duplicate_samples": {
+        "rows_logged_twice": rows_logged_twice,
+        "stamps_twice": stamps_twice,
+        "held_torque": lambda _, log, rng: replace(log, tau=log.tau[np.arange(len(log)) // 4 * 4]),
+    },
+    "dropped_samples": {"rows_lost": rows_lost, "rows_lost_unseen": rows_lost_unseen},
+    "corrupt_rows": {
+        "not_a_number": lambda _, log, rng: edited(
+            log, "tau", (rng.integers(len(log)), 0), lambda x: np.nan
+        ),
+        "torque_outliers": torque_outliers,
+        "position_outliers": position_outliers,
+        "unsigned_torque": unsigned_torque,
+    },
+    "saturation": {"clipped_torque": clipped_torque},
+    "not_measured": {"model_for_torque": model_for_torque},
+    "poor_excitation": {"hardly_moving": hardly_moving},
 }
-PLANTS = [(name, plant) for name, plants in FAULTS.items() for plant in plants]
+PLANTS = {how: (fault, plant) for fault, plants in FAULTS.items() for how, plant in plants.items()}
 RATES_HZ = (100.0, 125.0, 250.0, 500.0)
 
 
-def arguments(words: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--robots", nargs="+", default=["planar_2r", "ur10", "panda"])
-    parser.add_argument("--recordings", type=int, default=20, help="of each arm")
-    parser.add_argument("--clean-only", action="store_true", help="false alarms only")
-    parser.add_argument("--real", action="store_true", help="recordings of real arms instead")
-    return parser.parse_args(words)
-
-
 def report_real() -> None:
-    """What is said of every recording of real arms, by data set and name."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     logs = {}
     for folder in sorted(Path(os.environ.get("EXCITANT_DATA", beside)).iterdir()):
@@ -253,36 +211,32 @@ def report_real() -> None:
 
 
 def report_simulated(robots: Sequence[str], count: int, clean_only: bool) -> None:
-    arms = [load_robot(name) for name in robots]
     logs = [
         (robot, recorded(robot, seed, RATES_HZ[seed % len(RATES_HZ)]))
-        for robot in arms
+        for robot in map(load_robot, robots)
         for seed in range(count)
     ]
-    accused = Counter[str]()
-    alarms = 0
-    for robot, log in logs:
-        found = {fault.fault for fault in find_faults(robot, log)}
-        alarms += bool(found)
-        accused.update(found)
-    print(f"faultless: {alarms} of {len(logs)} accused {dict(accused)}", flush=True)
-    if clean_only:
-        return
-    for name, plant in PLANTS:
+    faultless = [{fault.fault for fault in find_faults(*each)} for each in logs]
+    accused = dict(Counter(name for found in faultless for name in found))
+    alarms = sum(map(bool, faultless))
+    print(f"faultless: {alarms} of {len(logs)} accused {accused}", flush=True)
+    for how, (name, plant) in PLANTS.items() if not clean_only else ():
         hits, beside = 0, Counter[str]()
         for seed, (robot, log) in enumerate(logs):
             planted = plant(robot, log, np.random.default_rng(seed))
             found = {fault.fault for fault in find_faults(robot, planted)}
             hits += name in found
             beside.update(found - {name})
-        print(
-            f"{name:<18} {plant.__name__:<28} {hits:>3} of {len(logs)}  beside {dict(beside)}",
-            flush=True,
-        )
+        print(f"{name:<18} {how:<28} {hits:>3} of {len(logs)}  beside {dict(beside)}", flush=True)
 
 
-def main(words: Sequence[str] | None = None) -> None:
-    args = arguments(words)
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--robots", nargs="+", default=["planar_2r", "ur10", "panda"])
+    parser.add_argument("--recordings", type=int, default=20, help="of each arm")
+    parser.add_argument("--clean-only", action="store_true", help="false alarms only")
+    parser.add_argument("--real", action="store_true", help="recordings of real arms instead")
+    args = parser.parse_args()
     with threadpool_limits(1):
         if args.real:
             report_real()

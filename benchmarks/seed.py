@@ -28,27 +28,18 @@ _SLENDER = 0.2  # assumed: central moment along the arm relative to that across
 class TableEntry:
     """One row of the tables.
 
-    Attributes:
-        name: Name as in the paper, e.g. ``m4s4z``, ``I6xy`` or ``m5+m4``.
-        parameter: The standard parameter it is, e.g. ``link4.mcz``. Inertias are about the
-            distal Denavit-Hartenberg frame of the link (I1zz about the centre of mass);
-            products are +∫ x y dm, the opposite of the tensor element.
-        initial: Value from drawings, as read.
-        estimated: Value from the experiment, as read.
-        doubtful: Which column is in doubt: ``""``, ``"initial"``, ``"estimated"``, ``"both"``.
-        printed: What the print or its scan shows, where in doubt.
-        likely: What the doubtful value probably is; None when unknown or when as read.
-        why: Reason for the doubt, one sentence.
+    Inertias are about the distal Denavit-Hartenberg frame of the link (I1zz about the centre of
+    mass); products are +∫ x y dm, the opposite of the tensor element.
     """
 
-    name: str
-    parameter: str
-    initial: float
-    estimated: float
-    doubtful: str = ""
-    printed: str = ""
-    likely: float | None = None
-    why: str = ""
+    name: str  # as in the paper, e.g. ``m4s4z``, ``I6xy`` or ``m5+m4``
+    parameter: str  # the standard parameter it is, e.g. ``link4.mcz``
+    initial: float  # from drawings, as read
+    estimated: float  # from the experiment, as read
+    doubtful: str = ""  # which column: ``""``, ``"initial"``, ``"estimated"``, ``"both"``
+    printed: str = ""  # what the print or its scan shows, where in doubt
+    likely: float | None = None  # what it probably is; None when unknown or when as read
+    why: str = ""  # reason for the doubt
 
     def value(self, column: Column, likely: bool = False) -> float:
         """The value of a column, as read or, where in doubt, as it probably is."""
@@ -72,12 +63,8 @@ def dd_arm_parameters(column: Column = "initial", *, likely: bool = False) -> Ar
 
     m4 + m5 is shared out as initially (1.880 to 0.937). What the tables leave out of links 1
     and 2 is assumed: centre of mass in the listed directions only, central moments across the
-    arm equal, along it a fifth. No torque depends on it.
-
-    Args:
-        column: ``"initial"`` (physically consistent) or ``"estimated"`` (links 4 and 5 are not,
-            as printed).
-        likely: Doubtful values as they probably are instead of as read.
+    arm equal, along it a fifth. No torque depends on it. The estimated links 4 and 5 are not
+    physically consistent, as printed. ``likely``: doubtful values as they probably are.
     """
     phi = np.zeros((6, 10))
     for entry in dd_arm_tables():
@@ -103,7 +90,6 @@ def _about_frame(phi: Array, known: int, other: int, central: bool = False) -> A
 
 
 def dd_arm(column: Column = "initial", *, likely: bool = False) -> Robot:
-    """The built-in arm with the parameters of a column; see `dd_arm_parameters`."""
     phi = parameter_map(dd_arm_chain()) @ dd_arm_parameters(column, likely=likely)
     return load_robot(_NAME).with_parameters(phi)
 

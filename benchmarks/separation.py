@@ -1,12 +1,4 @@
-"""Whether the experiment that a diagnosis proposes settles what it leaves undecided.
-
-A virtual arm hides one effect and makes a poor motion: slow, within a third of its range. Where
-its diagnosis is undecided, the proposed motions are run on the same arm as often as is said, and
-all recordings are diagnosed together. A pair is settled when the hidden effect is found and
-whatever else is in the pair is neither found nor a rival of it.
-
-    python benchmarks/separation.py --draws 2 --arms planar_2r,ur10
-"""
+"""Whether the experiment that a diagnosis proposes settles what it leaves undecided."""
 
 from __future__ import annotations
 
@@ -41,7 +33,6 @@ _MOST_RUNS = 10
 
 
 def poor(robot: Robot, rng: np.random.Generator) -> Trajectory:
-    """A slow motion within a part of the range."""
     limits = robot.limits
     low, high = np.clip(limits.position, -np.pi, np.pi).T
     width = _RANGE * (high - low)
@@ -55,7 +46,6 @@ def poor(robot: Robot, rng: np.random.Generator) -> Trajectory:
 
 
 def is_true(effect: Effect, hidden: HiddenEffect) -> bool:
-    """Whether an effect is the hidden one."""
     where = set(hidden.acts_on)
     return effect.name == hidden.effect and (not where or bool(where & set(effect.joints)))
 
@@ -70,7 +60,6 @@ def settled(after: Diagnosis, hidden: HiddenEffect, pair: Sequence[Effect]) -> b
 
 
 def run_case(name: str, kind: str, number: int, time_limit: float) -> dict[str, Any]:
-    """Record, diagnose, plan, record, diagnose again."""
     robot, rng = load_robot(name), np.random.default_rng([77, number])
     size = float(np.exp(rng.uniform(*np.log(_SIZES))))
     hidden = draw_effect(robot, rng, kind, size)
@@ -118,7 +107,6 @@ def _outcomes(
 
 
 def main() -> None:
-    """Run all cases and print the rates: of pairs with the hidden effect, and of all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--draws", type=int, default=2, help="of each kind and arm")
     parser.add_argument("--arms", default="planar_2r,ur10")

@@ -1,11 +1,4 @@
-"""Identify a log larger than memory: peak memory, and samples per second against a bare loop.
-
-    OMP_NUM_THREADS=1 python benchmarks/streaming.py [--samples 10000000]
-
-A log of a panda at 1 kHz, with friction, offsets, rotor inertia and noise, is identified in
-a process of its own. Beside it Pinocchio's regressor runs in a bare loop over samples with their
-derivatives: the calls alone, and with normal equations accumulated. Ratios are of processor time.
-"""
+"""Identify a log larger than memory: peak memory, and samples per second against a bare loop."""
 
 from __future__ import annotations
 
@@ -60,7 +53,6 @@ def write(path: Path, robot: Robot, samples: int, rng: np.random.Generator) -> t
 
 
 def bare_loop(robot: Robot, motion: Motion, tau: np.ndarray) -> list[float]:
-    """Samples per second of the regressor alone, and with normal equations."""
     data, compute, speeds = robot.model.createData(), pin.computeJointTorqueRegressor, []
     states = list(zip(motion.q, motion.dq, motion.ddq, tau, strict=True))[:_LOOP]
     G, g = np.zeros((10 * robot.nv, 10 * robot.nv)), np.zeros(10 * robot.nv)
@@ -77,7 +69,6 @@ def bare_loop(robot: Robot, motion: Motion, tau: np.ndarray) -> list[float]:
 
 
 def identified(path: Path) -> dict[str, float]:
-    """What the child process does and prints."""
     robot = load_robot("panda")
     with threadpool_limits(1):
         start = time.process_time()

@@ -1,14 +1,4 @@
-"""Whether the identified MJCF follows a recording better than the given one, in MuJoCo.
-
-    OMP_NUM_THREADS=1 python benchmarks/tracking.py [--data ../shared/data] [--robots ur10 panda]
-
-Both models run under the recorded torque as feed-forward and one PD controller on the recorded
-position, for a soft and a stiff loop: stiffness ω² times the mean inertia of both models, but no
-less than what bears the recorded rms torque at 0.2 rad. The ratio of tracking errors, given :
-identified, is above 1 where identification made the simulation more like the arm. The hold-out is
-cut into pieces of a few seconds that each start in the recorded state; where a model runs away (2
-rad or m off) the error stays at what it was.
-"""
+"""Whether the identified MJCF follows a recording better than the given one; see README.md."""
 
 from __future__ import annotations
 
@@ -22,12 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
-from excitant.identify import (
-    Estimate,
-    identify_robot,
-    load_dataset,
-    recording_from_table,
-)
+from excitant.identify import Estimate, identify_robot, load_dataset, recording_from_table
 from excitant.identify.export import model_files
 from excitant.identify.preprocessing import Segment
 from excitant.robots import Robot, load_robot
@@ -42,7 +27,6 @@ Case = tuple[str, Estimate]  # where a recording came from, and its estimate
 
 
 def simulated(name: str, seed: int) -> Case:
-    """A virtual arm, off by some per cent and with a hidden effect, on two motions."""
     robot, rng = load_robot(name), np.random.default_rng(seed)
     arm = virtual_arm(robot, rng)
     tables = [arm.record(random_trajectory(robot, rng, 10.0, 5), 10.0, rng) for _ in range(2)]

@@ -177,10 +177,7 @@ def _number_joints(ax: draw.Axes, points: Array, near: float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """What is drawn of an obstacle: polygons and lines, each (points, 3) [m].
-
-    The tool stays ``inside`` a workspace.
-    """
+    """Polygons and lines of an obstacle, (points, 3) [m]; the tool stays ``inside`` of some."""
 
     faces: tuple[Array, ...]
     edges: tuple[Array, ...]
@@ -286,10 +283,7 @@ def _caption(result: Result, paths: Sequence[Array], hidden: list[str]) -> str:
 def solid_of(
     obstacle: Result, centre: Array, reach: float, low: Array, high: Array
 ) -> Solid | None:
-    """What is drawn of an obstacle within reach of the picture's centre; None when nothing is.
-
-    A half-space, which has no end of its own, ends beside what else is drawn, from low to high.
-    """
+    """What is drawn of an obstacle within reach; a half-space ends beside low to high."""
     import pinocchio as pin
 
     def vector(key: str, default: Any = None) -> Array | None:

@@ -41,7 +41,7 @@ def design_section(result: Result, series: Series) -> p.Section:
             ("Key figures", [_facts(result), p.notes(v.words(result, "notes"), brief="")]),
             ("One motion per link", [_link_motions(result)]),
             *_motion(result, series),
-            ("Least excited parameters", _weakest(result)),
+            ("Least excited parameters", [_weakest(result)]),
             ("The search", [convergence_figure(result)]),
             ("Files", [p.files(v.words(result, "files"))]),
         ],
@@ -287,11 +287,11 @@ def _limits(result: Result) -> p.Blocks:
     return [worst, each]
 
 
-def _weakest(result: Result) -> p.Blocks:
+def _weakest(result: Result) -> p.Table | None:
     weights = v.reals(result, "joint_weights")
     equal = not len(weights) or bool(np.all(weights == weights[0]))
     weighted = "" if equal else " (joints differ as the noise given for the design)"
-    parameters = p.table(
+    return p.table(
         v.records(result, "weakest"),
         [
             ("expression:Base parameter", "expression"),
@@ -304,36 +304,6 @@ def _weakest(result: Result) -> p.Blocks:
         f"samples, for white torque noise of 1 N·m{weighted}. Fv is viscous and Fc Coulomb "
         "friction, Ia the rotor's inertia.",
     )
-    rows: list[Result] = [
-        {**row, "of": name, key: v.at(row, "strength"), other: v.at(row, "other")}
-        for key, other, name in (
-            ("final", "initial", "designed motion"),
-            ("initial", "final", "start of the search"),
-        )
-        for row in v.records(result, "weak_directions", key)
-    ]
-    directions = p.table(
-        rows,
-        [
-            ("name:Least excited by the", "of"),
-            ("expression:Combination of base parameters", _combination),
-            ("number:Torque at start [N·m]", "initial"),
-            ("number:Torque designed [N·m]", "final"),
-        ],
-        "Combinations that change torque least (the last right singular vectors of W) and by how "
-        "much; members with a weight below 0.3 are behind the dots.",
-    )
-    return [parameters, directions]
-
-
-def _combination(direction: Result) -> str:
-    """A direction in parameter space, e.g. ``0.81·link1.Izz − 0.52·joint2.Fv + …``."""
-    written = ""
-    for member in v.records(direction, "members"):
-        size = v.real(member, "coefficient") or 0.0
-        sign = (" − " if size < 0 else " + ") if written else ("−" if size < 0 else "")
-        written += f"{sign}{abs(size):.2f}·{v.text(member, 'name')}"
-    return written + (" + …" if (v.real(direction, "share") or 0.0) < 0.99 else "")
 
 
 def _link_motions(result: Result) -> p.Table | None:

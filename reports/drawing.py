@@ -103,10 +103,7 @@ def axes(
     top: float = _TOP,
     space: float = 0.16,
 ) -> list[Axes]:
-    """Axes one above the other with a common abscissa, heights in these ratios; sizes in inch.
-
-    The ``space`` between them is a share of their mean height.
-    """
+    """Axes with one abscissa, heights in these ratios [inch]; ``space`` as their share."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
@@ -143,10 +140,7 @@ def ink(colour: str) -> str:
 
 
 def equal_axes(ax: Axes, low: Array, high: Array, room: float) -> float:
-    """Give both directions one scale that shows ``room`` times the box between two corners [m].
-
-    Returns the shorter side of what is shown [m].
-    """
+    """One scale that shows ``room`` times the box of two corners; the shorter side [m]."""
     frame = ax.get_window_extent()
     size = np.array([frame.width, frame.height])
     half = 0.5 * room * float(np.max(np.maximum(high - low, 1e-3) / size)) * size

@@ -23,7 +23,6 @@ _INTERVAL_CAPTION = (
 _GIVEN = "model as given"
 _BINS = 120
 _SHARE = "rms of residual, share of the measured torque's std"
-_THREE = (draw.GIVEN, draw.GREEN, draw.FITTED)  # colours of models, the given one first
 
 # lengths and colours of the pieces of a bar one after the other, and the words behind it
 _Bar = tuple[Sequence[tuple[float, str]], str]
@@ -35,10 +34,7 @@ _WIDE = 0.08  # of the abscissa: across wider stretches without data no curve is
 
 @dataclass(frozen=True)
 class Curves:
-    """Series drawn against the measurement: the given model, another with its label, and a band.
-
-    The band is the half width of intervals around the other model, where a run has any.
-    """
+    """Series drawn against the measurement: two models, the half width of intervals."""
 
     before: str
     after: str
@@ -107,10 +103,7 @@ def _of_rows(series: Series, key: str, joint: int, n: int) -> Array | None:
 
 
 def draw_band(ax: draw.Axes, t: Array, joins: Sequence[int], centre: Array, half: Array) -> None:
-    """Fill centre ± half over time, broken where recordings were joined.
-
-    Bins take the least and the greatest edge in them, so that no part of the band is lost.
-    """
+    """Fill centre ± half, broken where recordings were joined; bins lose no edge."""
     for first, last in zip([0, *joins], [*joins, len(t)], strict=True):
         bins = max(20, round(_BINS * (last - first) / len(t)))
         starts = np.unique(np.linspace(first, last, bins, endpoint=False).astype(int))
@@ -122,29 +115,18 @@ def draw_band(ax: draw.Axes, t: Array, joins: Sequence[int], centre: Array, half
 
 
 def error_bars(
-    rows: Sequence[Result], models: Sequence[str], unit: str, curves: Curves, what: str
+    records: Sequence[Result], models: Sequence[str], unit: str, curves: Curves, what: str
 ) -> Figure | None:
-    """Errors of the models before and after, by joint, as each record holds them by model."""
+    """Errors per joint as bars as long as nrmse, or else rms, which stands beside.
+
+    Each record holds the errors of one joint by model; ``what`` begins the caption.
+    """
     errors = [
         (v.text(row, "name"), [(v.real(row, m, "rms"), v.real(row, m, "nrmse")) for m in models])
-        for row in rows
+        for row in records
     ]
-    changed = any(rms is not None for _, pairs in errors for rms, _ in pairs[1:])
-    return bars(errors, unit, [_GIVEN, curves.after_label][: 1 + changed], what)
-
-
-def bars(
-    errors: Sequence[tuple[str, Sequence[tuple[float | None, float | None]]]],
-    unit: str,
-    models: Sequence[str],
-    what: str,
-) -> Figure | None:
-    """Errors per joint of some models as bars as long as nrmse, or else rms, which stands beside.
-
-    Of each joint ``errors`` holds its name, then rms and nrmse of every model; ``what`` begins the
-    caption.
-    """
-    count = len(models)
+    count = 1 + any(rms is not None for _, pairs in errors for rms, _ in pairs[1:])
+    looks = ((_GIVEN, draw.GIVEN), (curves.after_label, draw.FITTED))[:count]
     every = [pair for _, pairs in errors for pair in pairs[:count]]
     shares = all(share is not None or rms is None for rms, share in every)
     known = [x for pair in every if (x := pair[shares]) is not None]
@@ -152,38 +134,36 @@ def bars(
         return None
     # one useless model must not make all other bars invisible
     top = min(max(known), max(1.5, 4 * float(np.median(known)))) if shares else max(known)
-    colours = _THREE if count == 3 else _THREE[::2][:count]
     rows = []
     for joint, pairs in errors:
-        bars_ = []
-        for pair, colour in zip(pairs, colours, strict=False):
+        bars = []
+        for pair, (_, colour) in zip(pairs, looks, strict=False):
             length = pair[shares]
             cut = length is not None and length > (top or 1.0) * 1.0001
             words = v.quantity(pair[0], unit) + " (bar cut)" * cut
-            bars_.append(([] if length is None else [(min(length, top), colour)], words))
-        rows.append((joint, bars_))
+            bars.append(([] if length is None else [(min(length, top), colour)], words))
+        rows.append((joint, bars))
     ax = _bar_axes(rows, top or 1.0, 1.38)
     if shares:
         draw.percent_x(ax)
     ax.set_xlabel(_SHARE if shares else f"rms [{unit}]")
     said = [
-        f"{label} {v.quantity(pairs[i][0], unit)} at {joint}"
+        f"{label} {v.quantity(pair[0], unit)} at {joint}"
         for joint, pairs in errors
-        for i, label in enumerate(models)
+        for pair, (label, _) in zip(pairs, looks, strict=False)
     ]
     measure = "as a share of the measured torque's standard deviation" if shares else "as rms"
     return draw.single(
         ax,
         f"rms per joint: {'; '.join(said)}",
         f"{what}, {measure}; beside each bar the rms [{unit}]: shorter is better.",
-        [Key("box", colour, label) for colour, label in zip(colours, models, strict=True)],
+        [Key("box", colour, label) for label, colour in looks],
     )
 
 
 def _bar_axes(rows: Sequence[tuple[str, Sequence[_Bar]]], top: float, room: float) -> draw.Axes:
     """Horizontal bars below the name of their row, up to ``top``, words behind each."""
-    count = max(len(bars) for _, bars in rows)
-    step = 0.25 if count < 3 else 0.23
+    count, step = max(len(bars) for _, bars in rows), 0.25
     (ax,) = draw.axes((0.24 + 0.13 * count) * len(rows) + 0.52, left=0.14)
     for row, (name, bars) in enumerate(rows):
         ax.text(0, row - 0.36, v.shorten(name, 40 if count > 1 else 52), va="center", ha="left")
@@ -194,7 +174,7 @@ def _bar_axes(rows: Sequence[tuple[str, Sequence[_Bar]]], top: float, room: floa
                 end += length
             if pieces:
                 ax.text(end + 0.012 * top, y, words, va="center", ha="left", fontsize=8)
-    ax.set_ylim(len(rows) - (0.6 if count < 3 else 0.5), -0.6)
+    ax.set_ylim(len(rows) - 0.6, -0.6)
     ax.set_xlim(0, room * top)
     ax.set_yticks([])
     ax.spines["left"].set_visible(False)
@@ -202,10 +182,7 @@ def _bar_axes(rows: Sequence[tuple[str, Sequence[_Bar]]], top: float, room: floa
 
 
 def waterfall_figure(result: Result) -> Figure | None:
-    """Hold-out error, relative to the model as given, after each effect that was added.
-
-    The smaller effects at the end are one step.
-    """
+    """Hold-out error, relative to the given model, after each effect; small ones as one."""
     steps = []
     for row in v.records(result, "waterfall"):
         effect, where, joints = v.text(row, "label").partition(" at ")
@@ -296,10 +273,7 @@ def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> F
 
 
 def _along(x: Array, y: Array, bins: int, fewest: int | None = None) -> tuple[Array, Array]:
-    """Median of y in equal bins of the sorted abscissa; the points themselves when few.
-
-    Bins with fewer points than ``fewest`` are left out; by default, than make a steady median.
-    """
+    """Median of y in equal bins of the sorted x, of few points in none; x and y when short."""
     if len(x) <= 2 * bins or x[-1] <= x[0]:
         return x, y
     lower, upper = np.quantile(x, [0.002, 0.998])

@@ -8,14 +8,13 @@ import numpy as np
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.error_figures import Curves, bars, error_bars, over_holdout, torque_figure
-from excitant.reports.online_figures import (
+from excitant.reports.error_figures import Curves, error_bars, over_holdout, torque_figure
+from excitant.reports.motion_figures import (
     ENOUGH,
-    convergence_figure,
     estimates_figure,
     excitation_figure,
     excitation_levels,
-    history_of,
+    uncertainty_figure,
 )
 from excitant.reports.values import Result, Series
 
@@ -43,7 +42,7 @@ def identify_section(result: Result, series: Series) -> p.Section:
         [
             ("Key figures", [_facts(result), p.notes(said) if few else None]),
             ("Data faults", [fault_table(result)]),
-            *_link_by_link(result, unit),
+            ("Link by link against all links at once", _link_by_link(result, unit)),
             ("Payload", _payload(v.at(result, "payload"))),
             ("Error per joint", _errors(result, unit)),
             (
@@ -226,7 +225,7 @@ def _physical(result: Result) -> p.Notes | None:
     return p.notes(violations, p.POOR)
 
 
-def _link_by_link(result: Result, unit: str) -> p.Parts:
+def _link_by_link(result: Result, unit: str) -> p.Blocks:
     found = v.at(result, "link_by_link")
     stages, rows = v.records(found, "stages"), v.records(found, "comparison", "joints")
     if not stages:
@@ -246,27 +245,12 @@ def _link_by_link(result: Result, unit: str) -> p.Parts:
         [
             ("name:Joint", "name"),
             *((f"number:{name}, rms [{unit}]", key) for key, name in models.items()),
-            ("number:Link by link / at once", _ratio),
         ],
-        f"All links at once: {v.text(found, 'comparison', 'all_at_once')}.",
+        "Prediction error on the hold-out, fitted to the same recordings. All links at once: "
+        f"{v.text(found, 'comparison', 'all_at_once')}.",
     )
-    errors = []
-    for row in rows:
-        every, std = [v.real(row, key) for key in models], v.real(row, "measured_std")
-        shares = [None if rms is None or not std else rms / std for rms in every]
-        errors.append((v.text(row, "name"), list(zip(every, shares, strict=True))))
-    what = "Prediction error per joint on the hold-out, fitted to the same recordings"
-    drawn = bars(errors, unit, [name[:1].lower() + name[1:] for name in models.values()], what)
-    return [
-        ("Link by link against all links at once", [p.Facts((count,)), drawn, comparison]),
-        *((f"Link {v.text(stage, 'link')}", _stage(stage)) for stage in stages),
-    ]
-
-
-def _ratio(row: Result) -> p.Cell:
-    together, stages = v.real(row, "all_at_once"), v.real(row, "link_by_link")
-    ratio = stages / together if together and stages is not None else None
-    return p.Cell(v.number(ratio), p.PLAIN, ratio)
+    folds = (p.Folded(f"Link {v.text(x, 'link')}", tuple(filter(None, _stage(x)))) for x in stages)
+    return [p.Facts((count,)), comparison, *folds]
 
 
 def _stage(stage: Result) -> p.Blocks:
@@ -275,24 +259,19 @@ def _stage(stage: Result) -> p.Blocks:
     if used and rows is not None:
         moves = f"{joint} {v.text(stage, 'mode')}"
         said = f"Torque of {joint}: {rows:.0f} rows of {v.listing(used)}; {moves}."
-    shown, not_shown = p.Cell("determined", p.GOOD), p.Cell("not shown", p.FAIR)
-    found, missing = v.records(stage, "determined"), v.words(stage, "missing")
-    cells: list[Result] = [*found, *({"expression": each} for each in missing)]
-    left = f"{len(missing)} more combinations of this link are not shown and keep the given value"
+    missing = [{"expression": each} for each in v.words(stage, "missing")]
+    verdict = {True: p.Cell("determined", p.GOOD), False: p.Cell("not shown", p.FAIR)}
     return [
         p.notes([said]),
         p.table(
-            cells,
+            [*v.records(stage, "determined"), *missing],
             [
                 ("expression:Combination", "expression"),
-                ("text:Verdict", lambda r: shown if "value" in r else not_shown),
+                ("text:Verdict", lambda r: verdict["value" in r]),
                 *p.estimates("number:Value (SI)", "number:± std (SI)"),
             ],
             "What the joint's own torque adds to what the links further out have shown; "
-            f"{left if missing else 'nothing of this link is left open'}.",
-            p.folded(
-                f"{len(found)} combinations determined, {len(missing)} not shown", len(cells), 6
-            ),
+            f"{len(missing) or 'no'} combinations of this link keep the given value.",
         ),
         p.notes([f"To identify the rest, {each}." for each in v.words(stage, "needed")], p.FAIR),
     ]
@@ -347,9 +326,9 @@ def _online(result: Result, series: Series) -> p.Parts:
     )
     return [
         ("On-line estimation", [_online_facts(result), messages]),
-        ("Estimates over time", [estimates_figure(history_of(result, series))]),
+        ("Estimates over time", [estimates_figure(result, series)]),
         ("Excitation over time", [excitation_figure(result)]),
-        ("Convergence", [convergence_figure(result)]),
+        ("Convergence", [uncertainty_figure(result)]),
     ]
 
 

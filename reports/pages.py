@@ -49,11 +49,7 @@ _REMARKS = {
 
 
 def page_of(result: Result, series: Series) -> Page:
-    """The page of ``result.json`` and ``series.npz``, without what these lack.
-
-    Raises:
-        BadInput: The result's ``verb`` is none that has a report.
-    """
+    """The page of ``result.json`` and ``series.npz``; BadInput for an unknown verb."""
     verb = v.text(result, "verb")
     if verb not in _VERBS:
         raise BadInput(f"result.json: verb '{verb}' has no report; known: {', '.join(_VERBS)}")

@@ -63,10 +63,7 @@ def _breakable(name: str) -> Markup:
 
 
 def summary(page: Page) -> str:
-    """A page as text of fixed columns, so that two runs compare with ``diff``.
-
-    Figures, durations of the computation and paths are left out.
-    """
+    """A page as text that compares with ``diff``, without figures, durations and paths."""
     lines = [f"[[{page.title}]]"]
     for block in page.summary:
         lines += _block(block)

@@ -223,11 +223,7 @@ class Report:
 
 
 def report(noun: Reportable) -> Report:
-    """The page of a design, estimate, identifiability, diagnosis or rehearsal.
-
-    Raises:
-        BadInput: Something else.
-    """
+    """The page of a design, estimate, identifiability, ...; BadInput for anything else."""
     if not isinstance(noun, Reportable):
         raise BadInput(f"a {type(noun).__name__} has no report; give what a verb returned")
     return Report(html(page_of(*as_saved(noun.result(), noun.series()))))

@@ -52,7 +52,7 @@ def decimated(log: Log, start: int = 0) -> Log:
 
 
 def dead(log: Log, name: str, joint: int) -> Log:
-    return plants.edited(log, name, lambda x: x[:, joint].fill(0.0))
+    return plants.edited(log, name, (slice(None), joint), lambda x: 0.0)
 
 
 Damage = Callable[[Log], Log]
@@ -65,7 +65,7 @@ MORE: dict[str, tuple[str, Damage]] = {
     "dead speed": ("dead_channel", lambda x: dead(x, "dq", 1)),
     "dead position": ("dead_channel", lambda x: dead(x, "q", 1)),
 }
-PLANTS: dict[str, tuple[str, Plant]] = {p.__name__: (name, p) for name, p in plants.PLANTS}
+PLANTS: dict[str, tuple[str, Plant]] = plants.PLANTS
 NOT_IN_REAL = {"rows_lost_unseen", "noise_for_torque"}
 
 
@@ -176,7 +176,7 @@ REPAIRABLE = """velocity_negated torque_negated position_negated velocity_in_rpm
 
 @pytest.mark.parametrize("plant", REPAIRABLE.split())
 def test_a_repaired_recording_is_faultless(planar: Robot, clean: Log, plant: str) -> None:
-    log = getattr(plants, plant)(planar, clean, np.random.default_rng(2))
+    log = PLANTS[plant][1](planar, clean, np.random.default_rng(2))
     repaired, notes = repair(log, find_faults(planar, log))
     assert notes
     gaps = plant in ("rows_logged_twice", "not_a_number")
@@ -186,8 +186,8 @@ def test_a_repaired_recording_is_faultless(planar: Robot, clean: Log, plant: str
 def test_repair_restores_the_values_and_does_only_what_faults_say(
     planar: Robot, clean: Log
 ) -> None:
-    faster = plants.velocity_in_rpm(planar, clean, None)
-    log = plants.torque_negated(planar, faster, np.random.default_rng(0))
+    faster = PLANTS["velocity_in_rpm"][1](planar, clean, None)
+    log = PLANTS["torque_negated"][1](planar, faster, np.random.default_rng(0))
     for repaired, _ in (repair(log, find_faults(planar, log)), repair(clean, ())):
         np.testing.assert_allclose(repaired.dq, clean.dq, rtol=1e-12)
         np.testing.assert_array_equal(repaired.tau, clean.tau)
@@ -196,7 +196,7 @@ def test_repair_restores_the_values_and_does_only_what_faults_say(
 
 def test_rows_of_a_fault_are_rows_of_the_file(planar: Robot, clean: Log) -> None:
     """Also when rows before them were left out by an earlier test."""
-    log = plants.edited(clean, "tau", lambda x: x.__setitem__((600, 0), 1e4))
+    log = plants.edited(clean, "tau", (600, 0), lambda x: 1e4)
     log = log.take(np.r_[0, 0, 0, np.arange(1, len(log))])
     faults = {f.fault: f for f in find_faults(planar, log)}
     assert list(faults["duplicate_samples"].evidence["rows"]) == [1, 2]
@@ -222,14 +222,14 @@ def test_a_file_that_is_refused_can_be_read_with_repair(
     planar: Robot, clean: Log, tmp_path: Path
 ) -> None:
     rng, dataset = np.random.default_rng(0), load_dataset("planar_2r")
-    path = written(tmp_path, plants.velocity_negated(planar, clean, rng))
+    path = written(tmp_path, PLANTS["velocity_negated"][1](planar, clean, rng))
     assert names(read_checked(dataset, [path]).faults["run"]) == {"wrong_sign"}
     for plant, why in (
-        (plants.zero_torque, "dead channel"),
-        (plants.not_a_number, "not a finite number"),
+        (PLANTS["zero_torque"][1], "dead channel"),
+        (PLANTS["not_a_number"][1], "not a finite number"),
         (plants.stamps_twice, "time repeats"),
     ):
-        log = plant(planar, plants.velocity_negated(planar, clean, rng), rng)
+        log = plant(planar, PLANTS["velocity_negated"][1](planar, clean, rng), rng)
         path = written(tmp_path, log)
         with pytest.raises(BadRecording, match=why):
             read_checked(dataset, [path])
@@ -290,7 +290,7 @@ def test_rows_out_of_order_are_put_right(
 
 def test_values_are_repaired_in_the_order_of_time(planar: Robot, clean: Log) -> None:
     """Outliers beside the seams of blocks, interpolated between neighbours in time."""
-    plain = plants.edited(clean, "tau", lambda x: x.__setitem__(([199, 504, 797], 0), 1e4))
+    plain = plants.edited(clean, "tau", ([199, 504, 797], 0), lambda x: 1e4)
     logs = (plain, blocks_exchanged(plain))
     one, other = (repair(log, find_faults(planar, log))[0] for log in logs)
     np.testing.assert_array_equal(other.t, clean.t)

@@ -63,19 +63,10 @@ def _visibility(rng: np.random.Generator) -> dict[str, Any]:
         }
         for k in range(10)
     ]
-    members = [
-        {"name": f"{LINKS[1]}.Izz", "coefficient": 0.81},
-        {"name": f"{JOINTS[2]}.Fv", "coefficient": -0.52},
-    ]
-    directions = [
-        {"strength": 0.1 * (1 + k), "other": 0.01, "members": members, "share": 0.93}
-        for k in range(3)
-    ]
     return {
         "condition_number_scaled": {"initial": 90.4, "final": 6.21},
         "joint_weights": [1.0] * NV,
         "weakest": weakest,
-        "weak_directions": {"initial": directions, "final": directions[:2]},
     }
 
 

@@ -256,9 +256,29 @@ def test_contents_are_shut_on_a_phone_only(browser, file):
             assert shown == (width > 480)
 
 
+def test_every_figure_shows_a_picture(light):
+    light.unfold()
+    sizes = light.page.evaluate(
+        """async () => {
+          for (const image of document.querySelectorAll("svg image")) {
+            const picture = new Image();
+            picture.src = image.getAttribute("href");
+            await picture.decode();
+          }
+          return [...document.querySelectorAll("svg[role=img]")].map((e) => {
+            const r = e.getBoundingClientRect();
+            return [r.width, r.height, e.getAttribute("aria-label")];
+          });
+        }"""
+    )
+    assert [label for width, height, label in sizes if width <= 150 or height <= 50] == []
+    assert light.page.locator(".enlarge").count() == len(sizes)
+
+
 def test_drawing_opens_and_closes_by_mouse(light):
     drawings = light.page.locator(".panel > svg")
     if not drawings.count():
+        assert light.page.locator("dialog[open], .enlarge").count() == 0
         return
     small = drawings.first.bounding_box()["width"]
     label = drawings.first.get_attribute("aria-label")
@@ -278,6 +298,7 @@ def test_drawing_opens_and_closes_by_mouse(light):
 def test_drawing_opens_and_closes_by_keyboard(light):
     buttons = light.page.locator(".enlarge")
     if not buttons.count():
+        assert light.page.locator("svg[role=img]").count() == 0
         return
     labels = [d.get_attribute("aria-label") for d in light.page.locator(".panel > svg").all()]
     buttons.first.focus()

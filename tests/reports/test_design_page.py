@@ -55,16 +55,13 @@ def test_every_part_is_there_with_its_figure(written):
         assert any(label.startswith(view) for label in labels(page))
 
 
-def test_worst_parameters_and_directions_are_named(make, written):
+def test_worst_parameters_are_named(make, written):
     result, _ = make["design"]()
     said = words(written("design"))
     text = summary(page_of(result, {}))
     for row in result["weakest"]:
         assert row["expression"] in said
         assert row["expression"].replace("−", "-") in text
-    direction = "0.81·elbow_link.Izz − 0.52·" + result["joints"][2] + ".Fv + …"
-    assert said.count(direction) == 5
-    assert text.count(direction.replace("−", "-")) == 5
     assert "6.21" in said
     assert "6.21" in text
 

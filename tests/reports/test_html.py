@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from excitant.reports import html, page_of, summary
+from excitant.reports import values as v
 
 
 def render(result, series):
@@ -248,3 +249,15 @@ def test_a_quantity_without_a_limit_does_not_hold_it() -> None:
     }
     page = render(result, {})
     assert page.count("no limit given") == 1
+
+
+@pytest.mark.parametrize("found", [{}, {"a": None}, {"a": {}}, {"a": {"b": None}}, None, "a"])
+def test_an_absent_key_or_null_reads_as_none(found):
+    assert v.at(found, "a", "b") is None
+    assert v.real(found, "a", "b") is None
+    assert v.text(found, "a", "b") == ""
+    for read in (v.items, v.records, v.words, v.reals):
+        assert len(read(found, "a", "b")) == 0
+    assert v.median([{"a": None}, {}], "a") is None
+    assert v.curve({}, "q") is v.array({}, "q", None) is v.times({}) is None
+    assert v.number(v.at(found, "a", "b")) == v.NONE

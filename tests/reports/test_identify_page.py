@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from excitant.reports import html, page_of
+from excitant.reports import html, page_of, summary
 from excitant.reports.drawing import axes, style
 from excitant.reports.error_figures import INTERVAL, Curves, draw_band, torque_figure
 from excitant.reports.identify import identify_section
@@ -187,3 +187,18 @@ def test_intervals_and_essential_parameters_in_words():
     (line,) = (b for b in found if isinstance(b, Notes))
     assert "1 of 3 base parameters" in line.sentences[0]
     assert not any(isinstance(b, Notes) for b in blocks({"joints": [{"name": "a"}]}))
+
+
+def test_link_by_link_says_what_each_link_shows_and_what_is_missing():
+    seen = [{"expression": "l2.Izz", "value": 1.0, "std": 0.1}]
+    last = {"link": "l2", "joint": "j2", "recordings": ["r"], "rows": 100, "mode": "swings",
+            "determined": seen, "missing": ["l2.m"], "needed": ["turn the base"]}  # fmt: skip
+    joints = [{"name": "j1", "given": 1.0, "all_at_once": 0.5, "link_by_link": 0.4}]
+    found = {"determined": 1, "base_parameters": 2, "stages": [last, {"link": "l1", "joint": "j1"}],
+             "comparison": {"joints": joints}}  # fmt: skip
+    text = " ".join(summary(page_of({"verb": "identify", "link_by_link": found}, {})).split())
+    for said in ("1 of 2 (1 + 0, from the last link inward)", "j1 1.00 0.500 0.400", "[Link l2]",
+                 "Torque of j2: 100 rows of r; j2 swings.", "determined 1.00 0.10 l2.Izz",
+                 "not shown - - l2.m", "To identify the rest, turn the base.",
+                 "[Link l1] j1 does not move."):  # fmt: skip
+        assert said in text, said

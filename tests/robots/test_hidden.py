@@ -114,4 +114,4 @@ def test_every_kind_shows_as_much_as_wanted(kind: str) -> None:
 def test_refusals(planar: Robot) -> None:
     rng = np.random.default_rng(0)
     with pytest.raises(UnknownName, match="did you mean 'payload'"):
-        draw_effect(planar, rng, "payloads")
+        draw_effect(planar, rng, "payloads", 8.0)
