@@ -74,10 +74,7 @@ def _rows(segments: Sequence[Segment], columns: Callable[[Any], Array]) -> Array
 
 
 def cause_columns(effect: Effect, given: Observed, understood: Observed) -> Array:
-    """Columns of a cause, shape (n, nv, k), by the robot as given and as understood so far.
-
-    A gain is one of the given torque: one of what was found since would imitate each of its parts.
-    """
+    """Columns of a cause, (n, nv, k): a gain by the given robot, else as understood so far."""
     return (given if effect.of_given_torque else understood).columns(effect)
 
 
@@ -97,10 +94,9 @@ def gather(
 ) -> Evidence:
     """Evidence for all that may be wrong with a given robot, which has its effects.
 
-    Torque tau [N·m] at the rows of ``train`` is to be explained, which is of the robot as known so
-    far; causes believed in it are considered again, and shapes close to theirs. Tolerances are
-    relative to the bodies of the metric (nv, 10): ±10 %, or, where the arm is identified, as open
-    as in an identification, and then only effects beyond the standard model are considered.
+    Torque tau [N·m] at the rows of ``train``, of the robot as known so far, is to be explained;
+    believed causes are considered again. Tolerances are relative to the metric (nv, 10): ±10 %, or
+    as open as in an identification, and then only effects beyond the standard model count.
     """
     given, segments = train.by(robot), train.segments
     known = train.matrix(robot.effects)[:, :, 10 * robot.nv :]

@@ -141,10 +141,7 @@ def unextended(evidence: Evidence, held: HeldOut) -> Extension:
 
 @dataclass(frozen=True, eq=False)
 class Extender:
-    """Fits the given robot with causes to a recording.
-
-    What was found wrong is free; everything else stays within the tolerance of its given value.
-    """
+    """Fits the given robot with causes, which are free; the rest stays within its tolerance."""
 
     prior: Array  # standard parameters of the given robot as prior, shape (nv, 10)
     train: Observed  # what to fit, of the robot as understood so far
@@ -199,7 +196,6 @@ class Extender:
 
 
 def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
-    """A payload first, then the given effects, then those found on joints that had none."""
     has = {p.name for e in robot.effects for p in e.parameters(robot)}
     bodies = [c.effect for c in chosen if c.effect.role == "body"]
     found = [c.effect for c in chosen if c.effect.role == "torque"]
@@ -208,10 +204,9 @@ def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
 
 
 def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> Extension:
-    """The fit with those causes that pay on the hold-out, or that others rest on.
+    """The fit with those causes that pay on the hold-out, the least going first.
 
-    The one that pays least goes first, and all others are fitted anew. What others rest on stays:
-    plain friction below finer friction, and a cause without which the new fit is clearly worse.
+    Plain friction below finer friction stays, and a cause without which a new fit is clearly worse.
     """
     held, fit = extender.held, extender(chosen)
     kept, refuted = set[Candidate](), set[Key]()
@@ -271,10 +266,7 @@ def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...
 
 
 def _relative_gain(error: Array, torque: Array) -> tuple[float, float]:
-    """Fall of the squared error, relative to it, when a cause's torque f is taken off it.
-
-    That is (2a − 1)‖f‖² with the slope a of the error on f, its standard error from blocks of time.
-    """
+    """Relative fall (2a − 1)‖f‖² of the squared error, a its slope on torque f, and its error."""
     power = (torque**2).sum()
     if power <= 0:
         return 0.0, 0.0

@@ -315,7 +315,6 @@ def diagnose(
         Infeasible: The semidefinite solver failed.
     """
     data, prior = split(recordings, validate, cutoff_hz), prior_parameters(robot)
-    data, prior = split(recordings, validate, cutoff_hz), prior_parameters(robot)
     train, measured = observed(robot, data.train), series(data.train).measured
     notes, gains = [data.holdout], np.ones(robot.nv)
     if data.unit == "A":
@@ -353,13 +352,7 @@ def diagnose(
 
 
 def _understood(first: Extender, refuted: frozenset[Key] = frozenset()) -> Extension:
-    """Causes that the data call for and the hold-out confirms, and the model with them.
-
-    Effects that rest on torque take it from the model as understood so far, and shapes are first
-    searched over coarse grids, then between their points. So the causes are looked for again where
-    that may change them, for as long as the hold-out does not lose. Causes that it speaks against
-    are left out.
-    """
+    """The model with causes that the hold-out confirms, looked for again with what it taught."""
     held, robot, metric = first.held, first.train.robot, tolerance_metric(first.prior)
     best: Extension | None = None
     extender, shapes = first, None

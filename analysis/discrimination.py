@@ -6,11 +6,9 @@ well as the recording:
 
     Δ = min over η, θ_B of ‖s_A − N η − C_B θ_B‖²_Λ + ‖η‖²_prior,
 
-summed over the rows of the recording and of the motion. N are the given values within their
-tolerance and the other causes, Λ the noise of the recording with its autocorrelation: Δ is
-‖s_A⊥‖² (1 − cos²(s_A⊥, s_B⊥)) in noise units (T-optimality: Atkinson and Fedorov 1975). It is
-asked both ways round, and the smaller counts: whichever of the two is true shall come out. Where
-one is a special case of the other, only the general one can show that it is more.
+summed over the rows of both (T-optimality: Atkinson and Fedorov 1975). N are given values within
+their tolerance and the other causes, Λ the noise with its autocorrelation. The smaller of both ways
+round counts; where one is a special case of the other, only the general one can show more.
 """
 
 from __future__ import annotations
@@ -227,10 +225,7 @@ class Contest:
 
 
 def along(motion: Motion, cutoff_hz: float, rows_hz: float | None = None) -> Segment:
-    """An equidistant motion as it would be prepared were it recorded; its torque is not known.
-
-    It has ``rows_hz`` rows per second, four times the cut-off by default.
-    """
+    """An equidistant motion as prepared, at four rows per period of the cut-off by default."""
     step, still = float(motion.t[1] - motion.t[0]), np.zeros_like(motion.q)
     edge = round(1 / (cutoff_hz * step))
     stride = max(1, round(1 / ((rows_hz or _ROWS * cutoff_hz) * step)))

@@ -64,15 +64,10 @@ def discriminating_motions(
     time_limit: float = 15.0,
     scene: Scene | None = None,
 ) -> tuple[list[Discriminating], Array]:
-    """Motions that tell rivals apart, the most telling first.
+    """Motions that tell rivals apart, and the largest Δ of each pair judged, shape (pairs,).
 
-    Many motions are judged: random ones at several frequencies, and joints of interest that
-    reverse within a swelling envelope, from tiny to large, others held or moving. The one that
-    settles most pairs is improved by random changes until its smallest Δ is plenty; pairs that it
-    leaves open get another. Bodies of a scene must keep apart.
-
-    Returns:
-        The motions, and for each pair the largest Δ of all motions judged, shape (pairs,).
+    The motion that settles most pairs is improved by random changes until its smallest Δ is plenty;
+    pairs that it leaves open get another. Bodies of a scene must keep apart.
     """
     deadline = time.monotonic() + time_limit
     series = FourierSeries(_DURATION, max(*_WAVES, round(_TOP_HZ * _DURATION)))
@@ -128,13 +123,11 @@ class _Search:
         return pool
 
     def information(self, trajectory: FourierTrajectory) -> Array:
-        """Information of a motion, shape (columns, columns)."""
         t, bases = self.instants
         motion = Motion(t, *(basis @ trajectory.coefficients for basis in bases))
         return self.contest.information(motion)
 
     def judged(self, trajectory: FourierTrajectory) -> Discriminating:
-        """A motion with its separations."""
         separations = self.contest.separations(self.information(trajectory))
         return Discriminating(trajectory, tuple(separations))
 
@@ -187,7 +180,6 @@ class _Search:
 
     @property
     def _interest(self) -> set[int]:
-        """Joints of any rival, where that is not a matter of all of them."""
         joints: set[int] = set()
         for pair in self.contest.pairs:
             for effect in (pair.found, pair.rival):
@@ -305,18 +297,13 @@ def _within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
 
 
 def plan(diagnosis: Diagnosis, rng: np.random.Generator, *, time_limit: float = 15.0) -> Plan:
-    """Experiments that settle what a diagnosis leaves undecided.
-
-    For time_limit seconds, motions are looked for where findings that explain at least one per
-    cent have rivals; where none tells two causes apart, an action outside the motion is named.
-    """
+    """Experiments that settle what a diagnosis leaves undecided, in time_limit seconds."""
     contest, around = _contest(diagnosis), _surroundings(diagnosis)
     if not contest.pairs:
         return Plan()
-    try:
+    motions = list[Discriminating]()
+    with suppress(Infeasible):
         motions, _ = discriminating_motions(contest, rng, time_limit=time_limit, scene=around)
-    except Infeasible:
-        motions = []
     chosen = [_best(motions, index) for index in range(len(contest.pairs))]
     used = sorted((m for m in motions if m in chosen), key=lambda m: -chosen.count(m))
     found = {
@@ -353,7 +340,6 @@ def _pairs(diagnosis: Diagnosis, finding: Finding) -> list[Pair]:
 
 
 def _friction(robot: Robot, found: Effect, rival: Effect, others: Sequence[Effect]) -> list[Effect]:
-    """Standard friction of joints that have none, which a kind of friction may bring along."""
     known = {(e.name, j) for e in (*robot.effects, *others) for j in e.joints}
     known |= {(e.name, e.joints[0]) for e in (found, rival)}
     joints = {j for e in (found, rival) if e.family == "friction" for j in e.joints}

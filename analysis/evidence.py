@@ -7,14 +7,9 @@ candidates
 
     J(S) = min over η, θ_S of  ‖r − N η − C_S θ_S‖²_Λ + ‖η‖²_prior.
 
-J falls when a k-column candidate is added that is not at work by λ times a χ² variable with k
-degrees of freedom. λ is 1 where Λ has the noise right; residuals are far from white, so λ is
-measured for every candidate from sums of its score over blocks of time (a robust covariance,
-used by the mean of its eigenvalues: Rao and Scott 1984).
-
-Given values are taken as right to ±10 %, and to less where the data show that most of them are:
-their deviations, in the directions that the data determine, have a median size that a few wrong
-ones do not move (empirical Bayes with a robust scale). Placeholders say nothing of the links.
+A candidate of k columns that is not at work lowers J by λ χ²_k; residuals are far from white, so λ
+is measured from sums of its score over blocks of time (Rao and Scott 1984). Given values are taken
+as right to ±10 %, and to less where the median of their deviations is less (empirical Bayes).
 """
 
 from __future__ import annotations
@@ -162,9 +157,8 @@ class Evidence:
     def dispersion(self, chosen: Sequence[Candidate], candidate: Candidate) -> float:
         """λ of a candidate added to a set: variance of its score over that of white noise.
 
-        A fit leaves every block's score smaller by the block's share in it; the scores are scaled
-        up so that white noise gives 1 (Bell and McCaffrey 2002). Few blocks know λ badly, so it is
-        shrunk half-way to 1.
+        Scores are scaled up by the block's share in the fit (Bell and McCaffrey 2002); few blocks
+        know λ badly, so it is shrunk half-way to 1.
         """
         active = self.active(chosen)
         at = np.arange(candidate.columns.start, candidate.columns.stop)
@@ -282,9 +276,7 @@ def weigh(
 def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
     """The same evidence with the noise that a rough model leaves.
 
-    It has the set of candidates and every common cause at once, and given values that may be off by
-    far more than their tolerance: what it leaves is near the noise whatever is wrong, so that one
-    cause does not pass for the noise that hides another, or itself.
+    It has every common cause at once and loose given values, so that no cause passes for noise.
     """
     rough = [*chosen, *(c for c in evidence.candidates if c.effect.usual and c not in chosen)]
     for _ in range(_ROUNDS):
@@ -310,10 +302,7 @@ def widened(robot: Robot) -> float:
 
 
 def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
-    """The same evidence with the tolerance of given values that the data support.
-
-    Its leading columns stand for the links, those up to `Evidence.nuisance` for the effects.
-    """
+    """The same evidence with the tolerance of given values that the data support."""
     links = 10 * robot.nv
     parts = np.arange(links), np.arange(links, evidence.nuisance)
     bodies, effects = (_typical_deviation(evidence, part) for part in parts)

@@ -1,12 +1,8 @@
 """An experiment to judge an arm by, planned or recorded, and what the prior decides in it.
 
-Two sets of initial values that lead to the same table within a few per cent show nothing: both
-may agree where the data are silent. So the prior is moved where the data are silent, along the
-null space of the observation matrix and along what it shows worst, and in random directions as
-well, always to bodies that can exist; the physically consistent fit is repeated, and each entry
-compared with how far its prior was moved: 1, the prior alone decides; 0, the data do. When that
-makes an entry the prior's is the rule of `excitant.identify.prior`, which `identify` applies to
-linear theory.
+The prior is moved along the null space of the observation matrix, along what it shows worst and in
+random directions, always to bodies that can exist; the physically consistent fit is repeated, and
+each entry compared with how far its prior was moved: 1, the prior alone decides; 0, the data do.
 """
 
 from __future__ import annotations
@@ -145,20 +141,18 @@ def prior_influence(
     rng: np.random.Generator,
     response: Response | None = None,
 ) -> PriorInfluence:
-    """Move the prior in several directions of each kind and see what the estimate does.
+    """Move the prior in several directions of each kind and see what the estimate x (p,) does.
 
-    The estimate x (p,) says what is material of an effect, which has no prior value; regrouping
-    (r, p) gives base parameters; without a response by refits, linear theory does.
+    Regrouping (r, p) gives base parameters; without a response by refits, linear theory does.
     """
     s, Vt = prior.directions(information.R)
     silent = s <= UNSEEN * s.max(initial=0.0)
-    null, weak = Vt[silent], Vt[~silent][-WEAKEST:]
-    steps = {
-        "null space": [rng.normal(size=len(null)) @ null for _ in range(_DRAWS) if len(null)],
+    null, weak, p = Vt[silent], Vt[~silent][-WEAKEST:], len(prior.mean)
+    steps = {  # projected, so that they do not depend on which basis of the null space is at hand
+        "null space": [rng.normal(size=p) @ null.T @ null for _ in range(_DRAWS) if len(null)],
         "weakly seen": list(weak),
         "random": [_random_bodies(prior, rng) for _ in range(_DRAWS)],
     }
-    p = len(prior.mean)
     ratio, linear, reach = (np.full((len(KINDS), p), np.nan) for _ in range(3))
     base_move, base_std = np.zeros(len(regrouping)), information.std(np.eye(len(regrouping)))
     for k, kind in enumerate(KINDS):
@@ -195,10 +189,7 @@ def _random_bodies(prior: Prior, rng: np.random.Generator) -> Array:
 
 
 def refits(estimate: Estimate, rows: FitRows) -> Response:
-    """Moves of an estimate by repeating its physically consistent fit from another prior.
-
-    Distances are measured as around the original prior, so that only its place changes.
-    """
+    """Moves of an estimate by its fit from another prior, distances as around the original."""
     R, z = rows.regression.factor(estimate.least_squares.weight)
     phi, effects = estimate.prior.reshape(-1, 10), rows.open_prior
     links = phi.size
@@ -245,13 +236,7 @@ def planned_experiment(
     noise: Sequence[float] | None,
     rows: list[int],
 ) -> Experiment:
-    """A motion to judge before it is run, its torque noise [N·m] independent at every instant.
-
-    Torque is measured at the joints of ``rows``.
-
-    Raises:
-        BadInput: Noise that does not fit, or no torque limit to scale it by.
-    """
+    """A motion to judge before it is run, torque measured at the joints of ``rows``."""
     sigma = torque_noise(robot, noise)[rows]
     W = observation_columns(robot, effects, motion)[:, rows]
     seen, known = motion_information(base, W, sigma), known_values(robot, effects)
@@ -285,10 +270,7 @@ def planned_experiment(
 def recorded_experiment(
     robot: Robot, base: BaseParameters, estimate: Estimate, rng: np.random.Generator | None = None
 ) -> Experiment:
-    """What a recording came to, of all base parameters or of those that it shows.
-
-    The prior's influence is from refits, drawn by a generator, or from linear theory.
-    """
+    """What a recording came to; with a generator, the prior's influence is from refits."""
     fit, effects = estimate.least_squares, estimate.model.effects
     rows = _clean(fit_rows(robot, effects, estimate.base, estimate.data))
     sigma = fit.sigma * np.sqrt(fit.inflation)

@@ -200,12 +200,7 @@ def curve_of(diagnosis: Diagnosis, item: Finding | Residual) -> Curve:
 
 
 def _rival(diagnosis: Diagnosis, finding: Finding, j: int, residual: Array) -> Array | None:
-    """Torque of the first rival, with the coefficients that fit the residual of a joint best.
-
-    Only for friction against friction of one joint, with viscous friction and offset of that joint
-    free too: where bodies are in play, they change along with a rival, and a curve of it alone
-    would say nothing.
-    """
+    """Torque of the first rival fitted to a joint's residual, friction against friction."""
     effects = [finding.effect, *(r.candidate.effect for r in finding.rivals[:1])]
     alike = all(e.jointwise and e.family == "friction" for e in effects)
     if len(effects) < 2 or not alike:

@@ -1,9 +1,7 @@
 """`rehearse`: a motion tried on a virtual arm, up to what it recovers of it.
 
-The arm is the robot with typical friction, rotor inertia and offsets planted, its inertias a
-little wrong, seen by industrial sensors. It runs the motion, and once more at 80 % of the speed as
-hold-out; the whole pipeline must then find again what was planted. Finally the arm changes, by a
-payload or more friction, and the diagnosis of the identified model must name the change.
+The arm runs the motion, and again at 80 % of the speed as hold-out; what was planted must be found
+again. Then it changes, and the diagnosis of the identified model must name the change.
 """
 
 from __future__ import annotations
@@ -365,11 +363,9 @@ def _recording(arm: VirtualArm, run: Run, name: str, rng: np.random.Generator) -
 def rehearsal_arm(robot: Robot, rng: np.random.Generator) -> VirtualArm:
     """An arm like the robot, with drives, wrong inertias, and sensors as industry has them.
 
-    Of the joint's torque limit, Coulomb friction takes about 4 %, viscous friction 10 % at the
-    highest speed, the rotor 10 % at the highest acceleration, an offset 1 %, as datasheets of
-    geared arms have it; values that the robot knows are planted instead. All, and the inertias,
-    are off by up to 5 % from what the controller believes. The arm's torque has no limits, so that
-    what a motion would need can be compared with them.
+    Drives take shares of the torque limit as datasheets of geared arms have it, unless the robot
+    knows them. All is off by up to 5 % from what the controller believes; torque has no limits, so
+    that what a motion would need can be compared with them.
     """
     free = replace(robot.limits, torque=np.full(robot.nv, np.inf))
     given = robot.with_limits(free).with_effects(_drives(robot, rng))

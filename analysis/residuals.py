@@ -1,9 +1,8 @@
 """What a model leaves of a joint's torque: how much is noise, and with what the rest varies.
 
-The share of a quantity x is that of the means of the error over bins of x (the correlation ratio
-of Pearson 1905), less what chance gives to as many bins, after the constant part is taken off.
-Shares overlap: friction that grows with speed also differs by direction. The dominant quantity is
-therefore the simplest of those that explain nearly as much as the best.
+The share of a quantity is that of the means of the error over its bins (the correlation ratio of
+Pearson 1905), less what chance gives to as many. Shares overlap, so the simplest quantity that
+explains nearly as much as the best is the dominant one.
 """
 
 from __future__ import annotations
@@ -66,8 +65,7 @@ def top_speed(segments: Sequence[Segment]) -> Array:
 def moving(segments: Sequence[Segment], fastest: Array | float = 0.0) -> Mask:
     """Rows at which each joint moves, or reverses without a rest, shape (rows, nv).
 
-    Dry friction at rest takes any value up to its level, so other rows say nothing of it. Joints
-    are slow beside their fastest motion, here or, if given, elsewhere.
+    Joints are slow beside their fastest motion, here or, if given, elsewhere.
     """
     fastest = np.maximum(fastest, top_speed(segments))
     masks = []
@@ -112,10 +110,7 @@ def explanatory(segments: Sequence[Segment], load: Array) -> Explanatory:
 
 
 def since_reversal(q: Array, dq: Array, slowest: Array) -> Array:
-    """Signed distance from where each joint last turned back, or from the start, shape (n, nv).
-
-    Up to the slowest speed, shape (nv,), a joint has no direction.
-    """
+    """Signed distance from where each joint last turned back, or from the start, shape (n, nv)."""
     way = np.where(np.abs(dq) > slowest, np.sign(dq), 0.0)
     at = np.arange(len(q))[:, None]
     known = np.maximum.accumulate(np.where(way != 0, at, 0), axis=0)

@@ -40,10 +40,8 @@ def select(
 ) -> tuple[Evidence, list[Candidate]]:
     """Causes by forward selection, each step pruned backwards, and the evidence at the end.
 
-    A candidate enters when the fall of J exceeds what the best of all candidates reaches by
-    chance, and leaves when the others have made it dispensable. Joints that the model gives no
-    friction get that of the standard model first, so that finer kinds must bring more than it.
-    Causes that a hold-out speaks against are left out.
+    Joints that the model gives no friction get that of the standard model first, so that finer
+    kinds must bring more than it.
     """
     bare = _frictionless(robot)
     allowed = [c for c in evidence.candidates if c.key not in refuted]
@@ -140,11 +138,7 @@ def _pruned(
 
 
 def underlies(robot: Robot, rest: Sequence[Candidate], candidate: Candidate) -> bool:
-    """Whether finer friction that was found stands on this plain one.
-
-    A joint that rubs has Coulomb and viscous friction; what is finer than both comes on top of
-    them, where the given model has none (heredity of main effects: Hamada and Wu 1992).
-    """
+    """Whether finer friction stands on this plain one (heredity: Hamada and Wu 1992)."""
     effect = candidate.effect
     if not is_plain_friction(effect) or not {*effect.joints} <= _frictionless(robot):
         return False
@@ -174,11 +168,7 @@ def _plausible(
 
 
 def _agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) -> bool:
-    """Whether joints explain no more when each has its own coefficients of a cause.
-
-    One gravity, one payload, one delay explains all joints by the same numbers. What merely
-    imitates it does not: the joints fit it each in its own way (heterogeneity: Cochran 1954).
-    """
+    """Whether joints explain no more with coefficients of their own (Cochran 1954)."""
     rest = [c for c in chosen if c is not cause]
     more, freedom = evidence.separate_joints([*rest, cause], cause)
     if not freedom:
@@ -214,12 +204,10 @@ class Rival:
 def rivals(
     evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], found: Candidate
 ) -> list[Rival]:
-    """Causes that could stand in place of one that was found.
+    """Causes that could stand in place of one that was found, by what each leaves (Vuong 1989).
 
     A rival explains at least half of what the found cause explains, and leaves it less than half
-    to explain. The two are compared by the squared error that each leaves, block by block of time
-    (Vuong 1989): within two standard errors they tie; within 3.3 where their signatures are
-    alike. On joints whose friction is all new, a rival may bring the standard model's along.
+    to explain. On joints whose friction is all new, it may bring the standard model's along.
     """
     rest, taken = [c for c in chosen if c is not found], {c.key for c in chosen}
     bare, falls = _frictionless(robot), evidence.additions(rest)
@@ -270,20 +258,11 @@ def choose_effects(
     cutoff_hz: float | None = None,
     progress: Callable[[float, str], None] = lambda fraction, words: None,
 ) -> tuple[Effect, ...]:
-    """The standard effects and those that recordings call for beside them.
+    """The standard effects and those that recordings to be fitted call for beside them.
 
     The evidence is that of a diagnosis, with bodies and standard effects as open as in an
-    identification. Effects that rest on torque take it from the arm identified so far, and shapes
-    are first searched over coarse grids, then between their points.
-
-    Recordings are those to be fitted, nothing that is held out; progress is told the fraction done
-    and what was found.
-
-    Raises:
-        BadRecording: Recordings that cannot be used.
-        BadRobot: Links without mass, so no prior.
-        RankDeficient: Motion that leaves base parameters undetermined.
-        Infeasible: The semidefinite solver failed.
+    identification; effects that rest on torque take it from the arm identified so far. Progress is
+    told the fraction done and what was found.
     """
     standard = effects = standard_effects(robot.joints)
     metric = tolerance_metric(prior_parameters(robot))

@@ -1,9 +1,7 @@
 """Structural identifiability under stated circumstances, and how firmly it stands.
 
-Which joints move, which are held and where, which torques are known, and gravity decide what
-torque can show of each parameter. Every category is a decision about sizes that are zero or not;
-with geometry that is nearly special (a twist 1e-6 rad off a right angle) it hangs by a hair, and
-the result says so.
+Every category is a decision about sizes that are zero or not; with geometry that is nearly special
+(a twist 1e-6 rad off a right angle) it hangs by a hair, and the result says so.
 """
 
 from __future__ import annotations
@@ -37,15 +35,11 @@ _STEPS = 8  # half decades to there
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """What torque can show of each parameter, under stated circumstances.
-
-    The margin is the factor by which the tolerance of all decisions (1e-8 of the longest column)
-    can grow or shrink before a category changes, at most `HAIR`.
-    """
+    """What torque can show of each parameter, under stated circumstances."""
 
     base: BaseParameters  # of links and effects
     category: tuple[str, ...]  # unique, combined or unidentifiable, of each of ``base.names``
-    margin: Array  # shape (p,)
+    margin: Array  # factor on `TOLERANCE` that changes the category, at most `HAIR`, shape (p,)
     circumstances: tuple[str, ...]  # what it holds for, as sentences
     close: tuple[str, ...]  # names whose margin is below `HAIR`: decided by a hair
     flips_at: Array  # tolerance at which the category changes, nan where it does not, shape (p,)
@@ -77,15 +71,7 @@ def structure(
 ) -> Structure:
     """What torque can show of an arm's parameters; gravity and locked joints count.
 
-    Args:
-        robot: The arm.
-        effects: Effects whose coefficients are unknown too.
-        moving: Joints that move; all when None.
-        measured: Joints whose torque is known; all when None.
-        held: Where the others are [rad or m], 0 when left out; or ``"any"``, many positions.
-
-    Raises:
-        UnknownName: A joint that the arm does not have.
+    All joints move and are measured when None; ``held`` says where the others are, 0 when left out.
     """
     positions = held if isinstance(held, Mapping) else {}
     UnknownName.refuse("joint", (*(moving or ()), *(measured or ()), *positions), robot.joints)

@@ -2,13 +2,9 @@
 
 With the torque noise σ of each joint, the whitened columns W/σ of all parameters x have a
 triangular factor R, and ‖R δ‖ is the torque that a change δ makes, in standard deviations of the
-noise. All of this page is R: null directions are not seen, and (RᵀR)⁻¹ is the covariance of what
-is (Gautier and Khalil 1992; Swevers et al. 1997). A further experiment adds rows: a joint moves
-that rested, the base is tilted, a sensor is put under it; what it shows is read from all rows.
-
-A known payload is no such experiment where torque is in N·m: it adds known torque and no row that
-the last link's own columns do not have already. Where torque comes as current, the common scale of
-all drive gains is one more unknown, and a known payload is what shows it.
+noise: null directions are not seen, and (RᵀR)⁻¹ is the covariance of what is (Gautier and Khalil
+1992; Swevers et al. 1997). A further experiment adds rows. A known payload adds none where torque
+is in N·m; where it comes as current, it shows the common scale of all drive gains.
 """
 
 from __future__ import annotations
@@ -52,11 +48,7 @@ APART = f"{_NEVER} or base forces: weigh or swing the link apart from the arm"
 
 
 def torque_noise(robot: Robot, given: Sequence[float] | None = None) -> Array:
-    """Standard deviation of each joint's torque noise, 1 % of its limit by default, (nv,) [N·m].
-
-    Raises:
-        BadInput: Values that do not fit the arm, or a joint without a limit to scale by.
-    """
+    """Standard deviation of each joint's torque noise, 1 % of its limit by default, (nv,) [N·m]."""
     if given is not None:
         sigma = np.asarray(given, float)
         if sigma.shape != (robot.nv,) or not (np.isfinite(sigma) & (sigma > 0)).all():
@@ -93,10 +85,7 @@ def deviations(R: Array, A: Array) -> Array:
 
 
 def dependent_groups(R: Array) -> tuple[tuple[int, ...], ...]:
-    """Columns that follow from each other: once one of a group is known, so are the others.
-
-    Those are the columns whose rows of the null space are parallel.
-    """
+    """Columns that follow from each other: their rows of the null space are parallel."""
     _, _, V, seen = _decomposed(R)
     N = V[:, ~seen]
     size = np.linalg.norm(N, axis=1)
@@ -157,10 +146,7 @@ class MotionInformation:
 def motion_information(
     base: BaseParameters, W: Array, sigma: Array, covariance: Array | None = None
 ) -> MotionInformation:
-    """What a motion of columns (n, rows, p) with noise (rows,) shows of r base parameters.
-
-    Their covariance (r, r) may be known already.
-    """
+    """What columns (n, rows, p) with noise (rows,) show; the covariance (r, r) may be known."""
     R, columns = triangle(W, sigma), list(base.columns)
     if covariance is None:
         scale, s, V, seen = _decomposed(R[:, columns])
@@ -246,12 +232,9 @@ def practical(
 
 @dataclass(frozen=True)
 class Direction:
-    """Base parameters that trade against each other because torque hardly shows it.
+    """Base parameters that trade against each other because torque hardly shows it."""
 
-    Each member has its name, the change that one standard deviation of the torque noise hides (of
-    an unseen direction, the change per unit of the first), and its unit.
-    """
-
+    # name, change that one deviation of the noise hides (unseen: per unit of the first), and unit
     members: tuple[tuple[str, float, str], ...]
     std: float  # along it, relative to the sizes of its members; inf if unseen
     share: float  # part of the direction that its members make
@@ -303,9 +286,8 @@ def weak_directions(
 ) -> tuple[Direction, ...]:
     """Directions that a motion does not see, then a count of those it sees worst.
 
-    With D the sizes of the base parameters, what counts as much of each, shape (r,), the latter
-    are the leading eigenvectors u of D⁻¹ C D⁻¹, C the covariance; a change D u √λ of the
-    parameters is one standard deviation.
+    With D the sizes (r,) that count as much, those are the leading eigenvectors u of D⁻¹ C D⁻¹;
+    a change D u √λ of the base parameters is one standard deviation.
     """
     names = [base.names[k] for k in base.columns]
     found = [_direction(row, row, np.inf, names, units, size) for row in seen.unseen]
@@ -404,7 +386,7 @@ def _holding(motion: Motion, rests: Sequence[int], pose: Array) -> Motion:
 def base_wrench_columns(robot: Robot, motion: Motion) -> Array:
     """Force and torque on the base [N, N·m] per unit of each standard parameter, (n, 6, 10 nv).
 
-    In the base frame, the sum over links of what a body of inertia I asks: I (a − g) + v ×* I v.
+    The sum over links of what a body of inertia I asks: I (a − g) + v ×* I v.
     """
     model, data = robot.model, robot.model.createData()
     columns = np.empty((len(motion), 6, 10 * robot.nv))
@@ -418,7 +400,6 @@ def base_wrench_columns(robot: Robot, motion: Motion) -> Array:
 
 
 def _base_sensor(robot: Robot, motion: Motion, others: int) -> Array:
-    """Factor of the whitened rows of a sensor under the base, and zeros of other columns."""
     W = base_wrench_columns(robot, motion)
     largest = np.abs(W @ robot.phi).max(axis=0)
     sigma = _SENSOR_NOISE * np.maximum(largest, 1e-3 * max(float(largest.max()), 1e-3))
@@ -463,8 +444,7 @@ def known_values(robot: Robot, effects: Sequence[Effect]) -> list[float | None]:
 def scale_deviation(robot: Robot, effects: Sequence[Effect], sigma: Array) -> float:
     """Relative standard deviation of the drive gains' common scale κ, once a payload is known.
 
-    With readings i = W (φ + φ_L) where the payload φ_L is on, W φ where it is off, a change δκ is
-    seen as W δφ − i δκ. Without the payload δφ = φ δκ changes nothing; with it, W φ_L does.
+    Of readings i, a change δκ is seen as W δφ − i δκ; without a payload, δφ = φ δκ hides it.
     """
     motion = reference_motion(robot, _DURATION, _RATE_HZ)
     W = observation_columns(robot, effects, motion)

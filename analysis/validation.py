@@ -5,13 +5,9 @@ Inertias alone, all given effects kept:
     τ − τ_effects ≈ W β     least squares of the links' base parameters, and
     β = B φ, P(φ_k) ≻ 0     the nearest bodies that have them, if any
 
-The unconstrained fit says how far inertias can go at most; whether bodies can have its values is
-decided by their distance from the nearest consistent ones under their covariance, which is χ²
-distributed when they can. How far each link would have to move is the least change, in units of
-the tolerance of given values, that explains what inertias can explain.
-
-Forward: the recorded torque drives a model over short windows, and one slow loop holds it on the
-recorded motion (`excitant.robots.simulation.forward_error`).
+Whether bodies can have the values of the unconstrained fit is decided by their distance from the
+nearest consistent ones, χ² distributed when they can. Links move by the least change, in units of
+the tolerance of given values, that explains as much.
 """
 
 from __future__ import annotations
@@ -162,14 +158,7 @@ class Refit:
 
 
 def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
-    """Fit the inertias alone to torque tau [N·m] that was fitted, and judge that on the hold-out.
-
-    There the extended model makes a torque of its own [torque unit].
-
-    Raises:
-        BadRobot: A link without mass.
-        Infeasible: The semidefinite solver failed.
-    """
+    """Fit the inertias alone to torque tau [N·m], and judge them beside the extended model."""
     robot, Y, Yv = train.robot, train.links, held.observed.links
     base, prior = base_parameters(robot), prior_parameters(robot)
     B = base.regrouping

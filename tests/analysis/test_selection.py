@@ -15,7 +15,10 @@ from excitant.analysis.selection import choose_effects, described
 from excitant.cli import main
 from excitant.design import random_trajectory
 from excitant.identify import Recording, identify_robot, load_dataset, recording_from_table
-from excitant.robots import Robot, load_robot
+from excitant.identify.estimate import with_own_torque
+from excitant.identify.knowledge import Knowledge
+from excitant.identify.rows import fit_rows
+from excitant.robots import Robot, base_parameters, load_robot
 from excitant.robots.effects import (
     EFFECTS,
     Effect,
@@ -119,6 +122,26 @@ def test_effects_of_torque_take_it_from_the_identified_arm(two: list[Recording])
     near, far = (fit.model.effects[4].values for fit in fits)
     np.testing.assert_allclose(near, far, atol=0.02)  # the prior still differs
     np.testing.assert_allclose(fits[0].validate.nrmse, fits[1].validate.nrmse, rtol=0.05)
+
+
+def test_effects_of_the_motion_alone_need_no_identified_arm(
+    planar: Robot, two: list[Recording]
+) -> None:
+    fit = identify_robot(planar, two[:1], validate=two[1:])
+    standard, prior = standard_effects(planar.joints), fit.prior.reshape(-1, 10)
+    same, other = (
+        with_own_torque(
+            fit_rows(planar, effects, base_parameters(planar, effects), fit.data),
+            prior,
+            Knowledge(),
+        ).robot
+        for effects in (
+            (*standard, PreslidingHysteresis(planar.joints)),
+            (*standard, TimeDelay(planar.joints)),
+        )
+    )
+    assert same is planar
+    assert np.abs(other.phi - planar.phi).max() > 1e-3
 
 
 def test_the_command_chooses_effects(

@@ -359,6 +359,20 @@ def test_unknown_joints_are_refused(ur10: Robot) -> None:
         parameter_nullspace(ur10, moving=[], held={"elbow": 1.0})
 
 
+def test_branches_are_counted() -> None:
+    body = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    text = '<robot name="fork"><link name="root"/>'
+    for parent, child, axis in (("root", "x", "0 0 1"), ("x", "y", "0 1 0"), ("x", "z", "1 0 0")):
+        text += (
+            f'<link name="{child}">{body}</inertial></link><joint name="to_{child}" '
+            f'type="revolute"><parent link="{parent}"/><child link="{child}"/><axis xyz="{axis}"/>'
+            '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+        )
+    robot = robot_from_urdf(f"{text}</robot>", RobotSpec("fork.urdf"))
+    assert len(structure(robot).base) == 15
+    assert parameter_nullspace(robot).shown == (1, 7, 7)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "joints", "count"),

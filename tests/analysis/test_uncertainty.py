@@ -334,6 +334,27 @@ def test_linear_theory_is_what_refits_give_away_from_limits() -> None:
     assert two.decided_by.count("physics") == 0
 
 
+def test_the_prior_moves_alike_in_any_basis_of_the_null_space(planar: Robot) -> None:
+    """The same information as R and as Q R, whose decompositions round differently."""
+    phi = prior_parameters(planar)
+    prior = prior_of(phi, EffectPrior(*(np.zeros(0),) * 3))
+    rng = np.random.default_rng(7)
+    R = rng.normal(size=(5, 20)) @ np.linalg.inv(prior.L)
+    Q = np.linalg.qr(rng.normal(size=(20, 5)))[0]
+    one, two = (
+        prior_influence(
+            MotionInformation(factor, np.eye(2), np.zeros((0, 2)), np.ones(20)),
+            np.eye(2, 20),
+            prior,
+            phi.ravel(),
+            np.random.default_rng(8),
+        )
+        for factor in (R, Q @ R)
+    )
+    np.testing.assert_allclose(one.ratio, two.ratio, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(one.base_move, two.base_move, rtol=1e-6)
+
+
 # recordings that do not show everything
 
 
