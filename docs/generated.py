@@ -26,7 +26,8 @@ def commands(program: str) -> str:
 def names(package: str) -> str:
     """Everything that a package or module offers, for mkdocstrings."""
     module = import_module(package)
-    public = sorted(module.__all__, key=lambda name: (name.lower(), name))
+    visible = [n for n, v in vars(module).items() if n[0] != "_" and not isinstance(v, ModuleType)]
+    public = sorted(getattr(module, "__all__", visible), key=lambda name: (name.lower(), name))
     return "\n".join(f"::: {_place(module, name)}\n" for name in public)
 
 
