@@ -63,13 +63,22 @@ def displaced(robot: Robot, j: int, d: np.ndarray) -> Robot:
     return replace(robot, model=model)
 
 
-def mujoco_model(robot: Robot, step: float = 1e-3) -> mujoco.MjModel:
+def energy(robot: Robot, rotor: np.ndarray, motion: Motion) -> np.ndarray:
+    """Potential and kinetic energy, with that of the rotors, by Pinocchio, shape (n,)."""
+    model, data = robot.model, robot.model.createData()
+    bodies = [
+        pin.computeKineticEnergy(model, data, q, v) + pin.computePotentialEnergy(model, data, q)
+        for q, v in zip(motion.q, motion.dq, strict=True)
+    ]
+    return motion.dq**2 @ rotor / 2 + bodies
+
+
+def mujoco_model(robot: Robot) -> mujoco.MjModel:
     """MuJoCo's model of the bodies alone, without contacts and limits."""
-    spec = mujoco.MjSpec.from_string(robot.urdf)
+    spec, without = mujoco.MjSpec.from_string(robot.urdf), mujoco.mjtDisableBit
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    spec.option.timestep, spec.option.gravity = step, robot.gravity
-    for flag in ("CONTACT", "LIMIT"):
-        spec.option.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}")
+    spec.option.timestep, spec.option.gravity = 1e-3, robot.gravity
+    spec.option.disableflags = without.mjDSBL_CONTACT | without.mjDSBL_LIMIT
     return spec.compile()
 
 

@@ -1,12 +1,10 @@
 """Second opinions on base parameters that share no regressor with the product.
 
-1. The parameter null space by recursion from base to tip, after Wensing, Niemeyer and Slotine, "A
-geometric characterization of observability in inertial parameter identification" (IJRR 2024), who
-propagate the span of attainable velocities V; here that of kinetic-energy functionals goes beside
-it. No torque shows a change u of the parameters exactly when it changes no kinetic energy
-vᵀ I(u) v = y(v)ᵀ u, where gravity is a base that may slide along g. The last link's velocity is
-v = X(q)(w + …) of its parent's w, so its term must not depend on its own q and q̇; then it is a
-term of the parent, and so on inward, also where the arm branches:
+1. The null space by recursion from base to tip, after Wensing, Niemeyer and Slotine, "A geometric
+characterization of observability in inertial parameter identification" (IJRR 2024). No torque shows
+a change u of the parameters exactly when it changes no kinetic energy vᵀ I(u) v = y(v)ᵀ u, where
+gravity is a base that may slide along g. A link's velocity is v = X(q)(w + …) of its parent's w, so
+its term must not depend on its own q and q̇; then it is a term of the parent, and so on inward:
 
     N = ⊕ᵢ { u at link i, −Tᵢ u at its parent : u ∈ Uᵢ },
     Uᵢ = { u : y(s, v)ᵀ u = 0 for v ∈ Vᵢ,  d/dq y(X(q) w)ᵀ u = 0 for w attainable },
@@ -16,8 +14,7 @@ with Tᵢ into the parent's frame and s the joint's axis. A link shows 10 − di
 2. Closed-form grouping rules of serial arms, read off modified Denavit-Hartenberg numbers alone:
 Gautier and Khalil, "Direct calculation of minimum set of inertial parameters of serial robots"
 (IEEE T-RA 1990); Khalil and Dombre, "Modeling, Identification and Control of Robots" (2002),
-chapter 9. YY, MZ, M of a revolute link and the six inertias of a prismatic link group into the
-link before; links before the first revolute joint not parallel to the first one show less.
+chapter 9.
 """
 
 from __future__ import annotations
@@ -69,6 +66,10 @@ class NullSpace:
         return float(scipy.linalg.subspace_angles(*bases).max(initial=0.0))
 
 
+def _null_space(N: Array, shown: list[int]) -> NullSpace:
+    return NullSpace(tuple(shown), np.linalg.qr(N / np.linalg.norm(N, axis=0))[0])
+
+
 def _span(vectors: Array) -> Array:
     """Orthonormal basis of columns."""
     U, s, _ = np.linalg.svd(vectors, full_matrices=False)
@@ -107,8 +108,7 @@ def parameter_nullspace(
             block[parent] = -move.T @ U
         blocks.append(block.reshape(10 * robot.nv, -1))
         shown.append(10 - U.shape[1])
-    N = np.hstack(blocks) * np.tile(length**LENGTH_POWERS, robot.nv)[:, None]
-    return NullSpace(tuple(shown), np.linalg.qr(N / np.linalg.norm(N, axis=0))[0])
+    return _null_space(np.tile(length**LENGTH_POWERS, robot.nv)[:, None] * np.hstack(blocks), shown)
 
 
 def _step(axis: Array, turns: bool, moves: bool, V: Array, K: Array) -> tuple[Array, Array, Array]:
@@ -159,9 +159,7 @@ def grouping(robot: Robot) -> NullSpace:
         if j > 0:
             block[j - 1] = -moved_parameters(into_previous(chain, j, directions), moves[j - 1]).T
         blocks.append(block.reshape(10 * chain.nv, -1))
-    N = np.hstack(blocks)
-    basis = np.linalg.qr(N / np.linalg.norm(N, axis=0))[0]
-    return NullSpace(tuple(10 - len(u) for u in lost), basis)
+    return _null_space(np.hstack(blocks), [10 - len(u) for u in lost])
 
 
 def largest_count(revolute: int, prismatic: int, first_along_gravity: bool) -> int:

@@ -109,9 +109,12 @@ def test_limits_are_judged_on_what_the_arm_does(planar: Robot, motion: FourierTr
 
 
 def test_the_arm_has_what_is_said_to_be_planted(planar: Robot) -> None:
-    effects, rng = standard_effects(planar.joints), np.random.default_rng(4)
-    arm = rehearsal_arm(planar, rng)
-    planted = planted_parameters(arm, effects)
+    """And a seed is a rehearsal."""
+    effects, rngs = standard_effects(planar.joints), map(np.random.default_rng, (4, 4, 2))
+    (arm, rng), *others = ((rehearsal_arm(planar, rng), rng) for rng in rngs)
+    planted, again, different = (planted_parameters(x, effects) for x, _ in ((arm, rng), *others))
+    assert np.array_equal(again, planted)
+    assert not np.array_equal(different, planted)
     Fv, Fc, offset, Ia = planted[10 * planar.nv :].reshape(4, planar.nv)
     assert (np.array([Fv, Fc, Ia]) > 0).all()
     assert offset.all()
@@ -121,13 +124,6 @@ def test_the_arm_has_what_is_said_to_be_planted(planar: Robot) -> None:
     assert change.effect in ("payload", "viscous_friction", "coulomb_friction")
     assert not np.allclose(planted_parameters(changed(arm, change), effects), planted)
     assert np.allclose(planted_parameters(arm, effects), planted)
-
-
-def test_a_seed_is_a_rehearsal(planar: Robot) -> None:
-    arms = [rehearsal_arm(planar, np.random.default_rng(seed)) for seed in (1, 1, 2)]
-    first, again, other = (planted_parameters(a, standard_effects(planar.joints)) for a in arms)
-    assert np.array_equal(first, again)
-    assert not np.array_equal(first, other)
 
 
 @pytest.mark.parametrize(

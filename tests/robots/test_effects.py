@@ -20,6 +20,7 @@ from excitant.robots.parameters import STANDARD
 from excitant.robots.simulation import REST, forward_model
 
 States = Callable[[Robot, int, int], Motion]
+Proposals = list[tuple[Effect, int]]
 JOINTWISE = sorted(name for name, kind in EFFECTS.items() if kind.jointwise)
 OF_THE_PAST = ("encoder_scale", "joint_elasticity", "backlash")
 CARRIED = ("gravity_direction", "payload", "inertial_parameters")
@@ -129,64 +130,60 @@ def test_in_a_simulation_it_makes_the_torque_of_its_columns(
 
 
 @pytest.fixture(scope="module")
-def proposed(ur10: Robot, random_states: States) -> list[tuple[Effect, int]]:
+def facts(ur10: Robot, random_states: States) -> list[fx.JointFacts]:
     motion = random_states(ur10, 3, 200)
-    ripple = np.cos(9 * motion.q)
-    return fx.proposals(ur10, fx.joint_facts([motion], [slice(None)], ripple, 1e3))
+    return fx.joint_facts([motion], [slice(None)], np.cos(9 * motion.q), 1e3)
+
+
+@pytest.fixture(scope="module")
+def proposed(ur10: Robot, facts: list[fx.JointFacts]) -> Proposals:
+    return fx.proposals(ur10, facts)
 
 
 def test_every_effect_proposes_shapes_that_can_be(
-    ur10: Robot, proposed: list[tuple[Effect, int]], random_states: States, kind: type[Effect]
+    ur10: Robot, proposed: Proposals, facts: list[fx.JointFacts], kind: type[Effect]
 ) -> None:
-    own = [(effect, trials) for effect, trials in proposed if effect.name == kind.name]
-    assert own
-    assert len({effect for effect, _ in own}) == len(own)
-    facts = fx.joint_facts([random_states(ur10, 3, 200)])
-    for effect, trials in own:
+    own = {effect: trials for effect, trials in proposed if effect.name == kind.name}
+    assert len(own) == sum(effect.name == kind.name for effect, _ in proposed) > 0
+    for effect, trials in own.items():
         assert trials >= 1
         assert effect.values is None
         assert set(effect.joints) <= set(ur10.joints)
-        alike = [other for other, _ in own if other.joints == effect.joints]
+        alike = [other for other in own if other.joints == effect.joints]
         seen = replace(facts[ur10.joint_index(effect.joints[0])], q=np.array([-1.0, 1.0]))
         finer, others = effect.refined(alike, seen), effect.alternatives(seen)
         assert effect in others
         assert not set(finer) & {*alike}
-        for other in (*finer, *others):
-            assert (other.name, other.joints) == (effect.name, effect.joints)
+        assert {(x.name, x.joints) for x in (*finer, *others)} == {(kind.name, effect.joints)}
 
 
 def test_a_joint_at_rest_is_asked_for_what_shows_there(planar: Robot) -> None:
-    t, zero = np.arange(5.0), np.zeros((5, 2))
-    facts = fx.joint_facts([Motion(t, zero, zero, zero)])
+    zero = np.zeros((5, 2))
+    facts = fx.joint_facts([Motion(np.arange(5.0), zero, zero, zero)])
     resting = {effect.name for effect, _ in fx.proposals(planar, facts)}
     assert {"torque_offset", "inertial_parameters"} <= resting
-    assert not resting & {name for name in JOINTWISE if name != "torque_offset"}
+    assert not resting & {*JOINTWISE} - {"torque_offset"}
 
 
 def test_what_is_believed_is_considered_again_with_shapes_beside_it(
-    ur10: Robot, proposed: list[tuple[Effect, int]], random_states: States
+    ur10: Robot, proposed: Proposals, facts: list[fx.JointFacts]
 ) -> None:
-    motion = random_states(ur10, 3, 200)
-    facts = fx.joint_facts([motion], [slice(None)], np.cos(9 * motion.q), 1e3)
     grid = [e for e, _ in proposed if e.name == "stribeck_friction"][:8]
     ripple = EFFECTS["torque_ripple"](ur10.joints[:1]).reshaped("order", 9.0)
     found = fx.proposals(ur10, facts, [(grid[3], 1), (ripple, 600)])
     added = dict(found[len(proposed) :])
     speeds = sorted(e.velocity for e in added if e.name == "stribeck_friction")
-    expected = np.concatenate(
-        [np.geomspace(grid[k].velocity, grid[k + 1].velocity, 4)[1:3] for k in (2, 3)]
-    )
+    below, own, above = (effect.velocity for effect in grid[2:5])
+    expected = [*np.geomspace(below, own, 4)[1:3], *np.geomspace(own, above, 4)[1:3]]
     np.testing.assert_allclose(speeds, expected, rtol=1e-12)
     orders = sorted(e.order for e in added if e.name == "torque_ripple")
-    step = np.pi / 2 / np.ptp(motion.q[:, 0])
+    step = np.pi / 2 / facts[0].reach
     expected = [*np.geomspace(9 - step, 9, 4)[1:], *np.geomspace(9, 9 + step, 4)[1:3]]
     np.testing.assert_allclose(orders, expected, rtol=1e-12)
     assert {added[e] for e in added if e.name == "torque_ripple"} == {600}
 
 
-def test_ripple_is_looked_for_where_the_error_has_it(
-    ur10: Robot, proposed: list[tuple[Effect, int]]
-) -> None:
+def test_ripple_is_looked_for_where_the_error_has_it(ur10: Robot, proposed: Proposals) -> None:
     for joint in ur10.joints:
         orders = [e.order for e, _ in proposed if e.name == "torque_ripple" and joint in e.joints]
         assert min(abs(order - 9) for order in orders) < 0.5
@@ -239,12 +236,8 @@ def test_entries_read_back_to_the_same_effects(ur10: Robot) -> None:
     entries = fx.effect_entries(effects)
     for written in (json.loads(json.dumps(entries)), yaml.safe_load(yaml.safe_dump(entries))):
         assert fx.effects_from_entries(written, ur10, "given") == tuple(effects)
-
-
-def test_joints_not_named_are_all_of_them(ur10: Robot) -> None:
-    entry = {"effect": "torque_offset", "values": [1.0] * ur10.nv}
-    (effect,) = fx.effects_from_entries([entry], ur10, "robot.yaml")
-    assert effect.joints == ur10.joints
+    entry = {"effect": "torque_offset", "values": [1.0] * ur10.nv}  # joints not named: all
+    assert fx.effects_from_entries([entry], ur10, "given")[0].joints == ur10.joints
 
 
 TWICE = ["joint1", "joint1"]

@@ -62,21 +62,15 @@ def test_a_spring_shows_by_its_own_law(planar: Robot) -> None:
     assert seen.size == np.inf
 
 
-CASES = [
-    *(
-        ("planar_2r", *x, 0)
-        for x in (("torque_ripple", 2.5), ("encoder_scale", 8), ("payload", 25))
-    ),
-    *(
-        pytest.param(
-            ("ur10", "panda", "puma560", "planar_2r")[k % 4], kind, 8, k, marks=pytest.mark.slow
-        )
-        for k, kind in enumerate(EVERY)
-    ),
+SIZES = {"torque_ripple": 2.5, "encoder_scale": 8.0, "payload": 25.0}
+ARMS = ("ur10", "panda", "puma560", "planar_2r")
+FAST = [("planar_2r", kind, size, 0) for kind, size in SIZES.items()]
+SLOW = [
+    pytest.param(ARMS[k % 4], kind, 8.0, k, marks=pytest.mark.slow) for k, kind in enumerate(EVERY)
 ]
 
 
-@pytest.mark.parametrize(("name", "kind", "size", "seed"), CASES)
+@pytest.mark.parametrize(("name", "kind", "size", "seed"), FAST + SLOW)
 def test_drawn_effects_show_as_much_as_wanted(name: str, kind: str, size: float, seed: int) -> None:
     robot, rng = load_robot(name), np.random.default_rng(seed)
     trajectory = typical_trajectory(robot, rng, DURATION)

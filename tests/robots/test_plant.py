@@ -18,6 +18,7 @@ from plant_recordings import (
     SMOOTH,
     Recorded,
     displaced,
+    energy,
     hidden,
     mujoco_model,
     steady,
@@ -30,7 +31,6 @@ from excitant.robots import Motion, Robot, base_parameters, torque
 from excitant.robots.effects import EFFECTS, RotorInertia
 from excitant.robots.parameters import violations
 from excitant.robots.plant import arm as plant_arm
-from excitant.robots.plant.arm import Arm, stick_or_slip, tracking_controller
 from excitant.robots.plant.physics import Gear
 from excitant.robots.plant.planting import KINDS, parameters_of, plant
 from excitant.robots.virtual_arm import (
@@ -53,13 +53,12 @@ def without_gravity(robot: Robot, strength: float) -> Robot:
 def mujoco_error(robot: Robot) -> float:
     """Largest difference of the recorded torque from MuJoCo's, relative to the largest torque."""
     run, model = Recorded(robot, duration=3.0), mujoco_model(robot)
-    data, expected = mujoco.MjData(model), np.empty_like(run.tau)
+    motion, data, expected = run.motion, mujoco.MjData(model), []
     rows = [model.joint(joint).dofadr[0] for joint in robot.joints]
-    for k, at_k in enumerate(expected):
-        data.qpos[rows], data.qvel[rows] = run.motion.q[k], run.motion.dq[k]
-        data.qacc[rows] = run.motion.ddq[k]
+    for state in zip(motion.q, motion.dq, motion.ddq, strict=True):
+        data.qpos[rows], data.qvel[rows], data.qacc[rows] = state
         mujoco.mj_inverse(model, data)
-        at_k[:] = data.qfrc_inverse[rows]
+        expected.append(data.qfrc_inverse[rows])
     return float(np.abs(run.tau - expected).max() / np.abs(run.tau).max())
 
 
@@ -79,23 +78,15 @@ def test_half_the_step_leaves_a_quarter_of_the_error(
 
 def test_power_goes_into_energy_and_friction_on_the_motion_commanded(builtin: Robot) -> None:
     """∫ τ·q̇ dt = ΔE + ∫ (F_v q̇² + F_c |q̇|) dt, with the rotors' kinetic energy in E."""
-    run = Recorded(builtin, duration=3.0)
-    q, dq = run.motion.q, run.motion.dq
-    data = builtin.model.createData()
-    numbers = {effect.name: np.array(effect.values) for effect in builtin.effects}
-    energy = dq**2 @ numbers["rotor_inertia"] / 2 + [
-        pin.computeKineticEnergy(builtin.model, data, *state)
-        + pin.computePotentialEnergy(builtin.model, data, state[0])
-        for state in zip(q, dq, strict=True)
-    ]
+    run, numbers = Recorded(builtin, duration=3.0), {e.name: e.values for e in builtin.effects}
+    dq, E = run.motion.dq, energy(builtin, np.array(numbers["rotor_inertia"]), run.motion)
     friction = numbers["viscous_friction"] * dq**2 + numbers["coulomb_friction"] * np.abs(dq)
     power = np.sum(run.tau * dq - friction, axis=1)
     work = scipy.integrate.cumulative_trapezoid(power, dx=1 / RATE, initial=0.0)
-    lost = np.abs(energy - energy[0] - work).max()
-    assert lost <= 2e-4 * np.sum(np.abs(power)) / RATE
+    assert np.abs(E - E[0] - work).max() <= 2e-4 * np.sum(np.abs(power)) / RATE
     table, wanted = run.table.filter(regex="^q").to_numpy(), swing(builtin)
     assert np.array_equal(table[:1], wanted(np.zeros(1), 0))
-    assert np.abs(q - wanted(run.motion.t, 0)).max() < 5e-3
+    assert np.abs(run.motion.q - wanted(run.motion.t, 0)).max() < 5e-3
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 6), shafts=st.integers(0, 2))
@@ -111,7 +102,7 @@ def test_dry_friction_of_joints_and_shafts_obeys_coulombs_law(
     v = rng.choice([0.0, 1e-3, -1e-3, 1.0, -1.0], n)
     forward, backward = rng.choice([0.0, 0.1, 1.0, 10.0], (2, n + shafts))
     impulse = rng.standard_normal(n) * rng.choice([0.1, 3.0, 30.0])
-    delta = stick_or_slip(K, impulse, v, forward, backward, G)
+    delta = plant_arm.stick_or_slip(K, impulse, v, forward, backward, G)
     after = G @ (v + delta)
     scale = 1e-8 * (1 + np.abs(impulse).max() + np.abs(K).max() * (1 + np.abs(delta).max()))
     lower = np.where(after > 1e-9, forward, -backward)
@@ -134,8 +125,10 @@ def test_a_sliding_joint_comes_to_rest_without_creep_or_chatter(planar: Robot) -
     bare = without_gravity(planar, 1e-9)
     nominal = nominal_truth(bare)
     friction = hidden("viscous_friction", Fv=0.6), hidden("coulomb_friction", Fc=0.8)
-    step = Arm(plant(nominal, bare.joints, friction), 5e-4)
-    control = tracking_controller(bare, nominal.model, nominal.drives, swing(bare), np.zeros(1))
+    step = plant_arm.Arm(plant(nominal, bare.joints, friction), 5e-4)
+    control = plant_arm.tracking_controller(
+        bare, nominal.model, nominal.drives, swing(bare), np.zeros(1)
+    )
     state = (np.zeros(2), np.array([1.0, -2.0]), np.zeros(2))
     speeds = []
     for _ in range(4000):
@@ -174,7 +167,7 @@ def test_a_known_effect_is_the_one_that_is_fitted(
     planar: Robot, name: str, shape: dict[str, float], values: list[float], share: float
 ) -> None:
     """The plant and the effect that will be fitted are written apart and must agree."""
-    effect = EFFECTS[name](planar.joints[: EFFECTS[name].arity], **shape).with_values(values)
+    effect = EFFECTS[name](planar.joints[: EFFECTS[name].arity or 1], **shape).with_values(values)
     known = planar.with_effects((*planar.effects, effect))
     run = Recorded(known)
     run.robot, dq = planar, run.motion.dq
@@ -366,19 +359,17 @@ def test_hidden_payload_is_a_heavier_last_link(builtin: Robot) -> None:
     heavier = torque(builtin.with_effects((*builtin.effects, formula)), run.motion)
     difference = np.abs(run.tau - heavier)[run.sliding].max(axis=0)
     assert (difference <= 1e-3 * np.abs(heavier).max(axis=0)).all()
-    bare = Recorded(builtin.with_effects(()), payload)
+    bare = Recorded(builtin.with_effects(()), payload, duration=1.0)
     assert np.abs(bare.motion.q - swing(builtin)(bare.motion.t, 0)).max() < 0.05
     assert np.array_equal(builtin.phi, phi)
     assert not builtin.model.armature.any()
 
 
 def test_same_seed_same_recording(planar: Robot) -> None:
-    def once(seed: int) -> pd.DataFrame:
-        rng = np.random.default_rng(seed)
-        return virtual_arm(planar, rng).record(swing(planar), 0.5, rng)
-
-    pd.testing.assert_frame_equal(once(3), once(3), check_exact=True)
-    assert not once(3).equals(once(4))
+    rngs = (np.random.default_rng(seed) for seed in (3, 3, 4))
+    one, again, other = (virtual_arm(planar, rng).record(swing(planar), 0.5, rng) for rng in rngs)
+    pd.testing.assert_frame_equal(one, again, check_exact=True)
+    assert not one.equals(other)
 
 
 def test_truth_is_near_the_nominal_arm_and_possible(arm: Robot) -> None:
@@ -424,21 +415,20 @@ def test_drawn_effects_are_of_every_kind_and_show(planar: Robot) -> None:
 
 def test_recording_has_the_columns_rate_and_noise_of_its_sensors(planar: Robot) -> None:
     sensors = Sensors(200.0, 1e-3, 0.01, np.full(2, 0.2), np.full(2, 0.05))
-    true = true_arm(planar, rate=200.0)
-    arms, told = (replace(true, sensors=sensors), true), list[float]()
-    seen, truth = (
-        arm.record(swing(planar), 2.0, np.random.default_rng(1), told.append) for arm in arms
-    )
-    assert told[: len(told) // 2] == told[len(told) // 2 :] == sorted({*told})
+    true, told = true_arm(planar, rate=200.0), list[float]()
+    run = true.run(swing(planar), 2.0, np.random.default_rng(1), told.append)
+    assert told == sorted(told)
     assert told[-1] == 1.0
+    noisy, rng = replace(true, sensors=sensors), np.random.default_rng(1)
+    seen, truth = (arm.recorded(run, rng) for arm in (noisy, true))
     assert list(seen) == ["t", "q1", "q2", "dq1", "dq2", "tau1", "tau2"]
     assert np.allclose(seen["t"], np.arange(401) / 200, rtol=0, atol=1e-12)
-    error = seen - truth
-    assert np.abs(error.filter(regex="^q")).to_numpy().max() <= 0.5e-3 + 1e-12
-    assert error.filter(regex="^dq").to_numpy().std() == pytest.approx(0.01, rel=0.1)
-    assert error.filter(regex="^tau").to_numpy().std() == pytest.approx(0.2, rel=0.1)
-    counts = seen.filter(regex="^tau").to_numpy() / 0.05
-    assert np.allclose(counts, np.round(counts), atol=1e-6)
+    q, dq, tau = np.split((seen - truth).to_numpy()[:, 1:], 3, axis=1)
+    assert np.abs(q).max() <= 0.5e-3 + 1e-12
+    assert dq.std() == pytest.approx(0.01, rel=0.1)
+    assert tau.std() == pytest.approx(0.2, rel=0.1)
+    counts = seen[["tau1", "tau2"]] / 0.05
+    assert np.allclose(counts, counts.round(), atol=1e-6)
 
 
 def test_torque_never_exceeds_the_limits(planar: Robot) -> None:
