@@ -86,10 +86,8 @@ def parameter_nullspace(
     slide = np.append(robot.gravity, np.zeros(3)) / (np.linalg.norm(robot.gravity) or 1.0)
     attained = {-1: (slide[:, None], _energy(slide, slide)[:, None])}  # velocities, energies
     for i, name in enumerate(robot.joints):
-        axis, place = (
-            np.array(model.joints[i + 1].createData().S)[:, 0],
-            model.jointPlacements[i + 1],
-        )
+        axis, place = model.joints[i + 1].createData().S, model.jointPlacements[i + 1]
+        axis = np.array(axis).reshape(6)
         moves = moving is None or name in moving
         if not moves and held != "any":
             place = place * pin.exp6(at.get(name, 0.0) * axis)
