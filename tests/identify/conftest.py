@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,6 +25,25 @@ def table() -> pd.DataFrame:
         columns[f"q{k}"] = np.sin(k * t)
         columns[f"tau{k}"] = 3 * np.cos(2 * k * t) + k
     return pd.DataFrame(columns)
+
+
+def saved(log: pd.DataFrame | Recording, path: Path, **options: Any) -> Path:
+    """The file of a table or of a recording, in the form of its suffix."""
+    if isinstance(log, Recording):
+        columns = {f"{n}{j + 1}": x[:, j] for n, x in log.channels() for j in range(log.nv)}
+        log = pd.DataFrame({"t": log.t} | columns)
+    if path.suffix == ".csv":
+        log.to_csv(path, **{"index": False, **options})
+    elif path.suffix == ".npz":
+        np.savez(path, **{name: log[name] for name in log})
+    else:
+        log.to_parquet(path, row_group_size=70)
+    return path
+
+
+@pytest.fixture(scope="session")
+def save() -> Callable[..., Path]:
+    return saved
 
 
 def smooth_motion(robot: Robot, t: np.ndarray, seed: int = 0) -> Motion:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -14,10 +16,10 @@ from excitant.robots import Robot, load_robot
 
 
 @pytest.fixture
-def folder(table: pd.DataFrame, planar: Robot, tmp_path: Path) -> Path:
+def folder(table: pd.DataFrame, planar: Robot, tmp_path: Path, save: Callable[..., Path]) -> Path:
     (tmp_path / "robot.urdf").write_text(planar.urdf, encoding="utf-8")
-    table.assign(i1=table.tau1 / 2, i2=table.tau2 / 2).to_parquet(tmp_path / "first.parquet")
-    table.to_csv(tmp_path / "second.csv", index=False)
+    save(table.assign(i1=table.tau1 / 2, i2=table.tau2 / 2), tmp_path / "first.parquet")
+    save(table, tmp_path / "second.csv")
     (tmp_path / "dataset.json").write_text("{}")
     return tmp_path
 
@@ -37,12 +39,20 @@ def test_recordings_are_named_relative_to_the_folder_or_are_paths(
         without.recordings([])
 
 
-def test_the_sidecar_names_the_torque_column(folder: Path) -> None:
+def test_the_sidecar_names_the_torque_column_its_gains_and_units(
+    folder: Path, table: pd.DataFrame
+) -> None:
     assert load_dataset(folder).recordings(["first"])[0].unit == "N·m"
-    (folder / "dataset.json").write_text(json.dumps({"torque": {"column": "i"}}))
+    torque, units = {"column": "i"}, {"q": "deg"}
+    (folder / "dataset.json").write_text(json.dumps({"torque": torque}))
     assert load_dataset(folder).recordings(["first"])[0].unit == "A"
     with pytest.raises(BadRecording, match="'i1'"):
         load_dataset(folder).recordings(["second"])
+    torque |= {"drive_gain_Nm_per_A": [1, 3]}
+    (folder / "dataset.json").write_text(json.dumps({"torque": torque, "units": units}))
+    [found] = load_dataset(folder).recordings(["first"])
+    np.testing.assert_allclose(found.tau, table[["tau1", "tau2"]] * [0.5, 1.5])
+    np.testing.assert_allclose(found.q, np.radians(table[["q1", "q2"]]), atol=1e-12)
 
 
 def test_the_sidecar_locks_joints(folder: Path, planar: Robot) -> None:
@@ -89,17 +99,13 @@ def test_a_folder_without_robot_or_recordings_is_refused(folder: Path) -> None:
         load_dataset(folder)
 
 
-def test_real_data_sets_read(data_folder: Path) -> None:
+def test_real_data_sets_read_and_what_is_held_out_is_never_fitted(data_folder: Path) -> None:
     for name, nv, unit in (("ur10", 6, "N·m"), ("panda", 7, "N·m"), ("ur10e", 6, "A")):
         dataset = load_dataset(data_folder / name)
-        recordings = dataset.recordings([])
         assert dataset.robot.nv == nv
-        assert {r.unit for r in recordings} == {unit}
-
-
-def test_what_is_held_out_is_never_fitted(data_folder: Path) -> None:
+        assert {r.unit for r in dataset.recordings([])} == {unit}
     dataset = load_dataset(data_folder / "dualarm_v2")
-    names = [r.name for r in dataset.recordings([], without=["exc_52p2.parquet"])]
+    names = [path.stem for path in dataset.paths([], without=["exc_52p2.parquet"])]
     assert "exc_52p2" not in names
     assert "exc_13p5" in names
     with pytest.raises(BadInput, match="exc_52p2 is to be fitted and held out"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.optimize
+from numpy.polynomial import Polynomial
 
 from excitant.exceptions import BadInput
 from excitant.identify import (
@@ -25,19 +26,14 @@ POLYNOMIALS = [five_point(), LocalPolynomial(8, 4)]
 NAMES = ("q", "dq", "ddq")
 
 
-def test_five_points_are_the_least_squares_parabola() -> None:
-    np.testing.assert_allclose(10 * five_point().kernel(1), [-2, -1, 0, 1, 2], atol=1e-14)
-    np.testing.assert_allclose(7 * five_point().kernel(2), [2, -1, -2, -1, 2], atol=1e-13)
-
-
-def test_published_figures_of_the_five_point_differentiator() -> None:
+def test_five_points_are_the_least_squares_parabola_with_the_published_figures() -> None:
     five = five_point()
+    np.testing.assert_allclose(10 * five.kernel(1), [-2, -1, 0, 1, 2], atol=1e-14)
+    np.testing.assert_allclose(7 * five.kernel(2), [2, -1, -2, -1, 2], atol=1e-13)
     assert five.noise_gain(RATE) * STEP == pytest.approx(1 / np.sqrt(10), rel=1e-12)  # 0.316
     gains = five.gain(np.array([2.0, 10.0, 20.0]), RATE)
     np.testing.assert_allclose(gains, [0.9996, 0.991, 0.965], atol=5e-4)
-    half_power = scipy.optimize.brentq(
-        lambda f: float(five.gain(np.array(f), RATE)) - np.sqrt(0.5), 30, 100
-    )
+    half_power = scipy.optimize.brentq(lambda f: five.gain(f, RATE) - np.sqrt(0.5), 30, 100)
     assert half_power == pytest.approx(60.5, abs=0.05)
 
 
@@ -61,44 +57,40 @@ def test_gain_and_noise_gain_are_those_announced(
 
 
 def test_polynomials_are_exact_up_to_their_degree() -> None:
-    rng, t = np.random.default_rng(0), np.arange(200) * STEP
-    s = t / t[-1]
-    c = rng.standard_normal(5)
-    q = np.polynomial.polynomial.polyval(s, c)[:, None]
-    found = LocalPolynomial(6, 4)(t, q)
+    t = np.arange(200) * STEP
+    q = Polynomial(np.random.default_rng(0).standard_normal(5), domain=[0, t[-1]], window=[0, 1])
+    found = LocalPolynomial(6, 4)(t, q(t)[:, None])
     for order, name in enumerate(NAMES):
-        derivative = np.polynomial.polynomial.polyder(c, order)
-        true = np.polynomial.polynomial.polyval(s, derivative) / t[-1] ** order
-        np.testing.assert_allclose(
-            getattr(found, name)[:, 0], true, atol=1e-8 * np.abs(true).max(), err_msg=name
-        )
+        true = q.deriv(order)(t) if order else q(t)
+        allowed = 1e-8 * np.abs(true).max()
+        np.testing.assert_allclose(getattr(found, name)[:, 0], true, atol=allowed, err_msg=name)
 
 
 @pytest.mark.parametrize("half_width", [2, 9])
 def test_the_causal_kind_says_the_same_later(half_width: int) -> None:
-    t = np.arange(300) * STEP
-    q = np.random.default_rng(1).standard_normal((300, 2))
+    t, q = np.arange(300) * STEP, np.random.default_rng(1).standard_normal((300, 2))
     early = LocalPolynomial(half_width, 2)(t, q)
     late = LocalPolynomial(half_width, 2, causal=True)
     found = late(t, q)
-    inner = slice(half_width, 300 - half_width)
     assert late.delay(RATE) == pytest.approx(half_width * STEP)
     for name in ("t", *NAMES):
-        np.testing.assert_allclose(getattr(found, name), getattr(early, name)[inner])
+        expected = getattr(early, name)[half_width:-half_width]
+        np.testing.assert_allclose(getattr(found, name), expected)
     # the instant reported last needs the newest sample and none after it
     assert found.t[-1] + late.delay(RATE) == pytest.approx(t[-1])
 
 
 def test_what_cannot_be_is_refused_in_one_line() -> None:
     t = np.arange(100) * STEP
-    q = np.sin(t)[:, None]
-    for differentiator in (ZeroPhaseButterworth(20.0), five_point()):
-        with pytest.raises(BadInput, match="time is irregular"):
-            differentiator(np.delete(t, 50), np.delete(q, 50, axis=0))
-    with pytest.raises(BadInput, match="choose one below 250 Hz"):
-        ZeroPhaseButterworth(260.0)(t, q)
-    with pytest.raises(BadInput, match="at least 5 are needed"):
-        five_point()(t[:4], q[:4])
+    irregular = np.delete(t, 50)
+    for differentiator, times, why in (
+        (ZeroPhaseButterworth(20.0), irregular, "time is irregular"),
+        (five_point(), irregular, "time is irregular"),
+        (ZeroPhaseButterworth(260.0), t, "choose one below 250 Hz"),
+        (five_point(), t[:4], "at least 5 are needed"),
+    ):
+        with pytest.raises(BadInput, match=why):
+            differentiator(times, np.sin(times)[:, None])
     with pytest.raises(BadInput, match="degree 5 through 5 samples"):
         LocalPolynomial(2, 5)
 
@@ -107,23 +99,28 @@ def recorded(noise: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.nd
     """Ten seconds of two joints with position noise, and their true acceleration."""
     t = np.arange(0, 10, 1e-3)
     w = 2 * np.pi * np.array([0.7, 3.1])[:, None, None]
-    angle = w * t[:, None] + np.array([0.0, 1.0])
-    size = np.array([1.0, 0.2])[:, None, None]
-    q = (size * np.sin(angle)).sum(axis=0)
+    waves = np.array([1.0, 0.2])[:, None, None] * np.sin(w * t[:, None] + np.array([0.0, 1.0]))
     rng = np.random.default_rng(seed)
-    noisy = q + noise * rng.standard_normal(q.shape)
-    return t, noisy, -(size * w**2 * np.sin(angle)).sum(axis=0)
+    q = waves.sum(axis=0)
+    return t, q + noise * rng.standard_normal(q.shape), -(w**2 * waves).sum(axis=0)
+
+
+def acceleration_error(
+    differentiator: LocalPolynomial, t: np.ndarray, q: np.ndarray, true: np.ndarray
+) -> np.ndarray:
+    """Root mean square per joint, away from the ends."""
+    edge = differentiator.half_width
+    error = differentiator(t, q).ddq - true[edge:-edge]
+    return np.sqrt((error[500:-500] ** 2).mean(axis=0))
 
 
 @pytest.mark.parametrize("noise", [1e-6, 1e-4, 1e-3])
 def test_the_predicted_error_is_the_error(noise: float) -> None:
     t, q, true = recorded(noise)
     choice = causal_polynomial(position_spectrum(t, q))
-    found = choice.differentiator(t, q)
-    edge = (len(t) - len(found)) // 2
-    error = (found.ddq - true[edge : len(t) - edge])[500:-500]
     # a recording of some hundred independent errors gives their rms to about ten per cent
-    np.testing.assert_allclose(np.sqrt((error**2).mean(axis=0)), choice.error, rtol=0.35)
+    error = acceleration_error(choice.differentiator, t, q, true)
+    np.testing.assert_allclose(error, choice.error, rtol=0.35)
     assert choice.differentiator.delay(1e3) > 0
     assert "predicted acceleration error" in choice.why
     assert "\n" not in choice.why
@@ -133,13 +130,11 @@ def test_no_candidate_is_much_better_than_the_choice() -> None:
     t, q, true = recorded(1e-4, seed=3)
     spectrum = position_spectrum(t, q)
     np.testing.assert_allclose(spectrum.noise, 1e-4, rtol=0.1)
-
-    def error(d: LocalPolynomial) -> float:
-        edge = d.half_width
-        return float(np.sqrt(((d(t, q).ddq - true[edge:-edge])[500:-500] ** 2).mean()))
-
-    errors = [error(option) for option in causal_polynomials(spectrum)]
-    assert error(causal_polynomial(spectrum).differentiator) <= 1.3 * min(errors)
+    chosen, *others = (
+        np.linalg.norm(acceleration_error(each, t, q, true))
+        for each in (causal_polynomial(spectrum).differentiator, *causal_polynomials(spectrum))
+    )
+    assert chosen <= 1.3 * min(others)
 
 
 def test_preprocessing_takes_another_differentiator() -> None:
