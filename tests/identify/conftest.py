@@ -27,22 +27,23 @@ def table() -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def saved(log: pd.DataFrame | Recording, path: Path, **options: Any) -> Path:
-    """The file of a table or of a recording, in the form of its suffix."""
-    if isinstance(log, Recording):
-        columns = {f"{n}{j + 1}": x[:, j] for n, x in log.channels() for j in range(log.nv)}
-        log = pd.DataFrame({"t": log.t} | columns)
-    if path.suffix == ".csv":
-        log.to_csv(path, **{"index": False, **options})
-    elif path.suffix == ".npz":
-        np.savez(path, **{name: log[name] for name in log})
-    else:
-        log.to_parquet(path, row_group_size=70)
-    return path
+@pytest.fixture
+def save(tmp_path: Path) -> Callable[..., Path]:
+    """``save(log, name)``: the file of a table or of a recording, in the form of its suffix."""
 
+    def saved(log: pd.DataFrame | Recording, name: str, **options: Any) -> Path:
+        path = tmp_path / name
+        if isinstance(log, Recording):
+            columns = {f"{n}{j + 1}": x[:, j] for n, x in log.channels() for j in range(log.nv)}
+            log = pd.DataFrame({"t": log.t} | columns)
+        if path.suffix == ".npz":
+            np.savez(path, **{column: log[column] for column in log})
+        elif path.suffix == ".parquet":
+            log.to_parquet(path, row_group_size=70, **options)
+        else:
+            log.to_csv(path, index=False, **options)
+        return path
 
-@pytest.fixture(scope="session")
-def save() -> Callable[..., Path]:
     return saved
 
 

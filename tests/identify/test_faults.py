@@ -92,11 +92,11 @@ def faultless(
 
 
 @pytest.fixture
-def read(save: Callable[..., Path], tmp_path: Path) -> Read:
+def read(save: Callable[..., Path]) -> Read:
     """``read(log, ..., repaired=...)``: files run0, run1, ... with their faults."""
 
     def checked(*logs: Log, repaired: bool = False) -> Checked:
-        files = [str(save(log, tmp_path / f"run{k}.parquet")) for k, log in enumerate(logs)]
+        files = [str(save(log, f"run{k}.parquet")) for k, log in enumerate(logs)]
         return read_checked(load_dataset("planar_2r"), files, repaired=repaired)
 
     return checked

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,42 +23,34 @@ Q, TAU = np.cumsum(np.random.default_rng(0).normal(size=(2, N, 2)), axis=1) / 10
 ORDER = {tuple(row): k for k, row in enumerate(np.column_stack([Q, TAU]))}
 ROBOT = load_robot("planar_2r")
 TABLE = pd.DataFrame({"t": T, "q1": Q[:, 0], "q2": Q[:, 1], "tau1": TAU[:, 0], "tau2": TAU[:, 1]})
-CSV: dict[str, tuple[str, dict[str, Any]]] = {
-    "csv": (".csv", {}),
-    "semicolons": (".csv", {"sep": ";", "decimal": ","}),
-    "tabs": (".txt", {"sep": "\t"}),
-    "quoted": (".csv", {"quoting": 1}),
+FORMS: dict[str, tuple[str, dict[str, Any]]] = {
+    "csv": ("log.csv", {}),
+    "semicolons": ("log.csv", {"sep": ";", "decimal": ","}),
+    "tabs": ("log.txt", {"sep": "\t"}),
+    "quoted": ("log.csv", {"quoting": 1}),
+    "parquet": ("log.parquet", {"write_page_checksum": True}),
+    "npz": ("log.npz", {}),
 }
-KINDS = (*CSV, "parquet", "npz", "mat", "bag", "mcap", "db3")
-each_kind = pytest.mark.parametrize("kind", KINDS)
-Content = Callable[[str], tuple[str, bytes]]
 
 
-@pytest.fixture(scope="module")
-def content(
-    write_joint_states: Callable[..., None], tmp_path_factory: pytest.TempPathFactory
-) -> Content:
-    """Suffix and bytes of the same log in any kind of file."""
-    arrays = {"t": T, "q": Q, "tau": TAU}
-
-    @functools.cache
-    def written(kind: str) -> tuple[str, bytes]:
-        suffix, options = CSV.get(kind, (f".{kind}", {}))
-        path = tmp_path_factory.mktemp(kind) / f"a{suffix}"
-        if kind in CSV:
-            TABLE.to_csv(path, index=False, **options)
-        elif kind == "parquet":
-            TABLE.to_parquet(path, write_page_checksum=True)
-        elif kind == "npz":
-            np.savez(path, **arrays)
-        elif kind == "mat":
-            scipy.io.savemat(path, arrays, do_compression=True)
-        else:
-            write_joint_states(path, kind, ROBOT.joints, T, (Q, Q, TAU))
-            path = path if kind == "bag" else next(path.glob(f"*.{kind}"))
-        return suffix, path.read_bytes()
-
-    return written
+@pytest.fixture(params=[*FORMS, "mat", "bag", "mcap", "db3"])
+def log(
+    request: pytest.FixtureRequest,
+    save: Callable[..., Path],
+    write_joint_states: Callable[..., None],
+    tmp_path: Path,
+) -> Path:
+    """The same log in a file of some kind."""
+    kind, path = request.param, tmp_path / f"log.{request.param}"
+    if kind in FORMS:
+        name, options = FORMS[kind]
+        return save(TABLE, name, **options)
+    if kind == "mat":
+        scipy.io.savemat(path, {"t": T, "q": Q, "tau": TAU}, do_compression=True)
+        return path
+    folder = path if kind == "bag" else tmp_path / "log"
+    write_joint_states(folder, kind, ROBOT.joints, T, (Q, Q, TAU))
+    return path if kind == "bag" else folder / path.name
 
 
 PLACES = st.floats(0, 1, exclude_max=True)
@@ -112,29 +103,24 @@ def examples(few: int, many: int) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("count", [few, pytest.param(many, marks=pytest.mark.slow)])
 
 
-@each_kind
-def test_an_undamaged_file_is_read(kind: str, content: Content, tmp_path: Path) -> None:
-    suffix, data = content(kind)
-    (tmp_path / f"log{suffix}").write_bytes(data)
+def test_an_undamaged_file_is_read(log: Path) -> None:
     for pieces in (False, True):
-        found = attempt(tmp_path / f"log{suffix}", pieces=pieces)
+        found = attempt(log, pieces=pieces)
         assert found is not None
         np.testing.assert_array_equal(found.q, Q)
         np.testing.assert_array_equal(found.tau, TAU)
         np.testing.assert_allclose(found.t, T, atol=1e-12)
 
 
-@each_kind
 @examples(10, 170)
-def test_damaged_bytes(kind: str, count: int, content: Content, tmp_path: Path) -> None:
-    suffix, data = content(kind)
-    path = tmp_path / f"log{suffix}"
+def test_damaged_bytes(log: Path, count: int) -> None:
+    content = log.read_bytes()
 
     @settings(max_examples=count)
-    @given(damages=DAMAGES, pieces=st.booleans())
+    @given(DAMAGES, st.booleans())
     def check(damages: list[tuple[str, float, int]], pieces: bool) -> None:
-        path.write_bytes(damaged(data, damages))
-        found = attempt(path, pieces=pieces)
+        log.write_bytes(damaged(content, damages))
+        found = attempt(log, pieces=pieces)
         if found is not None:
             assert_true(found, len(damages))
 

@@ -22,23 +22,22 @@ from excitant.identify import (
     load_recording,
     raw_recording,
 )
-from excitant.robots import Robot, load_robot
+from excitant.robots import load_robot
 
 T = np.arange(300) / 100
 _RATES = np.arange(1, 7)
 Q = np.sin(np.outer(T, _RATES))
 DQ = np.cos(np.outer(T, _RATES)) * _RATES
 TAU = 3 * Q + DQ + _RATES
-ORDER = [3, 1, 0, 5, 4, 2]  # as ROS sorts joints, not as the robot does
+ARM = load_robot("ur10")
+ORDER = sorted(range(6), key=lambda k: ARM.joints[k])  # of joints in ROS
 
 
-def table(
-    t: str, q: str, dq: str, tau: str, *, first: int = 0, scale: Sequence[float] = (1, 1, 1, 1)
-) -> pd.DataFrame:
+def table(*names: str, first: int = 0, scale: Sequence[float] = (1, 1, 1, 1)) -> pd.DataFrame:
     """The motion under other names and in other units."""
-    columns: dict[str, Any] = {t: T * scale[0]}
-    for pattern, values, factor in ((q, Q, scale[1]), (dq, DQ, scale[2]), (tau, TAU, scale[3])):
-        columns |= {pattern.format(k + first): values[:, k] * factor for k in range(6)}
+    columns: dict[str, Any] = {names[0]: T * scale[0]}
+    for name, values, factor in zip(names[1:], (Q, DQ, TAU), scale[1:], strict=True):
+        columns |= {name.format(k + first): values[:, k] * factor for k in range(6)}
     return pd.DataFrame(columns)
 
 
@@ -58,17 +57,22 @@ Load = Callable[..., Recording]
 
 
 @pytest.fixture
-def load(ur10: Robot, save: Callable[..., Path], tmp_path: Path) -> Load:
+def log(tmp_path: Path) -> Path:
+    return tmp_path / "log.csv"
+
+
+@pytest.fixture
+def load(save: Callable[..., Path]) -> Load:
     """``load(log, content, suffix)``: a table as it is read from a file, with a map of columns."""
 
     def loaded(log: Any, mapping: Any = None, suffix: str = ".csv", **options: Any) -> Recording:
         if isinstance(log, pd.DataFrame):
-            log = save(log, tmp_path / f"log{suffix}", **options)
+            log = save(log, f"log{suffix}", **options)
         if mapping is not None and not isinstance(mapping, ColumnMap):
             raw = mapping if isinstance(mapping, bytes) else yaml.safe_dump(mapping).encode()
-            (tmp_path / "columns.yaml").write_bytes(raw)
-            mapping = load_column_map(tmp_path / "columns.yaml")
-        return load_recording(log, ur10, mapping=mapping)
+            (log.parent / "columns.yaml").write_bytes(raw)
+            mapping = load_column_map(log.parent / "columns.yaml")
+        return load_recording(log, ARM, mapping=mapping)
 
     return loaded
 
@@ -127,56 +131,51 @@ def test_an_ambiguous_guess_is_refused_with_a_map_that_settles_it(
 
 
 @pytest.mark.parametrize(
-    ("form", "ending", "labels"),
+    ("form", "labels"),
     [
-        ("{joint}.{what}", "", ("position", "velocity", "effort")),
-        ("/joint_states/{joint}/{what}", "", ("position", "velocity", "effort")),
-        ("{what}_{joint}", "", ("pos", "vel", "tau")),
-        ("{joint} {what}", "_joint", ("position", "velocity", "effort")),
+        ("{joint}.{what}", "position velocity effort"),
+        ("/joint_states/{joint}/{what}", "position velocity effort"),
+        ("{what}_{joint}", "pos vel tau"),
+        ("{short} {what}", "position velocity effort"),
     ],
 )
-def test_joints_are_matched_by_name_in_any_order(
-    form: str, ending: str, labels: tuple[str, str, str], ur10: Robot, load: Load
-) -> None:
+def test_joints_are_matched_by_name_in_any_order(form: str, labels: str, load: Load) -> None:
     columns: dict[str, Any] = {"time": T}
-    for k in ORDER:
-        name = ur10.joints[k].removesuffix(ending)
-        for what, values in zip(labels, (Q, DQ, TAU), strict=True):
-            columns[form.format(joint=name, what=what)] = values[:, k]
-    columns[form.format(joint="gripper", what=labels[0])] = 7 * T
+    for joint, k in [(ARM.joints[k], k) for k in ORDER] + [("gripper", 0)]:
+        short = joint.removesuffix("_joint")
+        for what, values in zip(labels.split(), (Q, DQ, TAU), strict=True):
+            columns[form.format(joint=joint, short=short, what=what)] = values[:, k]
     same(load(pd.DataFrame(columns), suffix=".parquet"))
 
 
-def test_numbered_columns_follow_the_names_that_stand_beside_them(
-    ur10: Robot, load: Load, tmp_path: Path
-) -> None:
+def test_numbered_columns_follow_the_names_that_stand_beside_them(load: Load, log: Path) -> None:
     columns: dict[str, Any] = {"header.stamp.secs": 1_700_000_000 + T.astype(int)}
     columns["header.stamp.nsecs"] = np.round(T % 1 * 1e9).astype(int)
     for what, values in (("position", Q), ("velocity", DQ), ("effort", TAU)):
         columns |= {f"{what}_{j}": values[:, k] for j, k in enumerate(ORDER)}
-    columns |= {f"name_{j}": ur10.joints[k] for j, k in enumerate(ORDER)}
+    columns |= {f"name_{j}": ARM.joints[k] for j, k in enumerate(ORDER)}
     same(load(pd.DataFrame(columns)))
     with pytest.raises(BadRecording, match="joint 'panda_joint1' of the robot is not among them"):
-        load_recording(tmp_path / "log.csv", load_robot("panda"))
+        load_recording(log, load_robot("panda"))
 
 
-@pytest.mark.parametrize(("separator", "decimal"), product(",;\t |", ".,"))
+@pytest.mark.parametrize(("separator", "decimal"), [*product(",;\t |", ".,")])
 def test_separators_and_decimal_signs(separator: str, decimal: str, load: Load) -> None:
     quoted = separator == decimal  # as spreadsheets write it
     same(load(EXACT, sep=separator, decimal=decimal, quoting=int(quoted)))
 
 
-def test_comments_preambles_units_and_marks_of_encoding(load: Load, tmp_path: Path) -> None:
+def test_comments_preambles_units_and_marks_of_encoding(load: Load, log: Path) -> None:
     lines = table("t", "q{}", "dq{}", "tau{}", first=1, scale=(1e3, 180 / np.pi, 30 / np.pi, 1e3))
     text = lines.to_csv(index=False).splitlines(keepends=True)
     units = "ms," + ",".join(["deg"] * 6 + ["rpm"] * 6 + ["mNm"] * 6) + "\n"
     body = [text[0], units, *text[1:100], "# operator: pause\n", "\n", *text[100:]]
     content = "".join(["Straße 4; robot 2\n", "# rate 100 Hz\n", *body])
     for encoding in ("utf-8", "utf-8-sig", "utf-16", "cp1252"):
-        (tmp_path / "log.csv").write_text(content, encoding=encoding)
-        assert "[deg]" in same(load(tmp_path / "log.csv")).notes[0]
-    np.savetxt(tmp_path / "log.txt", EXACT, fmt="%.17g", header=" ".join(EXACT.columns))
-    same(load(tmp_path / "log.txt"))
+        log.write_text(content, encoding=encoding)
+        assert "[deg]" in same(load(log)).notes[0]
+    np.savetxt(log, EXACT, fmt="%.17g", header=" ".join(EXACT.columns))
+    same(load(log))
 
 
 def test_without_a_header_columns_are_named_by_number(load: Load) -> None:
@@ -186,55 +185,55 @@ def test_without_a_header_columns_are_named_by_number(load: Load) -> None:
     same(load(EXACT, numbers, header=False))
 
 
-TIMES: dict[str, tuple[str, Callable[[pd.Series], Any]]] = {
-    "seconds": ("t", lambda t: t + 17.5),
-    "ms by name": ("time_ms", lambda t: t * 1e3),
-    "us by name": ("Time [µs]", lambda t: np.round(t * 1e6).astype(int)),
-    "ns by name": ("timestamp_ns", lambda t: np.round(t * 1e9).astype(int)),
-    "s since 1970": ("t", lambda t: t + 1.7e9),
-    "ms since 1970": ("timestamp", lambda t: 1_700_000_000_000 + np.round(t * 1e3).astype(int)),
-    "us since 1970": ("timestamp", lambda t: 1_700_000_000_000_000 + np.round(t * 1e6).astype(int)),
-    "ns since 1970": ("t", lambda t: 1_700_000_000_000_000_000 + np.round(t * 1e9).astype(int)),
-    "ISO": ("stamp", lambda t: [f"2026-03-01T10:00:{x:09.6f}Z" for x in t]),
-    "ISO of a zone": ("stamp", lambda t: [f"2026-03-01 10:00:{x:09.6f}+02:00" for x in t]),
+def stamped(name: str, stamps: Callable[[pd.Series], Any]) -> Callable[..., pd.DataFrame]:
+    return lambda x: x.assign(t=stamps(x["t"])).rename(columns={"t": name})
+
+
+TIMES: dict[str, Callable[..., pd.DataFrame]] = {
+    "s": stamped("t", lambda t: t + 17.5),
+    "ms": stamped("time_ms", lambda t: t * 1e3),
+    "us": stamped("Time [µs]", lambda t: (t * 1e6).round().astype(int)),
+    "ns": stamped("timestamp_ns", lambda t: (t * 1e9).round().astype(int)),
+    "s since 1970": stamped("t", lambda t: t + 1.7e9),
+    "ms since epoch": stamped("timestamp", lambda t: 17 * 10**11 + (t * 1e3).round().astype(int)),
+    "us since epoch": stamped("timestamp", lambda t: 17 * 10**14 + (t * 1e6).round().astype(int)),
+    "ns since epoch": stamped("t", lambda t: 17 * 10**17 + (t * 1e9).round().astype(int)),
+    "ISO": stamped("stamp", lambda t: [f"2026-03-01T10:00:{x:09.6f}Z" for x in t]),
+    "a zone": stamped("stamp", lambda t: [f"2026-03-01 10:00:{x:09.6f}+02:00" for x in t]),
+    "far dates": stamped("t", lambda t: [f"9999-01-01T00:00:{x:09.6f}Z" for x in t]),
+}
+TYPES: dict[str, Callable[..., pd.DataFrame]] = {
+    "durations": stamped("t", lambda t: pd.to_timedelta((t * 1e9).round().astype(int))),
+    "dates": stamped("t", lambda t: pd.to_datetime(17 * 10**17 + (t * 1e9).round().astype(int))),
+    "categories": lambda x: x.assign(q1=x["q1"].astype(str).astype("category")),
+    "text": lambda x: x.astype(str),
+    "nullable": lambda x: x.astype("Float64"),
+    "an index": lambda x: x.set_index("t"),
+}
+UNUSABLE: dict[str, tuple[str, Callable[[pd.Series], Any]]] = {
+    "structures": ("q1", lambda x: [{"a": v} for v in x]),
+    "bytes": ("q1", lambda x: [str(v).encode() for v in x]),
+    "dates for angles": ("q1", lambda x: pd.to_datetime(np.arange(len(x)))),
+    "truth values": ("tau2", lambda x: x > 0),
+    "no time at all": ("t", lambda x: np.nan),
 }
 
 
-@pytest.mark.parametrize("name", TIMES)
-def test_time_in_any_form(name: str, load: Load) -> None:
-    column, stamps = TIMES[name]
-    stamped = EXACT.assign(t=stamps(EXACT["t"])).rename(columns={"t": column})
-    same(load(stamped))
-    found = same(load(stamped, suffix=".parquet"))
-    if "1970" in name and name != "s since 1970":  # integers keep every digit
-        np.testing.assert_allclose(found.t, T, atol=1e-12)
+@pytest.mark.parametrize("kind", [*TIMES, *TYPES])
+def test_times_and_numbers_of_any_kind_are_read(kind: str, load: Load) -> None:
+    log = (TIMES | TYPES)[kind](EXACT)
+    for suffix in (".csv", ".parquet") if kind in TIMES else (".parquet",):
+        found = same(load(log, suffix=suffix))
+        if "epoch" in kind or kind == "dates":  # integers keep every digit
+            np.testing.assert_allclose(found.t, T, atol=1e-12)
 
 
-KINDS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str | None]] = {
-    "durations": (lambda x: x.assign(t=pd.to_timedelta((x["t"] * 1e9).round().astype(int))), None),
-    "dates": (lambda x: x.assign(t=pd.to_datetime(1.7e9 + x["t"].round(2), unit="s")), None),
-    "far dates": (lambda x: x.assign(t=[f"9999-01-01T00:00:{s:09.6f}Z" for s in x["t"]]), None),
-    "categories": (lambda x: x.assign(q1=x["q1"].astype(str).astype("category")), None),
-    "text": (lambda x: x.astype(str), None),
-    "nullable": (lambda x: x.astype("Float64"), None),
-    "an index": (lambda x: x.set_index("t"), None),
-    "structures": (lambda x: x.assign(q1=[{"a": v} for v in x["q1"]]), "q1"),
-    "bytes": (lambda x: x.assign(q1=[str(v).encode() for v in x["q1"]]), "q1"),
-    "dates for angles": (lambda x: x.assign(q1=pd.to_datetime(np.arange(len(x)))), "q1"),
-    "truth values": (lambda x: x.assign(tau2=x["tau2"] > 0), "tau2"),
-    "no time at all": (lambda x: x.assign(t=np.nan), "t"),
-}
-
-
-@pytest.mark.parametrize("name", KINDS)
-def test_columns_of_any_kind_are_read_or_refused(name: str, load: Load) -> None:
-    change, refused = KINDS[name]
-    if refused is None:
-        same(load(change(EXACT), suffix=".parquet"))
-        return
+@pytest.mark.parametrize("kind", UNUSABLE)
+def test_what_is_no_number_is_refused(kind: str, load: Load) -> None:
+    column, change = UNUSABLE[kind]
     with pytest.raises(BadRecording, match="is not a finite number") as refusal:
-        load(change(EXACT), suffix=".parquet")
-    assert (refusal.value.row, refusal.value.column) == (0, refused)
+        load(EXACT.assign(**{column: change(EXACT[column])}), suffix=".parquet")
+    assert (refusal.value.row, refusal.value.column) == (0, column)
 
 
 def test_a_map_converts_units_signs_and_currents(load: Load) -> None:
@@ -284,6 +283,9 @@ def test_a_bad_map_is_refused_by_what_is_wrong(name: str, load: Load) -> None:
     assert why in str(refusal.value)
     assert "columns.yaml" in str(refusal.value) or "log.csv" in str(refusal.value)
     assert "\n" not in str(refusal.value)
+
+
+def test_a_map_that_is_not_there_is_refused() -> None:
     with pytest.raises(BadInput, match=r"nothing\.yaml"):
         load_column_map("nothing.yaml")
 
@@ -312,65 +314,55 @@ def test_arrays_that_do_not_fit_are_refused(load: Load, tmp_path: Path) -> None:
             load(tmp_path / "a.mat")
 
 
+HAND = ["gripper", *(ARM.joints[k] for k in ORDER)]
+CHANNELS = [np.column_stack([0.1 + 0 * T, x[:, ORDER]]) for x in (Q, DQ, TAU)]
+Bag = Callable[..., Path]
+
+
 @pytest.fixture
-def write_bag(ur10: Robot, write_joint_states: Callable[..., None]) -> Callable[..., None]:
-    """Joint states in the order of ROS, with a gripper, and messages of another node."""
-    order = sorted(range(6), key=lambda k: ur10.joints[k])
-    names = ["gripper", *(ur10.joints[k] for k in order)]
-    values = [np.column_stack([0.1 + 0 * T, x[:, order]]) for x in (Q, DQ, TAU)]
+def bag(write_joint_states: Callable[..., None], tmp_path: Path) -> Bag:
+    """``bag(kind, *topics)``: joint states with a gripper, and messages of another node."""
 
-    def write(
-        path: Path,
-        kind: str,
-        topics: Sequence[str] = ("/joint_states",),
-        *,
-        stamped: bool = True,
-        effort: bool = True,
-    ) -> None:
-        channels = [*values[:2], values[2] if effort else np.zeros(0)]
-        t = T if stamped else -T - 1
-        write_joint_states(path, kind, names, t, channels, topics=topics, hand=True)
+    def written(kind: str, *topics: str, t: np.ndarray = T, channels: Any = CHANNELS) -> Path:
+        path = tmp_path / ("log.bag" if kind == "bag" else f"log{len(list(tmp_path.iterdir()))}")
+        write_joint_states(path, kind, HAND, t, channels, topics=topics, hand=True)
+        return path
 
-    return write
+    return written
 
 
 @pytest.mark.parametrize("kind", ["bag", "mcap", "db3"])
-def test_bags_are_read_by_joint_name(
-    kind: str, load: Load, write_bag: Callable[..., None], tmp_path: Path
-) -> None:
-    bag = tmp_path / ("log.bag" if kind == "bag" else "log")
-    write_bag(bag, kind, topics=("/joint_states", "/joint_command"))
-    for file in [bag] if kind == "bag" else [bag, next(bag.glob(f"*.{kind}"))]:
+def test_bags_are_read_by_joint_name(kind: str, load: Load, bag: Bag) -> None:
+    path = bag(kind, "/joint_states", "/joint_command")
+    for file in [path] if kind == "bag" else [path, next(path.glob(f"*.{kind}"))]:
         found = same(load(file))
         np.testing.assert_allclose(found.t, T, atol=1e-12)
         assert {"topic: /joint_states", "joints left out: finger, gripper"} <= set(found.notes)
-    assert same(load(bag, {"i": "effort", "units": {"i": "mA"}}), TAU * 1e-3).unit == "A"
+    assert same(load(path, {"i": "effort", "units": {"i": "mA"}}), TAU * 1e-3).unit == "A"
     with pytest.raises(BadRecording, match="joint 'panda_joint1' of the robot is not among them"):
-        load_recording(bag, load_robot("panda"))
+        load_recording(path, load_robot("panda"))
 
 
-def test_bags_that_leave_a_choice_or_lack_something(
-    load: Load, write_bag: Callable[..., None], tmp_path: Path
-) -> None:
-    two = ("/left/states", "/right/states")
-    for name, options, topic, why in (
-        ("two", {"topics": two}, None, "topic: /left/states"),
-        ("none", {"topics": two[:1]}, "/none", "states on /none; topics with them: /left"),
-        ("commands", {"topics": ("/joint_command",)}, None, "topic: /joint_command"),
-        ("weak", {"effort": False}, None, "torques of shoulder_pan_joint.*is missing"),
+def test_bags_that_leave_a_choice_or_lack_something(load: Load, bag: Bag) -> None:
+    two = bag("mcap", "/left/states", "/right/states")
+    for path, topic, why in (
+        (two, None, "topic: /left/states"),
+        (two, "/none", "states on /none; topics with them: /left"),
+        (bag("mcap", "/joint_command"), None, "topic: /joint_command"),
+        (
+            bag("mcap", "/joint_states", channels=[*CHANNELS[:2], np.zeros(0)]),
+            None,
+            "torques of shoulder_pan_joint.*is missing",
+        ),
     ):
-        write_bag(tmp_path / name, "mcap", **options)
         with pytest.raises(BadRecording, match=why):
-            load(tmp_path / name, ColumnMap(topic=topic))
-    same(load(tmp_path / "two", ColumnMap(topic="/right/states")))
-    write_bag(tmp_path / "unstamped", "mcap", stamped=False)
-    notes = same(load(tmp_path / "unstamped")).notes
-    assert any("that of recording" in note for note in notes)
+            load(path, ColumnMap(topic=topic))
+    same(load(two, ColumnMap(topic="/right/states")))
+    unstamped = same(load(bag("mcap", "/joint_states", t=-T - 1)))
+    assert any("that of recording" in note for note in unstamped.notes)
 
 
-def test_a_raw_recording_refuses_no_row(
-    ur10: Robot, load: Load, save: Callable[..., Path], tmp_path: Path
-) -> None:
+def test_a_raw_recording_refuses_no_row(load: Load, save: Callable[..., Path]) -> None:
     """Speeds with holes are left out with a note, anything else is refused where it is checked."""
     rough = EXACT.astype(object).assign(temp=30.0)
     rough.loc[5, "dq3"] = np.nan
@@ -379,7 +371,7 @@ def test_a_raw_recording_refuses_no_row(
     assert found.notes == ("speeds left out: row 5 holds no finite number",)
     rough["t"], rough["tau4"] = np.sort(np.random.default_rng(0).uniform(0, 3, 300)), 0.0
     rough.loc[7, "t"], rough.loc[9, "q2"] = rough.loc[6, "t"], "abc"
-    raw = raw_recording(save(rough, tmp_path / "log.csv"), ur10)
+    raw = raw_recording(save(rough, "log.csv"), ARM)
     np.testing.assert_array_equal(raw.t, rough["t"].to_numpy(float) - rough["t"][0])
     assert raw.dq is not None
     assert np.isnan([raw.q[9, 1], raw.dq[5, 2]]).all()
@@ -388,40 +380,39 @@ def test_a_raw_recording_refuses_no_row(
     assert not any(values.flags.writeable for values in (raw.q, *raw.extras.values()))
 
 
-def test_damaged_rows_and_columns(load: Load, tmp_path: Path) -> None:
+def test_damaged_rows_and_columns(load: Load, log: Path) -> None:
     """Refused by row and column; a line that was cut is left out with a note."""
     with pytest.raises(BadRecording) as refusal:
         load(pd.concat([EXACT, EXACT[["q3"]]], axis=1))
     assert refusal.value.column == "q3"
-    path, text = tmp_path / "log.csv", EXACT.to_csv(index=False)
+    text = EXACT.to_csv(index=False)
     lines = text.splitlines()
     for line, cells in ((lines[43].rpartition(",")[0], 18), (f"{lines[43]},1", 20)):
-        path.write_text("\n".join([*lines[:43], line, *lines[44:]]) + "\n")
+        log.write_text("\n".join([*lines[:43], line, *lines[44:]]) + "\n")
         with pytest.raises(BadRecording, match=f"{cells} cells where the header") as refusal:
-            load(path)
+            load(log)
         assert refusal.value.row == 42
-    path.write_text(text[:-3])
-    np.testing.assert_array_equal(load(path).tau, TAU[:-1])
-    assert any("last line left out" in note for note in load(path).notes)
+    log.write_text(text[:-3])
+    np.testing.assert_array_equal(load(log).tau, TAU[:-1])
+    assert any("last line left out" in note for note in load(log).notes)
 
 
-def test_a_folder_brings_its_map_and_its_drives(
-    ur10: Robot, save: Callable[..., Path], tmp_path: Path
-) -> None:
+def test_a_folder_brings_its_map_and_its_drives(save: Callable[..., Path], log: Path) -> None:
+    folder = log.parent
     drive = {"gain_Nm_per_A": [0.1] * 6, "gear_ratio": [50] * 6}
-    (tmp_path / "arm.urdf").write_text(ur10.urdf, encoding="utf-8")
+    (folder / "arm.urdf").write_text(ARM.urdf, encoding="utf-8")
     for name, content in {
         "robot": {"model": "arm.urdf", "drive": drive},
         "columns": {"q": "wheel_{0}", "units": {"q": "deg"}},
         "rad": {"q": "wheel_{0}"},
     }.items():
-        (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump(content))
-    log = save(table("time", "wheel_{}", "vel_{}", "actual_current_{}"), tmp_path / "log.csv")
-    rad = {"columns": tmp_path / "rad.yaml"}
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump(content))
+    save(table("time", "wheel_{}", "vel_{}", "actual_current_{}"), "log.csv")
+    rad = {"columns": folder / "rad.yaml"}
     for dataset, names, unit in (
-        (load_dataset(tmp_path), [], np.pi / 180),
-        (load_dataset(tmp_path, **rad), [], 1.0),
-        (load_dataset(tmp_path / "robot.yaml", **rad), [str(log)], 1.0),
+        (load_dataset(folder), [], np.pi / 180),
+        (load_dataset(folder, **rad), [], 1.0),
+        (load_dataset(folder / "robot.yaml", **rad), [str(log)], 1.0),
     ):
         [found] = dataset.recordings(names)
         np.testing.assert_allclose(found.tau, 5 * TAU)
@@ -430,13 +421,13 @@ def test_a_folder_brings_its_map_and_its_drives(
 
 
 def test_the_command_takes_a_map_and_shows_what_it_understood(
-    excitant: Callable[..., Any], save: Callable[..., Path], tmp_path: Path
+    excitant: Callable[..., Any], save: Callable[..., Path], log: Path
 ) -> None:
     columns = {"clock": T, "a": Q[:, 0], "b": Q[:, 1], "tau_0": 1.0, "tau_1": TAU[:, 1]}
-    log = save(pd.DataFrame(columns)[:100], tmp_path / "log.csv")
-    (tmp_path / "c.yaml").write_text("{t: clock, q: [a, b], tau: 'tau_{0}'}")
+    save(pd.DataFrame(columns)[:100], "log.csv")
+    log.with_suffix(".yaml").write_text("{t: clock, q: [a, b], tau: 'tau_{0}'}")
     ran = excitant("identify planar_2r", log)
     assert (ran.status, "--map" in ran.err) == (1, True)
-    ran = excitant("identify planar_2r", log, "--map", tmp_path / "c.yaml")
+    ran = excitant("identify planar_2r", log, "--map", log.with_suffix(".yaml"))
     assert ran.status == 1
     assert "column 'clock': too short: 100 samples" in ran.err
