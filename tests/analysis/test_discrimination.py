@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
 from planted import Diagnosed, drawn
+from separation import run_case
 
 from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.discrimination import (
@@ -220,10 +219,8 @@ def test_a_motion_is_described_by_what_moves(ur10: Robot) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["viscous_friction", "nonlinear_viscous_friction"])
-def test_the_proposed_motion_settles_the_diagnosis(
-    benchmark_module: Callable[[str], Any], kind: str
-) -> None:
-    outcomes, log = benchmark_module("separation").run_case("planar_2r", kind, 0, 15.0)
+def test_the_proposed_motion_settles_the_diagnosis(kind: str) -> None:
+    outcomes, log = run_case("planar_2r", kind, 0, 15.0)
     by_motion = [o for o in outcomes if o.how == "motion" and o.true]
     assert by_motion, log
     assert all(outcome.settled for outcome in by_motion), log

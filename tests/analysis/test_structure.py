@@ -142,14 +142,6 @@ def test_what_each_link_brings(name: str, per_link: tuple[int, ...]) -> None:
     assert len(base_parameters(robot)) == sum(per_link)
 
 
-@pytest.mark.parametrize("name", ["puma560", "ur10", "panda"])
-@pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (3.0, 0.0, -9.0)])
-def test_the_count_formula(name: str, gravity: tuple[float, ...]) -> None:
-    robot = load_robot(name).with_gravity(gravity)
-    expected = largest_count(robot.nv, 0, first_along_gravity=gravity[0] == 0)
-    assert len(base_parameters(robot)) == len(grouping(robot)) == expected
-
-
 def test_branches_are_counted() -> None:
     zero = (0, 0, 0)
     robot = tree(
