@@ -126,7 +126,6 @@ def estimates(
     data = Data(segments, (), recording.unit, cutoff_hz, "")
     rows = fit_rows(known.robot, standard_effects(known.robot.joints), known.base, data)
     even, odd = half_regressions(rows, [recording])
-
     loop = closed_loop(rows, [recording])
     fits = (
         weighted_least_squares(rows.reduced),

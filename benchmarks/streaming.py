@@ -69,8 +69,8 @@ def identified(path: Path) -> dict[str, float]:
         seconds = time.process_time() - start
     status = Path("/proc/self/status").read_text().splitlines()
     peak = int(next(line.split()[1] for line in status if "VmHWM" in line)) / 1024
-    figures = {"rms": float(found.rms.max()), "nrmse": float(found.nrmse.max())}
-    return {"seconds": seconds, "peak_MB": peak, **figures}
+    worst = {"rms": float(found.rms.max()), "nrmse": float(found.nrmse.max())}
+    return worst | {"seconds": seconds, "peak_MB": peak}
 
 
 def main(words: Sequence[str] | None = None) -> None:
