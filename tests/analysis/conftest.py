@@ -22,10 +22,9 @@ def diagnosed(runs: Runs) -> Diagnosed:
         *hidden: HiddenEffect,
         given: Robot | None = None,
         tolerance: float = 0.03,
-        duration: float = 10.0,
+        **more: float,
     ) -> Diagnosis:
-        sensors = industrial_sensors(robot)
-        fitted, held = runs(robot, seed, hidden, sensors, tolerance, duration=duration)
+        fitted, held = runs(robot, seed, hidden, industrial_sensors(robot), tolerance, **more)
         return diagnose(given or robot, [fitted], validate=[held])
 
     return found

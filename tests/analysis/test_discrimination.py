@@ -119,14 +119,14 @@ def test_runs_decide_with_the_power_that_is_promised() -> None:
     assert repetitions(needed() / 2.5) == 3
 
 
-SEPARABLE = [
-    (kinds.ViscousFriction(LAST, (0.3,)), kinds.TimeDelay(LAST, trial=0.005), (0.2, 0.2)),
-    (kinds.PreslidingHysteresis(LAST, (0.06,)), kinds.CoulombFriction(LAST), (0.9, 0.1)),
-    (kinds.StribeckFriction(LAST, (0.2,)), kinds.CoulombFriction(LAST), (0.9, 0.4)),
-]
-
-
-@pytest.mark.parametrize(("found", "rival", "sine"), SEPARABLE)
+@pytest.mark.parametrize(
+    ("found", "rival", "sine"),
+    [
+        (kinds.ViscousFriction(LAST, (0.3,)), kinds.TimeDelay(LAST, trial=0.005), (0.2, 0.2)),
+        (kinds.PreslidingHysteresis(LAST, (0.06,)), kinds.CoulombFriction(LAST), (0.9, 0.1)),
+        (kinds.StribeckFriction(LAST, (0.2,)), kinds.CoulombFriction(LAST), (0.9, 0.4)),
+    ],
+)
 def test_the_motion_separates_what_a_poor_one_does_not(
     planar: Robot, found: Effect, rival: Effect, sine: tuple[float, float]
 ) -> None:

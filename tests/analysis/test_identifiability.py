@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
+from types import SimpleNamespace as Judged
 
 import numpy as np
 import pinocchio as pin
@@ -163,9 +163,6 @@ def test_parameters_that_follow_from_one_another_are_grouped(planar: Robot) -> N
         assert found.follow == (("link1.mcx", "link2.m"),)
 
 
-# persistency of excitation
-
-
 def test_level_is_information_per_noise(planar: Robot) -> None:
     motion, sigma = motion_of(planar), np.array([0.2, 0.1])
     one, half = (persistency(planar, motion, sigma=s) for s in (sigma, sigma / 2))
@@ -219,9 +216,6 @@ def test_a_motion_without_duration_is_refused(ur10: Robot) -> None:
         persistency(ur10, motion_of(ur10)[:1], ())
 
 
-# what would show more
-
-
 def test_gravity_in_the_plane_shows_first_moments_and_tilting_brings_it(planar: Robot) -> None:
     upright, level = analyze(planar), analyze(planar.with_gravity([0, -9.81, 0]))
     assert (len(upright.base), len(level.base)) == (6, 4)  # level: along the axes of both joints
@@ -231,12 +225,9 @@ def test_gravity_in_the_plane_shows_first_moments_and_tilting_brings_it(planar: 
     assert entry(upright, "link1.mcz").category == "unique"
     assert entry(upright, "link1.mcz").needed == ""
     assert entry(upright, "link2.Iyz").needed.startswith("never by joint torques; by a force")
-
-
-def test_in_free_fall_no_tilt_helps(planar: Robot) -> None:
-    found = analyze(planar.with_gravity([0, 0, 0]))
-    assert not any("tilted" in e.needed for e in found.entries)
-    assert "sensor under the base" in entry(found, "link1.mcz").needed
+    falling = analyze(planar.with_gravity([0, 0, 0]))
+    assert not any("tilted" in e.needed for e in falling.entries)
+    assert "sensor under the base" in entry(falling, "link1.mcz").needed
 
 
 def test_a_joint_that_rests_is_named_and_moving_it_helps(ur10: Robot) -> None:
@@ -249,10 +240,7 @@ def test_a_joint_that_rests_is_named_and_moving_it_helps(ur10: Robot) -> None:
     motion = stacked(motion_of(ur10, resting=[2]), motion_of(ur10, 1))
     cured = analyze(ur10, effects=found.effects, motion=motion)
     assert not any(p.verdict == "not_shown" for p in cured.practical)
-
-
-def test_of_two_resting_joints_the_one_that_matters_is_named(ur10: Robot) -> None:
-    for joint in (ur10.joints[1], ur10.joints[4]):
+    for joint in (ur10.joints[1], ur10.joints[4]):  # of two, the one that matters
         assert entry(under(1, 4), f"{joint}.Fv").needed == f"moving {joint}, which rests"
 
 
@@ -293,9 +281,6 @@ def test_a_known_payload_shows_the_scale_of_currents(
         std.append(uncertainty.scale_deviation(ur10, standard_effects(ur10.joints), sigma))
     assert std[0] == np.inf
     assert std[1] / std[2] == pytest.approx(2.0, rel=0.02)
-
-
-# standard deviations
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-6, 1e6])
@@ -340,8 +325,6 @@ def test_deviations_are_met_by_repeated_experiments_on_recursive_newton_euler(ur
             assert found.entries[column].std_data == pytest.approx(std)
 
 
-# directions and correlations
-
 BASE = BaseParameters(("a.m", "a.Ixx", "b.Izz"), (0, 1, 2), np.eye(3), np.zeros((3, 0)), (1.0, 0.0))
 UNITS = ("kg", "kg·m²", "kg·m²")
 
@@ -384,16 +367,13 @@ def test_correlations_are_sorted_by_size() -> None:
     assert np.diag(matrix).tolist() == [1, 1, 1, 0]
 
 
-# the prior
-
-
 @pytest.fixture(scope="module")
-def judged(planar: Robot, runs: Runs) -> SimpleNamespace:
+def judged(planar: Robot, runs: Runs) -> Judged:
     """A recording of the planar arm: what was identified, and what it shows."""
     recording, held = runs(planar, 0)
     estimate = identify_robot(planar, [recording], validate=[held])
     rows = fit_rows(planar, estimate.model.effects, estimate.base, estimate.data)
-    return SimpleNamespace(
+    return Judged(
         estimate=estimate,
         rows=rows,
         prior=prior_of(prior_parameters(planar), rows.open_prior),
@@ -401,13 +381,13 @@ def judged(planar: Robot, runs: Runs) -> SimpleNamespace:
     )
 
 
-def test_a_recording_gives_its_own_uncertainty(judged: SimpleNamespace) -> None:
+def test_a_recording_gives_its_own_uncertainty(judged: Judged) -> None:
     std = np.sqrt(np.diag(judged.estimate.least_squares.covariance))
     np.testing.assert_array_equal([p.std for p in judged.found.practical], std)
     assert "residual" in judged.found.motion.basis
 
 
-def test_the_prior_decides_what_is_null_and_not_what_is_seen(judged: SimpleNamespace) -> None:
+def test_the_prior_decides_what_is_null_and_not_what_is_seen(judged: Judged) -> None:
     influence = judged.found.motion.influence
     assert influence.refits > 0
     for k, e in enumerate(judged.found.entries):
@@ -423,7 +403,7 @@ def test_the_prior_decides_what_is_null_and_not_what_is_seen(judged: SimpleNames
 
 
 def test_two_initial_values_that_agree_within_5_percent_show_nothing(
-    judged: SimpleNamespace,
+    judged: Judged,
 ) -> None:
     """Two priors, far apart where the data see, alike where they do not: the tables agree."""
     prior, B = judged.prior, judged.estimate.base.regrouping
@@ -478,7 +458,7 @@ def test_the_prior_moves_alike_in_any_basis_of_the_null_space(planar: Robot) -> 
     np.testing.assert_allclose(one.base_move, two.base_move, rtol=1e-6)
 
 
-def test_bodies_at_their_limit_are_named(judged: SimpleNamespace) -> None:
+def test_bodies_at_their_limit_are_named(judged: Judged) -> None:
     prior = judged.prior
     root = np.linalg.cholesky(pseudo_inertia(prior.mean[10:20]))
     assert prior.at_limit(prior.mean) == ()

@@ -1,7 +1,4 @@
-"""Diagnoses of real arms: the extended model predicts better, and what is known of them is seen.
-
-Expectations are loose: they are what a change for the worse would break, not records.
-"""
+"""Diagnoses of real arms predict better, and what is known of the arms is seen; no records."""
 
 from __future__ import annotations
 

@@ -88,9 +88,6 @@ def test_rows_are_those_that_are_kept() -> None:
     np.testing.assert_array_equal(both, np.vstack([whole[keep], whole]))
 
 
-# noise
-
-
 @pytest.mark.parametrize("signal", [0.0, 50.0])
 def test_noise_floor_is_what_white_noise_leaves_behind_the_filter(signal: float) -> None:
     sigma = 0.4
@@ -106,9 +103,6 @@ def test_noise_floor_is_unknown_where_the_rate_leaves_no_band() -> None:
     s = segment(0, 0.4)
     slow = Segment("run", s.motion[::10], s.tau[::10], s.tau_raw[::10], 8.0, slice(None))
     assert residuals.noise_floor([slow], 0) == 0.0
-
-
-# with what an error varies
 
 
 SEGMENTS = [segment(seed, 0.2) for seed in range(2)]
@@ -204,9 +198,6 @@ def test_distance_since_a_reversal() -> None:
     dq = np.array([1.0, 1, 1, 0, -1, -1, 0, 1])[:, None]
     found = residuals.since_reversal(q, dq, np.array([0.1]))[:, 0]
     np.testing.assert_allclose(found, [0, 1, 2, 3, 0, -1, -2, 0])
-
-
-def test_a_reversal_of_one_recording_is_none_of_the_next() -> None:
     both = [replace(SEGMENTS[0], name=name) for name in ("one", "two")]
     one, two = np.split(residuals.explanatory(both, np.vstack([SEGMENTS[0].tau] * 2)).reversal, 2)
     np.testing.assert_allclose(one, two)

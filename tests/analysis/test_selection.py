@@ -145,8 +145,6 @@ def test_real_friction_is_found(data_folder: Path) -> None:
     assert violations(better.phi, dataset.robot.links) == []
 
 
-# columns of candidates
-
 EACH = (  # one of each way in which an effect gets its columns
     kinds.Payload(JOINTS[1:], (0.5, *[0.01] * 9)),
     kinds.ViscousFriction(JOINTS, (0.3, 0.2)),

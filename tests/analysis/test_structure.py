@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -32,20 +33,16 @@ SEEDS = st.integers(0, 2**32 - 1)
 SAME = 1e-8  # rad: null spaces from columns known to 1e-13, gaps of 1e-4 at least
 GRAVITIES = [None, (0.0, 0.0, 0.0), (1.0, 2.0, -9.0), (0.0, -9.81, 0.0)]
 KINDS = ("planar_2r", "cylindrical", "scara", "puma560", "ur10", "panda", "cmu_dd_arm_ii")
-BODY = (2.0, 0.2, 0.1, 0.2, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0)  # its values decide no category
 
 
-def chain(seed: int, nv: int, special: bool) -> DHChain:
-    """Joints of both kinds; axes at right angles and coincident axes when special."""
-    rng, later = np.random.default_rng(seed), np.arange(nv) > 0
-    angles = rng.choice([0.0, np.pi / 2, -np.pi / 2, np.pi], (2, nv))
-    alpha, theta = angles if special else rng.uniform(-3, 3, (2, nv))
-    a, d = rng.choice([0.0, 0.3, -0.4], (2, nv)) if special else rng.uniform(-0.5, 0.5, (2, nv))
-    gravity = [(0, 0, -9.81), (0, 0, 0), (3, 1, -9)][rng.integers(3)] if special else (2, -4, 8)
-    names = (tuple(f"{kind}{i}" for i in range(nv)) for kind in "jl")
-    turns, mounts = rng.random(nv) >= 0.3, (np.array(gravity, float), np.eye(4), np.eye(4))
-    numbers = (a * later, d, alpha * later, theta, np.tile(BODY, nv))
-    return DHChain("chain", "modified", *names, turns, *numbers, *mounts)
+def special(chain: DHChain, seed: int) -> DHChain:
+    """The chain with right angles, coincident axes, and gravity along an axis, across or none."""
+    rng, later = np.random.default_rng(seed), np.arange(chain.nv) > 0
+    alpha, theta = rng.choice([0.0, np.pi / 2, -np.pi / 2, np.pi], (2, chain.nv))
+    a, d = rng.choice([0.0, 0.3, -0.4], (2, chain.nv))
+    gravity = np.array([(0.0, 0.0, -9.81), (0.0, 0.0, 0.0), (3.0, 1.0, -9.0)][rng.integers(3)])
+    places = {"a": a * later, "d": d, "alpha": alpha * later, "theta": theta}
+    return replace(chain, **places, gravity=gravity, base=np.eye(4), tool=np.eye(4))
 
 
 def tree(*joints: tuple[Any, ...], gravity: float = 9.81) -> Robot:
@@ -90,14 +87,17 @@ def test_recursion_and_regressor_agree(name: str, gravity: tuple[float, ...] | N
     assert angle_between_methods(robot) < SAME
 
 
-@given(seed=SEEDS, nv=st.integers(1, 7), special=st.booleans())
-def test_three_methods_agree_on_random_chains(seed: int, nv: int, special: bool) -> None:
-    given_chain = chain(seed, nv, special)
-    robot, revolute = robot_from_dh(given_chain), int(given_chain.revolute.sum())
+@given(seed=SEEDS, nv=st.integers(1, 7), right=st.booleans())
+def test_three_methods_agree_on_random_chains(
+    random_chain: Callable[..., DHChain], seed: int, nv: int, right: bool
+) -> None:
+    chain = random_chain(seed, nv, "modified")
+    chain = special(chain, seed) if right else chain
+    robot, revolute = robot_from_dh(chain), int(chain.revolute.sum())
     base, other = base_parameters(robot), parameter_nullspace(robot)
     assert len(base) == len(other)
     assert other.angle(base.null_space, arm_length(robot)) < SAME
-    if given_chain.gravity.any():
+    if chain.gravity.any():
         rules = grouping(robot)
         assert rules.shown == other.shown
         assert other.angle(rules.basis, arm_length(robot)) < SAME
@@ -105,17 +105,16 @@ def test_three_methods_agree_on_random_chains(seed: int, nv: int, special: bool)
         assert len(base) <= largest_count(revolute, nv - revolute, first_along_gravity=False)
 
 
-@pytest.mark.parametrize("branches", [False, True])
-@given(
-    seed=SEEDS,
-    nv=st.integers(2, 6),
-    special=st.booleans(),
-    held=st.sampled_from(["none", "any", "pose"]),
-)
+@pytest.mark.parametrize("kind", ["general", "special", "branched"])
+@given(seed=SEEDS, nv=st.integers(2, 6), held=st.sampled_from(["none", "any", "pose"]))
 def test_held_joints_in_both_methods(
-    branches: bool, seed: int, nv: int, special: bool, held: str
+    random_chain: Callable[..., DHChain], kind: str, seed: int, nv: int, held: str
 ) -> None:
-    robot = branched(seed, nv) if branches else robot_from_dh(chain(seed, nv, special))
+    if kind == "branched":
+        robot = branched(seed, nv)
+    else:
+        chain = random_chain(seed, nv, "modified")
+        robot = robot_from_dh(special(chain, seed) if kind == "special" else chain)
     rng, moving = np.random.default_rng(seed), None
     if held != "none":
         moving = [name for name in robot.joints if rng.random() < 0.5] or [robot.joints[-1]]
@@ -143,12 +142,8 @@ def test_what_each_link_brings(name: str, per_link: tuple[int, ...]) -> None:
 
 
 def test_branches_are_counted() -> None:
-    zero = (0, 0, 0)
-    robot = tree(
-        (-1, "revolute", (0, 0, 1), zero, zero),
-        (0, "revolute", (0, 1, 0), zero, zero),
-        (0, "revolute", (1, 0, 0), zero, zero),
-    )
+    fork = zip((-1, 0, 0), np.eye(3)[[2, 1, 0]], strict=True)
+    robot = tree(*((on, "revolute", axis, np.zeros(3), np.zeros(3)) for on, axis in fork))
     assert len(structure(robot).base) == 15
     assert parameter_nullspace(robot).shown == (1, 7, 7)
 
