@@ -34,7 +34,7 @@ class ArmEntry:
 
 
 def arm_entry(name: str) -> ArmEntry:
-    """What a built-in arm is."""
+    """Description of a built-in arm."""
     record, robot = builtin_record(name), load_robot(name)
     about, file = record.about, resources.files("excitant.robots.library") / f"{name}.urdf"
     assert about is not None

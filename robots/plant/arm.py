@@ -202,7 +202,7 @@ class Arm:
         return np.concatenate([q, [motor[gear.joint] for gear in self.truth.gears]])
 
     def read(self, x: Array, v: Array) -> tuple[Array, Array]:
-        """What the encoders read."""
+        """Encoder readings."""
         return self.truth.encoder.reading(x[self.motor], v[self.motor])
 
     def seen(
