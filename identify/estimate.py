@@ -199,7 +199,7 @@ class Estimate:
         }
 
     def _essential(self) -> dict[str, Any]:
-        """The fewest base parameters, and what the hold-out says of them (median over joints)."""
+        """The fewest base parameters, and their accuracy on the hold-out (median over joints)."""
         essential = essential_parameters(self.least_squares.beta, self.least_squares.covariance)
         names = self.base.expressions
         every, few = (

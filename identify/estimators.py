@@ -49,7 +49,7 @@ ESTIMATORS: Mapping[str, str] = MappingProxyType(
         "oe": "output error (closed loop simulated, DIDIM)",
     }
 )
-"""Every estimator's name, and what it is, in words."""
+"""Name and description of every estimator."""
 
 _CERTAIN = 0.01  # chance of a false alarm of the test for errors in the motion
 _ROUNDS, _SETTLED = 200, 1e-7  # of reweighting; change of the fitted torque, rms, of the noise

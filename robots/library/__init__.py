@@ -1,4 +1,4 @@
-"""Built-in arms: what they are, and where their numbers come from.
+"""Built-in arms and the sources of their numbers.
 
 Each is a URDF with a YAML of the limits and effects that a URDF cannot hold, or such a YAML alone.
 """

@@ -1,4 +1,4 @@
-"""Sensors of the plant: what is recorded of a run, and how it may lie."""
+"""Sensors of the plant: the record of a run, with noise and systematic errors."""
 
 from __future__ import annotations
 
