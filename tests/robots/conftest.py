@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -29,20 +28,6 @@ def gantry_urdf() -> str:
 @pytest.fixture(scope="session")
 def gantry() -> Robot:
     return robot_from_urdf(GANTRY, source="gantry.urdf")
-
-
-@pytest.fixture(scope="session")
-def wedge() -> Callable[[Path], None]:
-    """``wedge(path)`` writes a closed mesh of four faces as binary STL."""
-
-    def write(path: Path) -> None:
-        corners = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0.1, 0.1, 0.4]], np.float32)
-        faces = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]
-        triangles = (struct.pack("<12fH", 0, 0, 0, *corners[list(f)].ravel(), 0) for f in faces)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(bytes(80) + struct.pack("<I", 4) + b"".join(triangles))
-
-    return write
 
 
 KINDS = ("planar_2r", "scara", "ur10", "panda")

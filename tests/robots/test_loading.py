@@ -120,8 +120,8 @@ def test_the_command_line_chooses_a_part(excitant: Command, tmp_path: Path) -> N
     assert all(f"left_{k}" in ran.out for k in (1, 2, 3))
     assert "held at 0, as they are not chosen: right_1, right_2, right_3" in ran.err
     head = DATA / "pan_tilt.urdf.xacro"
-    assert excitant("robots --json --xacro-arg reach:=0.6", head).status == 0
-    ran = excitant("robots --xacro-arg raech:=0.6", head)
+    assert excitant("robots", head, "--xacro-arg", "reach:=0.6", "--json").status == 0
+    ran = excitant("robots", head, "--xacro-arg", "raech:=0.6")
     assert ran.status == 1
     assert "did you mean 'reach'" in ran.err
     shutil.copy(DATA / "scara.urdf", tmp_path / "robot.urdf")
@@ -153,7 +153,7 @@ REFUSED = [  # a file, what is written in place of a part of it or at its start,
     ("gantry.urdf", '"twist" type="revolute"', '"twist" type="rev"', "twist"),
     ("gantry.urdf", "</robot>", LOOP, "'hand' hangs from two joints, 'twist' and 'brace'"),
     ("arm.urdf", "", "<sdf/>", "not a URDF: the root element is <sdf>"),
-    ("arm.urdf", "", '<mujoco model="gantry"/>', "MuJoCo"),
+    ("arm.urdf", "", '<mujoco model="gantry"/>', "give an MJCF of an arm"),
     ("arm.urdf", "", '<robot name="empty"/>', "no <link>"),
     ("arm.urdf", "", "\xff", "not a text file"),
     ("over.yaml", "", "gravity: [0, 0, -9.81]\n", "no 'model' entry"),

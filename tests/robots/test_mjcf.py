@@ -161,13 +161,10 @@ def test_any_compiler_gives_the_torque_of_mujoco(
 
 
 @pytest.mark.parametrize("frame", ["", 'refpos="0.1 0.2 -0.1" refquat="1 0.5 0.2 0.1"'])
-def test_inertia_of_a_mesh_is_that_of_its_volume(
-    tmp_path: Path, wedge: Callable[[Path], None], frame: str
-) -> None:
-    wedge(tmp_path / "meshes" / "wedge.stl")
+def test_inertia_of_a_mesh_is_that_of_its_volume(tmp_path: Path, frame: str) -> None:
     path = tmp_path / "mesh.xml"
     path.write_text(
-        f"""<mujoco><compiler meshdir="meshes"/>
+        f"""<mujoco><compiler meshdir="{DATA}"/>
         <asset><mesh file="wedge.stl" scale="1 1.5 0.8" inertia="exact" {frame}/></asset>
         <worldbody><body name="a"><joint name="j" axis="0 1 0"/>
         <geom type="mesh" mesh="wedge" pos="0.1 0.2 0.3" euler="10 20 30"/>

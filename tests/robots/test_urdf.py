@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -138,21 +139,16 @@ def test_a_robot_without_a_name_is_called_as_its_file(tmp_path: Path, gantry_urd
 
 
 def test_meshes_beside_the_file_are_found_from_anywhere(
-    tmp_path: Path,
-    gantry_urdf: str,
-    wedge: Callable[[Path], None],
-    random_states: States,
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, gantry_urdf: str, random_states: States, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    wedge(tmp_path / "model" / "meshes" / "wedge.stl")
-    shape = '<collision><geometry><mesh filename="meshes/wedge.stl"/></geometry></collision></link>'
-    path = tmp_path / "model" / "gantry.urdf"
+    path = Path(shutil.copytree(Path(__file__).parent / "data", tmp_path / "data")) / "gantry.urdf"
+    shape = '<collision><geometry><mesh filename="wedge.stl"/></geometry></collision></link>'
     path.write_text(gantry_urdf.replace("</link>", shape))
     monkeypatch.chdir(tmp_path)
     found = scene(load_robot(path))
     assert found is not None
     assert np.isfinite(found.distances(random_states(found.robot, 0, 8).q)).all()
-    path.write_text(path.read_text().replace("wedge", "gone"))
+    (path.parent / "wedge.stl").unlink()
     assert scene(load_robot(path)) is None
 
 

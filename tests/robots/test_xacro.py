@@ -5,10 +5,12 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import xacro
+from xacro import substitution_args
 
 from excitant.exceptions import BadRobot
 from excitant.robots import Robot, load_robot
@@ -19,17 +21,12 @@ Refused = Callable[..., str]
 
 @pytest.fixture
 def arm(tmp_path: Path) -> Path:
-    """An arm whose macros lie in a package somewhere else."""
+    """An arm whose macros lie in the package `parts` beside its own."""
     shutil.copytree(Path(__file__).parent / "data" / "bars", tmp_path, dirs_exist_ok=True)
     return tmp_path / "arm" / "bars.urdf.xacro"
 
 
-@pytest.fixture
-def elsewhere(arm: Path) -> Path:
-    return arm.parents[1] / "elsewhere"
-
-
-def written(path: Path, old: str, new: str) -> None:
+def write(path: Path, old: str, new: str) -> None:
     text = path.read_text("utf-8")
     assert old in text
     path.write_text(text.replace(old, new))
@@ -41,35 +38,38 @@ def centre(robot: Robot, link: str) -> float:
     return float(robot.phi[k + 3] / robot.phi[k])
 
 
-@pytest.mark.parametrize("folder", ["", "parts"])
-def test_arguments_decide_what_is_built(arm: Path, elsewhere: Path, folder: str) -> None:
-    packages = [elsewhere / folder]
-    plain = load_robot(arm, packages=packages)
+def test_arguments_decide_what_is_built(arm: Path) -> None:
+    plain = load_robot(arm)
     assert plain.joints == ("upper_joint", "fore_joint")
     assert centre(plain, "upper") == pytest.approx(0.25)
-    given = {"length": "0.8", "tool": "true"}
-    other = load_robot(RobotSpec(arm, xacro_args=given, packages=tuple(packages)))
+    other = load_robot(RobotSpec(arm, xacro_args={"length": "0.8", "tool": "true"}))
     assert other.joints == ("upper_joint", "fore_joint", "slider_joint")
     assert centre(other, "upper") == pytest.approx(0.4)
     assert other.revolute.tolist() == [True, True, False]
 
 
-def test_packages_around_the_file_are_found(arm: Path, elsewhere: Path) -> None:
-    (elsewhere / "parts").rename(elsewhere.parent / "parts")
-    assert load_robot(arm).nv == 2
-
-
-def test_a_package_is_known_by_its_manifest(arm: Path, elsewhere: Path) -> None:
-    (elsewhere / "parts" / "package.xml").write_text("<package><name>parts</name></package>")
-    other = (elsewhere / "parts").rename(elsewhere / "downloaded-parts-1.2")
-    assert load_robot(arm, packages=[other]).nv == 2
+@pytest.mark.parametrize(
+    ("to", "given"), [("far/parts", "far"), ("far/parts", "far/parts"), ("far/x-1.2", "far/x-1.2")]
+)
+def test_a_package_is_found_where_it_is_said_to_be(arm: Path, to: str, given: str) -> None:
+    """By the name of its folder or of its manifest."""
+    around = arm.parents[1]
+    (around / "far").mkdir()
+    parts = (around / "parts").rename(around / to)
+    if parts.name != "parts":
+        (parts / "package.xml").write_text("<package><name>parts</name></package>")
+    assert load_robot(arm, packages=[around / given]).nv == 2
+    with pytest.raises(BadRobot, match=r"no package 'parts'.*--package /path/to/parts"):
+        load_robot(arm)
 
 
 def test_robot_yaml_over_a_xacro(arm: Path) -> None:
-    path = arm.parent / "robot.yaml"
+    path, around = arm.parent / "robot.yaml", arm.parents[1]
+    (around / "far").mkdir()
+    (around / "parts").rename(around / "far" / "parts")
     path.write_text(
         "model: bars.urdf.xacro\nxacro_args: {length: 0.8, tool: true}\n"
-        "packages: [../elsewhere]\nlock: {slider_joint: 0.1}\nlimits: {acceleration: [4, 5]}\n"
+        "packages: [../far]\nlock: {slider_joint: 0.1}\nlimits: {acceleration: [4, 5]}\n"
     )
     robot = load_robot(path)
     assert robot.joints == ("upper_joint", "fore_joint")
@@ -79,8 +79,8 @@ def test_robot_yaml_over_a_xacro(arm: Path) -> None:
     assert centre(load_robot(path, xacro_args={"length": "1"}), "upper") == pytest.approx(0.5)
 
 
-def test_written_out_it_is_the_same_arm(arm: Path, elsewhere: Path) -> None:
-    robot = load_robot(arm, packages=[elsewhere])
+def test_written_out_it_is_the_same_arm(arm: Path) -> None:
+    robot = load_robot(arm)
     (arm.parent / "plain.urdf").write_text(robot.urdf)
     assert np.array_equal(load_robot(arm.parent / "plain.urdf").phi, robot.phi)
 
@@ -92,40 +92,24 @@ WRONG: dict[str, tuple[str, str, dict[str, str], str]] = {
     "value that is no number": ("", "", {"length": "long"}, "length / 2"),
     "not XML": ("</robot>", "", {}, "cannot read"),
     "macro that is not there": ("xacro:bar name", "xacro:rod name", {}, "xacro:rod"),
-    "package that is not there": (
-        "find parts",
-        "find limbs",
-        {},
-        r"no package 'limbs'.*--package /path/to/limbs",
-    ),
     "file that is not there": ("links.xacro", "limbs.xacro", {}, "limbs.xacro"),
 }
 
 
 @pytest.mark.parametrize(("old", "new", "arguments", "words"), WRONG.values(), ids=WRONG)
 def test_what_is_missing_is_said_in_one_line(
-    arm: Path,
-    elsewhere: Path,
-    refused: Refused,
-    capfd: pytest.CaptureFixture[str],
-    old: str,
-    new: str,
-    arguments: dict[str, str],
-    words: str,
+    arm: Path, refused: Refused, capfd: Any, old: str, new: str, arguments: Any, words: str
 ) -> None:
-    written(arm, old, new)
-    said = refused(words, load_robot, arm, xacro_args=arguments, packages=[elsewhere])
-    assert "bars.urdf.xacro" in said
+    write(arm, old, new)
+    assert "bars.urdf.xacro" in refused(words, load_robot, arm, xacro_args=arguments)
     assert capfd.readouterr().err == ""
 
 
-def test_what_is_no_arm_in_xacro_is_refused(
-    elsewhere: Path, refused: Refused, gantry_urdf: str
-) -> None:
-    macros, path = elsewhere / "parts" / "links.xacro", elsewhere / "gantry.urdf"
-    path.write_text(gantry_urdf)
+def test_what_is_no_arm_in_xacro_is_refused(arm: Path, refused: Refused) -> None:
+    macros, plain = arm.parents[1] / "parts" / "links.xacro", arm.parent / "plain.urdf"
+    plain.write_text(load_robot("planar_2r").urdf)
     assert "links.xacro" in refused("only defines macros", load_robot, macros)
-    refused("no xacro arguments", load_robot, path, xacro_args={"length": "1"}, error=BadRobot)
+    refused("no xacro arguments", load_robot, plain, xacro_args={"length": "1"}, error=BadRobot)
 
 
 ESCAPES = {
@@ -143,24 +127,22 @@ ESCAPES = {
 }
 
 
+def functions() -> list[object]:
+    """Of xacro, those that are replaced while it reads a file."""
+    return [xacro.safe_eval, substitution_args._eval_find, {*xacro._global_symbols["python"]}]
+
+
 @pytest.mark.parametrize("form", ["${{{}}}", "$(eval {})"])
 @pytest.mark.parametrize("escape", ESCAPES)
 def test_an_expression_reaches_nothing_but_values(
-    arm: Path,
-    elsewhere: Path,
-    refused: Refused,
-    monkeypatch: pytest.MonkeyPatch,
-    escape: str,
-    form: str,
+    arm: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch, escape: str, form: str
 ) -> None:
-    """And xacro is left as it was."""
-    changed = vars(xacro), vars(xacro.substitution_args), xacro._global_symbols["python"]
-    before = [dict(module) for module in changed]
+    before = functions()
     monkeypatch.chdir(arm.parent)
-    written(arm, 'mass="3"', f'mass="{form.format(ESCAPES[escape])}"')
-    refused("xacro", load_robot, arm, packages=[elsewhere], error=BadRobot)
+    write(arm, 'mass="3"', f'mass="{form.format(ESCAPES[escape])}"')
+    refused("xacro", load_robot, arm, error=BadRobot)
     assert not (arm.parent / "ran").exists()
-    assert [dict(module) for module in changed] == before
+    assert functions() == before
 
 
 @pytest.mark.parametrize(
@@ -180,10 +162,10 @@ def test_an_expression_reaches_nothing_but_values(
         "${type * vars}",
     ],
 )
-def test_expressions_of_values_are_evaluated(arm: Path, elsewhere: Path, expression: str) -> None:
+def test_expressions_of_values_are_evaluated(arm: Path, expression: str) -> None:
     (arm.parent / "props.yaml").write_text("mass: 1.5\n")
-    written(arm, 'mass="3"', f'mass="{expression}"')
-    written(
+    write(arm, 'mass="3"', f'mass="{expression}"')
+    write(
         arm,
         '<link name="base"/>',
         """<xacro:arg name="max_mass" default="3"/><xacro:property name="scale" value="2"/>
@@ -191,4 +173,4 @@ def test_expressions_of_values_are_evaluated(arm: Path, elsewhere: Path, express
         <xacro:property name="props" value="${xacro.load_yaml('props.yaml')}"/>
         <link name="base"/>""",
     )
-    assert load_robot(arm, packages=[elsewhere]).phi[0] == pytest.approx(3.0)
+    assert load_robot(arm).phi[0] == pytest.approx(3.0)
