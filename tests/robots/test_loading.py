@@ -216,7 +216,7 @@ def test_a_file_that_cannot_be_read_is_refused_in_one_line_that_names_it(
     path, text = tmp_path / file, (DATA / file).read_text() if (DATA / file).exists() else ""
     assert old in text
     path.write_text(text.replace(old, new, 1), "latin-1")
-    said = refused("", load_robot, path)
+    said = refused(".", load_robot, path)
     assert re.search(words, said.replace(str(path), ""))
     assert str(path) in said or said.startswith("unknown")
 
