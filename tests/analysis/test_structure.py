@@ -160,7 +160,7 @@ def scaled(given: DHChain, length: float, mass: float, gravity: float = 1.0) -> 
 
 @pytest.mark.parametrize("name", KINDS)
 def test_categories_do_not_depend_on_units(name: str) -> None:
-    arm = dh_from_robot(load_robot(name), "modified")
+    arm = dh_from_robot(load_robot(name))
     robots = [scaled(arm, 1, 1), scaled(arm, 1e-3, 1e-3), scaled(arm, 1e3, 1, 1e3)]
     for effects in ((), standard_effects(arm.joints)):
         metres, *others = (structure(robot, effects) for robot in robots)
@@ -181,7 +181,7 @@ def test_nothing_is_decided_by_a_hair_on_arms_of_exact_geometry(name: str) -> No
 
 def twisted(robot: Robot, joint: int, angle: float) -> Structure:
     """The arm with one axis turned out of its place."""
-    arm = dh_from_robot(robot, "modified")
+    arm = dh_from_robot(robot)
     return structure(robot_from_dh(replace(arm, alpha=arm.alpha + angle * np.eye(arm.nv)[joint])))
 
 
