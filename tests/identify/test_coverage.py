@@ -7,6 +7,7 @@ import pytest
 import scipy.linalg
 import scipy.signal
 from estimators import HARMONICS, Truth, truth
+from known_arms import Z95
 
 from excitant.design import random_trajectory
 from excitant.identify import Data, Recording
@@ -24,28 +25,12 @@ from excitant.robots.effects import standard_effects
 
 N, NV, R = 400, 2, 5
 RATE_HZ, ENCODER, NOISE_SHARE = 125.0, 2e-5, 0.02  # rad; of each joint's rms torque
-NOISES = ("white", "ar 0.05 s", "ar 0.2 s", "low-pass 3 Hz")
-
-
-def problem(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Slow columns, one of them silent at a joint, and A⁻¹."""
-    rng = np.random.default_rng(seed)
-    t = np.linspace(0, 1, N)[:, None, None]
-    W = np.sin(2 * np.pi * rng.uniform(0, 6, (NV, R)) * t + rng.uniform(0, 6.28, (NV, R)))
-    W[:, 1, 0] = 0.0
-    A = np.einsum("njr,njs->rs", W, W)
-    return W, np.linalg.inv(A)
-
-
-def joint_rows(W: np.ndarray) -> list[JointRows]:
-    """Rows of each joint without silent columns."""
-    used = [np.flatnonzero(W[:, j].any(axis=0)) for j in range(NV)]
-    return [JointRows(own, W[:, j, own]) for j, own in enumerate(used)]
-
-
-def covariance(rho: float) -> np.ndarray:
-    """Γ of first-order autoregressive noise of unit variance."""
-    return np.asarray(scipy.linalg.toeplitz(rho ** np.arange(N)))
+NOISES = {
+    "white": ([1.0], [1.0]),
+    "ar 0.05 s": ([1.0], [1.0, -np.exp(-1 / (RATE_HZ * 0.05))]),
+    "ar 0.2 s": ([1.0], [1.0, -np.exp(-1 / (RATE_HZ * 0.2))]),
+    "low-pass 3 Hz": scipy.signal.butter(2, 3.0, fs=RATE_HZ),
+}
 
 
 def test_an_autoregression_is_found_from_its_own_autocovariance() -> None:
@@ -60,38 +45,34 @@ def test_an_autoregression_is_found_from_its_own_autocovariance() -> None:
 
 def test_uncorrected_residuals_would_be_too_sure() -> None:
     """Over many draws the corrected scores are right on average; those of residuals are not."""
-    W, inverse = problem()
-    rho, draws, rng = 0.9, 60, np.random.default_rng(0)
-    gamma = covariance(rho)
-    root, flat = np.linalg.cholesky(gamma), W.reshape(-1, R)
+    rng, draws = np.random.default_rng(0), 60
+    t = np.linspace(0, 1, N)[:, None, None]
+    W = np.sin(2 * np.pi * rng.uniform(0, 6, (NV, R)) * t + rng.uniform(0, 6.28, (NV, R)))
+    W[:, 1, 0] = 0.0  # a column silent at a joint
+    used = [np.flatnonzero(W[:, j].any(axis=0)) for j in range(NV)]
+    joints = [JointRows(own, W[:, j, own]) for j, own in enumerate(used)]
+    gamma, flat = scipy.linalg.toeplitz(0.9 ** np.arange(N)), W.reshape(-1, R)
+    root, inverse = np.linalg.cholesky(gamma), np.linalg.inv(flat.T @ flat)
     true = np.array([np.trace(inverse @ (W[:, j].T @ gamma @ W[:, j])) for j in range(NV)])
     found, plain = np.zeros(NV), np.zeros(NV)
     for _ in range(draws):
         noise = (root @ rng.standard_normal((N, NV))).ravel()
         residual = (noise - flat @ (inverse @ (flat.T @ noise))).reshape(N, NV)
-        scores, _ = score_covariances(joint_rows(W), residual, inverse)
+        scores, _ = score_covariances(joints, residual, inverse)
         found += np.einsum("rs,jsr->j", inverse, scores) / draws
         for j, gamma_j in enumerate(autocovariance(residual, 26).T):
-            rows = joint_rows(W)[j]
-            part = inverse[np.ix_(rows.used, rows.used)]
-            plain[j] += np.trace(part @ rows.coloured(gamma_j) @ rows.W) / draws
+            part = inverse[np.ix_(used[j], used[j])]
+            plain[j] += np.trace(part @ joints[j].coloured(gamma_j) @ joints[j].W) / draws
     assert (found > 1.05 * plain).all()
     assert found / true == pytest.approx(1.0, abs=0.2)  # √(4 (1 + ρ) / ((1 − ρ) N draws)) = 6 %
 
 
 def coloured(kind: str, rng: np.random.Generator, n: int, nv: int) -> np.ndarray:
     """Stationary noise of unit variance, shape (n, nv)."""
-    settle = round(3 * RATE_HZ)
+    settle, (b, a) = round(3 * RATE_HZ), NOISES[kind]
+    impulse = scipy.signal.lfilter(b, a, np.eye(1, settle)[0])
     white = rng.standard_normal((n + settle, nv))
-    if kind == "white":
-        return white[settle:]
-    if kind.startswith("ar "):
-        rho = np.exp(-1 / (RATE_HZ * float(kind.split()[1])))
-        made = scipy.signal.lfilter([np.sqrt(1 - rho**2)], [1.0, -rho], white, axis=0)
-        return np.asarray(made[settle:])
-    sections = scipy.signal.butter(2, float(kind.split()[1]), fs=RATE_HZ, output="sos")
-    impulse = scipy.signal.sosfilt(sections, np.eye(1, settle)[0])
-    made = scipy.signal.sosfilt(sections, white, axis=0) / np.linalg.norm(impulse)
+    made = scipy.signal.lfilter(b, a, white, axis=0) / np.linalg.norm(impulse)
     return np.asarray(made[settle:])
 
 
@@ -113,7 +94,7 @@ def scaled_errors(known: Truth, rng: np.random.Generator, seconds: float) -> np.
             rows = fit_rows(known.robot, effects, known.base, data).reduced
         kept = np.concatenate([segment.tau[segment.keep] for segment in train])
         fit = weighted_least_squares(rows.with_torque(kept))
-        found.append((fit.beta - known.beta) / np.sqrt(np.diag(fit.covariance)))
+        found.append((fit.beta - known.beta) / fit.std)
     return np.array(found)
 
 
@@ -124,14 +105,9 @@ def coverage(
 
     Intervals of one recording depend on each other, recordings do not.
     """
-    known = truth(robot)
-    errors = np.array(
-        [
-            scaled_errors(known, np.random.default_rng([seed, number]), seconds)
-            for number in range(recordings)
-        ]
-    )
-    each = (np.abs(errors) <= 1.959963984540054).mean(axis=2)
+    known, draws = truth(robot), (np.random.default_rng([seed, k]) for k in range(recordings))
+    errors = np.array([scaled_errors(known, rng, seconds) for rng in draws])
+    each = (np.abs(errors) <= Z95).mean(axis=2)
     return each.mean(axis=0), each.std(axis=0, ddof=1) / np.sqrt(len(each))
 
 
