@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from estimators import Truth
@@ -18,6 +19,7 @@ from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.torque import observation_columns
 
 HARMONICS = np.array([0.3, 0.5, 0.8, 1.3])  # Hz, far below the cut-off of the torque filter
+Call = Callable[..., Any]  # a fixture that is a function
 NONE = EffectPrior(*(np.zeros(0),) * 3)
 KKT = 1e-8
 Z95 = 1.959963984540054  # standard deviations on either side of 95 %
@@ -35,22 +37,15 @@ def smooth_motion(robot: Robot, t: np.ndarray, seed: int = 0) -> Motion:
 
 
 def recorded(
-    known: Truth,
-    seed: int,
-    *,
-    seconds: float = 16.0,
-    motion: int = 0,
-    encoder: float = 0.0,
-    noise: float = 0.02,
+    known: Truth, motion: Motion, seed: int, encoder: float = 0.0, noise: float = 0.02,
     friction: Callable[[np.ndarray], np.ndarray] = np.zeros_like,
-) -> Recording:
+) -> Recording:  # fmt: skip
     """Torque that no code of the product makes, seen by sensors with noise."""
-    rng, t = np.random.default_rng(seed), np.arange(0, seconds, 1 / 125)
-    true = smooth_motion(known.robot, t, motion)
-    tau = known.torque(true.q, true.dq, true.ddq) + friction(true.dq)
+    rng = np.random.default_rng(seed)
+    tau = known.torque(motion.q, motion.dq, motion.ddq) + friction(motion.dq)
     tau += noise * np.sqrt((tau**2).mean(axis=0)) * rng.standard_normal(tau.shape)
-    q = true.q + encoder * rng.standard_normal(tau.shape)
-    return Recording(f"run{seed}", "run.csv", t, q, tau)
+    q = motion.q + encoder * rng.standard_normal(tau.shape)
+    return Recording(f"run{seed}", "run.csv", motion.t, q, tau)
 
 
 def write_csv(path: Path, run: Recording) -> None:

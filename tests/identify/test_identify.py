@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from known_arms import Call
 
 from excitant.exceptions import RankDeficient
 from excitant.identify import Estimate, Recording, identify_robot, load_dataset, model_files
@@ -15,8 +15,6 @@ from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import Effect
 from excitant.robots.parameters import violations
 
-Runs = Callable[..., list[Recording]]
-Exact = Callable[..., Recording]
 PENDULUM = """<robot name="pendulum"><link name="base"/><link name="arm"><inertial>
 <origin xyz="0 0 -0.2"/><mass value="1"/>
 <inertia ixx="0.01" iyy="0.01" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -25,7 +23,7 @@ PENDULUM = """<robot name="pendulum"><link name="base"/><link name="arm"><inerti
 
 
 @pytest.fixture(scope="module", params=["ur10", "panda"])
-def ideal(request: pytest.FixtureRequest, runs: Runs) -> Estimate:
+def ideal(request: pytest.FixtureRequest, runs: Call) -> Estimate:
     """An arm whose values are off by some per cent, seen by true sensors."""
     robot = load_robot(request.param)
     excitation, holdout = runs(robot, 0, tolerance=0.03)
@@ -80,7 +78,7 @@ def test_accuracy_is_what_its_words_say(ideal: Estimate) -> None:
 
 @pytest.mark.parametrize(("name", "effects"), [("ur10", ()), ("pendulum.urdf", None)])
 def test_exact_data_give_exact_predictions_and_files_of_that_torque(
-    name: str, effects: tuple[Effect, ...] | None, exact: Exact, tmp_path: Path
+    name: str, effects: tuple[Effect, ...] | None, exact: Call, tmp_path: Path
 ) -> None:
     (tmp_path / "pendulum.urdf").write_text(PENDULUM)
     robot = load_robot(name if name == "ur10" else tmp_path / name).with_effects(())
@@ -97,7 +95,7 @@ def test_exact_data_give_exact_predictions_and_files_of_that_torque(
     assert np.abs(reloaded - expected).max() <= 1e-9 * np.abs(expected).max()
 
 
-def test_a_motion_that_hides_parameters_is_refused_by_name(exact: Exact, planar: Robot) -> None:
+def test_a_motion_that_hides_parameters_is_refused_by_name(exact: Call, planar: Robot) -> None:
     recording = exact(planar, np.arange(0, 20, 1 / 128))
     q = np.array(recording.q)
     q[:, 1] = 0.3
@@ -109,7 +107,7 @@ def in_amperes(runs: list[Recording], gains: np.ndarray | float) -> list[Recordi
     return [replace(run, tau=run.tau / gains, unit="A") for run in runs]
 
 
-def test_drive_gains_are_recovered_from_current(ur10: Robot, runs: Runs) -> None:
+def test_drive_gains_are_recovered_from_current(ur10: Robot, runs: Call) -> None:
     gains = 10 * np.exp(np.random.default_rng(4).uniform(-0.5, 0.5, ur10.nv))
     excitation, holdout = in_amperes(runs(ur10, 1), gains)
     found = identify_robot(ur10, [excitation], validate=[holdout])
@@ -124,7 +122,7 @@ def test_drive_gains_are_recovered_from_current(ur10: Robot, runs: Runs) -> None
     np.testing.assert_allclose(scaled, 1.25 * found.gains, rtol=0.01)
 
 
-def test_current_and_torque_of_one_arm_say_the_same(ur10: Robot, runs: Runs) -> None:
+def test_current_and_torque_of_one_arm_say_the_same(ur10: Robot, runs: Call) -> None:
     # at rest, at both ends, the side of dry friction is a matter of rounding
     moving = [run.take(np.arange(100, len(run) - 100)) for run in runs(ur10, 2)]
     one, other = (

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from known_arms import Whitened, assert_optimal, write_csv
+from known_arms import Call, Whitened, assert_optimal, write_csv
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.identify import Recording
 from excitant.identify.knowledge import (
     PRIORS,
     Box,
@@ -40,7 +37,6 @@ class Seen(Whitened):
         self.z = self.R @ x + rng.standard_normal(len(self.R))
 
     def bodies(self, knowledge: Knowledge) -> Array:
-        """Standard parameters of the optimal fit, shape (6, 10)."""
         fit = self.fit(self.z, knowledge)
         assert_optimal(fit)
         return fit.x[: self.links].reshape(6, 10)
@@ -103,9 +99,7 @@ def test_constraints_that_do_not_bind_change_nothing(seen: Seen) -> None:
     np.testing.assert_allclose(fit, free, rtol=1e-5, atol=1e-6)
 
 
-def test_all_masses_and_their_sum_are_no_contradiction_and_bring_the_truth_closer(
-    seen: Seen,
-) -> None:
+def test_masses_known_twice_agree_and_bring_the_truth_closer(seen: Seen) -> None:
     true = seen.truth[:, 0].tolist()
     about = {n: LinkKnowledge(mass=m) for n, m in zip(seen.robot.links, true, strict=True)}
     free = seen.bodies(Knowledge())
@@ -209,17 +203,13 @@ def test_missing_file_unknown_prior_and_unknown_link(seen: Seen) -> None:
         seen.fit(seen.z, Knowledge(links={"tail": LinkKnowledge(mass=1.0)}))
 
 
-def test_command(
-    tmp_path: Path, planar: Robot, exact: Callable[..., Recording], excitant: Callable[..., Any]
-) -> None:
-    run = exact(planar, np.arange(0, 12, 0.01))
-    log, file, out = tmp_path / "log.csv", tmp_path / "known.yaml", tmp_path / "run"
-    write_csv(log, run)
+def test_command(tmp_path: Path, planar: Robot, exact: Call, excitant: Call) -> None:
+    log, file = tmp_path / "log.csv", tmp_path / "known.yaml"
+    write_csv(log, exact(planar, np.arange(0, 12, 0.01)))
     content = {"prior": "euclidean", "total_mass": 7.5, "links": {"link2": {"mass": 2.5}}}
     file.write_text(yaml.safe_dump(content))
-    call = ("identify planar_2r", log, "--knowledge", file, "-o", out)
-    assert excitant(*call).status == 0
-    result = json.loads((out / "result.json").read_text())
+    call = ("identify planar_2r --json", log, "--knowledge", file)
+    result = excitant(*call).result
     assert result["knowledge"] == content
     by_name = {p["name"]: p for p in result["parameters"]}
     assert by_name["link2.m"]["value"] == pytest.approx(2.5, abs=1e-6)

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from known_arms import KKT, NONE, Whitened, assert_optimal
+from known_arms import KKT, NONE, Call, Whitened, assert_optimal
 
 from excitant.analysis import identifiability
 from excitant.exceptions import BadRobot, Infeasible
-from excitant.identify import Recording, identify_robot
+from excitant.identify import identify_robot
 from excitant.identify.knowledge import PRIORS, Knowledge, LinkKnowledge, Quantity
 from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.prior import (
@@ -52,12 +51,7 @@ def distance(kind: str, prior: Array, x: Array) -> float:
 
 
 def assert_no_feasible_descent(
-    fit: PhysicalFit,
-    arm: Whitened,
-    z: Array,
-    share: float,
-    kind: str = "pullback",
-    sigma: float = 1,
+    fit: PhysicalFit, arm: Whitened, z: Array, share: float, kind: str, sigma: float
 ) -> None:
     """Convexity: no step from the solution towards a feasible point lowers the objective."""
     rng, known, links = np.random.default_rng(0), arm.effects, arm.robot.nv
@@ -154,9 +148,7 @@ def test_without_data_every_prior_is_its_own_answer(kind: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "least", "most"), [("pullback", 0.0, 1e-5), ("euclidean", 1e-3, np.inf)]
 )
-def test_coordinates_matter_to_the_euclidean_prior_alone(
-    kind: str, least: float, most: float
-) -> None:
+def test_coordinates_matter_to_one_prior_alone(kind: str, least: float, most: float) -> None:
     """A body seen in another frame: the pull-back agrees with itself, the euclidean does not."""
     prior = prior_parameters(load_robot("ur10"))[1:2]
     place = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.8])), np.array([0.1, -0.2, 0.3]))
@@ -204,15 +196,13 @@ def exact_data(name: str, noise: float, spread: float) -> tuple[Whitened, Array]
 
 
 @pytest.mark.parametrize(("name", "noise", "spread"), [("ur10", 1e-9, 0), ("panda", 1e-6, 3)])
-def test_a_solver_at_the_end_of_its_digits_does_not_end_the_run(
-    name: str, noise: float, spread: float
-) -> None:
+def test_a_solver_out_of_digits_ends_no_run(name: str, noise: float, spread: float) -> None:
     """The conic solver ends inaccurately at every tolerance; the optimum is found all the same."""
     arm, z = exact_data(name, noise, spread)
     fit = arm.fit(z)
     assert fit.kkt.primal <= 1e-6
     assert violations(fit.x[: arm.links], arm.robot.links) == []
-    assert_no_feasible_descent(fit, arm, z, 1e-6)
+    assert_no_feasible_descent(fit, arm, z, 1e-6, "pullback", 1.0)
 
 
 def test_what_no_scaling_solves_is_refused_in_one_line() -> None:
@@ -234,9 +224,7 @@ SUM = np.vstack([np.eye(10)[0] + np.eye(10)[1], np.eye(10)[2:]])
         (1e4 * SUM, 0.05, [0, 0.5, *(0,) * 8], [0.5, 1, *(1e-3,) * 8]),  # of one large member
     ],
 )
-def test_entries_follow_the_prior_where_the_data_leave_them(
-    R: Array, second: float, least: Array, most: Array
-) -> None:
+def test_who_decides_an_entry(R: Array, second: float, least: Array, most: Array) -> None:
     influence = linear_influence(R, np.diag([1.0, second, *(1.0,) * 8]), np.ones(10), 1)
     assert (influence >= np.array(least) - 1e-7).all()
     assert (influence <= np.array(most) + 1e-7).all()
@@ -271,9 +259,7 @@ def test_what_is_known_exactly_is_the_priors() -> None:
     assert (fit.influence[1:] < 0.1).all()
 
 
-def test_identify_and_analyze_say_the_same(
-    planar: Robot, runs: Callable[..., list[Recording]]
-) -> None:
+def test_identify_and_analyze_say_the_same(planar: Robot, runs: Call) -> None:
     [recording, _] = runs(planar, 3, sensors=industrial_sensors(planar))
     found = identify_robot(planar, [recording])
     parameters = found.result()["parameters"]

@@ -10,7 +10,7 @@ import pytest
 from estimators import truth
 from hypothesis import given
 from hypothesis import strategies as st
-from known_arms import NONE, Whitened, recorded, rows_of
+from known_arms import NONE, Whitened, recorded, rows_of, smooth_motion
 
 from excitant.exceptions import BadInput
 from excitant.identify import Recording, identify_robot
@@ -42,7 +42,8 @@ Friction = Callable[[Array], Array]
 
 
 def run_of(seed: int, friction: Friction) -> Recording:
-    return recorded(KNOWN, seed, seconds=25, motion=seed, noise=2e-3, friction=friction)
+    motion = smooth_motion(KNOWN.robot, np.arange(0, 25, 1 / 200), seed)
+    return recorded(KNOWN, motion, seed, noise=2e-3, friction=friction)
 
 
 def stribeck(*speeds: float) -> Friction:
@@ -159,20 +160,13 @@ def test_a_body_that_cannot_be_has_no_numbers() -> None:
         to_log_cholesky(np.array([1.0, 0, 0, 0, 1, 0, 1, 0, 0, 3]))
 
 
-def descent(
-    R: Array,
-    z: Array,
-    prior: Array,
-    known: EffectPrior = NONE,
-    torque: Friction = lambda _: np.zeros(1),
-    slopes: Friction | None = None,
-) -> Descent:
-    return Descent(R, z, prior, known, torque, slopes or (lambda _: np.zeros((len(z), 0))))
-
-
-def fitted(problem: Descent) -> tuple[Array, Array]:
-    """From the prior on, to the minimum."""
-    return problem.fit(problem.prior, problem.known.mean, tolerance=1e-15)
+def fitted(
+    R: Array, z: Array, prior: Array, known: EffectPrior = NONE, column: Array | None = None
+) -> tuple[Array, Array]:
+    """From the prior on to the minimum, with effects of these columns."""
+    A = np.zeros((len(z), 0)) if column is None else column
+    problem = Descent(R, z, prior, known, lambda theta: A @ theta, lambda _: A)
+    return problem.fit(prior, known.mean, tolerance=1e-15)
 
 
 @pytest.mark.parametrize("name", ["planar_2r", "ur10"])
@@ -184,7 +178,7 @@ def test_the_minimiser_is_that_of_the_semidefinite_fit(name: str) -> None:
     convex = fit_physical(arm.R, z, prior, NONE)
     Q = np.linalg.solve(pseudo_inertia(prior), pseudo_inertia(convex.x.reshape(-1, 10)))
     assert np.linalg.eigvals(Q).real.min() > 1e-2  # no constraint is near
-    x, covariance = fitted(descent(arm.R, z, prior))
+    x, covariance = fitted(arm.R, z, prior)
     scale = np.sqrt(np.diag(convex.covariance))
     assert (np.abs(x - convex.x) <= 1e-5 * scale).all()
     difference = (covariance - convex.covariance) / np.outer(scale, scale)
@@ -195,9 +189,8 @@ def test_the_jacobian_of_the_whole_is_exact() -> None:
     rng, prior = np.random.default_rng(2), prior_parameters(load_robot("planar_2r"))
     known = EffectPrior(np.full(8, 0.5), np.ones(8), np.zeros(8))
     R, z, A = rng.standard_normal((60, 20)), rng.standard_normal(60), rng.standard_normal((60, 8))
-    problem = descent(
-        R, z, prior, known, lambda x: np.sin(A @ x), lambda x: np.cos(A @ x)[:, None] * A
-    )
+    torque, slopes = lambda x: np.sin(A @ x), lambda x: np.cos(A @ x)[:, None] * A
+    problem = Descent(R, z, prior, known, torque, slopes)
     numbers = [to_log_cholesky(values) for values in prior]
     at = np.concatenate([*numbers, known.mean]) + 0.1 * rng.standard_normal(28)
     J = problem.jacobian(at)
@@ -212,8 +205,7 @@ def test_signs_of_effects_hold() -> None:
     links, column = arm.R[:, :20], arm.R[:, 20:21]
     known = EffectPrior(np.zeros(1), np.full(1, 10.0), np.zeros(1))
     z = links @ arm.prior.ravel() - 0.5 * column[:, 0]
-    problem = descent(links, z, arm.prior, known, lambda x: column @ x, lambda _: column)
-    assert 0 <= fitted(problem)[0][20] < 1e-4
+    assert 0 <= fitted(links, z, arm.prior, known, column)[0][20] < 1e-4
 
 
 def test_data_that_no_body_can_make_still_give_bodies() -> None:
@@ -222,5 +214,5 @@ def test_data_that_no_body_can_make_still_give_bodies() -> None:
     impossible = np.array(robot.phi)
     impossible[10 + 9] *= -1
     R = np.diag(1 / np.maximum(np.abs(robot.phi), 1e-3)) / 1e-2
-    x, _ = fitted(descent(R, R @ impossible, prior_parameters(robot)))
+    x, _ = fitted(R, R @ impossible, prior_parameters(robot))
     assert violations(x, robot.links) == []
