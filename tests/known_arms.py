@@ -25,11 +25,11 @@ KKT = 1e-8
 Z95 = 1.959963984540054  # standard deviations on either side of 95 %
 
 
-def smooth_motion(robot: Robot, t: np.ndarray, seed: int = 0) -> Motion:
+def smooth_motion(robot: Robot, t: np.ndarray, seed: int = 0, hz: np.ndarray = HARMONICS) -> Motion:
     """Sums of sines with random phases, differentiated on paper."""
     rng = np.random.default_rng(seed)
-    phase = rng.uniform(0, 2 * np.pi, (len(HARMONICS), robot.nv))
-    omega = 2 * np.pi * HARMONICS[:, None]
+    phase = rng.uniform(0, 2 * np.pi, (len(hz), robot.nv))
+    omega = 2 * np.pi * hz[:, None]
     size = rng.uniform(0.5, 1.0, phase.shape) * np.array([0.8, 0.5, 0.3, 0.15])[:, None]
     angle = omega * t[:, None, None] + phase
     orders = ((size * omega**k * np.sin(angle + k * np.pi / 2)).sum(axis=1) for k in range(3))
@@ -70,7 +70,7 @@ class Whitened:
         fitted = standard_effects(robot.joints) if effects else ()
         motion = Motion(np.arange(n) / 100, *robot.random_motion(np.random.default_rng(1), n))
         W = observation_columns(robot, fitted, motion)
-        self.R = np.linalg.qr(W.reshape(-1, W.shape[2]), mode="r") / noise
+        self.R = W.reshape(-1, W.shape[2]) / noise
         self.prior, self.links = prior_parameters(robot), 10 * robot.nv
         lower = np.array([p.lower for e in fitted for p in e.parameters(robot)])
         self.effects = EffectPrior(np.zeros_like(lower), np.full_like(lower, 1e3), lower)

@@ -103,13 +103,18 @@ def test_a_motion_that_hides_parameters_is_refused_by_name(exact: Call, planar: 
         identify_robot(planar, [replace(recording, q=q)])
 
 
+@pytest.fixture(scope="module")
+def nominal(ur10: Robot, runs: Call) -> list[Recording]:
+    return runs(ur10, 1)
+
+
 def in_amperes(runs: list[Recording], gains: np.ndarray | float) -> list[Recording]:
     return [replace(run, tau=run.tau / gains, unit="A") for run in runs]
 
 
-def test_drive_gains_are_recovered_from_current(ur10: Robot, runs: Call) -> None:
+def test_drive_gains_are_recovered_from_current(ur10: Robot, nominal: list[Recording]) -> None:
     gains = 10 * np.exp(np.random.default_rng(4).uniform(-0.5, 0.5, ur10.nv))
-    excitation, holdout = in_amperes(runs(ur10, 1), gains)
+    excitation, holdout = in_amperes(nominal, gains)
     found = identify_robot(ur10, [excitation], validate=[holdout])
     # the scale rests on the given masses, which are the true ones here; the last joint turns a
     # balanced link, whose torque its rotor could make, so its gain stays near those of the others
@@ -122,9 +127,9 @@ def test_drive_gains_are_recovered_from_current(ur10: Robot, runs: Call) -> None
     np.testing.assert_allclose(scaled, 1.25 * found.gains, rtol=0.01)
 
 
-def test_current_and_torque_of_one_arm_say_the_same(ur10: Robot, runs: Call) -> None:
+def test_current_and_torque_of_one_arm_say_the_same(ur10: Robot, nominal: list[Recording]) -> None:
     # at rest, at both ends, the side of dry friction is a matter of rounding
-    moving = [run.take(np.arange(100, len(run) - 100)) for run in runs(ur10, 2)]
+    moving = [run.take(np.arange(100, len(run) - 100)) for run in nominal]
     one, other = (
         identify_robot(ur10, read[:1], validate=read[1:]).validate.nrmse
         for read in (moving, in_amperes(moving, 12.0))

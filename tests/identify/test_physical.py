@@ -179,6 +179,7 @@ def test_a_link_without_mass_is_refused_by_name() -> None:
 
 def test_seven_joints_with_friction_are_solved_within_a_second() -> None:
     arm, spent = Whitened("panda", 0.1, n=1000), []
+    arm.R = np.linalg.qr(arm.R, mode="r")
     truth = np.concatenate([1.3 * arm.robot.phi, np.full(28, 0.2)])
     z = arm.R @ truth + np.random.default_rng(0).standard_normal(len(arm.R))
     for _ in range(3):
@@ -192,7 +193,10 @@ def exact_data(name: str, noise: float, spread: float) -> tuple[Whitened, Array]
     """Whitened rows and torque whose noise is far below that of any sensor."""
     arm, rng = Whitened(name, noise), np.random.default_rng(1)
     truth = arm.robot.phi * rng.normal(1, spread, arm.links)
-    return arm, arm.R[:, : arm.links] @ truth + rng.standard_normal(len(arm.R))
+    z = arm.R[:, : arm.links] @ truth + rng.standard_normal(len(arm.R))
+    factor = np.linalg.qr(np.column_stack([arm.R, z]), mode="r")
+    arm.R = factor[:, :-1]
+    return arm, factor[:, -1]
 
 
 @pytest.mark.parametrize(("name", "noise", "spread"), [("ur10", 1e-9, 0), ("panda", 1e-6, 3)])

@@ -10,7 +10,7 @@ import pytest
 from estimators import truth
 from hypothesis import given
 from hypothesis import strategies as st
-from known_arms import NONE, Whitened, recorded, rows_of, smooth_motion
+from known_arms import HARMONICS, NONE, Whitened, recorded, rows_of, smooth_motion
 
 from excitant.exceptions import BadInput
 from excitant.identify import Recording, identify_robot
@@ -42,7 +42,7 @@ Friction = Callable[[Array], Array]
 
 
 def run_of(seed: int, friction: Friction) -> Recording:
-    motion = smooth_motion(KNOWN.robot, np.arange(0, 25, 1 / 200), seed)
+    motion = smooth_motion(KNOWN.robot, np.arange(0, 25, 1 / 200), seed, HARMONICS / 3)
     return recorded(KNOWN, motion, seed, noise=2e-3, friction=friction)
 
 
