@@ -19,7 +19,6 @@ from excitant.identify.least_squares import (
     JointRows,
     autocorrelation,
     autocovariance,
-    autoregression,
     essential_parameters,
     score_covariances,
     weighted_least_squares,
@@ -94,16 +93,6 @@ def test_what_does_not_fit_is_refused() -> None:
     ):
         with pytest.raises(BadInput, match=why):
             dense(W, tau, names)
-
-
-def test_an_autoregression_is_found_from_its_own_autocovariance() -> None:
-    a, b = 1.5, -0.7  # x_i = a x_{i−1} + b x_{i−2} + ε_i
-    gamma = [1.0, a / (1 - b)]
-    for _ in range(20):
-        gamma.append(a * gamma[-1] + b * gamma[-2])
-    found, variance = autoregression(3.0 * np.array(gamma), 10_000)
-    assert found == pytest.approx([1, -a, -b], abs=1e-9)
-    assert variance == pytest.approx(3.0 * (1 - a * gamma[1] - b * gamma[2]))
 
 
 def test_uncorrected_residuals_would_be_too_sure() -> None:
