@@ -14,7 +14,7 @@ import pytest
 from planted_faults import PLANTS, Plant, edited, log_of_table, recorded, scaled, with_rows
 
 from excitant.exceptions import BadRecording
-from excitant.identify import identify_robot, load_dataset
+from excitant.identify import ColumnMap, identify_robot, load_dataset, raw_recording
 from excitant.identify.faults import (
     FAULTS,
     Checked,
@@ -151,13 +151,14 @@ def test_inertias_are_told_by_their_frames(name: str) -> None:
     assert find_faults(robot, log) == ()
 
 
-def test_what_a_controller_computes_is_no_measurement(data_folder: Path) -> None:
-    """A log with the motor current and the torque that the controller's model asked for."""
+@pytest.mark.parametrize(("column", "computed"), [("i", False), ("tau_target", True)])
+def test_what_a_controller_computes_is_no_measurement(
+    data_folder: Path, column: str, computed: bool
+) -> None:
     robot = load_dataset(data_folder / "ur10e").robot
-    table = pd.read_parquet(data_folder / "ur10e" / "id_12harm_30s.parquet")
-    for torque, fault in (("i", False), ("tau_target", True)):
-        found = names(find_faults(robot, log_of_table(robot, table, torque)))
-        assert ("not_measured" in found) == fault
+    path = data_folder / "ur10e" / "id_12harm_30s.parquet"
+    log = raw_recording(path, robot, ColumnMap(torque=column))
+    assert ("not_measured" in names(find_faults(robot, log))) == computed
 
 
 REPAIRABLE = """velocity_negated torque_negated position_negated velocity_in_rpm all_in_degrees
