@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -78,12 +78,7 @@ def write(folder: Path, files: dict[str, str]) -> Path:
     return folder
 
 
-class Written(NamedTuple):
-    """An arm with inertias no table has and every effect, states of it, and its files."""
-
-    model: Robot
-    motion: Motion
-    files: dict[str, str]
+Written = tuple[Robot, Motion, dict[str, str]]
 
 
 @pytest.fixture(
@@ -94,13 +89,14 @@ class Written(NamedTuple):
 def written(
     request: pytest.FixtureRequest, random_chain: Chains, random_bodies: Callable[..., np.ndarray]
 ) -> Written:
+    """An arm with inertias no table has and every effect, states of it, and its files."""
     name, held = request.param
     chain = name in CONVENTIONS
     robot = robot_from_dh(random_chain(5, 7, name)) if chain else load_robot(name, lock=held)
     if held:  # on a slope
         robot = robot.with_gravity([3.0, -4.0, -8.0])
     model = with_every_effect(robot.with_parameters(random_bodies(3, robot.nv)))
-    return Written(model, states(model, 40), model_files(model, "arm", "arm.yaml"))
+    return model, states(model, 40), model_files(model, "arm", "arm.yaml")
 
 
 def check(found: Any, expected: np.ndarray, relative: float = PRECISION["rigid"]) -> None:
@@ -273,7 +269,7 @@ LEFT_OUT = {
 
 def test_files_name_what_they_cannot_hold(written: Written) -> None:
     for file, left_out in LEFT_OUT.items():
-        text = written.files[file]
+        text = written[2][file]
         assert "arm.yaml holds everything" in text
         for name in (*LEFT_OUT["arm.urdf"], "viscous friction"):
             assert (f"not in this file: {name}" in text) == (name in left_out), (file, name)

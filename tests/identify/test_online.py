@@ -16,18 +16,17 @@ from excitant.identify import LocalPolynomial, Monitor, OnlineEstimator, Recordi
 from excitant.identify.online import replayable
 from excitant.identify.prior import base_prior
 from excitant.robots import Motion, Robot, base_parameters, torque
-from excitant.robots.effects import TorqueOffset, ViscousFriction, standard_effects
+from excitant.robots.effects import TimeDelay, TorqueOffset, ViscousFriction, standard_effects
 from excitant.robots.torque import observation_columns
 
 RATE = 250.0
 T = np.arange(0, 12, 1 / RATE)
 SIGMA = np.array([0.05, 0.02])
 DIFFERENTIATOR = LocalPolynomial(5, 4, causal=True)
-MotionOf = Callable[..., Motion]
 
 
 @pytest.fixture(scope="module")
-def motion(planar: Robot, motion_of: MotionOf) -> Motion:
+def motion(planar: Robot, motion_of: Callable[..., Motion]) -> Motion:
     return motion_of(planar, T)
 
 
@@ -49,22 +48,21 @@ def noisy(robot: Robot, motion: Motion, sigma: Any, seed: int = 0) -> np.ndarray
 
 
 @pytest.mark.parametrize(
-    ("options", "pause"),
+    "options",
     [
-        *(({"block": block}, 0.0) for block in (1, 5, 7)),
-        ({"block": 5, "forgetting": 1.5, "prior": None}, 0.0),  # of the data, not of the prior
-        ({"block": 5}, 3.0),
+        *({"block": block} for block in (1, 5, 7)),
+        {"block": 5, "forgetting": 1.5, "prior": None},  # of the data, not of the prior
     ],
 )
 def test_the_last_estimate_is_weighted_least_squares(
-    planar: Robot, motion: Motion, options: dict[str, Any], pause: float
+    planar: Robot, motion: Motion, options: dict[str, Any]
 ) -> None:
-    """Of the rows of all blocks, made from whole arrays."""
+    """Of the rows of all blocks, made from whole arrays; a pause is no motion."""
     tau, half = noisy(planar.with_effects(()), motion, SIGMA), len(T) // 2
     online, m = estimator(planar, **options), DIFFERENTIATOR.half_width
     block, columns, torques = online.block, [], []
-    for part in (slice(half), slice(half, None)) if pause else (slice(None),):
-        t, q, measured = T[part] + pause * bool(part.start), motion.q[part], tau[part]
+    for late, part in enumerate((slice(half), slice(half, None))):
+        t, q, measured = T[part] + 3.0 * late, motion.q[part], tau[part]
         for k in range(len(t)):
             online.push(t[k], q[k], measured[k])
             if k > 100 and k % 101 == 0:  # asking on the way changes nothing
@@ -141,13 +139,6 @@ def test_a_joint_at_rest_gives_no_row_where_friction_is_dry(planar: Robot, motio
     assert 0.5 < used[:, 0].mean() < 1.0  # all but the blocks in which it turns back
 
 
-class Remembering(ViscousFriction):
-    """Torque by the velocity one sample earlier."""
-
-    def of_state(self, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> tuple[np.ndarray]:
-        return (np.roll(dq, 1),)
-
-
 def test_what_cannot_be_is_refused(planar: Robot) -> None:
     online = estimator(planar)
     with pytest.raises(BadInput, match="no row yet"):
@@ -161,7 +152,7 @@ def test_what_cannot_be_is_refused(planar: Robot) -> None:
         "must be causal": {"differentiator": LocalPolynomial(5, 4)},
         "at least 1": {"block": 0},
         "longer time constant": {"forgetting": 1e-3},
-        "depends on the past": {"effects": (Remembering(planar.joints),)},
+        "depends on the past": {"effects": (TimeDelay(planar.joints),)},
     }
     for why, options in refused.items():
         with pytest.raises(BadInput, match=why):
@@ -187,7 +178,7 @@ def test_the_monitor_says_since_when_and_which_joint(planar: Robot, motion: Moti
 
 
 def test_irregular_time_gives_what_regular_time_gives(
-    planar: Robot, motion: Motion, motion_of: MotionOf
+    planar: Robot, motion: Motion, motion_of: Callable[..., Motion]
 ) -> None:
     effects, rng, betas = standard_effects(planar.joints), np.random.default_rng(4), []
     base = base_parameters(planar, effects)

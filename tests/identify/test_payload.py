@@ -157,18 +157,17 @@ def test_command_on_an_arm_of_two_parallel_axes(
     planar: Robot, exact: Callable[..., Recording], tmp_path: Path, excitant: Callable[..., Any]
 ) -> None:
     """Which shows what is felt in their plane."""
-    rng, t, files = np.random.default_rng(0), np.arange(0, 12, 0.004), []
-    load = Payload(planar.joints[-1:]).with_values(PHI)
+    load, files = Payload(planar.joints[-1:]).with_values(PHI), []
     for name, effects in (("free", ()), ("held", (load,))):
-        run = exact(planar.with_effects([*planar.effects, *effects]), t)
-        tau = run.tau + 0.02 * rng.standard_normal(run.tau.shape)
-        files.append(save(replace(run, name=name, tau=tau), tmp_path))
+        run = exact(planar.with_effects([*planar.effects, *effects]), np.arange(0, 12, 0.004))
+        files.append(save(replace(run, name=name), tmp_path))
     options = ("--payload", "--unloaded", files[0], "--json", "-o", tmp_path / "run")
     ran = excitant("identify planar_2r", files[1], *options)
     values = {p["name"]: p for p in ran.result["payload"]["parameters"]}
-    for name, true in zip(("mcx", "mcz"), PHI[[1, 3]], strict=True):
-        assert abs(values[name]["value"] - true) < 4 * values[name]["std"], name
-    assert values["mcz"]["value"] == pytest.approx(PHI[3], rel=0.1)
+    assert not values["mcx"]["prior_dominated"]
+    assert values["mcy"]["prior_dominated"]
+    for name, true in (("mcx", PHI[1]), ("mcz", PHI[3])):
+        assert values[name]["value"] == pytest.approx(true, rel=0.02)
 
 
 class Bench:
@@ -277,12 +276,9 @@ def test_a_payload_too_small_to_show_is_refused(bench: Benches) -> None:
         b.found(b.rows(b.bare, 10), b.rows(b.bare, 11), KnownPayload(MASS, centre=CENTRE))
 
 
-@pytest.mark.parametrize(
-    ("mass", "std", "said"),
-    [(0.0, 0.0, "mass above 0"), (np.nan, 0.0, "mass above 0"), (1.0, -1.0, "not negative")],
-)
-def test_payloads_that_cannot_be(mass: float, std: float, said: str) -> None:
-    with pytest.raises(BadInput, match=said):
+@pytest.mark.parametrize(("mass", "std"), [(0.0, 0.0), (np.nan, 0.0), (1.0, -1.0)])
+def test_payloads_that_cannot_be(mass: float, std: float) -> None:
+    with pytest.raises(BadInput, match="mass above 0 kg and a standard deviation that is not neg"):
         KnownPayload(mass, std)
 
 

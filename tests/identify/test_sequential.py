@@ -59,11 +59,10 @@ def recorded(
     moving: Sequence[int] | None = None,
     duration: float = 10.0,
     share: float = 0.01,
-    white: bool = False,
 ) -> Recording:
     """A random motion of some joints, the others held; noise as a share of the torque limits.
 
-    Unless it is white, half as much is added that is correlated over ten samples.
+    Half as much as is white is correlated over ten samples.
     """
     t = np.arange(0, duration, 0.01)
     path = random_trajectory(robot, rng, duration, 5)
@@ -71,10 +70,9 @@ def recorded(
     still = [j for j in range(robot.nv) if moving is not None and j not in moving]
     q[:, still] = rng.uniform(-1.5, 1.5, len(still))
     dq[:, still] = ddq[:, still] = 0.0
-    noise = rng.standard_normal(q.shape)
-    if not white:
-        fresh = 0.22 * rng.standard_normal(q.shape)
-        noise += scipy.signal.lfilter([1.0], [1.0, -0.9], fresh, axis=0)
+    fresh = 0.22 * rng.standard_normal(q.shape)
+    noise = scipy.signal.lfilter([1.0], [1.0, -0.9], fresh, axis=0)
+    noise += rng.standard_normal(q.shape)
     tau = truth.torque(Motion(t, q, dq, ddq)) + share * torque_size(robot) * noise
     return Recording(name, f"{name}.csv", t, q, tau)
 
@@ -122,18 +120,15 @@ def test_covariance_against_monte_carlo(planar: Robot) -> None:
     assert spread[-1] < 1.5
 
 
-@pytest.mark.parametrize(
-    ("name", "draws", "white"),
-    [("planar_2r", 12, True), ("planar_2r", 12, False), *(slow(name, 6, False) for name in SIX)],
-)
+@pytest.mark.parametrize(("name", "draws"), [("planar_2r", 12), *(slow(name, 6) for name in SIX)])
 def test_values_are_within_two_standard_deviations_as_often_as_they_should(
-    name: str, draws: int, white: bool
+    name: str, draws: int
 ) -> None:
     robot, found = load_robot(name), []
     for seed in range(draws):
         rng = np.random.default_rng(seed)
         truth = truth_near(robot, rng)
-        runs = [recorded(robot, truth, rng, f"run{k}", white=white) for k in range(2)]
+        runs = [recorded(robot, truth, rng, f"run{k}") for k in range(2)]
         data = split(runs, runs[:1])  # nothing is judged here
         known, stages = run_stages(link_rows(robot, standard_effects(robot.joints), data))
         error = known.c - known.D.T @ np.linalg.solve(known.L, beta_of(truth, robot) - known.mean)
