@@ -144,7 +144,7 @@ _UNIT = dict(zip(STANDARD, np.eye(10), strict=True))
 
 def grouping(robot: Robot) -> NullSpace:
     """Null space of a serial arm by rule, in the robot's joint frames."""
-    chain = dh_from_robot(robot, "modified")
+    chain = dh_from_robot(robot)
     places = list(robot.model.jointPlacements)[1:]
     poses = np.array(list(accumulate((place.homogeneous for place in places), np.matmul)))
     placed = frames(chain, np.zeros((1, chain.nv)))[0, 1:]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.signal
-from hidden_effects import KINDS, draw_effect, typical_trajectory, visible_size
-from limit_use import limit_shares
+from hidden_effects import KINDS, draw_effect, visible_size
 from plant_recordings import hidden, true_arm
 
+from excitant.design import random_trajectory
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots import Motion, Robot, load_robot
+from excitant.robots import Robot, load_robot
 from excitant.robots.parameters import violations
 from excitant.robots.plant.planting import STRUCTURES
 from excitant.robots.virtual_arm import industrial_sensors
@@ -25,22 +25,10 @@ def filtered_rms(x: np.ndarray, rate_hz: float = 250.0) -> np.ndarray:
     return np.sqrt(np.mean(inner**2, axis=0))
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_typical_motion_is_within_limits_from_rest_to_rest(planar: Robot, seed: int) -> None:
-    trajectory = typical_trajectory(planar, np.random.default_rng(seed), DURATION)
-    t = np.linspace(0.0, DURATION, 2001)
-    q, dq, ddq = (trajectory(t, order) for order in range(3))
-    assert max(share.max() for share in limit_shares(planar, Motion(t, q, dq, ddq)).values()) < 1.01
-    assert np.abs(dq[[0, -1]]).max() < 1e-9
-    assert np.abs(q[0] - q[-1]).max() < 1e-9
-    np.testing.assert_allclose(np.gradient(q, t, axis=0)[1:-1], dq[1:-1], atol=2e-3)
-    np.testing.assert_allclose(np.gradient(dq, t, axis=0)[1:-1], ddq[1:-1], atol=2e-2)
-
-
 def test_without_effects_noise_alone_shows(planar: Robot) -> None:
     """Less than an eighth of what is just visible, over what the filter leaves of the noise."""
     rng = np.random.default_rng(2)
-    trajectory = typical_trajectory(planar, rng, DURATION)
+    trajectory = random_trajectory(planar, rng, DURATION, 5)
     sensors = industrial_sensors(planar)
     seen = visible_size(true_arm(planar, sensors=sensors), trajectory, DURATION, rng)
     assert seen.size < 2.0 / 8
@@ -51,7 +39,7 @@ def test_without_effects_noise_alone_shows(planar: Robot) -> None:
 def test_a_spring_shows_by_its_own_law(planar: Robot) -> None:
     """rms of k (q − q_0) along the recorded positions, filtered."""
     rng = np.random.default_rng(3)
-    trajectory = typical_trajectory(planar, rng, DURATION)
+    trajectory = random_trajectory(planar, rng, DURATION, 5)
     spring = hidden("spring", planar.joints[1], stiffness=3.0, rest=0.2)
     arm = true_arm(planar, spring, rate=250.0)
     q = arm.record(trajectory, DURATION, rng)["q2"].to_numpy()
@@ -73,7 +61,7 @@ SLOW = [
 @pytest.mark.parametrize(("name", "kind", "size", "seed"), FAST + SLOW)
 def test_drawn_effects_show_as_much_as_wanted(name: str, kind: str, size: float, seed: int) -> None:
     robot, rng = load_robot(name), np.random.default_rng(seed)
-    trajectory = typical_trajectory(robot, rng, DURATION)
+    trajectory = random_trajectory(robot, rng, DURATION, 5)
     effect = draw_effect(robot, rng, kind, size, trajectory=trajectory, duration=DURATION)
     assert effect.kind == kind
     assert (effect.effect == "unknown") == (kind in STRUCTURES)
