@@ -14,17 +14,10 @@ from khosla import close, dh_from_robot, frames, torque_matrix
 from second_opinion import grouping
 from seed import dd_arm, dd_arm_chain, dd_arm_parameters, dd_arm_tables, parameter_map
 
-from excitant.robots import (
-    DHChain,
-    Motion,
-    base_parameters,
-    load_robot,
-    regressor,
-    rigid_body_torque,
-    robot_from_dh,
-)
-from excitant.robots.dh import CONVENTIONS, Convention
+from excitant.robots import DHChain, Motion, base_parameters, load_robot, rigid_body_torque
+from excitant.robots.dh import CONVENTIONS, Convention, robot_from_dh
 from excitant.robots.parameters import STANDARD, violations
+from excitant.robots.regressor import regressor
 
 Chains = Callable[..., DHChain]
 SEEDS = st.integers(0, 2**32 - 1)
@@ -64,9 +57,6 @@ def test_a_chain_needs_the_torque_of_the_recursion_where_its_frames_are(
             pin.framesForwardKinematics(robot.model, data, q)
             tip = data.oMf[robot.tip].homogeneous
             assert np.allclose(placed[-1] @ one.tool, tip, rtol=0, atol=1e-12)
-
-
-# What the paper gets wrong, and what it takes for wrong
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -156,9 +146,6 @@ def test_link_1_is_about_its_centre_of_mass(dd: DHChain) -> None:
     assert dd.phi[9] == pytest.approx(row["I1zz"] + row["m1s1x"] ** 2 / row["m1"])
     assert row["I2yy"] > row["m2s2x"] ** 2 / row["m2"]
     assert dd.phi[16] == row["I2yy"]
-
-
-# How many base parameters, by rule
 
 
 @pytest.mark.parametrize(
