@@ -21,7 +21,6 @@ from excitant.robots.torque import observation_columns
 HARMONICS = np.array([0.3, 0.5, 0.8, 1.3])  # Hz, far below the cut-off of the torque filter
 Call = Callable[..., Any]  # a fixture that is a function
 NONE = EffectPrior(*(np.zeros(0),) * 3)
-KKT = 1e-8
 Z95 = 1.959963984540054  # standard deviations on either side of 95 %
 
 
@@ -81,8 +80,3 @@ class Whitened:
         return fit_physical(
             self.R, z, self.prior, self.effects, sigma, knowledge=knowledge, links=self.robot.links
         )
-
-
-def assert_optimal(fit: PhysicalFit) -> None:
-    for residual in ("stationarity", "complementarity", "primal"):
-        assert getattr(fit.kkt, residual) <= KKT
