@@ -10,7 +10,7 @@ import scipy.stats
 from estimators import HARMONICS, Truth, truth
 from hypothesis import given
 from hypothesis import strategies as st
-from known_arms import Z95, Call, rows_of
+from known_arms import Z95, rows_of
 
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput
@@ -24,10 +24,7 @@ from excitant.identify.least_squares import (
     weighted_least_squares,
 )
 from excitant.identify.preprocessing import prepare
-from excitant.identify.regression import Regression, dense, joined, regression_of
-from excitant.robots import Robot
-from excitant.robots.effects import standard_effects
-from excitant.robots.torque import observation_columns
+from excitant.identify.regression import Regression, dense, joined
 
 N, NV, P = 60, 3, 5
 NAMES = tuple("abcde")
@@ -70,15 +67,6 @@ def test_other_problems_are_those_of_other_rows_and_columns() -> None:
         np.testing.assert_array_equal(problem.W, rows)
     assert few.names == ("d", "a")
     np.testing.assert_array_equal(counted.tau, TAU * count)
-
-
-def test_an_arm_has_the_filtered_columns_of_its_segments(planar: Robot, exact: Call) -> None:
-    effects = standard_effects(planar.joints)
-    segments = prepare(exact(planar, np.arange(600) / 100))
-    found = regression_of(planar, effects, segments * 2)
-    columns = segments[0].rows(lambda motion: observation_columns(planar, effects, motion))
-    np.testing.assert_array_equal(found.W, np.concatenate([columns, columns]))
-    assert found.names[:2] == ("link1.m", "link1.mcx")
 
 
 def test_what_does_not_fit_is_refused() -> None:
