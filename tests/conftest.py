@@ -28,7 +28,7 @@ hypothesis.settings.load_profile("excitant")
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     """Recordings of real arms: required in continuous integration, else skipped without them."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    beside = Path(__file__).parents[2] / "shared" / "data"
     folder = Path(os.environ.get("EXCITANT_DATA", beside))
     if not folder.is_dir():
         reason = f"no recordings of real arms in {folder}; set EXCITANT_DATA"
@@ -73,17 +73,13 @@ class Ran(NamedTuple):
     err: str
 
     @property
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Any:
         """What ``--json`` printed."""
-        found: dict[str, Any] = json.loads(self.out)
-        return found
-
-
-Command = Callable[..., Ran]
+        return json.loads(self.out)
 
 
 @pytest.fixture
-def excitant(capsys: pytest.CaptureFixture[str]) -> Command:
+def excitant(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
     """``excitant("analyze planar_2r", "-o", folder)``: one command, run in this process."""
 
     def run(line: str, *more: object) -> Ran:
@@ -94,11 +90,8 @@ def excitant(capsys: pytest.CaptureFixture[str]) -> Command:
     return run
 
 
-Runs = Callable[..., list[Recording]]
-
-
 @pytest.fixture(scope="session")
-def runs() -> Runs:
+def runs() -> Callable[..., list[Recording]]:
     """``runs(robot, seed, hidden=..., sensors=..., tolerance=...)``: two motions recorded.
 
     The arm is virtual and shares no code with the effects that are fitted; by default it is its

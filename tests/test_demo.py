@@ -27,24 +27,18 @@ def result(directory: Path) -> dict[str, Any]:
     return load_run(directory)[0]
 
 
-def test_the_hidden_effect_is_named_on_its_joint(result: dict[str, Any]) -> None:
+def test_the_hidden_effect_is_named_on_its_joint(directory: Path, result: dict[str, Any]) -> None:
     truth, lead = result["truth"], result["diagnose"]["findings"][0]
-    assert (lead["effect"], lead["joints"]) == (truth["effect"], [truth["joint"]])
-    assert lead["verdict"] == "named"
-    assert result["verdict"] == {
-        "effect": truth["effect"], "joints": [truth["joint"]], "correct": True
-    }  # fmt: skip
-
-
-def test_the_report_says_so(directory: Path, result: dict[str, Any]) -> None:
-    plain = result["truth"]["effect"].replace("_", " ")
+    effect, joint = truth["effect"], truth["joint"]
+    assert (lead["effect"], lead["joints"], lead["verdict"]) == (effect, [joint], "named")
+    assert result["verdict"] == {"effect": effect, "joints": [joint], "correct": True}
     for name in ("summary.txt", "report.html"):
         text = (directory / name).read_text(encoding="utf-8")
-        assert plain in text.lower()
-        assert result["truth"]["joint"] in text
+        assert effect.replace("_", " ") in text.lower()
+        assert joint in text
 
 
-def test_the_result_holds_every_verb(directory: Path, result: dict[str, Any]) -> None:
+def test_the_result_holds_every_verb(result: dict[str, Any]) -> None:
     agreed = {
         "design": {"joints", "duration", "harmonics", "condition_number", "limits", "wall_s"},
         "identify": {"joints", "parameters", "base_parameters", "physical"},
