@@ -79,6 +79,13 @@ class Ran(NamedTuple):
 
 
 @pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
 def excitant(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
     """``excitant("analyze planar_2r", "-o", folder)``: one command, run in this process."""
 

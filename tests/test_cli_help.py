@@ -41,10 +41,7 @@ def test_an_example_is_understood(line: str) -> None:
     "words",
     ["robots", "robots panda", "analyze panda", "analyze cmu_dd_arm_ii --moving joint1,joint3"],
 )
-def test_an_example_runs(
-    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, excitant: Any
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_an_example_runs(words: str, here: Path, excitant: Any) -> None:
     assert f"excitant {words}" in EXAMPLES
     ran = excitant(words)
     assert ran.status == 0
@@ -84,12 +81,12 @@ COMPLETED = {
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="bash completes itself only")
 @pytest.mark.parametrize("line", COMPLETED)
-def test_bash_completes(line: str, tmp_path: Path, excitant: Any) -> None:
-    (tmp_path / "trajectory.csv").touch()
+def test_bash_completes(line: str, here: Path, excitant: Any) -> None:
+    (here / "trajectory.csv").touch()
     program = Path(sys.executable).parent / "excitant"
     pressed = f"COMP_WORDS=({program} {line}) COMP_CWORD={len(line.split())}; _excitant"
     code = f"{excitant('completion bash').out}\n{pressed}; echo ${{COMPREPLY[@]}}"
-    done = subprocess.run(["bash", "-c", code], cwd=tmp_path, text=True, capture_output=True)
+    done = subprocess.run(["bash", "-c", code], text=True, capture_output=True)
     assert set(done.stdout.split()) == COMPLETED[line]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import psutil
 import pytest
 
-from excitant.design import from_coefficients, trajectory_json
+from excitant.design import random_trajectory, trajectory_json
 from excitant.robots import load_robot
 
 pytestmark = pytest.mark.skipif(not psutil.LINUX, reason="asks for loaded libraries")
@@ -79,10 +79,8 @@ def test_a_design_writes_the_best_so_far(group: bool, tmp_path: Path) -> None:
 
 
 def test_others_say_that_nothing_was_written(tmp_path: Path) -> None:
-    robot, rng = load_robot("ur10"), np.random.default_rng(0)
-    middle, _, sine = rng.uniform(-1, 1, (3, robot.nv))
-    X = [middle, 0 * sine, 0 * sine, -2 * sine, sine]  # at rest at both ends
-    motion = from_coefficients(X, 2000.0)
+    robot = load_robot("ur10")
+    motion = random_trajectory(robot, np.random.default_rng(0), 2000.0, 2)
     (tmp_path / "slow.json").write_text(trajectory_json(motion, robot), encoding="utf-8")
     found = interrupted("simulate ur10 slow.json -o run.csv", tmp_path, 0, group=True)
     assert found == (1, "excitant: interrupted; nothing was written\n")

@@ -110,10 +110,7 @@ class Reader:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", FOLLOWED)
-def test_a_page_does_what_it_says(
-    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_a_page_does_what_it_says(page: str, here: Path) -> None:
     Reader(page).follow()
 
 
@@ -152,10 +149,7 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
         assert not outside, f"{page} needs the network: {outside}"
 
 
-def test_effect_of_the_page_is_known_identified_and_diagnosed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_effect_of_the_page_is_known_identified_and_diagnosed(here: Path) -> None:
     reader = Reader(EFFECT_PAGE)
     page = reader.names
     with mock.patch.dict(EFFECTS):

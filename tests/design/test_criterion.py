@@ -10,7 +10,7 @@ from limit_use import limited
 from excitant.design import build_design, check, condition_number, information, random_trajectory
 from excitant.design.criterion import objective, smooth_model
 from excitant.design.peaks import torque_peaks, torque_rows
-from excitant.design.result import lone_torque, scaled_condition_number, weak_directions
+from excitant.design.result import lone_torque, scaled_condition_number
 from excitant.design.step import local_model
 from excitant.robots import Robot, load_robot
 from excitant.robots.base_parameters import base_parameters
@@ -127,17 +127,3 @@ def test_columns_that_say_nothing_of_their_own() -> None:
     assert lone_torque(W.T @ W / 30).max() < 1e-6
     W[:, 2] = 0.0
     assert scaled_condition_number(W.T @ W) is None
-
-
-def test_weak_directions_are_the_last_singular_vectors() -> None:
-    rng = np.random.default_rng(3)
-    W, other = rng.normal(size=(2, 60, 4)) * [5.0, 0.1, 0.2, 3.0]
-    names = ["a", "b", "c", "d"]
-    found = weak_directions(names, W.T @ W / 60, other.T @ other / 60, count=2)
-    _, sizes, Vt = np.linalg.svd(W / np.sqrt(60))
-    for direction, size, v in zip(found, sizes[::-1], Vt[::-1], strict=False):
-        assert direction["strength"] == pytest.approx(size)
-        assert direction["other"] == pytest.approx(np.linalg.norm(other @ v) / np.sqrt(60))
-        assert direction["members"][0]["name"] == names[int(np.abs(v).argmax())]
-        assert direction["members"][0]["coefficient"] == pytest.approx(np.abs(v).max())
-        assert all(abs(member["coefficient"]) >= 0.3 for member in direction["members"])

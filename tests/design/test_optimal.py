@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 import os
 import signal
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +24,9 @@ from excitant.design import (
     random_trajectory,
 )
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots import Robot, regressor
+from excitant.robots import Robot
+from excitant.robots.effects import standard_effects
+from excitant.robots.torque import observation_columns
 
 
 @pytest.fixture(scope="module")
@@ -42,14 +43,6 @@ def test_improves_on_random_and_holds_every_limit(found: Design) -> None:
     assert found.condition_final < found.condition_initial / 5
     assert_limits_hold(found)
     assert found.limits.worst.ratio > 0.999
-
-
-def test_figures_are_those_of_the_trajectory(found: Design) -> None:
-    motion = found.trajectory.motion(100.0)
-    W = regressor(found.robot, motion)[:, :, list(found.base.columns)].reshape(-1, len(found.base))
-    assert found.condition_final == pytest.approx(np.linalg.cond(W), rel=1e-7)
-    eigenvalues = np.linalg.svd(W, compute_uv=False)[::-1] ** 2 / len(motion)
-    np.testing.assert_allclose(np.linalg.eigvalsh(found.after), eigenvalues, rtol=1e-6)
 
 
 def test_result_and_series(found: Design) -> None:
@@ -121,7 +114,6 @@ def test_interrupt_returns_the_best_so_far(arm: Robot) -> None:
     def stop(done: int, total: int | None, condition: float, worst: float) -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
-    assert threading.current_thread() is threading.main_thread()
     result = design_trajectory(arm, columns="inertial", starts=20, jobs=1, progress=stop)
     assert_limits_hold(result)
     assert result.condition_final < result.condition_initial
@@ -175,11 +167,10 @@ def weighted(planar: Robot) -> Design:
     return design_trajectory(planar, harmonics=3, starts=2, jobs=1, noise=[1.0, 4.0])
 
 
-def test_predicted_standard_deviations_are_those_of_weighted_least_squares(
-    weighted: Design,
-) -> None:
+def test_what_parameters_are_seen_is_that_of_weighted_least_squares(weighted: Design) -> None:
     result, motion = weighted.result(), weighted.trajectory.sample(1001)
-    W = weighted.information.observation(motion).reshape(-1, len(weighted.base))
+    Y = observation_columns(weighted.robot, standard_effects(weighted.robot.joints), motion)
+    W = (Y[:, :, weighted.base.columns] * [[2.0], [0.5]]).reshape(-1, len(weighted.base))
     std = np.sqrt(np.diag(np.linalg.inv(W.T @ W)))
     names = [weighted.base.names[k] for k in weighted.base.columns]
     order = np.argsort(-std, kind="stable")[:10]
@@ -191,6 +182,17 @@ def test_predicted_standard_deviations_are_those_of_weighted_least_squares(
     scaled = np.linalg.cond(W / np.linalg.norm(W, axis=0))
     assert result["condition_number_scaled"]["final"] == pytest.approx(scaled, rel=1e-6)
     assert result["joint_weights"] == pytest.approx([2.0, 0.5])
+    _, sizes, Vt = np.linalg.svd(W / np.sqrt(len(motion)))
+    np.testing.assert_allclose(np.linalg.eigvalsh(weighted.after), sizes[::-1] ** 2, rtol=1e-6)
+    for direction, size, v in zip(
+        result["weak_directions"]["final"], sizes[::-1], Vt[::-1], strict=False
+    ):
+        assert direction["strength"] == pytest.approx(size)
+        assert direction["other"] == pytest.approx(np.sqrt(v @ weighted.before @ v))
+        lead, *others = direction["members"]
+        assert lead["name"] == names[int(np.abs(v).argmax())]
+        assert lead["coefficient"] == pytest.approx(np.abs(v).max())
+        assert all(abs(member["coefficient"]) >= 0.3 for member in others)
 
 
 def test_tool_ends_the_arm_at_every_pose(weighted: Design) -> None:
@@ -204,20 +206,13 @@ def test_tool_ends_the_arm_at_every_pose(weighted: Design) -> None:
     np.testing.assert_allclose(lengths, lengths[:1].repeat(len(lengths), axis=0), atol=1e-12)
 
 
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[str]:
-    """A scheduler and two workers on the loopback."""
-    with LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
-    ) as started:
-        yield started.scheduler_address
-
-
 @pytest.mark.slow
-def test_a_cluster_finds_what_processes_find(planar: Robot, cluster: str) -> None:
+def test_a_cluster_finds_what_processes_find(planar: Robot) -> None:
     options = {"duration": 5.0, "harmonics": 3, "starts": 2, "seed": 2}
+    loopback = {"host": "127.0.0.1", "dashboard_address": None}
     here = design_trajectory(planar, jobs=1, **options)
-    there = design_trajectory(planar, cluster=cluster, **options)
+    with LocalCluster(n_workers=2, threads_per_worker=1, **loopback) as cluster:
+        there = design_trajectory(planar, cluster=cluster.scheduler_address, **options)
     np.testing.assert_array_equal(here.trajectory.coefficients, there.trajectory.coefficients)
 
 
