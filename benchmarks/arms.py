@@ -101,11 +101,8 @@ ARMS = (
 
 
 def name_of(arm: RobotSpec) -> str:
-    path = Path(arm)
-    name = path.stem if path.stem != "robot" else f"{path.parent.name}/robot"
     ends = "..".join(filter(None, (arm.base, arm.tip)))
-    ends = ends or "+".join((arm.joints or ())[:: len(DUAL) - 1])
-    return f"{name} {ends}".strip()
+    return f"{Path(arm).stem} {ends or '+'.join((arm.joints or ())[:: len(DUAL) - 1])}".strip()
 
 
 def with_assumed_limits(robot: Robot) -> tuple[Robot, tuple[str, ...]]:

@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 import scipy.linalg
 from seed import TableEntry, dd_arm, dd_arm_chain, dd_arm_parameters, dd_arm_tables, parameter_map
 from threadpoolctl import threadpool_limits
@@ -277,15 +278,17 @@ def count_lines(rng: np.random.Generator) -> Iterator[str]:
 
 
 def table_lines(found: Recovery) -> Iterator[str]:
-    heads = f"{'entry':<8}{'parameter':<20}{'initial':>11}{'truth':>11}{'identified':>12}"
-    yield heads + f"{'± std':>11}{'z':>6}{'kept':>7}{'silent':>8}{'moved':>11}  decided by"
-    for e in found.entries:
-        mark = "?" if e.entry.doubtful in ("estimated", "both") else ""
-        yield (
-            f"{e.entry.name + mark:<8}{e.entry.parameter:<20}{e.initial:11.6f}{e.truth:11.6f}"
-            f"{e.value:12.6f}{e.std:11.2g}{(e.value - e.truth) / e.std:6.1f}{e.kept:7.0%}"
-            f"{e.silent:8.0%}{e.moved:11.2g}  {e.decided_by}"
-        )
+    rows = [
+        e._asdict()
+        | {
+            "entry": e.entry.name + "?" * (e.entry.doubtful in ("estimated", "both")),
+            "parameter": e.entry.parameter,
+            "z": (e.value - e.truth) / e.std,
+            "decided by": e.decided_by,
+        }
+        for e in found.entries
+    ]
+    yield pd.DataFrame(rows).round(9).to_string(index=False, float_format="{:.4g}".format)
     votes = [e.decided_by for e in found.entries]
     yield ", ".join(f"{votes.count(who)} by {who}" for who in ("data", "both", "prior")) + (
         f"; base parameters moved by {found.base_moved:.1g} std at most"
@@ -303,10 +306,8 @@ def body_lines() -> Iterator[str]:
         Ixx, Iyy, Izz = body.printed[[4, 6, 9]]
         if Ixx > Iyy + Izz:
             yield f"  about the link frame: Ixx > Iyy + Izz, {Ixx:.6f} > {Iyy:.6f} + {Izz:.6f}"
-        for name, unit, printed, nearest in zip(
-            STANDARD, UNITS, body.printed, body.nearest, strict=True
-        ):
-            yield f"  {name:<4}{printed:11.6f} → {nearest:9.6f} {unit}"
+        values = {"printed": body.printed, "nearest": body.nearest, "unit": UNITS}
+        yield pd.DataFrame(values, STANDARD).to_string(float_format="{:.6f}".format)
 
 
 def main(words: Sequence[str] | None = None) -> None:

@@ -22,6 +22,7 @@ from typing import Any
 
 import joblib
 import numpy as np
+import pandas as pd
 import pinocchio as pin
 from contestants import (
     CONTESTANTS,
@@ -49,23 +50,16 @@ def arguments(words: Sequence[str] | None) -> argparse.Namespace:
     add("--robot", help="another arm under the problem's limits: built-in name or URDF")
     add("--methods", nargs="+", choices=METHODS, default=METHODS)
     add("--harmonics", type=int, nargs="+", help="the problem's by default; the first is ours")
-    add("--time-limit", type=float, help="of every contestant but FIGAROH [s] (30; quick: 5)")
+    add("--time-limit", type=float, default=30.0, help="of every contestant but FIGAROH [s]")
     add("--jobs", type=int, default=joblib.cpu_count(), help="processes of every contestant")
     add("--seed", type=int, default=0)
     add("--figaroh-python", type=Path, help="Python that has figaroh and cyipopt installed")
-    add("--figaroh-seeds", type=int, help="runs of FIGAROH, of which the best counts (2; quick: 1)")
+    add("--figaroh-seeds", type=int, default=2, help="runs of FIGAROH, of which the best counts")
     add("--figaroh-segments", type=int, default=2, help="as in its UR10 example")
     add("--figaroh-moves", type=int, nargs="+", help="moves per segment; as long as 2 s by default")
-    add("--figaroh-iterations", type=int, help="of IPOPT per segment (100; quick: 10)")
-    add("--quick", action="store_true", help="small budgets, to see that it runs")
+    add("--figaroh-iterations", type=int, default=100, help="of IPOPT per segment")
     add("-o", "--output", type=Path, help="folder of trajectories and result.json")
-    add("--json", action="store_true", help="print result.json and nothing else")
-    given = parser.parse_args(words)
-    usual = {"time_limit": (30.0, 5.0), "figaroh_seeds": (2, 1), "figaroh_iterations": (100, 10)}
-    for name, values in usual.items():
-        if getattr(given, name) is None:
-            setattr(given, name, values[given.quick])
-    return given
+    return parser.parse_args(words)
 
 
 @dataclass(frozen=True)
@@ -107,8 +101,7 @@ def compete(problem: Problem, given: argparse.Namespace) -> list[Row]:
             row, files = run(problem, given, method, setting)
             tries = [judged(problem, row, file) for file in files]
             rows.append(min(tries, key=lambda tried: tried.left, default=row))
-            if not given.json:
-                print(f"{row.label} done after {row.wall_s:.0f} s", file=sys.stderr, flush=True)
+            print(f"{row.label} done after {row.wall_s:.0f} s", file=sys.stderr, flush=True)
     samples = {row.samples for row in rows if row.samples}
     if len(samples) > 1:
         raise ExcitantError(f"motions of {sorted(samples)} samples cannot be compared")
@@ -177,45 +170,38 @@ def reference(row: Row, rows: Sequence[Row]) -> Row | None:
     return min(ours, key=lambda r: r.peak_ddq, default=None)
 
 
-def conditioning_table(rows: Sequence[Row]) -> list[str]:
-    lines = [
-        f"{'':20}{'κ left':>9}{'κ proj':>9}{'worst limit':>13}{'rest':>6}{'ddq':>7}"
-        f"{'wall s':>8}{'CPU s':>8}   other : excitant (κ, wall, CPU)"
-    ]
+def conditioning_table(rows: Sequence[Row]) -> str:
+    """Figures of every row, and κ, wall and CPU time over ours."""
+    lines = {}
     for row in rows:
-        times = f"{row.wall_s:8.1f}{row.cpu_s:8.1f}"
-        if not row.samples:
-            lines.append(f"{row.label:20}{'no motion':>44}{times}   {row.note}")
-            continue
-        ours, against = reference(row, rows), " " * 33
+        figures = {"κ left": row.left, "κ proj": row.proj, "worst limit": row.worst}
+        figures |= {"rest": "yes" if row.at_rest else "no", "ddq": row.peak_ddq}
+        figures |= {"wall s": row.wall_s, "CPU s": row.cpu_s}
+        ours, note = reference(row, rows), f"{row.note}; closest: {row.worst_where}"
+        if ours is not None and row.method != "excitant" and row.samples:
+            ratios = row.left / ours.left, row.wall_s / ours.wall_s, row.cpu_s / ours.cpu_s
+            figures |= dict(zip(("κ : ours", "wall", "CPU"), ratios, strict=True))
+            figures["ours"] = ours.label
+        lines[row.label] = figures | {"note": note if row.samples else f"no motion; {row.note}"}
+    return _table(lines)
+
+
+def noise_table(rows: Sequence[Row], kind: str) -> str:
+    """The three errors of every row under a kind of noise, and ours over them."""
+    lines, names = {}, ("scaled", "predicted", "worst")
+    for row in (r for r in rows if r.errors is not None):
+        figures, ours = _figures(row, kind), reference(row, rows)
+        lines[row.label] = dict(zip(names, figures, strict=True))
         if ours is not None and row.method != "excitant":
-            ratios = (row.left / ours.left, row.wall_s / ours.wall_s, row.cpu_s / ours.cpu_s)
-            against = "".join(f"{ratio:6.2f}" for ratio in ratios) + f" {ours.label:<14}"
-        lines.append(
-            f"{row.label:20}{row.left:9.2f}{row.proj:9.2f}{row.worst:13.4f}"
-            f"{'yes' if row.at_rest else 'no':>6}{row.peak_ddq:7.1f}{times}"
-            f"{against}   {row.note}; closest: {row.worst_where}"
-        )
-    return lines
+            ratios = np.divide(_figures(ours, kind), figures)
+            lines[row.label] |= {f"ours : {k}": r for k, r in zip(names, ratios, strict=True)}
+            lines[row.label]["ours"] = ours.label
+    return _table(lines)
 
 
-def noise_table(rows: Sequence[Row]) -> list[str]:
-    lines = [
-        f"Base parameters fitted to {DRAWS} draws of torque noise: rms error scaled to torque, rms "
-        "error of torque on random states [N·m], std of the worst direction [SI]"
-    ]
-    for kind, name in NOISE.items():
-        lines.append(f"{'noise ' + name:50}   excitant : other")
-        for row in rows:
-            if row.errors is None:
-                continue
-            figures, ours = _figures(row, kind), reference(row, rows)
-            line = f"{row.label:20}" + "".join(f"{figure:10.4g}" for figure in figures)
-            if ours is not None and row.method != "excitant":
-                ratios = np.divide(_figures(ours, kind), figures)
-                line += "   " + "".join(f"{ratio:7.2f}" for ratio in ratios) + f" {ours.label}"
-            lines.append(line)
-    return lines
+def _table(lines: dict[str, dict[str, Any]]) -> str:
+    frame = pd.DataFrame.from_dict(lines, orient="index")
+    return frame.to_string(float_format="{:.4g}".format, na_rep="")
 
 
 def _figures(row: Row, kind: str) -> tuple[float, float, float]:
@@ -238,7 +224,12 @@ def report(problem: Problem, rows: Sequence[Row], given: argparse.Namespace) -> 
         f"judged at {problem.rate_hz:g} Hz; {given.jobs} processes, seed {given.seed}, "
         f"time limit {given.time_limit:g} s"
     )
-    return "\n".join(["", top, "", *conditioning_table(rows), "", *noise_table(rows)])
+    errors = (
+        f"Base parameters fitted to {DRAWS} draws of torque noise: rms error scaled to torque, rms "
+        "error of torque on random states [N·m], std of the worst direction [SI]"
+    )
+    noise = (f"Noise {name}:\n{noise_table(rows, kind)}" for kind, name in NOISE.items())
+    return "\n\n".join(["", top, conditioning_table(rows), errors, *noise])
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -255,7 +246,7 @@ def main(words: Sequence[str] | None = None) -> int:
         return 1
     content = json.dumps(result(problem, rows), indent=1) + "\n"
     (folder / "result.json").write_text(content, encoding="utf-8")
-    print(content if given.json else report(problem, rows, given))
+    print(report(problem, rows, given))
     return 0
 
 

@@ -14,10 +14,11 @@ from typing import Any
 
 import joblib
 import numpy as np
-from hidden_effects import KINDS, draw_effect, typical_trajectory
+from hidden_effects import KINDS, draw_effect
 from threadpoolctl import threadpool_limits
 
 from excitant.analysis.diagnosis import diagnose
+from excitant.design import random_trajectory
 from excitant.exceptions import ExcitantError
 from excitant.identify.recording import Recording, recording_from_table
 from excitant.robots import Robot, load_robot
@@ -26,7 +27,7 @@ from excitant.robots.torque import effect_values
 from excitant.robots.virtual_arm import HiddenEffect, VirtualArm, virtual_arm
 
 ARMS = ("ur10", "panda", "puma560", "planar_2r")
-DURATION = 15.0  # s of each motion
+DURATION, HARMONICS = 15.0, 5  # of each motion [s]
 TOLERANCE = 0.03  # of the given inertias
 _WIDER = 8.0  # a wrong body must show beyond what the tolerance of all bodies does
 _CLEARLY = 3.0  # times the noise floor
@@ -81,7 +82,7 @@ def run(case: Case) -> dict[str, Any]:
             hidden.append(draw_effect(robot, rng, kind, shown))
         arm = virtual_arm(robot, rng, hidden=hidden, tolerance=TOLERANCE)
         train, held = (
-            recorded(arm, typical_trajectory(robot, rng, DURATION), DURATION, rng, name)
+            recorded(arm, random_trajectory(robot, rng, DURATION, HARMONICS), DURATION, rng, name)
             for name in ("excitation", "holdout")
         )
     except ExcitantError as error:

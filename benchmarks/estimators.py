@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 import pinocchio as pin
 import scipy.signal
 from threadpoolctl import threadpool_limits
@@ -43,10 +44,7 @@ class Truth:
     """An arm of which everything is known: links, coefficients of each joint's effects [SI], β."""
 
     robot: Robot
-    viscous: Array
-    coulomb: Array
-    offset: Array
-    rotor: Array
+    coefficients: dict[str, Array]  # Fv, Fc, offset and Ia
     base: BaseParameters
     beta: Array
 
@@ -54,8 +52,8 @@ class Truth:
         """Torque of a motion, arrays of shape (n, nv)."""
         model, data = self.robot.model, self.robot.model.createData()
         links = np.array([pin.rnea(model, data, *state) for state in zip(q, dq, ddq, strict=True)])
-        friction = self.viscous * dq + self.coulomb * np.sign(dq)
-        return np.asarray(links + friction + self.offset + self.rotor * ddq)
+        viscous, coulomb, offset, rotor = self.coefficients.values()
+        return np.asarray(links + viscous * dq + coulomb * np.sign(dq) + offset + rotor * ddq)
 
 
 def truth(name: str) -> Truth:
@@ -64,18 +62,14 @@ def truth(name: str) -> Truth:
     states = zip(*robot.random_motion(rng, 200), strict=True)
     data = robot.model.createData()
     size = np.std([pin.rnea(robot.model, data, *state) for state in states], axis=0)
-    share = size * rng.uniform(0.5, 1.5, (4, robot.nv))
-    viscous, coulomb, offset, rotor = share * np.array([[0.03], [0.05], [0.01], [0.01]])
+    drawn = size * rng.uniform(0.5, 1.5, (4, robot.nv)) * [[0.03], [0.05], [0.01], [0.01]]
+    coefficients = dict(zip(("Fv", "Fc", "offset", "Ia"), drawn, strict=True))
     effects = standard_effects(robot.joints)
-    values = dict(zip(("Fv", "Fc", "offset", "Ia"), (viscous, coulomb, offset, rotor), strict=True))
-    coefficients = [
-        values[p.name.rpartition(".")[2]][robot.joint_index(p.name.rpartition(".")[0])]
-        for effect in effects
-        for p in effect.parameters(robot)
-    ]
+    names = (p.name.rpartition(".") for effect in effects for p in effect.parameters(robot))
+    values = [coefficients[symbol][robot.joint_index(joint)] for joint, _, symbol in names]
     base = base_parameters(robot, effects)
-    beta = base.regrouping @ np.concatenate([robot.phi, coefficients])
-    return Truth(robot, viscous, coulomb, offset, rotor, base, beta)
+    beta = base.regrouping @ np.concatenate([robot.phi, values])
+    return Truth(robot, coefficients, base, beta)
 
 
 def torque_noise(kind: str, rng: np.random.Generator, n: int, nv: int) -> Array:
@@ -132,7 +126,6 @@ def estimates(
     data = Data(segments, (), recording.unit, cutoff_hz, "")
     rows = fit_rows(known.robot, standard_effects(known.robot.joints), known.base, data)
     even, odd = half_regressions(rows, [recording])
-
     loop = closed_loop(rows, [recording])
     fits = (
         weighted_least_squares(rows.reduced),
@@ -174,14 +167,13 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS, help="of noise")
     args = parser.parse_args(words)
+    table = pd.DataFrame(index=[*METHODS, "test, p"])
     with threadpool_limits(1):
-        settings = list(cells(args.robot, args.draws, args.seconds, args.seed, args.kinds))
-    print(f"{'':10}" + "".join(f"{name:>20}" for name, _, _ in settings))
-    print(f"{'':10}" + f"{'N·m':>10}{'%':>10}" * len(settings))
-    for method in METHODS:
-        row = [figures[method] for _, figures, _ in settings]
-        print(f"{method:10}" + "".join(f"{x:10.3f}{100 * nrmse:10.2f}" for x, nrmse in row))
-    print(f"{'test, p':10}" + "".join(f"{chance:20.2g}" for _, _, chance in settings))
+        for name, figures, p in cells(args.robot, args.draws, args.seconds, args.seed, args.kinds):
+            table[name, "N·m"] = pd.Series({m: f for m, (f, _) in figures.items()} | {"test, p": p})
+            table[name, "%"] = pd.Series({m: 100 * nrmse for m, (_, nrmse) in figures.items()})
+    table.columns = pd.MultiIndex.from_tuples(table.columns)
+    print(table.T.to_string(float_format="{:.3g}".format, na_rep=""))
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ import pinocchio as pin
 import scipy.interpolate
 import scipy.signal
 
+from excitant.design import random_trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD
@@ -33,63 +34,9 @@ from excitant.robots.virtual_arm import (
     virtual_arm,
 )
 
-_HARMONICS = 5
-_SHARE = 0.7  # of the limits of velocity and acceleration, used at most
-_REACH = 0.8  # of the range of position
-_TORQUE = 0.7  # of the limits of torque
+_HARMONICS = 5  # of the motion on which an effect is measured
 Rng = np.random.Generator
 Numbers = dict[str, float]
-
-
-def typical_trajectory(robot: Robot, rng: Rng, duration: float) -> Trajectory:
-    """A random motion from rest to rest of a period [s], within the limits of the nominal arm.
-
-    q(t) = q_0 + Σ a_k (cos ω_k t − 1) with random a_k; drawn again, and smaller, while it asks
-    for more than 70 % of a torque limit.
-    """
-    omega: Array = 2 * np.pi * np.arange(1.0, _HARMONICS + 1.0) / duration
-    low, high = np.clip(robot.limits.position, -np.pi, np.pi).T
-    speed = np.where(np.isfinite(robot.limits.velocity), robot.limits.velocity, 3.0)
-    acceleration = np.where(np.isfinite(robot.limits.acceleration), robot.limits.acceleration, 20.0)
-    t: Array = np.linspace(0.0, duration, 400)
-    share = _SHARE
-    for _ in range(40):
-        a = rng.standard_normal((_HARMONICS, robot.nv)) / np.arange(1, _HARMONICS + 1)[:, None]
-        spread = np.ptp(_cosines(omega, a, t, 0), axis=0)
-        fastest, hardest = (np.abs(_cosines(omega, a, t, n)).max(axis=0) for n in (1, 2))
-        a *= np.minimum.reduce(
-            [
-                _REACH * (high - low) / spread,
-                share * np.minimum(speed, 4.0) / fastest,
-                share * np.minimum(acceleration, 20.0) / hardest,
-            ]
-        )
-        swing = _cosines(omega, a, t, 0)
-        start = rng.uniform(low - swing.min(axis=0), high - swing.max(axis=0))
-        trajectory = partial(_path, start, omega, a)
-        _, tau = _nominal_torque(robot, *(trajectory(t[::4], order) for order in range(3)))
-        if (np.abs(tau) / robot.limits.torque).max() <= _TORQUE:
-            break
-        share *= 0.93
-    return trajectory
-
-
-def _cosines(omega: Array, a: Array, t: Array, order: int) -> Array:
-    phase = np.outer(t, omega) + order * np.pi / 2
-    values: Array = (np.cos(phase) - (order == 0)) @ (omega[:, None] ** order * a)
-    return values
-
-
-def _path(start: Array, omega: Array, a: Array, t: Array, order: int = 0) -> Array:
-    moved = _cosines(omega, a, np.asarray(t, dtype=float), order)
-    return start + moved if order == 0 else moved
-
-
-def _nominal_torque(robot: Robot, q: Array, dq: Array, ddq: Array) -> tuple[Truth, Array]:
-    truth = nominal_truth(robot)
-    data, states = truth.model.createData(), zip(q, dq, ddq, strict=True)
-    rigid = [pin.rnea(truth.model, data, *state) for state in states]
-    return truth, truth.drives.friction(dq) + rigid
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,13 +74,14 @@ def typical_motion(
     robot: Robot, trajectory: Trajectory, duration: float, wanted: Array
 ) -> TypicalMotion:
     t = np.linspace(0.0, duration, 300)
-    states = [trajectory(t, order) for order in range(3)]
-    truth, tau = _nominal_torque(robot, *states)
+    states, truth = [trajectory(t, order) for order in range(3)], nominal_truth(robot)
     bare = truth.model.copy()
     bare.armature = np.zeros(robot.nv)
-    data = bare.createData()
+    data, rotating = bare.createData(), truth.model.createData()
+    tau = truth.drives.friction(states[1])
     load, tip, inertia = (np.zeros((len(t), k)) for k in (robot.nv, 3, robot.nv))
     for k, (q, dq, ddq) in enumerate(zip(*states, strict=True)):
+        tau[k] += pin.rnea(truth.model, rotating, q, dq, ddq)
         load[k] = pin.rnea(bare, data, q, dq, ddq)
         inertia[k] = np.diag(pin.crba(bare, data, q))
         pin.forwardKinematics(bare, data, q)
@@ -365,7 +313,9 @@ def visible_size(arm: VirtualArm, trajectory: Trajectory, duration: float, rng: 
     expected = _torque_at(arm.nominal, without, t, q, true)
     still = np.abs(dq) < _STILL * np.abs(dq).max(axis=0)
     error = np.where(still, 0.0, tau - expected)
-    return VisibleSize(_filtered_rms(error, arm.sensors.rate_hz), _noise_floor(arm.sensors))
+    edge, sections = int(_EDGE * arm.sensors.rate_hz), _filter(arm.sensors.rate_hz)
+    inner = scipy.signal.sosfiltfilt(sections, error, axis=0)[edge:-edge]
+    return VisibleSize(np.sqrt(np.mean(inner**2, axis=0)), _noise_floor(arm.sensors))
 
 
 def _torque_at(robot: Robot, truth: Truth, t: Array, q: Array, sensors: Sensors) -> Array:
@@ -379,12 +329,6 @@ def _torque_at(robot: Robot, truth: Truth, t: Array, q: Array, sensors: Sensors)
     run = simulate(robot, believed, truth, trajectory, float(t[-1]), sensors.rate_hz)
     table = recorded(run, sensors, truth.recorder, truth.drives.offset, quiet)
     return table[[f"tau{j + 1}" for j in range(robot.nv)]].to_numpy(float)
-
-
-def _filtered_rms(error: Array, rate_hz: float) -> Array:
-    edge = int(_EDGE * rate_hz)
-    inner = scipy.signal.sosfiltfilt(_filter(rate_hz), error, axis=0)[edge:-edge]
-    return np.asarray(np.sqrt(np.mean(inner**2, axis=0)), dtype=np.float64)
 
 
 def _noise_floor(sensors: Sensors) -> Array:
@@ -409,7 +353,7 @@ def draw_effect(
     """Draw joints and parameters of a kind of effect, or of a structure of an unknown one.
 
     It shows as much as wanted, within 15 %, behind `industrial_sensors` on a motion from rest; on
-    a typical one when none is given.
+    a random one when none is given.
 
     Raises:
         UnknownName: There is no such kind.
@@ -420,7 +364,7 @@ def draw_effect(
     UnknownName.refuse("kind of hidden effect", [kind], (*KINDS, *STRUCTURES))
     sensors = industrial_sensors(robot)
     if trajectory is None:
-        trajectory = typical_trajectory(robot, rng, duration)
+        trajectory = random_trajectory(robot, rng, duration, _HARMONICS)
     motion = typical_motion(robot, trajectory, duration, size * _noise_floor(sensors))
 
     def measure(effect: HiddenEffect) -> float:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,8 +15,7 @@ import scipy.signal
 from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
-from excitant.identify.dataset import load_dataset
-from excitant.identify.faults import Log, find_copies, find_faults
+from excitant.identify.faults import Log, find_faults
 from excitant.robots import Robot, load_robot
 from excitant.robots.virtual_arm import industrial_sensors, virtual_arm
 
@@ -26,15 +23,13 @@ Plant = Callable[[Robot, Log, np.random.Generator], Log]
 DURATION = 8.0
 
 
-def log_of_table(robot: Robot, table: pd.DataFrame, prefix: str = "tau") -> Log:
-    """The channels of a table with columns t, q1.., dq1.., tau1.. or i1..."""
-
-    def channel(name: str) -> np.ndarray:
-        return table[[f"{name}{j + 1}" for j in range(robot.nv)]].to_numpy(float)
-
-    unit, t = "A" if prefix == "i" else "N·m", table["t"].to_numpy(float)
-    arrays = t, channel("q"), channel(prefix), unit, channel("dq")
-    return Log("log", "log", *arrays, joints=robot.joints)
+def log_of_table(robot: Robot, table: pd.DataFrame) -> Log:
+    """The channels of a table with columns t, q1.., dq1.. and tau1..."""
+    q, tau, dq = (
+        table[[f"{name}{j + 1}" for j in range(robot.nv)]].to_numpy(float)
+        for name in ("q", "tau", "dq")
+    )
+    return Log("log", "log", table["t"].to_numpy(float), q, tau, "N·m", dq, joints=robot.joints)
 
 
 def recorded(robot: Robot, seed: int, rate_hz: float = 125.0) -> Log:
@@ -192,25 +187,7 @@ PLANTS = {how: (fault, plant) for fault, plants in FAULTS.items() for how, plant
 RATES_HZ = (100.0, 125.0, 250.0, 500.0)
 
 
-def report_real() -> None:
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    logs = {}
-    for folder in sorted(Path(os.environ.get("EXCITANT_DATA", beside)).iterdir()):
-        if not (folder / "robot.urdf").is_file():
-            continue
-        dataset = load_dataset(folder)
-        for path in sorted(folder.glob("*.parquet")):
-            name, table = f"{folder.name}/{path.stem}", pd.read_parquet(path)
-            logs[name] = log_of_table(dataset.robot, table, dataset.mapping.torque or "tau")
-            faults = find_faults(dataset.robot, logs[name])
-            print(f"{name:<28} {'no fault' if not faults else ''}", flush=True)
-            for fault in faults:
-                print(f"    {fault.fault:<18} {fault.detail}")
-    for name, fault in find_copies(logs).items():
-        print(f"{name:<28} {fault.detail}")
-
-
-def report_simulated(robots: Sequence[str], count: int, clean_only: bool) -> None:
+def report(robots: Sequence[str], count: int, clean_only: bool) -> None:
     logs = [
         (robot, recorded(robot, seed, RATES_HZ[seed % len(RATES_HZ)]))
         for robot in map(load_robot, robots)
@@ -235,13 +212,9 @@ def main() -> None:
     parser.add_argument("--robots", nargs="+", default=["planar_2r", "ur10", "panda"])
     parser.add_argument("--recordings", type=int, default=20, help="of each arm")
     parser.add_argument("--clean-only", action="store_true", help="false alarms only")
-    parser.add_argument("--real", action="store_true", help="recordings of real arms instead")
     args = parser.parse_args()
     with threadpool_limits(1):
-        if args.real:
-            report_real()
-        else:
-            report_simulated(args.robots, args.recordings, args.clean_only)
+        report(args.robots, args.recordings, args.clean_only)
 
 
 if __name__ == "__main__":

@@ -115,13 +115,10 @@ def report(split: Split, folder: Path, chosen: bool) -> None:
             closing = [f"  chosen    failed: {error}"]
     total = float(np.sqrt(1 - np.minimum(split.readme or [1], 1 - 0.5 * 10.0**-DIGITS)).sum())
     if split.readme:
-        _line("readme", np.array(split.readme), total, [False] * len(split.readme), "")
+        _line("readme", np.array(split.readme), total, split.readme, "")
     for row, (accuracy, said) in rows.items():
         ratio = f"  ratio {accuracy.nrmse.sum() / total:.3f}" if split.readme else ""
-        below = [False] * len(accuracy.r2)
-        if split.readme:
-            below = (np.round(accuracy.r2, DIGITS) < np.array(split.readme)).tolist()
-        _line(row, accuracy.r2, accuracy.nrmse.sum(), below, ratio + said)
+        _line(row, accuracy.r2, accuracy.nrmse.sum(), split.readme, ratio + said)
     print("\n".join(closing), end="\n" if closing else "")
     if split.published_rms:
         spread = standard.validate.rms / standard.validate.nrmse
@@ -136,7 +133,8 @@ def _said(estimate: Estimate, start: float) -> str:
     return f"  consistent: {'NO' if broken else 'yes'}  {time.perf_counter() - start:.0f} s"
 
 
-def _line(row: str, r2: np.ndarray, nrmse: float, below: Sequence[bool], extra: str) -> None:
+def _line(row: str, r2: np.ndarray, nrmse: float, readme: Row, extra: str) -> None:
+    below = np.round(r2, DIGITS) < np.array(readme or [-np.inf] * len(r2))
     cells = " ".join(f"{v:7.4f}{'<' if b else ' '}" for v, b in zip(r2, below, strict=True))
     print(f"  {row:<9}{cells}  Σ nrmse {nrmse:.3f}{extra}", flush=True)
 

@@ -9,14 +9,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from diagnosis import DURATION, TOLERANCE, brief, rate, recorded
-from hidden_effects import KINDS, draw_effect, typical_trajectory
+from diagnosis import DURATION, HARMONICS, TOLERANCE, brief, rate, recorded
+from hidden_effects import KINDS, draw_effect
 from threadpoolctl import threadpool_limits
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.discrimination import Plan, key
 from excitant.analysis.discrimination_plan import plan
-from excitant.design import Trajectory
+from excitant.design import Trajectory, random_trajectory
 from excitant.exceptions import ExcitantError
 from excitant.identify.recording import Recording
 from excitant.robots import Robot, load_robot
@@ -39,7 +39,7 @@ def poor(robot: Robot, rng: np.random.Generator) -> Trajectory:
         position=np.column_stack([start, start + width]),
         velocity=_SPEED * np.minimum(limits.velocity, 3.0),
     )
-    return typical_trajectory(robot.with_limits(narrow), rng, DURATION)
+    return random_trajectory(robot.with_limits(narrow), rng, DURATION, HARMONICS)
 
 
 def is_true(effect: Effect, hidden: HiddenEffect) -> bool:

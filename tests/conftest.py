@@ -18,7 +18,9 @@ import pytest
 from excitant.cli import main
 from excitant.design import random_trajectory
 from excitant.identify import Recording, recording_from_table
-from excitant.robots import Robot, load_robot
+from excitant.robots import DHChain, Robot, load_robot
+from excitant.robots.dh import Convention
+from excitant.robots.parameters import from_pseudo_inertia
 from excitant.robots.virtual_arm import HiddenEffect, Sensors, ideal_sensors, virtual_arm
 
 hypothesis.settings.register_profile("excitant", deadline=None, derandomize=True, max_examples=25)
@@ -125,3 +127,52 @@ def runs() -> Callable[..., list[Recording]]:
         ]
 
     return recorded
+
+
+@pytest.fixture(scope="session")
+def random_bodies() -> Callable[[int, int], np.ndarray]:
+    """``random_bodies(seed, links)``: physically consistent standard parameters (10 links,)."""
+
+    def bodies(seed: int, links: int) -> np.ndarray:
+        rng = np.random.default_rng(seed)
+        root = rng.standard_normal((links, 4, 4)) * [0.1, 0.1, 0.1, 1.0]
+        P = root @ root.transpose(0, 2, 1) * np.array([0.1, 0.1, 0.1, 1.0])[:, None]
+        P = P * np.array([0.1, 0.1, 0.1, 1.0])
+        return from_pseudo_inertia(P + 1e-3 * np.eye(4)).ravel()
+
+    return bodies
+
+
+def _random_pose(rng: np.random.Generator) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3] = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    T[:3, 0] *= np.linalg.det(T[:3, :3])
+    T[:3, 3] = rng.standard_normal(3)
+    return T
+
+
+@pytest.fixture(scope="session")
+def random_chain(random_bodies: Callable[[int, int], np.ndarray]) -> Callable[..., DHChain]:
+    """``random_chain(seed, joints, convention)``: joints of both kinds, any twist, any mounting."""
+
+    def chain(seed: int, nv: int, convention: Convention = "standard") -> DHChain:
+        rng = np.random.default_rng(seed)
+        special = rng.choice([0.0, np.pi / 2, -np.pi / 2, np.pi], nv)
+        a, d = rng.uniform(-0.6, 0.6, (2, nv)) * rng.choice([0.0, 1.0, 1.0], (2, nv))
+        return DHChain(
+            name="chain",
+            convention=convention,
+            joints=tuple(f"j{i}" for i in range(nv)),
+            links=tuple(f"l{i}" for i in range(nv)),
+            revolute=rng.random(nv) < 0.7,
+            a=a,
+            d=d,
+            alpha=np.where(rng.random(nv) < 0.5, special, rng.uniform(-3, 3, nv)),
+            theta=rng.uniform(-3, 3, nv),
+            phi=random_bodies(seed, nv),
+            gravity=rng.uniform(-10, 10, 3),
+            base=_random_pose(rng),
+            tool=_random_pose(rng),
+        )
+
+    return chain

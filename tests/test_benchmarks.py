@@ -33,11 +33,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def rows(folder: Path) -> Rows:
-    options = ["--time-limit", "1", "--jobs", "2", "-o", str(folder), "--json"]
+    options = ["--time-limit", "1", "--jobs", "2", "-o", str(folder)]
     done = run("--problem", "planar_2r", "--methods", *METHODS, *options)
     assert done.returncode == 0, done.stderr
-    assert json.loads((folder / "result.json").read_text()) == json.loads(done.stdout)
-    return {row["method"]: row for row in json.loads(done.stdout)["rows"]}
+    assert "worst limit" in done.stdout
+    rows = json.loads((folder / "result.json").read_text())["rows"]
+    return {row["method"]: row for row in rows}
 
 
 def condition_by_newton_euler(folder: Path, name: str, base: int) -> float:

@@ -201,6 +201,7 @@ REFUSED = {
     "check ur10 trajectory.csv": "trajectory.csv",  # of another arm
     f"{ONE} --trajectory trajectory.csv": "give the trajectory.json",
     f"{ONE} --online --trajectory trajectory.csv": "--trajectory is for all rows at once",
+    f"{ONE} --link-by-link --online": "leave --online out",
     f"{ONE} --unloaded two.csv": "give --payload too",
     f"{ONE} --forgetting 3": "give --online too",
     f"{ONE} --online --forgetting 0": "longer time constant",

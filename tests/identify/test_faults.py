@@ -88,7 +88,7 @@ def six_joints(ur10: Robot) -> Log:
 def real(data_folder: Path) -> tuple[Robot, Log]:
     dataset = load_dataset(data_folder / "ur10")
     table = pd.read_parquet(data_folder / "ur10" / "unisa_exciting.parquet")
-    return dataset.robot, plants.log_of_table(dataset.robot, table, "tau")
+    return dataset.robot, plants.log_of_table(dataset.robot, table)
 
 
 def names(faults: tuple[Fault, ...]) -> set[str]:

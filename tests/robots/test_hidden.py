@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.signal
-from hidden_effects import KINDS, draw_effect, typical_trajectory, visible_size
+from hidden_effects import KINDS, draw_effect, visible_size
 
+from excitant.design import random_trajectory
 from excitant.exceptions import UnknownName
 from excitant.robots import Robot, load_robot
 from excitant.robots.parameters import violations
@@ -35,32 +36,16 @@ def filtered_rms(x: np.ndarray, rate_hz: float = 250.0) -> np.ndarray:
     return np.sqrt(np.mean(inner**2, axis=0))
 
 
-def test_typical_motion_is_within_limits_and_starts_at_rest(planar: Robot) -> None:
-    for seed in range(5):
-        trajectory = typical_trajectory(planar, np.random.default_rng(seed), DURATION)
-        t = np.linspace(0.0, DURATION, 2001)
-        q, dq, ddq = (trajectory(t, order) for order in range(3))
-        limits = planar.limits
-        assert (q >= limits.position[:, 0] - 1e-9).all()
-        assert (q <= limits.position[:, 1] + 1e-9).all()
-        assert (np.abs(dq) <= limits.velocity).all()
-        assert (np.abs(ddq) <= 1.01 * limits.acceleration).all()
-        assert np.abs(dq[[0, -1]]).max() < 1e-9
-        assert np.abs(q[0] - q[-1]).max() < 1e-9
-        np.testing.assert_allclose(np.gradient(q, t, axis=0)[1:-1], dq[1:-1], atol=2e-3)
-        np.testing.assert_allclose(np.gradient(dq, t, axis=0)[1:-1], ddq[1:-1], atol=2e-2)
-
-
 def test_what_hides_nothing_shows_nothing(planar: Robot) -> None:
     """Less than an eighth of what is just visible."""
     rng = np.random.default_rng(1)
-    trajectory = typical_trajectory(planar, rng, DURATION)
+    trajectory = random_trajectory(planar, rng, DURATION, 5)
     assert visible_size(arm_with(planar), trajectory, DURATION, rng).size < 2.0 / 8
 
 
 def test_the_floor_is_what_the_filter_leaves_of_the_noise(planar: Robot) -> None:
     rng = np.random.default_rng(2)
-    trajectory = typical_trajectory(planar, rng, DURATION)
+    trajectory = random_trajectory(planar, rng, DURATION, 5)
     floor = visible_size(arm_with(planar), trajectory, DURATION, rng).floor
     noise = industrial_sensors(planar).torque_noise * rng.standard_normal((40000, planar.nv))
     np.testing.assert_allclose(floor, filtered_rms(noise), rtol=0.05)
@@ -71,7 +56,7 @@ def test_the_floor_is_what_the_filter_leaves_of_the_noise(planar: Robot) -> None
 def test_a_spring_shows_by_its_own_law(planar: Robot) -> None:
     """rms of k (q − q_0) along the recorded positions, filtered."""
     rng, joint = np.random.default_rng(3), planar.joints[1]
-    trajectory = typical_trajectory(planar, rng, DURATION)
+    trajectory = random_trajectory(planar, rng, DURATION, 5)
     spring = HiddenEffect("spring", joint, (("stiffness", 3.0), ("rest", 0.2)))
     arm = arm_with(planar, spring, ideal=True)
     q = arm.record(trajectory, DURATION, rng)["q2"].to_numpy()
@@ -90,7 +75,7 @@ def test_drawn_effects_show_as_much_as_wanted(planar: Robot, kind: str, size: fl
 
 def assert_shows(robot: Robot, kind: str, size: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    trajectory = typical_trajectory(robot, rng, DURATION)
+    trajectory = random_trajectory(robot, rng, DURATION, 5)
     effect = draw_effect(robot, rng, kind, size, trajectory=trajectory, duration=DURATION)
     assert effect.kind == kind
     assert (effect.effect == "unknown") == (kind in STRUCTURES)
