@@ -78,10 +78,3 @@ def test_command_writes_a_file_per_link(tmp_path: Path, planar: Robot, excitant:
         sampled = load_trajectory(tmp_path / f"{stem}.csv", planar)
         assert sampled.q == pytest.approx(exact(sampled.t), abs=1e-6)
     assert "One motion per link" in (tmp_path / "report.html").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize("words", ["--bound", "--noise 1,1", "--from 0,0", "--after run.csv"])
-def test_options_for_one_motion_are_refused(words: str, excitant: Any) -> None:
-    ran = excitant(f"design planar_2r --link-by-link {words}")
-    assert ran.status == 1
-    assert f"leave {words.split()[0]} out" in ran.err

@@ -34,15 +34,18 @@ def arm(ur10: Robot) -> Robot:
     return limited(ur10, position=[-np.pi, np.pi], acceleration=10.0)
 
 
-@pytest.fixture(scope="module")
-def found(arm: Robot) -> Design:
-    return design_trajectory(arm, columns="inertial", harmonics=4, starts=2, jobs=1, seed=3)
+@pytest.fixture(scope="module", params=[1.0, 0.25])
+def found(arm: Robot, request: pytest.FixtureRequest) -> Design:
+    """With ample torque, and with so little that it binds."""
+    robot = limited(arm, torque=request.param * arm.limits.torque)
+    return design_trajectory(robot, columns="inertial", harmonics=4, starts=2, jobs=1, seed=3)
 
 
-def test_improves_on_random_and_holds_every_limit(found: Design) -> None:
+def test_improves_on_random_and_holds_every_limit(arm: Robot, found: Design) -> None:
     assert found.condition_final < found.condition_initial / 5
     assert_limits_hold(found)
-    assert found.limits.worst.ratio > 0.999
+    weak = np.all(found.robot.limits.torque < arm.limits.torque)
+    assert (found.limits.torque if weak else found.limits.worst).ratio > 0.999
 
 
 def test_result_and_series(found: Design) -> None:
@@ -59,14 +62,6 @@ def test_result_and_series(found: Design) -> None:
     assert len(series["t"]) >= 1000
     share = np.abs(series["tau"]) / found.robot.limits.torque
     assert share.max() == pytest.approx(found.limits.torque.ratio, rel=1e-3)
-
-
-def test_torque_limits_bind_and_hold(arm: Robot) -> None:
-    weak = limited(arm, torque=arm.limits.torque * 0.25)
-    result = design_trajectory(weak, columns="inertial", harmonics=4, starts=1, jobs=1, seed=1)
-    assert_limits_hold(result)
-    assert result.limits.torque.ratio > 0.999
-    assert result.condition_final < result.condition_initial / 5
 
 
 @pytest.mark.parametrize("criterion", ["d", "a", "e"])
@@ -93,21 +88,15 @@ def test_number_of_processes_does_not_change_the_result(planar: Robot) -> None:
     assert not np.array_equal(one.trajectory.coefficients, other.trajectory.coefficients)
 
 
-@pytest.mark.parametrize("starts", [None, 500])
-def test_time_limit_returns_the_best_so_far(arm: Robot, starts: int | None) -> None:
+@pytest.mark.parametrize(("starts", "limit"), [(None, 1.0), (500, 1.0), (1, 0.0)])
+def test_time_limit_returns_the_best_so_far(arm: Robot, starts: int | None, limit: float) -> None:
     began = time.time()
-    result = design_trajectory(arm, starts=starts, jobs=1, time_limit=1.0)
+    result = design_trajectory(arm, starts=starts, jobs=1, time_limit=limit)
     assert time.time() - began < 5.0
     assert_limits_hold(result)
-    assert result.condition_final < result.condition_initial
+    gain = result.condition_initial / result.condition_final
+    assert gain > 1 if limit else gain == pytest.approx(1, rel=1e-9)
     assert result.starts[-1].status == "time limit"
-
-
-def test_no_time_at_all_returns_the_first_trajectory(arm: Robot) -> None:
-    result = design_trajectory(arm, columns="inertial", starts=1, jobs=1, time_limit=0.0)
-    assert result.condition_final == pytest.approx(result.condition_initial, rel=1e-9)
-    assert {start.status for start in result.starts} == {"time limit"}
-    assert_limits_hold(result)
 
 
 def test_interrupt_returns_the_best_so_far(arm: Robot) -> None:
