@@ -8,6 +8,7 @@ import signal
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -88,10 +89,13 @@ def test_number_of_processes_does_not_change_the_result(planar: Robot) -> None:
     assert not np.array_equal(one.trajectory.coefficients, other.trajectory.coefficients)
 
 
-@pytest.mark.parametrize(("starts", "limit"), [(None, 1.0), (500, 1.0), (1, 0.0)])
-def test_time_limit_returns_the_best_so_far(arm: Robot, starts: int | None, limit: float) -> None:
+@pytest.mark.parametrize(
+    ("limit", "options"),
+    [(1.0, {}), (1.0, {"starts": 500}), (0.0, {"starts": 1, "columns": "inertial"})],
+)
+def test_time_limit_returns_the_best_so_far(arm: Robot, limit: float, options: Any) -> None:
     began = time.time()
-    result = design_trajectory(arm, starts=starts, jobs=1, time_limit=limit)
+    result = design_trajectory(arm, jobs=1, time_limit=limit, **options)
     assert time.time() - began < 5.0
     assert_limits_hold(result)
     gain = result.condition_initial / result.condition_final
