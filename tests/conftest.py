@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import shlex
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -38,23 +36,6 @@ def data_folder() -> Path:
             pytest.fail(reason)
         pytest.skip(reason)
     return folder
-
-
-@pytest.fixture(scope="session")
-def benchmark_module() -> Callable[[str], Any]:
-    """A module of the folder of benchmarks, which is no package, by its name."""
-    folder = Path(__file__).resolve().parents[1] / "benchmarks"
-
-    def load(name: str) -> Any:
-        spec = importlib.util.spec_from_file_location(f"benchmark_{name}", folder / f"{name}.py")
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[spec.name] = module
-        spec.loader.exec_module(module)
-        return module
-
-    return load
 
 
 @pytest.fixture(scope="session")
@@ -101,7 +82,7 @@ def excitant(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
 
 @pytest.fixture(scope="session")
 def runs() -> Callable[..., list[Recording]]:
-    """``runs(robot, seed, hidden=..., sensors=..., tolerance=...)``: two motions recorded.
+    """``runs(robot, seed, hidden=..., sensors=..., tolerance=...)``: two motions, or one, recorded.
 
     The arm is virtual and shares no code with the effects that are fitted; by default it is its
     nominal description, seen by true sensors.
@@ -109,21 +90,22 @@ def runs() -> Callable[..., list[Recording]]:
 
     def recorded(
         robot: Robot,
-        seed: int,
+        seed: int | Sequence[int],
         hidden: Sequence[HiddenEffect] | None = (),
         sensors: Sensors | None = None,
         tolerance: float = 0.0,
         duration: float = 10.0,
+        names: Sequence[str] = ("excitation", "holdout"),
     ) -> list[Recording]:
         rng = np.random.default_rng(seed)
         sensors = sensors or ideal_sensors(robot)
         arm = virtual_arm(robot, rng, hidden=hidden, sensors=sensors, tolerance=tolerance)
         tables = [
-            arm.record(random_trajectory(robot, rng, duration, 5), duration, rng) for _ in range(2)
+            arm.record(random_trajectory(robot, rng, duration, 5), duration, rng) for _ in names
         ]
         return [
             recording_from_table(table, robot.nv, file=f"{name}.parquet", name=name)
-            for name, table in zip(("excitation", "holdout"), tables, strict=True)
+            for name, table in zip(names, tables, strict=True)
         ]
 
     return recorded

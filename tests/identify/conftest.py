@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from known_arms import smooth_motion
 
 from excitant.identify import Recording
 from excitant.robots import Motion, Robot, torque
-
-HARMONICS = np.array([0.3, 0.5, 0.8, 1.3])  # Hz, far below the cut-off of the torque filter
 
 
 @pytest.fixture
@@ -26,15 +26,24 @@ def table() -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def smooth_motion(robot: Robot, t: np.ndarray, seed: int = 0) -> Motion:
-    """Sums of sines with random phases, differentiated on paper."""
-    rng = np.random.default_rng(seed)
-    phase = rng.uniform(0, 2 * np.pi, (len(HARMONICS), robot.nv))
-    omega = 2 * np.pi * HARMONICS[:, None]
-    size = rng.uniform(0.5, 1.0, phase.shape) * np.array([0.8, 0.5, 0.3, 0.15])[:, None]
-    angle = omega * t[:, None, None] + phase
-    orders = ((size * omega**k * np.sin(angle + k * np.pi / 2)).sum(axis=1) for k in range(3))
-    return Motion(t, *orders)
+@pytest.fixture
+def save(tmp_path: Path) -> Callable[..., Path]:
+    """``save(log, name)``: the file of a table or of a recording, in the form of its suffix."""
+
+    def saved(log: pd.DataFrame | Recording, name: str, **options: Any) -> Path:
+        path = tmp_path / name
+        if isinstance(log, Recording):
+            columns = {f"{n}{j + 1}": x[:, j] for n, x in log.channels() for j in range(log.nv)}
+            log = pd.DataFrame({"t": log.t} | columns)
+        if path.suffix == ".npz":
+            np.savez(path, **{column: log[column] for column in log})
+        elif path.suffix == ".parquet":
+            log.to_parquet(path, row_group_size=70, **options)
+        else:
+            log.to_csv(path, index=False, **options)
+        return path
+
+    return saved
 
 
 @pytest.fixture(scope="session")
