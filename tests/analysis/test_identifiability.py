@@ -398,9 +398,7 @@ def test_the_prior_decides_what_is_null_and_not_what_is_seen(judged: Judged) -> 
     assert influence.base_move.max() < 0.3
 
 
-def test_two_initial_values_that_agree_within_5_percent_show_nothing(
-    judged: Judged,
-) -> None:
+def test_two_initial_values_that_agree_within_5_percent_show_nothing(judged: Judged) -> None:
     """Two priors, far apart where the data see, alike where they do not: the tables agree."""
     prior, B = judged.prior, judged.estimate.base.regrouping
     draw = B.T @ np.random.default_rng(4).normal(size=len(B))

@@ -158,9 +158,7 @@ def rows(planar: Robot, two: list[Recording]) -> Observed:
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.0])
-def test_columns_are_those_of_the_robot_and_of_another_model_of_it(
-    factor: float, rows: Observed, planar: Robot
-) -> None:
+def test_columns_are_those_of_any_model(factor: float, rows: Observed, planar: Robot) -> None:
     model = planar.with_parameters(factor * planar.phi).with_effects(EACH)
     found = rows.by(model)
     expected = regression_of(model, EACH, rows.segments).W
