@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,6 +24,26 @@ def table() -> pd.DataFrame:
         columns[f"q{k}"] = np.sin(k * t)
         columns[f"tau{k}"] = 3 * np.cos(2 * k * t) + k
     return pd.DataFrame(columns)
+
+
+@pytest.fixture
+def save(tmp_path: Path) -> Callable[..., Path]:
+    """``save(log, name)``: the file of a table or of a recording, in the form of its suffix."""
+
+    def saved(log: pd.DataFrame | Recording, name: str, **options: Any) -> Path:
+        path = tmp_path / name
+        if isinstance(log, Recording):
+            columns = {f"{n}{j + 1}": x[:, j] for n, x in log.channels() for j in range(log.nv)}
+            log = pd.DataFrame({"t": log.t} | columns)
+        if path.suffix == ".npz":
+            np.savez(path, **{column: log[column] for column in log})
+        elif path.suffix == ".parquet":
+            log.to_parquet(path, row_group_size=70, **options)
+        else:
+            log.to_csv(path, index=False, **options)
+        return path
+
+    return saved
 
 
 @pytest.fixture(scope="session")
