@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from estimators import Truth
 
 from excitant.identify import Recording
@@ -35,6 +37,23 @@ def smooth_motion(robot: Robot, t: Array, seed: int = 0, hz: Array = HARMONICS) 
     return Motion(t, *orders)
 
 
+@dataclass(frozen=True)
+class TrueArm:
+    """Pinocchio's rigid bodies, and what each joint has besides, shapes (nv,)."""
+
+    model: pin.Model
+    Fv: np.ndarray | float = 0.0
+    Fc: np.ndarray | float = 0.0
+    offset: np.ndarray | float = 0.0
+    Ia: np.ndarray | float = 0.0
+
+    def torque(self, motion: Motion) -> np.ndarray:
+        data, states = self.model.createData(), (motion.q, motion.dq, motion.ddq)
+        rigid = [pin.rnea(self.model, data, *state) for state in zip(*states, strict=True)]
+        friction = self.Fv * motion.dq + self.Fc * np.sign(motion.dq) + self.offset
+        return np.array(rigid) + friction + self.Ia * motion.ddq
+
+
 def recorded(
     known: Truth, motion: Motion, seed: int, encoder: float = 0.0, noise: float = 0.02,
     friction: Callable[[Array], Array] = np.zeros_like,
@@ -47,11 +66,12 @@ def recorded(
     return Recording(f"run{seed}", "run.csv", motion.t, q, tau)
 
 
-def write_csv(path: Path, run: Recording) -> None:
-    joints = range(1, run.q.shape[1] + 1)
-    names = ["t", *(f"q{j}" for j in joints), *(f"tau{j}" for j in joints)]
+def write_csv(path: Path, run: Recording) -> Path:
+    kinds = ("q", "i" if run.unit == "A" else "tau")
+    names = ["t", *(f"{kind}{j + 1}" for kind in kinds for j in range(run.q.shape[1]))]
     table = np.column_stack([run.t, run.q, run.tau])
     np.savetxt(path, table, delimiter=",", header=",".join(names), comments="")
+    return path
 
 
 def rows_of(

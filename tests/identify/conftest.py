@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,6 +22,26 @@ def table() -> pd.DataFrame:
     t = np.arange(300) / 100.0
     one, two = ((np.sin(k * t), 3 * np.cos(2 * k * t) + k) for k in (1, 2))
     return pd.DataFrame(dict(zip(["t", "q1", "tau1", "q2", "tau2"], [t, *one, *two], strict=True)))
+
+
+@pytest.fixture
+def save(tmp_path: Path) -> Callable[..., Path]:
+    """``save(log, name)``: the file of a table or of a recording, in the form of its suffix."""
+
+    def saved(log: pd.DataFrame | Recording, name: str, **options: Any) -> Path:
+        path = tmp_path / name
+        if isinstance(log, Recording):
+            columns = {f"{n}{j + 1}": x[:, j] for n, x in log.channels() for j in range(log.nv)}
+            log = pd.DataFrame({"t": log.t} | columns)
+        if path.suffix == ".npz":
+            np.savez(path, **{column: log[column] for column in log})
+        elif path.suffix == ".parquet":
+            log.to_parquet(path, row_group_size=70, **options)
+        else:
+            log.to_csv(path, index=False, **options)
+        return path
+
+    return saved
 
 
 @pytest.fixture(scope="session")
