@@ -308,7 +308,7 @@ def test_why_a_cause_that_pays_is_not_decided(
     viscous, beside = ViscousFriction(("joint2",)), StribeckFriction((rough[0],))
     found, *others = (
         cast(Finding, SimpleNamespace(effect=effect, torque=np.ones((10, 1)) * rms, explained=x))
-        for effect, x in ((viscous, own), (viscous, 0.05), (beside, rough[1]))
+        for effect, x in ((viscous, own), (viscous, 0.6), (beside, rough[1]))
     )
     residuals = [
         Residual(f"joint{j}", np.hypot(x, FLOOR), FLOOR, 2 * x + FLOOR, 1.0, {}, {}, (0, 1))
