@@ -1,4 +1,4 @@
-"""What can be known, how well, and what the model gets wrong."""
+"""Identifiability, uncertainty, and diagnosis of model errors."""
 
 import lazy_loader
 

@@ -79,7 +79,7 @@ def cause_columns(effect: Effect, given: Observed, understood: Observed) -> Arra
 
 
 def tolerance_metric(bodies: Array) -> Array:
-    """What ten per cent of a link is ten per cent of, shape (links, 10)."""
+    """Scale of each link's parameters, of which priors are a share, shape (links, 10)."""
     return np.array([isotropic(phi) for phi in bodies])
 
 
@@ -137,7 +137,7 @@ def gather(
 
 
 def coefficient_sizes(parameters: Sequence[Parameter], columns: Array, torque: Array) -> Array:
-    """What coefficients of columns (n, joints, e) are small against when only data decide, (e,)."""
+    """Scale of coefficients of columns (n, joints, e) where only data decide, (e,)."""
     typical = np.array([p.typical if p.typical is not None else np.nan for p in parameters])
     return np.where(np.isnan(typical), implausible_size(columns, torque), typical)
 

@@ -1,4 +1,4 @@
-"""Which causes pay on data that were not fitted, each with what it brings there."""
+"""Confirmation of causes on data that were not fitted, with the gain of each."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class HeldOut:
 
     @property
     def given(self) -> Array:
-        """What the given model leaves."""
+        """Residual of the given model."""
         return self.series.measured - self.simulated
 
     def rms(self, error: Array) -> Array:

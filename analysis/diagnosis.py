@@ -50,7 +50,7 @@ _ROUNDS = 3  # until what the data call for no longer changes what effects rest 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What a given model gets wrong, on the hold-out.
+    """Errors of a given model on the hold-out, by cause.
 
     Attributes:
         robot: The given robot.
@@ -78,7 +78,7 @@ class Diagnosis:
 
     @property
     def left(self) -> Array:
-        """What the extended model leaves at the rows of the hold-out, (n, nv) [torque unit]."""
+        """Residual of the extended model at the rows of the hold-out, (n, nv) [torque unit]."""
         return np.asarray(self.held.series.measured - self.extension.predicted, float)
 
     @cached_property
@@ -102,7 +102,7 @@ class Diagnosis:
 
     @cached_property
     def refit(self) -> Refit:
-        """What wrong inertias alone would explain; Infeasible where the solver failed."""
+        """Share that wrong inertias alone would explain; Infeasible where the solver failed."""
         tau = series(self.data.train).measured * self.held.gains
         return refit(self.train, tau, self.held, self.extension.predicted)
 

@@ -1,4 +1,4 @@
-"""How far a motion drives two rival causes apart.
+"""Separation of rival causes by a motion.
 
 Two causes A and B explain a recording alike. If A is at work as it was found, a further motion
 adds a torque s_A that B, with the coefficients and the shape that suit it best, must follow as
@@ -46,7 +46,7 @@ _ROWS = 4.0  # rows per period of the cut-off, as many as recordings are decimat
 
 @dataclass(frozen=True)
 class Separation:
-    """How far a motion drives two causes apart."""
+    """Separation of two causes by a motion."""
 
     delta: float  # Δ in squared standard deviations of the noise
     cosine: float  # between the one cause's torque and the best that the other makes of it
@@ -271,7 +271,7 @@ Key = tuple[str, tuple[str, ...], str, tuple[str, ...]]
 
 @dataclass(frozen=True)
 class Advice:
-    """What settles one pair of rivals, with the names that ``result.json`` has."""
+    """Experiment that decides between two rivals, with the names of ``result.json``."""
 
     experiment: str  # what to do, as a sentence
     separation: float | None = None  # expected, in standard deviations; None for an action
@@ -281,13 +281,13 @@ class Advice:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What settles the open questions of a diagnosis; general actions when empty."""
+    """Experiments that decide an undecided diagnosis; general actions when empty."""
 
     experiments: Mapping[Key, Advice] = field(default_factory=dict)
     motions: tuple[FourierTrajectory, ...] = ()  # in the order of their files separate-1, …
 
     def of(self, found: Effect, rival: Effect) -> Advice:
-        """What settles a pair; the general action where no motion was looked for."""
+        """Experiment for a pair; the general action where no motion was looked for."""
         known = self.experiments.get(key(found, rival))
         return known or Advice(found.told_from(rival))
 

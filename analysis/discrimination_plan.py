@@ -1,4 +1,4 @@
-"""What to do next about a diagnosis that is not decided: motions to run, or actions to take."""
+"""Next step of an undecided diagnosis: motions to run, or actions to take."""
 
 from __future__ import annotations
 

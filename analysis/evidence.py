@@ -121,7 +121,7 @@ class Evidence:
         return self.power - float(half @ half)
 
     def left(self, chosen: Sequence[Candidate], prior: float = 1.0) -> Array:
-        """What a set leaves of the residual, by a factor on the prior precision, (n, nv) [N·m]."""
+        """Residual after a set of causes, by a factor on the prior precision, (n, nv) [N·m]."""
         active = self.active(chosen)
         A = self.gram[np.ix_(active, active)] + prior * np.diag(self.precision[active])
         coordinates = np.zeros(len(self.moment))

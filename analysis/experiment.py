@@ -60,19 +60,19 @@ _RESTS = 0.01  # rad or m: a joint that moves less than this rests
 _FLAT = 1e-3  # of the prior's second moment in some direction: the body is at its limit
 
 Response = Callable[[Array], Array]
-"""How far the estimate moves, shape (p,), when the prior is moved by δ, shape (p,)."""
+"""Change of the estimate, shape (p,), when the prior is changed by δ, shape (p,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known of all parameters x beforehand, as x = mean + L w with w of unit variance."""
+    """Prior of all parameters x, as x = mean + L w with w of unit variance."""
 
     mean: Array  # shape (p,)
     L: Array  # blocks of ten by ten for each link and a diagonal for effects, shape (p, p)
     links: int  # number of links
 
     def directions(self, R: Array) -> tuple[Array, Array]:
-        """What data say per unit of w: singular values of R L, and its right vectors as rows."""
+        """Information per unit of w: singular values of R L, and its right vectors as rows."""
         _, s, Vt = np.linalg.svd(R @ self.L)
         return np.pad(s, (0, len(Vt) - len(s))), Vt
 
@@ -107,7 +107,7 @@ def prior_of(phi: Array, effects: EffectPrior) -> Prior:
 
 @dataclass(frozen=True, eq=False)
 class PriorInfluence:
-    """How far each parameter follows the prior, by kind of perturbation (`KINDS`)."""
+    """Sensitivity of each parameter to the prior, by kind of perturbation (`KINDS`)."""
 
     ratio: Array  # move of each entry over that of its prior, (3, p); NaN where that stays
     reach: Array  # share of each entry's prior uncertainty that a kind reaches, shape (3, p)
@@ -122,7 +122,7 @@ class PriorInfluence:
 
     @property
     def decided_by(self) -> tuple[str, ...]:
-        """Who decides each entry: ``data``, ``prior``, or ``physics`` where the prior would.
+        """Source of each entry: ``data``, ``prior``, or ``physics`` where the prior would.
 
         There the body is at the limit of what can exist, and stays so wherever the prior is.
         """
@@ -172,7 +172,7 @@ def prior_influence(
 
 
 def _ratio(moves: Array, given: Array, prior: Prior) -> Array:
-    """How far entries move for how far their prior was moved; NaN where it was not, shape (p,)."""
+    """Change of entries over that of their prior; NaN where it did not change, shape (p,)."""
     got, size = (np.sqrt((values**2).sum(axis=0)) for values in (moves, given))
     unmoved, std = np.full(len(size), np.nan), np.linalg.norm(prior.L, axis=1)
     return np.asarray(np.divide(got, size, out=unmoved, where=size > 1e-9 * std), float)
@@ -270,7 +270,7 @@ def planned_experiment(
 def recorded_experiment(
     robot: Robot, base: BaseParameters, estimate: Estimate, rng: np.random.Generator | None = None
 ) -> Experiment:
-    """What a recording came to; with a generator, the prior's influence is from refits."""
+    """Result of a recording; with a generator, the prior's influence is from refits."""
     fit, effects = estimate.least_squares, estimate.model.effects
     rows = _clean(fit_rows(robot, effects, estimate.base, estimate.data))
     sigma = fit.sigma * np.sqrt(fit.inflation)

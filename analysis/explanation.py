@@ -1,4 +1,4 @@
-"""What findings mean, in words, why each may be another cause after all, and what shows it."""
+"""Findings in words: meaning, rival causes, and the experiment that decides."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _DRAWN_OVER = {"": "time", "constant": "time", "direction": "velocity"}
 
 
 def reason_to_downgrade(found: Finding, others: Sequence[Finding], left: Sequence[Residual]) -> str:
-    """Why one of the causes that pay is not decided although nothing rivals it; half a sentence."""
+    """Reason to downgrade a confirmed cause without rivals to undecided; half a sentence."""
     effect, torque = found.effect, found.torque
     # what a cause on several joints leaves on some counts sooner: it has to explain them all
     several = bool(torque.any(axis=0).sum() > 1)
@@ -51,7 +51,7 @@ def reason_to_downgrade(found: Finding, others: Sequence[Finding], left: Sequenc
 
 
 def placeholders(diagnosis: Diagnosis) -> str:
-    """What is done where all links of the given model weigh the same; else empty."""
+    """Note on a given model whose links all weigh the same; else empty."""
     if not are_placeholders(diagnosis.robot):
         return ""
     return (
@@ -111,7 +111,7 @@ def _sentence(group: Sequence[Finding], robot: Robot) -> str:
 
 
 def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
-    """What else the first cause of a group may be; what a group's joints may each be is below."""
+    """Rivals of the first cause of a group; those of a group's single joints follow."""
     rivals = {r.candidate.effect.name for f in group for r in f.rivals}
     if not rivals:
         reasons = dict.fromkeys(f.downgrade for f in group if f.downgrade)

@@ -1,4 +1,4 @@
-"""What can be known of an arm's parameters, link by link, and how well one motion shows it."""
+"""Identifiability of an arm's parameters, link by link, in theory and by one motion."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class ParameterIdentifiability:
         return self.category == "unidentifiable" or self.decided_by == "prior"
 
     def result(self) -> dict[str, Any]:
-        """What ``result.json`` says of it."""
+        """Its entry in ``result.json``."""
         same = ("name", "unit", "category", "value", "std", "rel_std", "std_data", "prior")
         return {key: getattr(self, key) for key in (*same, "prior_dominated", "margin")} | {
             "verdict": self.verdict or None,
@@ -87,7 +87,7 @@ class ParameterIdentifiability:
 
 @dataclass(frozen=True, eq=False)
 class PracticalIdentifiability:
-    """What one motion, or one recording, shows of an arm."""
+    """Practical identifiability of an arm by one motion or recording."""
 
     condition_number: float  # of the unscaled base columns, cond₂(W); inf when some are not shown
     singular_values: Array  # of the base columns scaled to unit length, greatest first

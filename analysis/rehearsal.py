@@ -76,7 +76,7 @@ def _item(name: str, joint: str, passed: bool, detail: str, advice: str) -> Item
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """What all items look at: the robot as given, and the arm's run of the motion."""
+    """Common input of all items: the robot as given, and the arm's run of the motion."""
 
     robot: Robot
     run: Run
@@ -228,7 +228,7 @@ def _cause(found: Finding | Candidate) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal:
-    """What a motion recovered of a virtual arm.
+    """Parameters that a motion recovered of a virtual arm.
 
     Attributes:
         robot: The robot as given, with the limits that count.
@@ -389,7 +389,7 @@ def _drives(robot: Robot, rng: np.random.Generator) -> list[Effect]:
 
 
 def draw_change(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
-    """What may change after identification: a payload, or more friction on one joint."""
+    """A change after identification: a payload, or more friction on one joint."""
     while True:
         effect = draw_hidden_effect(robot, rng)
         if effect.effect in _CHANGES:

@@ -1,4 +1,4 @@
-"""What a model leaves of a joint's torque: how much is noise, and with what the rest varies.
+"""Residual torque of a model: the share of noise, and the variables that explain the rest.
 
 The share of a quantity is that of the means of the error over its bins (the correlation ratio of
 Pearson 1905), less what chance gives to as many. Shares overlap, so the simplest quantity that
@@ -30,7 +30,7 @@ QUANTITIES = {
     "reversal": "vary with the distance since the last reversal",
     "time": "drift with time",
 }
-"""What an error may vary with, simplest first; load and reversal by direction of motion."""
+"""Variables that may explain an error, simplest first; load and reversal by direction."""
 BANDS = ("slower", "motion", "faster")
 """Below the band of the motion, in it, above it."""
 
@@ -82,7 +82,7 @@ def moving(segments: Sequence[Segment], fastest: Array | float = 0.0) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class Explanatory:
-    """What an error may vary with, at the rows of a hold-out; arrays of shape (n, nv)."""
+    """Explanatory variables at the rows of a hold-out; arrays of shape (n, nv)."""
 
     position: Array  # [rad or m]
     velocity: Array  # [rad/s or m/s]
@@ -94,7 +94,7 @@ class Explanatory:
 
 
 def explanatory(segments: Sequence[Segment], load: Array) -> Explanatory:
-    """What an error at the rows of segments may vary with, beside a load (n, nv)."""
+    """Explanatory variables at the rows of segments, beside a load (n, nv)."""
     slowest = _NO_DIRECTION * top_speed(segments)
     since = [since_reversal(s.motion.q, s.motion.dq, slowest)[s.keep] for s in segments]
     motions = [s.motion[s.keep] for s in segments]
@@ -195,7 +195,7 @@ def _spectrum(x: Array, step: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Residual:
-    """What a model leaves of one joint's torque while the joint moves [torque unit]."""
+    """Residual of one joint's torque while the joint moves [torque unit]."""
 
     joint: str
     rms: float
@@ -228,7 +228,7 @@ class Residual:
 
     @property
     def structure(self) -> str:
-        """What is left, in words."""
+        """The residual in words."""
         if not self.visible and self.correlation_s < _FORGETS:
             return "noise-like"
         words = f"structured: stays correlated over {self.correlation_s:.2g} s"
@@ -239,7 +239,7 @@ class Residual:
 
     @property
     def against_noise(self) -> str:
-        """How many times the noise the error is, in words; what hides the noise otherwise."""
+        """Ratio of error to noise in words; else the reason why the noise is not known."""
         if self.floor <= _MEASURABLE * max(self.rms, 1e-300):
             return "no noise is seen in the recorded torque, which was smoothed or computed"
         ratio = self.rms / self.floor
@@ -248,7 +248,7 @@ class Residual:
         return f"{ratio:.{0 if ratio >= 10 else 1}f} times the noise"
 
     def shown(self) -> dict[str, Any]:
-        """How large it is and where it shows, as result.json says it."""
+        """Its size and distribution, for result.json."""
         return {
             "rms": self.rms,
             "shares": dict(self.shares),
@@ -257,7 +257,7 @@ class Residual:
         }
 
     def unexplained(self) -> dict[str, Any]:
-        """How much of it is more than noise, as result.json says it."""
+        """Its part beyond noise, for result.json."""
         return {
             "rms": self.rms,
             "noise_floor": self.floor,
@@ -270,7 +270,7 @@ class Residual:
 def residuals(
     joints: Sequence[str], segments: Sequence[Segment], error: Array, given: Array, load: Array
 ) -> tuple[Residual, ...]:
-    """What a model leaves of each joint's torque where it moves.
+    """Residual torque of each joint where it moves.
 
     Given are its error, that of the given model, and its torque, each (n, nv) [torque unit].
     """

@@ -1,4 +1,4 @@
-"""Which causes the evidence calls for, and what could stand in the place of each."""
+"""Selection of causes by evidence, with the rivals of each."""
 
 from __future__ import annotations
 
@@ -287,7 +287,7 @@ def choose_effects(
 
 
 def described(effects: Sequence[Effect]) -> tuple[str, ...]:
-    """What was chosen beyond the standard effects, as sentences."""
+    """Effects chosen beyond the standard ones, as sentences."""
     said = []
     for effect in effects:
         if effect.standard:

@@ -35,7 +35,7 @@ _STEPS = 8  # half decades to there
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """What torque can show of each parameter, under stated circumstances."""
+    """Structural identifiability of each parameter, under stated circumstances."""
 
     base: BaseParameters  # of links and effects
     category: tuple[str, ...]  # unique, combined or unidentifiable, of each of ``base.names``
@@ -49,7 +49,7 @@ class Structure:
 
     @property
     def marginal(self) -> str | None:
-        """Which categories a small change of the tolerance would change, as a sentence."""
+        """A sentence on categories that a small change of the tolerance would change."""
         if not self.close:
             return None
         low, high = np.nanmin(self.flips_at), np.nanmax(self.flips_at)
@@ -69,7 +69,7 @@ def structure(
     measured: Sequence[str] | None = None,
     held: Held | None = None,
 ) -> Structure:
-    """What torque can show of an arm's parameters; gravity and locked joints count.
+    """Structural identifiability of an arm's parameters; gravity and locked joints count.
 
     All joints move and are measured when None; ``held`` says where the others are, 0 when left out.
     """

@@ -1,4 +1,4 @@
-"""How well one motion shows an arm's parameters, and which further experiment would show more.
+"""Uncertainty of an arm's parameters by one motion, and further experiments that reduce it.
 
 With the torque noise σ of each joint, the whitened columns W/σ of all parameters x have a
 triangular factor R, and ‖R δ‖ is the torque that a change δ makes, in standard deviations of the
@@ -127,7 +127,7 @@ def shown_base(names: tuple[str, ...], W: Array) -> BaseParameters:
 
 @dataclass(frozen=True, eq=False)
 class MotionInformation:
-    """What the torque of a motion tells of the r base parameters β of p parameters x."""
+    """Information of a motion's torque on the r base parameters β of p parameters x."""
 
     R: Array  # triangular factor of the whitened columns, shape (p, p)
     covariance: Array  # of β as far as it is seen, shape (r, r); zero along unseen directions
@@ -146,7 +146,7 @@ class MotionInformation:
 def motion_information(
     base: BaseParameters, W: Array, sigma: Array, covariance: Array | None = None
 ) -> MotionInformation:
-    """What columns (n, rows, p) with noise (rows,) show; the covariance (r, r) may be known."""
+    """Information of columns (n, rows, p) with noise (rows,), or of a covariance (r, r)."""
     R, columns = triangle(W, sigma), list(base.columns)
     if covariance is None:
         scale, s, V, seen = _decomposed(R[:, columns])
@@ -174,7 +174,7 @@ def unseen_directions(R: Array) -> Array:
 
 @dataclass(frozen=True)
 class Practical:
-    """How well a motion shows one base parameter."""
+    """Uncertainty of one base parameter by a motion."""
 
     expression: str
     value: float
@@ -193,7 +193,7 @@ class Practical:
         return verdict(self.std, self.value, self.negligible)
 
     def result(self) -> dict[str, Any]:
-        """What ``result.json`` says of it."""
+        """Its entry in ``result.json``."""
         figures = {key: getattr(self, key) for key in ("value", "std", "rel_std", "verdict")}
         return {"name": self.expression, **figures, "needed": self.needed or None}
 
@@ -208,7 +208,7 @@ def verdict(std: float, value: float, negligible: bool) -> str:
 
 
 def resolution(value: Array, std: Array, signal: Array) -> tuple[Mask, Array]:
-    """What is negligible, and the size beside which a deviation should be small; all (m,).
+    """Negligible size, and the size beside which a deviation should be small; all (m,).
 
     Negligible is what stays below the noise at any value within two deviations. The size is that
     of the value, or of what makes twice the noise where it is zero; 0 if being shown is enough.
@@ -251,7 +251,7 @@ class Direction:
 
     @property
     def meaning(self) -> str:
-        """What the direction means, as a sentence."""
+        """The direction as a sentence."""
         name, change, unit = self.members[0]
         if not np.isfinite(self.std):
             if len(self.members) == 1:
@@ -270,7 +270,7 @@ class Direction:
         )
 
     def result(self) -> dict[str, Any]:
-        """What ``result.json`` says of it."""
+        """Its entry in ``result.json``."""
         members = [dict(zip(("name", "change", "unit"), m, strict=True)) for m in self.members]
         said = {key: getattr(self, key) for key in ("expression", "meaning", "share")}
         return {**said, "rel_std": self.std, "members": members}
@@ -409,7 +409,7 @@ def _base_sensor(robot: Robot, motion: Motion, others: int) -> Array:
 def experiments_needed(
     R: Array, A: Array, size: Array, candidates: Mapping[str, Array]
 ) -> tuple[str, ...]:
-    """What would show each combination A x, A (m, p); empty where the rows so far show it.
+    """Experiment that shows each combination A x, A (m, p); empty where the rows show it.
 
     The first candidate that shows it to 30 % of its size (m,), else, or where that is 0, the first
     that shows it at all.

@@ -1,4 +1,4 @@
-"""How good the given model is: what wrong inertias alone would explain, and forward simulation.
+"""Accuracy of the given model: share explained by inertias alone, and forward simulation.
 
 Inertias alone, all given effects kept:
 
@@ -51,7 +51,7 @@ _COARSE = 2e-3  # s: longest step of integration, a twentieth of that time const
 
 @dataclass(frozen=True)
 class Move:
-    """How far one link would have to change."""
+    """Change of one link that would explain the error."""
 
     link: str
     mass: float  # change [kg]
@@ -114,7 +114,7 @@ class Refit:
     def sentence(
         self, joints: Sequence[str], unit: str, findings: bool, wrong_links: Collection[str]
     ) -> str:
-        """What re-fitting the inertias alone would do, and whether it is believable."""
+        """Refit of the inertias alone, and its plausibility."""
         worst = int(np.argmax(self.errors["given"] / np.maximum(self.spread, 1e-12)))
         given, free, extended = (
             f"{self.errors[name][worst]:.3g}" for name in ("given", "inertias", "extended")

@@ -34,7 +34,7 @@ Extrema = tuple[Array, Array, Array, Array]  # smallest values, when; largest va
 
 @dataclass(frozen=True, eq=False)
 class LimitUse:
-    """How far one quantity goes, as a share of its limit; ≤ 1 holds."""
+    """Use of one limit: the largest magnitude as a share of it; ≤ 1 holds."""
 
     quantity: str  # ``"position"``, ``"velocity"``, ``"acceleration"``, ``"jerk"`` or ``"torque"``
     ratios: Array  # per joint largest |value − middle of the range| over limit; 0 without one

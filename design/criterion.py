@@ -24,7 +24,7 @@ _ROUNDED = 1e-5  # of the longest column: less is shown by a right angle written
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What a design makes visible: base columns of the observation matrix W.
+    """Objective of a design: base columns of the observation matrix W.
 
     They are ``"inertial"`` (standard parameters of the links) or ``"friction"`` (those with
     viscous and Coulomb friction, torque offset and rotor inertia of every joint).
@@ -84,7 +84,7 @@ def information(
     earlier: Sequence[Motion] = (),
     duration: float = 10.0,
 ) -> Information:
-    """What the columns of this name let a motion of the robot show.
+    """Objective on the columns of this name.
 
     Args:
         robot: The arm.

@@ -170,7 +170,7 @@ def effort_of(
     seed: int,
     time_limit: float | None,
 ) -> Iterator[Effort]:
-    """What options allow to spend: the default starts, or as many as fit into a time limit [s]."""
+    """Budget of options: the default starts, or as many as fit into a time limit [s]."""
     if starts is not None and starts < 1:
         raise BadInput(f"{starts} starts: at least one is needed")
     if starts is None and time_limit is None:

@@ -1,4 +1,4 @@
-"""Where a trajectory needs most torque or comes closest, and how that changes with its unknowns.
+"""Peaks of torque and proximity along a trajectory, with derivatives in its unknowns.
 
 Friction jumps where a joint turns back: there both one-sided limits of torque are evaluated, at
 a tiny velocity of either sign. Where a joint only almost turns, the torque of the other side
@@ -74,7 +74,7 @@ def torque_peaks(problem: DesignProblem, z: Array) -> TorquePeaks:
 
 
 def _jump(robot: Robot, motion: Motion) -> Array:
-    """What a joint's torque would jump by if it turned to the positive side, shape (n, nv)."""
+    """Jump of a joint's torque if it turned to the positive side, shape (n, nv)."""
     jump = np.zeros_like(motion.q)
     for side in (1.0, -1.0):
         creeping = Motion(motion.t, motion.q, np.full_like(jump, side * _CREEP), motion.ddq)

@@ -54,7 +54,7 @@ _PATIENCE = "20s"  # for a cluster to answer
 
 @dataclass(frozen=True, eq=False)
 class SearchState:
-    """Where a search from one start stands."""
+    """State of a search from one start."""
 
     index: int  # number of the start
     z: Array  # unknowns, shape (c − 2, nv); before the first iteration those to begin from, if any
@@ -175,7 +175,7 @@ def _iterate(problem: DesignProblem, state: SearchState) -> SearchState:
 
 @dataclass(frozen=True, eq=False)
 class Effort:
-    """What a design may spend, and where."""
+    """Budget of a design: starts, processes, time."""
 
     starts: int | None  # number of starts; None for as many as fit until the deadline
     jobs: int  # number of processes

@@ -209,7 +209,7 @@ def _problem(
 
 
 def _of_link(information: Information, joint: int, chosen: npt.NDArray[np.bool_]) -> Information:
-    """What row τ_i alone says about some of the base parameters."""
+    """Information of row τ_i alone on some of the base parameters."""
     robot, base = information.robot, information.base
     part = replace(
         base,
@@ -245,7 +245,7 @@ def _teller(progress: Progress, link: str, stage: int, stages: int) -> Report:
 
 
 def _resting_pose(robot: Robot, scene: Scene | None, clearance: float) -> Array:
-    """Where outer joints are held: zero or the middle of their ranges, unless that collides."""
+    """Positions of held outer joints: zero or mid-range, unless that collides."""
     low, high = robot.limits.position.T
     middle = position_range(robot.limits)[0]
     pose = np.where((low <= 0) & (high >= 0), 0.0, middle)

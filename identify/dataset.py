@@ -48,7 +48,7 @@ class _Torque(msgspec.Struct, frozen=True):
 
 
 class _Sidecar(msgspec.Struct, frozen=True):
-    """What is read of a ``dataset.json``; what else it says is for people."""
+    """Entries read from a ``dataset.json``; others are ignored."""
 
     kinematics: _Kinematics | None = None
     torque: _Torque | None = None

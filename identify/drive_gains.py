@@ -183,7 +183,7 @@ class DriveGains:
         freeze(self, "gains", "std")
 
     def sentence(self, joints: Sequence[str]) -> str:
-        """What was found, with what the recordings leave open."""
+        """The gains, with what the recordings leave open."""
         pairs = ", ".join(f"{k:.4g} ± {s:.2g}" for k, s in zip(self.gains, self.std, strict=True))
         hidden = [joint for joint, seen in zip(joints, self.shown, strict=True) if not seen]
         rest = f"; that of {', '.join(hidden)} is not shown and was taken from the other joints"

@@ -53,7 +53,7 @@ _ROUNDS = 2  # until the torque that columns hold is that of the identified arm
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What was identified.
+    """Result of an identification.
 
     Attributes:
         given: The robot as given.
@@ -199,7 +199,7 @@ class Estimate:
         }
 
     def _essential(self) -> dict[str, Any]:
-        """The fewest base parameters, and what the hold-out says of them (median over joints)."""
+        """The fewest base parameters, and their accuracy on the hold-out (median over joints)."""
         essential = essential_parameters(self.least_squares.beta, self.least_squares.covariance)
         names = self.base.expressions
         every, few = (
@@ -316,7 +316,7 @@ def judged(
 
 
 def notes_on(robot: Robot, prior: Array, data: Data, gains: Array) -> tuple[str, ...]:
-    """What the user should know of the hold-out, the prior and the unit of torque."""
+    """Notes on the hold-out, the prior and the unit of torque."""
     notes = [data.holdout, data.cutoff_why]
     moved = [
         link
@@ -363,7 +363,7 @@ def with_own_torque(rows: FitRows, prior: Array, knowledge: Knowledge) -> FitRow
 
 
 def _missed(joints: Sequence[str], held: Coverage) -> list[str]:
-    """What coverage far from 95 % says, as a sentence, where there is any."""
+    """A sentence on joints with coverage far from 95 %, where there are any."""
     low = np.flatnonzero(held.too_few)
     if not len(low):
         return []
@@ -375,7 +375,7 @@ def _missed(joints: Sequence[str], held: Coverage) -> list[str]:
 
 
 class PredictionInterval(NamedTuple):
-    """Where a new reading lies with 95 % probability, around the predicted torque.
+    """95 % prediction interval of a new reading, around the predicted torque.
 
     The torque W β̂ of a row has the variance w Σ wᵀ, Σ the covariance of the base parameters, which
     counts coloured noise. A new reading lies around it by that and by the noise of its joint, whose
@@ -411,7 +411,7 @@ class Coverage(NamedTuple):
 
     @property
     def too_few(self) -> Array:
-        """Where chance does not explain how many lie outside, shape (nv,) of bool."""
+        """Joints with more readings outside than by chance, shape (nv,) of bool."""
         return np.asarray(self.share < LEVEL - _FAR - _CERTAIN * self.std, bool)
 
 
@@ -448,7 +448,7 @@ def independent_squares(residual: Array) -> float:
 
 
 def coverage(measured: Array, predicted: Array, half_width: Array) -> Coverage:
-    """How many readings lie within their intervals, all arrays of shape (n, nv)."""
+    """Share of readings within their intervals, all arrays of shape (n, nv)."""
     inside = (np.abs(measured - predicted) <= half_width).astype(float)
     independent = np.array([len(hits) / autocorrelation_time(hits) for hits in inside.T])
     return Coverage(inside.mean(axis=0), np.sqrt(LEVEL * (1 - LEVEL) / independent))

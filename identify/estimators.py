@@ -49,7 +49,7 @@ ESTIMATORS: Mapping[str, str] = MappingProxyType(
         "oe": "output error (closed loop simulated, DIDIM)",
     }
 )
-"""Every estimator's name, and what it is, in words."""
+"""Name and description of every estimator."""
 
 _CERTAIN = 0.01  # chance of a false alarm of the test for errors in the motion
 _ROUNDS, _SETTLED = 200, 1e-7  # of reweighting; change of the fitted torque, rms, of the noise
@@ -244,7 +244,7 @@ def errors_in_variables(problem: Regression, instruments: Regression) -> tuple[f
 
 
 def _tested(problem: Regression, instruments: Regression, fit: LeastSquares) -> str:
-    """What the test says of least squares of the same columns, and how much it matters."""
+    """Verdict of the test on least squares of the same columns, and its importance."""
     try:
         statistic, p = errors_in_variables(problem, instruments)
     except BadInput:
@@ -307,7 +307,7 @@ class OutputError(NamedTuple):
     iterations: int
 
     def sentence(self, bandwidth_hz: Array) -> str:
-        """What came of simulating with positions up to a bandwidth for reference [Hz]."""
+        """Simulation with positions up to a bandwidth for reference [Hz]."""
         low, high = bandwidth_hz.min(), bandwidth_hz.max()
         width = f"{low:.3g} Hz" if high - low < 0.1 * low else f"{low:.3g} to {high:.3g} Hz"
         moved = np.abs(self.fit.beta - self.start.beta) / self.fit.std

@@ -46,7 +46,7 @@ class WeakDirection:
 
 @dataclass(frozen=True, eq=False)
 class WindowExcitation:
-    """What a window of a motion shows, from start to end [s]."""
+    """Excitation in a window of a motion, from start to end [s]."""
 
     start: float
     end: float
@@ -74,7 +74,7 @@ class WindowExcitation:
 
     @property
     def sentence(self) -> str:
-        """What it means, in words."""
+        """The finding in words."""
         if self.enough:
             return f"exciting: all {len(self.levels)} visible directions (level {self.level:.3g})"
         return (
@@ -84,7 +84,7 @@ class WindowExcitation:
 
     @property
     def advice(self) -> str:
-        """Which joints to move, as the end of a sentence."""
+        """Joints to move, as the end of a sentence."""
         return f"; move {', '.join(self.joints)}" if self.joints else ""
 
 
@@ -109,7 +109,7 @@ class ExcitationJudge:
         return self.whitened(W[:, :, self.base.columns])
 
     def judge(self, motion: Motion, rows: Array) -> WindowExcitation:
-        """What one window shows: its states, evenly spread, and their whitened rows, (n, nv, v)."""
+        """Evenly spread states of one window and their whitened rows, (n, nv, v)."""
         levels, V = np.linalg.eigh(_information(motion, rows))
         found = WindowExcitation(float(motion.t[0]), float(motion.t[-1]), np.maximum(levels, 0))
         if found.enough:
@@ -188,7 +188,7 @@ class Persistency(WindowExcitation):
 
     @property
     def sentence(self) -> str:
-        """What it means, in words."""
+        """The finding in words."""
         visible, length = len(self.levels), self.end - self.start
         if not visible:
             return "no motion of this arm shows any parameter above the noise"
@@ -207,7 +207,7 @@ class Persistency(WindowExcitation):
         )
 
     def result(self) -> dict[str, Any]:
-        """What ``result.json`` says of it."""
+        """Its entry in ``result.json``."""
         return {
             "persistent": self.enough,
             "level": self.level,
@@ -257,7 +257,7 @@ def persistency(
 def _windows(
     judge: ExcitationJudge, motion: Motion, rows: Array, window: float
 ) -> Iterator[WindowExcitation]:
-    """What windows show, half overlapping."""
+    """Excitation in windows that overlap by half."""
     start, end = float(motion.t[0]), float(motion.t[-1])
     count = max(1, int(np.ceil(2 * (end - start) / window - 1 - 1e-9)))
     for first in np.linspace(start, max(start, end - window), count):

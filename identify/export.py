@@ -81,7 +81,7 @@ def folded(robot: Robot) -> tuple[Robot, Mapping[str, Array]]:
 
 
 def comment(robot: Robot, file_format: str, complete: str) -> str:
-    """What a file leaves out or means in its own way, and the file that is complete."""
+    """Deviations of a file from the model, and the file that is complete."""
     left_out, own = [], []
     for effect in robot.effects:
         values, joints, below = effect.values or (), list(effect.joints), list[str]()
@@ -316,7 +316,7 @@ def _text_of(root: ET.Element, declared: bool = False) -> str:
 
 @dataclass(frozen=True)
 class Publication:
-    """What becomes of an identified model."""
+    """Publication of an identified model: files, or the reason for none."""
 
     files: Mapping[str, str]  # by name; none when it is not published
     published: bool

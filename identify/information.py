@@ -75,7 +75,7 @@ def square_root(covariance: Array) -> Array:
 
 
 def gaussian(mean: Array, covariance: Array) -> Information:
-    """What a normal distribution knows, covariance regular."""
+    """Information form of a normal distribution with regular covariance."""
     A = scipy.linalg.solve_triangular(square_root(covariance), np.eye(len(mean)), lower=True)
     return information_of(A, A @ mean)
 
@@ -98,7 +98,7 @@ class InformationFilter:
         self._factor *= np.sqrt(factor)
 
     def information(self) -> Information:
-        """What the rows so far say of all p parameters."""
+        """Information of the rows so far on all p parameters."""
         n = self._size - 1
         R = np.zeros((n, self.p))
         R[:, self.columns] = self._factor[:n, :n]

@@ -57,7 +57,7 @@ class Ellipsoid(Record, frozen=True):
 
 
 class LinkKnowledge(Record, frozen=True, omit_defaults=True):
-    """What is known of one link, everything fixed to it included; None where nothing is.
+    """Known values of one link, everything fixed to it included; None where unknown.
 
     Attributes:
         mass: Its mass [kg].
@@ -80,7 +80,7 @@ class _File(Record, frozen=True):
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What a physically consistent fit may take for granted.
+    """Prior knowledge of a physically consistent fit.
 
     Attributes:
         prior: How distance to the given bodies is measured: ``"pullback"`` or ``"euclidean"``.
@@ -111,7 +111,7 @@ class Knowledge:
 
     @property
     def sentence(self) -> str:
-        """What is taken for known, beside the given bodies; empty where nothing is."""
+        """Description of the knowledge used beside the given bodies; empty where there is none."""
         masses = self.masses
         said = [f"total mass {masses['total_mass']} kg"] if "total_mass" in masses else []
         for name, link in self.links.items():

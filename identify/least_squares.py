@@ -321,7 +321,7 @@ def essential_parameters(beta: Array, covariance: Array) -> Essential:
     """Drop parameters one by one as long as noise may have made them: the fewest that explain all.
 
     Backward elimination (Pham and Gautier 1991): the parameter of largest relative standard
-    deviation is set to zero and the others follow as the data want them to,
+    deviation is set to zero and the others adapt by least squares,
 
         β ← β − Σ e_k β_k / Σ_kk,   Σ ← Σ − Σ e_k e_kᵀ Σ / Σ_kk,
 

@@ -55,7 +55,7 @@ _REFERENCE = 10.0  # s of reference motion over which the uncertainty of the tor
 
 @dataclass(frozen=True, eq=False)
 class OnlineEstimate(LeastSquares):
-    """What is known at an instant; inflation is that of recent residuals."""
+    """Estimate at an instant; inflation is that of recent residuals."""
 
     t: float  # instant it speaks about: the newest block [s]
     data: Information  # what the data alone say, rows of unit noise
@@ -204,7 +204,7 @@ class OnlineEstimator:
         return RecentRows(motion, rows[:, :, :-1], rows[:, :, -1], used)
 
     def estimate(self) -> OnlineEstimate:
-        """What is known now; refuses before the first row."""
+        """Current estimate; refuses before the first row."""
         rows = self.recent()
         parts = [each.information() for each in self._filters]
         sigma, beta = self._noise(parts)
@@ -307,7 +307,7 @@ def replayable(
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What the monitor saw at an instant."""
+    """Reading of the monitor at an instant."""
 
     estimate: OnlineEstimate
     excitation: WindowExcitation | None  # of the last seconds; None before a whole window
@@ -375,7 +375,7 @@ class Monitor:
 
 @dataclass(frozen=True, eq=False)
 class OnlineIdentification:
-    """What was identified on line, judged as an estimate from the whole recording is."""
+    """Result of online identification, judged as an estimate from the whole recording is."""
 
     estimate: Estimate
     looks: tuple[Look, ...]  # of the monitor on the way, the last at the end

@@ -1,4 +1,4 @@
-"""What recordings with a payload tell: the payload on an arm that is known, or the drive gains.
+"""Recordings with a payload: the payload on a known arm, or the drive gains.
 
 A body π on the last link adds K π to the base parameters of the arm, because its columns are
 those of that link: β_loaded = β_arm + K π. What the unloaded arm and the loaded arm each say of
@@ -82,7 +82,7 @@ class PayloadEstimate:
 
     @property
     def shortcomings(self) -> tuple[str, ...]:
-        """Why the payload is not known to 2 % and 3 mm with 95 % confidence; empty when it is."""
+        """Reason for uncertainty above 2 % or 3 mm at 95 % confidence; empty below."""
         spread, centre = _CERTAIN * float(self.std[0]), _CERTAIN * self.centre_std
         if spread >= self.mass:
             return (f"no payload is seen: {self.mass:.2g} kg, give or take {spread:.2g} kg",)
@@ -124,7 +124,7 @@ def identify_payload(
     unloaded: Sequence[Recording] = (),
     effects: Sequence[Effect] | None = None,
 ) -> PayloadEstimate:
-    """What the arm carries in some recordings.
+    """Payload of the arm in some recordings.
 
     Unloaded are recordings of the same arm without it, any motion; else the given model stands.
     Effects of the arm are friction, offset and rotor inertia when None.
@@ -148,7 +148,7 @@ def identify_payload(
         gains = fit_rows(robot, effects, base, split(unloaded, unloaded)).gains
 
     def data_alone(recordings: Sequence[Recording]) -> Information:
-        """What recordings say of the base parameters, without a prior."""
+        """Estimate of the base parameters from recordings, without a prior."""
         estimator, samples, _ = replayable(
             robot, recordings, effects, base, gains=gains, prior=False
         )
@@ -190,7 +190,7 @@ def estimate_payload(
 def payload_information(
     robot: Robot, base: BaseParameters, loaded: Information, arm: Information
 ) -> Information:
-    """What two states of an arm say of the body between them, shape (10, 10)."""
+    """Information of two states of an arm on the body between them, shape (10, 10)."""
     r = len(base)
     for part in (loaded, arm):
         if part.R.shape != (r, r):

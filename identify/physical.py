@@ -81,7 +81,7 @@ class PhysicalFit:
 
     @cached_property
     def influence(self) -> Array:
-        """How far each parameter follows the prior in linear theory, 0 to 1, shape (p,)."""
+        """Sensitivity of each parameter to the prior in linear theory, 0 to 1, shape (p,)."""
         return read_only(linear_influence(self.R, self.root, self.x, self.links))
 
 

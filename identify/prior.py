@@ -1,4 +1,4 @@
-"""What is known of an arm before any data, and which identified entries follow it.
+"""Prior knowledge of an arm, and the identified entries that follow it.
 
 The bodies of the given arm are known to a relative σ. With the pseudo-inertia of link k written
 P_k = L_k Q_k L_kᵀ, L_k L_kᵀ that of the given body, the coordinates y are the upper triangles of
@@ -198,7 +198,7 @@ def silent_columns(R: Array) -> npt.NDArray[np.bool_]:
 
 
 def linear_influence(R: Array, L: Array, x: Array, links: int) -> Array:
-    """How far each entry follows the prior in linear theory, 0 to 1, shape (p,).
+    """Sensitivity of each entry to the prior in linear theory, 0 to 1, shape (p,).
 
     An entry that is known exactly beforehand follows by 1. R is a factor of the whitened columns,
     shape (rows, p); the rest as in `reached`.

@@ -1,4 +1,4 @@
-"""What is fitted and what is held out, the regression of an arm on it, and how it is judged."""
+"""Fitted and held-out data, the regression of an arm on them, and its accuracy."""
 
 from __future__ import annotations
 
@@ -90,14 +90,14 @@ def split(
 
 
 def fitted(recordings: Sequence[Recording], validate: Sequence[Recording]) -> list[Recording]:
-    """What is fitted: recordings as they are, or their first part where none is held out."""
+    """Recordings to fit: as they are, or their first part where none is held out."""
     return list(_parts(recordings, validate)[0])
 
 
 def _parts(
     recordings: Sequence[Recording], validate: Sequence[Recording]
 ) -> tuple[Iterable[Recording], Iterable[Recording]]:
-    """What is fitted and what is held out, one at a time, for long recordings fill the memory."""
+    """Fitted and held-out recordings one at a time, since long ones fill the memory."""
     if validate:
         return recordings, validate
     return (

@@ -109,7 +109,7 @@ class Solution:
         return pull, sum(abs(float(push @ r.slack(self.y))) for r, push in pairs)
 
     def kkt(self, program: Program) -> KktResiduals:
-        """How well it satisfies the optimality conditions."""
+        """Residuals of the optimality conditions."""
         pull, slackness = self.forces(program)
         size = float(np.linalg.norm(2 * program.A.T @ program.z)) + 1.0
         parts = (program.A, program.z), (program.C, program.d)

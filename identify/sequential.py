@@ -69,7 +69,7 @@ _POSE = 0.1  # rad or m: positions that differ less are one pose
 
 @dataclass(frozen=True, eq=False)
 class Cascade:
-    """What the stages so far know of the r base parameters."""
+    """Estimate of the r base parameters after the stages so far."""
 
     mean: Array  # β₀, shape (r,)
     L: Array  # square root of the given robot's covariance, shape (r, r)
@@ -207,13 +207,13 @@ class LinkRows(FitRows):
         return tuple(dict.fromkeys(names))
 
     def pose(self, joint: int) -> Array:
-        """Where the arm stands on average while a joint moves, shape (nv,)."""
+        """Mean pose of the arm while a joint moves, shape (nv,)."""
         q = np.concatenate([s.motion.q for s in self.data.train])
         moves = np.concatenate(self.moves)[:, joint]
         return np.asarray(q[moves if moves.any() else ~moves].mean(axis=0), float)
 
     def mode(self, joint: int) -> str:
-        """Which joints move while a joint does, in words; rare moments are left aside."""
+        """Joints that move along with a joint, in words; rare moments are left aside."""
         times, poses = [], []
         for segment, moves in zip(self.data.train, self.moves, strict=True):
             now = moves[:, joint]
@@ -290,7 +290,7 @@ class Stage:
 
 @dataclass(frozen=True, eq=False)
 class LinkByLink:
-    """What was identified link by link."""
+    """Result of link-by-link identification."""
 
     estimate: Estimate  # physically consistent model and its accuracy
     cascade: Cascade  # the base parameters with their covariance
@@ -299,7 +299,7 @@ class LinkByLink:
     refusal: str  # why weighted least squares of all rows was not possible; empty if it was
 
     def result(self) -> dict[str, Any]:
-        """What result.json says: that of `identify`, and the stages under ``link_by_link``."""
+        """Entries of result.json: those of `identify`, and the stages under ``link_by_link``."""
         robot, estimate = self.estimate.given, self.estimate
         how = (
             "all rows with the given robot as prior, because weighted least squares refuses: "
@@ -370,7 +370,7 @@ def identify_link_by_link(
 
 
 def run_stages(rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]]:
-    """What is known of the base parameters after all stages, and these, the last joint's first."""
+    """Estimate of the base parameters after all stages, and the stages, last joint first."""
     W, tau, base = rows.W[:, :, rows.base.columns], rows.tau, rows.base
     known = beginning(base_prior(rows.robot, rows.effects, base))
     F, leading, stages = np.zeros((0, len(base))), list[int](), []

@@ -83,7 +83,7 @@ class Shapes:
 
     @property
     def sentence(self) -> str:
-        """What was found."""
+        """Summary in words."""
         fall = f"misfit with its prior {self.before:.4g} → {self.after:.4g}"
         if not self.better:
             return f"shapes of effects are those given: no others fit better beyond chance ({fall})"
@@ -334,7 +334,7 @@ class Descent:
         return np.concatenate([phi, theta]), inverse @ inverse.T
 
     def objective(self, x: Array) -> float:
-        """What is minimised, at standard parameters and θ, shape (10 links + k,)."""
+        """The objective at standard parameters and θ, shape (10 links + k,)."""
         return float((self._misfit(x[: self.prior.size], x[self.prior.size :]) ** 2).sum())
 
     def residual(self, numbers: Array) -> Array:

@@ -283,7 +283,7 @@ def _caption(result: Result, paths: Sequence[Array], hidden: list[str]) -> str:
 def solid_of(
     obstacle: Result, centre: Array, reach: float, low: Array, high: Array
 ) -> Solid | None:
-    """What is drawn of an obstacle within reach; a half-space ends beside low to high."""
+    """Drawn part of an obstacle within reach; a half-space ends beside low to high."""
     import pinocchio as pin
 
     def vector(key: str, default: Any = None) -> Array | None:

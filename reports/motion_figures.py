@@ -46,7 +46,7 @@ _SAMPLED = (
 
 
 def envelope_of(result: Result, name: str, joint: int) -> tuple[float, float, float, float] | None:
-    """What a quantity of a joint provably stays within: least, greatest, ratio to limit, when."""
+    """Proven bounds of a joint's quantity: least, greatest, ratio to limit, when."""
     rows = v.at(result, "certified", name)
     row = rows[joint] if isinstance(rows, list) and joint < len(rows) else None
     low, high, ratio, t = (v.real(row, key) for key in ("low", "high", "ratio", "t"))

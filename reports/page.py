@@ -1,4 +1,4 @@
-"""What a report is made of: the walks that write it as HTML or text know these blocks only."""
+"""Blocks of a report, which the writers of HTML and text walk through."""
 
 from __future__ import annotations
 

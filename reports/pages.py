@@ -275,7 +275,7 @@ def _figures(page: Page) -> dict[tuple[str, ...], tuple[Cell, float | None]]:
 def deviations(
     a: float | None, std_a: float | None, b: float | None, std_b: float | None
 ) -> float | None:
-    """How many standard deviations of their difference two independent estimates lie apart."""
+    """Difference of two independent estimates in its standard deviations."""
     if a is None or b is None or not std_a or not std_b:
         return None
     return abs(b - a) / math.hypot(std_a, std_b)

@@ -75,7 +75,7 @@ def summary(page: Page) -> str:
 
 
 def brief(page: Page) -> str:
-    """What a page comes to, in a few lines for the terminal."""
+    """Summary of a page in a few lines for the terminal."""
     lines = [line for section in page.sections for line in _brief(section)]
     return "\n".join(f"{label:<12} {words}".rstrip() for label, words in (*lines, *page.brief))
 

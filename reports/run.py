@@ -197,10 +197,10 @@ def write_all(directory: Path, contents: Mapping[str, bytes]) -> list[Path]:
 
 @runtime_checkable
 class Reportable(Protocol):
-    """What says of itself what a report shows: a design, an identifiability, a diagnosis, ..."""
+    """A result that describes itself: a design, an identifiability, a diagnosis, ..."""
 
     def result(self) -> Mapping[str, Any]:
-        """What ``result.json`` says."""
+        """Entries of ``result.json``."""
 
     def series(self) -> Mapping[str, Array]:
         """The arrays that its figures draw."""

@@ -170,7 +170,7 @@ def quantity(value: object, unit: str, digits: int = 3) -> str:
 
 
 def unit_of(unit: str, digits: int = 3) -> Callable[[object], str]:
-    """How quantities of a unit are written."""
+    """Format of quantities of a unit."""
     return lambda value: quantity(value, unit, digits)
 
 

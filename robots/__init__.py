@@ -1,4 +1,4 @@
-"""What an arm is, and what torque it needs."""
+"""Robot arms: models, parameters, effects, and the torque of a motion."""
 
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.dh import DHChain, robot_from_dh

@@ -1,4 +1,4 @@
-"""Base parameters: what the joint torques depend on, and how parameters regroup into them.
+"""Base parameters: the combinations on which the joint torques depend, and the regrouping.
 
 The numerical method of Gautier (1991): the rank structure of the regressor on random states
 is that of the arm. Columns are taken from left to right; a column that depends on the base

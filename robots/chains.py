@@ -1,4 +1,4 @@
-"""Which joints of a robot move: a chain of a larger tree, the rest held in place."""
+"""Selection of the moving joints: a chain of a larger tree, the rest held in place."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SHOWN = 4  # names of joints in a note
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """Which robot is meant and what is kept of it; everything when nothing is said."""
+    """A robot and the joints kept of it; all of them by default."""
 
     path: str | Path  # built-in name, URDF, xacro, MJCF or robot.yaml
     joints: tuple[str, ...] | None = None  # to keep; all others are held
@@ -193,7 +193,7 @@ def _refuse_dependent(
 
 
 def _position(robot: Tree, joint: TreeJoint, lock: Mapping[str, float]) -> float:
-    """Where a joint is held: as told, as the joint it follows, or at zero."""
+    """Position at which a joint is held: as given, as of the joint it follows, or zero."""
     factor, offset, seen = 1.0, 0.0, {joint.name}
     while joint.name not in lock and joint.mimic is not None:
         master, multiplier, shift = joint.mimic

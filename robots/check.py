@@ -1,4 +1,4 @@
-"""Whether a robot's description can be right: inertias, axes, limits, and the arm's own weight.
+"""Plausibility checks of a robot's description: inertias, axes, limits, gravity torques.
 
 With the second moment per mass about the centre of mass, S = ½ tr(I)/m 1 − I/m, a link of given
 extent has S no larger than its box allows, the long axis of S along the link, and a centre of mass
@@ -51,7 +51,7 @@ _UNSEEN = "hardly any torque depends on it"  # makes a hint of a warning
 
 @dataclass(frozen=True)
 class ModelWarning:
-    """What looks wrong, where, and what to do about it."""
+    """A suspicious entry of the description, its place, and the remedy."""
 
     check: str  # which check says so, e.g. "placeholder_inertia"
     where: tuple[str, ...]  # the links or joints concerned
@@ -67,7 +67,7 @@ Warnings = Iterator[ModelWarning]
 
 @dataclass(frozen=True, eq=False)
 class ModelCheck:
-    """What an arm's description says, and what looks wrong in it.
+    """Summary of an arm's description with warnings.
 
     Attributes:
         robot: The arm.
@@ -190,7 +190,7 @@ class ModelCheck:
         }
 
     def series(self) -> dict[str, Array]:
-        """What a picture of the arm needs: ``zero_`` and ``bent_`` with the keys of `sketch`."""
+        """Data of the figure of the arm: ``zero_`` and ``bent_`` with the keys of `sketch`."""
         poses = {"zero": zero_pose(self.robot), "bent": bent_pose(self.robot)}
         return {
             f"{name}_{key}": array
@@ -297,7 +297,7 @@ def _gravity(robot: Robot, peak: Array) -> Warnings:
 
 
 def _inertias(robot: Robot, stated: Sequence[Body]) -> Warnings:
-    """What looks wrong in the inertias; of each link only the first thing that is found."""
+    """Implausible inertias; of each link only the first warning."""
     moving = [body for body in stated if body.carrier]
     for link, mass in zip(robot.links, robot.phi[::10], strict=True):
         if mass == 0 and not any(b.given and b.carrier == link for b in moving):
@@ -347,7 +347,7 @@ def _placeholders(robot: Robot, own: Sequence[Body]) -> Warnings:
 
 
 def _in_a_row(robot: Robot, links: Sequence[str]) -> int:
-    """How many of these links are on one way from the base; legs side by side may be equal."""
+    """Number of these links on one path from the base; parallel legs may be equal."""
     joints = {robot.links.index(link) + 1 for link in links}
     return max(len(joints & set(robot.model.supports[j])) for j in joints)
 

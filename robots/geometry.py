@@ -1,4 +1,4 @@
-"""Where an arm's bodies are: its links as stated, a sketch, obstacles, and distances."""
+"""Geometry of an arm's bodies: links as stated, a sketch, obstacles, and distances."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ class Limits:
 
     @property
     def orders(self) -> int:
-        """How many derivatives of q are limited, q included: 3, or 4 with limits on jerk."""
+        """Number of limited derivatives of q, q included: 3, or 4 with limits on jerk."""
         return 4 if np.isfinite(self.jerk).any() else 3
 
     def of(self, joints: list[int]) -> Limits:

@@ -97,7 +97,7 @@ def _builtin(name: str) -> Robot:
 
 
 def builtin_record(name: str) -> RobotRecord:
-    """What the YAML file of a built-in arm says."""
+    """Content of the YAML file of a built-in arm."""
     file = resources.files("excitant.robots.library") / f"{name}.yaml"
     with resources.as_file(file) as path:
         return read_yaml(path, RobotRecord, "a robot")
@@ -130,7 +130,7 @@ def _from_yaml(path: Path, spec: RobotSpec) -> Robot:
 
 
 def _joined(record: RobotRecord, path: Path, spec: RobotSpec) -> RobotSpec:
-    """What a robot.yaml says about the part of the model that is meant, and what was added."""
+    """The part of the model that a robot.yaml selects, with its additions."""
     base, tip = record.base, record.tip
     if isinstance(base, PlaceRecord):  # of a chain in Denavit-Hartenberg form
         base = tip = None

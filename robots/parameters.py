@@ -84,7 +84,7 @@ def _lever_moment(P: Array) -> Array:
 
 
 def violations(phi: npt.ArrayLike, links: tuple[str, ...]) -> list[str]:
-    """Which links no body of positive density can have, and by which inequality.
+    """Links that no body of positive density can have, each with the violated inequality.
 
     Args:
         phi: Standard parameters of all links, shape (10 · links,).

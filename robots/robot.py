@@ -1,4 +1,4 @@
-"""Robot: what an arm is. Kinematics, inertias, limits, gravity and effects, never changed."""
+"""Robot: kinematics, inertias, limits, gravity and effects of an arm; immutable."""
 
 from __future__ import annotations
 

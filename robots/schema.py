@@ -79,7 +79,7 @@ class PlaceRecord(Record, frozen=True):
 
 
 class AboutRecord(Record, frozen=True):
-    """What a built-in arm is."""
+    """Description of a built-in arm."""
 
     kind: str
     source: str
@@ -261,7 +261,7 @@ _RECORDS: dict[str, type[Record]] = {
 
 
 def _fault(error: Exception) -> str:
-    """What is wrong in a text, and in which line where that is known."""
+    """The fault in a text, with its line where that is known."""
     if isinstance(error, json.JSONDecodeError):
         return f"line {error.lineno}: {error.msg}"
     if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:

@@ -56,7 +56,7 @@ class Diverged(ExcitantError):
 
 @dataclass(frozen=True, eq=False)
 class StateTorque:
-    """What the drives of a robot must give beside its rigid bodies, but for what acceleration asks.
+    """Torque of a robot's effects in a state, without terms proportional to acceleration.
 
     Arguments are time [s], positions and velocities, and the accelerations of the step before,
     for effects on which they act other than through the mass matrix, each of shape (nv,).
@@ -215,7 +215,7 @@ class Controller:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """What a simulated robot did, at the instants of the commanded motion."""
+    """Response of a simulated robot at the instants of the commanded motion."""
 
     command: Motion
     motion: Motion  # accelerations are means over one step on either side

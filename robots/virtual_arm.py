@@ -1,4 +1,4 @@
-"""The virtual arm: a hidden truth with a controller and sensors, to test whoever looks for it.
+"""The virtual arm: a simulated arm with hidden effects, a controller and sensors.
 
 The truth is the nominal arm with inertias, friction and rotor inertia off by a few per cent, and
 with effects that the nominal arm does not have. What is recorded is what sensors would give. Known
@@ -59,7 +59,7 @@ class VirtualArm:
         rng: np.random.Generator,
         progress: Progress | None = None,
     ) -> Run:
-        """What happens on a trajectory; see `record`."""
+        """True run of a trajectory; see `record`."""
         nominal, truth = nominal_truth(self.nominal), self.truth.drawn(rng, duration)
         believed, rate = (nominal.model, nominal.drives), self.sensors.rate_hz
         return simulate(self.nominal, believed, truth, trajectory, duration, rate, progress)

@@ -224,7 +224,7 @@ def grouping(robot: Robot) -> NullSpace:
     Raises:
         BadInput: No gravity, and axes that are not parallel: no rule is published for it.
     """
-    chain = dh_from_robot(robot, "modified")
+    chain = dh_from_robot(robot)
     places = list(robot.model.jointPlacements)[1:]
     poses = np.array(list(accumulate((place.homogeneous for place in places), np.matmul)))
     placed = np.linalg.inv(poses) @ frames(chain, np.zeros((1, chain.nv)))[0, 1:]

@@ -77,13 +77,13 @@ class Log(Recording):
 
     @cached_property
     def moving(self) -> Mask:
-        """Where a joint moves by several times its `grain` per sample, (n, nv)."""
+        """Rows at which a joint moves by several times its `grain` per sample, (n, nv)."""
         return np.asarray(np.abs(self.travel) > 4 * self.grain)
 
 
 @dataclass(frozen=True, eq=False)
 class Remedy:
-    """What a repair does to the arrays.
+    """Effect of a repair on the arrays.
 
     ``drop`` rows, ``interpolate`` rows of a channel, ``scale`` a channel or the time, ``unwrap`` a
     counter, ``shift`` the time from a row on, or ``sort`` all rows by time.

@@ -248,7 +248,7 @@ class TorqueFit:
 
     @cached_property
     def power(self) -> Array:
-        """What the log as it stands leaves of each joint's torque, mean square, shape (nv,)."""
+        """Mean square residual torque of each joint with the log as it stands, shape (nv,)."""
         return self.fit()[1]
 
     @cached_property
@@ -271,7 +271,7 @@ class TorqueFit:
         return self.gain(power) > bound and bool(ratio.min() < _HALVED and ratio.max() < 2)
 
     def compared(self, power: Array) -> str:
-        """How much better another reading is, in words."""
+        """Improvement by another reading, in words."""
         ratio = np.sqrt(power / self.power)[self.joints]
         best = self.joints[int(np.argmin(ratio))]
         return (

@@ -49,7 +49,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Columns:
-    """Where each quantity of a recording is."""
+    """Column of each quantity of a recording."""
 
     t: tuple[str, ...]  # one column, or whole seconds and the nanoseconds to add
     t_unit: Unit | None  # None where the values say
@@ -67,7 +67,7 @@ class Columns:
 
 
 def resolve(table: Table, robot: Robot | int, mapping: ColumnMap) -> Columns:
-    """Which columns hold what: as a map says, else as their names say beyond doubt.
+    """Columns by quantity: from a map, else from names where these are unambiguous.
 
     Raises:
         BadRecording: A column is missing, or could be several; says what to write.

@@ -1,4 +1,4 @@
-"""What columns hold: quantity, joint and unit, as their names say, and as a user's map says."""
+"""Meaning of columns: quantity, joint and unit, from their names and from a user's map."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def factor(role: str, unit: str, revolute: bool | None = None) -> float | None:
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a column's name says."""
+    """Meaning of a column's name."""
 
     column: str
     role: str | None = None  # t, q, dq, ddq, tau or i
@@ -129,7 +129,7 @@ class Meaning:
 
 
 def meaning(column: str, joints: Sequence[str] = ()) -> Meaning:
-    """What a column's name says, given the names of the arm's joints."""
+    """Meaning of a column's name, given the names of the arm's joints."""
     if exact := _EXACT.fullmatch(column):
         return Meaning(column, exact[1], int(exact[2]), exact[1])
     words, unit = _words(column)
@@ -239,7 +239,7 @@ _ColumnsRecord = _record(
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """Where the quantities of a recording are; what it leaves out is guessed from names.
+    """Columns of a recording by quantity; those not given are inferred from names.
 
     Attributes:
         columns: Per quantity (``t, q, dq, tau, i``) the column of each joint in the robot's

@@ -125,7 +125,7 @@ class _Lines:
 
 
 def _dialect_of(path: Path) -> _Dialect:
-    """How a file writes its table.
+    """Format of the table in a file.
 
     The separator is the first of tab, semicolon, bar, comma and space for which a line of
     numbers follows one of as many names, which tells a decimal comma from a separator and skips

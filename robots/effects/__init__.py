@@ -1,4 +1,4 @@
-"""What makes torque beyond the rigid-body inertia of the given links, one file per family."""
+"""Effects: sources of torque beyond the rigid bodies of the given links, a file per family."""
 
 # registered, and so listed and considered, in this order
 from excitant.robots.effects.friction import AsymmetricFriction as AsymmetricFriction

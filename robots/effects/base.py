@@ -56,7 +56,7 @@ class Parameter:
 
 @dataclass(frozen=True, eq=False)
 class JointFacts:
-    """What recordings show of one joint, to choose and scale the shapes of effects by."""
+    """Statistics of one joint in recordings, which choose and scale the shapes of effects."""
 
     speed: float = np.inf  # highest [rad/s or m/s]
     reach: float = np.inf  # range of positions [rad or m]
@@ -79,7 +79,7 @@ def joint_facts(
     unexplained: Array | None = None,
     cutoff_hz: float = np.inf,
 ) -> tuple[JointFacts, ...]:
-    """What recordings show of each joint; with the torque that a model leaves at some rows."""
+    """Statistics of each joint in recordings, with the residual torque of a model at some rows."""
 
     def joined(parts: Sequence[Motion]) -> tuple[Array, Array]:
         return np.concatenate([m.q for m in parts]), np.concatenate([m.dq for m in parts])
@@ -284,7 +284,7 @@ class Effect(ABC):
 
     @property
     def tuned(self) -> Shape | None:
-        """What a fit may refine of its shape, if anything."""
+        """The shape parameter that a fit may refine, if any."""
         return next((shape for shape in self.shapes if shape.positive and not shape.trial), None)
 
     def credible(self, robot: Robot, values: Array) -> bool:
@@ -316,7 +316,7 @@ class Effect(ABC):
         return f"{plain(self.name)} at {where}"
 
     def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
-        """What a diagnosis says of the effect at joints, its own first, beside given values."""
+        """Statement of a diagnosis on the effect at joints, its own first, beside given values."""
         name, value = plain(self.name), self._known()[0]
         if len(joints) > 1:
             return f"{name[0].upper()}{name[1:]} of {len(joints)} joints is missing or wrong"
@@ -328,7 +328,7 @@ class Effect(ABC):
 
     @classmethod
     def told_from(cls, rival: Effect | type[Effect]) -> str:
-        """What to do to tell it from another effect."""
+        """Action that tells it from another effect."""
         if cls.name == rival.name:
             return SAME
         pairs = ((cls.told, rival.name), (rival.told, cls.name))
@@ -414,7 +414,7 @@ def registered(kind: type[Kind]) -> type[Kind]:
 
 
 def standard_effects(joints: tuple[str, ...]) -> tuple[Effect, ...]:
-    """What `identify` estimates by default: friction, offset and rotor inertia of each joint."""
+    """Default effects of `identify`: friction, offset and rotor inertia of each joint."""
     return tuple(kind(joints) for kind in EFFECTS.values() if kind.standard)
 
 

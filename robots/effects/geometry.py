@@ -1,4 +1,4 @@
-"""What is believed of an arm's geometry, mounting and bodies, and is otherwise.
+"""Errors of an arm's geometry, mounting and bodies.
 
 All are linear in their coefficients to first order, at the given model's torque.
 """

@@ -1,4 +1,4 @@
-"""Built-in arms: what they are, and where their numbers come from.
+"""Built-in arms and the sources of their numbers.
 
 Each is a URDF with a YAML of the limits and effects that a URDF cannot hold, or such a YAML alone.
 """
@@ -34,7 +34,7 @@ class ArmEntry:
 
 
 def arm_entry(name: str) -> ArmEntry:
-    """What a built-in arm is."""
+    """Description of a built-in arm."""
     record, robot = builtin_record(name), load_robot(name)
     about, file = record.about, resources.files("excitant.robots.library") / f"{name}.urdf"
     assert about is not None

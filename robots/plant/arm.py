@@ -157,7 +157,7 @@ def _require_mass(robot: Robot, M: Array) -> None:
 
 
 class Arm:
-    """The true arm, what its time step of length h [s] needs, and what its bristles remember."""
+    """The true arm, constants of its time step of length h [s], and the state of its bristles."""
 
     def __init__(self, truth: Truth, h: float) -> None:
         n = truth.nv
@@ -202,7 +202,7 @@ class Arm:
         return np.concatenate([q, [motor[gear.joint] for gear in self.truth.gears]])
 
     def read(self, x: Array, v: Array) -> tuple[Array, Array]:
-        """What the encoders read."""
+        """Encoder readings."""
         return self.truth.encoder.reading(x[self.motor], v[self.motor])
 
     def seen(

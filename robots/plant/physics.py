@@ -1,4 +1,4 @@
-"""Physics of the plant: everything that makes torque, and what its record shows of it."""
+"""Physics of the plant: all sources of torque, and the errors of its record."""
 
 from __future__ import annotations
 

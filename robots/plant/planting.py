@@ -26,7 +26,7 @@ from excitant.robots.plant.physics import (
 )
 
 STRUCTURES = ("wall_contact", "telegraph_torque", "sensor_crosstalk")
-"""What an ``unknown`` effect may be: no name of the vocabulary describes it."""
+"""Structures of an ``unknown`` effect, which no name of the vocabulary describes."""
 
 _PAIRS = ("friction_coupling", "inertia_coupling", "sensor_crosstalk")
 

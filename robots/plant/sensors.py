@@ -1,4 +1,4 @@
-"""Sensors of the plant: what is recorded of a run, and how it may lie."""
+"""Sensors of the plant: the record of a run, with noise and systematic errors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from excitant.robots.motion import Array, freeze
 
 @dataclass(frozen=True, eq=False)
 class Sensors:
-    """What is recorded of the truth, noise as standard deviations, steps 0 for none."""
+    """Sensors: noise as standard deviations, resolution as steps, 0 for none."""
 
     rate_hz: float  # sampling rate [Hz]
     position_resolution: float  # encoder step [rad or m]
@@ -45,7 +45,7 @@ class Encoder:
 
 @dataclass(frozen=True, eq=False)
 class Recorder:
-    """How the recorded channels differ from what the drives saw."""
+    """Systematic errors of the recorded channels."""
 
     gain: Array  # recorded torque per torque of each joint, cross-talk off the diagonal, (nv, nv)
     delay: Array  # of each torque; negative where position and velocity are late, (nv,) [s]
@@ -56,7 +56,7 @@ class Recorder:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What happened, at ``n`` instants; arrays of shape (n, nv)."""
+    """True motion and torque at ``n`` instants; arrays of shape (n, nv)."""
 
     t: Array  # time, shape (n,) [s]
     q: Array  # readings of the encoders

@@ -40,7 +40,7 @@ _BOUND_TIME = 60.0  # s: much less leaves the bound near 1
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Search:
-    """What motion is looked for, and how."""
+    """Options of the motion and its optimisation."""
 
     duration: str = "10"
     "Period [s], or the shortest and the longest to choose from as S:S."
@@ -255,7 +255,7 @@ def simulate(
     json: bool = False,
     part: Part = Part(),
 ) -> None:
-    """What a virtual arm would record.
+    """Recording of a virtual arm.
 
     Args:
         output: File to write, .parquet or .csv.

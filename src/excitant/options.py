@@ -69,7 +69,7 @@ Columns = Literal["friction", "inertial"]
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Part:
-    """Which part of the robot a command is about."""
+    """Selection of a part of the robot."""
 
     joints: Names = None
     "Keep these joints, hold all others (J1,J2,...)."
@@ -180,7 +180,7 @@ class Surroundings:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Data:
-    """How recordings are read and judged."""
+    """Reading and judging of recordings."""
 
     map: str | None = None
     "YAML that says what the columns mean, in which units; default: as their names say."
@@ -194,7 +194,7 @@ class Data:
     def read(
         self, dataset: Dataset, names: Sequence[str], others: Sequence[str] = ()
     ) -> tuple[list[Recording], list[Recording], dict[str, Any], list[str]]:
-        """What to fit (all but others where none is named), hold-out, entries of result, notes."""
+        """Recordings to fit (all but others where none is named), hold-out, entries, notes."""
         from excitant.identify.faults import read_checked
 
         held = self.validate or []
@@ -207,7 +207,7 @@ class Data:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Run:
-    """Where results go."""
+    """Output of results."""
 
     output: Annotated[str | None, Parameter(name=("--output", "-o"))] = None
     "Folder to write into; default: runs/<verb>-<robot>-<time>."
@@ -215,7 +215,7 @@ class Run:
     "Print result.json and nothing else."
 
     def folder(self, result: Mapping[str, Any]) -> Path:
-        """Where the run is saved."""
+        """Folder of the run."""
         name = f"{result['verb']}-{result.get('robot') or result['of']}"
         return Path(self.output or f"runs/{name}-{time.strftime('%Y%m%d-%H%M%S')}")
 

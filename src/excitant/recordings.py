@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 @Parameter(name="*", group="Payload and drive gains")
 @dataclass(frozen=True)
 class Load:
-    """What the arm carries, known or looked for."""
+    """Payload of the arm, known or sought."""
 
     payload: bool = False
     "Also what the last link carries in these recordings, on top of the model given or --unloaded."
@@ -218,7 +218,7 @@ def analyze(
     part: Part = Part(),
     run: Run = Run(),
 ) -> None:
-    """What can be known, link by link.
+    """Identifiability of every parameter, link by link.
 
     Args:
         trajectory: How well this motion shows it.
@@ -288,7 +288,7 @@ def diagnose(
     part: Part = Part(),
     run: Run = Run(),
 ) -> None:
-    """What the given model gets wrong, by cause.
+    """Errors of the given model, by cause.
 
     Args:
         recordings: Parquet, CSV, NPZ, MAT, ROS bag or MCAP; all of the folder when none is named.

@@ -216,7 +216,7 @@ def test_rules_need_gravity_unless_all_axes_are_parallel(ur10: Robot, planar: Ro
 
 @pytest.mark.parametrize("name", KINDS)
 def test_categories_do_not_depend_on_units(name: str) -> None:
-    arm = dh_from_robot(load_robot(name), "modified")
+    arm = dh_from_robot(load_robot(name))
     robots = [scaled(arm, 1, 1), scaled(arm, 1e-3, 1e-3), scaled(arm, 1e3, 1, 1e3)]
     effects = standard_effects(arm.joints)
     for chosen in ((), effects):
@@ -238,7 +238,7 @@ def test_nothing_is_decided_by_a_hair_on_arms_of_exact_geometry(name: str) -> No
 
 @pytest.mark.parametrize("angle", [1e-5, 1e-6, 1e-7, 1e-9, 1e-10])
 def test_a_twist_just_off_a_right_angle_is_by_a_hair(angle: float) -> None:
-    arm = dh_from_robot(load_robot("ur10"), "modified")
+    arm = dh_from_robot(load_robot("ur10"))
     assert abs(abs(arm.alpha[4]) - np.pi / 2) < 1e-12
     found = structure(robot_from_dh(replace(arm, alpha=arm.alpha + angle * (np.arange(6) == 4))))
     assert found.close == ("wrist_1_link.Iyz",)
@@ -257,7 +257,7 @@ def test_a_base_just_off_upright_is_by_a_hair(ur10: Robot, tilt: float) -> None:
 
 
 def test_nearly_parallel_axes_are_by_a_hair(planar: Robot) -> None:
-    arm = dh_from_robot(planar, "modified")
+    arm = dh_from_robot(planar)
     assert structure(robot_from_dh(arm)).close == ()
     bent = structure(robot_from_dh(replace(arm, alpha=arm.alpha + np.array([0, 1e-6]))))
     assert {"link2.mcz", "link2.Iyz"} & set(bent.close)

@@ -4,55 +4,61 @@ from __future__ import annotations
 
 import json
 import re
-import sys
+import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from arms import ARMS as LIBRARY
+from arms import data_folder
 
 from excitant.analysis.identifiability import analyze
 from excitant.analysis.uncertainty import NOT_SHOWN
-from excitant.cli import main
 from excitant.design import design_trajectory
-from excitant.exceptions import BadInput
-from excitant.robots import Motion, Robot, load_limits, load_robot, rigid_body_torque, torque
+from excitant.exceptions import BadInput, UnknownName
+from excitant.robots import (
+    Limits,
+    Motion,
+    Robot,
+    load_limits,
+    load_robot,
+    rigid_body_torque,
+    torque,
+)
+from excitant.robots.chains import RobotSpec
 from excitant.robots.limits import require_limits
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+Command = Callable[..., Any]
+Refused = Callable[..., str]
 
 DATA = Path(__file__).parent / "data"
-ARMS = {
-    "urdf": ("scara.urdf", {"tip": "quill"}, 4),
-    "xacro": ("pan_tilt.urdf.xacro", {"xacro_args": {"reach": "0.6"}}, 2),
-    "mjcf": ("slider.xml", {}, 3),
-    "one arm of two": ("twins.urdf", {"base": "torso", "tip": "left_hand"}, 3),
-    "both arms of two": (
-        "twins.urdf",
-        {"joints": [f"{side}_{k}" for side in ("left", "right") for k in (1, 2, 3)]},
-        6,
-    ),
-    "yaml over mjcf": ("slider.yaml", {}, 2),
+ARMS = RobotSpec(
+    DATA / "twins.urdf", tuple(f"{side}_{k}" for side in ("left", "right") for k in (1, 2, 3))
+)
+READ = {
+    "urdf": (RobotSpec(DATA / "scara.urdf", tip="quill"), 4),
+    "xacro": (RobotSpec(DATA / "pan_tilt.urdf.xacro", xacro_args={"reach": "0.6"}), 2),
+    "mjcf": (RobotSpec(DATA / "slider.xml"), 3),
+    "one arm of two": (RobotSpec(DATA / "twins.urdf", base="torso", tip="left_hand"), 3),
+    "both arms of two": (ARMS, 6),
+    "yaml over mjcf": (RobotSpec(DATA / "slider.yaml"), 2),
 }
 
 
-def loaded(kind: str) -> Robot:
-    file, options, _ = ARMS[kind]
-    return load_robot(DATA / file, **options)
-
-
-@pytest.mark.parametrize("kind", ARMS)
-def test_any_arm_is_read(kind: str) -> None:
-    assert loaded(kind).nv == ARMS[kind][2]
+@pytest.mark.parametrize(("spec", "joints"), READ.values(), ids=READ)
+def test_any_arm_is_read(spec: RobotSpec, joints: int) -> None:
+    assert load_robot(spec).nv == joints
 
 
 @pytest.mark.parametrize("kind", ["xacro", "mjcf", "both arms of two"])
-def test_any_arm_gets_a_motion_that_shows_it(kind: str) -> None:
-    robot = loaded(kind)
+def test_any_arm_gets_a_motion_that_shows_it(kind: str, refused: Refused) -> None:
+    robot = load_robot(READ[kind][0])
     if kind == "mjcf":  # which has no word for the limit of a speed
-        with pytest.raises(BadInput, match="no velocity limits"):
-            require_limits(robot)
+        refused("no velocity limits", require_limits, robot, error=BadInput)
         robot = robot.with_limits(replace(robot.limits, velocity=np.full(robot.nv, 2.5)))
     require_limits(robot)
     found = design_trajectory(robot, starts=1, jobs=1, time_limit=2.0)
@@ -68,45 +74,30 @@ def test_any_arm_gets_a_motion_that_shows_it(kind: str) -> None:
 @pytest.mark.slow
 def test_arms_of_example_robot_data() -> None:
     """The arms that the benchmark tries: what is refused is refused for the model's fault."""
-    from arms import ARMS as CASES
-    from arms import data_folder
-
     folder = data_folder(None)
     if folder is None:
         pytest.skip("example-robot-data is not installed; pip install example-robot-data")
-    serial = 0
-    for case in CASES:
-        if str(case).endswith("/ur3.urdf"):  # a file without links
-            continue
+    cases = [case for case in LIBRARY if not str(case).endswith("/ur3.urdf")]  # has no links
+    assert len(cases) >= 25
+    for case in cases:
         robot = load_robot(replace(case, path=folder / case.path))
-        q, dq, ddq = robot.random_motion(np.random.default_rng(0), 3)
-        assert np.isfinite(rigid_body_torque(robot, Motion(np.arange(3.0), q, dq, ddq))).all()
-        serial += 1
-    assert serial >= 25
-
-
-@pytest.fixture
-def bare(tmp_path: Path) -> Path:
-    """An arm whose URDF has neither speed nor torque limits for two of its joints."""
-    text = load_robot("planar_2r").urdf
-    for key in ("velocity", "effort"):
-        text = re.sub(rf'{key}="[^"]*"', f'{key}="0"', text)
-    path = tmp_path / "bare.urdf"
-    path.write_text(text)
-    return path
+        motion = Motion(np.arange(3.0), *robot.random_motion(np.random.default_rng(0), 3))
+        assert np.isfinite(rigid_body_torque(robot, motion)).all()
 
 
 def test_missing_limits_are_asked_for_with_the_file_to_write(
-    bare: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    planar: Robot, excitant: Command, tmp_path: Path
 ) -> None:
-    assert main(["design", str(bare), "--time-limit", "2", "-o", str(tmp_path / "run")]) == 1
-    said = capsys.readouterr().err.strip()
+    bare, limits = tmp_path / "bare.urdf", tmp_path / "limits.yaml"
+    bare.write_text(re.sub('(velocity|effort)="[^"]*"', r'\1="0"', planar.urdf))
+    ran = excitant("design --time-limit 2", bare, "-o", tmp_path / "run")
+    assert ran.status == 1
+    said = ran.err.strip()
     assert "\n" not in said
     assert f"{bare} gives no velocity limits and no limits on acceleration or torque" in said
     assert "--limits limits.yaml" in said
     assert not (tmp_path / "run").exists()
     entries = re.findall(r"'(\w+: \{[^}]*\})'", said)
-    limits = tmp_path / "limits.yaml"
     limits.write_text("\n".join(entry.replace("..", "2.0") for entry in entries))
     robot = load_robot(bare)
     limited = robot.with_limits(load_limits(limits, robot))
@@ -114,90 +105,187 @@ def test_missing_limits_are_asked_for_with_the_file_to_write(
     require_limits(limited)
 
 
-def test_torque_limits_stand_in_for_those_of_acceleration(tmp_path: Path) -> None:
-    path = tmp_path / "arm.urdf"
-    path.write_text(load_robot("planar_2r").urdf)
-    robot = load_robot(path)
-    assert np.isinf(robot.limits.acceleration).all()
-    note = require_limits(robot)
+def test_torque_limits_stand_in_for_those_of_acceleration(planar: Robot) -> None:
+    assert require_limits(planar) is None
+    unlimited = replace(planar.limits, acceleration=np.full(2, np.inf))
+    note = require_limits(planar.with_limits(unlimited))
     assert note is not None
-    assert all(joint in note for joint in robot.joints)
-    assert require_limits(load_robot("planar_2r")) is None
+    assert all(joint in note for joint in planar.joints)
 
 
-def test_the_command_line_chooses_a_part(capsys: pytest.CaptureFixture[str]) -> None:
-    chain = ["--base", "torso", "--tip", "left_hand", "--lock", "lift=0.1"]
-    words = [str(DATA / "twins.urdf"), *chain]
-    assert main(["robots", *words, "--json"]) == 0
-    shown = capsys.readouterr()
-    assert [f"left_{k}" in shown.out for k in (1, 2, 3)] == [True] * 3
-    assert "held at 0, as they are not chosen: right_1, right_2, right_3" in shown.err
-    xacro = [str(DATA / "pan_tilt.urdf.xacro"), "--xacro-arg", "reach:=0.6"]
-    assert main(["robots", *xacro, "--json"]) == 0
-    assert main(["robots", *xacro[:1], "--xacro-arg", "raech:=0.6"]) == 1
-    assert "did you mean 'reach'" in capsys.readouterr().err
+def test_the_command_line_chooses_a_part(excitant: Command, tmp_path: Path) -> None:
+    chain = "--base torso --tip left_hand --lock lift=0.1 --lock left_thumb=0,left_finger=0.1"
+    ran = excitant("robots --json", DATA / "twins.urdf", *chain.split())
+    assert ran.status == 0
+    assert all(f"left_{k}" in ran.out for k in (1, 2, 3))
+    assert "held at 0, as they are not chosen: right_1, right_2, right_3" in ran.err
+    head = DATA / "pan_tilt.urdf.xacro"
+    assert excitant("robots", head, "--xacro-arg", "reach:=0.6", "--json").status == 0
+    ran = excitant("robots", head, "--xacro-arg", "raech:=0.6")
+    assert ran.status == 1
+    assert "did you mean 'reach'" in ran.err
+    shutil.copy(DATA / "scara.urdf", tmp_path / "robot.urdf")
+    ran = excitant("analyze --tip link1", tmp_path, "-o", tmp_path / "run")
+    assert ran.status == 1
+    assert "leave --tip out" in ran.err  # a data folder says its joints itself
 
 
-def test_a_data_folder_says_its_joints_itself(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+# What cannot be read
+
+LOOP = (
+    '<joint name="brace" type="revolute"><parent link="rail"/><child link="hand"/></joint></robot>'
+)
+BODY = '<mujoco><worldbody><body name="a">{}</body></worldbody></mujoco>'
+MESH = """<mujoco><asset><mesh name="m" file="m.stl"/></asset><worldbody><body><joint/>
+<geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
+OVER = "model: gantry.urdf\n"
+REFUSED = [  # a file, what is written in place of a part of it or at its start, what is said
+    ("gantry.urdf", "</robot>", "", "not XML"),
+    ("gantry.urdf", 'mass value="1.5"', 'mass value="nan"', "box"),
+    ("gantry.urdf", 'ixx="0.003"', 'ixx="small"', "box"),
+    ("gantry.urdf", 'upper="1.5"', 'upper="inf"', "slide"),
+    ("gantry.urdf", 'child link="box"', 'child link="bux"', "weld"),
+    ("gantry.urdf", 'parent link="box"', 'parent link="bux"', "twist"),
+    ("gantry.urdf", 'joint name="twist"', 'joint name="slide"', "slide"),
+    ("gantry.urdf", 'link name="tip"', 'link name="box"', "box"),
+    ("gantry.urdf", '"twist" type="revolute"', '"twist" type="floating"', "twist"),
+    ("gantry.urdf", '"twist" type="revolute"', '"twist" type="planar"', "twist"),
+    ("gantry.urdf", '"twist" type="revolute"', '"twist" type="rev"', "twist"),
+    ("gantry.urdf", "</robot>", LOOP, "'hand' hangs from two joints, 'twist' and 'brace'"),
+    ("arm.urdf", "", "<sdf/>", "not a URDF: the root element is <sdf>"),
+    ("arm.urdf", "", '<mujoco model="gantry"/>', "give an MJCF of an arm"),
+    ("arm.urdf", "", '<robot name="empty"/>', "no <link>"),
+    ("arm.urdf", "", "\xff", "not a text file"),
+    ("over.yaml", "", "gravity: [0, 0, -9.81]\n", "no 'model' entry"),
+    ("over.yaml", "", "model: none.urdf\n", "none.urdf"),
+    ("over.yaml", "", OVER + "gravity: [0, -9.81]\n", "gravity"),
+    ("over.yaml", "", OVER + "gravity: [0, .nan, 0]\n", "gravity"),
+    ("over.yaml", "", OVER + "lock: {swing: up}\n", "lock"),
+    ("over.yaml", "", OVER + "lock: [swing]\n", "lock"),
+    ("over.yaml", "", OVER + "lock: {slde: 0}\n", "did you mean 'slide'"),
+    ("over.yaml", "", OVER + "joints: [slde]\n", "did you mean 'slide'"),
+    ("over.yaml", "", OVER + "limits: {velocty: 1}\n", "velocity"),
+    ("over.yaml", "", OVER + "effects: [{effect: viscos_friction, values: 1}]\n", "viscous"),
+    ("over.yaml", "", OVER + "effects: [{effect: viscous_friction, values: [1, 2]}]\n", "viscous"),
+    ("over.yaml", "", OVER + "effects: {viscous_friction: 1}\n", "effects"),
+    ("over.yaml", "", "- model\n", "expected entries"),
+    ("over.yaml", "", "model: [\n", "not valid YAML .line 2: "),
+    ("over.yaml", "", "convention: standard\ndh: []\n", "dh"),
+    ("drill.yaml", "convention: standard", "", "convention: None.*standard, modified"),
+    ("drill.yaml", "convention: standard", "convention: craig", "convention.*craig"),
+    ("drill.yaml", "angles: degrees", "angles: gon", "angles.*gon"),
+    ("drill.yaml", "a: 0.4", "aa: 0.4", r"dh\[0\]: unknown entry 'aa': did you mean 'a'"),
+    ("drill.yaml", "a: 0.3", "a: long", r"dh\[1\].a: expected a number"),
+    ("drill.yaml", "theta: 30", "theta: .inf", r"dh\[1\].theta: expected a finite"),
+    ("drill.yaml", "type: prismatic", "type: sliding", r"dh\[2\].type.*sliding"),
+    ("drill.yaml", "m: 5, ", "", r"dh\[0\]: it lacks 'm'"),
+    ("drill.yaml", "m: 3", "m: -3", r"dh\[1\].m: expected a number above 0"),
+    ("drill.yaml", "com: [-0.2, 0.01, 0]", "com: [0, 0, 0], mc: [0, 0, 0]", "upper: both 'com'"),
+    ("drill.yaml", "Ic: {", "I: {}, Ic: {", "upper: both 'I' and 'Ic'"),
+    ("drill.yaml", "I: {xx: 0.01, yy: 0.01, zz: 0.001}", "a: 0", "link3: give the inertia"),
+    ("drill.yaml", "xy: 0.002", "yx: 0.002", r"dh\[0\].Ic: unknown entry 'yx'"),
+    ("drill.yaml", "radius: 0.05", "size: 0.05", r"dh\[0\].collision\[0\]: unknown entry 'size'"),
+    (
+        "drill.yaml",
+        "radius: 0.05",
+        "radius: 0",
+        r"collision\[0\].radius: expected a number above 0",
+    ),
+    ("drill.yaml", "base: {position", "base: {place", "base: unknown entry 'place'"),
+    ("drill.yaml", "tool: {position: [0, 0, 0.1]}", "tool: 3", "tool: expected entries"),
+    ("drill.yaml", "gravity: [0, 0, -9.8]", "gravity: 9.8", "gravity: expected a list"),
+    ("drill.yaml", "joint: quill", "joint: shoulder", "joint 'shoulder' is defined twice"),
+    ("drill.yaml", "name: drill", "model: gantry.urdf", "both 'model' and 'dh'"),
+    ("drill.yaml", "name: drill", "lock: {elbow: 1}", "unknown joint 'elbow'"),
+    ("drill.yaml", "velocity: 3", "velocity: -3", "velocity limit"),
+    ("arm.xml", "", "<mujoco/>", "worldbody"),
+    ("arm.xml", "", "<mujoco><worldbody>", "XML"),
+    ("arm.xml", "", BODY.format('<joint/><inertial pos="0 0 0" mass="much"/>'), "attribute 'mass'"),
+    ("arm.xml", "", BODY.format('<joint name="b" type="ball"/><geom size="1"/>'), "'b'"),
+    ("arm.xml", "", BODY.format('<joint/><geom size="1"/><body name="a"/>'), "'a'"),
+    ("arm.xml", "", '<mujoco><include file="none.xml"/></mujoco>', "none.xml"),
+    ("arm.xml", "", MESH, "m.stl"),
+]
+
+
+@pytest.mark.parametrize(("file", "old", "new", "words"), REFUSED)
+def test_a_file_that_cannot_be_read_is_refused_in_one_line_that_names_it(
+    tmp_path: Path, refused: Refused, file: str, old: str, new: str, words: str
 ) -> None:
-    (tmp_path / "robot.urdf").write_text(load_robot("planar_2r").urdf)
-    assert main(["analyze", str(tmp_path), "--tip", "link1", "-o", str(tmp_path / "run")]) == 1
-    assert "leave --tip out" in capsys.readouterr().err
+    shutil.copy(DATA / "gantry.urdf", tmp_path)
+    path, text = tmp_path / file, (DATA / file).read_text() if (DATA / file).exists() else ""
+    assert old in text
+    path.write_text(text.replace(old, new, 1), "latin-1")
+    said = refused(".", load_robot, path)
+    assert re.search(words, said.replace(str(path), ""))
+    assert str(path) in said or said.startswith("unknown")
+
+
+def test_what_is_no_file_is_refused(tmp_path: Path, refused: Refused, planar: Robot) -> None:
+    refused("no such file", load_robot, tmp_path / "absent.urdf")
+    refused("no such file", load_limits, tmp_path / "absent.yaml", planar)
+    refused("did you mean 'puma560'", load_robot, "puma56x", error=UnknownName)
+
+
+# Limits from files
+
+
+def limits_of(tmp_path: Path, text: str, robot: Robot, suffix: str = ".yaml") -> Limits:
+    path = tmp_path / f"limits{suffix}"
+    path.write_text(text)
+    return load_limits(path, robot)
 
 
 def test_what_the_file_leaves_out_stays(planar: Robot, tmp_path: Path) -> None:
-    path = tmp_path / "limits.yaml"
-    path.write_text("velocity: 1.5\n")
-    limits = load_limits(path, planar)
+    limits = limits_of(tmp_path, "velocity: 1.5\n", planar)
     assert (limits.velocity == 1.5).all()
     for name in ("position", "acceleration", "torque"):
         assert np.array_equal(getattr(limits, name), getattr(planar.limits, name))
+    text = "velocity: {joint2: 0.5}\nposition: {joint1: [-1, 0.5]}\n"
+    limits = limits_of(tmp_path, text, planar)
+    assert limits.velocity.tolist() == [planar.limits.velocity[0], 0.5]
+    assert limits.position.tolist() == [[-1, 0.5], planar.limits.position[1].tolist()]
 
 
-@pytest.mark.parametrize("suffix", [".yaml", ".json"])
+@pytest.mark.parametrize(("suffix", "written"), [(".yaml", yaml.safe_dump), (".json", json.dumps)])
 @pytest.mark.parametrize("nested", [True, False])
 def test_written_limits_are_read_back(
-    planar: Robot, tmp_path: Path, suffix: str, nested: bool
+    planar: Robot, tmp_path: Path, suffix: str, written: Callable[..., str], nested: bool
 ) -> None:
     names = ("position", "velocity", "acceleration", "torque")
     content = {name: (getattr(planar.limits, name) * 0.5).tolist() for name in names}
-    whole = {"limits": content} if nested else content
-    path = tmp_path / f"limits{suffix}"
-    path.write_text(json.dumps(whole) if suffix == ".json" else yaml.safe_dump(whole))
-    limits = load_limits(path, planar)
+    text = written({"limits": content} if nested else content)
+    limits = limits_of(tmp_path, text, planar, suffix)
     for name in names:
         assert np.array_equal(getattr(limits, name), getattr(planar.limits, name) * 0.5)
 
 
-REFUSED: dict[str, tuple[str, str]] = {
-    "too few": ("velocity: [1.0]\nacceleration: [1, 2, 3, 4, 5, 6, 7, 8]\n", "acceleration"),
-    "words": ("velocity: fast\n", "velocity"),
-    "mapping of none": ("velocity: {no_joint: 1}\n", "velocity limits: unknown joint"),
-    "unknown name": ("velocities: 1\n", "did you mean 'velocity'"),
-    "lower equal to upper": ("position: [1, 1]\n", "lower must be below upper"),
-    "zero speed": ("velocity: 0\n", "must be positive"),
-    "not a number": ("acceleration: .nan\n", "acceleration"),
-    "no mapping": ("- 1\n- 2\n", "expected entries"),
-    "limits empty": ("limits:\n", "limits: expected entries"),
-    "not YAML": ("velocity: [1, 2\n", "not valid YAML .line 2: "),
-    "empty": ("", "expected entries"),
+BAD_LIMITS = {
+    "velocity: [1.0]\nacceleration: [1, 2, 3, 4, 5, 6, 7, 8]\n": "acceleration",
+    "position: [1, 2, 3]\n": "position limits: expected one pair",
+    "velocity: fast\n": "velocity",
+    "torque: [1, two]\n": r"torque\[1\]",
+    "velocity: [[[1]]]\n": "velocity",
+    "velocity: {no_joint: 1}\n": "velocity limits: unknown joint",
+    "velocity: {joint1: fast}\n": "velocity",
+    "velocities: 1\n": "did you mean 'velocity'",
+    "position: [1, -1]\n": "lower must be below upper",
+    "position: [1, 1]\n": "lower must be below upper",
+    "position: [.nan, 1]\n": "position",
+    "velocity: 0\n": "must be positive",
+    "torque: [5, -3]\n": "joint joint2: must be positive",
+    "acceleration: .nan\n": "acceleration",
+    "- 1\n- 2\n": "expected entries",
+    "limits: [1, 2]\n": "limits: expected entries",
+    "limits:\n": "limits: expected entries",
+    "velocity: [1, 2\n": "not valid YAML .line 2: ",
+    "": "expected entries",
 }
 
 
-@pytest.mark.parametrize("kind", REFUSED)
-def test_bad_limits_are_refused_in_one_line(planar: Robot, tmp_path: Path, kind: str) -> None:
-    text, culprit = REFUSED[kind]
-    path = tmp_path / "limits.yaml"
-    path.write_text(text)
-    with pytest.raises(BadInput, match=culprit) as refused:
-        load_limits(path, planar)
-    assert str(path) in str(refused.value)
-    assert "\n" not in str(refused.value)
-
-
-def test_the_joint_at_fault_is_named(planar: Robot, tmp_path: Path) -> None:
-    path = tmp_path / "limits.yaml"
-    path.write_text(yaml.safe_dump({"torque": [*[5.0] * (planar.nv - 1), 0.0]}))
-    with pytest.raises(BadInput, match=planar.joints[-1]):
-        load_limits(path, planar)
+@pytest.mark.parametrize("text", BAD_LIMITS)
+def test_bad_limits_are_refused_in_one_line(
+    planar: Robot, tmp_path: Path, refused: Refused, text: str
+) -> None:
+    said = refused(BAD_LIMITS[text], limits_of, tmp_path, text, planar, error=BadInput)
+    assert str(tmp_path / "limits.yaml") in said

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
-from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
@@ -14,7 +13,8 @@ from excitant.robots.check import ModelCheck
 from excitant.robots.geometry import bodies
 from excitant.robots.urdf import robot_from_urdf
 
-Plant = Callable[[ET.Element], None]
+Array = np.ndarray
+Change = Callable[[ET.Element], None]
 
 HINTS = {
     # zero is outside the range of joint 4; link 1 turns about a vertical axis only, and the
@@ -34,42 +34,60 @@ def found(robot: Robot, *, hint: bool = False, mass: float | None = None) -> set
     }
 
 
-def planted(name: str, plant: Plant) -> Robot:
-    root = ET.fromstring(load_robot(name).urdf)
-    plant(root)
+def child(element: ET.Element, path: str) -> ET.Element:
+    inner = element.find(path)
+    assert inner is not None, path
+    return inner
+
+
+def planted(robot: str, names: str, *changes: Change) -> Robot:
+    """A built-in arm with changes of the links or joints of some names."""
+    root = ET.fromstring(load_robot(robot).urdf)
+    for name in names.split():
+        for change in changes:
+            change(child(root, f"*[@name='{name}']"))
     return robot_from_urdf(ET.tostring(root, encoding="unicode"), source="planted.urdf")
 
 
-def child(root: ET.Element, path: str) -> ET.Element:
-    element = root.find(path)
-    assert element is not None, path
-    return element
+def stated(path: str, **values: str) -> Change:
+    """Other attributes of an element of a link or joint."""
+    return lambda element: child(element, path).attrib.update(values)
 
 
-def of_link(root: ET.Element, link: str, path: str) -> ET.Element:
-    return child(root, f"link[@name='{link}']/{path}")
+ELEMENTS = [f"i{min(a, b)}{max(a, b)}" for a in "xyz" for b in "xyz"]
 
 
-def of_joint(root: ET.Element, joint: str, path: str) -> ET.Element:
-    return child(root, f"joint[@name='{joint}']/{path}")
+def tensor(change: Callable[[Array, float, Array], Array], mass: str | None = None) -> Change:
+    """A tensor made from a link's own, its mass and its centre; perhaps another mass too."""
+
+    def changed(link: ET.Element) -> None:
+        at = [child(link, f"inertial/{tag}").attrib for tag in ("inertia", "mass", "origin")]
+        own = np.reshape([float(at[0].get(key, "0")) for key in ELEMENTS], (3, 3))
+        new = change(own, float(at[1]["value"]), np.array(at[2]["xyz"].split(), float))
+        at[0].update(zip(ELEMENTS, map(repr, new.ravel().tolist()), strict=True))
+        at[1]["value"] = mass or at[1]["value"]
+
+    return changed
 
 
-def tensor(root: ET.Element, link: str) -> np.ndarray:
-    element = of_link(root, link, "inertial/inertia")
-    keys = [[f"i{min(a, b)}{max(a, b)}" for b in "xyz"] for a in "xyz"]
-    return np.array([[float(element.get(key, "0")) for key in row] for row in keys])
+def scaled(factor: float, mass: str | None = None) -> Change:
+    return tensor(lambda own, m, c: factor * own, mass)
 
 
-def set_tensor(root: ET.Element, link: str, I: np.ndarray) -> None:  # noqa: E741
-    element = of_link(root, link, "inertial/inertia")
-    for (i, a), (j, b) in combinations_with_replacement(enumerate("xyz"), 2):
-        element.set(f"i{a}{b}", repr(float(I[i, j])))
+def shifted(times: float) -> Change:
+    """The parallel-axis term added to a tensor."""
+    return tensor(lambda own, m, c: own + times * m * (c @ c * np.eye(3) - np.outer(c, c)))
 
 
-def steiner(root: ET.Element, link: str) -> np.ndarray:
-    m = float(of_link(root, link, "inertial/mass").get("value", "0"))
-    c = np.array([float(x) for x in of_link(root, link, "inertial/origin").get("xyz", "").split()])
-    return m * (c @ c * np.eye(3) - np.outer(c, c))
+def exchanged(one: int, other: int) -> Change:
+    """Two moments for one another."""
+    order = np.arange(3)
+    order[[one, other]] = other, one
+    return tensor(lambda own, m, c: np.where(np.eye(3), own[order][:, order], own))
+
+
+def no_inertia(link: ET.Element) -> None:
+    link.remove(child(link, "inertial"))
 
 
 # What is right
@@ -89,99 +107,55 @@ def test_a_sliding_arm_with_fixed_links_is_in_order(gantry: Robot) -> None:
 
 # Inertias
 
-
-def stated(link: str, path: str, **values: str) -> Plant:
-    """Other attributes of an element of a link's inertia."""
-
-    def plant(root: ET.Element) -> None:
-        of_link(root, link, f"inertial/{path}").attrib.update(values)
-
-    return plant
-
-
-def scaled(link: str, factor: float, mass: str | None = None) -> Plant:
-    """A tensor times a factor, and perhaps another mass."""
-
-    def plant(root: ET.Element) -> None:
-        set_tensor(root, link, factor * tensor(root, link))
-        if mass is not None:
-            stated(link, "mass", value=mass)(root)
-
-    return plant
-
-
-def shifted(link: str, times: float) -> Plant:
-    """The parallel-axis term added to a tensor."""
-    return lambda root: set_tensor(root, link, tensor(root, link) + times * steiner(root, link))
-
-
-def exchanged(link: str, one: str, other: str) -> Plant:
-    def plant(root: ET.Element) -> None:
-        element = of_link(root, link, "inertial/inertia")
-        element.attrib |= {one: element.attrib[other], other: element.attrib[one]}
-
-    return plant
-
-
-def no_inertia(root: ET.Element) -> None:
-    link = child(root, "link[@name='link2']")
-    link.remove(child(link, "inertial"))
-
-
-def unit_ball(root: ET.Element) -> None:
-    stated("wrist_2_link", "mass", value="1")(root)
-    set_tensor(root, "wrist_2_link", 0.01 * np.eye(3))
-
-
-def one_for_three(root: ET.Element) -> None:
-    for link in ("wrist_2_link", "wrist_3_link"):
-        mass = of_link(root, "wrist_1_link", "inertial/mass").get("value", "")
-        of_link(root, link, "inertial/mass").set("value", mass)
-        set_tensor(root, link, tensor(root, "wrist_1_link"))
-
-
-WRISTS = "wrist_1_link wrist_2_link wrist_3_link"
-INERTIAS: dict[str, list[tuple[str, Plant, str]]] = {
-    "no_inertia": [("link2", no_inertia, "<inertial>")],
+INERTIAS: dict[str, list[tuple[str, str, Change, str]]] = {
+    "no_inertia": [("planar_2r", "link2", no_inertia, "<inertial>")],
     "inertia_not_physical": [
-        ("wrist_1_link", stated("wrist_1_link", "inertia", iyy="-0.00222"), "not positive"),
-        ("forearm_link", stated("forearm_link", "inertia", izz="0.9"), "triangle"),
-        ("wrist_3_link", stated("wrist_3_link", "mass", value="-0.365"), "mass -0.365"),
-        ("upper_arm_link", shifted("upper_arm_link", -1), "subtracted twice"),
+        ("ur10", "wrist_1_link", stated("inertial/inertia", iyy="-0.00222"), "not positive"),
+        ("ur10", "forearm_link", stated("inertial/inertia", izz="0.9"), "triangle"),
+        ("ur10", "wrist_3_link", stated("inertial/mass", value="-0.365"), "mass -0.365"),
+        ("ur10", "upper_arm_link", shifted(-1), "subtracted twice"),
     ],
     "inertia_frame": [
-        ("upper_arm_link", shifted("upper_arm_link", 1), "may be about the joint frame"),
-        ("link1", shifted("link1", 1), "may be"),
+        ("ur10", "upper_arm_link", shifted(1), "may be about the joint frame"),
+        ("ur10", "forearm_link", shifted(1), "may be"),
+        ("planar_2r", "link1", shifted(1), "may be"),
     ],
     "inertia_axes": [
-        ("forearm_link", exchanged("forearm_link", "ixx", "iyy"), "along y"),
-        ("upper_arm_link", stated("upper_arm_link", "origin", rpy="0 0 1.5707963267949"), "rpy"),
+        ("ur5e", "forearm_link", exchanged(0, 1), "along y"),
+        ("planar_2r", "link2", exchanged(0, 2), "along z"),
+        ("ur10", "upper_arm_link", stated("inertial/origin", rpy="0 0 1.5707963267949"), "rpy"),
     ],
     "centre_of_mass": [
-        ("forearm_link", stated("forearm_link", "origin", xyz="-332.3 0 68"), "not mm"),
-        ("upper_arm_link", stated("upper_arm_link", "origin", xyz="0.232 0 0.158"), "signs"),
+        ("ur10", "forearm_link", stated("inertial/origin", xyz="-332.3 0 68"), "not mm"),
+        ("ur10", "upper_arm_link", stated("inertial/origin", xyz="0.232 0 0.158"), "signs"),
     ],
     "inertia_size": [
-        ("forearm_link", scaled("forearm_link", 1e6), "too large"),
-        ("upper_arm_link", scaled("upper_arm_link", 1e-3), "too small"),
+        ("ur10", "forearm_link", scaled(1e6), "too large"),
+        ("planar_2r", "link2", scaled(1e3), "too large"),
+        ("ur10", "upper_arm_link", scaled(1e-3), "too small"),
     ],
     "placeholder_inertia": [
-        ("link2", scaled("link2", 0.007 / 3, "0.007"), "7 g"),
-        ("wrist_2_link", unit_ball, "0.01 kg·m²"),
-        (WRISTS, one_for_three, "one and the same"),
+        ("planar_2r", "link2", scaled(0.007 / 3, "0.007"), "7 g"),
+        ("ur10", "wrist_3_link", scaled(0.001 / 0.365, "0.001"), "1 g"),
+        ("ur10", "wrist_2_link", tensor(lambda *_: 0.01 * np.eye(3), "1"), "0.01 kg·m²"),
+        (
+            "ur10",
+            "wrist_1_link wrist_2_link wrist_3_link",
+            tensor(lambda *_: np.diag([0.0025, 0.0022, 0.0024]), "1.22"),
+            "one and the same",
+        ),
     ],
 }
 
 
 @pytest.mark.parametrize(
-    ("check", "links", "plant", "words"),
+    ("check", "arm", "links", "change", "words"),
     [(check, *case) for check, cases in INERTIAS.items() for case in cases],
 )
 def test_an_inertia_that_cannot_be_is_named(
-    check: str, links: str, plant: Plant, words: str
+    check: str, arm: str, links: str, change: Change, words: str
 ) -> None:
-    elbow = "ur5e" if check == "inertia_axes" else "ur10"
-    robot = planted("planar_2r" if links.startswith("link") else elbow, plant)
+    robot = planted(arm, links, change)
     assert found(robot) == {(check, link) for link in links.split()}
     (warning,) = (w for w in ModelCheck(robot).warnings if not w.hint)
     assert words in warning.sentence
@@ -190,24 +164,19 @@ def test_an_inertia_that_cannot_be_is_named(
 
 def test_two_equal_links_are_nothing_odd() -> None:
     """As the first two wrists of the UR10 are."""
+    own = child(ET.fromstring(load_robot("ur10").urdf), "link[@name='upper_arm_link']/inertial")
 
-    def plant(root: ET.Element) -> None:
-        one, other = (
-            of_link(root, link, "inertial") for link in ("upper_arm_link", "forearm_link")
-        )
-        other[:] = [child(one, "origin"), child(one, "mass"), child(one, "inertia")]
+    def equal(link: ET.Element) -> None:
+        child(link, "inertial")[:] = list(own)
 
-    assert "placeholder_inertia" not in {check for check, _ in found(planted("ur10", plant))}
+    odd = found(planted("ur10", "forearm_link", equal))
+    assert "placeholder_inertia" not in {check for check, _ in odd}
 
 
 def test_what_no_torque_depends_on_is_only_a_hint() -> None:
     """The first link of an upright arm turns about the vertical: moments across do not count."""
-
-    def plant(root: ET.Element) -> None:
-        of_link(root, "shoulder_link", "inertial/origin").set("rpy", "0 0 0")
-        set_tensor(root, "shoulder_link", np.diag([2.0, 2.0, 0.03]))
-
-    robot = planted("ur10", plant)
+    across = tensor(lambda *_: np.diag([2.0, 2.0, 0.03]))
+    robot = planted("ur10", "shoulder_link", stated("inertial/origin", rpy="0 0 0"), across)
     assert found(robot) == set()
     assert found(robot, hint=True) == {("inertia_size", "shoulder_link")}
     tilted = robot.with_gravity([3.0, 2.0, -9.0])  # nor does it with another gravity
@@ -216,44 +185,33 @@ def test_what_no_torque_depends_on_is_only_a_hint() -> None:
 
 # Axes, limits, weight
 
-
-def set_axis(joint: str, text: str) -> Plant:
-    return lambda root: of_joint(root, joint, "axis").set("xyz", text)
-
-
-def set_limit(joint: str, **values: str) -> Plant:
-    def plant(root: ET.Element) -> None:
-        for key, value in values.items():
-            of_joint(root, joint, "limit").set(key, value)
-
-    return plant
-
-
-JOINTS: dict[str, tuple[Plant, str, str, bool]] = {
-    "axis too long": (set_axis("joint2", "0 -2 0"), "joint_axis", "joint2", False),
-    "no effort": (set_limit("joint1", effort="0"), "no_effort_limit", "joint1", False),
-    "no speed": (set_limit("joint2", velocity="0"), "no_velocity_limit", "joint2", False),
-    "upside down": (set_limit("joint2", lower="1", upper="-1"), "position_limits", "joint2", False),
-    "empty range": (set_limit("joint1", lower="0", upper="0"), "position_limits", "joint1", False),
-    "zero outside": (set_limit("joint2", lower="0.5"), "zero_outside_limits", "joint2", True),
-    "too weak": (set_limit("joint1", effort="20"), "gravity", "joint1", False),
+JOINTS: dict[str, tuple[str, Change, str, bool]] = {
+    "axis too long": ("joint2", stated("axis", xyz="0 -2 0"), "joint_axis", False),
+    "no effort": ("joint1", stated("limit", effort="0"), "no_effort_limit", False),
+    "no speed": ("joint2", stated("limit", velocity="0"), "no_velocity_limit", False),
+    "upside down": ("joint2", stated("limit", lower="1", upper="-1"), "position_limits", False),
+    "empty range": ("joint1", stated("limit", lower="0", upper="0"), "position_limits", False),
+    "zero outside": ("joint2", stated("limit", lower="0.5"), "zero_outside_limits", True),
+    "too weak": ("joint1", stated("limit", effort="20"), "gravity", False),
 }
 
 
-@pytest.mark.parametrize(("plant", "check", "joint", "hint"), JOINTS.values(), ids=JOINTS.keys())
-def test_a_joint_that_cannot_be_is_named(plant: Plant, check: str, joint: str, hint: bool) -> None:
-    robot = planted("planar_2r", plant)
+@pytest.mark.parametrize(("joint", "change", "check", "hint"), JOINTS.values(), ids=JOINTS.keys())
+def test_a_joint_that_cannot_be_is_named(
+    joint: str, change: Change, check: str, hint: bool
+) -> None:
+    robot = planted("planar_2r", joint, change)
     assert found(robot, hint=hint) == {(check, joint)}
     assert found(robot, hint=not hint) == set()
 
 
-@pytest.mark.parametrize("text", ["-1.57", "0.7853", "1.5707963267948966", "1.5712", "0.00"])
-def test_a_right_angle_with_few_digits_is_a_hint(text: str) -> None:
-    def plant(root: ET.Element) -> None:
-        child(root, "joint[@name='joint2']/origin").set("rpy", f"0 {text} 0")
+EXACT = ("1.5707963267948966", "-1.570796327", "1.5712", "0.00")
 
-    hints = found(planted("planar_2r", plant), hint=True)
-    assert (("rounded_angles", "joint2") in hints) == (text in ("-1.57", "0.7853"))
+
+@pytest.mark.parametrize("text", ["1.5708", "-1.57", "3.14159", "0.7853", *EXACT])
+def test_a_right_angle_with_few_digits_is_a_hint(text: str) -> None:
+    robot = planted("planar_2r", "joint2", stated("origin", rpy=f"0 {text} 0"))
+    assert (("rounded_angles", "joint2") in found(robot, hint=True)) == (text not in EXACT)
 
 
 def test_gravity_peak_is_the_stretched_arm_level() -> None:
