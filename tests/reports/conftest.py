@@ -1,8 +1,10 @@
 """Runs of every verb, made up for a four-joint arm, with the nulls and long names of real ones."""
 
 import copy
+import re
 from collections.abc import Callable
 from functools import cache, partial
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -18,7 +20,6 @@ from excitant.reports.run import as_saved
 from excitant.robots import Motion, load_robot
 from excitant.robots.check import ModelCheck
 from excitant.robots.effects import standard_effects
-from excitant.robots.parameters import STANDARD
 
 JOINTS = [
     "shoulder_pan_joint",
@@ -27,8 +28,6 @@ JOINTS = [
     "wrist_roll_joint",
 ]
 NV = len(JOINTS)
-LINKS = [f"{joint.removesuffix('_joint')}_link" for joint in JOINTS]
-UNITS = ["kg", *["kg·m"] * 3, *["kg·m²"] * 6]
 LONG_LABEL = "distance since the last reversal, signed by direction [rad]"
 SIZE = np.array([40.0, 30.0, 4.0, 0.6])
 
@@ -43,14 +42,6 @@ def _motion(n: int, duration: float, rng: np.random.Generator) -> tuple[np.ndarr
     a, b = rng.normal(size=(2, 5, NV)) / np.arange(1, 6)[:, None]
     s, c = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
     return t, s @ a + c @ b, (c * w) @ a - (s * w) @ b, -(s * w**2) @ a - (c * w**2) @ b
-
-
-def _expression(rng: np.random.Generator, link: int, terms: int) -> str:
-    text = f"{LINKS[link]}.{STANDARD[int(rng.integers(10))]}"
-    for _ in range(terms):
-        other = f"{LINKS[int(rng.integers(link, NV))]}.{STANDARD[int(rng.integers(10))]}"
-        text += f" {'+' if rng.random() < 0.6 else '−'} {rng.random():.5g}·{other}"
-    return text
 
 
 def _rows(**columns: Any) -> list[dict[str, Any]]:
@@ -84,6 +75,35 @@ def _space(q: np.ndarray) -> dict[str, np.ndarray]:
     return {"tool": tool, "arm": arm, "arm_t": np.linspace(0.0, 10.0, 5)}
 
 
+@cache
+def _analysis() -> Run:
+    """A real one, of a motion in which the elbow rests."""
+    arm = load_robot("ur10")
+    motion = random_trajectory(arm, np.random.default_rng(0), 10.0, 5).motion(50.0)
+    elbow, moved = np.arange(arm.nv) == 2, (motion.q, motion.dq, motion.ddq)
+    resting = [np.where(elbow, at, x) for at, x in zip((0.4, 0.0, 0.0), moved, strict=True)]
+    effects = standard_effects(arm.joints)
+    found = analyze(arm, effects=effects, motion=Motion(motion.t, *resting))
+    return as_saved(found.result(), found.series())
+
+
+def analyze_run() -> Run:
+    return copy.deepcopy(_analysis())
+
+
+def _parameters() -> list[dict[str, Any]]:
+    """Of a real arm, link by link."""
+    return [
+        {**row, "link": link["link"], "prior_dominated": row["decided_by"] == "prior"}
+        for link in analyze_run()[0]["links"]
+        for row in link["parameters"]
+    ]
+
+
+def _base_parameters() -> list[dict[str, Any]]:
+    return [{**row, "expression": row["name"]} for row in analyze_run()[0]["practical"]]
+
+
 def robots_run() -> Run:
     check = ModelCheck(load_robot("scara"))
     return check.result(), check.series()
@@ -93,15 +113,10 @@ def design_run() -> Run:
     rng = np.random.default_rng(1)
     t, q, dq, ddq = _motion(2001, 10.0, rng)
     most, fast, jolt = (abs(x).max(0) for x in (q, dq, ddq))
-    k = np.arange(10)
-    weakest = _rows(
-        name=[f"{LINKS[i % NV]}.{STANDARD[i]}" for i in k],
-        expression=[_expression(rng, i % NV, 25 if i == 3 else i % 4) for i in k],
-        unit="kg·m²",
-        value=np.where(k == 4, np.nan, rng.normal(size=10)),
-        std_per_unit_noise_initial=3.0 / (1 + k),
-        std_per_unit_noise_final=0.15 / (1 + k),
-    )
+    weakest = [
+        row | {"std_per_unit_noise_initial": 3.0 / k, "std_per_unit_noise_final": 0.15 / k}
+        for k, row in enumerate(_base_parameters()[:10], start=1)
+    ]
     ends = 9.31 + 0.7 * np.arange(8) ** 1.5
     starts = _rows(
         condition_number=ends,
@@ -152,7 +167,7 @@ def rehearse_run() -> Run:
     designed, series = design_run()
     friction = {"name": "viscous friction", "unit": "N·m·s/rad", "planted": 0.57}
     items = [
-        {"name": "velocity limits", "joint": JOINTS[2], "passed": True, "detail": "99 % used"},
+        {"name": "velocity limits", "joint": JOINTS[0], "passed": True, "detail": "99 % used"},
         {**friction, "joint": JOINTS[1], "passed": True, "recovered": 0.572, "std": 0.005},
         {**friction, "joint": JOINTS[3], "passed": False, "recovered": 0.3, "detail": "too little"},
     ]
@@ -173,51 +188,10 @@ def _holdout(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     return t, dq, measured, 0.85 * clean, clean + 0.98 * friction
 
 
-def _parameters(rng: np.random.Generator) -> dict[str, Any]:
-    n, many = 10 * NV, 57
-    category = rng.choice(["unique", "combined", "unidentifiable"], n)
-    value, std = rng.normal(size=many), 10 ** rng.uniform(-4, -0.3, many)
-    std[9] = np.nan
-    terms = [25 if k == 3 else int(rng.integers(6)) for k in range(many)]
-    return {
-        "parameters": _rows(
-            name=[f"{link}.{symbol}" for link in LINKS for symbol in STANDARD],
-            link=np.repeat(LINKS, 10),
-            value=rng.normal(size=n) * 10 ** rng.uniform(-5, 1, n),
-            std=np.where(category == "unidentifiable", np.nan, 10 ** rng.uniform(-5, 0, n)),
-            unit=UNITS * NV,
-            category=category,
-            prior=np.where(np.arange(n) // 10 == 1, np.nan, rng.normal(size=n)),
-            prior_dominated=category != "unique",
-        ),
-        "base_parameters": _rows(
-            expression=[_expression(rng, k % NV, count) for k, count in enumerate(terms)],
-            value=value,
-            std=std,
-            rel_std=abs(std / value),
-        ),
-    }
-
-
-def _payload() -> dict[str, Any]:
-    values = [1.5, 0.03, -0.045, 0.3, 0.07, 0.001, 0.068, -0.006, 0.009, 0.008]
-    decided = [symbol == "Izz" for symbol in STANDARD]
-    return {
-        "link": "link7",
-        "mass": {"value": 1.5, "std": 0.002, "unit": "kg"},
-        "centre_of_mass": {"value": [0.02, -0.03, 0.2], "std": [1e-4, 1e-4, 5e-3], "unit": "m"},
-        "parameters": _rows(
-            name=STANDARD, value=values, std=0.01, unit=UNITS, prior_dominated=decided
-        ),
-        "shortcomings": ["centre of mass along z is known to ±10 mm only"],
-        "notes": ["torque came as motor current: a gain that is wrong by 1 % makes mass wrong"],
-    }
-
-
-def _online(rng: np.random.Generator) -> Run:
+def _online(rng: np.random.Generator, rows: int) -> Run:
     """What the monitor saw at 24 looks; too little excitation from 6 to 9 s."""
     t = 1.0 + 0.5 * np.arange(24)
-    std = np.exp(-t[:, None] / rng.uniform(2, 20, 57))
+    std = np.exp(-t[:, None] / rng.uniform(2, 20, rows))
     history = {
         "t": t,
         "excitation_level": [None] * 4 + [0.01 if 6 < x < 9 else 30.0 for x in t[4:]],
@@ -233,16 +207,6 @@ def _online(rng: np.random.Generator) -> Run:
     return online, {"online_t": t, "online_value": value, "online_std": std}
 
 
-def _link_by_link() -> dict[str, Any]:
-    seen = {"determined": [{"expression": "l2.Izz", "value": 1.0, "std": 0.1}]}
-    left = {"missing": ["l2.m"], "needed": ["turn the base"]}
-    used = {"recordings": ["r"], "rows": 100, "mode": "swings"}
-    stages = [{"link": "l2", "joint": "j2", **used, **seen, **left}, {"link": "l1", "joint": "j1"}]
-    errors = {"name": "j1", "given": 1.0, "all_at_once": 0.5, "link_by_link": 0.4}
-    comparison = {"joints": [errors]}
-    return {"determined": 1, "base_parameters": 2, "stages": stages, "comparison": comparison}
-
-
 def identify_run() -> Run:
     """With all that its options add."""
     rng = np.random.default_rng(2)
@@ -251,7 +215,22 @@ def identify_run() -> Run:
     given[:, 3] = np.nan
     interval = {"half_width": 0.3, "half_width_parameters": 0.1, "coverage": 0.712}
     judged = _accuracy(after, scale, interval95=[interval] * NV)
-    online, estimates = _online(rng)
+    base = _base_parameters()
+    online, estimates = _online(rng, len(base))
+    payload = {
+        "link": "link7",
+        "mass": {"value": 1.5, "std": 0.002, "unit": "kg"},
+        "centre_of_mass": {"value": [0.02, -0.03, 0.2], "std": [1e-4, 1e-4, 5e-3], "unit": "m"},
+        "parameters": _parameters()[:10],
+        "shortcomings": ["centre of mass along z is known to ±10 mm only"],
+        "notes": ["torque came as motor current: a gain that is wrong by 1 % makes mass wrong"],
+    }
+    seen = {"determined": [{"expression": "l2.Izz", "value": 1.0, "std": 0.1}]}
+    left = {"missing": ["l2.m"], "needed": ["turn the base"]}
+    used = {"recordings": ["r"], "rows": 100, "mode": "swings"}
+    stages = [{"link": "l2", "joint": "j2", **used, **seen, **left}, {"link": "l1", "joint": "j1"}]
+    errors = {"joints": [{"name": "j1", "given": 1.0, "all_at_once": 0.5, "link_by_link": 0.4}]}
+    by_link = {"determined": 1, "base_parameters": 2, "stages": stages, "comparison": errors}
     result = FILTERED | {
         "verb": "identify",
         "estimator": "physical",
@@ -269,54 +248,34 @@ def identify_run() -> Run:
         "notes": ["wrist_roll_joint moved too little in the hold-out to be judged there.", None],
         "files": ["identified.urdf", "identified.xml", "model.yaml"],
     }
-    result |= {"link_by_link": _link_by_link(), "payload": _payload(), "online": online}
+    result |= {"link_by_link": by_link, "payload": payload, "online": online}
     series = {"t": t, "measured": measured, "given": given, "identified": identified}
     series["half_width"] = np.full_like(measured, 0.3)
-    return result | _parameters(rng), series | estimates
+    result |= {"parameters": _parameters(), "base_parameters": base}
+    return result, series | estimates
 
 
-@cache
-def analyze_run() -> Run:
-    """A real one, of a motion in which the elbow rests."""
-    arm = load_robot("ur10")
-    motion = random_trajectory(arm, np.random.default_rng(0), 10.0, 5).motion(50.0)
-    elbow, moved = np.arange(arm.nv) == 2, (motion.q, motion.dq, motion.ddq)
-    resting = [np.where(elbow, at, x) for at, x in zip((0.4, 0.0, 0.0), moved, strict=True)]
-    effects = standard_effects(arm.joints)
-    found = analyze(arm, effects=effects, motion=Motion(motion.t, *resting))
-    return found.result(), found.series()
-
-
-def _findings() -> list[dict[str, Any]]:
+def _findings() -> list[Any]:
     level = {"name": "elbow_joint.stribeck", "value": 4.8123, "std": 0.0312, "unit": "N·m"}
     speed = {"name": "elbow_joint.stribeck_velocity", "value": 0.0712, "std": None, "unit": "rad/s"}
-    first = {
-        "effect": "stribeck_friction",
-        "joints": ["elbow_joint"],
-        "parameters": [level, speed],
-        "explained": 0.731,
-        "holdout": {"rms_before": 4.62, "rms_after": 1.31},
-        "verdict": "named",
-        "figure": {"x_label": LONG_LABEL, "joint": "elbow_joint"},
-    }
+    stribeck = {"effect": "stribeck_friction", "joints": ["elbow_joint"], "verdict": "named"}
+    stribeck |= {"parameters": [level, speed], "explained": 0.731}
+    stribeck |= {"holdout": {"rms_before": 4.62, "rms_after": 1.31}}
+    stribeck |= {"figure": {"x_label": LONG_LABEL, "joint": "elbow_joint"}}
     rival = {
         "effect": "payload",
         "joints": [JOINTS[3]],
         "why": "A mass at the flange makes the torque of a heavier wrist link.",
-        "experiment": "Move wrist_roll_joint through ±1.5 rad at 0.2 rad/s, first with the "
-        "forearm level, then upright.",
+        "experiment": "Move wrist_roll_joint through ±1.5 rad at 0.2 rad/s with the forearm level.",
     }
-    names, values = [f"{LINKS[2]}.{symbol}" for symbol in STANDARD], 0.001234 * np.arange(10)
-    second = {
-        "effect": "inertial_parameters",
-        "joints": [JOINTS[2], "wrist_roll_joint"],
-        "parameters": _rows(name=names, value=values, std=1e-5, unit="kg·m²"),
-        "explained": 0.112,
+    inertia = {"effect": "inertial_parameters", "joints": JOINTS[2:], "verdict": "undecided"}
+    inertia |= {
+        "parameters": _parameters()[10:20],
         "holdout": {"rms_before": 1.31, "rms_after": 1.18},
-        "verdict": "undecided",
-        "rivals": [rival, dict.fromkeys(rival) | {"effect": "rotor_inertia"}],
     }
-    return [first, second, {"effect": "unknown", "joints": None, "parameters": None}]
+    inertia |= {"explained": 0.112}
+    inertia |= {"rivals": [rival, dict.fromkeys(rival) | {"effect": "rotor_inertia"}]}
+    return [stribeck, inertia, {"effect": "unknown", "joints": None, "parameters": None}]
 
 
 def _given_model() -> dict[str, Any]:
@@ -415,43 +374,35 @@ BUILDERS: dict[str, Callable[[], Run]] = {
 }
 
 
-class Shown(HTMLParser):
-    """A page as a reader meets it: elements in order, words, headings of parts, names of drawings.
+def _plain(source: str) -> str:
+    source = re.sub(r"<(style|script).*?</\1>|<wbr>", "", source, flags=re.DOTALL)
+    return " ".join(unescape(re.sub(r"<[^>]*>", " ", source)).split())
 
-    Every element is closed as it was opened.
-    """
+
+class Shown(HTMLParser):
+    """A page as its reader meets it; every element is closed as it was opened."""
 
     def __init__(self, source: str) -> None:
         super().__init__()
-        self.source, self.open, self.text = source, [], []
+        self.source, self.open = source, []
         self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.headings: list[str] = []
         self.feed(source)
         self.close()
         assert self.open == []
-        self.words = " ".join("".join(self.text).split())
+        self.words = _plain(source)
+        self.headings = [_plain(h) for h in re.findall(r"<h3[^>]*>(.*?)</h3>", source)]
         self.labels = [attrs["aria-label"] or "" for attrs in self.all("svg") if "role" in attrs]
 
     def handle_starttag(self, tag, attrs):
         self.elements.append((tag, dict(attrs)))
         if tag not in {"meta", "br", "wbr", "hr", "img", "link", "input"}:
             self.open.append(tag)
-            self.text.append(" ")
-        if tag == "h3":
-            self.headings.append("")
 
     def handle_endtag(self, tag):
         assert self.open.pop() == tag
-        self.text.append(" ")
 
-    def handle_data(self, data):
-        if not {"style", "script"} & set(self.open):
-            self.text.append(data)
-        if "h3" in self.open:
-            self.headings[-1] += data
-
-    def all(self, *tags):
-        return [attrs for tag, attrs in self.elements if tag in tags]
+    def all(self, tag):
+        return [attrs for name, attrs in self.elements if name == tag]
 
 
 @cache
@@ -461,19 +412,16 @@ def _page(verb: str) -> Shown:
 
 @pytest.fixture(params=list(BUILDERS))
 def run(request: pytest.FixtureRequest) -> Run:
-    """A run of each verb."""
     return BUILDERS[request.param]()
 
 
 @pytest.fixture(params=list(BUILDERS))
 def page(request: pytest.FixtureRequest) -> Shown:
-    """The page of each verb."""
     return _page(request.param)
 
 
 @pytest.fixture(scope="session", params=list(BUILDERS))
 def file(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of each verb as a file."""
     path = tmp_path_factory.mktemp(request.param) / "report.html"
     path.write_text(_page(request.param).source, "utf-8")
     return path
@@ -481,19 +429,16 @@ def file(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 @pytest.fixture(scope="session")
 def make() -> dict[str, Callable[[], Run]]:
-    """How to make a run, by verb."""
     return BUILDERS
 
 
 @pytest.fixture(scope="session")
 def written() -> Callable[[str], Shown]:
-    """The page of a verb's run as it is, written once for all tests."""
     return _page
 
 
 @pytest.fixture(scope="session")
 def show() -> Callable[[dict[str, Any], dict[str, np.ndarray]], Shown]:
-    """The page of a result and its series."""
     return lambda result, series: Shown(html(page_of(result, series)))
 
 

@@ -17,9 +17,8 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the PATH"),
 ]
 
-WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
+WIDTHS = (1280, 400)
 SIZES = "[document.documentElement.scrollWidth, document.documentElement.clientWidth]"
-WHITE = "rgb(255, 255, 255)"
 
 
 @pytest.fixture(scope="module")
@@ -34,51 +33,38 @@ class Opened:
     """A page in the browser, with what it asked for and complained about."""
 
     def __init__(self, browser, file: Path, width: int, scheme: str) -> None:
-        self.context = browser.new_context(
-            viewport={"width": width, "height": 900},
-            color_scheme=scheme,
-            reduced_motion="reduce",
-            offline=True,
-        )
-        self.page, self.said, self.asked = self.context.new_page(), [], []
+        look = {"color_scheme": scheme, "reduced_motion": "reduce", "offline": True}
+        self.page = browser.new_page(viewport={"width": width, "height": 900}, **look)
+        self.said, self.asked = [], []
         self.page.on("console", lambda message: self.said.append(message.text))
         self.page.on("pageerror", lambda error: self.said.append(str(error)))
         self.page.on("request", lambda request: self.asked.append(request.url))
         self.page.goto(file.as_uri())
+        self.contents = self.page.evaluate("document.querySelector('nav details').open")
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.context.close()
-
-    def unfold(self) -> None:
+    def unfolded(self) -> Iterator["Opened"]:
         self.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true })")
+        yield self
+        self.page.close()
 
 
-@pytest.fixture(
-    scope="module", params=list(product(WIDTHS, SCHEMES)), ids=lambda p: f"{p[0]}-{p[1]}"
-)
+@pytest.fixture(scope="module", params=list(product(WIDTHS, ("light", "dark"))))
 def opened(request: pytest.FixtureRequest, browser, file: Path) -> Iterator[Opened]:
-    with Opened(browser, file, *request.param) as page:
-        yield page
+    yield from Opened(browser, file, *request.param).unfolded()
 
 
 @pytest.fixture(scope="module", params=WIDTHS)
 def light(request: pytest.FixtureRequest, browser, file: Path) -> Iterator[Opened]:
-    with Opened(browser, file, request.param, "light") as page:
-        yield page
+    yield from Opened(browser, file, request.param, "light").unfolded()
 
 
 def test_page_opens_alone_and_without_complaint(opened, file):
-    opened.unfold()
     opened.page.wait_for_load_state("networkidle")
     assert [url for url in opened.asked if not url.startswith("data:")] == [file.as_uri()]
     assert opened.said == []
 
 
 def test_page_is_no_wider_than_the_window(opened):
-    opened.unfold()
     wide, window = opened.page.evaluate(SIZES)
     assert wide <= window
     outside = opened.page.evaluate(
@@ -129,16 +115,13 @@ CONTRAST = """() => {
 
 
 def test_text_stands_out_from_its_ground(opened):
-    opened.unfold()
     seen, poor = opened.page.evaluate(CONTRAST)
     assert seen > 20
     assert poor == {}
 
 
 def test_contents_lead_to_their_sections_and_are_shut_on_a_phone(light):
-    contents = light.page.locator("nav details")
-    assert contents.evaluate("d => d.open") == (light.page.viewport_size["width"] > 480)
-    contents.evaluate("d => { d.open = true }")
+    assert light.contents == (light.page.viewport_size["width"] > 480)
     links = light.page.locator("nav a")
     assert links.count() > 0
     for k in range(links.count()):
@@ -203,7 +186,6 @@ DRAWN = """async () => {
 
 
 def test_drawings_show_something_in_letters_that_are_legible_apart_and_inside(light):
-    light.unfold()
     drawn = light.page.evaluate(DRAWN)
     assert drawn.pop("least")[0] > 8.5
     assert drawn == {"overlaps": [], "outside": [], "empty": [], "small": []}
@@ -212,7 +194,6 @@ def test_drawings_show_something_in_letters_that_are_legible_apart_and_inside(li
 
 
 def test_tables_that_go_on_show_it(light):
-    light.unfold()
     seen = light.page.evaluate(
         """async () => {
           const found = [];
@@ -235,7 +216,6 @@ def test_tables_that_go_on_show_it(light):
 
 
 def test_no_cell_is_a_ladder_of_words(light):
-    light.unfold()
     ladders = light.page.evaluate(
         """() => [...document.querySelectorAll("td, tbody th")].filter((cell) => {
           const { width, height } = cell.getBoundingClientRect();
@@ -283,16 +263,16 @@ def test_drawing_opens_and_closes_by_mouse_and_keyboard(light):
 
 
 def test_paper_shows_all_in_light_colours(browser, file):
-    with Opened(browser, file, 690, "dark") as opened:  # A4 within its margins
-        opened.page.emulate_media(media="print", color_scheme="dark")
-        opened.page.evaluate("dispatchEvent(new Event('beforeprint'))")
-        wide, window = opened.page.evaluate(SIZES)
-        assert wide <= window
-        driver.expect(opened.page.locator("body")).to_have_css("background-color", WHITE)
-        assert opened.page.locator(".enlarge:visible").count() == 0
-        for table in opened.page.locator("table").all():
-            assert table.bounding_box()["height"] > 20
-        _, poor = opened.page.evaluate(CONTRAST)
-        assert poor == {}
-        opened.page.evaluate("dispatchEvent(new Event('afterprint'))")
-        assert opened.page.locator("main details[open]").count() == 0
+    page = Opened(browser, file, 690, "dark").page  # A4 within its margins
+    page.emulate_media(media="print", color_scheme="dark")
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    wide, window = page.evaluate(SIZES)
+    assert wide <= window
+    driver.expect(page.locator("body")).to_have_css("background-color", "rgb(255, 255, 255)")
+    assert page.locator(".enlarge:visible").count() == 0
+    assert all(table.bounding_box()["height"] > 20 for table in page.locator("table").all())
+    _, poor = page.evaluate(CONTRAST)
+    assert poor == {}
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert page.locator("main details[open]").count() == 0
+    page.close()

@@ -22,10 +22,6 @@ def wrong(result):
     return parts_of(result, {})["What is wrong with the given model"]
 
 
-def texts(table):
-    return [[cell.text for cell in row] for row in table.rows]
-
-
 def test_page_says_what_is_wrong_with_the_given_model(run, written):
     assert list(parts_of(*run))[1] == "What is wrong with the given model"
     for words in ("Re-fitting the inertias alone would hardly help.", " 31.0 "):
@@ -49,7 +45,7 @@ def test_forward_simulation_says_where_a_model_diverges_or_is_no_closer(run):
     forward["joints"][1]["extended"] = 0.06
     forward["notes"] = ["The given model leaves the motion for good."]
     table, notes = wrong(run[0])[-2:]
-    assert texts(table)[0][1:3] == ["diverges", "2.00"]
+    assert [cell.text for cell in table.rows[0][1:3]] == ["diverges", "2.00"]
     assert f"no closer at {forward['joints'][1]['name']}" in table.caption
     assert isinstance(notes, Notes)
 
@@ -98,8 +94,8 @@ def test_an_unknown_cause_claims_no_share(run):
         "holdout": {"rms_before": 2.0, "rms_after": 2.0},
     }]  # fmt: skip
     parts = parts_of(run[0], {})
-    (row,) = texts(parts["Key figures"][-1])
-    assert (row[1], row[3], row[5]) == ("unknown cause", "–", "–")
+    (row,) = parts["Key figures"][-1].rows
+    assert [row[k].text for k in (1, 3, 5)] == ["unknown cause", "–", "–"]
     (blocks,) = (blocks for title, blocks in parts.items() if title.startswith("Finding 1"))
     assert blocks[0].sentences[0].endswith("explains: it stays correlated over 0.4 s.")
 

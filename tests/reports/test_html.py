@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from excitant.reports import page_of, summary
-from excitant.reports import values as v
 
 VERBS = ("robots", "design", "check", "rehearse", "identify", "analyze", "diagnose")
 
@@ -119,7 +118,7 @@ def _cut(value, most):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("most", [1, 3])
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", [*VERBS, "compare"])
 def test_any_value_may_be_null(verb, most, make, show, undrawn):
     """In all items of a list, and in one of several."""
     result, series = make[verb]()
@@ -197,15 +196,3 @@ def test_a_quantity_without_a_limit_does_not_hold_it(show):
     worst = {"velocity": {"joint": "a", "t": 1.0}, "acceleration": None}
     result = {"verb": "check", "robot": "arm", "joints": ["a"], "holds": True}
     assert show({**result, "limits": limits, "worst": worst}, {}).words.count("no limit given") == 1
-
-
-@pytest.mark.parametrize("found", [{}, {"a": None}, {"a": {}}, {"a": {"b": None}}, None, "a"])
-def test_an_absent_key_or_null_reads_as_none(found):
-    assert v.at(found, "a", "b") is None
-    assert v.real(found, "a", "b") is None
-    assert v.text(found, "a", "b") == ""
-    for read in (v.items, v.records, v.words, v.reals):
-        assert len(read(found, "a", "b")) == 0
-    assert v.median([{"a": None}, {}], "a") is None
-    assert v.curve({}, "q") is v.array({}, "q", None) is v.times({}) is None
-    assert v.number(v.at(found, "a", "b")) == v.NONE

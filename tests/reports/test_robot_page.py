@@ -95,19 +95,3 @@ def test_the_list_says_what_each_arm_is(excitant):
     assert listed["ur10"]["payload"] == 10
     assert (listed["scara"]["joints"], listed["scara"]["prismatic"]) == (4, 1)
     assert listed["planar_2r"]["weight"] is None
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("robots --mass 3", "--mass is about one arm"),
-        ("robots -o out", "-o is about one arm"),
-        ("robots ur10 --mass 0", "must be positive"),
-        ("robots ur1", "did you mean 'ur10'"),
-    ],
-)
-def test_what_cannot_be_is_refused(words, said, here, excitant):
-    refused = excitant(words)
-    assert refused.status == 1
-    assert said in refused.err
-    assert not (here / "out").exists()

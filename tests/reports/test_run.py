@@ -142,11 +142,6 @@ def test_spoilt_run_is_refused_in_one_line(culprit, content, tmp_path):
     assert "\n" not in str(caught.value)
 
 
-def test_no_folder_is_refused(tmp_path):
-    with pytest.raises(BadInput, match="no such folder"):
-        load_run(tmp_path / "absent")
-
-
 @pytest.mark.parametrize(
     ("result", "series", "said"),
     [

@@ -5,7 +5,6 @@ import difflib
 import pytest
 
 from excitant.reports import brief, html, page_of, summary
-from excitant.reports.page import Cell, Fact, Facts, Folded, Notes, Page, Section, Table
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -65,7 +64,7 @@ def test_every_accuracy_parameter_and_finding_is_in_it(make):
         assert f"[[Finding {k + 1}: " in text
     for row in result["identify"]["base_parameters"]:
         assert row["expression"].replace("−", "-") in text
-    head, *rows = text.partition("[[Standard parameters]]")[2].splitlines()[1:42]
+    head, *rows = text.partition("[[Standard parameters]]")[2].splitlines()[1:86]
     for word in ("Parameter", "Value", "± std", "Relative std", "Category", "Decided by"):
         assert word in head
     assert len(rows) == len(result["identify"]["parameters"])
@@ -79,23 +78,13 @@ def test_names_cannot_break_lines():
     assert "    a b " in text_of(result)
 
 
-def test_terminal_shows_leads_and_what_is_marked():
-    rows = ((Cell("run1"), Cell("dead channel"), Cell("–")),)
-    heads = (("Recording", "name"), ("Fault", "name"), ("Joints", "name"))
-    blocks = (
-        Notes(("Shown.",), brief="hint"),
-        Notes(("Hidden.",)),
-        Facts((Fact("a", "1"),)),
-        *(Table(heads, rows, brief=label) for label in ("fault", "", None)),
-    )
-    section = Section("Verb", "Lead.", (Folded("Part", blocks),), (("done", "well"), ("", "yet")))
-    assert brief(Page("Title", "", (), (section,), (("last", "word"),))).splitlines() == [
-        "done         well",
-        "             yet",
-        "hint         Shown.",
-        "fault        run1, dead channel",
-        "run1         dead channel",
-        "last         word",
+def test_terminal_shows_leads_and_what_is_marked(make):
+    assert brief(page_of(*make["rehearse"]())).splitlines() == [
+        "failed       the motion would not do: 1 of 3 requirements is not met",
+        "to change    Move wrist_roll_joint faster.",
+        "met          velocity limits, shoulder_pan_joint: 99 % used",
+        "met          viscous friction, elbow_joint",
+        "NOT MET      viscous friction, wrist_roll_joint: too little",
     ]
 
 
@@ -105,10 +94,10 @@ def test_terminal_shows_leads_and_what_is_marked():
         ("robots", "checked      4 joints, "),
         ("design", "designed     condition number 171 → 9.31, limits used up to 100.0 %"),
         ("check", "checked      velocity of elbow_joint reaches 131 % of its limit"),
-        ("rehearse", "failed       the motion would not do: 1 of 4 requirements is not met"),
         ("identify", "identified   hold-out error, sum of joints, "),
         ("analyze", "identifiable 58 combinations of 84 parameters; "),
         ("diagnose", "diagnosed    elbow_joint has Stribeck friction"),
+        ("diagnose", "data fault   saturation, elbow_joint: 41 samples at ±87 N·m"),
         ("demo", "hidden       Stribeck friction at elbow_joint (seed 7): named"),
     ],
 )
