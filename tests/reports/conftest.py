@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from planted import motion_of
 
 from excitant.analysis.identifiability import analyze
-from excitant.design import random_trajectory
 from excitant.reports import SavedRun, compare, html, page_of
 from excitant.reports.run import as_saved
-from excitant.robots import Motion, load_robot
+from excitant.robots import load_robot
 from excitant.robots.check import ModelCheck
 from excitant.robots.effects import standard_effects
 
@@ -79,11 +79,8 @@ def _space(q: np.ndarray) -> dict[str, np.ndarray]:
 def _analysis() -> Run:
     """A real one, of a motion in which the elbow rests."""
     arm = load_robot("ur10")
-    motion = random_trajectory(arm, np.random.default_rng(0), 10.0, 5).motion(50.0)
-    elbow, moved = np.arange(arm.nv) == 2, (motion.q, motion.dq, motion.ddq)
-    resting = [np.where(elbow, at, x) for at, x in zip((0.4, 0.0, 0.0), moved, strict=True)]
-    effects = standard_effects(arm.joints)
-    found = analyze(arm, effects=effects, motion=Motion(motion.t, *resting))
+    motion = motion_of(arm, resting=[2])
+    found = analyze(arm, effects=standard_effects(arm.joints), motion=motion)
     return as_saved(found.result(), found.series())
 
 
@@ -356,7 +353,7 @@ def compare_run() -> Run:
     result["design"]["condition_number"]["final"] *= 1.7
     identified = result["identify"]
     for row in (*identified["base_parameters"][::4], *identified["parameters"][::9]):
-        row["value"] += 3 * (row["std"] or 1.0)
+        row["value"] = (row["value"] or 0.0) + 3 * (row["std"] or 1.0)
     result["diagnose"]["findings"][2]["effect"] = "backlash"
     return compare(SavedRun("runs/one", *demo_run()), SavedRun("runs/two", result, series)), {}
 

@@ -27,7 +27,7 @@ def worse(result, _series):
             for key in ("rms", "nrmse", "r2", "rms_raw"):
                 row["validate"][key] *= 2
     for row in result["base_parameters"]:
-        row["value"] += 1.0
+        row["value"] = (row["value"] or 0.0) + 1.0
 
 
 def rows(result):
@@ -138,6 +138,8 @@ def test_two_models_differ_in_what_was_changed():
     assert differing() == set()
     assert differing(speed=2.0) == {(f"{k}.\u00a0joint{k}, link{k}", "Speed") for k in (1, 2)}
     assert {name for name, _ in differing(mass=1.5)} == {"Moving mass", "1.\u00a0joint1, link1"}
+    other = SavedRun("two", ModelCheck(load_robot("scara")).result(), {})
+    assert "different arms" in compare(SavedRun("one", model(), {}), other)["remarks"][0]
 
 
 def test_runs_of_different_commands_are_refused(make):
