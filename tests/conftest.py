@@ -101,7 +101,7 @@ Runs = Callable[..., list[Recording]]
 
 @pytest.fixture(scope="session")
 def runs() -> Runs:
-    """``runs(robot, seed, hidden=..., sensors=..., tolerance=...)``: two motions recorded.
+    """``runs(robot, seed, hidden=..., sensors=..., tolerance=...)``: two motions, or one, recorded.
 
     The arm is virtual and shares no code with the effects that are fitted; by default it is its
     nominal description, seen by true sensors.
@@ -109,21 +109,22 @@ def runs() -> Runs:
 
     def recorded(
         robot: Robot,
-        seed: int,
+        seed: int | Sequence[int],
         hidden: Sequence[HiddenEffect] | None = (),
         sensors: Sensors | None = None,
         tolerance: float = 0.0,
         duration: float = 10.0,
+        names: Sequence[str] = ("excitation", "holdout"),
     ) -> list[Recording]:
         rng = np.random.default_rng(seed)
         sensors = sensors or ideal_sensors(robot)
         arm = virtual_arm(robot, rng, hidden=hidden, sensors=sensors, tolerance=tolerance)
         tables = [
-            arm.record(random_trajectory(robot, rng, duration, 5), duration, rng) for _ in range(2)
+            arm.record(random_trajectory(robot, rng, duration, 5), duration, rng) for _ in names
         ]
         return [
             recording_from_table(table, robot.nv, file=f"{name}.parquet", name=name)
-            for name, table in zip(("excitation", "holdout"), tables, strict=True)
+            for name, table in zip(names, tables, strict=True)
         ]
 
     return recorded

@@ -1,21 +1,52 @@
-"""What cannot be known changes no torque; what can, does; more data say it better."""
+"""What cannot be known changes no torque; what can, does; how well, and what would show more."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
 from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace as Judged
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from planted import Runs, motion_of, stacked
 
-from excitant.analysis.identifiability import analyze
-from excitant.design import random_trajectory
+from excitant.analysis import uncertainty
+from excitant.analysis.experiment import identify_shown, prior_influence, prior_of, refits
+from excitant.analysis.identifiability import Identifiability, ParameterIdentifiability, analyze
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Recording, identify_robot
+from excitant.identify.excitation import persistency
+from excitant.identify.physical import fit_physical
+from excitant.identify.prior import EffectPrior, prior_parameters
+from excitant.identify.rows import fit_rows
 from excitant.reports.run import as_saved
 from excitant.robots import Motion, Robot, load_robot
+from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import standard_effects
+from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
+from excitant.robots.regressor import regressor
 from excitant.robots.torque import observation_columns
+
+NOTHING = EffectPrior(*(np.zeros(0),) * 3)
+
+
+@cache
+def under(*resting: int) -> Identifiability:
+    """The UR10 with friction under a motion, some of its joints at rest."""
+    robot = load_robot("ur10")
+    motion = motion_of(robot, resting=resting)
+    return analyze(robot, effects=standard_effects(robot.joints), motion=motion)
+
+
+def newton_euler(robot: Robot, motion: Motion) -> np.ndarray:
+    states, data = zip(motion.q, motion.dq, motion.ddq, strict=True), robot.model.createData()
+    return np.array([pin.rnea(robot.model, data, *state) for state in states])
+
+
+def entry(found: Identifiability, name: str) -> ParameterIdentifiability:
+    return next(e for e in found.entries if e.name == name)
 
 
 @pytest.mark.parametrize("name", ["planar_2r", "ur10", "panda"])
@@ -26,10 +57,9 @@ def test_categories_are_what_torque_can_show(name: str, friction: bool) -> None:
     found = analyze(robot, effects=effects)
     motion = Motion(np.arange(50) / 10, *robot.random_motion(np.random.default_rng(9), 50))
     W = observation_columns(robot, effects, motion).reshape(-1, len(found.base.names))
-    null = found.base.null_space
+    null, category = found.base.null_space, np.array(found.structure.category)
     assert np.abs(W @ null).max() <= 1e-9 * np.abs(W).max()
     assert np.linalg.matrix_rank(W, tol=1e-9 * np.linalg.norm(W)) == len(found.base)
-    category = np.array(found.structure.category)
     silent = np.abs(W).max(axis=0) <= 1e-9 * np.abs(W).max()
     moved = np.abs(null).max(axis=1) > 1e-8
     assert (silent == (category == "unidentifiable")).all()
@@ -37,24 +67,9 @@ def test_categories_are_what_torque_can_show(name: str, friction: bool) -> None:
     assert set(category) <= {"unique", "combined", "unidentifiable"}
 
 
-def test_what_is_known_of_the_planar_arm(planar: Robot) -> None:
-    found = analyze(planar)
-    assert len(found.base) == 6  # of each link: two first moments, and inertia about the axis
-    assert found.structure.category.count("unidentifiable") > 0
-    assert found.practical == ()
-    assert found.motion is None
-
-
-def repeated(robot: Robot, times: int) -> Motion:
-    motion = random_trajectory(robot, np.random.default_rng(0), 10.0, 5).motion(50.0)
-    return Motion(
-        np.arange(times * len(motion)) / 50.0,
-        *(np.tile(x, (times, 1)) for x in (motion.q, motion.dq, motion.ddq)),
-    )
-
-
 def test_uncertainty_shrinks_with_the_root_of_the_samples(ur10: Robot) -> None:
-    once, nine = (analyze(ur10, motion=repeated(ur10, k)) for k in (1, 9))
+    motion = motion_of(ur10)
+    once, nine = (analyze(ur10, motion=stacked(*[motion] * k)) for k in (1, 9))
     ratio = [a.std / b.std for a, b in zip(once.practical, nine.practical, strict=True)]
     # the inverse of WᵀW loses at most cond(W)² of the sixteen digits
     tolerance = 1e-15 * once.motion.condition_number**2 + 1e-9
@@ -62,21 +77,8 @@ def test_uncertainty_shrinks_with_the_root_of_the_samples(ur10: Robot) -> None:
     assert nine.motion.condition_number == pytest.approx(once.motion.condition_number, rel=1e-9)
 
 
-def test_a_recording_gives_its_own_uncertainty(
-    planar: Robot, runs: Callable[..., list[Recording]]
-) -> None:
-    recording, held = runs(planar, 0)
-    estimate = identify_robot(planar, [recording], validate=[held])
-    found = analyze(planar, estimate=estimate)
-    std = np.sqrt(np.diag(estimate.least_squares.covariance))
-    np.testing.assert_array_equal([p.std for p in found.practical], std)
-    assert found.motion is not None
-    assert "residual" in found.motion.basis
-
-
-def test_verdicts_follow_the_uncertainty(ur10: Robot) -> None:
-    found = analyze(ur10, effects=standard_effects(ur10.joints), motion=repeated(ur10, 1))
-    for p in found.practical:
+def test_verdicts_follow_the_uncertainty() -> None:
+    for p in under().practical:
         if p.rel_std is not None and p.rel_std <= 0.3:
             assert p.verdict == ("well" if p.rel_std <= 0.1 else "roughly")
         else:
@@ -84,70 +86,401 @@ def test_verdicts_follow_the_uncertainty(ur10: Robot) -> None:
 
 
 def test_a_motion_at_rest_shows_what_gravity_does_and_no_more(ur10: Robot) -> None:
-    still = np.zeros((100, 6))
-    found = analyze(ur10, motion=Motion(np.arange(100) / 100, still, still, still))
+    found = analyze(ur10, motion=Motion(np.arange(500) / 50, *np.zeros((3, 500, 6))))
     hidden = [p for p in found.practical if p.verdict == "not_shown"]
     assert len(found.base) - 6 <= len(hidden) < len(found.base)  # one equation for each joint
-    assert found.motion is not None
     assert found.motion.resting == ur10.joints
     assert found.motion.condition_number == np.inf
     result = found.result()
     assert len(result["not_shown"]) == len(hidden)
     assert any("does not show" in note for note in result["notes"])
-    saved, _ = as_saved(found.result(), {})
-    assert saved["condition_number"] is None
+    assert as_saved(result, {})[0]["condition_number"] is None
 
 
-def test_circumstances_that_contradict_each_other_are_refused(ur10: Robot) -> None:
-    motion = repeated(ur10, 1)
-    with pytest.raises(BadInput, match="moving"):
-        analyze(ur10, motion=motion, moving=ur10.joints[:2])
-    with pytest.raises(BadInput, match="noise"):
-        analyze(ur10, noise=[1.0] * 6)
-    with pytest.raises(BadInput, match="at least one joint"):
-        analyze(ur10, measured=[])
-    with pytest.raises(UnknownName, match="elbow"):
-        analyze(ur10, moving=["elbow"])
-    for noise in ([1.0] * 5, [1.0] * 5 + [0.0], [1.0] * 5 + [np.nan]):
-        with pytest.raises(BadInput, match="one positive number"):
-            analyze(ur10, motion=motion, noise=noise)
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"motion": True, "moving": ["elbow_joint"]}, "moving"),
+        ({"moving": []}, "at least one joint"),
+        ({"measured": []}, "at least one joint"),
+        ({"noise": [1.0] * 6}, "noise"),
+        ({"motion": True, "noise": [1.0] * 5}, "one positive number"),
+        ({"motion": True, "noise": [1.0] * 5 + [0.0]}, "one positive number"),
+        ({"motion": True, "noise": [1.0] * 5 + [np.nan]}, "one positive number"),
+        ({"moving": ["elbow"]}, "elbow"),
+        ({"measured": ["elbow"]}, "elbow"),
+    ],
+)
+def test_circumstances_that_contradict_each_other_are_refused(
+    ur10: Robot, given: dict[str, object], said: str
+) -> None:
+    motion = motion_of(ur10) if "motion" in given else None
+    with pytest.raises(UnknownName if said == "elbow" else BadInput, match=said):
+        analyze(ur10, **(given | {"motion": motion}))
 
 
 def test_torque_that_is_not_measured_shows_nothing(planar: Robot) -> None:
-    motion = repeated(planar, 1)
+    motion = motion_of(planar)
     first = analyze(planar, motion=motion, measured=["joint1"])
     both = analyze(planar, motion=motion)
     assert set(first.base.names) == set(both.base.names)
-    by_name = {e.name: e for e in both.entries}
-    assert all(
-        by_name[e.name].std_data <= e.std_data * (1 + 1e-9)
-        for e in first.entries
-        if e.category == "unique"
-    )
+    for e in first.entries:
+        if e.category == "unique":
+            assert entry(both, e.name).std_data <= e.std_data * (1 + 1e-9)
 
 
 def test_without_torque_limits_there_is_no_noise_to_assume(ur10: Robot) -> None:
     torque = np.where(np.arange(6) == 3, np.inf, ur10.limits.torque)
     unlimited = ur10.with_limits(replace(ur10.limits, torque=torque))
     with pytest.raises(BadInput, match=f"joint {ur10.joints[3]} has no torque limit"):
-        analyze(unlimited, motion=repeated(ur10, 1))
+        analyze(unlimited, motion=motion_of(ur10))
 
 
 def test_the_result_has_the_agreed_keys(ur10: Robot) -> None:
-    result = analyze(ur10, motion=repeated(ur10, 1)).result()
+    result = analyze(ur10, motion=motion_of(ur10)).result()
     agreed = {"standard_parameters", "base_parameters", "links", "condition_number", "practical"}
-    assert agreed <= set(result)
+    assert agreed | {"persistency", "directions", "correlations", "not_shown"} <= set(result)
     assert (result["standard_parameters"], result["base_parameters"]) == (60, 36)
-    assert [entry["link"] for entry in result["links"]] == list(ur10.links)
-    for entry in result["links"]:
-        assert {"link", "unique", "combined", "unidentifiable"} <= set(entry)
-        assert all({"expression", "members"} <= set(c) for c in entry["combined"])
     assert all({"name", "std", "rel_std", "verdict"} <= set(p) for p in result["practical"])
+    assert [link["link"] for link in result["links"]] == list(ur10.links)
     keys = {"name", "category", "value", "std", "prior", "prior_influence", "expression", "needed"}
-    seen = {name for x in result["links"] for name in (*x["unique"], *x["unidentifiable"])}
-    seen |= {n for x in result["links"] for c in x["combined"] for n in c["members"]}
+    seen: set[str] = set()
+    for link in result["links"]:
+        seen |= {*link["unique"], *link["unidentifiable"]}
+        assert all({"expression", "members"} <= set(c) for c in link["combined"])
+        seen |= {name for c in link["combined"] for name in c["members"]}
+        assert len(link["parameters"]) == 10
+        assert all(keys <= set(p) for p in link["parameters"])
     assert len(seen) == 60
-    for entry in result["links"]:
-        assert len(entry["parameters"]) == 10
-        assert all(keys <= set(p) for p in entry["parameters"])
-    assert {"persistency", "directions", "correlations", "not_shown"} <= set(result)
+
+
+def test_parameters_that_follow_from_one_another_are_grouped(planar: Robot) -> None:
+    """Torque shows link1.mcx + l m2, and link1.Iyy + l² m2 with the rotor's inertia added."""
+    effects, motion = standard_effects(planar.joints), motion_of(planar)
+    assert analyze(planar).follow == (("link1.mcx", "link1.Iyy", "link2.m"),)
+    for given in (None, motion):
+        found = analyze(planar, effects=effects, motion=given)
+        assert found.follow == (("link1.mcx", "link2.m"),)
+
+
+def test_level_is_information_per_noise(planar: Robot) -> None:
+    motion, sigma = motion_of(planar), np.array([0.2, 0.1])
+    one, half = (persistency(planar, motion, sigma=s) for s in (sigma, sigma / 2))
+    # halving the noise makes four times the information, in at least as many directions
+    assert len(half.levels) >= len(one.levels)
+    assert half.levels[-1] == pytest.approx(4 * one.levels[-1], rel=1e-6)
+
+
+def test_windows_of_six_seconds_are_enough_for_two_joints(planar: Robot) -> None:
+    found = persistency(planar, motion_of(planar))
+    assert found.enough
+    assert found.level > 1
+    assert found.shortest <= 6.0
+
+
+def test_a_motion_of_all_joints_is_exciting() -> None:
+    found = under().motion.persistency
+    assert found.enough
+    assert found.level >= 1
+    assert (found.missing, found.joints, found.weak) == (0, (), ())
+    assert found.end - found.start == pytest.approx(10.0)
+    assert 0 < found.shortest <= 10.0
+    sentence = under().result()["persistency"]["sentence"]
+    assert sentence.startswith("persistently exciting over 10 s at level")
+
+
+def test_a_motion_without_motion_shows_nothing(ur10: Robot) -> None:
+    silent = persistency(ur10, motion_of(ur10, resting=range(6)))
+    assert (silent.enough, silent.shortest) == (False, None)
+    assert silent.level == pytest.approx(0.0, abs=1e-6)
+    assert set(silent.joints) >= set(ur10.joints[1:])  # gravity is along the first axis
+
+
+@pytest.mark.parametrize("joint", [2, 5])
+def test_the_resting_joint_is_named(ur10: Robot, joint: int) -> None:
+    name, found = ur10.joints[joint], under(joint).motion.persistency
+    assert not found.enough
+    assert found.shortest is None
+    assert found.level < 1
+    assert found.joints[0] == name
+    assert found.weak[0].level == pytest.approx(found.level)
+    assert all(name in direction.joints for direction in found.weak)
+    said = as_saved(under(joint).result(), {})[0]["persistency"]
+    assert said["sentence"].endswith(f"move {', '.join(said['joints'])}")
+    assert said["missing"] == found.missing
+    assert json.loads(json.dumps(said, allow_nan=False)) == said
+
+
+def test_a_motion_without_duration_is_refused(ur10: Robot) -> None:
+    with pytest.raises(BadInput, match="a motion of 0 s"):
+        persistency(ur10, motion_of(ur10)[:1], ())
+
+
+def test_gravity_in_the_plane_shows_first_moments_and_tilting_brings_it(planar: Robot) -> None:
+    upright, level = analyze(planar), analyze(planar.with_gravity([0, -9.81, 0]))
+    assert (len(upright.base), len(level.base)) == (6, 4)  # level: along the axes of both joints
+    assert entry(level, "link1.mcz").needed.startswith("the base tilted by 90°")
+    assert entry(level, "link1.m").needed == uncertainty.APART
+    assert entry(level, "link2.mcx").needed == ""
+    assert entry(upright, "link1.mcz").category == "unique"
+    assert entry(upright, "link1.mcz").needed == ""
+    assert entry(upright, "link2.Iyz").needed.startswith("never by joint torques; by a force")
+    falling = analyze(planar.with_gravity([0, 0, 0]))
+    assert not any("tilted" in e.needed for e in falling.entries)
+    assert "sensor under the base" in entry(falling, "link1.mcz").needed
+
+
+def test_a_joint_that_rests_is_named_and_moving_it_helps(ur10: Robot) -> None:
+    found, moves = under(2), "moving elbow_joint, which rests"
+    lost = {p.expression for p in found.practical if p.verdict == "not_shown"}
+    assert {"elbow_joint.Fv", "elbow_joint.Fc", "elbow_joint.Ia"} <= lost
+    assert found.motion.resting == ("elbow_joint",)
+    assert {p.expression for p in found.practical if p.needed == moves} == lost
+    assert any("does not show" in note and "elbow_joint" in note for note in found.notes)
+    motion = stacked(motion_of(ur10, resting=[2]), motion_of(ur10, 1))
+    cured = analyze(ur10, effects=found.effects, motion=motion)
+    assert not any(p.verdict == "not_shown" for p in cured.practical)
+    for joint in (ur10.joints[1], ur10.joints[4]):  # of two, the one that matters
+        assert entry(under(1, 4), f"{joint}.Fv").needed == f"moving {joint}, which rests"
+
+
+def test_joints_that_do_not_move_are_what_is_missing(planar: Robot) -> None:
+    alone = entry(analyze(planar, moving=["joint1"], measured=["joint1"]), "link2.mcx")
+    assert alone.category != "unique"
+    assert alone.needed == "moving joint2, which rests"
+    both = analyze(planar, moving=["joint1", "joint2"], measured=["joint1"])
+    assert entry(both, "link2.mcx").needed == ""
+
+
+def test_more_of_the_same_is_proposed_where_it_is_enough(ur10: Robot) -> None:
+    motion, effects = motion_of(ur10)[np.arange(0, 500, 20)], standard_effects(ur10.joints)
+    found = analyze(ur10, effects=effects, motion=motion)
+    asked = [e for e in found.entries if e.needed.startswith("about")]
+    assert asked
+    times = max(int(e.needed.split()[1]) for e in asked)
+    longer = analyze(ur10, effects=effects, motion=stacked(*[motion] * times))
+    assert [entry(longer, before.name).needed for before in asked] == [""] * len(asked)
+
+
+def test_the_base_feels_what_newton_and_euler_say(ur10: Robot) -> None:
+    motion = motion_of(ur10)[np.arange(0, 500, 50)]
+    model, data = ur10.model, ur10.model.createData()
+    for k, columns in enumerate(uncertainty.base_wrench_columns(ur10, motion)):
+        pin.rnea(model, data, motion.q[k], motion.dq[k], motion.ddq[k])
+        pin.forwardKinematics(model, data, motion.q[k])
+        expected = data.oMi[1].act(data.f[1]).vector
+        np.testing.assert_allclose(columns @ ur10.phi, expected, atol=1e-9)
+
+
+def test_a_known_payload_shows_the_scale_of_currents(
+    ur10: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sigma, std = 0.01 * ur10.limits.torque, []
+    for mass in (0.0, 0.05, 0.1):
+        monkeypatch.setattr(uncertainty, "PAYLOAD_KG", mass)
+        std.append(uncertainty.scale_deviation(ur10, standard_effects(ur10.joints), sigma))
+    assert std[0] == np.inf
+    assert std[1] / std[2] == pytest.approx(2.0, rel=0.02)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-6, 1e6])
+def test_what_is_not_seen_has_no_deviation(unit: float) -> None:
+    X = np.random.default_rng(1).normal(size=(50, 1, 4))
+    X[:, 0, 2], X[:, 0, 3] = 2 * X[:, 0, 1], 0.0
+    X[:, 0, 0] *= unit
+    A = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1], [0, 1, 2, 0.0], [1, 1, 2, 1]])
+    std = uncertainty.deviations(uncertainty.triangle(X, np.ones(1)), A)
+    assert np.isfinite(std).tolist() == [True, False, False, True, False]
+    first, second = X[:, 0, 0] / np.linalg.norm(X[:, 0, 0]), X[:, 0, 1]
+    alone = np.linalg.norm(second - first * (first @ second))  # what the first cannot imitate
+    np.testing.assert_allclose(std[3], 1 / alone, rtol=1e-9)
+
+
+def test_unseen_directions_are_sparse_and_silent() -> None:
+    R = np.random.default_rng(2).normal(size=(6, 6))
+    R[:, 3], R[:, 5] = R[:, 0] - 0.5 * R[:, 2], 0.0
+    found = uncertainty.unseen_directions(R)
+    np.testing.assert_allclose(found @ R.T, 0, atol=1e-12)
+    np.testing.assert_allclose(found, [[-1, 0, 0.5, 1, 0, 0], [0, 0, 0, 0, 0, 1]], atol=1e-12)
+
+
+def test_deviations_are_met_by_repeated_experiments_on_recursive_newton_euler(ur10: Robot) -> None:
+    motion, draws = motion_of(ur10), 400
+    sigma = 0.02 * ur10.limits.torque
+    found = analyze(ur10, motion=motion, noise=sigma.tolist())
+    tau = newton_euler(ur10, motion)
+    W = regressor(ur10, motion)[:, :, list(found.base.columns)] / sigma[:, None]
+    solve = np.linalg.pinv(W.reshape(-1, len(found.base)))
+    noisy = tau / sigma + np.random.default_rng(3).normal(size=(draws, *tau.shape))
+    estimates = noisy.reshape(draws, -1) @ solve.T
+    predicted = np.array([p.std for p in found.practical])
+    np.testing.assert_allclose(predicted, np.linalg.norm(solve, axis=1), rtol=1e-9)
+    spread = 1 / np.sqrt(2 * draws)  # of a standard deviation from so many draws
+    ratio = estimates.std(axis=0, ddof=1) / predicted
+    assert abs(ratio - 1).max() < 5 * spread
+    error = (estimates.mean(axis=0) - [p.value for p in found.practical]) / predicted
+    assert abs(error).max() < 5 / np.sqrt(draws)
+    for column, std in zip(found.base.columns, predicted, strict=True):
+        if found.entries[column].category == "unique":
+            assert found.entries[column].std_data == pytest.approx(std)
+
+
+BASE = BaseParameters(("a.m", "a.Ixx", "b.Izz"), (0, 1, 2), np.eye(3), np.zeros((3, 0)), (1.0, 0.0))
+UNITS = ("kg", "kg·m²", "kg·m²")
+
+
+def test_what_trades_against_each_other_is_named() -> None:
+    C = np.diag([1e-6, 4.0, 4.0])
+    C[1, 2] = C[2, 1] = -3.96
+    seen = uncertainty.MotionInformation(np.eye(3), C, np.zeros((0, 3)), np.ones(3))
+    worst = uncertainty.weak_directions(BASE, UNITS, seen, np.ones(3))[0]
+    assert worst.std == pytest.approx(np.sqrt(7.96))
+    assert worst.expression in ("a.Ixx − b.Izz", "b.Izz − a.Ixx")
+    assert "rise by 2 kg·m² while" in worst.meaning
+    assert "falls by 2 kg·m²" in worst.meaning
+    change = np.zeros(3)
+    for name, value, _ in worst.members:
+        change[BASE.names.index(name)] = value
+    # one standard deviation: δᵀ C⁻¹ δ = 1
+    assert change @ np.linalg.inv(C) @ change == pytest.approx(1.0)
+
+
+def test_directions_that_are_not_seen_come_first() -> None:
+    C, unseen = np.diag([1.0, 0.0, 0.0]), np.array([[0, 1.0, -0.25]])
+    seen = uncertainty.MotionInformation(np.eye(3), C, unseen, np.ones(3))
+    first, *rest = uncertainty.weak_directions(BASE, UNITS, seen, np.ones(3))
+    assert first.std == np.inf
+    assert first.expression == "a.Ixx − 0.25·b.Izz"
+    assert "no torque of this motion" in first.meaning
+    assert [d.members[0][0] for d in rest] == ["a.m"]
+
+
+def test_correlations_are_sorted_by_size() -> None:
+    C = np.diag([1.0, 4.0, 9.0, 0.0])
+    C[0, 1] = C[1, 0] = 1.0
+    C[1, 2] = C[2, 1] = -5.4
+    matrix = uncertainty.correlation(C)
+    assert uncertainty.largest_correlations(matrix) == [
+        (1, 2, pytest.approx(-0.9)),
+        (0, 1, pytest.approx(0.5)),
+    ]
+    assert np.diag(matrix).tolist() == [1, 1, 1, 0]
+
+
+@pytest.fixture(scope="module")
+def judged(planar: Robot, runs: Runs) -> Judged:
+    """A recording of the planar arm: what was identified, and what it shows."""
+    recording, held = runs(planar, 0)
+    estimate = identify_robot(planar, [recording], validate=[held])
+    rows = fit_rows(planar, estimate.model.effects, estimate.base, estimate.data)
+    return Judged(
+        estimate=estimate,
+        rows=rows,
+        prior=prior_of(prior_parameters(planar), rows.open_prior),
+        found=analyze(planar, estimate=estimate, rng=np.random.default_rng(0)),
+    )
+
+
+def test_a_recording_gives_its_own_uncertainty(judged: Judged) -> None:
+    std = np.sqrt(np.diag(judged.estimate.least_squares.covariance))
+    np.testing.assert_array_equal([p.std for p in judged.found.practical], std)
+    assert "residual" in judged.found.motion.basis
+
+
+def test_the_prior_decides_what_is_null_and_not_what_is_seen(judged: Judged) -> None:
+    influence = judged.found.motion.influence
+    assert influence.refits > 0
+    for k, e in enumerate(judged.found.entries):
+        if e.category != "unique":  # moved along the null space, it follows all the way
+            assert influence.linear[0, k] == pytest.approx(1.0, abs=1e-6)
+        if e.category == "unidentifiable":
+            assert e.influence > 0.9  # a body at its limit cannot follow everywhere
+            assert e.prior_dominated
+    for name in ("link2.mcx", "joint1.Fv", "joint2.Fc"):
+        assert entry(judged.found, name).influence < 0.05
+        assert entry(judged.found, name).decided_by == "data"
+    assert influence.base_move.max() < 0.3
+
+
+def test_two_initial_values_that_agree_within_5_percent_show_nothing(
+    judged: Judged,
+) -> None:
+    """Two priors, far apart where the data see, alike where they do not: the tables agree."""
+    prior, B = judged.prior, judged.estimate.base.regrouping
+    draw = B.T @ np.random.default_rng(4).normal(size=len(B))
+    # prior-orthogonal to the null space: all of it is in what torque shows
+    visible = np.where(np.arange(len(draw)) < 20, prior.L @ prior.L.T @ draw, 0.0)
+    visible *= 0.1 / prior.size(np.linalg.solve(prior.L, visible))
+    assert np.abs(visible).max() > 1e-3
+    moved = np.abs(refits(judged.estimate, judged.rows)(visible)[:20])
+    assert (moved <= 0.05 * np.abs(judged.estimate.physical.x[:20]) + 1e-5).all()
+    combined = [e for e in judged.found.entries[:20] if e.category == "combined"]
+    assert any(e.decided_by == "prior" and e.influence > 0.9 for e in combined)
+
+
+def test_linear_theory_is_what_refits_give_away_from_limits() -> None:
+    """One link, one parameter seen with weight s: its prior counts 1 / (1 + s²)."""
+    phi = np.array([[2.0, 0.1, 0.0, 0.0, 0.3, 0.0, 0.3, 0.0, 0.0, 0.3]])
+    prior, R, base = prior_of(phi, NOTHING), np.zeros((10, 10)), np.eye(10)
+    R[0] = 0.7 * np.linalg.inv(prior.L)[3]
+    z = R @ phi.ravel()
+    reference = fit_physical(R, z, phi, NOTHING).x
+
+    def response(delta: np.ndarray) -> np.ndarray:
+        moved = phi + delta.reshape(1, 10)
+        return fit_physical(R, z, moved, NOTHING, metric=phi).x - reference
+
+    seen = uncertainty.MotionInformation(R, np.eye(10), np.zeros((0, 10)), np.ones(10))
+    one, two = (
+        prior_influence(seen, base, prior, phi.ravel(), np.random.default_rng(5), answer)
+        for answer in (None, response)
+    )
+    np.testing.assert_allclose(one.ratio, two.ratio, atol=1e-4, equal_nan=True)
+    assert np.nanmin(one.linear[1]) == pytest.approx(1 / (1 + 0.7**2), rel=1e-9)
+    assert two.decided_by.count("physics") == 0
+
+
+def test_the_prior_moves_alike_in_any_basis_of_the_null_space(planar: Robot) -> None:
+    """The same information as R and as Q R, whose decompositions round differently."""
+    phi, rng = prior_parameters(planar), np.random.default_rng(7)
+    prior = prior_of(phi, NOTHING)
+    R = rng.normal(size=(5, 20)) @ np.linalg.inv(prior.L)
+    Q = np.linalg.qr(rng.normal(size=(20, 5)))[0]
+    seen = [
+        uncertainty.MotionInformation(F, np.eye(2), np.zeros((0, 2)), np.ones(20))
+        for F in (R, Q @ R)
+    ]
+    one, two = (
+        prior_influence(each, np.eye(2, 20), prior, phi.ravel(), np.random.default_rng(8))
+        for each in seen
+    )
+    np.testing.assert_allclose(one.ratio, two.ratio, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(one.base_move, two.base_move, rtol=1e-6)
+
+
+def test_bodies_at_their_limit_are_named(judged: Judged) -> None:
+    prior = judged.prior
+    root = np.linalg.cholesky(pseudo_inertia(prior.mean[10:20]))
+    assert prior.at_limit(prior.mean) == ()
+    for thickness, named in ((1e-4, (1,)), (0.01, ())):  # beside the prior, in one direction
+        x = prior.mean.copy()
+        x[10:20] = from_pseudo_inertia(root @ np.diag([1.0, thickness, 1.0, 1.0]) @ root.T)
+        assert prior.at_limit(x) == named
+
+
+def test_a_recording_that_rests_a_joint_is_judged_as_far_as_it_goes(planar: Robot) -> None:
+    motion = motion_of(planar, resting=[1])
+    tau = newton_euler(planar, motion)
+    tau += 0.02 * np.random.default_rng(6).normal(size=tau.shape)
+    recording = Recording("rest", "rest.csv", motion.t, motion.q, tau, dq=motion.dq)
+    estimate = identify_shown(planar, [recording])
+    found = analyze(planar, estimate=estimate, rng=np.random.default_rng(0))
+    assert len(estimate.base) < len(found.base)
+    hidden = [p.expression for p in found.practical if p.verdict == "not_shown"]
+    rests, moves = entry(found, "joint2.Fv"), entry(found, "joint1.Fv")
+    assert rests.name in hidden
+    assert rests.needed == "moving joint2, which rests"
+    assert rests.influence > 0.5  # it cannot follow below zero
+    assert moves.verdict in ("negligible", "well")
+    assert moves.influence < 0.05
+    assert found.result()["resting_joints"] == ("joint2",)

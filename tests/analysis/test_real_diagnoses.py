@@ -1,12 +1,8 @@
-"""Diagnoses of real arms: the extended model predicts better, and what is known of them is seen.
-
-Expectations are loose: they are what a change for the worse would break, not records.
-"""
+"""Diagnoses of real arms predict better, and what is known of the arms is seen; no records."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,29 +15,19 @@ from excitant.robots import load_robot
 from excitant.robots.parameters import violations
 
 SAME = 1.02  # a joint may be this much worse, where nothing was found for it
-FRICTION = {
-    "viscous_friction",
-    "coulomb_friction",
+SIMPLE = {"viscous_friction", "coulomb_friction"}
+FINER = {
     "asymmetric_friction",
     "stribeck_friction",
     "nonlinear_viscous_friction",
     "load_dependent_friction",
     "presliding_hysteresis",
 }
+FRICTION = SIMPLE | FINER
 SLOW = {"presliding_hysteresis", "time_delay"}
 
 
-def diagnosed(
-    folder: Path, name: str, fitted: Sequence[str], held: Sequence[str] = ()
-) -> Diagnosis:
-    dataset = load_dataset(str(folder / name))
-    recordings = dataset.recordings(list(fitted))
-    return diagnose(
-        dataset.robot, recordings, validate=dataset.recordings(list(held)) if held else []
-    )
-
-
-def better(diagnosis: Diagnosis, factor: float) -> None:
+def better(diagnosis: Diagnosis, factor: float) -> Diagnosis:
     """Better on every joint, by a factor over all of them, and with bodies that can be."""
     given, extended = (diagnosis.held.rms(e) for e in (diagnosis.held.given, diagnosis.left))
     assert (extended < SAME * given).all(), extended / given
@@ -50,35 +36,39 @@ def better(diagnosis: Diagnosis, factor: float) -> None:
     assert total[1] * factor < total[0], total
     model = diagnosis.extension.model
     assert violations(model.phi, model.links) == []
+    return diagnosis
 
 
-def seen(diagnosis: Diagnosis, kinds: set[str], joint: str) -> bool:
-    """Whether one of these effects is found at a joint, or a rival of what is found there."""
+def diagnosed(folder: Path, factor: float, fitted: list[str], held: list[str]) -> Diagnosis:
+    dataset = load_dataset(str(folder))
+    train, unseen = (dataset.recordings(names) if names else [] for names in (fitted, held))
+    return better(diagnose(dataset.robot, train, validate=unseen), factor)
+
+
+def seen(diagnosis: Diagnosis, kinds: set[str], *joints: str) -> list[str]:
+    """Joints at which one of these effects is found, or is a rival of what is found there."""
     effects = [f.effect for f in diagnosis.findings]
     effects += [r.candidate.effect for f in diagnosis.findings for r in f.rivals]
-    return any(e.name in kinds and joint in e.joints for e in effects)
+    there = {joint for e in effects if e.name in kinds for joint in e.joints}
+    return [joint for joint in joints or diagnosis.robot.joints if joint in there]
 
 
 def test_ur10_rubs_in_more_than_one_way(data_folder: Path) -> None:
-    diagnosis = diagnosed(data_folder, "ur10", ["unisa_exciting"])
-    better(diagnosis, 4)
+    diagnosis = diagnosed(data_folder / "ur10", 4, ["unisa_exciting"], [])
     assert diagnosis.refit.gain < 0.5  # inertias alone do not explain it
-    finer = FRICTION - {"viscous_friction", "coulomb_friction"}
-    assert seen(diagnosis, finer, "shoulder_pan_joint")
-    for joint in diagnosis.robot.joints:
-        assert seen(diagnosis, FRICTION, joint), joint
+    assert seen(diagnosis, FINER, "shoulder_pan_joint")
+    assert seen(diagnosis, FRICTION) == [*diagnosis.robot.joints]
 
 
 @pytest.mark.slow
 def test_panda_lacks_the_hand_that_its_description_has(data_folder: Path) -> None:
     """The description holds a hand of 0.73 kg, which the recorded robot does not show."""
-    diagnosis = diagnosed(data_folder, "panda", ["gaz_traj1"])
-    better(diagnosis, 5)
-    last = diagnosis.robot.joints[-1]
+    diagnosis = diagnosed(data_folder / "panda", 5, ["gaz_traj1"], [])
+    joints = diagnosis.robot.joints
     bodies = [f.effect for f in diagnosis.findings if f.effect.role != "torque"]
-    [lighter] = [(effect.values or (0.0,))[0] for effect in bodies if effect.joints == (last,)]
+    [lighter] = [(effect.values or (0.0,))[0] for effect in bodies if effect.joints == joints[-1:]]
     assert -1.1 < lighter < -0.4
-    assert sum(seen(diagnosis, SLOW, joint) for joint in diagnosis.robot.joints[3:]) >= 3
+    assert len(seen(diagnosis, SLOW, *joints[3:])) >= 3
 
 
 @pytest.mark.slow
@@ -92,20 +82,17 @@ def test_panda_lacks_the_hand_that_its_description_has(data_folder: Path) -> Non
 def test_arms_on_another_excitation(
     name: str, fitted: list[str], held: list[str], slow: bool, data_folder: Path
 ) -> None:
-    diagnosis = diagnosed(data_folder, name, fitted, held)
-    better(diagnosis, 4)
-    for joint in diagnosis.robot.joints:
-        assert seen(diagnosis, FRICTION, joint), joint
-    assert not slow or any(seen(diagnosis, SLOW, joint) for joint in diagnosis.robot.joints)
+    diagnosis = diagnosed(data_folder / name, 4, fitted, held)
+    assert seen(diagnosis, FRICTION) == [*diagnosis.robot.joints]
+    assert not slow or seen(diagnosis, SLOW)
 
 
 @pytest.mark.slow
 def test_xmate_from_placeholder_inertias(data_folder: Path) -> None:
     """Friction at the sensors, and offsets where transfer to the other robot fails."""
-    diagnosis = diagnosed(data_folder, "rokae_xmate3", ["rec02"])
-    better(diagnosis, 2)
+    diagnosis = diagnosed(data_folder / "rokae_xmate3", 2, ["rec02"], [])
     offset = {"torque_offset", "asymmetric_friction", "spring"}
-    assert all(seen(diagnosis, offset, joint) for joint in ("joint1", "joint6"))
+    assert seen(diagnosis, offset, "joint1", "joint6") == ["joint1", "joint6"]
 
 
 PENDULUM = """<robot name="pendulum"><link name="base"/><link name="arm"><inertial>
@@ -122,12 +109,13 @@ def test_servo_rotor_is_as_heavy_as_published_and_friction_grows_with_load(
 ) -> None:
     """Two position gains fitted, a third held out; torque by the published motor constants."""
     folder = data_folder / "bam_xl330"
-    runs = json.loads((folder / "dataset.json").read_text(encoding="utf-8"))["recordings"]
-    known = json.loads((folder / "known.json").read_text(encoding="utf-8"))
-    motor = known["published_parameters"]["m6"]
-    description = tmp_path / "pendulum.urdf"
-    mass, length = runs[0]["mass_kg"], runs[0]["length_m"]
-    description.write_text(PENDULUM.format(mass=mass, height=-length), encoding="utf-8")
+    runs, known = (
+        json.loads((folder / f"{x}.json").read_text("utf-8")) for x in ("dataset", "known")
+    )
+    motor, description = known["published_parameters"]["m6"], tmp_path / "pendulum.urdf"
+    chosen = [run for run in runs["recordings"] if run["trajectory"] in MOTIONS]
+    mass, height = chosen[0]["mass_kg"], -chosen[0]["length_m"]
+    description.write_text(PENDULUM.format(mass=mass, height=height), encoding="utf-8")
 
     def recording(run: dict[str, str]) -> Recording:
         table = pd.read_parquet(folder / run["file"])
@@ -136,11 +124,9 @@ def test_servo_rotor_is_as_heavy_as_published_and_friction_grows_with_load(
         columns = table[["t", "q1", "dq1", "tau1"]]
         return recording_from_table(columns, 1, file=run["file"], name=run["name"])
 
-    chosen = [run for run in runs if run["trajectory"] in MOTIONS]
     fitted = [recording(run) for run in chosen if run["kp"] != 200]
     held = [recording(run) for run in chosen if run["kp"] == 200]
-    diagnosis = diagnose(load_robot(description), fitted, validate=held)
-    better(diagnosis, 3)
-    assert seen(diagnosis, {"load_dependent_friction"}, "servo")
+    diagnosis = better(diagnose(load_robot(description), fitted, validate=held), 3)
+    assert seen(diagnosis, {"load_dependent_friction"})
     [rotor] = [f.effect.values for f in diagnosis.findings if f.effect.name == "rotor_inertia"]
     assert (rotor or (0.0,))[0] == pytest.approx(1.81e-3, rel=0.4)

@@ -7,38 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from excitant.analysis.residuals import (
-    BANDS,
-    QUANTITIES,
-    Explanatory,
-    band_shares,
-    explanatory,
-    moving,
-    noise_floor,
-    residuals,
-    shares,
-    since_reversal,
-)
+from excitant.analysis import residuals
 from excitant.identify.differentiators import low_pass
 from excitant.identify.preprocessing import Segment
 from excitant.robots import Motion
 
-RATE, CUTOFF, SECONDS = 200.0, 10.0, 60.0
+RATE, CUTOFF = 200.0, 10.0
 HARMONICS_HZ = (0.2, 0.6)
 PASSED = np.pi / 8 / np.sin(np.pi / 8) * 7 / 8  # ∫ dx / (1 + x⁸)²: power that the filter passes
 REACH_S = 0.5 / CUTOFF  # how far the torque filter carries a rest
 
 
-def motion(seed: int = 0, seconds: float = SECONDS) -> Motion:
+def motion(seed: int = 0, seconds: float = 60.0) -> Motion:
     """One joint in two harmonics."""
-    t = np.arange(0, seconds, 1 / RATE)
-    w, size = 2 * np.pi * np.array(HARMONICS_HZ), np.array([0.8, 0.3])
-    angle = np.outer(t, w) + np.random.default_rng(seed).uniform(0, 6.28, 2)
-    q, dq, ddq = (
-        (size * f).sum(axis=1)[:, None]
-        for f in (np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle))
-    )
-    return Motion(t, q, dq, ddq)
+    t, w = np.arange(0, seconds, 1 / RATE), 2 * np.pi * np.array(HARMONICS_HZ)
+    phase = np.random.default_rng(seed).uniform(0, 6.28, 2)
+    waves = np.array([0.8, 0.3]) * np.exp(1j * (np.outer(t, w) + phase))
+    return Motion(t, *(((1j * w) ** k * waves).imag.sum(axis=1)[:, None] for k in range(3)))
 
 
 def segment(seed: int, sigma: float, signal: float = 0.0) -> Segment:
@@ -60,51 +45,47 @@ def sine(seconds: float, amplitude: float = 1.0, rate: float = RATE) -> np.ndarr
     return np.asarray(amplitude * np.cos(2 * np.pi * t + 0.3))[:, None]
 
 
-# rows at which a joint moves
-
-
-@pytest.mark.parametrize("rate", [100.0, 1000.0])
+@pytest.mark.parametrize("rate", [100.0, 200.0, 1000.0])
 def test_a_quick_reversal_counts(rate: float) -> None:
-    assert moving([at_speed(sine(4.0, rate=rate), rate=rate)]).all()
+    assert residuals.moving([at_speed(sine(4.0, rate=rate), rate=rate)]).all()
 
 
 @pytest.mark.parametrize("creep", [0.0, 0.005])
 def test_a_rest_does_not_count_as_far_as_the_filter_carries_it(creep: float) -> None:
     dq, n = sine(4.0), round(REACH_S * RATE)
     dq[300:360] = creep  # 0.3 s
-    counts = moving([at_speed(dq)])[:, 0]
+    counts = residuals.moving([at_speed(dq)])[:, 0]
     assert not counts[300 - n : 360 + n].any()
     far = np.r_[0 : 300 - n - 3, 360 + n + 3 : len(dq)]  # the sine itself is slow for a moment
     assert counts[far].all()
 
 
-def test_a_short_stop_counts_and_a_longer_one_does_not() -> None:
-    for samples, counted in ((5, True), (12, False)):  # 25 ms, 60 ms
-        dq = np.ones((400, 1))
-        dq[200 : 200 + samples] = 0.0
-        assert moving([at_speed(dq)]).all() == counted
+@pytest.mark.parametrize(("samples", "counted"), [(5, True), (12, False)])  # 25 ms, 60 ms
+def test_a_short_stop_counts_and_a_longer_one_does_not(samples: int, counted: bool) -> None:
+    dq = np.ones((400, 1))
+    dq[200 : 200 + samples] = 0.0
+    assert residuals.moving([at_speed(dq)]).all() == counted
 
 
 def test_each_joint_rests_by_its_own_fastest_motion_in_all_segments() -> None:
     dq = np.hstack([sine(4.0), sine(4.0, 1e-3), sine(4.0)])
     dq[400:500, 2] = 0.0
-    counts = moving([at_speed(dq)])
+    counts = residuals.moving([at_speed(dq)])
     assert counts[:, :2].all()  # a slow joint is not one at rest
     assert not counts[400:500, 2].any()
-    fast, slow = sine(2.0), sine(2.0, 0.01)
-    assert moving([at_speed(slow)]).all()
-    assert not moving([at_speed(fast), at_speed(slow)])[len(fast) :].any()
+    fast, slow = at_speed(sine(2.0)), at_speed(sine(2.0, 0.01))
+    assert residuals.moving([slow]).all()
+    both = residuals.moving([fast, slow])
+    assert both[: len(fast.t)].all()
+    assert not both[len(fast.t) :].any()
 
 
 def test_rows_are_those_that_are_kept() -> None:
     dq, keep = sine(4.0), slice(20, -20, 5)
     dq[300:400] = 0.0
-    whole = moving([at_speed(dq)])
-    both = moving([at_speed(dq, keep), at_speed(dq)])
-    assert np.array_equal(both, np.vstack([whole[keep], whole]))
-
-
-# noise
+    whole = residuals.moving([at_speed(dq)])
+    both = residuals.moving([at_speed(dq, keep), at_speed(dq)])
+    np.testing.assert_array_equal(both, np.vstack([whole[keep], whole]))
 
 
 @pytest.mark.parametrize("signal", [0.0, 50.0])
@@ -113,87 +94,81 @@ def test_noise_floor_is_what_white_noise_leaves_behind_the_filter(signal: float)
     segments = [segment(seed, sigma, signal) for seed in range(2)]
     # white noise in the band below the cut-off, of which the filter passes a little less
     expected = sigma * np.sqrt(PASSED * 2 * CUTOFF / RATE)
-    assert noise_floor(segments, 0) == pytest.approx(expected, rel=0.03)
+    assert residuals.noise_floor(segments, 0) == pytest.approx(expected, rel=0.03)
     noise = np.concatenate([segment(seed, sigma).tau for seed in range(2)])
-    assert noise_floor(segments, 0) == pytest.approx(noise.std(), rel=0.05)
+    assert residuals.noise_floor(segments, 0) == pytest.approx(noise.std(), rel=0.05)
 
 
 def test_noise_floor_is_unknown_where_the_rate_leaves_no_band() -> None:
     s = segment(0, 0.4)
     slow = Segment("run", s.motion[::10], s.tau[::10], s.tau_raw[::10], 8.0, slice(None))
-    assert noise_floor([slow], 0) == 0.0
+    assert residuals.noise_floor([slow], 0) == 0.0
 
 
-# with what an error varies
-
-
-def quantities() -> tuple[list[Segment], Explanatory]:
-    """Two runs, under a load that changes in steps."""
-    segments = [segment(seed, 0.2) for seed in range(2)]
-    rows = sum(len(s.t) for s in segments)
-    load = np.random.default_rng(1).uniform(2, 40, 40)[np.arange(rows) // 60 % 40][:, None]
-    return segments, explanatory(segments, load)
-
-
+SEGMENTS = [segment(seed, 0.2) for seed in range(2)]
+NOISE = np.concatenate([s.tau[s.keep] for s in SEGMENTS])
+STEPS = np.random.default_rng(1).uniform(2, 40, 40)
+BY = residuals.explanatory(SEGMENTS, STEPS[np.arange(len(NOISE)) // 60 % 40][:, None])
 STRUCTURE = {
-    "constant": lambda by: np.ones_like(by.velocity),
-    "direction": lambda by: np.sign(by.velocity),
-    "velocity": lambda by: by.velocity * np.abs(by.velocity),
-    "position": lambda by: np.cos(4 * by.position),
-    "load": lambda by: by.load * np.sign(by.velocity) / 20,
-    "reversal": lambda by: np.sign(by.velocity) * np.exp(-np.abs(by.reversal) / 0.02),
-    "time": lambda by: np.linspace(-1, 1, len(by.position))[:, None] ** 3,
+    "constant": np.ones_like(NOISE),
+    "direction": np.sign(BY.velocity),
+    "velocity": BY.velocity * np.abs(BY.velocity),
+    "position": np.cos(4 * BY.position),
+    "load": BY.load * np.sign(BY.velocity) / 20,
+    "reversal": np.sign(BY.velocity) * np.exp(-np.abs(BY.reversal) / 0.02),
+    "time": np.linspace(-1, 1, len(NOISE))[:, None] ** 3,
 }
 
 
-@pytest.mark.parametrize("kind", QUANTITIES)
+def left(structure: np.ndarray) -> residuals.Residual:
+    """Of noise and a structure."""
+    error = NOISE + structure
+    [found] = residuals.residuals(("elbow",), SEGMENTS, error, error, BY.load)
+    assert found.rms == pytest.approx(np.sqrt((error**2).mean()), rel=0.05)
+    return found
+
+
+@pytest.mark.parametrize("kind", residuals.QUANTITIES)
 def test_structure_is_told_by_the_quantity_in_which_it_is(kind: str) -> None:
-    segments, by = quantities()
-    noise = np.concatenate([s.tau[s.keep] for s in segments])
-    structure = STRUCTURE[kind](by)
-    error = noise + structure
-    (found,) = residuals(("elbow",), segments, error, error, by.load)
+    structure = STRUCTURE[kind]
+    found = left(structure)
     assert found.visible or kind == "reversal"  # whose power is small beside the noise
     assert found.dominant == kind
     assert found.structure.startswith("structured")
-    assert found.structure.endswith(QUANTITIES[kind])
-    assert found.rms == pytest.approx(np.sqrt((error**2).mean()), rel=0.05)
+    assert found.structure.endswith(residuals.QUANTITIES[kind])
     assert found.shares[kind] > 0.5
     assert found.structured == pytest.approx(np.sqrt((structure**2).mean()), rel=0.15)
-    assert shares(1e3 * error[:, 0], by, 0, moving(segments)[:, 0]) == pytest.approx(found.shares)
+    rows = residuals.moving(SEGMENTS)[:, 0]
+    assert residuals.shares(1e3 * (NOISE + structure)[:, 0], BY, 0, rows) == pytest.approx(
+        found.shares
+    )
 
 
-@pytest.mark.parametrize("size", [0.0, 0.03])
-def test_noise_alone_and_structure_below_it_are_not_visible(size: float) -> None:
-    segments, by = quantities()
-    error = np.concatenate([s.tau[s.keep] for s in segments]) + size * STRUCTURE["velocity"](by)
-    (found,) = residuals(("elbow",), segments, error, error, by.load)
-    assert not found.visible
-    if not size:
-        assert found.structure == "noise-like"
-        assert max(found.shares.values()) < 0.05
-        assert found.dominant == ""
-        assert found.structured < found.floor
+def test_noise_alone_and_structure_below_it_are_not_visible() -> None:
+    assert not left(0.03 * STRUCTURE["velocity"]).visible
+    noise = left(0 * NOISE)
+    assert not noise.visible
+    assert noise.structure == "noise-like"
+    assert max(noise.shares.values()) < 0.05
+    assert noise.dominant == ""
+    assert noise.structured < noise.floor
 
 
 def test_what_a_rest_leaves_does_not_count() -> None:
-    segments, by = quantities()
-    noise, still = np.concatenate([s.tau[s.keep] for s in segments]), []
-    for s in segments:
+    still = []
+    for s in SEGMENTS:
         dq = np.array(s.motion.dq)
         dq[4000:6000] = 0.0
-        still.append(replace(s, motion=Motion(s.motion.t, s.motion.q, dq, s.motion.ddq)))
+        still.append(replace(s, motion=replace(s.motion, dq=dq)))
     stuck = np.concatenate([s.motion.dq[s.keep] == 0 for s in still])
     assert stuck.sum() > 700
-    (found,) = residuals(("elbow",), still, noise + 9.0 * stuck, noise, by.load)
-    assert found.rms == pytest.approx(np.sqrt((noise[~stuck] ** 2).mean()), rel=0.05)
+    [found] = residuals.residuals(("elbow",), still, NOISE + 9.0 * stuck, NOISE, BY.load)
+    assert found.rms == pytest.approx(NOISE[~stuck].std(), rel=0.05)
     assert not found.visible
 
 
 def test_an_error_against_noise_in_words() -> None:
-    segments, by = quantities()
-    error = np.concatenate([s.tau[s.keep] for s in segments]) + STRUCTURE["direction"](by)
-    (found,) = residuals(("elbow",), segments, error, error, by.load)
+    found = left(STRUCTURE["direction"])
     times = float(found.against_noise.removesuffix(" times the noise"))
     assert times == pytest.approx(found.rms / found.floor, rel=0.1)
     assert replace(found, floor=found.rms / 250).against_noise == "over 100 times the noise"
@@ -204,17 +179,16 @@ def test_an_error_against_noise_in_words() -> None:
 def test_a_trend_is_not_judged_on_a_motion_that_hardly_repeats() -> None:
     m = motion(seconds=1 / HARMONICS_HZ[0])
     s = Segment("run", m, 0 * m.q, 0 * m.q, CUTOFF, slice(None))
-    by = explanatory([s], 0 * m.q)
-    assert "time" not in shares(np.linspace(-1, 1, len(m)), by, 0, np.ones(len(m), bool))
+    by = residuals.explanatory([s], 0 * m.q)
+    assert "time" not in residuals.shares(np.linspace(-1, 1, len(m)), by, 0, np.ones(len(m), bool))
 
 
 @pytest.mark.parametrize(("hz", "band"), [(0.05, "slower"), (0.4, "motion"), (3.0, "faster")])
 def test_an_error_lies_in_the_band_of_its_frequency(hz: float, band: str) -> None:
-    _, by = quantities()
-    np.testing.assert_allclose(by.bands[0], HARMONICS_HZ, atol=0.05)
-    t = by.steps[0] * np.arange(sum(by.lengths))
-    found = band_shares(np.sin(2 * np.pi * hz * t) + 7.0, by, 0)
-    assert set(found) == set(BANDS)
+    np.testing.assert_allclose(BY.bands[0], HARMONICS_HZ, atol=0.05)
+    t = BY.steps[0] * np.arange(len(NOISE))
+    found = residuals.band_shares(np.sin(2 * np.pi * hz * t) + 7.0, BY, 0)
+    assert set(found) == set(residuals.BANDS)
     assert found[band] > 0.95
     assert sum(found.values()) == pytest.approx(1.0)
 
@@ -222,12 +196,8 @@ def test_an_error_lies_in_the_band_of_its_frequency(hz: float, band: str) -> Non
 def test_distance_since_a_reversal() -> None:
     q = np.array([0.0, 1, 2, 3, 2, 1, 0, 1])[:, None]
     dq = np.array([1.0, 1, 1, 0, -1, -1, 0, 1])[:, None]
-    found = since_reversal(q, dq, np.array([0.1]))[:, 0]
+    found = residuals.since_reversal(q, dq, np.array([0.1]))[:, 0]
     np.testing.assert_allclose(found, [0, 1, 2, 3, 0, -1, -2, 0])
-
-
-def test_a_reversal_of_one_recording_is_none_of_the_next() -> None:
-    m = motion()
-    both = [Segment(str(k), m, 0 * m.q, 0 * m.q, CUTOFF, slice(None)) for k in range(2)]
-    by = explanatory(both, np.vstack([m.q, m.q]))
-    np.testing.assert_allclose(by.reversal[: len(m)], by.reversal[len(m) :])
+    both = [replace(SEGMENTS[0], name=name) for name in ("one", "two")]
+    one, two = np.split(residuals.explanatory(both, np.vstack([SEGMENTS[0].tau] * 2)).reversal, 2)
+    np.testing.assert_allclose(one, two)

@@ -1,173 +1,184 @@
-"""Effects beyond the standard model are chosen where an arm has them, and where it has none not.
-
-The virtual arm shares no code with the effects that are fitted.
-"""
+"""Effects beyond the standard model are chosen where an arm has them, and where it has none not."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
+import pandas as pd
 import pytest
+from planted import Runs, hidden
 
+from excitant.analysis.candidates import Observed, observed
 from excitant.analysis.selection import choose_effects, described
-from excitant.cli import main
-from excitant.design import random_trajectory
-from excitant.identify import Recording, identify_robot, load_dataset, recording_from_table
-from excitant.identify.estimate import with_own_torque
-from excitant.identify.knowledge import Knowledge
-from excitant.identify.rows import fit_rows
-from excitant.robots import Robot, base_parameters, load_robot
-from excitant.robots.effects import (
-    EFFECTS,
-    Effect,
-    LoadDependentFriction,
-    PreslidingHysteresis,
-    ThermalFrictionDrift,
-    TimeDelay,
-    standard_effects,
-)
+from excitant.identify import Recording, identify_robot, load_dataset
+from excitant.identify.estimate import Estimate
+from excitant.identify.regression import regression_of
+from excitant.identify.rows import predicted_torque, split
+from excitant.robots import Robot, load_robot
+from excitant.robots import effects as kinds
 from excitant.robots.parameters import violations
-from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors, virtual_arm
+from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
 
-DURATION, RATE_HZ = 20.0, 125.0
+JOINTS = ("joint1", "joint2")
+STANDARD = kinds.standard_effects(JOINTS)
 PLANTED = (
-    HiddenEffect("stribeck_friction", "joint1", (("Fs", 3.0), ("velocity", 0.15))),
-    HiddenEffect("presliding_hysteresis", "joint2", (("Fh", 2.0), ("distance", 0.05))),
+    hidden("stribeck_friction", "joint1", Fs=3.0, velocity=0.15),
+    hidden("presliding_hysteresis", "joint2", Fh=2.0, distance=0.05),
 )
 
 
 def recorded(
-    robot: Robot, seed: int, hidden: Sequence[HiddenEffect] = (), count: int = 1
+    runs: Runs, robot: Robot, seed: int, hidden: tuple[HiddenEffect, ...] = (), *more: str
 ) -> list[Recording]:
     """Motions of one virtual arm, seen by sensors with noise and resolution."""
-    rng = np.random.default_rng([31, seed])
-    sensors = industrial_sensors(robot, RATE_HZ)
-    arm = virtual_arm(robot, rng, hidden=tuple(hidden), sensors=sensors)
-    tables = [
-        arm.record(random_trajectory(robot, rng, DURATION, 5), DURATION, rng) for _ in range(count)
-    ]
-    return [
-        recording_from_table(table, robot.nv, file=f"run{k}.parquet", name=f"run{k}")
-        for k, table in enumerate(tables)
-    ]
+    sensors = industrial_sensors(robot, 125.0)
+    return runs(robot, [31, seed], hidden, sensors, 0.03, duration=20.0, names=("first", *more))
 
 
 @pytest.fixture(scope="module")
-def two(planar: Robot) -> list[Recording]:
+def two(planar: Robot, runs: Runs) -> list[Recording]:
     """A motion to fit and one to judge, of an arm with both planted."""
-    return recorded(planar, 0, PLANTED, count=2)
+    return recorded(runs, planar, 0, PLANTED, "second")
+
+
+@pytest.fixture(scope="module")
+def plain(planar: Robot, two: list[Recording]) -> Estimate:
+    return identify_robot(planar, two[:1], validate=two[1:])
 
 
 def test_planted_effects_are_chosen_and_predict_an_unseen_motion_better(
-    planar: Robot, two: list[Recording]
+    planar: Robot, two: list[Recording], plain: Estimate
 ) -> None:
-    fit, unseen = two[:1], two[1:]
-    effects = choose_effects(planar, fit)
-    assert effects[:4] == standard_effects(planar.joints)
+    effects = choose_effects(planar, two[:1])
+    assert effects[:4] == STANDARD
     chosen = {(effect.name, joint) for effect in effects[4:] for joint in effect.joints}
     assert {(each.effect, each.joint) for each in PLANTED} <= chosen
     assert len(described(effects)) == len(effects) - 4
     assert all(said.startswith("effect added: ") for said in described(effects))
-    plain = identify_robot(planar, fit, validate=unseen)
-    better = identify_robot(planar, fit, validate=unseen, effects=effects)
+    better = identify_robot(planar, two[:1], validate=two[1:], effects=effects)
     assert (better.validate.rms < 0.9 * plain.validate.rms).all()
     assert violations(better.phi, planar.links) == []
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
-def test_a_plain_arm_gets_the_standard_model(planar: Robot, seed: int) -> None:
-    effects = choose_effects(planar, recorded(planar, 10 + seed))
-    assert effects == standard_effects(planar.joints)
+def test_a_plain_arm_gets_the_standard_model(planar: Robot, runs: Runs, seed: int) -> None:
+    effects = choose_effects(planar, recorded(runs, planar, 10 + seed))
+    assert effects == STANDARD
     assert len(described(effects)) == 1
 
 
 @pytest.mark.slow
-def test_plain_larger_arms_get_hardly_anything() -> None:
+def test_plain_larger_arms_get_hardly_anything(runs: Runs) -> None:
     robots = [load_robot(name) for name in ("ur10", "panda")]
-    added = [choose_effects(r, recorded(r, seed))[4:] for r in robots for seed in range(5)]
+    added = [choose_effects(r, recorded(runs, r, seed))[4:] for r in robots for seed in range(5)]
     assert sum(map(len, added)) <= 1, added
 
 
 @pytest.mark.parametrize(
     "effect",
     [
-        EFFECTS["stribeck_friction"](("joint1",)),
-        PreslidingHysteresis(("joint1", "joint2"), distance=0.02),
-        LoadDependentFriction(("joint2",)),
-        ThermalFrictionDrift(("joint1",), time=20.0),
-        TimeDelay(("joint1", "joint2"), trial=0.01),
-        *(EFFECTS[name](("joint1", "joint2")) for name in ("friction_coupling", "spring")),
-        *(EFFECTS[name](("joint2",)) for name in ("joint_elasticity", "backlash")),
+        kinds.EFFECTS["stribeck_friction"](JOINTS[:1]),
+        kinds.PreslidingHysteresis(JOINTS, distance=0.02),
+        kinds.LoadDependentFriction(JOINTS[1:]),
+        kinds.ThermalFrictionDrift(JOINTS[:1], time=20.0),
+        kinds.TimeDelay(JOINTS, trial=0.01),
+        *(kinds.EFFECTS[name](JOINTS) for name in ("friction_coupling", "spring")),
+        *(kinds.EFFECTS[name](JOINTS[1:]) for name in ("joint_elasticity", "backlash")),
     ],
     ids=lambda effect: effect.name,
 )
-def test_identify_takes_every_kind(planar: Robot, two: list[Recording], effect: Effect) -> None:
+def test_identify_takes_every_kind(
+    planar: Robot, two: list[Recording], plain: Estimate, effect: kinds.Effect
+) -> None:
     """One more kind of effect never makes the fit of what it was fitted to worse."""
-    standard = standard_effects(planar.joints)
-    plain = identify_robot(planar, two[:1], validate=two[1:])
-    more = identify_robot(planar, two[:1], validate=two[1:], effects=(*standard, effect))
+    more = identify_robot(planar, two[:1], validate=two[1:], effects=(*STANDARD, effect))
     before, after = (fit.train.rms / plain.least_squares.sigma for fit in (plain, more))
     assert (after**2).sum() <= 1.01 * (before**2).sum()
     assert more.model.effects[4].name == effect.name
 
 
-def test_effects_of_torque_take_it_from_the_identified_arm(two: list[Recording]) -> None:
+def test_effects_of_torque_take_it_from_the_identified_arm(
+    planar: Robot, two: list[Recording]
+) -> None:
     """A given arm that is far off must not decide what the load of a friction is."""
-    planar = load_robot("planar_2r")
     heavy = planar.with_parameters(5 * planar.phi)
-    effects = (*standard_effects(planar.joints), LoadDependentFriction(planar.joints))
+    effects = (*STANDARD, kinds.LoadDependentFriction(JOINTS))
     fits = [identify_robot(r, two[:1], validate=two[1:], effects=effects) for r in (planar, heavy)]
     near, far = (fit.model.effects[4].values for fit in fits)
     np.testing.assert_allclose(near, far, atol=0.02)  # the prior still differs
     np.testing.assert_allclose(fits[0].validate.nrmse, fits[1].validate.nrmse, rtol=0.05)
 
 
-def test_effects_of_the_motion_alone_need_no_identified_arm(
-    planar: Robot, two: list[Recording]
-) -> None:
-    fit = identify_robot(planar, two[:1], validate=two[1:])
-    standard, prior = standard_effects(planar.joints), fit.prior.reshape(-1, 10)
-    same, other = (
-        with_own_torque(
-            fit_rows(planar, effects, base_parameters(planar, effects), fit.data),
-            prior,
-            Knowledge(),
-        ).robot
-        for effects in (
-            (*standard, PreslidingHysteresis(planar.joints)),
-            (*standard, TimeDelay(planar.joints)),
-        )
-    )
-    assert same is planar
-    assert np.abs(other.phi - planar.phi).max() > 1e-3
-
-
 def test_the_command_chooses_effects(
-    two: list[Recording], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    two: list[Recording], tmp_path: Path, excitant: Callable[..., Any]
 ) -> None:
     run, file = two[0], tmp_path / "run.csv"
     columns = np.column_stack([run.t, run.q, run.dq, run.tau])
-    header = "t,q1,q2,dq1,dq2,tau1,tau2"
-    np.savetxt(file, columns, delimiter=",", header=header, comments="")
-    words = ["identify", "planar_2r", str(file), "--effects", "auto", "-o", str(tmp_path / "out")]
-    assert main(words) == 0
+    names = ["t", "q1", "q2", "dq1", "dq2", "tau1", "tau2"]
+    pd.DataFrame(columns, columns=names).to_csv(file, index=False)
+    line = f"identify planar_2r {file} --effects auto -o {tmp_path / 'out'}"
+    assert excitant(line).status == 0
     text = (tmp_path / "out" / "result.json").read_text(encoding="utf-8")
     assert "presliding_hysteresis" in text
     assert "effect added: " in text
-    assert main([*words, "--online"]) == 1
-    assert "--effects auto" in capsys.readouterr().err
+    online = excitant(f"{line} --online")
+    assert online.status == 1
+    assert "--effects auto" in online.err
 
 
 @pytest.mark.slow
 def test_real_friction_is_found(data_folder: Path) -> None:
     """A current-controlled arm's last 40 %, predicted with the effects its first 60 % call for."""
     dataset = load_dataset(data_folder / "ur10")
-    (whole,) = dataset.recordings(["unisa_exciting"])
+    [whole] = dataset.recordings(["unisa_exciting"])
     fit, unseen = [whole.between(0, 0.6, "first")], [whole.between(0.6, 1, "rest")]
-    plain = identify_robot(dataset.robot, fit, validate=unseen)
     found = choose_effects(dataset.robot, fit)
-    better = identify_robot(dataset.robot, fit, validate=unseen, effects=found)
-    assert better.validate.nrmse.sum() < 0.85 * plain.validate.nrmse.sum()
+    bare, better = (
+        identify_robot(dataset.robot, fit, validate=unseen, effects=effects)
+        for effects in (None, found)
+    )
+    assert better.validate.nrmse.sum() < 0.85 * bare.validate.nrmse.sum()
     assert violations(better.phi, dataset.robot.links) == []
+
+
+EACH = (  # one of each way in which an effect gets its columns
+    kinds.Payload(JOINTS[1:], (0.5, *[0.01] * 9)),
+    kinds.ViscousFriction(JOINTS, (0.3, 0.2)),
+    kinds.LoadDependentFriction(JOINTS, (0.05, 0.04)),
+    kinds.FrictionCoupling(JOINTS, values=(0.1, 0.2)),
+    kinds.KinematicError(JOINTS[1:], (0.01, 0.0, -0.01)),
+    kinds.TimeDelay(JOINTS, (0.002,)),
+)
+
+
+@pytest.fixture(scope="module")
+def rows(planar: Robot, runs: Runs) -> Observed:
+    recordings = runs(planar, 3, (), industrial_sensors(planar), 0.03)
+    return observed(planar, split(recordings[:1], recordings[1:], None).train)
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+def test_columns_are_those_of_the_robot_and_of_another_model_of_it(
+    factor: float, rows: Observed, planar: Robot
+) -> None:
+    model = planar.with_parameters(factor * planar.phi).with_effects(EACH)
+    found = rows.by(model)
+    expected = regression_of(model, EACH, rows.segments).W
+    np.testing.assert_allclose(found.matrix(EACH), expected, atol=1e-12)
+    expected = predicted_torque(model, rows.segments)
+    np.testing.assert_allclose(found.torque(), expected, atol=1e-9)
+
+
+def test_each_column_is_worked_out_once(rows: Observed, planar: Robot) -> None:
+    """By the motion alone, for all models of the arm."""
+    kind, heavier = kinds.CoulombFriction, rows.by(planar.with_parameters(2 * planar.phi))
+    with patch.object(kind, "columns", autospec=True, side_effect=kind.columns) as columns:
+        for joints in (JOINTS, JOINTS[:1], JOINTS[::-1]):
+            for each in (rows, heavier):
+                each.columns(kind(joints, tuple(range(len(joints)))))
+    asked = sorted(call.args[0].joints for call in columns.call_args_list)
+    assert asked == [("joint1",), ("joint2",)]

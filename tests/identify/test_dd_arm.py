@@ -2,35 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
+import dd_arm as benchmark
 import numpy as np
 import pytest
 from scipy.stats import binom
-from seed import (
-    dd_arm,
-    dd_arm_chain,
-    dd_arm_parameters,
-    dd_arm_tables,
-    parameter_map,
-)
+from seed import dd_arm, dd_arm_chain, dd_arm_parameters, dd_arm_tables, parameter_map
 
 from excitant.robots import base_parameters
 from excitant.robots.parameters import pseudo_inertia, violations
 
 
 @pytest.fixture(scope="module")
-def benchmark(benchmark_module: Callable[[str], Any]) -> Any:
-    return benchmark_module("dd_arm")
-
-
-@pytest.fixture(scope="module")
-def found(benchmark: Any) -> Any:
+def found() -> benchmark.Recovery:
     return benchmark.recovery(20.0)
 
 
-def test_the_table_entries_are_those_of_the_tables(benchmark: Any, found: Any) -> None:
+def test_the_table_entries_are_those_of_the_tables(found: benchmark.Recovery) -> None:
     rows = dd_arm_tables()
     assert [e.entry for e in found.entries] == list(rows)
     assert len(found.entries) == 46
@@ -39,7 +26,7 @@ def test_the_table_entries_are_those_of_the_tables(benchmark: Any, found: Any) -
         assert e.truth == pytest.approx(row.value("estimated", likely=True), abs=1e-9), row.name
 
 
-def test_gradients_of_the_entries_by_differences(benchmark: Any) -> None:
+def test_gradients_of_the_entries_by_differences() -> None:
     tables, phi = benchmark.tables(), dd_arm("initial").phi
     step = 1e-6 * np.random.default_rng(0).standard_normal(60)
     ahead, behind = tables.values(phi + step), tables.values(phi - step)
@@ -48,21 +35,21 @@ def test_gradients_of_the_entries_by_differences(benchmark: Any) -> None:
     )
 
 
-def test_least_squares_recovers_every_base_parameter(found: Any) -> None:
+def test_least_squares_recovers_every_base_parameter(found: benchmark.Recovery) -> None:
     z = np.abs(found.beta - found.beta_true) / found.beta_std
     assert len(z) == 32 + 12
     assert z.max() < 4.5
     assert (z < 1.96).sum() >= binom.ppf(1e-3, len(z), 0.95)
 
 
-def test_what_the_data_decide_is_the_truth(found: Any) -> None:
+def test_what_the_data_decide_is_the_truth(found: benchmark.Recovery) -> None:
     decided = [e for e in found.entries if e.decided_by == "data"]
     assert len(decided) >= 8
     for e in decided:
         assert abs(e.value - e.truth) < 4 * e.std, e.entry.name
 
 
-def test_what_no_torque_shows_follows_the_prior(found: Any) -> None:
+def test_what_no_torque_shows_follows_the_prior(found: benchmark.Recovery) -> None:
     """A prior moved along the null space moves silent entries, and nothing else."""
     assert found.base_moved < 0.01
     for e in found.entries:
@@ -84,27 +71,18 @@ def test_masses_of_links_4_and_5_act_as_one() -> None:
     assert "link4.m + link5.m" in [entry.parameter for entry in dd_arm_tables()]
 
 
-def test_link_5_as_printed_is_impossible_and_what_is_nearest(benchmark: Any) -> None:
+def test_link_5_as_printed_is_impossible_and_what_is_nearest() -> None:
+    """Kolmogorov: no consistent body lies on the printed one's side of the nearest."""
     bodies = {body.link: body for body in benchmark.nearest_bodies()}
     assert set(bodies) == {"link4", "link5"}
     lines = "\n".join(benchmark.body_lines())
     assert "Ixx > Iyy + Izz, 0.002602 > 0.001349 + 0.001211" in lines
-    for body in bodies.values():
-        assert violations(body.printed, (body.link,))
-        assert violations(body.nearest, (body.link,)) == []
-
-
-def test_the_nearest_body_is_nearest(benchmark: Any) -> None:
-    """Kolmogorov: no consistent body lies on the printed one's side of the nearest."""
     rng, initial = np.random.default_rng(0), dd_arm_parameters("initial").reshape(6, 10)
-    for body in benchmark.nearest_bodies():
-        L = np.linalg.cholesky(pseudo_inertia(initial[int(body.link[4:]) - 1]))
-
-        def relative(phi: np.ndarray, L: np.ndarray = L) -> np.ndarray:
-            Q = np.linalg.solve(L, np.linalg.solve(L, pseudo_inertia(phi)).T)
-            return np.asarray((Q + Q.T) / 2)
-
-        printed, nearest = relative(body.printed), relative(body.nearest)
+    for link, body in bodies.items():
+        assert violations(body.printed, (link,))
+        assert violations(body.nearest, (link,)) == []
+        L = np.linalg.inv(np.linalg.cholesky(pseudo_inertia(initial[int(link[4:]) - 1])))
+        printed, nearest = (L @ pseudo_inertia(phi) @ L.T for phi in (body.printed, body.nearest))
         assert np.linalg.norm(nearest - printed) == pytest.approx(body.distance)
         assert np.linalg.eigvalsh(nearest)[0] == pytest.approx(benchmark.MARGIN)
         for _ in range(200):
@@ -113,18 +91,16 @@ def test_the_nearest_body_is_nearest(benchmark: Any) -> None:
             assert np.sum((printed - nearest) * (other - nearest)) <= 1e-9
 
 
-def test_counts_of_the_experiments(benchmark: Any) -> None:
-    along = benchmark.counts(np.random.default_rng(0))
-    across = benchmark.counts(np.random.default_rng(0), across=True)
-    for kinds in (along, across):
+def test_counts_of_the_experiments() -> None:
+    for across, poses in ((False, 29), (True, 30)):
+        kinds = benchmark.counts(np.random.default_rng(0), across)
         assert kinds["cascade"] == [7, 7, 7, 7, 3, 1]
         assert sum(kinds["literal"]) == 14
-    assert sum(along["poses"]) == 29
-    assert sum(across["poses"]) == 30
+        assert sum(kinds["poses"]) == poses
 
 
 @pytest.mark.slow
-def test_more_data_decide_more(benchmark: Any, found: Any) -> None:
+def test_more_data_decide_more(found: benchmark.Recovery) -> None:
     longer = benchmark.recovery(120.0)
     votes = [[e.decided_by for e in each.entries].count("data") for each in (found, longer)]
     assert votes[1] > votes[0]
@@ -133,7 +109,7 @@ def test_more_data_decide_more(benchmark: Any, found: Any) -> None:
 
 
 @pytest.mark.slow
-def test_the_truth_as_read_cannot_be_followed(benchmark: Any) -> None:
+def test_the_truth_as_read_cannot_be_followed() -> None:
     """Least squares recovers what the print says; a body that can exist cannot have it."""
     read = benchmark.recovery(20.0, likely=False)
     assert (np.abs(read.beta - read.beta_true) / read.beta_std).max() < 4.5

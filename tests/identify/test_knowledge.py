@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 import yaml
+from known_arms import Call, Whitened, assert_optimal, write_csv
 
-from excitant.cli import main
 from excitant.exceptions import BadInput, UnknownName
-from excitant.identify import Recording
 from excitant.identify.knowledge import (
     PRIORS,
     Box,
@@ -23,108 +20,63 @@ from excitant.identify.knowledge import (
     Quantity,
     load_knowledge,
 )
-from excitant.identify.physical import PhysicalFit, fit_physical
-from excitant.identify.prior import EffectPrior, prior_parameters
-from excitant.robots import Array, Motion, Robot, load_robot
-from excitant.robots.effects import standard_effects
+from excitant.robots import Array, Robot
 from excitant.robots.parameters import pseudo_inertia
-from excitant.robots.torque import observation_columns
 
-KKT = 1e-8
-NOISE = 0.1  # N·m
+KINDS = pytest.mark.parametrize("kind", PRIORS)
 
 
-class Data:
-    """Whitened rows of an arm that differs from its model, and of its friction."""
+class Seen(Whitened):
+    """An arm that differs from its model, and its friction."""
 
-    def __init__(self, robot: Robot, seed: int = 0) -> None:
-        rng = np.random.default_rng(seed)
-        effects = standard_effects(robot.joints)
-        motion = Motion(np.arange(300) / 100, *robot.random_motion(rng, 300))
-        W = observation_columns(robot, effects, motion)
-        W = W.reshape(-1, W.shape[2])
-        parameters = [p for e in effects for p in e.parameters(robot)]
-        e = len(parameters)
-        self.robot, self.prior = robot, prior_parameters(robot)
-        truth = np.concatenate([(self.prior * rng.uniform(0.6, 1.5, (robot.nv, 1))).ravel()])
-        self.truth = np.concatenate([truth, rng.uniform(0, 1, e)])
-        self.R = np.linalg.qr(W, mode="r") / NOISE
-        self.z = self.R @ self.truth + rng.standard_normal(len(self.R))
-        lower = np.array([p.lower for p in parameters])
-        self.effects = EffectPrior(np.zeros(e), np.full(e, 1e3), lower)
+    def __init__(self) -> None:
+        super().__init__("ur10", 0.1, n=300)
+        rng = np.random.default_rng(0)
+        self.truth = self.prior * rng.uniform(0.6, 1.5, (6, 1))
+        x = np.concatenate([self.truth.ravel(), rng.uniform(0, 1, len(self.effects.mean))])
+        self.z = self.R @ x + rng.standard_normal(len(self.R))
 
-    def fit(self, knowledge: Knowledge, sigma: float = 1.0) -> PhysicalFit:
-        return fit_physical(
-            self.R, self.z, self.prior, self.effects, sigma,
-            knowledge=knowledge, links=self.robot.links,
-        )  # fmt: skip
+    def bodies(self, knowledge: Knowledge) -> Array:
+        fit = self.fit(self.z, knowledge)
+        assert_optimal(fit)
+        return fit.x[: self.links].reshape(6, 10)
 
 
 @pytest.fixture(scope="module")
-def ur10_data() -> Data:
-    return Data(load_robot("ur10"))
+def seen() -> Seen:
+    return Seen()
 
 
-def masses(fit: PhysicalFit, robot: Robot) -> Array:
-    return fit.x[: 10 * robot.nv : 10]
-
-
-def assert_optimal(fit: PhysicalFit) -> None:
-    assert fit.kkt.stationarity <= KKT
-    assert fit.kkt.complementarity <= KKT
-    assert fit.kkt.primal <= KKT
-
-
-@pytest.mark.parametrize("kind", PRIORS)
-def test_known_masses_hold_exactly_or_as_far_as_they_are_sure(kind: str, ur10_data: Data) -> None:
-    d = ur10_data
-    first, second, third = d.robot.links[:3]
-    free = d.fit(Knowledge(kind))
-    total = 1.1 * float(masses(free, d.robot).sum())
-    known = Knowledge(
-        kind,
-        Quantity(total),
-        {
-            first: LinkKnowledge(mass=Quantity(7.0)),
-            second: LinkKnowledge(mass=Quantity(12.0, 1e-4)),
-            third: LinkKnowledge(mass=Quantity(4.0, 1e6)),
-        },
-    )
-    fit = d.fit(known)
+@KINDS
+def test_known_masses_hold_exactly_or_as_far_as_they_are_sure(kind: str, seen: Seen) -> None:
+    free = seen.bodies(Knowledge(kind))[:, 0]
+    total = 1.1 * float(free.sum())
+    masses = (7.0, Quantity(12.0, 1e-4), Quantity(4.0, 1e6))
+    about = {n: LinkKnowledge(mass=m) for n, m in zip(seen.robot.links, masses, strict=False)}
+    fit = seen.fit(seen.z, Knowledge(kind, total, about))
     assert_optimal(fit)
-    m = masses(fit, d.robot)
+    m = fit.x[: seen.links : 10]
     assert m.sum() == pytest.approx(total, abs=1e-7)
     assert m[0] == pytest.approx(7.0, abs=1e-8)
     assert m[1] == pytest.approx(12.0, abs=1e-3)
-    assert fit.covariance[0, 0] <= 1e-12
-    assert np.sqrt(fit.covariance[10, 10]) <= 1e-4 * (1 + 1e-6)
-    row = np.zeros(len(fit.x))
-    row[: 10 * d.robot.nv : 10] = 1
-    assert row @ fit.covariance @ row <= 1e-10 * total**2
-    unsure = d.fit(Knowledge(kind, Quantity(total, 1e6)))
-    np.testing.assert_allclose(masses(unsure, d.robot), masses(free, d.robot), rtol=1e-4)
+    C = fit.covariance[: seen.links : 10, : seen.links : 10]
+    assert C[0, 0] <= 1e-12
+    assert np.sqrt(C[1, 1]) <= 1e-4 * (1 + 1e-6)
+    assert C.sum() <= 1e-10 * total**2
+    unsure = seen.bodies(Knowledge(kind, Quantity(total, 1e6)))[:, 0]
+    np.testing.assert_allclose(unsure, free, rtol=1e-4)
 
 
-@pytest.mark.parametrize("kind", PRIORS)
-def test_centres_of_mass_stay_where_they_are_known_to_be(kind: str, ur10_data: Data) -> None:
-    d = ur10_data
-    free = d.fit(Knowledge(kind)).x[: 10 * d.robot.nv].reshape(-1, 10)
+@KINDS
+def test_centres_of_mass_stay_where_they_are_known_to_be(kind: str, seen: Seen) -> None:
+    free = seen.bodies(Knowledge(kind))
     centre = free[:, 1:4] / free[:, :1]
-    names = d.robot.links
     box = Box(tuple(centre[1] + 0.02), tuple(centre[1] + [0.05, 0.06, 0.02]))  # flat along z
     ball = Ellipsoid(tuple(centre[2] + 0.1), (0.03, 0.05, 0.04))
     shell = Ellipsoid(tuple(centre[3]), (0.02, 0.03, 0.01))
-    known = Knowledge(
-        kind,
-        links={
-            names[1]: LinkKnowledge(com_box=box),
-            names[2]: LinkKnowledge(com_ellipsoid=ball),
-            names[3]: LinkKnowledge(body_ellipsoid=shell),
-        },
-    )
-    fit = d.fit(known)
-    assert_optimal(fit)
-    phi = fit.x[: 10 * d.robot.nv].reshape(-1, 10)
+    about = ({"com_box": box}, {"com_ellipsoid": ball}, {"body_ellipsoid": shell})
+    links = zip(seen.robot.links[1:], about, strict=False)
+    phi = seen.bodies(Knowledge(kind, links={n: LinkKnowledge(**known) for n, known in links}))
     found = phi[:, 1:4] / phi[:, :1]
     tight = 1e-6
     assert (found[1] >= np.array(box.low) - tight).all()
@@ -132,21 +84,29 @@ def test_centres_of_mass_stay_where_they_are_known_to_be(kind: str, ur10_data: D
     inside = np.linalg.norm((found[2] - ball.centre) / np.array(ball.radii))
     assert 0.9 < inside <= 1 + tight  # the free centre lies outside
     P = pseudo_inertia(phi[3])
-    reach = np.array(shell.radii)
     offset = np.outer(shell.centre, P[:3, 3])
     second = P[:3, :3] - offset - offset.T + P[3, 3] * np.outer(shell.centre, shell.centre)
-    assert np.sum(np.diag(second) / reach**2) <= phi[3, 0] * (1 + tight)
+    assert np.sum(np.diag(second) / np.array(shell.radii) ** 2) <= phi[3, 0] * (1 + tight)
 
 
-def test_constraints_that_do_not_bind_change_nothing(ur10_data: Data) -> None:
-    d = ur10_data
+def test_constraints_that_do_not_bind_change_nothing(seen: Seen) -> None:
+    far = Ellipsoid((0, 0, 0), (9, 9, 9))
     wide = LinkKnowledge(
-        com_box=Box((-9, -9, -9), (9, 9, 9)),
-        com_ellipsoid=Ellipsoid((0, 0, 0), (9, 9, 9)),
-        body_ellipsoid=Ellipsoid((0, 0, 0), (9, 9, 9)),
+        com_box=Box((-9, -9, -9), (9, 9, 9)), com_ellipsoid=far, body_ellipsoid=far
     )
-    known = Knowledge(links=dict.fromkeys(d.robot.links, wide))
-    np.testing.assert_allclose(d.fit(known).x, d.fit(Knowledge()).x, rtol=1e-5, atol=1e-6)
+    known = Knowledge(links=dict.fromkeys(seen.robot.links, wide))
+    free, fit = (seen.fit(seen.z, each).x for each in (Knowledge(), known))
+    np.testing.assert_allclose(fit, free, rtol=1e-5, atol=1e-6)
+
+
+def test_masses_known_twice_agree_and_bring_the_truth_closer(seen: Seen) -> None:
+    true = seen.truth[:, 0].tolist()
+    about = {n: LinkKnowledge(mass=m) for n, m in zip(seen.robot.links, true, strict=True)}
+    free = seen.bodies(Knowledge())
+    found = seen.bodies(Knowledge(total_mass=sum(true), links=about))
+    np.testing.assert_allclose(found[:, 0], true, atol=1e-7)
+    gap, before = (np.linalg.norm((phi - seen.truth)[:, :4]) for phi in (found, free))
+    assert gap < 0.5 * before
 
 
 CORNER = [[0, 0, 0], [0.1, 0.1, 0.1]]
@@ -157,7 +117,7 @@ POINT = {
 }
 
 
-@pytest.mark.parametrize("kind", PRIORS)
+@KINDS
 @pytest.mark.parametrize(
     ("total", "about", "named", "silent"),
     [
@@ -172,14 +132,14 @@ POINT = {
     ],
 )
 def test_contradictions_are_named_in_one_line(
-    tmp_path: Path, ur10_data: Data, kind: str, total: float | None, about: dict,
+    tmp_path: Path, seen: Seen, kind: str, total: float | None, about: dict[int, Any],
     named: tuple[str, ...], silent: str,
 ) -> None:  # fmt: skip
-    links, file = ur10_data.robot.links, tmp_path / "known.yaml"
+    links, file = seen.robot.links, tmp_path / "known.yaml"
     content = {"prior": kind, "links": {links[k]: v for k, v in about.items()}}
     file.write_text(yaml.safe_dump(content | ({"total_mass": total} if total else {})))
     with pytest.raises(BadInput, match="contradict each other") as refused:
-        ur10_data.fit(load_knowledge(file, links))
+        seen.fit(seen.z, load_knowledge(file, links))
     said = str(refused.value)
     assert said.startswith(str(file))
     assert "correct one of them" in said
@@ -188,32 +148,12 @@ def test_contradictions_are_named_in_one_line(
     assert f"of {silent.format(*links)} " not in said
 
 
-def test_known_twice_over_is_no_contradiction(ur10_data: Data) -> None:
-    """All masses and their sum, exactly."""
-    d = ur10_data
-    values = np.array([7.0, 12.0, 4.0, 2.0, 2.0, 0.3])
-    about = {
-        link: LinkKnowledge(mass=Quantity(value))
-        for link, value in zip(d.robot.links, values.tolist(), strict=True)
-    }
-    fit = d.fit(Knowledge(total_mass=Quantity(float(values.sum())), links=about))
-    np.testing.assert_allclose(masses(fit, d.robot), values, atol=1e-7)
-    assert_optimal(fit)
-
-
 def test_what_is_written_is_what_is_read(tmp_path: Path) -> None:
     file = tmp_path / "known.yaml"
     content = {
         "prior": "euclidean",
         "total_mass": {"value": 33.5, "std": 0.5},
-        "links": {
-            "forearm": {
-                "mass": 2.3,
-                "com_box": [[-0.1, -0.1, 0.0], [0.1, 0.1, 0.4]],
-                "com_ellipsoid": {"centre": [0.0, 0.0, 0.2], "radii": [0.1, 0.1, 0.2]},
-                "body_ellipsoid": {"centre": [0.0, 0.0, 0.2], "radii": [0.1, 0.1, 0.3]},
-            }
-        },
+        "links": {"forearm": {"mass": 2.3, "com_box": CORNER, "com_ellipsoid": AWAY} | POINT},
     }
     file.write_text(yaml.safe_dump(content))
     known = load_knowledge(file, ["base", "forearm"])
@@ -254,41 +194,33 @@ def test_errors_name_file_key_and_remedy(tmp_path: Path, text: str, said: str) -
     assert str(refused.value).startswith(str(file))
 
 
-def test_missing_file_unknown_prior_and_unknown_link(ur10_data: Data) -> None:
+def test_missing_file_unknown_prior_and_unknown_link(seen: Seen) -> None:
     with pytest.raises(BadInput, match="no such file; give a YAML file of what is known"):
         load_knowledge("nowhere.yaml", [])
     with pytest.raises(UnknownName, match="unknown prior"):
         Knowledge("flat")
     with pytest.raises(BadInput, match="no link 'tail'"):
-        ur10_data.fit(Knowledge(links={"tail": LinkKnowledge(mass=Quantity(1.0))}))
+        seen.fit(seen.z, Knowledge(links={"tail": LinkKnowledge(mass=1.0)}))
 
 
-def test_command(
-    tmp_path: Path, planar: Robot, exact: Callable[..., Recording],
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    recording = exact(planar, np.arange(0, 12, 0.01))
-    columns = {"t": recording.t}
-    for k in range(2):
-        columns |= {f"q{k + 1}": recording.q[:, k], f"tau{k + 1}": recording.tau[:, k]}
-    log, file, out = tmp_path / "log.csv", tmp_path / "known.yaml", tmp_path / "run"
-    pd.DataFrame(columns).to_csv(log, index=False)
+def test_command(tmp_path: Path, planar: Robot, exact: Call, excitant: Call) -> None:
+    log, file = tmp_path / "log.csv", tmp_path / "known.yaml"
+    write_csv(log, exact(planar, np.arange(0, 12, 0.01)))
     content = {"prior": "euclidean", "total_mass": 7.5, "links": {"link2": {"mass": 2.5}}}
     file.write_text(yaml.safe_dump(content))
-    call = ["identify", "planar_2r", str(log), "--knowledge", str(file), "-o", str(out)]
-    assert main(call) == 0
-    result = json.loads((out / "result.json").read_text())
+    call = ("identify planar_2r --json", log, "--knowledge", file)
+    result = excitant(*call).result
     assert result["knowledge"] == content
-    value = {p["name"]: p["value"] for p in result["parameters"]}
-    assert value["link2.m"] == pytest.approx(2.5, abs=1e-6)
-    assert value["link1.m"] == pytest.approx(5.0, abs=1e-6)
-    known = {p["name"]: p["prior_dominated"] for p in result["parameters"]}
-    assert known["link2.m"]
+    by_name = {p["name"]: p for p in result["parameters"]}
+    assert by_name["link2.m"]["value"] == pytest.approx(2.5, abs=1e-6)
+    assert by_name["link1.m"]["value"] == pytest.approx(5.0, abs=1e-6)
+    assert by_name["link2.m"]["prior_dominated"]
     assert any("total mass 7.5 kg; link2: mass 2.5 kg" in note for note in result["notes"])
-    assert main([*call, "--online"]) == 1
-    assert "--knowledge is for all rows at once" in capsys.readouterr().err
+    ran = excitant(*call, "--online")
+    assert ran.status == 1
+    assert "--knowledge is for all rows at once" in ran.err
     file.write_text("total_mass: 1\nlinks: {link1: {mass: 2}}")
-    assert main(call) == 1
-    said = capsys.readouterr().err
-    assert "contradict each other" in said
-    assert said.count("\n") == 1
+    ran = excitant(*call)
+    assert ran.status == 1
+    assert "contradict each other" in ran.err
+    assert ran.err.count("\n") == 1

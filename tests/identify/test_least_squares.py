@@ -1,125 +1,244 @@
-"""Weighted least squares: truth from noiseless data, honest intervals, refusals by name."""
+"""Regressions and their least squares: products, intervals, and the parameters that matter."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.signal
 import scipy.stats
+from estimators import HARMONICS, Truth, truth
 from hypothesis import given
 from hypothesis import strategies as st
+from known_arms import Z95, Call, rows_of
 
+from excitant.design import random_trajectory
+from excitant.exceptions import BadInput
+from excitant.identify import Recording
 from excitant.identify.least_squares import (
-    autocorrelation_time,
+    JointRows,
+    autocorrelation,
+    autocovariance,
     essential_parameters,
+    score_covariances,
     weighted_least_squares,
 )
-from excitant.identify.regression import dense
+from excitant.identify.preprocessing import prepare
+from excitant.identify.regression import Regression, dense, joined, regression_of
+from excitant.robots import Robot
+from excitant.robots.effects import standard_effects
+from excitant.robots.torque import observation_columns
 
-N, NV, R = 800, 2, 5
-NAMES = tuple(f"beta{k}" for k in range(R))
-BETA = np.array([3.0, -0.5, 0.02, 10.0, 1.0])
-SIGMA = np.array([0.3, 2.0])
+N, NV, P = 60, 3, 5
+NAMES = tuple("abcde")
 
 
-def columns(seed: int = 0) -> np.ndarray:
-    """Slow columns of different sizes, as a motion makes them."""
+def arrays(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Columns, some of which act on some joints only, and torque."""
     rng = np.random.default_rng(seed)
-    t = np.linspace(0, 1, N)[:, None, None]
-    frequency, phase = rng.uniform(0.5, 6, (NV, R)), rng.uniform(0, 6.28, (NV, R))
-    size = np.array([1.0, 20.0, 500.0, 0.1, 1.0])
-    W: np.ndarray = size * np.sin(2 * np.pi * frequency * t + phase)
-    return W
+    W = rng.standard_normal((N, NV, P)) * (rng.random((NV, P)) < 0.7)
+    return W, rng.standard_normal((N, NV))
 
 
-def noise(rng: np.random.Generator, rho: float) -> np.ndarray:
-    """Autoregressive noise of unit variance."""
-    white = rng.standard_normal((N + 500, NV)) * np.sqrt(1 - rho**2)
-    return scipy.signal.lfilter([1.0], [1.0, -rho], white, axis=0)[500:]
+W, TAU = arrays()
+PROBLEM = dense(W, TAU, NAMES)
 
 
-def test_noise_levels_and_correlation_are_found() -> None:
-    W, rho = columns(), 0.8
-    fit = weighted_least_squares(
-        dense(W, W @ BETA + SIGMA * noise(np.random.default_rng(2), rho), NAMES)
-    )
-    tau = (1 + rho) / (1 - rho)  # integrated autocorrelation time of AR(1)
-    np.testing.assert_allclose(fit.sigma, SIGMA, rtol=4 * np.sqrt(tau / (2 * N)))
-    np.testing.assert_allclose(fit.inflation, tau, rtol=0.5)
-    assert autocorrelation_time(np.random.default_rng(0).standard_normal(4000)) < 1.2
-    assert autocorrelation_time(np.zeros(100)) == 1.0
+def test_rows_come_back() -> None:
+    np.testing.assert_array_equal(PROBLEM.W, W)
+    x = np.arange(P, dtype=float)
+    np.testing.assert_allclose(PROBLEM.residual(x), TAU - W @ x)
+    assert all((W[:, j, own] != 0).any() for j, own in enumerate(PROBLEM.index))
 
 
-def test_the_unit_of_one_joint_does_not_matter() -> None:
-    W = columns()
-    tau = W @ BETA + SIGMA * noise(np.random.default_rng(3), 0.0)
-    scale = np.array([1.0, 1000.0])
-    fit = weighted_least_squares(dense(W, tau, NAMES))
-    scaled = weighted_least_squares(dense(W * scale[:, None], tau * scale, NAMES))
-    np.testing.assert_allclose(scaled.beta, fit.beta, rtol=1e-8)
-    np.testing.assert_allclose(scaled.covariance, fit.covariance, rtol=1e-6)
-    np.testing.assert_allclose(scaled.sigma, fit.sigma * scale, rtol=1e-8)
+def test_products_and_triangles_are_those_of_the_rows() -> None:
+    weight = np.array([1.0, 2.0, 0.5])
+    A = np.concatenate([W, TAU[:, :, None]], axis=2) * weight[:, None]
+    products = np.einsum("njp,njq->pq", A, A)
+    np.testing.assert_allclose(PROBLEM.gram(weight**2), products, atol=1e-12)
+    factor = np.column_stack(PROBLEM.factor(weight))
+    np.testing.assert_allclose(factor.T @ factor, products, atol=1e-10)
 
 
-def test_the_noisier_joint_counts_less() -> None:
-    W = columns()
-    tau = W @ BETA + SIGMA * noise(np.random.default_rng(4), 0.0)
-    fit = weighted_least_squares(dense(W, tau, NAMES))
-    A = (W / SIGMA[:, None]).reshape(-1, R)
-    best = np.linalg.lstsq(A, (tau / SIGMA).ravel(), rcond=None)[0]
-    std = np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
-    # weights are known to √(1/2N) = 2.5 %; the estimate moves by that share of its deviation
-    assert (np.abs(fit.beta - best) <= 4 / np.sqrt(2 * N) * std).all()
+def test_other_problems_are_those_of_other_rows_and_columns() -> None:
+    more, other = arrays(2)[0][:, :, :2], arrays(4)[0]
+    count = np.random.default_rng(3).random((N, NV)) < 0.5
+    few, counted = PROBLEM.select([3, 0]), PROBLEM.counting(count)
+    for problem, rows in (
+        (few, W[:, :, [3, 0]]),
+        (PROBLEM.with_columns(more, ["f", "g"]), np.concatenate([W, more], axis=2)),
+        (counted, W * count[:, :, None]),
+        (PROBLEM.at(slice(None, None, 4)), W[::4]),
+        (joined([PROBLEM, dense(other, TAU, NAMES)]), np.concatenate([W, other])),
+    ):
+        np.testing.assert_array_equal(problem.W, rows)
+    assert few.names == ("d", "a")
+    np.testing.assert_array_equal(counted.tau, TAU * count)
 
 
-ZERO = [1, 4, 5, 9]
-P = 12
+def test_an_arm_has_the_filtered_columns_of_its_segments(planar: Robot, exact: Call) -> None:
+    effects = standard_effects(planar.joints)
+    segments = prepare(exact(planar, np.arange(600) / 100))
+    found = regression_of(planar, effects, segments * 2)
+    columns = segments[0].rows(lambda motion: observation_columns(planar, effects, motion))
+    np.testing.assert_array_equal(found.W, np.concatenate([columns, columns]))
+    assert found.names[:2] == ("link1.m", "link1.mcx")
 
 
-def draw(seed: int, kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Columns, torque and truth of an arm with four parameters that are zero."""
+def test_what_does_not_fit_is_refused() -> None:
+    for tau, names, why in (
+        (TAU[:-1], NAMES, "shape"),
+        (TAU, NAMES[1:], "4 names"),
+        (np.full_like(TAU, np.nan), NAMES, "finite"),
+    ):
+        with pytest.raises(BadInput, match=why):
+            dense(W, tau, names)
+
+
+def test_uncorrected_residuals_would_be_too_sure() -> None:
+    """Over many draws the corrected scores are right on average; those of residuals are not."""
+    rng, draws, n = np.random.default_rng(0), 60, 400
+    t = np.linspace(0, 1, n)[:, None, None]
+    W = np.sin(2 * np.pi * rng.uniform(0, 6, (2, 5)) * t + rng.uniform(0, 6.28, (2, 5)))
+    W[:, 1, 0] = 0.0  # a column silent at a joint
+    used = [np.flatnonzero(W[:, j].any(axis=0)) for j in range(2)]
+    joints = [JointRows(own, W[:, j, own]) for j, own in enumerate(used)]
+    gamma, flat = scipy.linalg.toeplitz(0.9 ** np.arange(n)), W.reshape(-1, 5)
+    root, inverse = np.linalg.cholesky(gamma), np.linalg.inv(flat.T @ flat)
+    true = np.array([np.trace(inverse @ (W[:, j].T @ gamma @ W[:, j])) for j in range(2)])
+    found, plain = np.zeros(2), np.zeros(2)
+    for _ in range(draws):
+        noise = (root @ rng.standard_normal((400, 2))).ravel()
+        residual = (noise - flat @ (inverse @ (flat.T @ noise))).reshape(400, 2)
+        scores, _ = score_covariances(joints, residual, inverse)
+        found += np.einsum("rs,jsr->j", inverse, scores) / draws
+        for j, gamma_j in enumerate(autocovariance(residual, 26).T):
+            part = inverse[np.ix_(used[j], used[j])]
+            plain[j] += np.trace(part @ joints[j].coloured(gamma_j) @ joints[j].W) / draws
+    assert (found > 1.05 * plain).all()
+    assert found / true == pytest.approx(1.0, abs=0.2)  # √(4 (1 + ρ) / ((1 − ρ) N draws)) = 6 %
+
+
+RATE_HZ, ENCODER, NOISE_SHARE = 125.0, 2e-5, 0.02  # rad; of each joint's rms torque
+NOISES = {
+    "white": ([1.0], [1.0]),
+    "ar 0.05 s": ([1.0], [1.0, -np.exp(-1 / (RATE_HZ * 0.05))]),
+    "ar 0.2 s": ([1.0], [1.0, -np.exp(-1 / (RATE_HZ * 0.2))]),
+    "low-pass 3 Hz": scipy.signal.butter(2, 3.0, fs=RATE_HZ),
+}
+
+
+def coloured(kind: str, rng: np.random.Generator, n: int, nv: int) -> np.ndarray:
+    """Stationary noise of unit variance, shape (n, nv)."""
+    settle, (b, a) = round(3 * RATE_HZ), NOISES[kind]
+    impulse = scipy.signal.lfilter(b, a, np.eye(1, settle)[0])
+    white = rng.standard_normal((n + settle, nv))
+    made = scipy.signal.lfilter(b, a, white, axis=0) / np.linalg.norm(impulse)
+    return np.asarray(made[settle:])
+
+
+def scaled_errors(known: Truth, rng: np.random.Generator, seconds: float) -> np.ndarray:
+    """Error over standard deviation of every base parameter on one motion, shape (noises, r)."""
+    trajectory = random_trajectory(known.robot, rng, 10.0, HARMONICS)
+    t = np.arange(0, seconds, 1 / RATE_HZ)
+    q, dq, ddq = (trajectory(t, order) for order in range(3))
+    tau = known.torque(q, dq, ddq)
+    size = NOISE_SHARE * np.sqrt((tau**2).mean(axis=0))
+    measured = q + ENCODER * rng.standard_normal(q.shape)
+    torques = (tau + size * coloured(kind, rng, *tau.shape) for kind in NOISES)
+    runs = [Recording("run", "run.csv", t, measured, noisy) for noisy in torques]
+    rows, found = rows_of(known.robot, runs[0]).reduced, []
+    for run in runs:  # the same positions make the same columns
+        kept = np.concatenate([segment.tau[segment.keep] for segment in prepare(run, 10.0)])
+        fit = weighted_least_squares(rows.with_torque(kept))
+        found.append((fit.beta - known.beta) / fit.std)
+    return np.array(found)
+
+
+def coverage(
+    robot: str, recordings: int, seconds: float, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coverage over all parameters of each noise, and its standard deviation.
+
+    Intervals of one recording depend on each other, recordings do not.
+    """
+    known, draws = truth(robot), (np.random.default_rng([seed, k]) for k in range(recordings))
+    errors = np.array([scaled_errors(known, rng, seconds) for rng in draws])
+    each = (np.abs(errors) <= Z95).mean(axis=2)
+    return each.mean(axis=0), each.std(axis=0, ddof=1) / np.sqrt(len(each))
+
+
+def test_intervals_cover_the_truth() -> None:
+    for kind, value, spread in zip(NOISES, *coverage("planar_2r", 40, 20.0), strict=True):
+        assert abs(value - 0.95) <= 3 * spread + 0.01, (kind, value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("robot", "recordings"), [("planar_2r", 150), ("ur10", 30)])
+def test_intervals_cover_the_truth_on_many_recordings(robot: str, recordings: int) -> None:
+    for kind, value, spread in zip(NOISES, *coverage(robot, recordings, 30.0, 1), strict=True):
+        assert 0.93 - 2 * spread <= value <= 0.97 + 2 * spread, (kind, value)
+
+
+@pytest.mark.parametrize("n", [541, 600, 1012])  # transforms of odd and even length
+def test_autocorrelation_is_that_of_sums_over_lags(n: int) -> None:
+    x = np.random.default_rng(n).standard_normal(n).cumsum()
+    sums = np.correlate(x - x.mean(), x - x.mean(), "full")[n - 1 :][: n // 3]
+    np.testing.assert_allclose(autocorrelation(x), sums / sums[0], rtol=0, atol=1e-12)
+
+
+ZERO, MANY = [1, 4, 5, 9], 12
+
+
+def sparse(seed: int, rho: float) -> tuple[Regression, np.ndarray]:
+    """A problem with four parameters that are zero, and the truth."""
     rng = np.random.default_rng(seed)
     t = np.arange(800)[:, None, None] / 40
     W = sum(
-        rng.normal(size=(2, P)) * np.sin(2 * np.pi * f * t + rng.uniform(0, 6, (2, P)))
+        rng.normal(size=(2, MANY)) * np.sin(2 * np.pi * f * t + rng.uniform(0, 6, (2, MANY)))
         for f in rng.uniform(0.1, 2.0, 6)
     )
-    beta = rng.choice([-1, 1], P) * rng.uniform(0.5, 3, P)
+    beta = rng.choice([-1, 1], MANY) * rng.uniform(0.5, 3, MANY)
     beta[ZERO] = 0.0
-    white = rng.standard_normal((1100, 2))
-    if kind == "ar":
-        white = scipy.signal.lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], white, axis=0)
-    return W, W @ beta + 0.5 * white[300:], beta
+    white = rng.standard_normal((1100, 2)) * np.sqrt(1 - rho**2)
+    noise = scipy.signal.lfilter([1.0], [1.0, -rho], white, axis=0)[300:]
+    return dense(W, W @ beta + 0.5 * noise, tuple(map(str, range(MANY)))), beta
 
 
-@pytest.mark.parametrize("kind", ["white", "ar"])
-def test_planted_zeros_are_dropped_and_nothing_else(kind: str) -> None:
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_planted_zeros_are_dropped_and_nothing_else(rho: float) -> None:
     all_found = 0
     for seed in range(40):
-        W, tau, beta = draw(seed, kind)
-        fit = weighted_least_squares(dense(W, tau, tuple(map(str, range(P)))))
+        rows, beta = sparse(seed, rho)
+        fit = weighted_least_squares(rows)
         found = essential_parameters(fit.beta, fit.covariance)
-        assert set(found.dropped) <= set(ZERO), seed  # the others are 8 or more deviations away
-        assert sorted((*found.kept, *found.dropped)) == list(range(P))
-        assert (found.beta[list(found.dropped)] == 0).all()
-        all_found += set(found.dropped) == set(ZERO)
-        inside = np.abs(found.beta - beta)[list(found.kept)]
-        assert (inside <= 5 * np.sqrt(np.diag(found.covariance)[list(found.kept)])).all()
+        kept, dropped = list(found.kept), list(found.dropped)
+        assert set(dropped) <= set(ZERO), seed  # the others are 8 or more deviations away
+        assert sorted(kept + dropped) == list(range(MANY))
+        assert (found.beta[dropped] == 0).all()
+        all_found += set(dropped) == set(ZERO)
+        inside = np.abs(found.beta - beta)[kept]
+        assert (inside <= 5 * np.sqrt(np.diag(found.covariance)[kept])).all()
     assert all_found >= 34  # of 40; 5 % are kept by chance
 
 
-def test_dropping_is_least_squares_without_the_columns() -> None:
+def test_dropping_is_least_squares_without_the_columns_in_any_unit() -> None:
     """With the covariance of least squares, the rest follows as a fit of fewer columns."""
-    W, tau, _ = draw(0, "white")
-    A, b = W.reshape(-1, P), tau.ravel()
+    rows, _ = sparse(0, 0.0)
+    A, b = rows.W.reshape(-1, MANY), rows.tau.ravel()
     inverse = np.linalg.inv(A.T @ A)
-    found = essential_parameters(inverse @ A.T @ b, 0.25 * inverse)
+    beta, covariance = inverse @ A.T @ b, 0.25 * inverse
+    found = essential_parameters(beta, covariance)
     kept = list(found.kept)
     assert found.dropped
     alone = np.linalg.lstsq(A[:, kept], b, rcond=None)[0]
     np.testing.assert_allclose(found.beta[kept], alone, rtol=1e-8)
-    covariance = 0.25 * np.linalg.inv(A[:, kept].T @ A[:, kept])
-    np.testing.assert_allclose(found.covariance[np.ix_(kept, kept)], covariance, rtol=1e-6)
+    expected = 0.25 * np.linalg.inv(A[:, kept].T @ A[:, kept])
+    np.testing.assert_allclose(found.covariance[np.ix_(kept, kept)], expected, rtol=1e-6)
+    unit = 10.0 ** np.arange(-6, 6)
+    scaled = essential_parameters(beta * unit, covariance * np.outer(unit, unit))
+    assert scaled.dropped == found.dropped
+    np.testing.assert_allclose(scaled.beta, found.beta * unit, rtol=1e-6)
 
 
 @given(st.integers(0, 10**6), st.floats(0.1, 30))
@@ -133,21 +252,9 @@ def test_the_p_value_is_walds(seed: int, size: float) -> None:
     expected = scipy.stats.chi2.sf(statistic, len(d)) if d else 1.0
     assert found.p_value == pytest.approx(expected, rel=1e-6)
     assert found.p_value >= 0.05
-    assert (np.abs(found.beta[d]) == 0).all()
-
-
-def test_units_do_not_matter() -> None:
-    W, tau, _ = draw(1, "ar")
-    fit = weighted_least_squares(dense(W, tau, tuple(map(str, range(P)))))
-    unit = 10.0 ** np.arange(-6, 6)
-    one = essential_parameters(fit.beta, fit.covariance)
-    two = essential_parameters(fit.beta * unit, fit.covariance * np.outer(unit, unit))
-    assert one.dropped == two.dropped
-    np.testing.assert_allclose(two.beta, one.beta * unit, rtol=1e-6)
+    assert (found.beta[d] == 0).all()
 
 
 def test_noise_alone_needs_nothing_and_a_sure_thing_stays() -> None:
-    nothing = essential_parameters(np.array([0.1, -0.2]), np.eye(2))
-    assert nothing.kept == ()
-    exact = essential_parameters(np.array([1.0, 0.1]), np.diag([0.0, 1.0]))
-    assert exact.kept == (0,)
+    assert essential_parameters(np.array([0.1, -0.2]), np.eye(2)).kept == ()
+    assert essential_parameters(np.array([1.0, 0.1]), np.diag([0.0, 1.0])).kept == (0,)
