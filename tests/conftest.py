@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import shlex
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,7 +28,7 @@ hypothesis.settings.load_profile("excitant")
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     """Recordings of real arms: required in continuous integration, else skipped without them."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    beside = Path(__file__).parents[2] / "shared" / "data"
     folder = Path(os.environ.get("EXCITANT_DATA", beside))
     if not folder.is_dir():
         reason = f"no recordings of real arms in {folder}; set EXCITANT_DATA"
@@ -38,23 +36,6 @@ def data_folder() -> Path:
             pytest.fail(reason)
         pytest.skip(reason)
     return folder
-
-
-@pytest.fixture(scope="session")
-def benchmark_module() -> Callable[[str], Any]:
-    """A module of the folder of benchmarks, which is no package, by its name."""
-    folder = Path(__file__).resolve().parents[1] / "benchmarks"
-
-    def load(name: str) -> Any:
-        spec = importlib.util.spec_from_file_location(f"benchmark_{name}", folder / f"{name}.py")
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[spec.name] = module
-        spec.loader.exec_module(module)
-        return module
-
-    return load
 
 
 @pytest.fixture(scope="session")
@@ -75,17 +56,20 @@ class Ran(NamedTuple):
     err: str
 
     @property
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Any:
         """What ``--json`` printed."""
-        found: dict[str, Any] = json.loads(self.out)
-        return found
-
-
-Command = Callable[..., Ran]
+        return json.loads(self.out)
 
 
 @pytest.fixture
-def excitant(capsys: pytest.CaptureFixture[str]) -> Command:
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def excitant(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
     """``excitant("analyze planar_2r", "-o", folder)``: one command, run in this process."""
 
     def run(line: str, *more: object) -> Ran:
@@ -96,11 +80,8 @@ def excitant(capsys: pytest.CaptureFixture[str]) -> Command:
     return run
 
 
-Runs = Callable[..., list[Recording]]
-
-
 @pytest.fixture(scope="session")
-def runs() -> Runs:
+def runs() -> Callable[..., list[Recording]]:
     """``runs(robot, seed, hidden=..., sensors=..., tolerance=...)``: two motions, or one, recorded.
 
     The arm is virtual and shares no code with the effects that are fitted; by default it is its

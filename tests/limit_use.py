@@ -1,11 +1,22 @@
-"""Use of a robot's limits at the samples of a motion, by the definition of the limits alone."""
+"""Other limits for a robot, and their use by the definition of the limits alone."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
 from excitant.design import Design
 from excitant.robots import Array, Motion, Robot, torque
+
+
+def limited(robot: Robot, **changes: object) -> Robot:
+    """The robot with some of its limits replaced."""
+    limits = {
+        name: np.broadcast_to(np.asarray(value, float), np.shape(getattr(robot.limits, name)))
+        for name, value in changes.items()
+    }
+    return robot.with_limits(replace(robot.limits, **limits))
 
 
 def limit_shares(robot: Robot, motion: Motion) -> dict[str, Array]:

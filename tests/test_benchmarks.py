@@ -18,16 +18,12 @@ ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "benchmarks"
 METHODS = ("excitant", "random")
 NEUTRAL = {"numpy", "pinocchio"}
+Rows = dict[str, dict[str, Any]]
 
 
 def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, FOLDER / "design.py", *words],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **environment},
-        check=False,
-    )
+    command = [sys.executable, FOLDER / "design.py", *words]
+    return subprocess.run(command, capture_output=True, text=True, env=os.environ | environment)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def rows(folder: Path) -> dict[str, dict[str, Any]]:
+def rows(folder: Path) -> Rows:
     options = ["--time-limit", "1", "--jobs", "2", "-o", str(folder)]
     done = run("--problem", "planar_2r", "--methods", *METHODS, *options)
     assert done.returncode == 0, done.stderr
@@ -49,67 +45,52 @@ def condition_by_newton_euler(folder: Path, name: str, base: int) -> float:
     """κ of a table from torques alone: column k is the torque of a unit change of parameter k."""
     model = pin.buildModelFromUrdf(str(folder / "robot.urdf"))
     phi = np.concatenate([body.toDynamicParameters() for body in list(model.inertias)[1:]])
-    rng = np.random.default_rng(1)
-    drawn = rng.uniform(-3, 3, (200, 3 * model.nv))
     table = np.loadtxt(folder / f"{name}.csv", delimiter=",", skiprows=1)[:, 1:]
 
     def torque(parameters: np.ndarray, states: np.ndarray) -> np.ndarray:
         for j, values in enumerate(parameters.reshape(-1, 10), start=1):
             model.inertias[j] = pin.Inertia.FromDynamicParameters(values)
         data = model.createData()
-        rows = [pin.rnea(model, data, *np.split(state, 3)).copy() for state in states]
-        return np.concatenate(rows)
+        return np.ravel([pin.rnea(model, data, *np.split(x, 3)).copy() for x in states])
 
     def columns(states: np.ndarray) -> np.ndarray:
-        unit = np.eye(len(phi))
-        return np.column_stack([torque(phi + e, states) - torque(phi, states) for e in unit])
+        given = torque(phi, states)
+        return np.column_stack([torque(phi + e, states) - given for e in np.eye(len(phi))])
 
-    W = columns(drawn)
+    W = columns(np.random.default_rng(1).uniform(-3, 3, (200, 3 * model.nv)))
     chosen: list[int] = []
     for k in range(len(phi)):
-        if np.linalg.matrix_rank(W[:, np.array([*chosen, k])], tol=1e-6) > len(chosen):
+        if np.linalg.matrix_rank(W[:, [*chosen, k]], tol=1e-6) > len(chosen):
             chosen.append(k)
     assert len(chosen) == base
-    return float(np.linalg.cond(columns(table)[:, np.array(chosen)]))
+    return float(np.linalg.cond(columns(table)[:, chosen]))
 
 
 @pytest.mark.slow
-def test_every_contestant_has_a_row_with_a_motion_within_the_limits(
-    rows: dict[str, dict[str, Any]],
-) -> None:
+def test_every_contestant_has_a_row_with_a_motion_within_the_limits(rows: Rows) -> None:
     assert tuple(rows) == METHODS
     for row in rows.values():
         assert row["samples"] == 1001
-        assert row["left"] >= 1
-        assert row["proj"] >= 1
+        assert min(row["left"], row["proj"], row["wall_s"]) >= 1
         assert 0 < row["worst"] <= 1
         assert row["at_rest"]
         assert row["cpu_s"] > 0
-        assert row["wall_s"] >= 1
 
 
-def test_the_condition_number_is_that_of_torques_by_another_way(
-    folder: Path, rows: dict[str, dict[str, Any]]
-) -> None:
+def test_designs_beat_random_search_by_torques_of_another_way(folder: Path, rows: Rows) -> None:
     row = rows["excitant"]
     kappa = condition_by_newton_euler(folder, "excitant-5", row["base"])
     assert row["left"] == pytest.approx(kappa, rel=1e-6)
-
-
-def test_design_is_no_worse_than_random_search(rows: dict[str, dict[str, Any]]) -> None:
-    assert rows["excitant"]["left"] < rows["random"]["left"]
+    assert row["left"] < rows["random"]["left"]
 
 
 @pytest.mark.parametrize("kind", ["equal", "limit"])
-def test_the_fitted_model_is_the_true_one_and_excitation_steadies_it(
-    rows: dict[str, dict[str, Any]], kind: str
-) -> None:
-    for row in rows.values():
-        errors = row["errors"][kind]
-        assert errors["misfit"] < 1e-9
-        assert errors["scaled"] > 0
-        assert errors["predicted"] > 0
-    assert rows["excitant"]["errors"][kind]["worst"] < rows["random"]["errors"][kind]["worst"]
+def test_the_fitted_model_is_the_true_one_and_excitation_steadies_it(rows: Rows, kind: str) -> None:
+    errors = {method: row["errors"][kind] for method, row in rows.items()}
+    for found in errors.values():
+        assert found["misfit"] < 1e-9
+        assert min(found["scaled"], found["predicted"]) > 0
+    assert errors["excitant"]["worst"] < errors["random"]["worst"]
 
 
 def test_the_judge_imports_nothing_of_the_optimisers() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
 import signal
 import subprocess
 import sys
@@ -13,27 +12,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
-from excitant.design import from_coefficients, trajectory_json
+from excitant.design import random_trajectory, trajectory_json
 from excitant.robots import load_robot
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="looks into /proc")
+pytestmark = pytest.mark.skipif(not psutil.LINUX, reason="asks for loaded libraries")
 
 PATIENCE = 240.0  # s: machines may be slow, a process that hangs is not
-
-
-def members(session: int) -> list[int]:
-    """Living processes of a session."""
-    found = []
-    for entry in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = entry.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[3]) == session and fields[0] != "Z":
-            found.append(int(entry.parent.name))
-    return found
 
 
 def wait(until: Callable[[], bool], what: str) -> None:
@@ -43,47 +30,48 @@ def wait(until: Callable[[], bool], what: str) -> None:
         time.sleep(0.05)
 
 
-def settle(loaded: Path) -> None:
-    """Wait until imports are over: no library has been loaded for a while."""
-    known, since = set[str](), time.monotonic()
-    while time.monotonic() - since < 1.5:
-        libraries = {line.split()[-1] for line in loaded.read_text().splitlines() if ".so" in line}
-        if libraries - known:
-            known, since = libraries, time.monotonic()
-        time.sleep(0.1)
+def libraries(process: psutil.Process) -> set[str]:
+    return {file.path for file in process.memory_maps() if ".so" in file.path}
 
 
-def _heed() -> None:
-    """Shells start what runs in the background deaf to Ctrl-C; not so here."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+def settle(process: psutil.Process) -> None:
+    """Wait until imports are over: Pinocchio is there, and nothing was loaded for a while."""
+    wait(lambda: any("pinocchio" in path for path in libraries(process)), "the command at work")
+    known: set[str] = set()
+    while found := libraries(process) - known:
+        known |= found
+        time.sleep(1.5)
 
 
-def interrupted(words: list[str], folder: Path, processes: int, group: bool) -> tuple[int, str]:
+def interrupted(words: str, folder: Path, children: int, group: bool) -> tuple[int, str]:
     """Exit status and error stream of a command that was interrupted amid its work."""
-    started = subprocess.Popen(
-        [sys.executable, "-m", "excitant", *words], cwd=folder, start_new_session=True, text=True,
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, preexec_fn=_heed,
+    started = psutil.Popen(
+        [sys.executable, "-m", "excitant", *words.split()], cwd=folder, start_new_session=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        # shells start what runs in the background deaf to Ctrl-C; not so here
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
-    loaded = Path(f"/proc/{started.pid}/maps")
+    family = [started]
     try:
-        wait(lambda: "pinocchio" in loaded.read_text(), "the command at work")
-        wait(lambda: len(members(started.pid)) >= processes, "its processes")
-        settle(loaded)
+        settle(started)
+        wait(lambda: len(started.children(recursive=True)) >= children, "its processes")
+        settle(started)
+        family += started.children(recursive=True)
         assert started.poll() is None
         os.killpg(started.pid, signal.SIGINT) if group else started.send_signal(signal.SIGINT)
         _, err = started.communicate(timeout=PATIENCE)
-        wait(lambda: not members(started.pid), "the end of its processes")
+        assert not psutil.wait_procs(family, PATIENCE)[1]
     finally:
-        for process in members(started.pid):
-            os.kill(process, signal.SIGKILL)
+        for process in family:
+            if process.is_running():
+                process.kill()
     return started.returncode, err
 
 
 @pytest.mark.parametrize("group", [True, False], ids=["at the terminal", "the process alone"])
 def test_a_design_writes_the_best_so_far(group: bool, tmp_path: Path) -> None:
-    words = shlex.split("design planar_2r --harmonics 3 --time-limit 1000 --jobs 2 -o out")
-    status, err = interrupted(words, tmp_path, 3, group)
-    assert (status, err) == (0, "")
+    words = "design planar_2r --harmonics 3 --time-limit 1000 --jobs 2 -o out"
+    assert interrupted(words, tmp_path, 2, group) == (0, "")
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written >= {"result.json", "report.html", "trajectory.csv", "trajectory.json"}
     starts = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))["starts"]
@@ -91,15 +79,9 @@ def test_a_design_writes_the_best_so_far(group: bool, tmp_path: Path) -> None:
 
 
 def test_others_say_that_nothing_was_written(tmp_path: Path) -> None:
-    robot, rng = load_robot("ur10"), np.random.default_rng(0)
-    coefficients = np.zeros((5, robot.nv))
-    coefficients[0], coefficients[3], coefficients[4] = rng.uniform(-1, 1, (3, robot.nv))
-    coefficients[3] = -2 * coefficients[4]  # at rest at both ends
-    motion = from_coefficients(coefficients, 2000.0)
+    robot = load_robot("ur10")
+    motion = random_trajectory(robot, np.random.default_rng(0), 2000.0, 2)
     (tmp_path / "slow.json").write_text(trajectory_json(motion, robot), encoding="utf-8")
-    before = sorted(tmp_path.rglob("*"))
-    status, err = interrupted(
-        ["simulate", "ur10", "slow.json", "-o", "run.csv"], tmp_path, 1, group=True
-    )
-    assert (status, err) == (1, "excitant: interrupted; nothing was written\n")
-    assert sorted(tmp_path.rglob("*")) == before
+    found = interrupted("simulate ur10 slow.json -o run.csv", tmp_path, 0, group=True)
+    assert found == (1, "excitant: interrupted; nothing was written\n")
+    assert [path.name for path in tmp_path.rglob("*")] == ["slow.json"]

@@ -16,35 +16,24 @@ SEED = 2
 
 
 @pytest.fixture(scope="module")
-def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("demo") / "out"
     assert main(["demo", "--robot", "planar_2r", "--seed", str(SEED), "-o", str(folder)]) == 0
-    return folder
-
-
-@pytest.fixture(scope="module")
-def result(directory: Path) -> dict[str, Any]:
-    return load_run(directory)[0]
+    return {"folder": folder, **load_run(folder)[0]}
 
 
 def test_the_hidden_effect_is_named_on_its_joint(result: dict[str, Any]) -> None:
     truth, lead = result["truth"], result["diagnose"]["findings"][0]
-    assert (lead["effect"], lead["joints"]) == (truth["effect"], [truth["joint"]])
-    assert lead["verdict"] == "named"
-    assert result["verdict"] == {
-        "effect": truth["effect"], "joints": [truth["joint"]], "correct": True
-    }  # fmt: skip
-
-
-def test_the_report_says_so(directory: Path, result: dict[str, Any]) -> None:
-    plain = result["truth"]["effect"].replace("_", " ")
+    effect, joint = truth["effect"], truth["joint"]
+    assert (lead["effect"], lead["joints"], lead["verdict"]) == (effect, [joint], "named")
+    assert result["verdict"] == {"effect": effect, "joints": [joint], "correct": True}
     for name in ("summary.txt", "report.html"):
-        text = (directory / name).read_text(encoding="utf-8")
-        assert plain in text.lower()
-        assert result["truth"]["joint"] in text
+        text = (result["folder"] / name).read_text(encoding="utf-8")
+        assert effect.replace("_", " ") in text.lower()
+        assert joint in text
 
 
-def test_the_result_holds_every_verb(directory: Path, result: dict[str, Any]) -> None:
+def test_the_result_holds_every_verb(result: dict[str, Any]) -> None:
     agreed = {
         "design": {"joints", "duration", "harmonics", "condition_number", "limits", "wall_s"},
         "identify": {"joints", "parameters", "base_parameters", "physical"},
@@ -66,10 +55,10 @@ def test_what_is_named_makes_the_model_better(result: dict[str, Any]) -> None:
 
 
 def test_the_written_recordings_give_the_same_diagnosis(
-    directory: Path, result: dict[str, Any], excitant: Any, tmp_path: Path
+    result: dict[str, Any], excitant: Any, tmp_path: Path
 ) -> None:
-    options = ("--json", "--validate", directory / "holdout.parquet", "-o", tmp_path / "again")
-    again = excitant("diagnose planar_2r", directory / "excitation.parquet", *options).result
+    run, held = (result["folder"] / f"{name}.parquet" for name in ("excitation", "holdout"))
+    again = excitant("diagnose planar_2r --json", run, "--validate", held, "-o", tmp_path).result
     for found, expected in zip(again["findings"], result["diagnose"]["findings"], strict=True):
         assert (found["effect"], found["joints"]) == (expected["effect"], expected["joints"])
         assert found["holdout"] == pytest.approx(expected["holdout"], rel=1e-9)

@@ -1,4 +1,4 @@
-"""Every page does what it says: its code runs as printed, its links lead somewhere, it builds.
+"""README and every page do what they say: code runs as printed, links lead somewhere, it builds.
 
 A page is followed from top to bottom in an empty folder of its own; its Python blocks share one
 namespace. ``console`` blocks hold commands after ``$`` and what they print, ``text`` blocks what
@@ -21,32 +21,27 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 
 from excitant.analysis import diagnose
-from excitant.cli import main
+from excitant.cli import app, main
 from excitant.robots.effects import EFFECTS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGE = DOCS / "add-an-effect.md"
-SLOW = ("how-to/next-experiment.md", "how-to/rehearse.md")  # more than 10 s
+README = ROOT / "README.md"
+EFFECT_PAGE = "add-an-effect.md"  # followed in a test of its own
+OTHERS = {"--nthreads", "--seconds"}  # of programs that pages mention beside excitant
 
 BLOCK = re.compile(r"^```(\w+)(?: title=\"(.*?)\")?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"^\$ excitant ((?:.*\\\n)*.*)\n((?:(?!\$ ).*\n)*)", re.MULTILINE)
 NUMBER = re.compile(r"(-?[0-9]+(?:\.[0-9]+)?(?:e[-+]?[0-9]+)?)")
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)")
 
-
-def pages() -> list[str]:
-    return sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
-
-
-def followed() -> list[Any]:
-    """Pages with something to run; the one with fixtures of its own is followed below."""
-    found = [p for p in pages() if DOCS / p != PAGE and BLOCK.search((DOCS / p).read_text("utf-8"))]
-    return [pytest.param(p, marks=pytest.mark.slow) if p in SLOW else p for p in found]
+PAGES = sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
+FOLLOWED = [p for p in PAGES if p != EFFECT_PAGE and BLOCK.search((DOCS / p).read_text("utf-8"))]
 
 
 def says(shown: str, line: str) -> bool:
@@ -86,7 +81,8 @@ class Reader:
             if title:
                 Path(title).write_text(text, encoding="utf-8")
             elif kind == "python":
-                self.printed = self._output(lambda code=text: self._execute(code))
+                with self._listening():
+                    exec(compile(text, self.page, "exec", dont_inherit=True), self.names)
             elif kind == "text":
                 assert_shown(text, self.printed, self.page)
             elif kind == "console":
@@ -94,34 +90,27 @@ class Reader:
             elif kind == "sh":
                 pytest.fail(f"{self.page}: write commands as console, with $ before each")
 
-    def _execute(self, code: str) -> None:
-        exec(compile(code, self.page, "exec", dont_inherit=True), self.names)
-
     def _commands(self, text: str) -> None:
         commands = COMMAND.findall(text)
         assert len(commands) == len(re.findall(r"^\$", text, re.MULTILINE)) > 0, text
         for words, shown in commands:
-            status: list[int] = []
-            call = shlex.split(words.replace("\\\n", " "))
-            self.printed = self._output(lambda call=call, to=status: to.append(main(call)))
+            with self._listening():
+                status = main(shlex.split(words.replace("\\\n", " ")))
             unmet = re.search(r"^(excitant: |failed )", shown, re.MULTILINE)
-            assert status == [1 if unmet else 0], f"{self.page}: {words}\n{self.printed}"
+            assert status == bool(unmet), f"{self.page}: {words}\n{self.printed}"
             assert_shown(shown, self.printed, f"{self.page}: excitant {words}")
 
-    @staticmethod
-    def _output(act: Any) -> str:
-        printed = io.StringIO()
-        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-            act()
-        return printed.getvalue()
+    @contextlib.contextmanager
+    def _listening(self) -> Iterator[None]:
+        heard = io.StringIO()
+        with contextlib.redirect_stdout(heard), contextlib.redirect_stderr(heard):
+            yield
+        self.printed = heard.getvalue()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", followed())
-def test_a_page_does_what_it_says(
-    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.parametrize("page", FOLLOWED)
+def test_a_page_does_what_it_says(page: str, here: Path) -> None:
     Reader(page).follow()
 
 
@@ -133,7 +122,7 @@ def test_wrong_pages_are_seen() -> None:
         assert_shown("first\nsecond", "second\nfirst", "page")
 
 
-@pytest.mark.parametrize("page", [*pages(), "../README.md"])
+@pytest.mark.parametrize("page", [*PAGES, "../README.md"])
 def test_links_lead_to_files(page: str) -> None:
     path = DOCS / page
     targets = LINK.findall(path.read_text(encoding="utf-8"))
@@ -160,45 +149,49 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
         assert not outside, f"{page} needs the network: {outside}"
 
 
-@pytest.fixture(scope="module")
-def page() -> Iterator[dict[str, Any]]:
-    """What the examples of the page on effects leave, in one namespace."""
-    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    assert len(blocks) == 3
-    known, names, printed = dict(EFFECTS), {"__name__": "page"}, io.StringIO()
-    try:
-        with contextlib.redirect_stdout(printed):
-            for block in blocks:
-                exec(compile(block, str(PAGE), "exec", dont_inherit=True), names)
-        yield {**names, "printed": printed.getvalue()}
-    finally:
-        EFFECTS.clear()
-        EFFECTS.update(known)
-
-
-def test_effect_of_the_page_is_known_and_written(page: dict[str, Any]) -> None:
-    assert EFFECTS["taut_hose"] is page["TautHose"]
-    entry = {"effect": "taut_hose", "joints": ["joint2"], "values": [12.0], "angle": 0.4}
-    assert page["entries"] == [entry]
-    assert str(entry) in page["printed"]
-
-
-def test_effect_of_the_page_is_identified(page: dict[str, Any]) -> None:
-    assert page["best"] == 0.4
+def test_effect_of_the_page_is_known_identified_and_diagnosed(here: Path) -> None:
+    reader = Reader(EFFECT_PAGE)
+    page = reader.names
+    with mock.patch.dict(EFFECTS):
+        reader.follow()
+        assert EFFECTS["taut_hose"] is page["TautHose"]
+        diagnosis = diagnose(page["given"], page["runs"][:1], validate=page["runs"][1:])
+        (entry,) = [f for f in diagnosis.result()["findings"] if f["effect"] == "taut_hose"]
+    written = {"effect": "taut_hose", "joints": ["joint2"], "values": [12.0], "angle": 0.4}
+    assert page["entries"] == [written]
+    errors = {angle: tried.validate.rms[1] for angle, tried in page["tried"].items()}
+    assert page["best"] == 0.4 == min(errors, key=errors.get)
     assert page["found"].values[0] == pytest.approx(12.0, rel=0.05)
-    best, without = page["tried"][0.4].validate, page["without"].validate
-    assert best.rms[1] < 0.7 * without.rms[1]
-    assert all(
-        tried.validate.rms[1] > best.rms[1] for a, tried in page["tried"].items() if a != 0.4
-    )
-
-
-def test_effect_of_the_page_is_diagnosed(page: dict[str, Any]) -> None:
-    diagnosis = diagnose(page["given"], page["runs"][:1], validate=page["runs"][1:])
+    assert errors[0.4] < 0.7 * page["without"].validate.rms[1]
     assert diagnosis.findings[0].verdict == "named"
     lead = diagnosis.findings[0].effect
     assert (lead.name, lead.joints) == ("taut_hose", ("joint2",))
     assert lead.angle == pytest.approx(0.4, abs=0.1)
     assert lead.values[0] == pytest.approx(12.0, rel=0.1)
-    (entry,) = [f for f in diagnosis.result()["findings"] if f["effect"] == "taut_hose"]
     assert entry["parameters"][0]["name"] == "joint2.hose"
+
+
+@pytest.mark.slow
+def test_python_example_of_the_readme_names_the_payload(capsys: pytest.CaptureFixture[str]) -> None:
+    [block] = re.findall(r"```python\n(.*?)```", README.read_text("utf-8"), re.DOTALL)
+    assert len(block.splitlines()) <= 15
+    exec(compile(block, str(README), "exec"), {"__name__": "readme"})
+    assert "named payload ('wrist_3_joint',)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("page", [*PAGES, "../README.md"])
+def test_options_that_pages_mention_exist(page: str) -> None:
+    verbs = [app[name] for name in app if not name.startswith("-")]
+    arguments = [argument for verb in verbs for argument in verb.assemble_argument_collection()]
+    known = {name for argument in arguments for name in argument.names}
+    known |= {"--help", "--version", "--debug"} | OTHERS
+    lines = [x for x in (DOCS / page).read_text("utf-8").splitlines() if "benchmarks/" not in x]
+    named = set(re.findall(r"(?<![-\w|])--[a-z][a-z-]*", "\n".join(lines)))
+    assert not named - known, f"{page} names options that excitant does not have"
+
+
+def test_site_and_readme_lead_to_every_page() -> None:
+    nav, text = (ROOT / "mkdocs.yml").read_text("utf-8"), README.read_text("utf-8")
+    assert [p for p in PAGES if p not in nav] == []
+    how_to = [p for p in PAGES if p.startswith("how-to/") or p == "tutorial.md"]
+    assert [p for p in how_to if p not in text] == []

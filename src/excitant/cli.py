@@ -177,8 +177,7 @@ def report(*folders: str, run: Run = Run()) -> None:
     if not folders:
         raise BadInput("name the folder of a run, or several to compare")
     if len(folders) > 1:
-        result = compare(*(SavedRun(folder, *load_run(folder)) for folder in folders))
-        run.finish(result, {})
+        run.finish(compare(*(SavedRun(folder, *load_run(folder)) for folder in folders)), {})
         return
     if run.output is not None:
         raise BadInput("-o is where runs are compared; name a second run, or leave -o out")
@@ -192,7 +191,8 @@ def report(*folders: str, run: Run = Run()) -> None:
 
 def completion(shell: Literal["bash", "zsh", "fish"], /) -> None:
     """A script that completes commands at the TAB key."""
-    print(app.generate_completion(prog_name="excitant", shell=shell))
+    script = app.generate_completion(prog_name="excitant", shell=shell)
+    print(script.replace("\ncomplete -F", "\ncomplete -o default -F"))  # bash: names of files, too
 
 
 _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {

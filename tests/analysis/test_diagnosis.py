@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -20,14 +21,15 @@ from excitant.analysis.validation import LIKELY, refit, windows
 from excitant.identify import model_files
 from excitant.identify.rows import series
 from excitant.robots import Motion, Robot, load_robot, torque
-from excitant.robots.effects import Effect, StribeckFriction, ViscousFriction
+from excitant.robots.effects import StribeckFriction, ViscousFriction
 from excitant.robots.virtual_arm import HiddenEffect, draw_hidden_effect, industrial_sensors
 
 PAN, LIFT, ELBOW = "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"
 WRISTS = ("wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 SCALAR = {"viscous_friction", "coulomb_friction", "rotor_inertia", "torque_offset"}
 SEEDS, CLEAN = 6, 10  # of each arm
-FLOOR, VISCOUS = 0.1, ViscousFriction(("joint2",))
+Pair = tuple[float, float]
+FLOOR = 0.1
 PLANTED = (
     hidden("gravity_direction", roll=0.1, pitch=-0.05),
     hidden("asymmetric_friction", ELBOW, Fc_plus=10.0, Fc_minus=2.0, Fv_plus=5.0, Fv_minus=0.0),
@@ -108,26 +110,24 @@ def test_nothing_hidden_nothing_named(name: str, seed: int, diagnosed: Diagnosed
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["ur10", "panda"])
-def test_hidden_effects_are_found_in_nine_of_ten(name: str, diagnosed: Diagnosed) -> None:
-    robot, wrong, failures = load_robot(name), 0, []
-    for seed in range(SEEDS):
+def test_hidden_effects_are_found_in_nine_of_ten(ur10: Robot, diagnosed: Diagnosed) -> None:
+    wrong, failures = 0, []
+    for robot, seed in product((ur10, load_robot("panda")), range(SEEDS)):
         effect = draw_hidden_effect(robot, np.random.default_rng([7, seed]))
         diagnosis = diagnosed(robot, 100 + seed, effect)
         if not right(diagnosis, effect):
             wrong += bool(diagnosis.findings) and diagnosis.findings[0].verdict == "named"
-            failures.append((seed, effect.effect, effect.joint, diagnosis.headline))
-    assert len(failures) <= 0.1 * SEEDS, failures
-    assert wrong <= 0.05 * SEEDS, failures
+            failures.append((robot.name, seed, effect.effect, effect.joint, diagnosis.headline))
+    assert len(failures) <= 0.1 * 2 * SEEDS, failures
+    assert wrong <= 0.05 * 2 * SEEDS, failures
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["ur10", "panda"])
-def test_clean_arms_have_nothing_named(name: str, diagnosed: Diagnosed) -> None:
-    robot = load_robot(name)
-    each = [diagnosed(robot, 200 + seed) for seed in range(CLEAN)]
+def test_clean_arms_have_nothing_named(ur10: Robot, diagnosed: Diagnosed) -> None:
+    arms = product((ur10, load_robot("panda")), range(CLEAN))
+    each = [diagnosed(robot, 200 + seed) for robot, seed in arms]
     alarms = [d.headline for d in each if any(f.verdict == "named" for f in d.findings)]
-    assert len(alarms) <= 0.05 * CLEAN, alarms
+    assert len(alarms) <= 0.05 * 2 * CLEAN, alarms
 
 
 @pytest.mark.parametrize(
@@ -284,51 +284,39 @@ def test_a_finding_lowers_the_error_while_joints_move(coulomb: Diagnosis) -> Non
     assert after < 0.5 * before
 
 
-def reason(
-    rms: tuple[float, float],
-    left: tuple[float, float] = (0.0, 0.0),
-    explained: float = 0.5,
-    *others: tuple[Effect, float],
-) -> str:
-    """Of a cause whose torque has this rms at each of two joints, slow structure left there."""
+@pytest.mark.parametrize(
+    ("rms", "left", "own", "rough", "said"),
+    [
+        # more left than explained at its joint
+        ((0.0, 1.0), (0.0, 0.9), 0.5, ("joint2", 0.0), ""),
+        ((0.0, 1.0), (0.0, 1.1), 0.5, ("joint2", 0.0), "more is left"),
+        ((0.0, 1.0), (1.1, 0.0), 0.5, ("joint2", 0.0), ""),
+        # at several joints, it has to explain them all
+        ((1.0, 1.0), (0.0, 0.2), 0.5, ("joint2", 0.0), ""),
+        ((1.0, 1.0), (0.0, 0.5), 0.5, ("joint2", 0.0), "several joints at once"),
+        # a small cause beside a large one of rough shape
+        ((0.0, 1.0), (0.0, 0.0), 0.05, ("joint2", 0.6), "shape"),
+        ((0.0, 1.0), (0.0, 0.0), 0.05, ("joint1", 0.6), ""),
+        ((0.0, 1.0), (0.0, 0.0), 0.05, ("joint2", 0.4), ""),
+        ((0.0, 1.0), (0.0, 0.0), 0.6, ("joint2", 0.05), ""),
+    ],
+)
+def test_why_a_cause_that_pays_is_not_decided(
+    rms: Pair, left: Pair, own: float, rough: tuple[str, float], said: str
+) -> None:
+    """Torque and slow structure left of this rms at each of two joints; what causes explain."""
+    viscous, beside = ViscousFriction(("joint2",)), StribeckFriction((rough[0],))
+    found, *others = (
+        cast(Finding, SimpleNamespace(effect=effect, torque=np.ones((10, 1)) * rms, explained=x))
+        for effect, x in ((viscous, own), (viscous, 0.05), (beside, rough[1]))
+    )
     residuals = [
         Residual(f"joint{j}", np.hypot(x, FLOOR), FLOOR, 2 * x + FLOOR, 1.0, {}, {}, (0, 1))
         for j, x in enumerate(left, start=1)
     ]
-    torque = np.array(rms) * np.ones((10, 1))
-    found, *beside = (
-        cast(Finding, SimpleNamespace(effect=effect, torque=torque, explained=share))
-        for effect, share in ((VISCOUS, explained), *others)
-    )
-    return reason_to_downgrade(found, beside, residuals)
-
-
-@pytest.mark.parametrize(("rms", "undecided"), [(0.9, False), (1.1, True)])
-def test_more_left_than_explained_at_its_joint(rms: float, undecided: bool) -> None:
-    assert ("more is left" in reason((0.0, 1.0), (0.0, rms))) == undecided
-    assert reason((0.0, 1.0), (rms, 0.0)) == ""
-
-
-@pytest.mark.parametrize(("rms", "undecided"), [(0.2, False), (0.5, True)])
-def test_a_cause_at_several_joints_has_to_explain_them_all(rms: float, undecided: bool) -> None:
-    assert ("several joints at once" in reason((1.0, 1.0), (0.0, rms))) == undecided
-
-
-@pytest.mark.parametrize(
-    ("own", "joint", "other", "undecided"),
-    [
-        (0.05, "joint2", 0.6, True),
-        (0.05, "joint1", 0.6, False),
-        (0.05, "joint2", 0.4, False),
-        (0.6, "joint2", 0.05, False),
-    ],
-)
-def test_a_small_cause_beside_a_large_one_of_rough_shape(
-    own: float, joint: str, other: float, undecided: bool
-) -> None:
-    rough = StribeckFriction((joint,))
-    said = reason((0.0, 1.0), (0.0, 0.0), own, (VISCOUS, 0.05), (rough, other))
-    assert ("shape" in said) == bool(said) == undecided
+    reason = reason_to_downgrade(found, others, residuals)
+    assert said in reason
+    assert bool(said) == bool(reason)
 
 
 @pytest.mark.parametrize(

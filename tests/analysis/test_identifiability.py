@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from planted import Runs, motion_of, stacked
+from true_arm import newton_euler
 
 from excitant.analysis import uncertainty
 from excitant.analysis.experiment import identify_shown, prior_influence, prior_of, refits
@@ -38,11 +39,6 @@ def under(*resting: int) -> Identifiability:
     robot = load_robot("ur10")
     motion = motion_of(robot, resting=resting)
     return analyze(robot, effects=standard_effects(robot.joints), motion=motion)
-
-
-def newton_euler(robot: Robot, motion: Motion) -> np.ndarray:
-    states, data = zip(motion.q, motion.dq, motion.ddq, strict=True), robot.model.createData()
-    return np.array([pin.rnea(robot.model, data, *state) for state in states])
 
 
 def entry(found: Identifiability, name: str) -> ParameterIdentifiability:
@@ -308,7 +304,7 @@ def test_deviations_are_met_by_repeated_experiments_on_recursive_newton_euler(ur
     motion, draws = motion_of(ur10), 400
     sigma = 0.02 * ur10.limits.torque
     found = analyze(ur10, motion=motion, noise=sigma.tolist())
-    tau = newton_euler(ur10, motion)
+    tau = newton_euler(ur10.model, motion)
     W = regressor(ur10, motion)[:, :, list(found.base.columns)] / sigma[:, None]
     solve = np.linalg.pinv(W.reshape(-1, len(found.base)))
     noisy = tau / sigma + np.random.default_rng(3).normal(size=(draws, *tau.shape))
@@ -402,9 +398,7 @@ def test_the_prior_decides_what_is_null_and_not_what_is_seen(judged: Judged) -> 
     assert influence.base_move.max() < 0.3
 
 
-def test_two_initial_values_that_agree_within_5_percent_show_nothing(
-    judged: Judged,
-) -> None:
+def test_two_initial_values_that_agree_within_5_percent_show_nothing(judged: Judged) -> None:
     """Two priors, far apart where the data see, alike where they do not: the tables agree."""
     prior, B = judged.prior, judged.estimate.base.regrouping
     draw = B.T @ np.random.default_rng(4).normal(size=len(B))
@@ -470,7 +464,7 @@ def test_bodies_at_their_limit_are_named(judged: Judged) -> None:
 
 def test_a_recording_that_rests_a_joint_is_judged_as_far_as_it_goes(planar: Robot) -> None:
     motion = motion_of(planar, resting=[1])
-    tau = newton_euler(planar, motion)
+    tau = newton_euler(planar.model, motion)
     tau += 0.02 * np.random.default_rng(6).normal(size=tau.shape)
     recording = Recording("rest", "rest.csv", motion.t, motion.q, tau, dq=motion.dq)
     estimate = identify_shown(planar, [recording])

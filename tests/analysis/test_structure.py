@@ -31,7 +31,6 @@ from excitant.robots.urdf import robot_from_urdf
 
 SEEDS = st.integers(0, 2**32 - 1)
 SAME = 1e-8  # rad: null spaces from columns known to 1e-13, gaps of 1e-4 at least
-GRAVITIES = [None, (0.0, 0.0, 0.0), (1.0, 2.0, -9.0), (0.0, -9.81, 0.0)]
 KINDS = ("planar_2r", "cylindrical", "scara", "puma560", "ur10", "panda", "cmu_dd_arm_ii")
 
 
@@ -79,7 +78,7 @@ def angle_between_methods(robot: Robot, moving: Any = None, held: Any = None) ->
     return other.angle(base.null_space, arm_length(robot))
 
 
-@pytest.mark.parametrize("gravity", GRAVITIES)
+@pytest.mark.parametrize("gravity", [None, (0, 0, 0), (1.0, 2.0, -9.0), (0, -9.81, 0)])
 @pytest.mark.parametrize("name", KINDS)
 def test_recursion_and_regressor_agree(name: str, gravity: tuple[float, ...] | None) -> None:
     robot = load_robot(name)
@@ -274,6 +273,7 @@ def test_at_rest_only_gravity_speaks(ur10: Robot) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(data_folder(None) is None, reason="example-robot-data is not at hand")
 @pytest.mark.parametrize(
     ("file", "joints", "count"),
     [
@@ -286,10 +286,7 @@ def test_at_rest_only_gravity_speaks(ur10: Robot) -> None:
     ],
 )
 def test_arms_of_example_robot_data(file: str, joints: int, count: int) -> None:
-    folder = data_folder(None)
-    if folder is None:
-        pytest.skip("example-robot-data is not installed and EXAMPLE_ROBOT_DATA names no folder")
-    text = (folder / file).read_text(encoding="utf-8")
+    text = (data_folder(None) / file).read_text(encoding="utf-8")
     names = robot_from_urdf(text, source=file).joints[:joints]
     robot = robot_from_urdf(text, RobotSpec(file, joints=tuple(names)))
     assert len(structure(robot).base) == count

@@ -1,13 +1,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
-from pathlib import Path
 
 import clarabel
 import numpy as np
 import pytest
 import scipy.sparse
+from limit_use import limited
 
 from excitant.design import condition_number, design_trajectory, random_trajectory
 from excitant.design.bound import Bound, best_mixture, lower_bound
@@ -15,20 +14,12 @@ from excitant.design.relaxation import Relaxation, numbered
 from excitant.exceptions import BadInput
 from excitant.robots import Robot, load_robot
 
-Limited = Callable[..., Robot]
-
-PENDULUM = """<robot name="pendulum"><link name="base"/>
-<link name="bob"><inertial><origin xyz="0.3 0.1 0"/><mass value="2"/>
-<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial></link>
-<joint name="hinge" type="revolute"><parent link="base"/><child link="bob"/><axis xyz="0 1 0"/>
-<limit lower="-3.2" upper="3.2" velocity="2" effort="1000"/></joint></robot>"""
-
 
 @pytest.fixture(scope="module")
-def pendulum(tmp_path_factory: pytest.TempPathFactory) -> Robot:
-    path: Path = tmp_path_factory.mktemp("pendulum") / "pendulum.urdf"
-    path.write_text(PENDULUM)
-    return load_robot(path)
+def pendulum() -> Robot:
+    """One joint whose base columns are (g sin q, g cos q, q̈)."""
+    robot = load_robot("planar_2r", lock={"joint2": 0.0}).with_effects(())
+    return limited(robot, velocity=2.0, torque=np.inf)
 
 
 def svec(M: np.ndarray) -> np.ndarray:
@@ -98,7 +89,7 @@ def test_mixture_agrees_with_a_general_solver(seed: int) -> None:
     assert (np.tensordot(M, found.P - found.Q, axes=2) + rows @ found.y).max() < 1e-5
 
 
-def test_pendulum_has_the_bound_known_in_closed_form(pendulum: Robot, limited: Limited) -> None:
+def test_pendulum_has_the_bound_known_in_closed_form(pendulum: Robot) -> None:
     """Y = (g sin q, g cos q, q̈): tr of the first two is g², the third at most a²."""
     g, a = 9.81, 2.0
     robot = limited(pendulum, acceleration=a)
@@ -109,7 +100,7 @@ def test_pendulum_has_the_bound_known_in_closed_form(pendulum: Robot, limited: L
 
 
 @pytest.mark.parametrize("half", [0.4, 0.7])
-def test_pendulum_agrees_with_a_dense_grid(pendulum: Robot, limited: Limited, half: float) -> None:
+def test_pendulum_agrees_with_a_dense_grid(pendulum: Robot, half: float) -> None:
     robot = limited(pendulum, position=[[0.3 - half, 0.3 + half]], acceleration=8.0)
     bound = lower_bound(robot, duration=5.0, harmonics=4, time_limit=20.0)
     exhaustive = grid_value(bound.relaxation, (41, 7, 9))
@@ -120,7 +111,7 @@ def test_pendulum_agrees_with_a_dense_grid(pendulum: Robot, limited: Limited, ha
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
-def test_never_above_a_trajectory(planar: Robot, limited: Limited, seed: int) -> None:
+def test_never_above_a_trajectory(planar: Robot, seed: int) -> None:
     rng = np.random.default_rng(seed)
     middle, half = rng.uniform(-2, 2, 2), rng.uniform(0.4, 2.0, 2)
     robot = limited(
@@ -130,38 +121,27 @@ def test_never_above_a_trajectory(planar: Robot, limited: Limited, seed: int) ->
         acceleration=rng.uniform(3, 20, 2),
         torque=planar.limits.torque * rng.uniform(0.7, 1.0, 2),
     )
-    columns = ("inertial", "friction")[seed % 2]
     duration, harmonics = float(rng.uniform(3, 10)), int(rng.integers(2, 6))
-    bound = lower_bound(
-        robot, duration=duration, harmonics=harmonics, columns=columns, time_limit=4.0
-    )
-    information = bound.relaxation.information
-    found = design_trajectory(
-        robot, duration=duration, harmonics=harmonics, columns=columns, starts=3, jobs=1
-    )
-    trajectories = [found.trajectory]
-    trajectories += [random_trajectory(robot, rng, duration, harmonics) for _ in range(50)]
-    conditions = [condition_number(information.matrix(x.sample(401))) for x in trajectories]
-    assert bound.value <= min(conditions)
-    assert bound.value > 1.0
+    options = {"duration": duration, "harmonics": harmonics}
+    options["columns"] = ("inertial", "friction")[seed % 2]
+    bound = lower_bound(robot, time_limit=4.0, **options)
+    found = design_trajectory(robot, starts=3, jobs=1, **options)
+    drawn = [random_trajectory(robot, rng, duration, harmonics) for _ in range(50)]
+    matrix = bound.relaxation.information.matrix
+    conditions = [condition_number(matrix(x.sample(401))) for x in (found.trajectory, *drawn)]
+    assert 1.0 < bound.value <= min(conditions)
     assert_certificate_holds(bound, 2000)
 
 
 @pytest.mark.slow
-def test_tighter_limits_never_lower_the_bound(planar: Robot, limited: Limited) -> None:
-    bounds = [
-        lower_bound(
-            limited(
-                planar,
-                position=[[-share * 2, share * 2]] * 2,
-                velocity=planar.limits.velocity * share,
-                acceleration=planar.limits.acceleration * share,
-            ),
-            harmonics=harmonics,
-            time_limit=4.0,
-        )
-        for harmonics, share in ((None, 1.0), (5, 1.0), (5, 0.7), (5, 0.4))
-    ]
+def test_tighter_limits_never_lower_the_bound(planar: Robot) -> None:
+    bounds = []
+    for harmonics, share in ((None, 1.0), (5, 1.0), (5, 0.7), (5, 0.4)):
+        rates = {
+            name: share * getattr(planar.limits, name) for name in ("velocity", "acceleration")
+        }
+        robot = limited(planar, position=[-2 * share, 2 * share], **rates)
+        bounds.append(lower_bound(robot, harmonics=harmonics, time_limit=4.0))
     for looser, tighter in itertools.pairwise(bounds):
         assert tighter.without_repair >= looser.value * (1 - 1e-9)
         assert tighter.value >= looser.value * (1 - 0.02)
@@ -169,7 +149,7 @@ def test_tighter_limits_never_lower_the_bound(planar: Robot, limited: Limited) -
 
 
 @pytest.mark.slow
-def test_bound_of_a_six_joint_arm_is_far_above_one(ur10: Robot, limited: Limited) -> None:
+def test_bound_of_a_six_joint_arm_is_far_above_one(ur10: Robot) -> None:
     robot = limited(ur10, position=[-np.pi, np.pi], acceleration=10.0)
     pool = [random_trajectory(robot, np.random.default_rng(1), 10.0, 5).sample(200)]
     told: list[tuple[float, float, float]] = []
@@ -182,7 +162,7 @@ def test_bound_of_a_six_joint_arm_is_far_above_one(ur10: Robot, limited: Limited
 
 
 @pytest.mark.slow
-def test_test_functions_vanish_on_trajectories(ur10: Robot, limited: Limited) -> None:
+def test_test_functions_vanish_on_trajectories(ur10: Robot) -> None:
     robot = limited(ur10, position=[-np.pi, np.pi], acceleration=10.0)
     bound = lower_bound(robot, time_limit=0.1)
     trajectory = random_trajectory(robot, np.random.default_rng(0), 10.0, 5)
@@ -196,10 +176,11 @@ def test_test_functions_vanish_on_trajectories(ur10: Robot, limited: Limited) ->
         np.testing.assert_allclose(getattr(back, name), getattr(motion, name), atol=1e-9)
 
 
-def test_refuses_what_it_cannot_bound(planar: Robot, limited: Limited) -> None:
-    with pytest.raises(BadInput, match="at least 2"):
-        lower_bound(planar, harmonics=1)
-    with pytest.raises(BadInput, match="velocity"):
-        lower_bound(limited(planar, velocity=np.inf), harmonics=None)
-    with pytest.raises(BadInput, match="joints"):
-        lower_bound(planar, pool=[numbered(*np.zeros((3, 4, 3)))])
+def test_refuses_what_it_cannot_bound(planar: Robot) -> None:
+    for robot, options, why in (
+        (planar, {"harmonics": 1}, "at least 2"),
+        (limited(planar, velocity=np.inf), {"harmonics": None}, "velocity"),
+        (planar, {"pool": [numbered(*np.zeros((3, 4, 3)))]}, "joints"),
+    ):
+        with pytest.raises(BadInput, match=why):
+            lower_bound(robot, **options)

@@ -1,130 +1,138 @@
 """Clearance is a distance that holds at every instant, not only at the samples."""
 
+from __future__ import annotations
+
 import re
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
+import yaml
 
 from excitant.design import clearance, design_trajectory, from_coefficients
 from excitant.exceptions import BadInput, Infeasible
-from excitant.robots import load_robot
+from excitant.robots import Robot, load_robot
 from excitant.robots.geometry import Obstacle, Scene, load_obstacles, scene
 from excitant.robots.schema import BoxRecord, HalfSpaceRecord, SphereRecord, WorkspaceRecord
 from excitant.robots.urdf import robot_from_urdf
 
 FLOOR = Obstacle("floor", "half_space", HalfSpaceRecord((0.0, 0.0, 1.0), -0.15))
+ROOM = Obstacle("room", "workspace", WorkspaceRecord((-1.0,) * 3, (1.0,) * 3))
+OBSTACLES = [
+    {"name": "table", "half_space": {"normal": [0.0, 0.6, 0.8], "offset": -0.9}},
+    {"name": "pillar", "box": {"size": [1, 3, 9], "position": [2, 0, 4], "rpy": [0.1, 0.2, 0.5]}},
+    {"name": "ball", "sphere": {"radius": 0.1, "position": [-1.6, -0.7, 0.6]}},
+    {"name": "my cell", "workspace": {"low": [-1.0, -2.0, -0.5], "high": [2.0, 3.0, 1.5]}},
+]
 
 
 @pytest.fixture(scope="module")
-def cell() -> Scene:
-    found = scene(load_robot("ur10"), (FLOOR,))
-    assert found is not None
-    return found
-
-
-def path(cell: Scene, seed: int):
-    rng = np.random.default_rng(seed)
-    nv = cell.robot.nv
-    return from_coefficients(np.vstack([rng.uniform(-2, 2, nv), 0.3 * rng.normal(size=(6, nv))]), 8)
+def cells() -> dict[str, Scene | None]:
+    return {
+        "six joints": scene(load_robot("ur10"), (FLOOR,)),
+        "one joint": scene(load_robot("planar_2r", lock={"joint2": 0.3}), (ROOM,)),
+        "a slide": scene(load_robot("scara")),
+    }
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_no_instant_is_nearer_than_certified(cell: Scene, seed: int) -> None:
-    trajectory = path(cell, seed)
+def test_no_instant_is_nearer_than_certified(cells: dict[str, Scene], seed: int) -> None:
+    rng, cell = np.random.default_rng(seed), cells["six joints"]
+    nodes = np.vstack([rng.uniform(-2, 2, 6), 0.3 * rng.normal(size=(6, 6))])
+    trajectory = from_coefficients(nodes, 8)
     found = clearance(cell, trajectory)
     dense = cell.distances(trajectory(np.linspace(0, 8, 4001)))
     assert found.certified <= dense.min() <= found.distance + 1e-3
     assert found.distance - found.certified <= 2e-3
-    k = int(np.argmin(dense.min(axis=1)))
-    worst = cell.pairs[int(dense[k].argmin())]
-    assert found.bodies == worst or abs(np.sort(dense.min(axis=0))[1] - dense.min()) < 2e-3
+    nearest = dense.min(axis=0)
+    worst = cell.pairs[int(nearest.argmin())]
+    assert found.bodies == worst or abs(np.sort(nearest)[1] - dense.min()) < 2e-3
 
 
-def test_gradient_is_that_of_the_distance(cell: Scene) -> None:
-    rng = np.random.default_rng(3)
+@pytest.mark.parametrize(("name", "least"), [("six joints", 50), ("one joint", 12), ("a slide", 9)])
+def test_gradient_is_that_of_the_distance_and_within_the_speeds(
+    cells: dict[str, Scene], name: str, least: int
+) -> None:
+    """A turning joint moves a body by its lever, a slide as fast as itself."""
+    cell, way, bound = cells[name], np.eye(cells[name].robot.nv), cells[name].speeds()
     # coal's distances are right to about 1e-6 m, so a wide step: 1e-6 / h + O(h²) per radian
-    h, checked = 1e-3, 0
-    for q in rng.uniform(-2, 2, (12, 6)):
-        for pair in range(0, len(cell.pairs), 5):
+    h, checked = 1e-3, []
+    for q in cell.robot.random_motion(np.random.default_rng(4), 15)[0]:
+        slopes = (cell.distances(q + h * way) - cell.distances(q - h * way)) / (2 * h)
+        for pair in range(len(cell.pairs)):
             distance, gradient = cell.gradient(q, pair)
-            if distance < 0.02:  # inside each other the nearest points jump
-                continue
-            ends = [cell.distances(q + s * h * np.eye(6))[:, pair] for s in (1, -1)]
-            np.testing.assert_allclose(gradient, (ends[0] - ends[1]) / (2 * h), atol=5e-3)
-            checked += 1
-    assert checked > 50
+            assert (np.abs(gradient) <= bound[pair] + 1e-9).all()
+            if distance > 0.02:  # inside each other the nearest points jump
+                np.testing.assert_allclose(gradient, slopes[:, pair], atol=5e-3)
+                checked.append(gradient)
+    assert len(checked) > least
+    assert np.abs(checked).max() > 0.2
 
 
-def test_gradient_of_an_arm_of_one_joint() -> None:
-    room = Obstacle("room", "workspace", WorkspaceRecord((-1.0,) * 3, (1.0,) * 3))
-    one = scene(load_robot("planar_2r", lock={"joint2": 0.3}), (room,))
-    assert one is not None
-    h, q = 1e-3, np.array([0.7])
-    above, below = (one.distances(q[None] + s * h)[0] for s in (1, -1))
-    slopes = [one.gradient(q, pair)[1] for pair in range(len(one.pairs))]
-    np.testing.assert_allclose(np.ravel(slopes), (above - below) / (2 * h), atol=5e-3)
-    assert np.abs(slopes).max() > 0.2
-
-
-def test_speeds_bound_every_gradient(cell: Scene) -> None:
-    """Of turning joints, and of a slide, which moves a body as fast as itself."""
-    sliding = scene(load_robot("scara"))
-    assert sliding is not None
-    for found in (cell, sliding):
-        bound = found.speeds()
-        for q in found.robot.random_motion(np.random.default_rng(4), 15)[0]:
-            for pair in range(len(found.pairs)):
-                assert (np.abs(found.gradient(q, pair)[1]) <= bound[pair] + 1e-9).all()
-
-
-def test_design_keeps_the_clearance() -> None:
-    robot = load_robot("planar_2r")
+def test_design_keeps_the_clearance(planar: Robot) -> None:
     wall = Obstacle("wall", "box", BoxRecord((0.1, 4.0, 4.0), (0.55, 0.0, 0.0)))  # in its reach
-    around = scene(robot, (wall,))
-    assert around is not None
+    around = scene(planar, (wall,))
     options = {"columns": "inertial", "harmonics": 3, "starts": 2, "jobs": 1}
-    free = design_trajectory(robot, **options)  # type: ignore[arg-type]
-    kept = design_trajectory(robot, scene=around, clearance=0.03, **options)  # type: ignore[arg-type]
+    free = design_trajectory(planar, **options)
+    kept = design_trajectory(planar, scene=around, clearance=0.03, **options)
     assert clearance(around, free.trajectory).distance < 0.03  # the wall matters
-    assert kept.clearance is not None
     assert kept.clearance.certified >= 0.03
     dense = around.distances(kept.trajectory(np.linspace(0, kept.duration, 5001)))
     assert dense.min() >= 0.03
     assert kept.limits.hold
 
 
-def test_a_cell_without_room_is_refused() -> None:
-    robot = load_robot("planar_2r")
+def test_the_tool_stays_in_its_workspace(ur10: Robot) -> None:
+    low, high = (-1.3, -0.6, 0.1), (1.3, 0.9, 1.6)
+    around = scene(ur10, (Obstacle("cell", "workspace", WorkspaceRecord(low, high)),))
+    options = {"columns": "inertial", "harmonics": 3, "starts": 1, "jobs": 1}
+    found = design_trajectory(ur10, scene=around, clearance=0.0, **options)
+    data = ur10.model.createData()
+    for q in found.trajectory.sample(1001).q:
+        pin.framesForwardKinematics(ur10.model, data, q)
+        tool = data.oMf[ur10.tip].translation
+        assert np.all((tool >= low) & (tool <= high))
+
+
+def test_a_cell_without_room_is_refused(planar: Robot) -> None:
     everywhere = Obstacle("rock", "sphere", SphereRecord(5.0, (0.0, 0.0, 0.0)))
     with pytest.raises(Infeasible, match="too close to an obstacle"):
-        design_trajectory(robot, starts=1, jobs=1, scene=scene(robot, (everywhere,)))
+        design_trajectory(planar, starts=1, jobs=1, scene=scene(planar, (everywhere,)))
 
 
-def test_a_robot_without_shapes_has_no_scene() -> None:
-    bare = re.sub("<collision>.*?</collision>", "", load_robot("planar_2r").urdf, flags=re.DOTALL)
+def test_a_robot_without_shapes_has_no_scene(planar: Robot) -> None:
+    bare = re.sub("<collision>.*?</collision>", "", planar.urdf, flags=re.DOTALL)
     assert scene(robot_from_urdf(bare, source="bare.urdf")) is None
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        (
-            "- box: {size: [1, 1], position: [0, 0, 0]}",
-            r"s\[0\].box.size: expected a list of length 3",
-        ),
-        ("- sphere: {radius: -1, position: [0, 0, 0]}", "radius: expected a number above 0"),
-        ("- sphere: {radius: 1}", "sphere: it lacks 'position'"),
-        ("- cone: {}", "obstacles.0.: unknown entry 'cone'"),
-        ("- half_space: {normal: [0, 0, 0], offset: 1}", "normal must not be zero"),
-        ("box", "expected a list"),
-        ("- [", "not valid YAML .line 1: "),
-    ],
-)
-def test_bad_obstacles_are_refused_in_one_line(text: str, says: str, tmp_path: Path) -> None:
+def test_obstacles_are_written_as_they_were_read(ur10: Robot, tmp_path: Path) -> None:
+    file = tmp_path / "obstacles.yaml"
+    file.write_text(yaml.safe_dump(OBSTACLES), encoding="utf-8")
+    rows = [obstacle.plain() for obstacle in scene(ur10, load_obstacles(file)).obstacles]
+    assert [row["name"] for row in rows] == [entry["name"] for entry in OBSTACLES]
+    for row, entry in zip(rows, OBSTACLES, strict=True):
+        for key, value in entry[row["shape"]].items():
+            np.testing.assert_allclose(row[key], value, atol=1e-12)
+
+
+REFUSED = {
+    "- box: {size: [1, 1], position: [0, 0, 0]}": r"s\[0\].box.size: expected a list of length 3",
+    "- sphere: {radius: -1, position: [0, 0, 0]}": "radius: expected a number above 0",
+    "- sphere: {radius: 1}": "sphere: it lacks 'position'",
+    "- cone: {}": "obstacles.0.: unknown entry 'cone'",
+    "- half_space: {normal: [0, 0, 0], offset: 1}": "normal must not be zero",
+    "- workspace: {low: [0, 0, 1], high: [1, 1, 0]}": r"s\[0\]\.workspace: low must be below high",
+    "box": "expected a list",
+    "- [": "not valid YAML .line 1: ",
+}
+
+
+@pytest.mark.parametrize("text", REFUSED)
+def test_bad_obstacles_are_refused_in_one_line(text: str, tmp_path: Path) -> None:
     file = tmp_path / "cell.yaml"
     file.write_text(text)
-    with pytest.raises(BadInput, match=says) as error:
+    with pytest.raises(BadInput, match=REFUSED[text]) as error:
         load_obstacles(file)
     assert "\n" not in str(error.value)
     assert "cell.yaml" in str(error.value)

@@ -1,44 +1,43 @@
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
-from limit_use import limit_shares
+from limit_use import limit_shares, limited
 
-from excitant.design import FourierTrajectory, check, random_trajectory
+from excitant.design import check, from_coefficients, random_trajectory
 from excitant.design.constraints import KINEMATIC
+from excitant.design.trajectory import SplineSeries
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Robot, torque
 from excitant.robots.effects import CoulombFriction, ViscousFriction
 
-Limited = Callable[..., Robot]
+UNLIMITED = dict.fromkeys(("velocity", "acceleration", "torque"), np.inf)
+UNLIMITED["position"] = [-np.inf, np.inf]
 
 
 @pytest.mark.parametrize("friction", [False, True])
-@pytest.mark.parametrize("sampled", [False, True])
-def test_ratios_cover_dense_sampling(
-    ur10: Robot, limited: Limited, sampled: bool, friction: bool
-) -> None:
+@pytest.mark.parametrize("kind", ["fourier", "spline", "sampled"])
+def test_ratios_cover_dense_sampling(ur10: Robot, kind: str, friction: bool) -> None:
     effects = [CoulombFriction(ur10.joints, (9.0,) * 6), ViscousFriction(ur10.joints, (5.0,) * 6)]
     robot = limited(ur10, acceleration=12.0).with_effects(effects if friction else ())
     trajectory = random_trajectory(robot, np.random.default_rng(4), 6.0, 6)
-    report = check(robot, trajectory.motion(100) if sampled else trajectory)
+    if kind == "spline":
+        series = SplineSeries(6.0, 24)
+        trajectory = series.trajectory(series.nearest(trajectory))
+    report = check(robot, trajectory.motion(100) if kind == "sampled" else trajectory)
     exact = limit_shares(robot, trajectory.sample(100_001))
     for use in report.uses:
         # the dense samples miss the edge of a friction jump by up to one step of 60 µs
         jumps = friction and use.quantity == "torque"
         rtol = 2e-4 if jumps else 2e-5
         np.testing.assert_allclose(use.ratios, exact[use.quantity], rtol=rtol)
-        if not sampled:
+        if kind != "sampled":
             assert np.all(use.ratios >= exact[use.quantity] * (1 - 1e-7))
 
 
 @pytest.mark.parametrize("sampled", [False, True])
 @pytest.mark.parametrize("quantity", [*KINEMATIC, "torque"])
-def test_flags_a_planted_violation(
-    ur10: Robot, limited: Limited, quantity: str, sampled: bool
-) -> None:
+def test_flags_a_planted_violation(ur10: Robot, quantity: str, sampled: bool) -> None:
     robot = limited(ur10, acceleration=12.0)
     trajectory = random_trajectory(robot, np.random.default_rng(7), 6.0, 5)
     assert check(robot, trajectory).hold
@@ -48,11 +47,7 @@ def test_flags_a_planted_violation(
     j, excess = 2, 1.07
     size = np.abs(values[quantity][:, j])
     limit = np.array(getattr(robot.limits, quantity))
-    if quantity == "position":
-        half = size.max() / excess
-        limit[j] = -half, half
-    else:
-        limit[j] = size.max() / excess
+    limit[j] = size.max() / excess * (np.array([-1, 1]) if quantity == "position" else 1)
     tight = limited(robot, **{quantity: limit})
     report = check(tight, trajectory.motion(50) if sampled else trajectory)
     assert not report.hold
@@ -63,28 +58,19 @@ def test_flags_a_planted_violation(
     assert size[max(k - 2, 0) : k + 3].max() == pytest.approx(size.max(), rel=1e-4)
 
 
-def test_sees_what_happens_between_samples(planar: Robot, limited: Limited) -> None:
-    sine = np.zeros((2, 2))
-    sine[1, 0] = 0.5
-    trajectory = FourierTrajectory([0, 0], np.zeros((2, 2)), sine, 2.0)
+def test_sees_what_happens_between_samples(planar: Robot) -> None:
+    trajectory = from_coefficients([[0, 0], [0, 0], [0, 0], [0, 0], [0.5, 0]], 2.0)
     coarse = trajectory.at(np.arange(9) / 4 + 1 / 16)
-    seen = np.abs(coarse.q).max()
-    assert seen < 0.48
-    robot = limited(
-        planar, position=[-0.49, 0.49], velocity=np.inf, acceleration=np.inf, torque=np.inf
-    )
-    report = check(robot, coarse)
+    assert np.abs(coarse.q).max() < 0.48
+    report = check(limited(planar, **UNLIMITED | {"position": [-0.49, 0.49]}), coarse)
     assert report.worst.quantity == "position"
     assert report.worst.ratio == pytest.approx(0.5 / 0.49, rel=5e-3)
 
 
-def test_no_limit_is_never_exceeded(planar: Robot, limited: Limited) -> None:
-    inf = np.inf
-    robot = limited(planar, position=[-inf, inf], velocity=inf, acceleration=inf, torque=inf)
-    motion = random_trajectory(robot, np.random.default_rng(0), 5.0, 3)
-    report = check(robot, motion)
-    assert report.worst.ratio == 0.0
-    assert report.hold
+def test_no_limit_is_never_exceeded(planar: Robot) -> None:
+    robot = limited(planar, **UNLIMITED)
+    report = check(robot, random_trajectory(robot, np.random.default_rng(0), 5.0, 3))
+    assert (report.worst.ratio, report.hold) == (0.0, True)
 
 
 def test_refuses_another_number_of_joints(planar: Robot, ur10: Robot) -> None:
@@ -96,7 +82,7 @@ def test_refuses_another_number_of_joints(planar: Robot, ur10: Robot) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_random_trajectories_hold_every_limit(ur10: Robot, limited: Limited, seed: int) -> None:
+def test_random_trajectories_hold_every_limit(ur10: Robot, seed: int) -> None:
     rng = np.random.default_rng(seed)
     middle, half = rng.uniform(-2, 2, 6), rng.uniform(0.3, 3.0, 6)
     robot = limited(
@@ -113,14 +99,12 @@ def test_random_trajectories_hold_every_limit(ur10: Robot, limited: Limited, see
     assert check(weak, random_trajectory(weak, rng, 10.0, 5)).hold
 
 
-def test_gravity_above_the_torque_limit_names_the_joint(ur10: Robot, limited: Limited) -> None:
-    weak = np.array(ur10.limits.torque)
-    weak[1] = 1.0
-    stretched = np.array(ur10.limits.position)
-    stretched[1] = -0.2, 0.2
-    stretched[2] = -0.1, 0.1
-    robot = limited(ur10, torque=weak, position=stretched)
-    with pytest.raises(Infeasible, match=rf"torque limit of {ur10.joints[1]} \(1 N·m\)"):
+def test_gravity_above_the_torque_limit_names_the_joint(ur10: Robot) -> None:
+    position, weak = np.array(ur10.limits.position), np.array(ur10.limits.torque)
+    position[1:3], weak[1] = [[-0.2, 0.2], [-0.1, 0.1]], 1.0  # stretched
+    robot = limited(ur10, torque=weak, position=position)
+    why = rf"torque limit of {ur10.joints[1]} \(1 N·m\) .* within the position limits"
+    with pytest.raises(Infeasible, match=why):
         random_trajectory(robot, np.random.default_rng(0), 10.0, 5)
 
 

@@ -1,93 +1,85 @@
-"""The filter shifts nothing, derivatives are those of the motion, columns and torque pass alike."""
+"""Filters shift nothing, derivatives are those of the motion, columns and torque pass alike."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
+import scipy.optimize
+from numpy.polynomial import Polynomial
 
-from excitant.exceptions import BadRecording
-from excitant.identify import Recording
-from excitant.identify.preprocessing import prepare
+from excitant.exceptions import BadInput, BadRecording
+from excitant.identify import LocalPolynomial, Recording, ZeroPhaseButterworth, five_point
+from excitant.identify.differentiators import (
+    causal_polynomial,
+    causal_polynomials,
+    position_spectrum,
+)
+from excitant.identify.preprocessing import Segment, prepare
 from excitant.identify.rows import split
-from excitant.robots import Motion, Robot, load_robot, rigid_body_torque
+from excitant.robots import Motion, Robot, rigid_body_torque
 from excitant.robots.regressor import regressor
 
 RATE, CUTOFF = 256.0, 10.0  # a rate whose steps are exact in binary
 T = np.arange(0, 20, 1 / RATE)
+SLOW = np.arange(0, 20, 0.1)
+MIDDLE = slice(len(T) // 3, 2 * len(T) // 3)  # where filters have forgotten their edges
+NAMES = ("q", "dq", "ddq")
+MotionOf = Callable[..., Motion]
 
 
-def inner(n: int) -> slice:
-    """The middle third, where the filter has forgotten its edges."""
-    return slice(n // 3, 2 * n // 3)
-
-
-def butterworth_twice(f: float) -> float:
-    """Gain of a bilinear Butterworth filter of fourth order run forward and backward."""
-    ratio = np.tan(np.pi * f / RATE) / np.tan(np.pi * CUTOFF / RATE)
-    return float(1 / (1 + ratio**8))
+def prepared(t: np.ndarray, q: np.ndarray, cutoff: float | None = CUTOFF) -> list[Segment]:
+    """Segments of a recording whose torque is its position."""
+    return prepare(Recording("n", "f.csv", t, q, q), cutoff)
 
 
 @pytest.mark.parametrize("f", [0.5, 3.0, 8.0, 15.0])
 def test_a_sinusoid_comes_out_in_phase(f: float) -> None:
     wave = np.column_stack([np.sin(2 * np.pi * f * T), np.cos(2 * np.pi * f * T)])
-    [segment] = prepare(Recording("n", "f", T, wave, wave), CUTOFF)
-    mid = inner(len(T))
-    # poles at the cut-off decay by exp(−2π · 10 Hz · 0.38 · 6.7 s) over a third: nothing is left
-    np.testing.assert_allclose(segment.tau[mid], butterworth_twice(f) * wave[mid], atol=1e-9)
+    [segment] = prepared(T, wave)
+    # gain of a bilinear Butterworth filter of fourth order, forward and backward; its poles decay
+    # by exp(−2π · 10 Hz · 0.38 · 6.7 s) over a third: nothing is left
+    gain = 1 / (1 + (np.tan(np.pi * f / RATE) / np.tan(np.pi * CUTOFF / RATE)) ** 8)
+    np.testing.assert_allclose(segment.tau[MIDDLE], gain * wave[MIDDLE], atol=1e-9)
     np.testing.assert_array_equal(segment.tau_raw, wave)
 
 
-def test_derivatives_are_those_of_the_motion(
-    planar: Robot, motion_of: Callable[..., Motion]
-) -> None:
+def test_derivatives_are_those_of_the_motion(planar: Robot, motion_of: MotionOf) -> None:
     motion = motion_of(planar, T)
-    [segment] = prepare(Recording("n", "f", T, motion.q, motion.q), CUTOFF)
-    mid = inner(len(T))
+    [segment] = prepared(T, motion.q)
     # quintic spline through samples of at most 1.3 Hz at 256 Hz: relative error (ω h)⁴ / 30 in
     # the second derivative; the position filter at 20 Hz takes (1.3 / 20)⁸
-    h = 2 * np.pi * 1.3 / RATE
-    allowed = 4 * max(h**4 / 30, (1.3 / 20) ** 8)
-    for name in ("q", "dq", "ddq"):
-        true, found = getattr(motion, name)[mid], getattr(segment.motion, name)[mid]
+    allowed = 4 * max((2 * np.pi * 1.3 / RATE) ** 4 / 30, (1.3 / 20) ** 8)
+    for name in NAMES:
+        true, found = getattr(motion, name)[MIDDLE], getattr(segment.motion, name)[MIDDLE]
         assert np.abs(found - true).max() <= allowed * np.abs(true).max(), name
 
 
-def test_irregular_time_gives_what_regular_time_gives(
-    planar: Robot, motion_of: Callable[..., Motion]
-) -> None:
-    rng = np.random.default_rng(0)
-    t = T + rng.uniform(-0.4, 0.4, len(T)) / RATE
-    true = motion_of(planar, t)
-    [segment] = prepare(Recording("n", "f", t, true.q, true.q), CUTOFF)
+def test_irregular_time_gives_what_regular_time_gives(planar: Robot, motion_of: MotionOf) -> None:
+    t = T + np.random.default_rng(0).uniform(-0.4, 0.4, len(T)) / RATE
+    [segment] = prepared(t, motion_of(planar, t).q)
     expected = motion_of(planar, segment.motion.t)
     largest = np.diff(t).max()
     linear = largest**2 / 8 * np.abs(expected.ddq).max()  # of piecewise linear interpolation
     assert np.abs(segment.tau_raw - expected.q).max() <= linear
-    mid = inner(len(segment.motion.t))
     cubic = 5 / 384 * largest**4 * np.abs(expected.q).max() * (2 * np.pi * 1.3) ** 4
     # the position filter lets pass 20 Hz: an error of q grows at most by 2π · 20 Hz each time
-    for order, name in enumerate(("q", "dq", "ddq")):
-        allowed = 4 * cubic * (2 * np.pi * 20) ** order
-        difference = getattr(segment.motion, name)[mid] - getattr(expected, name)[mid]
-        assert np.abs(difference).max() <= allowed, name
+    for order, name in enumerate(NAMES):
+        error = np.abs(getattr(segment.motion, name) - getattr(expected, name))[MIDDLE]
+        assert error.max() <= 4 * cubic * (2 * np.pi * 20) ** order, name
 
 
-def test_gaps_split_and_nothing_is_invented_across_them(
-    planar: Robot, motion_of: Callable[..., Motion]
-) -> None:
-    keep = (T < 6.0) | (T >= 9.0)
-    motion = motion_of(planar, T[keep])
-    segments = prepare(Recording("n", "f", motion.t, motion.q, motion.q), CUTOFF)
-    alone = [
-        prepare(Recording("n", "f", motion.t[rows], motion.q[rows], motion.q[rows]), CUTOFF)[0]
-        for rows in (motion.t < 6.0, motion.t >= 9.0)
-    ]
+def test_gaps_split_and_nothing_is_invented_across_them(planar: Robot, motion_of: MotionOf) -> None:
+    t = T[(T < 6.0) | (T >= 9.0)]
+    q = motion_of(planar, t).q
+    segments = prepared(t, q)
     assert len(segments) == 2
-    for found, expected in zip(segments, alone, strict=True):
-        np.testing.assert_allclose(found.t, expected.t, atol=1e-12)
-        np.testing.assert_allclose(found.tau, expected.tau, atol=1e-9)
+    for found, rows in zip(segments, (t < 6.0, t >= 9.0), strict=True):
+        [alone] = prepared(t[rows], q[rows])
+        np.testing.assert_allclose(found.t, alone.t, atol=1e-12)
+        np.testing.assert_allclose(found.tau, alone.tau, atol=1e-9)
         assert not ((found.t >= 6.0) & (found.t < 9.0)).any()
 
 
@@ -95,52 +87,49 @@ def test_parts_too_short_between_gaps_are_left_out_or_refused() -> None:
     t = T + 1.0 * np.floor(T)  # one second on, one second off
     wave, why = np.sin(t)[:, None], r"time jumps 19 times, first after 0\.9961 s"
     with pytest.raises(BadRecording, match=why) as refusal:
-        prepare(Recording("n", "f.csv", t, wave, wave))
+        prepared(t, wave)
     assert (refusal.value.file, refusal.value.column) == ("f.csv", "t")
-    t = np.where(T < 10, T, t)
-    assert len(prepare(Recording("n", "f.csv", t, wave, wave))) == 1
+    assert len(prepared(np.where(T < 10, T, t), wave)) == 1
 
 
-@pytest.mark.parametrize("cutoff", [102.5, 128.0, 1e4, 0.0, -3.0, np.nan])
-def test_a_cutoff_that_does_not_fit_is_refused(cutoff: float) -> None:
-    wave = np.sin(T)[:, None]
-    with pytest.raises(BadRecording, match="choose one up to 102 Hz"):
-        prepare(Recording("n", "f", T, wave, wave), cutoff)
+def test_a_cutoff_that_does_not_fit_is_refused() -> None:
+    unfit = [(T, f, "102") for f in (102.5, 128.0, 1e4, 0.0, -3.0, np.nan)]
+    for t, cutoff, highest in (*unfit, (SLOW, 4.1, "4")):
+        with pytest.raises(BadRecording, match=f"choose one up to {highest} Hz"):
+            prepared(t, np.sin(t)[:, None], cutoff)
+    for given, expected in ((None, 2.0), (4.0, 4.0)):  # positions: 4 of 5 Hz
+        [segment] = prepared(SLOW, np.sin(SLOW)[:, None], given)
+        assert segment.cutoff_hz == pytest.approx(expected)
 
 
-def test_a_slow_recording_gets_a_cutoff_that_fits() -> None:
-    t = np.arange(0, 20, 0.1)
-    wave = np.sin(t)[:, None]
-    recording = Recording("n", "f", t, wave, wave)
-    assert prepare(recording)[0].cutoff_hz == pytest.approx(2.0)  # positions: 4 of 5 Hz
-    assert prepare(recording, 4.0)[0].cutoff_hz == pytest.approx(4.0)
-    with pytest.raises(BadRecording, match="choose one up to 4 Hz"):
-        prepare(recording, 4.1)
-
-
-def test_columns_and_torque_pass_the_same_filter(
-    ur10: Robot, motion_of: Callable[..., Motion]
-) -> None:
+def test_columns_and_torque_pass_the_same_filter(ur10: Robot, motion_of: MotionOf) -> None:
     t = T[:1000]
-    motion = motion_of(ur10, t)
-    [segment] = prepare(Recording("n", "f", t, motion.q, motion.q), CUTOFF)
+    [segment] = prepared(t, motion_of(ur10, t).q)
     columns = segment.rows(lambda m: regressor(ur10, m)) @ ur10.phi
     torque = segment.rows(lambda m: rigid_body_torque(ur10, m))
     np.testing.assert_allclose(columns, torque, atol=1e-9 * np.abs(torque).max())
     assert len(torque) == len(segment.t) == len(segment.tau[segment.keep])
 
 
+def test_columns_of_long_segments_are_those_of_the_whole(
+    planar: Robot, motion_of: MotionOf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    t = np.arange(0, 40, 0.01)
+    [segment] = prepared(t, motion_of(planar, t).q, 5.0)
+    whole = segment.rows(lambda motion: regressor(planar, motion))
+    monkeypatch.setattr("excitant.identify.preprocessing._AT_ONCE", 700)
+    parts = segment.rows(lambda motion: regressor(planar, motion))
+    np.testing.assert_allclose(parts, whole, atol=1e-6 * np.abs(whole).max())
+
+
 def test_rows_leave_out_the_edges_and_stay_dense_enough() -> None:
-    wave = np.sin(T)[:, None]
-    [segment] = prepare(Recording("n", "f", T, wave, wave), CUTOFF)
-    assert segment.t[0] - T[0] >= 1 / CUTOFF - 1 / RATE
-    assert T[-1] - segment.t[-1] >= 1 / CUTOFF - 1 / RATE
+    [segment] = prepared(T, np.sin(T)[:, None])
+    assert min(segment.t[0] - T[0], T[-1] - segment.t[-1]) >= 1 / CUTOFF - 1 / RATE
     assert np.diff(segment.t).max() <= 1 / (4 * CUTOFF) + 1e-12  # twice the Nyquist rate
 
 
-def test_one_cut_off_and_one_sentence_why(exact: Callable[..., Recording]) -> None:
-    robot = load_robot("planar_2r")
-    fast, slow = (exact(robot, np.arange(0, 10, 1 / rate)) for rate in (200.0, 30.0))
+def test_one_cut_off_and_one_sentence_why(planar: Robot, exact: Callable[..., Recording]) -> None:
+    fast, slow = (exact(planar, np.arange(0, 10, 1 / rate)) for rate in (200.0, 30.0))
     for recordings, given, harmonics, expected, why in (
         ([fast], None, None, 10.0, "above the motion of arms"),
         ([fast], None, 3.0, 10.0, "above the motion of arms"),
@@ -153,12 +142,104 @@ def test_one_cut_off_and_one_sentence_why(exact: Callable[..., Recording]) -> No
         assert why in data.cutoff_why
 
 
-def test_columns_of_long_segments_are_those_of_the_whole(
-    exact: Callable[..., Recording], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    robot = load_robot("planar_2r")
-    [segment] = prepare(exact(robot, np.arange(0, 40, 0.01)), 5.0)
-    whole = segment.rows(lambda motion: regressor(robot, motion))
-    monkeypatch.setattr("excitant.identify.preprocessing._AT_ONCE", 700)
-    parts = segment.rows(lambda motion: regressor(robot, motion))
-    np.testing.assert_allclose(parts, whole, atol=1e-6 * np.abs(whole).max())
+def test_five_points_are_the_least_squares_parabola_with_the_published_figures() -> None:
+    five, rate = five_point(), 500.0
+    np.testing.assert_allclose(10 * five.kernel(1), [-2, -1, 0, 1, 2], atol=1e-14)
+    np.testing.assert_allclose(7 * five.kernel(2), [2, -1, -2, -1, 2], atol=1e-13)
+    assert five.noise_gain(rate) / rate == pytest.approx(1 / np.sqrt(10), rel=1e-12)  # 0.316
+    gains = five.gain(np.array([2.0, 10.0, 20.0]), rate)
+    np.testing.assert_allclose(gains, [0.9996, 0.991, 0.965], atol=5e-4)
+    half_power = scipy.optimize.brentq(lambda f: five.gain(f, rate) - np.sqrt(0.5), 30, 100)
+    assert half_power == pytest.approx(60.5, abs=0.05)
+
+
+@pytest.mark.parametrize("polynomial", [five_point(), LocalPolynomial(8, 4)], ids=lambda x: x.name)
+def test_gain_and_noise_gain_are_those_announced(polynomial: LocalPolynomial) -> None:
+    """Of a sinusoid, and the norm of the impulse response."""
+    impulse = polynomial(T, np.eye(len(T))[:, [2000]])
+    for order, name in enumerate(NAMES):
+        for f in (1.0, 7.0, 25.0):
+            w = 2 * np.pi * f
+            found = getattr(polynomial(T, np.sin(w * T)[:, None]), name)[MIDDLE, 0]
+            gain = float(polynomial.gain(np.array([f]), RATE, order)[0])
+            true = w**order * np.sin(w * T + order * np.pi / 2)[MIDDLE]
+            assert np.abs(found - gain * true).max() <= 1e-8 * w**order
+        announced = polynomial.noise_gain(RATE, order)
+        assert announced == pytest.approx(np.linalg.norm(getattr(impulse, name)), rel=1e-6)
+
+
+def test_polynomials_are_exact_up_to_their_degree() -> None:
+    t = np.arange(200) / 500.0
+    q = Polynomial(np.random.default_rng(0).standard_normal(5), domain=[0, t[-1]], window=[0, 1])
+    found = LocalPolynomial(6, 4)(t, q(t)[:, None])
+    for order, name in enumerate(NAMES):
+        true = q.deriv(order)(t)
+        allowed = 1e-8 * np.abs(true).max()
+        np.testing.assert_allclose(getattr(found, name)[:, 0], true, atol=allowed, err_msg=name)
+
+
+@pytest.mark.parametrize("half_width", [2, 9])
+def test_the_causal_kind_says_the_same_later(half_width: int) -> None:
+    q = np.random.default_rng(1).standard_normal((len(T), 2))
+    early = LocalPolynomial(half_width, 2)(T, q)
+    late = LocalPolynomial(half_width, 2, causal=True)
+    found = late(T, q)
+    assert late.delay(RATE) == pytest.approx(half_width / RATE)
+    for name in ("t", *NAMES):
+        expected = getattr(early, name)[half_width:-half_width]
+        np.testing.assert_allclose(getattr(found, name), expected)
+    # the instant reported last needs the newest sample and none after it
+    assert found.t[-1] + late.delay(RATE) == pytest.approx(T[-1])
+
+
+def test_what_cannot_be_differentiated_is_refused_in_one_line() -> None:
+    irregular = np.delete(T, 50)
+    for differentiator, t, why in (
+        (ZeroPhaseButterworth(20.0), irregular, "time is irregular"),
+        (five_point(), irregular, "time is irregular"),
+        (ZeroPhaseButterworth(130.0), T, "choose one below 128 Hz"),
+        (five_point(), T[:4], "at least 5 are needed"),
+    ):
+        with pytest.raises(BadInput, match=why):
+            differentiator(t, np.sin(t)[:, None])
+    with pytest.raises(BadInput, match="degree 5 through 5 samples"):
+        LocalPolynomial(2, 5)
+
+
+def recorded(noise: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ten seconds of two joints with position noise, and their true acceleration."""
+    t, w = np.arange(0, 10, 1e-3), 2 * np.pi * np.array([[[0.7]], [[3.1]]])
+    waves = np.array([[[1.0]], [[0.2]]]) * np.sin(w * t[:, None] + np.array([0.0, 1.0]))
+    q = waves.sum(axis=0) + noise * np.random.default_rng(seed).standard_normal((len(t), 2))
+    return t, q, -(w**2 * waves).sum(axis=0)
+
+
+def error_of(polynomial: LocalPolynomial, t: np.ndarray, q: np.ndarray, ddq: np.ndarray) -> Any:
+    """Root mean square error of acceleration per joint, away from the ends."""
+    edge = polynomial.half_width
+    return np.sqrt(((polynomial(t, q).ddq - ddq[edge:-edge])[500:-500] ** 2).mean(axis=0))
+
+
+@pytest.mark.parametrize("noise", [1e-6, 1e-4, 1e-3])
+def test_the_predicted_error_is_the_error_and_no_candidate_much_better(noise: float) -> None:
+    t, q, true = recorded(noise, seed=3)
+    spectrum = position_spectrum(t, q)
+    np.testing.assert_allclose(spectrum.noise, noise, rtol=0.1)
+    choice = causal_polynomial(spectrum)
+    # a recording of some hundred independent errors gives their rms to about ten per cent
+    error = error_of(choice.differentiator, t, q, true)
+    np.testing.assert_allclose(error, choice.error, rtol=0.35)
+    others = [error_of(each, t, q, true) for each in causal_polynomials(spectrum)]
+    assert np.linalg.norm(error) <= 1.3 * np.linalg.norm(others, axis=1).min()
+    assert choice.differentiator.delay(1e3) > 0
+    assert "predicted acceleration error" in choice.why
+    assert "\n" not in choice.why
+
+
+def test_preprocessing_takes_another_differentiator() -> None:
+    t, q, true = recorded(0.0)
+    recording = Recording("n", "f", t, q, q)
+    [segment] = prepare(recording, 10.0, LocalPolynomial(8, 4))
+    np.testing.assert_allclose(segment.motion.ddq[100:-100], true[100:-100], atol=1e-3)
+    with pytest.raises(BadInput, match="without delay"):
+        prepare(recording, 10.0, five_point(causal=True))

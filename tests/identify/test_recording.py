@@ -1,11 +1,14 @@
-"""Every recording that cannot be used is refused in one line that says where and what to do."""
+"""What cannot be used is refused by its place; pieces and decimated logs say the same."""
 
 from __future__ import annotations
 
 import itertools
+import json
+import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,33 +17,35 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 import pytest
+import streaming
 from hypothesis import given
 from hypothesis import strategies as st
 
-from excitant.exceptions import BadInput, BadRecording
+from excitant.exceptions import BadInput, BadRecording, ExcitantError
 from excitant.identify import (
     ColumnMap,
     Recording,
+    dataset,
+    identify_robot,
+    load_dataset,
     load_recording,
     read_chunks,
+    read_recordings,
     recording_from_table,
     split,
 )
+from excitant.identify.dataset import decimated
+from excitant.identify.faults import find_faults
+from excitant.robots import Motion, Robot, load_robot, torque
+from excitant.robots.effects import standard_effects
 
 Corruption = Callable[[pd.DataFrame], pd.DataFrame]
+Save = Callable[..., Path]
+Log = Callable[[np.ndarray], Recording]
 
 
 def with_value(row: int, column: str, value: object) -> Corruption:
-    def corrupt(table: pd.DataFrame) -> pd.DataFrame:
-        table = table.astype(object)
-        table.loc[row, column] = value
-        return table
-
-    return corrupt
-
-
-def rearranged(table: pd.DataFrame) -> pd.DataFrame:
-    return table.iloc[[*range(40), 41, 40, *range(42, len(table))]]
+    return lambda x: x.assign(**{column: x[column].astype(object).where(x.index != row, value)})
 
 
 CORRUPTIONS: dict[str, tuple[Corruption, int | None, str | None, str]] = {
@@ -54,7 +59,7 @@ CORRUPTIONS: dict[str, tuple[Corruption, int | None, str | None, str]] = {
     "one joint too few": (lambda x: x.drop(columns=["q2", "tau2"]), None, None, "lock the joints"),
     "one joint too many": (lambda x: x.assign(q3=x.q1, tau3=x.tau1), None, None, "lock the joints"),
     "one torque too many": (lambda x: x.assign(tau3=x.tau1), None, "tau3", "remove it"),
-    "time goes back": (rearranged, 41, "t", "goes back"),
+    "time goes back": (lambda x: x.iloc[np.r_[0:40, 41, 40, 42:300]], 41, "t", "goes back"),
     "time repeats": (with_value(40, "t", 0.39), 40, "t", "repeats"),
     "short": (lambda x: x[:150], None, "t", "at least 2 s"),
     "one row": (lambda x: x[:1], None, "t", "at least 2 s"),
@@ -64,17 +69,12 @@ CORRUPTIONS: dict[str, tuple[Corruption, int | None, str | None, str]] = {
 
 
 @pytest.mark.parametrize("name", CORRUPTIONS)
-def test_a_bad_table_is_refused_where_it_is_bad(
-    name: str, table: pd.DataFrame, tmp_path: Path
-) -> None:
+def test_a_bad_table_is_refused_where_it_is_bad(name: str, table: pd.DataFrame, save: Save) -> None:
     corrupt, row, column, advice = CORRUPTIONS[name]
     bad = corrupt(table).reset_index(drop=True)
-    for path in (tmp_path / "bad.csv", tmp_path / "bad.parquet"):
-        if path.suffix == ".csv":
-            bad.to_csv(path, index=False)
-        else:
-            mixed = bad.map(lambda v: isinstance(v, str)).any()
-            bad.astype({c: str if mixed[c] else float for c in bad}).to_parquet(path)
+    texts = bad.map(lambda v: isinstance(v, str)).any()
+    typed = bad.astype({c: str if texts[c] else float for c in bad})
+    for path in (save(bad, "bad.csv"), save(typed, "bad.parquet")):
         with pytest.raises(BadRecording) as refusal:
             load_recording(path, 2)
         error, text = refusal.value, str(refusal.value)
@@ -83,23 +83,19 @@ def test_a_bad_table_is_refused_where_it_is_bad(
         assert "\n" not in text
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "why"),
-    [
-        ("corrupt.parquet", b"PAR1 rubbish", "cannot be read"),
-        ("binary.csv", bytes(range(128, 256)) * 20, "cannot be read"),
-        ("unknown.xyz", b"t,q1\n", "give .parquet or .csv"),
-        ("nothing.csv", None, "no such file"),
-    ],
-)
-def test_a_bad_file_is_refused_by_name(
-    name: str, content: bytes | None, why: str, tmp_path: Path
-) -> None:
-    if content is not None:
-        (tmp_path / name).write_bytes(content)
-    with pytest.raises(BadRecording, match=f"{name}.*{why}") as refusal:
-        load_recording(tmp_path / name, 2)
-    assert "\n" not in str(refusal.value)
+def test_a_bad_file_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "corrupt.parquet").write_bytes(b"PAR1 rubbish")
+    (tmp_path / "binary.csv").write_bytes(bytes(range(128, 256)) * 20)
+    (tmp_path / "unknown.xyz").write_bytes(b"t,q1\n")
+    for refused in (
+        "corrupt.parquet.*cannot be read",
+        "binary.csv.*cannot be read",
+        "unknown.xyz.*give .parquet or .csv",
+        "nothing.csv.*no such file",
+    ):
+        with pytest.raises(BadRecording, match=refused) as refusal:
+            load_recording(tmp_path / refused.partition(".*")[0], 2)
+        assert "\n" not in str(refusal.value)
 
 
 def test_recordings_in_different_units_are_refused(table: pd.DataFrame) -> None:
@@ -121,46 +117,25 @@ def test_too_little_to_hold_out_is_refused_with_advice(table: pd.DataFrame) -> N
     split([recording], [recording])
 
 
-@given(start=st.floats(0, 0.9), length=st.floats(0.05, 1))
-def test_parts_of_a_recording_cover_it_once(start: float, length: float) -> None:
+@given(st.lists(st.floats(0, 1), max_size=3))
+def test_parts_of_a_recording_cover_it_once(cuts: list[float]) -> None:
     t = np.sort(np.random.default_rng(0).uniform(0, 10, 500))
     recording = Recording("n", "f", t, t[:, None], t[:, None])
-    cuts = np.unique([0.0, start, min(1.0, start + length), 1.0])
-    parts = [recording.between(a, b, "part").t for a, b in itertools.pairwise(cuts.tolist())]
+    ends = itertools.pairwise(sorted({0.0, *cuts, 1.0}))
+    parts = [recording.between(*pair, "part").t for pair in ends]
     np.testing.assert_array_equal(np.concatenate(parts), t)
 
 
-PEAK = """
-import pathlib, resource, sys
-from excitant.identify import read_chunks
-rows = sum(len(part.t) for part in read_chunks(sys.argv[1], 7, 50_000))
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # on Linux at least its parent's
-status = pathlib.Path("/proc/self/status")
-if status.is_file():
-    peak = next(x.split()[1] for x in status.read_text().splitlines() if "VmHWM" in x)
-print(rows, int(peak) / 1024)
-"""
-
-
-def write(table: pd.DataFrame, path: Path) -> Path:
-    if path.suffix == ".csv":
-        table.to_csv(path, index=False)
-    elif path.suffix == ".npz":
-        np.savez(path, **{name: table[name] for name in table})
-    else:
-        table.to_parquet(path, row_group_size=70)
-    return path
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
-@pytest.mark.parametrize("rows", [7, 100, 300, 1000])
+@pytest.mark.parametrize("rows", [1, 100, 210, 1000])
 def test_pieces_put_together_are_the_whole(
-    suffix: str, rows: int, table: pd.DataFrame, tmp_path: Path
+    suffix: str, rows: int, table: pd.DataFrame, save: Save
 ) -> None:
+    table = table[:210]
     stamps = 1_700_000_000_000_000_000 + np.round(table.t * 1e9).astype(int)
     columns = {"q1": "a", "q2": "b"}
     log = table.assign(t=stamps, dq1=1.0, dq2=2.0).rename(columns=columns)
-    path, mapping = write(log, tmp_path / f"log{suffix}"), ColumnMap({"q": ("b", "a")})
+    path, mapping = save(log, f"log{suffix}"), ColumnMap({"q": ("b", "a")})
     whole = load_recording(path, 2, mapping=mapping)
     np.testing.assert_allclose(whole.t, table.t, atol=1e-12)
     parts = list(read_chunks(path, 2, rows, mapping=mapping))
@@ -170,66 +145,248 @@ def test_pieces_put_together_are_the_whole(
         np.testing.assert_array_equal(together, getattr(whole, name))
 
 
-def test_files_of_one_log_go_on(table: pd.DataFrame, tmp_path: Path) -> None:
-    files = [
-        write(table[rows], tmp_path / f"log_{k}.csv")
-        for k, rows in enumerate((slice(0, 90), slice(90, 300)))
-    ]
-    parts = list(read_chunks(files, 2, 50))
+def test_files_of_one_log_go_on(table: pd.DataFrame, save: Save) -> None:
+    one, other = (save(x, f"{len(x)}.csv") for x in (table[:90], table[90:]))
+    parts = list(read_chunks([one, other], 2, 50))
     np.testing.assert_allclose(np.concatenate([p.t for p in parts]), table.t, atol=1e-12)
     np.testing.assert_array_equal(np.concatenate([p.q for p in parts]), table[["q1", "q2"]])
     with pytest.raises(BadRecording, match="time goes back") as refusal:
-        list(read_chunks(files[::-1], 2, 50))
-    assert (refusal.value.file, refusal.value.row) == (str(files[0]), 0)
+        list(read_chunks([other, one], 2, 50))
+    assert (refusal.value.file, refusal.value.row) == (str(one), 0)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_a_bad_row_is_counted_from_the_start(
-    suffix: str, table: pd.DataFrame, tmp_path: Path
-) -> None:
-    cases = [(217, "q2", np.nan, "not a finite number")]  # and the first row of a piece, one within
-    cases += [(row, "t", table["t"][row - 1], "time repeats") for row in (100, 150)]
-    for row, column, value, why in cases:
-        bad = table.copy()
-        bad.loc[row, column] = value
-        parts = read_chunks(write(bad, tmp_path / f"log{suffix}"), 2, 100)
+def test_a_bad_row_is_counted_from_the_start(suffix: str, table: pd.DataFrame, save: Save) -> None:
+    for row, column, value, why in (
+        (217, "q2", np.nan, "not a finite number"),
+        (100, "t", 0.99, "time repeats"),  # the first row of a piece
+        (150, "t", 1.49, "time repeats"),
+    ):
+        bad = save(with_value(row, column, value)(table).astype(float), f"log{suffix}")
+        parts = read_chunks(bad, 2, 100)
         assert [len(next(parts)) for _ in range(row // 100)] == [100] * (row // 100)
         with pytest.raises(BadRecording, match=why) as refusal:
             next(parts)
         assert (refusal.value.row, refusal.value.column) == (row, column)
 
 
-def test_what_only_the_whole_shows_is_refused_at_the_end(
-    table: pd.DataFrame, tmp_path: Path
-) -> None:
-    path = tmp_path / "log.csv"
-    with pytest.raises(BadRecording, match="dead channel: 2 in every row") as refusal:
-        list(read_chunks(write(table.assign(tau2=2.0), path), 2, 100))
-    assert refusal.value.column == "tau2"
-    for rows in (0, 1, 150):
-        with pytest.raises(BadRecording, match="too short"):
-            list(read_chunks(write(table[:rows], path), 2, 100))
+def test_what_only_the_whole_shows_is_refused_at_the_end(table: pd.DataFrame, save: Save) -> None:
+    for bad, why in (
+        (table.assign(tau2=2.0), "tau2.*dead channel: 2 in every row"),
+        *((table[:rows], "too short") for rows in (0, 1, 150)),
+    ):
+        with pytest.raises(BadRecording, match=why):
+            list(read_chunks(save(bad, "log.csv"), 2, 100))
     with pytest.raises(BadInput, match="at least one row"):
-        next(read_chunks(path, 2, 0))
+        next(read_chunks("log.csv", 2, 0))
     still = table.assign(tau2=(table.index >= 200) * 1.0)  # dead in a piece, alive in the log
-    assert len(list(read_chunks(write(still, path), 2, 100))) == 3
+    assert len(list(read_chunks(save(still, "log.csv"), 2, 100))) == 3
+
+
+PEAK = """
+import pathlib, sys
+from excitant.identify import read_chunks
+rows = sum(len(part) for part in read_chunks(sys.argv[1], 7, 50_000))
+status = pathlib.Path("/proc/self/status").read_text().splitlines()
+print(rows, next(line.split()[1] for line in status if "VmHWM" in line))
+"""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
-def test_two_million_rows_take_less_than_500_megabytes(suffix: str, tmp_path: Path) -> None:
+def test_two_million_rows_take_less_than_500_megabytes(tmp_path: Path) -> None:
     n, rng = 2_000_000, np.random.default_rng(0)
-    columns = {"t": np.arange(n) / 1000}
-    for k in range(1, 8):
-        columns |= {f"q{k}": rng.normal(size=n).round(6), f"tau{k}": rng.normal(size=n).round(6)}
-    path, log = tmp_path / f"log{suffix}", pa.table(columns)
-    if suffix == ".csv":
-        pyarrow.csv.write_csv(log, path)
-    else:
-        pyarrow.parquet.write_table(log, path, row_group_size=n)
-    done = subprocess.run(
-        [sys.executable, "-c", PEAK, str(path)], capture_output=True, text=True, check=True
-    )
-    rows, peak = done.stdout.split()
-    assert int(rows) == n
-    assert float(peak) < 500
+    names = [f"{name}{k}" for k in range(1, 8) for name in ("q", "tau")]
+    log = pa.table({"t": np.arange(n) / 1000} | {x: rng.normal(size=n).round(6) for x in names})
+    pyarrow.csv.write_csv(log, tmp_path / "log.csv")
+    pyarrow.parquet.write_table(log, tmp_path / "log.parquet", row_group_size=n)
+    for path in tmp_path.iterdir():
+        command = [sys.executable, "-c", PEAK, str(path)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        rows, peak = map(int, done.stdout.split())
+        assert rows == n
+        assert peak / 1024 < 500
+
+
+@pytest.mark.slow
+def test_a_million_rows_are_identified_in_less_than_1200_megabytes(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    streaming.main(["--samples", "1100000"])  # the columns alone would take 5500 MB
+    said = capsys.readouterr().out
+    assert int(re.findall(r"peak memory +(\d+) MB", said)[0]) < 1200
+    assert float(re.findall(r"nrmse (\S+)", said)[0]) < 0.3
+
+
+RATE = 1000.0
+
+
+@pytest.fixture(scope="module")
+def logged(planar: Robot, motion_of: Callable[..., Motion]) -> Log:
+    effects = standard_effects(planar.joints)
+    valued = [e.with_values(0.2 + 0.1 * np.arange(len(e.parameters(planar)))) for e in effects]
+
+    def recorded(t: np.ndarray) -> Recording:
+        motion = motion_of(planar, t)
+        noise = 0.05 * np.random.default_rng(0).normal(size=motion.q.shape)
+        tau = torque(planar.with_effects(valued), motion) + noise
+        return Recording("log", "log.csv", t, motion.q, tau)
+
+    return recorded
+
+
+def pieces(whole: Recording, rows: int) -> Iterator[Recording]:
+    return (whole.take(slice(k, k + rows)) for k in range(0, len(whole), rows))
+
+
+@pytest.mark.parametrize(("jitter", "gap"), [(0.0, False), (0.3, False), (0.0, True)])
+def test_a_decimated_log_gives_the_estimate_of_all_samples(
+    planar: Robot, logged: Log, jitter: float, gap: bool
+) -> None:
+    t = np.arange(40_000) / RATE
+    t = t + jitter / RATE * np.random.default_rng(1).uniform(-0.5, 0.5, len(t))
+    whole = logged(t[(t < 13.3) | (t > 14.5)] if gap else t)
+    expected = identify_robot(planar, [whole])
+    std = np.sqrt(np.diag(expected.least_squares.covariance))
+    for rows in (700, 9999):
+        thin = decimated(pieces(whole, rows))
+        assert 160 <= 1 / np.median(np.diff(thin.t)) < 200
+        assert (np.diff(thin.t) > 0).all()
+        assert int((np.diff(thin.t) > 1).sum()) == gap
+        assert [fault.fault for fault in find_faults(planar, thin)] == ["dropped_samples"] * gap
+        found = identify_robot(planar, [thin])
+        moved = np.abs(found.least_squares.beta - expected.least_squares.beta) / std
+        assert moved.max() < 1  # rows at other instants, and ends of parts lost
+        ratio = np.sqrt(np.diag(found.least_squares.covariance)) / std
+        assert np.abs(np.log(ratio)).max() < 0.36
+        rtol = 0.1 if jitter == 0 else 0.3
+        np.testing.assert_allclose(found.validate.rms, expected.validate.rms, rtol=rtol)
+
+
+def test_what_decimation_would_fold_onto_the_motion_is_taken_away() -> None:
+    t = np.arange(20_000) / RATE
+    slow = np.sin(2 * np.pi * np.array([1.0, 20.0]) * t[:, None])
+    fast = np.sin(2 * np.pi * (RATE / int(RATE / 160) - np.array([1.0, 20.0])) * t[:, None])
+    thin = decimated(pieces(Recording("log", "", t, slow + fast, slow + fast), 3000))
+    expected = np.sin(2 * np.pi * np.array([1.0, 20.0]) * thin.t[:, None])
+    assert np.abs(thin.q - expected).max() < 1e-3  # 80 dB, and the same for what is passed
+
+
+def test_slow_logs_keep_their_samples() -> None:
+    t = np.arange(500) / 100.0
+    whole = Recording("log", "", t, np.sin(t)[:, None], np.cos(t)[:, None], "A")
+    thin = decimated(pieces(whole, 120))
+    np.testing.assert_allclose(thin.t, t, atol=1e-9)
+    np.testing.assert_allclose(thin.q, whole.q, atol=1e-9)
+    assert thin.unit == "A"
+
+
+def test_long_files_are_read_in_pieces_and_bad_rows_and_short_parts_refused(
+    planar: Robot, logged: Log, save: Save, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = logged(np.arange(8000) / RATE)
+    path = save(whole, "log.csv")
+    assert len(read_recordings([path], planar)[0]) == 8000
+    monkeypatch.setattr(dataset, "LONG", 5000)
+    [thin] = load_dataset("planar_2r").recordings([str(path)])  # as the commands read it
+    assert len(thin) < 1400
+    assert any("decimated" in note for note in thin.notes)
+    with pytest.raises(BadRecording, match="no uninterrupted part"):
+        decimated(pieces(replace(whole, t=whole.t + np.arange(8000) // 30), 100))
+    save(replace(whole, t=np.where(whole.t == 6.789, 1.0, whole.t)), "log.csv")
+    with pytest.raises(BadRecording, match="goes back") as refusal:
+        read_recordings([path], planar)
+    assert (refusal.value.row, refusal.value.column) == (6789, "t")
+
+
+@pytest.fixture
+def folder(table: pd.DataFrame, planar: Robot, tmp_path: Path, save: Save) -> Path:
+    """A data set: a robot, recordings and a sidecar."""
+    (tmp_path / "robot.urdf").write_text(planar.urdf, encoding="utf-8")
+    save(table.assign(i1=table.tau1 / 2, i2=table.tau2 / 2), "first.parquet")
+    save(table, "second.csv")
+    (tmp_path / "dataset.json").write_text("{}")
+    return tmp_path
+
+
+def test_recordings_are_named_relative_to_the_folder_or_are_paths(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
+    known, without = load_dataset(folder), load_dataset("planar_2r")
+    named = known.recordings(["first", "first.parquet", "second", "second.csv"])
+    assert [r.name for r in named] == ["first", "first", "second", "second"]
+    assert {Path(r.file).parent for r in named} == {folder}
+    assert [r.name for r in known.recordings([])] == ["first", "second"]
+    assert without.recordings([str(folder / "second.csv")])[0].name == "second"
+    with pytest.raises(BadInput, match="name at least one file"):
+        without.recordings([])
+
+
+def test_the_sidecar_names_the_torque_column_its_gains_and_units(
+    folder: Path, table: pd.DataFrame
+) -> None:
+    assert load_dataset(folder).recordings(["first"])[0].unit == "N·m"
+    (folder / "dataset.json").write_text('{"torque": {"column": "i"}}')
+    assert load_dataset(folder).recordings(["first"])[0].unit == "A"
+    with pytest.raises(BadRecording, match="'i1'"):
+        load_dataset(folder).recordings(["second"])
+    sidecar = {"torque": {"column": "i", "drive_gain_Nm_per_A": [1, 3]}, "units": {"q": "deg"}}
+    (folder / "dataset.json").write_text(json.dumps(sidecar))
+    [found] = load_dataset(folder).recordings(["first"])
+    np.testing.assert_allclose(found.tau, table[["tau1", "tau2"]] * [0.5, 1.5])
+    np.testing.assert_allclose(found.q, np.radians(table[["q1", "q2"]]), atol=1e-12)
+
+
+def test_the_sidecar_locks_joints(folder: Path) -> None:
+    sidecar = {"kinematics": {"urdf": "robot.urdf", "lock": ["joint2"]}}
+    (folder / "dataset.json").write_text(json.dumps(sidecar))
+    robot = load_dataset(folder).robot
+    assert robot.joints == ("joint1",)
+    assert dict(robot.locked) == {"joint2": 0.0}
+    expected = load_robot(folder / "robot.urdf", lock={"joint2": 0.0})
+    assert robot.phi.tolist() == expected.phi.tolist()
+
+
+BAD_SIDECARS = """{
+[]
+{"kinematics": "robot.urdf"}
+{"torque": "i"}
+{"torque": {"column": 3}}
+{"kinematics": {"lock": "joint2"}}
+{"kinematics": {"lock": ["joint9"]}}
+{"kinematics": {"urdf": "nothing.urdf"}}"""
+
+
+@pytest.mark.parametrize("content", BAD_SIDECARS.splitlines())
+def test_a_bad_sidecar_is_refused_in_one_line(folder: Path, content: str) -> None:
+    (folder / "dataset.json").write_text(content)
+    with pytest.raises(ExcitantError, match=str(folder)) as refusal:
+        load_dataset(folder)
+    assert ("dataset.json" in str(refusal.value)) == ("nothing" not in content)
+    assert "\n" not in str(refusal.value)
+    (folder / "dataset.json").unlink()
+    assert load_dataset(folder).robot.nv == 2
+
+
+def test_a_folder_without_robot_or_recordings_is_refused(folder: Path) -> None:
+    for names, refused in (
+        (("first.parquet", "second.csv"), r"no \.parquet or \.csv recording"),
+        (("robot.urdf",), "no robot model"),
+    ):
+        for name in names:
+            (folder / name).unlink()
+        with pytest.raises(BadInput, match=refused):
+            load_dataset(folder).recordings([])
+
+
+def test_real_data_sets_read_and_what_is_held_out_is_never_fitted(data_folder: Path) -> None:
+    for name, nv, unit in (("ur10", 6, "N·m"), ("panda", 7, "N·m"), ("ur10e", 6, "A")):
+        known = load_dataset(data_folder / name)
+        assert known.robot.nv == nv
+        assert {r.unit for r in known.recordings([])} == {unit}
+    known = load_dataset(data_folder / "dualarm_v2")
+    names = [path.stem for path in known.paths([], without=["exc_52p2.parquet"])]
+    assert "exc_52p2" not in names
+    assert "exc_13p5" in names
+    with pytest.raises(BadInput, match="exc_52p2 is to be fitted and held out"):
+        known.recordings(["exc_52p2"], without=["exc_52p2.parquet"])
