@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from estimators import Truth
 
 from excitant.identify import Recording
@@ -14,18 +16,17 @@ from excitant.identify.knowledge import Knowledge
 from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.prior import EffectPrior, prior_parameters
 from excitant.identify.rows import FitRows, fit_rows, split
-from excitant.robots import Motion, Robot, base_parameters, load_robot
+from excitant.robots import Array, Motion, Robot, base_parameters, load_robot
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.torque import observation_columns
 
 HARMONICS = np.array([0.3, 0.5, 0.8, 1.3])  # Hz, far below the cut-off of the torque filter
 Call = Callable[..., Any]  # a fixture that is a function
 NONE = EffectPrior(*(np.zeros(0),) * 3)
-KKT = 1e-8
 Z95 = 1.959963984540054  # standard deviations on either side of 95 %
 
 
-def smooth_motion(robot: Robot, t: np.ndarray, seed: int = 0, hz: np.ndarray = HARMONICS) -> Motion:
+def smooth_motion(robot: Robot, t: Array, seed: int = 0, hz: Array = HARMONICS) -> Motion:
     """Sums of sines with random phases, differentiated on paper."""
     rng = np.random.default_rng(seed)
     phase = rng.uniform(0, 2 * np.pi, (len(hz), robot.nv))
@@ -36,9 +37,26 @@ def smooth_motion(robot: Robot, t: np.ndarray, seed: int = 0, hz: np.ndarray = H
     return Motion(t, *orders)
 
 
+@dataclass(frozen=True)
+class TrueArm:
+    """Pinocchio's rigid bodies, and what each joint has besides, shapes (nv,)."""
+
+    model: pin.Model
+    Fv: np.ndarray | float = 0.0
+    Fc: np.ndarray | float = 0.0
+    offset: np.ndarray | float = 0.0
+    Ia: np.ndarray | float = 0.0
+
+    def torque(self, motion: Motion) -> np.ndarray:
+        data, states = self.model.createData(), (motion.q, motion.dq, motion.ddq)
+        rigid = [pin.rnea(self.model, data, *state) for state in zip(*states, strict=True)]
+        friction = self.Fv * motion.dq + self.Fc * np.sign(motion.dq) + self.offset
+        return np.array(rigid) + friction + self.Ia * motion.ddq
+
+
 def recorded(
     known: Truth, motion: Motion, seed: int, encoder: float = 0.0, noise: float = 0.02,
-    friction: Callable[[np.ndarray], np.ndarray] = np.zeros_like,
+    friction: Callable[[Array], Array] = np.zeros_like,
 ) -> Recording:  # fmt: skip
     """Torque that no code of the product makes, seen by sensors with noise."""
     rng = np.random.default_rng(seed)
@@ -48,11 +66,12 @@ def recorded(
     return Recording(f"run{seed}", "run.csv", motion.t, q, tau)
 
 
-def write_csv(path: Path, run: Recording) -> None:
-    joints = range(1, run.q.shape[1] + 1)
-    names = ["t", *(f"q{j}" for j in joints), *(f"tau{j}" for j in joints)]
+def write_csv(path: Path, run: Recording) -> Path:
+    kinds = ("q", "i" if run.unit == "A" else "tau")
+    names = ["t", *(f"{kind}{j + 1}" for kind in kinds for j in range(run.q.shape[1]))]
     table = np.column_stack([run.t, run.q, run.tau])
     np.savetxt(path, table, delimiter=",", header=",".join(names), comments="")
+    return path
 
 
 def rows_of(
@@ -75,14 +94,7 @@ class Whitened:
         lower = np.array([p.lower for e in fitted for p in e.parameters(robot)])
         self.effects = EffectPrior(np.zeros_like(lower), np.full_like(lower, 1e3), lower)
 
-    def fit(
-        self, z: np.ndarray, knowledge: Knowledge | None = None, sigma: float = 1.0
-    ) -> PhysicalFit:
+    def fit(self, z: Array, knowledge: Knowledge | None = None, sigma: float = 1) -> PhysicalFit:
         return fit_physical(
             self.R, z, self.prior, self.effects, sigma, knowledge=knowledge, links=self.robot.links
         )
-
-
-def assert_optimal(fit: PhysicalFit) -> None:
-    for residual in ("stationarity", "complementarity", "primal"):
-        assert getattr(fit.kkt, residual) <= KKT

@@ -17,7 +17,7 @@ import tracking
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from true_arm import TrueArm, save
+from known_arms import TrueArm, write_csv
 
 from excitant.exceptions import BadInput
 from excitant.identify import Estimate, Recording, identify_robot
@@ -340,9 +340,12 @@ def test_command_writes_result_but_no_model_when_it_got_worse(
     tmp_path: Path, planar: Robot, exact: Callable[..., Recording], excitant: Callable[..., Any]
 ) -> None:
     """Of an arm with large torque offsets, judged on one that the given arm explains."""
-    true = replace(exact(planar, np.arange(0, 8, 1 / 100)), name="true")
-    misled = replace(true, name="misled", tau=true.tau + np.array([40.0, 20.0]))
-    words = ("identify planar_2r", save(misled, tmp_path), "--validate", save(true, tmp_path))
+    true = exact(planar, np.arange(0, 8, 1 / 100))
+    unseen = write_csv(tmp_path / "true.csv", true)
+    misled = write_csv(
+        tmp_path / "misled.csv", replace(true, tau=true.tau + np.array([40.0, 20.0]))
+    )
+    words = ("identify planar_2r", misled, "--validate", unseen)
     ran = excitant(*words, "-o", tmp_path / "out")
     assert (ran.status, ran.err) == (0, "")
     [line] = [line for line in ran.out.splitlines() if "not published" in line]

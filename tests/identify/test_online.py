@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from true_arm import save
+from known_arms import smooth_motion, write_csv
 
 from excitant.exceptions import BadInput
 from excitant.identify import LocalPolynomial, Monitor, OnlineEstimator, Recording
@@ -26,8 +26,8 @@ DIFFERENTIATOR = LocalPolynomial(5, 4, causal=True)
 
 
 @pytest.fixture(scope="module")
-def motion(planar: Robot, motion_of: Callable[..., Motion]) -> Motion:
-    return motion_of(planar, T)
+def motion(planar: Robot) -> Motion:
+    return smooth_motion(planar, T)
 
 
 def estimator(robot: Robot, **options: Any) -> OnlineEstimator:
@@ -177,13 +177,11 @@ def test_the_monitor_says_since_when_and_which_joint(planar: Robot, motion: Moti
     assert text.endswith("move joint2")
 
 
-def test_irregular_time_gives_what_regular_time_gives(
-    planar: Robot, motion: Motion, motion_of: Callable[..., Motion]
-) -> None:
+def test_irregular_time_gives_what_regular_time_gives(planar: Robot, motion: Motion) -> None:
     effects, rng, betas = standard_effects(planar.joints), np.random.default_rng(4), []
     base = base_parameters(planar, effects)
     for t in (T, T + rng.uniform(-0.3, 0.3, len(T)) / RATE):
-        moved = motion_of(planar, t)
+        moved = smooth_motion(planar, t)
         recording = Recording("r", "r.csv", t, moved.q, torque(planar, moved))
         online, samples, _ = replayable(planar, [recording], effects, base, gains=np.ones(2))
         online.extend(*samples)
@@ -199,7 +197,8 @@ def test_irregular_time_gives_what_regular_time_gives(
 def test_online_writes_estimates_over_time(
     planar: Robot, motion: Motion, tmp_path: Path, excitant: Callable[..., Any]
 ) -> None:
-    file = save(Recording("free", "", T, motion.q, noisy(planar, motion, 0.02)), tmp_path)
+    run = Recording("run", "run.csv", T, motion.q, noisy(planar, motion, 0.02))
+    file = write_csv(tmp_path / "run.csv", run)
     # the given model is the true one here
     options = ("--online", "--forgetting", 20, "--force", "--json", "-o", tmp_path)
     ran = excitant("identify planar_2r", file, *options)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from known_arms import TrueArm, smooth_motion, write_csv
 from scipy.interpolate import BPoly
-from true_arm import TrueArm, save
 
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput
@@ -37,9 +37,7 @@ from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors, virtua
 MASS, CENTRE = 1.5, np.array([0.02, -0.03, 0.18])  # kg, m from the last joint's frame
 BODY = pin.Inertia(MASS, CENTRE, np.diag([0.004, 0.005, 0.006]))
 PHI = BODY.toDynamicParameters()
-MotionOf = Callable[..., Motion]
 Runs = tuple[Recording, Recording]
-Benches = Callable[[str], "Bench"]
 
 
 def task(robot: Robot, rng: np.random.Generator) -> BPoly:
@@ -117,10 +115,10 @@ def test_the_given_model_may_stand_for_the_unloaded_arm(panda: Robot, held: Runs
     assert rough.mass == pytest.approx(MASS, rel=0.3)
 
 
-def test_without_noise_the_body_is_exact(ur10: Robot, motion_of: MotionOf) -> None:
+def test_without_noise_the_body_is_exact(ur10: Robot) -> None:
     effects = standard_effects(ur10.joints)
     base = base_parameters(ur10, effects)
-    motion = motion_of(ur10, np.arange(0, 10, 0.05))
+    motion = smooth_motion(ur10, np.arange(0, 10, 0.05))
     bare = torque(ur10, motion)
     extra = Payload((ur10.joints[-1],)).with_values(PHI).torque(ur10, motion)
     W = observation_columns(ur10, effects, motion)[:, :, base.columns].reshape(-1, len(base))
@@ -160,7 +158,7 @@ def test_command_on_an_arm_of_two_parallel_axes(
     load, files = Payload(planar.joints[-1:]).with_values(PHI), []
     for name, effects in (("free", ()), ("held", (load,))):
         run = exact(planar.with_effects([*planar.effects, *effects]), np.arange(0, 12, 0.004))
-        files.append(save(replace(run, name=name), tmp_path))
+        files.append(write_csv(tmp_path / f"{name}.csv", run))
     options = ("--payload", "--unloaded", files[0], "--json", "-o", tmp_path / "run")
     ran = excitant("identify planar_2r", files[1], *options)
     values = {p["name"]: p for p in ran.result["payload"]["parameters"]}
@@ -173,8 +171,8 @@ def test_command_on_an_arm_of_two_parallel_axes(
 class Bench:
     """An arm with friction, whose currents are recorded with and without a payload."""
 
-    def __init__(self, name: str, motion_of: MotionOf) -> None:
-        self.robot, self.motion_of = load_robot(name).with_effects(()), motion_of
+    def __init__(self, name: str) -> None:
+        self.robot = load_robot(name).with_effects(())
         nv, rng = self.robot.nv, np.random.default_rng(1)
         self.gains = 10 * np.exp(rng.uniform(-0.5, 0.5, nv))
         Fv, Fc, Ia = rng.uniform(0.2, 1, (3, nv)) * np.array([[3], [2], [0.1]])
@@ -190,7 +188,7 @@ class Bench:
 
     def currents(self, arm: TrueArm, seed: int, step: float, share: float) -> tuple[Motion, Array]:
         """A motion and its readings, with noise as a share of the bare arm's torque."""
-        m = self.motion_of(self.robot, np.arange(0, 20, step), seed)
+        m = smooth_motion(self.robot, np.arange(0, 20, step), seed)
         noise = np.random.default_rng([3, seed]).standard_normal(m.q.shape)
         size = share * self.bare.torque(m).std(axis=0)
         return m, (arm.torque(m) + size * noise) / self.gains
@@ -209,15 +207,11 @@ class Bench:
         return Recording(name, f"{name}.csv", m.t, m.q, currents, "A")
 
 
-@pytest.fixture(scope="module")
-def bench(motion_of: MotionOf) -> Benches:
-    return functools.cache(lambda name: Bench(name, motion_of))
-
-
+bench = functools.cache(Bench)
 PAYLOADS = (KnownPayload(MASS), KnownPayload(MASS, centre=CENTRE))
 
 
-def test_without_noise_the_gains_are_exact(bench: Benches) -> None:
+def test_without_noise_the_gains_are_exact() -> None:
     b = bench("ur10")
     free, held = b.rows(b.bare, 0, 1e-9), b.rows(b.loaded, 1, 1e-9)
     for payload in PAYLOADS:
@@ -227,9 +221,7 @@ def test_without_noise_the_gains_are_exact(bench: Benches) -> None:
 
 
 @pytest.mark.parametrize("payload", PAYLOADS)
-def test_gains_are_within_three_deviations_that_are_calibrated(
-    bench: Benches, payload: KnownPayload
-) -> None:
+def test_gains_are_within_three_deviations_that_are_calibrated(payload: KnownPayload) -> None:
     b, errors = bench("planar_2r"), []
     for draw in range(30):
         free, held = b.rows(b.bare, 2 * draw), b.rows(b.loaded, 2 * draw + 1)
@@ -241,7 +233,7 @@ def test_gains_are_within_three_deviations_that_are_calibrated(
     assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.2
 
 
-def test_the_payloads_own_uncertainty_counts(bench: Benches) -> None:
+def test_the_payloads_own_uncertainty_counts() -> None:
     b = bench("planar_2r")
     free, held = b.rows(b.bare, 6, 1e-4), b.rows(b.loaded, 7, 1e-4)
     weighed = b.found(free, held, KnownPayload(MASS, mass_std=0.02 * MASS))
@@ -255,7 +247,7 @@ def test_the_payloads_own_uncertainty_counts(bench: Benches) -> None:
     np.testing.assert_allclose(wrong.gains, b.gains / 2, rtol=1e-3)
 
 
-def test_a_gain_that_does_not_show_is_said_to_be_another_s(bench: Benches) -> None:
+def test_a_gain_that_does_not_show_is_said_to_be_another_s() -> None:
     """A payload on the last axis leaves the last joint with what its friction could make."""
     b = bench("ur10")
     held = b.rows(b.with_payload(pin.Inertia(MASS, np.array([0.0, 0.0, 0.1]), BODY.inertia)), 9)
@@ -266,7 +258,7 @@ def test_a_gain_that_does_not_show_is_said_to_be_another_s(bench: Benches) -> No
     assert "wrist_3_joint is not shown" in found.sentence(b.robot.joints)
 
 
-def test_a_payload_too_small_to_show_is_refused(bench: Benches) -> None:
+def test_a_payload_too_small_to_show_is_refused() -> None:
     b = bench("planar_2r")
     small = pin.Inertia(1e-4, CENTRE, 1e-4 * BODY.inertia)
     held = b.rows(b.with_payload(small), 11, 0.05)
@@ -283,7 +275,7 @@ def test_payloads_that_cannot_be(mass: float, std: float) -> None:
 
 
 def test_recordings_of_currents_become_torques(
-    bench: Benches, tmp_path: Path, excitant: Callable[..., Any]
+    tmp_path: Path, excitant: Callable[..., Any]
 ) -> None:
     b = bench("planar_2r")
     free, held = b.recording("free", b.bare, 20), b.recording("held", b.loaded, 21)
@@ -297,12 +289,8 @@ def test_recordings_of_currents_become_torques(
     np.testing.assert_allclose(torques.tau, free.tau * drive.gains)
     with pytest.raises(BadInput, match="for motor currents"):
         identify_drive_gains(wrong, [torques], [held], KnownPayload(MASS))
-    words = (
-        "identify planar_2r",
-        save(free, tmp_path),
-        "--payload-recording",
-        save(held, tmp_path),
-    )
+    files = [write_csv(tmp_path / f"{run.name}.csv", run) for run in (free, held)]
+    words = ("identify planar_2r", files[0], "--payload-recording", files[1])
     com = ",".join(map(str, CENTRE))
     options = ("--payload-mass", MASS, f"--payload-com={com}", "--json", "-o", tmp_path / "run")
     result = excitant(*words, *options).result

@@ -12,8 +12,8 @@ import pinocchio as pin
 import pytest
 import scipy.signal
 from khosla import torque_matrix
+from known_arms import TrueArm, write_csv
 from seed import dd_arm_chain
-from true_arm import TrueArm, save
 
 from excitant.design import random_trajectory
 from excitant.identify import Recording, identify_link_by_link, identify_robot, load_dataset
@@ -230,7 +230,8 @@ def test_command_writes_stages_and_comparison(
 ) -> None:
     rng = np.random.default_rng(5)
     truth = truth_near(planar, rng)
-    files = [save(recorded(planar, truth, rng, name), tmp_path) for name in ("one", "two")]
+    paths = (tmp_path / "one.csv", tmp_path / "two.csv")
+    files = [write_csv(path, recorded(planar, truth, rng)) for path in paths]
     options = ("--link-by-link", "--json", "-o", tmp_path / "run")
     result = excitant("identify planar_2r", *files, *options).result
     found = result["link_by_link"]

@@ -20,17 +20,10 @@ from excitant.analysis.identifiability import analyze
 from excitant.analysis.uncertainty import NOT_SHOWN
 from excitant.design import design_trajectory
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots import (
-    Limits,
-    Motion,
-    Robot,
-    load_limits,
-    load_robot,
-    rigid_body_torque,
-    torque,
-)
+from excitant.robots import Limits, Motion, Robot, load_limits, load_robot, rigid_body_torque
 from excitant.robots.chains import RobotSpec
 from excitant.robots.limits import require_limits
+from excitant.robots.torque import torque
 
 Command = Callable[..., Any]
 Refused = Callable[..., str]
