@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg.lapack import dgesv
 
 from excitant.exceptions import BadInput, BadRobot
 from excitant.robots.motion import Array
@@ -235,7 +236,7 @@ class Arm:
         dv = solved()
         torque: Array = wanted - reaction @ dv[self.driven]
         saturated = np.abs(torque) > control.limit
-        if saturated.any():
+        if np.count_nonzero(saturated):
             reaction[saturated] = 0.0
             wanted[saturated] = np.copysign(control.limit, torque)[saturated]
             dv = solved()
@@ -319,9 +320,11 @@ def velocity_change(
     w = G @ v if shafts else v
     sign = np.sign(w)
     dry = sign * np.where(w < 0, backward, forward)
-    delta = np.asarray(np.linalg.solve(K, impulse - (dry @ G if shafts else dry)), dtype=np.float64)
+    _, _, delta, _ = dgesv(K, impulse - (dry @ G if shafts else dry))  # without NumPy's overhead
     stops = (w + (G @ delta if shafts else delta)) * sign <= 0
-    return stick_or_slip(K, impulse, v, forward, backward, G) if stops.any() else delta
+    if np.count_nonzero(stops):
+        return stick_or_slip(K, impulse, v, forward, backward, G)
+    return np.asarray(delta)
 
 
 def stick_or_slip(
