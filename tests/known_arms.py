@@ -16,18 +16,17 @@ from excitant.identify.knowledge import Knowledge
 from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.prior import EffectPrior, prior_parameters
 from excitant.identify.rows import FitRows, fit_rows, split
-from excitant.robots import Motion, Robot, base_parameters, load_robot
+from excitant.robots import Array, Motion, Robot, base_parameters, load_robot
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.torque import observation_columns
 
 HARMONICS = np.array([0.3, 0.5, 0.8, 1.3])  # Hz, far below the cut-off of the torque filter
 Call = Callable[..., Any]  # a fixture that is a function
 NONE = EffectPrior(*(np.zeros(0),) * 3)
-KKT = 1e-8
 Z95 = 1.959963984540054  # standard deviations on either side of 95 %
 
 
-def smooth_motion(robot: Robot, t: np.ndarray, seed: int = 0, hz: np.ndarray = HARMONICS) -> Motion:
+def smooth_motion(robot: Robot, t: Array, seed: int = 0, hz: Array = HARMONICS) -> Motion:
     """Sums of sines with random phases, differentiated on paper."""
     rng = np.random.default_rng(seed)
     phase = rng.uniform(0, 2 * np.pi, (len(hz), robot.nv))
@@ -57,7 +56,7 @@ class TrueArm:
 
 def recorded(
     known: Truth, motion: Motion, seed: int, encoder: float = 0.0, noise: float = 0.02,
-    friction: Callable[[np.ndarray], np.ndarray] = np.zeros_like,
+    friction: Callable[[Array], Array] = np.zeros_like,
 ) -> Recording:  # fmt: skip
     """Torque that no code of the product makes, seen by sensors with noise."""
     rng = np.random.default_rng(seed)
@@ -95,14 +94,7 @@ class Whitened:
         lower = np.array([p.lower for e in fitted for p in e.parameters(robot)])
         self.effects = EffectPrior(np.zeros_like(lower), np.full_like(lower, 1e3), lower)
 
-    def fit(
-        self, z: np.ndarray, knowledge: Knowledge | None = None, sigma: float = 1.0
-    ) -> PhysicalFit:
+    def fit(self, z: Array, knowledge: Knowledge | None = None, sigma: float = 1) -> PhysicalFit:
         return fit_physical(
             self.R, z, self.prior, self.effects, sigma, knowledge=knowledge, links=self.robot.links
         )
-
-
-def assert_optimal(fit: PhysicalFit) -> None:
-    for residual in ("stationarity", "complementarity", "primal"):
-        assert getattr(fit.kkt, residual) <= KKT

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,8 @@ from excitant.robots import Motion, Robot, torque
 def table() -> pd.DataFrame:
     """Three seconds of two joints, valid."""
     t = np.arange(300) / 100.0
-    columns = {"t": t}
-    for k in (1, 2):
-        columns[f"q{k}"] = np.sin(k * t)
-        columns[f"tau{k}"] = 3 * np.cos(2 * k * t) + k
-    return pd.DataFrame(columns)
+    one, two = ((np.sin(k * t), 3 * np.cos(2 * k * t) + k) for k in (1, 2))
+    return pd.DataFrame(dict(zip(["t", "q1", "tau1", "q2", "tau2"], [t, *one, *two], strict=True)))
 
 
 @pytest.fixture
@@ -77,32 +75,23 @@ def joint_states(
     Stamps count from 2023, or are zero in headers where time is negative. With ``hand``, messages
     of another node go to the same topics.
     """
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin
-    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_typestore
 
     ros1 = kind == "bag"
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    state, header, time = (
-        store.types[name]
-        for name in (
-            "sensor_msgs/msg/JointState",
-            "std_msgs/msg/Header",
-            "builtin_interfaces/msg/Time",
-        )
-    )
+    state = store.types["sensor_msgs/msg/JointState"]
+    header, time = store.types["std_msgs/msg/Header"], store.types["builtin_interfaces/msg/Time"]
     serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
-    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-    with Writer1(path) if ros1 else Writer2(path, version=9, storage_plugin=plugin) as writer:
-        connections = [
-            writer.add_connection(topic, state.__msgtype__, typestore=store) for topic in topics
-        ]
+    plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
+    bag = rosbag1.Writer(path) if ros1 else rosbag2.Writer(path, version=9, storage_plugin=plugin)
+    with bag as writer:
+        add = partial(writer.add_connection, msgtype=state.__msgtype__, typestore=store)
+        connections = [add(topic) for topic in topics]
         for k, seconds in enumerate(t):
             ns = 1_700_000_000 * 10**9 + round(abs(seconds) * 1e9)
             stamp = time(sec=ns // 10**9, nanosec=ns % 10**9) if seconds >= 0 else time(0, 0)
-            more = {"seq": k} if ros1 else {}
-            head = header(stamp=stamp, frame_id="", **more)
+            head = header(stamp=stamp, frame_id="", **({"seq": k} if ros1 else {}))
             values = [np.ascontiguousarray(x[k] if len(x) else []) for x in channels]
             messages = [state(head, list(names), *values)]
             messages += [state(head, ["finger"], *[np.array([0.2])] * 3)] if hand else []

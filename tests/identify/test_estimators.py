@@ -80,9 +80,7 @@ def draws(
     rng = np.random.default_rng(1)
     problems = [make(rng) for _ in range(count)]
     fits = ([BY_NAME[name](rows) for rows in problems] for name in names)
-    return [
-        (np.array([f.beta for f in own]) - BETA, np.array([f.std for f in own])) for own in fits
-    ]
+    return [(np.array([f.beta - BETA for f in x]), np.array([f.std for f in x])) for x in fits]
 
 
 def biased(errors: np.ndarray) -> np.ndarray:
@@ -109,10 +107,12 @@ def test_the_unit_of_a_joint_and_of_a_column_does_not_matter(name: str) -> None:
     joint, unit = np.array([1e3, 2.0]), np.array([1.0, 1e3, 1e-2, 1.0])
     fit = BY_NAME[name](problem(W, tau))
     scaled = BY_NAME[name](problem(joint[:, None] * W / unit, joint * tau))
-    np.testing.assert_allclose(scaled.beta / unit, fit.beta, atol=1e-4 * fit.std.min(), rtol=1e-6)
-    np.testing.assert_allclose(scaled.covariance / np.outer(unit, unit), fit.covariance, rtol=1e-3)
-    np.testing.assert_allclose(scaled.sigma, joint * fit.sigma, rtol=1e-4)
-    np.testing.assert_allclose(scaled.inflation, fit.inflation, rtol=1e-3)
+    close, covariance = np.testing.assert_allclose, scaled.covariance / np.outer(unit, unit)
+    settled = 1e-8 if name == "wls" else 1e-4  # the others iterate
+    close(scaled.beta / unit, fit.beta, atol=settled * fit.std.min(), rtol=min(settled, 1e-6))
+    close(covariance, fit.covariance, rtol=10 * settled)
+    close(scaled.sigma, joint * fit.sigma, rtol=settled)
+    close(scaled.inflation, fit.inflation, rtol=10 * settled)
 
 
 @every
