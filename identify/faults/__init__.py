@@ -133,7 +133,6 @@ def read_checked(
         BadRecording: A recording that cannot be used, also not after the repair.
     """
     robot = dataset.robot
-    robot = dataset.robot
     if repaired:
         paths = dataset.paths(names, without=without)
         raws = [raw_recording(path, robot, dataset.mapping) for path in paths]
