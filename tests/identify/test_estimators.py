@@ -223,7 +223,8 @@ MOTION = smooth_motion(KNOWN.robot, np.arange(0, 16, 1 / 125), hz=0.64 * HARMONI
 
 @pytest.fixture(scope="module")
 def noisy() -> Recording:
-    return recorded(KNOWN, MOTION, 13, encoder=1e-4)
+    motion = smooth_motion(KNOWN.robot, np.arange(0, 10, 1 / 125))
+    return recorded(KNOWN, motion, 13, encoder=1e-4)
 
 
 @every

@@ -136,11 +136,13 @@ def test_faultless_recordings_raise_none(faultless: dict[str, tuple[Robot, Log]]
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param("panda", marks=pytest.mark.slow), "planar_2r", "cmu_dd_arm_ii"]
+    "name", [pytest.param("panda", marks=pytest.mark.slow), "planar_2r", "cmu_dd_arm_ii", "real"]
 )
-def test_inertias_are_told_by_their_frames(name: str) -> None:
-    robot = load_robot(name)
-    log = recorded(robot, 1)
+def test_inertias_are_told_by_their_frames(
+    name: str, faultless: dict[str, tuple[Robot, Log]]
+) -> None:
+    robot = faultless[name][0] if name in faultless else load_robot(name)
+    log = faultless[name][1] if name in faultless else recorded(robot, 1)
     places = [robot.model.jointPlacements[j + 1] for j in range(1, robot.nv)]
     places.append(robot.model.frames[robot.tip].placement)
     bodies = map(pin.Inertia.FromDynamicParameters, robot.phi.reshape(-1, 10))
