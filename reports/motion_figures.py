@@ -235,9 +235,9 @@ def convergence_figure(result: Result) -> Figure | None:
 
 def excitation_levels(result: Result) -> tuple[Array, Array]:
     """Times and excitation levels of the looks; NaN before a whole window."""
-    t = v.reals(result, "online", "history", "t")
-    level = v.reals(result, "online", "history", "excitation_level")
-    return (t, level) if len(t) == len(level) else (np.empty(0), np.empty(0))
+    t, level = (v.reals(result, "online", "history", key) for key in ("t", "excitation_level"))
+    known = len(t) == len(level) and bool(np.isfinite(t).all())
+    return (t, level) if known else (np.empty(0), np.empty(0))
 
 
 def estimates_figure(result: Result, series: Series) -> Figure | None:
@@ -340,7 +340,7 @@ def uncertainty_figure(result: Result) -> Figure | None:
     t, joints = v.reals(result, "online", "history", "t"), v.joint_names(result)
     spread = _by_joint(result, "torque_uncertainty", len(t), len(joints))
     noise = _by_joint(result, "noise", len(t), len(joints))
-    if len(t) < 2 or spread is None:
+    if len(t) < 2 or not np.isfinite(t).all() or spread is None:
         return None
     unit = v.text(result, "unit") or "N·m"
     panels = [

@@ -74,18 +74,10 @@ def dh_from_robot(robot: Robot) -> DHChain:
     alpha = np.arctan2(0.0 - R[:, 1, 2], R[:, 2, 2])
     numbers = p[:, 0], p[:, 2] * np.cos(alpha) - p[:, 1] * np.sin(alpha), alpha, theta
     phi = moved_parameters(robot.phi.reshape(-1, 10), np.linalg.inv(placed[1:]) @ poses)
-    return DHChain(
-        robot.name,
-        "modified",
-        robot.joints,
-        robot.links,
-        robot.revolute,
-        *(np.where(np.abs(v) < _ZERO, 0.0, v) for v in numbers),
-        phi.ravel(),
-        robot.gravity,
-        base=placed[0],
-        tool=np.linalg.inv(placed[-1]) @ tip,
-    )
+    names = robot.name, "modified", robot.joints, robot.links, robot.revolute
+    numbers = [np.where(np.abs(v) < _ZERO, 0.0, v) for v in numbers]
+    rest = phi.ravel(), robot.gravity, placed[0], np.linalg.inv(placed[-1]) @ tip
+    return DHChain(*names, *numbers, *rest)
 
 
 def _nearest(point: Array, axis: Array, to: Array) -> Array:

@@ -1,14 +1,18 @@
-"""Recordings of the plant with true sensors, and what inverse dynamics says about them."""
+"""Motions and arms to judge the plant by, and what its recordings show beside the nominal arm."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pinocchio as pin
+import scipy
 
-from excitant.robots import Motion, Robot
+from excitant.robots import Motion, Robot, torque
 from excitant.robots.plant.planting import STRUCTURES
+from excitant.robots.urdf import robot_from_urdf
 from excitant.robots.virtual_arm import (
     HiddenEffect,
     Sensors,
@@ -20,10 +24,16 @@ from excitant.robots.virtual_arm import (
 Trajectory = Callable[[np.ndarray, int], np.ndarray]
 
 RATE = 1000.0
-STENCIL = np.array([-1 / 60, 3 / 20, -3 / 4, 0, 3 / 4, -3 / 20, 1 / 60]) * RATE
-"""Central difference of sixth order."""
 SMOOTH = 1e-4
 """Error of the midpoint rule relative to the largest torque: (ω h)² / 4, ω = 40 rad/s."""
+PENDULUM = robot_from_urdf(
+    """<robot name="pendulum"><link name="base"/>
+  <link name="link"><inertial><origin xyz="0 0 -0.5"/><mass value="4"/><inertia ixx="0.1" ixy="0"
+    ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
+  <joint name="joint" type="revolute"><parent link="base"/><child link="link"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" velocity="10" effort="200"/></joint></robot>""",
+    source="pendulum.urdf",
+)
 
 
 def swing(robot: Robot) -> Trajectory:
@@ -41,107 +51,92 @@ def swing(robot: Robot) -> Trajectory:
     return trajectory
 
 
+def swinging(robot: Robot, t: np.ndarray) -> Motion:
+    return Motion(t, *(swing(robot)(t, order) for order in range(3)))
+
+
+def displaced(robot: Robot, j: int, d: np.ndarray) -> Robot:
+    """The robot with one joint moved in its parent's frame."""
+    model = robot.model.copy()
+    place = model.jointPlacements[j + 1]
+    model.jointPlacements[j + 1] = pin.SE3(place.rotation, place.translation + d)
+    return replace(robot, model=model)
+
+
+def energy(robot: Robot, rotor: np.ndarray, motion: Motion) -> np.ndarray:
+    """Potential and kinetic energy, with that of the rotors, by Pinocchio, shape (n,)."""
+    model, data = robot.model, robot.model.createData()
+    bodies = [
+        pin.computeKineticEnergy(model, data, q, v) + pin.computePotentialEnergy(model, data, q)
+        for q, v in zip(motion.q, motion.dq, strict=True)
+    ]
+    return motion.dq**2 @ rotor / 2 + bodies
+
+
+def mujoco_model(robot: Robot) -> mujoco.MjModel:
+    """MuJoCo's model of the bodies alone, without contacts and limits."""
+    spec, without = mujoco.MjSpec.from_string(robot.urdf), mujoco.mjtDisableBit
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    spec.option.timestep, spec.option.gravity = 1e-3, robot.gravity
+    spec.option.disableflags = without.mjDSBL_CONTACT | without.mjDSBL_LIMIT
+    return spec.compile()
+
+
 def hidden(kind: str, *joints: str, **parameters: float) -> HiddenEffect:
     effect, structure = ("unknown", kind) if kind in STRUCTURES else (kind, "")
     several = joints if len(joints) > 1 else ()
     return HiddenEffect(effect, (*joints, "")[0], tuple(parameters.items()), several, structure)
 
 
-def away_from_changes(flags: np.ndarray, width: int = 8) -> np.ndarray:
-    """Rows around which a flag stays what it is."""
-    same = np.ones(len(flags), dtype=bool)
-    for shift in range(-width, width + 1):
-        same &= np.roll(flags, shift) == flags
-    return same
-
-
-def hold(robot: Robot) -> Trajectory:
-    """Standing still somewhere."""
-    low, high = np.clip(robot.limits.position, -2.0, 2.0).T
-    place = low + 0.4 * (high - low)
-    return lambda t, order=0: np.ones((len(t), 1)) * place * (order == 0)
-
-
-def true_arm(robot: Robot, *effects: HiddenEffect, sensors: Sensors | None = None) -> VirtualArm:
-    """A virtual arm that is the nominal one but for the hidden effects."""
-    sensors = sensors or ideal_sensors(robot, RATE)
-    rng = np.random.default_rng(0)
+def true_arm(
+    robot: Robot, *effects: HiddenEffect, rate: float = RATE, sensors: Sensors | None = None
+) -> VirtualArm:
+    """A virtual arm that is the nominal one but for the hidden effects, by default truly seen."""
+    rng, sensors = np.random.default_rng(0), sensors or ideal_sensors(robot, rate)
     return virtual_arm(robot, rng, hidden=effects, sensors=sensors, tolerance=0.0)
 
 
+def steady(values: np.ndarray) -> np.ndarray:
+    """Rows around which no sign changes."""
+    signs, filters = (
+        np.sign(values),
+        (scipy.ndimage.minimum_filter1d, scipy.ndimage.maximum_filter1d),
+    )
+    low, high = (limit(signs, 17, axis=0) for limit in filters)
+    return (low == high).reshape(len(signs), -1).all(axis=1)
+
+
 class Recorded:
-    """A recording with true sensors and what inverse dynamics says about it."""
+    """A recording with true sensors, and what it shows beside the nominal arm."""
 
     def __init__(
-        self,
-        robot: Robot,
-        *effects: HiddenEffect,
-        duration: float = 2.0,
-        trajectory: Trajectory | None = None,
-        sensors: Sensors | None = None,
+        self, robot: Robot, *effects: HiddenEffect, duration: float = 2.0, rate: float = RATE
     ) -> None:
-        rng = np.random.default_rng(0)
-        arm = true_arm(robot, *effects, sensors=sensors)
-        table = arm.record(trajectory or swing(robot), duration, rng)
-        self.robot, self.table = robot, table
-        n = range(1, robot.nv + 1)
-        q, dq, tau = (table[[f"{c}{j}" for j in n]].to_numpy() for c in ("q", "dq", "tau"))
-        windows = np.lib.stride_tricks.sliding_window_view(dq, 7, axis=0)
-        rows = slice(3, len(q) - 3)
-        self.t, self.q, self.dq, self.tau = (
-            table["t"].to_numpy()[rows],
-            q[rows],
-            dq[rows],
-            tau[rows],
-        )
-        self.ddq = windows @ STENCIL
-
-    @property
-    def motion(self) -> Motion:
-        """The recorded motion."""
-        return Motion(self.t, self.q, self.dq, self.ddq)
-
-    def rigid(self, robot: Robot | None = None) -> np.ndarray:
-        """Pinocchio's torque for the motion, without friction and rotors."""
-        model = (robot or self.robot).model
-        data, states = model.createData(), zip(self.q, self.dq, self.ddq, strict=True)
-        return np.array([pin.rnea(model, data, *state) for state in states])
-
-    def drives(self) -> np.ndarray:
-        """Torque of the nominal friction and rotors."""
-        known = {e.name: np.array(e.values) for e in self.robot.effects[:3]}
-        return (
-            known["viscous_friction"] * self.dq
-            + known["coulomb_friction"] * np.sign(self.dq)
-            + known["rotor_inertia"] * self.ddq
-        )
+        arm = true_arm(robot, *effects, rate=rate)
+        table = arm.record(swing(robot), duration, np.random.default_rng(0))
+        q, dq, tau = (table.filter(regex=rf"^{c}\d").to_numpy() for c in ("q", "dq", "tau"))
+        ddq = scipy.signal.savgol_filter(dq, 7, 6, deriv=1, delta=1 / rate, axis=0)
+        self.robot, self.table, inner = robot, table, slice(3, -3)
+        self.motion, self.tau = Motion(table["t"].to_numpy(), q, dq, ddq)[inner], tau[inner]
 
     @property
     def rest(self) -> np.ndarray:
         """Recorded torque beside the nominal arm's, shape (n, nv)."""
-        return self.tau - self.rigid() - self.drives()
+        return self.tau - torque(self.robot, self.motion)
 
     @property
     def sliding(self) -> np.ndarray:
         """Rows where the acceleration has no jump, from reversals or from the controller."""
-        calm = (np.abs(self.dq) > 1e-3).all(axis=1)
-        for speed in (*self.dq.T, *swing(self.robot)(self.t, 1).T):
-            calm &= away_from_changes(np.sign(speed))
+        t, dq = self.motion.t, self.motion.dq
+        calm = steady(np.hstack([dq, swing(self.robot)(t, 1)])) & (np.abs(dq) > 1e-3).all(axis=1)
         calm[:40] = False
         return calm
 
     def agree(
-        self, expected: np.ndarray, share: float = 1e-3, where: np.ndarray | None = None
+        self, expected: np.ndarray, share: float = 1e-3, where: np.ndarray | bool = True
     ) -> None:
         """The rest is what is expected, wherever the arm slides."""
-        rows = self.sliding if where is None else self.sliding & where
+        rows = self.sliding & where
         assert rows.mean() > 0.4
         tolerance = share * np.abs(expected[rows]).max() + SMOOTH * np.abs(self.tau).max()
         assert np.abs((self.rest - expected)[rows]).max() <= tolerance
-
-
-def at(robot: Robot, j: int, values: np.ndarray) -> np.ndarray:
-    """These values in joint j, zero elsewhere."""
-    full = np.zeros((len(values), robot.nv))
-    full[:, j] = values
-    return full

@@ -17,6 +17,7 @@ Diagnosed = Callable[..., Diagnosis]
 Case = Callable[[str], tuple[HiddenEffect, Diagnosis]]
 FRICTION = ("viscous_friction", "coulomb_friction", "stribeck_friction")
 DRAWN = (*FRICTION, "rotor_inertia", "payload", "torque_offset")
+SCALAR = ("viscous_friction", "coulomb_friction", "rotor_inertia", "torque_offset")
 
 
 def motion_of(robot: Robot, seed: int = 0, resting: Sequence[int] = ()) -> Motion:

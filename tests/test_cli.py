@@ -216,6 +216,9 @@ REFUSED = {
     "check planar_2r nothing.csv": "nothing.csv: no such file",
     "design planar_2r --rate 0": "--rate 0 Hz",
     "report nowhere": "nowhere: no such folder",
+    "robots": "-o is about one arm",
+    "robots --mass 3": "about one arm",
+    "robots ur10 --mass 0": "must be positive",
     "analyze planar_2r -o taken": "taken",
     "simulate planar_2r trajectory.csv": "name a .csv or .parquet file",
 }

@@ -25,7 +25,6 @@ from excitant.design import (
     FourierTrajectory,
     design_trajectory,
     from_coefficients,
-    random_trajectory,
     trajectory_csv,
     trajectory_json,
 )
@@ -37,32 +36,25 @@ Command = Callable[..., Any]
 
 @pytest.fixture(scope="module")
 def motion(planar: Robot) -> FourierTrajectory:
-    found = design_trajectory(
-        planar, duration=10.0, harmonics=4, starts=1, jobs=1, seed=1
-    ).trajectory
-    assert isinstance(found, FourierTrajectory)
-    return found
+    options = {"duration": 10.0, "harmonics": 4, "starts": 1, "jobs": 1, "seed": 1}
+    return design_trajectory(planar, **options).trajectory
 
 
-def weakened(motion: FourierTrajectory, joint: int, factor: float) -> FourierTrajectory:
-    """The same motion with less amplitude on one joint."""
-    coefficients = np.array(motion.coefficients)
-    coefficients[1:, joint] *= factor
-    return from_coefficients(coefficients, motion.period)
-
-
-@pytest.fixture(scope="module")
-def feeble(planar: Robot, motion: FourierTrajectory) -> Rehearsal:
-    weak = weakened(motion, 1, 0.004)
-    return rehearse(planar, weak, weak.period, np.random.default_rng(0))
+def tried(robot: Robot, motion: FourierTrajectory, *amplitudes: float) -> Rehearsal:
+    """The motion with less amplitude of each joint."""
+    coefficients = np.vstack([motion.coefficients[:1], motion.coefficients[1:] * amplitudes])
+    weak = from_coefficients(coefficients, motion.period)
+    return rehearse(robot, weak, weak.period, np.random.default_rng(0))
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("suffix", ["json", "csv"])
 def test_a_good_motion_passes(
-    planar: Robot, motion: FourierTrajectory, tmp_path: Path, excitant: Command
+    planar: Robot, motion: FourierTrajectory, tmp_path: Path, excitant: Command, suffix: str
 ) -> None:
-    file = tmp_path / "trajectory.json"
-    file.write_text(trajectory_json(motion, planar), encoding="utf-8")
+    file = tmp_path / f"trajectory.{suffix}"
+    text = trajectory_csv(motion) if suffix == "csv" else trajectory_json(motion, planar)
+    file.write_text(text, encoding="utf-8")
     status, out, err = excitant("rehearse planar_2r", file, "--seed", 1, "-o", tmp_path / "out")
     assert (status, err) == (0, ""), out
     result = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
@@ -74,32 +66,29 @@ def test_a_good_motion_passes(
         assert item["recovered"] == pytest.approx(item["planted"], rel=0.1)
         assert 0 < item["std"] < 0.1 * item["planted"]
         assert f"{item['name']}, {item['joint']}: planted" in out
-    page = (tmp_path / "out" / "report.html").read_text("utf-8")
-    assert "The motion would do" in page
+    assert "The motion would do" in (tmp_path / "out" / "report.html").read_text("utf-8")
     assert "NOT MET" not in (tmp_path / "out" / "summary.txt").read_text("utf-8")
 
 
-def test_a_feeble_motion_fails_and_names_the_joint(feeble: Rehearsal) -> None:
+def test_a_feeble_motion_fails_and_names_the_joint(
+    planar: Robot, motion: FourierTrajectory
+) -> None:
+    """What the other joint shows is recovered all the same."""
+    feeble = tried(planar, motion, 1.0, 0.004)
     assert not feeble.passed
     failed = [item for item in feeble.items if not item.passed]
     assert {item.joint for item in failed} >= {"joint2"}
     assert all("joint2" in item.advice for item in failed if item.joint == "joint2")
     assert all(bool(item.advice) != item.passed for item in feeble.items)
+    assert not [x for x in failed if x.joint == "joint1" and x.name.endswith("friction")]
     result = feeble.result()
     assert result["passed"] is False
     assert "joint2" in result["headline"]
     assert any("farther and faster: joint2" in advice for advice in result["advice"])
 
 
-def test_what_the_other_joint_shows_is_recovered_all_the_same(feeble: Rehearsal) -> None:
-    if feeble.estimate is not None:
-        own = [x for x in feeble.items if x.joint == "joint1" and x.name.endswith("friction")]
-        assert all(item.passed for item in own)
-
-
 def test_a_joint_that_stands_is_named(planar: Robot, motion: FourierTrajectory) -> None:
-    still = weakened(motion, 0, 0.0)
-    found = rehearse(planar, still, still.period, np.random.default_rng(0))
+    found = tried(planar, motion, 0.0, 1.0)
     [item] = [x for x in found.items if not x.passed]
     assert (item.name, item.joint) == ("identification", "joint1")
     assert "joint1.Fv" in item.detail
@@ -110,8 +99,7 @@ def test_limits_are_judged_on_what_the_arm_does(planar: Robot, motion: FourierTr
     """Torque with friction is what is compared, and more than the limit is seen as more."""
     tight = planar.with_limits(replace(planar.limits, torque=np.array([1e3, 0.5])))
     rng = np.random.default_rng(0)
-    arm = rehearsal_arm(tight, rng)
-    run = arm.run(motion, motion.period, rng)
+    run = rehearsal_arm(tight, rng).run(motion, motion.period, rng)
     [torque] = [x for x in limit_items(Situation(tight, run)) if x.name == "torque limits"]
     used = np.abs(run.tau[:, 1]).max() / 0.5
     assert used > 1.05
@@ -121,55 +109,43 @@ def test_limits_are_judged_on_what_the_arm_does(planar: Robot, motion: FourierTr
 
 
 def test_the_arm_has_what_is_said_to_be_planted(planar: Robot) -> None:
-    rng = np.random.default_rng(4)
-    arm = rehearsal_arm(planar, rng)
-    planted = planted_parameters(arm, standard_effects(planar.joints))
-    assert planted.shape == (10 * planar.nv + 4 * planar.nv,)
-    Fv, Fc, offset, Ia = planted[-4 * planar.nv :].reshape(4, planar.nv)
-    assert (Fv > 0).all()
-    assert (Fc > 0).all()
-    assert (Ia > 0).all()
-    assert (offset != 0).all()
-    given = planar.phi.reshape(-1, 10)[:, 0]
-    assert (np.abs(planted[: 10 * planar.nv : 10] / given - 1) <= 0.05 + 1e-12).all()
+    """And a seed is a rehearsal."""
+    effects, rngs = standard_effects(planar.joints), map(np.random.default_rng, (4, 4, 2))
+    (arm, rng), *others = ((rehearsal_arm(planar, rng), rng) for rng in rngs)
+    planted, again, different = (planted_parameters(x, effects) for x, _ in ((arm, rng), *others))
+    assert np.array_equal(again, planted)
+    assert not np.array_equal(different, planted)
+    Fv, Fc, offset, Ia = planted[10 * planar.nv :].reshape(4, planar.nv)
+    assert (np.array([Fv, Fc, Ia]) > 0).all()
+    assert offset.all()
+    masses = planted[: 10 * planar.nv : 10] / planar.phi[::10]
+    assert (np.abs(masses - 1) <= 0.05 + 1e-12).all()
     change = draw_change(planar, rng)
     assert change.effect in ("payload", "viscous_friction", "coulomb_friction")
-    after = planted_parameters(changed(arm, change), standard_effects(planar.joints))
-    assert not np.allclose(after, planted)
-    assert np.allclose(planted_parameters(arm, standard_effects(planar.joints)), planted)
+    assert not np.allclose(planted_parameters(changed(arm, change), effects), planted)
+    assert np.allclose(planted_parameters(arm, effects), planted)
 
 
-def test_a_seed_is_a_rehearsal(planar: Robot) -> None:
-    arms = [rehearsal_arm(planar, np.random.default_rng(seed)) for seed in (1, 1, 2)]
-    first, again, other = (planted_parameters(a, standard_effects(planar.joints)) for a in arms)
-    assert np.array_equal(first, again)
-    assert not np.array_equal(first, other)
-
-
-BAD = {
-    "a moving start": ("moving.csv", "starts at rest"),
-    "no such file": ("nothing.csv", "no such file"),
-    "another arm": ("wide.csv", "wide.csv"),
-    "too short": ("short.csv", "too short"),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
+@pytest.mark.parametrize(
+    ("joints", "size", "period", "evidence"),
+    [
+        (2, 0.2, 5.0, "starts at rest"),
+        (2, None, 1.0, "no such file"),
+        (6, 0.01, 5.0, "motion.csv"),
+        (2, 0.0, 1.0, "too short"),
+    ],
+    ids=["a moving start", "no such file", "another arm", "too short"],
+)
 def test_bad_input_is_refused_in_one_line(
-    name: str, planar: Robot, ur10: Robot, tmp_path: Path, monkeypatch: Any, excitant: Command
+    tmp_path: Path, excitant: Command, joints: int, size: float, period: float, evidence: str
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    rng = np.random.default_rng(0)
-    fast = from_coefficients(0.2 * rng.uniform(-1, 1, (7, 2)), 5.0)
-    short = from_coefficients(
-        0.01 * np.array(random_trajectory(planar, rng, 1.0, 3).coefficients), 1.0
-    )
-    Path("moving.csv").write_text(trajectory_csv(fast), "utf-8")
-    Path("short.csv").write_text(trajectory_csv(short), "utf-8")
-    Path("wide.csv").write_text(trajectory_csv(random_trajectory(ur10, rng, 5.0, 3)), "utf-8")
-    file, evidence = BAD[name]
-    status, out, err = excitant(f"rehearse planar_2r {file} -o out")
+    file = tmp_path / "motion.csv"
+    if size is not None:
+        rng = np.random.default_rng(0)
+        path = from_coefficients(size * rng.uniform(-1, 1, (7, joints)), period)
+        file.write_text(trajectory_csv(path), "utf-8")
+    status, out, err = excitant("rehearse planar_2r", file, "-o", tmp_path / "out")
     assert (status, out) == (1, "")
     assert err.count("\n") == 1
     assert evidence in err
-    assert not Path("out").exists()
+    assert not (tmp_path / "out").exists()

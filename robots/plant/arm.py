@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg.lapack import dgesv
 
 from excitant.exceptions import BadInput, BadRobot
 from excitant.robots.motion import Array
@@ -169,7 +170,8 @@ class Arm:
             self.motor[gear.joint] = i
             rotors[i] = truth.drives.rotor[gear.joint] + gear.inertia
             armature[gear.joint] = 0.0
-        self.grid = np.ix_(self.motor, self.motor)
+        self.driven = self.motor if truth.gears else slice(n)  # as an index: slices are faster
+        self.grid = np.ix_(self.motor, self.motor) if truth.gears else (self.driven, self.driven)
         self.model = truth.model.copy()
         self.model.armature = self.armature = armature
         self.data = self.model.createData()
@@ -203,7 +205,7 @@ class Arm:
 
     def read(self, x: Array, v: Array) -> tuple[Array, Array]:
         """Encoder readings."""
-        return self.truth.encoder.reading(x[self.motor], v[self.motor])
+        return self.truth.encoder.reading(x[self.driven], v[self.driven])
 
     def seen(
         self, state: tuple[Array, Array, Array], control: Controller, k: int
@@ -228,13 +230,13 @@ class Arm:
             """Velocity change under motor torques that react to it."""
             mass, impulse = K.copy(), -passive
             mass[self.grid] += h * reaction
-            impulse[self.motor] += wanted
+            impulse[self.driven] += wanted
             return velocity_change(mass, h * impulse, v, *bounds, self.G)
 
         dv = solved()
-        torque: Array = wanted - reaction @ dv[self.motor]
+        torque: Array = wanted - reaction @ dv[self.driven]
         saturated = np.abs(torque) > control.limit
-        if saturated.any():
+        if np.count_nonzero(saturated):
             reaction[saturated] = 0.0
             wanted[saturated] = np.copysign(control.limit, torque)[saturated]
             dv = solved()
@@ -250,14 +252,17 @@ class Arm:
         n, h, truth = self.n, self.h, self.truth
         b = pin.nonLinearEffects(self.model, self.data, x[:n], speed[:n])
         M = pin.crba(self.model, self.data, x[:n])
-        K, passive = self.constant.copy(), self.drag @ v
+        K, passive = self.constant.copy(), np.zeros(self.size)
         K[:n, :n] += M
-        passive[:n] += b
-        passive[self.motor] += self.drives.viscous * v[self.motor]
-        load = b + M @ a[:n] - self.armature * a[:n]
-        outer = self._outside(x, v, t)
-        passive += outer
-        load = load + outer[:n]
+        passive[:n] = b
+        passive[self.driven] += self.drives.viscous * v[self.driven]
+        if truth.shafts:
+            passive += self.drag @ v
+        load = b + M @ a[:n] - self.armature * a[:n] if truth.dry else b.copy()
+        if truth.loads or truth.walls:
+            outer = self._outside(x, v, t)
+            passive += outer
+            load += outer[:n]
         for m, gear in enumerate(truth.gears, start=n):
             j = gear.joint
             torque, stiffness, damping = gear.torque(float(x[m] - x[j]), float(v[m] - v[j]))
@@ -293,15 +298,17 @@ class Arm:
     def _dry(self, speed: Array, t: float, load: Array) -> tuple[Array, Array]:
         """Largest impulse of dry friction against either direction."""
         forward = np.zeros(self.size)
-        forward[self.motor] = self.h * self.drives.level(speed[self.motor])
+        forward[self.driven] = self.h * self.drives.level(speed[self.driven])
         backward = forward.copy()
         for law in self.truth.dry:
             m = self.motor[law.joint]
             v, torque = abs(float(speed[m])), float(load[law.joint])
             forward[m] += self.h * law.level(v, t, torque)
             backward[m] += self.h * law.level(-v, t, torque)
-        both = (np.maximum(side, 0.0) for side in (forward, backward))
-        forward, backward = (np.concatenate([side, self.shaft_friction]) for side in both)
+        if self.truth.dry:
+            forward, backward = np.maximum(forward, 0.0), np.maximum(backward, 0.0)
+        if self.truth.shafts:
+            forward, backward = (np.append(x, self.shaft_friction) for x in (forward, backward))
         return forward, backward
 
 
@@ -309,12 +316,15 @@ def velocity_change(
     K: Array, impulse: Array, v: Array, forward: Array, backward: Array, G: Array
 ) -> Array:
     """Solution of K δ = impulse − Gᵀλ, at once where nothing stops; see `stick_or_slip`."""
-    w = G @ v
+    shafts = len(G) > len(v)
+    w = G @ v if shafts else v
     sign = np.sign(w)
-    dry = np.where(w < 0, -backward, forward * sign)
-    delta = np.asarray(np.linalg.solve(K, impulse - dry @ G), dtype=np.float64)
-    stops = (w + G @ delta) * sign <= 0
-    return stick_or_slip(K, impulse, v, forward, backward, G) if stops.any() else delta
+    dry = sign * np.where(w < 0, backward, forward)
+    _, _, delta, _ = dgesv(K, impulse - (dry @ G if shafts else dry))  # without NumPy's overhead
+    stops = (w + (G @ delta if shafts else delta)) * sign <= 0
+    if np.count_nonzero(stops):
+        return stick_or_slip(K, impulse, v, forward, backward, G)
+    return np.asarray(delta)
 
 
 def stick_or_slip(

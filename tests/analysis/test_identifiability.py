@@ -10,8 +10,8 @@ from types import SimpleNamespace as Judged
 import numpy as np
 import pinocchio as pin
 import pytest
+from known_arms import NONE, TrueArm
 from planted import Runs, motion_of, stacked
-from true_arm import newton_euler
 
 from excitant.analysis import uncertainty
 from excitant.analysis.experiment import identify_shown, prior_influence, prior_of, refits
@@ -20,7 +20,7 @@ from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Recording, identify_robot
 from excitant.identify.excitation import persistency
 from excitant.identify.physical import fit_physical
-from excitant.identify.prior import EffectPrior, prior_parameters
+from excitant.identify.prior import prior_parameters
 from excitant.identify.rows import fit_rows
 from excitant.reports.run import as_saved
 from excitant.robots import Motion, Robot, load_robot
@@ -29,8 +29,6 @@ from excitant.robots.effects import standard_effects
 from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
 from excitant.robots.regressor import regressor
 from excitant.robots.torque import observation_columns
-
-NOTHING = EffectPrior(*(np.zeros(0),) * 3)
 
 
 @cache
@@ -304,7 +302,7 @@ def test_deviations_are_met_by_repeated_experiments_on_recursive_newton_euler(ur
     motion, draws = motion_of(ur10), 400
     sigma = 0.02 * ur10.limits.torque
     found = analyze(ur10, motion=motion, noise=sigma.tolist())
-    tau = newton_euler(ur10.model, motion)
+    tau = TrueArm(ur10.model).torque(motion)
     W = regressor(ur10, motion)[:, :, list(found.base.columns)] / sigma[:, None]
     solve = np.linalg.pinv(W.reshape(-1, len(found.base)))
     noisy = tau / sigma + np.random.default_rng(3).normal(size=(draws, *tau.shape))
@@ -415,14 +413,14 @@ def test_two_initial_values_that_agree_within_5_percent_show_nothing(judged: Jud
 def test_linear_theory_is_what_refits_give_away_from_limits() -> None:
     """One link, one parameter seen with weight s: its prior counts 1 / (1 + s²)."""
     phi = np.array([[2.0, 0.1, 0.0, 0.0, 0.3, 0.0, 0.3, 0.0, 0.0, 0.3]])
-    prior, R, base = prior_of(phi, NOTHING), np.zeros((10, 10)), np.eye(10)
+    prior, R, base = prior_of(phi, NONE), np.zeros((10, 10)), np.eye(10)
     R[0] = 0.7 * np.linalg.inv(prior.L)[3]
     z = R @ phi.ravel()
-    reference = fit_physical(R, z, phi, NOTHING).x
+    reference = fit_physical(R, z, phi, NONE).x
 
     def response(delta: np.ndarray) -> np.ndarray:
         moved = phi + delta.reshape(1, 10)
-        return fit_physical(R, z, moved, NOTHING, metric=phi).x - reference
+        return fit_physical(R, z, moved, NONE, metric=phi).x - reference
 
     seen = uncertainty.MotionInformation(R, np.eye(10), np.zeros((0, 10)), np.ones(10))
     one, two = (
@@ -437,7 +435,7 @@ def test_linear_theory_is_what_refits_give_away_from_limits() -> None:
 def test_the_prior_moves_alike_in_any_basis_of_the_null_space(planar: Robot) -> None:
     """The same information as R and as Q R, whose decompositions round differently."""
     phi, rng = prior_parameters(planar), np.random.default_rng(7)
-    prior = prior_of(phi, NOTHING)
+    prior = prior_of(phi, NONE)
     R = rng.normal(size=(5, 20)) @ np.linalg.inv(prior.L)
     Q = np.linalg.qr(rng.normal(size=(20, 5)))[0]
     seen = [
@@ -464,7 +462,7 @@ def test_bodies_at_their_limit_are_named(judged: Judged) -> None:
 
 def test_a_recording_that_rests_a_joint_is_judged_as_far_as_it_goes(planar: Robot) -> None:
     motion = motion_of(planar, resting=[1])
-    tau = newton_euler(planar.model, motion)
+    tau = TrueArm(planar.model).torque(motion)
     tau += 0.02 * np.random.default_rng(6).normal(size=tau.shape)
     recording = Recording("rest", "rest.csv", motion.t, motion.q, tau, dq=motion.dq)
     estimate = identify_shown(planar, [recording])

@@ -9,8 +9,8 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from known_arms import write_csv
 from planted import Runs, hidden
-from true_arm import save
 
 from excitant.analysis.candidates import Observed, observed
 from excitant.analysis.selection import choose_effects, described
@@ -116,7 +116,7 @@ def test_effects_of_torque_take_it_from_the_identified_arm(
 def test_the_command_chooses_effects(
     two: list[Recording], tmp_path: Path, excitant: Callable[..., Any]
 ) -> None:
-    file, out = save(two[0], tmp_path), tmp_path / "out"
+    file, out = write_csv(tmp_path / "run.csv", two[0]), tmp_path / "out"
     line = f"identify planar_2r {file} --effects auto -o {out}"
     assert excitant(line).status == 0
     text = (out / "result.json").read_text(encoding="utf-8")

@@ -124,7 +124,7 @@ def test_never_above_a_trajectory(planar: Robot, seed: int) -> None:
     duration, harmonics = float(rng.uniform(3, 10)), int(rng.integers(2, 6))
     options = {"duration": duration, "harmonics": harmonics}
     options["columns"] = ("inertial", "friction")[seed % 2]
-    bound = lower_bound(robot, time_limit=4.0, **options)
+    bound = lower_bound(robot, time_limit=10.0, **options)
     found = design_trajectory(robot, starts=3, jobs=1, **options)
     drawn = [random_trajectory(robot, rng, duration, harmonics) for _ in range(50)]
     matrix = bound.relaxation.information.matrix
@@ -141,7 +141,7 @@ def test_tighter_limits_never_lower_the_bound(planar: Robot) -> None:
             name: share * getattr(planar.limits, name) for name in ("velocity", "acceleration")
         }
         robot = limited(planar, position=[-2 * share, 2 * share], **rates)
-        bounds.append(lower_bound(robot, harmonics=harmonics, time_limit=4.0))
+        bounds.append(lower_bound(robot, harmonics=harmonics, time_limit=10.0))
     for looser, tighter in itertools.pairwise(bounds):
         assert tighter.without_repair >= looser.value * (1 - 1e-9)
         assert tighter.value >= looser.value * (1 - 0.02)

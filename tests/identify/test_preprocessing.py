@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.optimize
+from known_arms import smooth_motion
 from numpy.polynomial import Polynomial
 
 from excitant.exceptions import BadInput, BadRecording
@@ -19,7 +20,7 @@ from excitant.identify.differentiators import (
 )
 from excitant.identify.preprocessing import Segment, prepare
 from excitant.identify.rows import split
-from excitant.robots import Motion, Robot, rigid_body_torque
+from excitant.robots import Robot, load_robot, rigid_body_torque
 from excitant.robots.regressor import regressor
 
 RATE, CUTOFF = 256.0, 10.0  # a rate whose steps are exact in binary
@@ -27,7 +28,7 @@ T = np.arange(0, 20, 1 / RATE)
 SLOW = np.arange(0, 20, 0.1)
 MIDDLE = slice(len(T) // 3, 2 * len(T) // 3)  # where filters have forgotten their edges
 NAMES = ("q", "dq", "ddq")
-MotionOf = Callable[..., Motion]
+PLANAR = load_robot("planar_2r")
 
 
 def prepared(t: np.ndarray, q: np.ndarray, cutoff: float | None = CUTOFF) -> list[Segment]:
@@ -46,8 +47,8 @@ def test_a_sinusoid_comes_out_in_phase(f: float) -> None:
     np.testing.assert_array_equal(segment.tau_raw, wave)
 
 
-def test_derivatives_are_those_of_the_motion(planar: Robot, motion_of: MotionOf) -> None:
-    motion = motion_of(planar, T)
+def test_derivatives_are_those_of_the_motion() -> None:
+    motion = smooth_motion(PLANAR, T)
     [segment] = prepared(T, motion.q)
     # quintic spline through samples of at most 1.3 Hz at 256 Hz: relative error (ω h)⁴ / 30 in
     # the second derivative; the position filter at 20 Hz takes (1.3 / 20)⁸
@@ -57,10 +58,10 @@ def test_derivatives_are_those_of_the_motion(planar: Robot, motion_of: MotionOf)
         assert np.abs(found - true).max() <= allowed * np.abs(true).max(), name
 
 
-def test_irregular_time_gives_what_regular_time_gives(planar: Robot, motion_of: MotionOf) -> None:
+def test_irregular_time_gives_what_regular_time_gives() -> None:
     t = T + np.random.default_rng(0).uniform(-0.4, 0.4, len(T)) / RATE
-    [segment] = prepared(t, motion_of(planar, t).q)
-    expected = motion_of(planar, segment.motion.t)
+    [segment] = prepared(t, smooth_motion(PLANAR, t).q)
+    expected = smooth_motion(PLANAR, segment.motion.t)
     largest = np.diff(t).max()
     linear = largest**2 / 8 * np.abs(expected.ddq).max()  # of piecewise linear interpolation
     assert np.abs(segment.tau_raw - expected.q).max() <= linear
@@ -71,9 +72,9 @@ def test_irregular_time_gives_what_regular_time_gives(planar: Robot, motion_of: 
         assert error.max() <= 4 * cubic * (2 * np.pi * 20) ** order, name
 
 
-def test_gaps_split_and_nothing_is_invented_across_them(planar: Robot, motion_of: MotionOf) -> None:
+def test_gaps_split_and_nothing_is_invented_across_them() -> None:
     t = T[(T < 6.0) | (T >= 9.0)]
-    q = motion_of(planar, t).q
+    q = smooth_motion(PLANAR, t).q
     segments = prepared(t, q)
     assert len(segments) == 2
     for found, rows in zip(segments, (t < 6.0, t >= 9.0), strict=True):
@@ -102,34 +103,27 @@ def test_a_cutoff_that_does_not_fit_is_refused() -> None:
         assert segment.cutoff_hz == pytest.approx(expected)
 
 
-def test_columns_and_torque_pass_the_same_filter(ur10: Robot, motion_of: MotionOf) -> None:
-    t = T[:1000]
-    [segment] = prepared(t, motion_of(ur10, t).q)
-    columns = segment.rows(lambda m: regressor(ur10, m)) @ ur10.phi
-    torque = segment.rows(lambda m: rigid_body_torque(ur10, m))
-    np.testing.assert_allclose(columns, torque, atol=1e-9 * np.abs(torque).max())
-    assert len(torque) == len(segment.t) == len(segment.tau[segment.keep])
-
-
-def test_columns_of_long_segments_are_those_of_the_whole(
-    planar: Robot, motion_of: MotionOf, monkeypatch: pytest.MonkeyPatch
+def test_columns_and_torque_pass_the_same_filter_also_in_parts(
+    ur10: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    t = np.arange(0, 40, 0.01)
-    [segment] = prepared(t, motion_of(planar, t).q, 5.0)
-    whole = segment.rows(lambda motion: regressor(planar, motion))
-    monkeypatch.setattr("excitant.identify.preprocessing._AT_ONCE", 700)
-    parts = segment.rows(lambda motion: regressor(planar, motion))
-    np.testing.assert_allclose(parts, whole, atol=1e-6 * np.abs(whole).max())
+    t = T[:2000]
+    [segment] = prepared(t, smooth_motion(ur10, t).q)
+    columns, torque = (
+        segment.rows(lambda motion, of=of: of(ur10, motion))
+        for of in (regressor, rigid_body_torque)
+    )
+    np.testing.assert_allclose(columns @ ur10.phi, torque, atol=1e-9 * np.abs(torque).max())
+    assert len(torque) == len(segment.t) == len(segment.tau[segment.keep])
+    monkeypatch.setattr("excitant.identify.preprocessing._AT_ONCE", 500)
+    parts = segment.rows(lambda motion: regressor(ur10, motion))
+    np.testing.assert_allclose(parts, columns, atol=1e-6 * np.abs(columns).max())
+    # edges are left out, and rows are twice as dense as the filter lets pass
+    assert min(segment.t[0] - t[0], t[-1] - segment.t[-1]) >= 1 / CUTOFF - 1 / RATE
+    assert np.diff(segment.t).max() <= 1 / (4 * CUTOFF) + 1e-12
 
 
-def test_rows_leave_out_the_edges_and_stay_dense_enough() -> None:
-    [segment] = prepared(T, np.sin(T)[:, None])
-    assert min(segment.t[0] - T[0], T[-1] - segment.t[-1]) >= 1 / CUTOFF - 1 / RATE
-    assert np.diff(segment.t).max() <= 1 / (4 * CUTOFF) + 1e-12  # twice the Nyquist rate
-
-
-def test_one_cut_off_and_one_sentence_why(planar: Robot, exact: Callable[..., Recording]) -> None:
-    fast, slow = (exact(planar, np.arange(0, 10, 1 / rate)) for rate in (200.0, 30.0))
+def test_one_cut_off_and_one_sentence_why(exact: Callable[..., Recording]) -> None:
+    fast, slow = (exact(PLANAR, np.arange(0, 10, 1 / rate)) for rate in (200.0, 30.0))
     for recordings, given, harmonics, expected, why in (
         ([fast], None, None, 10.0, "above the motion of arms"),
         ([fast], None, 3.0, 10.0, "above the motion of arms"),

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,28 +21,25 @@ import pytest
 import streaming
 from hypothesis import given
 from hypothesis import strategies as st
+from known_arms import TrueArm, smooth_motion
 
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
 from excitant.identify import (
     ColumnMap,
     Recording,
-    dataset,
     identify_robot,
     load_dataset,
     load_recording,
     read_chunks,
-    read_recordings,
     recording_from_table,
     split,
 )
 from excitant.identify.dataset import decimated
 from excitant.identify.faults import find_faults
-from excitant.robots import Motion, Robot, load_robot, torque
-from excitant.robots.effects import standard_effects
+from excitant.robots import load_robot
 
 Corruption = Callable[[pd.DataFrame], pd.DataFrame]
 Save = Callable[..., Path]
-Log = Callable[[np.ndarray], Recording]
 
 
 def with_value(row: int, column: str, value: object) -> Corruption:
@@ -98,23 +96,20 @@ def test_a_bad_file_is_refused_by_name(tmp_path: Path) -> None:
         assert "\n" not in str(refusal.value)
 
 
-def test_recordings_in_different_units_are_refused(table: pd.DataFrame) -> None:
+def test_other_units_and_too_little_to_hold_out_are_refused(table: pd.DataFrame) -> None:
     renamed = table.rename(columns={"tau1": "i1", "tau2": "i2"})
-    one = recording_from_table(table, 2, file="torque.csv", name="torque")
-    other = recording_from_table(renamed, 2, file="current.csv", name="current")
+    one, other = (
+        recording_from_table(x, 2, file=f"{name}.csv", name=name)
+        for name, x in (("torque", table), ("current", renamed))
+    )
     assert (one.unit, other.unit) == ("N·m", "A")
     for first, second in ((one, other), (other, one)):
         with pytest.raises(BadRecording, match="use recordings of one unit") as refusal:
             split([first], [second])
         assert all(name in str(refusal.value) for name in ("torque.csv", "current.csv"))
-
-
-def test_too_little_to_hold_out_is_refused_with_advice(table: pd.DataFrame) -> None:
-    recording = recording_from_table(table, 2, file="f.csv", name="n")
-    assert recording.duration > 2.0
-    with pytest.raises(BadRecording, match=r"f\.csv.*hold-out of its own"):
-        split([recording])
-    split([recording], [recording])
+    with pytest.raises(BadRecording, match=r"torque\.csv.*hold-out of its own"):
+        split([one])
+    split([one], [one])
 
 
 @given(st.lists(st.floats(0, 1), max_size=3))
@@ -193,7 +188,8 @@ print(rows, next(line.split()[1] for line in status if "VmHWM" in line))
 
 
 @pytest.mark.slow
-def test_two_million_rows_take_less_than_500_megabytes(tmp_path: Path) -> None:
+def test_memory_is_that_of_pieces(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two million rows are read in 500 MB, one million identified in 1200 instead of 5500."""
     n, rng = 2_000_000, np.random.default_rng(0)
     names = [f"{name}{k}" for k in range(1, 8) for name in ("q", "tau")]
     log = pa.table({"t": np.arange(n) / 1000} | {x: rng.normal(size=n).round(6) for x in names})
@@ -205,33 +201,22 @@ def test_two_million_rows_take_less_than_500_megabytes(tmp_path: Path) -> None:
         rows, peak = map(int, done.stdout.split())
         assert rows == n
         assert peak / 1024 < 500
+    streaming.main(["--samples", "1100000"])
+    [(megabytes, nrmse)] = re.findall(
+        r"peak memory +(\d+) MB.*nrmse (\S+)", capsys.readouterr().out, re.DOTALL
+    )
+    assert int(megabytes) < 1200
+    assert float(nrmse) < 0.3
 
 
-@pytest.mark.slow
-def test_a_million_rows_are_identified_in_less_than_1200_megabytes(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    streaming.main(["--samples", "1100000"])  # the columns alone would take 5500 MB
-    said = capsys.readouterr().out
-    assert int(re.findall(r"peak memory +(\d+) MB", said)[0]) < 1200
-    assert float(re.findall(r"nrmse (\S+)", said)[0]) < 0.3
+RATE, PLANAR = 1000.0, load_robot("planar_2r")
 
 
-RATE = 1000.0
-
-
-@pytest.fixture(scope="module")
-def logged(planar: Robot, motion_of: Callable[..., Motion]) -> Log:
-    effects = standard_effects(planar.joints)
-    valued = [e.with_values(0.2 + 0.1 * np.arange(len(e.parameters(planar)))) for e in effects]
-
-    def recorded(t: np.ndarray) -> Recording:
-        motion = motion_of(planar, t)
-        noise = 0.05 * np.random.default_rng(0).normal(size=motion.q.shape)
-        tau = torque(planar.with_effects(valued), motion) + noise
-        return Recording("log", "log.csv", t, motion.q, tau)
-
-    return recorded
+def logged(t: np.ndarray) -> Recording:
+    motion = smooth_motion(PLANAR, t)
+    tau = TrueArm(PLANAR.model, *[np.array([0.2, 0.3])] * 4).torque(motion)
+    noise = 0.05 * np.random.default_rng(0).normal(size=tau.shape)
+    return Recording("log", "log.csv", t, motion.q, tau + noise)
 
 
 def pieces(whole: Recording, rows: int) -> Iterator[Recording]:
@@ -239,21 +224,19 @@ def pieces(whole: Recording, rows: int) -> Iterator[Recording]:
 
 
 @pytest.mark.parametrize(("jitter", "gap"), [(0.0, False), (0.3, False), (0.0, True)])
-def test_a_decimated_log_gives_the_estimate_of_all_samples(
-    planar: Robot, logged: Log, jitter: float, gap: bool
-) -> None:
+def test_a_decimated_log_gives_the_estimate_of_all_samples(jitter: float, gap: bool) -> None:
     t = np.arange(40_000) / RATE
     t = t + jitter / RATE * np.random.default_rng(1).uniform(-0.5, 0.5, len(t))
     whole = logged(t[(t < 13.3) | (t > 14.5)] if gap else t)
-    expected = identify_robot(planar, [whole])
+    expected = identify_robot(PLANAR, [whole])
     std = np.sqrt(np.diag(expected.least_squares.covariance))
     for rows in (700, 9999):
         thin = decimated(pieces(whole, rows))
         assert 160 <= 1 / np.median(np.diff(thin.t)) < 200
         assert (np.diff(thin.t) > 0).all()
         assert int((np.diff(thin.t) > 1).sum()) == gap
-        assert [fault.fault for fault in find_faults(planar, thin)] == ["dropped_samples"] * gap
-        found = identify_robot(planar, [thin])
+        assert [fault.fault for fault in find_faults(PLANAR, thin)] == ["dropped_samples"] * gap
+        found = identify_robot(PLANAR, [thin])
         moved = np.abs(found.least_squares.beta - expected.least_squares.beta) / std
         assert moved.max() < 1  # rows at other instants, and ends of parts lost
         ratio = np.sqrt(np.diag(found.least_squares.covariance)) / std
@@ -262,46 +245,43 @@ def test_a_decimated_log_gives_the_estimate_of_all_samples(
         np.testing.assert_allclose(found.validate.rms, expected.validate.rms, rtol=rtol)
 
 
-def test_what_decimation_would_fold_onto_the_motion_is_taken_away() -> None:
-    t = np.arange(20_000) / RATE
-    slow = np.sin(2 * np.pi * np.array([1.0, 20.0]) * t[:, None])
-    fast = np.sin(2 * np.pi * (RATE / int(RATE / 160) - np.array([1.0, 20.0])) * t[:, None])
-    thin = decimated(pieces(Recording("log", "", t, slow + fast, slow + fast), 3000))
-    expected = np.sin(2 * np.pi * np.array([1.0, 20.0]) * thin.t[:, None])
+def test_decimation_folds_nothing_onto_the_motion_and_keeps_slow_logs() -> None:
+    t, hz = np.arange(20_000) / RATE, np.array([1.0, 20.0])
+    slow = np.sin(2 * np.pi * hz * t[:, None])
+    fast = np.sin(2 * np.pi * (RATE / int(RATE / 160) - hz) * t[:, None])
+    thin = decimated(pieces(Recording("log", "", t, slow + fast, slow + fast, "A"), 3000))
+    expected = np.sin(2 * np.pi * hz * thin.t[:, None])
     assert np.abs(thin.q - expected).max() < 1e-3  # 80 dB, and the same for what is passed
-
-
-def test_slow_logs_keep_their_samples() -> None:
-    t = np.arange(500) / 100.0
-    whole = Recording("log", "", t, np.sin(t)[:, None], np.cos(t)[:, None], "A")
-    thin = decimated(pieces(whole, 120))
-    np.testing.assert_allclose(thin.t, t, atol=1e-9)
-    np.testing.assert_allclose(thin.q, whole.q, atol=1e-9)
     assert thin.unit == "A"
+    t = t[:5000:10]
+    thin = decimated(pieces(Recording("log", "", t, np.sin(t)[:, None], t[:, None]), 120))
+    np.testing.assert_allclose(thin.t, t, atol=1e-9)
+    np.testing.assert_allclose(thin.q[:, 0], np.sin(t), atol=1e-9)
 
 
 def test_long_files_are_read_in_pieces_and_bad_rows_and_short_parts_refused(
-    planar: Robot, logged: Log, save: Save, monkeypatch: pytest.MonkeyPatch
+    save: Save, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = logged(np.arange(8000) / RATE)
     path = save(whole, "log.csv")
-    assert len(read_recordings([path], planar)[0]) == 8000
-    monkeypatch.setattr(dataset, "LONG", 5000)
-    [thin] = load_dataset("planar_2r").recordings([str(path)])  # as the commands read it
+    known = load_dataset("planar_2r")
+    assert len(known.recordings([str(path)])[0]) == 8000
+    monkeypatch.setattr("excitant.identify.dataset.LONG", 5000)
+    [thin] = known.recordings([str(path)])
     assert len(thin) < 1400
     assert any("decimated" in note for note in thin.notes)
     with pytest.raises(BadRecording, match="no uninterrupted part"):
         decimated(pieces(replace(whole, t=whole.t + np.arange(8000) // 30), 100))
     save(replace(whole, t=np.where(whole.t == 6.789, 1.0, whole.t)), "log.csv")
     with pytest.raises(BadRecording, match="goes back") as refusal:
-        read_recordings([path], planar)
+        known.recordings([str(path)])
     assert (refusal.value.row, refusal.value.column) == (6789, "t")
 
 
 @pytest.fixture
-def folder(table: pd.DataFrame, planar: Robot, tmp_path: Path, save: Save) -> Path:
+def folder(table: pd.DataFrame, tmp_path: Path, save: Save) -> Path:
     """A data set: a robot, recordings and a sidecar."""
-    (tmp_path / "robot.urdf").write_text(planar.urdf, encoding="utf-8")
+    (tmp_path / "robot.urdf").write_text(PLANAR.urdf, encoding="utf-8")
     save(table.assign(i1=table.tau1 / 2, i2=table.tau2 / 2), "first.parquet")
     save(table, "second.csv")
     (tmp_path / "dataset.json").write_text("{}")
@@ -322,27 +302,24 @@ def test_recordings_are_named_relative_to_the_folder_or_are_paths(
         without.recordings([])
 
 
-def test_the_sidecar_names_the_torque_column_its_gains_and_units(
+def test_the_sidecar_names_torque_gains_and_units_and_locks_joints(
     folder: Path, table: pd.DataFrame
 ) -> None:
+    def with_sidecar(content: dict[str, Any]) -> Any:
+        (folder / "dataset.json").write_text(json.dumps(content))
+        return load_dataset(folder)
+
     assert load_dataset(folder).recordings(["first"])[0].unit == "N·m"
-    (folder / "dataset.json").write_text('{"torque": {"column": "i"}}')
-    assert load_dataset(folder).recordings(["first"])[0].unit == "A"
+    known = with_sidecar({"torque": {"column": "i"}})
+    assert known.recordings(["first"])[0].unit == "A"
     with pytest.raises(BadRecording, match="'i1'"):
-        load_dataset(folder).recordings(["second"])
-    sidecar = {"torque": {"column": "i", "drive_gain_Nm_per_A": [1, 3]}, "units": {"q": "deg"}}
-    (folder / "dataset.json").write_text(json.dumps(sidecar))
-    [found] = load_dataset(folder).recordings(["first"])
+        known.recordings(["second"])
+    gains = {"column": "i", "drive_gain_Nm_per_A": [1, 3]}
+    [found] = with_sidecar({"torque": gains, "units": {"q": "deg"}}).recordings(["first"])
     np.testing.assert_allclose(found.tau, table[["tau1", "tau2"]] * [0.5, 1.5])
     np.testing.assert_allclose(found.q, np.radians(table[["q1", "q2"]]), atol=1e-12)
-
-
-def test_the_sidecar_locks_joints(folder: Path) -> None:
-    sidecar = {"kinematics": {"urdf": "robot.urdf", "lock": ["joint2"]}}
-    (folder / "dataset.json").write_text(json.dumps(sidecar))
-    robot = load_dataset(folder).robot
-    assert robot.joints == ("joint1",)
-    assert dict(robot.locked) == {"joint2": 0.0}
+    robot = with_sidecar({"kinematics": {"urdf": "robot.urdf", "lock": ["joint2"]}}).robot
+    assert (robot.joints, dict(robot.locked)) == (("joint1",), {"joint2": 0.0})
     expected = load_robot(folder / "robot.urdf", lock={"joint2": 0.0})
     assert robot.phi.tolist() == expected.phi.tolist()
 
@@ -369,14 +346,13 @@ def test_a_bad_sidecar_is_refused_in_one_line(folder: Path, content: str) -> Non
 
 
 def test_a_folder_without_robot_or_recordings_is_refused(folder: Path) -> None:
-    for names, refused in (
-        (("first.parquet", "second.csv"), r"no \.parquet or \.csv recording"),
-        (("robot.urdf",), "no robot model"),
-    ):
-        for name in names:
-            (folder / name).unlink()
-        with pytest.raises(BadInput, match=refused):
-            load_dataset(folder).recordings([])
+    (folder / "first.parquet").unlink()
+    (folder / "second.csv").unlink()
+    with pytest.raises(BadInput, match=r"no \.parquet or \.csv recording"):
+        load_dataset(folder).recordings([])
+    (folder / "robot.urdf").unlink()
+    with pytest.raises(BadInput, match="no robot model"):
+        load_dataset(folder)
 
 
 def test_real_data_sets_read_and_what_is_held_out_is_never_fitted(data_folder: Path) -> None:

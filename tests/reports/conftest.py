@@ -1,14 +1,25 @@
-"""Made-up runs of every verb on a four-joint arm, with the nulls and long names of real ones."""
+"""Runs of every verb, made up for a four-joint arm, with the nulls and long names of real ones."""
 
+import copy
+import re
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
+from html import unescape
+from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
+from planted import motion_of
 
+from excitant.analysis.identifiability import analyze
 from excitant.reports import SavedRun, compare, html, page_of
+from excitant.reports.run import as_saved
+from excitant.robots import load_robot
+from excitant.robots.check import ModelCheck
+from excitant.robots.effects import standard_effects
 
 JOINTS = [
     "shoulder_pan_joint",
@@ -17,12 +28,12 @@ JOINTS = [
     "wrist_roll_joint",
 ]
 NV = len(JOINTS)
-LINKS = [f"{joint.removesuffix('_joint')}_link" for joint in JOINTS]
-STANDARD = ["m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz"]
+LONG_LABEL = "distance since the last reversal, signed by direction [rad]"
 SIZE = np.array([40.0, 30.0, 4.0, 0.6])
 
 Run = tuple[dict[str, Any], dict[str, np.ndarray]]
-ARM, FILTER = {"robot": "made_up_arm"}, {"cutoff_hz": 12.5, "unit": "N·m"}
+ARM: dict[str, Any] = {"robot": "made_up_arm", "joints": JOINTS}
+FILTERED: dict[str, Any] = {"robot": "made_up_arm", "cutoff_hz": 12.5, "unit": "N·m"}
 
 
 def _motion(n: int, duration: float, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
@@ -33,41 +44,17 @@ def _motion(n: int, duration: float, rng: np.random.Generator) -> tuple[np.ndarr
     return t, s @ a + c @ b, (c * w) @ a - (s * w) @ b, -(s * w**2) @ a - (c * w**2) @ b
 
 
-def _expression(rng: np.random.Generator, link: int, terms: int) -> str:
-    text = f"{LINKS[link]}.{STANDARD[int(rng.integers(10))]}"
-    for _ in range(terms):
-        other = f"{LINKS[int(rng.integers(link, NV))]}.{STANDARD[int(rng.integers(10))]}"
-        text += f" {'+' if rng.random() < 0.6 else '−'} {rng.random():.5g}·{other}"
-    return text
+def _rows(**columns: Any) -> list[dict[str, Any]]:
+    return pd.DataFrame(columns).to_dict("records")
 
 
-def _accuracy(rms: float, scale: float) -> dict[str, Any]:
+def _accuracy(rms: np.ndarray, scale: np.ndarray, **more: Any) -> list[dict[str, Any]]:
     nrmse = rms / scale
-    return {"rms": rms, "nrmse": nrmse, "r2": 1 - nrmse**2, "rms_raw": rms * 1.4}
+    return _rows(**more, rms=rms, nrmse=nrmse, r2=1 - nrmse**2, rms_raw=1.4 * rms)
 
 
-def _by_joint(rms: np.ndarray, scale: np.ndarray) -> list[dict[str, Any]]:
-    return [{"name": n, **_accuracy(rms[j], scale[j])} for j, n in enumerate(JOINTS)]
-
-
-def _visibility(rng: np.random.Generator) -> dict[str, Any]:
-    """What a design shows worst, before and after."""
-    weakest = [
-        {
-            "name": f"{LINKS[k % NV]}.{STANDARD[k]}",
-            "expression": _expression(rng, k % NV, 25 if k == 3 else k % 4),
-            "unit": "kg·m²",
-            "value": None if k == 4 else float(rng.normal()),
-            "std_per_unit_noise_initial": 3.0 / (1 + k),
-            "std_per_unit_noise_final": 0.15 / (1 + k),
-        }
-        for k in range(10)
-    ]
-    return {
-        "condition_number_scaled": {"initial": 90.4, "final": 6.21},
-        "joint_weights": [1.0] * NV,
-        "weakest": weakest,
-    }
+def _by_joint(row: dict[str, Any]) -> list[dict[str, Any]]:
+    return [{"name": name, **row} for name in JOINTS]
 
 
 BOX = {"shape": "box", "size": [0.2, 0.3, 0.9], "position": [0.9, 0.0, 0.45]}
@@ -88,87 +75,88 @@ def _space(q: np.ndarray) -> dict[str, np.ndarray]:
     return {"tool": tool, "arm": arm, "arm_t": np.linspace(0.0, 10.0, 5)}
 
 
+@cache
+def _analysis() -> Run:
+    """A real one, of a motion in which the elbow rests."""
+    arm = load_robot("ur10")
+    motion = motion_of(arm, resting=[2])
+    found = analyze(arm, effects=standard_effects(arm.joints), motion=motion)
+    return as_saved(found.result(), found.series())
+
+
+def analyze_run() -> Run:
+    return copy.deepcopy(_analysis())
+
+
+def _parameters() -> list[dict[str, Any]]:
+    """Of a real arm, link by link."""
+    return [
+        {**row, "link": link["link"], "prior_dominated": row["decided_by"] == "prior"}
+        for link in analyze_run()[0]["links"]
+        for row in link["parameters"]
+    ]
+
+
+def _base_parameters() -> list[dict[str, Any]]:
+    return [{**row, "expression": row["name"]} for row in analyze_run()[0]["practical"]]
+
+
+def robots_run() -> Run:
+    check = ModelCheck(load_robot("scara"))
+    return check.result(), check.series()
+
+
 def design_run() -> Run:
     rng = np.random.default_rng(1)
     t, q, dq, ddq = _motion(2001, 10.0, rng)
-    most = {"position": abs(q).max(0), "velocity": abs(dq).max(0), "acceleration": abs(ddq).max(0)}
-    ends = [9.31 + 0.7 * k**1.5 for k in range(8)]
-    starts = [
-        {
-            "start": k,
-            "condition_number": end,
-            "status": "converged" if k < 6 else "stopped: time limit",
-            "iterations": 40 + 7 * k,
-            "history": [*(end + 160 * np.exp(-np.arange(39) / (4 + k))), None],
-        }
-        for k, end in enumerate(ends)
+    most, fast, jolt = (abs(x).max(0) for x in (q, dq, ddq))
+    weakest = [
+        row | {"std_per_unit_noise_initial": 3.0 / k, "std_per_unit_noise_final": 0.15 / k}
+        for k, row in enumerate(_base_parameters()[:10], start=1)
     ]
-    result = {
-        "verb": "design",
-        **ARM,
-        "joints": JOINTS,
-        "duration": 10.0,
-        "harmonics": 5,
-        "columns": "friction",
-        "base_parameters": 57,
-        "criterion": "condition",
+    ends = 9.31 + 0.7 * np.arange(8) ** 1.5
+    starts = _rows(
+        condition_number=ends,
+        status=["converged"] * 6 + ["stopped: time limit"] * 2,
+        history=[[*(x + 160 * np.exp(-np.arange(39) / (x - 5))), None] for x in ends],
+    )
+    certified = {
+        "position": _rows(low=q.min(0), high=q.max(0), ratio=0.98, t=3.2),
+        "velocity": _rows(low=-fast, high=fast, ratio=1.0, t=7.77),
+        "acceleration": [{"ratio": 0.77, "t": None}, *[None] * (NV - 1)],
+        "torque": [None] * NV,
+    }
+    result = ARM | {"verb": "design", "duration": 10.0, "harmonics": 5, "columns": "friction"}
+    result |= {"criterion": "condition", "base_parameters": 57, "joint_weights": [1.0] * NV}
+    result |= {
         "condition_number": {"initial": 171.2, "final": 9.31, "lower_bound": 6.02},
+        "condition_number_scaled": {"initial": 90.4, "final": 6.21},
         "limits": {"position": 0.9998, "velocity": 1.0, "acceleration": 0.734, "torque": None},
-        "limit_values": {
-            "position": [[-1.02 * x, 1.02 * x] for x in most["position"]],
-            "velocity": most["velocity"].tolist(),
-            "acceleration": [*(most["acceleration"] * 1.3)[:-1].tolist(), None],
-            "torque": None,
-        },
-        "worst": {
-            "velocity": {"joint": "elbow_joint", "t": 7.77},
-            "acceleration": {"joint": 2, "t": None},
-            "torque": None,
-        },
-        "certified": {
-            "position": [
-                {"low": low, "high": high, "ratio": 0.98, "t": 3.2}
-                for low, high in zip(q.min(0), q.max(0), strict=True)
-            ],
-            "velocity": [{"low": -x, "high": x, "ratio": 1.0, "t": 7.77} for x in most["velocity"]],
-            "acceleration": [{"ratio": 0.77, "t": None}, *[None] * (NV - 1)],
-            "torque": [None] * NV,
-        },
-        "revolute": [True] * (NV - 1) + [False],
-        **_visibility(rng),
-        "clearance_m": 0.043,
+        "worst": {"velocity": {"joint": "elbow_joint", "t": 7.77}, "torque": None}
+        | {"acceleration": {"joint": 2, "t": None}},
+        "limit_values": {"position": np.stack([-1.02 * most, 1.02 * most], axis=1)}
+        | {"velocity": fast, "acceleration": [*1.3 * jolt[:-1], None], "torque": None},
         "closest": {"bodies": ["forearm_0", "table"], "t": 5.0, "distance_m": 0.0434},
-        "obstacles": OBSTACLES,
-        "starts": starts,
-        "iterations": 412,
-        "wall_s": 23.4,
         "files": ["trajectory.csv", "trajectory.json", "approach.csv", "return.csv"],
     }
+    result |= {"certified": certified, "weakest": weakest, "starts": starts}
+    result |= {"obstacles": OBSTACLES, "clearance_m": 0.043, "revolute": [True, True, True, False]}
     tau = SIZE * (0.5 * np.sin(q) + 0.05 * ddq) + 0.1 * SIZE * np.sign(dq)
-    spectra = {
-        f"eigenvalues_{key}": np.sort(10 ** rng.uniform(least, 0, 57))[::-1]
-        for key, least in (("initial", -4.2), ("final", -1.9))
-    }
-    return result, {"t": t, "q": q, "dq": dq, "ddq": ddq, "tau": tau, **spectra, **_space(q)}
+    series = {"t": t, "q": q, "dq": dq, "ddq": ddq, "tau": tau, **_space(q)}
+    series["dddq"] = np.gradient(ddq, t, axis=0)
+    for key, least in (("initial", -4.2), ("final", -1.9)):
+        series[f"eigenvalues_{key}"] = np.sort(10 ** rng.uniform(least, 0, 57))[::-1]
+    return result, series
 
 
 def check_run() -> Run:
     designed, series = design_run()
-    result = {
-        "verb": "check",
-        **ARM,
-        "trajectory": "somebody/trajectory.csv",
-        "joints": JOINTS,
-        "limits": {"position": 0.81, "velocity": 1.31, "acceleration": None, "torque": 0.5},
-        "worst": {"velocity": {"joint": "elbow_joint", "t": 2.5}},
-        "limit_values": designed["limit_values"],
-        "condition_number": None,
-        "holds": False,
-        "verdicts": [
-            "velocity of elbow_joint reaches 131 % of its limit at 2.5 s: slow down by 1.31.",
-            "all other limits hold.",
-        ],
-    }
+    verdict = "velocity of elbow_joint reaches 131 % of its limit at 2.5 s: slow down by 1.31."
+    limits = {"position": 0.81, "velocity": 1.31, "acceleration": None, "torque": 0.5}
+    result = ARM | {"verb": "check", "trajectory": "somebody/trajectory.csv", "holds": False}
+    result |= {"limits": limits, "limit_values": designed["limit_values"]}
+    result |= {"worst": {"velocity": {"joint": "elbow_joint", "t": 2.5}}, "condition_number": None}
+    result |= {"verdicts": [verdict, "all other limits hold."]}
     return result, {key: series[key] for key in ("t", "q", "dq", "ddq")}
 
 
@@ -176,26 +164,15 @@ def rehearse_run() -> Run:
     designed, series = design_run()
     friction = {"name": "viscous friction", "unit": "N·m·s/rad", "planted": 0.57}
     items = [
-        {"name": "velocity limits", "joint": JOINTS[2], "passed": True, "detail": "99 % used"},
-        {**friction, "joint": JOINTS[1], "recovered": 0.572, "std": 0.005, "passed": True,
-         "detail": "planted 0.57, recovered 0.572 ± 0.005 N·m·s/rad"},
-        {**friction, "joint": JOINTS[3], "recovered": 0.3, "std": None, "passed": False,
-         "detail": "planted 0.57, recovered 0.3 N·m·s/rad"},
-        {"name": "base parameters", "joint": None, "passed": True, "planted": None,
-         "detail": "94.2 % of 312 cases within their 95 % intervals (13 parameters, 24 readings)"},
-    ]  # fmt: skip
-    result = {
-        "verb": "rehearse",
-        **ARM,
-        "joints": JOINTS,
-        "duration": 10.0,
-        "passed": False,
-        "headline": "the motion would not do: 1 of 4 requirements is not met",
-        "items": items,
-        "advice": ["Move wrist_roll_joint faster."],
-        "effect": {"effect": "payload", "joint": JOINTS[1]},
-        "limit_values": designed["limit_values"],
-    }
+        {"name": "velocity limits", "joint": JOINTS[0], "passed": True, "detail": "99 % used"},
+        {**friction, "joint": JOINTS[1], "passed": True, "recovered": 0.572, "std": 0.005},
+        {**friction, "joint": JOINTS[3], "passed": False, "recovered": 0.3, "detail": "too little"},
+    ]
+    headline = "the motion would not do: 1 of 3 requirements is not met"
+    result = ARM | {"verb": "rehearse", "duration": 10.0, "passed": False, "headline": headline}
+    result |= {"items": items, "advice": ["Move wrist_roll_joint faster."]}
+    result |= {"effect": {"effect": "payload", "joint": JOINTS[1]}}
+    result |= {"limit_values": designed["limit_values"]}
     return result, {key: series[key] for key in ("t", "q", "dq", "tau")}
 
 
@@ -208,122 +185,113 @@ def _holdout(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     return t, dq, measured, 0.85 * clean, clean + 0.98 * friction
 
 
+def _online(rng: np.random.Generator, rows: int) -> Run:
+    """What the monitor saw at 24 looks; too little excitation from 6 to 9 s."""
+    t = 1.0 + 0.5 * np.arange(24)
+    std = np.exp(-t[:, None] / rng.uniform(2, 20, rows))
+    history = {
+        "t": t,
+        "excitation_level": [None] * 4 + [0.01 if 6 < x < 9 else 30.0 for x in t[4:]],
+        "torque_uncertainty": np.exp(-t)[:, None] * np.ones(NV),
+        "noise": np.full((24, NV), 0.02),
+    }
+    messages = [
+        {"t": 4.0, "text": "converged: the estimate is surer of the torque than a row of data"},
+        {"t": 6.5, "text": "not exciting enough since 2.1 s: 3 of 40 visible <directions>"},
+    ]
+    value = 1 + 0.3 * std * rng.standard_normal(std.shape)
+    online = {"delay_s": 0.03, "converged": True, "messages": messages, "history": history}
+    return online, {"online_t": t, "online_value": value, "online_std": std}
+
+
 def identify_run() -> Run:
+    """With all that its options add."""
     rng = np.random.default_rng(2)
     t, _, measured, given, identified = _holdout(rng)
     scale, before, after = (x.std(0) for x in (measured, measured - given, measured - identified))
-    given = given.copy()
     given[:, 3] = np.nan
-    joints = [
-        {
-            "name": name,
-            "train": _accuracy(0.95 * after[j], scale[j]),
-            "validate": None if j == 0 else _accuracy(after[j], scale[j]),
-            "baseline": None if j == 3 else _accuracy(before[j] * (60 if j == 2 else 1), scale[j]),
-        }
-        for j, name in enumerate(JOINTS)
-    ]
-    parameters, base = [], []
-    for j, link in enumerate(LINKS):
-        for k, symbol in enumerate(STANDARD):
-            category = ["unique", "combined", "unidentifiable"][int(rng.integers(3))]
-            row = {
-                "name": f"{link}.{symbol}",
-                "link": link,
-                "value": float(rng.normal() * 10 ** rng.uniform(-5, 1)),
-                "std": None if category == "unidentifiable" else float(10 ** rng.uniform(-5, 0)),
-                "unit": "kg" if k == 0 else "kg·m" if k < 4 else "kg·m²",
-                "category": category,
-                "prior": None if j == 1 else float(rng.normal()),
-                "prior_dominated": category != "unique",
-            }
-            parameters.append(row)
-    for k in range(57):
-        value, std = float(rng.normal()), None if k == 9 else float(10 ** rng.uniform(-4, -0.3))
-        name = _expression(rng, k % NV, 25 if k == 3 else int(rng.integers(6)))
-        base.append(
-            {"expression": name, "value": value, "std": std, "rel_std": std and abs(std / value)}
-        )
-    result = {
+    interval = {"half_width": 0.3, "half_width_parameters": 0.1, "coverage": 0.712}
+    judged = _accuracy(after, scale, interval95=[interval] * NV)
+    base = _base_parameters()
+    online, estimates = _online(rng, len(base))
+    payload = {
+        "link": "link7",
+        "mass": {"value": 1.5, "std": 0.002, "unit": "kg"},
+        "centre_of_mass": {"value": [0.02, -0.03, 0.2], "std": [1e-4, 1e-4, 5e-3], "unit": "m"},
+        "parameters": _parameters()[:10],
+        "shortcomings": ["centre of mass along z is known to ±10 mm only"],
+        "notes": ["torque came as motor current: a gain that is wrong by 1 % makes mass wrong"],
+    }
+    seen = {"determined": [{"expression": "l2.Izz", "value": 1.0, "std": 0.1}]}
+    left = {"missing": ["l2.m"], "needed": ["turn the base"]}
+    used = {"recordings": ["r"], "rows": 100, "mode": "swings"}
+    stages = [{"link": "l2", "joint": "j2", **used, **seen, **left}, {"link": "l1", "joint": "j1"}]
+    errors = {"joints": [{"name": "j1", "given": 1.0, "all_at_once": 0.5, "link_by_link": 0.4}]}
+    by_link = {"determined": 1, "base_parameters": 2, "stages": stages, "comparison": errors}
+    result = FILTERED | {
         "verb": "identify",
-        **ARM,
         "estimator": "physical",
         "effects": ["viscous_friction", "coulomb_friction", "torque_offset"],
-        **FILTER,
         "holdout": "The last 30 % of each of 2 recordings was held out.",
-        "joints": joints,
-        "parameters": parameters,
-        "base_parameters": base,
+        "joints": _rows(
+            name=JOINTS,
+            train=_accuracy(0.95 * after, scale),
+            validate=[None, *judged[1:]],
+            baseline=[*_accuracy(before * [1, 1, 60, 1], scale)[:3], None],
+        ),
         "physical": {"consistent": True, "violations": []},
+        "essential": {"kept": ["m1"], "dropped": ["m2", "m3"]}
+        | {"nrmse_all": 0.05, "nrmse_essential": 0.049},
         "notes": ["wrist_roll_joint moved too little in the hold-out to be judged there.", None],
         "files": ["identified.urdf", "identified.xml", "model.yaml"],
     }
-    return result, {"t": t, "measured": measured, "given": given, "identified": identified}
+    result |= {"link_by_link": by_link, "payload": payload, "online": online}
+    series = {"t": t, "measured": measured, "given": given, "identified": identified}
+    series["half_width"] = np.full_like(measured, 0.3)
+    result |= {"parameters": _parameters(), "base_parameters": base}
+    return result, series | estimates
 
 
-def analyze_run() -> Run:
-    rng = np.random.default_rng(3)
-    links = []
-    for j, (link, joint) in enumerate(zip(LINKS, JOINTS, strict=True)):
-        names = [f"{link}.{symbol}" for symbol in STANDARD]
-        unique, combined, none = names[:0], names[9:], names[:9]
-        if j:
-            unique, combined, none = names[5:6] + names[7:9], names[:5] + names[9:], names[6:7]
-        groups = [
-            {"expression": _expression(rng, j, 24 if i == 1 else 4), "members": combined}
-            for i in range(3)
-        ]
-        row = {"link": link, "joint": None if j == 3 else joint, "unique": unique}
-        links.append({**row, "combined": groups, "unidentifiable": none})
-    practical = [
-        {
-            "name": _expression(rng, k % NV, k % 4),
-            "std": float(10 ** rng.uniform(-4, 0)),
-            "rel_std": None if k == 4 else float(10 ** rng.uniform(-3, 1.5)),
-            "verdict": ["good", "fair", "poor"][k % 3],
-        }
-        for k in range(57)
-    ]
-    counts = {"standard_parameters": 70, "base_parameters": 43, "condition_number": 31.4159}
-    result = {"verb": "analyze", **ARM, **counts, "links": links, "practical": practical}
-    return result, {"singular_values": np.sort(10 ** rng.uniform(-2, 1, 43))[::-1]}
-
-
-def _findings() -> list[dict[str, Any]]:
+def _findings() -> list[Any]:
     level = {"name": "elbow_joint.stribeck", "value": 4.8123, "std": 0.0312, "unit": "N·m"}
     speed = {"name": "elbow_joint.stribeck_velocity", "value": 0.0712, "std": None, "unit": "rad/s"}
-    first = {
-        "effect": "stribeck_friction",
-        "joints": ["elbow_joint"],
-        "parameters": [level, speed],
-        "explained": 0.731,
-        "holdout": {"rms_before": 4.62, "rms_after": 1.31},
-        "verdict": "named",
-        "rivals": [],
-        "figure": {"x_label": "velocity of elbow_joint [rad/s]", "joint": "elbow_joint"},
-    }
+    stribeck = {"effect": "stribeck_friction", "joints": ["elbow_joint"], "verdict": "named"}
+    stribeck |= {"parameters": [level, speed], "explained": 0.731}
+    stribeck |= {"holdout": {"rms_before": 4.62, "rms_after": 1.31}}
+    stribeck |= {"figure": {"x_label": LONG_LABEL, "joint": "elbow_joint"}}
     rival = {
         "effect": "payload",
         "joints": [JOINTS[3]],
         "why": "A mass at the flange makes the torque of a heavier wrist link.",
-        "experiment": "Move wrist_roll_joint through ±1.5 rad at 0.2 rad/s, first with the "
-        "forearm level, then upright.",
+        "experiment": "Move wrist_roll_joint through ±1.5 rad at 0.2 rad/s with the forearm level.",
     }
-    second = {
-        "effect": "inertial_parameters",
-        "joints": [JOINTS[2], "wrist_roll_joint"],
-        "parameters": [
-            {"name": f"{LINKS[2]}.{s}", "value": 0.001234 * k, "std": 1e-5, "unit": "kg·m²"}
-            for k, s in enumerate(STANDARD)
-        ],
-        "explained": 0.112,
+    inertia = {"effect": "inertial_parameters", "joints": JOINTS[2:], "verdict": "undecided"}
+    inertia |= {
+        "parameters": _parameters()[10:20],
         "holdout": {"rms_before": 1.31, "rms_after": 1.18},
-        "verdict": "undecided",
-        "rivals": [rival, dict.fromkeys(rival) | {"effect": "rotor_inertia"}],
-        "figure": None,
     }
-    third = {"effect": "unknown", "joints": None, "parameters": None, "explained": None}
-    return [first, second, third]
+    inertia |= {"explained": 0.112}
+    inertia |= {"rivals": [rival, dict.fromkeys(rival) | {"effect": "rotor_inertia"}]}
+    return [stribeck, inertia, {"effect": "unknown", "joints": None, "parameters": None}]
+
+
+def _given_model() -> dict[str, Any]:
+    """What is wrong with it."""
+    shares = {"constant": 0.02, "direction": 0.81, "velocity": 0.83, "position": 0.0, "load": 0.8}
+    bands = {"slower": 0.0, "motion": 0.9, "faster": 0.1}
+    error = {"rms": 4.0, "shares": shares, "bands": bands, "telling": "direction"}
+    velocity = {"given": 0.2, "extended": 0.02, "unit": "rad/s"}
+    left = {"given": 0.05, "extended": 0.002, "unit": "rad", "velocity": velocity}
+    refitted = {"given": 4.0, "inertias": 3.9, "bodies": 3.95, "extended": 1.0}
+    link = {"link": "forearm", "mass_kg": 0.2, "centre_mm": 31.0, "inertia": 0.1}
+    link["deviations"] = {"mass": 1.0, "centre": 9.0, "inertia": None}
+    sentence = "Re-fitting the inertias alone would hardly help."
+    windows = {"windows": 4, "window_s": 0.6, "bandwidth_hz": 4.0, "notes": []}
+    return {
+        "error": {"joints": _by_joint({**error, "left": error | {"rms": 1.0}})},
+        "refit": {"sentence": sentence, "joints": _by_joint(refitted), "links": [link]},
+        "forward": {**windows, "joints": _by_joint(left)},
+    }
 
 
 def diagnose_run() -> Run:
@@ -331,65 +299,50 @@ def diagnose_run() -> Run:
     t, dq, measured, given, extended = _holdout(rng)
     scale, before, after = (x.std(0) for x in (measured, measured - given, measured - extended))
     stribeck = 6 * np.sign(dq[:, 1]) * np.exp(-np.abs(dq[:, 1]) / 0.3) + 3 * np.sign(dq[:, 1])
-    steps = {
-        "as given": 4.62,
-        "+ stribeck_friction at elbow_joint": 1.31,
-        f"+ inertial_parameters at {JOINTS[2]}, wrist_roll_joint": 1.18,
-        "+ unknown": None,
-    }
-    result = {
+    steps = [
+        ("as given", 4.62),
+        ("+ stribeck_friction at elbow_joint", 1.31),
+        (f"+ inertial_parameters at {JOINTS[2]}, wrist_roll_joint", 1.18),
+        ("+ unknown", None),
+    ]
+    headline = "elbow_joint has Stribeck friction that the model lacks; the inertia of the forearm "
+    result = FILTERED | {
         "verb": "diagnose",
-        "headline": "elbow_joint has Stribeck friction that the model lacks; the inertia of the "
-        "forearm is probably wrong too.",
-        **ARM,
-        **FILTER,
-        "simulation": {"joints": _by_joint(before, scale)},
+        "headline": headline + "is probably wrong too.",
+        "simulation": {"joints": _accuracy(before, scale, name=JOINTS)},
         "faults": [
             {"fault": "saturation", "joints": ["elbow_joint"], "detail": "41 samples at ±87 N·m"},
             {"fault": "duplicate_samples", "joints": None, "detail": None},
         ],
-        "findings": _findings(),
         "unexplained": [
             {"joint": "wrist_roll_joint", "share": 0.021, "structure": "periodic in motor angle"},
             {"joint": "elbow_joint", "share": None, "structure": None},
         ],
-        "extended": {
-            "joints": _by_joint(after, scale),
-            "files": ["extended.urdf", "extended.yaml"],
-        },
-        "waterfall": [{"label": label, "rms": rms} for label, rms in steps.items()],
+        "extended": {"joints": _accuracy(after, scale, name=JOINTS), "files": ["extended.urdf"]},
+        "waterfall": [{"label": label, "rms": rms} for label, rms in steps],
         "notes": ["Velocities below 0.05 rad/s are rare: presliding was not judged."],
     }
-    series = {
-        "t": t,
-        "measured": measured,
-        "simulated": given,
-        "extended": extended,
-        "finding0_x": dq[:, 1],
-        "finding0_residual": stribeck + rng.normal(size=len(t)),
-        "finding0_fit": stribeck,
-        "finding1_x": np.cumsum(rng.normal(size=len(t))),
-        "finding1_residual": rng.normal(size=len(t)),
-        "finding1_fit": 0.2 * rng.normal(size=len(t)),
-    }
+    result |= {"findings": _findings(), **_given_model()}
+    noise = rng.normal(size=(3, len(t)))
+    series = {"t": t, "measured": measured, "simulated": given, "extended": extended}
+    for k, evidence in enumerate(
+        ((dq[:, 1], stribeck + noise[0], stribeck), (noise[1].cumsum(), noise[2], 0.2 * noise[0]))
+    ):
+        names = (f"finding{k}_{key}" for key in ("x", "residual", "fit"))
+        series |= dict(zip(names, evidence, strict=True))
     return result, series
 
 
 def demo_run() -> Run:
-    effect = "stribeck_friction"
-    parameters = {"level_Nm": 5.0, "velocity_rad_s": 0.07}
-    result: dict[str, Any] = {
-        "verb": "demo",
-        **ARM,
-        "seed": 7,
-        "truth": {"effect": effect, "joint": "elbow_joint", "parameters": parameters},
-        "verdict": {"effect": effect, "joints": ["elbow_joint"], "correct": True},
-    }
+    hidden = {"effect": "stribeck_friction", "joint": "elbow_joint"}
+    truth = hidden | {"parameters": {"level_Nm": 5.0, "velocity_rad_s": 0.07}}
+    verdict = {"effect": hidden["effect"], "joints": ["elbow_joint"], "correct": True}
+    result = ARM | {"verb": "demo", "seed": 7, "truth": truth, "verdict": verdict}
     series = {}
-    for build in (design_run, identify_run, analyze_run, diagnose_run):
-        content, arrays = build()
-        verb = content.pop("verb")
-        result[verb] = content
+    for verb in ("design", "identify", "analyze", "diagnose"):
+        result[verb], arrays = BUILDERS[verb]()
+        for key in ("verb", "online", "payload", "link_by_link"):
+            result[verb].pop(key, None)
         series |= {f"{verb}/{key}": values for key, values in arrays.items()}
     return result, series
 
@@ -400,52 +353,90 @@ def compare_run() -> Run:
     result["design"]["condition_number"]["final"] *= 1.7
     identified = result["identify"]
     for row in (*identified["base_parameters"][::4], *identified["parameters"][::9]):
-        row["value"] += 3 * (row["std"] or 1.0)
+        row["value"] = (row["value"] or 0.0) + 3 * (row["std"] or 1.0)
     result["diagnose"]["findings"][2]["effect"] = "backlash"
     return compare(SavedRun("runs/one", *demo_run()), SavedRun("runs/two", result, series)), {}
 
 
-_ALL = (design_run, check_run, rehearse_run, identify_run, analyze_run, diagnose_run, demo_run)
+def _saved(build: Callable[[], Run]) -> Run:
+    """A result as it is read back, the caller's own."""
+    result, series = build()
+    return as_saved(result, {})[0], copy.deepcopy(series)
+
+
+_VERBS = (robots_run, design_run, check_run, rehearse_run, identify_run, analyze_run, diagnose_run)
 BUILDERS: dict[str, Callable[[], Run]] = {
-    build.__name__.removesuffix("_run"): build for build in (*_ALL, compare_run)
+    build.__name__.removesuffix("_run"): partial(_saved, build)
+    for build in (*_VERBS, demo_run, compare_run)
 }
 
 
+def _plain(source: str) -> str:
+    source = re.sub(r"<(style|script).*?</\1>|<wbr>", "", source, flags=re.DOTALL)
+    return " ".join(unescape(re.sub(r"<[^>]*>", " ", source)).split())
+
+
+class Shown(HTMLParser):
+    """A page as its reader meets it; every element is closed as it was opened."""
+
+    def __init__(self, source: str) -> None:
+        super().__init__()
+        self.source, self.open = source, []
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(source)
+        self.close()
+        assert self.open == []
+        self.words = _plain(source)
+        self.headings = [_plain(h) for h in re.findall(r"<h3[^>]*>(.*?)</h3>", source)]
+        self.labels = [attrs["aria-label"] or "" for attrs in self.all("svg") if "role" in attrs]
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag not in {"meta", "br", "wbr", "hr", "img", "link", "input"}:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def all(self, tag):
+        return [attrs for name, attrs in self.elements if name == tag]
+
+
 @cache
-def _page(verb: str) -> str:
-    return html(page_of(*BUILDERS[verb]()))
+def _page(verb: str) -> Shown:
+    return Shown(html(page_of(*BUILDERS[verb]())))
 
 
 @pytest.fixture(params=list(BUILDERS))
 def run(request: pytest.FixtureRequest) -> Run:
-    """A run of each verb."""
     return BUILDERS[request.param]()
 
 
 @pytest.fixture(params=list(BUILDERS))
-def page(request: pytest.FixtureRequest) -> str:
-    """The page of each verb."""
+def page(request: pytest.FixtureRequest) -> Shown:
     return _page(request.param)
 
 
 @pytest.fixture(scope="session", params=list(BUILDERS))
 def file(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of each verb as a file."""
     path = tmp_path_factory.mktemp(request.param) / "report.html"
-    path.write_text(_page(request.param), "utf-8")
+    path.write_text(_page(request.param).source, "utf-8")
     return path
 
 
 @pytest.fixture(scope="session")
 def make() -> dict[str, Callable[[], Run]]:
-    """How to make a run, by verb."""
     return BUILDERS
 
 
 @pytest.fixture(scope="session")
-def written() -> Callable[[str], str]:
-    """The page of a verb's run as it is, written once for all tests."""
+def written() -> Callable[[str], Shown]:
     return _page
+
+
+@pytest.fixture(scope="session")
+def show() -> Callable[[dict[str, Any], dict[str, np.ndarray]], Shown]:
+    return lambda result, series: Shown(html(page_of(result, series)))
 
 
 @pytest.fixture

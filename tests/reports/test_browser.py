@@ -17,9 +17,8 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the PATH"),
 ]
 
-WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
+WIDTHS = (1280, 400)
 SIZES = "[document.documentElement.scrollWidth, document.documentElement.clientWidth]"
-MOST_BYTES = 5_000_000
 
 
 @pytest.fixture(scope="module")
@@ -34,54 +33,38 @@ class Opened:
     """A page in the browser, with what it asked for and complained about."""
 
     def __init__(self, browser, file: Path, width: int, scheme: str) -> None:
-        self.context = browser.new_context(
-            viewport={"width": width, "height": 900},
-            color_scheme=scheme,
-            reduced_motion="reduce",
-            offline=True,
-        )
-        self.page = self.context.new_page()
-        self.said: list[str] = []
-        self.asked: list[str] = []
+        look = {"color_scheme": scheme, "reduced_motion": "reduce", "offline": True}
+        self.page = browser.new_page(viewport={"width": width, "height": 900}, **look)
+        self.said, self.asked = [], []
         self.page.on("console", lambda message: self.said.append(message.text))
         self.page.on("pageerror", lambda error: self.said.append(str(error)))
         self.page.on("request", lambda request: self.asked.append(request.url))
         self.page.goto(file.as_uri())
+        self.contents = self.page.evaluate("document.querySelector('nav details').open")
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.context.close()
-
-    def unfold(self) -> None:
+    def unfolded(self) -> Iterator["Opened"]:
         self.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true })")
+        yield self
+        self.page.close()
 
 
-@pytest.fixture(
-    scope="module", params=list(product(WIDTHS, SCHEMES)), ids=lambda p: f"{p[0]}-{p[1]}"
-)
+@pytest.fixture(scope="module", params=list(product(WIDTHS, ("light", "dark"))))
 def opened(request: pytest.FixtureRequest, browser, file: Path) -> Iterator[Opened]:
-    with Opened(browser, file, *request.param) as page:
-        yield page
+    yield from Opened(browser, file, *request.param).unfolded()
 
 
 @pytest.fixture(scope="module", params=WIDTHS)
 def light(request: pytest.FixtureRequest, browser, file: Path) -> Iterator[Opened]:
-    with Opened(browser, file, request.param, "light") as page:
-        yield page
+    yield from Opened(browser, file, request.param, "light").unfolded()
 
 
 def test_page_opens_alone_and_without_complaint(opened, file):
-    assert file.stat().st_size < MOST_BYTES
-    opened.unfold()
     opened.page.wait_for_load_state("networkidle")
     assert [url for url in opened.asked if not url.startswith("data:")] == [file.as_uri()]
     assert opened.said == []
 
 
 def test_page_is_no_wider_than_the_window(opened):
-    opened.unfold()
     wide, window = opened.page.evaluate(SIZES)
     assert wide <= window
     outside = opened.page.evaluate(
@@ -132,64 +115,62 @@ CONTRAST = """() => {
 
 
 def test_text_stands_out_from_its_ground(opened):
-    opened.unfold()
     seen, poor = opened.page.evaluate(CONTRAST)
     assert seen > 20
     assert poor == {}
 
 
-def test_contents_lead_to_their_sections(light):
-    light.page.evaluate("document.querySelector('nav details').open = true")  # shut on a phone
+def test_contents_lead_to_their_sections_and_are_shut_on_a_phone(light):
+    assert light.contents == (light.page.viewport_size["width"] > 480)
     links = light.page.locator("nav a")
     assert links.count() > 0
     for k in range(links.count()):
         link = links.nth(k)
-        name = link.get_attribute("href").removeprefix("#")
         link.click()
-        assert light.page.evaluate("location.hash") == f"#{name}"
+        assert light.page.evaluate("location.hash") == link.get_attribute("href")
         heading = light.page.evaluate(
-            """(id) => { const h = document.getElementById(id), r = h.getBoundingClientRect();
+            """() => { const h = document.querySelector(":target");
             const end = innerHeight + scrollY >= document.documentElement.scrollHeight - 2;
-            return { level: h.tagName, text: h.textContent, top: r.top, end }; }""",
-            name,
+            return { level: h.tagName, text: h.textContent, top: h.getBoundingClientRect().top,
+                     end }; }"""
         )
         assert heading["level"] in ("H2", "H3")
         assert heading["text"].strip() == link.text_content().strip()
         assert -2 <= heading["top"] < (900 if heading["end"] else 60), heading
 
 
-DRAWN = """() => {
-  const quad = (text) => {
-    const box = text.getBBox(), m = text.getScreenCTM(), trim = 0.2 * box.height;
-    return [[box.x, box.y + trim], [box.x + box.width, box.y + trim],
-            [box.x + box.width, box.y + box.height - trim], [box.x, box.y + box.height - trim]]
-      .map(([x, y]) => [m.a * x + m.c * y + m.e, m.b * x + m.d * y + m.f]);
+DRAWN = """async () => {
+  const boxOf = (text) => {  // of level or upright letters, without the room above and below them
+    const r = text.getBoundingClientRect(), level = Math.abs(text.getScreenCTM().b) < 1e-6;
+    const [x, y] = level ? [0, 0.2 * r.height] : [0.2 * r.width, 0];
+    return [r.left + x, r.top + y, r.right - x, r.bottom - y];
   };
-  const apart = (a, b) => [a, b].some((corners) => corners.some((p, k) => {
-    const q = corners[(k + 1) % 4], n = [q[1] - p[1], p[0] - q[0]];
-    const along = (set) => set.map(([x, y]) => n[0] * x + n[1] * y);
-    const [s, t] = [along(a), along(b)], slack = 0.5 * Math.hypot(...n);
-    return Math.max(...s) < Math.min(...t) + slack || Math.max(...t) < Math.min(...s) + slack;
-  }));
-  const overlaps = [], outside = [], empty = [];
-  let least = [99, ""], count = 0;
+  const apart = (a, b) => [0, 1].some(
+    (k) => a[k + 2] < b[k] + 0.5 || b[k + 2] < a[k] + 0.5);
+  const overlaps = [], outside = [], empty = [], small = [];
+  let least = [99, ""];
+  for (const image of document.querySelectorAll("svg image")) {
+    const picture = new Image();
+    picture.src = image.getAttribute("href");
+    await picture.decode();
+  }
   const frameInk = new Set(  // none, white, grid and axes
     ["none", "rgb(255, 255, 255)", "rgb(228, 230, 232)", "rgb(138, 143, 148)"]);
   for (const svg of document.querySelectorAll("svg[role=img]")) {
     const label = svg.getAttribute("aria-label").slice(0, 60);
     const frame = svg.getBoundingClientRect();
     const texts = [...svg.querySelectorAll("text")].filter((t) => t.textContent.trim());
-    const quads = texts.map(quad);
-    count += texts.length;
+    const boxes = texts.map(boxOf);
     texts.forEach((t, i) => {
       const m = t.getScreenCTM();
       const size = parseFloat(getComputedStyle(t).fontSize) * Math.hypot(m.a, m.b);
       if (size < least[0]) least = [size, `${t.textContent} in ${label}`];
-      if (quads[i].some(([x, y]) => x < frame.left - 1 || x > frame.right + 1 ||
-          y < frame.top - 1 || y > frame.bottom + 1))
+      const [left, top, right, bottom] = boxes[i];
+      if (left < frame.left - 1 || right > frame.right + 1 ||
+          top < frame.top - 1 || bottom > frame.bottom + 1)
         outside.push(`${t.textContent} in ${label}`);
       for (let j = 0; j < i; j++)
-        if (!apart(quads[i], quads[j]))
+        if (!apart(boxes[i], boxes[j]))
           overlaps.push(`${t.textContent} / ${texts[j].textContent} in ${label}`);
     });
     const marks = [...svg.querySelectorAll("path, use, image, line, rect, circle")].filter((e) => {
@@ -198,22 +179,21 @@ DRAWN = """() => {
       return e.tagName === "image" || !frameInk.has(s.stroke) || !frameInk.has(s.fill);
     });
     if (!marks.length) empty.push(label);
+    if (frame.width <= 150 || frame.height <= 50) small.push(label);
   }
-  return { overlaps, outside, empty, least, count };
+  return { overlaps, outside, empty, small, least };
 }"""
 
 
-def test_letters_of_drawings_are_legible_apart_and_inside(light):
-    light.unfold()
+def test_drawings_show_something_in_letters_that_are_legible_apart_and_inside(light):
     drawn = light.page.evaluate(DRAWN)
-    assert drawn["least"][0] > 8.5, drawn["least"]
-    assert drawn["overlaps"] == []
-    assert drawn["outside"] == []
-    assert drawn["empty"] == []
+    assert drawn.pop("least")[0] > 8.5
+    assert drawn == {"overlaps": [], "outside": [], "empty": [], "small": []}
+    drawings = light.page.locator("svg[role=img]").count()
+    assert light.page.locator(".enlarge").count() == drawings
 
 
 def test_tables_that_go_on_show_it(light):
-    light.unfold()
     seen = light.page.evaluate(
         """async () => {
           const found = [];
@@ -236,7 +216,6 @@ def test_tables_that_go_on_show_it(light):
 
 
 def test_no_cell_is_a_ladder_of_words(light):
-    light.unfold()
     ladders = light.page.evaluate(
         """() => [...document.querySelectorAll("td, tbody th")].filter((cell) => {
           const { width, height } = cell.getBoundingClientRect();
@@ -249,90 +228,51 @@ def test_no_cell_is_a_ladder_of_words(light):
     assert ladders == []
 
 
-def test_contents_are_shut_on_a_phone_only(browser, file):
-    for width in WIDTHS:
-        with Opened(browser, file, width, "light") as opened:
-            shown = opened.page.evaluate("document.querySelector('nav details').open")
-            assert shown == (width > 480)
-
-
-def test_every_figure_shows_a_picture(light):
-    light.unfold()
-    sizes = light.page.evaluate(
-        """async () => {
-          for (const image of document.querySelectorAll("svg image")) {
-            const picture = new Image();
-            picture.src = image.getAttribute("href");
-            await picture.decode();
-          }
-          return [...document.querySelectorAll("svg[role=img]")].map((e) => {
-            const r = e.getBoundingClientRect();
-            return [r.width, r.height, e.getAttribute("aria-label")];
-          });
-        }"""
-    )
-    assert [label for width, height, label in sizes if width <= 150 or height <= 50] == []
-    assert light.page.locator(".enlarge").count() == len(sizes)
-
-
-def test_drawing_opens_and_closes_by_mouse(light):
-    drawings = light.page.locator(".panel > svg")
+def test_drawing_opens_and_closes_by_mouse_and_keyboard(light):
+    page, drawings = light.page, light.page.locator(".panel > svg")
+    large = page.locator("dialog[open] svg[role=img]")
     if not drawings.count():
-        assert light.page.locator("dialog[open], .enlarge").count() == 0
+        assert page.locator("dialog[open], .enlarge, svg[role=img]").count() == 0
         return
     small = drawings.first.bounding_box()["width"]
-    label = drawings.first.get_attribute("aria-label")
+    labels = [drawing.get_attribute("aria-label") for drawing in drawings.all()]
+
+    def close(how):
+        how()
+        driver.expect(page.locator("dialog svg[role=img]")).to_have_count(0)
+        assert page.locator("dialog[open]").count() == 0
+        assert [drawing.get_attribute("aria-label") for drawing in drawings.all()] == labels
+
     drawings.first.click()
-    large = light.page.locator("dialog[open] svg[role=img]")
-    assert large.get_attribute("aria-label") == label
+    assert large.get_attribute("aria-label") == labels[0]
     assert large.bounding_box()["width"] > 1.3 * small
-    assert light.page.locator("dialog .caption").text_content()
-    light.page.get_by_role("button", name="Close").click()
-    driver.expect(light.page.locator("dialog svg[role=img]")).to_have_count(0)
-    assert light.page.locator("dialog[open]").count() == 0
-    assert drawings.first.get_attribute("aria-label") == label
+    assert page.locator("dialog .caption").text_content()
+    close(page.get_by_role("button", name="Close").click)
     assert drawings.first.bounding_box()["width"] == pytest.approx(small)
+
+    page.locator(".enlarge").first.focus()
+    for key, shown in (("Enter", 0), ("ArrowRight", 1 % len(labels)), ("ArrowLeft", 0)):
+        page.keyboard.press(key)
+        assert large.get_attribute("aria-label") == labels[shown]
+    for _ in range(6):
+        page.keyboard.press("Tab")
+        assert page.locator(":is(header, nav, main, footer) :focus").count() == 0
+    close(lambda: page.keyboard.press("Escape"))
+    assert page.evaluate("document.activeElement.className") == "enlarge"
     assert light.said == []
 
 
-def test_drawing_opens_and_closes_by_keyboard(light):
-    buttons = light.page.locator(".enlarge")
-    if not buttons.count():
-        assert light.page.locator("svg[role=img]").count() == 0
-        return
-    labels = [d.get_attribute("aria-label") for d in light.page.locator(".panel > svg").all()]
-    buttons.first.focus()
-    light.page.keyboard.press("Enter")
-    shown = light.page.locator("dialog[open] svg[role=img]")
-    assert shown.get_attribute("aria-label") == labels[0]
-    light.page.keyboard.press("ArrowRight")
-    assert shown.get_attribute("aria-label") == labels[1 % len(labels)]
-    light.page.keyboard.press("ArrowLeft")
-    assert shown.get_attribute("aria-label") == labels[0]
-    inside = (
-        "document.activeElement === document.body || !!document.activeElement.closest('dialog')"
-    )
-    for _ in range(6):
-        light.page.keyboard.press("Tab")
-        assert light.page.evaluate(inside)
-    light.page.keyboard.press("Escape")
-    driver.expect(light.page.locator("dialog svg[role=img]")).to_have_count(0)
-    assert light.page.locator("dialog[open]").count() == 0
-    assert light.page.evaluate("document.activeElement.className") == "enlarge"
-
-
 def test_paper_shows_all_in_light_colours(browser, file):
-    with Opened(browser, file, 690, "dark") as opened:  # A4 within its margins
-        opened.page.emulate_media(media="print", color_scheme="dark")
-        opened.page.evaluate("dispatchEvent(new Event('beforeprint'))")
-        wide, window = opened.page.evaluate(SIZES)
-        assert wide <= window
-        ground = opened.page.evaluate("getComputedStyle(document.body).backgroundColor")
-        assert ground == "rgb(255, 255, 255)"
-        assert opened.page.locator(".enlarge:visible").count() == 0
-        for table in opened.page.locator("table").all():
-            assert table.bounding_box()["height"] > 20
-        _, poor = opened.page.evaluate(CONTRAST)
-        assert poor == {}
-        opened.page.evaluate("dispatchEvent(new Event('afterprint'))")
-        assert opened.page.locator("main details[open]").count() == 0
+    page = Opened(browser, file, 690, "dark").page  # A4 within its margins
+    page.emulate_media(media="print", color_scheme="dark")
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    wide, window = page.evaluate(SIZES)
+    assert wide <= window
+    driver.expect(page.locator("body")).to_have_css("background-color", "rgb(255, 255, 255)")
+    assert page.locator(".enlarge:visible").count() == 0
+    assert all(table.bounding_box()["height"] > 20 for table in page.locator("table").all())
+    _, poor = page.evaluate(CONTRAST)
+    assert poor == {}
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert page.locator("main details[open]").count() == 0
+    page.close()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from excitant.reports.drawing import axes, label_x, style, thin, timeline
+from excitant.reports.drawing import thin, timeline
 from excitant.reports.values import number, percent, sentence, shorten, value_and_std
 
 
@@ -56,40 +56,24 @@ def test_numbers_have_three_digits(value, written):
     assert number(value) == written
 
 
-def test_values_shares_and_names():
-    assert value_and_std(12.34567, 0.0123) == ("12.346", "0.012")  # the decimals of the std
-    assert value_and_std(-1234.5, 56) == ("−1234", "56")
-    assert value_and_std(1.5, None) == ("1.500", "–")
-    assert percent(0.0731) == "7.3\u00a0%"
-    assert percent(2.341) == "234\u00a0%"
-    assert percent(50) == ">\u00a0999\u00a0%"
-    assert shorten("a_long_name", 11) == "a_long_name"
-    assert shorten("a_very_long_name", 9) == "a_ve…name"
-
-
-def test_long_name_of_an_abscissa_takes_two_lines():
-    long = "distance since the last reversal, signed by direction [rad]"
-    with style():
-        (narrow,), (plain,) = axes(2.6), axes(2.6)
-        label_x(narrow, long)
-        label_x(plain, "joint velocity [rad/s]")
-    assert narrow.get_xlabel().split() == long.split()
-    assert max(len(line) for line in narrow.get_xlabel().split("\n")) < 46
-    assert narrow.get_position().y0 > plain.get_position().y0
-    assert narrow.get_position().y1 == pytest.approx(plain.get_position().y1)
-    assert plain.get_xlabel() == "joint velocity [rad/s]"
-
-
 @pytest.mark.parametrize(
-    ("words", "written"),
+    ("found", "written"),
     [
-        ("mean square error -0.4 ± 6.8 %", "Mean square error −0.4 ± 6.8 %."),
-        ("known to ±2.8e+02 mm only", "Known to ±2.8×10² mm only."),
-        ("noise of 1.4e-05!", "Noise of 1.4×10⁻⁵!"),
-        ("run separate-1.csv", "Run separate-1.csv."),
-        ("wrist_1_joint rests", "wrist_1_joint rests."),
-        ("", ""),
+        (value_and_std(12.34567, 0.0123), ("12.346", "0.012")),  # the decimals of the std
+        (value_and_std(-1234.5, 56), ("−1234", "56")),
+        (value_and_std(1.5, None), ("1.500", "–")),
+        (percent(0.0731), "7.3\u00a0%"),
+        (percent(2.341), "234\u00a0%"),
+        (percent(50), ">\u00a0999\u00a0%"),
+        (shorten("a_long_name", 11), "a_long_name"),
+        (shorten("a_very_long_name", 9), "a_ve…name"),
+        (sentence("mean square error -0.4 ± 6.8 %"), "Mean square error −0.4 ± 6.8 %."),
+        (sentence("known to ±2.8e+02 mm only"), "Known to ±2.8×10² mm only."),
+        (sentence("noise of 1.4e-05!"), "Noise of 1.4×10⁻⁵!"),
+        (sentence("run separate-1.csv"), "Run separate-1.csv."),
+        (sentence("wrist_1_joint rests"), "wrist_1_joint rests."),
+        (sentence(""), ""),
     ],
 )
-def test_sentence_is_set_in_type(words, written):
-    assert sentence(words) == written
+def test_values_shares_names_and_sentences_are_set_in_type(found, written):
+    assert found == written

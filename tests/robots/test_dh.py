@@ -17,16 +17,8 @@ from hypothesis import strategies as st
 from khosla import close, dh_from_robot, frames
 
 from excitant.exceptions import BadRobot
-from excitant.robots import (
-    DHChain,
-    Limits,
-    Motion,
-    Robot,
-    load_robot,
-    rigid_body_torque,
-    robot_from_dh,
-)
-from excitant.robots.dh import CONVENTIONS, Convention
+from excitant.robots import DHChain, Limits, Motion, Robot, load_robot, rigid_body_torque
+from excitant.robots.dh import CONVENTIONS, Convention, robot_from_dh
 from excitant.robots.geometry import scene
 from excitant.robots.schema import CylinderRecord
 from excitant.robots.urdf import robot_from_urdf
@@ -34,7 +26,6 @@ from excitant.robots.urdf import robot_from_urdf
 Chains = Callable[..., DHChain]
 Refused = Callable[..., str]
 Loaded = Callable[[Any], Robot]
-DRILL = (Path(__file__).parent / "data" / "drill.yaml").read_text("utf-8")
 
 
 @given(seed=st.integers(0, 2**32 - 1), convention=st.sampled_from(CONVENTIONS))
@@ -102,9 +93,6 @@ def test_shapes_move_with_their_links(random_chain: Chains, convention: Conventi
     assert np.allclose(view.distances(q)[:, 0], expected, atol=1e-7)
 
 
-# Files
-
-
 @pytest.fixture
 def loaded(tmp_path: Path) -> Loaded:
     """``loaded(entries)``: the arm of a robot.yaml."""
@@ -119,7 +107,7 @@ def loaded(tmp_path: Path) -> Loaded:
 
 @pytest.fixture
 def drill() -> Any:
-    return yaml.safe_load(DRILL)
+    return yaml.safe_load((Path(__file__).parent / "data" / "drill.yaml").read_text("utf-8"))
 
 
 def tip(robot: Robot, q: np.ndarray) -> np.ndarray:
@@ -181,9 +169,6 @@ def test_joints_and_locks_of_the_file_apply(loaded: Loaded, drill: Any) -> None:
     t = np.arange(5.0)
     expected = rigid_body_torque(whole, Motion(t, *full))[:, [0, 2]]
     assert close(rigid_body_torque(part, Motion(t, q, dq, ddq)), expected)
-
-
-# Built-in arms
 
 
 def test_published_numbers_come_back() -> None:

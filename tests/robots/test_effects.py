@@ -13,36 +13,17 @@ import yaml
 from excitant.exceptions import BadInput
 from excitant.identify.export import comment, folded
 from excitant.robots import Motion, Robot, rigid_body_torque, torque
-from excitant.robots.effects import (
-    EFFECTS,
-    Effect,
-    effect_entries,
-    effects_from_entries,
-    joint_facts,
-    merged,
-    proposals,
-    standard_effects,
-)
+from excitant.robots import effects as fx
+from excitant.robots.effects import EFFECTS, Effect
 from excitant.robots.effects.experiments import BETWEEN
 from excitant.robots.parameters import STANDARD
 from excitant.robots.simulation import REST, forward_model
 
 States = Callable[[Robot, int, int], Motion]
+Proposals = list[tuple[Effect, int]]
 JOINTWISE = sorted(name for name, kind in EFFECTS.items() if kind.jointwise)
 OF_THE_PAST = ("encoder_scale", "joint_elasticity", "backlash")
 CARRIED = ("gravity_direction", "payload", "inertial_parameters")
-SHAPES = {
-    "stribeck_friction": {"velocity": 0.23},
-    "nonlinear_viscous_friction": {"exponent": 0.7},
-    "presliding_hysteresis": {"distance": 0.03},
-    "thermal_friction_drift": {"time": 7.0, "start": -2.0},
-    "torque_ripple": {"order": 13.5},
-    "spring": {"lever": True},
-    "asymmetric_friction": {"viscous": False},
-    "friction_coupling": {"ratio": -1.5},
-    "time_delay": {"trial": -4e-3},
-    "backlash": {"trial": 2e-3},
-}
 
 
 @pytest.fixture(scope="module", params=sorted(EFFECTS))
@@ -60,16 +41,11 @@ def valued(robot: Robot, kind: type[Effect], seed: int) -> Effect:
     return effect.with_values(rng.uniform(0.1, 2, len(effect.parameters(robot))))
 
 
-def close(found: np.ndarray, expected: np.ndarray, relative: float = 1e-12) -> None:
-    assert np.abs(found - expected).max() <= relative * np.abs(expected).max(initial=0.0)
-
-
 def test_vocabulary(kind: type[Effect], planar: Robot) -> None:
     assert EFFECTS[kind.name] is kind
     assert len(EFFECTS) == 24
-    assert {*kind.contains, *(name for _, names in kind.told for name in names.split())} <= {
-        *EFFECTS
-    }
+    told = (name for _, names in kind.told for name in names.split())
+    assert {*kind.contains, *told} <= {*EFFECTS}
     assert set(kind.imitates) <= set(kind.contains)
     assert frozenset((kind.family,)) in BETWEEN
     assert kind.standard <= kind.usual <= kind.jointwise
@@ -114,7 +90,7 @@ def test_jointwise_effects_are_those_of_each_joint(
     np.testing.assert_array_equal(together.columns(ur10, motion), columns)
     names = [p.name for effect in alone for p in effect.parameters(ur10)]
     assert [p.name for p in together.parameters(ur10)] == names
-    assert merged(alone) == [together]
+    assert fx.merged(alone) == [together]
 
 
 def test_columns_depend_on_the_model_where_an_effect_says_so(
@@ -123,24 +99,10 @@ def test_columns_depend_on_the_model_where_an_effect_says_so(
     """On inertias or other effects, which never move what an effect of the motion alone does."""
     motion, effect = random_states(gantry, 7, 8), on(gantry, kind)
     other = gantry.with_parameters(2 * gantry.phi).with_effects(
-        [e.with_values([3.0] * gantry.nv) for e in standard_effects(gantry.joints)]
+        [e.with_values([3.0] * gantry.nv) for e in fx.standard_effects(gantry.joints)]
     )
     same = np.array_equal(effect.columns(gantry, motion), effect.columns(other, motion))
     assert same != kind.depends_on_model
-
-
-def test_laws_know_no_order_of_instants(
-    gantry: Robot, random_states: States, kind: type[Effect]
-) -> None:
-    motion, effect = random_states(gantry, 7, 8), valued(gantry, kind, 7)
-    order = np.random.default_rng(7).permutation(8)
-    if effect.law is not None:
-        shuffled = effect.torque(gantry, motion[order])
-        np.testing.assert_array_equal(shuffled, effect.torque(gantry, motion)[order])
-        columns = effect.law(motion.q[:, 0], motion.dq[:, 0], motion.ddq[:, 0])
-        np.testing.assert_array_equal(
-            np.transpose(columns), type(effect)(gantry.joints[:1]).columns(gantry, motion)[:, 0]
-        )
 
 
 def test_in_a_simulation_it_makes_the_torque_of_its_columns(
@@ -154,79 +116,74 @@ def test_in_a_simulation_it_makes_the_torque_of_its_columns(
             forward_model(robot)
         return
     model, inertia, state = forward_model(robot)
-    bodies = replace(planar, model=model)
     motion = random_states(planar, 9, 20)
     assert (np.abs(motion.dq) > REST).all()
-    changed = rigid_body_torque(bodies, motion) - rigid_body_torque(planar, motion)
+    carrying = replace(planar, model=model)
+    changed = rigid_body_torque(carrying, motion) - rigid_body_torque(planar, motion)
     assert changed.any() == (kind.name in CARRIED)
     if kind.name == "presliding_hysteresis":  # which has a state: see its own tests
         return
-    for k in range(len(motion)):
-        at = motion[k : k + 1]
-        made = state(at.t[0], at.q[0], at.dq[0], at.ddq[0]) + inertia @ at.ddq[0] + changed[k]
-        expected = 0.0 if kind.acts_on_torque else effect.torque(robot, at)[0]
-        np.testing.assert_allclose(made, expected, rtol=1e-9, atol=1e-9)
+    states = zip(motion.t, motion.q, motion.dq, motion.ddq, strict=True)
+    made = [state(*x) + inertia @ x[3] for x in states] + changed
+    expected = np.zeros((20, 2)) if kind.acts_on_torque else effect.torque(robot, motion)
+    np.testing.assert_allclose(made, expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.fixture(scope="module")
-def proposed(ur10: Robot, random_states: States) -> list[tuple[Effect, int]]:
+def facts(ur10: Robot, random_states: States) -> list[fx.JointFacts]:
     motion = random_states(ur10, 3, 200)
-    ripple = np.cos(9 * motion.q)
-    return proposals(ur10, joint_facts([motion], [slice(None)], ripple, 1e3))
+    return fx.joint_facts([motion], [slice(None)], np.cos(9 * motion.q), 1e3)
+
+
+@pytest.fixture(scope="module")
+def proposed(ur10: Robot, facts: list[fx.JointFacts]) -> Proposals:
+    return fx.proposals(ur10, facts)
 
 
 def test_every_effect_proposes_shapes_that_can_be(
-    ur10: Robot, proposed: list[tuple[Effect, int]], random_states: States, kind: type[Effect]
+    ur10: Robot, proposed: Proposals, facts: list[fx.JointFacts], kind: type[Effect]
 ) -> None:
-    own = [(effect, trials) for effect, trials in proposed if effect.name == kind.name]
-    assert own
-    assert len({effect for effect, _ in own}) == len(own)
-    facts = joint_facts([random_states(ur10, 3, 200)])
-    for effect, trials in own:
+    own = {effect: trials for effect, trials in proposed if effect.name == kind.name}
+    assert len(own) == sum(effect.name == kind.name for effect, _ in proposed) > 0
+    for effect, trials in own.items():
         assert trials >= 1
         assert effect.values is None
         assert set(effect.joints) <= set(ur10.joints)
-        alike = [other for other, _ in own if other.joints == effect.joints]
+        alike = [other for other in own if other.joints == effect.joints]
         seen = replace(facts[ur10.joint_index(effect.joints[0])], q=np.array([-1.0, 1.0]))
         finer, others = effect.refined(alike, seen), effect.alternatives(seen)
         assert effect in others
         assert not set(finer) & {*alike}
-        for other in (*finer, *others):
-            assert (other.name, other.joints) == (effect.name, effect.joints)
+        assert {(x.name, x.joints) for x in (*finer, *others)} == {(kind.name, effect.joints)}
 
 
 def test_a_joint_at_rest_is_asked_for_what_shows_there(planar: Robot) -> None:
-    t, zero = np.arange(5.0), np.zeros((5, 2))
-    facts = joint_facts([Motion(t, zero, zero, zero)])
-    resting = {effect.name for effect, _ in proposals(planar, facts)}
+    zero = np.zeros((5, 2))
+    facts = fx.joint_facts([Motion(np.arange(5.0), zero, zero, zero)])
+    resting = {effect.name for effect, _ in fx.proposals(planar, facts)}
     assert {"torque_offset", "inertial_parameters"} <= resting
-    assert not resting & {name for name in JOINTWISE if name != "torque_offset"}
+    assert not resting & {*JOINTWISE} - {"torque_offset"}
 
 
 def test_what_is_believed_is_considered_again_with_shapes_beside_it(
-    ur10: Robot, proposed: list[tuple[Effect, int]], random_states: States
+    ur10: Robot, proposed: Proposals, facts: list[fx.JointFacts]
 ) -> None:
-    motion = random_states(ur10, 3, 200)
-    facts = joint_facts([motion], [slice(None)], np.cos(9 * motion.q), 1e3)
     grid = [e for e, _ in proposed if e.name == "stribeck_friction"][:8]
     ripple = EFFECTS["torque_ripple"](ur10.joints[:1]).reshaped("order", 9.0)
-    found = proposals(ur10, facts, [(grid[3], 1), (ripple, 600)])
+    found = fx.proposals(ur10, facts, [(grid[3], 1), (ripple, 600)])
     added = dict(found[len(proposed) :])
     speeds = sorted(e.velocity for e in added if e.name == "stribeck_friction")
-    expected = np.concatenate(
-        [np.geomspace(grid[k].velocity, grid[k + 1].velocity, 4)[1:3] for k in (2, 3)]
-    )
+    below, own, above = (effect.velocity for effect in grid[2:5])
+    expected = [*np.geomspace(below, own, 4)[1:3], *np.geomspace(own, above, 4)[1:3]]
     np.testing.assert_allclose(speeds, expected, rtol=1e-12)
     orders = sorted(e.order for e in added if e.name == "torque_ripple")
-    step = np.pi / 2 / np.ptp(motion.q[:, 0])
+    step = np.pi / 2 / facts[0].reach
     expected = [*np.geomspace(9 - step, 9, 4)[1:], *np.geomspace(9, 9 + step, 4)[1:3]]
     np.testing.assert_allclose(orders, expected, rtol=1e-12)
     assert {added[e] for e in added if e.name == "torque_ripple"} == {600}
 
 
-def test_ripple_is_looked_for_where_the_error_has_it(
-    ur10: Robot, proposed: list[tuple[Effect, int]]
-) -> None:
+def test_ripple_is_looked_for_where_the_error_has_it(ur10: Robot, proposed: Proposals) -> None:
     for joint in ur10.joints:
         orders = [e.order for e, _ in proposed if e.name == "torque_ripple" and joint in e.joints]
         assert min(abs(order - 9) for order in orders) < 0.5
@@ -260,54 +217,58 @@ def test_added_inertia_is_that_of_a_changed_link(
     phi = np.array(arm.phi)
     phi[-10:] *= 1.3
     expected = rigid_body_torque(arm.with_parameters(phi), motion)
-    close(rigid_body_torque(arm, motion) + added.torque(arm, motion), expected, 1e-9)
-    close(rigid_body_torque(added.applied(arm), motion), expected, 1e-9)
+    for found in (
+        rigid_body_torque(arm, motion) + added.torque(arm, motion),
+        rigid_body_torque(added.applied(arm), motion),
+    ):
+        assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max()
     assert [p.name.rsplit("_", 1)[1] for p in added.parameters(arm)] == list(STANDARD)
 
 
 def test_entries_read_back_to_the_same_effects(ur10: Robot) -> None:
     effects = []
-    for k, (name, kind) in enumerate(EFFECTS.items()):
-        shaped = replace(on(ur10, kind), **SHAPES.get(name, {}))
-        assert {field.name for field in fields(kind)} == {"joints", "values", *SHAPES.get(name, {})}
+    for k, kind in enumerate(EFFECTS.values()):
+        defaults = {field.name: field.default for field in fields(kind)[2:]}
+        shape = {n: not x if isinstance(x, bool) else x + 0.25 for n, x in defaults.items()}
+        shaped = replace(on(ur10, kind), **shape)
         values = np.random.default_rng(k).standard_normal(len(shaped.parameters(ur10)))
         effects += [valued(ur10, kind, k), shaped.with_values(values)]
-    entries = effect_entries(effects)
+    entries = fx.effect_entries(effects)
     for written in (json.loads(json.dumps(entries)), yaml.safe_load(yaml.safe_dump(entries))):
-        assert effects_from_entries(written, ur10, "given") == tuple(effects)
+        assert fx.effects_from_entries(written, ur10, "given") == tuple(effects)
+    entry = {"effect": "torque_offset", "values": [1.0] * ur10.nv}  # joints not named: all
+    assert fx.effects_from_entries([entry], ur10, "given")[0].joints == ur10.joints
 
 
-def test_joints_not_named_are_all_of_them(ur10: Robot) -> None:
-    entry = {"effect": "torque_offset", "values": [1.0] * ur10.nv}
-    (effect,) = effects_from_entries([entry], ur10, "robot.yaml")
-    assert effect.joints == ur10.joints
+TWICE = ["joint1", "joint1"]
 
 
 @pytest.mark.parametrize(
-    ("entry", "culprit"),
+    ("name", "entry", "culprit"),
     [
-        ({"effect": "viscos_friction", "values": 1}, "did you mean 'viscous_friction'"),
-        ({"effect": "rotor_inertia", "joints": ["no joint"], "values": [1]}, "no joint"),
-        ({"effect": "rotor_inertia", "joints": "{first}", "values": [1]}, "not '{first}'"),
-        (
-            {"effect": "rotor_inertia", "joints": ["{first}", "{first}"], "values": [1, 1]},
-            "names a joint twice: {first}",
-        ),
-        ({"effect": "rotor_inertia", "values": [1] * 99}, "99 values"),
-        ({"effect": "rotor_inertia", "values": ["much"]}, "values"),
-        ({"effect": "torque_gain", "values": [float("nan")]}, "all finite"),
-        ({"effect": "rotor_inertia", "values": [1], "velocity": 1}, "rotor_inertia"),
-        ({"effect": "friction_coupling", "joints": ["{first}"], "values": [1, 1]}, "2 joints"),
-        ({"effect": "payload", "values": [1] * 10}, "payload acts on one joint"),
-        ({"effect": "stribeck_friction", "values": [1], "velocity": 0}, "velocity must be posit"),
-        ({"effect": "torque_ripple", "values": [1, 1], "order": float("inf")}, "order"),
-        ({"effect": "spring", "values": [1, 1], "lever": "no"}, "lever"),
-        ({"effect": "time_delay", "values": [1e-3], "trial": 0}, "trial must not be zero"),
+        ("viscos_friction", {"values": 1}, "did you mean 'viscous_friction'"),
+        ("", {"values": [1]}, "unknown effect"),
+        ("rotor_inertia", {"joints": ["no joint"], "values": [1]}, "no joint"),
+        ("rotor_inertia", {"joints": "joint1", "values": [1]}, "not 'joint1'"),
+        ("rotor_inertia", {"joints": TWICE, "values": [1, 1]}, "names a joint twice: joint1"),
+        ("rotor_inertia", {}, "needs 'values: "),
+        ("rotor_inertia", {"values": [1] * 99}, "99 values"),
+        ("rotor_inertia", {"values": ["much"]}, "needs 'values: "),
+        ("torque_gain", {"values": [float("nan")]}, "all finite"),
+        ("rotor_inertia", {"values": [1], "velocity": 1}, "rotor_inertia"),
+        ("friction_coupling", {"joints": ["joint1"], "values": [1, 1]}, "2 joints"),
+        ("payload", {"values": [1] * 10}, "payload acts on one joint"),
+        ("backlash", {"joints": [], "values": [0.1]}, "backlash acts on one joint"),
+        ("stribeck_friction", {"values": [1], "velocity": 0}, "velocity must be posit"),
+        ("stribeck_friction", {"values": [1], "velocity": "fast"}, "velocity"),
+        ("torque_ripple", {"values": [1, 1], "order": float("inf")}, "order"),
+        ("spring", {"values": [1, 1], "lever": "no"}, "lever"),
+        ("time_delay", {"values": [1e-3], "trial": 0}, "trial must not be zero"),
     ],
 )
-def test_bad_entries_are_refused(planar: Robot, entry: dict[str, object], culprit: str) -> None:
-    first = planar.joints[0]
-    entry = json.loads(json.dumps(entry).replace("{first}", first))
-    with pytest.raises(BadInput, match=culprit.replace("{first}", first)) as refusal:
-        effects_from_entries([entry], planar, "robot.yaml")
+def test_bad_entries_are_refused(
+    planar: Robot, name: str, entry: dict[str, object], culprit: str
+) -> None:
+    with pytest.raises(BadInput, match=culprit) as refusal:
+        fx.effects_from_entries([{"effect": name, **entry}], planar, "robot.yaml")
     assert str(refusal.value).startswith("robot.yaml: ")

@@ -79,18 +79,13 @@ def shifted(times: float) -> Change:
     return tensor(lambda own, m, c: own + times * m * (c @ c * np.eye(3) - np.outer(c, c)))
 
 
-def exchanged(one: int, other: int) -> Change:
-    """Two moments for one another."""
-    order = np.arange(3)
-    order[[one, other]] = other, one
-    return tensor(lambda own, m, c: np.where(np.eye(3), own[order][:, order], own))
+def exchanged(*order: int) -> Change:
+    """The axes of a tensor in another order."""
+    return tensor(lambda own, m, c: own[np.ix_(order, order)])
 
 
 def no_inertia(link: ET.Element) -> None:
     link.remove(child(link, "inertial"))
-
-
-# What is right
 
 
 @pytest.mark.parametrize("name", builtin_robots())
@@ -105,8 +100,7 @@ def test_a_sliding_arm_with_fixed_links_is_in_order(gantry: Robot) -> None:
     assert found(gantry) == {("no_effort_limit", "swing"), ("no_velocity_limit", "swing")}
 
 
-# Inertias
-
+WRISTS = "wrist_1_link wrist_2_link wrist_3_link"
 INERTIAS: dict[str, list[tuple[str, str, Change, str]]] = {
     "no_inertia": [("planar_2r", "link2", no_inertia, "<inertial>")],
     "inertia_not_physical": [
@@ -121,8 +115,8 @@ INERTIAS: dict[str, list[tuple[str, str, Change, str]]] = {
         ("planar_2r", "link1", shifted(1), "may be"),
     ],
     "inertia_axes": [
-        ("ur5e", "forearm_link", exchanged(0, 1), "along y"),
-        ("planar_2r", "link2", exchanged(0, 2), "along z"),
+        ("ur5e", "forearm_link", exchanged(1, 0, 2), "along y"),
+        ("planar_2r", "link2", exchanged(2, 1, 0), "along z"),
         ("ur10", "upper_arm_link", stated("inertial/origin", rpy="0 0 1.5707963267949"), "rpy"),
     ],
     "centre_of_mass": [
@@ -140,8 +134,8 @@ INERTIAS: dict[str, list[tuple[str, str, Change, str]]] = {
         ("ur10", "wrist_2_link", tensor(lambda *_: 0.01 * np.eye(3), "1"), "0.01 kg·m²"),
         (
             "ur10",
-            "wrist_1_link wrist_2_link wrist_3_link",
-            tensor(lambda *_: np.diag([0.0025, 0.0022, 0.0024]), "1.22"),
+            WRISTS,
+            tensor(lambda *_: np.diag([25e-4, 22e-4, 24e-4]), "1.22"),
             "one and the same",
         ),
     ],
@@ -182,8 +176,6 @@ def test_what_no_torque_depends_on_is_only_a_hint() -> None:
     tilted = robot.with_gravity([3.0, 2.0, -9.0])  # nor does it with another gravity
     assert found(tilted) == set()
 
-
-# Axes, limits, weight
 
 JOINTS: dict[str, tuple[str, Change, str, bool]] = {
     "axis too long": ("joint2", stated("axis", xyz="0 -2 0"), "joint_axis", False),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,15 +13,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from khosla import close
 
-from excitant.robots import (
-    Motion,
-    Robot,
-    base_parameters,
-    load_robot,
-    regressor,
-    regressor_derivatives,
-    rigid_body_torque,
-)
+from excitant.robots import Motion, Robot, base_parameters, rigid_body_torque
 from excitant.robots.base_parameters import BaseParameters, categories, coefficient_text
 from excitant.robots.effects import StribeckFriction, standard_effects
 from excitant.robots.parameters import (
@@ -30,10 +23,12 @@ from excitant.robots.parameters import (
     pseudo_inertia,
     violations,
 )
+from excitant.robots.regressor import regressor, regressor_derivatives
 from excitant.robots.torque import column_names, observation_columns
 
 Bodies = Callable[[int, int], np.ndarray]
-Finite = st.floats(-10, 10, allow_subnormal=False)
+States = Callable[[Robot, int, int], Motion]
+SEEDS = st.integers(0, 2**32 - 1)
 
 
 def body(mass: float, moments: tuple[float, float, float], lever: tuple[float, ...]) -> np.ndarray:
@@ -43,7 +38,7 @@ def body(mass: float, moments: tuple[float, float, float], lever: tuple[float, .
     return np.array([mass, *(mass * c), *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
 
 
-@given(phi=st.lists(Finite, min_size=10, max_size=10))
+@given(phi=st.lists(st.floats(-10, 10, allow_subnormal=False), min_size=10, max_size=10))
 def test_pseudo_inertia_round_trip(phi: list[float]) -> None:
     P = pseudo_inertia(phi)
     assert np.array_equal(P, P.T)
@@ -68,7 +63,7 @@ def test_pseudo_inertia_is_the_second_moment_of_the_mass() -> None:
     assert np.allclose(moved_parameters(phi, T), moved, rtol=1e-12, atol=1e-12)
 
 
-@given(seed=st.integers(0, 2**32 - 1))
+@given(seed=SEEDS)
 def test_consistent_exactly_when_the_pseudo_inertia_is_positive(seed: int) -> None:
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((4, 4))
@@ -88,13 +83,11 @@ def test_consistent_exactly_when_the_pseudo_inertia_is_positive(seed: int) -> No
 )
 def test_violations_name_link_and_inequality(phi: np.ndarray, what: str) -> None:
     good = body(1.0, (1, 1, 1), (0.5, 0.0, 0.0))
-    found = violations(np.concatenate([good, phi]), ("good", "bad"))
-    assert len(found) == 1
-    assert found[0].startswith("bad: ")
-    assert what in found[0]
+    (found,) = violations(np.concatenate([good, phi]), ("good", "bad"))
+    assert re.match(f"bad: .*{what}", found)
 
 
-@given(seed=st.integers(0, 2**32 - 1))
+@given(seed=SEEDS)
 def test_nearest_of_consistent_is_itself(random_bodies: Bodies, seed: int) -> None:
     phi = random_bodies(seed, 1)
     moments = np.linalg.eigvalsh(np.linalg.inv(np.linalg.inv(pseudo_inertia(phi))[:3, :3]))
@@ -118,14 +111,10 @@ def test_nearest_is_consistent_and_keeps_mass_and_first_moment(
     assert np.allclose(nearest_consistent(nearest), nearest, rtol=1e-9, atol=1e-12)
 
 
-def test_a_link_without_mass_keeps_its_parameters() -> None:
-    """Robot with a last link without inertia: its own parameters give it back, without NaN."""
-    robot = load_robot("planar_2r")
-    phi = np.concatenate([robot.phi[:10], np.zeros(10)])
-    assert np.array_equal(robot.with_parameters(phi).phi, phi)
+def test_a_link_without_mass_keeps_its_parameters(planar: Robot) -> None:
+    phi = np.concatenate([planar.phi[:10], np.zeros(10)])
+    assert np.array_equal(planar.with_parameters(phi).phi, phi)
 
-
-States = Callable[[Robot, int, int], Motion]
 
 RELATIVE = 1e-8
 STENCIL = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
@@ -133,16 +122,15 @@ STENCIL = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
 
 
 def finite_difference(robot: Robot, motion: Motion, by: str, joint: int) -> np.ndarray:
-    h, total = 0.05, np.zeros((len(motion), robot.nv, 10 * robot.nv))
-    for steps, weight in STENCIL.items():
-        for sign in (1, -1):
-            states = {name: np.array(getattr(motion, name)) for name in ("q", "dq", "ddq")}
-            states[by][:, joint] += sign * steps * h
-            total += sign * weight / h * regressor(robot, Motion(motion.t, **states))
-    return total
+    step = 0.05 * np.eye(robot.nv)[joint]
+
+    def moved(steps: int) -> np.ndarray:
+        return regressor(robot, replace(motion, **{by: getattr(motion, by) + steps * step}))
+
+    return sum(weight / 0.05 * (moved(k) - moved(-k)) for k, weight in STENCIL.items())
 
 
-@given(seed=st.integers(0, 2**32 - 1))
+@given(seed=SEEDS)
 def test_regressor_times_parameters_is_newton_euler(
     arm: Robot, random_states: States, random_bodies: Bodies, seed: int
 ) -> None:
@@ -158,53 +146,27 @@ def test_derivatives_are_those_of_finite_differences(
     arm: Robot, random_states: States, by: str
 ) -> None:
     motion = random_states(arm, 3, 4)
-    derivative = getattr(regressor_derivatives(arm, motion), f"by_{by}")
-    for joint in range(arm.nv):
-        expected = finite_difference(arm, motion, by, joint)
-        assert np.abs(derivative[joint] - expected).max() <= RELATIVE * np.abs(derivative).max()
-
-
-@given(seed=st.integers(0, 2**32 - 1))
-def test_derivatives_contract_to_those_of_the_torque(
-    arm: Robot, random_states: States, seed: int
-) -> None:
-    motion, data = random_states(arm, seed, 3), arm.model.createData()
-    d = regressor_derivatives(arm, motion)
-    assert np.array_equal(d.Y, regressor(arm, motion))
-    for k in range(len(motion)):
-        state = (motion.q[k], motion.dq[k], motion.ddq[k])
-        by_q, by_dq, by_ddq = pin.computeRNEADerivatives(arm.model, data, *state)
-        for ours, theirs in ((d.by_q, by_q), (d.by_dq, by_dq), (d.by_ddq, by_ddq)):
-            assert close((ours[:, k] @ arm.phi).T, np.array(theirs), RELATIVE)
-
-
-def test_a_tilted_base_shows_more(builtin: Robot) -> None:
-    tilted = builtin.with_gravity([1.0, 2.0, -9.5])
-    assert len(base_parameters(tilted)) >= len(base_parameters(builtin))
+    found = regressor_derivatives(arm, motion)
+    assert np.array_equal(found.Y, regressor(arm, motion))
+    expected = [finite_difference(arm, motion, by, joint) for joint in range(arm.nv)]
+    assert close(np.array(expected), getattr(found, f"by_{by}"), RELATIVE)
 
 
 def assert_same_torque(base: BaseParameters, W: np.ndarray, seed: int) -> None:
     """W φ = W_base B φ for any φ, and no torque along the null space."""
     phi = np.random.default_rng(seed).standard_normal(W.shape[2])
-    difference = W @ phi - W[:, :, base.columns] @ (base.regrouping @ phi)
-    assert np.abs(difference).max() <= 1e-9 * np.abs(W @ phi).max()
+    assert close(W[:, :, base.columns] @ (base.regrouping @ phi), W @ phi, 1e-9)
     assert base.null_space.shape == (len(phi), len(phi) - len(base))
     assert np.abs(W @ base.null_space).max() <= 1e-9 * np.abs(W).max()
 
 
-@given(seed=st.integers(0, 2**32 - 1))
+@given(seed=SEEDS)
 def test_regrouping_keeps_the_torque(arm: Robot, random_states: States, seed: int) -> None:
     assert_same_torque(base_parameters(arm), regressor(arm, random_states(arm, seed, 10)), seed)
 
 
-def test_base_columns_are_independent(arm: Robot, random_states: States) -> None:
-    base = base_parameters(arm)
-    W = regressor(arm, random_states(arm, 1, 300))[:, :, base.columns].reshape(-1, len(base))
-    assert np.linalg.matrix_rank(W / np.linalg.norm(W, axis=0)) == len(base)
-
-
 @settings(max_examples=5)
-@given(seed=st.integers(0, 2**32 - 1))
+@given(seed=SEEDS)
 def test_text_does_not_depend_on_the_draw_of_states(arm: Robot, seed: int) -> None:
     effects = standard_effects(arm.joints)
     usual = base_parameters(arm, effects)
@@ -220,10 +182,12 @@ def test_text_does_not_depend_on_the_draw_of_states(arm: Robot, seed: int) -> No
     [
         (1.0, "1"),
         (1 / 3, "1/3"),
+        (2 / 7, "2/7"),
         (1.75, "1.75"),
         (0.0825**2, "0.0068062"),
         (0.1234, "0.1234"),
         (np.sqrt(2), "1.4142"),
+        (123.456, "123.46"),
         (2.5e-7, "2.5e-07"),
     ],
 )
@@ -232,19 +196,16 @@ def test_coefficients_read_the_same_however_they_are_rounded(value: float, text:
         assert coefficient_text(value * factor) == text
 
 
-def test_categories_follow_the_null_space(arm: Robot) -> None:
+def test_categories_follow_the_null_space_which_is_clear(arm: Robot) -> None:
     base = base_parameters(arm, standard_effects(arm.joints))
+    accepted, rejected = base.gap
+    assert accepted > 1e-3
+    assert rejected < 1e-12
     category = np.array(categories(base))
     moved = np.abs(base.null_space).max(axis=1) > 1e-12
     assert (moved == (category != "unique")).all()
     alone = np.abs(base.regrouping).max(axis=0) == 0
     assert (alone == (category == "unidentifiable")).all()
-
-
-def test_the_gap_is_wide_on_arms_of_exact_geometry(arm: Robot) -> None:
-    accepted, rejected = base_parameters(arm, standard_effects(arm.joints)).gap
-    assert accepted > 1e-3
-    assert rejected < 1e-12
 
 
 def test_slow_friction_is_seen_at_any_speed_limit(ur10: Robot) -> None:
