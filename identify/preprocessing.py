@@ -28,7 +28,7 @@ CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
 POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
 _NYQUIST_SHARE = 0.8
 _TOGETHER = 16  # columns filtered together: they fit into the processor's cache
-_AT_ONCE = 30_000  # instants whose columns are evaluated together
+_AT_ONCE = 10_000  # instants whose columns are evaluated together, of a segment thrice as long
 _REMEMBERED = 6.0  # periods of its cut-off, after which a filter has forgotten
 _MOST_ROWS = 15_000  # of a segment: evenly taken of a longer one
 _TIE = 1e-6  # of a stride: 1 kHz and 10 Hz give 25 whatever the rounding of time
@@ -80,7 +80,7 @@ class Segment:
         start, stop, step = self.keep.start, self.keep.stop, self.keep.step or 1
         reach = int(_REMEMBERED * self.rate_hz / self.cutoff_hz)
         own = -(-_AT_ONCE // step) * step
-        if len(self.motion) <= own + 2 * reach:
+        if len(self.motion) <= 3 * own + 2 * reach:
             return self.filtered(columns(self.motion), self.keep)
         found = []
         for first in range(start, stop, own):

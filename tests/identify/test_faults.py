@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -14,27 +15,13 @@ import pytest
 from planted_faults import PLANTS, Plant, edited, recorded, scaled, with_rows
 
 from excitant.exceptions import BadRecording
-from excitant.identify import (
-    ColumnMap,
-    Recording,
-    identify_robot,
-    load_dataset,
-    raw_recording,
-)
-from excitant.identify.faults import (
-    FAULTS,
-    Checked,
-    Log,
-    find_copies,
-    find_faults,
-    read_checked,
-    repair,
-)
+from excitant.identify import ColumnMap, Recording, identify_robot, load_dataset, raw_recording
+from excitant.identify.faults import FAULTS, Log, find_copies, find_faults, read_checked, repair
 from excitant.identify.faults.modelled import in_joint_frames
 from excitant.robots import Robot, load_robot
 
 N = 1001  # samples of a recording
-Read = Callable[..., Checked]
+Read = Callable[..., Any]
 
 
 def shifted_rows(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
@@ -89,7 +76,7 @@ def real(data_folder: Path) -> tuple[Robot, Log]:
 def read(save: Callable[..., Path]) -> Read:
     """``read(log, ..., repaired=...)``: files run0, run1, ... with their faults."""
 
-    def checked(*logs: Log, repaired: bool = False) -> Checked:
+    def checked(*logs: Log, repaired: bool = False) -> Any:
         files = [str(save(log, f"run{k}.parquet")) for k, log in enumerate(logs)]
         return read_checked(load_dataset("planar_2r"), files, repaired=repaired)
 

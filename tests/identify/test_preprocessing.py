@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.optimize
+from known_arms import smooth_motion
 from numpy.polynomial import Polynomial
 
 from excitant.exceptions import BadInput, BadRecording
@@ -19,7 +20,7 @@ from excitant.identify.differentiators import (
 )
 from excitant.identify.preprocessing import Segment, prepare
 from excitant.identify.rows import split
-from excitant.robots import Motion, Robot, rigid_body_torque
+from excitant.robots import Robot, load_robot, rigid_body_torque
 from excitant.robots.regressor import regressor
 
 RATE, CUTOFF = 256.0, 10.0  # a rate whose steps are exact in binary
@@ -27,7 +28,7 @@ T = np.arange(0, 20, 1 / RATE)
 SLOW = np.arange(0, 20, 0.1)
 MIDDLE = slice(len(T) // 3, 2 * len(T) // 3)  # where filters have forgotten their edges
 NAMES = ("q", "dq", "ddq")
-MotionOf = Callable[..., Motion]
+PLANAR = load_robot("planar_2r")
 
 
 def prepared(t: np.ndarray, q: np.ndarray, cutoff: float | None = CUTOFF) -> list[Segment]:
@@ -46,8 +47,8 @@ def test_a_sinusoid_comes_out_in_phase(f: float) -> None:
     np.testing.assert_array_equal(segment.tau_raw, wave)
 
 
-def test_derivatives_are_those_of_the_motion(planar: Robot, motion_of: MotionOf) -> None:
-    motion = motion_of(planar, T)
+def test_derivatives_are_those_of_the_motion() -> None:
+    motion = smooth_motion(PLANAR, T)
     [segment] = prepared(T, motion.q)
     # quintic spline through samples of at most 1.3 Hz at 256 Hz: relative error (ω h)⁴ / 30 in
     # the second derivative; the position filter at 20 Hz takes (1.3 / 20)⁸
@@ -57,10 +58,10 @@ def test_derivatives_are_those_of_the_motion(planar: Robot, motion_of: MotionOf)
         assert np.abs(found - true).max() <= allowed * np.abs(true).max(), name
 
 
-def test_irregular_time_gives_what_regular_time_gives(planar: Robot, motion_of: MotionOf) -> None:
+def test_irregular_time_gives_what_regular_time_gives() -> None:
     t = T + np.random.default_rng(0).uniform(-0.4, 0.4, len(T)) / RATE
-    [segment] = prepared(t, motion_of(planar, t).q)
-    expected = motion_of(planar, segment.motion.t)
+    [segment] = prepared(t, smooth_motion(PLANAR, t).q)
+    expected = smooth_motion(PLANAR, segment.motion.t)
     largest = np.diff(t).max()
     linear = largest**2 / 8 * np.abs(expected.ddq).max()  # of piecewise linear interpolation
     assert np.abs(segment.tau_raw - expected.q).max() <= linear
@@ -71,9 +72,9 @@ def test_irregular_time_gives_what_regular_time_gives(planar: Robot, motion_of: 
         assert error.max() <= 4 * cubic * (2 * np.pi * 20) ** order, name
 
 
-def test_gaps_split_and_nothing_is_invented_across_them(planar: Robot, motion_of: MotionOf) -> None:
+def test_gaps_split_and_nothing_is_invented_across_them() -> None:
     t = T[(T < 6.0) | (T >= 9.0)]
-    q = motion_of(planar, t).q
+    q = smooth_motion(PLANAR, t).q
     segments = prepared(t, q)
     assert len(segments) == 2
     for found, rows in zip(segments, (t < 6.0, t >= 9.0), strict=True):
@@ -103,10 +104,10 @@ def test_a_cutoff_that_does_not_fit_is_refused() -> None:
 
 
 def test_columns_and_torque_pass_the_same_filter_also_in_parts(
-    ur10: Robot, motion_of: MotionOf, monkeypatch: pytest.MonkeyPatch
+    ur10: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     t = T[:2000]
-    [segment] = prepared(t, motion_of(ur10, t).q)
+    [segment] = prepared(t, smooth_motion(ur10, t).q)
     columns, torque = (
         segment.rows(lambda motion, of=of: of(ur10, motion))
         for of in (regressor, rigid_body_torque)
@@ -121,8 +122,8 @@ def test_columns_and_torque_pass_the_same_filter_also_in_parts(
     assert np.diff(segment.t).max() <= 1 / (4 * CUTOFF) + 1e-12
 
 
-def test_one_cut_off_and_one_sentence_why(planar: Robot, exact: Callable[..., Recording]) -> None:
-    fast, slow = (exact(planar, np.arange(0, 10, 1 / rate)) for rate in (200.0, 30.0))
+def test_one_cut_off_and_one_sentence_why(exact: Callable[..., Recording]) -> None:
+    fast, slow = (exact(PLANAR, np.arange(0, 10, 1 / rate)) for rate in (200.0, 30.0))
     for recordings, given, harmonics, expected, why in (
         ([fast], None, None, 10.0, "above the motion of arms"),
         ([fast], None, 3.0, 10.0, "above the motion of arms"),

@@ -21,6 +21,7 @@ import pytest
 import streaming
 from hypothesis import given
 from hypothesis import strategies as st
+from known_arms import TrueArm, smooth_motion
 
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
 from excitant.identify import (
@@ -33,14 +34,12 @@ from excitant.identify import (
     recording_from_table,
     split,
 )
-from excitant.identify.dataset import Dataset, decimated
+from excitant.identify.dataset import decimated
 from excitant.identify.faults import find_faults
-from excitant.robots import Motion, Robot, load_robot, torque
-from excitant.robots.effects import standard_effects
+from excitant.robots import load_robot
 
 Corruption = Callable[[pd.DataFrame], pd.DataFrame]
 Save = Callable[..., Path]
-Log = Callable[[np.ndarray], Recording]
 
 
 def with_value(row: int, column: str, value: object) -> Corruption:
@@ -210,21 +209,14 @@ def test_memory_is_that_of_pieces(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert float(nrmse) < 0.3
 
 
-RATE = 1000.0
+RATE, PLANAR = 1000.0, load_robot("planar_2r")
 
 
-@pytest.fixture(scope="module")
-def logged(planar: Robot, motion_of: Callable[..., Motion]) -> Log:
-    effects = standard_effects(planar.joints)
-    valued = [e.with_values(0.2 + 0.1 * np.arange(len(e.parameters(planar)))) for e in effects]
-
-    def recorded(t: np.ndarray) -> Recording:
-        motion = motion_of(planar, t)
-        noise = 0.05 * np.random.default_rng(0).normal(size=motion.q.shape)
-        tau = torque(planar.with_effects(valued), motion) + noise
-        return Recording("log", "log.csv", t, motion.q, tau)
-
-    return recorded
+def logged(t: np.ndarray) -> Recording:
+    motion = smooth_motion(PLANAR, t)
+    tau = TrueArm(PLANAR.model, *[np.array([0.2, 0.3])] * 4).torque(motion)
+    noise = 0.05 * np.random.default_rng(0).normal(size=tau.shape)
+    return Recording("log", "log.csv", t, motion.q, tau + noise)
 
 
 def pieces(whole: Recording, rows: int) -> Iterator[Recording]:
@@ -232,21 +224,19 @@ def pieces(whole: Recording, rows: int) -> Iterator[Recording]:
 
 
 @pytest.mark.parametrize(("jitter", "gap"), [(0.0, False), (0.3, False), (0.0, True)])
-def test_a_decimated_log_gives_the_estimate_of_all_samples(
-    planar: Robot, logged: Log, jitter: float, gap: bool
-) -> None:
+def test_a_decimated_log_gives_the_estimate_of_all_samples(jitter: float, gap: bool) -> None:
     t = np.arange(40_000) / RATE
     t = t + jitter / RATE * np.random.default_rng(1).uniform(-0.5, 0.5, len(t))
     whole = logged(t[(t < 13.3) | (t > 14.5)] if gap else t)
-    expected = identify_robot(planar, [whole])
+    expected = identify_robot(PLANAR, [whole])
     std = np.sqrt(np.diag(expected.least_squares.covariance))
     for rows in (700, 9999):
         thin = decimated(pieces(whole, rows))
         assert 160 <= 1 / np.median(np.diff(thin.t)) < 200
         assert (np.diff(thin.t) > 0).all()
         assert int((np.diff(thin.t) > 1).sum()) == gap
-        assert [fault.fault for fault in find_faults(planar, thin)] == ["dropped_samples"] * gap
-        found = identify_robot(planar, [thin])
+        assert [fault.fault for fault in find_faults(PLANAR, thin)] == ["dropped_samples"] * gap
+        found = identify_robot(PLANAR, [thin])
         moved = np.abs(found.least_squares.beta - expected.least_squares.beta) / std
         assert moved.max() < 1  # rows at other instants, and ends of parts lost
         ratio = np.sqrt(np.diag(found.least_squares.covariance)) / std
@@ -270,7 +260,7 @@ def test_decimation_folds_nothing_onto_the_motion_and_keeps_slow_logs() -> None:
 
 
 def test_long_files_are_read_in_pieces_and_bad_rows_and_short_parts_refused(
-    logged: Log, save: Save, monkeypatch: pytest.MonkeyPatch
+    save: Save, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = logged(np.arange(8000) / RATE)
     path = save(whole, "log.csv")
@@ -289,9 +279,9 @@ def test_long_files_are_read_in_pieces_and_bad_rows_and_short_parts_refused(
 
 
 @pytest.fixture
-def folder(table: pd.DataFrame, planar: Robot, tmp_path: Path, save: Save) -> Path:
+def folder(table: pd.DataFrame, tmp_path: Path, save: Save) -> Path:
     """A data set: a robot, recordings and a sidecar."""
-    (tmp_path / "robot.urdf").write_text(planar.urdf, encoding="utf-8")
+    (tmp_path / "robot.urdf").write_text(PLANAR.urdf, encoding="utf-8")
     save(table.assign(i1=table.tau1 / 2, i2=table.tau2 / 2), "first.parquet")
     save(table, "second.csv")
     (tmp_path / "dataset.json").write_text("{}")
@@ -315,7 +305,7 @@ def test_recordings_are_named_relative_to_the_folder_or_are_paths(
 def test_the_sidecar_names_torque_gains_and_units_and_locks_joints(
     folder: Path, table: pd.DataFrame
 ) -> None:
-    def with_sidecar(content: dict[str, Any]) -> Dataset:
+    def with_sidecar(content: dict[str, Any]) -> Any:
         (folder / "dataset.json").write_text(json.dumps(content))
         return load_dataset(folder)
 
@@ -356,14 +346,13 @@ def test_a_bad_sidecar_is_refused_in_one_line(folder: Path, content: str) -> Non
 
 
 def test_a_folder_without_robot_or_recordings_is_refused(folder: Path) -> None:
-    for names, refused in (
-        (("first.parquet", "second.csv"), r"no \.parquet or \.csv recording"),
-        (("robot.urdf",), "no robot model"),
-    ):
-        for name in names:
-            (folder / name).unlink()
-        with pytest.raises(BadInput, match=refused):
-            load_dataset(folder).recordings([])
+    (folder / "first.parquet").unlink()
+    (folder / "second.csv").unlink()
+    with pytest.raises(BadInput, match=r"no \.parquet or \.csv recording"):
+        load_dataset(folder).recordings([])
+    (folder / "robot.urdf").unlink()
+    with pytest.raises(BadInput, match="no robot model"):
+        load_dataset(folder)
 
 
 def test_real_data_sets_read_and_what_is_held_out_is_never_fitted(data_folder: Path) -> None:

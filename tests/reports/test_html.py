@@ -123,7 +123,7 @@ def test_any_value_may_be_null(verb, most, make, show, undrawn):
     """In all items of a list, and in one of several."""
     result, series = make[verb]()
     result = _cut(result, most)
-    few = {key: values[:40] for key, values in series.items()}
+    few = {key: series[key][:40] for key in ("t", "q", "dq", "ddq", "tau") if key in series}
     for path in set(_paths(result)) - {("verb",)}:
         spoilt = copy.deepcopy(result)
         holder = spoilt
@@ -140,6 +140,7 @@ def test_any_series_may_be_missing_or_spoilt(verb, make, show, undrawn):
     result, series = make[verb]()
     few = {key: np.asarray(values, float)[:40] for key, values in series.items()}
     assert show(result, {}).words
+    result["joints"] = result.get("joints", [])[:1]  # one panel tells as much as four
     for key, values in few.items():
         for spoilt in (np.zeros(3), np.full_like(values, np.nan), values[..., :-1], values[:-1]):
             show(result, few | {key: spoilt})

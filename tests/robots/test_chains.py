@@ -38,18 +38,13 @@ def torque_of_whole(robot: Robot, motion: Motion) -> np.ndarray:
     return tau
 
 
+HELD = {"right_thumb": 0, "right_finger": 0.1}
 CHOICES = {
     "to a tip": ({"tip": "left_hand"}, ("lift", *LEFT)),
     "between links": ({"base": "torso", "tip": "right_hand"}, RIGHT),
-    "below a base, gripper held": (
-        {"base": "right_shoulder", "lock": {"right_thumb": 0, "right_finger": 0.1}},
-        RIGHT[1:],
-    ),
+    "gripper held": ({"base": "right_shoulder", "lock": HELD}, RIGHT[1:]),
     "joints by name": ({"joints": ["right_2", "left_2"]}, ("left_2", "right_2")),
-    "one held on the way": (
-        {"tip": "left_hand", "lock": {"left_2": 0.7}},
-        ("lift", "left_1", "left_3"),
-    ),
+    "one held": ({"tip": "left_hand", "lock": {"left_2": 0.7}}, ("lift", "left_1", "left_3")),
     "a finger too": ({"base": "torso", "tip": "left_thumb_tip"}, (*LEFT, "left_thumb")),
 }
 

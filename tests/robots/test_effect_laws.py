@@ -126,8 +126,7 @@ def test_spring_is_the_derivative_of_its_energy(planar: Robot, lever: bool) -> N
         k * np.cos(x) if lever else k * x**2 / 2 for x in (q - rest + step, q - rest - step)
     )
     tau = fx.Spring(planar.joints[:1], values, lever=lever).torque(planar, alike(q, q, 0.0))[:, 0]
-    # rounding over the step
-    np.testing.assert_allclose(tau, (ahead - back) / (2 * step), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(tau, (ahead - back) / (2 * step), rtol=0, atol=1e-6)  # rounding
 
 
 @pytest.mark.parametrize("ratio", [1.0, -1.0, 0.4])

@@ -29,15 +29,13 @@ Command = Callable[..., Any]
 Refused = Callable[..., str]
 
 DATA = Path(__file__).parent / "data"
-ARMS = RobotSpec(
-    DATA / "twins.urdf", tuple(f"{side}_{k}" for side in ("left", "right") for k in (1, 2, 3))
-)
+SIX = ("left_1", "left_2", "left_3", "right_1", "right_2", "right_3")
 READ = {
     "urdf": (RobotSpec(DATA / "scara.urdf", tip="quill"), 4),
     "xacro": (RobotSpec(DATA / "pan_tilt.urdf.xacro", xacro_args={"reach": "0.6"}), 2),
     "mjcf": (RobotSpec(DATA / "slider.xml"), 3),
     "one arm of two": (RobotSpec(DATA / "twins.urdf", base="torso", tip="left_hand"), 3),
-    "both arms of two": (ARMS, 6),
+    "both arms of two": (RobotSpec(DATA / "twins.urdf", SIX), 6),
     "yaml over mjcf": (RobotSpec(DATA / "slider.yaml"), 2),
 }
 

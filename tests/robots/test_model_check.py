@@ -100,6 +100,7 @@ def test_a_sliding_arm_with_fixed_links_is_in_order(gantry: Robot) -> None:
     assert found(gantry) == {("no_effort_limit", "swing"), ("no_velocity_limit", "swing")}
 
 
+WRISTS = "wrist_1_link wrist_2_link wrist_3_link"
 INERTIAS: dict[str, list[tuple[str, str, Change, str]]] = {
     "no_inertia": [("planar_2r", "link2", no_inertia, "<inertial>")],
     "inertia_not_physical": [
@@ -133,8 +134,8 @@ INERTIAS: dict[str, list[tuple[str, str, Change, str]]] = {
         ("ur10", "wrist_2_link", tensor(lambda *_: 0.01 * np.eye(3), "1"), "0.01 kg·m²"),
         (
             "ur10",
-            "wrist_1_link wrist_2_link wrist_3_link",
-            tensor(lambda *_: np.diag([0.0025, 0.0022, 0.0024]), "1.22"),
+            WRISTS,
+            tensor(lambda *_: np.diag([25e-4, 22e-4, 24e-4]), "1.22"),
             "one and the same",
         ),
     ],

@@ -20,7 +20,6 @@ from excitant.robots.parameters import STANDARD, violations
 from excitant.robots.regressor import regressor
 
 Chains = Callable[..., DHChain]
-SEEDS = st.integers(0, 2**32 - 1)
 
 
 def states(seed: int, n: int, nv: int) -> Motion:
@@ -38,7 +37,9 @@ def rank(W: np.ndarray) -> int:
     return int(np.linalg.matrix_rank(W / np.linalg.norm(W, axis=0), tol=1e-8 * np.sqrt(W.shape[1])))
 
 
-@given(seed=SEEDS, nv=st.integers(1, 9), convention=st.sampled_from(CONVENTIONS))
+@given(
+    seed=st.integers(0, 2**32 - 1), nv=st.integers(1, 9), convention=st.sampled_from(CONVENTIONS)
+)
 def test_a_chain_needs_the_torque_of_the_recursion_where_its_frames_are(
     random_chain: Chains, seed: int, nv: int, convention: Convention
 ) -> None:
