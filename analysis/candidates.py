@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from excitant.analysis.evidence import Candidate, Evidence, calibrated, weigh
-from excitant.analysis.residuals import moving
+from excitant.analysis.residuals import away_from_rest
 from excitant.identify.preprocessing import Segment
 from excitant.identify.prior import PRIOR_SIGMA, link_coordinates, link_weights
 from excitant.identify.regression import dense
@@ -126,7 +126,7 @@ def gather(
     names = [str(k) for k in range(start)]
     evidence = weigh(
         dense(np.concatenate(blocks, axis=2), tau - given.torque(), names),
-        moving(segments),
+        away_from_rest(segments),
         np.concatenate(weights),
         nuisance,
         candidates,

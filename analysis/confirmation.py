@@ -16,7 +16,7 @@ from excitant.analysis.candidates import (
     tolerance_metric,
 )
 from excitant.analysis.evidence import Candidate, Evidence, Key
-from excitant.analysis.residuals import Mask, moving, noise_floor
+from excitant.analysis.residuals import Mask, away_from_rest, noise_floor
 from excitant.analysis.selection import Rival, underlies
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment
@@ -116,7 +116,7 @@ def held_out(robot: Robot, segments: tuple[Segment, ...], gains: Array) -> HeldO
     """The hold-out of a given robot, with its torque per reading, shape (nv,)."""
     found = observed(robot, segments)
     floor = np.array([noise_floor(segments, j) for j in range(robot.nv)])
-    moves, simulated = moving(segments), found.torque() / gains
+    moves, simulated = away_from_rest(segments), found.torque() / gains
     return HeldOut(found, gains, series(segments), simulated, moves, floor)
 
 
@@ -154,7 +154,9 @@ class Extender:
         robot, evidence = self.held.observed.robot, self.evidence
         effects = _effects(robot, chosen)
         W = self.train.matrix(effects)
-        weight = moving(self.train.segments) / (evidence.sigma * np.sqrt(evidence.inflation))
+        weight = away_from_rest(self.train.segments) / (
+            evidence.sigma * np.sqrt(evidence.inflation)
+        )
         rows = np.concatenate([W, self.tau[:, :, None]], axis=2) * weight[:, :, None]
         R = np.asarray(np.linalg.qr(rows.reshape(-1, W.shape[2] + 1), mode="r"), float)
         bodies, sigma = self._bodies(chosen)

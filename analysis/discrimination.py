@@ -23,7 +23,7 @@ import scipy
 
 from excitant.analysis.candidates import TOLERANCE, Observed, cause_columns, tolerance_metric
 from excitant.analysis.evidence import widened
-from excitant.analysis.residuals import moving, top_speed
+from excitant.analysis.residuals import away_from_rest, top_speed
 from excitant.analysis.selection import ALIKE
 from excitant.identify.preprocessing import Segment
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
@@ -203,7 +203,7 @@ class Contest:
         # A joint that is slow beside what was recorded of it rests
         W = np.concatenate(list(self._blocks(segments)), axis=2)
         problem = dense(W, np.zeros(W.shape[:2]), [str(k) for k in range(W.shape[2])])
-        counts = moving(segments, top_speed(self.recorded) if self.recorded else 0.0)
+        counts = away_from_rest(segments, top_speed(self.recorded) if self.recorded else 0.0)
         return problem.counting(counts).gram(self.weight)[:-1, :-1]
 
     def _blocks(self, segments: Sequence[Segment]) -> Iterator[Array]:

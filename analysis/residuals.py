@@ -62,10 +62,11 @@ def top_speed(segments: Sequence[Segment]) -> Array:
     return np.asarray(np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0), float)
 
 
-def moving(segments: Sequence[Segment], fastest: Array | float = 0.0) -> Mask:
-    """Rows at which each joint moves, or reverses without a rest, shape (rows, nv).
+def away_from_rest(segments: Sequence[Segment], fastest: Array | float = 0.0) -> Mask:
+    """Rows that no rest of a joint reaches through the filter, shape (rows, nv).
 
-    Joints are slow beside their fastest motion, here or, if given, elsewhere.
+    A joint rests while slow beside its fastest motion, here or, if given, elsewhere; a reversal
+    without a rest counts. `preprocessing.moving` asks where a joint takes part in a motion.
     """
     fastest = np.maximum(fastest, top_speed(segments))
     masks = []
@@ -274,7 +275,7 @@ def residuals(
 
     Given are its error, that of the given model, and its torque, each (n, nv) [torque unit].
     """
-    by, moves = explanatory(segments, load), moving(segments)
+    by, moves = explanatory(segments, load), away_from_rest(segments)
     step, cutoff = by.steps[0], segments[0].cutoff_hz
     found = []
     for j, joint in enumerate(joints):

@@ -22,7 +22,7 @@ import scipy
 
 from excitant.analysis.candidates import TOLERANCE, Observed, tolerance_metric
 from excitant.analysis.confirmation import HeldOut
-from excitant.analysis.residuals import Mask, moving
+from excitant.analysis.residuals import Mask, away_from_rest
 from excitant.exceptions import BadInput
 from excitant.identify.least_squares import SMALLEST, autocorrelation_time
 from excitant.identify.physical import fit_physical
@@ -165,7 +165,7 @@ def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
     rest = tau - (train.torque() - Y @ robot.phi)
     W = Y[:, :, base.columns]
     problem = dense(W, rest, base.expressions)
-    root, beta, rank = _least_squares(problem, moving(train.segments))
+    root, beta, rank = _least_squares(problem, away_from_rest(train.segments))
     nothing = EffectPrior(*(np.zeros(0),) * 3)
     free, least = (
         fit_physical(root @ B, root @ beta, prior, nothing, sigma, tolerance_metric(prior)).x
