@@ -127,10 +127,10 @@ def test_faultless_recordings_raise_none(ur10: Robot, real: tuple[Robot, Log], c
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param("panda", marks=pytest.mark.slow), "planar_2r", "cmu_dd_arm_ii"]
+    "name", [pytest.param("panda", marks=pytest.mark.slow), "planar_2r", "cmu_dd_arm_ii", "real"]
 )
-def test_inertias_are_told_by_their_frames(name: str) -> None:
-    robot, log = load_robot(name), run(name, 1)
+def test_inertias_are_told_by_their_frames(name: str, real: tuple[Robot, Log]) -> None:
+    robot, log = real if name == "real" else (load_robot(name), run(name, 1))
     places = [robot.model.jointPlacements[j + 1] for j in range(1, robot.nv)]
     places.append(robot.model.frames[robot.tip].placement)
     bodies = map(pin.Inertia.FromDynamicParameters, robot.phi.reshape(-1, 10))
