@@ -332,7 +332,8 @@ def _table(found: Result, letters: Sequence[str]) -> p.Table | None:
         def cell(row: Result) -> Cell:
             x = value(row, key, k)
             far = key == "deviations" and (x or 0.0) > _APART
-            return Cell(v.number(x), p.POOR if far else p.PLAIN, x)
+            share = key == "difference" and any(w[-1:] == "%" for w in v.words(row, "written"))
+            return Cell((v.percent if share else v.number)(x), p.POOR if far else p.PLAIN, x)
 
         known = any(value(row, key, k) is not None for row in rows)
         return (f"number:{_HEADINGS[key].format(letter)}", cell) if known else None

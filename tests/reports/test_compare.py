@@ -9,6 +9,7 @@ import pytest
 from excitant.exceptions import BadInput
 from excitant.reports import SavedRun, brief, compare, html, page_of, save_run, summary
 from excitant.reports.pages import deviations
+from excitant.reports.values import percent
 from excitant.robots import load_robot
 from excitant.robots.check import ModelCheck
 
@@ -46,6 +47,15 @@ def test_a_run_does_not_differ_from_itself(verb, make):
     assert all(len(set(row["written"])) == 1 for row in found)
     for key, nothing in (("difference", 0.0), ("ratio", 1.0), ("deviations", 0.0)):
         assert {x for row in found for x in row.get(key, ())} <= {nothing, None}
+
+
+def test_percentages_differ_by_percentages(make):
+    result = compare(*pair(make["identify"], worse))
+    page = html(page_of(result, {}))
+    shares = [row for row in rows(result) if row["written"][0].endswith("%")]
+    differ = [row["difference"][0] for row in shares if row.get("difference", [0.0])[0]]
+    assert differ
+    assert all(f">{percent(x)}<" in page for x in differ)
 
 
 def test_exchanged_runs_exchange_all(make):
