@@ -16,7 +16,8 @@ import pytest
 from excitant.cli import app
 from excitant.robots import builtin_robots
 
-TIME = 0.3  # s of processor within which help comes
+UNIT = "import asyncio, http.server, multiprocessing, unittest, xml.dom.minidom"
+UNITS = 4.0  # of that import, 0.3 s of processor where it takes 0.075 s: within which help comes
 VERBS = [name for name in app if not name.startswith("-")]
 HELP = "\n".join(app[name].help_epilogue for name in VERBS)
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
@@ -51,12 +52,16 @@ def test_an_example_runs(words: str, here: Path, excitant: Any) -> None:
 @pytest.mark.parametrize("words", [["--help"], ["design", "--help"], ["--version"]])
 def test_help_comes_at_once(words: list[str]) -> None:
     """In processor time, which does not count what else the machine does; the best of three."""
+    assert best_of_three("-m", "excitant", *words) < UNITS * best_of_three("-c", UNIT)
+
+
+def best_of_three(*words: str) -> float:
     spent = []
     for _ in range(3):
         before = sum(os.times()[2:4])  # of processes that have ended
-        subprocess.run([sys.executable, "-m", "excitant", *words], check=True, capture_output=True)
+        subprocess.run([sys.executable, *words], check=True, capture_output=True)
         spent.append(sum(os.times()[2:4]) - before)
-    assert min(spent) < TIME
+    return min(spent)
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 from scipy.linalg.lapack import dgesv
+from scipy.optimize import lsq_linear
 
 from excitant.exceptions import BadInput, BadRobot
 from excitant.robots.motion import Array
@@ -369,6 +370,11 @@ def stick_or_slip(
         if not reversed_.any():
             break
         stuck |= reversed_
+    else:  # the sets alternate: the same friction as a bounded least-squares problem
+        C = np.linalg.cholesky((A + A.T) / 2)
+        momentum, room = C.T @ (impulse + K @ v), 1e-15 + 1e-12 * (forward + backward)
+        bounds = (-backward - room, forward + room)
+        delta = A @ (impulse - lsq_linear(C.T @ G.T, momentum, bounds, "bvls", 1e-14).x @ G)
     return delta
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pinocchio as pin
 import pytest
 import scipy
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from plant_recordings import (
     PENDULUM,
@@ -89,6 +89,7 @@ def test_power_goes_into_energy_and_friction_on_the_motion_commanded(builtin: Ro
     assert np.abs(run.motion.q - wanted(run.motion.t, 0)).max() < 5e-3
 
 
+@example(seed=45038, n=6, shafts=2)  # the sets alternate
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 6), shafts=st.integers(0, 2))
 @settings(max_examples=200)
 def test_dry_friction_of_joints_and_shafts_obeys_coulombs_law(
