@@ -350,7 +350,9 @@ def stick_or_slip(
     slip = np.sign(w)
     dry = np.maximum(forward, backward) > 0
     stuck = (slip == 0) & dry
-    for _ in range(4 * len(w)):
+
+    def balanced() -> tuple[Array, Array]:
+        """Friction with which stuck contacts stay and the others slip, and the velocity change."""
         friction = np.where(slip < 0, -backward, forward * slip)
         friction[stuck] = 0.0
         if stuck.any():
@@ -361,6 +363,10 @@ def stick_or_slip(
         delta: Array = A @ (impulse - friction @ G)
         own = stuck[: len(v)]
         delta[own] = -v[own]
+        return friction, delta
+
+    for _ in range(4 * len(w)):
+        friction, delta = balanced()
         excess = np.where(stuck, np.maximum(friction - forward, -backward - friction), -np.inf)
         worst = int(np.argmax(excess))
         if excess[worst] > 1e-12 * (1.0 + max(forward[worst], backward[worst])):
@@ -368,14 +374,14 @@ def stick_or_slip(
             continue
         reversed_ = ~stuck & dry & ((w + G @ delta) * slip < 0)
         if not reversed_.any():
-            break
+            return delta
         stuck |= reversed_
-    else:  # the sets alternate: the same friction as a bounded least-squares problem
-        C = np.linalg.cholesky((A + A.T) / 2)
-        momentum, room = C.T @ (impulse + K @ v), 1e-15 + 1e-12 * (forward + backward)
-        bounds = (-backward - room, forward + room)
-        delta = A @ (impulse - lsq_linear(C.T @ G.T, momentum, bounds, "bvls", 1e-14).x @ G)
-    return delta
+    # the sets alternate: those of the same friction as a bounded least-squares problem
+    C = np.linalg.cholesky((A + A.T) / 2)
+    momentum, room = C.T @ (impulse + K @ v), 1e-15 + 1e-12 * (forward + backward)
+    side = lsq_linear(C.T @ G.T, momentum, (-backward - room, forward + room), "bvls").active_mask
+    stuck, slip = (side == 0) & dry, side
+    return balanced()[1]
 
 
 def _smallest(S: Array, velocity: Array) -> Array:
