@@ -1,8 +1,8 @@
 """Khosla's Tables 2 to 4 as a recovery experiment on the CMU DD Arm II; see docs/dd_arm.md.
 
-Torque is Pinocchio's recursive Newton-Euler algorithm with friction written here. Who decided is
-not told from a close result, but by moving the prior where the data are silent: along the null
-space of the regressor the torque stays as it is and the entries move with it.
+Torque is that of `estimators.TrueArm`: Pinocchio's recursive Newton-Euler algorithm, and friction.
+Who decided is not told from a close result, but by moving the prior where the data are silent:
+along the null space of the regressor the torque stays as it is and the entries move with it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 import scipy.linalg
+from estimators import TrueArm
 from seed import TableEntry, dd_arm, dd_arm_chain, dd_arm_parameters, dd_arm_tables, parameter_map
 from threadpoolctl import threadpool_limits
 
@@ -30,7 +31,6 @@ from excitant.robots import (
     Robot,
     base_parameters,
     regressor,
-    rigid_body_torque,
     robot_from_dh,
 )
 from excitant.robots.effects import CoulombFriction, ViscousFriction
@@ -87,14 +87,12 @@ def simulated(truth: Robot, rng: np.random.Generator, seconds: float) -> list[Re
     found = []
     for k in range(max(1, round(seconds / PERIOD_S))):
         trajectory = random_trajectory(dd_arm("initial"), rng, PERIOD_S, HARMONICS)
-        t = np.arange(0, PERIOD_S, STEP_S)
-        q, dq, ddq = (trajectory(t, order) for order in range(3))
-        tau = rigid_body_torque(truth, Motion(t, q, dq, ddq))
-        tau += VISCOUS * dq + COULOMB * np.sign(dq)
+        motion = trajectory.at(np.arange(0, PERIOD_S, STEP_S))
+        tau = TrueArm(truth.model, VISCOUS, COULOMB).torque(motion)
         size = NOISE_SHARE * np.sqrt((tau**2).mean(axis=0))
         tau += size * rng.standard_normal(tau.shape)
-        measured = ENCODER * np.round(q / ENCODER)
-        found.append(Recording(f"run {k + 1}", "simulated", t, measured, tau))
+        measured = ENCODER * np.round(motion.q / ENCODER)
+        found.append(Recording(f"run {k + 1}", "simulated", motion.t, measured, tau))
     return found
 
 

@@ -40,28 +40,38 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
+class TrueArm:
+    """Pinocchio's rigid bodies, and what each joint has besides, shape (nv,) [SI]."""
+
+    model: pin.Model
+    Fv: Array | float = 0.0
+    Fc: Array | float = 0.0
+    offset: Array | float = 0.0
+    Ia: Array | float = 0.0
+
+    def torque(self, motion: Motion) -> Array:
+        """Torque of a motion, shape (n, nv)."""
+        data, states = self.model.createData(), (motion.q, motion.dq, motion.ddq)
+        rigid = [pin.rnea(self.model, data, *state) for state in zip(*states, strict=True)]
+        friction = self.Fv * motion.dq + self.Fc * np.sign(motion.dq) + self.offset
+        return np.asarray(np.array(rigid) + friction + self.Ia * motion.ddq)
+
+
+@dataclass(frozen=True, eq=False)
 class Truth:
-    """An arm of which everything is known: links, coefficients of each joint's effects [SI], β."""
+    """An arm of which everything is known, its base parameters and their values."""
 
     robot: Robot
-    coefficients: dict[str, Array]  # Fv, Fc, offset and Ia
+    arm: TrueArm
     base: BaseParameters
     beta: Array
-
-    def torque(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """Torque of a motion, arrays of shape (n, nv)."""
-        model, data = self.robot.model, self.robot.model.createData()
-        links = np.array([pin.rnea(model, data, *state) for state in zip(q, dq, ddq, strict=True)])
-        viscous, coulomb, offset, rotor = self.coefficients.values()
-        return np.asarray(links + viscous * dq + coulomb * np.sign(dq) + offset + rotor * ddq)
 
 
 def truth(name: str) -> Truth:
     """A built-in arm with friction and rotors drawn in proportion to its torques."""
     robot, rng = load_robot(name).with_effects(()), np.random.default_rng(3)
-    states = zip(*robot.random_motion(rng, 200), strict=True)
-    data = robot.model.createData()
-    size = np.std([pin.rnea(robot.model, data, *state) for state in states], axis=0)
+    motion = Motion(np.arange(200.0), *robot.random_motion(rng, 200))
+    size = TrueArm(robot.model).torque(motion).std(axis=0)
     drawn = size * rng.uniform(0.5, 1.5, (4, robot.nv)) * [[0.03], [0.05], [0.01], [0.01]]
     coefficients = dict(zip(("Fv", "Fc", "offset", "Ia"), drawn, strict=True))
     effects = standard_effects(robot.joints)
@@ -69,7 +79,7 @@ def truth(name: str) -> Truth:
     values = [coefficients[symbol][robot.joint_index(joint)] for joint, _, symbol in names]
     base = base_parameters(robot, effects)
     beta = base.regrouping @ np.concatenate([robot.phi, values])
-    return Truth(robot, coefficients, base, beta)
+    return Truth(robot, TrueArm(robot.model, **coefficients), base, beta)
 
 
 def torque_noise(kind: str, rng: np.random.Generator, n: int, nv: int) -> Array:
@@ -89,13 +99,12 @@ def torque_noise(kind: str, rng: np.random.Generator, n: int, nv: int) -> Array:
 
 
 def recorded(known: Truth, kind: str, rng: np.random.Generator, seconds: float) -> Recording:
-    trajectory = random_trajectory(known.robot, rng, 10.0, HARMONICS)
     t = np.arange(0, seconds, 1 / RATE_HZ)
-    q, dq, ddq = (trajectory(t, order) for order in range(3))
-    tau = known.torque(q, dq, ddq)
+    motion = random_trajectory(known.robot, rng, 10.0, HARMONICS).at(t)
+    tau = known.arm.torque(motion)
     size = np.sqrt((tau**2).mean(axis=0))
     encoder = 2e-4 if kind == "encoders" else 2e-5
-    measured = q + encoder * rng.standard_normal(q.shape)
+    measured = motion.q + encoder * rng.standard_normal(tau.shape)
     return Recording(kind, kind, t, measured, tau + size * torque_noise(kind, rng, *tau.shape))
 
 
@@ -106,10 +115,9 @@ def judge(known: Truth, seed: int) -> Callable[[LeastSquares], tuple[Array, floa
     states = Motion(np.arange(600.0), *known.robot.random_motion(rng, 600))
     Y = observation_columns(known.robot, effects, states)[:, :, columns]
     scale = np.sqrt((Y**2).mean(axis=(0, 1)) * Y.shape[1])
-    trajectory, t = random_trajectory(known.robot, rng, 10.0, HARMONICS), np.arange(0, 10, 0.02)
-    motion = Motion(t, *(trajectory(t, order) for order in range(3)))
+    motion = random_trajectory(known.robot, rng, 10.0, HARMONICS).at(np.arange(0, 10, 0.02))
     W = observation_columns(known.robot, effects, motion)[:, :, columns]
-    tau = known.torque(motion.q, motion.dq, motion.ddq)
+    tau = known.arm.torque(motion)
 
     def errors(fit: LeastSquares) -> tuple[Array, float]:
         rms = np.sqrt(((tau - W @ fit.beta) ** 2).mean(axis=0))

@@ -56,11 +56,6 @@ class TypicalMotion:
     wanted: Array  # torque that an effect should make
 
     @property
-    def nv(self) -> int:
-        """Number of joints."""
-        return self.robot.nv
-
-    @property
     def size(self) -> float:
         """Longest distance of the tip from the origin on the motion, at least 0.1 m."""
         return max(float(np.linalg.norm(self.tip, axis=1).max()), 0.1)
@@ -126,14 +121,14 @@ def _sign(rng: Rng) -> float:
 def recipe(kind: str, m: TypicalMotion, rng: Rng) -> Recipe:
     match kind:
         case "friction_coupling" | "inertia_coupling":
-            j = int(rng.integers(max(m.nv - 1, 1)))
+            j = int(rng.integers(max(m.robot.nv - 1, 1)))
             return _coupled(kind, m, rng, j, j + 1)
         case "joint_elasticity" | "backlash":  # where much inertia bends the gear
             strong = np.flatnonzero(m.inertia >= 0.1 * m.inertia.max())
             return _gear(kind, m, rng, int(rng.choice(strong)))
         case "torque_gain" | "time_delay":  # one time in four of all joints
             every = rng.random() < 0.25
-            joints = tuple(range(m.nv)) if every else (int(rng.integers(m.nv)),)
+            joints = tuple(range(m.robot.nv)) if every else (int(rng.integers(m.robot.nv)),)
             if kind == "time_delay":
                 return Recipe(joints, {"delay": _sign(rng) * 0.01}, most=6.0)
             size = min(m.per(j, m.tau[:, j]) for j in joints)
@@ -142,7 +137,7 @@ def recipe(kind: str, m: TypicalMotion, rng: Rng) -> Recipe:
             j = m.robot.joint_index(str(rng.choice(separable_rotors(m.robot))))
             return Recipe((j,), {"Ia": m.per(j, m.ddq[:, j])})
         case "kinematic_error":  # never of the first joint
-            j = int(rng.integers(min(1, m.nv - 1), m.nv))
+            j = int(rng.integers(min(1, m.robot.nv - 1), m.robot.nv))
             d = rng.standard_normal(3)
             d *= 0.03 * m.size / np.linalg.norm(d)
             return Recipe((j,), dict(zip(("dx", "dy", "dz"), d, strict=True)), most=6.0)
@@ -152,17 +147,17 @@ def recipe(kind: str, m: TypicalMotion, rng: Rng) -> Recipe:
             return Recipe((), tilt, most=10.0)
         case "payload":
             drawn = dict(draw_payload(m.robot, rng).parameters)
-            return Recipe((m.nv - 1,), drawn, guess=0.3, most=3.0)
+            return Recipe((m.robot.nv - 1,), drawn, guess=0.3, most=3.0)
         case "wall_contact":
             return _wall(m, rng)
         case "sensor_crosstalk":  # from a joint that is not a neighbour, where there is one
-            j, k = (int(i) for i in rng.choice(m.nv, 2, replace=False))
-            if abs(j - k) < 2 and m.nv > 2:
-                k = (j + 2) % m.nv
+            j, k = (int(i) for i in rng.choice(m.robot.nv, 2, replace=False))
+            if abs(j - k) < 2 and m.robot.nv > 2:
+                k = (j + 2) % m.robot.nv
             size = m.per(j, m.tau[:, k])
             return Recipe((j, k), {"gain": _sign(rng) * size}, most=0.6 / size)
         case _:
-            return _at_a_joint(kind, m, rng, int(rng.integers(m.nv)))
+            return _at_a_joint(kind, m, rng, int(rng.integers(m.robot.nv)))
 
 
 def _at_a_joint(kind: str, m: TypicalMotion, rng: Rng, j: int) -> Recipe:

@@ -30,8 +30,7 @@ _PIECE = 100_000  # samples written at once
 
 def write(path: Path, robot: Robot, samples: int, rng: np.random.Generator) -> Motion:
     """A log, never whole in memory; one period of its random motion."""
-    trajectory, t = random_trajectory(robot, rng, _PERIOD, 5), np.arange(_PERIOD * _RATE) / _RATE
-    motion = Motion(t, *(trajectory(t, order) for order in range(3)))
+    motion = random_trajectory(robot, rng, _PERIOD, 5).at(np.arange(_PERIOD * _RATE) / _RATE)
     arm = robot.with_effects(
         e.with_values(rng.uniform(0.1, 1.0, len(e.parameters(robot))))
         for e in standard_effects(robot.joints)
@@ -43,7 +42,7 @@ def write(path: Path, robot: Robot, samples: int, rng: np.random.Generator) -> M
         for start in range(0, samples, _PIECE):
             k = np.arange(start, min(start + _PIECE, samples))
             q, measured = (
-                x[k % len(t)] + rng.normal(0, noise, (len(k), robot.nv))
+                x[k % len(motion)] + rng.normal(0, noise, (len(k), robot.nv))
                 for x, noise in zip((motion.q, tau), _NOISE, strict=True)
             )
             writer.write_table(pa.table([k / _RATE, *q.T, *measured.T], schema))

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from estimators import Truth
 
 from excitant.identify import Recording
@@ -37,30 +35,13 @@ def smooth_motion(robot: Robot, t: Array, seed: int = 0, hz: Array = HARMONICS) 
     return Motion(t, *orders)
 
 
-@dataclass(frozen=True)
-class TrueArm:
-    """Pinocchio's rigid bodies, and what each joint has besides, shapes (nv,)."""
-
-    model: pin.Model
-    Fv: np.ndarray | float = 0.0
-    Fc: np.ndarray | float = 0.0
-    offset: np.ndarray | float = 0.0
-    Ia: np.ndarray | float = 0.0
-
-    def torque(self, motion: Motion) -> np.ndarray:
-        data, states = self.model.createData(), (motion.q, motion.dq, motion.ddq)
-        rigid = [pin.rnea(self.model, data, *state) for state in zip(*states, strict=True)]
-        friction = self.Fv * motion.dq + self.Fc * np.sign(motion.dq) + self.offset
-        return np.array(rigid) + friction + self.Ia * motion.ddq
-
-
 def recorded(
     known: Truth, motion: Motion, seed: int, encoder: float = 0.0, noise: float = 0.02,
     friction: Callable[[Array], Array] = np.zeros_like,
 ) -> Recording:  # fmt: skip
     """Torque that no code of the product makes, seen by sensors with noise."""
     rng = np.random.default_rng(seed)
-    tau = known.torque(motion.q, motion.dq, motion.ddq) + friction(motion.dq)
+    tau = known.arm.torque(motion) + friction(motion.dq)
     tau += noise * np.sqrt((tau**2).mean(axis=0)) * rng.standard_normal(tau.shape)
     q = motion.q + encoder * rng.standard_normal(tau.shape)
     return Recording(f"run{seed}", "run.csv", motion.t, q, tau)

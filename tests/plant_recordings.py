@@ -11,7 +11,6 @@ import pinocchio as pin
 import scipy
 
 from excitant.robots import Motion, Robot, torque
-from excitant.robots.plant.planting import STRUCTURES
 from excitant.robots.urdf import robot_from_urdf
 from excitant.robots.virtual_arm import (
     HiddenEffect,
@@ -80,12 +79,6 @@ def mujoco_model(robot: Robot) -> mujoco.MjModel:
     spec.option.timestep, spec.option.gravity = 1e-3, robot.gravity
     spec.option.disableflags = without.mjDSBL_CONTACT | without.mjDSBL_LIMIT
     return spec.compile()
-
-
-def hidden(kind: str, *joints: str, **parameters: float) -> HiddenEffect:
-    effect, structure = ("unknown", kind) if kind in STRUCTURES else (kind, "")
-    several = joints if len(joints) > 1 else ()
-    return HiddenEffect(effect, (*joints, "")[0], tuple(parameters.items()), several, structure)
 
 
 def true_arm(

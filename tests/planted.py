@@ -10,6 +10,7 @@ from excitant.analysis.diagnosis import Diagnosis
 from excitant.design import random_trajectory
 from excitant.identify import Recording
 from excitant.robots import Motion, Robot
+from excitant.robots.plant.planting import STRUCTURES
 from excitant.robots.virtual_arm import HiddenEffect, draw_hidden_effect
 
 Runs = Callable[..., list[Recording]]
@@ -34,9 +35,10 @@ def stacked(*motions: Motion) -> Motion:
     return Motion(np.arange(len(parts[0])) / 50.0, *parts)
 
 
-def hidden(effect: str, *joints: str, **parameters: float) -> HiddenEffect:
+def hidden(kind: str, *joints: str, **parameters: float) -> HiddenEffect:
+    effect, structure = ("unknown", kind) if kind in STRUCTURES else (kind, "")
     several = joints if len(joints) > 1 else ()
-    return HiddenEffect(effect, joints[0] if joints else "", tuple(parameters.items()), several)
+    return HiddenEffect(effect, (*joints, "")[0], tuple(parameters.items()), several, structure)
 
 
 def drawn(robot: Robot, kind: str, seed: int) -> HiddenEffect:

@@ -10,7 +10,8 @@ from types import SimpleNamespace as Judged
 import numpy as np
 import pinocchio as pin
 import pytest
-from known_arms import NONE, TrueArm
+from estimators import TrueArm
+from known_arms import NONE
 from planted import Runs, motion_of, stacked
 
 from excitant.analysis import uncertainty

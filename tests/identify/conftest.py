@@ -13,7 +13,7 @@ import pytest
 from known_arms import smooth_motion
 
 from excitant.identify import Recording
-from excitant.robots import Motion, Robot, torque
+from excitant.robots import Robot, torque
 
 
 @pytest.fixture
@@ -42,11 +42,6 @@ def save(tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return saved
-
-
-@pytest.fixture(scope="session")
-def motion_of() -> Callable[..., Motion]:
-    return smooth_motion
 
 
 @pytest.fixture(scope="session")

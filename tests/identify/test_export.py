@@ -15,9 +15,10 @@ import pinocchio as pin
 import pytest
 import tracking
 import yaml
+from estimators import TrueArm
 from hypothesis import given
 from hypothesis import strategies as st
-from known_arms import TrueArm, write_csv
+from known_arms import write_csv
 
 from excitant.exceptions import BadInput
 from excitant.identify import Estimate, Recording, identify_robot

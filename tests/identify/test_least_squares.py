@@ -123,12 +123,11 @@ def coloured(kind: str, rng: np.random.Generator, n: int, nv: int) -> np.ndarray
 
 def scaled_errors(known: Truth, rng: np.random.Generator, seconds: float) -> np.ndarray:
     """Error over standard deviation of every base parameter on one motion, shape (noises, r)."""
-    trajectory = random_trajectory(known.robot, rng, 10.0, HARMONICS)
     t = np.arange(0, seconds, 1 / RATE_HZ)
-    q, dq, ddq = (trajectory(t, order) for order in range(3))
-    tau = known.torque(q, dq, ddq)
+    motion = random_trajectory(known.robot, rng, 10.0, HARMONICS).at(t)
+    tau = known.arm.torque(motion)
     size = NOISE_SHARE * np.sqrt((tau**2).mean(axis=0))
-    measured = q + ENCODER * rng.standard_normal(q.shape)
+    measured = motion.q + ENCODER * rng.standard_normal(tau.shape)
     torques = (tau + size * coloured(kind, rng, *tau.shape) for kind in NOISES)
     runs = [Recording("run", "run.csv", t, measured, noisy) for noisy in torques]
     rows, found = rows_of(known.robot, runs[0]).reduced, []

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from known_arms import TrueArm, smooth_motion, write_csv
+from estimators import TrueArm
+from known_arms import smooth_motion, write_csv
 from scipy.interpolate import BPoly
 
 from excitant.design import random_trajectory

@@ -19,9 +19,10 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 import streaming
+from estimators import TrueArm
 from hypothesis import given
 from hypothesis import strategies as st
-from known_arms import TrueArm, smooth_motion
+from known_arms import smooth_motion
 
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
 from excitant.identify import (

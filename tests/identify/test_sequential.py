@@ -11,8 +11,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy.signal
+from estimators import TrueArm
 from khosla import torque_matrix
-from known_arms import TrueArm, write_csv
+from known_arms import write_csv
 from seed import dd_arm_chain
 
 from excitant.design import random_trajectory

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import scipy.signal
 from hidden_effects import KINDS, draw_effect, visible_size
-from plant_recordings import hidden, true_arm
+from plant_recordings import true_arm
+from planted import hidden
 
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput, UnknownName

@@ -19,12 +19,12 @@ from plant_recordings import (
     Recorded,
     displaced,
     energy,
-    hidden,
     mujoco_model,
     steady,
     swing,
     true_arm,
 )
+from planted import hidden
 
 from excitant.exceptions import BadInput, BadRobot, ExcitantError, UnknownName
 from excitant.robots import Motion, Robot, base_parameters, torque
