@@ -21,15 +21,15 @@ from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
 TOLERANCE = 0.05  # relative standard deviation of the given values: right to ±10 %
-WRONG_LINK = 1.0  # relative size of the changes that `inertial_parameters` stands for
-_REACH = 0.3  # m: scale of a payload's lever, decides nothing but the units of its coordinates
+WRONG_LINK = 1.0  # relative standard deviation of a link with wrong `inertial_parameters`
+_REACH = 0.3  # m: lever that scales the coordinates of a payload
 
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """Filtered columns of a robot and its effects at the rows of segments, each worked out once."""
+    """Filtered columns of a robot and its effects at the rows of segments, each computed once."""
 
-    robot: Robot  # effects that rest on torque take it from here
+    robot: Robot  # effects that depend on torque take that of this model
     segments: tuple[Segment, ...]
     links: Array  # columns of the standard parameters, shape (n, nv, 10 nv)
     _by_motion: dict[Effect, Array] = field(default_factory=dict, repr=False)
@@ -74,12 +74,12 @@ def _rows(segments: Sequence[Segment], columns: Callable[[Any], Array]) -> Array
 
 
 def cause_columns(effect: Effect, given: Observed, understood: Observed) -> Array:
-    """Columns of a cause, (n, nv, k): a gain by the given robot, else as understood so far."""
+    """Columns of a cause, (n, nv, k): for a gain by the given robot, else by the model so far."""
     return (given if effect.of_given_torque else understood).columns(effect)
 
 
 def tolerance_metric(bodies: Array) -> Array:
-    """Scale of each link's parameters, of which priors are a share, shape (links, 10)."""
+    """Isotropic body of each link, of which tolerances are a share, shape (links, 10)."""
     return np.array([isotropic(phi) for phi in bodies])
 
 
@@ -92,11 +92,11 @@ def gather(
     *,
     identified: bool = False,
 ) -> Evidence:
-    """Evidence for all that may be wrong with a given robot, which has its effects.
+    """Evidence for the candidate causes of a given robot's errors; its effects are kept.
 
-    Torque tau [N·m] at the rows of ``train``, of the robot as known so far, is to be explained;
-    believed causes are considered again. Tolerances are relative to the metric (nv, 10): ±10 %, or
-    as open as in an identification, and then only effects beyond the standard model count.
+    Torque tau (n, nv) [N·m] is to be explained at the rows of ``train``, of the model so far;
+    believed causes are reconsidered. Tolerances are relative to the metric (nv, 10): ±10 %, or as
+    wide as in an identification, and then only effects beyond the standard model are candidates.
     """
     given, segments = train.by(robot), train.segments
     known = train.matrix(robot.effects)[:, :, 10 * robot.nv :]
@@ -137,7 +137,7 @@ def gather(
 
 
 def coefficient_sizes(parameters: Sequence[Parameter], columns: Array, torque: Array) -> Array:
-    """Scale of coefficients of columns (n, joints, e) where only data decide, (e,)."""
+    """Prior scale (e,) of free coefficients, typical or implausible; columns (n, joints, e)."""
     typical = np.array([p.typical if p.typical is not None else np.nan for p in parameters])
     return np.where(np.isnan(typical), implausible_size(columns, torque), typical)
 

@@ -30,29 +30,29 @@ from excitant.robots.torque import effect_values
 
 _BLOCKS = 10  # of the hold-out, to see how much the gain varies
 _DEVIATIONS = 2.0  # standard errors by which the gain must exceed zero
-_PLAIN = 0.1  # of a joint's squared error: what brings as much matters below the noise too
+_PLAIN = 0.1  # of a joint's squared error: a gain as large counts even below the noise
 FLOOR = 0.05  # of a joint's squared error: dry friction is never an ideal sign function
-_PAYLOAD_SIGMA = 100.0  # a payload is anything
-_PAYLOAD_SHARE, _PAYLOAD_RADIUS = 0.05, 0.1  # of the arm's mass, m: its reference body
+_PAYLOAD_SIGMA = 100.0  # relative: a payload is left free
+_PAYLOAD_SHARE, _PAYLOAD_RADIUS = 0.05, 0.1  # its reference body: of the arm's mass, m
 
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """One cause that the data call for.
+    """One cause that the data support.
 
     Attributes:
         effect: The cause, on one joint, with the value that the extended model has.
         given: The value that the given model has for each coefficient.
         std: Standard deviation of each coefficient.
         explained: Share of the given model's squared error on the hold-out that it removes.
-        rms_before: Error on the hold-out without it, all other causes kept [N·m or A].
-        rms_after: Error on the hold-out of the extended model [N·m or A].
-        gain: Fall of the squared error of its joints with it, relative to that error.
-        gain_error: Standard error of the gain, from blocks.
+        rms_before: Error of its joints on the hold-out without it, all others kept [N·m or A].
+        rms_after: The same of the extended model [N·m or A].
+        gain: Fall of its joints' squared error with it, relative to the error without it.
+        gain_error: Standard error of the gain, from blocks of time.
         torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
-        margin: Gain beyond what a cause must bring to pay.
-        rivals: Causes that the data cannot tell from it.
-        downgrade: Why it may be another cause although nothing rivals it; empty without a reason.
+        margin: Gain beyond the threshold of confirmation.
+        rivals: Causes that the data cannot distinguish from it.
+        downgrade: Reason to call it undecided although it has no rival; else empty.
     """
 
     effect: Effect
@@ -70,12 +70,12 @@ class Finding:
 
     @property
     def pays(self) -> bool:
-        """Whether what it explains is beyond chance and noise; else others rest on it."""
+        """Whether its gain exceeds chance and noise; if not, it is kept for the sake of others."""
         return self.margin >= 0
 
     @property
     def refuted(self) -> bool:
-        """Whether the hold-out is plainly worse with it."""
+        """Whether the error on the hold-out is significantly larger with it."""
         return self.gain + _DEVIATIONS * self.gain_error < -FLOOR
 
     @property
@@ -86,14 +86,14 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """The hold-out as every model is judged by it; torques of shape (n, nv) [torque unit]."""
+    """The hold-out by which every model is judged; torques of shape (n, nv) [torque unit]."""
 
     observed: Observed  # its rows, of the given robot
     gains: Array  # torque per reading, shape (nv,)
     series: Series  # measured torque
     simulated: Array  # torque of the given model
     moves: Mask  # rows at which each joint moves, shape (n, nv)
-    floor: Array  # what noise leaves of each joint's torque, shape (nv,)
+    floor: Array  # noise floor of each joint's filtered torque, shape (nv,)
 
     @property
     def given(self) -> Array:
@@ -101,19 +101,19 @@ class HeldOut:
         return self.series.measured - self.simulated
 
     def rms(self, error: Array) -> Array:
-        """Root mean square of an error (n, nv) while joints move; of all rows of one that rests."""
+        """Root mean square of an error (n, nv) where joints move, or of all rows if never."""
         counts = np.where(self.moves.any(axis=0), self.moves, True)
         return np.asarray(np.sqrt((error**2 * counts).sum(axis=0) / counts.sum(axis=0)), float)
 
     def worse(self, predicted: Array, than: Array, share: float = 0.0) -> bool:
-        """Whether a prediction leaves more squared error than another where joints move."""
+        """Whether a prediction has a larger squared error than another, by a share, in motion."""
         measured, weight = self.series.measured, self.moves / self.series.measured.std(axis=0)
         errors = [float((((measured - tau) * weight) ** 2).sum()) for tau in (predicted, than)]
         return errors[0] > (1 + share) * errors[1]
 
 
 def held_out(robot: Robot, segments: tuple[Segment, ...], gains: Array) -> HeldOut:
-    """The hold-out of a given robot, with its torque per reading, shape (nv,)."""
+    """The hold-out of a given robot; gains are its torque per reading, shape (nv,)."""
     found = observed(robot, segments)
     floor = np.array([noise_floor(segments, j) for j in range(robot.nv)])
     moves, simulated = away_from_rest(segments), found.torque() / gains
@@ -128,10 +128,10 @@ class Extension:
     chosen: tuple[Candidate, ...]
     model: Robot  # the given robot with re-identified inertias and effects, those found included
     std: dict[str, float]  # standard deviation of each parameter, by name
-    held: Observed  # rows of the hold-out by that model
+    held: Observed  # columns of that model at the rows of the hold-out
     predicted: Array  # its torque at them, shape (n, nv) [torque unit]
-    findings: tuple[Finding, ...] = ()  # what each cause brings on the hold-out
-    refuted: frozenset[Key] = frozenset()  # called for, but the hold-out is plainly worse with them
+    findings: tuple[Finding, ...] = ()  # each cause with its gain on the hold-out
+    refuted: frozenset[Key] = frozenset()  # selected causes with which the hold-out is worse
 
 
 def unextended(evidence: Evidence, held: HeldOut) -> Extension:
@@ -141,10 +141,10 @@ def unextended(evidence: Evidence, held: HeldOut) -> Extension:
 
 @dataclass(frozen=True, eq=False)
 class Extender:
-    """Fits the given robot with causes, which are free; the rest stays within its tolerance."""
+    """Fits the given robot with added causes: these are free, all else keeps its tolerance."""
 
     prior: Array  # standard parameters of the given robot as prior, shape (nv, 10)
-    train: Observed  # what to fit, of the robot as understood so far
+    train: Observed  # columns to fit, of the model so far
     tau: Array  # measured torque at the rows, shape (n, nv) [N·m]
     held: HeldOut
     evidence: Evidence  # noise levels, and the tolerance that the data support
@@ -206,13 +206,13 @@ def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
 
 
 def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> Extension:
-    """The fit with those causes that pay on the hold-out, the least going first.
+    """The fit with the causes that the hold-out confirms, by elimination of the weakest.
 
-    Plain friction below finer friction stays, and a cause without which a new fit is clearly worse.
+    Plain friction below finer friction stays, and a cause without which the refit is clearly worse.
     """
     held, fit = extender.held, extender(chosen)
     kept, refuted = set[Candidate](), set[Key]()
-    while (worst := _least(held.observed.robot, fit, kept)) is not None:
+    while (worst := _weakest(held.observed.robot, fit, kept)) is not None:
         if fit.findings[fit.chosen.index(worst)].refuted:
             refuted.add(worst.key)
         fewer = extender([c for c in fit.chosen if c is not worst])
@@ -223,7 +223,7 @@ def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> Extension:
     return replace(fit, refuted=frozenset(refuted))
 
 
-def _least(robot: Robot, fit: Extension, kept: set[Candidate]) -> Candidate | None:
+def _weakest(robot: Robot, fit: Extension, kept: set[Candidate]) -> Candidate | None:
     for k in np.argsort([finding.margin for finding in fit.findings], kind="stable"):
         candidate: Candidate = fit.chosen[k]
         if fit.findings[k].pays:
@@ -268,7 +268,7 @@ def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...
 
 
 def _relative_gain(error: Array, torque: Array) -> tuple[float, float]:
-    """Relative fall (2a − 1)‖f‖² of the squared error, a its slope on torque f, and its error."""
+    """Relative fall (2a − 1)‖f‖² of the error, a its slope on torque f, and its std error."""
     power = (torque**2).sum()
     if power <= 0:
         return 0.0, 0.0

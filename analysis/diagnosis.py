@@ -1,4 +1,4 @@
-"""`diagnose`: what a given model gets wrong, by cause, with the gain on data not fitted."""
+"""`diagnose`: the causes of a given model's errors, each with its gain on data not fitted."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
 _NO_PLAN = Plan()
-_ROUNDS = 3  # until what the data call for no longer changes what effects rest on
+_ROUNDS = 3  # of the search at most, as effects may depend on the model that it finds
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,15 +54,15 @@ class Diagnosis:
 
     Attributes:
         robot: The given robot.
-        data: What was fitted and held out.
-        train: Rows of what was fitted, of the given robot.
-        held: The hold-out, of the given robot.
+        data: Fitted and held-out data.
+        train: Columns of the given robot at the fitted rows.
+        held: The hold-out, with the torque of the given robot.
         extension: The extended model.
         findings: Causes in order of importance.
-        given_residuals: What the given model leaves, joint by joint.
-        residuals: What the extended model leaves.
+        given_residuals: Residuals of the given model, joint by joint.
+        residuals: Residuals of the extended model.
         waterfall: Error relative to the given model's, as causes are added.
-        notes: What the user should know, as sentences.
+        notes: Remarks to the user, as sentences.
     """
 
     robot: Robot
@@ -102,7 +102,7 @@ class Diagnosis:
 
     @cached_property
     def refit(self) -> Refit:
-        """Share that wrong inertias alone would explain; Infeasible where the solver failed."""
+        """Fit of the inertias alone; raises Infeasible where the solver failed."""
         tau = series(self.data.train).measured * self.held.gains
         return refit(self.train, tau, self.held, self.extension.predicted)
 
@@ -113,18 +113,18 @@ class Diagnosis:
 
     @cached_property
     def headline(self) -> str:
-        """The most important finding in one sentence, what is doubtful about it, and what else."""
+        """The main finding in a sentence, its reservation, and the number of further findings."""
         return headline(self)
 
     @cached_property
     def curves(self) -> list[Curve]:
-        """The figure of evidence of each of `ordered`."""
+        """The figure of evidence for each item of `ordered`."""
         firsts = (item if isinstance(item, Residual) else item[0] for item in self.ordered)
         return [curve_of(self, each) for each in firsts]
 
     @cached_property
     def groups(self) -> list[list[Finding]]:
-        """Findings by cause: one group where most joints share it and its verdict, or by joint."""
+        """Findings by cause: one group per verdict where most joints share it, else by joint."""
         groups: dict[str, list[Finding]] = {}
         for finding in self.findings:
             name = finding.effect.name
@@ -136,7 +136,7 @@ class Diagnosis:
 
     @cached_property
     def ordered(self) -> list[list[Finding] | Residual]:
-        """Groups of findings, and joints with more than noise left, by the error they stand for."""
+        """Groups of findings, and joints with a visible residual, by their share of the error."""
         items: list[tuple[float, list[Finding] | Residual]] = [
             (sum(f.explained for f in group), group) for group in self.groups
         ]
@@ -144,14 +144,14 @@ class Diagnosis:
         return [item for _, item in sorted(items, key=lambda pair: -pair[0])]
 
     def share_of(self, left: Residual) -> float:
-        """Share of the given model's squared error that one joint's structure makes up."""
+        """One joint's residual beyond noise as a share of the given model's squared error."""
         rms = self.extended.rms
         given = (self.held.given / rms) ** 2
         size = rms[self.robot.joint_index(left.joint)]
         return float((left.structured / size) ** 2 / given.mean(axis=0).sum())
 
     def before_and_after(self, group: Sequence[Finding]) -> tuple[float, float]:
-        """Error on the hold-out without and with a cause, over the joints of its group, moving."""
+        """Rms error on the hold-out without and with a cause, over its joints while they move."""
         squares = []
         for finding in group:
             joints = finding.effect.affected(self.robot)
@@ -221,7 +221,7 @@ class Diagnosis:
         try:
             found = self.refit
         except ExcitantError as error:
-            return {"sentence": f"Inertias could not be fitted alone: {error}"}
+            return {"sentence": f"Re-fitting the inertias alone failed: {error}"}
         bodies = [f.effect for f in self.findings if f.effect.role != "torque"]
         wrong = {self.robot.links[row] for effect in bodies for row in effect.rows(self.robot)}
         said = found.sentence(self.robot.joints, self.data.unit, bool(self.findings), wrong)
@@ -231,7 +231,7 @@ class Diagnosis:
         try:
             return self.forward.result(self.robot)
         except ExcitantError as error:
-            return {"joints": [], "notes": [f"Not simulated forward: {error}"]}
+            return {"joints": [], "notes": [f"Forward simulation failed: {error}"]}
 
     def _repr_html_(self) -> str:
         rows = [
@@ -239,7 +239,7 @@ class Diagnosis:
             for f in self.findings
         ]
         heads = ("cause", "joints", "verdict", "rms error without it", "with it")
-        return html_table(f"What the model of {self.robot.name} gets wrong", heads, rows)
+        return html_table(f"Errors of the model of {self.robot.name} by cause", heads, rows)
 
 
 def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[str, Any]:
@@ -271,8 +271,8 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[s
             {
                 "effect": name,
                 "joints": list(joints),
-                "why": f"explains this motion as well (within {max(rival.deviations, 0.0):.1f} "
-                f"standard errors, signatures alike to |cos| = {rival.cosine:.2f})",
+                "why": f"explains this motion equally well (to {max(rival.deviations, 0.0):.1f} "
+                f"standard errors; |cos| between the signatures is {rival.cosine:.2f})",
                 **asdict(plan.of(effect, rival.candidate.effect)),
             }
             for (name, joints), (effect, rival) in rivals.items()
@@ -301,12 +301,12 @@ def diagnose(
     validate: Sequence[Recording] = (),
     cutoff_hz: float | None = None,
 ) -> Diagnosis:
-    """Name what the given model gets wrong.
+    """Find the causes of a given model's errors.
 
     Args:
         robot: The given model: inertias and effects as they are believed to be.
-        recordings: What to explain.
-        validate: What to judge on; the last 30 % of each recording when empty.
+        recordings: Recordings to explain.
+        validate: Recordings to judge on; the last 30 % of each recording when empty.
         cutoff_hz: Cut-off of the torque filter [Hz].
 
     Raises:
@@ -322,15 +322,15 @@ def diagnose(
         base = base_parameters(robot, usual)
         gains = current_gains(robot, base, train.matrix(usual), measured)[0]
         notes.append(
-            "torque came as motor current; effects are in N·m by drive gains whose common scale "
-            "rests on the given masses"
+            "torque was recorded as motor current; effects are in N·m by estimated drive gains, "
+            "whose common scale follows from the given masses"
         )
     held, tau = held_out(robot, data.validate, gains), measured * gains
     evidence = gather(robot, train, tau, tolerance_metric(prior))
     first = Extender(prior, train, tau, held, evidence)
-    fit = _understood(first)
+    fit = _iterated(first)
     if fit.refuted:
-        again = _understood(first, fit.refuted)
+        again = _iterated(first, fit.refuted)
         if held.worse(fit.predicted, again.predicted, FLOOR):
             fit = again
     if held.worse(fit.predicted, held.simulated):
@@ -351,8 +351,8 @@ def diagnose(
     return Diagnosis(robot, data, train, held, fit, tuple(judged), given, left, steps, tuple(notes))
 
 
-def _understood(first: Extender, refuted: frozenset[Key] = frozenset()) -> Extension:
-    """The model with causes that the hold-out confirms, looked for again with what it taught."""
+def _iterated(first: Extender, refuted: frozenset[Key] = frozenset()) -> Extension:
+    """The model with the causes that the hold-out confirms, searched for again with that model."""
     held, robot, metric = first.held, first.train.robot, tolerance_metric(first.prior)
     best: Extension | None = None
     extender, shapes = first, None

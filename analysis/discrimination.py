@@ -1,14 +1,14 @@
 """Separation of rival causes by a motion.
 
-Two causes A and B explain a recording alike. If A is at work as it was found, a further motion
-adds a torque s_A that B, with the coefficients and the shape that suit it best, must follow as
-well as the recording:
+Two causes A and B explain a recording equally well. If A is present as it was found, a further
+motion adds a torque s_A that B, with its best coefficients and shape, must reproduce together with
+the recording:
 
     Δ = min over η, θ_B of ‖s_A − N η − C_B θ_B‖²_Λ + ‖η‖²_prior,
 
 summed over the rows of both (T-optimality: Atkinson and Fedorov 1975). N are given values within
-their tolerance and the other causes, Λ the noise with its autocorrelation. The smaller of both ways
-round counts; where one is a special case of the other, only the general one can show more.
+their tolerance and the other causes, Λ the noise with its autocorrelation. The smaller Δ of the two
+directions counts; where one is a special case of the other, only the general one can be A.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 
 POWER, LEVEL = 0.9, 0.05
 MOST_RUNS = 10
-_ALIKE_LEVEL = 0.001  # where signatures are alike, as `diagnose` takes more for
-_LOOSE = 1e-9  # prior precision of what only the data decide, of its own information
+_ALIKE_LEVEL = 0.001  # where signatures are alike, for which `diagnose` is stricter
+_LOOSE = 1e-9  # prior precision of free coefficients, relative to their information
 _SAMPLES = 2.0  # of a motion per row
 _ROWS = 4.0  # rows per period of the cut-off, as many as recordings are decimated to
 
@@ -49,8 +49,8 @@ class Separation:
     """Separation of two causes by a motion."""
 
     delta: float  # Δ in squared standard deviations of the noise
-    cosine: float  # between the one cause's torque and the best that the other makes of it
-    repetitions: int | None  # runs until `diagnose` decides; None where `MOST_RUNS` do not do
+    cosine: float  # between one cause's torque and its best imitation by the other
+    repetitions: int | None  # runs until `diagnose` decides; None where `MOST_RUNS` are too few
 
     @property
     def enough(self) -> bool:
@@ -62,36 +62,36 @@ class Separation:
 class Pair:
     """Two causes of which either explains a recording."""
 
-    found: Effect  # with the values that it adds to what is given
-    rival: Effect  # its values do not count
+    found: Effect  # its values relative to those of the given model
+    rival: Effect  # its values are ignored
     beside: tuple[Effect, ...] = ()  # further causes, whose coefficients the data decide
 
 
 @dataclass(frozen=True, eq=False)
 class Contest:
-    """Pairs of rival causes at one arm, to be told apart by one more motion."""
+    """Pairs of rival causes of one arm, to be separated by a further motion."""
 
-    robot: Robot  # as given, its values right within their tolerance
-    model: Robot  # as understood so far; causes that rest on torque take it from here
+    robot: Robot  # as given, its values correct within their tolerance
+    model: Robot  # of the diagnosis; causes that depend on torque take that of this model
     pairs: tuple[Pair, ...]
     weight: Array  # Λ: 1 / (variance × autocorrelation time) of each joint's noise, shape (nv,)
     cutoff_hz: float = 10.0  # of the filter that torque and columns pass
-    recorded: tuple[Segment, ...] = ()  # what both causes explain
+    recorded: tuple[Segment, ...] = ()  # the recording, which both causes explain
     tolerance: float = TOLERANCE  # relative standard deviation of the given values
 
     @cached_property
     def causes(self) -> dict[Effect, slice]:
         """Columns of all causes in all their shapes, after those of the given values."""
         start = 10 * self.robot.nv + sum(len(e.values or ()) for e in self.robot.effects)
-        places: dict[Effect, slice] = {}
+        columns: dict[Effect, slice] = {}
         for pair in self.pairs:
             shapes = *self._shapes(pair.found), *self._shapes(pair.rival)
             for effect in (*shapes, *(effect.bare() for effect in pair.beside)):
-                if effect not in places:
+                if effect not in columns:
                     size = len(effect.parameters(self.robot))
-                    places[effect] = slice(start, start + size)
+                    columns[effect] = slice(start, start + size)
                     start += size
-        return places
+        return columns
 
     @cached_property
     def precision(self) -> Array:
@@ -102,7 +102,7 @@ class Contest:
 
     @cached_property
     def known(self) -> Array:
-        """Information of what was recorded, shape (columns, columns)."""
+        """Information of the recording, shape (columns, columns)."""
         if not self.recorded:
             size = max(at.stop for at in self.causes.values())
             return np.zeros((size, size))
@@ -110,13 +110,13 @@ class Contest:
 
     @cached_property
     def imitations(self) -> tuple[Array, ...]:
-        """Coefficients with which each rival explains the recording as the one found does."""
+        """Coefficients with which each rival best imitates the cause found in the recording."""
         R, floor = _without_given(self.known, self.precision)
         found = []
         for pair in self.pairs:
-            at, beside = self._places(pair.found), self._beside(pair)
+            at, beside = self._indices(pair.found), self._beside(pair)
             b = R[:, at] @ np.array(pair.found.values)
-            both = [*beside, *self._places(pair.rival)]
+            both = [*beside, *self._indices(pair.rival)]
             found.append(_explaining(R, floor, both, b)[len(beside) :])
         return tuple(found)
 
@@ -147,7 +147,7 @@ class Contest:
         return self._gram((along(motion, self.cutoff_hz, self.rows_hz),))
 
     def separations(self, information: Array) -> list[Separation]:
-        """Separation of every pair by what was recorded and a motion of this information."""
+        """Separation of every pair by the recording and a motion of this information."""
         R, floor = _without_given(self.known + information, self.precision)
         found = []
         for pair, imitation in zip(self.pairs, self.imitations, strict=True):
@@ -162,8 +162,8 @@ class Contest:
         return found
 
     def counted(self, information: Array) -> list[Separation]:
-        """Separation of every pair, the runs counted with what the given values' prior allows."""
-        # the price of given values that are off does not grow with the number of runs
+        """Separation of every pair, with its number of runs by repeated evaluation."""
+        # the prior cost of wrong given values does not grow with the number of runs
         once = self.separations(information)
         runs: list[int | None] = [None] * len(once)
         for n in range(MOST_RUNS, 0, -1):
@@ -175,13 +175,13 @@ class Contest:
     def _apart(
         self, R: Array, floor: Array, beside: list[int], true: Effect, value: Array, other: Effect
     ) -> Separation:
-        at = self._places(true)
+        at = self._indices(true)
         b = R[:, at] @ value
         whole = float(value @ b[at])
         whole -= float(b[beside] @ _explaining(R, floor, beside, b)) if beside else 0.0
         left = whole
         for shape in self._shapes(other):
-            columns = [*beside, *self._places(shape)]
+            columns = [*beside, *self._indices(shape)]
             explained = float(b[columns] @ _explaining(R, floor, columns, b))
             left = min(left, float(value @ b[at]) - explained)
         left = float(np.clip(left, 0.0, max(whole, 0.0)))
@@ -191,16 +191,16 @@ class Contest:
     def _shapes(self, effect: Effect) -> list[Effect]:
         return effect.alternatives(self._facts[self.robot.joint_index(effect.joints[0])])
 
-    def _places(self, effect: Effect) -> list[int]:
+    def _indices(self, effect: Effect) -> list[int]:
         at, skip = self.causes[effect.bare()], len(self.precision)
         return list(range(at.start - skip, at.stop - skip))
 
     def _beside(self, pair: Pair) -> list[int]:
-        return [column for effect in pair.beside for column in self._places(effect)]
+        return [column for effect in pair.beside for column in self._indices(effect)]
 
     def _gram(self, segments: Sequence[Segment]) -> Array:
         """Weighted products of all columns at the rows of segments, those at rest left out."""
-        # A joint that is slow beside what was recorded of it rests
+        # a joint rests while it is slow relative to its recorded motion
         W = np.concatenate(list(self._blocks(segments)), axis=2)
         problem = dense(W, np.zeros(W.shape[:2]), [str(k) for k in range(W.shape[2])])
         counts = away_from_rest(segments, top_speed(self.recorded) if self.recorded else 0.0)
@@ -218,14 +218,14 @@ class Contest:
             yield cause_columns(effect, given, understood)
 
     def _links(self, segment: Segment) -> Array:
-        """Regressor at the rows; that of a motion yet to be run has little for the filter."""
+        """Regressor at the rows, unfiltered for a motion yet to be run, which is smooth."""
         if segment in self.recorded:
             return segment.rows(lambda m: regressor(self.robot, m))
         return regressor(self.robot, segment.motion[segment.keep])
 
 
 def along(motion: Motion, cutoff_hz: float, rows_hz: float | None = None) -> Segment:
-    """An equidistant motion as prepared, at four rows per period of the cut-off by default."""
+    """Segment of an equidistant motion, at four rows per period of the cut-off by default."""
     step, still = float(motion.t[1] - motion.t[0]), np.zeros_like(motion.q)
     edge = round(1 / (cutoff_hz * step))
     stride = max(1, round(1 / ((rows_hz or _ROWS * cutoff_hz) * step)))
@@ -234,7 +234,7 @@ def along(motion: Motion, cutoff_hz: float, rows_hz: float | None = None) -> Seg
 
 
 def repetitions(delta: float, power: float = POWER, level: float = LEVEL) -> int:
-    """Runs that tell two causes apart with this probability at this level.
+    """Runs that separate two causes with this power at this level of significance.
 
     The difference of the squared errors that they leave (Vuong 1989) has mean N Δ and standard
     deviation 2 √(N Δ), so N = 4 (z_{level/2} + z_{1−power})² / Δ.
@@ -249,7 +249,7 @@ def needed(power: float = POWER, level: float = LEVEL) -> float:
 
 
 def _without_given(information: Array, precision: Array) -> tuple[Array, Array]:
-    """Information on causes once the given values may take what they can, and its rounding."""
+    """Information on causes with the given values eliminated, and its rounding error."""
     p = len(precision)
     A = information[:p, :p] + np.diag(precision)
     half = scipy.linalg.solve_triangular(np.linalg.cholesky(A), information[:p, p:], lower=True)
@@ -258,7 +258,7 @@ def _without_given(information: Array, precision: Array) -> tuple[Array, Array]:
 
 
 def _explaining(R: Array, floor: Array, columns: Sequence[int], b: Array) -> Array:
-    """Coefficients of columns that explain most of a torque with inner products b."""
+    """Coefficients of columns that best explain a torque of inner products b with all columns."""
     at = list(columns)
     scale = np.sqrt(np.maximum(np.diag(R)[at], floor[at]))
     A = R[np.ix_(at, at)] / np.outer(scale, scale) + _LOOSE * np.eye(len(at))

@@ -28,25 +28,25 @@ from excitant.robots.robot import Robot
 _MATTERS = 0.01  # share of the given model's error that a finding explains, at least
 _DURATION = 20.0  # s of a motion
 _MOST = 3  # motions
-_NEAREST = 0.01  # m: a recording that comes nearer says that the collision shapes are too rough
+_NEAREST = 0.01  # m: where the recording comes nearer, the collision shapes are too rough
 HOPELESS = 4.0  # Δ below which no motion is worth running
 _SCREENED, _REFINED = 48, 48  # motions judged, at most
 _SCREENING = 0.5  # of the time, at most
-_PLENTY = 6.0  # times the Δ that is needed: more is of no use
-_MUCH_BETTER = 1.5  # times the Δ of a motion must another promise to be run too
+_PLENTY = 6.0  # times the Δ required: more is of no use
+_MUCH_BETTER = 1.5  # times a motion's Δ that another one must promise to be run too
 _TOP_HZ = 2.5  # fastest reversals
 _WAVES = (3, 5, 10, 20)  # harmonics of random motions
-_HELD = 0.5  # probability that a joint of no interest stands still
+_HELD = 0.5  # probability that a joint of no interest is held
 _SMALLEST = 0.01  # of the limits: smallest movement of a joint of interest
 _SHRINKS, _DRAWS = 6, 8
 _TORQUE_SHARE = 0.98
 _ROOM = 0.97  # of the limits at the samples
-_POSES = 60  # looked at for clearance before it is certified
+_POSES = 60  # checked for clearance before it is certified
 
 
 @dataclass(frozen=True, eq=False)
 class Discriminating:
-    """A motion with what it tells apart."""
+    """A motion and the separations that it achieves."""
 
     trajectory: FourierTrajectory  # within all limits
     separations: tuple[Separation, ...]  # one per pair of the contest
@@ -64,10 +64,10 @@ def discriminating_motions(
     time_limit: float = 15.0,
     scene: Scene | None = None,
 ) -> tuple[list[Discriminating], Array]:
-    """Motions that tell rivals apart, and the largest Δ of each pair judged, shape (pairs,).
+    """Motions that separate rivals, and the largest Δ found for each pair, shape (pairs,).
 
-    The motion that settles most pairs is improved by random changes until its smallest Δ is plenty;
-    pairs that it leaves open get another. Bodies of a scene must keep apart.
+    The best motion is improved by random changes until its smallest Δ is ample; pairs that it
+    leaves open get another. Bodies of a scene must keep their clearance.
     """
     deadline = time.monotonic() + time_limit
     series = FourierSeries(_DURATION, max(*_WAVES, round(_TOP_HZ * _DURATION)))
@@ -101,18 +101,18 @@ class _Search:
 
     @cached_property
     def instants(self) -> tuple[Array, list[Array]]:
-        """When motions are judged, and the basis of q, q̇ and q̈ then."""
+        """Instants at which motions are judged, and the basis of q, q̇ and q̈ there."""
         t = self.contest.instants(self.series.period)
         return t, [self.series.basis(t, order) for order in range(3)]
 
     @cached_property
     def samples(self) -> tuple[Array, list[Array]]:
-        """When limits are looked at, and the basis of q and its derivatives then."""
+        """Instants at which limits are checked, and the basis of q and its derivatives there."""
         t = np.linspace(0.0, self.series.period, 8 * self.series.harmonics + 1)
         return t, [self.series.basis(t, order) for order in range(4)]
 
     def screened(self, until: float) -> list[Discriminating]:
-        """Motions of all kinds in turn, judged; those that find no way into the limits left out."""
+        """Motions of all kinds in turn, judged; those that cannot meet the limits are left out."""
         pool: list[Discriminating] = []
         for k in range(_SCREENED):
             drawn = self._sweep() if k % 4 else self._random(_WAVES[k // 4 % len(_WAVES)])
@@ -132,7 +132,7 @@ class _Search:
         return Discriminating(trajectory, tuple(separations))
 
     def best(self, pool: list[Discriminating], open_: Array) -> Discriminating | None:
-        """The motion of a pool that tells most of what is open, of those that keep the limits."""
+        """The motion of a pool that best separates the open pairs within the limits."""
         for motion in sorted(pool, key=lambda m: -_worth(m.deltas[open_])):
             if self._clear(motion.trajectory) and self._kept(motion.trajectory) is not None:
                 return motion
@@ -188,7 +188,7 @@ class _Search:
         return joints or set(range(self.robot.nv))
 
     def _sweep(self) -> FourierTrajectory | None:
-        """Joints of interest reverse within a swelling envelope; the others rest or wave."""
+        """Joints of interest reverse within a swelling envelope; the others rest or oscillate."""
         series = self.series
         middle, half = position_range(self.robot.limits)
         for _ in range(_DRAWS):
@@ -297,7 +297,7 @@ def _within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
 
 
 def plan(diagnosis: Diagnosis, rng: np.random.Generator, *, time_limit: float = 15.0) -> Plan:
-    """Experiments that settle what a diagnosis leaves undecided, in time_limit seconds."""
+    """Experiments that settle an undecided diagnosis, found in about time_limit seconds."""
     contest, around = _contest(diagnosis), _surroundings(diagnosis)
     if not contest.pairs:
         return Plan()
@@ -352,7 +352,7 @@ def _friction(robot: Robot, found: Effect, rival: Effect, others: Sequence[Effec
 
 
 def _surroundings(diagnosis: Diagnosis) -> Scene | None:
-    """The arm's own bodies, where the recording bears out their shapes."""
+    """The arm's own bodies, where the recording does not contradict their shapes."""
     q, found = diagnosis.states[0], None
     with suppress(ValueError, RuntimeError):
         found = scene(diagnosis.robot)
@@ -374,7 +374,7 @@ def _experiment(
 ) -> Advice:
     action = pair.found.told_from(pair.rival)
     if best is None:
-        return Advice(f"no motion within the limits was found to tell them apart: {action}")
+        return Advice(f"no motion within the limits was found that separates them: {action}")
     runs, deviations = best.separations[index].repetitions, np.sqrt(best.deltas[index])
     file = f"separate-{motions.index(best) + 1}.csv"
     often = "one run is enough" if runs == 1 else f"{runs} runs are needed, or else: {action}"
@@ -384,7 +384,7 @@ def _experiment(
 
 
 def described(trajectory: FourierTrajectory, robot: Robot) -> str:
-    """A motion in a few words: what moves how fast and how often it reverses."""
+    """A motion in a few words: which joints move, how fast, and how often they reverse."""
     motion = trajectory.motion(100.0)
     speed = np.abs(motion.dq).max(axis=0)
     moving = np.flatnonzero(speed > 1e-3)

@@ -1,15 +1,15 @@
-"""Evidence for candidate causes: how much better the data are explained with them than without.
+"""Evidence for candidate causes: how much better they explain the data.
 
-The residual of the given model is r = N η + C θ + e. The nuisance N η is what the given model's
-own values may be off within their tolerance, η ~ N(0, tolerance²); a candidate adds columns C
-with coefficients θ that only the data decide; e is noise with one level per joint. For a set S of
+The residual of the given model is r = N η + C θ + e. The nuisance N η is the error of the given
+model's own values within their tolerance, η ~ N(0, tolerance²); a candidate adds columns C with
+coefficients θ that only the data decide; e is noise with one level per joint. For a set S of
 candidates
 
     J(S) = min over η, θ_S of  ‖r − N η − C_S θ_S‖²_Λ + ‖η‖²_prior.
 
-A candidate of k columns that is not at work lowers J by λ χ²_k; residuals are far from white, so λ
-is measured from sums of its score over blocks of time (Rao and Scott 1984). Given values are taken
-as right to ±10 %, and to less where the median of their deviations is less (empirical Bayes).
+A candidate of k columns that is not present lowers J by λ χ²_k; residuals are far from white, so λ
+is estimated from sums of its score over blocks of time (Rao and Scott 1984). Given values are taken
+as correct to ±10 %, or better where the median of their deviations is smaller (empirical Bayes).
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from excitant.robots.robot import Robot
 Key = tuple[str, tuple[str, ...]]
 """Effect and joints."""
 
-FALSE_ALARM = 0.05  # that any candidate enters when none is at work; the hold-out confirms it
+FALSE_ALARM = 0.05  # probability that any candidate enters when none is present
 _ROUNDS = 3  # of estimating the noise
 _RIDGE = 1e-3  # of a candidate's information that other blocks hold, at least
 _ROUNDING = 1e-12  # of a column, below which it cannot be told from those before
-_LEAST = 0.5  # λ: noise whose correlation helps a candidate is not relied on further
-_LOOSE = 0.01  # of the prior precision, where only the noise is asked for
-_BLOCK_S = 0.5  # s at least: longer than noise that passed the torque filter stays correlated
+_LEAST = 0.5  # λ at least, also where correlation of the noise favours a candidate
+_LOOSE = 0.01  # of the prior precision, where only the noise is estimated
+_BLOCK_S = 0.5  # s, at least: longer than the correlation time of filtered torque noise
 _BLOCKS = (16, 40)  # at least, at most
-_DETERMINED = 25.0  # data over prior information of a direction that counts
+_DETERMINED = 25.0  # least ratio of data to prior information in a direction that counts
 _FEWEST = 8  # such directions, to judge the tolerance by
 _MEDIAN = 0.4549  # of χ² with one degree of freedom
 _RANGE = (0.02, 1.0)  # of the tolerance
@@ -47,12 +47,12 @@ _UNKNOWN = 400.0  # tolerances: a link may be twenty times as heavy as a placeho
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A cause that may be at work."""
+    """A cause that may be present."""
 
     effect: Effect  # its shape fixed
     columns: slice  # among those of the evidence
     scale: Array  # coefficient in units of the effect per unit of the column's coordinate, (k, k)
-    trials: int = 1  # number of shapes that this one is the best of
+    trials: int = 1  # number of shapes of which this one is the best
 
     @property
     def key(self) -> Key:
@@ -67,7 +67,7 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Weighted columns of all candidates, after those of the nuisance, which is always at work."""
+    """Weighted columns of all candidates, after those of the nuisance, which are always active."""
 
     problem: Regression  # for the residual of the given model; rows that do not count are zero
     counted: Array  # number of rows that count, shape (nv,)
@@ -75,10 +75,10 @@ class Evidence:
     nuisance: int  # number of its columns
     candidates: tuple[Candidate, ...]
     blocks: Index  # first row of each block of time
-    by_share: bool  # false alarms as a share of what is found (Benjamini and Gavrilov 2009), or any
+    by_share: bool  # bound the false discovery rate (Benjamini and Gavrilov 2009), not any alarm
     sigma: Array  # noise of each joint [N·m], shape (nv,)
     inflation: Array  # integrated autocorrelation time of the noise [rows], shape (nv,)
-    tolerance: tuple[float, float] = (1.0, 1.0)  # of given bodies and effects, over the usual one
+    tolerance: tuple[float, float] = (1.0, 1.0)  # of given bodies and effects, relative to ±10 %
 
     @property
     def weight(self) -> Array:
@@ -106,7 +106,7 @@ class Evidence:
         return float(self.products[-1, -1])
 
     def solve(self, chosen: Sequence[Candidate]) -> tuple[Array, Array]:
-        """Coordinates of all columns (zero where not at work) and their covariance."""
+        """Coordinates of all columns (zero where inactive) and their covariance."""
         active = self.active(chosen)
         factor = scipy.linalg.cho_factor(self._information(active), lower=True)
         coordinates, covariance = np.zeros(len(self.moment)), np.zeros_like(self.gram)
@@ -149,7 +149,7 @@ class Evidence:
 
     def threshold(self, candidate: Candidate, beside: int = 0) -> float:
         """Fall of J over λ that a candidate must exceed beside others, the search accounted for."""
-        # the noise behind λ is known from as many blocks as there are, and half from theory
+        # λ is estimated from the blocks and, to one half, known from theory
         alarms = FALSE_ALARM * (1 + beside if self.by_share else 1)
         tail, size = alarms / (len(self.candidates) * candidate.trials), candidate.size
         return size * _fisher_quantile(tail, size, 2 * size * (len(self.blocks) - 1))
@@ -158,7 +158,7 @@ class Evidence:
         """λ of a candidate added to a set: variance of its score over that of white noise.
 
         Scores are scaled up by the block's share in the fit (Bell and McCaffrey 2002); few blocks
-        know λ badly, so it is shrunk half-way to 1.
+        estimate λ badly, so it is shrunk half-way to 1.
         """
         active = self.active(chosen)
         at = np.arange(candidate.columns.start, candidate.columns.stop)
@@ -198,7 +198,7 @@ class Evidence:
         return np.asarray(np.add.reduceat(squares, self.blocks), float)
 
     def separate_joints(self, chosen: Sequence[Candidate], cause: Candidate) -> tuple[float, int]:
-        """Fall of J when each joint has its own coefficients of a cause, and how many more."""
+        """Fall of J when each joint has its own coefficients of a cause, and their extra number."""
         active = self.active(chosen)
         grams, crosses, moments, used = [], [], [], set[int]()
         for j, here in self.acting(cause):
@@ -220,14 +220,14 @@ class Evidence:
         return float(left @ np.linalg.lstsq(G, left, rcond=1e-9)[0]), len(left) - len(used)
 
     def acting(self, cause: Candidate) -> Iterator[tuple[int, Index]]:
-        """Joints that a cause's columns act on, each with where these are among the joint's own."""
+        """Joints on which a cause acts, each with the indices of its columns among the joint's."""
         for j, at in enumerate(self.problem.index):
             here = np.flatnonzero((at >= cause.columns.start) & (at < cause.columns.stop))
             if len(here):
                 yield j, here
 
     def active(self, chosen: Sequence[Candidate]) -> Index:
-        """Columns that are at work with a set."""
+        """Active columns of a set: those of the nuisance and of its candidates."""
         return np.asarray(np.r_[(slice(0, self.nuisance), *(c.columns for c in chosen))], np.intp)
 
     def _information(self, active: Index) -> Array:
@@ -274,9 +274,9 @@ def weigh(
 
 
 def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
-    """The same evidence with the noise that a rough model leaves.
+    """The same evidence with noise levels from the residual of a rough model.
 
-    It has every common cause at once and loose given values, so that no cause passes for noise.
+    It has every usual cause at once and loose given values, so that no cause is taken for noise.
     """
     rough = [*chosen, *(c for c in evidence.candidates if c.effect.usual and c not in chosen)]
     for _ in range(_ROUNDS):
@@ -291,7 +291,7 @@ def _noise(e: Array, counted: Array) -> tuple[Array, Array]:
 
 
 def are_placeholders(robot: Robot) -> bool:
-    """Whether all links weigh the same, as those of no arm of three joints or more do."""
+    """Whether all links, three or more, have the same mass, as in no real arm."""
     mass = robot.phi[::10]
     return len(mass) > 2 and bool(np.allclose(mass, mass[0], rtol=1e-6))
 

@@ -1,8 +1,8 @@
-"""An experiment to judge an arm by, planned or recorded, and what the prior decides in it.
+"""A planned or recorded experiment, and the influence of the prior on its result.
 
-The prior is moved along the null space of the observation matrix, along what it shows worst and in
-random directions, always to bodies that can exist; the physically consistent fit is repeated, and
-each entry compared with how far its prior was moved: 1, the prior alone decides; 0, the data do.
+The prior is perturbed along the null space of the observation matrix, along its weakest directions
+and in random ones, always to physically consistent bodies; the fit is repeated, and the change of
+each parameter divided by that of its prior: 1, the prior alone decides; 0, the data do.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names, observation_columns, torque
 
-STEP = 0.2  # of a link's inertia in any direction, by which the prior is moved
-_NOTHING = 0.01  # of an entry's uncertainty, below which a kind says nothing of it
+STEP = 0.2  # perturbation of the prior, relative to a link's inertia in any direction
+_NOTHING = 0.01  # of a parameter's uncertainty: a kind that reaches less is ignored
 _DRAWS = 8  # perturbations in the null space, and random ones
 _RESTS = 0.01  # rad or m: a joint that moves less than this rests
-_FLAT = 1e-3  # of the prior's second moment in some direction: the body is at its limit
+_FLAT = 1e-3  # of the prior's second moment in some direction: at the limit of consistency
 
 Response = Callable[[Array], Array]
 """Change of the estimate, shape (p,), when the prior is changed by δ, shape (p,)."""
@@ -91,7 +91,7 @@ class Prior:
         return float(np.abs(np.append(self.stretches(w), w[10 * self.links :])).max(initial=0.0))
 
     def at_limit(self, x: Array) -> tuple[int, ...]:
-        """Links of x, shape (p,), that are flat or thin beyond what a body can be, but a hair."""
+        """Links of x, shape (p,), at the limit of physical consistency: almost flat or thin."""
         w = np.asarray(np.linalg.solve(self.L, x - self.mean), float)
         smallest = 1 + self.stretches(w)[:, 0]
         return tuple(int(k) for k in np.flatnonzero(smallest < _FLAT))
@@ -109,22 +109,22 @@ def prior_of(phi: Array, effects: EffectPrior) -> Prior:
 class PriorInfluence:
     """Sensitivity of each parameter to the prior, by kind of perturbation (`KINDS`)."""
 
-    ratio: Array  # move of each entry over that of its prior, (3, p); NaN where that stays
-    reach: Array  # share of each entry's prior uncertainty that a kind reaches, shape (3, p)
-    linear: Array  # what the ratio would be without constraints of physics, shape (3, p)
-    base_move: Array  # largest move of each base parameter, in standard deviations, shape (r,)
-    refits: int  # number of fits behind it; 0 where the move follows from linear theory
+    ratio: Array  # change of each parameter over that of its prior, (3, p); NaN where that is 0
+    reach: Array  # share of each parameter's prior uncertainty that a kind reaches, (3, p)
+    linear: Array  # ratio without the constraints of physical consistency, shape (3, p)
+    base_move: Array  # largest change of each base parameter, in standard deviations, (r,)
+    refits: int  # number of refits; 0 where the change follows from linear theory
 
     @property
     def overall(self) -> Array:
-        """Largest ratio of the kinds that reach a material part of the entry, shape (p,)."""
+        """Largest ratio of the kinds with a material reach, shape (p,)."""
         return follows(self.ratio, self.reach)
 
     @property
     def decided_by(self) -> tuple[str, ...]:
-        """Source of each entry: ``data``, ``prior``, or ``physics`` where the prior would.
+        """Source of each parameter: ``data``, ``prior``, or ``physics`` in place of the prior.
 
-        There the body is at the limit of what can exist, and stays so wherever the prior is.
+        There the body is at the limit of physical consistency, and stays so for any prior.
         """
         free = follows(self.linear, self.reach)
         return tuple(
@@ -141,14 +141,14 @@ def prior_influence(
     rng: np.random.Generator,
     response: Response | None = None,
 ) -> PriorInfluence:
-    """Move the prior in several directions of each kind and see what the estimate x (p,) does.
+    """Change of the estimate x (p,) when the prior is perturbed in directions of each kind.
 
-    Regrouping (r, p) gives base parameters; without a response by refits, linear theory does.
+    Regrouping (r, p) gives base parameters; without a response by refits, linear theory is used.
     """
     s, Vt = prior.directions(information.R)
     silent = s <= UNSEEN * s.max(initial=0.0)
     null, weak, p = Vt[silent], Vt[~silent][-WEAKEST:], len(prior.mean)
-    steps = {  # projected, so that they do not depend on which basis of the null space is at hand
+    steps = {  # projected, so that they do not depend on the basis of the null space
         "null space": [rng.normal(size=p) @ null.T @ null for _ in range(_DRAWS) if len(null)],
         "weakly seen": list(weak),
         "random": [_random_bodies(prior, rng) for _ in range(_DRAWS)],
@@ -172,7 +172,7 @@ def prior_influence(
 
 
 def _ratio(moves: Array, given: Array, prior: Prior) -> Array:
-    """Change of entries over that of their prior; NaN where it did not change, shape (p,)."""
+    """Change of parameters over that of their prior; NaN where that is unchanged, (p,)."""
     got, size = (np.sqrt((values**2).sum(axis=0)) for values in (moves, given))
     unmoved, std = np.full(len(size), np.nan), np.linalg.norm(prior.L, axis=1)
     return np.asarray(np.divide(got, size, out=unmoved, where=size > 1e-9 * std), float)
@@ -189,7 +189,7 @@ def _random_bodies(prior: Prior, rng: np.random.Generator) -> Array:
 
 
 def refits(estimate: Estimate, rows: FitRows) -> Response:
-    """Moves of an estimate by its fit from another prior, distances as around the original."""
+    """Response of an estimate to another prior by a refit, in the metric of the original one."""
     R, z = rows.regression.factor(estimate.least_squares.weight)
     phi, effects = estimate.prior.reshape(-1, 10), rows.open_prior
     links = phi.size
@@ -211,11 +211,11 @@ class Experiment:
 
     sigma: Array  # noise of the measured joints' torque, per independent row, shape (rows,) [N·m]
     information: MotionInformation
-    x: Array  # values of all parameters, zero where not known, shape (p,)
+    x: Array  # values of all parameters, zero where unknown, shape (p,)
     known: tuple[bool, ...]  # which of them are known
     beta: Array  # values of the base parameters, shape (r,)
-    prior: Prior | None  # what is known without data; None where a link has no mass
-    std: Array | None  # standard deviation of each parameter with the prior counted in, shape (p,)
+    prior: Prior | None  # knowledge without data; None where a link has no mass
+    std: Array | None  # standard deviation of each parameter, prior included, shape (p,)
     influence: PriorInfluence | None
     motion: Motion  # or the longest stretch of a recording
     q: Array  # positions at all rows, shape (n, nv) [rad or m]
@@ -249,7 +249,7 @@ def planned_experiment(
         prior = prior_of(prior_parameters(robot), nothing)
         influence = prior_influence(seen, base.regrouping, prior, x, np.random.default_rng(0))
     except BadRobot as error:
-        notes.append(f"there is no prior to count in: {error.why}")
+        notes.append(f"the prior is left out: {error.why}")
     how = "as given" if noise is not None else f"of {100 * TORQUE_NOISE:g} % of each limit"
     return Experiment(
         sigma=sigma,
@@ -270,7 +270,7 @@ def planned_experiment(
 def recorded_experiment(
     robot: Robot, base: BaseParameters, estimate: Estimate, rng: np.random.Generator | None = None
 ) -> Experiment:
-    """Result of a recording; with a generator, the prior's influence is from refits."""
+    """Experiment of an estimate; with a generator, the prior's influence is from refits."""
     fit, effects = estimate.least_squares, estimate.model.effects
     rows = _clean(fit_rows(robot, effects, estimate.base, estimate.data))
     sigma = fit.sigma * np.sqrt(fit.inflation)
@@ -284,12 +284,12 @@ def recorded_experiment(
     if flat := prior.at_limit(x):
         names = ", ".join(robot.links[k] for k in flat)
         notes.append(
-            f"at the limit of what a body can have: {names}; the data alone would go beyond"
+            f"at the limit of physical consistency: {names}; the data alone would go beyond"
         )
     if estimate.data.unit == "A":
         notes.append(
-            "torque came as current: all values hang on one common scale that currents do not "
-            f"show; a known payload of {PAYLOAD_KG:g} kg would show it to "
+            "torque was recorded as current: all values share one scale that currents do not "
+            f"show; a known payload of {PAYLOAD_KG:g} kg would determine it to "
             f"±{100 * scale_deviation(robot, effects, sigma):.2g} % in ten seconds of motion of "
             "all joints"
         )
@@ -316,10 +316,10 @@ def identify_shown(
     *,
     validate: Sequence[Recording] = (),
 ) -> Estimate:
-    """Identify the base parameters that a recording's own motion has, be they few.
+    """Identify the base parameters that a recording's own motion excites, however few.
 
-    Base parameters are taken from the recorded rows in place of random states, so that a motion
-    that rests a joint is no error; what it leaves open stays at the prior.
+    Base parameters follow from the recorded rows in place of random states, so that a joint at
+    rest is no error; what the motion does not determine stays at the prior.
 
     Arguments are those of `identify_robot`.
 
@@ -340,7 +340,7 @@ def identify_shown(
 
 
 def _clean(rows: FitRows) -> FitRows:
-    """The rows without columns that are rounding alone, of which nothing is known beforehand."""
+    """The rows with columns that are rounding alone set to zero."""
     known = rows.regression
     clean = dense(without_rounding(known.W), known.tau, known.names)
     return replace(rows, regression=clean)

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from excitant.analysis.confirmation import Finding
     from excitant.analysis.diagnosis import Diagnosis
 
-_SMALL = 0.1  # of what a cause explains whose shape is known roughly
+_SMALL = 0.1  # of what a cause of roughly known shape explains
 _LITTLE = 0.05  # of the squared torque of a cause that acts on several joints
-_MATTERS = 0.3  # of what a cause does to the joint where it shows most
+_MATTERS = 0.3  # of a cause's torque at the joint where it is largest
 _MOSTLY = 0.5  # of what findings explain, or of a joint's squared error
 _PLAINLY = 3.0  # times the noise
 _DRAWN_OVER = {"": "time", "constant": "time", "direction": "velocity"}
@@ -29,7 +29,7 @@ _DRAWN_OVER = {"": "time", "constant": "time", "direction": "velocity"}
 def reason_to_downgrade(found: Finding, others: Sequence[Finding], left: Sequence[Residual]) -> str:
     """Reason to downgrade a confirmed cause without rivals to undecided; half a sentence."""
     effect, torque = found.effect, found.torque
-    # what a cause on several joints leaves on some counts sooner: it has to explain them all
+    # a cause on several joints has to explain them all, so a smaller residual counts
     several = bool(torque.any(axis=0).sum() > 1)
     scale = np.array([r.floor for r in left])
     if (scale > 0).all():
@@ -39,14 +39,14 @@ def reason_to_downgrade(found: Finding, others: Sequence[Finding], left: Sequenc
         enough = _LITTLE if several else 1.0
         if (unknown[main] ** 2).sum() > enough * (size[main] ** 2).sum():
             if several:
-                return "it acts on several joints at once, and what it leaves on some is not small"
+                return "it acts on several joints at once, and the residual on some is not small"
             return "more is left unexplained on its joints than it explains"
-    # what a shape misses of a large cause looks like a small one
+    # the misfit of a large cause's shape looks like a small cause
     for other in others:
         same = {*effect.joints} <= {*other.effect.joints}
         if same and other.effect.shapes and found.explained < _SMALL * other.explained:
             name = plain(other.effect.name)
-            return f"it is small beside {name}, whose shape is only roughly known"
+            return f"it is small compared with {name}, whose shape is only roughly known"
     return ""
 
 
@@ -55,14 +55,14 @@ def placeholders(diagnosis: Diagnosis) -> str:
     if not are_placeholders(diagnosis.robot):
         return ""
     return (
-        f"All links of the given model weigh {diagnosis.robot.phi[0]:.3g} kg, which looks like "
+        f"All links of the given model weigh {diagnosis.robot.phi[0]:.3g} kg, which suggests "
         "placeholders: their inertias are fitted together with the causes. A payload or a wrong "
-        "link cannot be told from them."
+        "link cannot be distinguished from them."
     )
 
 
 def at_rest(diagnosis: Diagnosis) -> str:
-    """Joints whose error lies mostly where they rest, which no finding rests on; else empty."""
+    """Note on joints whose error lies mostly at rest, which is not judged; else empty."""
     said = []
     for j, left in enumerate(diagnosis.residuals):
         squares, rests = diagnosis.left[:, j] ** 2, ~diagnosis.held.moves[:, j]
@@ -70,29 +70,29 @@ def at_rest(diagnosis: Diagnosis) -> str:
             continue
         rms = float(np.sqrt(squares[rests].mean()))
         if rms > _PLAINLY * left.floor:
-            said.append(f"{left.joint} errs by {rms:.2g} {diagnosis.data.unit} where it rests")
+            said.append(f"{left.joint} has an error of {rms:.2g} {diagnosis.data.unit} at rest")
     if not said:
         return ""
     return (
-        f"{'; '.join(said)}: friction at rest takes any value up to its limit, so these rows are "
+        f"{'; '.join(said)}: static friction takes any value up to its limit, so these rows are "
         "not judged. A slow motion with many reversals would show what holds the joint."
     )
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """The most important finding in one sentence, what is doubtful about it, and what else."""
+    """The main finding in a sentence, its reservation, and the number of further findings."""
     order = diagnosis.ordered
     if not order:
         nothing = (
-            "No cause stands out: what the given model misses lies within the tolerance of its own "
+            "No cause stands out: the error of the given model lies within the tolerance of its "
             "values or within the noise."
         )
         return f"{nothing} {at_rest(diagnosis)}".rstrip()
     lead = order[0]
     if isinstance(lead, Residual):
         return (
-            f"{lead.joint}: {lead.rms:.2g} {diagnosis.data.unit} stay unexplained on the hold-out "
-            f"({lead.against_noise}); no known cause describes them ({lead.structure})."
+            f"{lead.joint}: {lead.rms:.2g} {diagnosis.data.unit} remain unexplained on the "
+            f"hold-out ({lead.against_noise}); no known cause describes them ({lead.structure})."
         )
     more = f" {len(order) - 1} more finding{'s' * (len(order) > 2)} below." if order[1:] else ""
     if unknown := placeholders(diagnosis):
@@ -111,7 +111,7 @@ def _sentence(group: Sequence[Finding], robot: Robot) -> str:
 
 
 def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
-    """Rivals of the first cause of a group; those of a group's single joints follow."""
+    """Rivals of a group's cause in a sentence, or the reason why it is undecided."""
     rivals = {r.candidate.effect.name for f in group for r in f.rivals}
     if not rivals:
         reasons = dict.fromkeys(f.downgrade for f in group if f.downgrade)
@@ -138,7 +138,7 @@ def _everything(diagnosis: Diagnosis) -> str:
     sizes = [100 * float(np.median(each.nrmse)) for each in both]
     before, now = (f"{x:.0f}" if x >= 10 else f"{x:.2g}" for x in sizes)
     return (
-        f"everything found, the hold-out error falls from {before} to {now} % of the torque's "
+        f"all causes found, the hold-out error falls from {before} to {now} % of the torque's "
         "variation (median over joints)."
     )
 
@@ -166,23 +166,23 @@ def _apart_from(known: str, groups: Sequence[Sequence[Finding]], diagnosis: Diag
     if words.startswith(("A ", "The ")):
         words = words[0].lower() + words[1:]
     verdict = "" if all(f.verdict == "named" for f in groups[0]) else " (undecided)"
-    return f" Beside {known}: {words}{verdict}."
+    return f" Besides {known}: {words}{verdict}."
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One figure of evidence: the error without a cause against the quantity that tells it."""
+    """One figure of evidence: the error without a cause over its characteristic quantity."""
 
     joint: int  # index of the joint that is shown
     x_label: str
     x: Array  # at the rows of the hold-out, NaN where not to be shown, shape (n,)
-    residual: Array  # what is left there without the cause, shape (n,) [torque unit]
+    residual: Array  # residual there without the cause, shape (n,) [torque unit]
     fit: Array | None = None  # torque of the cause; None where there is none
     rival: Array | None = None  # of its closest rival, fitted to the residual; None without one
 
 
 def curve_of(diagnosis: Diagnosis, item: Finding | Residual) -> Curve:
-    """The figure that shows a finding, or what is left unexplained."""
+    """The figure of a finding, or of an unexplained residual."""
     moves = diagnosis.held.moves
     if isinstance(item, Residual):
         j = diagnosis.robot.joint_index(item.joint)
@@ -211,15 +211,15 @@ def _rival(diagnosis: Diagnosis, finding: Finding, j: int, residual: Array) -> A
     columns = np.concatenate([held.columns(e)[:, j] for e in (effects[1], *beside)], axis=1)
     rows = diagnosis.held.moves[:, j]
     sizes = np.sqrt((columns[rows] ** 2).sum(axis=0))
-    live = columns[:, sizes > 0] / sizes[sizes > 0]
-    if not live.shape[1]:
+    unit = columns[:, sizes > 0] / sizes[sizes > 0]
+    if not unit.shape[1]:
         return None
-    fitted: Array = live @ np.linalg.lstsq(live[rows], residual[rows], rcond=1e-8)[0]
+    fitted: Array = unit @ np.linalg.lstsq(unit[rows], residual[rows], rcond=1e-8)[0]
     return fitted
 
 
 def _shown(diagnosis: Diagnosis, finding: Finding) -> tuple[int, int]:
-    """The joint where a cause shows most against what is left, and the other of a pair."""
+    """The joint where a cause is largest relative to the residual, and the other of a pair."""
     joints = finding.effect.rows(diagnosis.robot)
     if finding.effect.jointwise:
         return joints[0], joints[0]
@@ -246,7 +246,7 @@ def _abscissa(diagnosis: Diagnosis, domain: str, j: int, other: int = 0) -> tupl
         "torque": (f"torque of the given model [{unit}]", diagnosis.held.simulated[:, j]),
         "torque rate": (f"rate of torque [{unit}/s]", np.gradient(torque, t)),
         "load": (
-            f"size of the joint's torque, signed by direction [{unit}]",
+            f"magnitude of the joint's torque, signed by direction [{unit}]",
             abs(torque) * np.sign(dq[:, j]),
         ),
         "time": ("time [s]", t),

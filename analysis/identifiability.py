@@ -1,4 +1,4 @@
-"""Identifiability of an arm's parameters, link by link, in theory and by one motion."""
+"""Identifiability of an arm's parameters, link by link: structural, and by one motion."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ if TYPE_CHECKING:
     from excitant.identify.estimate import Estimate
     from excitant.identify.excitation import Persistency
 
-_NAMED = 8  # parameters in a sentence
+_NAMED = 8  # parameters listed in a sentence
 
 
 @dataclass(frozen=True)
 class ParameterIdentifiability:
-    """One standard parameter or effect coefficient; what takes a motion is None without one."""
+    """One standard parameter or effect coefficient; results of a motion are None without one."""
 
     name: str
     owner: str  # link or joint it belongs to
@@ -52,14 +52,14 @@ class ParameterIdentifiability:
     category: str  # unique, combined or unidentifiable
     expressions: tuple[str, ...]  # base parameters that it is part of
     margin: float  # factor on the tolerance of all rank decisions that changes its category
-    needed: str  # what would show it by itself; empty where that is shown already
+    needed: str  # experiment that would show it by itself; empty where it is shown
     value: float | None = None  # estimate, or the value of the model as given, if known
     prior: float | None = None  # value before any data
-    std: float | None = None  # standard deviation with the prior counted in
+    std: float | None = None  # standard deviation, prior included
     std_data: float | None = None  # from the data alone; inf where they do not show it by itself
     influence: float | None = None  # how far it follows the prior, 0 to 1
     moves: dict[str, float] | None = None  # the same by kind of perturbation of the prior
-    decided_by: str = ""  # data, prior or physics (the limit of what a body can have)
+    decided_by: str = ""  # data, prior or physics (the limit of physical consistency)
     verdict: str = ""  # in a word, how well the motion determines it by itself
 
     @property
@@ -69,7 +69,7 @@ class ParameterIdentifiability:
 
     @property
     def prior_dominated(self) -> bool:
-        """Whether the prior decides it: nothing shows it, or it follows the prior."""
+        """Whether the prior decides it: it is unidentifiable, or follows the prior."""
         return self.category == "unidentifiable" or self.decided_by == "prior"
 
     def result(self) -> dict[str, Any]:
@@ -92,10 +92,10 @@ class PracticalIdentifiability:
     condition_number: float  # of the unscaled base columns, cond₂(W); inf when some are not shown
     singular_values: Array  # of the base columns scaled to unit length, greatest first
     practical: tuple[Practical, ...]  # each base parameter
-    directions: tuple[Direction, ...]  # of the base parameters, not seen or seen worst
+    directions: tuple[Direction, ...]  # of the base parameters, unseen or weakest
     correlation: Array  # of the base parameters, shape (r, r)
     influence: PriorInfluence | None  # None where the arm's links give no prior
-    noise: Array  # of each joint's torque, assumed or found, shape (nv,) [N·m]
+    noise: Array  # of each measured joint's torque, assumed or estimated [N·m]
     resting: tuple[str, ...]  # joints that do not move
     basis: str  # where the standard deviations come from, as a sentence
     persistency: Persistency | None  # None when not all torques are measured
@@ -136,11 +136,11 @@ class Identifiability:
     Attributes:
         robot: The arm.
         effects: Effects whose coefficients are unknown too.
-        structure: What torque can show in principle.
+        structure: Structural identifiability.
         entries: Every parameter of ``base.names``.
-        follow: Groups of parameters that follow from each other once one is known.
-        motion: What the given motion or recording shows; None without one.
-        notes: What the user should know, as sentences.
+        follow: Groups of parameters of which any one determines the others.
+        motion: Practical identifiability by the given motion or recording; None without one.
+        notes: Remarks to the user, as sentences.
     """
 
     robot: Robot
@@ -162,7 +162,7 @@ class Identifiability:
         return self.motion.practical if self.motion else ()
 
     def result(self) -> dict[str, Any]:
-        """Everything as plain values: what ``result.json`` says (DESIGN, section 5)."""
+        """Contents of ``result.json`` as plain values."""
         links = zip(self.robot.links, self.robot.joints, strict=True)
         without: dict[str, Any] = {"condition_number": None, "practical": [], "basis": ""}
         return {
@@ -231,9 +231,9 @@ def analyze(
         robot: The arm.
         effects: Effects whose coefficients are unknown too.
         motion: A motion to judge, with torque noise that is independent at every instant.
-        estimate: Instead, what was identified from a recording: its noise and motion.
+        estimate: Instead, an estimate from a recording, with its noise and motion.
         noise: Torque noise of each joint [N·m]; 1 % of each joint's limit if None.
-        moving: Joints that move, where no motion says it; all if None.
+        moving: Joints that move, where no motion is given; all if None.
         measured: Joints whose torque is measured; all if None, and for an estimate.
         rng: Draws perturbed priors for refits of an estimate; without it, the influence of the
             prior follows from linear theory.
@@ -246,13 +246,13 @@ def analyze(
     """
     shown = motion is not None or estimate is not None
     refused = {
-        "moving: a trajectory or recording says itself which joints move; leave out": (
+        "moving: leave it out, a trajectory or recording determines which joints move": (
             moving is not None and shown
         ),
-        "measured: is for motions before they are run; a recording has all torques": (
+        "measured: leave it out, a recording has the torques of all joints": (
             estimate is not None and measured is not None
         ),
-        "noise: is for a trajectory, give one; a recording has its own noise": (
+        "noise: give a trajectory too; the noise of a recording is estimated": (
             noise is not None and motion is None
         ),
         "moving: name at least one joint": moving is not None and not moving,
@@ -290,7 +290,7 @@ def analyze(
 
 
 def _noise_of_all(robot: Robot, given: Experiment | None, rows: Sequence[int]) -> Array:
-    # of joints not measured, and where only rank is asked for, 1 % of the limit, or 1 N·m
+    # of unmeasured joints, and where only rank matters, 1 % of the limit, or 1 N·m
     limits = robot.limits.torque
     usable = np.isfinite(limits) & (limits > 0)
     sigma = np.asarray(np.where(usable, TORQUE_NOISE * np.where(usable, limits, 0.0), 1.0), float)
@@ -332,13 +332,13 @@ def _under_motion(
 def _sizes(
     robot: Robot, effects: Sequence[Effect], base: BaseParameters, given: Experiment
 ) -> Array:
-    # what counts as much: the prior uncertainty, or else what makes as much torque as the noise
+    # scale of each: its prior uncertainty, or else what makes as much torque as the noise
     if given.prior is not None:
         from excitant.identify.prior import base_prior
 
         return np.asarray(np.sqrt(np.diag(base_prior(robot, effects, base).covariance)), float)
-    loud = given.information.signal[list(base.columns)]
-    return np.asarray(1 / np.maximum(loud, 1e-6 * loud.max()), float)
+    signal = given.information.signal[list(base.columns)]
+    return np.asarray(1 / np.maximum(signal, 1e-6 * signal.max()), float)
 
 
 def _notes(
@@ -365,18 +365,18 @@ def _notes(
     named = [entry for entry in table if entry.category != "unidentifiable"]
     prior, physics = (sum(e.decided_by == who for e in named) for who in ("prior", "physics"))
     notes.append(
-        f"besides what no torque shows, {prior} of {len(table)} parameters follow the prior "
-        "rather than the data: two sets of initial values that agree prove nothing there"
+        f"apart from unidentifiable ones, {prior} of {len(table)} parameters follow the prior "
+        "rather than the data: that two sets of initial values agree proves nothing there"
     )
     if influence.refits:
         notes.append(
-            f"{influence.refits} fits from priors moved by up to {100 * STEP:g} % moved no base "
+            f"{influence.refits} fits with priors changed by up to {100 * STEP:g} % moved no base "
             f"parameter by more than {influence.base_move.max():.2g} of its standard deviation"
         )
     if physics:
         notes.append(
-            f"{physics} more would follow the prior if bodies were not at the limit of what can "
-            "exist; there physical consistency decides, wherever the prior is"
+            f"for {physics} more, whose bodies are at the limit of physical consistency, that "
+            "limit decides for any prior; without it they would follow the prior"
         )
     return tuple(notes)
 
@@ -392,19 +392,19 @@ def _entries(
     candidates: Mapping[str, Array],
     given: Experiment | None,
 ) -> tuple[ParameterIdentifiability, ...]:
-    base, units, alone = found.base, _units(robot, effects), np.array(found.category) == "unique"
+    base, units, unique = found.base, _units(robot, effects), np.array(found.category) == "unique"
     before = known_values(robot, effects)
     R, size = base.regrouping, np.zeros(len(units))
     said: dict[str, Sequence[Any]] = {"value": before, "prior": before}
     if given is not None:
         R, influence = given.information.R, given.influence
         std = given.information.std(np.eye(len(units))[:, list(base.columns)])
-        std = np.where(alone, std, np.inf)
-        quiet, size = resolution(given.x, std, given.information.signal)
+        std = np.where(unique, std, np.inf)
+        negligible, size = resolution(given.x, std, given.information.signal)
         said["std_data"], x = std.tolist(), given.x.tolist()
         said["value"] = [v if known else None for v, known in zip(x, given.known, strict=True)]
         said["verdict"] = [
-            verdict(std[k], x[k], bool(quiet[k])) if alone[k] else kind
+            verdict(std[k], x[k], bool(negligible[k])) if unique[k] else kind
             for k, kind in enumerate(found.category)
         ]
         if given.prior is not None:
@@ -418,7 +418,7 @@ def _entries(
                 dict(zip(kinds, row, strict=True)) for row in influence.ratio.T.tolist()
             ]
             said["influence"], said["decided_by"] = influence.overall.tolist(), influence.decided_by
-    wanted = experiments_needed(R, np.eye(len(units)), size, candidates)
+    needed = experiments_needed(R, np.eye(len(units)), size, candidates)
     expressions = np.array(base.expressions, object)
     return tuple(
         ParameterIdentifiability(
@@ -428,7 +428,7 @@ def _entries(
             category=found.category[k],
             expressions=tuple(expressions[base.regrouping[:, k] != 0]),
             margin=float(found.margin[k]),
-            needed=wanted[k],
+            needed=needed[k],
             **{key: values[k] for key, values in said.items()},
         )
         for k, name in enumerate(base.names)

@@ -1,7 +1,7 @@
-"""`rehearse`: a motion tried on a virtual arm, up to what it recovers of it.
+"""`rehearse`: a motion tried on a virtual arm, and the parameters recovered from it.
 
-The arm runs the motion, and again at 80 % of the speed as hold-out; what was planted must be found
-again. Then it changes, and the diagnosis of the identified model must name the change.
+The arm runs the motion, and again at 80 % of the speed as hold-out; its true values must be
+recovered. Then it changes, and the diagnosis of the identified model must name the change.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ _CHANGES = ("payload", "viscous_friction", "coulomb_friction")
 _SHARE = {"viscous": 0.1, "coulomb": 0.04, "rotor": 0.1, "offset": 0.01}  # of the torque limit
 _TOLERANCE = 0.05  # of masses, centres of mass and inertias
 _SLOWER = 0.8  # speed of the hold-out
-_READINGS, _CASES = 6, 300  # of the same run, at least, and values of which intervals are judged
+_READINGS, _CASES = 6, 300  # noisy recordings of the same run, and intervals to judge, at least
 
 _OVER = 0.05  # of a limit: an arm that tracks a motion overshoots it a little
-_KNOWN = 0.1  # of a friction coefficient: to which it must be known
+_KNOWN = 0.1  # of a friction coefficient: accuracy required
 _COVERED = 0.9  # of base parameters within their 95 % intervals
 _WORSE = 1.1  # error of the model over that of the truth behind the same sensors
 _ELSEWHERE = 0.05  # of typical torque: error at motions within half the limits
@@ -92,18 +92,18 @@ class Situation:
     def faster(self, joint: str = "", lack: float = 0.0) -> str:
         """Advice for an uncertainty too large by a factor: more amplitude, else a longer motion."""
         feeble = [
-            f"{name} ({100 * share:.2g} %)"
+            f"{name} ({100 * share:.2g} % of its speed limit)"
             for name, share in self.use.items()
             if share < _FEEBLE and joint in ("", name)
         ]
         if feeble:
-            return f"move farther and faster: {', '.join(feeble)} of the speed limit is reached now"
+            return f"move farther and faster: {', '.join(feeble)}"
         times = f"{int(np.ceil(lack**2))} times as long" if 1 < lack < _HOPELESS else "longer"
         return f"record {times}, or design a motion with more harmonics"
 
 
 def limit_items(situation: Situation) -> list[Item]:
-    """Limits kept by what the arm does, friction and tracking errors included."""
+    """Limits compared with the motion of the arm, friction and tracking errors included."""
     limits, run, items = situation.robot.limits, situation.run, []
     bounded = np.isfinite(limits.position).all(axis=1)
     low, high = np.where(bounded, limits.position.T, 0.0)
@@ -130,7 +130,7 @@ def _recovered(situation: Situation, estimates: Sequence[Estimate], x: Array) ->
     share = float(inside.mean())
     detail = (
         f"{100 * share:.1f} % of {inside.size} cases within their 95 % intervals "
-        f"({len(beta)} parameters, {len(estimates)} readings)"
+        f"({len(beta)} parameters, {len(estimates)} recordings)"
     )
     return [
         *_friction(situation, estimates[0], beta),
@@ -165,14 +165,14 @@ def _prediction(situation: Situation, estimate: Estimate, beta: Array) -> Item:
     worse = rms / floor
     j = int(worse.argmax())
     unit = "N·m" if robot.revolute[j] else "N"
-    left = f"noise leaves {floor[j]:.3g} {unit} even to the true parameters"
-    detail = f"rms error {rms[j]:.3g} {unit}, of which {left}"
+    left = f"with the true parameters, noise leaves {floor[j]:.3g} {unit}"
+    detail = f"rms error {rms[j]:.3g} {unit}; {left}"
     advice = situation.faster(lack=float(worse[j] / _WORSE))
     return _item("torque on the hold-out", robot.joints[j], worse[j] <= _WORSE, detail, advice)
 
 
 def _other_motions(situation: Situation, estimate: Estimate, beta: Array) -> Item:
-    """Error at states within half the limits, which the motion need not have shown."""
+    """Error at states within half the limits, which the motion need not have visited."""
     robot, base = situation.robot, estimate.base
     q, dq, ddq = typical_motion(robot)
     motion = Motion(np.arange(len(q), dtype=float), q, dq, ddq)
@@ -184,7 +184,7 @@ def _other_motions(situation: Situation, estimate: Estimate, beta: Array) -> Ite
     weak = base.names[base.columns[int(unsure.argmax())]]
     size = f"rms error {100 * share[j]:.2g} % of the torque at half the limits"
     advice, passed = situation.faster(lack=float(share[j] / _ELSEWHERE)), share[j] <= _ELSEWHERE
-    detail = f"{size}, known least: {weak}"
+    detail = f"{size}; least certain: {weak}"
     return _item("torque at other motions", robot.joints[j], passed, detail, advice)
 
 
@@ -197,11 +197,11 @@ def _undetermined(situation: Situation, error: RankDeficient) -> Item:
 
 def _named(situation: Situation, found: Diagnosis, change: HiddenEffect) -> Item:
     """The change of the arm is named, on its joint, before anything else."""
-    # A payload is inertia by another name: that other inertia explains it as well is no fault
+    # a payload and other added inertia may explain the data equally well; that is no failure
     planted = f"{plain(change.effect)} on {change.joint}"
     advice = situation.faster(change.joint)
     if not found.findings:
-        return _item("diagnosis", change.joint, False, f"{planted}: nothing was named", advice)
+        return _item("diagnosis", change.joint, False, f"{planted}: no finding", advice)
     lead = found.findings[0]
     named = f"{lead.verdict} {_cause(lead)}"
     if lead.rivals:
@@ -228,17 +228,17 @@ def _cause(found: Finding | Candidate) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal:
-    """Parameters that a motion recovered of a virtual arm.
+    """Recovery of a virtual arm's parameters by a motion.
 
     Attributes:
-        robot: The robot as given, with the limits that count.
+        robot: The robot as given, with its limits.
         duration: Length of the motion [s].
         arm: The arm that ran it.
-        change: What the arm had beside that when it was diagnosed.
-        run: What it did.
-        items: What was required, in order.
-        estimate: What was identified; None where the motion leaves parameters undetermined.
-        diagnosis: What was diagnosed after the change; None without an estimate.
+        change: What was added to the arm before its diagnosis.
+        run: The motion as the arm ran it.
+        items: Requirements, in order.
+        estimate: Identified model; None where the motion leaves parameters undetermined.
+        diagnosis: Diagnosis of that model after the change; None without an estimate.
     """
 
     robot: Robot
@@ -252,11 +252,11 @@ class Rehearsal:
 
     @property
     def passed(self) -> bool:
-        """Whether the motion would do."""
+        """Whether the motion meets all requirements."""
         return all(item.passed for item in self.items)
 
     def result(self) -> dict[str, Any]:
-        """Contents of result.json: what was required, and whether it was met."""
+        """Contents of result.json: the requirements, and whether they are met."""
         failed = [item for item in self.items if not item.passed]
         return {
             "verb": "rehearse",
@@ -306,10 +306,10 @@ def rehearse(
 
     Args:
         robot: The arm as it is known, with its limits.
-        path: ``path(t, order)``, shape (n, nv); from rest.
+        path: Positions ``path(t, order)`` and derivatives, shape (n, nv); from rest.
         duration: Length of the motion [s].
         rng: Draws the arm, its noise and its change.
-        progress: Told the fraction done and what is being done.
+        progress: Called with the fraction done and the current step.
 
     Raises:
         BadInput: The motion starts at speed, or an arm cannot follow it.
@@ -361,11 +361,11 @@ def _recording(arm: VirtualArm, run: Run, name: str, rng: np.random.Generator) -
 
 
 def rehearsal_arm(robot: Robot, rng: np.random.Generator) -> VirtualArm:
-    """An arm like the robot, with drives, wrong inertias, and sensors as industry has them.
+    """A virtual arm like the robot, with drives, perturbed inertias and industrial sensors.
 
-    Drives take shares of the torque limit as datasheets of geared arms have it, unless the robot
-    knows them. All is off by up to 5 % from what the controller believes; torque has no limits, so
-    that what a motion would need can be compared with them.
+    Drives take the shares of the torque limit typical of geared arms, unless the robot has its own.
+    All values differ by up to 5 % from the controller's model; torque has no limits, so that the
+    torque needed by a motion can be compared with them.
     """
     free = replace(robot.limits, torque=np.full(robot.nv, np.inf))
     given = robot.with_limits(free).with_effects(_drives(robot, rng))
@@ -397,7 +397,7 @@ def draw_change(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
 
 
 def changed(arm: VirtualArm, effect: HiddenEffect) -> VirtualArm:
-    """The same arm later."""
+    """The same arm after a change."""
     truth = plant(arm.truth, arm.nominal.joints, [effect])
     return replace(arm, truth=truth, hidden=(*arm.hidden, effect))
 

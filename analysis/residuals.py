@@ -1,7 +1,7 @@
 """Residual torque of a model: the share of noise, and the variables that explain the rest.
 
 The share of a quantity is that of the means of the error over its bins (the correlation ratio of
-Pearson 1905), less what chance gives to as many. Shares overlap, so the simplest quantity that
+Pearson 1905), less that expected by chance. Shares overlap, so the simplest quantity that
 explains nearly as much as the best is the dominant one.
 """
 
@@ -36,25 +36,25 @@ BANDS = ("slower", "motion", "faster")
 
 VISIBLE = 2.0  # times the noise floor: from here on an effect can be seen
 _SHARE = 0.1  # of the given model's squared error
-_LITTLE = 0.1  # of the error's power: with less, a quantity tells nothing
+_LITTLE = 0.1  # of the error's power: a quantity with less explains nothing
 _NEARLY = 0.05  # of the error's power: how much more a less simple quantity must explain
 _BINS = 24
 _TREND = 2  # degree of what changes slowly over time
-_PERIODS = 3.0  # of the motion: in a shorter time, a trend is not told from the motion
-_NO_DIRECTION = 0.005  # of a joint's fastest motion: slower is no motion to either side
+_PERIODS = 3.0  # of the motion: in a shorter time, a trend cannot be told from it
+_NO_DIRECTION = 0.005  # of a joint's top speed: slower motion has no direction
 _OUTSIDE = 0.02  # of the power on either side of a motion's band
 
-_SLOW = 0.015  # of a joint's fastest motion: below it rests
+_SLOW = 0.015  # of a joint's top speed: slower is at rest
 _RESTS_S = 0.04  # s, at least; a reversal without a rest is quicker
-_REACH = 0.5  # of the period of the torque filter's cut-off: how far a rest is felt
+_REACH = 0.5  # of the period of the filter's cut-off: how far a rest affects filtered torque
 
 _ABOVE = 1.5  # times the cut-off: where nothing of the motion is left
 _PASSED = 0.898  # of white noise below the cut-off: ∫ dx / (1 + x⁸)²
 _NEAR = (0.6, 0.95)  # of the cut-off
 _LONGEST = 512  # samples of a periodogram's stretch
-_FORGETS = 0.1  # s: residuals that forget faster than this look like noise
-_MEASURABLE = 1e-3  # of the error: less noise than this is not what a sensor has, but a filter
-_SAID = 100.0  # times the noise: beyond, the number says nothing more
+_FORGETS = 0.1  # s: residuals with a shorter correlation time look like noise
+_MEASURABLE = 1e-3  # of the error: noise below this comes from a filter, not from a sensor
+_SAID = 100.0  # times the noise: larger ratios are not quoted
 
 
 def top_speed(segments: Sequence[Segment]) -> Array:
@@ -63,10 +63,10 @@ def top_speed(segments: Sequence[Segment]) -> Array:
 
 
 def away_from_rest(segments: Sequence[Segment], fastest: Array | float = 0.0) -> Mask:
-    """Rows that no rest of a joint reaches through the filter, shape (rows, nv).
+    """Rows that no rest of a joint affects through the filter, shape (rows, nv).
 
-    A joint rests while slow beside its fastest motion, here or, if given, elsewhere; a reversal
-    without a rest counts. `preprocessing.moving` asks where a joint takes part in a motion.
+    A joint rests while slow relative to its top speed, here or, if given, elsewhere; reversals
+    without a rest count. `preprocessing.moving` marks where a joint takes part in a motion.
     """
     fastest = np.maximum(fastest, top_speed(segments))
     masks = []
@@ -156,7 +156,7 @@ def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
 
 
 def _explained(e: Array, fitted: Array | float, freedom: int) -> float:
-    """Power that a fit with some coefficients takes off an error, less what chance gives it."""
+    """Power of an error that a fit with some coefficients removes, less that by chance."""
     rest = e - fitted
     left, independent = float((rest**2).sum()), max(len(e) / autocorrelation_time(rest), 1.0)
     return float((e**2).sum()) - left - left * freedom / independent
@@ -214,14 +214,14 @@ class Residual:
 
     @property
     def visible(self) -> bool:
-        """Whether more than noise is left, by what can be seen, and much of what was there."""
+        """Whether it is slow, well above the noise, and a material share of the given error."""
         share = self.structured**2 / max(self.given**2, 1e-300)
         slow = self.correlation_s > _FORGETS / 2
         return slow and self.structured > VISIBLE * self.floor and share > _SHARE
 
     @property
     def dominant(self) -> str:
-        """Simplest quantity that explains nearly as much as the best; none if all say little."""
+        """Simplest quantity that explains nearly as much as the best; empty if none does."""
         enough = max(self.shares.values()) - _NEARLY
         if enough < _LITTLE - _NEARLY:
             return ""
@@ -273,7 +273,7 @@ def residuals(
 ) -> tuple[Residual, ...]:
     """Residual torque of each joint where it moves.
 
-    Given are its error, that of the given model, and its torque, each (n, nv) [torque unit].
+    Error, the given model's error and the load, a model's torque, are (n, nv) [torque unit].
     """
     by, moves = explanatory(segments, load), away_from_rest(segments)
     step, cutoff = by.steps[0], segments[0].cutoff_hz
@@ -297,7 +297,7 @@ def residuals(
 
 
 def noise_floor(segments: Sequence[Segment], j: int) -> float:
-    """Rms that white noise of joint j's raw torque leaves behind the filter; 0 if not visible."""
+    """Rms that white noise of joint j's raw torque leaves after the filter; 0 if not visible."""
     power, weight = 0.0, 0
     for s in segments:
         n = len(s.tau_raw)
@@ -310,7 +310,7 @@ def noise_floor(segments: Sequence[Segment], j: int) -> float:
 
 
 def _fast(e: Array, rate_hz: float, cutoff_hz: float) -> float:
-    """Rms that an error would have if its density below the cut-off were that close to it."""
+    """Rms of an error if its density near the cut-off held at all frequencies below it."""
     f, density = scipy.signal.welch(e, rate_hz, nperseg=min(_LONGEST // 4, len(e)))
     near = density[(f > _NEAR[0] * cutoff_hz) & (f < _NEAR[1] * cutoff_hz)]
     return float(np.sqrt(np.median(near) * _PASSED * cutoff_hz)) if len(near) else 0.0

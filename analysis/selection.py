@@ -20,18 +20,18 @@ from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
 _LARGEST_SET = 60
-_BRINGS_MORE = 0.01  # probability that a coefficient too many seems to bring more
-_TYPICAL = 0.1  # probability of what is taken for chance when causes are ranked
-_IDENTICAL = 0.9999  # |cos| of two causes that are one on this motion
-_FADED = 0.5  # of what a cause brought when last looked at: then it is looked at again
-_CANCELLED = 4.0  # times the squared error on its joints: a cause that others must take back
-_SHARE = 0.05  # of what a cause explains, at least, that joints on their own explain more
-_BY_CHANCE = 1e-3  # probability of as much when all joints agree
-_TIE = 2.0  # standard errors within which two causes explain the data alike
+_SUPERFLUOUS = 0.01  # probability that a superfluous coefficient appears significant
+_TYPICAL = 0.1  # tail probability of the chance level used to rank causes
+_IDENTICAL = 0.9999  # |cos| of two causes that are identical on this motion
+_FADED = 0.5  # of a cause's fall of J when last tested: below this it is tested again
+_CANCELLED = 4.0  # times the squared error on its joints: a cause that others must cancel
+_SHARE = 0.05  # of what a cause explains: more by separate joints is a contradiction
+_BY_CHANCE = 1e-3  # probability of that when all joints agree
+_TIE = 2.0  # standard errors within which two causes explain the data equally well
 _TIE_ALIKE = 3.3  # the same where their signatures are alike
 ALIKE = 0.9  # |cos| of such signatures
 _SAME = 0.999  # |cos| of a cause that is part of another
-_HALF = 0.5  # of what a cause explains, at least, must a rival explain
+_HALF = 0.5  # of what a cause explains: a rival must explain more
 _ROUNDS = 2  # of choosing effects: the second with what the first identified
 
 
@@ -41,7 +41,7 @@ def select(
     """Causes by forward selection, each step pruned backwards, and the evidence at the end.
 
     Joints that the model gives no friction get that of the standard model first, so that finer
-    kinds must bring more than it.
+    kinds must explain more than it.
     """
     bare = _frictionless(robot)
     allowed = [c for c in evidence.candidates if c.key not in refuted]
@@ -85,13 +85,13 @@ def _best_addition(
 
 
 def _simplest(evidence: Evidence, chosen: Sequence[Candidate], found: Candidate) -> Candidate:
-    """A special case of what was found, where its other coefficients bring nothing more."""
-    # A shape that this motion does not show is one as well: play that is never crossed is an offset
+    """A special case of the cause found where that explains as much, else the cause itself."""
+    # so is a shape that this motion does not show: play that is never crossed is an offset
     if found.effect.shapes:
-        for plain in evidence.candidates:
-            same = plain.size == found.size and {*plain.effect.joints} == {*found.effect.joints}
-            if same and not plain.effect.shapes and evidence.cosine(plain, found) > _IDENTICAL:
-                return plain
+        for other in evidence.candidates:
+            same = other.size == found.size and {*other.effect.joints} == {*found.effect.joints}
+            if same and not other.effect.shapes and evidence.cosine(other, found) > _IDENTICAL:
+                return other
     whole = evidence.cost([*chosen, found])
     for simple in evidence.candidates:
         special = simple.effect.name in found.effect.contains
@@ -99,7 +99,7 @@ def _simplest(evidence: Evidence, chosen: Sequence[Candidate], found: Candidate)
             continue
         more = max(found.size - simple.size, 1)
         fall = evidence.cost([*chosen, simple]) - whole
-        if fall < evidence.dispersion(chosen, found) * scipy.stats.chi2.isf(_BRINGS_MORE, more):
+        if fall < evidence.dispersion(chosen, found) * scipy.stats.chi2.isf(_SUPERFLUOUS, more):
             return simple
     return found
 
@@ -120,8 +120,8 @@ def _significant(
 def _pruned(
     evidence: Evidence, robot: Robot, chosen: list[Candidate], falls: dict[Candidate, float]
 ) -> list[Candidate]:
-    """The set without those whose removal costs less than chance would."""
-    # ``falls`` is what each brought when last looked at; looked at again when much has gone since
+    """The set without causes whose removal costs no more than chance explains."""
+    # ``falls`` is the fall of J by each when last tested; tested again when it has halved since
     kept = list(chosen)
     for candidate in chosen:
         rest = [c for c in kept if c is not candidate]
@@ -138,7 +138,7 @@ def _pruned(
 
 
 def underlies(robot: Robot, rest: Sequence[Candidate], candidate: Candidate) -> bool:
-    """Whether finer friction stands on this plain one (heredity: Hamada and Wu 1992)."""
+    """Whether finer friction builds on this plain one (heredity: Hamada and Wu 1992)."""
     effect = candidate.effect
     if not is_plain_friction(effect) or not {*effect.joints} <= _frictionless(robot):
         return False
@@ -154,8 +154,8 @@ def is_plain_friction(effect: Effect) -> bool:
 def _plausible(
     evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], candidate: Candidate
 ) -> bool:
-    """Whether a candidate's coefficients, with what is given, are such as physics allows."""
-    # those of a cause that is common to all joints must be the same for all
+    """Whether a candidate's coefficients are physically plausible and no cause is cancelled."""
+    # a cause that is common to all joints must have the same coefficients at all
     if candidate.effect.is_common(robot) and not _agrees(evidence, chosen, candidate):
         return False
     coordinates, covariance = evidence.solve(chosen)
@@ -168,7 +168,7 @@ def _plausible(
 
 
 def _agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) -> bool:
-    """Whether joints explain no more with coefficients of their own (Cochran 1954)."""
+    """Whether separate coefficients of each joint explain no more (Cochran 1954)."""
     rest = [c for c in chosen if c is not cause]
     more, freedom = evidence.separate_joints([*rest, cause], cause)
     if not freedom:
@@ -179,7 +179,7 @@ def _agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) -
 
 
 def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool:
-    """Whether a cause makes far more torque than there is to explain, which others take back."""
+    """Whether a cause makes far more torque than there is to explain, which others cancel."""
     made = there = 0.0
     for j, here in evidence.acting(cause):
         x, G = coordinates[evidence.problem.index[j][here]], evidence.problem.grams[j]
@@ -194,7 +194,7 @@ def _frictionless(robot: Robot) -> set[str]:
 
 @dataclass(frozen=True)
 class Rival:
-    """Another cause that the data cannot tell from the one found."""
+    """Another cause that the data cannot distinguish from the one found."""
 
     candidate: Candidate
     deviations: float  # standard errors by which the one found explains the data better
@@ -204,10 +204,10 @@ class Rival:
 def rivals(
     evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], found: Candidate
 ) -> list[Rival]:
-    """Causes that could stand in place of one that was found, by what each leaves (Vuong 1989).
+    """Causes that could replace one that was found, by the residual of each (Vuong 1989).
 
     A rival explains at least half of what the found cause explains, and leaves it less than half
-    to explain. On joints whose friction is all new, it may bring the standard model's along.
+    to explain. On joints without given friction, the standard model's may be added to it.
     """
     rest, taken = [c for c in chosen if c is not found], {c.key for c in chosen}
     bare, falls = _frictionless(robot), evidence.additions(rest)
@@ -216,10 +216,10 @@ def rivals(
     for k, other in enumerate(evidence.candidates):
         if other.key in taken or _only_more(evidence, found, other):
             continue
-        friends = _friction(evidence, other, rest) if {*other.effect.joints} <= bare else []
-        if falls[k] <= _HALF * own and not friends:
+        added = _friction(evidence, other, rest) if {*other.effect.joints} <= bare else []
+        if falls[k] <= _HALF * own and not added:
             continue
-        instead = [*rest, other, *(c for c in friends if c is not other and c is not found)]
+        instead = [*rest, other, *(c for c in added if c is not other and c is not found)]
         left = evidence.cost(instead) - evidence.cost([*instead, found])
         if left > _HALF * own:
             continue
@@ -235,7 +235,7 @@ def rivals(
 
 
 def _friction(evidence: Evidence, other: Candidate, rest: Sequence[Candidate]) -> list[Candidate]:
-    """Standard friction of a friction's joint, as far as it is not there."""
+    """Standard friction at the joint of a friction cause, as far as it is missing."""
     if other.effect.family != "friction":
         return []
     return [
@@ -258,11 +258,11 @@ def choose_effects(
     cutoff_hz: float | None = None,
     progress: Callable[[float, str], None] = lambda fraction, words: None,
 ) -> tuple[Effect, ...]:
-    """The standard effects and those that recordings to be fitted call for beside them.
+    """The standard effects, and further ones that the recordings to be fitted support.
 
-    The evidence is that of a diagnosis, with bodies and standard effects as open as in an
-    identification; effects that rest on torque take it from the arm identified so far. Progress is
-    told the fraction done and what was found.
+    The evidence is that of a diagnosis, with bodies and standard effects as free as in an
+    identification; effects that depend on torque take that of the arm identified so far. Progress
+    is called with the fraction done and the effects found.
     """
     standard = effects = standard_effects(robot.joints)
     metric = tolerance_metric(prior_parameters(robot))
@@ -295,4 +295,4 @@ def described(effects: Sequence[Effect]) -> tuple[str, ...]:
         shapes = ", ".join(f"{s.name} {getattr(effect, s.name):.3g}" for s in effect.shapes)
         where = f"{plain(effect.name)} at {', '.join(effect.joints)}"
         said.append(f"effect added: {where}{f' ({shapes})' if shapes else ''}")
-    return tuple(said) or ("effects: the recordings call for none beyond the standard ones",)
+    return tuple(said) or ("effects: the recordings support none beyond the standard ones",)

@@ -1,7 +1,7 @@
-"""Structural identifiability under stated circumstances, and how firmly it stands.
+"""Structural identifiability under stated circumstances, and its numerical margin.
 
-Every category is a decision about sizes that are zero or not; with geometry that is nearly special
-(a twist 1e-6 rad off a right angle) it hangs by a hair, and the result says so.
+Every category is a decision on which sizes are zero; with nearly special geometry (a twist 1e-6 rad
+off a right angle) it depends on the tolerance, and the result says so.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
 
 Held = Mapping[str, float] | Literal["any"]
-"""Positions of joints that do not move [rad or m], or ``"any"``: at rest at many positions."""
+"""Positions of joints that do not move [rad or m], or ``"any"``: at rest in many positions."""
 
 HAIR = 1e4  # factor on the tolerance that must not change a category
 _STEPS = 8  # half decades to there
@@ -40,8 +40,8 @@ class Structure:
     base: BaseParameters  # of links and effects
     category: tuple[str, ...]  # unique, combined or unidentifiable, of each of ``base.names``
     margin: Array  # factor on `TOLERANCE` that changes the category, at most `HAIR`, shape (p,)
-    circumstances: tuple[str, ...]  # what it holds for, as sentences
-    close: tuple[str, ...]  # names whose margin is below `HAIR`: decided by a hair
+    circumstances: tuple[str, ...]  # under which it holds, as sentences
+    close: tuple[str, ...]  # names of those whose margin is below `HAIR`
     flips_at: Array  # tolerance at which the category changes, nan where it does not, shape (p,)
 
     def __post_init__(self) -> None:
@@ -55,8 +55,8 @@ class Structure:
         low, high = np.nanmin(self.flips_at), np.nanmax(self.flips_at)
         size = f"{low:.0e}" if high < 2 * low else f"{low:.0e} to {high:.0e}"
         return (
-            f"{len(self.close)} of {len(self.base.names)} parameters are decided by a hair, by "
-            f"parts of about {size} of their torque (geometry, pose or mounting nearly special): "
+            f"{len(self.close)} of {len(self.base.names)} parameters have a category that depends "
+            f"on about {size} of their torque (geometry, pose or mounting nearly special): "
             f"{', '.join(self.close[:6])}{' and more' if len(self.close) > 6 else ''}"
         )
 
@@ -71,7 +71,7 @@ def structure(
 ) -> Structure:
     """Structural identifiability of an arm's parameters; gravity and locked joints count.
 
-    All joints move and are measured when None; ``held`` says where the others are, 0 when left out.
+    All joints move and are measured if None; ``held`` has the others' positions, 0 by default.
     """
     positions = held if isinstance(held, Mapping) else {}
     UnknownName.refuse("joint", (*(moving or ()), *(measured or ()), *positions), robot.joints)
@@ -116,20 +116,20 @@ def _circumstances(
 ) -> tuple[str, ...]:
     found = ["the base is fixed", _gravity_sentence(robot.gravity)]
     if robot.locked:
-        found.append(f"{_joints(_places(dict(robot.locked)))} locked")
+        found.append(f"{_joints(_positions(dict(robot.locked)))} locked")
     still = [name for name in robot.joints if moving is not None and name not in moving]
     if still and held == "any":
-        found.append(f"{_joints(still)} at rest at many positions")
+        found.append(f"{_joints(still)} at rest in many positions")
     elif still:
         at = held if isinstance(held, Mapping) else {}
-        found.append(f"{_joints(_places({name: at.get(name, 0.0) for name in still}))} held")
+        found.append(f"{_joints(_positions({name: at.get(name, 0.0) for name in still}))} held")
     missing = [name for name in robot.joints if measured is not None and name not in measured]
     if missing:
         found.append(f"torque of {_joints(missing)} not measured")
     return tuple(found)
 
 
-def _places(positions: Mapping[str, float]) -> list[str]:
+def _positions(positions: Mapping[str, float]) -> list[str]:
     return [f"{name} at {value:.4g}" for name, value in positions.items()]
 
 

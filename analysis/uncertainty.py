@@ -32,16 +32,16 @@ from excitant.robots.torque import effect_values, observation_columns
 
 Mask = npt.NDArray[np.bool_]
 
-TORQUE_NOISE = 0.01  # of each joint's torque limit, where no recording tells the noise
+TORQUE_NOISE = 0.01  # of each joint's torque limit, where no recording gives the noise
 WELL, ROUGHLY = 0.1, 0.3  # relative standard deviation
 NOT_SHOWN = "not_shown"
-_MEMBER = 0.3  # coefficient of a unit vector from which a parameter is named
+_MEMBER = 0.3  # coefficient of a unit vector from which on a parameter is named
 _SEEN = 1e-9  # smallest singular value of normalised columns, relative; below it is rounding
-_TOUCHES = 1e-6  # part of a unit vector in unseen directions from which it counts
+_TOUCHES = 1e-6  # part of a unit vector in unseen directions from which on it counts
 
 _DURATION, _RATE_HZ = 10.0, 20.0  # of a further experiment
 _REPEATS = 10.0  # longest recording worth proposing, in lengths of the given one
-PAYLOAD_KG = 1.0  # at the last joint's frame, where a known payload is tried
+PAYLOAD_KG = 1.0  # known payload that is tried, at the last joint's frame
 _SENSOR_NOISE = 0.01  # of the largest force and torque that the base sensor sees
 _NEVER = "never by joint torques"
 APART = f"{_NEVER} or base forces: weigh or swing the link apart from the arm"
@@ -85,7 +85,7 @@ def deviations(R: Array, A: Array) -> Array:
 
 
 def dependent_groups(R: Array) -> tuple[tuple[int, ...], ...]:
-    """Columns that follow from each other: their rows of the null space are parallel."""
+    """Columns of which any one determines the others: parallel rows of the null space."""
     _, _, V, seen = _decomposed(R)
     N = V[:, ~seen]
     size = np.linalg.norm(N, axis=1)
@@ -97,17 +97,17 @@ def dependent_groups(R: Array) -> tuple[tuple[int, ...], ...]:
 
 
 def without_rounding(W: Array) -> Array:
-    """Columns, shape (n, rows, p), with those that are silent but for rounding set to zero."""
+    """Columns, shape (n, rows, p), with those that are zero but for rounding set to zero."""
     silent = silent_columns(np.sqrt((W**2).sum(axis=0)))
     return np.asarray(np.where(silent, 0.0, W), float)
 
 
 def _unit_columns(R: Array) -> tuple[Array, Array]:
-    """Lengths of the columns, and the columns scaled to length one, or zero where silent."""
+    """Lengths of the columns, and the columns scaled to length one, or to zero where negligible."""
     norms = np.linalg.norm(R, axis=0)
-    heard = ~silent_columns(R)
-    scale = np.where(heard, norms, norms[heard].min(initial=np.inf) if heard.any() else 1.0)
-    return scale, np.where(heard, R / scale, 0.0)
+    shown = ~silent_columns(R)
+    scale = np.where(shown, norms, norms[shown].min(initial=np.inf) if shown.any() else 1.0)
+    return scale, np.where(shown, R / scale, 0.0)
 
 
 def _decomposed(R: Array) -> tuple[Array, Array, Array, Mask]:
@@ -119,7 +119,7 @@ def _decomposed(R: Array) -> tuple[Array, Array, Array, Mask]:
 
 
 def shown_base(names: tuple[str, ...], W: Array) -> BaseParameters:
-    """The base parameters that rows (n, rows, p) of one motion have, which may be fewer."""
+    """The base parameters that columns (n, rows, p) of one motion show, which may be fewer."""
     R = triangle(W, np.ones(W.shape[1]))
     norms, unit = _unit_columns(R)
     return regroup(Observation(names, unit, np.where(unit.any(axis=0), norms, 0.0)), _SEEN)
@@ -132,7 +132,7 @@ class MotionInformation:
     R: Array  # triangular factor of the whitened columns, shape (p, p)
     covariance: Array  # of β as far as it is seen, shape (r, r); zero along unseen directions
     unseen: Array  # directions of β that change no torque, each with few members, shape (d, r)
-    signal: Array  # largest rms torque per unit of each parameter, in noise, shape (p,)
+    signal: Array  # largest rms torque per unit of each parameter over the noise, (p,)
     condition_number: float = np.nan  # of the unscaled columns of β; inf when some are not shown
 
     def std(self, C: Array) -> Array:
@@ -146,7 +146,7 @@ class MotionInformation:
 def motion_information(
     base: BaseParameters, W: Array, sigma: Array, covariance: Array | None = None
 ) -> MotionInformation:
-    """Information of columns (n, rows, p) with noise (rows,), or of a covariance (r, r)."""
+    """Information of columns (n, rows, p) with noise (rows,), or covariance (r, r) if known."""
     R, columns = triangle(W, sigma), list(base.columns)
     if covariance is None:
         scale, s, V, seen = _decomposed(R[:, columns])
@@ -160,7 +160,7 @@ def motion_information(
 
 
 def unseen_directions(R: Array) -> Array:
-    """Null space of R by sparse vectors, one a column that depends on those before, (d, r)."""
+    """Null space of R by sparse vectors, one per column that depends on earlier ones, (d, r)."""
     scale, unit = _unit_columns(R)
     own, _ = independent_columns(unit, _SEEN)
     rest = [k for k in range(R.shape[1]) if k not in own]
@@ -180,7 +180,7 @@ class Practical:
     value: float
     std: float  # of its estimate; inf when the motion does not show it
     negligible: bool
-    needed: str  # what would show it; empty where the motion does
+    needed: str  # experiment that would show it; empty where the motion does
 
     @property
     def rel_std(self) -> float | None:
@@ -208,21 +208,21 @@ def verdict(std: float, value: float, negligible: bool) -> str:
 
 
 def resolution(value: Array, std: Array, signal: Array) -> tuple[Mask, Array]:
-    """Negligible size, and the size beside which a deviation should be small; all (m,).
+    """Which are negligible, and the size relative to which a deviation should be small; all (m,).
 
-    Negligible is what stays below the noise at any value within two deviations. The size is that
-    of the value, or of what makes twice the noise where it is zero; 0 if being shown is enough.
+    Negligible is what stays below the noise at any value within two deviations. The size is the
+    value, or where that is zero, such that 30 % of it make half the noise; 0 if shown is enough.
     """
-    loud = np.maximum(signal, 1e-300)
-    negligible = (np.abs(value) + 2 * std) * loud < 1
-    size = np.where(value == 0, 0.5 / ROUGHLY / loud, np.abs(value))
+    signal = np.maximum(signal, 1e-300)
+    negligible = (np.abs(value) + 2 * std) * signal < 1
+    size = np.where(value == 0, 0.5 / ROUGHLY / signal, np.abs(value))
     return negligible, np.where(negligible | ~np.isfinite(std), 0.0, size)
 
 
 def practical(
     base: BaseParameters, values: Array, seen: MotionInformation, candidates: Mapping[str, Array]
 ) -> tuple[Practical, ...]:
-    """Every base parameter, of these values (r,), under a motion, and what would show it."""
+    """Every base parameter under a motion, values (r,), and the experiment that would show it."""
     std = seen.std(np.eye(len(base)))
     negligible, size = resolution(values, std, seen.signal[list(base.columns)])
     needed = experiments_needed(seen.R, base.regrouping, size, candidates)
@@ -232,7 +232,7 @@ def practical(
 
 @dataclass(frozen=True)
 class Direction:
-    """Base parameters that trade against each other because torque hardly shows it."""
+    """Base parameters that can change together with hardly any change of torque."""
 
     # name, change that one deviation of the noise hides (unseen: per unit of the first), and unit
     members: tuple[tuple[str, float, str], ...]
@@ -286,7 +286,7 @@ def weak_directions(
 ) -> tuple[Direction, ...]:
     """Directions that a motion does not see, then a count of those it sees worst.
 
-    With D the sizes (r,) that count as much, those are the leading eigenvectors u of D⁻¹ C D⁻¹;
+    With D the diagonal of sizes (r,), these are the leading eigenvectors u of D⁻¹ C D⁻¹;
     a change D u √λ of the base parameters is one standard deviation.
     """
     names = [base.names[k] for k in base.columns]
@@ -338,9 +338,9 @@ def candidate_experiments(
     pose: Array,
     measured: Sequence[int],
 ) -> dict[str, Array]:
-    """Factors (p, p) of experiments to add, the easiest first, by words after "shown by ...".
+    """Factors (p, p) of further experiments, the easiest first, by words after "shown by ...".
 
-    Joints rested so far at a pose (nv,); sigma is the torque noise of each joint, (nv,) [N·m].
+    Joints ``rests`` rested so far, at a pose (nv,); sigma (nv,) is the torque noise [N·m].
     """
     every_joint = reference_motion(robot, _DURATION, _RATE_HZ)
 
@@ -368,7 +368,7 @@ def candidate_experiments(
 
 
 def _tilts(robot: Robot) -> dict[str, Robot]:
-    """The arm with its base tilted by 90° about each axis of the base that tilts gravity."""
+    """The arm with its base tilted by 90° about each of its axes that changes gravity."""
     g, found = robot.gravity, {}
     for name, axis in zip("xyz", np.eye(3), strict=True):
         turned = np.cross(axis, g) + axis * (axis @ g)
@@ -386,7 +386,7 @@ def _holding(motion: Motion, rests: Sequence[int], pose: Array) -> Motion:
 def base_wrench_columns(robot: Robot, motion: Motion) -> Array:
     """Force and torque on the base [N, N·m] per unit of each standard parameter, (n, 6, 10 nv).
 
-    The sum over links of what a body of inertia I asks: I (a − g) + v ×* I v.
+    The sum over links of the wrench that moves a body of inertia I: I (a − g) + v ×* I v.
     """
     model, data = robot.model, robot.model.createData()
     columns = np.empty((len(motion), 6, 10 * robot.nv))
@@ -411,8 +411,8 @@ def experiments_needed(
 ) -> tuple[str, ...]:
     """Experiment that shows each combination A x, A (m, p); empty where the rows show it.
 
-    The first candidate that shows it to 30 % of its size (m,), else, or where that is 0, the first
-    that shows it at all.
+    More of the motion, else the first candidate that shows it to 30 % of its size (m,), else, or
+    where that is 0, the first that shows it at all.
     """
     enough = np.where(size == 0, np.inf, ROUGHLY * np.abs(size))
     now = deviations(R, A)
@@ -425,13 +425,13 @@ def experiments_needed(
         if np.isfinite(std) and std <= limit:
             answers.append("")
         elif times <= _REPEATS:
-            answers.append(f"about {int(np.ceil(times))} times as much of this motion")
+            answers.append(f"about {int(np.ceil(times))} times the length of this motion")
         elif good:
             answers.append(good[0])
         elif np.isfinite(std):
-            answers.append("less torque noise: too small beside it in any motion tried")
+            answers.append("less torque noise: too uncertain in every motion tried")
         else:
-            answers.append(f"{some[0]}, and then roughly" if some else APART)
+            answers.append(f"{some[0]}, but no better than to 30 %" if some else APART)
     return tuple(answers)
 
 

@@ -5,9 +5,9 @@ Inertias alone, all given effects kept:
     τ − τ_effects ≈ W β     least squares of the links' base parameters, and
     β = B φ, P(φ_k) ≻ 0     the nearest bodies that have them, if any
 
-Whether bodies can have the values of the unconstrained fit is decided by their distance from the
-nearest consistent ones, χ² distributed when they can. Links move by the least change, in units of
-the tolerance of given values, that explains as much.
+The unconstrained fit is tested for physical consistency by its distance from the nearest consistent
+values, χ² distributed if it is consistent. The change of each link is the smallest, in units of the
+tolerance of given values, that explains as much.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.robot import Robot
 from excitant.robots.simulation import LOOP_HZ, Diverged, forward_error, forward_model
 
-LIKELY = 3.0  # times the tolerance's standard deviation: farther off, given values are wrong
+LIKELY = 3.0  # times the tolerance's standard deviation: beyond it, given values are wrong
 _ROUNDS = 4  # of fitting with the noise of the fit before
-_FREE = 30.0  # relative size of changes that nothing but consistency holds back
-_WEAK = 1.0  # relative size of changes where the least one is looked for
-_DEPENDENT = 1e-6  # of the largest singular value: what the motion does not show
-_CERTAIN = 0.99  # that values which bodies can have lie nearer
-_HARDLY = 0.1  # of the squared error: less is no explanation
+_FREE = 30.0  # relative size of changes that only consistency restricts
+_WEAK = 1.0  # relative size of changes in the search for the smallest one
+_DEPENDENT = 1e-6  # of the largest singular value: directions that the motion does not show
+_CERTAIN = 0.99  # probability that physically consistent values lie nearer
+_HARDLY = 0.1  # of the squared error: less explains nothing
 
-_WINDOW = 0.6  # s: fifteen time constants of the loop that holds a model
+_WINDOW = 0.6  # s: fifteen time constants of the stabilising loop
 _WINDOWS = 4  # at least, spread over the hold-out, where it is long enough
 _COARSE = 2e-3  # s: longest step of integration, a twentieth of that time constant
 
@@ -95,8 +95,8 @@ class Refit:
 
     errors: Mapping[str, Array]
     spread: Array  # standard deviation of the measured torque, shape (nv,)
-    possible: bool  # whether bodies can have the values of the unconstrained fit
-    distance: float  # of these from what bodies can have, over what chance allows
+    possible: bool  # whether the unconstrained fit is physically consistent but for chance
+    distance: float  # of that fit from consistent values, relative to what chance allows
     moves: tuple[Move, ...]  # of each link
 
     @property
@@ -106,7 +106,7 @@ class Refit:
 
     @property
     def gain(self) -> float:
-        """Share of the squared error that free inertias take off, joints relative to torque."""
+        """Share of the squared error that free inertias remove, joints relative to torque."""
         sizes = {name: (e / np.maximum(self.spread, 1e-12)) for name, e in self.errors.items()}
         left, given = (float((sizes[name] ** 2).sum()) for name in ("inertias", "given"))
         return 1 - left / max(given, 1e-300)
@@ -129,19 +129,19 @@ class Refit:
                 f"({quoted}): the cause is not in their values."
             )
         said = (
-            f"Re-fitting the inertias alone would take {100 * self.gain:.0f} % of the squared "
-            f"error off the hold-out ({quoted})"
+            f"Re-fitting the inertias alone would remove {100 * self.gain:.0f} % of the squared "
+            f"error on the hold-out ({quoted})"
         )
         if not self.possible:
-            impossible = "no bodies can have the values that this takes"
+            impossible = "only physically inconsistent inertias would achieve this"
             return f"{said}, but {impossible}: the cause is elsewhere."
         move = self.most_moved
         if move.most <= LIKELY:
-            return f"{said}, within what given values may be off."
+            return f"{said}, within the tolerance of the given values."
         far = f"{said}, but {move.sentence} ({move.most:.0f} standard deviations of a given value)"
         if move.link in wrong_links:
             return f"{far}: that link is among the findings."
-        return f"{far}: unless that link is so wrong, the cause is elsewhere."
+        return f"{far}: unless that link is that far off, the cause is elsewhere."
 
     def result(self, joints: Sequence[str]) -> dict[str, Any]:
         """Entries of result.json."""
@@ -191,7 +191,7 @@ def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
 
 def _least_squares(problem: Regression, counts: Mask) -> tuple[Array, Array, int]:
     """Root of the information on base parameters, their estimate, and its rank."""
-    # what the motion does not show stays at its smallest size and has no information
+    # directions that the motion does not show get the least norm and no information
     problem, counted = problem.counting(counts), np.maximum(counts.sum(axis=0), 1)
     scale = np.linalg.norm(problem.factor(np.ones(problem.nv))[0], axis=0)
     scale = np.where(scale > 0, scale, 1.0)
@@ -249,8 +249,8 @@ class Simulated:
 
     position: Array  # [rad or m]; NaN where it diverges
     velocity: Array  # [rad/s or m/s]
-    diverged: str  # why the simulation was given up, empty when it was not
-    along: tuple[str, ...]  # effects of sensors and of the past, taken on the recorded motion
+    diverged: str  # why the simulation was stopped; empty when it was not
+    along: tuple[str, ...]  # effects of sensors or with memory, evaluated on the recorded motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,11 +269,11 @@ class Forward:
         notes = []
         for name, model in models.items():
             if model.diverged:
-                notes.append(f"The {name} model leaves the motion for good: {model.diverged}.")
+                notes.append(f"Simulation of the {name} model was stopped: {model.diverged}.")
             elif model.along:
                 along = ", ".join(map(plain, model.along))
                 notes.append(
-                    f"In the {name} model, torque of {along} was taken along the recorded motion."
+                    f"In the {name} model, torque of {along} was evaluated on the recorded motion."
                 )
         rows = []
         for j, (joint, unit) in enumerate(zip(robot.joints, units, strict=True)):
@@ -335,7 +335,7 @@ def _simulated(robot: Robot, gains: Array, found: list[tuple[Motion, Array]]) ->
 
 
 def _simulable(robot: Robot, effect: Effect) -> bool:
-    """Whether a simulation from state to state knows an effect."""
+    """Whether forward simulation supports an effect."""
     with suppress(BadInput):
         return effect.of_state_alone and forward_model(robot.with_effects([effect])) is not None
     return False

@@ -101,7 +101,7 @@ def test_what_no_candidate_describes_is_unknown(ur10: Robot, diagnosed: Diagnose
     result = diagnosed(ur10, 4, switching, duration=15.0).result()
     assert [f["effect"] for f in result["findings"]] == ["unknown"], result["headline"]
     assert result["findings"][0]["joints"] == [LIFT]
-    assert "stay unexplained" in result["headline"]
+    assert "remain unexplained" in result["headline"]
 
 
 @pytest.mark.parametrize(("name", "seed"), [("planar_2r", 0), ("ur10", 2)])
@@ -324,7 +324,7 @@ def test_why_a_cause_that_pays_is_not_decided(
 @pytest.mark.parametrize(
     ("resting", "in_motion", "said"),
     [
-        pytest.param(2.0, 0.1, "elbow errs by 2 N·m where it rests", id="at rest"),
+        pytest.param(2.0, 0.1, "elbow has an error of 2 N·m at rest", id="at rest"),
         pytest.param(2 * FLOOR, 0.0, "", id="within the noise"),
         pytest.param(2.0, 2.0, "", id="no more than in motion"),
     ],
@@ -362,5 +362,5 @@ def test_what_is_hidden_is_found_without_inertias(ur10: Robot, diagnosed: Diagno
     assert (diagnosis.extended.nrmse < 0.05).all()
     result = diagnosis.result()
     assert result["headline"].startswith("All links of the given model weigh 1 kg")
-    assert "Beside inertias: " in result["headline"]
+    assert "Besides inertias: " in result["headline"]
     assert any("fitted together with the causes" in note for note in result["notes"])

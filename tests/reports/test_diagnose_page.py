@@ -43,7 +43,7 @@ def test_forward_simulation_says_where_a_model_diverges_or_is_no_closer(run):
     forward = run[0]["forward"]
     forward["joints"][0]["given"] = None
     forward["joints"][1]["extended"] = 0.06
-    forward["notes"] = ["The given model leaves the motion for good."]
+    forward["notes"] = ["Simulation of the given model was stopped: elbow_joint diverges."]
     table, notes = wrong(run[0])[-2:]
     assert [cell.text for cell in table.rows[0][1:3]] == ["diverges", "2.00"]
     assert f"no closer at {forward['joints'][1]['name']}" in table.caption
