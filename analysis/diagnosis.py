@@ -322,7 +322,7 @@ def diagnose(
         base = base_parameters(robot, usual)
         gains = current_gains(robot, base, train.matrix(usual), measured)[0]
         notes.append(
-            "torque was recorded as motor current; effects are in N·m by estimated drive gains, "
+            "torque was recorded as current; effects are in N·m by estimated drive gains, "
             "whose common scale follows from the given masses"
         )
     held, tau = held_out(robot, data.validate, gains), measured * gains

@@ -393,7 +393,8 @@ def described(trajectory: FourierTrajectory, robot: Robot) -> str:
         for j in moving:
             turns = int((np.diff(np.sign(motion.dq[1:-1, j])) != 0).sum())
             unit = "rad/s" if robot.revolute[j] else "m/s"
-            parts.append(f"{robot.joints[j]} reverses {turns} times at up to {speed[j]:.2g} {unit}")
+            often = "once" if turns == 1 else f"{turns} times"
+            parts.append(f"{robot.joints[j]} reverses {often} at up to {speed[j]:.2g} {unit}")
         return ", ".join([*parts, "the other joints held"])
     held = ", ".join(joint for j, joint in enumerate(robot.joints) if j not in moving)
     return f"{parts[0]}, {f'{held} held, the others move' if held else 'all joints move'}"

@@ -356,7 +356,8 @@ def _notes(
         more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
         notes.append(
             f"this motion does not show {', '.join(names[:_NAMED])}{more} "
-            f"({len(names)} of {len(base)} base parameters); shown by {what}"
+            f"({len(names)} of {len(base)} base parameters); "
+            f"shown {'' if what.startswith('never') else 'by '}{what}"
         )
     if (influence := under.influence) is None:
         return tuple(notes)

@@ -188,7 +188,7 @@ class DriveGains:
         hidden = [joint for joint, seen in zip(joints, self.shown, strict=True) if not seen]
         rest = f"; that of {', '.join(hidden)} is not shown and was taken from the other joints"
         return (
-            f"torque came as motor current; drive gains ({pairs} N·m/A) follow from the known "
+            f"torque was recorded as current; drive gains ({pairs} N·m/A) follow from the known "
             f"payload, their common scale to ±{100 * self.scale_std:.2g} %{rest if hidden else ''}"
         )
 

@@ -61,7 +61,7 @@ class Estimate:
         base: Base parameters of links and effects together.
         least_squares: Estimate of the base parameters.
         physical: Physically consistent fit of all parameters.
-        gains: Drive gains where torque came as current, shape (nv,) [N·m/A]; ones otherwise.
+        gains: Drive gains if torque was recorded as current, (nv,) [N·m/A]; ones otherwise.
         data: What was fitted and held out.
         train: Accuracy of the model on the fitted rows.
         notes: What the user should know, as sentences.
@@ -132,7 +132,7 @@ class Estimate:
         return prediction_interval(self.holdout_columns, self.least_squares, residual, self.gains)
 
     def result(self) -> dict[str, Any]:
-        """Machine-readable result of `identify` (keys of DESIGN.md, section 5)."""
+        """Machine-readable result of `identify`."""
         robot, fit = self.given, self.least_squares
         broken = violations(self.phi, robot.links)
         half, known = self.interval.half_width, self.interval.parameters
@@ -330,7 +330,7 @@ def notes_on(robot: Robot, prior: Array, data: Data, gains: Array) -> tuple[str,
         )
     if data.unit == "A":
         notes.append(
-            "torque came as motor current; drive gains relative to each other were estimated "
+            "torque was recorded as current; drive gains relative to each other were estimated "
             f"({', '.join(f'{k:.3g}' for k in gains)} N·m/A); their common scale rests on the "
             "given masses and is not determined by currents"
         )

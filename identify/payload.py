@@ -40,7 +40,7 @@ _MASS_GOAL, _CENTRE_GOAL = 0.02, 0.003  # relative, m
 _CERTAIN = 2.0  # standard deviations
 _MODEL_ERROR = 0.01  # of a given model, where neither recording nor estimate says better
 _CURRENT = (
-    "torque came as motor current: a gain that is wrong by 1 % makes mass, first moments and "
+    "torque was recorded as current: a gain that is wrong by 1 % makes mass, first moments and "
     "inertia wrong by 1 %, which no current shows; weigh one load to fix it (the centre of mass "
     "does not depend on the gain)"
 )

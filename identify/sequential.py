@@ -455,7 +455,7 @@ def _notes(rows: LinkRows, stages: Sequence[Stage], prior: Array) -> tuple[str, 
         gains = ", ".join(f"{k:.3g}" for k in rows.gains)
         notes = (
             *notes[:-1],
-            "torque came as motor current, and joints that move one at a time do not show their "
+            "torque was recorded as current, and joints that move one at a time do not show their "
             f"drives' gains relative to each other: they ({gains} N·m/A) rest on the given "
             "masses, and on each other where masses hardly load the joint; values in N·m, kg or "
             "kg·m², and what outer links cost inner joints, are as good as these gains",

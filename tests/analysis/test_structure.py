@@ -259,7 +259,7 @@ def test_circumstances_are_said(ur10: Robot) -> None:
     assert found.circumstances[2].startswith("joints shoulder_pan_joint at 0, ")
     assert "wrist_1_joint at 0.5" in found.circumstances[2]
     many = structure(ur10, moving=["elbow_joint"], held="any")
-    assert many.circumstances[2] == f"joints {', '.join(still)} at rest at many positions"
+    assert many.circumstances[2] == f"joints {', '.join(still)} at rest in many positions"
     assert len(many.base) > len(found.base)
     locked = structure(load_robot("ur10", lock={"elbow_joint": 1.0}).with_gravity((0, 0, 0)))
     assert {"no gravity", "joint elbow_joint at 1 locked"} <= set(locked.circumstances)

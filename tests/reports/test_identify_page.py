@@ -50,7 +50,7 @@ def test_payload_in_words(written):
     said = written("identify").words
     for part in (
         "1.5000 ± 0.0020 kg", "20.00 ± 0.10 mm", "200.0 ± 5.0 mm", "held by link7",
-        "Torque came as motor current", "Centre of mass along z is known to ±10 mm only."
+        "Torque was recorded as current", "Centre of mass along z is known to ±10 mm only."
     ):  # fmt: skip
         assert part in said, part
 
