@@ -31,7 +31,7 @@ SHOWN = {
     "run": "Recording run: ",
     "estimate": "Estimate of planar_2r",
     "ex.analyze(robot, estimate=estimate, rng=rng)": "Identifiability of planar_2r",
-    "ex.diagnose(robot, [run])": "What the model of planar_2r",
+    "ex.diagnose(robot, [run])": "Errors of the model of planar_2r",
 }
 
 
