@@ -114,7 +114,7 @@ def design_trajectory(
     Args:
         robot: The arm; its limits and effects count.
         duration: Period [s], or the shortest and the longest to choose from.
-        harmonics: Number of harmonics, at least 2; None to add harmonics while they pay.
+        harmonics: Number of harmonics, at least 2; None to add harmonics while κ falls.
         series: ``"fourier"``, or ``"spline"``: B-splines with twice as many pieces as there
             would be harmonics, whose local freedom suits tight cells.
         top_hz: Highest frequency up to which harmonics are added [Hz].

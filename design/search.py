@@ -220,7 +220,7 @@ def _best_period(problem: DesignProblem, effort: Effort, shortest: float) -> Des
 
 
 def _grow(problem: DesignProblem, effort: Effort, top_hz: float) -> tuple[DesignProblem, Searches]:
-    """Searches with harmonics added while they pay, each from the best solutions before."""
+    """Searches with harmonics added while κ falls, each from the best solutions before."""
     searches = _MultiStart(problem, effort.share(effort.starts, _FIRST)).run()
     while time.time() < effort.deadline and not _interrupted(searches):
         terms = int(np.ceil(_FACTOR * problem.series.terms))

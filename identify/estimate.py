@@ -331,8 +331,8 @@ def notes_on(robot: Robot, prior: Array, data: Data, gains: Array) -> tuple[str,
     if data.unit == "A":
         notes.append(
             "torque was recorded as current; drive gains relative to each other were estimated "
-            f"({', '.join(f'{k:.3g}' for k in gains)} N·m/A); their common scale rests on the "
-            "given masses and is not determined by currents"
+            f"({', '.join(f'{k:.3g}' for k in gains)} N·m/A); their common scale follows from "
+            "the given masses and is not determined by currents"
         )
     return tuple(notes)
 
@@ -341,8 +341,8 @@ def with_own_torque(rows: FitRows, prior: Array, knowledge: Knowledge) -> FitRow
     """The rows with columns of effects that hold the torque of the identified arm.
 
     Columns of load, delay or elasticity hold the torque of the arm, from which that of the given
-    one may be far off. The arm is identified without them first, then with those that it calls for
-    itself. The prior has shape (nv, 10).
+    one may be far off. The arm is identified without them first, then with those that it
+    selects. The prior has shape (nv, 10).
     """
     robot, effects = rows.robot, rows.effects
     apart = tuple(e for e in effects if not e.depends_on_model)

@@ -57,7 +57,7 @@ _REFERENCE = 10.0  # s of reference motion over which the uncertainty of the tor
 class OnlineEstimate(LeastSquares):
     """Estimate at an instant; inflation is that of recent residuals."""
 
-    t: float  # instant it speaks about: the newest block [s]
+    t: float  # instant of the estimate: the newest block [s]
     data: Information  # what the data alone say, rows of unit noise
 
 
@@ -129,7 +129,7 @@ class OnlineEstimator:
         self._filters = [InformationFilter(columns, len(self.base)) for columns in acting]
         self._weight = np.zeros(robot.nv)
         self._kernels = np.array([self.differentiator.kernel(k) * rate_hz**k for k in range(3)])
-        self.span = self._kernels.shape[1] + self.block - 1  # samples that a row rests on
+        self.span = self._kernels.shape[1] + self.block - 1  # samples that a row depends on
         self._samples, self._filled = np.zeros((self.span, 2 * robot.nv)), 0
         self._clock, self._instants = -np.inf, list[tuple[float, Array, Array]]()
         most = max(64, round(_RECENT / self.row_period))
@@ -142,7 +142,7 @@ class OnlineEstimator:
 
     @property
     def delay(self) -> float:
-        """Age of the newest instant it can speak about [s]."""
+        """Age of the newest instant that can be estimated [s]."""
         return self.differentiator.delay(self.rate_hz)
 
     def push(self, t: float, q: Array, tau: Array) -> None:
@@ -380,7 +380,7 @@ class OnlineIdentification:
     estimate: Estimate
     looks: tuple[Look, ...]  # of the monitor on the way, the last at the end
     messages: tuple[tuple[float, str], ...]  # time [s] and text
-    delay: float  # age of the newest instant that the estimator can speak about [s]
+    delay: float  # age of the newest instant that can be estimated [s]
     differentiator: str  # why which was taken
 
     def result(self) -> dict[str, Any]:

@@ -150,7 +150,7 @@ def solve(program: Program, centre: Array) -> Solution:
         raise Infeasible(
             "physically consistent fit",
             "the semidefinite solver reaches no solution near the optimum under any scaling; the "
-            "data call for bodies far from any that can exist: look for wrong units or signs of "
+            "data fit only bodies far from any that can exist: look for wrong units or signs of "
             "torque",
         )
     return min(checked, key=lambda pair: pair[0])[1]

@@ -197,7 +197,7 @@ class LinkRows(FitRows):
     used: Mask  # rows that count: of moving joints, and of those without dry friction, (n, nv)
     last: npt.NDArray[np.intp]  # joint, the last whose row holds each base parameter, shape (r,)
     scale: Array  # uncertainty of the given robot's base parameters, shape (r,)
-    compared: bool  # whether drive gains rest on rows of several joints
+    compared: bool  # whether drive gains are estimated from rows of several joints
 
     def recordings(self, joint: int) -> tuple[str, ...]:
         """Recordings in which rows of a joint count."""
@@ -456,9 +456,9 @@ def _notes(rows: LinkRows, stages: Sequence[Stage], prior: Array) -> tuple[str, 
         notes = (
             *notes[:-1],
             "torque was recorded as current, and joints that move one at a time do not show their "
-            f"drives' gains relative to each other: they ({gains} N·m/A) rest on the given "
-            "masses, and on each other where masses hardly load the joint; values in N·m, kg or "
-            "kg·m², and what outer links cost inner joints, are as good as these gains",
+            f"drives' gains relative to each other: they ({gains} N·m/A) follow from the "
+            "given masses, and from each other where masses hardly load the joint; values in N·m, "
+            "kg or kg·m², and what outer links cost inner joints, are as good as these gains",
         )
     said = f"link by link, these recordings determine {count} of {r} base combinations{rest}"
     return (notes[0], said, *notes[1:])

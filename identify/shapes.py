@@ -13,8 +13,8 @@ D the pull-back distance of `excitant.identify.physical`. Every body is written 
 
     P = U Uᵀ,   U = e^α [[e^d₁, s₁₂, s₁₃, t₁], [0, e^d₂, s₂₃, t₂], [0, 0, e^d₃, t₃], [0, 0, 0, 1]],
 
-which is positive definite for all of them and reaches every P ≻ 0 exactly once. Where data call for
-a body that cannot be, its numbers run away while the objective settles: no minimum is demanded.
+which is positive definite for all of them and reaches every P ≻ 0 exactly once. Where only an
+impossible body fits the data, its numbers diverge while the objective settles: that is accepted.
 """
 
 from __future__ import annotations
@@ -303,7 +303,7 @@ class Descent:
     def fit(
         self, bodies: Array, theta: Array, tolerance: float = _TOLERANCE
     ) -> tuple[Array, Array]:
-        """Descend from consistent bodies, (links, 10), and θ as far as it pays.
+        """Descend from consistent bodies, (links, 10), and θ until the objective settles.
 
         Returns:
             Standard parameters and θ where both and the objective change relatively by less than

@@ -174,7 +174,7 @@ def _sentence(finding: Result, unit: str) -> str:
         )
     if share is not None:
         said += f" That is {v.percent(share)} of the squared error that the given model leaves"
-        said += ": other findings rest on it." if share > 1 else "."
+        said += ": other findings depend on it." if share > 1 else "."
     if reason := v.text(finding, "doubt"):
         said += f" It is not decided: {reason}."
     elif v.text(finding, "verdict") == "undecided":

@@ -52,7 +52,7 @@ class BaseParameters:
         null_space: Orthonormal basis of what no torque shows, shape (p, p − r).
         gap: Smallest part of an accepted column, and largest of a rejected one, outside the
             columns before it, where the longest column has length one; close together means
-            special geometry "by a hair".
+            nearly special geometry, such as rounded angles.
     """
 
     names: tuple[str, ...]

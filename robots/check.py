@@ -243,8 +243,8 @@ def _rounded(root: ET.Element) -> Warnings:
         yield ModelWarning(
             "rounded_angles",
             tuple(found),
-            f"angles such as {text} are rounded; torque then depends, by a hair, on what the exact "
-            f"one hides, and what hardly shows is identified badly; write {meant!r}",
+            f"angles such as {text} are rounded; torque then depends slightly on parameters that "
+            f"the exact angle would hide, and those are identified badly; write {meant!r}",
             hint=True,
         )
 

@@ -23,7 +23,7 @@ from excitant.robots.urdf import full_model
 _DRAWN = 300  # poses tried for one in which the arm does not hide itself
 _BEND = 1.9  # rad, either way, of those
 _BELOW = 0.5  # how strongly points under the base count against a pose
-_POSES = 200  # random ones, to tell pairs whose distance is a matter of drawing
+_POSES = 200  # random ones, for pairs whose distance depends on the drawing
 _MOVING = 1e-3  # m: distances that change less do not change
 _TOOL = "tool point"
 _POINT = 1e-4  # m, radius of the sphere that stands for it

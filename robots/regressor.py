@@ -90,7 +90,7 @@ def rigid_torque(robot: Robot, motion: Motion) -> Array:
 
 @lru_cache(maxsize=_KEPT)
 def carried_torque(robot: Robot, motion: Motion) -> Array:
-    """Torque of the bodies and of all effects that do not rest on it, shape (n, nv) [N·m]."""
+    """Torque of the bodies and of all effects that do not depend on it, shape (n, nv) [N·m]."""
     total = np.array(rigid_torque(robot, motion))
     for effect in robot.effects:
         if effect.values is not None and not effect.acts_on_torque:

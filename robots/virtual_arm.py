@@ -164,7 +164,7 @@ def industrial_sensors(robot: Robot, rate_hz: float = 250.0) -> Sensors:
 
 
 def ideal_sensors(robot: Robot, rate_hz: float = 250.0) -> Sensors:
-    """Sensors that tell the truth."""
+    """Sensors without errors."""
     return Sensors(rate_hz, 0.0, 0.0, np.zeros(robot.nv), np.zeros(robot.nv))
 
 

@@ -306,7 +306,7 @@ def _solve(A: Array, b: Array) -> Array:
 
 
 def physics_faults(case: TorqueFit) -> list[Fault]:
-    """The faults of rate, unit and sign that the torque tells; the strongest reading counts."""
+    """The faults of rate, unit and sign that the torque shows; the strongest reading counts."""
     if found := [*_degrees(case)] or [*_torque_signs(case)]:
         return found
     readings = [*_rate(case), *_position_signs(case)]

@@ -134,7 +134,7 @@ class Effect(ABC):
     terms: ClassVar[tuple[Parameter, ...]] = ()  # its coefficients, once or on each joint
     role: ClassVar[Role] = "torque"  # "link": changes of a link's own; "body": of a further one
     shapes: ClassVar[tuple[Shape, ...]] = ()
-    depends_on_model: ClassVar[bool] = True  # columns rest on inertias or effects of the robot
+    depends_on_model: ClassVar[bool] = True  # columns depend on inertias or other effects
     acts_on_torque: ClassVar[bool] = False  # columns are those of a sensor of all other torque
     of_given_torque: ClassVar[bool] = False  # that of the given model; else it imitates findings
     of_state_alone: ClassVar[bool] = True  # a simulation knows it; others follow a known motion
@@ -144,7 +144,7 @@ class Effect(ABC):
     needs_motion: ClassVar[bool] = False  # joints that rest do not show it
     contains: ClassVar[tuple[str, ...]] = ()  # what it is when some coefficients are zero
     imitates: ClassVar[tuple[str, ...]] = ()  # what of that it can be at work for
-    told: ClassVar[tuple[tuple[str, str], ...]] = ()  # experiment, rivals it tells it from
+    told: ClassVar[tuple[tuple[str, str], ...]] = ()  # experiment, rivals it is separated from
     abscissa: ClassVar[str] = "own torque"  # what the error without it is drawn over
     joint_property: ClassVar[str] = ""  # what joints in files of a model have for it
     formats: ClassVar[tuple[str, ...]] = ()  # of the files that have it

@@ -1,4 +1,4 @@
-"""Actions that tell two effects apart where no motion of the arm as it stands does."""
+"""Actions that separate two effects where no motion of the arm as it stands does."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ STRETCHED = "turn the first joint slowly with the arm stretched"
 TILTED = "tilt the base: gravity's part turns"
 FOLDED = (
     "move the joint with the outer joints folded and stretched; for a first joint, and those "
-    "parallel to it, only the data sheet tells"
+    "parallel to it, only the data sheet decides"
 )
 _WEIGH = "weigh the link, or hang a known mass on it and repeat"
 

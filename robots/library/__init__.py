@@ -21,8 +21,8 @@ class ArmEntry:
     kind: str
     revolute: int  # number of joints that turn
     prismatic: int  # number of joints that slide
-    payload: float | None  # what it may carry [kg]; None where nobody says
-    weight: float | None  # with its base, as published [kg]; None where nobody says
+    payload: float | None  # what it may carry [kg]; None where unpublished
+    weight: float | None  # with its base, as published [kg]; None where unpublished
     moving_mass: float  # what its joints move in the model [kg]
     source: str  # where its inertias come from, in a few words
     sources: str  # sources of all numbers, and which are only representative

@@ -45,7 +45,7 @@ class Search:
     duration: str = "10"
     "Period [s], or the shortest and the longest to choose from as S:S."
     harmonics: int | Literal["search"] = 5
-    "Fourier terms, or 'search' to add them while they pay."
+    "Fourier terms, or 'search' to add them as long as they lower the condition number."
     series: Literal["fourier", "spline"] = "fourier"
     "spline: B-splines of 2 H pieces, for tight cells."
     max_frequency: float = 2.5

@@ -129,7 +129,7 @@ def test_the_command_chooses_effects(
 
 @pytest.mark.slow
 def test_real_friction_is_found(data_folder: Path) -> None:
-    """A current-controlled arm's last 40 %, predicted with the effects its first 60 % call for."""
+    """A current-controlled arm's last 40 %, predicted with the effects its first 60 % show."""
     dataset = load_dataset(data_folder / "ur10")
     [whole] = dataset.recordings(["unisa_exciting"])
     fit, unseen = [whole.between(0, 0.6, "first")], [whole.between(0.6, 1, "rest")]
