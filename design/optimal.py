@@ -17,7 +17,7 @@ from excitant.design.problem import DesignProblem
 from excitant.design.result import Design, dense_motion
 from excitant.design.search import Effort, SearchState, best_solutions, connect, search
 from excitant.design.trajectory import FourierSeries, Series, SplineSeries
-from excitant.exceptions import BadInput, UnknownName
+from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots import Motion, Robot
 from excitant.robots.geometry import Scene
 
@@ -26,6 +26,7 @@ Progress = Callable[[int, int | None, float, float], None]
 and its worst limit ratio."""
 
 SERIES = ("fourier", "spline")
+USE = 0.9  # of the limits; the rest is for what the model and the controller get wrong
 TOP_HZ = 2.5  # a quarter of the cut-off that identification filters at
 CLEARANCE = 0.01  # m
 CANDIDATES = 4  # best searches whose exact figures decide
@@ -50,6 +51,9 @@ def build_design(
 ) -> DesignProblem:
     """State the problem that `design_trajectory` solves, as its search begins."""
     longest = period_range(duration)[1]
+    if not robot.phi[::10].any():
+        why = "no link has a mass, so no torque is known; add <inertial> elements"
+        raise BadRobot(robot.source or robot.name, why)
     if criterion not in CRITERIA:
         raise UnknownName("criterion", criterion, CRITERIA)
     if not np.isfinite(clearance) or clearance < 0:
@@ -92,6 +96,7 @@ def design_trajectory(
     duration: float | tuple[float, float] = 10.0,
     harmonics: int | None = 5,
     series: str = "fourier",
+    use: float = USE,
     top_hz: float = TOP_HZ,
     criterion: str = "condition",
     columns: str = "friction",
@@ -117,6 +122,7 @@ def design_trajectory(
         harmonics: Number of harmonics, at least 2; None to add harmonics while κ falls.
         series: ``"fourier"``, or ``"spline"``: B-splines with twice as many pieces as there
             would be harmonics, whose local freedom suits tight cells.
+        use: Share of the limits on velocity, acceleration, torque and jerk that is used (of 1).
         top_hz: Highest frequency up to which harmonics are added [Hz].
         criterion: ``"condition"`` (cond₂ W), ``"d"`` (det M), ``"a"`` (tr M⁻¹), ``"e"`` (λmin).
         columns: ``"friction"`` or ``"inertial"``.
@@ -136,12 +142,13 @@ def design_trajectory(
     Raises:
         Infeasible: No motion keeps the limits; names those in conflict.
         UnknownName: Another criterion, other columns or another series.
-        BadInput: Duration, harmonics or starts out of range, or no cluster there.
+        BadRobot: No link has a mass.
+        BadInput: Duration, use, harmonics or starts out of range, or no cluster there.
     """
-    began = time.time()
+    began, held = time.time(), robot.with_limits(robot.limits.used(use))
     with effort_of(starts, _STARTS, jobs, cluster, seed, time_limit) as effort:
         first = build_design(
-            robot, duration=duration, harmonics=harmonics, series=series, criterion=criterion,
+            held, duration=duration, harmonics=harmonics, series=series, criterion=criterion,
             columns=columns, noise=noise, earlier=earlier, scene=scene, clearance=clearance,
         )  # fmt: skip
         first.random(np.random.default_rng([seed, 0]))  # refuses at once what no motion keeps
@@ -152,13 +159,14 @@ def design_trajectory(
     begun = replace(problem, series=problem.series.resized(first.series.terms))
     initial = begun.random(np.random.default_rng([seed, 0]))
     found = map(problem.trajectory, best_solutions(searches, CANDIDATES))
-    kept = [within_limits(robot, trajectory, scene, clearance) for trajectory in found]
+    kept = [within_limits(held, trajectory, scene, clearance) for trajectory in found]
     chosen = min(
         [initial, *(trajectory for trajectory in kept if trajectory is not None)],
         key=lambda x: objective(problem.information.matrix(dense_motion(x)), criterion),
     )
     wall_s = time.time() - began
-    return Design(problem.information, criterion, initial, chosen, scene, searches, wall_s)
+    seen = replace(problem.information, robot=robot)
+    return Design(seen, criterion, initial, chosen, scene, use, searches, wall_s)
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from excitant.design.search import SearchState
 from excitant.design.trajectory import Trajectory
 from excitant.exceptions import OutsideLimits
 from excitant.robots import Array, BaseParameters, Motion, Robot, torque
-from excitant.robots.geometry import Scene
+from excitant.robots.geometry import Scene, unchecked
 from excitant.robots.parameters import UNITS
 from excitant.robots.torque import effect_values
 
@@ -48,6 +48,7 @@ class Design:
         initial: The first random feasible trajectory.
         trajectory: The excitation trajectory, at rest at both ends.
         scene: The arm's bodies and obstacles; None without.
+        use: Share of the limits on velocity, acceleration, torque and jerk that it may use.
         starts: How each search went.
         wall_s: Time taken [s].
     """
@@ -57,6 +58,7 @@ class Design:
     initial: Trajectory
     trajectory: Trajectory
     scene: Scene | None
+    use: float
     starts: tuple[SearchState, ...]
     wall_s: float
 
@@ -64,6 +66,11 @@ class Design:
     def robot(self) -> Robot:
         """The arm."""
         return self.information.robot
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the search was interrupted; the trajectory is then the best so far."""
+        return any(start.status == "interrupted" for start in self.starts)
 
     @property
     def base(self) -> BaseParameters:
@@ -148,6 +155,8 @@ class Design:
                 "final": weak_directions(names, after, before),
             },
             **limits,
+            "limit_use": self.use,
+            "unchecked": unchecked(robot, self.scene),
             "clearance_m": near and near.certified,
             "closest": near
             and {"bodies": list(near.bodies), "t": near.time, "distance_m": near.distance},
@@ -165,6 +174,7 @@ class Design:
             ],
             "iterations": sum(start.iterations for start in self.starts),
             "wall_s": self.wall_s,
+            "notes": ["interrupted: this is the best motion found by then"] * self.interrupted,
             "files": {},
         }
 
@@ -227,6 +237,7 @@ class TrajectoryCheck:
     information: Information  # what it is to make visible, on which arm
     motion: Motion
     limits: LimitReport
+    scene: Scene | None  # what it is to keep clear of
     clearance: Clearance | None
     least: float  # distance required [m]
 
@@ -259,6 +270,8 @@ class TrajectoryCheck:
             **entries,
             "columns": self.information.columns,
             "condition_number": condition_number(self.information.matrix(self.motion)),
+            "unchecked": unchecked(robot, self.scene),
+            "obstacles": [o.plain() for o in self.scene.obstacles] if self.scene else [],
             "clearance_m": near and near.certified,
             "verdicts": verdicts or ["all limits hold, between samples too"],
         }

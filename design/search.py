@@ -286,6 +286,7 @@ class _MultiStart:
             late = time.time() > self.effort.deadline
             self.end("time limit" if late else "iteration limit", self.ranked(0))
         except KeyboardInterrupt:
+            self.states = self.states or {0: SearchState(0, self.nothing)}
             self.end("interrupted", self.ranked(0))
         return tuple(self.states[k] for k in sorted(self.states))
 

@@ -23,6 +23,7 @@ from excitant.design.optimal import (
     CANDIDATES,
     CLEARANCE,
     TOP_HZ,
+    USE,
     build_design,
     effort_of,
     period_range,
@@ -41,7 +42,7 @@ from excitant.robots.motion import read_only
 
 _STARTS = 6  # per motion
 _POSES = 200  # drawn for one that keeps clear
-_SHARED = ("joints", "revolute", "series", "limit_values", "obstacles")
+_SHARED = ("joints", "revolute", "series", "limit_use", "limit_values", "obstacles", "unchecked")
 _OWN = (
     "duration",
     "harmonics",
@@ -69,6 +70,11 @@ class LinkByLinkDesign:
     # by the link's joint, the last first; their information is that of row τ_i on it
     motions: dict[int, Design]
     wall_s: float  # time taken [s]
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the search for one of the motions was interrupted."""
+        return any(design.interrupted for design in self.motions.values())
 
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``: the worst of all at the top, each in ``stages``."""
@@ -110,9 +116,10 @@ class LinkByLinkDesign:
             "iterations": sum(one["iterations"] for one in single),
             "wall_s": self.wall_s,
             "notes": [
+                *dict.fromkeys(note for one in single for note in one["notes"]),
                 "one motion per link, from the last inward; identify with --link-by-link from all "
                 "of their recordings. The condition number above is that of "
-                f"{_stem(list(self.motions)[worst])}, the worst"
+                f"{_stem(list(self.motions)[worst])}, the worst",
             ],
             "link_by_link": {"stages": stages},
             "files": {},
@@ -146,6 +153,7 @@ def design_link_by_link(
     duration: float | tuple[float, float] = 10.0,
     harmonics: int | None = 5,
     series: str = "fourier",
+    use: float = USE,
     top_hz: float = TOP_HZ,
     criterion: str = "condition",
     columns: str = "friction",
@@ -164,7 +172,7 @@ def design_link_by_link(
     each link's columns in its own row. ``starts`` counts the searches per motion, 6 by default;
     the time limit [s] is that of all motions together.
     """
-    began = time.time()
+    began, held = time.time(), robot.with_limits(robot.limits.used(use))
     options: dict[str, Any] = {
         "duration": duration,
         "harmonics": harmonics,
@@ -185,15 +193,15 @@ def design_link_by_link(
             if progress is not None:
                 tell = _teller(progress, robot.links[joint], k, len(joints))
                 part = replace(part, report=tell)
-            problem = _problem(robot, joint, pose, scene, options)
+            problem = _problem(held, joint, pose, scene, options)
             problem, searches = search(problem, part, period_range(duration)[0], highest)
             initial = problem.random(np.random.default_rng([seed, 0]))
             drawn = [initial, *map(problem.trajectory, best_solutions(searches, CANDIDATES))]
-            kept = _keeping(robot, [_whole(x, pose) for x in drawn], scene, clearance)
+            kept = _keeping(held, [_whole(x, pose) for x in drawn], scene, clearance)
             seen = _of_link(goal, joint, last == joint)
             values = [objective(seen.matrix(dense_motion(motion)), criterion) for motion in kept]
             chosen = kept[int(np.argmin(values))]
-            motions[joint] = Design(seen, criterion, kept[0], chosen, scene, searches, 0.0)
+            motions[joint] = Design(seen, criterion, kept[0], chosen, scene, use, searches, 0.0)
     return LinkByLinkDesign(robot, columns, criterion, len(last), motions, time.time() - began)
 
 

@@ -161,6 +161,11 @@ class Trajectory(_Curve):
         k = np.append(np.tile(np.arange(n), repetitions), n)
         return Motion(t, once.q[k], once.dq[k], once.ddq[k])
 
+    def slowed(self, speed: float) -> Trajectory:
+        """The same path at a share of the speed."""
+        series = self.series.resized(self.series.terms, self.period / speed)
+        return series.trajectory(self.coefficients)
+
     def extrema_in_time(self, order: int = 0) -> tuple[Array, Array]:
         """Instants among which every extremum of a derivative lies, and values there, (k, nv)."""
         times = self.series.extremum_times(self.coefficients, order)

@@ -324,12 +324,17 @@ class Publication:
 
 
 def publication(
-    estimate: Estimate, *, formats: Sequence[str] = FORMATS, force: bool = False
+    estimate: Estimate,
+    *,
+    formats: Sequence[str] = FORMATS,
+    force: bool = False,
+    faults: Sequence[str] = (),
 ) -> Publication:
-    """Files of an identified model, unless the model as given predicts the hold-out better.
+    """Files of an identified model, unless the data or the hold-out speak against it.
 
-    It does when its nrmse, summed over the joints, is the smaller by more than 1 %; with ``force``
-    the model is published whatever the hold-out says.
+    The data do by proven ``faults`` that were not repaired, a sentence each; the hold-out when the
+    nrmse of the model as given, summed over the joints, is smaller by more than 1 %. With ``force``
+    the model is published all the same.
 
     Raises:
         UnknownName: A format that is not one of `FORMATS`.
@@ -337,13 +342,16 @@ def publication(
     gains = estimate.gains if estimate.data.unit == "A" else None
     files = model_files(estimate.model, "identified", "model.yaml", formats, gains)
     found, given = (float(np.nansum(x.nrmse)) for x in (estimate.validate, estimate.baseline))
-    if found <= _AS_GOOD * given:
-        return Publication(files, True, "")
-    why = (
-        f"on the hold-out its nrmse summed over the joints is {found:.4g}, that of the model as "
-        f"given {given:.4g}"
-    )
-    if force:
-        return Publication(files, True, f"published because it was forced: {why}")
-    advice = "record a motion that excites more, or give --force"
-    return Publication({}, False, f"the identified model is not published: {why}; {advice}")
+    advice = "correct the recording, with --repair where it says so, or give --force"
+    why = list(faults)
+    if found > _AS_GOOD * given:
+        advice = advice if why else "record a motion that excites more, or give --force"
+        why.append(
+            f"on the hold-out its nrmse summed over the joints is {found:.4g}, that of the model "
+            f"as given {given:.4g}"
+        )
+    said = "; ".join(why)
+    if force or not why:
+        note = f"published because it was forced: {said}" if why else ""
+        return Publication(files, True, note)
+    return Publication({}, False, f"the identified model is not published: {said}; {advice}")

@@ -46,7 +46,11 @@ def design_section(result: Result, series: Series) -> p.Section:
             ("Files", [p.files(v.words(result, "files"))]),
         ],
         (
-            ("designed", f"condition number {kappa}, limits used up to {v.percent(worst, 4)}"),
+            (
+                "designed",
+                f"condition number {kappa}, limits used up to {v.percent(worst, 4)}"
+                f"{_unchecked(result)}",
+            ),
             *[("", said)] * bool(weak),
         ),
     )
@@ -68,17 +72,25 @@ def check_section(result: Result, series: Series) -> p.Section:
     name, robot = v.text(result, "trajectory"), v.text(result, "robot")
     return p.section(
         "Trajectory check",
-        f"{name or 'The trajectory'} {keeps} of {robot or 'the arm'}.",
+        f"{name or 'The trajectory'} {keeps} of {robot or 'the arm'}{_unchecked(result)}.",
         [
             ("Key figures", [key_figures]),
             ("Verdicts", [p.notes([v.sentence(verdict) for verdict in said])]),
             *_motion(result, series),
         ],
         (
-            *((("checked", "")[k > 0], verdict) for k, verdict in enumerate(said)),
+            *(
+                ("", verdict) if k else ("checked", verdict + _unchecked(result))
+                for k, verdict in enumerate(said)
+            ),
             ("", f"condition number {v.number(kappa)} ({v.text(result, 'columns')} columns)"),
         ),
     )
+
+
+def _unchecked(result: Result) -> str:
+    left = v.text(result, "unchecked")
+    return f"; not checked: {left}" if left else ""
 
 
 def rehearse_section(result: Result, series: Series) -> p.Section:
@@ -169,9 +181,9 @@ def _lead(result: Result) -> str:
     worst, holds = _worst_ratio(result), ""
     if worst is not None:
         used = share_of_limit(worst)
-        holds = f" Limits are exceeded: {used} of one is used."
+        holds = f" Limits are exceeded: {used} of one is used{_unchecked(result)}."
         if worst <= _FULL:
-            holds = f" All limits hold, used up to {used}."
+            holds = f" All limits hold, used up to {used}{_unchecked(result)}."
     reached = f"a condition number of {v.number(final)}"
     if stages:
         return (
@@ -217,7 +229,10 @@ def _duration(result: Result) -> p.Fact:
 
 def _clearance(result: Result) -> p.Fact:
     distance = v.real(result, "clearance_m")
-    remark = "to obstacles and itself, between samples too"
+    floor = next((r for r in v.records(result, "obstacles") if r.get("name") == "floor"), None)
+    height = v.real(floor, "offset")
+    to = "" if height is None else f"floor at {v.quantity(height, 'm')}, "
+    remark = f"to {to}obstacles and itself, between samples too"
     return p.fact(
         "Clearance", distance, lambda d: f"≥ {v.quantity(1e3 * d, 'mm')}" if d else "", remark
     )

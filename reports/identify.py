@@ -62,13 +62,10 @@ def identify_section(result: Result, series: Series) -> p.Section:
 
 def _brief(result: Result, unit: str) -> p.Brief:
     rows = v.records(result, "joints")
-    given, found = (
-        sum(v.real(row, kind, "rms") or 0.0 for row in rows) for kind in ("baseline", "validate")
-    )
+    errors = [v.median(rows, kind, "nrmse") for kind in ("baseline", "validate")]
     consistent = v.at(result, "physical", "consistent")
     said = (
-        f"hold-out error, sum of joints, {v.number(given)} → {v.number(found)} {unit}, median r² "
-        f"{v.number4(v.median(rows, 'validate', 'r2'))}, "
+        f"hold-out error {v.change(*errors, v.percent)} (nrmse, median over joints), "
         f"{'physically consistent' if consistent else 'not physical'}"
     )
     return ("identified", said), ("", v.text(result, "holdout"))
@@ -82,11 +79,19 @@ def fault_table(result: Result) -> p.Table | None:
             ("name:Recording", "recording"),
             ("name:Data fault", lambda r: p.Cell(v.plain(v.text(r, "fault")), p.POOR)),
             ("name:Joints", "joints"),
-            ("text:Detail", "detail"),
+            ("text:Detail", lambda r: f"{v.text(r, 'detail')} ({_remedy(r)})"),
         ],
         "Faults of the data, found before any model was judged by them.",
         brief="data fault",
     )
+
+
+def _remedy(fault: Result) -> str:
+    """What was done about a fault, or can be."""
+    if v.at(fault, "repaired"):
+        return "repaired"
+    done = v.text(fault, "repair")
+    return f"not repaired; --repair {done}" if done else "not repaired; record again"
 
 
 def _held_out(result: Result) -> bool:

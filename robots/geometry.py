@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,13 @@ import pinocchio as pin
 from excitant.robots.chains import tree
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
-from excitant.robots.schema import OBSTACLE_SHAPES, ObstacleRecord, convert, read_yaml
+from excitant.robots.schema import (
+    OBSTACLE_SHAPES,
+    HalfSpaceRecord,
+    ObstacleRecord,
+    convert,
+    read_yaml,
+)
 from excitant.robots.urdf import full_model
 
 _DRAWN = 300  # poses tried for one in which the arm does not hide itself
@@ -25,7 +33,9 @@ _BEND = 1.9  # rad, either way, of those
 _BELOW = 0.5  # how strongly points under the base count against a pose
 _POSES = 200  # random ones, for pairs whose distance depends on the drawing
 _MOVING = 1e-3  # m: distances that change less do not change
-_TOOL = "tool point"
+_TOOL, _FLOOR = "tool point", "floor"
+_UPRIGHT = 0.99  # cosine between the base's axis and up, at least, of an arm on a floor
+_BASE = 0.05  # m: shapes of a base that end so near its frame stand on it
 _POINT = 1e-4  # m, radius of the sphere that stands for it
 
 
@@ -351,17 +361,10 @@ def scene(robot: Robot, obstacles: Sequence[Obstacle] = ()) -> Scene | None:
         robot: The arm; its URDF's ``<collision>`` elements count.
         obstacles: Bodies in the cell.
     """
-    root = ET.fromstring(robot.urdf)
-    _find_meshes(root, robot)
-    model, reference, locked = full_model(root, robot)
-    text = ET.tostring(root, encoding="unicode")
-    geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
-    _make_convex(geometry)
+    geometry = _solids(robot)[0].copy()
     boxed = {name for o in obstacles if o.shape == "workspace" for name, _, _ in o.bodies()}
     if not len(geometry.geometryObjects) and not boxed:
         return None
-    if locked:
-        _, (geometry,) = pin.buildReducedModel(model, [geometry], locked, reference)
     fixed = set()
     for name, shape, placement in (body for o in obstacles for body in o.bodies()):
         geometry.addGeometryObject(pin.GeometryObject(name, 0, 0, placement, shape))
@@ -377,6 +380,61 @@ def scene(robot: Robot, obstacles: Sequence[Obstacle] = ()) -> Scene | None:
     moving |= np.array([bool(fixed & set(names)) for names in everything.pairs], bool)
     kept = [pair for pair, moves in zip(pairs, moving, strict=True) if moves]
     return _paired(robot, geometry, kept, obstacles) if kept else None
+
+
+@lru_cache(maxsize=8)
+def _solids(robot: Robot) -> tuple[Any, int, int]:
+    """Collision shapes of an arm, never edited; how many it states; meshes that are not there."""
+    root = ET.fromstring(robot.urdf)
+    stated, missing = len(root.findall("link/collision")), _find_meshes(root, robot)
+    model, reference, locked = full_model(root, robot)
+    text = ET.tostring(root, encoding="unicode")
+    geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
+    _make_convex(geometry)
+    if locked:
+        _, (geometry,) = pin.buildReducedModel(model, [geometry], locked, reference)
+    return geometry, stated, missing
+
+
+def floor(height: float) -> Obstacle:
+    """The floor at a height in the base frame [m]."""
+    return Obstacle(_FLOOR, "half_space", HalfSpaceRecord((0.0, 0.0, 1.0), height))
+
+
+def base_plane(robot: Robot) -> float | None:
+    """Height of the plane that an arm stands on [m]; None if it hangs or shows no fixed base.
+
+    It is that of the base frame where the fixed shapes end near it, else their lowest point.
+    """
+    up = -robot.gravity
+    fixed = [body for body in _solids(robot)[0].geometryObjects if body.parentJoint == 0]
+    if not fixed or not up[2] > _UPRIGHT * np.linalg.norm(up):
+        return None
+    lowest = min(_lowest(body) for body in fixed)
+    return 0.0 if abs(lowest) < _BASE else lowest
+
+
+def _lowest(body: Any) -> float:
+    box = body.geometry
+    box.computeLocalAABB()
+    corners = np.array(list(product(*zip(box.aabb_local.min_, box.aabb_local.max_, strict=True))))
+    return float((corners @ body.placement.rotation.T + body.placement.translation)[:, 2].min())
+
+
+def unchecked(robot: Robot, scene: Scene | None) -> str:
+    """What clearance in a scene leaves out, as ``self-collision, 8 of 8 meshes not found; floor``.
+
+    Shapes of neighbouring links, which touch by design, are never checked against each other.
+    """
+    _, stated, missing = _solids(robot)
+    left = []
+    if missing or not stated or scene is None:
+        why = f"{missing} of {stated} collision meshes not found" if missing else ""
+        why = why or ("" if stated else "the robot has no collision shapes")
+        left.append(f"self-collision{', ' * bool(why)}{why}")
+    if scene is None or all(obstacle.name != _FLOOR for obstacle in scene.obstacles):
+        left.append(_FLOOR)
+    return "; ".join(left)
 
 
 def _paired(
@@ -419,16 +477,36 @@ def _make_convex(geometry: Any) -> None:
         body.geometry = mesh.convex
 
 
-def _find_meshes(root: ET.Element, robot: Robot) -> None:
-    """Name mesh files by their full paths; remove collision shapes whose mesh is not there."""
-    folder = Path(robot.source).parent
+def _find_meshes(root: ET.Element, robot: Robot) -> int:
+    """Name mesh files by their full paths; count and remove shapes whose mesh is not there."""
+    missing = 0
     for link in root.findall("link"):
         for collision in link.findall("collision"):
             mesh = collision.find("geometry/mesh")
             if mesh is None:
                 continue
-            name = str(mesh.get("filename")).removeprefix("package://").removeprefix("file://")
-            if (folder / name).is_file():
-                mesh.set("filename", str((folder / name).resolve()))
+            path = _mesh_file(str(mesh.get("filename")), Path(robot.source).resolve().parent)
+            if path is not None:
+                mesh.set("filename", str(path.resolve()))
             else:
                 link.remove(collision)
+                missing += 1
+    return missing
+
+
+def _mesh_file(name: str, folder: Path) -> Path | None:
+    """File of a mesh: beside the description, in a package that holds it, or in one of ROS."""
+    if not name.startswith("package://"):
+        places = [folder / name.removeprefix("file://")]
+    else:
+        package, _, inside = name.removeprefix("package://").partition("/")
+        above = [folder, *folder.parents]
+        shared = [Path(path) for path in _words("ROS_PACKAGE_PATH")]
+        shared += [Path(path) / "share" for path in _words("AMENT_PREFIX_PATH")]
+        places = [each / package / inside for each in (*above, *shared)]
+        places += [each / inside for each in (*above, *shared) if each.name == package]
+    return next((path for path in places if path.is_file()), None)
+
+
+def _words(variable: str) -> list[str]:
+    return [word for word in os.environ.get(variable, "").split(os.pathsep) if word]

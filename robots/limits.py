@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from excitant.robots.robot import Robot
 
 LIMIT_NAMES = ("position", "velocity", "acceleration", "torque", "jerk")
+_ROS = {name: name for name in LIMIT_NAMES[1:]} | {"torque": "effort"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,21 +56,55 @@ class Limits:
         rows: dict[str, Any] = {name: getattr(self, name)[joints] for name in LIMIT_NAMES}
         return replace(self, **rows)
 
+    def used(self, share: float) -> Limits:
+        """Limits of which velocity, acceleration, torque and jerk are a share of these (of 1)."""
+        if not 0 < share <= 1:
+            raise BadInput(f"use of {share:g}: give the share of the limits, above 0 and up to 1")
+        return replace(self, **{name: share * getattr(self, name) for name in LIMIT_NAMES[1:]})
+
 
 def load_limits(path: str | Path, robot: Robot) -> Limits:
     """Limits of a robot with some replaced by those of a YAML or JSON file.
 
     The file holds ``position: [[lo, hi], ...]``, ``velocity``, ``acceleration``, ``torque``
     and ``jerk`` (one number, one per joint, or ``{joint: number}``), at the top or under
-    ``limits``. What it leaves out stays as the robot has it.
+    ``limits``; or it is a ``joint_limits.yaml`` of MoveIt or ros2_control. What it leaves out
+    stays as the robot has it.
 
     Raises:
         BadInput: Unreadable, unknown names, wrong counts, or limits that exclude everything.
     """
     content = read_yaml(path, dict[str, Any], "limits")
+    if (by_joint := _joint_limits(content)) is not None:
+        record = convert(_by_quantity(by_joint, robot, path), LimitsRecord, path, ".joint_limits")
+        return merge_limits(robot, record, str(path))
     nested = "limits" in content
     record = convert(content.get("limits", content), LimitsRecord, path, ".limits" * nested)
     return merge_limits(robot, record, str(path))
+
+
+def _joint_limits(content: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """The entry ``joint_limits`` of MoveIt or ros2_control, under ``ros__parameters`` or not."""
+    if isinstance(found := content.get("joint_limits"), dict):
+        return found
+    inner = (_joint_limits(value) for value in content.values() if isinstance(value, dict))
+    return next((value for value in inner if value is not None), None)
+
+
+def _by_quantity(by_joint: Mapping[str, Any], robot: Robot, path: str | Path) -> dict[str, Any]:
+    """Limits that are in force (``has_velocity_limits: true``), of the joints that the arm has."""
+    rows = {joint: row for joint, row in by_joint.items() if joint in robot.joints}
+    if not rows:
+        raise BadInput(f"{path}: {UnknownName('joint', next(iter(by_joint), ''), robot.joints)}")
+    keys = {name: (f"max_{word}",) for name, word in _ROS.items()}
+    return {
+        name: {
+            joint: row.get(key[0]) if len(key) == 1 else [row.get(k) for k in key]
+            for joint, row in rows.items()
+            if isinstance(row, dict) and row.get(f"has_{_ROS.get(name, name)}_limits")
+        }
+        for name, key in (keys | {"position": ("min_position", "max_position")}).items()
+    }
 
 
 def merge_limits(robot: Robot, record: LimitsRecord, source: str) -> Limits:

@@ -33,9 +33,10 @@ def limit_shares(robot: Robot, motion: Motion) -> dict[str, Array]:
 
 def assert_limits_hold(found: Design, rate_hz: float = 2000.0) -> None:
     assert found.trajectory.at_rest
-    assert found.limits.worst.ratio <= 1.0
-    for shares in limit_shares(found.robot, found.trajectory.motion(rate_hz)).values():
-        assert shares.max() <= 1.0
+    for use in found.limits.uses:
+        assert use.ratio <= (1.0 if use.quantity == "position" else found.use)
+    for name, shares in limit_shares(found.robot, found.trajectory.motion(rate_hz)).items():
+        assert shares.max() <= (1.0 if name == "position" else found.use)
 
 
 def assert_holds_for_every_mass(robot: Robot, motion: Motion, uncertainty: float) -> None:

@@ -48,7 +48,7 @@ WORKING = {
     "design": "--duration 4 --harmonics 2 --starts 1 --jobs 1",
     "check": "trajectory.csv",
     "identify": "one.csv --validate two.csv",
-    "identify split": "one.csv two.csv --effects viscous_friction --cutoff 8",
+    "identify split": "one.csv two.csv --effects viscous_friction --cutoff 8 --force",
     "identify planned": "one.csv --validate two.csv --trajectory trajectory.json",
     "analyze": "",
     "analyze inertial": "--columns inertial --trajectory trajectory.csv",
@@ -69,6 +69,52 @@ def test_a_verb_writes_and_prints_its_result(name: str, here: Path, excitant: An
     assert all((here / file).is_file() for file in result["files"])
     page = (here / "out" / "report.html").read_text(encoding="utf-8")
     assert not re.search(r"""(?:src|href)=["']https?:""", page)
+
+
+def test_a_first_run_is_slower_and_checked_by_itself(here: Path, excitant: Any) -> None:
+    options = "--duration 4 --harmonics 2 --starts 1 --jobs 1 --use 0.5 --speed 0.2 --floor -2"
+    ran = excitant(f"design planar_2r {options} --json -o out")
+    found = ran.result
+    assert (ran.status, found["limit_use"], found["first_run"]["duration"]) == (0, 0.5, 20.0)
+    assert max(found["limits"][q] for q in ("velocity", "acceleration", "torque")) <= 0.5
+    full, slow = (pd.read_csv(f"out/{name}.csv") for name in ("trajectory", "first_run"))
+    assert slow["t"].iloc[-1] == pytest.approx(20.0)
+    np.testing.assert_allclose(slow["q1"][::5], full["q1"], atol=1e-9)
+    np.testing.assert_allclose(slow["dq2"][::5], 0.2 * full["dq2"], atol=1e-9)
+    assert found["unchecked"] == ""  # arms in a plane, whose two links cannot meet
+    assert [o["name"] for o in found["obstacles"]] == ["floor"]
+    left = excitant(f"design planar_2r {WORKING['design']} --no-floor -o bare").out
+    assert "; not checked: self-collision; floor" in left.splitlines()[0]
+    assert "; not checked: self-collision; floor" in (here / "bare" / "report.html").read_text()
+    checked = excitant("check planar_2r trajectory.csv -o checked").out.splitlines()[0]
+    assert checked.endswith("between samples too; not checked: self-collision; floor")
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ("--use 1.2", "use of 1.2"),
+        ("--speed 0", "--speed 0"),
+        ("--floor 0 --no-floor", "exclude each other"),
+    ],
+)
+def test_unsafe_options_are_refused(options: str, says: str, refused: Any) -> None:
+    assert says in refused(f"design planar_2r --starts 1 {options} -o out")
+
+
+def test_what_faults_prove_wrong_is_not_published(here: Path, excitant: Any) -> None:
+    """Not even where the hold-out has the same fault; repaired, it is, and that is said."""
+    for name in ("one", "two"):
+        table = pd.read_csv(f"{name}.csv")
+        table[["q2", "dq2"]] = np.degrees(table[["q2", "dq2"]])
+        table.to_csv(f"{name}-deg.csv", index=False)
+    ran = excitant("identify planar_2r one-deg.csv --validate two-deg.csv -o out")
+    [line] = [line for line in ran.out.splitlines() if "not published" in line]
+    assert ran.status == 1
+    assert "one-deg: q is in degrees" in line
+    assert "--repair" in line
+    ran = excitant("identify planar_2r one-deg.csv --validate two.csv --repair --force -o repaired")
+    assert (ran.status, "(repaired)" in ran.out) == (0, True)
 
 
 def test_a_verb_says_where_its_report_is(here: Path, excitant: Any) -> None:
@@ -93,7 +139,8 @@ def test_a_report_is_rendered_again(here: Path, excitant: Any) -> None:
 def test_simulate_records_what_identify_reads(here: Path, excitant: Any, run: str) -> None:
     ran = excitant(f"simulate planar_2r trajectory.csv --json -o {run}")
     assert (ran.status, len(ran.result["hidden"])) == (0, "hidden" in run)
-    assert excitant(f"identify planar_2r {run.split()[0]} -o out").status == 0
+    ran = excitant(f"identify planar_2r {run.split()[0]} --json -o out")
+    assert ran.status == (0 if ran.result["published"] else 1)
 
 
 @pytest.mark.parametrize("rests", [False, True])
@@ -139,13 +186,13 @@ FEW = [(verb, name) for verb in ("diagnose", "analyze --recording") for name in 
 
 
 @pytest.fixture
-def refused(here: Path, excitant: Any) -> Callable[[str], str]:
+def refused(here: Path, excitant: Any) -> Callable[..., str]:
     """The one line on stderr of a command that failed and wrote nothing."""
 
-    def run(line: str) -> str:
+    def run(line: str, status: int = 1) -> str:
         before = sorted(here.rglob("*"))
         ran = excitant(line)
-        assert (ran.status, ran.out) == (1, "")
+        assert (ran.status, ran.out) == (status, "")
         assert sorted(here.rglob("*")) == before
         assert ran.err.endswith("\n")
         assert ran.err.count("\n") == 1
@@ -303,7 +350,7 @@ def test_a_failure_is_owned_in_one_line(
     error: BaseException, says: str, refused: Any, monkeypatch: Any
 ) -> None:
     monkeypatch.setattr("excitant.identify.identify_robot", mock.Mock(side_effect=error))
-    assert says in refused(f"{ONE} -o out")
+    assert says in refused(f"{ONE} -o out", status=1 if error is BUG else 130)
     if error is BUG:
         for words in (f"--debug {ONE}", f"{ONE} --debug"):
             with pytest.raises(IndexError):

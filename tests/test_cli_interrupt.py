@@ -71,11 +71,12 @@ def interrupted(words: str, folder: Path, children: int, group: bool) -> tuple[i
 @pytest.mark.parametrize("group", [True, False], ids=["at the terminal", "the process alone"])
 def test_a_design_writes_the_best_so_far(group: bool, tmp_path: Path) -> None:
     words = "design planar_2r --harmonics 3 --time-limit 1000 --jobs 2 -o out"
-    assert interrupted(words, tmp_path, 2, group) == (0, "")
+    assert interrupted(words, tmp_path, 2, group) == (130, "")
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written >= {"result.json", "report.html", "trajectory.csv", "trajectory.json"}
-    starts = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))["starts"]
-    assert "interrupted" in {start["status"] for start in starts} or not starts
+    result = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
+    assert "interrupted" in {start["status"] for start in result["starts"]}
+    assert any(note.startswith("interrupted: ") for note in result["notes"])
 
 
 def test_others_say_that_nothing_was_written(tmp_path: Path) -> None:
@@ -83,5 +84,5 @@ def test_others_say_that_nothing_was_written(tmp_path: Path) -> None:
     motion = random_trajectory(robot, np.random.default_rng(0), 2000.0, 2)
     (tmp_path / "slow.json").write_text(trajectory_json(motion, robot), encoding="utf-8")
     found = interrupted("simulate ur10 slow.json -o run.csv", tmp_path, 0, group=True)
-    assert found == (1, "excitant: interrupted; nothing was written\n")
+    assert found == (130, "excitant: interrupted; nothing was written\n")
     assert [path.name for path in tmp_path.rglob("*")] == ["slow.json"]

@@ -97,7 +97,9 @@ class Reader:
         for words, shown in commands:
             with self._listening():
                 status = main(shlex.split(words.replace("\\\n", " ")))
-            unmet = re.search(r"^(excitant: |failed )", shown, re.MULTILINE)
+            unmet = re.search(
+                r"^(excitant: |failed |the identified model is not )", shown, re.MULTILINE
+            )
             assert status == bool(unmet), f"{self.page}: {words}\n{self.printed}"
             assert_shown(shown, self.printed, f"{self.page}: excitant {words}")
 

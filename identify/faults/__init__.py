@@ -19,7 +19,7 @@ from excitant.identify.faults.channels import (
     saturation,
     wrapped_counters,
 )
-from excitant.identify.faults.fault import FAULTS, Fault, Log, after_repair, repair
+from excitant.identify.faults.fault import FAULTS, PROVEN, Fault, Log, after_repair, repair
 from excitant.identify.faults.modelled import not_measured, poor_excitation, wrong_frame
 from excitant.identify.faults.physics import physics_faults, smooth, torque_fit, velocity_faults
 from excitant.identify.faults.time import gap_faults, repeated_rows, stamp_faults
@@ -109,14 +109,25 @@ class Checked:
     recordings: list[Recording]  # ready to use, repaired when that was asked for
     faults: dict[str, tuple[Fault, ...]]  # of each, by its name
     notes: tuple[str, ...] = ()  # what was repaired, a sentence each
+    repaired: bool = False  # whether faults that have a remedy are repaired in them
 
     def entries(self) -> list[dict[str, Any]]:
-        """The faults under their JSON names, each with its recording."""
+        """The faults under their JSON names, each with its recording and whether it is repaired."""
         return [
             {"recording": name, **fault.entry()}
+            | {"repaired": self.repaired and bool(fault.remedies)}
             for name, faults in self.faults.items()
             for fault in faults
         ]
+
+
+def proven(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Faults of unit, sign or clock that are not repaired, a sentence each; see `Checked`."""
+    return [
+        f"{fault['recording']}: {fault['detail']}"
+        for fault in entries
+        if fault["fault"] in PROVEN and not fault["repaired"]
+    ]
 
 
 def read_checked(
@@ -155,4 +166,4 @@ def read_checked(
         better, done = repair(raw, faults[name])
         notes += [f"{name}: {sentence}" for sentence in done]
         recordings.append(checked(better))
-    return Checked(recordings, faults, tuple(notes))
+    return Checked(recordings, faults, tuple(notes), repaired=True)

@@ -22,6 +22,8 @@ FAULTS = (
     "poor_excitation",
 )
 """The vocabulary, the same in results, interface and documentation."""
+PROVEN = ("wrong_sign", "wrong_unit", "wrong_sample_rate")
+"""Faults after which every figure is wrong, so that nothing is published from such data."""
 ALARM = 0.02 / 20
 """Share of faultless recordings that one family of tests may accuse; there are fewer than 20."""
 Rows = npt.NDArray[np.intp]

@@ -47,7 +47,9 @@ app = App(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command: 0 when done, 1 when refused, failed or not passed; wrong usage exits with 2.
+    """Run one command: 0 when done and passed, 1 when refused, failed or not passed.
+
+    Wrong usage exits with 2; a command that was interrupted returns 130.
 
     Arguments are the words after ``excitant``; those of the process when None.
     """
@@ -75,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not _interrupted(error) and (debug or not isinstance(error, Exception)):
             raise
         print(f"excitant: {_line(error)}", file=sys.stderr)
-        return 1
+        return 130 if _interrupted(error) else 1
 
 
 def _line(error: BaseException) -> str:

@@ -57,6 +57,8 @@ class Search:
     )
     columns: Columns = "friction"
     "What to make visible: all that identify estimates, or the links only."
+    use: float = 0.9
+    "Share of the limits on velocity, acceleration, torque and jerk that is used."
     starts: int | None = None
     "Number of searches; default: 16."
     jobs: int | None = None
@@ -93,10 +95,11 @@ def design(
     formats: Names = None,
     rate: float = 100.0,
     repeat: int = 1,
+    speed: float | None = None,
     surroundings: Surroundings = Surroundings(),
     part: Part = Part(),
     run: Run = Run(),
-) -> None:
+) -> int:
     """An excitation trajectory within all limits.
 
     Args:
@@ -108,6 +111,7 @@ def design(
         formats: Further files: ros2 (YAML), mcap, urscript, npz.
         rate: Rate of trajectory.csv [Hz].
         repeat: Periods in trajectory.csv, for averaging.
+        speed: Also first_run.csv, the same path at this share of the speed (of 1), checked itself.
     """
     import numpy as np
 
@@ -121,6 +125,8 @@ def design(
         raise BadInput(f"--rate {rate:g} Hz: give a control rate from 1 to 10000 Hz")
     if repeat < 1:
         raise BadInput(f"--repeat {repeat}: give the number of periods, at least 1")
+    if speed is not None and not 0 < speed <= 1:
+        raise BadInput(f"--speed {speed:g}: give the share of the speed, above 0 and up to 1")
     if bound and search.criterion != "condition":
         raise BadInput(
             f"--bound is one of the condition number, not of criterion {search.criterion}; "
@@ -130,7 +136,8 @@ def design(
         raise BadInput("--bound holds for one motion with equal noise; leave --noise and --after")
     if start is not None and len(start) != arm.nv:
         raise BadInput(f"--from has {len(start)} numbers, {arm.name} has {arm.nv} joints")
-    alone = {"bound": bound, "noise": noise, "after": after, "from": start, "formats": formats}
+    alone: dict[str, object] = {"bound": bound, "noise": noise, "after": after, "from": start}
+    alone |= {"formats": formats, "speed": speed}
     for option in (name for name, value in alone.items() if value and link_by_link):
         raise BadInput(f"--link-by-link designs each link by its own row; leave --{option} out")
     scene, least = surroundings.scene(arm)
@@ -141,7 +148,7 @@ def design(
             links = designs.design_link_by_link(arm, **asked)
         result = links.result() | {"periods": repeat}
         run.finish(result, links.series(), links.files(rate, repeat))
-        return
+        return 130 if links.interrupted else 0
     began = time.monotonic()
     with progress_bar("design") as advance:
 
@@ -161,23 +168,37 @@ def design(
     }
     written = {"trajectory": trajectory.motion(rate, repeat)}
     result = found.result() | {"periods": repeat}
-    if bound:
-        result |= _bound(found, search.seed)
+    if bound and not found.interrupted:
+        result["condition_number"], note = _bound(found, search.seed)
+        result["notes"].append(note)
+    if speed is not None:
+        slow = trajectory.slowed(speed)
+        used = designs.check(arm, slow).worst
+        used.require()
+        written["first_run"] = slow.motion(rate)
+        files["first_run.csv"] = designs.motion_csv(written["first_run"])
+        result["first_run"] = {"speed": speed, "duration": slow.period, "limit": used.ratio}
+        result["notes"].append(
+            f"first_run.csv: the same path in {slow.period:.4g} s; it uses up to "
+            f"{100 * used.ratio:.3g} % of a limit ({used.quantity} of {used.joint})"
+        )
     if start is not None:
         there, here = trajectory(0.0)[0], np.array(start)
         near: dict[str, Any] = {"scene": scene, "clearance": least, "rate_hz": rate}
+        held = arm.with_limits(arm.limits.used(search.use))
         try:
             ways = {
-                name: designs.approach(arm, *ends, name=name, **near)
+                name: designs.approach(held, *ends, name=name, **near)
                 for name, ends in (("approach", (here, there)), ("return", (there, here)))
             }
             files |= {f"{name}.csv": designs.motion_csv(motion) for name, motion in ways.items()}
             written |= ways
         except Infeasible as error:  # the design stands without them
-            result["notes"] = [*result.get("notes", []), str(error)]
+            result["notes"].append(str(error))
     for stem, motion in written.items():
         files |= designs.write_formats(motion, arm, formats or [], stem)
     run.finish(result, found.series(), files)
+    return 130 if found.interrupted else 0
 
 
 def _earlier(robot: Robot, recordings: Sequence[str] | None) -> list[Motion]:
@@ -190,12 +211,13 @@ def _earlier(robot: Robot, recordings: Sequence[str] | None) -> list[Motion]:
     return [part.motion[part.keep] for recording in read for part in prepare(recording)]
 
 
-def _bound(found: Design, seed: int) -> dict[str, Any]:
+def _bound(found: Design, seed: int) -> tuple[dict[str, Any], str]:
+    """Condition numbers with the bound, and what it says."""
     from excitant.design import lower_bound
 
     with progress_bar("bound") as advance:
         bound = lower_bound(
-            found.robot,
+            found.robot.with_limits(found.robot.limits.used(found.use)),
             duration=found.duration,
             harmonics=None if found.trajectory.series.name == "spline" else found.harmonics,
             columns=found.columns,
@@ -208,8 +230,7 @@ def _bound(found: Design, seed: int) -> dict[str, Any]:
         )
     condition = found.result()["condition_number"] | {"lower_bound": bound.value}
     ratio = found.condition_final / bound.value
-    note = f"within ×{ratio:.2g} of the best possible: {bound.assumptions}"
-    return {"condition_number": condition, "notes": [note]}
+    return condition, f"within ×{ratio:.2g} of the best possible: {bound.assumptions}"
 
 
 def check(
@@ -239,7 +260,7 @@ def check(
     report = designs.check(arm, planned)
     near = None if scene is None else designs.clearance(scene, path)
     asked = designs.information(arm, columns)
-    found = designs.TrajectoryCheck(asked, motion, report, near, least)
+    found = designs.TrajectoryCheck(asked, motion, report, scene, near, least)
     run.finish(found.result() | {"trajectory": trajectory}, found.series())
     found.require()
 

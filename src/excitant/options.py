@@ -147,8 +147,12 @@ class Surroundings:
     "Hold the torque limits even if each link's mass and inertia are larger or smaller by this [%]."
     obstacles: str | None = None
     "YAML with boxes, spheres, half-spaces, or a workspace of the tool."
+    floor: float | None = None
+    "Height of the floor in the base frame [m]; default: the plane that the base stands on."
+    no_floor: bool = False
+    "There is no floor."
     clearance: float | None = None
-    "Least distance [m] to obstacles and between bodies; default: 0.01 m with collision shapes."
+    "Least distance [m] to floor, obstacles and between bodies; default: 0.01 m."
     ignore_collisions: bool = False
     "Leave clearance out."
 
@@ -163,16 +167,23 @@ class Surroundings:
     def scene(self, robot: Robot) -> tuple[Scene | None, float]:
         """Scene to keep clear of, if any, and the least distance [m]."""
         from excitant.design import CLEARANCE
-        from excitant.robots.geometry import load_obstacles, scene
+        from excitant.robots.geometry import base_plane, floor, load_obstacles, scene, unchecked
 
         least = CLEARANCE if self.clearance is None else self.clearance
         if self.ignore_collisions:
             return None, least
-        found = scene(robot, load_obstacles(self.obstacles) if self.obstacles else ())
-        if found is None and (self.obstacles or self.clearance is not None):
+        if self.no_floor and self.floor is not None:
+            raise BadInput("--floor and --no-floor exclude each other; leave one out")
+        obstacles = load_obstacles(self.obstacles) if self.obstacles else ()
+        height = base_plane(robot) if self.floor is None and not self.no_floor else self.floor
+        around = obstacles if height is None else (*obstacles, floor(height))
+        found = scene(robot, around)
+        asked = (self.obstacles, self.floor, self.clearance)
+        if found is None and any(option is not None for option in asked):
             raise BadInput(
-                f"{robot.source}: the robot has no collision shapes; add <collision> elements to "
-                "its URDF, or leave --obstacles and --clearance out"
+                f"{robot.source}: clearance cannot be checked ({unchecked(robot, None)}); give "
+                "its URDF <collision> elements whose meshes are there, or leave --obstacles, "
+                "--floor and --clearance out"
             )
         return found, least
 

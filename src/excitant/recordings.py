@@ -78,7 +78,7 @@ def identify(
     load: Load = Load(),
     part: Part = Part(),
     run: Run = Run(),
-) -> None:
+) -> int:
     """From recordings to a physically consistent model.
 
     Args:
@@ -100,6 +100,7 @@ def identify(
     import excitant.identify as identification
     from excitant.identify.estimators import ESTIMATORS
     from excitant.identify.export import FORMATS
+    from excitant.identify.faults import proven
     from excitant.identify.rows import fitted
 
     chosen = effects == ["auto"]
@@ -148,12 +149,15 @@ def identify(
     if drive is not None:
         result |= drive.result()
         notes.append(drive.sentence(arm.joints))
-    published = identification.publication(estimate, formats=formats or FORMATS, force=force)
+    published = identification.publication(
+        estimate, formats=formats or FORMATS, force=force, faults=proven(said["faults"])
+    )
     result["published"] = published.published
     result["notes"] += notes + ([published.note] if published.note else [])
     run.finish(result, estimate.series() | found.series(), published.files)
     if published.note and not run.json:
         print(published.note)
+    return 0 if published.published else 1
 
 
 def _refuse_contradictions(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -13,11 +15,18 @@ import yaml
 from excitant.design import clearance, design_trajectory, from_coefficients
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Robot, load_robot
-from excitant.robots.geometry import Obstacle, Scene, load_obstacles, scene
-from excitant.robots.schema import BoxRecord, HalfSpaceRecord, SphereRecord, WorkspaceRecord
+from excitant.robots.geometry import (
+    Obstacle,
+    Scene,
+    base_plane,
+    floor,
+    load_obstacles,
+    scene,
+    unchecked,
+)
+from excitant.robots.schema import BoxRecord, SphereRecord, WorkspaceRecord
 from excitant.robots.urdf import robot_from_urdf
 
-FLOOR = Obstacle("floor", "half_space", HalfSpaceRecord((0.0, 0.0, 1.0), -0.15))
 ROOM = Obstacle("room", "workspace", WorkspaceRecord((-1.0,) * 3, (1.0,) * 3))
 OBSTACLES = [
     {"name": "table", "half_space": {"normal": [0.0, 0.6, 0.8], "offset": -0.9}},
@@ -30,7 +39,7 @@ OBSTACLES = [
 @pytest.fixture(scope="module")
 def cells() -> dict[str, Scene | None]:
     return {
-        "six joints": scene(load_robot("ur10"), (FLOOR,)),
+        "six joints": scene(load_robot("ur10"), (floor(-0.15),)),
         "one joint": scene(load_robot("planar_2r", lock={"joint2": 0.3}), (ROOM,)),
         "a slide": scene(load_robot("scara")),
     }
@@ -136,3 +145,74 @@ def test_bad_obstacles_are_refused_in_one_line(text: str, tmp_path: Path) -> Non
         load_obstacles(file)
     assert "\n" not in str(error.value)
     assert "cell.yaml" in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["ur10", "scara", "puma560"])
+def test_an_arm_stands_on_the_plane_of_its_base(name: str) -> None:
+    """The pedestal of puma560 is part of its description."""
+    robot = load_robot(name)
+    assert base_plane(robot) == pytest.approx(-0.67 if name == "puma560" else 0.0, abs=1e-3)
+    assert base_plane(robot.with_gravity([9.81, 0.0, 0.0])) is None  # bolted to a wall
+
+
+def test_what_is_not_checked_is_said(planar: Robot, ur10: Robot) -> None:
+    shape = '<collision><geometry><mesh filename="no.stl"/></geometry></collision>'
+    half = ur10.urdf.replace("<collision", shape + "<collision", 1)
+    broken, bare = (
+        robot_from_urdf(text, source="arm.urdf")
+        for text in (half, re.sub("<collision>.*?</collision>", "", ur10.urdf, flags=re.DOTALL))
+    )
+    total = half.count("<collision>")
+    missing = f"self-collision, 1 of {total} collision meshes not found; floor"
+    assert unchecked(broken, scene(broken)) == missing
+    assert unchecked(bare, None) == "self-collision, the robot has no collision shapes; floor"
+    assert unchecked(ur10, scene(ur10)) == "floor"
+    assert unchecked(ur10, scene(ur10, (floor(0.0),))) == ""
+    assert unchecked(planar, None) == "self-collision; floor"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["scara", "gen3", "iiwa14", "panda", "so100", "ur5e"])
+def test_mujoco_sees_no_contact_floor_included(name: str) -> None:
+    """At 1 kHz, bodies of neighbouring links aside; left alone, the same arms do collide."""
+    robot = load_robot(name)
+    around = scene(robot, (floor(base_plane(robot)),))
+    options = {"columns": "inertial", "harmonics": 4, "starts": 1, "jobs": 1, "duration": 5.0}
+    found = design_trajectory(robot, scene=around, **options)
+    assert contacts_in_mujoco(robot, found.trajectory.motion(1000.0).q) == 0
+    q = robot.random_motion(np.random.default_rng(0), 300)[0]
+    assert contacts_in_mujoco(robot, q) > 10
+
+
+def contacts_in_mujoco(robot: Robot, q: np.ndarray) -> int:
+    """Poses (n, nv) in which MuJoCo finds bodies in each other, or in a plane under the base."""
+    root = ET.fromstring(robot.urdf)
+    for link in root.findall("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", fusestatic="false")
+    spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
+    plane = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [0, 0, 1]}
+    spec.worldbody.add_geom(name="floor", pos=[0, 0, base_plane(robot)], **plane)
+    model = spec.compile()
+    data, carrier = mujoco.MjData(model), np.zeros(model.nbody, int)
+    for body in range(1, model.nbody):
+        joint = model.body_jntadr[body]
+        own = model.joint(joint).name if joint >= 0 else ""
+        held = carrier[model.body_parentid[body]]
+        carrier[body] = robot.joints.index(own) + 1 if own in robot.joints else held
+    addresses = [model.joint(joint).qposadr[0] for joint in robot.joints]
+    for joint, value in robot.locked:
+        data.qpos[model.joint(joint).qposadr[0]] = value
+    count = 0
+    for pose in q:
+        data.qpos[addresses] = pose
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        for contact in data.contact[: data.ncon]:
+            inner, outer = sorted(int(carrier[model.geom_bodyid[geom]]) for geom in contact.geom)
+            if contact.dist < 0 and inner != outer and robot.model.parents[outer] != inner:
+                count += 1
+                break
+    return count

@@ -348,7 +348,7 @@ def test_command_writes_result_but_no_model_when_it_got_worse(
     )
     words = ("identify planar_2r", misled, "--validate", unseen)
     ran = excitant(*words, "-o", tmp_path / "out")
-    assert (ran.status, ran.err) == (0, "")
+    assert (ran.status, ran.err) == (1, "")
     [line] = [line for line in ran.out.splitlines() if "not published" in line]
     result = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
     assert (result["published"], result["files"]) == (False, [])

@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from textwrap import indent
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from arms import data_folder
 from excitant.analysis.identifiability import analyze
 from excitant.analysis.uncertainty import NOT_SHOWN
 from excitant.design import design_trajectory
-from excitant.exceptions import BadInput, UnknownName
+from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots import Limits, Motion, Robot, load_limits, load_robot, rigid_body_torque
 from excitant.robots.chains import RobotSpec
 from excitant.robots.limits import require_limits
@@ -94,6 +95,39 @@ def test_missing_limits_are_asked_for_with_the_file_to_write(
     limited = robot.with_limits(load_limits(limits, robot))
     assert limited.limits.velocity.tolist() == limited.limits.acceleration.tolist() == [2, 2]
     require_limits(limited)
+
+
+MOVEIT = """
+default_velocity_scaling_factor: 0.1
+joint_limits:
+  joint2: {has_velocity_limits: true, max_velocity: 1.5, has_acceleration_limits: false,
+           max_acceleration: 0, has_effort_limits: true, max_effort: 12.0,
+           has_position_limits: true, min_position: -1.0, max_position: 2.0}
+  finger: {has_velocity_limits: true, max_velocity: 0.1}
+"""
+
+
+def test_joint_limits_of_moveit_and_ros2_control_are_read(planar: Robot, tmp_path: Path) -> None:
+    """Only limits in force count, of joints that the arm has."""
+    file, before = tmp_path / "joint_limits.yaml", planar.limits
+    for text in (MOVEIT, f"/**:\n  ros__parameters:{indent(MOVEIT, '    ')}"):
+        file.write_text(text)
+        limits = load_limits(file, planar)
+        assert limits.velocity.tolist() == [before.velocity[0], 1.5]
+        assert limits.torque.tolist() == [before.torque[0], 12.0]
+        assert limits.acceleration.tolist() == before.acceleration.tolist()
+        assert limits.position.tolist() == [before.position[0].tolist(), [-1.0, 2.0]]
+    file.write_text(MOVEIT.replace("joint2", "wrist"))
+    with pytest.raises(BadInput, match=r"joint_limits\.yaml: unknown joint 'wrist'"):
+        load_limits(file, planar)
+    file.write_text(MOVEIT.replace("max_velocity: 1.5", "max_velocity: fast"))
+    with pytest.raises(BadInput, match=r"joint_limits\.yaml.*fast|joint_limits\.yaml.*velocity"):
+        load_limits(file, planar)
+
+
+def test_an_arm_without_mass_is_refused_a_design(planar: Robot) -> None:
+    with pytest.raises(BadRobot, match="no link has a mass"):
+        design_trajectory(planar.with_parameters(np.zeros(20)), starts=1)
 
 
 def test_torque_limits_stand_in_for_those_of_acceleration(planar: Robot) -> None:

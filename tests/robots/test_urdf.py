@@ -137,6 +137,9 @@ def test_a_robot_without_a_name_is_called_as_its_file(tmp_path: Path, gantry_urd
     assert load_robot(path).name == "unnamed"
 
 
+PACKAGED = "package://arm_description/meshes/"
+
+
 def test_meshes_beside_the_file_are_found_from_anywhere(
     tmp_path: Path, gantry_urdf: str, random_states: States, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,8 +150,17 @@ def test_meshes_beside_the_file_are_found_from_anywhere(
     found = scene(load_robot(path))
     assert found is not None
     assert np.isfinite(found.distances(random_states(found.robot, 0, 8).q)).all()
-    (path.parent / "wedge.stl").unlink()
+    packaged = tmp_path / "arm_description" / "meshes"
+    for name, stays in (("package://arm_description/meshes/wedge.stl", True), ("none.stl", False)):
+        packaged.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path.parent / "wedge.stl", packaged)
+        path.write_text(gantry_urdf.replace("</link>", shape.replace("wedge.stl", name)))
+        assert (scene(load_robot(path)) is not None) == stays
+    elsewhere = Path(shutil.move(packaged.parent, tmp_path / "ros" / "share" / "arm_description"))
+    path.write_text(gantry_urdf.replace("</link>", shape.replace("wedge", f"{PACKAGED}wedge")))
     assert scene(load_robot(path)) is None
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(elsewhere.parents[1]))
+    assert scene(load_robot(path)) is not None
 
 
 VALUES = ("nan", "inf", "-inf", "-1", "0", "1e308", "1e-308", "", "abc", "1,5", "0x10", "٣")
