@@ -62,10 +62,10 @@ def identify_section(result: Result, series: Series) -> p.Section:
 
 def _brief(result: Result, unit: str) -> p.Brief:
     rows = v.records(result, "joints")
-    errors = [v.median(rows, kind, "nrmse") for kind in ("baseline", "validate")]
+    given, found = (v.median(rows, kind, "nrmse") for kind in ("baseline", "validate"))
     consistent = v.at(result, "physical", "consistent")
     said = (
-        f"hold-out error {v.change(*errors, v.percent)} (nrmse, median over joints), "
+        f"hold-out error {v.change(given, found, v.percent)} (nrmse, median over joints), "
         f"{'physically consistent' if consistent else 'not physical'}"
     )
     return ("identified", said), ("", v.text(result, "holdout"))
