@@ -142,6 +142,7 @@ def excitant(
         series=series,
         criterion=criterion,
         columns="inertial",
+        use=1.0,
         jobs=settings.jobs,
         seed=settings.seed,
         time_limit=max(settings.deadline - time.time(), 0.1),

@@ -21,6 +21,7 @@ _POSES = 2000
 _POLISH = 30
 _DRAWS = 20
 _SHRINKS = 40
+_WIDER = 4  # shares tried for each joint between all of its motion and what all joints may
 _TORQUE_SAMPLES = 32  # per harmonic
 _WAVES = 10  # highest harmonic of a random start
 _TORQUE_SHARE = 0.99  # of the limit at the samples, which leaves room between them
@@ -63,11 +64,19 @@ def random_start(
             return trajectory
     best = min(drawn)[2]
     X0 = series.constant(_standstill(robot, rng, scene, required))
+    way = best.coefficients - X0
     for share in 0.7 ** np.arange(1, _SHRINKS):
-        trajectory = series.trajectory(X0 + share * (best.coefficients - X0))
-        *use, apart = uses(trajectory)
-        if max(*use, apart) <= _TORQUE_SHARE:
-            return trajectory
+        *use, apart = uses(series.trajectory(X0 + share * way))
+        if max(*use, apart) > _TORQUE_SHARE:
+            continue
+        shares = np.full(robot.nv, share)
+        for j in rng.permutation(robot.nv):  # what one joint must not, another may
+            for more in share ** np.linspace(0, 1, _WIDER, endpoint=False):
+                wider = np.where(np.arange(robot.nv) == j, more, shares)
+                if uses(series.trajectory(X0 + wider * way)).max() <= _TORQUE_SHARE:
+                    shares = wider
+                    break
+        return series.trajectory(X0 + shares * way)
     if max(use) <= _TORQUE_SHARE:
         raise Infeasible(
             f"trajectory of {robot.name}",
