@@ -190,7 +190,6 @@ class Diagnosis:
             "error": {
                 "joints": [
                     {"name": given.joint, **given.shown(), "left": left.shown()}
-                    | {"motion_hz": list(given.motion_hz)}
                     for given, left in both
                 ]
             },

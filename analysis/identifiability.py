@@ -105,7 +105,7 @@ class PracticalIdentifiability:
 
     def result(self, base: BaseParameters) -> dict[str, Any]:
         """Everything as plain values; ``base`` names the base parameters."""
-        names, influence = [base.names[k] for k in base.columns], self.influence
+        names = [base.names[k] for k in base.columns]
         practical = [p.result() for p in self.practical]
         lost = [row for row in practical if row["verdict"] == NOT_SHOWN]
         return {
@@ -121,11 +121,6 @@ class PracticalIdentifiability:
                 for i, j, rho in largest_correlations(self.correlation)
             ],
             "persistency": self.persistency and self.persistency.result(),
-            "prior_perturbation": influence
-            and {
-                "refits": influence.refits,
-                "largest_base_move_in_std": influence.base_move.max(initial=0.0),
-            },
         }
 
 

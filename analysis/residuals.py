@@ -205,7 +205,6 @@ class Residual:
     correlation_s: float  # how long the error stays correlated [s]
     shares: Mapping[str, float]  # of the error's power, by `QUANTITIES`
     bands: Mapping[str, float]  # of the error's power, by `BANDS`
-    motion_hz: tuple[float, float]  # lowest and highest frequency of the joint's motion
 
     @property
     def structured(self) -> float:
@@ -280,7 +279,7 @@ def residuals(
     found = []
     for j, joint in enumerate(joints):
         at = moves[:, j] if moves[:, j].any() else ~moves[:, j]
-        e, (low, high) = error[at, j], by.bands[j].tolist()
+        e = error[at, j]
         found.append(
             Residual(
                 joint,
@@ -290,7 +289,6 @@ def residuals(
                 correlation_s=float(autocorrelation_time(e) * step),
                 shares=shares(error[:, j], by, j, at),
                 bands=band_shares(error[:, j], by, j),
-                motion_hz=(low, high),
             )
         )
     return tuple(found)

@@ -25,8 +25,6 @@ from excitant.robots.torque import effect_values
 _DENSE_HZ, _DENSE = 100.0, 1000  # samples of the figures reported: rate, and at least so many
 _POSES = 4  # of the arm, drawn along the motion
 _WEAKEST = 10  # base parameters listed
-_DIRECTIONS = 3  # combinations of base parameters listed
-_MEMBER = 0.3  # coefficient of a unit vector from which a base parameter is named
 
 
 def dense_motion(trajectory: Trajectory) -> Motion:
@@ -150,10 +148,6 @@ class Design:
             },
             "joint_weights": self.information.weights.tolist(),
             "weakest": self._weakest(names),
-            "weak_directions": {
-                "initial": weak_directions(names, before, after),
-                "final": weak_directions(names, after, before),
-            },
             **limits,
             "limit_use": self.use,
             "unchecked": unchecked(robot, self.scene),
@@ -224,7 +218,6 @@ class Design:
             row = {"name": names[k], "expression": base.expressions[k]}
             row |= {"unit": units[base.columns[k]], "value": float(beta[k])}
             for when, size in lone.items():
-                row[f"information_{when}"] = float(size[k])
                 row[f"std_per_unit_noise_{when}"] = 1 / (root * float(size[k]))
             rows.append(row)
         return rows
@@ -308,32 +301,6 @@ def lone_torque(M: Array) -> Array:
     floor = max(float(values[-1]), 1e-300) * np.finfo(float).eps
     lone: Array = 1 / np.sqrt((V**2 / np.maximum(values, floor)).sum(axis=1))
     return lone
-
-
-def weak_directions(
-    names: Sequence[str], M: Array, other: Array, count: int = _DIRECTIONS
-) -> list[dict[str, Any]]:
-    """Combinations of base parameters that M = WᵀW / n (r, r) shows worst, weakest first.
-
-    They are the last right singular vectors v of W. ``strength`` is ‖W v‖ / √n [N·m], the root
-    mean square torque per unit; ``other`` is that in another motion; ``members`` are the
-    coefficients of size 0.3 and more, and ``share`` their part of v (of 1).
-    """
-    found = []
-    for v in np.linalg.eigh(M)[1].T[:count]:
-        order = np.argsort(-np.abs(v), kind="stable")
-        v = v * np.sign(v[order[0]])
-        kept = [k for k in order if abs(v[k]) >= _MEMBER] or [order[0]]
-        strength, elsewhere = (float(np.sqrt(max(v @ A @ v, 0.0))) for A in (M, other))
-        found.append(
-            {
-                "strength": strength,
-                "other": elsewhere,
-                "members": [{"name": names[k], "coefficient": float(v[k])} for k in kept],
-                "share": float((v[kept] ** 2).sum()),
-            }
-        )
-    return found
 
 
 def _skeleton(robot: Robot, q: Array) -> tuple[Array, Array, Array]:

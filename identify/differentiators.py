@@ -2,8 +2,8 @@
 
 * `ZeroPhaseButterworth`: filter forward and backward, then a quintic spline; what recordings pass.
 * `LocalPolynomial`: least-squares polynomial through a moving window (Savitzky and Golay 1964);
-  `five_point` is Khosla's (1987, §5.1), f' = (−2f₋₂ − f₋₁ + f₁ + 2f₂) / (10T). The causal kind
-  serves a loop; `causal_polynomial` takes the window that suits the positions best.
+  `five_point` is Khosla's (1987, §5.1), f' = (−2f₋₂ − f₋₁ + f₁ + 2f₂) / (10T). They
+  serve a loop; `causal_polynomial` takes the window that suits the positions best.
 
 Positions are signal plus white noise, whose level is the floor of the upper part of the
 periodogram. A polynomial with gain g then makes the acceleration error
@@ -54,16 +54,11 @@ def _step(t: Array, needed: int, who: str) -> float:
 class LocalPolynomial:
     """Least-squares polynomial through 2m + 1 samples at a regular rate, differentiated.
 
-    Attributes:
-        half_width: m, samples on either side.
-        degree: Degree of the polynomial, from 2 to 2m.
-        causal: Whether it serves a loop that knows no future: it then gives the same numbers for
-            those instants only whose window ends at a sample, m samples late.
+    It serves a loop: each instant is the middle of a window that ends at a sample, m samples late.
     """
 
-    half_width: int
-    degree: int = 4
-    causal: bool = False
+    half_width: int  # m, samples on either side
+    degree: int = 4  # of the polynomial, from 2 to 2m
 
     def __post_init__(self) -> None:
         if not 2 <= self.degree <= 2 * self.half_width:
@@ -76,18 +71,16 @@ class LocalPolynomial:
     def name(self) -> str:
         """Name with its settings."""
         if (self.half_width, self.degree) == (2, 2):
-            kind = "five-point least squares"
-        else:
-            kind = f"Savitzky-Golay ({2 * self.half_width + 1} samples, degree {self.degree})"
-        return f"{kind}, causal" if self.causal else kind
+            return "five-point least squares"
+        return f"Savitzky-Golay ({2 * self.half_width + 1} samples, degree {self.degree})"
 
     def kernel(self, order: int) -> Array:
         """Weights c with f⁽ᵒ⁾ ≈ Σ c_k f_k / Tᵒ, oldest sample first, shape (2m + 1,)."""
         return _kernels(self.half_width, self.degree)[order]
 
     def delay(self, rate_hz: float) -> float:
-        """Half a window where it is causal [s]."""
-        return self.half_width / rate_hz if self.causal else 0.0
+        """Half a window [s]."""
+        return self.half_width / rate_hz
 
     def gain(self, f: Array, rate_hz: float, order: int = 1) -> Array:
         """Response relative to the true derivative (its delay taken out), shape of f."""
@@ -103,9 +96,9 @@ class LocalPolynomial:
         return float(np.linalg.norm(self.kernel(order))) * rate_hz**order
 
     def __call__(self, t: Array, q: Array) -> Motion:
-        """Motion; where not causal, the first and last m instants take the nearest window's."""
+        """Motion at the middle of every whole window, shape (n − 2m, nv)."""
         m, n = self.half_width, len(t)
-        step, inner = _step(t, 2 * m + 1, self.name), slice(m, n - m) if self.causal else slice(n)
+        step, inner = _step(t, 2 * m + 1, self.name), slice(m, n - m)
         parts = (
             scipy.signal.savgol_filter(q, 2 * m + 1, self.degree, k, step, axis=0)[inner]
             for k in range(3)
@@ -120,9 +113,9 @@ def _kernels(half_width: int, degree: int) -> tuple[Array, ...]:
     return tuple(weights[order] * factorial(order) / half_width**order for order in range(3))
 
 
-def five_point(*, causal: bool = False) -> LocalPolynomial:
+def five_point() -> LocalPolynomial:
     """Khosla's differentiator: the least-squares parabola through five samples."""
-    return LocalPolynomial(2, 2, causal)
+    return LocalPolynomial(2, 2)
 
 
 def low_pass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
@@ -216,7 +209,7 @@ def causal_polynomials(spectrum: Spectrum) -> list[LocalPolynomial]:
         for degree in (2, 4)
         if m <= (spectrum.samples - 2) // 4 and degree < 2 * m and (m, degree) != (2, 2)
     ]
-    return [LocalPolynomial(*size, causal=True) for size in sizes]
+    return [LocalPolynomial(*size) for size in sizes]
 
 
 def causal_polynomial(spectrum: Spectrum) -> Choice:

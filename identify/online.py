@@ -75,7 +75,7 @@ class OnlineEstimator:
 
     Args:
         effects: Effects to estimate; friction, offset and rotor inertia when None.
-        differentiator: A causal polynomial; 61 samples of degree 4 at 1 kHz when None.
+        differentiator: The polynomial; 61 samples of degree 4 at 1 kHz when None.
         block: Samples per row; 10 ms when None.
         forgetting: Time constant τ [s]; nothing is forgotten when None.
         sigma: Noise of a row of each joint, shape (nv,) [torque unit]; learnt when None.
@@ -105,10 +105,8 @@ class OnlineEstimator:
         self.effects = standard_effects(robot.joints) if effects is None else tuple(effects)
         self.base = base_parameters(robot, self.effects) if base is None else base
         half = max(2, round(_WINDOW_S * rate_hz))
-        self.differentiator = differentiator or LocalPolynomial(half, min(4, 2 * half), True)
+        self.differentiator = differentiator or LocalPolynomial(half, min(4, 2 * half))
         self.block = max(1, round(_BLOCK_S * rate_hz)) if block is None else block
-        if not self.differentiator.causal:
-            raise BadInput("on-line estimation: the differentiator must be causal")
         if self.block < 1:
             raise BadInput(f"on-line estimation: a block of {self.block} samples; give at least 1")
         if forgetting is not None and not forgetting > self.row_period:

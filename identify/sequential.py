@@ -310,7 +310,6 @@ class LinkByLink:
             "given": estimate.baseline.rms,
             "all_at_once": self.all_at_once.validate.rms,
             "link_by_link": estimate.validate.rms,
-            "measured_std": estimate.holdout.measured.std(axis=0),
         }
         return estimate.result() | {
             "estimator": "link by link from the last inward, each from its own joint's row with "

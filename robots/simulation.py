@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 import scipy
+from scipy.interpolate import BPoly
 from scipy.linalg.lapack import dgesv
 
 from excitant.exceptions import BadInput, ExcitantError
@@ -331,23 +332,10 @@ def _between(motion: Motion, counts: npt.NDArray[np.intp]) -> Motion:
         return motion
     at = np.repeat(np.arange(len(counts)), counts)
     first = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    s = ((np.arange(len(at)) - first[at]) / counts[at])[:, None]
-    h = np.diff(motion.t)[at][:, None]
-    p0, p1 = motion.q[at], motion.q[at + 1]
-    v0, v1, a0, a1 = (
-        size * values
-        for size, x in ((h, motion.dq), (h**2, motion.ddq))
-        for values in (x[at], x[at + 1])
-    )
-    c3 = 10 * (p1 - p0) - 6 * v0 - 4 * v1 - 1.5 * a0 + 0.5 * a1
-    c4 = -15 * (p1 - p0) + 8 * v0 + 7 * v1 + 1.5 * a0 - a1
-    c5 = 6 * (p1 - p0) - 3 * (v0 + v1) - 0.5 * a0 + 0.5 * a1
-    q = p0 + s * (v0 + s * (a0 / 2 + s * (c3 + s * (c4 + s * c5))))
-    dq = (v0 + s * (a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h
-    ddq = (a0 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))) / h**2
-    last = motion[-1:]
-    t = np.append(motion.t[at] + s[:, 0] * h[:, 0], last.t)
-    return Motion(t, *(np.vstack(pair) for pair in ((q, last.q), (dq, last.dq), (ddq, last.ddq))))
+    share = (np.arange(len(at)) - first[at]) / counts[at]
+    t = np.append(motion.t[at] + share * np.diff(motion.t)[at], motion.t[-1])
+    path = BPoly.from_derivatives(motion.t, np.stack([motion.q, motion.dq, motion.ddq], axis=1))
+    return Motion(t, *(path(t, nu=order) for order in range(3)))
 
 
 def _integrated(

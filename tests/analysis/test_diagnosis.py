@@ -313,7 +313,7 @@ def test_why_a_cause_that_pays_is_not_decided(
         for effect, x in ((viscous, own), (viscous, 0.6), (beside, rough[1]))
     )
     residuals = [
-        Residual(f"joint{j}", np.hypot(x, FLOOR), FLOOR, 2 * x + FLOOR, 1.0, {}, {}, (0, 1))
+        Residual(f"joint{j}", np.hypot(x, FLOOR), FLOOR, 2 * x + FLOOR, 1.0, {}, {})
         for j, x in enumerate(left, start=1)
     ]
     reason = reason_to_downgrade(found, others, residuals)

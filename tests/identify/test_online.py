@@ -22,7 +22,7 @@ from excitant.robots.torque import observation_columns
 RATE = 250.0
 T = np.arange(0, 12, 1 / RATE)
 SIGMA = np.array([0.05, 0.02])
-DIFFERENTIATOR = LocalPolynomial(5, 4, causal=True)
+DIFFERENTIATOR = LocalPolynomial(5, 4)
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +149,6 @@ def test_what_cannot_be_is_refused(planar: Robot) -> None:
     with pytest.raises(BadInput, match="is not a number"):
         online.extend(T[1:100], np.full((99, 2), np.nan), np.zeros((99, 2)))
     refused: dict[str, dict[str, Any]] = {
-        "must be causal": {"differentiator": LocalPolynomial(5, 4)},
         "at least 1": {"block": 0},
         "longer time constant": {"forgetting": 1e-3},
         "depends on the past": {"effects": (TimeDelay(planar.joints),)},
