@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from excitant.design.feasible import random_trajectory
 from excitant.design.relaxation import Multipliers, Relaxation, numbered, relaxation
 from excitant.exceptions import BadInput
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
 BoundProgress = Callable[[float, float, float], None]
@@ -47,14 +47,9 @@ class Bound:
 
     value: float  # the bound
     without_repair: float  # what it would be, were no state to violate the certificate
-    history: Array  # ceiling of the relaxation and bound after each round, shape (rounds, 2)
     relaxation: Relaxation  # what was relaxed
     multipliers: Multipliers  # the certificate, repaired: P, Q ⪰ 0, tr Q = 1, value² = tr P
-    weights: Array  # of the states in the best mixture, shape (n,)
     assumptions: str  # for which motions it holds, and how far it is certain, in one sentence
-
-    def __post_init__(self) -> None:
-        freeze(self, "history", "weights")
 
     def slack(self, motion: Motion) -> Array:
         """−⟨P − Q, M(x)⟩ − y·dφ/dt over the mean tr M, shape (n,); ≥ 0 where the bound holds."""
@@ -120,10 +115,8 @@ def lower_bound(
     return Bound(
         value=max(1.0, float(np.sqrt(multipliers.value))),
         without_repair=max(1.0, float(np.sqrt(search.best.value))),
-        history=np.array(search.history),
         relaxation=problem,
         multipliers=multipliers,
-        weights=search.weights,
         assumptions=f"Holds for {kind} of {robot.name} within its position, velocity, acceleration "
         f"and torque limits, for the unscaled {columns} base columns; numerical, not a proof: "
         "states that would violate it are searched for by ascent from many starts, not "
@@ -136,7 +129,7 @@ class _Search:
 
     def __init__(self, problem: Relaxation, rng: np.random.Generator, states: Motion) -> None:
         self.problem, self.rng, self.states = problem, rng, states
-        self.history: list[tuple[float, float]] = []
+        self.rounds = 0
         self.archive = states
         self.best: Multipliers
         self.weights: Array
@@ -156,7 +149,7 @@ class _Search:
                 return
 
     def round(self) -> float:
-        early = len(self.history) < _LOOSE_ROUNDS
+        early = self.rounds < _LOOSE_ROUNDS
         tolerance, polish = (_LOOSE, 0) if early else (_TIGHT, _POLISH)
         self.weights, multipliers = mixture_of(self.problem, self.states, tolerance)
         starts = self.starts(multipliers, _STARTS)
@@ -166,7 +159,7 @@ class _Search:
         if bound > self.bound:
             self.best, self.bound, self.violation = multipliers, bound, violation
         ceiling = float(np.sqrt(multipliers.value))
-        self.history.append((ceiling, self.bound))
+        self.rounds += 1
         self.exchange(multipliers, found[price > _ADDED * violation])
         return ceiling
 

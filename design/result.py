@@ -76,11 +76,6 @@ class Design:
         return self.information.base
 
     @property
-    def columns(self) -> str:
-        """``"friction"`` or ``"inertial"``."""
-        return self.information.columns
-
-    @property
     def duration(self) -> float:
         """Period [s]."""
         return self.trajectory.period
@@ -134,7 +129,7 @@ class Design:
             "duration": self.duration,
             "harmonics": self.harmonics,
             "series": self.trajectory.series.name,
-            "columns": self.columns,
+            "columns": self.information.columns,
             "base_parameters": len(self.base),
             "criterion": self.criterion,
             "condition_number": {

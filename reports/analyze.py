@@ -272,7 +272,7 @@ def _parameters(link: Result) -> p.Table | None:
             ("text:Identifiable", lambda r: p.Cell(*_CATEGORY.get(v.text(r, "category"), (NONE,)))),
             ("text:This motion determines it", _shown) if motion else None,
             ("number:Prior", "prior") if motion else None,
-            ("number:Follows prior", _follows) if influence else None,
+            ("number:Follows prior", "prior_influence", "{:.2f}".format) if influence else None,
             ("text:Decided by", _decided) if influence else None,
         ],
         said,
@@ -286,11 +286,6 @@ def _shown(row: Result) -> p.Cell:
     value, std = v.real(row, "value"), v.real(row, "std_data")
     share = f", ±{v.percent(std / abs(value))}" if value and std and word != "negligible" else ""
     return p.Cell(word + share if word else NONE, _TONES.get(word, p.PLAIN))
-
-
-def _follows(row: Result) -> p.Cell:
-    share = v.real(row, "prior_influence")
-    return p.Cell(NONE if share is None else f"{share:.2f}", p.PLAIN, share)
 
 
 def _decided(row: Result) -> p.Cell:

@@ -14,7 +14,6 @@ from excitant.reports.motion_figures import (
     estimates_figure,
     excitation_figure,
     excitation_levels,
-    uncertainty_figure,
 )
 from excitant.reports.values import Result, Series
 
@@ -333,7 +332,6 @@ def _online(result: Result, series: Series) -> p.Parts:
         ("On-line estimation", [_online_facts(result), messages]),
         ("Estimates over time", [estimates_figure(result, series)]),
         ("Excitation over time", [excitation_figure(result)]),
-        ("Convergence", [uncertainty_figure(result)]),
     ]
 
 

@@ -501,12 +501,9 @@ def _mesh_file(name: str, folder: Path) -> Path | None:
     else:
         package, _, inside = name.removeprefix("package://").partition("/")
         above = [folder, *folder.parents]
-        shared = [Path(path) for path in _words("ROS_PACKAGE_PATH")]
-        shared += [Path(path) / "share" for path in _words("AMENT_PREFIX_PATH")]
+        roots = (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share"))
+        split = ((os.environ.get(name, "").split(os.pathsep), inner) for name, inner in roots)
+        shared = [Path(path) / inner for paths, inner in split for path in paths if path]
         places = [each / package / inside for each in (*above, *shared)]
         places += [each / inside for each in (*above, *shared) if each.name == package]
     return next((path for path in places if path.is_file()), None)
-
-
-def _words(variable: str) -> list[str]:
-    return [word for word in os.environ.get(variable, "").split(os.pathsep) if word]

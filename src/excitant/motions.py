@@ -220,7 +220,7 @@ def _bound(found: Design, seed: int) -> tuple[dict[str, Any], str]:
             found.robot.with_limits(found.robot.limits.used(found.use)),
             duration=found.duration,
             harmonics=None if found.trajectory.series.name == "spline" else found.harmonics,
-            columns=found.columns,
+            columns=found.information.columns,
             seed=seed,
             time_limit=_BOUND_TIME,
             pool=[found.trajectory.motion(_DENSE_HZ)],

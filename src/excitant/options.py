@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from excitant.exceptions import BadInput
 
@@ -43,11 +44,6 @@ def _numbers(_: Any, tokens: Sequence[Token]) -> list[float]:
     return [float(word) for word in _words(_, tokens)]
 
 
-def _natural(_: Any, value: int) -> None:
-    if value < 0:
-        raise ValueError("must not be negative")
-
-
 def _comma(convert: Any) -> Parameter:
     return Parameter(converter=convert, n_tokens=1, allow_leading_hyphen=True)
 
@@ -62,7 +58,7 @@ Effects = Annotated[list[str] | None, _comma(_words), Parameter(completer=_effec
 Names = Annotated[list[str] | None, _comma(_words)]
 Numbers = Annotated[list[float] | None, _comma(_numbers)]
 Files = Annotated[list[str] | None, Parameter(consume_multiple=True)]
-Seed = Annotated[int, Parameter(validator=_natural)]
+Seed = Annotated[int, Parameter(validator=Number(gte=0))]
 Columns = Literal["friction", "inertial"]
 
 

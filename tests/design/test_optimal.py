@@ -176,17 +176,8 @@ def test_what_parameters_are_seen_is_that_of_weighted_least_squares(weighted: De
     scaled = np.linalg.cond(W / np.linalg.norm(W, axis=0))
     assert result["condition_number_scaled"]["final"] == pytest.approx(scaled, rel=1e-6)
     assert result["joint_weights"] == pytest.approx([2.0, 0.5])
-    _, sizes, Vt = np.linalg.svd(W / np.sqrt(len(motion)))
+    sizes = np.linalg.svd(W / np.sqrt(len(motion)), compute_uv=False)
     np.testing.assert_allclose(np.linalg.eigvalsh(weighted.after), sizes[::-1] ** 2, rtol=1e-6)
-    for direction, size, v in zip(
-        result["weak_directions"]["final"], sizes[::-1], Vt[::-1], strict=False
-    ):
-        assert direction["strength"] == pytest.approx(size)
-        assert direction["other"] == pytest.approx(np.sqrt(v @ weighted.before @ v))
-        lead, *others = direction["members"]
-        assert lead["name"] == names[int(np.abs(v).argmax())]
-        assert lead["coefficient"] == pytest.approx(np.abs(v).max())
-        assert all(abs(member["coefficient"]) >= 0.3 for member in others)
 
 
 def test_tool_ends_the_arm_at_every_pose(weighted: Design) -> None:

@@ -194,8 +194,6 @@ def _online(rng: np.random.Generator, rows: int) -> Run:
     history = {
         "t": t,
         "excitation_level": [None] * 4 + [0.01 if 6 < x < 9 else 30.0 for x in t[4:]],
-        "torque_uncertainty": np.exp(-t)[:, None] * np.ones(NV),
-        "noise": np.full((24, NV), 0.02),
     }
     messages = [
         {"t": 4.0, "text": "converged: the estimate is surer of the torque than a row of data"},
