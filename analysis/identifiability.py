@@ -15,11 +15,9 @@ from excitant.analysis.uncertainty import (
     Direction,
     Practical,
     candidate_experiments,
-    correlation,
     dependent_groups,
     experiments_needed,
     known_values,
-    largest_correlations,
     practical,
     resolution,
     verdict,
@@ -93,7 +91,6 @@ class PracticalIdentifiability:
     singular_values: Array  # of the base columns scaled to unit length, greatest first
     practical: tuple[Practical, ...]  # each base parameter
     directions: tuple[Direction, ...]  # of the base parameters, unseen or weakest
-    correlation: Array  # of the base parameters, shape (r, r)
     influence: PriorInfluence | None  # None where the arm's links give no prior
     noise: Array  # of each measured joint's torque, assumed or estimated [N·m]
     resting: tuple[str, ...]  # joints that do not move
@@ -101,11 +98,10 @@ class PracticalIdentifiability:
     persistency: Persistency | None  # None when not all torques are measured
 
     def __post_init__(self) -> None:
-        freeze(self, "singular_values", "correlation", "noise")
+        freeze(self, "singular_values", "noise")
 
-    def result(self, base: BaseParameters) -> dict[str, Any]:
-        """Everything as plain values; ``base`` names the base parameters."""
-        names = [base.names[k] for k in base.columns]
+    def result(self) -> dict[str, Any]:
+        """Everything as plain values."""
         practical = [p.result() for p in self.practical]
         lost = [row for row in practical if row["verdict"] == NOT_SHOWN]
         return {
@@ -116,10 +112,6 @@ class PracticalIdentifiability:
             "resting_joints": self.resting,
             "not_shown": [{key: row[key] for key in ("name", "needed")} for row in lost],
             "directions": [d.result() for d in self.directions],
-            "correlations": [
-                {"first": names[i], "second": names[j], "correlation": rho}
-                for i, j, rho in largest_correlations(self.correlation)
-            ],
             "persistency": self.persistency and self.persistency.result(),
         }
 
@@ -173,7 +165,7 @@ class Identifiability:
             },
             "links": [self._link(link, joint) for link, joint in links],
             "follow_each_other": self.follow,
-            **(self.motion.result(self.base) if self.motion else without),
+            **(self.motion.result() if self.motion else without),
             "notes": list(self.notes),
         }
 
@@ -315,7 +307,6 @@ def _under_motion(
         singular_values=read_only(np.linalg.svd(scaled, compute_uv=False)),
         practical=practical(base, given.beta, seen, candidates),
         directions=weak_directions(base, units, seen, _sizes(robot, effects, base, given)),
-        correlation=correlation(seen.covariance),
         influence=given.influence,
         noise=given.sigma,
         resting=tuple(robot.joints[j] for j in given.resting),

@@ -313,23 +313,6 @@ def _direction(
     return Direction(members, std, float((weight[kept] ** 2).sum()))
 
 
-def correlation(covariance: Array) -> Array:
-    """Correlation matrix; zero for what has no variance, shape as given."""
-    std = np.sqrt(np.diag(covariance))
-    safe = np.where(std > 0, std, 1.0)
-    matrix = covariance / np.outer(safe, safe)
-    np.fill_diagonal(matrix, np.where(std > 0, 1.0, 0.0))
-    return np.asarray(np.clip(matrix, -1.0, 1.0), float)
-
-
-def largest_correlations(matrix: Array, count: int = 10) -> list[tuple[int, int, float]]:
-    """Pairs of base parameters with the largest |ρ|, as indices and ρ."""
-    rows, columns = np.triu_indices(len(matrix), 1)
-    values = matrix[rows, columns]
-    order = np.argsort(-np.abs(values), kind="stable")[:count]
-    return [(int(rows[k]), int(columns[k]), float(values[k])) for k in order if values[k]]
-
-
 def candidate_experiments(
     robot: Robot,
     effects: Sequence[Effect],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -197,6 +198,25 @@ class Estimate:
             "identified": self.predicted,
             "half_width": self.interval.half_width,
         }
+
+    def save(self, path: str | Path) -> list[Path]:
+        """Write the model as .urdf, .xml (MJCF), .sdf, or .yaml with the URDF that it refers to.
+
+        Raises:
+            UnknownName: Another suffix.
+        """
+        from excitant.identify.export import model_files
+
+        path, gains = Path(path), self.gains if self.data.unit == "A" else None
+        files = model_files(self.model, path.stem, f"{path.stem}.yaml", gains=gains)
+        if path.name not in files:
+            raise UnknownName("format", path.suffix, (".urdf", ".xml", ".sdf", ".yaml"))
+        names = [path.name, *[f"{path.stem}.urdf"] * (path.suffix == ".yaml")]
+        for name in names:  # never half-written
+            whole = path.with_name(f"{name}.part")
+            whole.write_text(files[name], encoding="utf-8")
+            whole.replace(path.with_name(name))
+        return [path.with_name(name) for name in names]
 
     def _essential(self) -> dict[str, Any]:
         """The fewest base parameters, and their accuracy on the hold-out (median over joints)."""

@@ -26,10 +26,9 @@ from excitant.robots.effects import effect_entries, plain
 from excitant.robots.motion import Array
 from excitant.robots.parameters import inertia
 from excitant.robots.robot import Robot
-from excitant.robots.urdf import urdf_with_parameters
+from excitant.robots.urdf import current_urdf
 
 FORMATS = ("urdf", "mjcf", "sdf")
-_OF_MOVING_JOINTS = ("axis", "limit", "dynamics", "mimic", "calibration", "safety_controller")
 _COMMON_GRAVITY = (0.0, 0.0, -9.81)
 _THIN = 1e-3  # m: shorter distances between joints are not drawn
 _AS_GOOD = 1.01  # times the error of the given model: what chance makes of equal ones
@@ -55,7 +54,7 @@ def model_files(
     UnknownName.refuse("format", formats, FORMATS)
     arm, drives = folded(model)
     files = {
-        f"{stem}.urdf": _urdf(arm, drives, yaml_name),
+        f"{stem}.urdf": _urdf(arm, yaml_name),
         yaml_name: _yaml(arm, f"{stem}.urdf", gains),
     }
     if "mjcf" in formats:
@@ -107,34 +106,10 @@ def comment(robot: Robot, file_format: str, complete: str) -> str:
     return f"{text}\n  "
 
 
-def _urdf(arm: Robot, drives: Mapping[str, Array], complete: str) -> str:
-    pairs = np.maximum([drives["viscous"], drives["coulomb"]], 0.0).T.tolist()
-    friction = {joint: (v, c) for joint, (v, c) in zip(arm.joints, pairs, strict=True)}
-    root = ET.fromstring(urdf_with_parameters(arm, arm.phi, friction))
-    held = {name for name, _ in arm.locked}
-    for joint in root.findall("joint"):
-        if joint.get("name") in held:
-            _fix(joint, arm.model)
-        for mimic in joint.findall("mimic"):
-            if mimic.get("joint") in held:
-                joint.remove(mimic)
+def _urdf(arm: Robot, complete: str) -> str:
+    root = ET.fromstring(current_urdf(arm))
     root.insert(0, ET.Comment(comment(arm, "urdf", complete)))
     return _text_of(root, declared=True)
-
-
-def _fix(joint: ET.Element, model: pin.Model) -> None:
-    """Make a joint fixed where it is held: both its links are part of one body."""
-    for tag in (*_OF_MOVING_JOINTS, "origin"):
-        for element in joint.findall(tag):
-            joint.remove(element)
-    links = {element.tag: element.get("link") for element in joint}
-    parent, child = (
-        model.frames[model.getFrameId(links[end], pin.FrameType.BODY)].placement
-        for end in ("parent", "child")
-    )
-    T = parent.actInv(child)
-    _add(joint, "origin", xyz=T.translation, rpy=pin.rpy.matrixToRpy(T.rotation))
-    joint.set("type", "fixed")
 
 
 def _yaml(arm: Robot, urdf: str, gains: Array | None) -> str:

@@ -41,7 +41,7 @@ def analyze_section(result: Result, series: Series) -> p.Section:
             ("Key figures", [_facts(result), p.notes(_basis(result)), p.notes(said, brief="")]),
             ("Parameters by link", [_matrix(links)]),
             ("With the given motion", _motion(result, series)),
-            ("Least determined by the motion", _weakest(result)),
+            ("Least determined by the motion", [_weakest(result)]),
             *(
                 (_title(link), _link(result, link, f"Link {k} of {len(links)}"))
                 for k, link in enumerate(links, start=1)
@@ -140,11 +140,10 @@ def _motion(result: Result, series: Series) -> p.Blocks:
         "These base parameters make no torque of their own in this motion: they keep their prior "
         f"values{f'; at rest: {v.listing(resting)}' if resting else ''}.",
     )
-    rows = p.numbered(v.records(result, "practical"))
+    rows = v.records(result, "practical")
     practical = p.table(
         rows,
         [
-            ("number:No.", lambda r: v.text(r, "k")),
             ("expression:Base parameter", "name"),
             *p.estimates("number:Value (SI)", "number:± std (SI)"),
             ("number:Relative std", p.relative),
@@ -162,26 +161,14 @@ def _determined(row: Result) -> p.Cell:
     return p.Cell(verdict or NONE, _TONES.get(verdict, p.quality(v.real(row, "rel_std"))))
 
 
-def _weakest(result: Result) -> p.Blocks:
-    names = [v.text(row, "name") for row in v.records(result, "practical")]
-    numbers = {name.split(" ")[0]: f"{k}: " for k, name in enumerate(names, start=1)}
-
+def _weakest(result: Result) -> p.Table | None:
     def share(row: Result) -> p.Cell:
         rel = v.real(row, "rel_std")
         if rel is None:
             return p.Cell("not seen", p.POOR)
         return p.Cell(v.percent(rel), p.quality(rel), rel)
 
-    def correlation(row: Result) -> p.Cell:
-        rho = v.real(row, "correlation")
-        size = abs(rho or 0.0)
-        tone = p.POOR if size > 0.95 else p.FAIR if size > 0.8 else p.GOOD
-        return p.Cell(v.number(rho), tone, rho)
-
-    def numbered(name: object) -> str:
-        return f"{numbers.get(str(name), '')}{name or ''}"
-
-    directions = p.table(
+    return p.table(
         v.records(result, "directions"),
         [
             ("expression:Direction", "expression"),
@@ -191,16 +178,6 @@ def _weakest(result: Result) -> p.Blocks:
         "Combinations of base parameters, each named by its first member, that this motion shows "
         "worst; above 100\u00a0% the data say less than the prior.",
     )
-    correlations = p.table(
-        v.records(result, "correlations"),
-        [
-            ("name:Base parameter", "first", numbered),
-            ("name:goes with", "second", numbered),
-            ("number:Correlation", correlation),
-        ],
-        "The most correlated pairs, each base parameter named by its first member.",
-    )
-    return [directions, correlations]
 
 
 def _title(link: Result) -> str:

@@ -119,7 +119,7 @@ class ModelCheck:
 
         A warning names what is almost surely wrong or missing; a hint what may well be right.
         """
-        robot, root = self.robot, ET.fromstring(self.robot.urdf)
+        robot, root = self.robot, ET.fromstring(self.robot.description)
         found = [
             *_inertias(robot, self.bodies),
             *_axes(robot, root),

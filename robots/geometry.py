@@ -94,7 +94,7 @@ class Body:
 
 def bodies(robot: Robot) -> tuple[Body, ...]:
     """The links of an arm that its joints move or that stand under it, from the base outward."""
-    root = ET.fromstring(robot.urdf)
+    root = ET.fromstring(robot.description)
     named = tree(root, robot.source)
     under = [joint.parent for joint in named.ancestors(robot.links[0])]
     origins: dict[str, list[Array]] = {}
@@ -385,7 +385,7 @@ def scene(robot: Robot, obstacles: Sequence[Obstacle] = ()) -> Scene | None:
 @lru_cache(maxsize=8)
 def _solids(robot: Robot) -> tuple[Any, int, int]:
     """Collision shapes of an arm, never edited; how many it states; meshes that are not there."""
-    root = ET.fromstring(robot.urdf)
+    root = ET.fromstring(robot.description)
     stated, missing = len(root.findall("link/collision")), _find_meshes(root, robot)
     model, reference, locked = full_model(root, robot)
     text = ET.tostring(root, encoding="unicode")

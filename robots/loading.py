@@ -196,7 +196,7 @@ def _described(path: Path, spec: RobotSpec) -> Description:
 
 def _effects(robot: Robot, found: Description) -> Iterator[Effect]:
     """Friction, rotor inertia and springs that a description states of the joints that move."""
-    joints = ET.fromstring(robot.urdf).findall("joint")
+    joints = ET.fromstring(robot.description).findall("joint")
     stated = {str(joint.get("name")): joint for joint in joints}
     for kind, key in ((ViscousFriction, "damping"), (CoulombFriction, "friction")):
         values = {}
@@ -222,7 +222,7 @@ def _narrowed(whole: Robot, spec: RobotSpec) -> Robot:
         if joint not in whole.joints:
             raise UnknownName("joint", joint, whole.joints)
     part = replace(spec, path=whole.source, lock={**dict(whole.locked), **spec.lock})
-    held = robot_from_urdf(whole.urdf, part, name=whole.name, gravity=whole.gravity)
+    held = robot_from_urdf(whole.description, part, name=whole.name, gravity=whole.gravity)
     return _kept(whole, replace(held, notes=(*whole.notes, *held.notes)))
 
 

@@ -30,7 +30,7 @@ class Robot:
         links: Name of the link that each joint carries, with everything fixed to it.
         revolute: Whether each joint turns (or slides), shape (nv,).
         limits: Limits of the joints.
-        urdf: URDF text the arm was read from.
+        description: URDF text the arm was read from; `urdf` is that of the arm as it is now.
         locked: Positions of the joints that are held.
         effects: What makes torque beyond rigid-body inertia, with values.
         source: File or name the arm was loaded from.
@@ -43,12 +43,23 @@ class Robot:
     links: tuple[str, ...]
     revolute: npt.NDArray[np.bool_]
     limits: Limits
-    urdf: str
+    description: str
     locked: tuple[tuple[str, float], ...] = ()
     effects: tuple[Effect, ...] = ()
     source: str = ""
     tool: str = ""
     notes: tuple[str, ...] = ()
+    described: bool = True  # whether the description states its inertias and friction
+
+    @cached_property
+    def urdf(self) -> str:
+        """URDF text of the arm as it is now: inertias, viscous and Coulomb friction, held joints.
+
+        It is the description itself where that says the same.
+        """
+        from excitant.robots.urdf import current_urdf
+
+        return self.description if self.described and not self.locked else current_urdf(self)
 
     @property
     def nv(self) -> int:
@@ -99,7 +110,7 @@ class Robot:
         model = self.model.copy()
         for j, values in enumerate(np.reshape(np.asarray(phi, float), (self.nv, 10)), start=1):
             model.inertias[j] = inertia(values)
-        return replace(self, model=model)
+        return replace(self, model=model, described=False)
 
     def with_gravity(self, gravity: npt.ArrayLike) -> Robot:
         """The same arm under another gravity vector in the base frame, shape (3,) [m/s²]."""
@@ -109,7 +120,7 @@ class Robot:
 
     def with_effects(self, effects: Iterable[Effect]) -> Robot:
         """The same arm with these effects instead of its own."""
-        return replace(self, effects=tuple(effects))
+        return replace(self, effects=tuple(effects), described=False)
 
     def with_limits(self, limits: Limits) -> Robot:
         """The same arm with other limits."""

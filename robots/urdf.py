@@ -22,8 +22,9 @@ from excitant.robots.parameters import elements, steiner
 from excitant.robots.robot import Robot
 
 GRAVITY = (0.0, 0.0, -9.81)
+_OF_MOVING_JOINTS = ("axis", "limit", "dynamics", "mimic", "calibration", "safety_controller")
 _UNLIMITED = 1e9
-_ENDS = ("parent", "child")
+_ENDS, _RENAMED = ("parent", "child"), " (link)"
 
 
 def robot_from_urdf(
@@ -71,7 +72,7 @@ def robot_from_urdf(
         links=tuple(joint.child for joint in moving),
         revolute=np.array([joint.kind != "prismatic" for joint in moving]),
         limits=_limits(model),
-        urdf=text,
+        description=text,
         locked=tuple(sorted((joint, value or 0.0) for joint, value in held.items())),
         source=source,
         tool=spec.tip or "",
@@ -185,7 +186,7 @@ def _rename_links_called_as_joints(root: ET.Element) -> None:
     named += [(end, "link") for tag in _ENDS for end in root.findall(f"joint/{tag}")]
     for element, key in named:
         if element.get(key) in joints:
-            element.set(key, f"{element.get(key)} (link)")
+            element.set(key, f"{element.get(key)}{_RENAMED}")
 
 
 def _build(root: ET.Element, source: str) -> pin.Model:
@@ -232,24 +233,23 @@ def _limits(model: pin.Model) -> Limits:
     return Limits(position, velocity, np.full(model.nv, np.inf), effort)
 
 
-def urdf_with_parameters(
-    robot: Robot,
-    phi: npt.ArrayLike,
-    friction: Mapping[str, tuple[float, float]] | None = None,
-) -> str:
-    """The robot's URDF with other inertias and joint friction.
+def current_urdf(robot: Robot) -> str:
+    """The arm's description with its present inertias and friction, and its held joints fixed.
 
-    Each moving link gets the inertia of everything it carries: links fixed to it, or held by
-    a locked joint, lose their own ``<inertial>`` so that nothing counts twice.
-
-    Args:
-        robot: The arm.
-        phi: Standard parameters in the order of ``robot.phi``, shape (10 nv,).
-        friction: Viscous [N·m·s/rad] and Coulomb [N·m] friction by joint, written as
-            ``<dynamics damping friction>``; left as they are when not given.
+    Each moving link gets the inertia of everything it carries: links fixed to it, or held by a
+    locked joint, lose their own ``<inertial>`` so that nothing counts twice. Viscous and Coulomb
+    friction are ``<dynamics damping friction>``; negative ones, which URDF does not know, are 0.
     """
-    root = ET.fromstring(robot.urdf)
-    values = dict(zip(robot.links, np.reshape(np.asarray(phi, float), (-1, 10)), strict=True))
+    root, held = ET.fromstring(robot.description), {name for name, _ in robot.locked}
+    friction = {kind: np.zeros(robot.nv) for kind in ("viscous", "coulomb")}
+    carrying = robot
+    for effect in (effect for effect in robot.effects if effect.values is not None):
+        if effect.role != "torque":  # a payload, or other inertia of a link
+            carrying = effect.applied(carrying)
+        elif effect.joint_property in friction:
+            friction[effect.joint_property][effect.rows(robot)] += effect.values or ()
+    values = dict(zip(robot.links, carrying.phi.reshape(-1, 10), strict=True))
+    dry = dict(zip(robot.joints, np.maximum(list(friction.values()), 0.0).T.tolist(), strict=True))
     named = tree(root, robot.source)
     for link in root.findall("link"):
         name = str(link.get("name"))
@@ -260,13 +260,30 @@ def urdf_with_parameters(
         if name in values:
             link.insert(0, inertial_element(values[name]))
     for joint in root.findall("joint"):
-        own = (friction or {}).get(str(joint.get("name")))
-        if own is not None:
+        if (own := dry.get(str(joint.get("name")))) is not None:
             dynamics = joint.find("dynamics")
             dynamics = ET.SubElement(joint, "dynamics") if dynamics is None else dynamics
-            viscous, coulomb = (repr(float(value)) for value in own)
-            dynamics.attrib |= {"damping": viscous, "friction": coulomb}
+            dynamics.attrib |= {"damping": repr(own[0]), "friction": repr(own[1])}
+        elif joint.get("name") in held:
+            _fix(joint, robot.model)
+        for mimic in joint.findall("mimic"):
+            if mimic.get("joint") in held:
+                joint.remove(mimic)
     return urdf_text(root)
+
+
+def _fix(joint: ET.Element, model: pin.Model) -> None:
+    """Make a joint fixed where it is held: both its links are part of one body."""
+    for tag in (*_OF_MOVING_JOINTS, "origin"):
+        for element in joint.findall(tag):
+            joint.remove(element)
+    links = {element.tag: str(element.get("link")) for element in joint}
+    names = [links[end] + _RENAMED * (not model.existBodyName(links[end])) for end in _ENDS]
+    frames = (model.getFrameId(name, pin.FrameType.BODY) for name in names)
+    parent, child = (model.frames[frame].placement for frame in frames)
+    T = parent.actInv(child)
+    joint.append(origin_element(T.rotation, T.translation))
+    joint.set("type", "fixed")
 
 
 def urdf_text(root: ET.Element) -> str:
@@ -277,7 +294,7 @@ def urdf_text(root: ET.Element) -> str:
 
 def limits_in_urdf(robot: Robot) -> Robot:
     """The robot with a URDF text that states the limits of the joints it keeps."""
-    root, limits = ET.fromstring(robot.urdf), robot.limits
+    root, limits = ET.fromstring(robot.description), robot.limits
     stated = {str(joint.get("name")): joint for joint in root.findall("joint")}
     for j, joint in enumerate(stated[name] for name in robot.joints):
         values = (*limits.position[j], limits.torque[j], limits.velocity[j])
@@ -291,7 +308,7 @@ def limits_in_urdf(robot: Robot) -> Robot:
             joint.remove(limit)
         words = {k: repr(float(np.clip(x, -_UNLIMITED, _UNLIMITED))) for k, x in numbers.items()}
         ET.SubElement(joint, "limit", words)
-    return replace(robot, urdf=urdf_text(root))
+    return replace(robot, description=urdf_text(root))
 
 
 def joint_element(

@@ -74,7 +74,7 @@ def energy(robot: Robot, rotor: np.ndarray, motion: Motion) -> np.ndarray:
 
 def mujoco_model(robot: Robot) -> mujoco.MjModel:
     """MuJoCo's model of the bodies alone, without contacts and limits."""
-    spec, without = mujoco.MjSpec.from_string(robot.urdf), mujoco.mjtDisableBit
+    spec, without = mujoco.MjSpec.from_string(robot.description), mujoco.mjtDisableBit
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     spec.option.timestep, spec.option.gravity = 1e-3, robot.gravity
     spec.option.disableflags = without.mjDSBL_CONTACT | without.mjDSBL_LIMIT

@@ -134,7 +134,7 @@ def test_without_torque_limits_there_is_no_noise_to_assume(ur10: Robot) -> None:
 def test_the_result_has_the_agreed_keys(ur10: Robot) -> None:
     result = analyze(ur10, motion=motion_of(ur10)).result()
     agreed = {"standard_parameters", "base_parameters", "links", "condition_number", "practical"}
-    assert agreed | {"persistency", "directions", "correlations", "not_shown"} <= set(result)
+    assert agreed | {"persistency", "directions", "not_shown"} <= set(result)
     assert (result["standard_parameters"], result["base_parameters"]) == (60, 36)
     assert all({"name", "std", "rel_std", "verdict"} <= set(p) for p in result["practical"])
     assert [link["link"] for link in result["links"]] == list(ur10.links)
@@ -348,18 +348,6 @@ def test_directions_that_are_not_seen_come_first() -> None:
     assert first.expression == "a.Ixx − 0.25·b.Izz"
     assert "no torque of this motion" in first.meaning
     assert [d.members[0][0] for d in rest] == ["a.m"]
-
-
-def test_correlations_are_sorted_by_size() -> None:
-    C = np.diag([1.0, 4.0, 9.0, 0.0])
-    C[0, 1] = C[1, 0] = 1.0
-    C[1, 2] = C[2, 1] = -5.4
-    matrix = uncertainty.correlation(C)
-    assert uncertainty.largest_correlations(matrix) == [
-        (1, 2, pytest.approx(-0.9)),
-        (0, 1, pytest.approx(0.5)),
-    ]
-    assert np.diag(matrix).tolist() == [1, 1, 1, 0]
 
 
 @pytest.fixture(scope="module")

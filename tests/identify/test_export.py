@@ -20,17 +20,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 from known_arms import write_csv
 
-from excitant.exceptions import BadInput
+from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Estimate, Recording, identify_robot
 from excitant.identify.export import model_files, publication
 from excitant.identify.rows import Accuracy
-from excitant.robots import DHChain, Motion, Robot, load_robot, robot_from_dh, torque
+from excitant.robots import (
+    DHChain,
+    Motion,
+    Robot,
+    load_robot,
+    rigid_body_torque,
+    robot_from_dh,
+    torque,
+)
 from excitant.robots.effects import (
     EFFECTS,
     AddedInertia,
     CoulombFriction,
     Effect,
     JointEffect,
+    Payload,
     RotorInertia,
     TorqueOffset,
     ViscousFriction,
@@ -325,6 +334,25 @@ def test_a_model_worse_than_the_given_one_is_published_only_when_forced(
             assert "forced" in forced.note
             for each in (found, given):
                 assert f"{np.nansum(each.nrmse):.4g}" in plain.note
+
+
+def test_nothing_in_python_holds_the_model_as_given(estimate: Estimate, tmp_path: Path) -> None:
+    model, motion = estimate.model, states(estimate.model, 20)
+    (tmp_path / "text.urdf").write_text(model.urdf, encoding="utf-8")
+    [mjcf] = estimate.save(tmp_path / "arm.xml")
+    files = [tmp_path / "text.urdf", *estimate.save(tmp_path / "arm.yaml")]
+    for file in files:
+        check(rigid_body_torque(load_robot(file), motion), rigid_body_torque(model, motion))
+    check(torque(load_robot(tmp_path / "arm.yaml"), motion), torque(model, motion))
+    assert mujoco.MjModel.from_xml_path(str(mjcf)).nv == model.nv
+    assert {path.name for path in tmp_path.iterdir()} == {
+        *("text.urdf", "arm.xml", "arm.yaml", "arm.urdf"),
+    }
+    with pytest.raises(UnknownName, match=r"unknown format '\.step'"):
+        estimate.save(tmp_path / "arm.step")
+    carrying = model.with_effects([Payload(model.joints[-1:]).with_values(BODY)])
+    again = robot_from_urdf(carrying.urdf, "carrying")
+    check(rigid_body_torque(again, motion), torque(carrying, motion))
 
 
 def test_currents_are_published_with_their_gains(estimate: Estimate) -> None:

@@ -29,7 +29,7 @@ def test_summary_is_plain_lines(run):
         ("identify", ("joints", 2, "validate", "rms")),
         ("identify", ("parameters", 17, "value")),
         ("identify", ("base_parameters", 5, "std")),
-        ("analyze", ("correlations", 1, "correlation")),
+        ("analyze", ("links", 1, "parameters", 2, "std")),
         ("diagnose", ("findings", 0, "parameters", 0, "value")),
         ("diagnose", ("extended", "joints", 3, "r2")),
     ],

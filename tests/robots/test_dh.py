@@ -129,7 +129,7 @@ def test_robot_yaml_in_denavit_hartenberg_form(loaded: Loaded, drill: Any) -> No
     x = 0.4 * np.cos(elbow) + 0.3 * np.cos(wrist)
     y = 0.4 * np.sin(elbow) + 0.3 * np.sin(wrist)
     assert np.allclose(tip(robot, np.zeros(3)), [x, y, 0.5 + 0.1 - 0.1], rtol=0, atol=1e-12)
-    again = robot_from_urdf(robot.urdf, source="again", gravity=robot.gravity)
+    again = robot_from_urdf(robot.description, source="again", gravity=robot.gravity)
     assert np.array_equal(again.limits.position, robot.limits.position)
     assert np.array_equal(again.phi, robot.phi)
     assert scene(robot) is not None

@@ -16,7 +16,7 @@ from excitant.exceptions import BadRobot
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, torque
 from excitant.robots.effects import CoulombFriction
 from excitant.robots.geometry import scene
-from excitant.robots.urdf import robot_from_urdf, urdf_with_parameters
+from excitant.robots.urdf import robot_from_urdf
 
 Refused = Callable[..., str]
 DATA = Path(__file__).parent / "data"
@@ -65,7 +65,7 @@ def test_torque_is_that_of_mujoco() -> None:
     assert robot.revolute.tolist() == [True, True, True, False]
     assert robot.links == ("shoulder_before_lift", "shoulder", "elbow", "hand")
     assert robot.gravity.tolist() == [0.5, -1, -9]
-    written = urdf_with_parameters(robot, robot.phi)
+    written = robot.with_parameters(robot.phi).urdf
     again, motion = robot_from_urdf(written, "written", gravity=robot.gravity), states(robot)
     assert close(rigid_body_torque(again, motion), rigid_body_torque(robot, motion), 1e-9)
 

@@ -17,7 +17,7 @@ from excitant.exceptions import BadRobot, ExcitantError
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, torque
 from excitant.robots.chains import RobotSpec
 from excitant.robots.geometry import scene
-from excitant.robots.urdf import robot_from_urdf, urdf_with_parameters
+from excitant.robots.urdf import robot_from_urdf
 
 Refused = Callable[..., str]
 States = Callable[[Robot, int, int], Motion]
@@ -43,8 +43,7 @@ def test_written_parameters_reload_to_the_same_torque(
     held = LOCKS[arm.name] if lock else {}
     robot = robot_from_urdf(arm.urdf, RobotSpec("given", lock=held))
     phi = random_bodies(seed, robot.nv)
-    written = urdf_with_parameters(robot, phi)
-    again = robot_from_urdf(written, RobotSpec("written", lock=held))
+    again = robot_from_urdf(robot.with_parameters(phi).urdf, "written")  # what is held is fixed
     assert again.joints == robot.joints
     motion = random_states(robot, seed, 5)
     assert same(robot.with_parameters(phi), again, motion, 1e-9)
@@ -128,7 +127,7 @@ def test_links_may_be_called_as_joints(gantry_urdf: str, random_states: States) 
     assert robot.joints == robot.links == ("slide", "twist")
     motion = random_states(part, 0, 8)
     assert same(robot, part, motion, 1e-12)
-    assert same(robot_from_urdf(urdf_with_parameters(robot, robot.phi), spec), part, motion, 1e-9)
+    assert same(robot_from_urdf(robot.urdf, "gantry.urdf"), part, motion, 1e-9)
 
 
 def test_a_robot_without_a_name_is_called_as_its_file(tmp_path: Path, gantry_urdf: str) -> None:
