@@ -230,6 +230,6 @@ def test_preprocessing_takes_another_differentiator() -> None:
     t, q, true = recorded(0.0)
     recording = Recording("n", "f", t, q, q)
     [segment] = prepare(recording, 10.0, ZeroPhaseButterworth(40.0))
-    np.testing.assert_allclose(segment.motion.ddq[100:-100], true[100:-100], atol=1e-3)
+    np.testing.assert_allclose(segment.motion.ddq[200:-200], true[200:-200], atol=1e-3)
     with pytest.raises(BadInput, match="without delay"):
         prepare(recording, 10.0, five_point())
