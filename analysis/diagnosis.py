@@ -35,6 +35,7 @@ from excitant.analysis.selection import rivals, select
 from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
 from excitant.identify.drive_gains import current_gains
+from excitant.identify.faults import warn_of_faults
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.rows import Accuracy, Data, series, split
@@ -143,6 +144,10 @@ class Diagnosis:
         items += [(self.share_of(left), left) for left in self.residuals if left.visible]
         return [item for _, item in sorted(items, key=lambda pair: -pair[0])]
 
+    def unit(self, joint: int | None = None) -> str:
+        """Unit of the torque of a joint, or of all."""
+        return self.robot.torque_unit(self.data.unit, joint)
+
     def share_of(self, left: Residual) -> float:
         """One joint's residual beyond noise as a share of the given model's squared error."""
         rms = self.extended.rms
@@ -165,14 +170,15 @@ class Diagnosis:
     def result(self, plan: Plan = _NO_PLAN) -> dict[str, Any]:
         """Contents of result.json, with a plan's experiments or else general actions."""
         notes = [*self.notes, placeholders(self), at_rest(self)]
-        pairs = zip(self.ordered, self.curves, strict=True)
+        labels = (f"torque [{self.unit(curve.joint)}]" for curve in self.curves)
+        pairs = zip(self.ordered, self.curves, labels, strict=True)
         both = zip(self.given_residuals, self.residuals, strict=True)
-        joints, y = self.robot.joints, f"torque [{self.data.unit}]"
+        joints = self.robot.joints
         return {
             "verb": "diagnose",
             "robot": self.robot.name,
             "headline": self.headline,
-            "unit": self.data.unit,
+            "unit": self.unit(),
             "cutoff_hz": self.data.cutoff_hz,
             "holdout": self.data.holdout,
             "simulation": {"joints": self._joints(self.simulation)},
@@ -180,7 +186,7 @@ class Diagnosis:
             "findings": [
                 (_unknown(self, item) if isinstance(item, Residual) else _cause(self, item, plan))
                 | {"figure": {"x_label": curve.x_label, "y_label": y, "joint": joints[curve.joint]}}
-                for item, curve in pairs
+                for item, curve, y in pairs
             ],
             "unexplained": [
                 {"joint": left.joint, "share": float(np.clip(1 - r2, 0, 1)), **left.unexplained()}
@@ -223,7 +229,7 @@ class Diagnosis:
             return {"sentence": f"Re-fitting the inertias alone failed: {error}"}
         bodies = [f.effect for f in self.findings if f.effect.role != "torque"]
         wrong = {self.robot.links[row] for effect in bodies for row in effect.rows(self.robot)}
-        said = found.sentence(self.robot.joints, self.data.unit, bool(self.findings), wrong)
+        said = found.sentence(self.robot.joints, self.unit(), bool(self.findings), wrong)
         return {"sentence": said, **found.result(self.robot.joints)}
 
     def _forward(self) -> dict[str, Any]:
@@ -314,6 +320,7 @@ def diagnose(
         Infeasible: The semidefinite solver failed.
     """
     data, prior = split(recordings, validate, cutoff_hz), prior_parameters(robot)
+    warn_of_faults(robot, recordings)
     train, measured = observed(robot, data.train), series(data.train).measured
     notes, gains = [data.holdout], np.ones(robot.nv)
     if data.unit == "A":

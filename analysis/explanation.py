@@ -70,7 +70,7 @@ def at_rest(diagnosis: Diagnosis) -> str:
             continue
         rms = float(np.sqrt(squares[rests].mean()))
         if rms > _PLAINLY * left.floor:
-            said.append(f"{left.joint} has an error of {rms:.2g} {diagnosis.data.unit} at rest")
+            said.append(f"{left.joint} has an error of {rms:.2g} {diagnosis.unit(j)} at rest")
     if not said:
         return ""
     return (
@@ -90,8 +90,9 @@ def headline(diagnosis: Diagnosis) -> str:
         return f"{nothing} {at_rest(diagnosis)}".rstrip()
     lead = order[0]
     if isinstance(lead, Residual):
+        unit = diagnosis.unit(diagnosis.robot.joint_index(lead.joint))
         return (
-            f"{lead.joint}: {lead.rms:.2g} {diagnosis.data.unit} remain unexplained on the "
+            f"{lead.joint}: {lead.rms:.2g} {unit} remain unexplained on the "
             f"hold-out ({lead.against_noise}); no known cause describes them ({lead.structure})."
         )
     more = f" {len(order) - 1} more finding{'s' * (len(order) > 2)} below." if order[1:] else ""
@@ -101,7 +102,9 @@ def headline(diagnosis: Diagnosis) -> str:
     if _lacks_friction(diagnosis):
         return _no_friction(diagnosis)
     before, after = diagnosis.before_and_after(lead)
-    gain = f"hold-out error {before:.2g} → {after:.2g} {diagnosis.data.unit}"
+    moved = lead[0].effect.affected(diagnosis.robot)
+    unit = diagnosis.unit(moved[0]) if len(lead) == len(moved) == 1 else diagnosis.unit()
+    gain = f"hold-out error {before:.2g} → {after:.2g} {unit}"
     return f"{_sentence(lead, diagnosis.robot)}; {gain}.{_reservation(lead, diagnosis)}{more}"
 
 
@@ -191,7 +194,7 @@ def curve_of(diagnosis: Diagnosis, item: Finding | Residual) -> Curve:
     j, other = _shown(diagnosis, item)
     torque = item.torque[:, j]
     if item.effect.abscissa == "own torque":
-        drawn = f"torque of the fitted {plain(item.effect.name)} [{diagnosis.data.unit}]", torque
+        drawn = f"torque of the fitted {plain(item.effect.name)} [{diagnosis.unit(j)}]", torque
     else:
         drawn = _abscissa(diagnosis, item.effect.abscissa, j, other)
     label, x = item.effect.drawn(*drawn)
@@ -229,7 +232,7 @@ def _shown(diagnosis: Diagnosis, finding: Finding) -> tuple[int, int]:
 
 
 def _abscissa(diagnosis: Diagnosis, domain: str, j: int, other: int = 0) -> tuple[str, Array]:
-    unit, name = diagnosis.data.unit, diagnosis.robot.joints[other]
+    unit, name = diagnosis.unit(j), diagnosis.robot.joints[other]
     way_unit, far_unit = ("rad" if diagnosis.robot.revolute[k] else "m" for k in (j, other))
     q, dq, ddq = diagnosis.states
     t, torque = diagnosis.held.series.t, diagnosis.extension.predicted[:, j]

@@ -164,7 +164,7 @@ def _prediction(situation: Situation, estimate: Estimate, beta: Array) -> Item:
     floor = estimate.holdout.accuracy(estimate.holdout_columns @ beta).rms
     worse = rms / floor
     j = int(worse.argmax())
-    unit = "N·m" if robot.revolute[j] else "N"
+    unit = robot.torque_unit(joint=j)
     left = f"with the true parameters, noise leaves {floor[j]:.3g} {unit}"
     detail = f"rms error {rms[j]:.3g} {unit}; {left}"
     advice = situation.faster(lack=float(worse[j] / _WORSE))

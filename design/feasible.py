@@ -146,7 +146,9 @@ def _standstill(
             "required clearance, move the obstacles or widen the position limits",
         )
     tight = np.flatnonzero(use >= 0.999 * best)
-    limit = ", ".join(f"{robot.limits.torque[j]:.4g} N·m" for j in tight)
+    limit = ", ".join(
+        f"{robot.limits.torque[j]:.4g} {robot.torque_unit(joint=int(j))}" for j in tight
+    )
     raise Infeasible(
         f"trajectory of {robot.name}",
         f"torque limit of {', '.join(robot.joints[j] for j in tight)} ({limit}) is below what "

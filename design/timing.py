@@ -134,9 +134,10 @@ def _unheld(robot: Robot, motion: Motion) -> tuple[str, int] | None:
     k, j = np.unravel_index(int(share.argmax()), share.shape)
     if share[k, j] <= HOLDING:
         return None
+    unit = robot.torque_unit(joint=int(j))
     return (
-        f"joint {robot.joints[j]} needs {share[k, j] * bound[j]:.4g} N·m to hold the arm, more "
-        f"than {100 * HOLDING:.0f} % of its torque limit of {bound[j]:.4g} N·m"
+        f"joint {robot.joints[j]} needs {share[k, j] * bound[j]:.4g} {unit} to hold the arm, more "
+        f"than {100 * HOLDING:.0f} % of its torque limit of {bound[j]:.4g} {unit}"
     ), int(k)
 
 

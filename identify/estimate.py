@@ -13,6 +13,7 @@ import scipy
 
 from excitant.exceptions import UnknownName
 from excitant.identify.estimators import ESTIMATORS, estimated
+from excitant.identify.faults import warn_of_faults
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import (
     LeastSquares,
@@ -153,7 +154,7 @@ class Estimate:
             "effects": [effect.name for effect in self.model.effects],
             "cutoff_hz": self.data.cutoff_hz,
             **({} if self.shapes is None else {"shapes": self.shapes.entry()}),
-            "unit": self.data.unit,
+            "unit": robot.torque_unit(self.data.unit),
             "holdout": self.data.holdout,
             "drive_gain_Nm_per_A": list(self.gains) if self.data.unit == "A" else None,
             "joints": [
@@ -281,7 +282,8 @@ def identify_robot(
     Weighted least squares gives noise levels and base parameters; the semidefinite fit then gives
     physically consistent standard parameters. With any other estimator, that fit is to the torque
     that its base parameters predict on these rows, weighted by the noise it found. Shapes of
-    effects, in which torque is not linear, are refined where that fits better.
+    effects, in which torque is not linear, are refined where that fits better. Faults of recordings
+    are warned of (`FaultWarning`), not repaired.
 
     Args:
         robot: The arm; its inertias are the prior.
@@ -290,7 +292,7 @@ def identify_robot(
         effects: Effects to estimate; friction, offset and rotor inertia when None.
         cutoff_hz: Cut-off of the torque filter [Hz]; see `excitant.identify.split`.
         estimator: One of `excitant.identify.estimators.ESTIMATORS`.
-        knowledge: What is known of the bodies beforehand, and the kind of prior.
+        knowledge: What is known of the bodies beforehand.
         harmonics_hz: Highest harmonic of the motion as planned [Hz], which the filter passes.
 
     Raises:
@@ -304,6 +306,7 @@ def identify_robot(
     if estimator not in ESTIMATORS:
         raise UnknownName("estimator", estimator, ESTIMATORS)
     prior, known = prior_parameters(robot), knowledge or Knowledge()
+    warn_of_faults(robot, recordings)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     data = split(recordings, validate, cutoff_hz, harmonics_hz)
     rows = fit_rows(robot, effects, base_parameters(robot, effects), data)

@@ -16,8 +16,6 @@ from excitant.robots.motion import Array
 from excitant.robots.parameters import PSEUDO_INERTIA_BASIS
 from excitant.robots.schema import Positive, Record, Three, convert, read_yaml
 
-PRIORS = ("pullback", "euclidean")
-
 
 class Quantity(Record, frozen=True):
     """A number that is known [SI], with its standard deviation; 0 where it holds exactly."""
@@ -73,7 +71,6 @@ class LinkKnowledge(Record, frozen=True, omit_defaults=True):
 
 
 class _File(Record, frozen=True):
-    prior: str = PRIORS[0]
     total_mass: Positive | Quantity | None = None
     links: dict[str, Any] | None = None
 
@@ -83,20 +80,14 @@ class Knowledge:
     """Prior knowledge of a physically consistent fit.
 
     Attributes:
-        prior: How distance to the given bodies is measured: ``"pullback"`` or ``"euclidean"``.
         total_mass: Mass of all moving links together, the base not counted [kg].
         links: What is known of links, by name.
         source: File it was read from.
     """
 
-    prior: str = PRIORS[0]
     total_mass: float | Quantity | None = None
     links: Mapping[str, LinkKnowledge] = field(default_factory=dict)
     source: str = "knowledge"
-
-    def __post_init__(self) -> None:
-        if self.prior not in PRIORS:
-            raise UnknownName("prior", self.prior, PRIORS)
 
     @property
     def masses(self) -> dict[str, Quantity]:
@@ -122,7 +113,7 @@ class Knowledge:
 
     def entry(self) -> dict[str, Any]:
         """As in the file, without what is not known."""
-        known = {"prior": self.prior, "total_mass": self.total_mass, "links": dict(self.links)}
+        known = {"total_mass": self.total_mass, "links": dict(self.links)}
         known = {key: value for key, value in known.items() if value not in (None, {})}
         return dict(msgspec.json.decode(msgspec.json.encode(known)))
 
@@ -130,7 +121,7 @@ class Knowledge:
 def load_knowledge(path: str | Path, links: Sequence[str]) -> Knowledge:
     """Knowledge from YAML.
 
-    ``{prior: euclidean, total_mass: 33.5, links: {forearm: {mass: {value: 2.3, std: 0.1},
+    ``{total_mass: 33.5, links: {forearm: {mass: {value: 2.3, std: 0.1},
     com_box: [[-0.1, -0.1, 0], [0.1, 0.1, 0.4]]}}}``; lengths in metres in the link's frame.
 
     Raises:
@@ -141,13 +132,11 @@ def load_knowledge(path: str | Path, links: Sequence[str]) -> Knowledge:
     for name in about:
         if name not in links:
             raise BadInput(f"{path}: links: {UnknownName('link', name, links)}")
-    if found.prior not in PRIORS:
-        raise BadInput(f"{path}: {UnknownName('prior', found.prior, PRIORS)}")
     known = {
         name: convert(content, LinkKnowledge, path, f"links.{name}")
         for name, content in about.items()
     }
-    return Knowledge(found.prior, found.total_mass, known, str(path))
+    return Knowledge(found.total_mass, known, str(path))
 
 
 def known_rows(

@@ -2,17 +2,13 @@
 
 With the pseudo-inertia of link k written P_k = L_k Q_k L_kᵀ, where L_k L_kᵀ is the prior's,
 
-    minimise  ‖R x − z‖² + Σ_k D(Q_k) / σ_k² + Σ_i (θ_i − θ̄_i)² / s_i² + Σ_m (m − m̄)² / s_m²
+    minimise  ‖R x − z‖² + Σ_k ‖Q_k − 1‖_F² / σ_k² + Σ_i (θ_i − θ̄_i)² / s_i² + Σ_m (m − m̄)² / s_m²
     subject to  Q_k ⪰ ε 1,  θ ≥ bounds,  and what else is known of the bodies,
 
 where ‖R x − z‖² is the whitened data (a QR factor, so the size of the problem does not grow with
-the recording) and x holds the standard parameters φ and the effect coefficients θ. Distance D to
-the prior is one of
-
-    pullback   ‖Q − 1‖_F², coordinate-invariant (Lee, Wensing, Park 2020),
-    euclidean  Σ_i (φ_i − φ̄_i)² / u_i², u the units by each link's mass and radius of gyration.
-
-The consistent parameters are fitted directly, never projected afterwards (Sousa and Cortesão 2014).
+the recording) and x holds the standard parameters φ and the effect coefficients θ. The distance to
+the prior does not depend on coordinates (pull-back metric: Lee, Wensing, Park 2020). Consistent
+parameters are fitted directly, never projected afterwards (Sousa and Cortesão 2014).
 """
 
 from __future__ import annotations
@@ -44,7 +40,6 @@ from excitant.identify.semidefinite import (
     solve,
 )
 from excitant.robots.motion import Array, freeze, read_only
-from excitant.robots.parameters import pseudo_inertia
 
 _ROUNDING = 1e-10  # of a parameter's unit, up to which it is known exactly
 
@@ -104,7 +99,7 @@ def fit_physical(
         effects: Prior and bounds of the p − 10 links effect coefficients.
         prior_sigma: Relative uncertainty σ of the prior, for all links or for each.
         metric: Bodies that σ is relative to, shape (links, 10); those of the prior if None.
-        knowledge: What is known of the bodies beforehand, and the kind of prior.
+        knowledge: What is known of the bodies beforehand.
         links: Names of the links that knowledge is about, in order.
 
     Raises:
@@ -120,7 +115,7 @@ def fit_physical(
     T = link_coordinates(reference)
     scale = scipy.linalg.block_diag(T, np.diag(units))
     centre = np.concatenate([np.linalg.solve(T, prior.ravel()), effects.mean / units])
-    distance = _distance_rows(reference, T, sigma, knowledge.prior)
+    distance = np.diag(link_weights(len(reference), sigma))
     C, d, restrictions = _known(knowledge, names, T, effects.lower / units, centre)
     weight = units / effects.std
     program = Program(
@@ -156,17 +151,6 @@ def _known(
             f"{'them together; correct one of them' if len(names) > 1 else 'it; correct it'}"
         )
     return C @ T, d, (*bodies, *restrictions)
-
-
-def _distance_rows(reference: Array, T: Array, sigma: Array, distance: str) -> Array:
-    """Rows whose squares are the distance to the prior over σ², about the links' coordinates."""
-    if distance == "euclidean":
-        # m, m r and m r², r the radius of gyration about the joint's frame
-        mass = reference[:, :1]
-        second = np.trace(pseudo_inertia(reference)[:, :3, :3], axis1=1, axis2=2)[:, None]
-        units = mass * np.sqrt(second / mass) ** np.array([0, 1, 1, 1, *(2,) * 6])
-        return np.asarray(T / (units * sigma[:, None]).ravel()[:, None], float)
-    return np.diag(link_weights(len(reference), sigma))
 
 
 def _scaled(restriction: Restriction, T: Array, p: int) -> Restriction:

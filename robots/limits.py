@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from excitant.robots.robot import Robot
 
 LIMIT_NAMES = ("position", "velocity", "acceleration", "torque", "jerk")
-_ROS = {name: name for name in LIMIT_NAMES[1:]} | {"torque": "effort"}
+_ROS = ("position", "velocity", "acceleration", "effort", "jerk")
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,18 +93,16 @@ def _joint_limits(content: Mapping[str, Any]) -> Mapping[str, Any] | None:
 
 def _by_quantity(by_joint: Mapping[str, Any], robot: Robot, path: str | Path) -> dict[str, Any]:
     """Limits that are in force (``has_velocity_limits: true``), of the joints that the arm has."""
-    rows = {joint: row for joint, row in by_joint.items() if joint in robot.joints}
+    rows = {j: row for j, row in by_joint.items() if j in robot.joints and isinstance(row, dict)}
     if not rows:
         raise BadInput(f"{path}: {UnknownName('joint', next(iter(by_joint), ''), robot.joints)}")
-    keys = {name: (f"max_{word}",) for name, word in _ROS.items()}
-    return {
-        name: {
-            joint: row.get(key[0]) if len(key) == 1 else [row.get(k) for k in key]
-            for joint, row in rows.items()
-            if isinstance(row, dict) and row.get(f"has_{_ROS.get(name, name)}_limits")
-        }
-        for name, key in (keys | {"position": ("min_position", "max_position")}).items()
-    }
+    found: dict[str, Any] = {}
+    for name, word in zip(LIMIT_NAMES, _ROS, strict=True):
+        known = {j: row for j, row in rows.items() if row.get(f"has_{word}_limits")}
+        found[name] = {j: row.get(f"max_{word}") for j, row in known.items()}
+        if name == "position":
+            found[name] = {j: [row.get("min_position"), found[name][j]] for j, row in known.items()}
+    return found
 
 
 def merge_limits(robot: Robot, record: LimitsRecord, source: str) -> Limits:

@@ -101,6 +101,12 @@ class Robot:
         directions: Array = np.where(self.revolute[:, None], J[3:].T, J[:3].T)
         return directions
 
+    def torque_unit(self, measured: str = "N·m", joint: int | None = None) -> str:
+        """Unit of torque measured in N·m (or A) at a joint, or at all: slides have N."""
+        turns = self.revolute if joint is None else self.revolute[[joint]]
+        units = ["N·m"] * bool(turns.any()) + ["N"] * (not turns.all())
+        return " or ".join(units) if measured == "N·m" else measured
+
     def joint_index(self, joint: str) -> int:
         """Position of a joint in the order of this robot."""
         return self.joints.index(joint)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 
-from excitant.exceptions import BadRecording
+from excitant.exceptions import BadRecording, FaultWarning
 from excitant.identify.dataset import Dataset
 from excitant.identify.faults.channels import (
     dead_channels,
@@ -31,6 +33,7 @@ __all__ += ["repair"]
 
 _SHORTEST = 50  # samples: fewer prove nothing
 _NO_TORQUE = "dead_channel", "tau"
+_told = WeakSet[Recording]()  # whose faults the user knows
 
 
 def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
@@ -84,6 +87,16 @@ def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault
         elif case is not None:
             found = [*not_measured(case), *wrong_frame(case)]
     return [*found, *poor_excitation(robot, log, data)]
+
+
+def warn_of_faults(robot: Robot, recordings: Sequence[Recording]) -> None:
+    """Warn of the faults of each recording, once; not of those from `read_checked`."""
+    for recording in recordings:
+        if recording not in _told:
+            _told.add(recording)
+            for fault in find_faults(robot, recording):
+                remedy = f"; repair {fault.repair}" if fault.repair else ""
+                warnings.warn(f"{recording.name}: {fault.detail}{remedy}", FaultWarning, 3)
 
 
 def find_copies(recordings: Mapping[str, Recording]) -> dict[str, Fault]:
@@ -156,6 +169,7 @@ def read_checked(
         for name, raw in found.items()
     }
     if not repaired:
+        _told.update(raws)
         return Checked(raws, faults)
     notes, recordings = [], []
     for name, raw in found.items():
@@ -166,4 +180,5 @@ def read_checked(
         better, done = repair(raw, faults[name])
         notes += [f"{name}: {sentence}" for sentence in done]
         recordings.append(checked(better))
+    _told.update(recordings)
     return Checked(recordings, faults, tuple(notes), repaired=True)

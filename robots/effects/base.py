@@ -44,6 +44,13 @@ def plain(name: object) -> str:
     return words.replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
 
 
+def _unit(unit: str, slides: bool) -> str:
+    """The unit of a joint's coefficient, where this is that of a turning one's."""
+    for turning, sliding in (("(N·m)", "N"), ("N·m", "N"), ("kg·m²", "kg"), ("rad", "m")):
+        unit = unit.replace(turning, sliding) if slides else unit
+    return unit
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One coefficient of an effect."""
@@ -177,8 +184,9 @@ class Effect(ABC):
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Its coefficients, in the order of the columns."""
+        slides = np.array(robot.joints)[~robot.revolute] if self.jointwise else ()
         return tuple(
-            replace(term, name=f"{owner}.{term.name}")
+            replace(term, name=f"{owner}.{term.name}", unit=_unit(term.unit, owner in slides))
             for owner in self.owners(robot)
             for term in self.own_terms
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any, Literal
@@ -12,7 +13,7 @@ from cyclopts import App, CycloptsError, Parameter
 from cyclopts.help import DefaultFormatter, PanelSpec, TableSpec
 
 from excitant import motions, recordings
-from excitant.exceptions import BadInput, ExcitantError
+from excitant.exceptions import BadInput, ExcitantError, FaultWarning
 from excitant.options import Part, RobotName, Run, Seed, print_json, print_paths
 from excitant.progress import progress_bar
 
@@ -58,6 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Many small matrices: threads cost more than they bring.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    warnings.simplefilter("ignore", FaultWarning)  # commands list faults themselves
     try:
         rest = [word for word in words if word != "--debug"]
         command, bound, _ = app.parse_args(rest, print_error=False, exit_on_error=False)

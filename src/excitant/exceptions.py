@@ -52,6 +52,10 @@ class BadRecording(ExcitantError):
         super().__init__(f"recording {file}{''.join(', ' + w for w in where)}: {why}")
 
 
+class FaultWarning(UserWarning):
+    """A fault of a recording that was given to a function as it is."""
+
+
 class BadInput(ExcitantError):
     """A file or option, other than a robot or recording, that cannot be used."""
 

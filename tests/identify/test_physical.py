@@ -13,10 +13,9 @@ import yaml
 from known_arms import NONE, Call, Whitened, write_csv
 
 from excitant.analysis import identifiability
-from excitant.exceptions import BadInput, BadRobot, Infeasible, UnknownName
+from excitant.exceptions import BadInput, BadRobot, Infeasible
 from excitant.identify import identify_robot
 from excitant.identify.knowledge import (
-    PRIORS,
     Box,
     Ellipsoid,
     Knowledge,
@@ -37,7 +36,6 @@ from excitant.robots.base_parameters import categories
 from excitant.robots.parameters import pseudo_inertia, violations
 from excitant.robots.virtual_arm import industrial_sensors
 
-KINDS = pytest.mark.parametrize("kind", PRIORS)
 KKT = 1e-8
 
 
@@ -47,20 +45,15 @@ def assert_optimal_and_consistent(fit: PhysicalFit, robot: Robot) -> None:
     assert violations(fit.x[: 10 * robot.nv], robot.links) == []
 
 
-def distance(kind: str, prior: Array, x: Array) -> float:
+def distance(prior: Array, x: Array) -> float:
     """Distance to the prior as in the docstring, from φ alone."""
-    phi = x.reshape(prior.shape)
-    P0, P = pseudo_inertia(prior), pseudo_inertia(phi)
-    if kind == "pullback":
-        L = np.linalg.inv(np.linalg.cholesky(P0))
-        return float(((L @ P @ L.swapaxes(1, 2) - np.eye(4)) ** 2).sum())
-    mass, second = prior[:, :1], np.trace(P0[:, :3, :3], axis1=1, axis2=2)[:, None]
-    units = mass * np.sqrt(second / mass) ** [0, 1, 1, 1, 2, 2, 2, 2, 2, 2]
-    return float((((phi - prior) / units) ** 2).sum())
+    P0, P = pseudo_inertia(prior), pseudo_inertia(x.reshape(prior.shape))
+    L = np.linalg.inv(np.linalg.cholesky(P0))
+    return float(((L @ P @ L.swapaxes(1, 2) - np.eye(4)) ** 2).sum())
 
 
 def assert_no_feasible_descent(
-    fit: PhysicalFit, arm: Whitened, z: Array, share: float, kind: str, sigma: float
+    fit: PhysicalFit, arm: Whitened, z: Array, share: float, sigma: float
 ) -> None:
     """Convexity: no step from the solution towards a feasible point lowers the objective."""
     rng, known, links = np.random.default_rng(0), arm.effects, arm.robot.nv
@@ -69,7 +62,7 @@ def assert_no_feasible_descent(
         """The docstring's objective, its bodies from φ alone."""
         bodies, theta = np.split(x, [arm.links])
         misfit = ((arm.R @ x - z) ** 2).sum() + (((theta - known.mean) / known.std) ** 2).sum()
-        return float(misfit + distance(kind, arm.prior, bodies) / sigma**2)
+        return float(misfit + distance(arm.prior, bodies) / sigma**2)
 
     best, T = value(fit.x), link_coordinates(arm.prior)
     size = np.linalg.norm(np.linalg.solve(T, fit.x[: arm.links]))
@@ -82,17 +75,16 @@ def assert_no_feasible_descent(
             assert value(fit.x + step * (other - fit.x)) >= best - share * abs(best)
 
 
-@KINDS
 @pytest.mark.parametrize(("name", "noise"), [("ur10", 0.0), ("ur10", 200.0), ("planar_2r", 300.0)])
-def test_no_body_near_the_solution_is_better(kind: str, name: str, noise: float) -> None:
+def test_no_body_near_the_solution_is_better(name: str, noise: float) -> None:
     arm, rng = Whitened(name, 0.1), np.random.default_rng(1)
     truth = (arm.prior * rng.uniform(0.6, 1.5, (arm.robot.nv, 1))).ravel()
     z = arm.R[:, : arm.links] @ truth + (1.0 + noise) * rng.standard_normal(len(arm.R))
-    fit = arm.fit(z, Knowledge(kind), 0.5)
+    fit = arm.fit(z, Knowledge(), 0.5)
     assert_optimal_and_consistent(fit, arm.robot)
     theta = fit.x[arm.links :]
     assert (theta >= arm.effects.lower - KKT * np.abs(theta).max()).all()
-    assert_no_feasible_descent(fit, arm, z, 1e-9, kind, 0.5)
+    assert_no_feasible_descent(fit, arm, z, 1e-9, 0.5)
 
 
 @pytest.mark.parametrize("name", ["planar_2r", "ur10", "panda"])
@@ -131,30 +123,26 @@ def test_what_no_torque_shows_is_known_by_the_prior_alone() -> None:
     assert ((fit.prior_share >= 0) & (fit.prior_share <= 1)).all()
 
 
-@KINDS
-def test_without_data_every_prior_is_its_own_answer(kind: str) -> None:
+def test_without_data_the_prior_is_the_answer() -> None:
     prior = prior_parameters(load_robot("ur10"))
-    fit = fit_physical(np.zeros((1, 60)), np.zeros(1), prior, NONE, knowledge=Knowledge(kind))
+    fit = fit_physical(np.zeros((1, 60)), np.zeros(1), prior, NONE)
     scale = np.abs(prior).max(axis=1, keepdims=True)
     np.testing.assert_allclose(fit.x.reshape(6, 10) / scale, prior / scale, atol=1e-6)
     np.testing.assert_allclose(fit.prior_share, 1.0, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("kind", "least", "most"), [("pullback", 0.0, 1e-5), ("euclidean", 1e-3, np.inf)]
-)
-def test_coordinates_matter_to_one_prior_alone(kind: str, least: float, most: float) -> None:
-    """A body seen in another frame: the pull-back agrees with itself, the euclidean does not."""
+def test_the_fit_is_the_same_in_any_frame() -> None:
+    """The distance to the prior is a pull-back metric."""
     prior = prior_parameters(load_robot("ur10"))[1]
     place = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.8])), np.array([0.1, -0.2, 0.3]))
     bodies = (pin.Inertia.FromDynamicParameters(prior + e) for e in (*np.eye(10), np.zeros(10)))
     *others, moved = (place.act(body).toDynamicParameters() for body in bodies)
     M = np.array(others).T - moved[:, None]  # φ in the new frame
     R = np.random.default_rng(3).standard_normal((4, 10)) / np.abs(prior).max()
-    z, known = R @ (1.4 * prior) + 0.1, Knowledge(kind)
-    one = fit_physical(R, z, prior[None], NONE, knowledge=known).x
-    two = fit_physical(R @ np.linalg.inv(M), z, moved[None], NONE, knowledge=known).x
-    assert least <= np.abs(two - M @ one).max() / np.abs(one).max() < most
+    z = R @ (1.4 * prior) + 0.1
+    one = fit_physical(R, z, prior[None], NONE).x
+    two = fit_physical(R @ np.linalg.inv(M), z, moved[None], NONE).x
+    assert np.abs(two - M @ one).max() / np.abs(one).max() < 1e-5
 
 
 def test_a_link_without_mass_is_refused_by_name() -> None:
@@ -194,7 +182,7 @@ def test_a_solver_out_of_digits_ends_no_run(name: str, noise: float, spread: flo
     fit = arm.fit(z)
     assert fit.kkt.primal <= 1e-6
     assert violations(fit.x[: arm.links], arm.robot.links) == []
-    assert_no_feasible_descent(fit, arm, z, 1e-6, "pullback", 1.0)
+    assert_no_feasible_descent(fit, arm, z, 1e-6, 1.0)
 
 
 def test_what_no_scaling_solves_is_refused_in_one_line() -> None:
@@ -228,11 +216,10 @@ def test_kinds_that_hardly_reach_an_entry_do_not_count() -> None:
     np.testing.assert_allclose(follows(ratio, reach), [0.2, 1.0, 0.2])
 
 
-@KINDS
-def test_the_root_is_that_of_the_prior_covariance(kind: str) -> None:
+def test_the_root_is_that_of_the_prior_covariance() -> None:
     rng, prior = np.random.default_rng(0), prior_parameters(load_robot("planar_2r"))
     R = rng.normal(size=(20, 20)) / np.abs(prior).max() * 30
-    fit = fit_physical(R, R @ prior.ravel(), prior, NONE, knowledge=Knowledge(kind))
+    fit = fit_physical(R, R @ prior.ravel(), prior, NONE)
     expected = np.linalg.inv(R.T @ R + np.linalg.inv(fit.root @ fit.root.T))
     scale = np.sqrt(np.diag(expected))
     relative = (fit.covariance - expected) / np.outer(scale, scale)
@@ -294,13 +281,12 @@ def seen() -> Seen:
     return Seen()
 
 
-@KINDS
-def test_known_masses_hold_exactly_or_as_far_as_they_are_sure(kind: str, seen: Seen) -> None:
-    free = seen.bodies(Knowledge(kind))[:, 0]
+def test_known_masses_hold_exactly_or_as_far_as_they_are_sure(seen: Seen) -> None:
+    free = seen.bodies(Knowledge())[:, 0]
     total = 1.1 * float(free.sum())
     masses = (7.0, Quantity(12.0, 1e-4), Quantity(4.0, 1e6))
     about = {n: LinkKnowledge(mass=m) for n, m in zip(seen.robot.links, masses, strict=False)}
-    fit = seen.fit(seen.z, Knowledge(kind, total, about))
+    fit = seen.fit(seen.z, Knowledge(total, about))
     assert_optimal_and_consistent(fit, seen.robot)
     m = fit.x[: seen.links : 10]
     assert m.sum() == pytest.approx(total, abs=1e-7)
@@ -310,20 +296,19 @@ def test_known_masses_hold_exactly_or_as_far_as_they_are_sure(kind: str, seen: S
     assert C[0, 0] <= 1e-12
     assert np.sqrt(C[1, 1]) <= 1e-4 * (1 + 1e-6)
     assert C.sum() <= 1e-10 * total**2
-    unsure = seen.bodies(Knowledge(kind, Quantity(total, 1e6)))[:, 0]
+    unsure = seen.bodies(Knowledge(Quantity(total, 1e6)))[:, 0]
     np.testing.assert_allclose(unsure, free, rtol=1e-4)
 
 
-@KINDS
-def test_centres_of_mass_stay_where_they_are_known_to_be(kind: str, seen: Seen) -> None:
-    free = seen.bodies(Knowledge(kind))
+def test_centres_of_mass_stay_where_they_are_known_to_be(seen: Seen) -> None:
+    free = seen.bodies(Knowledge())
     centre = free[:, 1:4] / free[:, :1]
     box = Box(tuple(centre[1] + 0.02), tuple(centre[1] + [0.05, 0.06, 0.02]))  # flat along z
     ball = Ellipsoid(tuple(centre[2] + 0.1), (0.03, 0.05, 0.04))
     shell = Ellipsoid(tuple(centre[3]), (0.02, 0.03, 0.01))
     about = ({"com_box": box}, {"com_ellipsoid": ball}, {"body_ellipsoid": shell})
     links = zip(seen.robot.links[1:], about, strict=False)
-    phi = seen.bodies(Knowledge(kind, links={n: LinkKnowledge(**known) for n, known in links}))
+    phi = seen.bodies(Knowledge(links={n: LinkKnowledge(**known) for n, known in links}))
     found = phi[:, 1:4] / phi[:, :1]
     tight = 1e-6
     assert (found[1] >= np.array(box.low) - tight).all()
@@ -363,7 +348,6 @@ POINT = {
 }
 
 
-@KINDS
 @pytest.mark.parametrize(
     ("total", "about", "named", "silent"),
     [
@@ -378,11 +362,11 @@ POINT = {
     ],
 )
 def test_contradictions_are_named_in_one_line(
-    tmp_path: Path, seen: Seen, kind: str, total: float | None, about: dict[int, Any],
+    tmp_path: Path, seen: Seen, total: float | None, about: dict[int, Any],
     named: tuple[str, ...], silent: str,
 ) -> None:  # fmt: skip
     links, file = seen.robot.links, tmp_path / "known.yaml"
-    content = {"prior": kind, "links": {links[k]: v for k, v in about.items()}}
+    content = {"links": {links[k]: v for k, v in about.items()}}
     file.write_text(yaml.safe_dump(content | ({"total_mass": total} if total else {})))
     with pytest.raises(BadInput, match="contradict each other") as refused:
         seen.fit(seen.z, load_knowledge(file, links))
@@ -397,7 +381,6 @@ def test_contradictions_are_named_in_one_line(
 def test_what_is_written_is_what_is_read(tmp_path: Path) -> None:
     file = tmp_path / "known.yaml"
     content = {
-        "prior": "euclidean",
         "total_mass": {"value": 33.5, "std": 0.5},
         "links": {"forearm": {"mass": 2.3, "com_box": CORNER, "com_ellipsoid": AWAY} | POINT},
     }
@@ -406,7 +389,7 @@ def test_what_is_written_is_what_is_read(tmp_path: Path) -> None:
     assert known.total_mass == Quantity(33.5, 0.5)
     assert known.masses["mass of forearm"] == Quantity(2.3)
     assert known.entry() == content
-    assert Knowledge().entry() == {"prior": "pullback"}
+    assert Knowledge().entry() == {}
 
 
 @pytest.mark.parametrize(
@@ -414,7 +397,6 @@ def test_what_is_written_is_what_is_read(tmp_path: Path) -> None:
     [
         ("a: [", "not valid YAML .line 1: "),
         ("- 1", "expected entries 'name: value'"),
-        ("prior: euclid", "did you mean 'euclidean'"),
         ("totalmass: 3", "did you mean 'total_mass'"),
         ("total_mass: -3", "total_mass: expected a number above 0"),
         ("total_mass: {value: 3, std: -1}", "total_mass.std: expected a number >= 0"),
@@ -440,11 +422,9 @@ def test_errors_name_file_key_and_remedy(tmp_path: Path, text: str, said: str) -
     assert str(refused.value).startswith(str(file))
 
 
-def test_missing_file_unknown_prior_and_unknown_link(seen: Seen) -> None:
+def test_missing_file_and_unknown_link(seen: Seen) -> None:
     with pytest.raises(BadInput, match="no such file; give a YAML file of what is known"):
         load_knowledge("nowhere.yaml", [])
-    with pytest.raises(UnknownName, match="unknown prior"):
-        Knowledge("flat")
     with pytest.raises(BadInput, match="no link 'tail'"):
         seen.fit(seen.z, Knowledge(links={"tail": LinkKnowledge(mass=1.0)}))
 
@@ -452,7 +432,7 @@ def test_missing_file_unknown_prior_and_unknown_link(seen: Seen) -> None:
 def test_command(tmp_path: Path, planar: Robot, exact: Call, excitant: Call) -> None:
     log, file = tmp_path / "log.csv", tmp_path / "known.yaml"
     write_csv(log, exact(planar, np.arange(0, 12, 0.01)))
-    content = {"prior": "euclidean", "total_mass": 7.5, "links": {"link2": {"mass": 2.5}}}
+    content = {"total_mass": 7.5, "links": {"link2": {"mass": 2.5}}}
     file.write_text(yaml.safe_dump(content))
     call = ("identify planar_2r --json", log, "--knowledge", file)
     result = excitant(*call).result
