@@ -180,6 +180,7 @@ class Diagnosis:
             "headline": self.headline,
             "unit": self.unit(),
             "cutoff_hz": self.data.cutoff_hz,
+            "drive_gain_Nm_per_A": self.held.gains if self.data.unit == "A" else None,
             "holdout": self.data.holdout,
             "simulation": {"joints": self._joints(self.simulation)},
             "faults": [],

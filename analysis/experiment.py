@@ -315,6 +315,7 @@ def identify_shown(
     effects: Sequence[Effect] | None = None,
     *,
     validate: Sequence[Recording] = (),
+    cutoff_hz: float | None = None,
 ) -> Estimate:
     """Identify the base parameters that a recording's own motion excites, however few.
 
@@ -330,7 +331,7 @@ def identify_shown(
     """
     prior = prior_parameters(robot)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
-    data = split(recordings, validate)
+    data = split(recordings, validate, cutoff_hz)
     W = without_rounding(regression_of(robot, effects, data.train).W)
     rows = _clean(fit_rows(robot, effects, shown_base(column_names(robot, effects), W), data))
     fit = weighted_least_squares(rows.reduced)

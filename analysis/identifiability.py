@@ -24,7 +24,6 @@ from excitant.analysis.uncertainty import (
     weak_directions,
 )
 from excitant.exceptions import BadInput
-from excitant.identify.prior import KINDS
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
 from excitant.robots.html_table import html_table
@@ -56,7 +55,6 @@ class ParameterIdentifiability:
     std: float | None = None  # standard deviation, prior included
     std_data: float | None = None  # from the data alone; inf where they do not show it by itself
     influence: float | None = None  # how far it follows the prior, 0 to 1
-    moves: dict[str, float] | None = None  # the same by kind of perturbation of the prior
     decided_by: str = ""  # data, prior or physics (the limit of physical consistency)
     verdict: str = ""  # in a word, how well the motion determines it by itself
 
@@ -77,7 +75,6 @@ class ParameterIdentifiability:
             "verdict": self.verdict or None,
             "prior_influence": self.influence,
             "decided_by": self.decided_by or None,
-            "prior_moves": self.moves,
             "expression": "; ".join(self.expressions) or None,
             "needed": self.needed or None,
         }
@@ -161,7 +158,7 @@ class Identifiability:
             "structure": {
                 "circumstances": self.structure.circumstances,
                 "close": self.structure.close,
-                "by_a_hair": self.structure.marginal,
+                "marginal": self.structure.marginal,
             },
             "links": [self._link(link, joint) for link, joint in links],
             "follow_each_other": self.follow,
@@ -400,10 +397,6 @@ def _entries(
         if given.std is not None:
             said["std"] = given.std.tolist()
         if influence is not None:
-            kinds = [kind.replace(" ", "_") for kind in KINDS]
-            said["moves"] = [
-                dict(zip(kinds, row, strict=True)) for row in influence.ratio.T.tolist()
-            ]
             said["influence"], said["decided_by"] = influence.overall.tolist(), influence.decided_by
     needed = experiments_needed(R, np.eye(len(units)), size, candidates)
     expressions = np.array(base.expressions, object)

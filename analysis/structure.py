@@ -29,7 +29,7 @@ from excitant.robots.robot import Robot
 Held = Mapping[str, float] | Literal["any"]
 """Positions of joints that do not move [rad or m], or ``"any"``: at rest in many positions."""
 
-HAIR = 1e4  # factor on the tolerance that must not change a category
+MARGIN = 1e4  # factor on the tolerance that must not change a category
 _STEPS = 8  # half decades to there
 
 
@@ -39,9 +39,9 @@ class Structure:
 
     base: BaseParameters  # of links and effects
     category: tuple[str, ...]  # unique, combined or unidentifiable, of each of ``base.names``
-    margin: Array  # factor on `TOLERANCE` that changes the category, at most `HAIR`, shape (p,)
+    margin: Array  # factor on `TOLERANCE` that changes the category, at most `MARGIN`, shape (p,)
     circumstances: tuple[str, ...]  # under which it holds, as sentences
-    close: tuple[str, ...]  # names of those whose margin is below `HAIR`
+    close: tuple[str, ...]  # names of those whose margin is below `MARGIN`
     flips_at: Array  # tolerance at which the category changes, nan where it does not, shape (p,)
 
     def __post_init__(self) -> None:
@@ -81,7 +81,7 @@ def structure(
     base = regroup(seen)
     category = categories(base)
     flips_at = _flips(seen, category)
-    margin = np.nan_to_num(np.maximum(flips_at / TOLERANCE, TOLERANCE / flips_at), nan=HAIR)
+    margin = np.nan_to_num(np.maximum(flips_at / TOLERANCE, TOLERANCE / flips_at), nan=MARGIN)
     close = tuple(np.array(base.names)[np.isfinite(flips_at)].tolist())
     circumstances = _circumstances(robot, moving, measured, held)
     return Structure(base, category, margin, circumstances, close, flips_at)
@@ -101,7 +101,7 @@ def _circumstantial(robot: Robot, moving: Sequence[str] | None, held: Held) -> M
 
 def _flips(seen: Observation, category: tuple[str, ...]) -> Array:
     """Tolerance nearest to the one in use at which each category changes, shape (p,)."""
-    # in the middle of the half decade in which it does; nan if none within a factor of `HAIR`
+    # in the middle of the half decade in which it does; nan if none within a factor of `MARGIN`
     flips_at = np.full(len(category), np.nan)
     for step in range(_STEPS, 0, -1):  # the nearest is written last
         for sign in (1, -1):

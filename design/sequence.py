@@ -71,11 +71,6 @@ class LinkByLinkDesign:
     motions: dict[int, Design]
     wall_s: float  # time taken [s]
 
-    @property
-    def interrupted(self) -> bool:
-        """Whether the search for one of the motions was interrupted."""
-        return any(design.interrupted for design in self.motions.values())
-
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``: the worst of all at the top, each in ``stages``."""
         designs = list(self.motions.values())

@@ -212,7 +212,7 @@ class Estimate:
         files = model_files(self.model, path.stem, f"{path.stem}.yaml", gains=gains)
         if path.name not in files:
             raise UnknownName("format", path.suffix, (".urdf", ".xml", ".sdf", ".yaml"))
-        names = [path.name, *[f"{path.stem}.urdf"] * (path.suffix == ".yaml")]
+        names = [path.name] + [f"{path.stem}.urdf"] * (path.suffix == ".yaml")
         for name in names:  # never half-written
             whole = path.with_name(f"{name}.part")
             whole.write_text(files[name], encoding="utf-8")

@@ -398,8 +398,6 @@ class OnlineIdentification:
                     "value": [look.estimate.beta.tolist() for look in looks],
                     "std": [look.estimate.std.tolist() for look in looks],
                     "excitation_level": [x.excitation and x.excitation.level for x in looks],
-                    "torque_uncertainty": [look.uncertainty.tolist() for look in looks],
-                    "noise": [look.estimate.sigma.tolist() for look in looks],
                 },
             },
         }

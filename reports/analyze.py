@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from excitant.reports import page as p
 from excitant.reports import values as v
+from excitant.reports.identify import fault_table
 from excitant.reports.motion_figures import spectrum_figure
 from excitant.reports.values import NONE, Result, Series
 from excitant.robots.parameters import STANDARD
@@ -39,6 +40,7 @@ def analyze_section(result: Result, series: Series) -> p.Section:
         lead,
         [
             ("Key figures", [_facts(result), p.notes(_basis(result)), p.notes(said, brief="")]),
+            ("Data faults", [fault_table(result)]),
             ("Parameters by link", [_matrix(links)]),
             ("With the given motion", _motion(result, series)),
             ("Least determined by the motion", [_weakest(result)]),
@@ -100,7 +102,7 @@ def _facts(result: Result) -> p.Facts | None:
 
 
 def _basis(result: Result) -> list[str]:
-    basis, near = v.text(result, "basis"), v.text(result, "structure", "by_a_hair")
+    basis, near = v.text(result, "basis"), v.text(result, "structure", "marginal")
     holds = v.listing(v.words(result, "structure", "circumstances"), "", "; ")
     said = (
         f"Holds for: {holds}." * bool(holds),
@@ -240,6 +242,11 @@ def _parameters(link: Result) -> p.Table | None:
             "decide, to 1, the prior alone does."
         )
     plain: p.Column = ("number:Value", "value", v.number4)
+
+    def decided(row: Result) -> p.Cell:
+        hidden = v.text(row, "category") == "unidentifiable"
+        return p.Cell(*_DECIDES.get("prior" if hidden else v.text(row, "decided_by"), (NONE,)))
+
     return p.table(
         rows,
         [
@@ -250,7 +257,7 @@ def _parameters(link: Result) -> p.Table | None:
             ("text:This motion determines it", _shown) if motion else None,
             ("number:Prior", "prior") if motion else None,
             ("number:Follows prior", "prior_influence", "{:.2f}".format) if influence else None,
-            ("text:Decided by", _decided) if influence else None,
+            ("text:Decided by", decided) if influence else None,
         ],
         said,
     )
@@ -263,8 +270,3 @@ def _shown(row: Result) -> p.Cell:
     value, std = v.real(row, "value"), v.real(row, "std_data")
     share = f", ±{v.percent(std / abs(value))}" if value and std and word != "negligible" else ""
     return p.Cell(word + share if word else NONE, _TONES.get(word, p.PLAIN))
-
-
-def _decided(row: Result) -> p.Cell:
-    hidden = v.text(row, "category") == "unidentifiable"
-    return p.Cell(*_DECIDES.get("prior" if hidden else v.text(row, "decided_by"), (NONE,)))

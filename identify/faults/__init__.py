@@ -168,11 +168,8 @@ def read_checked(
         name: (*((copies[name],) if name in copies else ()), *find_faults(robot, raw))
         for name, raw in found.items()
     }
-    if not repaired:
-        _told.update(raws)
-        return Checked(raws, faults)
-    notes, recordings = [], []
-    for name, raw in found.items():
+    notes, recordings = list[str](), [] if repaired else raws
+    for name, raw in found.items() if repaired else ():
         for fault in faults[name]:
             if "unclear" in fault.evidence:
                 row = int(fault.evidence["rows"][0])
@@ -181,4 +178,4 @@ def read_checked(
         notes += [f"{name}: {sentence}" for sentence in done]
         recordings.append(checked(better))
     _told.update(recordings)
-    return Checked(recordings, faults, tuple(notes), repaired=True)
+    return Checked(recordings, faults, tuple(notes), repaired)

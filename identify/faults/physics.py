@@ -6,8 +6,8 @@ minute, and c for all joints at once where the time runs c times too fast.
 
 With a model, a hypothesis ("positions in degrees", "joint 3 counted the other way", "time twice too
 slow") is named when it explains the torque better than the log as it stands: a likelihood ratio
-beyond chance in independent rows, at least one joint's squared error halved, and no joint's
-doubled. Y(q, q̇, q̈) = G(q) + D(q, q̇, q̈), and D scales with 1/c² when the time runs c times too slow.
+beyond chance in independent rows, at least one joint's squared error halved, and no joint's larger
+beyond chance. Y(q, q̇, q̈) = G(q) + D(q, q̇, q̈), and D scales with 1/c² when the time runs c times too slow.
 All parameters are free, so nothing depends on the masses given, and filters are set in parts of the
 motion's own bandwidth, so that they mean the same whatever the unit of time.
 """
@@ -266,9 +266,10 @@ class TorqueFit:
 
     def better(self, power: Array, tests: int, freedom: int | None = None) -> bool:
         """Whether another of some readings, with ``freedom`` more parameters, is beyond chance."""
-        ratio = (power / self.power)[self.joints]
+        ratio, rows = (power / self.power)[self.joints], self.rows[self.joints]
+        worse = (rows * np.log(ratio)).max() > scipy.special.chdtri(1, ALARM / len(rows))
         bound = float(scipy.special.chdtri(freedom or self.freedom, ALARM / tests))
-        return self.gain(power) > bound and bool(ratio.min() < _HALVED and ratio.max() < 2)
+        return self.gain(power) > bound and bool(ratio.min() < _HALVED and not worse)
 
     def compared(self, power: Array) -> str:
         """Improvement by another reading, in words."""

@@ -148,7 +148,7 @@ def design(
             links = designs.design_link_by_link(arm, **asked)
         result = links.result() | {"periods": repeat}
         run.finish(result, links.series(), links.files(rate, repeat))
-        return 130 if links.interrupted else 0
+        return 130 if any(each.interrupted for each in links.motions.values()) else 0
     began = time.monotonic()
     with progress_bar("design") as advance:
 

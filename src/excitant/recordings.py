@@ -20,7 +20,6 @@ from excitant.options import (
     Part,
     RobotOrFolder,
     Run,
-    show_import,
 )
 from excitant.progress import progress_bar
 
@@ -214,7 +213,7 @@ def analyze(
     *,
     trajectory: str | None = None,
     recording: Files = None,
-    map: str | None = None,
+    data: Data = Data(),
     noise: Numbers = None,
     moving: Names = None,
     measured: Names = None,
@@ -227,7 +226,6 @@ def analyze(
     Args:
         trajectory: How well this motion shows it.
         recording: Or these recordings.
-        map: YAML that says what the columns of the recordings mean, in which units.
         noise: With --trajectory: torque noise of each joint; default: 1 % of its limit.
         moving: Joints that move, J1,J2,...; default: all, or as the motion says.
         measured: Joints whose torque is measured; default: all.
@@ -238,15 +236,17 @@ def analyze(
 
     if trajectory and recording:
         raise BadInput("--trajectory and --recording exclude each other; leave one out")
-    dataset = part.dataset(robot, map) if recording or Path(robot).is_dir() else None
+    dataset = part.dataset(robot, data.map) if recording or Path(robot).is_dir() else None
     arm = part.robot(robot) if dataset is None else dataset.robot
     effects = standard_effects(arm.joints) if columns == "friction" else ()
     given: dict[str, Any] = {"noise": noise, "moving": moving, "measured": measured}
-    notes: list[str] = []
+    notes, said = list[str](), dict[str, Any]()
     if dataset is not None and recording:
         import numpy as np
 
-        given["estimate"], notes = _as_far_as_shown(arm, dataset.recordings(recording), effects)
+        fit, held, said, notes = data.read(dataset, recording)
+        options = {"effects": effects, "validate": held, "cutoff_hz": data.cutoff}
+        given["estimate"] = _as_far_as_shown(arm, fit, options, notes)
         given["rng"] = np.random.default_rng(0)
     elif trajectory:
         from excitant.design import load_trajectory
@@ -254,32 +254,32 @@ def analyze(
 
         given["motion"], _ = path_of(load_trajectory(trajectory, arm))
     found = identifiability.analyze(arm, effects=effects, **given)
-    result = found.result()
+    result = found.result() | said
     result["notes"] += notes
     run.finish(result, found.series())
 
 
 def _as_far_as_shown(
-    robot: Robot, recordings: Sequence[Recording], effects: Sequence[Effect]
-) -> tuple[Estimate, list[str]]:
+    robot: Robot, recordings: Sequence[Recording], options: dict[str, Any], notes: list[str]
+) -> Estimate:
     """An estimate even where the recorded motion leaves parameters open, or is brief."""
     from excitant.analysis import identify_shown
     from excitant.identify import identify_robot
     from excitant.identify.recording import MINIMUM_DURATION
     from excitant.identify.rows import FIT_SHARE
 
-    show_import(recordings)
-    brief = [r for r in recordings if (1 - FIT_SHARE) * r.duration < MINIMUM_DURATION]
-    notes = [
+    short = MINIMUM_DURATION / (1 - FIT_SHARE)
+    brief = [r for r in recordings if r.duration < short and not options["validate"]]
+    notes += [
         f"{r.name} lasts {r.duration:.3g} s, too short to hold a part of it back: all of it is "
         "analysed, and what so few rows say of the noise is rough; record longer"
         for r in brief
     ]
-    validate = recordings if brief else ()
+    options |= {"validate": recordings} if brief else {}
     try:
-        return identify_robot(robot, recordings, validate=validate, effects=effects), notes
+        return identify_robot(robot, recordings, **options)
     except RankDeficient:
-        return identify_shown(robot, recordings, effects, validate=validate), notes
+        return identify_shown(robot, recordings, **options)
 
 
 def diagnose(

@@ -334,7 +334,7 @@ def test_an_error_at_rest_is_told(resting: float, in_motion: float, said: str) -
     moves = np.ones((800, 1), bool)
     moves[300:500] = False
     stand_in = SimpleNamespace(
-        data=SimpleNamespace(unit="N·m"),
+        unit=lambda joint: "N·m",
         held=SimpleNamespace(moves=moves),
         left=np.where(moves, in_motion, resting),
         residuals=(SimpleNamespace(joint="elbow", floor=FLOOR),),

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from khosla import dh_from_robot
 from second_opinion import grouping, largest_count, parameter_nullspace
 
-from excitant.analysis.structure import HAIR, Structure, structure
+from excitant.analysis.structure import MARGIN, Structure, structure
 from excitant.robots import (
     DHChain,
     Robot,
@@ -170,11 +170,11 @@ def test_categories_do_not_depend_on_units(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", builtin_robots())
-def test_nothing_is_decided_by_a_hair_on_arms_of_exact_geometry(name: str) -> None:
+def test_nothing_is_marginal_on_arms_of_exact_geometry(name: str) -> None:
     robot = load_robot(name)
     found = structure(robot, standard_effects(robot.joints))
     assert found.close == ()
-    assert (found.margin == HAIR).all()
+    assert (found.margin == MARGIN).all()
     assert found.marginal is None
 
 
@@ -185,7 +185,7 @@ def twisted(robot: Robot, joint: int, angle: float) -> Structure:
 
 
 @pytest.mark.parametrize("angle", [1e-5, 1e-6, 1e-7, 1e-9, 1e-10])
-def test_a_twist_just_off_a_right_angle_is_by_a_hair(ur10: Robot, angle: float) -> None:
+def test_a_twist_just_off_a_right_angle_is_marginal(ur10: Robot, angle: float) -> None:
     found = twisted(ur10, 4, angle)
     assert found.close == ("wrist_1_link.Iyz",)
     k = found.base.names.index("wrist_1_link.Iyz")
@@ -195,14 +195,14 @@ def test_a_twist_just_off_a_right_angle_is_by_a_hair(ur10: Robot, angle: float) 
 
 
 @pytest.mark.parametrize("tilt", [1e-6, 1e-9])
-def test_a_base_just_off_upright_is_by_a_hair(ur10: Robot, tilt: float) -> None:
+def test_a_base_just_off_upright_is_marginal(ur10: Robot, tilt: float) -> None:
     found = structure(ur10.with_gravity(9.81 * np.array([tilt, 0.3 * tilt, -1.0])))
     assert {"shoulder_link.mcx", "shoulder_link.mcy"} <= set(found.close)
     assert len(found.base) == (38 if tilt > 1e-8 else 36)
     assert structure(ur10.with_gravity((0.1, 0.03, -9.8))).close == ()
 
 
-def test_nearly_parallel_axes_are_by_a_hair(planar: Robot) -> None:
+def test_nearly_parallel_axes_are_marginal(planar: Robot) -> None:
     bent = twisted(planar, 1, 1e-6)
     assert {"link2.mcz", "link2.Iyz"} & set(bent.close)
     assert bent.base.gap[0] < 1e-5
