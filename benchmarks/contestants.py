@@ -135,6 +135,8 @@ def excitant(
     problem: Problem, settings: Settings, *, series: str = "fourier", criterion: str = "condition"
 ) -> Found:
     """Our own design; of splines with a search for the number of pieces."""
+    left = max(settings.deadline - time.time(), 0.1)
+    effort: Any = {"jobs": settings.jobs, "seed": settings.seed, "time_limit": left, "use": 1.0}
     found = design_trajectory(
         problem.robot,
         duration=problem.duration,
@@ -142,10 +144,7 @@ def excitant(
         series=series,
         criterion=criterion,
         columns="inertial",
-        use=1.0,
-        jobs=settings.jobs,
-        seed=settings.seed,
-        time_limit=max(settings.deadline - time.time(), 0.1),
+        **effort,
     )
     return found.condition_final, found.trajectory, len(found.starts)
 

@@ -87,10 +87,8 @@ def fault_table(result: Result) -> p.Table | None:
 
 def _remedy(fault: Result) -> str:
     """What was done about a fault, or can be."""
-    if v.at(fault, "repaired"):
-        return "repaired"
-    done = v.text(fault, "repair")
-    return f"not repaired; --repair {done}" if done else "not repaired; record again"
+    left = v.text(fault, "repair") and f"--repair {v.text(fault, 'repair')}"
+    return "repaired" if v.at(fault, "repaired") else f"not repaired; {left or 'record again'}"
 
 
 def _held_out(result: Result) -> bool:

@@ -7,9 +7,9 @@ minute, and c for all joints at once where the time runs c times too fast.
 With a model, a hypothesis ("positions in degrees", "joint 3 counted the other way", "time twice too
 slow") is named when it explains the torque better than the log as it stands: a likelihood ratio
 beyond chance in independent rows, at least one joint's squared error halved, and no joint's larger
-beyond chance. Y(q, q̇, q̈) = G(q) + D(q, q̇, q̈), and D scales with 1/c² when the time runs c times too slow.
-All parameters are free, so nothing depends on the masses given, and filters are set in parts of the
-motion's own bandwidth, so that they mean the same whatever the unit of time.
+beyond chance. Y(q, q̇, q̈) = G(q) + D(q, q̇, q̈), and D scales with 1/c² when the time runs c times too
+slow. All parameters are free, so nothing depends on the masses given, and filters are set in parts
+of the motion's own bandwidth, so that they mean the same whatever the unit of time.
 """
 
 from __future__ import annotations

@@ -207,7 +207,8 @@ class Data:
         held = self.validate or []
         checked = read_checked(dataset, names, without=[*held, *others], repaired=self.repair)
         fit, unseen = checked.recordings, dataset.recordings(held) if held else []
-        said = {"faults": checked.entries(), "import": show_import([*fit, *unseen])}
+        understood = _say({each.name: each.notes for each in (*fit, *unseen) if each.notes})
+        said = {"faults": checked.entries(), "import": understood}
         return list(fit), list(unseen), said, list(checked.notes)
 
 
@@ -255,11 +256,6 @@ def print_paths(paths: Sequence[Path]) -> None:
 def print_json(content: Mapping[str, Any]) -> None:
     """Print plain values as JSON."""
     print(json.dumps(content, indent=1, ensure_ascii=False))
-
-
-def show_import(recordings: Sequence[Recording]) -> dict[str, list[str]]:
-    """Say at once how columns were understood, where names left a choice."""
-    return _say({each.name: each.notes for each in recordings if each.notes})
 
 
 def _say(notes: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
