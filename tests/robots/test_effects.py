@@ -12,7 +12,7 @@ import yaml
 
 from excitant.exceptions import BadInput
 from excitant.identify.export import comment, folded
-from excitant.robots import Motion, Robot, rigid_body_torque, torque
+from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, torque
 from excitant.robots import effects as fx
 from excitant.robots.effects import EFFECTS, Effect
 from excitant.robots.effects.experiments import BETWEEN
@@ -33,6 +33,17 @@ def kind(request: pytest.FixtureRequest) -> type[Effect]:
 
 def on(robot: Robot, kind: type[Effect]) -> Effect:
     return kind(robot.joints[-kind.arity :])
+
+
+def test_units_follow_the_joint() -> None:
+    robot = load_robot("scara")  # its third joint slides
+    kinds = (fx.ViscousFriction, fx.CoulombFriction, fx.RotorInertia, fx.NonlinearViscousFriction)
+    found = [[p.unit for p in kind(robot.joints).parameters(robot)][1:3] for kind in kinds]
+    turning = ["N·m·s/rad", "N·m", "kg·m²", "N·m·(s/rad)^a"]
+    sliding = ["N·s/m", "N", "kg", "N·(s/m)^a"]
+    assert found == [list(pair) for pair in zip(turning, sliding, strict=True)]
+    assert [robot.torque_unit(joint=j) for j in range(4)] == ["N·m", "N·m", "N", "N·m"]
+    assert (robot.torque_unit(), robot.torque_unit("A")) == ("N·m or N", "A")
 
 
 def valued(robot: Robot, kind: type[Effect], seed: int) -> Effect:
