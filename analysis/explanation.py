@@ -103,7 +103,7 @@ def headline(diagnosis: Diagnosis) -> str:
         return _no_friction(diagnosis)
     before, after = diagnosis.before_and_after(lead)
     moved = lead[0].effect.affected(diagnosis.robot)
-    unit = diagnosis.unit(moved[0]) if len(lead) == len(moved) == 1 else diagnosis.unit()
+    unit = diagnosis.unit(moved[0] if len(lead) == len(moved) == 1 else None)
     gain = f"hold-out error {before:.2g} → {after:.2g} {unit}"
     return f"{_sentence(lead, diagnosis.robot)}; {gain}.{_reservation(lead, diagnosis)}{more}"
 

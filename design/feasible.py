@@ -145,10 +145,8 @@ def _standstill(
             "every pose tried is too close to an obstacle or to the arm itself; lower the "
             "required clearance, move the obstacles or widen the position limits",
         )
-    tight = np.flatnonzero(use >= 0.999 * best)
-    limit = ", ".join(
-        f"{robot.limits.torque[j]:.4g} {robot.torque_unit(joint=int(j))}" for j in tight
-    )
+    tight = np.flatnonzero(use >= 0.999 * best).tolist()
+    limit = ", ".join(f"{robot.limits.torque[j]:.4g} {robot.torque_unit(joint=j)}" for j in tight)
     raise Infeasible(
         f"trajectory of {robot.name}",
         f"torque limit of {', '.join(robot.joints[j] for j in tight)} ({limit}) is below what "

@@ -1,10 +1,5 @@
 from .dataset import Dataset, load_dataset, read_recordings
-from .differentiators import (
-    Differentiator,
-    LocalPolynomial,
-    ZeroPhaseButterworth,
-    five_point,
-)
+from .differentiators import Differentiator, LocalPolynomial, ZeroPhaseButterworth
 from .drive_gains import DriveGains, KnownPayload
 from .estimate import Estimate, identify_robot
 from .excitation import Persistency, persistency
@@ -57,7 +52,6 @@ __all__ = [
     "Regression",
     "ZeroPhaseButterworth",
     "estimate_payload",
-    "five_point",
     "identify_drive_gains",
     "identify_link_by_link",
     "identify_online",

@@ -2,7 +2,7 @@
 
 * `ZeroPhaseButterworth`: filter forward and backward, then a quintic spline; what recordings pass.
 * `LocalPolynomial`: least-squares polynomial through a moving window (Savitzky and Golay 1964);
-  `five_point` is Khosla's (1987, §5.1), f' = (−2f₋₂ − f₋₁ + f₁ + 2f₂) / (10T). They
+  through five samples it is Khosla's (1987, §5.1), f' = (−2f₋₂ − f₋₁ + f₁ + 2f₂) / (10T). They
   serve a loop; `causal_polynomial` takes the window that suits the positions best.
 
 Positions are signal plus white noise, whose level is the floor of the upper part of the
@@ -70,8 +70,6 @@ class LocalPolynomial:
     @property
     def name(self) -> str:
         """Name with its settings."""
-        if (self.half_width, self.degree) == (2, 2):
-            return "five-point least squares"
         return f"Savitzky-Golay ({2 * self.half_width + 1} samples, degree {self.degree})"
 
     def kernel(self, order: int) -> Array:
@@ -111,11 +109,6 @@ def _kernels(half_width: int, degree: int) -> tuple[Array, ...]:
     k = np.arange(-half_width, half_width + 1) / half_width
     weights = np.linalg.pinv(k[:, None] ** np.arange(degree + 1))
     return tuple(weights[order] * factorial(order) / half_width**order for order in range(3))
-
-
-def five_point() -> LocalPolynomial:
-    """Khosla's differentiator: the least-squares parabola through five samples."""
-    return LocalPolynomial(2, 2)
 
 
 def low_pass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:

@@ -210,14 +210,13 @@ class Estimate:
 
         path, gains = Path(path), self.gains if self.data.unit == "A" else None
         files = model_files(self.model, path.stem, f"{path.stem}.yaml", gains=gains)
-        if path.name not in files:
-            raise UnknownName("format", path.suffix, (".urdf", ".xml", ".sdf", ".yaml"))
-        names = [path.name] + [f"{path.stem}.urdf"] * (path.suffix == ".yaml")
-        for name in names:  # never half-written
-            whole = path.with_name(f"{name}.part")
-            whole.write_text(files[name], encoding="utf-8")
-            whole.replace(path.with_name(name))
-        return [path.with_name(name) for name in names]
+        UnknownName.refuse("format", [path.suffix], (Path(name).suffix for name in files))
+        written = [path] + [path.with_suffix(".urdf")] * (path.suffix == ".yaml")
+        for file in written:  # never half-written
+            part = file.with_name(f"{file.name}.part")
+            part.write_text(files[file.name], encoding="utf-8")
+            part.replace(file)
+        return written
 
     def _essential(self) -> dict[str, Any]:
         """The fewest base parameters, and their accuracy on the hold-out (median over joints)."""

@@ -13,7 +13,7 @@ import xml.etree.ElementTree as ET
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +21,14 @@ import pinocchio as pin
 import yaml
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.identify.estimate import Estimate
 from excitant.robots.effects import effect_entries, plain
 from excitant.robots.motion import Array
 from excitant.robots.parameters import inertia
 from excitant.robots.robot import Robot
-from excitant.robots.urdf import current_urdf
+from excitant.robots.urdf_writer import current_urdf
+
+if TYPE_CHECKING:
+    from excitant.identify.estimate import Estimate
 
 FORMATS = ("urdf", "mjcf", "sdf")
 _COMMON_GRAVITY = (0.0, 0.0, -9.81)

@@ -243,9 +243,6 @@ def _parameters(link: Result) -> p.Table | None:
         )
     plain: p.Column = ("number:Value", "value", v.number4)
 
-    def share(size: object) -> str:
-        return NONE if v.real(size) is None else f"{size:.2f}"
-
     def decided(row: Result) -> p.Cell:
         hidden = v.text(row, "category") == "unidentifiable"
         return p.Cell(*_DECIDES.get("prior" if hidden else v.text(row, "decided_by"), (NONE,)))
@@ -259,7 +256,7 @@ def _parameters(link: Result) -> p.Table | None:
             ("text:Identifiable", lambda r: p.Cell(*_CATEGORY.get(v.text(r, "category"), (NONE,)))),
             ("text:This motion determines it", _shown) if motion else None,
             ("number:Prior", "prior") if motion else None,
-            ("number:Follows prior", "prior_influence", share) if influence else None,
+            ("number:Follows prior", "prior_influence") if influence else None,
             ("text:Decided by", decided) if influence else None,
         ],
         said,

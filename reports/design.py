@@ -229,10 +229,9 @@ def _duration(result: Result) -> p.Fact:
 
 def _clearance(result: Result) -> p.Fact:
     distance = v.real(result, "clearance_m")
-    floor = next((r for r in v.records(result, "obstacles") if r.get("name") == "floor"), None)
-    height = v.real(floor, "offset")
-    to = "" if height is None else f"floor at {v.quantity(height, 'm')}, "
-    remark = f"to {to}obstacles and itself, between samples too"
+    floors = [r for r in v.records(result, "obstacles") if v.text(r, "name") == "floor"]
+    height = "".join(f"floor at {v.quantity(v.at(r, 'offset'), 'm')}, " for r in floors)
+    remark = f"to {height}obstacles and itself, between samples too"
     return p.fact(
         "Clearance", distance, lambda d: f"≥ {v.quantity(1e3 * d, 'mm')}" if d else "", remark
     )

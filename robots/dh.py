@@ -47,13 +47,12 @@ from excitant.robots.motion import Array, freeze
 from excitant.robots.parameters import elements, moved_parameters, steiner
 from excitant.robots.robot import Robot
 from excitant.robots.schema import CylinderRecord, DHRecord, PlaceRecord, RobotRecord
-from excitant.robots.urdf import (
-    GRAVITY,
+from excitant.robots.urdf import GRAVITY, robot_from_urdf
+from excitant.robots.urdf_writer import (
     collision,
     inertial_element,
     joint_element,
     limits_in_urdf,
-    robot_from_urdf,
     urdf_text,
 )
 

@@ -26,7 +26,8 @@ from excitant.robots.limits import merge_limits
 from excitant.robots.mjcf import Description, description_from_mjcf
 from excitant.robots.robot import Robot
 from excitant.robots.schema import PlaceRecord, RobotRecord, read_yaml
-from excitant.robots.urdf import limits_in_urdf, number, robot_from_urdf
+from excitant.robots.urdf import number, robot_from_urdf
+from excitant.robots.urdf_writer import limits_in_urdf
 from excitant.robots.xacro_files import is_xacro, urdf_from_xacro
 
 

@@ -20,8 +20,8 @@ import pinocchio as pin
 
 from excitant.exceptions import BadRobot
 from excitant.robots.motion import Array
-from excitant.robots.urdf import (
-    GRAVITY,
+from excitant.robots.urdf import GRAVITY
+from excitant.robots.urdf_writer import (
     collision,
     inertial_element,
     joint_element,

@@ -15,6 +15,7 @@ from excitant.robots.html_table import html_table
 from excitant.robots.limits import Limits
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import STANDARD, inertia
+from excitant.robots.urdf_writer import current_urdf
 
 if TYPE_CHECKING:
     from excitant.robots.effects import Effect
@@ -53,12 +54,7 @@ class Robot:
 
     @cached_property
     def urdf(self) -> str:
-        """URDF text of the arm as it is now: inertias, viscous and Coulomb friction, held joints.
-
-        It is the description itself where that says the same.
-        """
-        from excitant.robots.urdf import current_urdf
-
+        """URDF text of the arm as it is now: inertias, dry and viscous friction, held joints."""
         return self.description if self.described and not self.locked else current_urdf(self)
 
     @property

@@ -12,7 +12,7 @@ from known_arms import smooth_motion
 from numpy.polynomial import Polynomial
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify import LocalPolynomial, Recording, ZeroPhaseButterworth, five_point
+from excitant.identify import LocalPolynomial, Recording, ZeroPhaseButterworth
 from excitant.identify.differentiators import (
     causal_polynomial,
     causal_polynomials,
@@ -137,7 +137,7 @@ def test_one_cut_off_and_one_sentence_why(exact: Callable[..., Recording]) -> No
 
 
 def test_five_points_are_the_least_squares_parabola_with_the_published_figures() -> None:
-    five, rate = five_point(), 500.0
+    five, rate = LocalPolynomial(2, 2), 500.0
     np.testing.assert_allclose(10 * five.kernel(1), [-2, -1, 0, 1, 2], atol=1e-14)
     np.testing.assert_allclose(7 * five.kernel(2), [2, -1, -2, -1, 2], atol=1e-13)
     assert five.noise_gain(rate) / rate == pytest.approx(1 / np.sqrt(10), rel=1e-12)  # 0.316
@@ -147,7 +147,9 @@ def test_five_points_are_the_least_squares_parabola_with_the_published_figures()
     assert half_power == pytest.approx(60.5, abs=0.05)
 
 
-@pytest.mark.parametrize("polynomial", [five_point(), LocalPolynomial(8, 4)], ids=lambda x: x.name)
+@pytest.mark.parametrize(
+    "polynomial", [LocalPolynomial(2, 2), LocalPolynomial(8, 4)], ids=lambda x: x.name
+)
 def test_gain_and_noise_gain_are_those_announced(polynomial: LocalPolynomial) -> None:
     """Of a sinusoid, and the norm of the impulse response."""
     impulse = polynomial(T, np.eye(len(T))[:, [2000]])
@@ -186,9 +188,9 @@ def test_what_cannot_be_differentiated_is_refused_in_one_line() -> None:
     irregular = np.delete(T, 50)
     for differentiator, t, why in (
         (ZeroPhaseButterworth(20.0), irregular, "time is irregular"),
-        (five_point(), irregular, "time is irregular"),
+        (LocalPolynomial(2, 2), irregular, "time is irregular"),
         (ZeroPhaseButterworth(130.0), T, "choose one below 128 Hz"),
-        (five_point(), T[:4], "at least 5 are needed"),
+        (LocalPolynomial(2, 2), T[:4], "at least 5 are needed"),
     ):
         with pytest.raises(BadInput, match=why):
             differentiator(t, np.sin(t)[:, None])
@@ -232,4 +234,4 @@ def test_preprocessing_takes_another_differentiator() -> None:
     [segment] = prepare(recording, 10.0, ZeroPhaseButterworth(40.0))
     np.testing.assert_allclose(segment.motion.ddq[200:-200], true[200:-200], atol=1e-3)
     with pytest.raises(BadInput, match="without delay"):
-        prepare(recording, 10.0, five_point())
+        prepare(recording, 10.0, LocalPolynomial(2, 2))
