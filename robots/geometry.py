@@ -361,7 +361,7 @@ def scene(robot: Robot, obstacles: Sequence[Obstacle] = ()) -> Scene | None:
         robot: The arm; its URDF's ``<collision>`` elements count.
         obstacles: Bodies in the cell.
     """
-    geometry = _solids(robot)[0].copy()
+    geometry = _solids(robot).copy()
     boxed = {name for o in obstacles if o.shape == "workspace" for name, _, _ in o.bodies()}
     if not len(geometry.geometryObjects) and not boxed:
         return None
@@ -383,17 +383,17 @@ def scene(robot: Robot, obstacles: Sequence[Obstacle] = ()) -> Scene | None:
 
 
 @lru_cache(maxsize=8)
-def _solids(robot: Robot) -> tuple[Any, int, int]:
-    """Collision shapes of an arm, never edited; how many it states; meshes that are not there."""
+def _solids(robot: Robot) -> Any:
+    """Collision shapes of an arm, but for meshes that are not there; never edited."""
     root = ET.fromstring(robot.description)
-    stated, missing = len(root.findall("link/collision")), _find_meshes(root, robot)
+    _find_meshes(root, robot)
     model, reference, locked = full_model(root, robot)
     text = ET.tostring(root, encoding="unicode")
     geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     _make_convex(geometry)
     if locked:
         _, (geometry,) = pin.buildReducedModel(model, [geometry], locked, reference)
-    return geometry, stated, missing
+    return geometry
 
 
 def floor(height: float) -> Obstacle:
@@ -407,7 +407,7 @@ def base_plane(robot: Robot) -> float | None:
     It is that of the base frame where the fixed shapes end near it, else their lowest point.
     """
     up = -robot.gravity
-    fixed = [body for body in _solids(robot)[0].geometryObjects if body.parentJoint == 0]
+    fixed = [body for body in _solids(robot).geometryObjects if body.parentJoint == 0]
     if not fixed or not up[2] > _UPRIGHT * np.linalg.norm(up):
         return None
     lowest = min(_lowest(body) for body in fixed)
@@ -426,7 +426,8 @@ def unchecked(robot: Robot, scene: Scene | None) -> str:
 
     Shapes of neighbouring links, which touch by design, are never checked against each other.
     """
-    _, stated, missing = _solids(robot)
+    root = ET.fromstring(robot.description)
+    stated, missing = len(root.findall("link/collision")), _find_meshes(root, robot)
     left = []
     if missing or not stated or scene is None:
         why = f"{missing} of {stated} collision meshes not found" if missing else ""

@@ -169,7 +169,7 @@ def design(
     written = {"trajectory": trajectory.motion(rate, repeat)}
     result = found.result() | {"periods": repeat}
     if bound and not found.interrupted:
-        result["condition_number"], note = _bound(found, search.seed)
+        result["condition_number"]["lower_bound"], note = _bound(found, search.seed)
         result["notes"].append(note)
     if speed is not None:
         slow = trajectory.slowed(speed)
@@ -211,8 +211,8 @@ def _earlier(robot: Robot, recordings: Sequence[str] | None) -> list[Motion]:
     return [part.motion[part.keep] for recording in read for part in prepare(recording)]
 
 
-def _bound(found: Design, seed: int) -> tuple[dict[str, Any], str]:
-    """Condition numbers with the bound, and what it says."""
+def _bound(found: Design, seed: int) -> tuple[float, str]:
+    """The lower bound of the condition number, and what it says."""
     from excitant.design import lower_bound
 
     with progress_bar("bound") as advance:
@@ -228,9 +228,8 @@ def _bound(found: Design, seed: int) -> tuple[dict[str, Any], str]:
                 min(spent / _BOUND_TIME, 1.0), f"κ ≥ {value:.4g}"
             ),
         )
-    condition = found.result()["condition_number"] | {"lower_bound": bound.value}
     ratio = found.condition_final / bound.value
-    return condition, f"within ×{ratio:.2g} of the best possible: {bound.assumptions}"
+    return bound.value, f"within ×{ratio:.2g} of the best possible: {bound.assumptions}"
 
 
 def check(

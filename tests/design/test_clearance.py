@@ -155,7 +155,7 @@ def test_an_arm_stands_on_the_plane_of_its_base(name: str) -> None:
     assert base_plane(robot.with_gravity([9.81, 0.0, 0.0])) is None  # bolted to a wall
 
 
-def test_what_is_not_checked_is_said(planar: Robot, ur10: Robot) -> None:
+def test_what_is_not_checked_is_said(planar: Robot, ur10: Robot, tmp_path: Path) -> None:
     shape = '<collision><geometry><mesh filename="no.stl"/></geometry></collision>'
     half = ur10.urdf.replace("<collision", shape + "<collision", 1)
     broken, bare = (
@@ -169,6 +169,9 @@ def test_what_is_not_checked_is_said(planar: Robot, ur10: Robot) -> None:
     assert unchecked(ur10, scene(ur10)) == "floor"
     assert unchecked(ur10, scene(ur10, (floor(0.0),))) == ""
     assert unchecked(planar, None) == "self-collision; floor"
+    (tmp_path / "no.stl").write_text("not a mesh")  # counted, not read: clearance may be left out
+    there = robot_from_urdf(half, source=str(tmp_path / "arm.urdf"))
+    assert unchecked(there, None) == "self-collision; floor"
 
 
 @pytest.mark.slow
