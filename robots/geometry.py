@@ -506,5 +506,5 @@ def _mesh_file(name: str, folder: Path) -> Path | None:
         split = ((os.environ.get(name, "").split(os.pathsep), inner) for name, inner in roots)
         shared = [Path(path) / inner for paths, inner in split for path in paths if path]
         places = [each / package / inside for each in (*above, *shared)]
-        places += [each / inside for each in (*above, *shared) if each.name == package]
+        places += [each / inside for each in shared if each.name == package]
     return next((path for path in places if path.is_file()), None)

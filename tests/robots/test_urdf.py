@@ -160,6 +160,9 @@ def test_meshes_beside_the_file_are_found_from_anywhere(
     assert scene(load_robot(path)) is None
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(elsewhere.parents[1]))
     assert scene(load_robot(path)) is not None
+    monkeypatch.delenv("AMENT_PREFIX_PATH")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(elsewhere))  # the package itself
+    assert scene(load_robot(path)) is not None
 
 
 VALUES = ("nan", "inf", "-inf", "-1", "0", "1e308", "1e-308", "", "abc", "1,5", "0x10", "٣")
