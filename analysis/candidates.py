@@ -16,7 +16,6 @@ from excitant.identify.regression import dense
 from excitant.identify.rows import implausible_size
 from excitant.robots.effects import Effect, Parameter, joint_facts, proposals
 from excitant.robots.motion import Array, read_only
-from excitant.robots.parameters import isotropic
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
@@ -78,16 +77,11 @@ def cause_columns(effect: Effect, given: Observed, understood: Observed) -> Arra
     return (given if effect.of_given_torque else understood).columns(effect)
 
 
-def tolerance_metric(bodies: Array) -> Array:
-    """Isotropic body of each link, of which tolerances are a share, shape (links, 10)."""
-    return np.array([isotropic(phi) for phi in bodies])
-
-
 def gather(
     robot: Robot,
     train: Observed,
     tau: Array,
-    metric: Array,
+    bodies: Array,
     believed: Sequence[Candidate] = (),
     *,
     identified: bool = False,
@@ -95,7 +89,7 @@ def gather(
     """Evidence for the candidate causes of a given robot's errors; its effects are kept.
 
     Torque tau (n, nv) [N·m] is to be explained at the rows of ``train``, of the model so far;
-    believed causes are reconsidered. Tolerances are relative to the metric (nv, 10): ±10 %, or as
+    believed causes are reconsidered. Tolerances are those of bodies (nv, 10): ±10 %, or as
     wide as in an identification, and then only effects beyond the standard model are candidates.
     """
     given, segments = train.by(robot), train.segments
@@ -104,7 +98,7 @@ def gather(
     spread = TOLERANCE * np.where(values > 0, values, 1e-9)
     if identified:
         spread = implausible_size(known, tau)
-    blocks = [train.links @ link_coordinates(metric), known * spread]
+    blocks = [train.links @ link_coordinates(bodies), known * spread]
     sigma = PRIOR_SIGMA if identified else TOLERANCE
     weights = [link_weights(robot.nv, sigma) ** 2, np.ones(len(spread))]
     nuisance = start = 10 * robot.nv + len(spread)
@@ -117,7 +111,7 @@ def gather(
         block = cause_columns(effect, given, train)
         if not block.any():
             continue
-        scale, weight = _coordinates(robot, effect, metric, block, tau)
+        scale, weight = _coordinates(robot, effect, bodies, block, tau)
         stop = start + len(weight)
         candidates.append(Candidate(effect, slice(start, stop), scale, trials))
         blocks.append(block @ scale)
@@ -143,12 +137,12 @@ def coefficient_sizes(parameters: Sequence[Parameter], columns: Array, torque: A
 
 
 def _coordinates(
-    robot: Robot, effect: Effect, metric: Array, columns: Array, torque: Array
+    robot: Robot, effect: Effect, bodies: Array, columns: Array, torque: Array
 ) -> tuple[Array, Array]:
     if effect.role == "link":
-        return link_coordinates(metric[effect.rows(robot)]), link_weights(1, WRONG_LINK) ** 2
+        return link_coordinates(bodies[effect.rows(robot)]), link_weights(1, WRONG_LINK) ** 2
     if effect.role == "body":
-        units = metric[:, 0].sum() * np.repeat([1.0, _REACH, _REACH**2], [1, 3, 6])
+        units = bodies[:, 0].sum() * np.repeat([1.0, _REACH, _REACH**2], [1, 3, 6])
         return np.diag(units), np.ones(10)
     acts = columns.any(axis=(0, 2))
     size = coefficient_sizes(effect.parameters(robot), columns[:, acts], torque[:, acts])

@@ -13,14 +13,13 @@ from excitant.analysis.candidates import (
     Observed,
     coefficient_sizes,
     observed,
-    tolerance_metric,
 )
 from excitant.analysis.evidence import Candidate, Evidence, Key
 from excitant.analysis.residuals import Mask, away_from_rest, noise_floor
 from excitant.analysis.selection import Rival, underlies
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment
-from excitant.identify.prior import EffectPrior
+from excitant.identify.prior import BodyPrior, EffectPrior
 from excitant.identify.rows import Series, identified_robot, series
 from excitant.robots.effects import Effect, merged
 from excitant.robots.motion import Array
@@ -161,8 +160,7 @@ class Extender:
         R = np.asarray(np.linalg.qr(rows.reshape(-1, W.shape[2] + 1), mode="r"), float)
         bodies, sigma = self._bodies(chosen)
         open_ = self._effect_prior(effects, chosen, W[:, :, 10 * len(bodies) :])
-        metric = tolerance_metric(bodies)
-        fit = fit_physical(R[:, :-1], R[:, -1], bodies, open_, sigma, metric)
+        fit = fit_physical(R[:, :-1], R[:, -1], BodyPrior(bodies, sigma), open_)
         names = [p.name for e in effects for p in e.parameters(robot)]
         std = np.sqrt(np.diag(fit.covariance)).tolist()
         model = identified_robot(robot, effects, fit.x)

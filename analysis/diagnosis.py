@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from excitant.analysis.candidates import Observed, gather, observed, tolerance_metric
+from excitant.analysis.candidates import Observed, gather, observed
 from excitant.analysis.confirmation import (
     FLOOR,
     Extender,
@@ -333,7 +333,7 @@ def diagnose(
             "whose common scale follows from the given masses"
         )
     held, tau = held_out(robot, data.validate, gains), measured * gains
-    evidence = gather(robot, train, tau, tolerance_metric(prior))
+    evidence = gather(robot, train, tau, prior)
     first = Extender(prior, train, tau, held, evidence)
     fit = _iterated(first)
     if fit.refuted:
@@ -360,13 +360,13 @@ def diagnose(
 
 def _iterated(first: Extender, refuted: frozenset[Key] = frozenset()) -> Extension:
     """The model with the causes that the hold-out confirms, searched for again with that model."""
-    held, robot, metric = first.held, first.train.robot, tolerance_metric(first.prior)
+    held, robot = first.held, first.train.robot
     best: Extension | None = None
     extender, shapes = first, None
     for _ in range(_ROUNDS):
         if best is not None:
             train = first.train.by(best.model)
-            evidence = gather(robot, train, first.tau, metric, best.chosen)
+            evidence = gather(robot, train, first.tau, first.prior, best.chosen)
             extender = replace(first, train=train, evidence=evidence)
         evidence, chosen = select(extender.evidence, robot, refuted)
         fit = confirmed(replace(extender, evidence=evidence), chosen)

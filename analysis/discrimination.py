@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from excitant.analysis.candidates import TOLERANCE, Observed, cause_columns, tolerance_metric
+from excitant.analysis.candidates import TOLERANCE, Observed, cause_columns
 from excitant.analysis.evidence import widened
 from excitant.analysis.residuals import away_from_rest, top_speed
 from excitant.analysis.selection import ALIKE
@@ -128,7 +128,7 @@ class Contest:
 
     @cached_property
     def _metric(self) -> Array:
-        return link_coordinates(tolerance_metric(prior_parameters(self.robot)))
+        return link_coordinates(prior_parameters(self.robot))
 
     @property
     def rows_hz(self) -> float:

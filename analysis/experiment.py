@@ -33,13 +33,10 @@ from excitant.identify.prior import (
     KINDS,
     PRIOR_SIGMA,
     UNSEEN,
-    UPPER,
     WEAKEST,
+    BodyPrior,
     EffectPrior,
     follows,
-    link_coordinates,
-    link_weights,
-    matrices,
     prior_parameters,
     reached,
     silent_columns,
@@ -50,6 +47,7 @@ from excitant.identify.rows import FitRows, fit_rows, implausible_size, split
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, Motion
+from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
 from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names, observation_columns, torque
 
@@ -82,9 +80,15 @@ class Prior:
         return np.asarray(np.linalg.norm(self.L @ Vt.T / np.sqrt(1 + s**2), axis=1), float)
 
     def stretches(self, w: Array) -> Array:
-        """Eigenvalues of Q − 1 of each link, as in `fit_physical`, ascending, shape (links, 4)."""
-        y = w[: 10 * self.links] / link_weights(self.links, PRIOR_SIGMA)
-        return np.asarray(np.linalg.eigvalsh(matrices(y, self.links)), float)
+        """Eigenvalues of P̄⁻¹ P − 1 of each link, P̄ that of the prior, ascending, (links, 4)."""
+        change = pseudo_inertia((self.L @ w)[: 10 * self.links].reshape(-1, 10))
+        roots = np.linalg.inv(np.linalg.cholesky(self.bodies))
+        return np.asarray(np.linalg.eigvalsh(roots @ change @ roots.swapaxes(1, 2)), float)
+
+    @property
+    def bodies(self) -> Array:
+        """Pseudo-inertias of the given links, shape (links, 4, 4)."""
+        return pseudo_inertia(self.mean[: 10 * self.links].reshape(-1, 10))
 
     def size(self, w: Array) -> float:
         """Largest relative change of any link in any direction, or of an effect in its std."""
@@ -97,12 +101,12 @@ class Prior:
         return tuple(int(k) for k in np.flatnonzero(smallest < _FLAT))
 
 
-def prior_of(phi: Array, effects: EffectPrior) -> Prior:
+def prior_of(phi: Array, effects: EffectPrior, sigma: float | Array = PRIOR_SIGMA) -> Prior:
     """The prior of `fit_physical`, of consistent standard parameters, shape (links, 10)."""
-    links = len(phi)
-    scale = link_coordinates(phi) / link_weights(links, PRIOR_SIGMA)
-    L = scipy.linalg.block_diag(scale, np.diag(effects.std))
-    return Prior(np.concatenate([phi.ravel(), effects.mean]), L, links)
+    _, J = BodyPrior(phi, sigma).quadratic(phi.ravel())
+    root = np.linalg.inv(np.linalg.qr(J, mode="r"))
+    L = scipy.linalg.block_diag(root, np.diag(effects.std))
+    return Prior(np.concatenate([phi.ravel(), effects.mean]), L, len(phi))
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +187,9 @@ def _random_bodies(prior: Prior, rng: np.random.Generator) -> Array:
     A = rng.normal(size=(prior.links, 4, 4))
     A = A + A.transpose(0, 2, 1)
     A /= np.abs(np.linalg.eigvalsh(A)).max(axis=1)[:, None, None]
-    y = A[:, *UPPER].reshape(-1)
-    w[: 10 * prior.links] = y * link_weights(prior.links, PRIOR_SIGMA)
+    root = np.linalg.cholesky(prior.bodies)
+    change = from_pseudo_inertia(root @ A @ root.swapaxes(1, 2)).ravel()
+    w[: len(change)] = np.linalg.solve(prior.L[: len(change), : len(change)], change)
     return w
 
 
@@ -192,14 +197,12 @@ def refits(estimate: Estimate, rows: FitRows) -> Response:
     """Response of an estimate to another prior by a refit, in the metric of the original one."""
     R, z = rows.regression.factor(estimate.least_squares.weight)
     phi, effects = estimate.prior.reshape(-1, 10), rows.open_prior
-    links = phi.size
+    links, given = phi.size, estimate.physical.prior
 
     def moved(delta: Array) -> Array:
         other = replace(effects, mean=effects.mean + delta[links:])
-        prior = phi + delta[:links].reshape(-1, 10)
-        found = fit_physical(
-            R, z, prior, other, metric=phi, knowledge=estimate.knowledge, links=estimate.given.links
-        )
+        prior = replace(given, bodies=phi + delta[:links].reshape(-1, 10), metric=phi)
+        found = fit_physical(R, z, prior, other, estimate.knowledge, estimate.given.links)
         return np.asarray(found.x - estimate.physical.x, float)
 
     return moved
@@ -276,7 +279,7 @@ def recorded_experiment(
     sigma = fit.sigma * np.sqrt(fit.inflation)
     complete = estimate.base.columns == base.columns
     seen = motion_information(base, rows.W, sigma, fit.covariance if complete else None)
-    prior = prior_of(estimate.prior.reshape(-1, 10), rows.open_prior)
+    prior = prior_of(estimate.prior.reshape(-1, 10), rows.open_prior, estimate.physical.prior.sigma)
     x, response = estimate.physical.x, None if rng is None else refits(estimate, rows)
     draws = np.random.default_rng(0) if rng is None else rng
     influence = prior_influence(seen, base.regrouping, prior, x, draws, response)

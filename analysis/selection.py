@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import scipy
 
-from excitant.analysis.candidates import Observed, gather, observed, tolerance_metric
+from excitant.analysis.candidates import Observed, gather, observed
 from excitant.analysis.evidence import Candidate, Evidence, Key, reweighed
 from excitant.identify.estimate import identify_robot
 from excitant.identify.prior import prior_parameters
@@ -265,7 +265,7 @@ def choose_effects(
     is called with the fraction done and the effects found.
     """
     standard = effects = standard_effects(robot.joints)
-    metric = tolerance_metric(prior_parameters(robot))
+    bodies = prior_parameters(robot)
     chosen: list[Candidate] = []
     train: Observed | None = None
     for k in range(_ROUNDS):
@@ -276,7 +276,7 @@ def choose_effects(
             train = observed(estimate.model, estimate.data.train)
             tau = series(train.segments).measured * estimate.gains
         rows = train.by(estimate.model)
-        evidence = gather(train.robot, rows, tau, metric, chosen, identified=True)
+        evidence = gather(train.robot, rows, tau, bodies, chosen, identified=True)
         _, chosen = select(evidence, train.robot)
         found = (*standard, *merged(c.effect for c in chosen))
         progress((k + 1) / _ROUNDS, ", ".join(plain(e.name) for e in found[len(standard) :]))

@@ -20,14 +20,20 @@ from typing import Any
 import numpy as np
 import scipy
 
-from excitant.analysis.candidates import TOLERANCE, Observed, tolerance_metric
+from excitant.analysis.candidates import TOLERANCE, Observed
 from excitant.analysis.confirmation import HeldOut
 from excitant.analysis.residuals import Mask, away_from_rest
 from excitant.exceptions import BadInput
 from excitant.identify.least_squares import SMALLEST, autocorrelation_time
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment
-from excitant.identify.prior import EffectPrior, link_coordinates, link_weights, prior_parameters
+from excitant.identify.prior import (
+    BodyPrior,
+    EffectPrior,
+    link_coordinates,
+    link_weights,
+    prior_parameters,
+)
 from excitant.identify.regression import Regression, dense
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, plain
@@ -168,7 +174,7 @@ def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
     root, beta, rank = _least_squares(problem, away_from_rest(train.segments))
     nothing = EffectPrior(*(np.zeros(0),) * 3)
     free, least = (
-        fit_physical(root @ B, root @ beta, prior, nothing, sigma, tolerance_metric(prior)).x
+        fit_physical(root @ B, root @ beta, BodyPrior(prior, sigma), nothing).x
         for sigma in (_FREE, _WEAK)
     )
     distance = float(((root @ (B @ free - beta)) ** 2).sum())
@@ -207,9 +213,8 @@ def _least_squares(problem: Regression, counts: Mask) -> tuple[Array, Array, int
 
 def _moves(robot: Robot, prior: Array, found: Array) -> tuple[Move, ...]:
     moves = []
-    metric = tolerance_metric(prior)
-    for link, before, after, body in zip(robot.links, prior, found, metric, strict=True):
-        spread = link_coordinates(body[None]) / link_weights(1, TOLERANCE)
+    for link, before, after in zip(robot.links, prior, found, strict=True):
+        spread = link_coordinates(before[None]) / link_weights(1, TOLERANCE)
         root = _slopes(before) @ spread
         covariance, change = root @ root.T, _figures(after) - _figures(before)
         shift = float(np.linalg.norm(change[1:4]))

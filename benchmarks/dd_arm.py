@@ -24,7 +24,7 @@ from excitant.identify import Data, Recording
 from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.preprocessing import prepare
-from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
+from excitant.identify.prior import link_coordinates, prior_parameters
 from excitant.identify.rows import FitRows, fit_rows
 from excitant.robots import (
     Motion,
@@ -149,10 +149,9 @@ def recovery(seconds: float = 60.0, *, likely: bool = True, seed: int = 0) -> Re
     R, z = rows.regression.factor(fit.weight)
     prior = prior_parameters(given)
     found = fit_physical(R, z, prior, rows.open_prior)
-    moved = [
-        fit_physical(R, z, prior + step.reshape(prior.shape), rows.open_prior, metric=prior).x
-        for step in null_steps(prior, rows, rng)
-    ]
+    bodies = [prior + step.reshape(prior.shape) for step in null_steps(prior, rows, rng)]
+    priors = [replace(found.prior, bodies=each, metric=prior) for each in bodies]
+    moved = [fit_physical(R, z, each, rows.open_prior).x for each in priors]
     moves = np.array(moved) - found.x
     B, std = rows.base.regrouping, np.sqrt(np.diag(fit.covariance))
     return Recovery(
@@ -187,7 +186,7 @@ def _entries(
     moves: np.ndarray,
 ) -> Iterator[Entry]:
     columns, phi = tables(), found.x[:60]
-    L = link_coordinates(prior) / link_weights(len(prior), 1.0)
+    L = found.root[:60]
     S = scipy.linalg.null_space(rows.base.regrouping[:, :60] @ L)
     gradients = columns.gradients(phi)
     before = np.linalg.norm(gradients @ L, axis=1)

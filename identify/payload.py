@@ -23,7 +23,7 @@ from excitant.identify.drive_gains import DriveGains, KnownPayload, payload_gain
 from excitant.identify.information import Information, gaussian, information_of
 from excitant.identify.online import replayable
 from excitant.identify.physical import PhysicalFit, fit_physical
-from excitant.identify.prior import EffectPrior, base_prior
+from excitant.identify.prior import BodyPrior, EffectPrior, base_prior
 from excitant.identify.recording import Recording
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import fit_rows, split
@@ -183,7 +183,7 @@ def estimate_payload(
     tip = list(robot.model.frames)[robot.tip].placement.translation
     ball = pin.Inertia(mass, tip, 2 * mass * _RADIUS**2 * np.eye(3)).toDynamicParameters()
     nothing = EffectPrior(np.zeros(0), np.zeros(0), np.zeros(0))
-    fit = fit_physical(about.R, about.z, ball[None], nothing, prior_sigma=_OPEN)
+    fit = fit_physical(about.R, about.z, BodyPrior(ball[None], _OPEN, draws=0.0), nothing)
     return PayloadEstimate(robot.links[-1], fit)
 
 

@@ -1,14 +1,14 @@
 """Physically consistent identification: a semidefinite least-squares fit of all parameters.
 
-With the pseudo-inertia of link k written P_k = L_k Q_k L_kᵀ, where L_k L_kᵀ is the prior's,
+With the pseudo-inertia P_k of link k,
 
-    minimise  ‖R x − z‖² + Σ_k ‖Q_k − 1‖_F² / σ_k² + Σ_i (θ_i − θ̄_i)² / s_i² + Σ_m (m − m̄)² / s_m²
-    subject to  Q_k ⪰ ε 1,  θ ≥ bounds,  and what else is known of the bodies,
+    minimise  ‖R x − z‖² − 2 log p(P) + Σ_i (θ_i − θ̄_i)² / s_i² + Σ_m (m − m̄)² / s_m²
+    subject to  P_k ≻ 0,  θ ≥ bounds,  and what else is known of the bodies,
 
-where ‖R x − z‖² is the whitened data (a QR factor, so the size of the problem does not grow with
-the recording) and x holds the standard parameters φ and the effect coefficients θ. The distance to
-the prior does not depend on coordinates (pull-back metric: Lee, Wensing, Park 2020). Consistent
-parameters are fitted directly, never projected afterwards (Sousa and Cortesão 2014).
+with the prior density p of `excitant.identify.prior`; it is convex. ‖R x − z‖² is the whitened data
+(a QR factor, so the size of the problem does not grow with the recording), and x holds the standard
+parameters φ and the effect coefficients θ. Consistent parameters are fitted directly, never
+projected afterwards (Sousa and Cortesão 2014).
 """
 
 from __future__ import annotations
@@ -23,24 +23,32 @@ import scipy
 from excitant.exceptions import BadInput
 from excitant.identify.knowledge import Knowledge, known_rows
 from excitant.identify.prior import (
-    PRIOR_SIGMA,
+    BodyPrior,
     EffectPrior,
     linear_influence,
     link_coordinates,
     link_weights,
-    matrices,
+    relative_rows,
 )
 from excitant.identify.semidefinite import (
-    MARGIN,
     KktResiduals,
     Program,
     Restriction,
+    Solution,
     contradiction,
     definite,
     solve,
 )
 from excitant.robots.motion import Array, freeze, read_only
 
+SIGMAS = 0.05, 10.0
+"""Least and largest relative uncertainty of given bodies; ±100 kg for 10 kg is as good as none."""
+_GRID = 40  # values of σ, evenly spread by logarithm
+_STEPS = 60  # of Newton's method
+_SHORTEST = 1e-6  # share of a step
+_SHRINKING = 0.1  # in one step
+_MARGIN = 1e-4  # least part of a given body in any direction
+_SETTLED = 1e-6  # step in standard deviations; the error is about its square
 _ROUNDING = 1e-10  # of a parameter's unit, up to which it is known exactly
 
 
@@ -54,7 +62,7 @@ class PhysicalFit:
         kkt: Residuals of the optimality conditions.
         R: Factor of the whitened columns, shape (rows, p).
         root: L of the prior covariance L Lᵀ at the solution, shape (p, k); k < p with equalities.
-        links: Number of links.
+        prior: Prior of the bodies.
     """
 
     x: Array
@@ -62,7 +70,7 @@ class PhysicalFit:
     kkt: KktResiduals
     R: Array
     root: Array
-    links: int
+    prior: BodyPrior
 
     def __post_init__(self) -> None:
         freeze(self, "x", "covariance", "R", "root")
@@ -77,16 +85,14 @@ class PhysicalFit:
     @cached_property
     def influence(self) -> Array:
         """Sensitivity of each parameter to the prior in linear theory, 0 to 1, shape (p,)."""
-        return read_only(linear_influence(self.R, self.root, self.x, self.links))
+        return read_only(linear_influence(self.R, self.root, self.x, len(self.prior.bodies)))
 
 
 def fit_physical(
     R: Array,
     z: Array,
-    prior: Array,
+    prior: Array | BodyPrior,
     effects: EffectPrior,
-    prior_sigma: float | Array = PRIOR_SIGMA,
-    metric: Array | None = None,
     knowledge: Knowledge | None = None,
     links: Sequence[str] | None = None,
 ) -> PhysicalFit:
@@ -95,10 +101,9 @@ def fit_physical(
     Args:
         R: Whitened observation matrix or its QR factor, shape (m, p), p = 10 links + effects.
         z: Whitened torque, shape (m,).
-        prior: Standard parameters of the prior, consistent, shape (links, 10).
+        prior: Prior of the bodies, or consistent standard parameters, shape (links, 10), which
+            are then taken to be as uncertain as the data say (`agreement`).
         effects: Prior and bounds of the p − 10 links effect coefficients.
-        prior_sigma: Relative uncertainty σ of the prior, for all links or for each.
-        metric: Bodies that σ is relative to, shape (links, 10); those of the prior if None.
         knowledge: What is known of the bodies beforehand.
         links: Names of the links that knowledge is about, in order.
 
@@ -107,41 +112,136 @@ def fit_physical(
         Infeasible: The solver did not converge.
     """
     knowledge = knowledge or Knowledge()
-    names = links or [f"link {k + 1}" for k in range(len(prior))]
-    sigma = np.broadcast_to(np.asarray(prior_sigma, float), (len(prior),))
-    reference = prior if metric is None else metric
+    if not isinstance(prior, BodyPrior):
+        prior = BodyPrior(prior, agreement(R, z, prior))
+    given = prior.bodies.ravel()
+    names = links or [f"link {k + 1}" for k in range(len(prior.bodies))]
     # units of the effect coefficients that make their columns alike
-    units = np.sqrt(len(R) / ((R[:, prior.size :] ** 2).sum(axis=0) + effects.std**-2.0))
-    T = link_coordinates(reference)
-    scale = scipy.linalg.block_diag(T, np.diag(units))
-    centre = np.concatenate([np.linalg.solve(T, prior.ravel()), effects.mean / units])
-    distance = np.diag(link_weights(len(reference), sigma))
-    C, d, restrictions = _known(knowledge, names, T, effects.lower / units, centre)
-    weight = units / effects.std
-    program = Program(
-        A=R @ scale,
-        z=z,
-        C=scipy.linalg.block_diag(np.vstack([distance, C]), np.diag(weight)),
-        d=np.concatenate([distance @ centre[: len(T)], d, weight * centre[len(T) :]]),
-        restrictions=restrictions,
-    )
-    found = solve(program, centre)
+    units = np.sqrt(len(R) / ((R[:, len(given) :] ** 2).sum(axis=0) + effects.std**-2.0))
+    scale = scipy.linalg.block_diag(prior.T, np.diag(units))
+    centre = np.concatenate([np.linalg.solve(prior.T, given), effects.mean / units])
+    C, d, restrictions = _known(knowledge, names, prior, effects.lower / units)
+    problem = _Problem(R @ scale, z, C, d, restrictions, prior, effects, units)
+    y, multipliers = problem.solve(centre)
+    program = problem.near(y)
     covariance, root = _uncertainty(program, scale)
-    return PhysicalFit(scale @ found.y, covariance, found.kkt(program), R, root, len(prior))
+    kkt = Solution(y, multipliers).kkt(program)
+    return PhysicalFit(scale @ y, covariance, kkt, R, root, prior)
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The fit in coordinates y of links and effects; only the prior of the links is no square."""
+
+    A: Array
+    z: Array
+    C: Array  # what is known of the links, rows of unit noise
+    d: Array
+    restrictions: tuple[Restriction, ...]
+    bodies: BodyPrior
+    effects: EffectPrior
+    units: Array  # of the effect coefficients
+
+    def near(self, y: Array) -> Program:
+        """The programme with the prior of the links to second order at y."""
+        T, weight = self.bodies.T, self.units / self.effects.std
+        phi = T @ y[: len(T)]
+        residual, jacobian = self.bodies.quadratic(phi)
+        J = jacobian @ T
+        # the entropic distance keeps bodies possible; a step only shrinks them by so much
+        near = (phi, _SHRINKING) if self.bodies.draws else (self.bodies.bodies, _MARGIN)
+        return Program(
+            A=self.A,
+            z=self.z,
+            C=scipy.linalg.block_diag(np.vstack([J, self.C]), np.diag(weight)),
+            d=np.concatenate(
+                [J @ y[: len(T)] - residual, self.d, self.effects.mean / self.effects.std]
+            ),
+            restrictions=(*_possible(*near, T, len(y)), *self.restrictions),
+        )
+
+    def objective(self, y: Array) -> float:
+        """The sum of all squares; infinite at bodies that cannot be."""
+        links = len(self.bodies.T)
+        try:
+            surprise = self.bodies.residual(self.bodies.T @ y[:links])
+        except np.linalg.LinAlgError:
+            return np.inf
+        parts = (
+            self.A @ y - self.z,
+            self.C @ y[:links] - self.d,
+            surprise,
+            (y[links:] * self.units - self.effects.mean) / self.effects.std,
+        )
+        return float(sum((part**2).sum() for part in parts))
+
+    def solve(self, centre: Array) -> tuple[Array, tuple[Array, ...]]:
+        """Minimiser and multipliers: a sequence of programmes from the prior on, with halving."""
+        y, value = centre, self.objective(centre)
+        possible = all(r.violation(y) <= _ROUNDING for r in self.restrictions)
+        for _ in range(_STEPS):
+            program = self.near(y)
+            found = solve(program, centre)
+            step, share = found.y - y, 1.0
+            reached = self.objective(y + step)
+            bound = value if possible else np.finfo(float).max
+            while reached > bound and share > _SHORTEST:
+                share /= 2
+                reached = self.objective(y + share * step)
+            if reached > bound:
+                break
+            y, value, possible = y + share * step, reached, True
+            if np.linalg.norm(np.append(program.A @ step, program.C @ step)) <= _SETTLED:
+                break
+        return y, found.multipliers
+
+
+def agreement(R: Array, z: Array, prior: Array) -> float:
+    """Relative uncertainty σ of the given bodies under which the data are most likely.
+
+    Data z = R x + ε, ε of unit variance, with bodies normal around the prior and nothing known of
+    effects, have the covariance 1 + σ² K in what no effect explains; σ maximises their likelihood
+    (type II maximum likelihood, MacKay 1992): it is how far off the given bodies are where the
+    data see them. No description is taken to be right to better than `SIGMAS[0]`. Shapes as in
+    `fit_physical`.
+    """
+    p, T = R.shape[1], link_coordinates(prior)
+    both = np.asarray(np.linalg.qr(np.column_stack([R, z]), mode="r"), float)[:p]
+    free = scipy.linalg.null_space(both[:, len(T) : p].T).T
+    K = free @ both[:, : len(T)] @ T / link_weights(len(prior), 1.0)
+    U, s, _ = np.linalg.svd(K, full_matrices=False)
+    seen = (U.T @ free @ (both[:, p] - both[:, : len(T)] @ prior.ravel())) ** 2
+
+    def surprise(log_sigma: float) -> float:
+        variance = 1 + (np.exp(log_sigma) * s) ** 2
+        return float((np.log(variance) + seen / variance).sum())
+
+    grid = np.log(np.geomspace(*SIGMAS, _GRID))
+    k = int(np.argmin([surprise(x) for x in grid]))
+    ends = grid[max(k - 1, 0)], grid[min(k + 1, _GRID - 1)]
+    found = scipy.optimize.minimize_scalar(surprise, bounds=ends, method="bounded")
+    return float(np.exp(found.x))
+
+
+def _possible(phi: Array, margin: float, T: Array, p: int) -> tuple[Restriction, ...]:
+    """No link shrinks below a part of what it is in φ, in any direction."""
+    blocks = zip(relative_rows(phi), np.split(T, len(T) // 10), strict=True)
+    rows = np.array([rows @ block for rows, block in blocks])
+    return definite(np.pad(rows, ((0, 0), (0, 0), (0, p - len(T)))), margin)
 
 
 def _known(
-    knowledge: Knowledge, links: Sequence[str], T: Array, lower: Array, centre: Array
+    knowledge: Knowledge, links: Sequence[str], prior: BodyPrior, lower: Array
 ) -> tuple[Array, Array, tuple[Restriction, ...]]:
     """Rows C y ≈ d of unit noise about the links' coordinates, and what all of y must satisfy."""
     C, d, known = known_rows(knowledge, links)
-    p, bounded = len(centre), np.isfinite(lower)
+    T = prior.T
+    p, bounded = len(T) + len(lower), np.isfinite(lower)
     restrictions = [_scaled(restriction, T, p) for restriction in known]
     if bounded.any():
         signs = np.eye(p)[len(T) :][bounded]
         restrictions.insert(0, Restriction("nonnegative", signs, lower[bounded]))
-    smallest = float(np.linalg.eigvalsh(matrices(centre, len(links))).min())
-    bodies = definite(len(links), min(MARGIN, 0.5 * smallest), p)
+    bodies = _possible(prior.bodies, _MARGIN, T, p)
     names = contradiction((*bodies, *restrictions)) if known else ()
     if names:
         what = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
@@ -150,7 +250,7 @@ def _known(
             f"{knowledge.source}: {what} {together}: no body near the given one fulfils "
             f"{'them together; correct one of them' if len(names) > 1 else 'it; correct it'}"
         )
-    return C @ T, d, (*bodies, *restrictions)
+    return C @ T, d, tuple(restrictions)
 
 
 def _scaled(restriction: Restriction, T: Array, p: int) -> Restriction:

@@ -1,9 +1,17 @@
 """Prior knowledge of an arm, and the identified entries that follow it.
 
 The bodies of the given arm are known to a relative σ. With the pseudo-inertia of link k written
-P_k = L_k Q_k L_kᵀ, L_k L_kᵀ that of the given body, the coordinates y are the upper triangles of
-all Q_k: they have no units, and ‖Q − 1‖_F is the coordinate-invariant distance to the given body
-(constant pull-back of the affine-invariant metric: Lee, Wensing, Park 2020).
+P_k = L_k Q_k L_kᵀ, L_k L_kᵀ that of the given body made `isotropic` (the same mass, centre of mass
+and radius of gyration), the coordinates y are the upper triangles of all Q_k: they have no units,
+‖Q − Q̄‖_F is a distance to the given body Q̄ that depends on no frame (constant pull-back of the
+affine-invariant metric: Lee, Wensing, Park 2020), and an error of the centre of mass counts alike
+along a thin link and across it. The density of the prior is
+
+    −2 log p(P) = Σ_k ‖Q_k − Q̄_k‖_F² / σ² + 2 n KL(P_k ‖ P̄_k),
+
+with the entropic distance 2 KL = tr(P̄⁻¹ P) − log det(P̄⁻¹ P) − 4 (of normal distributions), by which
+no body collapses: it grows without bound as P becomes singular. Its weight is that of one
+draw, n = 1: n draws from P̄ look like draws from P with probability exp(−n KL) (Sanov's theorem).
 
 Rule for entries: the prior x = x̄ + L w, w of unit variance, is moved where the data are silent (the
 null space of R L), along what they show worst, and at random. An entry is the prior's when it
@@ -16,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +35,13 @@ from excitant.identify.information import Information, gaussian
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze
-from excitant.robots.parameters import from_pseudo_inertia, nearest_consistent, pseudo_inertia
+from excitant.robots.parameters import (
+    PSEUDO_INERTIA_BASIS,
+    from_pseudo_inertia,
+    isotropic,
+    nearest_consistent,
+    pseudo_inertia,
+)
 from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values, observation_columns, torque
 
@@ -37,6 +52,9 @@ SYMMETRIC = np.zeros((10, 4, 4))  # Q = Σ_k y_k · SYMMETRIC[k]
 for _k, (_i, _j) in enumerate(zip(*UPPER, strict=True)):
     SYMMETRIC[_k, _i, _j] = SYMMETRIC[_k, _j, _i] = 1.0
 
+_BELOW = np.tril_indices(4, -1)
+_HALF = np.tril(np.ones((4, 4))) - np.eye(4) / 2
+_NEAR_ONE = 1e-6  # logarithm of a factor, below which its series is exact
 _HARMONICS = 5
 _LIMIT_SHARE = 0.5  # share of the limits on speed and acceleration that a reference motion uses
 _FREE_SPEED, _FREE_ACCELERATION = 3.0, 10.0  # rad/s, rad/s² where there is no limit
@@ -73,8 +91,8 @@ def link_weights(links: int, sigma: float | Array) -> Array:
 
 
 def link_coordinates(reference: Array) -> Array:
-    """Map T, φ = T y, to standard parameters; consistent ones, (links, 10), lie at Q = 1."""
-    roots = np.linalg.cholesky([pseudo_inertia(values) for values in reference])
+    """Map T, φ = T y, to standard parameters; y is relative to consistent ones, (links, 10)."""
+    roots = np.linalg.cholesky([pseudo_inertia(isotropic(values)) for values in reference])
     blocks = (from_pseudo_inertia(L @ SYMMETRIC @ L.T).T for L in roots)
     return np.asarray(scipy.linalg.block_diag(*blocks), float)
 
@@ -82,6 +100,84 @@ def link_coordinates(reference: Array) -> Array:
 def matrices(y: Array, links: int) -> Array:
     """The matrices Q_k of the coordinates that y begins with, shape (links, 4, 4)."""
     return np.tensordot(y[: 10 * links].reshape(links, 10), SYMMETRIC, 1)
+
+
+def relative_rows(phi: Array) -> Array:
+    """Rows R_k of bodies relative to consistent ones φ, shape (links, 10, 10).
+
+    R_k φ_k is the upper triangle of C⁻¹ P C⁻ᵀ times `NORMS`, where C Cᵀ is of link k of φ.
+    """
+    C = np.linalg.inv(np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10))))[:, None]
+    relative = (C @ PSEUDO_INERTIA_BASIS @ C.swapaxes(2, 3))[..., *UPPER]
+    return np.asarray(NORMS[:, None] * relative.swapaxes(1, 2), float)
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPrior:
+    """Density of bodies around given ones, as squares of residuals (module docstring).
+
+    Attributes:
+        bodies: Standard parameters P̄ of the given bodies, consistent, shape (links, 10).
+        sigma: Relative uncertainty σ, for all links or for each.
+        metric: Bodies that σ is relative to, shape (links, 10); the given ones if None.
+        draws: Weight of the entropic distance; 0 where a link may have next to no mass.
+    """
+
+    bodies: Array
+    sigma: float | Array = PRIOR_SIGMA
+    metric: Array | None = None
+    draws: float = 1.0
+
+    @cached_property
+    def T(self) -> Array:
+        """Map of coordinates, φ = T y, shape (10 links, 10 links)."""
+        return link_coordinates(self.bodies if self.metric is None else self.metric)
+
+    @cached_property
+    def _distance(self) -> Array:
+        weights = link_weights(len(self.bodies), self.sigma)
+        return np.asarray(weights[:, None] * np.linalg.inv(self.T), float)
+
+    @cached_property
+    def _roots(self) -> Array:
+        return np.linalg.inv(np.linalg.cholesky(pseudo_inertia(self.bodies)))
+
+    def residual(self, phi: Array) -> Array:
+        """Values whose squares sum up to −2 log p at consistent φ, shape (20 links,)."""
+        return self.linearised(phi)[0]
+
+    def linearised(self, phi: Array) -> tuple[Array, Array]:
+        """The residual at consistent φ, and its Jacobian, shape (20 links, 10 links).
+
+        With Q = G Gᵀ relative to the given body, G lower triangular, 2 KL(Q ‖ 1) is
+        Σ_(i>j) G_ij² + Σ_i (G_ii² − 2 log G_ii − 1).
+        """
+        values, slopes = [self._distance @ (phi - self.bodies.ravel())], list[Array]()
+        weight = np.sqrt(self.draws)
+        for body, C in zip(pseudo_inertia(phi.reshape(-1, 10)), self._roots, strict=True):
+            G = np.linalg.cholesky(C @ body @ C.T)
+            inverse = np.linalg.solve(G, C)
+            # G changes by G Φ(G⁻¹ dQ G⁻ᵀ), Φ the lower triangle with half of the diagonal
+            dG = G @ (inverse @ PSEUDO_INERTIA_BASIS @ inverse.T * _HALF)
+            u = np.log(np.diag(G))
+            near = np.abs(u) < _NEAR_ONE
+            s = np.where(near, np.sqrt(2) * u, np.sign(u) * np.sqrt(np.expm1(2 * u) - 2 * u))
+            rate = np.where(near, np.sqrt(2), 2 * np.sinh(u) / np.where(near, 1.0, s))
+            values.append(weight * np.concatenate([s, G[_BELOW]]))
+            diagonal = rate[:, None] * np.diagonal(dG, axis1=1, axis2=2).T
+            slopes.append(weight * np.vstack([diagonal, dG[:, *_BELOW].T]))
+        jacobian = np.vstack([self._distance, scipy.linalg.block_diag(*slopes)])
+        return np.concatenate(values), np.asarray(jacobian, float)
+
+    def quadratic(self, phi: Array) -> tuple[Array, Array]:
+        """Rows J and r, ‖r + J dφ‖² + constant being −2 log p to second order; as `linearised`."""
+        scale = np.sqrt(self.draws / 2)
+        relative = self._roots @ np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10)))
+        beyond = relative.swapaxes(1, 2) @ relative - np.eye(4)
+        values = scale * NORMS * beyond[:, *UPPER]
+        blocks = scipy.linalg.block_diag(*(scale * relative_rows(phi)))
+        distance = self._distance @ (phi - self.bodies.ravel())
+        return np.concatenate([distance, values.ravel()]), np.vstack([self._distance, blocks])
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,6 @@ from excitant.exceptions import Infeasible
 from excitant.identify.prior import NORMS, UPPER, matrices
 from excitant.robots.motion import Array
 
-MARGIN = 1e-4  # smallest eigenvalue of Q: no link shrinks below this part of its reference
 _COLUMNS = np.lexsort(UPPER)  # the solver takes the triangle column by column
 _CONES = {
     "nonnegative": clarabel.NonnegativeConeT,
@@ -62,10 +61,10 @@ class Restriction:
         return float(np.abs(slack).max() if self.cone == "zero" else -slack.min())
 
 
-def definite(links: int, margin: float, p: int) -> tuple[Restriction, ...]:
-    """Q_k ⪰ margin for the links that p coordinates begin with."""
-    h, G = margin * np.eye(4)[UPPER], NORMS[:, None] * np.eye(10 * links, p).reshape(links, 10, p)
-    return tuple(Restriction("semidefinite", each[_COLUMNS], h[_COLUMNS]) for each in G)
+def definite(rows: Array, margin: float) -> tuple[Restriction, ...]:
+    """Q_k ⪰ margin for matrices whose triangles, times `NORMS`, are rows of y, (links, 10, p)."""
+    h = margin * np.eye(4)[UPPER]
+    return tuple(Restriction("semidefinite", each[_COLUMNS], h[_COLUMNS]) for each in rows)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ from excitant.exceptions import BadInput, Infeasible, RankDeficient
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.physical import PhysicalFit, fit_physical
-from excitant.identify.prior import PRIOR_SIGMA, EffectPrior, link_coordinates, link_weights
+from excitant.identify.prior import BodyPrior, EffectPrior
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import FitRows
 from excitant.robots.base_parameters import BaseParameters, base_parameters
@@ -188,7 +187,8 @@ class _Search:
             np.concatenate([open_prior.std, np.full(len(given), _DECADE)]),
             np.concatenate([open_prior.lower, np.full(len(given), -np.inf)]),
         )
-        descent = Descent(self.R[:, : self.links], self.z, prior, known, self.torque, self.slopes)
+        columns = self.R[:, : self.links]
+        descent = Descent(columns, self.z, start.prior, known, self.torque, self.slopes)
         theta = np.concatenate([start.x[self.links :], np.log(self._on_grids())])
         x, covariance = descent.fit(start.x[: self.links].reshape(-1, 10), theta)
         before = descent.objective(np.concatenate([start.x, np.log(given)]))
@@ -289,13 +289,13 @@ def to_log_cholesky(phi: Array) -> Array:
 class Descent:
     """The fit of bodies and θ where the torque of effects is any function of θ, shape (k,).
 
-    R holds the whitened columns of the links, (m, 10 links), z the torque, (m,); the prior bodies
-    are consistent; torque and slopes are those of effects at θ, (m,) and (m, k), whitened.
+    R holds the whitened columns of the links, (m, 10 links), z the torque, (m,); torque
+    and slopes are those of effects at θ, (m,) and (m, k), whitened.
     """
 
     R: Array
     z: Array
-    prior: Array
+    prior: BodyPrior
     known: EffectPrior
     torque: Callable[[Array], Array]
     slopes: Callable[[Array], Array]
@@ -315,7 +315,7 @@ class Descent:
         lower = self.known.lower
         theta = np.where(theta > lower, theta, lower + 1e-3 * np.abs(self.known.std))
         numbers = np.concatenate([*(to_log_cholesky(values) for values in bodies), theta])
-        bounds = np.concatenate([np.full(self.prior.size, -np.inf), lower])
+        bounds = np.concatenate([np.full(self.prior.bodies.size, -np.inf), lower])
         with np.errstate(over="ignore", invalid="ignore"):  # steps too long are taken back
             found = scipy.optimize.least_squares(
                 self.residual,
@@ -329,13 +329,15 @@ class Descent:
                 max_nfev=_EVALUATIONS,
             )
         phi, theta = self._split(np.asarray(found.x, float))
-        factor = np.linalg.qr(self._rows(theta), mode="r")
+        factor = np.linalg.qr(self._rows(self.prior.quadratic(phi)[1], theta), mode="r")
         inverse = scipy.linalg.solve_triangular(factor, np.eye(len(factor)))
         return np.concatenate([phi, theta]), inverse @ inverse.T
 
     def objective(self, x: Array) -> float:
         """The objective at standard parameters and θ, shape (10 links + k,)."""
-        return float((self._misfit(x[: self.prior.size], x[self.prior.size :]) ** 2).sum())
+        return float(
+            (self._misfit(x[: self.prior.bodies.size], x[self.prior.bodies.size :]) ** 2).sum()
+        )
 
     def residual(self, numbers: Array) -> Array:
         """Of data, prior of the links, prior of the effects, at (π, θ)."""
@@ -343,29 +345,24 @@ class Descent:
 
     def jacobian(self, numbers: Array) -> Array:
         """Jacobian of the residual by (π, θ)."""
-        size = self.prior.size
-        J = self._rows(numbers[size:])
+        size = self.prior.bodies.size
+        phi, theta = self._split(numbers)
+        J = self._rows(self.prior.linearised(phi)[1], theta)
         blocks = [from_log_cholesky(each)[1] for each in numbers[:size].reshape(-1, 10)]
         return np.hstack([J[:, :size] @ scipy.linalg.block_diag(*blocks), J[:, size:]])
 
-    @cached_property
-    def _distance(self) -> Array:
-        """Rows whose squares are the distance to the prior, shape (10 links, 10 links)."""
-        weights = link_weights(len(self.prior), PRIOR_SIGMA)
-        return np.asarray(weights[:, None] * np.linalg.inv(link_coordinates(self.prior)), float)
-
     def _split(self, numbers: Array) -> tuple[Array, Array]:
         """Standard parameters and θ of (π, θ)."""
-        size = self.prior.size
+        size = self.prior.bodies.size
         phi = [from_log_cholesky(each)[0] for each in numbers[:size].reshape(-1, 10)]
         return np.concatenate(phi), numbers[size:]
 
     def _misfit(self, phi: Array, theta: Array) -> Array:
         data = self.R @ phi + self.torque(theta) - self.z
         known = (theta - self.known.mean) / self.known.std
-        return np.concatenate([data, self._distance @ (phi - self.prior.ravel()), known])
+        return np.concatenate([data, self.prior.residual(phi), known])
 
-    def _rows(self, theta: Array) -> Array:
-        """Jacobian of the residual by (φ, θ), shape (rows, p)."""
-        prior = scipy.linalg.block_diag(self._distance, np.diag(1 / self.known.std))
+    def _rows(self, slopes: Array, theta: Array) -> Array:
+        """Jacobian of the residual by (φ, θ), shape (rows, p), with that of the prior bodies."""
+        prior = scipy.linalg.block_diag(slopes, np.diag(1 / self.known.std))
         return np.vstack([np.hstack([self.R, self.slopes(theta)]), prior])

@@ -12,7 +12,7 @@ from estimators import Truth
 from excitant.identify import Recording
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.physical import PhysicalFit, fit_physical
-from excitant.identify.prior import EffectPrior, prior_parameters
+from excitant.identify.prior import BodyPrior, EffectPrior, prior_parameters
 from excitant.identify.rows import FitRows, fit_rows, split
 from excitant.robots import Array, Motion, Robot, base_parameters, load_robot
 from excitant.robots.effects import Effect, standard_effects
@@ -77,5 +77,5 @@ class Whitened:
 
     def fit(self, z: Array, knowledge: Knowledge | None = None, sigma: float = 1) -> PhysicalFit:
         return fit_physical(
-            self.R, z, self.prior, self.effects, sigma, knowledge=knowledge, links=self.robot.links
+            self.R, z, BodyPrior(self.prior, sigma), self.effects, knowledge, self.robot.links
         )

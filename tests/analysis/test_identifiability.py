@@ -21,7 +21,7 @@ from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Recording, identify_robot
 from excitant.identify.excitation import persistency
 from excitant.identify.physical import fit_physical
-from excitant.identify.prior import prior_parameters
+from excitant.identify.prior import BodyPrior, prior_parameters
 from excitant.identify.rows import fit_rows
 from excitant.reports.run import as_saved
 from excitant.robots import Motion, Robot, load_robot
@@ -405,18 +405,19 @@ def test_linear_theory_is_what_refits_give_away_from_limits() -> None:
     prior, R, base = prior_of(phi, NONE), np.zeros((10, 10)), np.eye(10)
     R[0] = 0.7 * np.linalg.inv(prior.L)[3]
     z = R @ phi.ravel()
-    reference = fit_physical(R, z, phi, NONE).x
+    reference = fit_physical(R, z, BodyPrior(phi), NONE).x
 
     def response(delta: np.ndarray) -> np.ndarray:
         moved = phi + delta.reshape(1, 10)
-        return fit_physical(R, z, moved, NONE, metric=phi).x - reference
+        return fit_physical(R, z, BodyPrior(moved, metric=phi), NONE).x - reference
 
     seen = uncertainty.MotionInformation(R, np.eye(10), np.zeros((0, 10)), np.ones(10))
     one, two = (
         prior_influence(seen, base, prior, phi.ravel(), np.random.default_rng(5), answer)
         for answer in (None, response)
     )
-    np.testing.assert_allclose(one.ratio, two.ratio, atol=1e-4, equal_nan=True)
+    # the entropic distance makes a large step of the prior count a little less
+    np.testing.assert_allclose(one.ratio, two.ratio, atol=0.01, equal_nan=True)
     assert np.nanmin(one.linear[1]) == pytest.approx(1 / (1 + 0.7**2), rel=1e-9)
     assert two.decided_by.count("physics") == 0
 

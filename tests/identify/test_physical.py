@@ -23,8 +23,9 @@ from excitant.identify.knowledge import (
     Quantity,
     load_knowledge,
 )
-from excitant.identify.physical import PhysicalFit, fit_physical
+from excitant.identify.physical import PhysicalFit, agreement, fit_physical
 from excitant.identify.prior import (
+    BodyPrior,
     follows,
     linear_influence,
     link_coordinates,
@@ -33,7 +34,7 @@ from excitant.identify.prior import (
 )
 from excitant.robots import Array, Robot, base_parameters, load_robot
 from excitant.robots.base_parameters import categories
-from excitant.robots.parameters import pseudo_inertia, violations
+from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia, violations
 from excitant.robots.virtual_arm import industrial_sensors
 
 KKT = 1e-8
@@ -45,11 +46,21 @@ def assert_optimal_and_consistent(fit: PhysicalFit, robot: Robot) -> None:
     assert violations(fit.x[: 10 * robot.nv], robot.links) == []
 
 
-def distance(prior: Array, x: Array) -> float:
-    """Distance to the prior as in the docstring, from φ alone."""
-    P0, P = pseudo_inertia(prior), pseudo_inertia(x.reshape(prior.shape))
-    L = np.linalg.inv(np.linalg.cholesky(P0))
-    return float(((L @ P @ L.swapaxes(1, 2) - np.eye(4)) ** 2).sum())
+def surprise(prior: Array, x: Array, sigma: float) -> float:
+    """−2 log p of bodies as in the docstring of the prior, from φ alone."""
+    total = 0.0
+    for given, found in zip(prior, x.reshape(prior.shape), strict=True):
+        P, Q = pseudo_inertia(given), pseudo_inertia(found)
+        mass, centre = P[3, 3], P[:3, 3] / P[3, 3]
+        r2 = (np.trace(P[:3, :3]) / mass - centre @ centre) / 3  # radius of gyration² an axis
+        frame = np.eye(4)
+        frame[:3, 3] = -centre
+        change = frame @ (Q - P) @ frame.T / mass
+        metric = np.diag([1 / r2] * 3 + [1.0])
+        total += np.trace(change @ metric @ change @ metric) / sigma**2
+        relative = np.linalg.solve(P, Q)
+        total += np.trace(relative) - np.log(np.linalg.det(relative)) - 4
+    return float(total)
 
 
 def assert_no_feasible_descent(
@@ -62,7 +73,7 @@ def assert_no_feasible_descent(
         """The docstring's objective, its bodies from φ alone."""
         bodies, theta = np.split(x, [arm.links])
         misfit = ((arm.R @ x - z) ** 2).sum() + (((theta - known.mean) / known.std) ** 2).sum()
-        return float(misfit + distance(arm.prior, bodies) / sigma**2)
+        return float(misfit + surprise(arm.prior, bodies, sigma))
 
     best, T = value(fit.x), link_coordinates(arm.prior)
     size = np.linalg.norm(np.linalg.solve(T, fit.x[: arm.links]))
@@ -107,12 +118,11 @@ def test_what_no_torque_shows_is_known_by_the_prior_alone() -> None:
     arm = Whitened("panda", 0.1, effects=False)
     base, prior = base_parameters(arm.robot), arm.prior
     fit = arm.fit(arm.R @ (1.2 * prior.ravel()))
-    T = np.linalg.inv(link_coordinates(prior)) * link_weights(arm.robot.nv, 1.0)[:, None]
-    expected = T @ (base.null_space / np.linalg.norm(T @ base.null_space, axis=0))
-    np.testing.assert_allclose(T @ fit.covariance @ T.T @ expected, expected, atol=1e-5)
+    slope, J = fit.prior.quadratic(fit.x)
+    expected = J @ (base.null_space / np.linalg.norm(J @ base.null_space, axis=0))
+    np.testing.assert_allclose(J @ fit.covariance @ J.T @ expected, expected, atol=1e-5)
     # and the data move nothing along it: the gradient of the prior vanishes there
-    step = T @ (fit.x - prior.ravel())
-    assert np.abs(expected.T @ step).max() <= 1e-5 * np.linalg.norm(step)
+    assert np.abs(expected.T @ slope).max() <= 1e-5 * np.linalg.norm(slope)
     # and no prior makes a parameter less certain than the data alone
     unique = [k for k, c in enumerate(categories(base)) if c == "unique"]
     assert set(unique) <= set(base.columns)
@@ -121,6 +131,45 @@ def test_what_no_torque_shows_is_known_by_the_prior_alone() -> None:
     assert unique
     assert all(fit.covariance[k, k] <= (1 + 1e-6) * std[k] ** 2 for k in unique)
     assert ((fit.prior_share >= 0) & (fit.prior_share <= 1)).all()
+
+
+@pytest.mark.parametrize("sigma", [0.1, 1.0])
+def test_residuals_of_the_prior_are_its_density(sigma: float) -> None:
+    arm, rng = Whitened("panda", 1.0), np.random.default_rng(0)
+    density = BodyPrior(arm.prior, sigma)
+    root = np.linalg.cholesky(pseudo_inertia(arm.prior))
+    spread = root @ (np.eye(4) + 0.3 * rng.standard_normal((7, 4, 4)))
+    phi = from_pseudo_inertia(spread @ spread.swapaxes(1, 2)).ravel()
+    value, J = density.linearised(phi)
+    assert value @ value == pytest.approx(surprise(arm.prior, phi, sigma), rel=1e-9)
+    # to first order both linearisations, to second order the quadratic one
+    slope, H = density.quadratic(phi)
+    np.testing.assert_allclose(2 * J.T @ value, 2 * H.T @ slope, rtol=1e-8, atol=1e-8)
+    draws = rng.standard_normal((7, 4, 4))
+    change = spread @ (draws + draws.swapaxes(1, 2)) @ spread.swapaxes(1, 2)
+    step = from_pseudo_inertia(1e-4 * change).ravel()
+    ahead, behind = (surprise(arm.prior, phi + sign * step, sigma) for sign in (1, -1))
+    assert ahead - behind == pytest.approx(4 * slope @ H @ step, rel=1e-4)
+    assert ahead + behind - 2 * value @ value == pytest.approx(2 * step @ H.T @ H @ step, rel=1e-2)
+
+
+@pytest.mark.parametrize("off", [0.1, 0.3, 1.0])
+def test_how_far_off_the_given_bodies_are_is_found(off: float) -> None:
+    """Bodies drawn from the prior itself: σ within what six links show of it."""
+    rng, found = np.random.default_rng(0), []
+    arm = Whitened("ur10", 0.1)
+    L = link_coordinates(arm.prior) * off / link_weights(6, 1.0)
+    for _ in range(30):
+        theta = rng.uniform(0, 3, len(arm.effects.mean))
+        x = np.concatenate([arm.prior.ravel() + L @ rng.standard_normal(60), theta])
+        found.append(agreement(arm.R, arm.R @ x + rng.standard_normal(len(arm.R)), arm.prior))
+    assert np.exp(np.log(found).mean()) == pytest.approx(off, rel=0.15)
+
+
+def test_a_description_is_right_to_five_per_cent_at_best() -> None:
+    arm = Whitened("ur10", 0.1)
+    x = np.concatenate([arm.prior.ravel(), arm.effects.mean])
+    assert agreement(arm.R, arm.R @ x, arm.prior) == pytest.approx(0.05, rel=0.01)
 
 
 def test_without_data_the_prior_is_the_answer() -> None:

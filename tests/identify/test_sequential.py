@@ -240,7 +240,8 @@ def test_command_writes_stages_and_comparison(
     for stage in found["stages"]:
         keys = {"link", "joint", "rows", "recordings", "determined", "missing", "needed", "mode"}
         assert keys <= stage.keys()
-    assert sum(len(stage["determined"]) for stage in found["stages"]) == 13
+    assert sum(len(stage["determined"]) for stage in found["stages"]) == 12
+    assert [name for stage in found["stages"] for name in stage["missing"]] == ["link2.Iyy"]
     for row, joint in zip(found["comparison"]["joints"], result["joints"], strict=True):
         assert row["link_by_link"] == joint["validate"]["rms"]
         assert row["given"] == joint["baseline"]["rms"]

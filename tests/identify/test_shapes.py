@@ -17,7 +17,7 @@ from excitant.identify import Recording, identify_robot
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import fit_physical
-from excitant.identify.prior import EffectPrior, prior_parameters
+from excitant.identify.prior import BodyPrior, EffectPrior, prior_parameters
 from excitant.identify.rows import FitRows
 from excitant.identify.shapes import (
     Descent,
@@ -159,7 +159,7 @@ def fitted(
 ) -> tuple[Array, Array]:
     """From the prior on to the minimum, with effects of these columns."""
     A = np.zeros((len(z), 0)) if column is None else column
-    problem = Descent(R, z, prior, known, lambda theta: A @ theta, lambda _: A)
+    problem = Descent(R, z, BodyPrior(prior), known, lambda theta: A @ theta, lambda _: A)
     return problem.fit(prior, known.mean, tolerance=1e-15)
 
 
@@ -169,7 +169,7 @@ def test_the_minimiser_is_that_of_the_semidefinite_fit(name: str) -> None:
     prior = np.array([isotropic(values) for values in arm.prior])
     truth = (prior * rng.uniform(0.9, 1.1, (len(prior), 1))).ravel()
     z = arm.R @ truth + rng.standard_normal(len(arm.R))
-    convex = fit_physical(arm.R, z, prior, NONE)
+    convex = fit_physical(arm.R, z, BodyPrior(prior), NONE)
     Q = np.linalg.solve(pseudo_inertia(prior), pseudo_inertia(convex.x.reshape(-1, 10)))
     assert np.linalg.eigvals(Q).real.min() > 1e-2  # no constraint is near
     x, covariance = fitted(arm.R, z, prior)
