@@ -35,7 +35,7 @@ from excitant.robots.robot import Robot
 
 _SHARE = 0.05  # of the arm's mass: the payload expected
 _RADIUS = 0.1  # m: its radius of gyration about each axis
-_OPEN = 10.0  # relative uncertainty of that expectation: nothing is known
+_OPEN = 100.0  # relative uncertainty of that expectation: nothing is known
 _MASS_GOAL, _CENTRE_GOAL = 0.02, 0.003  # relative, m
 _CERTAIN = 2.0  # standard deviations
 _MODEL_ERROR = 0.01  # of a given model, where neither recording nor estimate says better
@@ -183,7 +183,7 @@ def estimate_payload(
     tip = list(robot.model.frames)[robot.tip].placement.translation
     ball = pin.Inertia(mass, tip, 2 * mass * _RADIUS**2 * np.eye(3)).toDynamicParameters()
     nothing = EffectPrior(np.zeros(0), np.zeros(0), np.zeros(0))
-    fit = fit_physical(about.R, about.z, BodyPrior(ball[None], _OPEN, draws=0.0), nothing)
+    fit = fit_physical(about.R, about.z, BodyPrior(ball[None], _OPEN), nothing)
     return PayloadEstimate(robot.links[-1], fit)
 
 

@@ -148,8 +148,6 @@ class _Problem:
         phi = T @ y[: len(T)]
         residual, jacobian = self.bodies.quadratic(phi)
         J = jacobian @ T
-        # the entropic distance keeps bodies possible; a step only shrinks them by so much
-        near = (phi, _SHRINKING) if self.bodies.draws else (self.bodies.bodies, _MARGIN)
         return Program(
             A=self.A,
             z=self.z,
@@ -157,7 +155,7 @@ class _Problem:
             d=np.concatenate(
                 [J @ y[: len(T)] - residual, self.d, self.effects.mean / self.effects.std]
             ),
-            restrictions=(*_possible(*near, T, len(y)), *self.restrictions),
+            restrictions=(*_possible(phi, _SHRINKING, T, len(y)), *self.restrictions),
         )
 
     def objective(self, y: Array) -> float:

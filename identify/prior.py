@@ -10,8 +10,9 @@ along a thin link and across it. The density of the prior is
     −2 log p(P) = Σ_k ‖Q_k − Q̄_k‖_F² / σ² + 2 n KL(P_k ‖ P̄_k),
 
 with the entropic distance 2 KL = tr(P̄⁻¹ P) − log det(P̄⁻¹ P) − 4 (of normal distributions), by which
-no body collapses: it grows without bound as P becomes singular. Its weight is that of one
-draw, n = 1: n draws from P̄ look like draws from P with probability exp(−n KL) (Sanov's theorem).
+no body collapses: it grows without bound as P becomes singular. Its weight is that of one draw,
+n = 1, for n draws from P̄ look like draws from P with probability exp(−n KL) (Sanov's theorem); or
+n = 1 / σ² where σ > 1, so that it never says more than σ does.
 
 Rule for entries: the prior x = x̄ + L w, w of unit variance, is moved where the data are silent (the
 null space of R L), along what they show worst, and at random. An entry is the prior's when it
@@ -120,18 +121,22 @@ class BodyPrior:
         bodies: Standard parameters P̄ of the given bodies, consistent, shape (links, 10).
         sigma: Relative uncertainty σ, for all links or for each.
         metric: Bodies that σ is relative to, shape (links, 10); the given ones if None.
-        draws: Weight of the entropic distance; 0 where a link may have next to no mass.
     """
 
     bodies: Array
     sigma: float | Array = PRIOR_SIGMA
     metric: Array | None = None
-    draws: float = 1.0
 
     @cached_property
     def T(self) -> Array:
         """Map of coordinates, φ = T y, shape (10 links, 10 links)."""
         return link_coordinates(self.bodies if self.metric is None else self.metric)
+
+    @cached_property
+    def _draws(self) -> Array:
+        """Weight n of the entropic distance, square root, shape (links,)."""
+        sigma = np.broadcast_to(np.asarray(self.sigma, float), (len(self.bodies),))
+        return np.minimum(1.0, 1 / sigma)
 
     @cached_property
     def _distance(self) -> Array:
@@ -153,8 +158,8 @@ class BodyPrior:
         Σ_(i>j) G_ij² + Σ_i (G_ii² − 2 log G_ii − 1).
         """
         values, slopes = [self._distance @ (phi - self.bodies.ravel())], list[Array]()
-        weight = np.sqrt(self.draws)
-        for body, C in zip(pseudo_inertia(phi.reshape(-1, 10)), self._roots, strict=True):
+        relative = zip(pseudo_inertia(phi.reshape(-1, 10)), self._roots, self._draws, strict=True)
+        for body, C, weight in relative:
             G = np.linalg.cholesky(C @ body @ C.T)
             inverse = np.linalg.solve(G, C)
             # G changes by G Φ(G⁻¹ dQ G⁻ᵀ), Φ the lower triangle with half of the diagonal
@@ -171,11 +176,11 @@ class BodyPrior:
 
     def quadratic(self, phi: Array) -> tuple[Array, Array]:
         """Rows J and r, ‖r + J dφ‖² + constant being −2 log p to second order; as `linearised`."""
-        scale = np.sqrt(self.draws / 2)
+        scale = self._draws[:, None] / np.sqrt(2)
         relative = self._roots @ np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10)))
         beyond = relative.swapaxes(1, 2) @ relative - np.eye(4)
         values = scale * NORMS * beyond[:, *UPPER]
-        blocks = scipy.linalg.block_diag(*(scale * relative_rows(phi)))
+        blocks = scipy.linalg.block_diag(*(scale[:, :, None] * relative_rows(phi)))
         distance = self._distance @ (phi - self.bodies.ravel())
         return np.concatenate([distance, values.ravel()]), np.vstack([self._distance, blocks])
 

@@ -110,7 +110,7 @@ def test_effects_of_torque_take_it_from_the_identified_arm(
     fits = [identify_robot(r, two[:1], validate=two[1:], effects=effects) for r in (planar, heavy)]
     near, far = (fit.model.effects[4].values for fit in fits)
     np.testing.assert_allclose(near, far, atol=0.02)  # the prior still differs
-    np.testing.assert_allclose(fits[0].validate.nrmse, fits[1].validate.nrmse, rtol=0.05)
+    np.testing.assert_allclose(fits[0].validate.nrmse, fits[1].validate.nrmse, rtol=0.15)
 
 
 def test_the_command_chooses_effects(

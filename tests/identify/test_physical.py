@@ -59,7 +59,8 @@ def surprise(prior: Array, x: Array, sigma: float) -> float:
         metric = np.diag([1 / r2] * 3 + [1.0])
         total += np.trace(change @ metric @ change @ metric) / sigma**2
         relative = np.linalg.solve(P, Q)
-        total += np.trace(relative) - np.log(np.linalg.det(relative)) - 4
+        entropy = np.trace(relative) - np.log(np.linalg.det(relative)) - 4
+        total += min(1, 1 / sigma**2) * entropy
     return float(total)
 
 
@@ -133,7 +134,7 @@ def test_what_no_torque_shows_is_known_by_the_prior_alone() -> None:
     assert ((fit.prior_share >= 0) & (fit.prior_share <= 1)).all()
 
 
-@pytest.mark.parametrize("sigma", [0.1, 1.0])
+@pytest.mark.parametrize("sigma", [0.1, 1.0, 3.0])
 def test_residuals_of_the_prior_are_its_density(sigma: float) -> None:
     arm, rng = Whitened("panda", 1.0), np.random.default_rng(0)
     density = BodyPrior(arm.prior, sigma)
