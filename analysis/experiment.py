@@ -26,16 +26,17 @@ from excitant.analysis.uncertainty import (
 )
 from excitant.exceptions import BadRobot
 from excitant.identify.estimate import Estimate, judged
+from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import fit_physical
 from excitant.identify.prior import (
-    DOMINATED,
     KINDS,
     PRIOR_SIGMA,
     UNSEEN,
     WEAKEST,
     BodyPrior,
     EffectPrior,
+    decided_by,
     follows,
     prior_parameters,
     reached,
@@ -126,14 +127,14 @@ class PriorInfluence:
 
     @property
     def decided_by(self) -> tuple[str, ...]:
-        """Source of each parameter: ``data``, ``prior``, or ``physics`` in place of the prior.
+        """Source of each parameter: ``data``, ``prior``, ``both``, or ``physics`` for the prior.
 
-        There the body is at the limit of physical consistency, and stays so for any prior.
+        There the body is at the limit of what is possible, and stays so for any prior.
         """
-        free = follows(self.linear, self.reach)
+        free = decided_by(follows(self.linear, self.reach))
         return tuple(
-            "prior" if bound > DOMINATED else "physics" if loose > DOMINATED else "data"
-            for bound, loose in zip(self.overall, free, strict=True)
+            "physics" if loose == "prior" != bound else bound
+            for bound, loose in zip(decided_by(self.overall), free, strict=True)
         )
 
 
@@ -339,8 +340,10 @@ def identify_shown(
     rows = _clean(fit_rows(robot, effects, shown_base(column_names(robot, effects), W), data))
     fit = weighted_least_squares(rows.reduced)
     R, z = rows.regression.factor(fit.weight)
-    physical = fit_physical(R, z, prior, rows.open_prior)
-    return judged(robot, rows, fit, physical, (data.holdout,))
+    known = Knowledge().of(robot)
+    physical = fit_physical(R, z, prior, rows.open_prior, known, robot.links)
+    found = judged(robot, rows, fit, physical, (data.holdout,))
+    return replace(found, knowledge=known)
 
 
 def _clean(rows: FitRows) -> FitRows:

@@ -22,8 +22,8 @@ from excitant.identify.least_squares import (
     essential_parameters,
     weighted_least_squares,
 )
-from excitant.identify.physical import PhysicalFit, fit_physical
-from excitant.identify.prior import DOMINATED, prior_parameters
+from excitant.identify.physical import PhysicalFit, centre_of_mass, fit_physical
+from excitant.identify.prior import decided_by, prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import (
@@ -50,7 +50,60 @@ LEVEL = 0.95
 _FEWEST = 3.0  # degrees of freedom, below which no noise is known
 _MOST = 0.5  # of the residual's variance that is given back
 _FAR, _CERTAIN = 0.02, 2.0  # share of samples and standard deviations that chance is allowed
+_HALF = 0.5  # of a mass or a length: so large a change is named
+_SLIGHT = 0.01  # m: a smaller one is not
+_BY = ("data", "both", "prior")
+_WHO = {
+    "data": "by the data",
+    "both": "between data and prior",
+    "prior": "as shared out by the prior",
+}
 _ROUNDS = 2  # until the torque that columns hold is that of the identified arm
+
+
+@dataclass(frozen=True, eq=False)
+class BodyChange:
+    """Mass and centre of mass of a link, given and identified, in its joint's frame."""
+
+    link: str
+    given_mass: float  # [kg]
+    mass: float  # [kg]
+    mass_std: float  # [kg]
+    mass_by: str  # data, prior or both
+    given_centre: Array  # shape (3,) [m]
+    centre: Array  # shape (3,) [m]
+    centre_std: Array  # shape (3,) [m]
+    centre_by: str
+    length: float  # from its joint to the next or to its given centre of mass, the longer [m]
+
+    @property
+    def moved(self) -> str:
+        """What moved by half of the given mass or of the link's length, in words; empty if not."""
+        said, shift = [], self.centre - self.given_centre
+        size = float(np.linalg.norm(shift))
+        if abs(self.mass - self.given_mass) >= _HALF * self.given_mass:
+            said.append(
+                f"mass {self.given_mass:.3g} → {self.mass:.3g} ± {self.mass_std:.2g} kg "
+                f"({_WHO[self.mass_by]})"
+            )
+        if size >= max(_HALF * self.length, _SLIGHT):
+            std = float(np.linalg.norm(self.centre_std * shift) / size)
+            said.append(
+                f"centre of mass by {1e3 * size:.3g} ± {1e3 * std:.2g} mm ({_WHO[self.centre_by]})"
+            )
+        return f"{self.link}: {' and '.join(said)}" if said else ""
+
+    def entry(self) -> dict[str, Any]:
+        """Its entry in ``result.json``."""
+        mass = {"given": self.given_mass, "value": self.mass, "std": self.mass_std}
+        centre = {"given": self.given_centre, "value": self.centre, "std": self.centre_std}
+        lists = {name: values.tolist() for name, values in centre.items()}
+        return {
+            "link": self.link,
+            "mass": mass | {"decided_by": self.mass_by},
+            "centre": lists | {"decided_by": self.centre_by},
+            "moved": self.moved or None,
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +219,8 @@ class Estimate:
                 }
                 for j, joint in enumerate(robot.joints)
             ],
+            "links": [body.entry() for body in self.bodies],
+            "prior_sigma": self._sigma.tolist(),
             "parameters": self._parameters(),
             "base_parameters": [
                 {
@@ -185,6 +240,7 @@ class Estimate:
             "knowledge": self.knowledge.entry(),
             "notes": [
                 *self.notes,
+                *self._moved(),
                 *([self.knowledge.sentence] if self.knowledge.sentence else []),
                 *_missed(robot.joints, held),
             ],
@@ -218,6 +274,25 @@ class Estimate:
             part.replace(file)
         return written
 
+    @cached_property
+    def bodies(self) -> tuple[BodyChange, ...]:
+        """Masses and centres of mass of the links, given and identified."""
+        model, covariance, changes = self.given.model, self.physical.covariance, []
+        who, places = decided_by(self.physical.influence), list(model.jointPlacements)
+        for k, (link, body) in enumerate(
+            zip(self.given.links, list(model.inertias)[1:], strict=True)
+        ):
+            at = slice(10 * k, 10 * k + 10)
+            centre, std = centre_of_mass(self.phi[at], covariance[at, at])
+            ends = [np.array(body.lever), *(place.translation for place in places[k + 2 : k + 3])]
+            radius = np.sqrt(np.trace(body.inertia) / 2 / body.mass)
+            length = max(radius, *(np.linalg.norm(end) for end in ends))
+            mass = float(self.phi[10 * k]), float(np.sqrt(covariance[10 * k, 10 * k])), who[10 * k]
+            by = max(who[10 * k + 1 : 10 * k + 4], key=_BY.index)
+            change = body.mass, *mass, ends[0], centre, std, by, float(length)
+            changes.append(BodyChange(link, *change))
+        return tuple(changes)
+
     def _essential(self) -> dict[str, Any]:
         """The fewest base parameters, and their accuracy on the hold-out (median over joints)."""
         essential = essential_parameters(self.least_squares.beta, self.least_squares.covariance)
@@ -234,6 +309,23 @@ class Estimate:
             "nrmse_essential": few,
         }
 
+    @property
+    def _sigma(self) -> Array:
+        """Relative uncertainty of each given link, shape (links,)."""
+        return np.broadcast_to(np.asarray(self.physical.prior.sigma), (self.given.nv,))
+
+    def _moved(self) -> list[str]:
+        """Sentences on how far the given bodies agree with the data, and which moved by half."""
+        sigma, tool = self._sigma[0], self._sigma[-1]
+        last = f" ({self.given.links[-1]}: {tool:.0%})" if tool != sigma else ""
+        found = [
+            f"the given bodies are off by about {sigma:.0%}{last} where the recordings see them; "
+            "as much is allowed for where they do not"
+        ]
+        if moved := "; ".join(body.moved for body in self.bodies if body.moved):
+            found.append(f"moved by half or more against the given model: {moved}")
+        return found
+
     def _parameters(self) -> list[dict[str, Any]]:
         robot, physical = self.given, self.physical
         effects = [p for e in self.model.effects for p in e.parameters(robot)]
@@ -241,7 +333,7 @@ class Estimate:
         owners = [link for link in robot.links for _ in UNITS]
         owners += [p.name.rpartition(".")[0] for p in effects]
         given = [*self.prior, *(None,) * len(effects)]
-        std = np.sqrt(np.diag(physical.covariance))
+        std, who = np.sqrt(np.diag(physical.covariance)), decided_by(physical.influence)
         return [
             {
                 "name": self.base.names[k],
@@ -251,8 +343,8 @@ class Estimate:
                 "unit": units[k],
                 "category": category,
                 "prior": None if given[k] is None else float(given[k]),
-                "prior_dominated": category == "unidentifiable"
-                or bool(physical.influence[k] > DOMINATED),
+                "prior_dominated": category == "unidentifiable" or who[k] == "prior",
+                "decided_by": "prior" if category == "unidentifiable" else who[k],
             }
             for k, category in enumerate(categories(self.base))
         ]
@@ -304,7 +396,7 @@ def identify_robot(
     """
     if estimator not in ESTIMATORS:
         raise UnknownName("estimator", estimator, ESTIMATORS)
-    prior, known = prior_parameters(robot), knowledge or Knowledge()
+    prior, known = prior_parameters(robot), (knowledge or Knowledge()).of(robot)
     warn_of_faults(robot, recordings)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     data = split(recordings, validate, cutoff_hz, harmonics_hz)

@@ -12,8 +12,10 @@ import numpy as np
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify.semidefinite import Restriction
+from excitant.robots.geometry import centre_regions
 from excitant.robots.motion import Array
 from excitant.robots.parameters import PSEUDO_INERTIA_BASIS
+from excitant.robots.robot import Robot
 from excitant.robots.schema import Positive, Record, Three, convert, read_yaml
 
 
@@ -69,6 +71,11 @@ class LinkKnowledge(Record, frozen=True, omit_defaults=True):
     com_ellipsoid: Ellipsoid | None = None
     body_ellipsoid: Ellipsoid | None = None
 
+    @property
+    def regions(self) -> list[str]:
+        """Names of the regions known."""
+        return [key for key in self.__struct_fields__[1:] if getattr(self, key) is not None]
+
 
 class _File(Record, frozen=True):
     total_mass: Positive | Quantity | None = None
@@ -83,11 +90,21 @@ class Knowledge:
         total_mass: Mass of all moving links together, the base not counted [kg].
         links: What is known of links, by name.
         source: File it was read from.
+        regions: Where the centres of mass of other links lie, by their geometry.
     """
 
     total_mass: float | Quantity | None = None
     links: Mapping[str, LinkKnowledge] = field(default_factory=dict)
     source: str = "knowledge"
+    regions: Mapping[str, Box] = field(default_factory=dict)
+
+    def of(self, robot: Robot) -> Knowledge:
+        """The same, with the geometry of a robot's links."""
+        boxes = centre_regions(robot).items()
+        regions = {
+            name: Box(tuple(low.tolist()), tuple(high.tolist())) for name, (low, high) in boxes
+        }
+        return replace(self, regions=regions)
 
     @property
     def masses(self) -> dict[str, Quantity]:
@@ -107,8 +124,7 @@ class Knowledge:
         said = [f"total mass {masses['total_mass']} kg"] if "total_mass" in masses else []
         for name, link in self.links.items():
             mass = [f"mass {masses[f'mass of {name}']} kg"] if link.mass is not None else []
-            regions = [key for key in link.__struct_fields__[1:] if getattr(link, key) is not None]
-            said.append(f"{name}: {', '.join([*mass, *regions])}")
+            said.append(f"{name}: {', '.join([*mass, *link.regions])}")
         return f"taken for known from {self.source}: {'; '.join(said)}" if said else ""
 
     def entry(self) -> dict[str, Any]:
@@ -168,7 +184,12 @@ def known_rows(
         else:
             what = f"{name} = {mass.value:g} kg"
             restrictions.append(Restriction("zero", row, np.array([mass.value]), what))
-    for name, known in knowledge.links.items():
+    regions = [
+        (name, LinkKnowledge(com_box=box))
+        for name, box in knowledge.regions.items()
+        if name not in knowledge.links or not knowledge.links[name].regions
+    ]
+    for name, known in (*regions, *knowledge.links.items()):
         place = np.eye(p)[10 * links.index(name) :][:10]
         restrictions += [replace(each, G=each.G @ place) for each in _regions(known, name)]
     return np.vstack(rows), np.concatenate(values), restrictions

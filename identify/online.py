@@ -24,6 +24,7 @@ from excitant.identify.differentiators import LocalPolynomial, causal_polynomial
 from excitant.identify.estimate import Estimate, judged
 from excitant.identify.excitation import ROWS_PER_SECOND, WindowExcitation, excitation_judge
 from excitant.identify.information import Information, InformationFilter, combined
+from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, autocorrelation_time
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Mask, dry_joints, resampled, uninterrupted
@@ -444,7 +445,8 @@ def identify_online(
         looks.append(monitor.look())
     fit = looks[-1].estimate
     R, z = fit.data.R @ base.regrouping, fit.data.z
-    physical = fit_physical(R, z, prior_parameters(robot), rows.open_prior)
+    known = Knowledge().of(robot)
+    physical = fit_physical(R, z, prior_parameters(robot), rows.open_prior, known, robot.links)
     estimate = judged(robot, rows, fit, physical, (data.holdout, why))
     messages = tuple(monitor.messages)
     return OnlineIdentification(estimate, tuple(looks), messages, estimator.delay, why)

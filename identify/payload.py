@@ -22,7 +22,7 @@ from excitant.exceptions import BadInput
 from excitant.identify.drive_gains import DriveGains, KnownPayload, payload_gains
 from excitant.identify.information import Information, gaussian, information_of
 from excitant.identify.online import replayable
-from excitant.identify.physical import PhysicalFit, fit_physical
+from excitant.identify.physical import PhysicalFit, centre_of_mass, fit_physical
 from excitant.identify.prior import BodyPrior, EffectPrior, base_prior
 from excitant.identify.recording import Recording
 from excitant.identify.regression import regression_of
@@ -37,6 +37,7 @@ _SHARE = 0.05  # of the arm's mass: the payload expected
 _RADIUS = 0.1  # m: its radius of gyration about each axis
 _OPEN = 100.0  # relative uncertainty of that expectation: nothing is known
 _MASS_GOAL, _CENTRE_GOAL = 0.02, 0.003  # relative, m
+_SEEN = 3.0  # standard deviations: a body that is possible only with mass is some above zero
 _CERTAIN = 2.0  # standard deviations
 _MODEL_ERROR = 0.01  # of a given model, where neither recording nor estimate says better
 _CURRENT = (
@@ -67,13 +68,12 @@ class PayloadEstimate:
     @property
     def centre(self) -> Array:
         """Centre of mass in the joint frame, shape (3,) [m]."""
-        return np.asarray(self.phi[1:4] / self.mass, float)
+        return centre_of_mass(self.phi, self.fit.covariance)[0]
 
     @property
     def centre_std(self) -> Array:
         """Standard deviation of the centre of mass, shape (3,) [m]."""
-        J = np.column_stack([-self.centre, np.eye(3)]) / self.mass
-        return np.asarray(np.sqrt(np.diag(J @ self.fit.covariance[:4, :4] @ J.T)), float)
+        return centre_of_mass(self.phi, self.fit.covariance)[1]
 
     @property
     def std(self) -> Array:
@@ -84,7 +84,7 @@ class PayloadEstimate:
     def shortcomings(self) -> tuple[str, ...]:
         """Reason for uncertainty above 2 % or 3 mm at 95 % confidence; empty below."""
         spread, centre = _CERTAIN * float(self.std[0]), _CERTAIN * self.centre_std
-        if spread >= self.mass:
+        if self.mass < _SEEN * float(self.std[0]):
             return (f"no payload is seen: {self.mass:.2g} kg, give or take {spread:.2g} kg",)
         found = []
         if spread > _MASS_GOAL * self.mass:

@@ -44,6 +44,8 @@ from excitant.robots.motion import Array, freeze, read_only
 SIGMAS = 0.05, 10.0
 """Least and largest relative uncertainty of given bodies; ±100 kg for 10 kg is as good as none."""
 _GRID = 40  # values of σ, evenly spread by logarithm
+_ALTERNATIONS = 5  # between the σ of the last link and that of the others
+_CHANCE = 0.05
 _STEPS = 60  # of Newton's method
 _SHORTEST = 1e-6  # share of a step
 _SHRINKING = 0.1  # in one step
@@ -88,6 +90,13 @@ class PhysicalFit:
         return read_only(linear_influence(self.R, self.root, self.x, len(self.prior.bodies)))
 
 
+def centre_of_mass(phi: Array, covariance: Array) -> tuple[Array, Array]:
+    """Centre of mass of a link and its standard deviation, both (3,) [m]; φ (10,), C (10, 10)."""
+    centre = phi[1:4] / phi[0]
+    J = np.column_stack([-centre, np.eye(3)]) / phi[0]
+    return centre, np.sqrt(np.diag(J @ covariance[:4, :4] @ J.T))
+
+
 def fit_physical(
     R: Array,
     z: Array,
@@ -120,7 +129,7 @@ def fit_physical(
     units = np.sqrt(len(R) / ((R[:, len(given) :] ** 2).sum(axis=0) + effects.std**-2.0))
     scale = scipy.linalg.block_diag(prior.T, np.diag(units))
     centre = np.concatenate([np.linalg.solve(prior.T, given), effects.mean / units])
-    C, d, restrictions = _known(knowledge, names, prior, effects.lower / units)
+    C, d, restrictions = _known(knowledge, names, prior, effects.lower / units, centre)
     problem = _Problem(R @ scale, z, C, d, restrictions, prior, effects, units)
     y, multipliers = problem.solve(centre)
     program = problem.near(y)
@@ -194,31 +203,49 @@ class _Problem:
         return y, found.multipliers
 
 
-def agreement(R: Array, z: Array, prior: Array) -> float:
-    """Relative uncertainty σ of the given bodies under which the data are most likely.
+def agreement(R: Array, z: Array, prior: Array) -> Array:
+    """Relative uncertainty σ of each given body under which the data are most likely, (links,).
 
     Data z = R x + ε, ε of unit variance, with bodies normal around the prior and nothing known of
-    effects, have the covariance 1 + σ² K in what no effect explains; σ maximises their likelihood
-    (type II maximum likelihood, MacKay 1992): it is how far off the given bodies are where the
-    data see them. No description is taken to be right to better than `SIGMAS[0]`. Shapes as in
-    `fit_physical`.
+    effects, have the covariance 1 + Σ_k σ_k² K_k in what no effect explains; σ maximises their
+    likelihood (type II maximum likelihood, MacKay 1992): it is how far off the given bodies are
+    where the data see them. All links have one σ; the last, which carries tools that descriptions
+    lack, has one of its own where that is significant. No description is taken to be right to
+    better than `SIGMAS[0]`. Shapes as in `fit_physical`.
     """
-    p, T = R.shape[1], link_coordinates(prior)
+    p, T, links = R.shape[1], link_coordinates(prior), len(prior)
     both = np.asarray(np.linalg.qr(np.column_stack([R, z]), mode="r"), float)[:p]
     free = scipy.linalg.null_space(both[:, len(T) : p].T).T
-    K = free @ both[:, : len(T)] @ T / link_weights(len(prior), 1.0)
-    U, s, _ = np.linalg.svd(K, full_matrices=False)
-    seen = (U.T @ free @ (both[:, p] - both[:, : len(T)] @ prior.ravel())) ** 2
+    columns = free @ both[:, : len(T)] @ T / link_weights(links, 1.0)
+    left = free @ (both[:, p] - both[:, : len(T)] @ prior.ravel())
 
-    def surprise(log_sigma: float) -> float:
-        variance = 1 + (np.exp(log_sigma) * s) ** 2
-        return float((np.log(variance) + seen / variance).sum())
+    def most_likely(block: Array, covariance: Array) -> tuple[float, float]:
+        """σ of a block of columns beside a covariance, and −2 log likelihood."""
+        root = np.linalg.cholesky(covariance)
+        U, s, _ = np.linalg.svd(scipy.linalg.solve_triangular(root, block, lower=True))
+        power = np.pad(s, (0, len(U) - len(s)))
+        seen = (U.T @ scipy.linalg.solve_triangular(root, left, lower=True)) ** 2
 
-    grid = np.log(np.geomspace(*SIGMAS, _GRID))
-    k = int(np.argmin([surprise(x) for x in grid]))
-    ends = grid[max(k - 1, 0)], grid[min(k + 1, _GRID - 1)]
-    found = scipy.optimize.minimize_scalar(surprise, bounds=ends, method="bounded")
-    return float(np.exp(found.x))
+        def surprise(log_sigma: float) -> float:
+            variance = 1 + (np.exp(log_sigma) * power) ** 2
+            return float((np.log(variance) + seen / variance).sum())
+
+        grid = np.log(np.geomspace(*SIGMAS, _GRID))
+        k = int(np.argmin([surprise(x) for x in grid]))
+        ends = grid[max(k - 1, 0)], grid[min(k + 1, _GRID - 1)]
+        found = scipy.optimize.minimize_scalar(surprise, bounds=ends, method="bounded")
+        return float(np.exp(found.x)), float(found.fun) + 2 * float(np.log(np.diag(root)).sum())
+
+    white = np.eye(len(left))
+    inner, last = columns[:, : 10 * (links - 1)], columns[:, 10 * (links - 1) :]
+    common, alike = most_likely(columns, white)
+    sigma, tool, apart = common, common, np.inf
+    for _ in range(_ALTERNATIONS if links > 1 else 0):
+        tool, _ = most_likely(last, white + sigma**2 * inner @ inner.T)
+        sigma, apart = most_likely(inner, white + tool**2 * last @ last.T)
+    if alike - apart < scipy.special.chdtri(1, _CHANCE):
+        sigma = tool = common
+    return np.append(np.full(links - 1, sigma), tool)
 
 
 def _possible(phi: Array, margin: float, T: Array, p: int) -> tuple[Restriction, ...]:
@@ -229,7 +256,7 @@ def _possible(phi: Array, margin: float, T: Array, p: int) -> tuple[Restriction,
 
 
 def _known(
-    knowledge: Knowledge, links: Sequence[str], prior: BodyPrior, lower: Array
+    knowledge: Knowledge, links: Sequence[str], prior: BodyPrior, lower: Array, centre: Array
 ) -> tuple[Array, Array, tuple[Restriction, ...]]:
     """Rows C y ≈ d of unit noise about the links' coordinates, and what all of y must satisfy."""
     C, d, known = known_rows(knowledge, links)
@@ -239,8 +266,9 @@ def _known(
     if bounded.any():
         signs = np.eye(p)[len(T) :][bounded]
         restrictions.insert(0, Restriction("nonnegative", signs, lower[bounded]))
+    doubtful = any(each.violation(centre) > 0 for each in restrictions)
     bodies = _possible(prior.bodies, _MARGIN, T, p)
-    names = contradiction((*bodies, *restrictions)) if known else ()
+    names = contradiction((*bodies, *restrictions)) if known and doubtful else ()
     if names:
         what = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
         together = "contradict each other" if len(names) > 1 else "cannot be"

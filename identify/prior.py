@@ -63,6 +63,7 @@ _RANGE = 0.9  # share of the position limits
 
 KINDS = ("null space", "weakly seen", "random")
 DOMINATED = 0.5  # influence from which an entry counts as the prior's
+SHARED = 0.1  # from which it lies between data and prior
 WEAKEST = 4  # directions seen worst, of all seen
 UNSEEN = 1e-9  # singular value relative to the largest, up to which a direction is not seen
 _MATERIAL = 0.25  # of an entry's uncertainty: less means a move of less than 5 % of the entry
@@ -278,6 +279,13 @@ def follows(ratio: Array, reach: Array) -> Array:
     """
     counted = np.where((reach >= _MATERIAL) & np.isfinite(ratio), ratio, 0.0)
     return np.asarray(np.clip(counted.max(axis=0), 0.0, 1.0), float)
+
+
+def decided_by(influence: Array) -> tuple[str, ...]:
+    """Who decided entries that follow the prior by 0 to 1: data, prior, or both together, (p,)."""
+    return tuple(
+        "prior" if each > DOMINATED else "both" if each > SHARED else "data" for each in influence
+    )
 
 
 def reached(L: Array, directions: Array, x: Array, links: int) -> Array:

@@ -37,6 +37,7 @@ from excitant.exceptions import RankDeficient
 from excitant.identify.drive_gains import current_gains
 from excitant.identify.estimate import Estimate, identify_robot, judged, notes_on
 from excitant.identify.information import Information, gaussian, square_root
+from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import (
     JointRows,
     LeastSquares,
@@ -353,7 +354,8 @@ def identify_link_by_link(
     noise, inflation = np.array([(stage.noise, stage.inflation) for stage in reversed(stages)]).T
     fit = LeastSquares(cascade.beta, cascade.covariance, noise, inflation)
     known = cascade.information()
-    physical = fit_physical(known.R @ rows.base.regrouping, known.z, prior, rows.open_prior)
+    about: Any = (prior, rows.open_prior, Knowledge().of(robot), robot.links)
+    physical = fit_physical(known.R @ rows.base.regrouping, known.z, *about)
     estimate = judged(robot, rows, fit, physical, _notes(rows, stages, prior))
     try:
         whole = identify_robot(
@@ -364,7 +366,7 @@ def identify_link_by_link(
         refusal = str(error)
         weight = replace(fit, sigma=np.where(np.isfinite(noise), noise, np.inf)).weight
         R, z = rows.regression.counting(rows.used).factor(weight)
-        whole = judged(robot, rows, fit, fit_physical(R, z, prior, rows.open_prior), ())
+        whole = judged(robot, rows, fit, fit_physical(R, z, *about), ())
     return LinkByLink(estimate, cascade, stages, whole, refusal)
 
 

@@ -13,11 +13,6 @@ from excitant.robots.parameters import STANDARD
 
 _TONES = {"well": p.GOOD, "roughly": p.FAIR, "negligible": p.GOOD}
 _TONES |= {"hardly": p.POOR, "not shown": p.POOR}
-_DECIDES = {
-    "data": ("data", p.GOOD),
-    "prior": ("prior", p.POOR),
-    "physics": ("limit of physics", p.FAIR),
-}
 _CATEGORY = {
     "unique": ("by\u00a0itself", p.GOOD),
     "combined": ("in\u00a0combination", p.FAIR),
@@ -235,7 +230,7 @@ def _parameters(link: Result) -> p.Table | None:
     influence = any(v.real(row, "prior_influence") is not None for row in rows)
     said = "Inertia about the joint's frame; friction, offset and rotor inertia of its joint."
     if motion:
-        said += " The prior of ±100\u00a0% of the link is counted in the standard deviation."
+        said += " The prior of the link is counted in the standard deviation."
     if influence:
         said += (
             " Follows prior: how far the value moves when its prior is moved, from 0, the data "
@@ -245,7 +240,7 @@ def _parameters(link: Result) -> p.Table | None:
 
     def decided(row: Result) -> p.Cell:
         hidden = v.text(row, "category") == "unidentifiable"
-        return p.Cell(*_DECIDES.get("prior" if hidden else v.text(row, "decided_by"), (NONE,)))
+        return p.decided("prior" if hidden else v.text(row, "decided_by"))
 
     return p.table(
         rows,

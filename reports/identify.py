@@ -51,6 +51,7 @@ def identify_section(result: Result, series: Series) -> p.Section:
             ("Notes on the fit", [None if few else p.notes(said)]),
             *_online(result, series),
             ("Base parameters", _base_parameters(result)),
+            ("Links", [_bodies(result)]),
             ("Standard parameters", [_parameter_table(result)]),
             ("Physical consistency", [_physical(result)]),
             ("Files", [p.files(v.words(result, "files"))]),
@@ -60,6 +61,7 @@ def identify_section(result: Result, series: Series) -> p.Section:
 
 
 def _brief(result: Result, unit: str) -> p.Brief:
+    """Error, hold-out, and the links whose mass or centre of mass moved by half."""
     rows = v.records(result, "joints")
     given, found = (v.median(rows, kind, "nrmse") for kind in ("baseline", "validate"))
     consistent = v.at(result, "physical", "consistent")
@@ -67,7 +69,10 @@ def _brief(result: Result, unit: str) -> p.Brief:
         f"hold-out error {v.change(given, found, v.percent)} (nrmse, median over joints), "
         f"{'physically consistent' if consistent else 'not physical'}"
     )
-    return ("identified", said), ("", v.text(result, "holdout"))
+    moved = [words for row in v.records(result, "links") if (words := v.text(row, "moved"))]
+    few = moved if len(moved) <= _FEW else [*moved[: _FEW - 1], f"and {len(moved) - _FEW + 1} more"]
+    named = [("moved" if k == 0 else "", words) for k, words in enumerate(few)]
+    return ("identified", said), ("", v.text(result, "holdout")), *named
 
 
 def fault_table(result: Result) -> p.Table | None:
@@ -211,12 +216,42 @@ def _parameter_table(result: Result) -> p.Table | None:
             ("text:Unit", "unit"),
             ("number:Prior", "prior", v.number4),
             ("text:Category", "category", lambda c: v.plain(c or "")),
-            ("text:Decided by", "prior_dominated", lambda x: "prior" if x is True else "data"),
+            ("text:Decided by", lambda r: p.decided(v.text(r, "decided_by"))),
         ],
         "Values decided by the prior are those the data leave open: they complete the model, but "
         "were not measured.",
         f"All {len(rows)} parameters: {categories}",
     )
+
+
+def _bodies(result: Result) -> p.Table | None:
+    """Masses and centres of mass, given and identified."""
+
+    def shift(row: Result) -> p.Cell:
+        given, found = (v.reals(row, "centre", key) for key in ("given", "value"))
+        return p.Cell(v.number(round(float(1e3 * np.linalg.norm(found - given)), 1)))
+
+    def spread(row: Result) -> str:
+        return v.number(float(1e3 * np.linalg.norm(v.reals(row, "centre", "std"))), 2)
+
+    return p.table(
+        v.records(result, "links"),
+        [
+            ("name:Link", "link"),
+            ("number:Mass given [kg]", "mass.given"),
+            ("number:identified", lambda r: v.value_and_std(*_mass(r))[0]),
+            ("number:± std", lambda r: v.value_and_std(*_mass(r))[1]),
+            ("text:by", lambda r: p.decided(v.text(r, "mass", "decided_by"))),
+            ("number:Centre of mass moved by [mm]", shift),
+            ("number:± std [mm]", spread),
+            ("text:by", lambda r: p.decided(v.text(r, "centre", "decided_by"))),
+        ],
+        "Masses and centres of mass of the links against the given model.",
+    )
+
+
+def _mass(row: Result) -> tuple[object, object]:
+    return v.at(row, "mass", "value"), v.at(row, "mass", "std")
 
 
 def _physical(result: Result) -> p.Notes | None:

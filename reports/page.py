@@ -202,6 +202,19 @@ def estimates(value: str = "number:Value", std: str = "number:± std") -> tuple[
     return (value, lambda row: written(row, 0)), (std, lambda row: written(row, 1))
 
 
+_DECIDED = {
+    "data": Cell("data", GOOD),
+    "both": Cell("data and prior", FAIR),
+    "prior": Cell("prior", POOR),
+    "physics": Cell("limit of physics", FAIR),
+}
+
+
+def decided(who: str) -> Cell:
+    """Who decided an estimate."""
+    return _DECIDED.get(who, Cell(v.NONE))
+
+
 def relative(row: Result) -> Cell:
     """Relative standard deviation of an estimate, with its tone."""
     rel, value, std = (v.real(row, key) for key in ("rel_std", "value", "std"))

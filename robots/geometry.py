@@ -33,6 +33,7 @@ _BEND = 1.9  # rad, either way, of those
 _BELOW = 0.5  # how strongly points under the base count against a pose
 _POSES = 200  # random ones, for pairs whose distance depends on the drawing
 _MOVING = 1e-3  # m: distances that change less do not change
+_AROUND = 0.1  # of the size of a link's shapes: cables and covers
 _TOOL, _FLOOR = "tool point", "floor"
 _UPRIGHT = 0.99  # cosine between the base's axis and up, at least, of an arm on a floor
 _BASE = 0.05  # m: shapes of a base that end so near its frame stand on it
@@ -415,10 +416,53 @@ def base_plane(robot: Robot) -> float | None:
 
 
 def _lowest(body: Any) -> float:
+    return float(_corners(body)[:, 2].min())
+
+
+def _corners(body: Any) -> Array:
+    """Corners of the box around a solid, in the frame of its joint, shape (8, 3) [m]."""
     box = body.geometry
     box.computeLocalAABB()
     corners = np.array(list(product(*zip(box.aabb_local.min_, box.aabb_local.max_, strict=True))))
-    return float((corners @ body.placement.rotation.T + body.placement.translation)[:, 2].min())
+    return np.asarray(corners @ body.placement.rotation.T + body.placement.translation)
+
+
+def centre_regions(robot: Robot) -> dict[str, tuple[Array, Array]]:
+    """Boxes that the links' centres of mass lie in: least and greatest coordinates, (3,) [m].
+
+    A box holds the link's joints, its collision shapes with a tenth of its size around them, and
+    the centre of mass as given. A link without shapes gets a margin of half the longest distance
+    of two joints in a row instead, which holds for all of 672 links with mass between two joints
+    of the robots in example-robot-data (99 % of them by a factor of 1.4); the last link the whole
+    of it, since it carries a tool that the description may lack. Arms without any length have none.
+    """
+    model = robot.model
+    places = [np.array(place.translation) for place in list(model.jointPlacements)]
+    longest = max((float(np.linalg.norm(place)) for place in places[2:]), default=0.0)
+    points = [[np.zeros(3), np.array(body.lever)] for body in list(model.inertias)]
+    for joint, place in enumerate(places[1:], start=1):
+        points[model.parents[joint]].append(place)
+    solid = set()
+    for body in _readable_solids(robot):
+        points[body.parentJoint] += list(_corners(body))
+        solid.add(body.parentJoint)
+    regions = {}
+    for joint, link in enumerate(robot.links, start=1):
+        low, high = np.min(points[joint], axis=0), np.max(points[joint], axis=0)
+        last = joint == robot.nv
+        shape = joint in solid and not last
+        margin = _AROUND * float(np.linalg.norm(high - low)) if shape else longest / (2 - last)
+        if margin > 0:
+            regions[link] = low - margin, high + margin
+    return regions
+
+
+def _readable_solids(robot: Robot) -> list[Any]:
+    """Collision shapes of an arm, none where a mesh is damaged."""
+    try:
+        return list(_solids(robot).geometryObjects)
+    except (ValueError, RuntimeError):
+        return []
 
 
 def unchecked(robot: Robot, scene: Scene | None) -> str:

@@ -60,6 +60,7 @@ def test_the_result_has_the_agreed_keys(ideal: Estimate) -> None:
         for part in ("train", "validate", "baseline"):
             assert {"rms", "rms_raw", "nrmse", "r2"} == set(joint[part]) - {"interval95"}
     keys = {"name", "link", "value", "std", "unit", "category", "prior", "prior_dominated"}
+    keys |= {"decided_by"}
     assert all(keys == set(p) for p in result["parameters"])
     assert len(result["parameters"]) == 14 * ideal.given.nv
     assert result["physical"]["consistent"]

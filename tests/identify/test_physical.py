@@ -163,14 +163,26 @@ def test_how_far_off_the_given_bodies_are_is_found(off: float) -> None:
     for _ in range(30):
         theta = rng.uniform(0, 3, len(arm.effects.mean))
         x = np.concatenate([arm.prior.ravel() + L @ rng.standard_normal(60), theta])
-        found.append(agreement(arm.R, arm.R @ x + rng.standard_normal(len(arm.R)), arm.prior))
+        sigma = agreement(arm.R, arm.R @ x + rng.standard_normal(len(arm.R)), arm.prior)
+        found.append(sigma[0])
     assert np.exp(np.log(found).mean()) == pytest.approx(off, rel=0.15)
 
 
 def test_a_description_is_right_to_five_per_cent_at_best() -> None:
     arm = Whitened("ur10", 0.1)
     x = np.concatenate([arm.prior.ravel(), arm.effects.mean])
-    assert agreement(arm.R, arm.R @ x, arm.prior) == pytest.approx(0.05, rel=0.01)
+    np.testing.assert_allclose(agreement(arm.R, arm.R @ x, arm.prior), 0.05, rtol=0.01)
+
+
+def test_a_tool_does_not_make_the_other_links_unsure() -> None:
+    arm = Whitened("ur10", 0.1)
+    body = arm.prior.copy()
+    body[-1] = pin.Inertia.FromSphere(3.0, 0.1).toDynamicParameters()
+    x = np.concatenate([body.ravel(), arm.effects.mean])
+    noise = np.random.default_rng(0).standard_normal(len(arm.R))
+    sigma = agreement(arm.R, arm.R @ x + noise, arm.prior)
+    assert sigma[-1] > 5
+    assert (sigma[:-1] < 0.1).all()
 
 
 def test_without_data_the_prior_is_the_answer() -> None:
