@@ -52,6 +52,18 @@ def flipped(log: Log, joint: int, *names: str) -> Log:
     return log
 
 
+def exchanged(log: Log, one: int, other: int, *names: str) -> Log:
+    order = np.arange(log.nv)
+    order[[one, other]] = other, one
+    return replace(log, **{name: getattr(log, name)[:, order] for name in names})
+
+
+def by_name(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
+    """Columns in the alphabetical order of the joints' names."""
+    order = np.argsort(robot.joints)
+    return replace(log, **{name: getattr(log, name)[:, order] for name in ("q", "dq", "tau")})
+
+
 def edited(log: Log, name: str, where: object, change: Callable[[np.ndarray], object]) -> Log:
     values = np.array(getattr(log, name))
     values[where] = change(values[where])
@@ -158,6 +170,12 @@ FAULTS: dict[str, dict[str, Plant]] = {
         "velocity_in_rpm": lambda _, log, rng: scaled(log, "dq", 30 / np.pi),
         "position_in_degrees": lambda _, log, rng: scaled(log, "q", DEGREES),
         "all_in_degrees": lambda _, log, rng: scaled(scaled(log, "q", DEGREES), "dq", DEGREES),
+        "torque_in_newton_millimetres": lambda _, log, rng: scaled(log, "tau", 1000.0),
+    },
+    "wrong_order": {
+        "joints_exchanged": lambda _, log, rng: exchanged(log, 0, 1, "q", "dq", "tau"),
+        "torques_exchanged": lambda _, log, rng: exchanged(log, 0, 1, "tau"),
+        "order_of_names": by_name,
     },
     "wrong_sample_rate": {
         "half_rate": lambda _, log, rng: scaled(log, "t", 2.0),

@@ -18,11 +18,18 @@ from excitant.robots.robot import Robot
 
 FAULTS = (
     *("dead_channel", "wrong_sign", "wrong_unit", "wrong_sample_rate", "duplicate_samples"),
-    *("dropped_samples", "corrupt_rows", "saturation", "not_measured", "wrong_frame"),
+    *(
+        "wrong_order",
+        "dropped_samples",
+        "corrupt_rows",
+        "saturation",
+        "not_measured",
+        "wrong_frame",
+    ),
     "poor_excitation",
 )
 """The vocabulary, the same in results, interface and documentation."""
-PROVEN = ("wrong_sign", "wrong_unit", "wrong_sample_rate")
+PROVEN = ("wrong_sign", "wrong_unit", "wrong_sample_rate", "wrong_order")
 """Faults after which every figure is wrong, so that nothing is published from such data."""
 ALARM = 0.02 / 20
 """Share of faultless recordings that one family of tests may accuse; there are fewer than 20."""
@@ -87,8 +94,9 @@ class Log(Recording):
 class Remedy:
     """Effect of a repair on the arrays.
 
-    ``drop`` rows, ``interpolate`` rows of a channel, ``scale`` a channel or the time, ``unwrap`` a
-    counter, ``shift`` the time from a row on, or ``sort`` all rows by time.
+    ``drop`` rows, ``interpolate`` rows of a channel, ``scale`` a channel or the time, ``order`` the
+    joints of a channel (joint j is then the one recorded as ``joints[j]``), ``unwrap`` a counter,
+    ``shift`` the time from a row on, or ``sort`` all rows by time.
     """
 
     action: str
@@ -178,7 +186,7 @@ def after_repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, Rows]:
     kept, place, ordered = kept[order], np.argsort(order), recording.take(order)
     values: dict[str, Any] = {name: np.array(x) for name, x in ordered.channels()}
     values["t"] = t[order]
-    for action in ("unwrap", "interpolate", "scale"):
+    for action in ("order", "unwrap", "interpolate", "scale"):
         for remedy in remedies:
             if remedy.action == action and remedy.channel in values:
                 _apply(values, remedy, place[remedy.rows], kept)
@@ -190,6 +198,9 @@ def _apply(values: dict[str, Array], remedy: Remedy, rows: Rows, kept: Mask) -> 
     x = values[remedy.channel]
     if remedy.channel == "t":
         values["t"] = x[0] + (x - x[0]) * remedy.factor
+        return
+    if remedy.action == "order":
+        values[remedy.channel] = x[:, list(remedy.joints)]
         return
     for j in remedy.joints:
         if remedy.action == "scale":

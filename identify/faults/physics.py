@@ -25,7 +25,9 @@ import scipy
 from excitant.identify.differentiators import low_pass
 from excitant.identify.faults.fault import ALARM, Fault, Log, Remedy, normal_bound
 from excitant.identify.least_squares import autocorrelation_time
+from excitant.identify.prior import link_coordinates, link_weights
 from excitant.robots.motion import Array, Motion
+from excitant.robots.parameters import nearest_consistent
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
@@ -56,6 +58,12 @@ _BROAD = np.geomspace(1e-3, 1e3, 25)  # time factors tried first
 _NEAR = 0.05  # of a clear factor
 _EXPLAINED = 0.5  # of the torque's variance: the model is worth listening to
 _SIGNAL = 3.0  # a part of the torque that is to have a sign exceeds the error by so much
+_OFF, _SURE = 0.3, 2.0  # of given bodies; standard deviations
+_FAR = 10.0  # times its limit: no drive does that, whatever its limit is to mean
+_TORQUE_UNITS = {100.0: "N·cm", 1000.0: "N·mm", 1e6: "µN·m"}
+_WITHIN = 3.0  # times the limit, after a repair
+_FITS = 0.25  # squares per independent row: less needs no other order
+_MODEL_ERROR = 0.05  # of a torque
 _BEYOND = 1.2 * 2 * np.pi  # rad: more than joints turn to one side
 
 
@@ -271,6 +279,21 @@ class TorqueFit:
         bound = float(scipy.special.chdtri(freedom or self.freedom, ALARM / tests))
         return self.gain(power) > bound and bool(ratio.min() < _HALVED and not worse)
 
+    def surprise(self, noise: Array, rows: Array) -> float:
+        """Squares in independent rows that bodies near the given ones leave, and theirs (to 30 %).
+
+        Noise is a mean square of each joint, shape (nv,); a twentieth of the torque comes to it.
+        """
+        weight = rows / len(self.tau) / (noise + _MODEL_ERROR**2 * self.size)
+        A, b = np.sum(self._A, axis=0), np.sum(self._b, axis=0)
+        links = len(self.robot.phi)
+        inverse = np.linalg.inv(_spread(self.robot))
+        precision, centre = np.zeros(A.shape[1:]), np.zeros(A.shape[1])
+        precision[:links, :links], centre[:links] = inverse.T @ inverse, self.robot.phi
+        x = _solve(np.tensordot(weight, A, 1) + precision, weight @ b + precision @ centre)
+        left = self._left(A, b, x) * len(self.tau)
+        return float(weight @ left + (x - centre) @ precision @ (x - centre))
+
     def compared(self, power: Array) -> str:
         """Improvement by another reading, in words."""
         ratio = np.sqrt(power / self.power)[self.joints]
@@ -307,8 +330,10 @@ def _solve(A: Array, b: Array) -> Array:
 
 
 def physics_faults(case: TorqueFit) -> list[Fault]:
-    """The faults of rate, unit and sign that the torque shows; the strongest reading counts."""
-    if found := [*_degrees(case)] or [*_torque_signs(case)]:
+    """The faults of rate, unit, order and sign that the torque shows; the strongest counts."""
+    if found := [*_torque_unit(case)] or [*_degrees(case)] or [*_order(case)]:
+        return found
+    if found := [*_torque_signs(case)]:
         return found
     readings = [*_rate(case), *_position_signs(case)]
     return sorted(readings, key=lambda fault: -fault.evidence["gain"])[:1]
@@ -338,6 +363,79 @@ def _degrees(case: TorqueFit) -> Iterator[Fault]:
     remedies = [Remedy("scale", name, tuple(joints), factor=np.pi / 180) for name in ("q", "dq")]
     evidence = {"channel": "q", "gain": gain, "largest": largest}
     yield Fault("wrong_unit", log.names(joints), detail, evidence, done, tuple(remedies))
+
+
+def _torque_unit(case: TorqueFit) -> Iterator[Fault]:
+    """Torques far beyond what the drives can do, or where no limit is known, beyond the model's."""
+    log, joints = case.log, case.joints
+    if log.unit != "N·m":
+        return
+    limit, peak = case.robot.limits.torque[joints], np.abs(log.tau[:, joints]).max(axis=0)
+    known = np.isfinite(limit)
+    if known.any():
+        sizes, what = (peak / limit)[known], "the torque limit"
+        far = np.median(sizes) > _FAR
+    else:
+        model, doubt = (case.G + case.D) @ case.robot.phi, _doubt(case)
+        signs = [(_signs(case, model[:, j], j), doubt[j]) for j in joints]
+        clear = [s[0] for s, u in signs if s[1] > 0 and s[3] > _EXPLAINED and u < _OFF]
+        sizes, what = np.array(clear), "the torque of the given model"
+        far = len(sizes) > 0 and np.median(sizes) > _FAR**1.5
+    if not far:
+        return
+    typical = float(np.median(sizes))
+    factor = next((f for f in _TORQUE_UNITS if typical / f < _WITHIN), max(_TORQUE_UNITS))
+    detail = (
+        f"tau is {typical:.3g} times {what} (median over joints), as in {_TORQUE_UNITS[factor]}"
+    )
+    remedy = Remedy("scale", "tau", tuple(range(log.nv)), factor=1 / factor)
+    done, evidence = f"divides tau by {factor:g}", {"channel": "tau", "factor": typical}
+    yield Fault("wrong_unit", log.joints, detail, evidence, done, (remedy,))
+
+
+def _order(case: TorqueFit) -> Iterator[Fault]:
+    """Columns of joints in another order: two exchanged, all shifted, reversed or by name."""
+    log, n = case.log, case.robot.nv
+    if not len(case.joints) == n > 1 or (case.robot.phi[::10] <= 0).any():
+        return
+    same = list(range(n))
+    orders = {tuple(same[::-1]), (*same[1:], 0), (n - 1, *same[:-1])}
+    orders.add(tuple(np.argsort(np.argsort(log.joints)).tolist()))
+    for i in same:
+        for k in same[:i]:
+            swap = same.copy()
+            swap[i], swap[k] = k, i
+            orders.add(tuple(swap))
+    if case.surprise(case.power, case.rows) < _FITS * float(case.rows.sum()):
+        return
+    found = []
+    for order in sorted(orders - {tuple(same)}):
+        at, data = list(order), case.data
+        columns = (getattr(data.motion, name)[:, at] for name in ("q", "dq", "ddq"))
+        moved = Motion(data.motion.t, *columns)
+        for channels, motion in ((("q", "dq", "tau"), moved), (("tau",), data.motion)):
+            other = data._replace(motion=motion, tau=data.tau[:, at])
+            fit = TorqueFit(case.robot, log, other, case.joints)
+            noise = np.minimum(case.power[at], fit.power)  # joint j is the one recorded as at[j]
+            left, back = fit.surprise(noise, case.rows[at]), np.argsort(at)
+            found.append((case.surprise(noise[back], case.rows), left, at, channels))
+    as_it_stands, left, at, channels = max(found, key=lambda each: each[0] / max(each[1], 1e-9))
+    bound = float(scipy.special.chdtri(n, ALARM / len(found)))
+    dispersion = max(1.0, left / float(case.rows.sum()))  # errors of the model count as noise
+    if as_it_stands - left < bound * dispersion or left > _HALVED * as_it_stands:
+        return
+    wrong = [j for j in same if at[j] != j]
+    words = ", ".join(f"{log.joints[j]} is recorded as {log.joints[at[j]]}" for j in wrong)
+    what = "columns" if len(channels) > 1 else "torque columns"
+    detail = (
+        f"{what} are in another order: {words}; so read, the torque is that of bodies near the "
+        f"given ones (sum of squares {as_it_stands:.3g} → {left:.3g} in {case.rows.sum():.0f} "
+        "independent rows)"
+    )
+    remedies = tuple(Remedy("order", channel, tuple(at)) for channel in channels)
+    done = f"puts the {what} of {len(wrong)} joints in the order of the robot"
+    evidence = {"order": log.names(at), "channels": channels, "gain": as_it_stands - left}
+    yield Fault("wrong_order", log.names(wrong), detail, evidence, done, remedies)
 
 
 def _position_signs(case: TorqueFit) -> Iterator[Fault]:
@@ -401,12 +499,14 @@ def _rate(case: TorqueFit) -> Iterator[Fault]:
 def _torque_signs(case: TorqueFit) -> Iterator[Fault]:
     """Torques whose gain g on the model, or whose friction power, is negative beyond chance.
 
-    τ_j = g τ_model + F_v q̇ + F_c sign q̇ + I_a q̈ + offset; neither may object to the other.
+    τ_j = g τ_model + F_v q̇ + F_c sign q̇ + I_a q̈ + offset; neither may object to the other. A gain
+    says nothing where the given bodies, if they were off by 30 %, might have reversed it.
     """
-    model = (case.G + case.D) @ case.robot.phi
+    model, doubt = (case.G + case.D) @ case.robot.phi, _doubt(case)
     bound = normal_bound(2 * len(case.joints))
     for j in case.joints:
-        gain, friction, explained = _signs(case, model[:, j], j)
+        g, gain, friction, explained = _signs(case, model[:, j], j)
+        gain *= abs(g) > _SURE * doubt[j]
         votes = [z for z in (gain, friction) if abs(z) > bound]
         if explained < _EXPLAINED or not votes or max(votes) > 0:
             continue
@@ -426,8 +526,28 @@ def _torque_signs(case: TorqueFit) -> Iterator[Fault]:
         )
 
 
-def _signs(case: TorqueFit, model: Array, j: int) -> tuple[float, float, float]:
-    """Gain and friction power in standard errors (0 when within the error), variance explained."""
+def _spread(robot: Robot) -> Array:
+    """Root of the covariance of bodies near the given ones, to 30 %, (10 nv, 10 nv)."""
+    bodies = np.array([nearest_consistent(body) for body in robot.phi.reshape(-1, 10)])
+    return np.asarray(_OFF * link_coordinates(bodies) / link_weights(len(bodies), 1.0), float)
+
+
+def _doubt(case: TorqueFit) -> Array:
+    """Standard deviation of each joint's gain on the model if its bodies are off by 30 %, (nv,)."""
+    columns, doubt = case.G + case.D, np.zeros(case.robot.nv)
+    if (case.robot.phi[::10] <= 0).any():
+        return doubt
+    spread = _spread(case.robot)
+    for j in case.joints:
+        Q = np.linalg.qr(case.F[:, j])[0]
+        Y = columns[:, j] - Q @ (Q.T @ columns[:, j])
+        own = Y @ case.robot.phi
+        doubt[j] = np.linalg.norm(own @ Y @ spread) / max(float(own @ own), 1e-300)
+    return doubt
+
+
+def _signs(case: TorqueFit, model: Array, j: int) -> tuple[float, float, float, float]:
+    """Gain; it and friction power in standard errors, 0 within the error; variance explained."""
     dq, dry, y = *case.F[:, j, :2].T, case.tau[:, j]
     columns = np.column_stack([model, case.F[:, j]])
     W, x, error = scaled_least_squares(columns, y)
@@ -441,4 +561,5 @@ def _signs(case: TorqueFit, model: Array, j: int) -> tuple[float, float, float]:
         clear = (W[:, part] @ x[part]).std() > _SIGNAL * left
         variance = float(weight @ C[part, part] @ weight)
         z.append(float(weight @ x[part] / np.sqrt(max(variance, 1e-300))) if clear else 0.0)
-    return z[0], z[1], 1 - float(error.var() / max(y.var(), 1e-300))
+    gain = float(x[0]) / max(float(np.sqrt((model**2).mean())), 1e-300)
+    return gain, z[0], z[1], 1 - float(error.var() / max(y.var(), 1e-300))
