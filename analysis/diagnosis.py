@@ -323,15 +323,13 @@ def diagnose(
     data, prior = split(recordings, validate, cutoff_hz), prior_parameters(robot)
     warn_of_faults(robot, recordings)
     train, measured = observed(robot, data.train), series(data.train).measured
-    notes, gains = [data.holdout], np.ones(robot.nv)
+    notes, gains, drive = [data.holdout], np.ones(robot.nv), None
     if data.unit == "A":
         usual = standard_effects(robot.joints)
         base = base_parameters(robot, usual)
-        gains = current_gains(robot, base, train.matrix(usual), measured)[0]
-        notes.append(
-            "torque was recorded as current; effects are in N·m by estimated drive gains, "
-            "whose common scale follows from the given masses"
-        )
+        drive = current_gains(robot, base, train.matrix(usual), measured)
+        gains = drive.gains
+        notes.append(drive.sentence)
     held, tau = held_out(robot, data.validate, gains), measured * gains
     evidence = gather(robot, train, tau, prior)
     first = Extender(prior, train, tau, held, evidence)

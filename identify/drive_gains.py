@@ -46,7 +46,7 @@ from excitant.robots.robot import Robot
 _SPREAD = 0.5  # relative, of drives of one arm: decides only what data leave open
 _REWEIGHTINGS = 4  # of the noise of each joint
 _ALTERNATIONS, _CONVERGED = 200, 1e-6
-_LINKS = 0.3  # relative uncertainty of given links
+_LINKS, _PLACEHOLDERS = 0.3, 3.0  # relative uncertainty of given links
 _TOGETHER = 0.5  # share of a joint's rows with another joint moving, from which rows compare
 _HARDLY = 0.2  # relative uncertainty of the common scale, from which the payload is refused
 _ROUNDS, _SETTLED = 30, 1e-8
@@ -54,41 +54,99 @@ _DEPENDENT = 1e-7  # part of a unit column that is outside the others
 _SHOWN = 4.0  # a current's residual over that of the best combination, from which its gain is shown
 
 
+@dataclass(frozen=True, eq=False)
+class CurrentGains:
+    """Torque per ampere of every joint, from the given masses."""
+
+    gains: Array  # shape (nv,) [N·m/A]
+    covariance: Array  # of their logarithms, shape (nv, nv)
+    scale_std: float  # relative standard deviation of their common scale
+    compared: bool  # whether joints were compared; else each is judged by its own rows
+
+    def __post_init__(self) -> None:
+        freeze(self, "gains", "covariance")
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the gains, shape (nv,) [N·m/A]."""
+        return np.asarray(self.gains * np.sqrt(np.diag(self.covariance)), float)
+
+    @property
+    def sentence(self) -> str:
+        """The gains and where they come from."""
+        pairs = ", ".join(f"{k:.3g} ± {s:.2g}" for k, s in zip(self.gains, self.std, strict=True))
+        return (
+            "torque was recorded as current; drive gains were estimated "
+            f"({pairs} N·m/A); their common scale, which currents do not determine, follows from "
+            f"the given masses to ±{self.scale_std:.0%}, and with it all masses, inertias and "
+            "friction, whose ± contains it; a known payload determines it (--payload-recording)"
+        )
+
+    def result(self) -> dict[str, Any]:
+        """Entries of result.json."""
+        return {
+            "drive_gain_Nm_per_A": self.gains.tolist(),
+            "drive_gain_std_Nm_per_A": self.std.tolist(),
+            "drive_gain_scale_rel_std": self.scale_std,
+        }
+
+
 def current_gains(
     robot: Robot, base: BaseParameters, W: Array, current: Array, moves: Mask | None = None
-) -> tuple[Array, bool]:
-    """Gains k with torque = k · current, shape (nv,) [N·m/A], and whether joints were compared.
+) -> CurrentGains:
+    """Gains k with torque = k · current.
 
     A gain that the motion hardly shows stays near those of the other joints. W are the columns of
     links and effects, (n, nv, p); only rows in which a joint moves count, (n, nv), all when None.
     """
     links = 10 * robot.nv
+    # links that all weigh the same are placeholders
+    sigma = _LINKS if np.ptp(robot.phi[::10]) > 0 else _PLACEHOLDERS
+    spread = sigma * link_coordinates(prior_parameters(robot)) / link_weights(robot.nv, 1.0)
     if moves is not None:
         several = moves.sum(axis=1) > 1
         share = (moves & several[:, None]).sum(axis=0) / np.maximum(moves.sum(axis=0), 1)
         if (share < _TOGETHER).any():
-            return _each_alone(robot, W, current, moves), False
+            return _each_alone(robot, W, current, moves, spread)
         W, current = W * moves[:, :, None], current * moves
-    columns = [c for c in base.columns if c < links]
-    given = W[:, :, :links] @ robot.phi
-    return _compared(W[:, :, columns], W[:, :, links:], current, given), True
+    shown = [c for c in base.columns if c < links]
+    return _compared(W[:, :, :links], W[:, :, links:], current, shown, robot.phi, spread)
 
 
-def _compared(W: Array, F: Array, current: Array, given: Array) -> Array:
-    nv = W.shape[1]
-    parts = [_without_effects(F[:, j], W[:, j], current[:, j], given[:, j]) for j in range(nv)]
-    W, current, given = (np.stack(values, axis=1) for values in zip(*parts, strict=True))
+def _compared(
+    Y: Array, F: Array, current: Array, shown: list[int], phi: Array, spread: Array
+) -> CurrentGains:
+    nv = Y.shape[1]
+    parts = [_without_effects(F[:, j], Y[:, j], current[:, j]) for j in range(nv)]
+    Y, current = (np.stack(values, axis=1) for values in zip(*parts, strict=True))
+    W, given = Y[:, :, shown], Y @ phi
     gram = np.einsum("njr,njs->jrs", W, W, optimize=True)
     moment = np.einsum("njr,nj->jr", W, current, optimize=True)
     gains, sigma, independent = np.ones(nv), np.maximum(current.std(axis=0), 1e-12), np.ones(nv)
+    beta = np.zeros(len(shown))
     for _ in range(_REWEIGHTINGS):
         gains, beta = _alternate(gram, moment, independent / sigma**2, gains)
         residual = current - W @ beta / gains
         sigma = np.maximum(residual.std(axis=0), 1e-12)
         independent = 1 / np.array([autocorrelation_time(e) for e in residual.T])
     model = given / gains
-    scale = ((model / sigma) ** 2).sum() / (model * current / sigma**2).sum()
-    return np.asarray(gains * abs(scale), float)
+    size = ((model / sigma) ** 2).sum()
+    scale = size / (model * current / sigma**2).sum()
+    # relative to each other, to first order in the noise, beside the parameters
+    information = np.zeros((nv + len(shown),) * 2)
+    for j in range(nv):
+        columns = np.column_stack([np.outer(-W[:, j] @ beta, np.eye(nv)[j]), W[:, j]]) / gains[j]
+        information += columns.T @ columns * independent[j] / sigma[j] ** 2
+    contrasts = scipy.linalg.null_space(np.ones((1, nv)))
+    reduced = scipy.linalg.block_diag(contrasts, np.eye(len(shown)))
+    information = reduced.T @ information @ reduced
+    information[: nv - 1, : nv - 1] += np.eye(nv - 1) / _SPREAD**2
+    apart = np.linalg.pinv(information, hermitian=True)[: nv - 1, : nv - 1]
+    # the common scale, by the uncertainty of the given links
+    pull = np.einsum("nj,njp->p", model / gains / sigma**2, Y, optimize=True) @ spread
+    unsure = float(np.linalg.norm(pull) / size)
+    covariance = contrasts @ apart @ contrasts.T + unsure**2
+    return CurrentGains(gains * abs(scale), covariance, unsure, True)
 
 
 def _alternate(gram: Array, moment: Array, weight: Array, gains: Array) -> tuple[Array, Array]:
@@ -107,20 +165,22 @@ def _alternate(gram: Array, moment: Array, weight: Array, gains: Array) -> tuple
     return gains, beta
 
 
-def _each_alone(robot: Robot, W: Array, current: Array, moves: Mask) -> Array:
+def _each_alone(robot: Robot, W: Array, current: Array, moves: Mask, spread: Array) -> CurrentGains:
     """Gains from each joint's own rows, as logarithms that scatter around a common one."""
-    links = 10 * robot.nv
-    spread = _LINKS * link_coordinates(prior_parameters(robot)) / link_weights(robot.nv, 1.0)
+    links, nv = 10 * robot.nv, robot.nv
     pairs = [
         _log_gain(W[rows, j, :links], W[rows, j, links:], current[rows, j], robot.phi, spread)
         for j, rows in enumerate(moves.T)
     ]
     own, variance = np.array(pairs).T
     if not np.isfinite(variance).any():
-        return np.ones(robot.nv)
+        return CurrentGains(np.ones(nv), np.full((nv, nv), _SPREAD**2), _SPREAD, False)
     weight = 1 / (variance + _SPREAD**2)
     common = float(weight @ own / weight.sum())
-    return np.asarray(np.exp(common + _SPREAD**2 * weight * (own - common)), float)
+    gains = np.exp(common + _SPREAD**2 * weight * (own - common))
+    unsure = 1 / float(weight.sum())
+    covariance = np.diag(_SPREAD**2 * (1 - _SPREAD**2 * weight)) + unsure
+    return CurrentGains(np.asarray(gains, float), covariance, float(np.sqrt(unsure)), False)
 
 
 def _log_gain(Y: Array, F: Array, current: Array, phi: Array, spread: Array) -> tuple[float, float]:

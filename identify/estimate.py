@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import UnknownName
+from excitant.identify.drive_gains import CurrentGains
 from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.faults import warn_of_faults
 from excitant.identify.knowledge import Knowledge
@@ -120,6 +121,8 @@ class Estimate:
         data: What was fitted and held out.
         train: Accuracy of the model on the fitted rows.
         notes: What the user should know, as sentences.
+        drive: Where drive gains come from, if torque was recorded as current.
+        base_std: Standard deviations of the base parameters, those of the gains included.
         estimator: How the base parameters were estimated, in words.
         knowledge: What was taken for known of the bodies.
         shapes: Shapes of effects, refined where that fits better; None where there are none.
@@ -134,6 +137,8 @@ class Estimate:
     data: Data
     train: Accuracy
     notes: tuple[str, ...]
+    drive: CurrentGains | None = None
+    base_std: Array = field(default_factory=lambda: np.zeros(0))
     estimator: str = ESTIMATORS["wls"]
     knowledge: Knowledge = field(default_factory=Knowledge)
     shapes: Shapes | None = None
@@ -209,7 +214,7 @@ class Estimate:
             **({} if self.shapes is None else {"shapes": self.shapes.entry()}),
             "unit": robot.torque_unit(self.data.unit),
             "holdout": self.data.holdout,
-            "drive_gain_Nm_per_A": list(self.gains) if self.data.unit == "A" else None,
+            **({"drive_gain_Nm_per_A": None} if self.drive is None else self.drive.result()),
             "joints": [
                 {
                     "name": joint,
@@ -229,7 +234,9 @@ class Estimate:
                     "std": float(s),
                     "rel_std": float(s / abs(value)) if value else None,
                 }
-                for text, value, s in zip(self.base.expressions, fit.beta, fit.std, strict=True)
+                for text, value, s in zip(
+                    self.base.expressions, fit.beta, self.base_std, strict=True
+                )
             ],
             "essential": self._essential(),
             "physical": {
@@ -402,7 +409,7 @@ def identify_robot(
     data = split(recordings, validate, cutoff_hz, harmonics_hz)
     rows = fit_rows(robot, effects, base_parameters(robot, effects), data)
     rows = with_own_torque(rows, prior, known)
-    notes = notes_on(robot, prior, data, rows.gains)
+    notes = notes_on(rows, prior)
     shapes = refined_shapes(rows, prior, known)
     if shapes is not None:
         rows = shapes.rows(rows) if shapes.better else rows
@@ -421,17 +428,43 @@ def identify_robot(
 def judged(
     robot: Robot, rows: FitRows, fit: LeastSquares, physical: PhysicalFit, notes: tuple[str, ...]
 ) -> Estimate:
-    """The estimate of a robot as given from rows, with base parameters and physical ones."""
+    """The estimate of a robot as given from rows, with base parameters and physical ones.
+
+    Uncertain drive gains k of currents add J C Jᵀ to the covariances, C that of log k. A gain
+    scales its joint's torque, so the columns of J are A⁻¹ W_jᵀ τ_j, A that of the normal equations.
+    Predicted currents rest on no gain, so the least-squares covariance stays as it is.
+    """
+    drive, widened = rows.drive, fit.covariance
+    if drive is not None:
+        pull = rows.by_gain(fit.weight)
+        R, _ = rows.reduced.factor(fit.weight)
+        J = np.linalg.solve(R.T @ R, pull[list(rows.base.columns)])
+        widened = widened + J @ drive.covariance @ J.T
+        J = physical.covariance @ pull
+        wider = physical.covariance + J @ drive.covariance @ J.T
+        physical = replace(physical, covariance=wider)
     model = identified_robot(robot, rows.effects, physical.x)
     predicted = rows.regression.torque(physical.x) / rows.gains
     train = series(rows.data.train).accuracy(predicted)
     gains = read_only(rows.gains)
-    return Estimate(robot, model, rows.base, fit, physical, gains, rows.data, train, notes)
+    return Estimate(
+        robot,
+        model,
+        rows.base,
+        fit,
+        physical,
+        gains,
+        rows.data,
+        train,
+        notes,
+        drive,
+        np.sqrt(np.diag(widened)),
+    )
 
 
-def notes_on(robot: Robot, prior: Array, data: Data, gains: Array) -> tuple[str, ...]:
+def notes_on(rows: FitRows, prior: Array) -> tuple[str, ...]:
     """Notes on the hold-out, the prior and the unit of torque."""
-    notes = [data.holdout, data.cutoff_why]
+    robot, notes = rows.robot, [rows.data.holdout, rows.data.cutoff_why]
     moved = [
         link
         for link, given, used in zip(robot.links, robot.phi.reshape(-1, 10), prior, strict=True)
@@ -442,12 +475,8 @@ def notes_on(robot: Robot, prior: Array, data: Data, gains: Array) -> tuple[str,
             f"the given inertia of {', '.join(moved)} is one no body can have; "
             "the nearest possible one serves as prior"
         )
-    if data.unit == "A":
-        notes.append(
-            "torque was recorded as current; drive gains relative to each other were estimated "
-            f"({', '.join(f'{k:.3g}' for k in gains)} N·m/A); their common scale follows from "
-            "the given masses and is not determined by currents"
-        )
+    if rows.drive is not None:
+        notes.append(rows.drive.sentence)
     return tuple(notes)
 
 

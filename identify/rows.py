@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from excitant.exceptions import BadRecording
-from excitant.identify.drive_gains import current_gains
+from excitant.identify.drive_gains import CurrentGains, current_gains
 from excitant.identify.preprocessing import CUTOFF_HZ, Segment, default_cutoff, prepare
 from excitant.identify.prior import EffectPrior
 from excitant.identify.recording import Recording
@@ -170,6 +170,7 @@ class FitRows:
         data: Segments for fitting and for validation.
         gains: Torque per reading, shape (nv,) [N·m per reading].
         regression: Columns of all parameters of links and effects, and torque [N·m].
+        drive: Where the gains come from, if torque was recorded as current.
     """
 
     robot: Robot
@@ -178,6 +179,7 @@ class FitRows:
     data: Data
     gains: Array
     regression: Regression
+    drive: CurrentGains | None
 
     @property
     def tau(self) -> Array:
@@ -188,6 +190,17 @@ class FitRows:
     def W(self) -> Array:
         """Columns of links and effects, shape (n, nv, p)."""
         return self.regression.W
+
+    def by_gain(self, weight: Array) -> Array:
+        """Wᵀ τ of each joint, rows times weight (nv,): what a relative change of its gain adds.
+
+        Shape (p, nv).
+        """
+        pull = np.zeros((self.regression.p, self.robot.nv))
+        parts = zip(self.regression.index, self.regression.triangles, weight, strict=True)
+        for j, (index, T, w) in enumerate(parts):
+            pull[index, j] = w**2 * T[:, :-1].T @ T[:, -1]
+        return pull
 
     @property
     def reduced(self) -> Regression:
@@ -206,11 +219,11 @@ class FitRows:
 def fit_rows(robot: Robot, effects: Sequence[Effect], base: BaseParameters, data: Data) -> FitRows:
     """The rows of the training segments."""
     regression = regression_of(robot, effects, data.train)
-    gains = np.ones(robot.nv)
+    gains, drive = np.ones(robot.nv), None
     if data.unit == "A":
-        gains = current_gains(robot, base, regression.W, regression.tau)[0]
-        regression = regression.with_torque(regression.tau * gains)
-    return FitRows(robot, tuple(effects), base, data, gains, regression)
+        drive = current_gains(robot, base, regression.W, regression.tau)
+        gains, regression = drive.gains, regression.with_torque(regression.tau * drive.gains)
+    return FitRows(robot, tuple(effects), base, data, gains, regression, drive)
 
 
 def implausible_size(columns: Array, tau: Array) -> Array:

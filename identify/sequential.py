@@ -198,7 +198,6 @@ class LinkRows(FitRows):
     used: Mask  # rows that count: of moving joints, and of those without dry friction, (n, nv)
     last: npt.NDArray[np.intp]  # joint, the last whose row holds each base parameter, shape (r,)
     scale: Array  # uncertainty of the given robot's base parameters, shape (r,)
-    compared: bool  # whether drive gains are estimated from rows of several joints
 
     def recordings(self, joint: int) -> tuple[str, ...]:
         """Recordings in which rows of a joint count."""
@@ -245,14 +244,14 @@ def link_rows(robot: Robot, effects: tuple[Effect, ...], data: Data) -> LinkRows
     base, regression = base_parameters(robot, effects), regression_of(robot, effects, train)
     used = np.concatenate([m[s.keep] for s, m in zip(train, moves, strict=True)])
     used = used | ~dry_joints(effects, robot.joints)
-    gains, compared = np.ones(robot.nv), True
+    gains, drive = np.ones(robot.nv), None
     if data.unit == "A":
-        gains, compared = current_gains(robot, base, regression.W, regression.tau, used)
-        regression = regression.with_torque(regression.tau * gains)
+        drive = current_gains(robot, base, regression.W, regression.tau, used)
+        gains, regression = drive.gains, regression.with_torque(regression.tau * drive.gains)
     scale = np.sqrt(np.diag(base_prior(robot, effects, base).covariance))
     return LinkRows(
-        robot, effects, base, replace(data, train=train), gains, regression,
-        moves, used, last_rows(robot, effects, base), scale, compared,
+        robot, effects, base, replace(data, train=train), gains, regression, drive,
+        moves, used, last_rows(robot, effects, base), scale,
     )  # fmt: skip
 
 
@@ -451,8 +450,8 @@ def _changes(nv: int, joint: int) -> Iterator[tuple[tuple[int, ...], tuple[int, 
 def _notes(rows: LinkRows, stages: Sequence[Stage], prior: Array) -> tuple[str, ...]:
     count, r = sum(len(stage.determined) for stage in stages), len(rows.base)
     rest = "" if count == r else "; the rest stays at the given robot"
-    notes = notes_on(rows.robot, prior, rows.data, rows.gains)
-    if not rows.compared:
+    notes = notes_on(rows, prior)
+    if rows.drive is not None and not rows.drive.compared:
         gains = ", ".join(f"{k:.3g}" for k in rows.gains)
         notes = (
             *notes[:-1],
