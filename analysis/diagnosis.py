@@ -34,7 +34,7 @@ from excitant.analysis.residuals import Residual, residuals
 from excitant.analysis.selection import rivals, select
 from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
-from excitant.identify.drive_gains import current_gains
+from excitant.identify.drive_gains import CurrentGains, current_gains
 from excitant.identify.faults import warn_of_faults
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
@@ -64,6 +64,7 @@ class Diagnosis:
         residuals: Residuals of the extended model.
         waterfall: Error relative to the given model's, as causes are added.
         notes: Remarks to the user, as sentences.
+        drive: Drive gains, if torque was recorded as current.
     """
 
     robot: Robot
@@ -76,6 +77,7 @@ class Diagnosis:
     residuals: tuple[Residual, ...]
     waterfall: tuple[tuple[str, float], ...]
     notes: tuple[str, ...]
+    drive: CurrentGains | None = None
 
     @property
     def left(self) -> Array:
@@ -180,7 +182,7 @@ class Diagnosis:
             "headline": self.headline,
             "unit": self.unit(),
             "cutoff_hz": self.data.cutoff_hz,
-            "drive_gain_Nm_per_A": self.held.gains if self.data.unit == "A" else None,
+            **({"drive_gain_Nm_per_A": None} if self.drive is None else self.drive.result()),
             "holdout": self.data.holdout,
             "simulation": {"joints": self._joints(self.simulation)},
             "faults": [],
@@ -323,7 +325,8 @@ def diagnose(
     data, prior = split(recordings, validate, cutoff_hz), prior_parameters(robot)
     warn_of_faults(robot, recordings)
     train, measured = observed(robot, data.train), series(data.train).measured
-    notes, gains, drive = [data.holdout], np.ones(robot.nv), None
+    notes, gains = [data.holdout], np.ones(robot.nv)
+    drive: CurrentGains | None = None
     if data.unit == "A":
         usual = standard_effects(robot.joints)
         base = base_parameters(robot, usual)
@@ -349,11 +352,23 @@ def diagnose(
         if finding.pays
     ]
     judged = [
-        replace(f, downgrade=reason_to_downgrade(f, paying, left))
+        replace(with_gains(f, robot, drive), downgrade=reason_to_downgrade(f, paying, left))
         for f in sorted(paying, key=lambda f: -f.explained)
     ]
     steps = _waterfall(held.given, error, judged)
-    return Diagnosis(robot, data, train, held, fit, tuple(judged), given, left, steps, tuple(notes))
+    found = fit, tuple(judged), given, left, steps, tuple(notes), drive
+    return Diagnosis(robot, data, train, held, *found)
+
+
+def with_gains(finding: Finding, robot: Robot, drive: CurrentGains | None) -> Finding:
+    """A finding whose uncertainty counts that of the drive gains that its size rests on."""
+    if drive is None:
+        return finding
+    effect = finding.effect
+    own = [robot.joint_index(joint) for joint in effect.joints if effect.role == "torque"]
+    spread = max(np.sqrt(drive.covariance[j, j]) for j in own) if own else drive.scale_std
+    std = np.hypot(finding.std, spread * (np.array(effect.values) - finding.given))
+    return replace(finding, std=tuple(std.tolist()))
 
 
 def _iterated(first: Extender, refuted: frozenset[Key] = frozenset()) -> Extension:
