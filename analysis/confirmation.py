@@ -101,16 +101,8 @@ class HeldOut:
 
     def rms(self, error: Array) -> Array:
         """Root mean square of an error (n, nv) where joints move, or of all rows if never."""
-        return np.asarray(np.sqrt((error**2 * self._counts).sum(axis=0) / self._counts.sum(axis=0)))
-
-    def rms_of(self, joints: Sequence[int], error: Array) -> float:
-        """The same of some joints together."""
-        counts = self._counts[:, joints]
-        return float(np.sqrt((error[:, joints] ** 2 * counts).sum() / counts.sum()))
-
-    @property
-    def _counts(self) -> Mask:
-        return np.asarray(np.where(self.moves.any(axis=0), self.moves, True))
+        counts = np.where(self.moves.any(axis=0), self.moves, True)
+        return np.asarray(np.sqrt((error**2 * counts).sum(axis=0) / counts.sum(axis=0)), float)
 
     def worse(self, predicted: Array, than: Array, share: float = 0.0) -> bool:
         """Whether a prediction has a larger squared error than another, by a share, in motion."""
@@ -262,8 +254,8 @@ def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...
                 tuple(given.tolist()),
                 tuple(std.tolist()),
                 explained=float(fall.sum()) / power,
-                rms_before=held.rms_of(joints, without),
-                rms_after=held.rms_of(joints, error),
+                rms_before=float(np.sqrt((without[:, joints] ** 2).mean())),
+                rms_after=float(np.sqrt((error[:, joints] ** 2).mean())),
                 gain=gain,
                 gain_error=spread,
                 torque=torque,
