@@ -352,7 +352,7 @@ def diagnose(
         if finding.pays
     ]
     judged = [
-        replace(with_gains(f, robot, drive), downgrade=reason_to_downgrade(f, paying, left))
+        replace(_with_gains(f, robot, drive), downgrade=reason_to_downgrade(f, paying, left))
         for f in sorted(paying, key=lambda f: -f.explained)
     ]
     steps = _waterfall(held.given, error, judged)
@@ -360,7 +360,7 @@ def diagnose(
     return Diagnosis(robot, data, train, held, *found)
 
 
-def with_gains(finding: Finding, robot: Robot, drive: CurrentGains | None) -> Finding:
+def _with_gains(finding: Finding, robot: Robot, drive: CurrentGains | None) -> Finding:
     """A finding whose uncertainty counts that of the drive gains that its size rests on."""
     if drive is None:
         return finding

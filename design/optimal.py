@@ -145,7 +145,7 @@ def design_trajectory(
         BadRobot: No link has a mass.
         BadInput: Duration, use, harmonics or starts out of range, or no cluster there.
     """
-    began, held = time.time(), robot.with_limits(robot.limits.used(use))
+    began, held = time.time(), robot.using(use)
     with effort_of(starts, _STARTS, jobs, cluster, seed, time_limit) as effort:
         first = build_design(
             held, duration=duration, harmonics=harmonics, series=series, criterion=criterion,

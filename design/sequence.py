@@ -167,7 +167,7 @@ def design_link_by_link(
     each link's columns in its own row. ``starts`` counts the searches per motion, 6 by default;
     the time limit [s] is that of all motions together.
     """
-    began, held = time.time(), robot.with_limits(robot.limits.used(use))
+    began, held = time.time(), robot.using(use)
     options: dict[str, Any] = {
         "duration": duration,
         "harmonics": harmonics,

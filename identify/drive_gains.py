@@ -102,7 +102,7 @@ def current_gains(
     links = 10 * robot.nv
     # links that all weigh the same are placeholders
     sigma = _LINKS if np.ptp(robot.phi[::10]) > 0 else _PLACEHOLDERS
-    spread = sigma * link_coordinates(prior_parameters(robot)) / link_weights(robot.nv, 1.0)
+    spread = link_coordinates(prior_parameters(robot)) / link_weights(robot.nv, sigma)
     if moves is not None:
         several = moves.sum(axis=1) > 1
         share = (moves & several[:, None]).sum(axis=0) / np.maximum(moves.sum(axis=0), 1)
@@ -117,7 +117,7 @@ def _compared(
     Y: Array, F: Array, current: Array, shown: list[int], phi: Array, spread: Array
 ) -> CurrentGains:
     nv = Y.shape[1]
-    parts = [_without_effects(F[:, j], Y[:, j], current[:, j]) for j in range(nv)]
+    parts = [without_effects(F[:, j], Y[:, j], current[:, j]) for j in range(nv)]
     Y, current = (np.stack(values, axis=1) for values in zip(*parts, strict=True))
     W, given = Y[:, :, shown], Y @ phi
     gram = np.einsum("njr,njs->jrs", W, W, optimize=True)
@@ -188,7 +188,7 @@ def _log_gain(Y: Array, F: Array, current: Array, phi: Array, spread: Array) -> 
     count = int(np.any(F != 0, axis=0).sum())
     if len(current) <= count + 1:
         return 0.0, np.inf
-    Y, i = _without_effects(F, Y, current)
+    Y, i = without_effects(F, Y, current)
     tau = Y @ phi
     size = float(tau @ tau)
     per_torque = float(tau @ i) / max(size, 1e-300)
@@ -197,11 +197,16 @@ def _log_gain(Y: Array, F: Array, current: Array, phi: Array, spread: Array) -> 
     residual = i - per_torque * tau
     noise = float(residual @ residual) / (len(i) - count - 1)
     variance = noise * autocorrelation_time(residual) / size / per_torque**2
-    unsure = float(np.sum((tau @ Y @ spread) ** 2)) / size**2
-    return -float(np.log(per_torque)), variance + unsure
+    return -float(np.log(per_torque)), variance + gain_doubt(Y, phi, spread) ** 2
 
 
-def _without_effects(F: Array, *values: Array) -> tuple[Array, ...]:
+def gain_doubt(Y: Array, phi: Array, spread: Array) -> float:
+    """Standard deviation of a gain on torque Y φ, (n, 10 links), φ with covariance S Sᵀ."""
+    tau = Y @ phi
+    return float(np.linalg.norm(tau @ Y @ spread) / max(float(tau @ tau), 1e-300))
+
+
+def without_effects(F: Array, *values: Array) -> tuple[Array, ...]:
     """Values at a joint's rows less what its own effect columns F, shape (n, e), can explain."""
     Q = np.linalg.qr(F[:, np.any(F != 0, axis=0)])[0]
     return tuple(x - Q @ (Q.T @ x) for x in values)

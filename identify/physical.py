@@ -266,9 +266,9 @@ def _known(
     if bounded.any():
         signs = np.eye(p)[len(T) :][bounded]
         restrictions.insert(0, Restriction("nonnegative", signs, lower[bounded]))
-    doubtful = any(each.violation(centre) > 0 for each in restrictions)
-    bodies = _possible(prior.bodies, _MARGIN, T, p)
-    names = contradiction((*bodies, *restrictions)) if known and doubtful else ()
+    names: tuple[str, ...] = ()
+    if known and any(each.violation(centre) > 0 for each in restrictions):
+        names = contradiction((*_possible(prior.bodies, _MARGIN, T, p), *restrictions))
     if names:
         what = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
         together = "contradict each other" if len(names) > 1 else "cannot be"

@@ -104,6 +104,14 @@ def matrices(y: Array, links: int) -> Array:
     return np.tensordot(y[: 10 * links].reshape(links, 10), SYMMETRIC, 1)
 
 
+def _diagonal(G: Array) -> tuple[Array, Array]:
+    """±√(g² − 2 log g − 1) of the diagonals of matrices, and its slopes, both (links, 4)."""
+    u = np.log(np.diagonal(G, axis1=1, axis2=2))
+    near = np.abs(u) < _NEAR_ONE
+    s = np.where(near, np.sqrt(2) * u, np.sign(u) * np.sqrt(np.expm1(2 * u) - 2 * u))
+    return s, np.where(near, np.sqrt(2), 2 * np.sinh(u) / np.where(near, 1.0, s))
+
+
 def relative_rows(phi: Array) -> Array:
     """Rows R_k of bodies relative to consistent ones φ, shape (links, 10, 10).
 
@@ -135,7 +143,7 @@ class BodyPrior:
 
     @cached_property
     def _draws(self) -> Array:
-        """Weight n of the entropic distance, square root, shape (links,)."""
+        """Square root of the weight n of the entropic distance, shape (links,)."""
         sigma = np.broadcast_to(np.asarray(self.sigma, float), (len(self.bodies),))
         return np.minimum(1.0, 1 / sigma)
 
@@ -149,34 +157,35 @@ class BodyPrior:
         return np.linalg.inv(np.linalg.cholesky(pseudo_inertia(self.bodies)))
 
     def residual(self, phi: Array) -> Array:
-        """Values whose squares sum up to −2 log p at consistent φ, shape (20 links,)."""
-        return self.linearised(phi)[0]
-
-    def linearised(self, phi: Array) -> tuple[Array, Array]:
-        """The residual at consistent φ, and its Jacobian, shape (20 links, 10 links).
+        """Values whose squares sum up to −2 log p at consistent φ, shape (20 links,).
 
         With Q = G Gᵀ relative to the given body, G lower triangular, 2 KL(Q ‖ 1) is
         Σ_(i>j) G_ij² + Σ_i (G_ii² − 2 log G_ii − 1).
         """
-        values, slopes = [self._distance @ (phi - self.bodies.ravel())], list[Array]()
-        relative = zip(pseudo_inertia(phi.reshape(-1, 10)), self._roots, self._draws, strict=True)
-        for body, C, weight in relative:
-            G = np.linalg.cholesky(C @ body @ C.T)
-            inverse = np.linalg.solve(G, C)
-            # G changes by G Φ(G⁻¹ dQ G⁻ᵀ), Φ the lower triangle with half of the diagonal
-            dG = G @ (inverse @ PSEUDO_INERTIA_BASIS @ inverse.T * _HALF)
-            u = np.log(np.diag(G))
-            near = np.abs(u) < _NEAR_ONE
-            s = np.where(near, np.sqrt(2) * u, np.sign(u) * np.sqrt(np.expm1(2 * u) - 2 * u))
-            rate = np.where(near, np.sqrt(2), 2 * np.sinh(u) / np.where(near, 1.0, s))
-            values.append(weight * np.concatenate([s, G[_BELOW]]))
-            diagonal = rate[:, None] * np.diagonal(dG, axis1=1, axis2=2).T
-            slopes.append(weight * np.vstack([diagonal, dG[:, *_BELOW].T]))
-        jacobian = np.vstack([self._distance, scipy.linalg.block_diag(*slopes)])
-        return np.concatenate(values), np.asarray(jacobian, float)
+        G = self._relative(phi)
+        entropic = self._draws[:, None] * np.hstack([_diagonal(G)[0], G[:, *_BELOW]])
+        distance = self._distance @ (phi - self.bodies.ravel())
+        return np.concatenate([distance, entropic.ravel()])
+
+    def slopes(self, phi: Array) -> Array:
+        """Jacobian of the residual, shape (20 links, 10 links)."""
+        G = self._relative(phi)
+        inverse = np.linalg.solve(G, self._roots)[:, None]
+        # G changes by G Φ(G⁻¹ dQ G⁻ᵀ), Φ the lower triangle with half of the diagonal
+        change = inverse @ PSEUDO_INERTIA_BASIS @ inverse.swapaxes(2, 3)
+        dG = G[:, None] @ (change * _HALF)
+        diagonal = _diagonal(G)[1][:, None] * np.diagonal(dG, axis1=2, axis2=3)
+        rows = np.concatenate([diagonal, dG[..., *_BELOW]], axis=2).swapaxes(1, 2)
+        blocks = scipy.linalg.block_diag(*(self._draws[:, None, None] * rows))
+        return np.vstack([self._distance, blocks])
+
+    def _relative(self, phi: Array) -> Array:
+        """Cholesky factors G of the bodies relative to the given ones, shape (links, 4, 4)."""
+        P = pseudo_inertia(phi.reshape(-1, 10))
+        return np.asarray(np.linalg.cholesky(self._roots @ P @ self._roots.swapaxes(1, 2)), float)
 
     def quadratic(self, phi: Array) -> tuple[Array, Array]:
-        """Rows J and r, ‖r + J dφ‖² + constant being −2 log p to second order; as `linearised`."""
+        """Rows J and r, ‖r + J dφ‖² + constant being −2 log p to second order; as `slopes`."""
         scale = self._draws[:, None] / np.sqrt(2)
         relative = self._roots @ np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10)))
         beyond = relative.swapaxes(1, 2) @ relative - np.eye(4)

@@ -353,8 +353,9 @@ def identify_link_by_link(
     noise, inflation = np.array([(stage.noise, stage.inflation) for stage in reversed(stages)]).T
     fit = LeastSquares(cascade.beta, cascade.covariance, noise, inflation)
     known = cascade.information()
-    about: Any = (prior, rows.open_prior, Knowledge().of(robot), robot.links)
-    physical = fit_physical(known.R @ rows.base.regrouping, known.z, *about)
+    about = Knowledge().of(robot)
+    R, z = known.R @ rows.base.regrouping, known.z
+    physical = fit_physical(R, z, prior, rows.open_prior, about, robot.links)
     estimate = judged(robot, rows, fit, physical, _notes(rows, stages, prior))
     try:
         whole = identify_robot(
@@ -365,7 +366,8 @@ def identify_link_by_link(
         refusal = str(error)
         weight = replace(fit, sigma=np.where(np.isfinite(noise), noise, np.inf)).weight
         R, z = rows.regression.counting(rows.used).factor(weight)
-        whole = judged(robot, rows, fit, fit_physical(R, z, *about), ())
+        free = fit_physical(R, z, prior, rows.open_prior, about, robot.links)
+        whole = judged(robot, rows, fit, free, ())
     return LinkByLink(estimate, cascade, stages, whole, refusal)
 
 

@@ -347,7 +347,7 @@ class Descent:
         """Jacobian of the residual by (π, θ)."""
         size = self.prior.bodies.size
         phi, theta = self._split(numbers)
-        J = self._rows(self.prior.linearised(phi)[1], theta)
+        J = self._rows(self.prior.slopes(phi), theta)
         blocks = [from_log_cholesky(each)[1] for each in numbers[:size].reshape(-1, 10)]
         return np.hstack([J[:, :size] @ scipy.linalg.block_diag(*blocks), J[:, size:]])
 

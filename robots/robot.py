@@ -128,6 +128,10 @@ class Robot:
         """The same arm with other limits."""
         return replace(self, limits=limits)
 
+    def using(self, share: float) -> Robot:
+        """The robot with a share of its limits on velocity, acceleration, jerk and torque."""
+        return self.with_limits(self.limits.used(share))
+
     def random_motion(self, rng: np.random.Generator, n: int) -> tuple[Array, Array, Array]:
         """Random positions, velocities and accelerations inside the limits, each (n, nv).
 

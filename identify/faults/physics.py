@@ -23,11 +23,11 @@ import numpy as np
 import scipy
 
 from excitant.identify.differentiators import low_pass
+from excitant.identify.drive_gains import gain_doubt, without_effects
 from excitant.identify.faults.fault import ALARM, Fault, Log, Remedy, normal_bound
 from excitant.identify.least_squares import autocorrelation_time
-from excitant.identify.prior import link_coordinates, link_weights
+from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.robots.motion import Array, Motion
-from excitant.robots.parameters import nearest_consistent
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
@@ -279,20 +279,22 @@ class TorqueFit:
         bound = float(scipy.special.chdtri(freedom or self.freedom, ALARM / tests))
         return self.gain(power) > bound and bool(ratio.min() < _HALVED and not worse)
 
-    def surprise(self, noise: Array, rows: Array) -> float:
-        """Squares in independent rows that bodies near the given ones leave, and theirs (to 30 %).
+    def surprise(self, noise: Array, rows: Array, precision: Array) -> float:
+        """Squares in independent rows that bodies near the given ones leave, and theirs.
 
         Noise is a mean square of each joint, shape (nv,); a twentieth of the torque comes to it.
+        The precision is that of the given bodies, shape (10 nv, 10 nv).
         """
         weight = rows / len(self.tau) / (noise + _MODEL_ERROR**2 * self.size)
         A, b = np.sum(self._A, axis=0), np.sum(self._b, axis=0)
-        links = len(self.robot.phi)
-        inverse = np.linalg.inv(_spread(self.robot))
-        precision, centre = np.zeros(A.shape[1:]), np.zeros(A.shape[1])
-        precision[:links, :links], centre[:links] = inverse.T @ inverse, self.robot.phi
-        x = _solve(np.tensordot(weight, A, 1) + precision, weight @ b + precision @ centre)
+        bodies, links = self.robot.phi, len(self.robot.phi)
+        A_all, b_all = np.tensordot(weight, A, 1), weight @ b
+        A_all[:links, :links] += precision
+        b_all[:links] += precision @ bodies
+        x = _solve(A_all, b_all)
+        off = x[:links] - bodies
         left = self._left(A, b, x) * len(self.tau)
-        return float(weight @ left + (x - centre) @ precision @ (x - centre))
+        return float(weight @ left + off @ precision @ off)
 
     def compared(self, power: Array) -> str:
         """Improvement by another reading, in words."""
@@ -331,10 +333,9 @@ def _solve(A: Array, b: Array) -> Array:
 
 def physics_faults(case: TorqueFit) -> list[Fault]:
     """The faults of rate, unit, order and sign that the torque shows; the strongest counts."""
-    if found := [*_torque_unit(case)] or [*_degrees(case)] or [*_order(case)]:
-        return found
-    if found := [*_torque_signs(case)]:
-        return found
+    for test in (_torque_unit, _degrees, _order, _torque_signs):
+        if found := [*test(case)]:
+            return found
     readings = [*_rate(case), *_position_signs(case)]
     return sorted(readings, key=lambda fault: -fault.evidence["gain"])[:1]
 
@@ -406,7 +407,9 @@ def _order(case: TorqueFit) -> Iterator[Fault]:
             swap = same.copy()
             swap[i], swap[k] = k, i
             orders.add(tuple(swap))
-    if case.surprise(case.power, case.rows) < _FITS * float(case.rows.sum()):
+    inverse = np.linalg.inv(_spread(case.robot))
+    known = inverse.T @ inverse
+    if case.surprise(case.power, case.rows, known) < _FITS * float(case.rows.sum()):
         return
     found = []
     for order in sorted(orders - {tuple(same)}):
@@ -417,8 +420,8 @@ def _order(case: TorqueFit) -> Iterator[Fault]:
             other = data._replace(motion=motion, tau=data.tau[:, at])
             fit = TorqueFit(case.robot, log, other, case.joints)
             noise = np.minimum(case.power[at], fit.power)  # joint j is the one recorded as at[j]
-            left, back = fit.surprise(noise, case.rows[at]), np.argsort(at)
-            found.append((case.surprise(noise[back], case.rows), left, at, channels))
+            left, back = fit.surprise(noise, case.rows[at], known), np.argsort(at)
+            found.append((case.surprise(noise[back], case.rows, known), left, at, channels))
     as_it_stands, left, at, channels = max(found, key=lambda each: each[0] / max(each[1], 1e-9))
     bound = float(scipy.special.chdtri(n, ALARM / len(found)))
     dispersion = max(1.0, left / float(case.rows.sum()))  # errors of the model count as noise
@@ -528,21 +531,17 @@ def _torque_signs(case: TorqueFit) -> Iterator[Fault]:
 
 def _spread(robot: Robot) -> Array:
     """Root of the covariance of bodies near the given ones, to 30 %, (10 nv, 10 nv)."""
-    bodies = np.array([nearest_consistent(body) for body in robot.phi.reshape(-1, 10)])
-    return np.asarray(_OFF * link_coordinates(bodies) / link_weights(len(bodies), 1.0), float)
+    return link_coordinates(prior_parameters(robot)) / link_weights(robot.nv, _OFF)
 
 
 def _doubt(case: TorqueFit) -> Array:
     """Standard deviation of each joint's gain on the model if its bodies are off by 30 %, (nv,)."""
-    columns, doubt = case.G + case.D, np.zeros(case.robot.nv)
-    if (case.robot.phi[::10] <= 0).any():
-        return doubt
-    spread = _spread(case.robot)
-    for j in case.joints:
-        Q = np.linalg.qr(case.F[:, j])[0]
-        Y = columns[:, j] - Q @ (Q.T @ columns[:, j])
-        own = Y @ case.robot.phi
-        doubt[j] = np.linalg.norm(own @ Y @ spread) / max(float(own @ own), 1e-300)
+    robot, columns, doubt = case.robot, case.G + case.D, np.zeros(case.robot.nv)
+    if (robot.phi[::10] > 0).all():
+        spread = _spread(robot)
+        for j in case.joints:
+            [Y] = without_effects(case.F[:, j], columns[:, j])
+            doubt[j] = gain_doubt(Y, robot.phi, spread)
     return doubt
 
 

@@ -185,7 +185,7 @@ def design(
     if start is not None:
         there, here = trajectory(0.0)[0], np.array(start)
         near: dict[str, Any] = {"scene": scene, "clearance": least, "rate_hz": rate}
-        held = arm.with_limits(arm.limits.used(search.use))
+        held = arm.using(search.use)
         try:
             ways = {
                 name: designs.approach(held, *ends, name=name, **near)
@@ -217,7 +217,7 @@ def _bound(found: Design, seed: int) -> tuple[float, str]:
 
     with progress_bar("bound") as advance:
         bound = lower_bound(
-            found.robot.with_limits(found.robot.limits.used(found.use)),
+            found.robot.using(found.use),
             duration=found.duration,
             harmonics=None if found.trajectory.series.name == "spline" else found.harmonics,
             columns=found.information.columns,

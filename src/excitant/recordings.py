@@ -89,7 +89,7 @@ def identify(
         trajectory: trajectory.json that the arm was told: without --cutoff, the cut-off is high
             enough for the torque of its harmonics.
         knowledge: YAML with what is known of the bodies: masses, their sum, where centres of mass
-            lie; and the kind of prior.
+            lie.
         formats: Files of the model beside URDF and model.yaml; default: mjcf,sdf.
         force: Publish the model even if the given one predicts the hold-out better.
         online: Sample by sample, as in a control loop: estimates over time.

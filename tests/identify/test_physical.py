@@ -141,7 +141,7 @@ def test_residuals_of_the_prior_are_its_density(sigma: float) -> None:
     root = np.linalg.cholesky(pseudo_inertia(arm.prior))
     spread = root @ (np.eye(4) + 0.3 * rng.standard_normal((7, 4, 4)))
     phi = from_pseudo_inertia(spread @ spread.swapaxes(1, 2)).ravel()
-    value, J = density.linearised(phi)
+    value, J = density.residual(phi), density.slopes(phi)
     assert value @ value == pytest.approx(surprise(arm.prior, phi, sigma), rel=1e-9)
     # to first order both linearisations, to second order the quadratic one
     slope, H = density.quadratic(phi)
