@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from excitant.analysis.evidence import Candidate, Evidence, calibrated, weigh
-from excitant.analysis.residuals import away_from_rest
-from excitant.identify.preprocessing import Segment
+from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import PRIOR_SIGMA, link_coordinates, link_weights
 from excitant.identify.regression import dense
 from excitant.identify.rows import implausible_size

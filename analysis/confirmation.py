@@ -15,10 +15,10 @@ from excitant.analysis.candidates import (
     observed,
 )
 from excitant.analysis.evidence import Candidate, Evidence, Key
-from excitant.analysis.residuals import Mask, away_from_rest, noise_floor
+from excitant.analysis.residuals import noise_floor
 from excitant.analysis.selection import Rival, underlies
 from excitant.identify.physical import fit_physical
-from excitant.identify.preprocessing import Segment
+from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import BodyPrior, EffectPrior
 from excitant.identify.rows import Series, identified_robot, series
 from excitant.robots.effects import Effect, merged
@@ -44,8 +44,10 @@ class Finding:
         given: The value that the given model has for each coefficient.
         std: Standard deviation of each coefficient.
         explained: Share of the given model's squared error on the hold-out that it removes.
-        rms_before: Error of its joints on the hold-out without it, all others kept [N·m or A].
-        rms_after: The same of the extended model [N·m or A].
+        joint: Index of the joint where it is largest relative to what remains.
+        rms_before: Error on the hold-out without it, all others kept, of its joints that turn or
+            slide as that one does [torque unit].
+        rms_after: The same of the extended model [torque unit].
         gain: Fall of its joints' squared error with it, relative to the error without it.
         gain_error: Standard error of the gain, from blocks of time.
         torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
@@ -58,6 +60,7 @@ class Finding:
     given: tuple[float, ...]
     std: tuple[float, ...]
     explained: float
+    joint: int
     rms_before: float
     rms_after: float
     gain: float
@@ -89,9 +92,8 @@ class HeldOut:
 
     observed: Observed  # its rows, of the given robot
     gains: Array  # torque per reading, shape (nv,)
-    series: Series  # measured torque
+    series: Series  # measured torque, and the rows at which each joint moves
     simulated: Array  # torque of the given model
-    moves: Mask  # rows at which each joint moves, shape (n, nv)
     floor: Array  # noise floor of each joint's filtered torque, shape (nv,)
 
     @property
@@ -99,14 +101,10 @@ class HeldOut:
         """Residual of the given model."""
         return self.series.measured - self.simulated
 
-    def rms(self, error: Array) -> Array:
-        """Root mean square of an error (n, nv) where joints move, or of all rows if never."""
-        counts = np.where(self.moves.any(axis=0), self.moves, True)
-        return np.asarray(np.sqrt((error**2 * counts).sum(axis=0) / counts.sum(axis=0)), float)
-
     def worse(self, predicted: Array, than: Array, share: float = 0.0) -> bool:
         """Whether a prediction has a larger squared error than another, by a share, in motion."""
-        measured, weight = self.series.measured, self.moves / self.series.measured.std(axis=0)
+        measured = self.series.measured
+        weight = self.series.moves / measured.std(axis=0)
         errors = [float((((measured - tau) * weight) ** 2).sum()) for tau in (predicted, than)]
         return errors[0] > (1 + share) * errors[1]
 
@@ -115,8 +113,7 @@ def held_out(robot: Robot, segments: tuple[Segment, ...], gains: Array) -> HeldO
     """The hold-out of a given robot; gains are its torque per reading, shape (nv,)."""
     found = observed(robot, segments)
     floor = np.array([noise_floor(segments, j) for j in range(robot.nv)])
-    moves, simulated = away_from_rest(segments), found.torque() / gains
-    return HeldOut(found, gains, series(segments), simulated, moves, floor)
+    return HeldOut(found, gains, series(segments), found.torque() / gains, floor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,19 +230,24 @@ def _weakest(robot: Robot, fit: Extension, kept: set[Candidate]) -> Candidate | 
 
 
 def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...]:
-    error, weight = held.series.measured - fit.predicted, held.moves * held.gains
-    weight = weight / fit.evidence.sigma
+    rows, error = held.series, held.series.measured - fit.predicted
+    weight = rows.moves * held.gains / fit.evidence.sigma
     power = float(((held.given * weight) ** 2).sum())
     findings = []
     for candidate in fit.chosen:
         values, given, std = _coefficients(robot, fit, candidate.effect)
         torque = fit.held.columns(candidate.effect) @ (values - given) / held.gains
-        joints = candidate.effect.affected(robot)
+        joints = np.array(candidate.effect.affected(robot))
         without = error + torque
         fall = ((without**2 - error**2) * weight**2)[:, joints]
         gain, spread = _relative_gain((without * weight)[:, joints], (torque * weight)[:, joints])
         margin = gain - max(FLOOR, _DEVIATIONS * spread)
-        shows = np.sqrt(((torque * held.moves) ** 2).mean(axis=0)) > held.floor
+        shows = np.sqrt(((torque * rows.moves) ** 2).mean(axis=0)) > held.floor
+        most = candidate.effect.rows(robot)[0]
+        if not candidate.effect.jointwise:
+            most = int(np.argmax(rows.rms(torque) / rows.rms(error)))
+        alike = joints[robot.revolute[joints] == robot.revolute[most]]
+        before, after = (np.sqrt((rows.rms(e)[alike] ** 2).mean()) for e in (without, error))
         if gain < _PLAIN and not shows.any():
             margin = min(margin, -FLOOR)
         findings.append(
@@ -254,8 +256,9 @@ def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...
                 tuple(given.tolist()),
                 tuple(std.tolist()),
                 explained=float(fall.sum()) / power,
-                rms_before=float(np.sqrt((without[:, joints] ** 2).mean())),
-                rms_after=float(np.sqrt((error[:, joints] ** 2).mean())),
+                joint=most,
+                rms_before=float(before),
+                rms_after=float(after),
                 gain=gain,
                 gain_error=spread,
                 torque=torque,

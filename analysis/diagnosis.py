@@ -133,7 +133,8 @@ class Diagnosis:
             name = finding.effect.name
             count = sum(f.effect.name == name for f in self.findings)
             common = finding.effect.jointwise and 2 * count > self.robot.nv > 2
-            key = f"{name} {finding.verdict if common else finding.effect.joints}"
+            turns = self.robot.revolute[finding.joint]
+            key = f"{name} {(finding.verdict, turns) if common else finding.effect.joints}"
             groups.setdefault(key, []).append(finding)
         return sorted(groups.values(), key=lambda group: -sum(f.explained for f in group))
 
@@ -153,20 +154,14 @@ class Diagnosis:
     def share_of(self, left: Residual) -> float:
         """One joint's residual beyond noise as a share of the given model's squared error."""
         rms = self.extended.rms
-        given = (self.held.given / rms) ** 2
+        given = (self.simulation.rms / rms) ** 2
         size = rms[self.robot.joint_index(left.joint)]
-        return float((left.structured / size) ** 2 / given.mean(axis=0).sum())
+        return float((left.structured / size) ** 2 / given.sum())
 
     def before_and_after(self, group: Sequence[Finding]) -> tuple[float, float]:
-        """Rms error on the hold-out without and with a cause, over its joints while they move."""
-        squares = []
-        for finding in group:
-            joints = finding.effect.affected(self.robot)
-            counts = self.held.moves[:, joints]
-            counts = counts if counts.any() else ~counts
-            errors = (self.left + finding.torque, self.left)
-            squares.append([float((e[:, joints][counts] ** 2).mean()) for e in errors])
-        before, after = np.sqrt(np.mean(squares, axis=0)).tolist()
+        """Rms error on the hold-out without and with a cause, over its joints."""
+        both = [(finding.rms_before, finding.rms_after) for finding in group]
+        before, after = np.sqrt(np.mean(np.square(both), axis=0)).tolist()
         return before, after
 
     def result(self, plan: Plan = _NO_PLAN) -> dict[str, Any]:
@@ -273,6 +268,7 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[s
         "parameters": parameters + shapes,
         "explained": sum(f.explained for f in group),
         "holdout": {"rms_before": before, "rms_after": after},
+        "unit": diagnosis.unit(lead.joint),
         "verdict": "named" if all(f.verdict == "named" for f in group) else "undecided",
         "doubt": "; ".join(dict.fromkeys(f.downgrade for f in group if f.downgrade)),
         "rivals": [
@@ -296,6 +292,7 @@ def _unknown(diagnosis: Diagnosis, left: Residual) -> dict[str, Any]:
         "explained": 0.0,
         "share": diagnosis.share_of(left),
         "holdout": {"rms_before": left.rms, "rms_after": left.rms},
+        "unit": diagnosis.unit(diagnosis.robot.joint_index(left.joint)),
         "verdict": "unknown",
         "structure": left.structure,
         "rivals": [],
@@ -355,7 +352,7 @@ def diagnose(
         replace(_with_gains(f, robot, drive), downgrade=reason_to_downgrade(f, paying, left))
         for f in sorted(paying, key=lambda f: -f.explained)
     ]
-    steps = _waterfall(held.given, error, judged)
+    steps = _waterfall(held, error, judged)
     found = fit, tuple(judged), given, left, steps, tuple(notes), drive
     return Diagnosis(robot, data, train, held, *found)
 
@@ -393,12 +390,12 @@ def _iterated(first: Extender, refuted: frozenset[Key] = frozenset()) -> Extensi
 
 
 def _waterfall(
-    given: Array, extended: Array, findings: Sequence[Finding]
+    held: HeldOut, extended: Array, findings: Sequence[Finding]
 ) -> tuple[tuple[str, float], ...]:
-    steps, errors = ["given model"], [given]
+    steps, errors = ["given model"], [held.given]
     for finding in findings:
         errors.append(errors[-1] - finding.torque)
         steps.append(f"+ {plain(finding.effect.name)} at {', '.join(finding.effect.joints)}")
-    relative = np.array([*errors, extended]) / np.sqrt((given**2).mean(axis=0))
-    sizes = np.sqrt((relative**2).mean(axis=(1, 2)))
+    rms = np.array([held.series.rms(error) for error in (*errors, extended)])
+    sizes = np.sqrt(((rms / rms[0]) ** 2).mean(axis=1))
     return tuple(zip([*steps, "all re-identified"], sizes.tolist(), strict=True))

@@ -23,9 +23,8 @@ import scipy
 
 from excitant.analysis.candidates import TOLERANCE, Observed, cause_columns
 from excitant.analysis.evidence import widened
-from excitant.analysis.residuals import away_from_rest, top_speed
 from excitant.analysis.selection import ALIKE
-from excitant.identify.preprocessing import Segment
+from excitant.identify.preprocessing import Segment, away_from_rest, top_speed
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.regression import dense
 from excitant.robots.effects import Effect, JointFacts, joint_facts

@@ -315,7 +315,7 @@ def plan(diagnosis: Diagnosis, rng: np.random.Generator, *, time_limit: float = 
 
 def _contest(diagnosis: Diagnosis) -> Contest:
     open_ = [f for f in diagnosis.findings if f.rivals and f.explained >= _MATTERS]
-    counts = diagnosis.held.moves
+    counts = diagnosis.held.series.moves
     error = diagnosis.left * diagnosis.held.gains * counts
     sigma = np.sqrt((error**2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
     inflation = np.array([autocorrelation_time(column) for column in error.T])

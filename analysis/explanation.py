@@ -65,7 +65,7 @@ def at_rest(diagnosis: Diagnosis) -> str:
     """Note on joints whose error lies mostly at rest, which is not judged; else empty."""
     said = []
     for j, left in enumerate(diagnosis.residuals):
-        squares, rests = diagnosis.left[:, j] ** 2, ~diagnosis.held.moves[:, j]
+        squares, rests = diagnosis.left[:, j] ** 2, ~diagnosis.held.series.moves[:, j]
         if squares[rests].sum() <= _MOSTLY * squares.sum():
             continue
         rms = float(np.sqrt(squares[rests].mean()))
@@ -102,9 +102,7 @@ def headline(diagnosis: Diagnosis) -> str:
     if _lacks_friction(diagnosis):
         return _no_friction(diagnosis)
     before, after = diagnosis.before_and_after(lead)
-    moved = lead[0].effect.affected(diagnosis.robot)
-    unit = diagnosis.unit(moved[0] if len(lead) == len(moved) == 1 else None)
-    gain = f"hold-out error {before:.2g} → {after:.2g} {unit}"
+    gain = f"hold-out error {before:.2g} → {after:.2g} {diagnosis.unit(lead[0].joint)}"
     return f"{_sentence(lead, diagnosis.robot)}; {gain}.{_reservation(lead, diagnosis)}{more}"
 
 
@@ -186,12 +184,13 @@ class Curve:
 
 def curve_of(diagnosis: Diagnosis, item: Finding | Residual) -> Curve:
     """The figure of a finding, or of an unexplained residual."""
-    moves = diagnosis.held.moves
+    moves = diagnosis.held.series.moves
     if isinstance(item, Residual):
         j = diagnosis.robot.joint_index(item.joint)
         label, x = _abscissa(diagnosis, _DRAWN_OVER.get(item.dominant, item.dominant), j)
         return Curve(j, label, np.where(moves[:, j], x, np.nan), diagnosis.left[:, j])
-    j, other = _shown(diagnosis, item)
+    j, joints = item.joint, item.effect.rows(diagnosis.robot)
+    other = next((k for k in joints if k != j), j)
     torque = item.torque[:, j]
     if item.effect.abscissa == "own torque":
         drawn = f"torque of the fitted {plain(item.effect.name)} [{diagnosis.unit(j)}]", torque
@@ -212,23 +211,13 @@ def _rival(diagnosis: Diagnosis, finding: Finding, j: int, residual: Array) -> A
     beside = [e for e in usual if e.joint_property in ("viscous", "offset")]
     held = diagnosis.extension.held
     columns = np.concatenate([held.columns(e)[:, j] for e in (effects[1], *beside)], axis=1)
-    rows = diagnosis.held.moves[:, j]
+    rows = diagnosis.held.series.moves[:, j]
     sizes = np.sqrt((columns[rows] ** 2).sum(axis=0))
     unit = columns[:, sizes > 0] / sizes[sizes > 0]
     if not unit.shape[1]:
         return None
     fitted: Array = unit @ np.linalg.lstsq(unit[rows], residual[rows], rcond=1e-8)[0]
     return fitted
-
-
-def _shown(diagnosis: Diagnosis, finding: Finding) -> tuple[int, int]:
-    """The joint where a cause is largest relative to the residual, and the other of a pair."""
-    joints = finding.effect.rows(diagnosis.robot)
-    if finding.effect.jointwise:
-        return joints[0], joints[0]
-    size = np.sqrt((finding.torque**2).mean(axis=0)) / diagnosis.extended.rms
-    shown = int(np.argmax(size))
-    return shown, next((j for j in joints if j != shown), shown)
 
 
 def _abscissa(diagnosis: Diagnosis, domain: str, j: int, other: int = 0) -> tuple[str, Array]:

@@ -12,14 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from excitant.identify.least_squares import autocorrelation_time
-from excitant.identify.preprocessing import Segment
+from excitant.identify.preprocessing import Index, Mask, Segment, away_from_rest, top_speed
 from excitant.robots.motion import Array
-
-Mask = npt.NDArray[np.bool_]
 
 QUANTITIES = {
     "constant": "are a constant offset",
@@ -44,10 +41,6 @@ _PERIODS = 3.0  # of the motion: in a shorter time, a trend cannot be told from 
 _NO_DIRECTION = 0.005  # of a joint's top speed: slower motion has no direction
 _OUTSIDE = 0.02  # of the power on either side of a motion's band
 
-_SLOW = 0.015  # of a joint's top speed: slower is at rest
-_RESTS_S = 0.04  # s, at least; a reversal without a rest is quicker
-_REACH = 0.5  # of the period of the filter's cut-off: how far a rest affects filtered torque
-
 _ABOVE = 1.5  # times the cut-off: where nothing of the motion is left
 _PASSED = 0.898  # of white noise below the cut-off: ∫ dx / (1 + x⁸)²
 _NEAR = (0.6, 0.95)  # of the cut-off
@@ -55,30 +48,6 @@ _LONGEST = 512  # samples of a periodogram's stretch
 _FORGETS = 0.1  # s: residuals with a shorter correlation time look like noise
 _MEASURABLE = 1e-3  # of the error: noise below this comes from a filter, not from a sensor
 _SAID = 100.0  # times the noise: larger ratios are not quoted
-
-
-def top_speed(segments: Sequence[Segment]) -> Array:
-    """Highest speed of each joint, shape (nv,) [rad/s or m/s]."""
-    return np.asarray(np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0), float)
-
-
-def away_from_rest(segments: Sequence[Segment], fastest: Array | float = 0.0) -> Mask:
-    """Rows that no rest of a joint affects through the filter, shape (rows, nv).
-
-    A joint rests while slow relative to its top speed, here or, if given, elsewhere; reversals
-    without a rest count. `preprocessing.moving` marks where a joint takes part in a motion.
-    """
-    fastest = np.maximum(fastest, top_speed(segments))
-    masks = []
-    for s in segments:
-        slow = np.abs(s.motion.dq) <= _SLOW * fastest
-        least = max(1, round(_RESTS_S * s.rate_hz))
-        rests = scipy.ndimage.binary_opening(slow, np.ones((least, 1), bool))
-        reach = max(1, round(_REACH * s.rate_hz / s.cutoff_hz))
-        masks.append(
-            ~scipy.ndimage.binary_dilation(rests, np.ones((2 * reach + 1, 1), bool))[s.keep]
-        )
-    return np.concatenate(masks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +102,7 @@ def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
     found, rest = {"constant": _explained(e, constant, 1) / total}, e - constant
     forward = (dq > 0).astype(np.intp)
 
-    def even(x: Array, bins: int) -> npt.NDArray[np.intp]:
+    def even(x: Array, bins: int) -> Index:
         edges = np.quantile(x, np.linspace(0, 1, bins + 1)[1:-1])
         return np.asarray(np.searchsorted(edges, x), np.intp)
 

@@ -22,11 +22,10 @@ import scipy
 
 from excitant.analysis.candidates import TOLERANCE, Observed
 from excitant.analysis.confirmation import HeldOut
-from excitant.analysis.residuals import Mask, away_from_rest
 from excitant.exceptions import BadInput
 from excitant.identify.least_squares import SMALLEST, autocorrelation_time
 from excitant.identify.physical import fit_physical
-from excitant.identify.preprocessing import Segment
+from excitant.identify.preprocessing import Mask, Segment, away_from_rest
 from excitant.identify.prior import (
     BodyPrior,
     EffectPrior,
@@ -187,8 +186,8 @@ def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
         "extended": held.series.measured - extended,
     }
     return Refit(
-        {name: held.rms(error) for name, error in errors.items()},
-        spread=held.series.measured.std(axis=0),
+        {name: held.series.rms(error) for name, error in errors.items()},
+        spread=held.series.measured.std(axis=0, where=held.series.counts),
         possible=distance <= allowed,
         distance=distance / allowed,
         moves=_moves(robot, prior, least.reshape(-1, 10)),

@@ -47,7 +47,8 @@ _GRID = 40  # values of σ, evenly spread by logarithm
 _ALTERNATIONS = 5  # between the σ of the last link and that of the others
 _CHANCE = 0.05
 _STEPS = 60  # of Newton's method
-_SHORTEST = 1e-6  # share of a step
+_SHORTEST = 1e-2  # share of a step, below which rounding decides
+_DIGITS = 1e-13  # of the objective, likewise
 _SHRINKING = 0.1  # in one step
 _MARGIN = 1e-4  # least part of a given body in any direction
 _SETTLED = 1e-6  # step in standard deviations; the error is about its square
@@ -197,8 +198,10 @@ class _Problem:
                 reached = self.objective(y + share * step)
             if reached > bound:
                 break
+            fall = value - reached if possible else np.inf
             y, value, possible = y + share * step, reached, True
-            if np.linalg.norm(np.append(program.A @ step, program.C @ step)) <= _SETTLED:
+            moved = np.linalg.norm(np.append(program.A @ step, program.C @ step))
+            if moved <= _SETTLED or fall <= _DIGITS * value:
                 break
         return y, found.multipliers
 

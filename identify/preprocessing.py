@@ -39,6 +39,9 @@ _SHARE = 0.02  # of a joint's fastest motion in all recordings, below which it s
 _LEAST = 2e-3  # of its velocity limit, likewise: what a controller lets a held joint creep
 _TRAVEL = 1e-2  # rad or m, over a segment, likewise
 _FREE_SPEED = 3.0  # rad/s, where there is no limit
+_SLOW = 0.015  # of a joint's top speed: slower is at rest
+_RESTS_S = 0.04  # s, at least; a reversal without a rest is quicker
+_REACH = 0.5  # of the period of the filter's cut-off: how far a rest affects filtered torque
 
 Mask = npt.NDArray[np.bool_]
 Index = npt.NDArray[np.intp]
@@ -233,6 +236,33 @@ def moving(robot: Robot, segments: Sequence[Segment]) -> list[Mask]:
         travels = np.ptp(segment.motion.q, axis=0) > _TRAVEL
         masks.append(np.asarray((near > slow) & travels, bool))
     return masks
+
+
+def top_speed(segments: Sequence[Segment]) -> Array:
+    """Highest speed of each joint, shape (nv,) [rad/s or m/s]."""
+    return np.asarray(np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0), float)
+
+
+def away_from_rest(segments: Sequence[Segment], fastest: Array | float = 0.0) -> Mask:
+    """Rows that no rest of a joint affects through the filter, shape (rows, nv).
+
+    A joint rests while slow relative to its top speed, here or, if given, elsewhere; reversals
+    without a rest count. `moving` marks where a joint takes part in a motion.
+    """
+    fastest = np.maximum(fastest, top_speed(segments))
+    masks = []
+    for s in segments:
+        slow = np.abs(s.motion.dq) <= _SLOW * fastest
+        least = max(1, round(_RESTS_S * s.rate_hz))
+        reach = max(1, round(_REACH * s.rate_hz / s.cutoff_hz))
+        # a rest is the union of windows of its least length in which a joint is slow throughout
+        whole = scipy.ndimage.minimum_filter1d(slow, least, axis=0, mode="constant", cval=0)
+        size, middle = least + 2 * reach, -(1 - least % 2)
+        near = scipy.ndimage.maximum_filter1d(
+            whole, size, axis=0, mode="constant", cval=0, origin=middle
+        )
+        masks.append(~near[s.keep])
+    return np.concatenate(masks)
 
 
 def stilled(segment: Segment, moves: Mask) -> Segment:

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from excitant.exceptions import BadRecording
 from excitant.identify.drive_gains import CurrentGains, current_gains
-from excitant.identify.preprocessing import CUTOFF_HZ, Segment, default_cutoff, prepare
+from excitant.identify.preprocessing import (
+    CUTOFF_HZ,
+    Mask,
+    Segment,
+    away_from_rest,
+    default_cutoff,
+    prepare,
+)
 from excitant.identify.prior import EffectPrior
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, regression_of
@@ -108,7 +116,7 @@ def _parts(
 
 @dataclass(frozen=True, eq=False)
 class Accuracy:
-    """Prediction errors per joint, each of shape (nv,).
+    """Prediction errors per joint at rows where it moves, each of shape (nv,).
 
     Attributes:
         rms: Root mean square of measured − predicted, both filtered [torque unit].
@@ -129,17 +137,33 @@ class Accuracy:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Time without gaps, (n,) [s], and torque, filtered and raw, (n, nv) [unit], of segments."""
+    """Rows of segments: by these, every error is judged.
+
+    Attributes:
+        t: Time without gaps, shape (n,) [s].
+        measured: Filtered torque, shape (n, nv) [torque unit].
+        raw: Unfiltered torque, shape (n, nv) [torque unit].
+        moves: Rows that no rest of the joint affects, shape (n, nv).
+    """
 
     t: Array
     measured: Array
     raw: Array
+    moves: Mask
+
+    @cached_property
+    def counts(self) -> Mask:
+        """Rows at which an error counts: where the joint moves, all if it never does, (n, nv)."""
+        return np.where(self.moves.any(axis=0), self.moves, True)
+
+    def rms(self, error: Array) -> Array:
+        """Root mean square of an error, (n, nv), of each joint, shape (nv,)."""
+        return np.asarray(np.sqrt(np.mean(error**2, axis=0, where=self.counts)), float)
 
     def accuracy(self, predicted: Array) -> Accuracy:
         """Accuracy of a prediction at these rows, shape (n, nv)."""
-        rms = np.sqrt(np.mean((self.measured - predicted) ** 2, axis=0))
-        raw = np.sqrt(np.mean((self.raw - predicted) ** 2, axis=0))
-        spread = self.measured.std(axis=0)
+        rms, raw = self.rms(self.measured - predicted), self.rms(self.raw - predicted)
+        spread = self.measured.std(axis=0, where=self.counts)
         nrmse = np.divide(rms, spread, out=np.full_like(rms, np.nan), where=spread > 0)
         return Accuracy(*map(read_only, (rms, raw, nrmse, 1 - nrmse**2)))
 
@@ -151,7 +175,8 @@ def series(segments: Sequence[Segment]) -> Series:
         times.append(segment.t - segment.t[0] + start)
         start = times[-1][-1] + (segment.t[1] - segment.t[0])
     torques = ([s.tau[s.keep] for s in segments], [s.tau_raw[s.keep] for s in segments])
-    return Series(*(read_only(np.concatenate(parts)) for parts in (times, *torques)))
+    t, measured, raw = (read_only(np.concatenate(parts)) for parts in (times, *torques))
+    return Series(t, measured, raw, away_from_rest(segments))
 
 
 def predicted_torque(robot: Robot, segments: Sequence[Segment]) -> Array:

@@ -164,6 +164,7 @@ def _sentence(finding: Result, unit: str) -> str:
         said = "Structure is left over that no candidate explains"
         return f"{said}: it {structure}." if structure else f"{said}."
     before, after = (v.real(finding, "holdout", f"rms_{key}") for key in ("before", "after"))
+    unit = v.text(finding, "unit") or unit
     effect, share = _cause(finding), v.real(finding, "explained")
     said = f"{effect[:1].upper()}{effect[1:]} was found."
     if before is not None and after is not None:

@@ -89,9 +89,7 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
             continue
         draw.draw_curve(torque, time, joins, model, color=colour, lw=0.9)
         draw.draw_curve(residual, time, joins, measured - model, color=colour, lw=0.8)
-        finite = (measured - model)[np.isfinite(measured - model)]
-        rms = float(np.sqrt(np.mean(finite**2))) if len(finite) else None
-        said.append(f"{label} leaves rms {v.quantity(rms, unit)}")
+        said.append(f"below it what the {label} leaves")
     draw.label_y(torque, f"torque [{unit}]" if unit != "A" else "current [A]")
     draw.over_time(residual, time, f"residual [{unit}]")
     return draw.panel(torque, f"{joint}: measured torque over time; {'; '.join(said)}", joint)
@@ -267,8 +265,7 @@ def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> F
     ax.margins(0.04)
     draw.label_x(ax, x_label)
     draw.label_y(ax, v.text(finding, "figure", "y_label") or f"residual [{unit}]")
-    rms = v.number(np.sqrt(np.mean(residual**2)))
-    label = f"{joint}: residual (rms {rms} {unit}) against {x_label}, with the fitted {effect}"
+    label = f"{joint}: residual against {x_label}, with the fitted {effect}"
     return draw.single(ax, label, caption, legend, joint)
 
 

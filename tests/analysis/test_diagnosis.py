@@ -19,6 +19,7 @@ from excitant.analysis.explanation import at_rest, headline, reason_to_downgrade
 from excitant.analysis.residuals import BANDS, QUANTITIES, Residual
 from excitant.analysis.validation import LIKELY, refit, windows
 from excitant.identify import model_files
+from excitant.identify.preprocessing import away_from_rest
 from excitant.identify.rows import series
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import StribeckFriction, ViscousFriction
@@ -171,14 +172,29 @@ def test_gains_are_those_of_the_written_model(coulomb: Diagnosis, tmp_path: Path
     for name, text in model_files(coulomb.extension.model, "extended", "extended.yaml").items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     written, [segment] = load_robot(tmp_path / "extended.yaml"), coulomb.data.validate
-    spread = segment.tau[segment.keep].std(axis=0)
+    tau, moves = segment.tau[segment.keep], away_from_rest([segment])
     for model, reported in ((coulomb.robot, coulomb.simulation), (written, coulomb.extended)):
-        rms = np.sqrt((errors(coulomb, model) ** 2).mean(axis=0))
-        np.testing.assert_allclose(reported.rms, rms, rtol=1e-6)
-        np.testing.assert_allclose(reported.nrmse, rms / spread, rtol=1e-6)
-    lead = coulomb.findings[0]
-    j = coulomb.robot.joint_index(lead.effect.joints[0])
-    assert lead.rms_after == pytest.approx(coulomb.extended.rms[j], rel=1e-9)
+        error = errors(coulomb, model)
+        for j, rows in enumerate(moves.T):
+            rms = np.sqrt((error[rows, j] ** 2).mean())
+            assert reported.rms[j] == pytest.approx(rms, rel=1e-6)
+            assert reported.nrmse[j] == pytest.approx(rms / tau[rows, j].std(), rel=1e-6)
+
+
+def test_an_error_is_the_same_wherever_it_is_told(coulomb: Diagnosis) -> None:
+    """Over rows at which the joint moves, after one filter: findings, tables, steps, headline."""
+    assert not coulomb.held.series.moves.all()
+    result, lead = coulomb.result(), coulomb.findings[0]
+    for model, key in (("simulation", "given"), ("extended", "extended")):
+        rms = [row["rms"] for row in result[model]["joints"]]
+        assert [row[key] for row in result["refit"]["joints"]] == pytest.approx(rms, rel=1e-9)
+        told = [row if key == "given" else row["left"] for row in result["error"]["joints"]]
+        assert [row["rms"] for row in told] == pytest.approx(rms, rel=1e-9)
+    assert lead.rms_after == pytest.approx(coulomb.extended.rms[lead.joint], rel=1e-9)
+    relative = coulomb.extended.rms / coulomb.simulation.rms
+    last = np.sqrt((relative**2).mean())
+    assert result["waterfall"][-1]["rms"] == pytest.approx(last, rel=1e-9)
+    assert result["findings"][0]["holdout"]["rms_after"] == pytest.approx(lead.rms_after)
 
 
 def test_a_finding_is_the_extended_model_without_it(coulomb: Diagnosis) -> None:
@@ -190,7 +206,8 @@ def test_a_finding_is_the_extended_model_without_it(coulomb: Diagnosis) -> None:
         without.append(effect.with_values(values))
     error = errors(coulomb, model.with_effects(without))
     j = model.joint_index(lead.effect.joints[0])
-    assert lead.rms_before == pytest.approx(np.sqrt((error[:, j] ** 2).mean()), rel=1e-6)
+    moves = away_from_rest(coulomb.data.validate)[:, j]
+    assert lead.rms_before == pytest.approx(np.sqrt((error[moves, j] ** 2).mean()), rel=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["payload", "coulomb_friction"])
@@ -335,7 +352,7 @@ def test_an_error_at_rest_is_told(resting: float, in_motion: float, said: str) -
     moves[300:500] = False
     stand_in = SimpleNamespace(
         unit=lambda joint: "N·m",
-        held=SimpleNamespace(moves=moves),
+        held=SimpleNamespace(series=SimpleNamespace(moves=moves)),
         left=np.where(moves, in_motion, resting),
         residuals=(SimpleNamespace(joint="elbow", floor=FLOOR),),
         ordered=[],

@@ -29,7 +29,7 @@ SLOW = {"presliding_hysteresis", "time_delay"}
 
 def better(diagnosis: Diagnosis, factor: float) -> Diagnosis:
     """Better on every joint, by a factor over all of them, and with bodies that can be."""
-    given, extended = (diagnosis.held.rms(e) for e in (diagnosis.held.given, diagnosis.left))
+    given, extended = diagnosis.simulation.rms, diagnosis.extended.rms
     assert (extended < SAME * given).all(), extended / given
     size = diagnosis.held.series.measured.std(axis=0)
     total = [float(np.sqrt(((e / size) ** 2).sum())) for e in (given, extended)]

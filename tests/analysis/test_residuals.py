@@ -9,7 +9,7 @@ import pytest
 
 from excitant.analysis import residuals
 from excitant.identify.differentiators import low_pass
-from excitant.identify.preprocessing import Segment
+from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.robots import Motion
 
 RATE, CUTOFF = 200.0, 10.0
@@ -46,14 +46,14 @@ def sine(seconds: float, amplitude: float = 1.0, rate: float = RATE) -> np.ndarr
 
 @pytest.mark.parametrize("rate", [100.0, 200.0, 1000.0])
 def test_a_quick_reversal_counts(rate: float) -> None:
-    assert residuals.away_from_rest([at_speed(sine(4.0, rate=rate), rate=rate)]).all()
+    assert away_from_rest([at_speed(sine(4.0, rate=rate), rate=rate)]).all()
 
 
 @pytest.mark.parametrize("creep", [0.0, 0.005])
 def test_a_rest_does_not_count_as_far_as_the_filter_carries_it(creep: float) -> None:
     dq, n = sine(4.0), round(0.5 / CUTOFF * RATE)
     dq[300:360] = creep  # 0.3 s
-    counts = residuals.away_from_rest([at_speed(dq)])[:, 0]
+    counts = away_from_rest([at_speed(dq)])[:, 0]
     assert not counts[300 - n : 360 + n].any()
     far = np.r_[0 : 300 - n - 3, 360 + n + 3 : len(dq)]  # the sine itself is slow for a moment
     assert counts[far].all()
@@ -63,18 +63,18 @@ def test_a_rest_does_not_count_as_far_as_the_filter_carries_it(creep: float) -> 
 def test_a_short_stop_counts_and_a_longer_one_does_not(samples: int, counted: bool) -> None:
     dq = np.ones((400, 1))
     dq[200 : 200 + samples] = 0.0
-    assert residuals.away_from_rest([at_speed(dq)]).all() == counted
+    assert away_from_rest([at_speed(dq)]).all() == counted
 
 
 def test_each_joint_rests_by_its_own_fastest_motion_in_all_segments() -> None:
     dq = np.hstack([sine(4.0), sine(4.0, 1e-3), sine(4.0)])
     dq[400:500, 2] = 0.0
-    counts = residuals.away_from_rest([at_speed(dq)])
+    counts = away_from_rest([at_speed(dq)])
     assert counts[:, :2].all()  # a slow joint is not one at rest
     assert not counts[400:500, 2].any()
     fast, slow = at_speed(sine(2.0)), at_speed(sine(2.0, 0.01))
-    assert residuals.away_from_rest([slow]).all()
-    both = residuals.away_from_rest([fast, slow])
+    assert away_from_rest([slow]).all()
+    both = away_from_rest([fast, slow])
     assert both[: len(fast.t)].all()
     assert not both[len(fast.t) :].any()
 
@@ -82,8 +82,8 @@ def test_each_joint_rests_by_its_own_fastest_motion_in_all_segments() -> None:
 def test_rows_are_those_that_are_kept() -> None:
     dq, keep = sine(4.0), slice(20, -20, 5)
     dq[300:400] = 0.0
-    whole = residuals.away_from_rest([at_speed(dq)])
-    both = residuals.away_from_rest([at_speed(dq, keep), at_speed(dq)])
+    whole = away_from_rest([at_speed(dq)])
+    both = away_from_rest([at_speed(dq, keep), at_speed(dq)])
     np.testing.assert_array_equal(both, np.vstack([whole[keep], whole]))
 
 
@@ -137,7 +137,7 @@ def test_structure_is_told_by_the_quantity_in_which_it_is(kind: str) -> None:
     assert found.structure.endswith(residuals.QUANTITIES[kind])
     assert found.shares[kind] > 0.7
     assert found.structured == pytest.approx(np.sqrt((structure**2).mean()), rel=0.1)
-    rows = residuals.away_from_rest(SEGMENTS)[:, 0]
+    rows = away_from_rest(SEGMENTS)[:, 0]
     assert residuals.shares(1e3 * (NOISE + structure)[:, 0], BY, 0, rows) == pytest.approx(
         found.shares
     )
