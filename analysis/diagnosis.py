@@ -34,11 +34,11 @@ from excitant.analysis.residuals import Residual, residuals
 from excitant.analysis.selection import rivals, select
 from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
-from excitant.identify.drive_gains import CurrentGains, current_gains
+from excitant.identify.drive_gains import DriveGains, current_gains
 from excitant.identify.faults import warn_of_faults
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.rows import Accuracy, Data, series, split
+from excitant.identify.rows import Accuracy, Data, gains_of, series, split, told
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import plain, standard_effects
 from excitant.robots.html_table import html_table
@@ -77,7 +77,7 @@ class Diagnosis:
     residuals: tuple[Residual, ...]
     waterfall: tuple[tuple[str, float], ...]
     notes: tuple[str, ...]
-    drive: CurrentGains | None = None
+    drive: DriveGains | None = None
 
     @property
     def left(self) -> Array:
@@ -248,11 +248,20 @@ class Diagnosis:
 def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[str, Any]:
     lead, robot = group[0], diagnosis.robot
     before, after = diagnosis.before_and_after(group)
+    drive = diagnosis.drive
     parameters = [
-        {"name": p.name, "value": (f.effect.values or ())[k], "std": f.std[k], "unit": p.unit}
-        | {"given": f.given[k]}
+        {"name": p.name, "value": factor * value, "given": factor * given, "unit": unit}
+        | {"std": float(np.sqrt(std**2 - (factor != 1) * gains**2)) * factor}
         for f in group
-        for k, p in enumerate(f.effect.parameters(robot))
+        for p, value, given, std, gains in zip(
+            f.effect.parameters(robot),
+            f.effect.values or (),
+            f.given,
+            f.std,
+            _by_gains(f, robot, drive),
+            strict=True,
+        )
+        for factor, unit in [told(p, robot, drive)]
     ]
     shapes: list[dict[str, Any]] = [
         {"name": f"{f.effect.joints[0]}.{s.name}", "value": getattr(f.effect, s.name)}
@@ -322,14 +331,14 @@ def diagnose(
     data, prior = split(recordings, validate, cutoff_hz), prior_parameters(robot)
     warn_of_faults(robot, recordings)
     train, measured = observed(robot, data.train), series(data.train).measured
-    notes, gains = [data.holdout], np.ones(robot.nv)
-    drive: CurrentGains | None = None
+    notes, drive = [data.holdout], data.drive
     if data.unit == "A":
         usual = standard_effects(robot.joints)
         base = base_parameters(robot, usual)
         drive = current_gains(robot, base, train.matrix(usual), measured)
-        gains = drive.gains
-        notes.append(drive.sentence)
+    if drive is not None:
+        notes.append(drive.sentence(robot.joints))
+    gains = gains_of(robot, data, drive)
     held, tau = held_out(robot, data.validate, gains), measured * gains
     evidence = gather(robot, train, tau, prior)
     first = Extender(prior, train, tau, held, evidence)
@@ -357,15 +366,21 @@ def diagnose(
     return Diagnosis(robot, data, train, held, *found)
 
 
-def _with_gains(finding: Finding, robot: Robot, drive: CurrentGains | None) -> Finding:
+def _with_gains(finding: Finding, robot: Robot, drive: DriveGains | None) -> Finding:
     """A finding whose uncertainty counts that of the drive gains that its size rests on."""
+    std = np.hypot(finding.std, _by_gains(finding, robot, drive))
+    return replace(finding, std=tuple(std.tolist()))
+
+
+def _by_gains(finding: Finding, robot: Robot, drive: DriveGains | None) -> Array:
+    """Standard deviations of a finding's coefficients by that of the drive gains."""
+    size = np.abs(np.array(finding.effect.values) - finding.given)
     if drive is None:
-        return finding
+        return 0 * size
     effect = finding.effect
     own = [robot.joint_index(joint) for joint in effect.joints if effect.role == "torque"]
     spread = max(np.sqrt(drive.covariance[j, j]) for j in own) if own else drive.scale_std
-    std = np.hypot(finding.std, spread * (np.array(effect.values) - finding.given))
-    return replace(finding, std=tuple(std.tolist()))
+    return np.asarray(spread * size, float)
 
 
 def _iterated(first: Extender, refuted: frozenset[Key] = frozenset()) -> Extension:

@@ -10,9 +10,9 @@ import numpy as np
 
 from excitant.analysis.evidence import are_placeholders
 from excitant.analysis.residuals import Residual, explanatory
+from excitant.identify.rows import told
 from excitant.robots.effects import plain, standard_effects
 from excitant.robots.motion import Array
-from excitant.robots.robot import Robot
 
 if TYPE_CHECKING:
     from excitant.analysis.confirmation import Finding
@@ -103,12 +103,19 @@ def headline(diagnosis: Diagnosis) -> str:
         return _no_friction(diagnosis)
     before, after = diagnosis.before_and_after(lead)
     gain = f"hold-out error {before:.2g} → {after:.2g} {diagnosis.unit(lead[0].joint)}"
-    return f"{_sentence(lead, diagnosis.robot)}; {gain}.{_reservation(lead, diagnosis)}{more}"
+    return f"{_sentence(lead, diagnosis)}; {gain}.{_reservation(lead, diagnosis)}{more}"
 
 
-def _sentence(group: Sequence[Finding], robot: Robot) -> str:
+def _sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
+    robot, effect, given = diagnosis.robot, group[0].effect, np.array(group[0].given)
     joints = [joint for f in group for joint in f.effect.joints]
-    return group[0].effect.sentence(robot, joints, group[0].given)
+    parameters = effect.parameters(robot)
+    factors, units = zip(*(told(p, robot, diagnosis.drive) for p in parameters), strict=True)
+    effect = effect.with_values((np.array(effect.values) * factors).tolist())
+    said = effect.sentence(robot, joints, (given * factors).tolist())
+    for p, unit in zip(parameters, units, strict=True):
+        said = said.replace(p.unit, unit) if p.unit != unit else said
+    return said
 
 
 def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
@@ -163,7 +170,7 @@ def _no_friction(diagnosis: Diagnosis) -> str:
 def _apart_from(known: str, groups: Sequence[Sequence[Finding]], diagnosis: Diagnosis) -> str:
     if not groups:
         return ""
-    words = _sentence(groups[0], diagnosis.robot)
+    words = _sentence(groups[0], diagnosis)
     if words.startswith(("A ", "The ")):
         words = words[0].lower() + words[1:]
     verdict = "" if all(f.verdict == "named" for f in groups[0]) else " (undecided)"

@@ -11,7 +11,7 @@ from excitant.design.export import (
     write_formats,
 )
 from excitant.design.feasible import random_trajectory
-from excitant.design.optimal import CLEARANCE, build_design, design_trajectory
+from excitant.design.optimal import build_design, design_trajectory
 from excitant.design.result import Design, TrajectoryCheck
 from excitant.design.sequence import LinkByLinkDesign, design_link_by_link
 from excitant.design.timing import approach
@@ -21,6 +21,7 @@ from excitant.design.trajectory import (
     Trajectory,
     from_coefficients,
 )
+from excitant.robots.geometry import CLEARANCE
 
 __all__ = [
     "CLEARANCE",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -261,12 +261,16 @@ def _extreme(times: Iterable[Array], values: Iterable[Array]) -> Extrema:
 
 @dataclass(frozen=True)
 class Clearance:
-    """Smallest distance over a continuous motion, negative where bodies overlap."""
+    """Smallest distance over a continuous motion, negative where bodies overlap.
 
-    distance: float  # the smallest found [m]
-    certified: float  # one that no instant is nearer than [m]
+    Of bodies that no motion brings twice the clearance apart, it counts ``scale`` times.
+    """
+
+    distance: float  # the smallest found, as it counts [m]
+    certified: float  # one that no instant is nearer than, as it counts [m]
     bodies: tuple[str, str]
     time: float  # [s]
+    scale: float = 1.0  # of these bodies' distance
 
 
 def clearance(scene: Scene, path: Trajectory | HermiteTrajectory) -> Clearance:
@@ -287,7 +291,7 @@ def clearance(scene: Scene, path: Trajectory | HermiteTrajectory) -> Clearance:
         open_ = bound < best.distance - _RESOLUTION
         certified = min(best.distance - _RESOLUTION, float(bound.min(initial=np.inf)))
         if not open_.any() or evaluated > _LARGEST:
-            return Clearance(best.distance, certified, best.bodies, best.time)
+            return replace(best, certified=certified)
         left, right, begin, length = left[open_], right[open_], begin[open_], length / 2
         middle = scene.distances(path(begin + length))
         evaluated += len(middle)
@@ -308,7 +312,7 @@ def _span(path: Trajectory | HermiteTrajectory) -> tuple[float, float, Array]:
 def _smallest(scene: Scene, distance: Array, t: Array) -> Clearance:
     k, pair = np.unravel_index(int(np.argmin(distance)), distance.shape)
     value = float(distance[k, pair])
-    return Clearance(value, value, scene.pairs[int(pair)], float(t[k]))
+    return Clearance(value, value, scene.pairs[int(pair)], float(t[k]), float(scene.scale[pair]))
 
 
 def pose_use(scene: Scene | None, required: float, q: Array) -> Array:

@@ -125,25 +125,30 @@ def _standstill(
     middle, half = position_range(robot.limits)
     half = np.where(np.isfinite(half), half, np.pi)
     width, pose, best = 1.0, middle, np.inf
-    use = np.zeros(robot.nv)
+    use, apart = np.zeros(robot.nv), 0.0
     for _ in range(_POLISH):
         poses = pose + width * half * rng.uniform(-1, 1, (_POSES // _POLISH * 2, robot.nv))
         poses = np.clip(poses, middle - half, middle + half)
         zero = np.zeros_like(poses)
         held = Motion(np.arange(len(poses), dtype=float), poses, zero, zero)
         uses = np.abs(largest_torque(robot, held)) / robot.limits.torque
-        worst = np.maximum(uses.max(axis=1), pose_use(scene, required, poses))
+        near = pose_use(scene, required, poses)
+        worst = np.maximum(uses.max(axis=1), near)
         k = int(worst.argmin())
         if worst[k] < best:
-            best, pose, use = float(worst[k]), poses[k], uses[k]
+            best, pose, use, apart = float(worst[k]), poses[k], uses[k], float(near[k])
         width *= 0.8
     if best < _TORQUE_SHARE:
         return pose
-    if use.max() < _TORQUE_SHARE:
+    if scene is not None and apart >= use.max():
+        distance = scene.distances(pose[None])[0]
+        pair, least = scene.pairs[int(distance.argmin())], 1e3 * float(distance.min())
         raise Infeasible(
             f"trajectory of {robot.name}",
-            "every pose tried is too close to an obstacle or to the arm itself; lower the "
-            "required clearance, move the obstacles or widen the position limits",
+            f"every pose tried is too close to an obstacle or to the arm itself: at best, "
+            f"{pair[0]} and {pair[1]} are {least:.3g} mm apart, required {1e3 * required:.3g} mm; "
+            "lower the required clearance, move the obstacles or the floor (--floor, --no-floor), "
+            "or widen the position limits",
         )
     tight = np.flatnonzero(use >= 0.999 * best).tolist()
     limit = ", ".join(f"{robot.limits.torque[j]:.4g} {robot.torque_unit(joint=j)}" for j in tight)

@@ -19,7 +19,7 @@ from excitant.design.search import Effort, SearchState, best_solutions, connect,
 from excitant.design.trajectory import FourierSeries, Series, SplineSeries
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots import Motion, Robot
-from excitant.robots.geometry import Scene
+from excitant.robots.geometry import CLEARANCE, Scene
 
 Progress = Callable[[int, int | None, float, float], None]
 """Called with starts done, starts in all (None: until the time limit), best condition number
@@ -28,7 +28,6 @@ and its worst limit ratio."""
 SERIES = ("fourier", "spline")
 USE = 0.9  # of the limits; the rest is for what the model and the controller get wrong
 TOP_HZ = 2.5  # a quarter of the cut-off that identification filters at
-CLEARANCE = 0.01  # m
 CANDIDATES = 4  # best searches whose exact figures decide
 
 _STARTS = 16

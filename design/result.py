@@ -148,7 +148,11 @@ class Design:
             "unchecked": unchecked(robot, self.scene),
             "clearance_m": near and near.certified,
             "closest": near
-            and {"bodies": list(near.bodies), "t": near.time, "distance_m": near.distance},
+            and {
+                "bodies": list(near.bodies),
+                "t": near.time,
+                "distance_m": near.distance / near.scale,
+            },
             "obstacles": [o.plain() for o in self.scene.obstacles] if self.scene else [],
             "starts": [
                 {
@@ -247,8 +251,9 @@ class TrajectoryCheck:
         ]
         if near is not None and self.touched:
             verdicts.append(
-                f"{near.bodies[0]} and {near.bodies[1]} come within {1000 * near.distance:.3g} mm "
-                f"at {near.time:.4g} s, required {1000 * self.least:.3g} mm"
+                f"{near.bodies[0]} and {near.bodies[1]} come within "
+                f"{1000 * near.distance / near.scale:.3g} mm at {near.time:.4g} s, required "
+                f"{1000 * self.least / near.scale:.3g} mm"
             )
         return {
             "verb": "check",
@@ -277,7 +282,8 @@ class TrajectoryCheck:
         self.limits.worst.require()
         if (near := self.clearance) is not None and self.touched:
             bodies = " and ".join(near.bodies)
-            raise OutsideLimits(bodies, "distance", near.distance, self.least, near.time)
+            least = self.least / near.scale
+            raise OutsideLimits(bodies, "distance", near.distance / near.scale, least, near.time)
 
 
 def scaled_condition_number(M: Array) -> float | None:

@@ -21,7 +21,6 @@ from excitant.design.criterion import Information, objective
 from excitant.design.export import trajectory_csv, trajectory_json
 from excitant.design.optimal import (
     CANDIDATES,
-    CLEARANCE,
     TOP_HZ,
     USE,
     build_design,
@@ -36,7 +35,7 @@ from excitant.exceptions import Infeasible
 from excitant.robots import Array, Robot
 from excitant.robots.base_parameters import last_rows
 from excitant.robots.effects import Effect
-from excitant.robots.geometry import Scene
+from excitant.robots.geometry import CLEARANCE, Scene
 from excitant.robots.geometry import scene as scene_of
 from excitant.robots.motion import read_only
 

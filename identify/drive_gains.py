@@ -51,17 +51,25 @@ _TOGETHER = 0.5  # share of a joint's rows with another joint moving, from which
 _HARDLY = 0.2  # relative uncertainty of the common scale, from which the payload is refused
 _ROUNDS, _SETTLED = 30, 1e-8
 _DEPENDENT = 1e-7  # part of a unit column that is outside the others
+_IN_AMPERES = (
+    ("(N·m)", "A"),
+    ("N·m", "A"),
+    ("kg·m²", "A·s²/rad"),
+    ("kg", "A·s²/m"),
+    ("N", "A"),
+)
 _SHOWN = 4.0  # a current's residual over that of the best combination, from which its gain is shown
 
 
 @dataclass(frozen=True, eq=False)
-class CurrentGains:
-    """Torque per ampere of every joint, from the given masses."""
+class DriveGains:
+    """Torque per ampere of every joint, from the given masses or from a known payload."""
 
     gains: Array  # shape (nv,) [N·m/A]
     covariance: Array  # of their logarithms, shape (nv, nv)
     scale_std: float  # relative standard deviation of their common scale
-    compared: bool  # whether joints were compared; else each is judged by its own rows
+    compared: bool = True  # whether joints were compared; else each is judged by its own rows
+    shown: tuple[bool, ...] = ()  # of a known payload: whether the recordings show each gain
 
     def __post_init__(self) -> None:
         freeze(self, "gains", "covariance")
@@ -72,15 +80,53 @@ class CurrentGains:
         return np.asarray(self.gains * np.sqrt(np.diag(self.covariance)), float)
 
     @property
-    def sentence(self) -> str:
-        """The gains and where they come from."""
+    def fixed(self) -> bool:
+        """Whether anything fixes the common scale: it is known to better than all of itself."""
+        return self.scale_std < 1
+
+    def sentence(self, joints: Sequence[str]) -> str:
+        """The gains, where they come from, and what the recordings leave open."""
         pairs = ", ".join(f"{k:.3g} ± {s:.2g}" for k, s in zip(self.gains, self.std, strict=True))
+        said, scale = f"torque was recorded as current; drive gains ({pairs} N·m/A)", self.scale_std
+        if self.shown:
+            hidden = [joint for joint, seen in zip(joints, self.shown, strict=True) if not seen]
+            rest = f"; that of {', '.join(hidden)} is not shown and was taken from the other joints"
+            return (
+                f"{said} follow from the known payload, their common scale to ±{100 * scale:.2g} %"
+                f"{rest if hidden else ''}"
+            )
+        known = "a known payload determines it (--payload-recording)"
+        if not self.fixed:
+            return (
+                f"{said} are relative to each other, for nothing fixes their common scale (the "
+                f"given masses, to ±{scale:.0%}): friction is told in amperes, and masses, "
+                f"inertias and base parameters hold up to that factor; {known}"
+            )
+        if not self.compared:
+            said += (
+                " follow from the given masses joint by joint, and from each other where masses "
+                "hardly load the joint, for joints that move one at a time do not show them "
+                "relative to each other"
+            )
+        else:
+            said += " were estimated from what joints have in common"
         return (
-            "torque was recorded as current; drive gains were estimated "
-            f"({pairs} N·m/A); their common scale, which currents do not determine, follows from "
-            f"the given masses to ±{self.scale_std:.0%}, and with it all masses, inertias and "
-            "friction, whose ± contains it; a known payload determines it (--payload-recording)"
+            f"{said}; their common scale, which currents do not determine, follows from the given "
+            f"masses to ±{scale:.0%}, and with it all masses, inertias and friction, whose ± "
+            f"contains it; {known}"
         )
+
+    def told(self, unit: str, joint: int) -> tuple[float, str]:
+        """Factor and unit in which to tell a coefficient of a joint: in amperes if not `fixed`."""
+        for torque, current in _IN_AMPERES:
+            if torque in unit and not self.fixed:
+                k = float(self.gains[joint])
+                return (k if torque.startswith("(") else 1 / k), unit.replace(torque, current)
+        return 1.0, unit
+
+    def torque(self, recordings: Sequence[Recording]) -> list[Recording]:
+        """Recordings of currents as recordings of torque, which rests on these gains."""
+        return [replace(r, tau=r.tau * self.gains, unit="N·m", drive=self) for r in recordings]
 
     def result(self) -> dict[str, Any]:
         """Entries of result.json."""
@@ -88,12 +134,13 @@ class CurrentGains:
             "drive_gain_Nm_per_A": self.gains.tolist(),
             "drive_gain_std_Nm_per_A": self.std.tolist(),
             "drive_gain_scale_rel_std": self.scale_std,
+            **({"drive_gain_shown": list(self.shown)} if self.shown else {}),
         }
 
 
 def current_gains(
     robot: Robot, base: BaseParameters, W: Array, current: Array, moves: Mask | None = None
-) -> CurrentGains:
+) -> DriveGains:
     """Gains k with torque = k · current.
 
     A gain that the motion hardly shows stays near those of the other joints. W are the columns of
@@ -115,7 +162,7 @@ def current_gains(
 
 def _compared(
     Y: Array, F: Array, current: Array, shown: list[int], phi: Array, spread: Array
-) -> CurrentGains:
+) -> DriveGains:
     nv = Y.shape[1]
     parts = [without_effects(F[:, j], Y[:, j], current[:, j]) for j in range(nv)]
     Y, current = (np.stack(values, axis=1) for values in zip(*parts, strict=True))
@@ -146,7 +193,7 @@ def _compared(
     pull = np.einsum("nj,njp->p", model / gains / sigma**2, Y, optimize=True) @ spread
     unsure = float(np.linalg.norm(pull) / size)
     covariance = contrasts @ apart @ contrasts.T + unsure**2
-    return CurrentGains(gains * abs(scale), covariance, unsure, True)
+    return DriveGains(gains * abs(scale), covariance, unsure, True)
 
 
 def _alternate(gram: Array, moment: Array, weight: Array, gains: Array) -> tuple[Array, Array]:
@@ -165,7 +212,7 @@ def _alternate(gram: Array, moment: Array, weight: Array, gains: Array) -> tuple
     return gains, beta
 
 
-def _each_alone(robot: Robot, W: Array, current: Array, moves: Mask, spread: Array) -> CurrentGains:
+def _each_alone(robot: Robot, W: Array, current: Array, moves: Mask, spread: Array) -> DriveGains:
     """Gains from each joint's own rows, as logarithms that scatter around a common one."""
     links, nv = 10 * robot.nv, robot.nv
     pairs = [
@@ -174,13 +221,13 @@ def _each_alone(robot: Robot, W: Array, current: Array, moves: Mask, spread: Arr
     ]
     own, variance = np.array(pairs).T
     if not np.isfinite(variance).any():
-        return CurrentGains(np.ones(nv), np.full((nv, nv), _SPREAD**2), _SPREAD, False)
+        return DriveGains(np.ones(nv), np.full((nv, nv), _SPREAD**2), _SPREAD, False)
     weight = 1 / (variance + _SPREAD**2)
     common = float(weight @ own / weight.sum())
     gains = np.exp(common + _SPREAD**2 * weight * (own - common))
     unsure = 1 / float(weight.sum())
     covariance = np.diag(_SPREAD**2 * (1 - _SPREAD**2 * weight)) + unsure
-    return CurrentGains(np.asarray(gains, float), covariance, float(np.sqrt(unsure)), False)
+    return DriveGains(np.asarray(gains, float), covariance, float(np.sqrt(unsure)), False)
 
 
 def _log_gain(Y: Array, F: Array, current: Array, phi: Array, spread: Array) -> tuple[float, float]:
@@ -235,42 +282,6 @@ class KnownPayload:
         return np.column_stack([body[:, 4:], body @ point.toDynamicParameters()])
 
 
-@dataclass(frozen=True, eq=False)
-class DriveGains:
-    """Torque per ampere of every joint."""
-
-    gains: Array  # shape (nv,) [N·m/A]
-    std: Array  # with the payload's own uncertainty, shape (nv,)
-    shown: tuple[bool, ...]  # whether the recordings show each gain
-    scale_std: float  # relative standard deviation of their common scale
-
-    def __post_init__(self) -> None:
-        freeze(self, "gains", "std")
-
-    def sentence(self, joints: Sequence[str]) -> str:
-        """The gains, with what the recordings leave open."""
-        pairs = ", ".join(f"{k:.4g} ± {s:.2g}" for k, s in zip(self.gains, self.std, strict=True))
-        hidden = [joint for joint, seen in zip(joints, self.shown, strict=True) if not seen]
-        rest = f"; that of {', '.join(hidden)} is not shown and was taken from the other joints"
-        return (
-            f"torque was recorded as current; drive gains ({pairs} N·m/A) follow from the known "
-            f"payload, their common scale to ±{100 * self.scale_std:.2g} %{rest if hidden else ''}"
-        )
-
-    def torque(self, recordings: Sequence[Recording]) -> list[Recording]:
-        """Recordings of currents as recordings of torque."""
-        return [replace(r, tau=r.tau * self.gains, unit="N·m") for r in recordings]
-
-    def result(self) -> dict[str, Any]:
-        """Entries of result.json."""
-        return {
-            "drive_gain_Nm_per_A": self.gains.tolist(),
-            "drive_gain_std_Nm_per_A": self.std.tolist(),
-            "drive_gain_shown": list(self.shown),
-            "drive_gain_scale_rel_std": self.scale_std,
-        }
-
-
 def payload_gains(
     free: Regression, loaded: Regression, payload: KnownPayload, body: Array
 ) -> DriveGains:
@@ -299,8 +310,7 @@ def payload_gains(
         raise BadInput(
             f"{hardly}: they fix the common scale of the drive gains to ±{100 * scale:.0f} % only"
         )
-    std = k * np.sqrt(np.diag(log_cov) + weighed)
-    return DriveGains(k, std, tuple(bool(each) for each in shown), scale)
+    return DriveGains(k, log_cov + weighed, scale, shown=tuple(bool(each) for each in shown))
 
 
 def _exact_columns(free: Array, loaded: Array, own: Array, hardly: str) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import UnknownName
-from excitant.identify.drive_gains import CurrentGains
+from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.faults import warn_of_faults
 from excitant.identify.knowledge import Knowledge
@@ -34,10 +34,12 @@ from excitant.identify.rows import (
     Series,
     fit_rows,
     fitted,
+    gains_of,
     identified_robot,
     predicted_torque,
     series,
     split,
+    told,
 )
 from excitant.identify.shapes import Shapes, refined_shapes
 from excitant.robots.base_parameters import BaseParameters, base_parameters, categories
@@ -117,12 +119,13 @@ class Estimate:
         base: Base parameters of links and effects together.
         least_squares: Estimate of the base parameters.
         physical: Physically consistent fit of all parameters.
-        gains: Drive gains if torque was recorded as current, (nv,) [N·m/A]; ones otherwise.
+        std: Standard deviations of all parameters in the units in which they are told, those of
+            drive gains included.
+        base_std: The same of the base parameters.
         data: What was fitted and held out.
         train: Accuracy of the model on the fitted rows.
         notes: What the user should know, as sentences.
-        drive: Where drive gains come from, if torque was recorded as current.
-        base_std: Standard deviations of the base parameters, those of the gains included.
+        drive: Drive gains, if torque was recorded as current.
         estimator: How the base parameters were estimated, in words.
         knowledge: What was taken for known of the bodies.
         shapes: Shapes of effects, refined where that fits better; None where there are none.
@@ -133,15 +136,20 @@ class Estimate:
     base: BaseParameters
     least_squares: LeastSquares
     physical: PhysicalFit
-    gains: Array
+    std: Array
+    base_std: Array
     data: Data
     train: Accuracy
     notes: tuple[str, ...]
-    drive: CurrentGains | None = None
-    base_std: Array = field(default_factory=lambda: np.zeros(0))
+    drive: DriveGains | None = None
     estimator: str = ESTIMATORS["wls"]
     knowledge: Knowledge = field(default_factory=Knowledge)
     shapes: Shapes | None = None
+
+    @property
+    def gains(self) -> Array:
+        """Torque per reading, shape (nv,): drive gains of currents [N·m/A], ones otherwise."""
+        return read_only(gains_of(self.given, self.data, self.drive))
 
     @cached_property
     def prior(self) -> Array:
@@ -336,24 +344,26 @@ class Estimate:
     def _parameters(self) -> list[dict[str, Any]]:
         robot, physical = self.given, self.physical
         effects = [p for e in self.model.effects for p in e.parameters(robot)]
-        units = [*UNITS * robot.nv, *(p.unit for p in effects)]
+        units = _told(robot, self.model.effects, self.drive)
         owners = [link for link in robot.links for _ in UNITS]
         owners += [p.name.rpartition(".")[0] for p in effects]
         given = [*self.prior, *(None,) * len(effects)]
-        std, who = np.sqrt(np.diag(physical.covariance)), decided_by(physical.influence)
+        who = decided_by(physical.influence)
         return [
             {
                 "name": self.base.names[k],
                 "link": owners[k],
-                "value": float(physical.x[k]),
-                "std": float(std[k]),
-                "unit": units[k],
+                "value": factor * float(physical.x[k]),
+                "std": float(self.std[k]),
+                "unit": unit,
                 "category": category,
                 "prior": None if given[k] is None else float(given[k]),
                 "prior_dominated": category == "unidentifiable" or who[k] == "prior",
                 "decided_by": "prior" if category == "unidentifiable" else who[k],
             }
-            for k, category in enumerate(categories(self.base))
+            for k, (category, (factor, unit)) in enumerate(
+                zip(categories(self.base), units, strict=True)
+            )
         ]
 
     def _repr_html_(self) -> str:
@@ -435,6 +445,7 @@ def judged(
     Predicted currents rest on no gain, so the least-squares covariance stays as it is.
     """
     drive, widened = rows.drive, fit.covariance
+    std = np.sqrt(np.diag(physical.covariance))
     if drive is not None:
         pull = rows.by_gain(fit.weight)
         R, _ = rows.reduced.factor(fit.weight)
@@ -443,27 +454,29 @@ def judged(
         J = physical.covariance @ pull
         wider = physical.covariance + J @ drive.covariance @ J.T
         physical = replace(physical, covariance=wider)
+        factors = np.array([factor for factor, _ in _told(robot, rows.effects, drive)])
+        std = np.where(factors == 1, np.sqrt(np.diag(wider)), factors * std)
     model = identified_robot(robot, rows.effects, physical.x)
     predicted = rows.regression.torque(physical.x) / rows.gains
     train = series(rows.data.train).accuracy(predicted)
-    gains = read_only(rows.gains)
+    notes += () if drive is None else (drive.sentence(robot.joints),)
+    stds = std, np.sqrt(np.diag(widened))
     return Estimate(
-        robot,
-        model,
-        rows.base,
-        fit,
-        physical,
-        gains,
-        rows.data,
-        train,
-        notes,
-        drive,
-        np.sqrt(np.diag(widened)),
+        robot, model, rows.base, fit, physical, *stds, rows.data, train, notes, drive=drive
     )
 
 
+def _told(
+    robot: Robot, effects: Sequence[Effect], drive: DriveGains | None
+) -> list[tuple[float, str]]:
+    """Factor and unit in which each parameter of links and effects is told."""
+    coefficients = [p for e in effects for p in e.parameters(robot)]
+    links = [(1.0, unit) for unit in UNITS * robot.nv]
+    return links + [told(p, robot, drive) for p in coefficients]
+
+
 def notes_on(rows: FitRows, prior: Array) -> tuple[str, ...]:
-    """Notes on the hold-out, the prior and the unit of torque."""
+    """Notes on the hold-out, the cut-off and the prior."""
     robot, notes = rows.robot, [rows.data.holdout, rows.data.cutoff_why]
     moved = [
         link
@@ -475,8 +488,6 @@ def notes_on(rows: FitRows, prior: Array) -> tuple[str, ...]:
             f"the given inertia of {', '.join(moved)} is one no body can have; "
             "the nearest possible one serves as prior"
         )
-    if rows.drive is not None:
-        notes.append(rows.drive.sentence)
     return tuple(notes)
 
 

@@ -54,6 +54,7 @@ class PayloadEstimate:
     link: str  # that carries it
     fit: PhysicalFit  # of its standard parameters
     notes: tuple[str, ...] = ()
+    scale_std: float = 0.0  # relative, of the scale of drive gains on which its mass rests
 
     @property
     def phi(self) -> Array:
@@ -78,7 +79,8 @@ class PayloadEstimate:
     @property
     def std(self) -> Array:
         """Standard deviations of the ten parameters."""
-        return np.asarray(np.sqrt(np.diag(self.fit.covariance)), float)
+        alone = np.sqrt(np.diag(self.fit.covariance))
+        return np.asarray(np.hypot(alone, self.scale_std * self.phi), float)
 
     @property
     def shortcomings(self) -> tuple[str, ...]:
@@ -89,8 +91,12 @@ class PayloadEstimate:
         found = []
         if spread > _MASS_GOAL * self.mass:
             found.append(
-                f"mass {self.mass:.4g} kg is known to ±{spread:.2g} kg only: lift it through "
-                "more poses, move slower or longer"
+                f"mass {self.mass:.4g} kg is known to ±{spread:.2g} kg only: "
+                + (
+                    "weigh one load, from which the drive gains follow (--payload-recording)"
+                    if 2 * (_CERTAIN * self.scale_std * self.mass) ** 2 > spread**2
+                    else "lift it through more poses, move slower or longer"
+                )
             )
         if centre.max() > _CENTRE_GOAL:
             worst, off = int(np.argmax(centre)), float(f"{1e3 * centre.max():.2g}")
@@ -136,7 +142,7 @@ def identify_payload(
     """
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     base = base_parameters(robot, effects)
-    unit, gains = loaded[0].unit, np.ones(robot.nv)
+    unit, drive = loaded[0].unit, loaded[0].drive
     if not unloaded and unit == "A":
         raise BadInput(
             f"payload: {loaded[0].file} has currents, whose gain the load would be taken for; "
@@ -145,7 +151,8 @@ def identify_payload(
     if any(each.unit != unit for each in (*loaded, *unloaded)):
         raise BadInput("payload: recordings in N·m and in A; use recordings of one unit")
     if unit == "A":
-        gains = fit_rows(robot, effects, base, split(unloaded, unloaded)).gains
+        drive = fit_rows(robot, effects, base, split(unloaded, unloaded)).drive
+    gains = drive.gains if drive is not None and unit == "A" else np.ones(robot.nv)
 
     def data_alone(recordings: Sequence[Recording]) -> Information:
         """Estimate of the base parameters from recordings, without a prior."""
@@ -165,7 +172,8 @@ def identify_payload(
             f"{100 * _MODEL_ERROR:g} %; record the arm without load (--unloaded) to know better"
         )
     found = estimate_payload(robot, base, data_alone(loaded), known)
-    return replace(found, notes=(note, *([_CURRENT] if unit == "A" else [])))
+    notes = (note, *([_CURRENT] if unit == "A" else []))
+    return replace(found, notes=notes, scale_std=0.0 if drive is None else drive.scale_std)
 
 
 def estimate_payload(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,9 @@ from excitant.identify.importers.text import text_table
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, freeze, read_only
 from excitant.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from excitant.identify.drive_gains import DriveGains
 
 MINIMUM_DURATION = 2.0  # s: less holds no motion to fit and to filter
 CHANNELS = ("q", "dq", "tau")
@@ -47,6 +50,7 @@ class Recording:
         dq: Measured speeds, shape (n, nv) [rad/s or m/s]; None where not logged for all joints.
         notes: How columns were understood and what was left out, one line each.
         extras: Other numeric columns by name, as logged, each shape (n,).
+        drive: Drive gains on which the torque rests, where it was recorded as current.
     """
 
     name: str
@@ -61,6 +65,7 @@ class Recording:
     columns: tuple[str, ...] = ()  # names in the file, of time, positions and torque
     start: tuple[float, float] = (0.0, 0.0)  # of time as logged, whole and remaining seconds
     unreadable: Mapping[tuple[int, str], str] = field(default_factory=dict)  # by row and column
+    drive: DriveGains | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "t", *(name for name, _ in self.channels()))

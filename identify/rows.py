@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from excitant.exceptions import BadRecording
-from excitant.identify.drive_gains import CurrentGains, current_gains
+from excitant.identify.drive_gains import DriveGains, current_gains
 from excitant.identify.preprocessing import (
     CUTOFF_HZ,
     Mask,
@@ -23,7 +23,7 @@ from excitant.identify.prior import EffectPrior
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, regression_of
 from excitant.robots.base_parameters import BaseParameters
-from excitant.robots.effects import Effect
+from excitant.robots.effects import Effect, Parameter
 from excitant.robots.motion import Array, read_only
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
@@ -43,6 +43,7 @@ class Data:
         cutoff_hz: Cut-off of the torque filter [Hz].
         holdout: What was held out, as a sentence.
         cutoff_why: Why that cut-off, as a sentence.
+        drive: Drive gains on which torque in N·m rests, if it was recorded as current.
     """
 
     train: tuple[Segment, ...]
@@ -51,6 +52,7 @@ class Data:
     cutoff_hz: float
     holdout: str
     cutoff_why: str = ""
+    drive: DriveGains | None = None
 
 
 def split(
@@ -94,7 +96,7 @@ def split(
     names = ", ".join(r.name for r in validate)
     said = f"held out: {names or 'the last 30 % of each recording (no hold-out was named)'}"
     reason = f"cut-off: {cutoff_hz:.3g} Hz ({why})"
-    return Data(train, held, first.unit, cutoff_hz, said, reason)
+    return Data(train, held, first.unit, cutoff_hz, said, reason, first.drive)
 
 
 def fitted(recordings: Sequence[Recording], validate: Sequence[Recording]) -> list[Recording]:
@@ -193,18 +195,21 @@ class FitRows:
         effects: Effects that are estimated.
         base: Base parameters of links and effects.
         data: Segments for fitting and for validation.
-        gains: Torque per reading, shape (nv,) [N·m per reading].
         regression: Columns of all parameters of links and effects, and torque [N·m].
-        drive: Where the gains come from, if torque was recorded as current.
+        drive: Drive gains, if torque was recorded as current.
     """
 
     robot: Robot
     effects: tuple[Effect, ...]
     base: BaseParameters
     data: Data
-    gains: Array
     regression: Regression
-    drive: CurrentGains | None
+    drive: DriveGains | None
+
+    @property
+    def gains(self) -> Array:
+        """Torque per reading, shape (nv,) [N·m per reading]."""
+        return gains_of(self.robot, self.data, self.drive)
 
     @property
     def tau(self) -> Array:
@@ -243,12 +248,24 @@ class FitRows:
 
 def fit_rows(robot: Robot, effects: Sequence[Effect], base: BaseParameters, data: Data) -> FitRows:
     """The rows of the training segments."""
-    regression = regression_of(robot, effects, data.train)
-    gains, drive = np.ones(robot.nv), None
+    regression, drive = regression_of(robot, effects, data.train), data.drive
     if data.unit == "A":
         drive = current_gains(robot, base, regression.W, regression.tau)
-        gains, regression = drive.gains, regression.with_torque(regression.tau * drive.gains)
-    return FitRows(robot, tuple(effects), base, data, gains, regression, drive)
+        regression = regression.with_torque(regression.tau * drive.gains)
+    return FitRows(robot, tuple(effects), base, data, regression, drive)
+
+
+def gains_of(robot: Robot, data: Data, drive: DriveGains | None) -> Array:
+    """Torque per reading, shape (nv,): ones where torque was read, or made of currents before."""
+    return drive.gains if drive is not None and data.unit == "A" else np.ones(robot.nv)
+
+
+def told(parameter: Parameter, robot: Robot, drive: DriveGains | None) -> tuple[float, str]:
+    """Factor and unit in which to tell a coefficient: in amperes where nothing fixes gains."""
+    owner = parameter.name.rpartition(".")[0]
+    if drive is None or owner not in robot.joints:
+        return 1.0, parameter.unit
+    return drive.told(parameter.unit, robot.joint_index(owner))
 
 
 def implausible_size(columns: Array, tau: Array) -> Array:

@@ -244,13 +244,13 @@ def link_rows(robot: Robot, effects: tuple[Effect, ...], data: Data) -> LinkRows
     base, regression = base_parameters(robot, effects), regression_of(robot, effects, train)
     used = np.concatenate([m[s.keep] for s, m in zip(train, moves, strict=True)])
     used = used | ~dry_joints(effects, robot.joints)
-    gains, drive = np.ones(robot.nv), None
+    drive = data.drive
     if data.unit == "A":
         drive = current_gains(robot, base, regression.W, regression.tau, used)
-        gains, regression = drive.gains, regression.with_torque(regression.tau * drive.gains)
+        regression = regression.with_torque(regression.tau * drive.gains)
     scale = np.sqrt(np.diag(base_prior(robot, effects, base).covariance))
     return LinkRows(
-        robot, effects, base, replace(data, train=train), gains, regression, drive,
+        robot, effects, base, replace(data, train=train), regression, drive,
         moves, used, last_rows(robot, effects, base), scale,
     )  # fmt: skip
 
@@ -453,14 +453,5 @@ def _notes(rows: LinkRows, stages: Sequence[Stage], prior: Array) -> tuple[str, 
     count, r = sum(len(stage.determined) for stage in stages), len(rows.base)
     rest = "" if count == r else "; the rest stays at the given robot"
     notes = notes_on(rows, prior)
-    if rows.drive is not None and not rows.drive.compared:
-        gains = ", ".join(f"{k:.3g}" for k in rows.gains)
-        notes = (
-            *notes[:-1],
-            "torque was recorded as current, and joints that move one at a time do not show their "
-            f"drives' gains relative to each other: they ({gains} N·m/A) follow from the "
-            "given masses, and from each other where masses hardly load the joint; values in N·m, "
-            "kg or kg·m², and what outer links cost inner joints, are as good as these gains",
-        )
     said = f"link by link, these recordings determine {count} of {r} base combinations{rest}"
     return (notes[0], said, *notes[1:])

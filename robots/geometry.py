@@ -31,11 +31,13 @@ from excitant.robots.urdf import full_model
 _DRAWN = 300  # poses tried for one in which the arm does not hide itself
 _BEND = 1.9  # rad, either way, of those
 _BELOW = 0.5  # how strongly points under the base count against a pose
+CLEARANCE = 0.01  # m: required unless said otherwise
 _POSES = 200  # random ones, for pairs whose distance depends on the drawing
 _MOVING = 1e-3  # m: distances that change less do not change
 _AROUND = 0.1  # of the size of a link's shapes: cables and covers
 _TOOL, _FLOOR = "tool point", "floor"
 _UPRIGHT = 0.99  # cosine between the base's axis and up, at least, of an arm on a floor
+_STANDS = 0.25  # of all poses: above the plane that an arm stands on
 _BASE = 0.05  # m: shapes of a base that end so near its frame stand on it
 _POINT = 1e-4  # m, radius of the sphere that stands for it
 
@@ -278,23 +280,26 @@ def load_obstacles(path: str | Path) -> tuple[Obstacle, ...]:
 class Scene:
     """An arm's bodies among obstacles, with the pairs of names that must keep apart.
 
-    Bodies on the same joint or on neighbouring joints are not paired.
+    Bodies on the same joint or on neighbouring joints are not paired. Of two bodies of the arm that
+    no motion brings twice the clearance apart, half of their largest distance is required: their
+    distance counts by ``scale`` times as much.
     """
 
     robot: Robot
     geometry: Any  # Pinocchio's geometry model; never edited
     pairs: tuple[tuple[str, str], ...]
-    obstacles: tuple[Obstacle, ...] = ()
+    obstacles: tuple[Obstacle, ...]
+    scale: Array  # of the distance of each pair, at least 1, shape (pairs,)
 
     def distances(self, q: Array) -> Array:
-        """Signed distance of every pair at every pose, shape (n, pairs) [m]."""
+        """Signed distance of every pair at every pose, as it counts, shape (n, pairs) [m]."""
         model, data = self.robot.model, self.robot.model.createData()
         work = self.geometry.createData()
         found = np.empty((len(q), len(self.pairs)))
         for k, pose in enumerate(q):
             pin.computeDistances(model, data, self.geometry, work, pose)
             found[k] = [result.min_distance for result in work.distanceResults]
-        return found
+        return found * self.scale
 
     def gradient(self, q: Array, pair: int) -> tuple[float, Array]:
         """Distance of one pair at one pose, and its derivative by q, shape (nv,) [m/rad]."""
@@ -308,7 +313,8 @@ class Scene:
         bodies = [self.geometry.geometryObjects[i].parentJoint for i in (ends.first, ends.second)]
         first, second = (_velocity(model, data, j, p) for j, p in zip(bodies, points, strict=True))
         normal = np.array(result.normal)  # from the first body to the second
-        return float(result.min_distance), normal @ (second - first)
+        scale = float(self.scale[pair])
+        return scale * float(result.min_distance), scale * (normal @ (second - first))
 
     def speeds(self) -> Array:
         """Bound on the change of each pair's distance by each joint, (pairs, nv) [m/rad].
@@ -320,7 +326,7 @@ class Scene:
         one, other = _reaches(self)[np.array(ends).T]
         between = np.isfinite(one) != np.isfinite(other)
         bounds = np.where(self.robot.revolute, np.fmax(one, other), 1.0)
-        return np.where(between, bounds, 0.0)
+        return self.scale[:, None] * np.where(between, bounds, 0.0)
 
 
 def _velocity(model: Any, data: Any, joint: int, point: Array) -> Array:
@@ -351,16 +357,19 @@ def _reaches(scene: Scene) -> Array:
     return reach
 
 
-def scene(robot: Robot, obstacles: Sequence[Obstacle] = ()) -> Scene | None:
+def scene(
+    robot: Robot, obstacles: Sequence[Obstacle] = (), clearance: float = CLEARANCE
+) -> Scene | None:
     """Collision scene of a robot; None when no motion can bring two of its shapes together.
 
     Meshes count with their convex hulls, which takes a hundredth of the time. Meshes that are not
-    found are left out, and so are pairs of the arm's own bodies that overlap at every pose or whose
+    found are left out, and so are pairs of the arm's own bodies that touch at every pose or whose
     distance never changes: no motion can do anything about them.
 
     Args:
         robot: The arm; its URDF's ``<collision>`` elements count.
         obstacles: Bodies in the cell.
+        clearance: Distance that will be required [m].
     """
     geometry = _solids(robot).copy()
     boxed = {name for o in obstacles if o.shape == "workspace" for name, _, _ in o.bodies()}
@@ -375,12 +384,17 @@ def scene(robot: Robot, obstacles: Sequence[Obstacle] = ()) -> Scene | None:
         at, point = (tool.parentJoint, robot.tip, tool.placement), coal.Sphere(_POINT)
         geometry.addGeometryObject(pin.GeometryObject(_TOOL, *at, point))
     pairs = _pairs(robot, geometry, boxed)
-    everything = _paired(robot, geometry, pairs, obstacles)
+    everything = _paired(robot, geometry, pairs, obstacles, np.ones(len(pairs)))
     distance = everything.distances(robot.random_motion(np.random.default_rng(0), _POSES)[0])
-    moving = (distance.max(axis=0) > 0) & (np.ptp(distance, axis=0) > _MOVING)
-    moving |= np.array([bool(fixed & set(names)) for names in everything.pairs], bool)
-    kept = [pair for pair, moves in zip(pairs, moving, strict=True) if moves]
-    return _paired(robot, geometry, kept, obstacles) if kept else None
+    largest = distance.max(axis=0)
+    beside = np.array([bool(fixed & {*pair}) for pair in everything.pairs], bool)
+    apart = (largest > _MOVING) & (np.ptp(distance, axis=0) > _MOVING)
+    kept = np.flatnonzero(apart | beside)
+    scale = np.maximum(1.0, 2 * clearance / np.maximum(largest, _MOVING))
+    scale = np.where(beside, 1.0, scale)[kept]
+    return (
+        _paired(robot, geometry, [pairs[k] for k in kept], obstacles, scale) if len(kept) else None
+    )
 
 
 @lru_cache(maxsize=8)
@@ -405,18 +419,23 @@ def floor(height: float) -> Obstacle:
 def base_plane(robot: Robot) -> float | None:
     """Height of the plane that an arm stands on [m]; None if it hangs or shows no fixed base.
 
-    It is that of the base frame where the fixed shapes end near it, else their lowest point.
+    It is that of the base frame where the fixed shapes end near it, else their lowest point. Half
+    of all directions lie above a floor: of an arm that stands on it, a quarter of all poses or
+    more.
     """
     up = -robot.gravity
     fixed = [body for body in _solids(robot).geometryObjects if body.parentJoint == 0]
     if not fixed or not up[2] > _UPRIGHT * np.linalg.norm(up):
         return None
-    lowest = min(_lowest(body) for body in fixed)
-    return 0.0 if abs(lowest) < _BASE else lowest
-
-
-def _lowest(body: Any) -> float:
-    return float(_corners(body)[:, 2].min())
+    lowest = min(float(_corners(body)[:, 2].min()) for body in fixed)
+    height = 0.0 if abs(lowest) < _BASE else lowest
+    geometry = _solids(robot).copy()
+    [(name, plane, here)] = floor(height).bodies()
+    last = geometry.addGeometryObject(pin.GeometryObject(name, 0, 0, here, plane))
+    pairs = [pair for pair in _pairs(robot, geometry, set()) if last in pair]
+    above = _paired(robot, geometry, pairs, (), np.ones(len(pairs)))
+    distance = above.distances(robot.random_motion(np.random.default_rng(0), _POSES)[0])
+    return height if (distance > 0).all(axis=1).mean() >= _STANDS else None
 
 
 def _corners(body: Any) -> Array:
@@ -477,20 +496,32 @@ def unchecked(robot: Robot, scene: Scene | None) -> str:
         why = f"{missing} of {stated} collision meshes not found" if missing else ""
         why = why or ("" if stated else "the robot has no collision shapes")
         left.append(f"self-collision{', ' * bool(why)}{why}")
+    if scene is not None and (scene.scale > 1).any():
+        most, count = int(np.argmax(scene.scale)), int((scene.scale > 1).sum()) - 1
+        more = f", and {count} more pair{'s' * (count > 1)} alike" if count else ""
+        left.append(
+            f"full clearance between {' and '.join(scene.pairs[most])}, which no motion gives them "
+            f"(half of the largest they have is kept{more})"
+        )
     if scene is None or all(obstacle.name != _FLOOR for obstacle in scene.obstacles):
         left.append(_FLOOR)
     return "; ".join(left)
 
 
 def _paired(
-    robot: Robot, geometry: Any, pairs: Sequence[tuple[int, int]], obstacles: Sequence[Obstacle]
+    robot: Robot,
+    geometry: Any,
+    pairs: Sequence[tuple[int, int]],
+    obstacles: Sequence[Obstacle],
+    scale: Array,
 ) -> Scene:
     geometry = geometry.copy()
     geometry.removeAllCollisionPairs()
     for one, other in pairs:
         geometry.addCollisionPair(pin.CollisionPair(one, other))
     names = [body.name for body in geometry.geometryObjects]
-    return Scene(robot, geometry, tuple((names[i], names[j]) for i, j in pairs), tuple(obstacles))
+    named = tuple((names[i], names[j]) for i, j in pairs)
+    return Scene(robot, geometry, named, tuple(obstacles), scale)
 
 
 def _pairs(robot: Robot, geometry: Any, boxed: set[str]) -> list[tuple[int, int]]:

@@ -173,7 +173,7 @@ class Surroundings:
         obstacles = load_obstacles(self.obstacles) if self.obstacles else ()
         height = base_plane(robot) if self.floor is None and not self.no_floor else self.floor
         around = obstacles if height is None else (*obstacles, floor(height))
-        found = scene(robot, around)
+        found = scene(robot, around, least)
         asked = (self.obstacles, self.floor, self.clearance)
         if found is None and any(option is not None for option in asked):
             raise BadInput(

@@ -145,9 +145,6 @@ def identify(
         carried = identification.identify_payload(arm, fit, unloaded=unloaded, effects=named)
         result["payload"] = carried.result()
     result |= said
-    if drive is not None:
-        result |= drive.result()
-        notes.append(drive.sentence(arm.joints))
     published = identification.publication(
         estimate, formats=formats or FORMATS, force=force, faults=proven(said["faults"])
     )

@@ -24,7 +24,7 @@ from excitant.robots.geometry import (
     scene,
     unchecked,
 )
-from excitant.robots.schema import BoxRecord, SphereRecord, WorkspaceRecord
+from excitant.robots.schema import BoxRecord, HalfSpaceRecord, SphereRecord, WorkspaceRecord
 from excitant.robots.urdf import robot_from_urdf
 
 ROOM = Obstacle("room", "workspace", WorkspaceRecord((-1.0,) * 3, (1.0,) * 3))
@@ -153,6 +153,66 @@ def test_an_arm_stands_on_the_plane_of_its_base(name: str) -> None:
     robot = load_robot(name)
     assert base_plane(robot) == pytest.approx(-0.67 if name == "puma560" else 0.0, abs=1e-3)
     assert base_plane(robot.with_gravity([9.81, 0.0, 0.0])) is None  # bolted to a wall
+
+
+def test_an_arm_that_hangs_through_the_plane_of_its_base_has_no_floor(ur10: Robot) -> None:
+    root = ET.fromstring(ur10.urdf)
+    [first] = [j for j in root.findall("joint") if j.get("name") == ur10.joints[0]]
+    first.find("origin").attrib.update(xyz="0 0 -0.127", rpy="3.14159265 0 0")
+    hanging = robot_from_urdf(ET.tostring(root, encoding="unicode"), source="arm.urdf")
+    assert base_plane(hanging) is None
+
+
+def drawn_close(gap: float) -> Robot:
+    """An arm whose last link, on an axis tilted a little, passes closely above its first."""
+    links, joints = "", ""
+    box = '<collision><origin xyz="{}"/><geometry><box size="{}"/></geometry></collision>'
+    boxes = (
+        box.format("0.05 0 0", "0.3 0.3 0.02"),
+        "",
+        box.format(f"0.1 0 {0.02 + gap}", "0.02 0.02 0.02"),
+    )
+    inertia = '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
+    body = f'<inertial><origin xyz="0.05 0.02 0"/><mass value="1"/>{inertia}</inertial>'
+    for k, shape in enumerate(boxes, start=1):
+        links += f'<link name="link{k}">{body}{shape}</link>'
+        tilt = "0.03 0 0" if k == 3 else "0 0 0"
+        joints += (
+            f'<joint name="joint{k}" type="revolute"><parent link="link{k - 1}"/>'
+            f'<child link="link{k}"/><origin xyz="{0.05 * (k > 1)} 0 0" rpy="{tilt}"/>'
+            '<axis xyz="0 0 1"/>'
+            '<limit lower="-3" upper="3" velocity="2" effort="50"/></joint>'
+        )
+    text = f'<robot name="close"><link name="link0"/>{links}{joints}</robot>'
+    return robot_from_urdf(text, source="close.urdf")
+
+
+def test_bodies_drawn_closer_than_the_clearance_keep_half_of_their_distance() -> None:
+    robot = drawn_close(0.006)
+    around, apart = scene(robot), scene(robot, (), 0.0)
+    assert around.pairs == (("link1_0", "link3_0"),)
+    q = robot.random_motion(np.random.default_rng(1), 500)[0]
+    true = apart.distances(q)[:, 0]
+    assert 0 < true.max() < 0.01  # no motion gives them a centimetre
+    np.testing.assert_allclose(around.distances(q)[:, 0], around.scale[0] * true)
+    assert around.scale[0] * true.max() == pytest.approx(0.02, rel=0.05)
+    assert unchecked(robot, around).startswith("full clearance between link1_0 and link3_0")
+    found = design_trajectory(robot, scene=around, columns="inertial", starts=1, jobs=1, seed=1)
+    motion = found.trajectory(np.linspace(0, found.duration, 2001))
+    assert apart.distances(motion).min() >= 0.45 * true.max()
+    nearest = found.result()["closest"]["distance_m"]
+    assert nearest == pytest.approx(apart.distances(motion).min(), abs=1e-4)
+    value, slope = around.gradient(q[0], 0)
+    for j, step in enumerate(1e-6 * np.eye(3)):
+        ahead, behind = (around.gradient(q[0] + sign * step, 0)[0] for sign in (1, -1))
+        assert (ahead - behind) / 2e-6 == pytest.approx(slope[j], abs=1e-4 * abs(value) / 1e-3)
+
+
+def test_poses_that_are_all_too_close_are_refused_by_the_names_of_the_bodies() -> None:
+    robot = drawn_close(0.006)
+    wall = Obstacle("wall", "half_space", HalfSpaceRecord((0.0, 0.0, 1.0), 0.5))
+    with pytest.raises(Infeasible, match=r"at best, link\d_0 and wall are -\d+ mm apart, required"):
+        design_trajectory(robot, scene=scene(robot, (wall,)), starts=1, jobs=1)
 
 
 def test_what_is_not_checked_is_said(planar: Robot, ur10: Robot, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from excitant.exceptions import RankDeficient
 from excitant.identify import Estimate, Recording, identify_robot, load_dataset, model_files
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import Effect
-from excitant.robots.parameters import violations
+from excitant.robots.parameters import from_pseudo_inertia, violations
 
 PENDULUM = """<robot name="pendulum"><link name="base"/><link name="arm"><inertial>
 <origin xyz="0 0 -0.2"/><mass value="1"/>
@@ -156,6 +157,31 @@ def test_what_rests_on_drive_gains_carries_their_uncertainty(
     # a prediction in ampere rests on no gain
     widths = [found.interval.half_width.mean(axis=0) for found in (current, torque)]
     np.testing.assert_allclose(10 * widths[0], widths[1], rtol=0.1)
+
+
+def test_what_nothing_fixes_is_told_in_amperes(ur10: Robot, nominal: list[Recording]) -> None:
+    """Placeholders fix no scale: friction is what it is per ampere, and the model still fits."""
+    like_the_arm = np.diag([0.02, 0.02, 0.02, 1.0])
+    blank = ur10.with_parameters(np.tile(from_pseudo_inertia(like_the_arm), ur10.nv))
+    [torque], [current] = (
+        [identify_robot(arm, runs[:1], validate=runs[1:])]
+        for arm, runs in ((ur10, nominal), (blank, in_amperes(nominal, 10.0)))
+    )
+    assert current.drive is not None
+    assert not current.drive.fixed
+    ours, theirs = (
+        {p["name"]: p for p in found.result()["parameters"]} for found in (current, torque)
+    )
+    units = {"Fv": "A·s/rad", "Fc": "A", "offset": "A", "Ia": "A·s²/rad"}
+    for joint, (name, unit) in product(ur10.joints[:5], units.items()):
+        p, known = (each[f"{joint}.{name}"] for each in (ours, theirs))
+        assert p["unit"] == unit
+        if name != "Ia":  # what a rotor and a link share follows the given bodies
+            assert abs(10 * p["value"] - known["value"]) <= 4 * np.hypot(
+                10 * p["std"], known["std"]
+            )
+    assert ours[f"{ur10.links[0]}.m"]["unit"] == "kg"
+    assert any("friction is told in amperes" in note for note in current.notes)
 
 
 def test_a_body_that_moves_by_half_is_named_with_its_uncertainty(

@@ -23,6 +23,7 @@ from excitant.identify import (
     Recording,
     identify_drive_gains,
     identify_payload,
+    identify_robot,
     recording_from_table,
 )
 from excitant.identify.drive_gains import DriveGains, payload_gains
@@ -150,6 +151,8 @@ def test_currents_need_the_unloaded_arm_and_leave_the_gain_open(
     assert any("gain that is wrong by 1 %" in note for note in amperes.notes)
     # a common gain leaves the centre of mass alone
     np.testing.assert_allclose(amperes.centre, found.centre, atol=5e-3)
+    assert amperes.std[0] >= amperes.scale_std * amperes.mass > 3 * found.std[0]
+    assert any("weigh one load" in said for said in amperes.shortcomings)
 
 
 def test_command_on_an_arm_of_two_parallel_axes(
@@ -290,6 +293,12 @@ def test_recordings_of_currents_become_torques(
     np.testing.assert_allclose(torques.tau, free.tau * drive.gains)
     with pytest.raises(BadInput, match="for motor currents"):
         identify_drive_gains(wrong, [torques], [held], KnownPayload(MASS))
+    found = identify_robot(b.robot, drive.torque([free]))
+    wider = np.sqrt(np.diag(drive.covariance))
+    for p, k in ((p, p["name"].startswith("joint2")) for p in found.result()["parameters"]):
+        if p["name"].endswith(".Fc"):  # what rests on a gain is known no better than it
+            assert p["std"] >= 0.9 * wider[int(k)] * p["value"]
+    assert found.result()["drive_gain_scale_rel_std"] == drive.scale_std
     files = [write_csv(tmp_path / f"{run.name}.csv", run) for run in (free, held)]
     words = ("identify planar_2r", files[0], "--payload-recording", files[1])
     com = ",".join(map(str, CENTRE))
