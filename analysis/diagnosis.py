@@ -29,6 +29,7 @@ from excitant.analysis.explanation import (
     headline,
     placeholders,
     reason_to_downgrade,
+    shared_friction,
 )
 from excitant.analysis.residuals import Residual, residuals
 from excitant.analysis.selection import rivals, select
@@ -166,7 +167,7 @@ class Diagnosis:
 
     def result(self, plan: Plan = _NO_PLAN) -> dict[str, Any]:
         """Contents of result.json, with a plan's experiments or else general actions."""
-        notes = [*self.notes, placeholders(self), at_rest(self)]
+        notes = [*self.notes, placeholders(self), at_rest(self), shared_friction(self)]
         labels = (f"torque [{self.unit(curve.joint)}]" for curve in self.curves)
         pairs = zip(self.ordered, self.curves, labels, strict=True)
         both = zip(self.given_residuals, self.residuals, strict=True)
@@ -265,7 +266,7 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[s
     ]
     shapes: list[dict[str, Any]] = [
         {"name": f"{f.effect.joints[0]}.{s.name}", "value": getattr(f.effect, s.name)}
-        | {"std": None, "unit": s.unit}
+        | {"std": None, "unit": f.effect.shape_unit(robot, s)}
         for f in group
         for s in f.effect.shapes
         if s.positive and not s.trial

@@ -79,6 +79,24 @@ def at_rest(diagnosis: Diagnosis) -> str:
     )
 
 
+def shared_friction(diagnosis: Diagnosis) -> str:
+    """Note on joints whose usual friction was found beside other effects; else empty."""
+    usual = {effect.name for effect in standard_effects(diagnosis.robot.joints)}
+    found: dict[str, list[str]] = {}
+    for f in diagnosis.findings:
+        for joint in f.effect.joints if f.effect.role == "torque" else ():
+            found.setdefault(joint, []).append(f.effect.name)
+    beside = {joint: [n for n in names if n not in usual] for joint, names in found.items()}
+    shared = [joint for joint, more in beside.items() if more and set(found[joint]) - set(more)]
+    if not shared:
+        return ""
+    names = dict.fromkeys(plain(name) for joint in shared for name in beside[joint])
+    return (
+        f"At {', '.join(shared)}, other effects ({', '.join(names)}) share the torque with the "
+        "usual friction: its coefficients are not those of identify, which fits it without them."
+    )
+
+
 def headline(diagnosis: Diagnosis) -> str:
     """The main finding in a sentence, its reservation, and the number of further findings."""
     order = diagnosis.ordered

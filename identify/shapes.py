@@ -258,7 +258,8 @@ class _Search:
             shape = effects[k].tuned
             assert shape is not None
             effects[k] = effects[k].reshaped(name, float(new))
-            entry = effects[k].name, effects[k].joints[0], name, shape.unit
+            unit = effects[k].shape_unit(self.robot, shape)
+            entry = effects[k].name, effects[k].joints[0], name, unit
             found.append(Shape(*entry, float(old), float(new), float(new * s)))
         return Shapes(tuple(found), tuple(effects), before, after, read_only(spread))
 

@@ -18,7 +18,7 @@ import pytest
 
 from excitant import __version__
 from excitant.cli import main
-from excitant.design import random_trajectory, trajectory_csv, trajectory_json
+from excitant.design import check, random_trajectory, trajectory_csv, trajectory_json
 from excitant.robots import load_robot
 from excitant.robots.virtual_arm import industrial_sensors, virtual_arm
 
@@ -88,6 +88,19 @@ def test_a_first_run_is_slower_and_checked_by_itself(here: Path, excitant: Any) 
     assert "; not checked: self-collision; floor" in (here / "bare" / "report.html").read_text()
     checked = excitant("check planar_2r trajectory.csv -o checked").out.splitlines()[0]
     assert checked.endswith("between samples too; not checked: self-collision; floor")
+
+
+def test_a_first_run_beyond_a_limit_is_not_written_and_the_design_kept(
+    here: Path, excitant: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What holds the arm is no less at a lower speed; here, its limits are a hundredth."""
+    monkeypatch.setattr("excitant.design.check", lambda arm, path: check(arm.using(0.01), path))
+    ran = excitant(f"design planar_2r {WORKING['design']} --speed 0.5 --json -o out")
+    [note] = [n for n in ran.result["notes"] if "first_run.csv" in n]
+    assert note.endswith("so it is not written")
+    assert ran.status == 1
+    assert (here / "out" / "trajectory.csv").is_file()
+    assert not (here / "out" / "first_run.csv").exists()
 
 
 @pytest.mark.parametrize(

@@ -239,8 +239,13 @@ class _Search:
         units = self.mapping.units.get(role, hints[0])
         if exact and units is None:
             return Channel(columns, factors)
-        shown = f"{role} = {self._shortened(columns)}{_in_unit(units, columns[0])}"
-        return Channel(columns, factors, shown)
+        told = self._shortened(columns)
+        named = all(j in c for j, c in zip(self.joints, columns, strict=False))
+        if role == "q" and not exact and not named:
+            # by number: a wrong order is seen here
+            pairs = zip(columns, self.joints, strict=True)
+            told = ", ".join(f"{column} → {joint}" for column, joint in pairs)
+        return Channel(columns, factors, f"{role} = {told}{_in_unit(units, columns[0])}")
 
     def torque(self) -> tuple[str, Channel]:
         """Torques, or currents where there are none or the user says so."""

@@ -191,6 +191,10 @@ class Effect(ABC):
             for term in self.own_terms
         )
 
+    def shape_unit(self, robot: Robot, shape: Shape) -> str:
+        """Unit of a shape, that of the joint it belongs to."""
+        return _unit(shape.unit, not robot.revolute[robot.joint_index(self.joints[0])])
+
     @abstractmethod
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Torque per unit of each coefficient, shape (n, nv, k) [N·m per unit]."""

@@ -167,21 +167,24 @@ def design(
         "trajectory.json": designs.trajectory_json(trajectory, arm),
     }
     written = {"trajectory": trajectory.motion(rate, repeat)}
-    result = found.result() | {"periods": repeat}
+    result, missing = found.result() | {"periods": repeat}, False
     if bound and not found.interrupted:
         result["condition_number"]["lower_bound"], note = _bound(found, search.seed)
         result["notes"].append(note)
     if speed is not None:
         slow = trajectory.slowed(speed)
         used = designs.check(arm, slow).worst
-        used.require()
-        written["first_run"] = slow.motion(rate)
-        files["first_run.csv"] = designs.motion_csv(written["first_run"])
         result["first_run"] = {"speed": speed, "duration": slow.period, "limit": used.ratio}
-        result["notes"].append(
-            f"first_run.csv: the same path in {slow.period:.4g} s; it uses up to "
-            f"{100 * used.ratio:.3g} % of a limit ({used.quantity} of {used.joint})"
+        said = (
+            f"the same path in {slow.period:.4g} s; it uses up to {100 * used.ratio:.3g} % of a "
+            f"limit ({used.quantity} of {used.joint})"
         )
+        if missing := used.ratio > 1:  # what holds the arm is not less at a lower speed
+            said += ", so it is not written"
+        else:
+            written["first_run"] = slow.motion(rate)
+            files["first_run.csv"] = designs.motion_csv(written["first_run"])
+        result["notes"].append(f"first_run.csv: {said}")
     if start is not None:
         there, here = trajectory(0.0)[0], np.array(start)
         near: dict[str, Any] = {"scene": scene, "clearance": least, "rate_hz": rate}
@@ -195,10 +198,11 @@ def design(
             written |= ways
         except Infeasible as error:  # the design stands without them
             result["notes"].append(str(error))
+            missing = True
     for stem, motion in written.items():
         files |= designs.write_formats(motion, arm, formats or [], stem)
     run.finish(result, found.series(), files)
-    return 130 if found.interrupted else 0
+    return 130 if found.interrupted else int(missing)
 
 
 def _earlier(robot: Robot, recordings: Sequence[str] | None) -> list[Motion]:

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.identify import Recording, load_dataset, recording_from_table
+from excitant.identify import Recording, identify_robot, load_dataset, recording_from_table
 from excitant.robots import load_robot
 from excitant.robots.parameters import violations
 
@@ -58,6 +58,36 @@ def test_ur10_rubs_in_more_than_one_way(data_folder: Path) -> None:
     assert diagnosis.refit.gain < 0.5  # inertias alone do not explain it
     assert seen(diagnosis, FINER, "shoulder_pan_joint")
     assert seen(diagnosis, FRICTION) == [*diagnosis.robot.joints]
+
+
+@pytest.mark.slow
+def test_identify_and_diagnose_differ_by_named_effects_alone(data_folder: Path) -> None:
+    """With the effects that diagnose finds, identify gives the same friction within its ±."""
+    dataset = load_dataset(str(data_folder / "ur10"))
+    [run] = dataset.recordings(["unisa_exciting"])
+    fitted, held = [run.between(0, 0.6, "first")], [run.between(0.6, 1, "rest")]
+    diagnosis = diagnose(dataset.robot, fitted, validate=held)
+    effects = [e for e in diagnosis.extension.model.effects if e.role == "torque"]
+    options = {"validate": held}
+    usual, same = (
+        {p["name"]: p for p in identify_robot(dataset.robot, fitted, **each).result()["parameters"]}
+        for each in (options, options | {"effects": effects})
+    )
+    found = [p for f in diagnosis.result()["findings"] for p in f["parameters"]]
+    plain = [p for p in found if p["name"].rpartition(".")[2] in ("Fv", "Fc")]
+    [note] = [n for n in diagnosis.result()["notes"] if "share the torque" in n]
+    apart = []
+    for p in plain:
+        far = [
+            abs(p["value"] - other[p["name"]]["value"])
+            / np.hypot(p["std"], other[p["name"]]["std"])
+            for other in (usual, same)
+        ]
+        assert far[1] < 3, p
+        if far[0] > 3:
+            apart.append(p["name"].rpartition(".")[0])
+    assert apart
+    assert all(joint in note for joint in apart)
 
 
 @pytest.mark.slow

@@ -100,6 +100,12 @@ def test_common_names_are_understood_and_shown(name: str, load: Load) -> None:
     assert found.notes == () if name == "exact" else columns[1].format(first) in found.notes[0]
 
 
+def test_columns_by_number_are_shown_with_their_joints(load: Load) -> None:
+    """A controller's order is not always that of the description."""
+    [note] = load(table("t", "position_{}", "velocity_{}", "effort_{}", first=0)).notes
+    assert "q = position_0 → shoulder_pan_joint, position_1 → shoulder_lift_joint, " in note
+
+
 COMMANDED = ["target_*", "desired_*", "commanded_*", "cmd_*", "ref_*", "setpoint_*", "*_ref"]
 
 

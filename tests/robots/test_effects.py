@@ -44,6 +44,8 @@ def test_units_follow_the_joint() -> None:
     assert found == [list(pair) for pair in zip(turning, sliding, strict=True)]
     assert [robot.torque_unit(joint=j) for j in range(4)] == ["N·m", "N·m", "N", "N·m"]
     assert (robot.torque_unit(), robot.torque_unit("A")) == ("N·m or N", "A")
+    stribeck = [fx.StribeckFriction((joint,)) for joint in robot.joints[1:3]]
+    assert [e.shape_unit(robot, e.shapes[0]) for e in stribeck] == ["rad/s", "m/s"]
 
 
 def valued(robot: Robot, kind: type[Effect], seed: int) -> Effect:
