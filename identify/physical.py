@@ -44,7 +44,7 @@ from excitant.robots.motion import Array, freeze, read_only
 SIGMAS = 0.05, 10.0
 """Least and largest relative uncertainty of given bodies; ±100 kg for 10 kg is as good as none."""
 _GRID = 40  # values of σ, evenly spread by logarithm
-_ALTERNATIONS = 5  # between the σ of the last link and that of the others
+_ALTERNATIONS = 3  # between the σ of links that have their own and that of the others
 _CHANCE = 0.05
 _STEPS = 60  # of Newton's method
 _SHORTEST = 1e-2  # share of a step, below which rounding decides
@@ -212,15 +212,19 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
     Data z = R x + ε, ε of unit variance, with bodies normal around the prior and nothing known of
     effects, have the covariance 1 + Σ_k σ_k² K_k in what no effect explains; σ maximises their
     likelihood (type II maximum likelihood, MacKay 1992): it is how far off the given bodies are
-    where the data see them. All links have one σ; the last, which carries tools that descriptions
-    lack, has one of its own where that is significant. No description is taken to be right to
-    better than `SIGMAS[0]`. Shapes as in `fit_physical`.
+    where the data see them. All links have one σ, but for those that are significantly further
+    off: the last, which carries tools that descriptions lack, and others, one by one, counted
+    against chance among as many links. No description is taken to be right to better than
+    `SIGMAS[0]`. Shapes as in `fit_physical`.
     """
     p, T, links = R.shape[1], link_coordinates(prior), len(prior)
     both = np.asarray(np.linalg.qr(np.column_stack([R, z]), mode="r"), float)[:p]
     free = scipy.linalg.null_space(both[:, len(T) : p].T).T
     columns = free @ both[:, : len(T)] @ T / link_weights(links, 1.0)
     left = free @ (both[:, p] - both[:, : len(T)] @ prior.ravel())
+    seen, size, _ = np.linalg.svd(columns, full_matrices=False)
+    seen = seen[:, size > _ROUNDING * max(size[:1], default=1.0)]  # σ is of no account elsewhere
+    columns, left = seen.T @ columns, seen.T @ left
 
     def most_likely(block: Array, covariance: Array) -> tuple[float, float]:
         """σ of a block of columns beside a covariance, and −2 log likelihood."""
@@ -239,16 +243,37 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
         found = scipy.optimize.minimize_scalar(surprise, bounds=ends, method="bounded")
         return float(np.exp(found.x)), float(found.fun) + 2 * float(np.log(np.diag(root)).sum())
 
-    white = np.eye(len(left))
-    inner, last = columns[:, : 10 * (links - 1)], columns[:, 10 * (links - 1) :]
-    common, alike = most_likely(columns, white)
-    sigma, tool, apart = common, common, np.inf
-    for _ in range(_ALTERNATIONS if links > 1 else 0):
-        tool, _ = most_likely(last, white + sigma**2 * inner @ inner.T)
-        sigma, apart = most_likely(inner, white + tool**2 * last @ last.T)
-    if alike - apart < scipy.special.chdtri(1, _CHANCE):
-        sigma = tool = common
-    return np.append(np.full(links - 1, sigma), tool)
+    blocks = columns.reshape(len(left), links, 10).swapaxes(0, 1)
+
+    def covariance(sigma: Array) -> Array:
+        weighted = blocks * sigma[:, None, None]
+        return np.eye(len(left)) + np.tensordot(weighted, weighted, ((0, 2), (0, 2)))
+
+    def with_own(own: Sequence[int], sigma: Array) -> tuple[float, Array]:
+        """The surprise, and σ of every link: those of some, and that of all others."""
+        others, sigma, least = [k for k in range(links) if k not in own], sigma.copy(), np.inf
+        for group in [*([k] for k in reversed(own)), others] * (_ALTERNATIONS if own else 1):
+            sigma[group] = 0.0
+            joined = np.concatenate(blocks[group], axis=1)
+            sigma[group], least = most_likely(joined, covariance(sigma))
+        return least, sigma
+
+    own, chance = list[int](), np.append(np.full(links - 1, _CHANCE / links), _CHANCE)
+    least, sigma = with_own(own, np.zeros(links))
+    while len(own) < links - 1:
+        others = [k for k in range(links) if k not in own]
+        trials = [(*with_own([*own, k], sigma), k) for k in others]
+        further = [
+            (value, trial, k)
+            for value, trial, k in trials
+            if least - value > scipy.special.chdtri(1, chance[k])
+            and trial[k] > trial[[j for j in others if j != k]].max()
+        ]
+        if not further:
+            break
+        least, sigma, k = min(further, key=lambda trial: trial[0])
+        own.append(k)
+    return sigma
 
 
 def _possible(phi: Array, margin: float, T: Array, p: int) -> tuple[Restriction, ...]:

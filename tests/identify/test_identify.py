@@ -197,6 +197,18 @@ def test_a_body_that_moves_by_half_is_named_with_its_uncertainty(
     assert not identify_robot(ur10, nominal[:1], validate=nominal[1:]).bodies[link].moved
 
 
+def test_one_link_that_is_wrong_spoils_no_other(ur10: Robot, nominal: list[Recording]) -> None:
+    """Only it is given more room: it is found, and the links around it stay as they are."""
+    link, phi = 2, np.array(ur10.phi)
+    phi[10 * link : 10 * link + 10] *= 3
+    found = identify_robot(ur10.with_parameters(phi), nominal[:1], validate=nominal[1:])
+    true, body = float(ur10.phi[10 * link]), found.bodies[link]
+    assert abs(body.mass - true) < min(4 * body.mass_std, 0.15 * true)
+    assert [bool(each.moved) for each in found.bodies] == [k == link for k in range(ur10.nv)]
+    sigma = found.result()["prior_sigma"]
+    assert sigma[link] > 5 * max(np.delete(sigma, link))
+
+
 def test_current_and_torque_of_one_arm_say_the_same(ur10: Robot, nominal: list[Recording]) -> None:
     # at rest, at both ends, the side of dry friction is a matter of rounding
     moving = [run.take(np.arange(100, len(run) - 100)) for run in nominal]
