@@ -86,7 +86,7 @@ class DriveGains:
 
     def sentence(self, joints: Sequence[str]) -> str:
         """The gains, where they come from, and what the recordings leave open."""
-        pairs = ", ".join(f"{k:.3g} ± {s:.2g}" for k, s in zip(self.gains, self.std, strict=True))
+        pairs = ", ".join(f"{k:.4g} ± {s:.2g}" for k, s in zip(self.gains, self.std, strict=True))
         said, scale = f"torque was recorded as current; drive gains ({pairs} N·m/A)", self.scale_std
         if self.shown:
             hidden = [joint for joint, seen in zip(joints, self.shown, strict=True) if not seen]

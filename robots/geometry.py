@@ -500,8 +500,8 @@ def unchecked(robot: Robot, scene: Scene | None) -> str:
         most, count = int(np.argmax(scene.scale)), int((scene.scale > 1).sum()) - 1
         more = f", and {count} more pair{'s' * (count > 1)} alike" if count else ""
         left.append(
-            f"full clearance between {' and '.join(scene.pairs[most])}, which no motion gives them "
-            f"(half of the largest they have is kept{more})"
+            f"full clearance between {' and '.join(scene.pairs[most])}, never far apart (half of "
+            f"their largest distance is kept{more})"
         )
     if scene is None or all(obstacle.name != _FLOOR for obstacle in scene.obstacles):
         left.append(_FLOOR)
