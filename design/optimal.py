@@ -150,13 +150,14 @@ def design_trajectory(
             held, duration=duration, harmonics=harmonics, series=series, criterion=criterion,
             columns=columns, noise=noise, earlier=earlier, scene=scene, clearance=clearance,
         )  # fmt: skip
-        first.random(np.random.default_rng([seed, 0]))  # refuses at once what no motion keeps
+        initial = first.random(np.random.default_rng([seed, 0]))  # refuses what no motion keeps
         if progress is not None:
             effort = replace(effort, report=_Teller(effort.starts, progress))
         highest = top_hz if harmonics is None else None
         problem, searches = search(first, effort, period_range(duration)[0], highest)
-    begun = replace(problem, series=problem.series.resized(first.series.terms))
-    initial = begun.random(np.random.default_rng([seed, 0]))
+    if problem.period != first.period:
+        begun = replace(problem, series=problem.series.resized(first.series.terms))
+        initial = begun.random(np.random.default_rng([seed, 0]))
     found = map(problem.trajectory, best_solutions(searches, CANDIDATES))
     kept = [within_limits(held, trajectory, scene, clearance) for trajectory in found]
     chosen = min(

@@ -34,6 +34,7 @@ _HOPELESS = 4.0  # gap to the target over the decrease in as many iterations
 _ITERATIONS = 300
 
 _SCREENING = 12  # iterations after which the worse half of the random starts is stopped
+_FEWEST = 3  # starts that are drawn even after the time limit
 _RANDOM = 12  # random starts, at most, before the best of them are built upon
 _ELITE = 3  # searches whose solutions are mixed with random trajectories to start again
 _MIX = (0.3, 0.5)  # share of the random trajectory in a restart
@@ -418,6 +419,8 @@ def _perform(packed: bytes, task: Task, seed: int, deadline: float) -> SearchSta
     problem: DesignProblem = _unpacked(packed)
     with threadpool_limits(1):
         if not task.state.history:
+            if task.state.index >= _FEWEST and time.time() > deadline:
+                return replace(task.state, status="time limit")  # a pose takes long in a big scene
             try:
                 task = replace(task, state=_begun(problem, task.state, seed))
             except Infeasible:

@@ -80,17 +80,22 @@ class BodyChange:
     length: float  # from its joint to the next or to its given centre of mass, the longer [m]
 
     @property
+    def shift(self) -> tuple[float, float]:
+        """How far the centre of mass moved, and its standard deviation along that way [m]."""
+        way = self.centre - self.given_centre
+        size = float(np.linalg.norm(way))
+        return size, float(np.linalg.norm(self.centre_std * way) / max(size, 1e-300))
+
+    @property
     def moved(self) -> str:
         """What moved by half of the given mass or of the link's length, in words; empty if not."""
-        said, shift = [], self.centre - self.given_centre
-        size = float(np.linalg.norm(shift))
+        said, (size, std) = [], self.shift
         if abs(self.mass - self.given_mass) >= _HALF * self.given_mass:
             said.append(
                 f"mass {self.given_mass:.3g} → {self.mass:.3g} ± {self.mass_std:.2g} kg "
                 f"({_WHO[self.mass_by]})"
             )
         if size >= max(_HALF * self.length, _SLIGHT):
-            std = float(np.linalg.norm(self.centre_std * shift) / size)
             said.append(
                 f"centre of mass by {1e3 * size:.3g} ± {1e3 * std:.2g} mm ({_WHO[self.centre_by]})"
             )
@@ -101,6 +106,7 @@ class BodyChange:
         mass = {"given": self.given_mass, "value": self.mass, "std": self.mass_std}
         centre = {"given": self.given_centre, "value": self.centre, "std": self.centre_std}
         lists = {name: values.tolist() for name, values in centre.items()}
+        lists |= dict(zip(("shift", "shift_std"), self.shift, strict=True))
         return {
             "link": self.link,
             "mass": mass | {"decided_by": self.mass_by},

@@ -228,11 +228,10 @@ def _bodies(result: Result) -> p.Table | None:
     """Masses and centres of mass, given and identified."""
 
     def shift(row: Result) -> p.Cell:
-        given, found = (v.reals(row, "centre", key) for key in ("given", "value"))
-        return p.Cell(v.number(round(float(1e3 * np.linalg.norm(found - given)), 1)))
+        return p.Cell(v.number(round(1e3 * (v.real(row, "centre", "shift") or 0.0), 1)))
 
     def spread(row: Result) -> str:
-        return v.number(float(1e3 * np.linalg.norm(v.reals(row, "centre", "std"))), 2)
+        return v.number(1e3 * (v.real(row, "centre", "shift_std") or 0.0), 2)
 
     return p.table(
         v.records(result, "links"),

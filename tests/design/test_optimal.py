@@ -103,6 +103,13 @@ def test_time_limit_returns_the_best_so_far(arm: Robot, limit: float, options: A
     assert result.starts[-1].status == "time limit"
 
 
+def test_after_the_time_limit_no_more_than_three_starts_are_drawn(arm: Robot) -> None:
+    """In a scene of thousands of pairs, one takes seconds."""
+    result = design_trajectory(arm, jobs=1, time_limit=0.0, starts=8)
+    assert [bool(start.history) for start in result.starts][:3] == [True] * 3
+    assert not any(start.history for start in result.starts[3:])
+
+
 def test_interrupt_returns_the_best_so_far(arm: Robot) -> None:
     def stop(done: int, total: int | None, condition: float, worst: float) -> None:
         os.kill(os.getpid(), signal.SIGINT)

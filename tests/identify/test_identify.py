@@ -193,6 +193,11 @@ def test_a_body_that_moves_by_half_is_named_with_its_uncertainty(
     assert abs(body.mass - 3 * body.given_mass) < 3 * body.mass_std
     assert body.moved.startswith(f"forearm_link: mass {body.given_mass:.3g} → {body.mass:.3g} ± ")
     assert [entry["moved"] for entry in result["links"]][link] == body.moved
+    way = body.centre - body.given_centre
+    told = result["links"][link]["centre"]
+    assert told["shift"] == pytest.approx(np.linalg.norm(way))
+    along = way / np.linalg.norm(way)
+    assert told["shift_std"] == pytest.approx(np.linalg.norm(along * body.centre_std))
     assert any("moved by half" in note and body.moved in note for note in result["notes"])
     assert not identify_robot(ur10, nominal[:1], validate=nominal[1:]).bodies[link].moved
 
