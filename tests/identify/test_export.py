@@ -22,6 +22,7 @@ from known_arms import write_csv
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Estimate, Recording, identify_robot
+from excitant.identify.drive_gains import DriveGains
 from excitant.identify.export import model_files, publication
 from excitant.identify.rows import Accuracy
 from excitant.robots import (
@@ -357,7 +358,8 @@ def test_nothing_in_python_holds_the_model_as_given(estimate: Estimate, tmp_path
 
 def test_currents_are_published_with_their_gains(estimate: Estimate) -> None:
     gains = np.array([12.0, 7.0])
-    read = replace(estimate, gains=gains, data=replace(estimate.data, unit="A"))
+    drive = DriveGains(gains, np.zeros((2, 2)), 0.0)
+    read = replace(estimate, drive=drive, data=replace(estimate.data, unit="A"))
     currents = judged(read, estimate.validate, estimate.baseline)
     files = publication(currents, formats=["mjcf"]).files
     assert yaml.safe_load(files["model.yaml"])["drive"] == {"gain_Nm_per_A": [12.0, 7.0]}
