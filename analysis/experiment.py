@@ -219,12 +219,13 @@ class Experiment:
     known: tuple[bool, ...]  # which of them are known
     beta: Array  # values of the base parameters, shape (r,)
     prior: Prior | None  # knowledge without data; None where a link has no mass
-    std: Array | None  # standard deviation of each parameter, prior included, shape (p,)
+    std: Array | None  # standard deviation of each parameter as told, prior included, shape (p,)
     influence: PriorInfluence | None
     motion: Motion  # or the longest stretch of a recording
     q: Array  # positions at all rows, shape (n, nv) [rad or m]
     basis: str  # where the standard deviations come from, as a sentence
     notes: Sequence[str] = ()
+    told: Sequence[tuple[float, str]] = ()  # factor and unit of each parameter, if not its own
 
     @property
     def resting(self) -> tuple[int, ...]:
@@ -304,7 +305,8 @@ def recorded_experiment(
         known=(True,) * len(base.names),
         beta=fit.beta if complete else base.regrouping @ x,
         prior=prior,
-        std=np.sqrt(np.diag(estimate.physical.covariance)),
+        std=estimate.std,
+        told=estimate.told,
         influence=influence,
         motion=max((s.motion for s in estimate.data.train), key=len),
         q=np.concatenate([s.motion.q[s.keep] for s in estimate.data.train]),

@@ -385,8 +385,13 @@ def _entries(
         std = given.information.std(np.eye(len(units))[:, list(base.columns)])
         std = np.where(unique, std, np.inf)
         negligible, size = resolution(given.x, std, given.information.signal)
-        said["std_data"], x = std.tolist(), given.x.tolist()
-        said["value"] = [v if known else None for v, known in zip(x, given.known, strict=True)]
+        x = given.x.tolist()
+        factors = np.ones(len(x))
+        if given.told:
+            factors, units = np.array([f for f, _ in given.told]), tuple(u for _, u in given.told)
+        values = (factors * given.x).tolist()
+        said["std_data"] = (factors * std).tolist()
+        said["value"] = [v if known else None for v, known in zip(values, given.known, strict=True)]
         said["verdict"] = [
             verdict(std[k], x[k], bool(negligible[k])) if unique[k] else kind
             for k, kind in enumerate(found.category)

@@ -188,6 +188,11 @@ class Estimate:
         return self.holdout.accuracy(self.predicted_given)
 
     @property
+    def told(self) -> list[tuple[float, str]]:
+        """Factor and unit in which each parameter of links and effects is told."""
+        return _told(self.given, self.model.effects, self.drive)
+
+    @property
     def phi(self) -> Array:
         """Identified standard parameters, shape (10 nv,)."""
         return read_only(self.physical.x[: 10 * self.given.nv])
@@ -350,7 +355,6 @@ class Estimate:
     def _parameters(self) -> list[dict[str, Any]]:
         robot, physical = self.given, self.physical
         effects = [p for e in self.model.effects for p in e.parameters(robot)]
-        units = _told(robot, self.model.effects, self.drive)
         owners = [link for link in robot.links for _ in UNITS]
         owners += [p.name.rpartition(".")[0] for p in effects]
         given = [*self.prior, *(None,) * len(effects)]
@@ -368,7 +372,7 @@ class Estimate:
                 "decided_by": "prior" if category == "unidentifiable" else who[k],
             }
             for k, (category, (factor, unit)) in enumerate(
-                zip(categories(self.base), units, strict=True)
+                zip(categories(self.base), self.told, strict=True)
             )
         ]
 
