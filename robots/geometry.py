@@ -39,6 +39,7 @@ _TOOL, _FLOOR = "tool point", "floor"
 _UPRIGHT = 0.99  # cosine between the base's axis and up, at least, of an arm on a floor
 _STANDS = 0.25  # of all poses: above the plane that an arm stands on
 _BASE = 0.05  # m: shapes of a base that end so near its frame stand on it
+_LISTED = 3  # links without collision shapes, by name
 _POINT = 1e-4  # m, radius of the sphere that stands for it
 
 
@@ -491,11 +492,16 @@ def unchecked(robot: Robot, scene: Scene | None) -> str:
     """
     root = ET.fromstring(robot.description)
     stated, missing = len(root.findall("link/collision")), _find_meshes(root, robot)
+    solid, drawn = _carriers(root, robot, "collision"), _carriers(root, robot, "visual")
+    shapeless = [link or "base" for link in ("", *robot.links) if link in drawn - solid]
     left = []
-    if missing or not stated or scene is None:
-        why = f"{missing} of {stated} collision meshes not found" if missing else ""
-        why = why or ("" if stated else "the robot has no collision shapes")
-        left.append(f"self-collision{', ' * bool(why)}{why}")
+    if missing or not solid - {""} or scene is None:
+        why = f", {missing} of {stated} collision meshes not found" if missing else ""
+        lack = "" if solid - {""} else f", no {'moving ' * bool(stated)}link has a collision shape"
+        left.append(f"self-collision{why or lack}")
+    elif shapeless:
+        more = f" and {len(shapeless) - _LISTED} more" if len(shapeless) > _LISTED else ""
+        left.append(f"{', '.join(shapeless[:_LISTED])}{more}, without collision shapes")
     if scene is not None and (scene.scale > 1).any():
         most, count = int(np.argmax(scene.scale)), int((scene.scale > 1).sum()) - 1
         more = f", and {count} more pair{'s' * (count > 1)} alike" if count else ""
@@ -506,6 +512,12 @@ def unchecked(robot: Robot, scene: Scene | None) -> str:
     if scene is None or all(obstacle.name != _FLOOR for obstacle in scene.obstacles):
         left.append(_FLOOR)
     return "; ".join(left)
+
+
+def _carriers(root: ET.Element, robot: Robot, kind: str) -> set[str]:
+    """Moving links that carry a collision or visual element; empty for what stands still."""
+    links, named = root.findall(f"link[{kind}]"), tree(root, robot.source)
+    return {named.carrier(str(link.get("name")), robot.links) for link in links}
 
 
 def _paired(

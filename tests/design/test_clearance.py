@@ -225,10 +225,19 @@ def test_what_is_not_checked_is_said(planar: Robot, ur10: Robot, tmp_path: Path)
     total = half.count("<collision>")
     missing = f"self-collision, 1 of {total} collision meshes not found; floor"
     assert unchecked(broken, scene(broken)) == missing
-    assert unchecked(bare, None) == "self-collision, the robot has no collision shapes; floor"
+    assert unchecked(bare, None) == "self-collision, no link has a collision shape; floor"
     assert unchecked(ur10, scene(ur10)) == "floor"
     assert unchecked(ur10, scene(ur10, (floor(0.0),))) == ""
     assert unchecked(planar, None) == "self-collision; floor"
+    shapes = re.findall("<collision>.*?</collision>", ur10.urdf, flags=re.DOTALL)
+    visual = shapes[-1].replace("collision>", "visual>")
+    pelvis, wrist = (ur10.urdf, ur10.urdf.replace(shapes[-1], visual))
+    for other in shapes[1:]:
+        pelvis = pelvis.replace(other, "")
+    drawn, alone = (robot_from_urdf(text, source="arm.urdf") for text in (wrist, pelvis))
+    assert unchecked(drawn, scene(drawn)) == "wrist_3_link, without collision shapes; floor"
+    lack = "self-collision, no moving link has a collision shape; floor"
+    assert unchecked(alone, scene(alone, (floor(0.0),))) == lack
     (tmp_path / "no.stl").write_text("not a mesh")  # counted, not read: clearance may be left out
     there = robot_from_urdf(half, source=str(tmp_path / "arm.urdf"))
     assert unchecked(there, None) == "self-collision; floor"
