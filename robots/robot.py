@@ -50,6 +50,7 @@ class Robot:
     source: str = ""
     tool: str = ""
     notes: tuple[str, ...] = ()
+    zeros: tuple[tuple[str, float], ...] = ()  # angles added to the readings of joints [rad]
     described: bool = True  # whether the description states its inertias and friction
 
     @cached_property
@@ -119,6 +120,16 @@ class Robot:
         model = self.model.copy()
         model.gravity.linear = np.asarray(gravity, float)
         return replace(self, model=model)
+
+    def with_zero(self, joint: str, angle: float) -> Robot:
+        """The same arm where a turning joint's true angle is the reading plus an angle [rad]."""
+        model, j = self.model.copy(), self.joint_index(joint) + 1
+        turn = model.joints[j].createData()
+        model.joints[j].calc(turn, np.full(model.nq, angle))
+        model.jointPlacements[j] = model.jointPlacements[j] * turn.M
+        zeros = dict(self.zeros)
+        zeros[joint] = zeros.get(joint, 0.0) + angle
+        return replace(self, model=model, zeros=tuple(zeros.items()), described=False)
 
     def with_effects(self, effects: Iterable[Effect]) -> Robot:
         """The same arm with these effects instead of its own."""

@@ -39,7 +39,7 @@ def current_urdf(robot: Robot) -> str:
             friction[effect.joint_property][effect.rows(robot)] += effect.values or ()
     values = dict(zip(robot.links, carrying.phi.reshape(-1, 10), strict=True))
     dry = dict(zip(robot.joints, np.maximum(list(friction.values()), 0.0).T.tolist(), strict=True))
-    named = tree(root, robot.source)
+    named, zeros = tree(root, robot.source), dict(robot.zeros)
     for link in root.findall("link"):
         name = str(link.get("name"))
         if not named.carrier(name, robot.links):
@@ -53,6 +53,8 @@ def current_urdf(robot: Robot) -> str:
             dynamics = joint.find("dynamics")
             dynamics = ET.SubElement(joint, "dynamics") if dynamics is None else dynamics
             dynamics.attrib |= {"damping": repr(own[0]), "friction": repr(own[1])}
+            if turned := zeros.get(str(joint.get("name"))):
+                _turn(joint, turned)
         elif joint.get("name") in held:
             _fix(joint, robot.model)
         for mimic in joint.findall("mimic"):
@@ -72,6 +74,19 @@ def _fix(joint: ET.Element, model: pin.Model) -> None:
     T = parent.actInv(child)
     joint.append(origin_element(T.rotation, T.translation))
     joint.set("type", "fixed")
+
+
+def _turn(joint: ET.Element, angle: float) -> None:
+    """Turn a joint's zero position about its axis [rad]."""
+    found, axis = joint.find("origin"), joint.find("axis")
+    origin = ET.SubElement(joint, "origin") if found is None else found
+    rpy, place = (
+        np.array([float(x) for x in str(origin.get(key, "0 0 0")).split()])
+        for key in ("rpy", "xyz")
+    )
+    along = np.array([float(x) for x in str("1 0 0" if axis is None else axis.get("xyz")).split()])
+    about = pin.AngleAxis(angle, along / np.linalg.norm(along)).toRotationMatrix()
+    origin.attrib |= origin_element(pin.rpy.rpyToMatrix(rpy) @ about, place).attrib
 
 
 def urdf_text(root: ET.Element) -> str:

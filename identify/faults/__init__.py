@@ -23,7 +23,8 @@ from excitant.identify.faults.channels import (
 )
 from excitant.identify.faults.fault import FAULTS, PROVEN, Fault, Log, after_repair, repair
 from excitant.identify.faults.modelled import not_measured, poor_excitation, wrong_frame
-from excitant.identify.faults.physics import physics_faults, smooth, torque_fit, velocity_faults
+from excitant.identify.faults.physics import smooth, torque_fit, velocity_faults
+from excitant.identify.faults.set_up import physics_faults
 from excitant.identify.faults.time import gap_faults, repeated_rows, stamp_faults
 from excitant.identify.recording import Recording, checked, raw_recording
 from excitant.robots.robot import Robot

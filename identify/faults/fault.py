@@ -20,6 +20,8 @@ FAULTS = (
     *("dead_channel", "wrong_sign", "wrong_unit", "wrong_sample_rate", "duplicate_samples"),
     *(
         "wrong_order",
+        "wrong_mounting",
+        "wrong_zero",
         "dropped_samples",
         "corrupt_rows",
         "saturation",
@@ -29,7 +31,9 @@ FAULTS = (
     "poor_excitation",
 )
 """The vocabulary, the same in results, interface and documentation."""
-PROVEN = ("wrong_sign", "wrong_unit", "wrong_sample_rate", "wrong_order")
+SET_UP = ("wrong_mounting", "wrong_zero")
+"""Faults of the model, which has the arm otherwise than it is set up."""
+PROVEN = ("wrong_sign", "wrong_unit", "wrong_sample_rate", "wrong_order", *SET_UP)
 """Faults after which every figure is wrong, so that nothing is published from such data."""
 ALARM = 0.02 / 20
 """Share of faultless recordings that one family of tests may accuse; there are fewer than 20."""

@@ -53,7 +53,7 @@ _OVERSAMPLED = 8  # rows per period of the cut-off
 _ROWS = 1200  # at most
 _NYQUIST = 0.2  # of the sampling rate: highest cut-off
 _RANK = 1e-10
-_HALVED = 0.5
+HALVED = 0.5
 _BROAD = np.geomspace(1e-3, 1e3, 25)  # time factors tried first
 _NEAR = 0.05  # of a clear factor
 _EXPLAINED = 0.5  # of the torque's variance: the model is worth listening to
@@ -62,8 +62,8 @@ _OFF, _SURE = 0.3, 2.0  # of given bodies; standard deviations
 _FAR = 10.0  # times its limit: no drive does that, whatever its limit is to mean
 _TORQUE_UNITS = {100.0: "N·cm", 1000.0: "N·mm", 1e6: "µN·m"}
 _WITHIN = 3.0  # times the limit, after a repair
-_FITS = 0.25  # squares per independent row: less needs no other order
-_MODEL_ERROR = 0.05  # of a torque
+FITS = 0.25  # squares per independent row: less needs no other order
+MODEL_ERROR = 0.05  # of a torque
 _BEYOND = 1.2 * 2 * np.pi  # rad: more than joints turn to one side
 
 
@@ -224,10 +224,8 @@ class TorqueFit:
         G = regressor(robot, Motion(data.motion.t, q, still, still))
         D = regressor(robot, Motion(data.motion.t, q, dq, ddq)) - G
         F = np.stack([dq, np.sign(dq), ddq, np.ones_like(q)], axis=2)
-        edge, cutoff = round(data.rate / data.cutoff), min(data.cutoff / 2, 0.45 * data.rate)
-        filtered = (low_pass(x, cutoff, data.rate) for x in (G, D, F, data.tau))
-        self.G, self.D, self.F, self.tau = (x[edge : len(q) - edge] for x in filtered)
         self.robot, self.log, self.data, self.joints = robot, log, data, joints
+        self.G, self.D, self.F, self.tau = map(self.filtered, (G, D, F, data.tau))
         self.size: Array = np.maximum((self.tau**2).mean(axis=0), 1e-300)
         own = np.einsum("njk,ji->njik", self.F, np.eye(robot.nv)).reshape(len(self.F), robot.nv, -1)
         still, moved = np.dstack([self.G, own]), np.dstack([self.D, 0 * own])
@@ -238,6 +236,12 @@ class TorqueFit:
         self._b = (Wt @ y)[..., 0], (Vt @ y)[..., 0]
         A, b = np.sum(self._A, axis=0), np.sum(self._b, axis=0)
         self.sigma = np.sqrt(self._left(A, b, np.array(list(map(_solve, A, b)))))
+
+    def filtered(self, values: Array) -> Array:
+        """Values at the instants of the motion, (n, ...), filtered once more; its ends left out."""
+        rate, cutoff = self.data.rate, self.data.cutoff
+        edge, low = round(rate / cutoff), min(cutoff / 2, 0.45 * rate)
+        return low_pass(values, low, rate)[edge : len(values) - edge]
 
     def _left(self, A: Array, b: Array, x: Array) -> Array:
         """Mean square that parameters leave of each of the joints' torque."""
@@ -268,6 +272,18 @@ class TorqueFit:
             rows[j] = len(error) / autocorrelation_time(error) if error.any() else 1.0
         return rows
 
+    @cached_property
+    def readings_per_torque(self) -> Array:
+        """Reading per torque of the given bodies, of the joints that count: not 1 for currents."""
+        if self.log.unit == "N·m":
+            return np.ones(len(self.joints))
+        torque = (self.G + self.D) @ self.robot.phi
+        found = []
+        for j in self.joints:
+            model, read = without_effects(self.F[:, j], torque[:, j], self.tau[:, j])
+            found.append(max(float(model @ read), 0.0) / max(float(model @ model), 1e-300))
+        return np.array(found)
+
     def gain(self, power: Array) -> float:
         """Twice the log-likelihood ratio of another reading against the log as it stands."""
         return float((self.rows * np.log(self.power / power))[self.joints].sum())
@@ -277,17 +293,21 @@ class TorqueFit:
         ratio, rows = (power / self.power)[self.joints], self.rows[self.joints]
         worse = (rows * np.log(ratio)).max() > scipy.special.chdtri(1, ALARM / len(rows))
         bound = float(scipy.special.chdtri(freedom or self.freedom, ALARM / tests))
-        return self.gain(power) > bound and bool(ratio.min() < _HALVED and not worse)
+        return self.gain(power) > bound and bool(ratio.min() < HALVED and not worse)
 
     def surprise(self, noise: Array, rows: Array, precision: Array) -> float:
         """Squares in independent rows that bodies near the given ones leave, and theirs.
 
         Noise is a mean square of each joint, shape (nv,); a twentieth of the torque comes to it.
-        The precision is that of the given bodies, shape (10 nv, 10 nv).
+        The precision is that of the given bodies, shape (10 nv, 10 nv). Where currents were
+        recorded, each joint has the drive gain that suits the given bodies best.
         """
-        weight = rows / len(self.tau) / (noise + _MODEL_ERROR**2 * self.size)
+        weight = (rows / len(self.tau) / (noise + MODEL_ERROR**2 * self.size))[self.joints]
         A, b = np.sum(self._A, axis=0), np.sum(self._b, axis=0)
         bodies, links = self.robot.phi, len(self.robot.phi)
+        per = np.ones((len(self.joints), A.shape[1]))
+        per[:, :links] = self.readings_per_torque[:, None]
+        A, b = per[:, :, None] * A * per[:, None], per * b
         A_all, b_all = np.tensordot(weight, A, 1), weight @ b
         A_all[:links, :links] += precision
         b_all[:links] += precision @ bodies
@@ -331,16 +351,7 @@ def _solve(A: Array, b: Array) -> Array:
     return np.asarray(V @ ((V.T @ b) / values[kept]), float)
 
 
-def physics_faults(case: TorqueFit) -> list[Fault]:
-    """The faults of rate, unit, order and sign that the torque shows; the strongest counts."""
-    for test in (_torque_unit, _degrees, _order, _torque_signs):
-        if found := [*test(case)]:
-            return found
-    readings = [*_rate(case), *_position_signs(case)]
-    return sorted(readings, key=lambda fault: -fault.evidence["gain"])[:1]
-
-
-def _degrees(case: TorqueFit) -> Iterator[Fault]:
+def degrees(case: TorqueFit) -> Iterator[Fault]:
     """Positions in degrees, of all joints or of those beyond a turn."""
     log, largest = case.log, np.abs(case.log.q).max(axis=0)
     turning = np.asarray(case.robot.revolute)
@@ -366,7 +377,7 @@ def _degrees(case: TorqueFit) -> Iterator[Fault]:
     yield Fault("wrong_unit", log.names(joints), detail, evidence, done, tuple(remedies))
 
 
-def _torque_unit(case: TorqueFit) -> Iterator[Fault]:
+def torque_unit(case: TorqueFit) -> Iterator[Fault]:
     """Torques far beyond what the drives can do, or where no limit is known, beyond the model's."""
     log, joints = case.log, case.joints
     if log.unit != "N·m":
@@ -394,7 +405,7 @@ def _torque_unit(case: TorqueFit) -> Iterator[Fault]:
     yield Fault("wrong_unit", log.joints, detail, evidence, done, (remedy,))
 
 
-def _order(case: TorqueFit) -> Iterator[Fault]:
+def order(case: TorqueFit) -> Iterator[Fault]:
     """Columns of joints in another order: two exchanged, all shifted, reversed or by name."""
     log, n = case.log, case.robot.nv
     if not len(case.joints) == n > 1 or (case.robot.phi[::10] <= 0).any():
@@ -407,9 +418,9 @@ def _order(case: TorqueFit) -> Iterator[Fault]:
             swap = same.copy()
             swap[i], swap[k] = k, i
             orders.add(tuple(swap))
-    inverse = np.linalg.inv(_spread(case.robot))
+    inverse = np.linalg.inv(spread(case.robot))
     known = inverse.T @ inverse
-    if case.surprise(case.power, case.rows, known) < _FITS * float(case.rows.sum()):
+    if case.surprise(case.power, case.rows, known) < FITS * float(case.rows.sum()):
         return
     found = []
     for order in sorted(orders - {tuple(same)}):
@@ -425,7 +436,7 @@ def _order(case: TorqueFit) -> Iterator[Fault]:
     as_it_stands, left, at, channels = max(found, key=lambda each: each[0] / max(each[1], 1e-9))
     bound = float(scipy.special.chdtri(n, ALARM / len(found)))
     dispersion = max(1.0, left / float(case.rows.sum()))  # errors of the model count as noise
-    if as_it_stands - left < bound * dispersion or left > _HALVED * as_it_stands:
+    if as_it_stands - left < bound * dispersion or left > HALVED * as_it_stands:
         return
     wrong = [j for j in same if at[j] != j]
     words = ", ".join(f"{log.joints[j]} is recorded as {log.joints[at[j]]}" for j in wrong)
@@ -441,7 +452,7 @@ def _order(case: TorqueFit) -> Iterator[Fault]:
     yield Fault("wrong_order", log.names(wrong), detail, evidence, done, remedies)
 
 
-def _position_signs(case: TorqueFit) -> Iterator[Fault]:
+def position_signs(case: TorqueFit) -> Iterator[Fault]:
     for j, joint in enumerate(case.log.joints):
         flip = np.where(np.arange(case.robot.nv) == j, -1.0, 1.0)
         negated = TorqueFit(case.robot, case.log, case.data, case.joints, flip)
@@ -462,7 +473,7 @@ def _position_signs(case: TorqueFit) -> Iterator[Fault]:
                 )
 
 
-def _rate(case: TorqueFit) -> Iterator[Fault]:
+def rate(case: TorqueFit) -> Iterator[Fault]:
     """Profile likelihood over a factor of the time: inertial torque goes with its square."""
 
     def gain(logarithm: float) -> float:
@@ -499,7 +510,7 @@ def _rate(case: TorqueFit) -> Iterator[Fault]:
     yield _slower(log, factor, detail, factor=c, interval=(low, high), gain=case.gain(power))
 
 
-def _torque_signs(case: TorqueFit) -> Iterator[Fault]:
+def torque_signs(case: TorqueFit) -> Iterator[Fault]:
     """Torques whose gain g on the model, or whose friction power, is negative beyond chance.
 
     τ_j = g τ_model + F_v q̇ + F_c sign q̇ + I_a q̈ + offset; neither may object to the other. A gain
@@ -529,7 +540,7 @@ def _torque_signs(case: TorqueFit) -> Iterator[Fault]:
         )
 
 
-def _spread(robot: Robot) -> Array:
+def spread(robot: Robot) -> Array:
     """Root of the covariance of bodies near the given ones, to 30 %, (10 nv, 10 nv)."""
     return link_coordinates(prior_parameters(robot)) / link_weights(robot.nv, _OFF)
 
@@ -538,10 +549,10 @@ def _doubt(case: TorqueFit) -> Array:
     """Standard deviation of each joint's gain on the model if its bodies are off by 30 %, (nv,)."""
     robot, columns, doubt = case.robot, case.G + case.D, np.zeros(case.robot.nv)
     if (robot.phi[::10] > 0).all():
-        spread = _spread(robot)
+        near = spread(robot)
         for j in case.joints:
             [Y] = without_effects(case.F[:, j], columns[:, j])
-            doubt[j] = gain_doubt(Y, robot.phi, spread)
+            doubt[j] = gain_doubt(Y, robot.phi, near)
     return doubt
 
 

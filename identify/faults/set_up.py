@@ -1,0 +1,272 @@
+"""Set-up of an arm against its model: mounting, zero positions, signs and order of its joints.
+
+A set-up is judged by the squares that bodies near the given ones (±30 %, and any tool on the last
+link) leave of the torque, the joints' own effects free. Torque is linear in gravity, and in the
+angle δ by which a joint's zero position is off a trigonometric polynomial of degree 2, which five
+angles determine. So the columns of any set-up are mixtures of a few, and small matrices judge all
+directions of gravity and all angles of a joint: the search is global.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from excitant.identify.drive_gains import without_effects
+from excitant.identify.faults.fault import ALARM, Fault, Remedy
+from excitant.identify.faults.physics import (
+    FITS,
+    HALVED,
+    MODEL_ERROR,
+    Smooth,
+    TorqueFit,
+    degrees,
+    order,
+    position_signs,
+    rate,
+    spread,
+    torque_signs,
+    torque_unit,
+)
+from excitant.robots.motion import Array, Motion
+from excitant.robots.regressor import regressor
+from excitant.robots.robot import Robot
+
+_ANY = 10.0  # times the tolerance of a body that may be another
+_ROWS = 600  # of a search, at most
+_ANGLES = 0.4 * np.pi * np.arange(5)  # that determine a trigonometric polynomial of degree 2
+_DIRECTIONS = 200  # of gravity tried
+_STARTS = 3  # the best of them, refined
+_STEP = np.pi / 36  # between zero positions tried
+_RIGHT = np.pi / 2  # zero positions are off by multiples of it, unless another angle is better
+
+
+@dataclass(frozen=True, eq=False)
+class _SetUp:
+    """A set-up with the faults that it amends."""
+
+    faults: Sequence[Fault]
+    robot: Robot
+    data: Smooth
+    order: Sequence[int]  # joint j's torque is the one recorded as order[j]
+
+
+def physics_faults(case: TorqueFit) -> list[Fault]:
+    """The faults of unit, set-up and rate that the torque shows."""
+    for test in (torque_unit, degrees):
+        if found := [*test(case)]:
+            return found
+    if found := set_up_faults(case):
+        return found
+    readings = [*rate(case), *position_signs(case)]
+    return sorted(readings, key=lambda fault: -fault.evidence["gain"])[:1]
+
+
+def set_up_faults(case: TorqueFit) -> list[Fault]:
+    """Faults of the set-up: that which explains most first, the others with it amended."""
+    found: list[Fault] = []
+    for _ in range(case.robot.nv):
+        tested = [faults for faults in ([*order(case)], [*torque_signs(case)]) if faults]
+        proposed = [_amended(case, faults) for faults in tested]
+        judged = [(each, *_squares(case, each)) for each in proposed]
+        for each in _searched(case):
+            before, after = _squares(case, each)
+            chance = float(scipy.special.chdtri(3, ALARM / case.robot.nv))
+            dispersion = max(1.0, after / float(case.rows.sum()))
+            if after < HALVED * before and before - after > chance * dispersion:
+                judged.append((each, before, after))
+        if not judged:
+            break
+        best = max(judged, key=lambda each: each[1] / max(each[2], 1e-9))[0]
+        found += best.faults
+        case = _fit(case, best)
+    return found
+
+
+def _fit(case: TorqueFit, set_up: _SetUp) -> TorqueFit:
+    return TorqueFit(set_up.robot, case.log, set_up.data, case.joints)
+
+
+def _squares(case: TorqueFit, other: _SetUp) -> tuple[float, float]:
+    """Squares that bodies near the given ones leave as it stands, and in another set-up.
+
+    As it stands any one of the links may be another body: that needs no other set-up.
+    """
+    if (case.robot.phi[::10] <= 0).any():
+        return 1.0, 1.0
+    fit, back = _fit(case, other), np.argsort(other.order)
+    noise = np.minimum(case.power[other.order], fit.power)
+    after = fit.surprise(noise, case.rows[other.order], _precision(fit.robot, case.robot.nv - 1))
+    links = range(case.robot.nv)
+    before = (case.surprise(noise[back], case.rows, _precision(case.robot, k)) for k in links)
+    return min(before), after
+
+
+def _precision(robot: Robot, other: int) -> Array:
+    """That of bodies near the given ones, one of which may be another, shape (10 nv, 10 nv)."""
+    S = spread(robot)
+    S[:, 10 * other : 10 * other + 10] *= _ANY
+    inverse = np.linalg.inv(S)
+    return np.asarray(inverse.T @ inverse, float)
+
+
+def _amended(case: TorqueFit, faults: Sequence[Fault]) -> _SetUp:
+    """The set-up in which the remedies of faults are applied."""
+    motion, tau, at = case.data.motion, np.array(case.data.tau), list(range(case.robot.nv))
+    channels = {name: np.array(getattr(motion, name)) for name in ("q", "dq", "ddq")}
+    for remedy in (remedy for fault in faults for remedy in fault.remedies):
+        moved = [channels[name] for name in ("q", "dq", "ddq") if remedy.channel == "q"]
+        for values in [*moved, tau] if remedy.channel == "tau" else moved:
+            if remedy.action == "order":
+                values[:] = values[:, list(remedy.joints)]
+            else:
+                values[:, list(remedy.joints)] *= remedy.factor
+        if remedy.action == "order" and remedy.channel == "tau":
+            at = list(remedy.joints)
+    data = case.data._replace(motion=Motion(motion.t, **channels), tau=tau)
+    return _SetUp(faults, case.robot, data, at)
+
+
+def _searched(case: TorqueFit) -> Iterator[_SetUp]:
+    """The best mounting, and the best zero position and signs of each joint that turns."""
+    robot, links = case.robot, range(case.robot.nv)
+    if (robot.phi[::10] <= 0).any():
+        return
+    least = min(case.surprise(case.power, case.rows, _precision(robot, k)) for k in links)
+    if least < FITS * float(case.rows.sum()):
+        return
+    turning = (j for j in case.joints if robot.revolute[j])
+    for found in (_mounting(case), *(_zeros(case, j) for j in turning)):
+        if found is not None:
+            yield found
+
+
+@dataclass(frozen=True, eq=False)
+class _Mixtures:
+    """Squares that bodies near the given ones leave of the torque, by mixture of m columns.
+
+    The last of the p columns of a part is the torque of the given bodies.
+    """
+
+    grams: Array  # of two parts, p columns each, of each joint, shape (m, m, joints, p, p)
+    moments: Array  # of a part and the torque, shape (m, joints, p)
+    squares: Array  # of the torque, shape (joints,)
+    currents: bool  # whether the torque is a current, of a gain that is free
+
+    def left(self, weights: Array, flipped: int | None = None) -> float:
+        """The squares for weights (m,) of the parts, the torque of one joint flipped."""
+        G = np.tensordot(np.outer(weights, weights), self.grams, 2)
+        h = np.tensordot(weights, self.moments, 1)
+        if flipped is not None:
+            h[flipped] *= -1
+        scale = np.ones(len(self.squares))
+        if self.currents:
+            scale = np.maximum(h[:, -1], 0.0) / np.maximum(G[:, -1, -1], 1e-300)
+        A, b = np.tensordot(scale**2, G, 1), scale @ h
+        H, g = A[:-1, :-1] + np.eye(len(b) - 1), b[:-1] - A[:-1, -1]
+        total = self.squares.sum() - 2 * b[-1] + A[-1, -1]
+        return float(total - g @ scipy.linalg.solve(H, g, assume_a="pos"))
+
+
+def _mixtures(case: TorqueFit, parts: Sequence[Array]) -> _Mixtures:
+    """Of columns of the links in some set-ups, filtered as the torque is, (N, nv, 10 nv) each."""
+    S, n, m = spread(case.robot), len(case.tau), len(parts)
+    S[:, -10:] *= _ANY
+    own = np.column_stack([S, case.robot.phi])
+    rows = slice(None, None, -(-n // _ROWS))
+    grams, moments, squares = list[Array](), list[Array](), list[float]()
+    for j in case.joints:
+        X = np.concatenate([part[rows, j] @ own for part in parts], axis=1)
+        X, y = without_effects(case.F[rows, j], X, case.tau[rows, j])
+        weight = case.rows[j] / len(y) / (MODEL_ERROR**2 * case.size[j])
+        grams.append(weight * (X.T @ X).reshape(m, len(X.T) // m, m, -1).swapaxes(1, 2))
+        moments.append(weight * (X.T @ y).reshape(m, -1))
+        squares.append(weight * float(y @ y))
+    currents = case.log.unit != "N·m"
+    both = np.stack(grams, axis=2), np.stack(moments, axis=1)
+    return _Mixtures(*both, np.array(squares), currents)
+
+
+def _mounting(case: TorqueFit) -> _SetUp | None:
+    """The arm under the direction of gravity that suits its torque best."""
+    robot, motion = case.robot, case.data.motion
+    size = float(np.linalg.norm(robot.gravity))
+    if size == 0:
+        return None
+    still = np.zeros_like(motion.q)
+    rest = replace(motion, dq=still, ddq=still)
+    pulls = (robot.with_gravity(unit) for unit in np.eye(3))
+    parts = [case.filtered(regressor(pull, rest)) for pull in pulls]
+    mixtures = _mixtures(case, [case.D, *parts])
+
+    def left(direction: Array) -> float:
+        return mixtures.left(np.append(1.0, size * direction / np.linalg.norm(direction)))
+
+    k = np.arange(_DIRECTIONS) + 0.5  # a Fibonacci lattice on the sphere
+    z, turn = 1 - 2 * k / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * k
+    r = np.sqrt(1 - z**2)
+    tried = [robot.gravity / size, *np.column_stack([r * np.cos(turn), r * np.sin(turn), z])]
+    starts = sorted(tried, key=left)[:_STARTS]
+    best = min((scipy.optimize.minimize(left, x) for x in starts), key=lambda found: found.fun)
+    gravity = size * best.x / np.linalg.norm(best.x)
+    angle = np.degrees(np.arccos(np.clip(gravity @ robot.gravity / size**2, -1, 1)))
+    vector = ", ".join(f"{x:.2f}" for x in gravity)
+    detail = (
+        f"the arm is mounted otherwise than its model says: gravity points along ({vector}) m/s² "
+        f"in the base frame, {angle:.0f}° from the given direction; give robot.yaml that gravity"
+    )
+    fault = Fault("wrong_mounting", case.log.joints, detail, {"gravity": gravity, "angle": angle})
+    return _SetUp([fault], robot.with_gravity(gravity), case.data, range(robot.nv))
+
+
+def _zeros(case: TorqueFit, j: int) -> _SetUp | None:
+    """One joint at another zero position, counting or measuring torque the other way.
+
+    None where the simplest is as it stands: other angles before other signs, and a multiple of 90°
+    before any other angle, unless these are better beyond chance.
+    """
+    motion, unit = case.data.motion, np.eye(case.robot.nv)[j]
+    found = []
+    for sign in (1.0, -1.0):
+        way = 1 + (sign - 1) * unit
+        q, dq, ddq = (x * way for x in (motion.q, motion.dq, motion.ddq))
+        moved = [Motion(motion.t, q + angle * unit, dq, ddq) for angle in _ANGLES]
+        mixtures = _mixtures(case, [case.filtered(regressor(case.robot, m)) for m in moved])
+        for flipped in (None, case.joints.index(j)):
+
+            def left(
+                angle: float, at: _Mixtures = mixtures, flipped: int | None = flipped
+            ) -> float:
+                x = angle - _ANGLES
+                return at.left((1 + 2 * np.cos(x) + 2 * np.cos(2 * x)) / 5, flipped)
+
+            tried = np.arange(-np.pi, np.pi, _STEP)
+            near = tried[int(np.argmin([left(angle) for angle in tried]))]
+            ends = near - _STEP, near + _STEP
+            free = float(scipy.optimize.minimize_scalar(left, bounds=ends, method="bounded").x)
+            right = _RIGHT * round(free / _RIGHT)
+            found += [(left(x), x, sign, flipped is not None) for x in (0.0, right, free)]
+    found.sort(key=lambda each: (each[2] < 0) + each[3])
+    least = min(squares for squares, *_ in found)
+    chance = float(scipy.special.chdtri(1, ALARM)) * max(1.0, least / float(case.rows.sum()))
+    simplest = next(each[1:] for each in found if each[0] < least + chance)
+    return None if simplest == (0.0, 1.0, False) else _set_up_of(case, j, *simplest)
+
+
+def _set_up_of(case: TorqueFit, j: int, angle: float, sign: float, flipped: bool) -> _SetUp:
+    joint, faults = case.log.joints[j], list[Fault]()
+    if channels := ("q", "dq") * (sign < 0) + ("tau",) * flipped:
+        what = " and ".join(name for name in channels if name != "dq")
+        detail = f"{what} of {joint} count the other way than the robot's"
+        done = f"negates {what}{' (and dq)' * (sign < 0)} of {joint}"
+        remedies = tuple(Remedy("scale", name, (j,), factor=-1.0) for name in channels)
+        faults.append(Fault("wrong_sign", (joint,), detail, {"channel": what}, done, remedies))
+    set_up = _amended(case, faults)
+    if angle:
+        off = f"{'+' if angle > 0 else '−'} {abs(np.degrees(angle)):.3g}°"
+        detail = f"the zero position of {joint} is off: its true angle is the reading {off}"
+        faults.append(Fault("wrong_zero", (joint,), detail, {"offset": angle}))
+    return replace(set_up, robot=case.robot.with_zero(joint, angle))
