@@ -20,7 +20,7 @@ from excitant.analysis.selection import Rival, underlies
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import BodyPrior, EffectPrior
-from excitant.identify.rows import Series, identified_robot, series
+from excitant.identify.rows import Series, identified_robot, predicted_torque, series
 from excitant.robots.effects import Effect, merged
 from excitant.robots.motion import Array
 from excitant.robots.parameters import from_pseudo_inertia
@@ -94,6 +94,7 @@ class HeldOut:
     gains: Array  # torque per reading, shape (nv,)
     series: Series  # measured torque, and the rows at which each joint moves
     simulated: Array  # torque of the given model
+    mounted: Array  # of the given model in the set-up found
     floor: Array  # noise floor of each joint's filtered torque, shape (nv,)
 
     @property
@@ -109,11 +110,16 @@ class HeldOut:
         return errors[0] > (1 + share) * errors[1]
 
 
-def held_out(robot: Robot, segments: tuple[Segment, ...], gains: Array) -> HeldOut:
-    """The hold-out of a given robot; gains are its torque per reading, shape (nv,)."""
+def held_out(
+    robot: Robot, segments: tuple[Segment, ...], gains: Array, given: Robot | None = None
+) -> HeldOut:
+    """The hold-out of a robot as it is set up, and as given; its torque per reading, (nv,)."""
     found = observed(robot, segments)
     floor = np.array([noise_floor(segments, j) for j in range(robot.nv)])
-    return HeldOut(found, gains, series(segments), found.torque() / gains, floor)
+    mounted = simulated = found.torque() / gains
+    if given is not None and given is not robot:
+        simulated = predicted_torque(given, segments) / gains
+    return HeldOut(found, gains, series(segments), simulated, mounted, floor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,8 +137,8 @@ class Extension:
 
 
 def unextended(evidence: Evidence, held: HeldOut) -> Extension:
-    """The given model as it is."""
-    return Extension(evidence, (), held.observed.robot, {}, held.observed, held.simulated)
+    """The given model as it is set up."""
+    return Extension(evidence, (), held.observed.robot, {}, held.observed, held.mounted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,42 +236,54 @@ def _weakest(robot: Robot, fit: Extension, kept: set[Candidate]) -> Candidate | 
 
 
 def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...]:
-    rows, error = held.series, held.series.measured - fit.predicted
-    weight = rows.moves * held.gains / fit.evidence.sigma
-    power = float(((held.given * weight) ** 2).sum())
     findings = []
     for candidate in fit.chosen:
         values, given, std = _coefficients(robot, fit, candidate.effect)
         torque = fit.held.columns(candidate.effect) @ (values - given) / held.gains
-        joints = np.array(candidate.effect.affected(robot))
-        without = error + torque
-        fall = ((without**2 - error**2) * weight**2)[:, joints]
-        gain, spread = _relative_gain((without * weight)[:, joints], (torque * weight)[:, joints])
-        margin = gain - max(FLOOR, _DEVIATIONS * spread)
-        shows = np.sqrt(((torque * rows.moves) ** 2).mean(axis=0)) > held.floor
-        most = candidate.effect.rows(robot)[0]
-        if not candidate.effect.jointwise:
-            most = int(np.argmax(rows.rms(torque) / rows.rms(error)))
-        alike = joints[robot.revolute[joints] == robot.revolute[most]]
-        before, after = (np.sqrt((rows.rms(e)[alike] ** 2).mean()) for e in (without, error))
-        if gain < _PLAIN and not shows.any():
-            margin = min(margin, -FLOOR)
-        findings.append(
-            Finding(
-                candidate.effect.with_values(values.tolist()),
-                tuple(given.tolist()),
-                tuple(std.tolist()),
-                explained=float(fall.sum()) / power,
-                joint=most,
-                rms_before=float(before),
-                rms_after=float(after),
-                gain=gain,
-                gain_error=spread,
-                torque=torque,
-                margin=margin,
-            )
-        )
+        effect = candidate.effect.with_values(values.tolist())
+        findings.append(finding_of(robot, fit, held, effect, torque, given.tolist(), std.tolist()))
     return tuple(findings)
+
+
+def finding_of(
+    robot: Robot,
+    fit: Extension,
+    held: HeldOut,
+    effect: Effect,
+    torque: Array,
+    given: Sequence[float],
+    std: Sequence[float],
+) -> Finding:
+    """A cause with its gain on the hold-out, where it makes a torque (n, nv) [torque unit]."""
+    rows, error = held.series, held.series.measured - fit.predicted
+    weight = rows.moves * held.gains / fit.evidence.sigma
+    power = float(((held.given * weight) ** 2).sum())
+    joints = np.array(effect.affected(robot))
+    without = error + torque
+    fall = ((without**2 - error**2) * weight**2)[:, joints]
+    gain, spread = _relative_gain((without * weight)[:, joints], (torque * weight)[:, joints])
+    margin = gain - max(FLOOR, _DEVIATIONS * spread)
+    shows = np.sqrt(((torque * rows.moves) ** 2).mean(axis=0)) > held.floor
+    most = effect.rows(robot)[0]
+    if not effect.jointwise:
+        most = int(np.argmax(rows.rms(torque) / rows.rms(error)))
+    alike = joints[robot.revolute[joints] == robot.revolute[most]]
+    before, after = (np.sqrt((rows.rms(e)[alike] ** 2).mean()) for e in (without, error))
+    if gain < _PLAIN and not shows.any():
+        margin = min(margin, -FLOOR)
+    return Finding(
+        effect,
+        tuple(given),
+        tuple(std),
+        explained=float(fall.sum()) / power,
+        joint=most,
+        rms_before=float(before),
+        rms_after=float(after),
+        gain=gain,
+        gain_error=spread,
+        torque=torque,
+        margin=margin,
+    )
 
 
 def _relative_gain(error: Array, torque: Array) -> tuple[float, float]:

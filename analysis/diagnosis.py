@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -17,6 +17,7 @@ from excitant.analysis.confirmation import (
     Finding,
     HeldOut,
     confirmed,
+    finding_of,
     held_out,
     unextended,
 )
@@ -33,15 +34,25 @@ from excitant.analysis.explanation import (
 )
 from excitant.analysis.residuals import Residual, residuals
 from excitant.analysis.selection import rivals, select
+from excitant.analysis.set_up import SetUp, refined, set_up
 from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
 from excitant.identify.drive_gains import DriveGains, current_gains
 from excitant.identify.faults import warn_of_faults
+from excitant.identify.preprocessing import Segment
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.rows import Accuracy, Data, gains_of, series, split, told
+from excitant.identify.rows import (
+    Accuracy,
+    Data,
+    gains_of,
+    predicted_torque,
+    series,
+    split,
+    told,
+)
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.effects import plain, standard_effects
+from excitant.robots.effects import Effect, plain, standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -66,6 +77,7 @@ class Diagnosis:
         waterfall: Error relative to the given model's, as causes are added.
         notes: Remarks to the user, as sentences.
         drive: Drive gains, if torque was recorded as current.
+        set_up: Mounting, zero positions and repairs of the data, if not those given.
     """
 
     robot: Robot
@@ -79,6 +91,7 @@ class Diagnosis:
     waterfall: tuple[tuple[str, float], ...]
     notes: tuple[str, ...]
     drive: DriveGains | None = None
+    set_up: SetUp | None = None
 
     @property
     def left(self) -> Array:
@@ -142,8 +155,16 @@ class Diagnosis:
     @cached_property
     def ordered(self) -> list[list[Finding] | Residual]:
         """Groups of findings, and joints with a visible residual, by their share of the error."""
+        known = () if self.set_up is None else (*self.set_up.faults, *self.set_up.effects)
+        first = {(effect.name, effect.joints) for effect in known}
         items: list[tuple[float, list[Finding] | Residual]] = [
-            (sum(f.explained for f in group), group) for group in self.groups
+            (
+                np.inf
+                if (group[0].effect.name, group[0].effect.joints) in first
+                else sum(f.explained for f in group),
+                group,
+            )
+            for group in self.groups
         ]
         items += [(self.share_of(left), left) for left in self.residuals if left.visible]
         return [item for _, item in sorted(items, key=lambda pair: -pair[0])]
@@ -329,10 +350,14 @@ def diagnose(
         BadRobot: Links without mass.
         Infeasible: The semidefinite solver failed.
     """
-    data, prior = split(recordings, validate, cutoff_hz), prior_parameters(robot)
-    warn_of_faults(robot, recordings)
-    train, measured = observed(robot, data.train), series(data.train).measured
-    notes, drive = [data.holdout], data.drive
+    given, prior = robot, prior_parameters(robot)
+    warn_of_faults(given, recordings)
+    mounted, amended = set_up(given, [*recordings, *validate])
+    fitted, unseen = amended[: len(recordings)], amended[len(recordings) :]
+    data = split(fitted, unseen, cutoff_hz)
+    measured, robot = series(data.train).measured, mounted.robot
+    notes, drive = [data.holdout, *mounted.notes], data.drive
+    train = observed(robot, data.train)
     if data.unit == "A":
         usual = standard_effects(robot.joints)
         base = base_parameters(robot, usual)
@@ -340,31 +365,63 @@ def diagnose(
     if drive is not None:
         notes.append(drive.sentence(robot.joints))
     gains = gains_of(robot, data, drive)
-    held, tau = held_out(robot, data.validate, gains), measured * gains
+    tau = measured * gains
+    mounted = refined(mounted, data.train, tau, prior)
+    if mounted.robot is not robot:
+        robot = mounted.robot
+        train = observed(robot, data.train)
+    held = held_out(robot, data.validate, gains, given)
     evidence = gather(robot, train, tau, prior)
     first = Extender(prior, train, tau, held, evidence)
-    fit = _iterated(first)
+    known = frozenset((effect.name, effect.joints) for effect in mounted.effects)
+    fit = _iterated(first, known)
     if fit.refuted:
-        again = _iterated(first, fit.refuted)
+        again = _iterated(first, known | fit.refuted)
         if held.worse(fit.predicted, again.predicted, FLOOR):
             fit = again
-    if held.worse(fit.predicted, held.simulated):
+    if held.worse(fit.predicted, held.mounted):
         fit = unextended(fit.evidence, held)
     error = held.series.measured - fit.predicted
-    given = residuals(robot.joints, data.validate, held.given, held.given, held.simulated)
+    errors = residuals(robot.joints, data.validate, held.given, held.given, held.simulated)
     left = residuals(robot.joints, data.validate, error, held.given, fit.predicted)
     paying = [
         replace(finding, rivals=tuple(rivals(fit.evidence, robot, fit.chosen, candidate)))
         for finding, candidate in zip(fit.findings, fit.chosen, strict=True)
         if finding.pays
     ]
-    judged = [
+    first_of_all = [_of_set_up(mounted, effect, fit, held) for effect in mounted.effects]
+    if mounted.faults:
+        raw = split(recordings, validate, data.cutoff_hz).validate
+        first_of_all = [*_of_faults(mounted, raw, fit, held), *first_of_all]
+    judged = first_of_all + [
         replace(_with_gains(f, robot, drive), downgrade=reason_to_downgrade(f, paying, left))
         for f in sorted(paying, key=lambda f: -f.explained)
     ]
-    steps = _waterfall(held, error, judged)
-    found = fit, tuple(judged), given, left, steps, tuple(notes), drive
-    return Diagnosis(robot, data, train, held, *found)
+    steps = _waterfall(held, error, [f for f in judged if f.effect.values])
+    found = fit, tuple(judged), errors, left, steps, tuple(notes), drive
+    return Diagnosis(given, data, train, held, *found, mounted)
+
+
+def _of_set_up(mounted: SetUp, effect: Effect, fit: Extension, held: HeldOut) -> Finding:
+    """The finding of a change of mounting or zero position."""
+    model = mounted.without(effect, fit.model)
+    torque = fit.predicted - predicted_torque(model, held.observed.segments) / held.gains
+    given, std = (0.0,) * len(effect.values or ()), mounted.std_of(effect)
+    return finding_of(mounted.robot, fit, held, effect, torque, given, std)
+
+
+def _of_faults(
+    mounted: SetUp, raw: Sequence[Segment], fit: Extension, held: HeldOut
+) -> Iterator[Finding]:
+    """Findings of the faults of the data that are repaired, together without their repair."""
+    error = series(raw).measured - predicted_torque(fit.model, raw) / held.gains
+    left = held.series.measured - fit.predicted
+    torque = error - left if error.shape == left.shape else np.zeros_like(left)
+    for fault in mounted.faults:
+        found = finding_of(mounted.robot, fit, held, fault, torque, (), ())
+        # the given model's own error is that on the repaired data
+        share = 1 - (found.rms_after / max(found.rms_before, 1e-300)) ** 2
+        yield replace(found, explained=float(share))
 
 
 def _with_gains(finding: Finding, robot: Robot, drive: DriveGains | None) -> Finding:

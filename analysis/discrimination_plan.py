@@ -320,7 +320,7 @@ def _contest(diagnosis: Diagnosis) -> Contest:
     sigma = np.sqrt((error**2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
     inflation = np.array([autocorrelation_time(column) for column in error.T])
     return Contest(
-        robot=diagnosis.robot,
+        robot=diagnosis.train.robot,
         model=diagnosis.extension.model,
         pairs=tuple(pair for finding in open_ for pair in _pairs(diagnosis, finding)),
         weight=1 / (np.maximum(sigma, 1e-9) ** 2 * inflation),

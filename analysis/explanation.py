@@ -128,6 +128,8 @@ def _sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     robot, effect, given = diagnosis.robot, group[0].effect, np.array(group[0].given)
     joints = [joint for f in group for joint in f.effect.joints]
     parameters = effect.parameters(robot)
+    if not parameters:  # a fault of the data
+        return effect.sentence(robot, joints, ())
     factors, units = zip(*(told(p, robot, diagnosis.drive) for p in parameters), strict=True)
     effect = effect.with_values((np.array(effect.values) * factors).tolist())
     said = effect.sentence(robot, joints, (given * factors).tolist())

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
-from weakref import WeakSet
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -30,11 +30,11 @@ from excitant.identify.recording import Recording, checked, raw_recording
 from excitant.robots.robot import Robot
 
 __all__ = ["FAULTS", "Checked", "Fault", "Log", "find_copies", "find_faults", "read_checked"]
-__all__ += ["repair"]
+__all__ += ["faults_of", "repair"]
 
 _SHORTEST = 50  # samples: fewer prove nothing
 _NO_TORQUE = "dead_channel", "tau"
-_told = WeakSet[Recording]()  # whose faults the user knows
+_known = WeakKeyDictionary[Recording, tuple[Robot, tuple[Fault, ...]]]()  # what was told
 
 
 def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
@@ -93,11 +93,17 @@ def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault
 def warn_of_faults(robot: Robot, recordings: Sequence[Recording]) -> None:
     """Warn of the faults of each recording, once; not of those from `read_checked`."""
     for recording in recordings:
-        if recording not in _told:
-            _told.add(recording)
-            for fault in find_faults(robot, recording):
+        if recording not in _known:
+            for fault in faults_of(robot, recording):
                 remedy = f"; repair {fault.repair}" if fault.repair else ""
                 warnings.warn(f"{recording.name}: {fault.detail}{remedy}", FaultWarning, 3)
+
+
+def faults_of(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
+    """Faults of a recording as `find_faults`, looked for once."""
+    if recording not in _known or _known[recording][0] is not robot:
+        _known[recording] = robot, find_faults(robot, recording)
+    return _known[recording][1]
 
 
 def find_copies(recordings: Mapping[str, Recording]) -> dict[str, Fault]:
@@ -178,5 +184,6 @@ def read_checked(
         better, done = repair(raw, faults[name])
         notes += [f"{name}: {sentence}" for sentence in done]
         recordings.append(checked(better))
-    _told.update(recordings)
+        left = tuple(fault for fault in faults[name] if not fault.remedies)
+        _known[recordings[-1]] = robot, left
     return Checked(recordings, faults, tuple(notes), repaired)

@@ -295,12 +295,13 @@ class TorqueFit:
         bound = float(scipy.special.chdtri(freedom or self.freedom, ALARM / tests))
         return self.gain(power) > bound and bool(ratio.min() < HALVED and not worse)
 
-    def surprise(self, noise: Array, rows: Array, precision: Array) -> float:
-        """Squares in independent rows that bodies near the given ones leave, and theirs.
+    def surprise(self, noise: Array, rows: Array, S: Array) -> tuple[float, float]:
+        """Squares that bodies near the given ones φ̄ leave, and −2 log of the evidence for them.
 
-        Noise is a mean square of each joint, shape (nv,); a twentieth of the torque comes to it.
-        The precision is that of the given bodies, shape (10 nv, 10 nv). Where currents were
-        recorded, each joint has the drive gain that suits the given bodies best.
+        Noise is a mean square of each joint, shape (nv,), in so many independent rows; a twentieth
+        of the torque comes to it. Bodies are φ̄ + S z, z of unit variance, S (10 nv, 10 nv), and
+        each joint's own effects free. Where currents were recorded, each joint has the drive gain
+        that suits the given bodies best.
         """
         weight = (rows / len(self.tau) / (noise + MODEL_ERROR**2 * self.size))[self.joints]
         A, b = np.sum(self._A, axis=0), np.sum(self._b, axis=0)
@@ -308,13 +309,14 @@ class TorqueFit:
         per = np.ones((len(self.joints), A.shape[1]))
         per[:, :links] = self.readings_per_torque[:, None]
         A, b = per[:, :, None] * A * per[:, None], per * b
-        A_all, b_all = np.tensordot(weight, A, 1), weight @ b
-        A_all[:links, :links] += precision
-        b_all[:links] += precision @ bodies
-        x = _solve(A_all, b_all)
-        off = x[:links] - bodies
-        left = self._left(A, b, x) * len(self.tau)
-        return float(weight @ left + off @ precision @ off)
+        G, h = np.tensordot(weight, A, 1), weight @ b
+        h = h - G[:, :links] @ bodies
+        own = _solve(G[links:, links:], np.column_stack([G[links:, :links], h[links:]]))
+        H = S.T @ (G[:links, :links] - G[:links, links:] @ own[:, :-1]) @ S + np.eye(links)
+        z = np.linalg.solve(H, S.T @ (h[:links] - G[:links, links:] @ own[:, -1]))
+        x = np.concatenate([bodies + S @ z, own[:, -1] - own[:, :-1] @ (S @ z)])
+        squares = float(weight @ self._left(A, b, x)) * len(self.tau) + float(z @ z)
+        return squares, squares + float(np.linalg.slogdet(H)[1])
 
     def compared(self, power: Array) -> str:
         """Improvement by another reading, in words."""
@@ -348,7 +350,7 @@ def _solve(A: Array, b: Array) -> Array:
     values, V = np.linalg.eigh(A / np.outer(d, d))
     kept = values > _RANK * max(float(values[-1]), 1e-300)
     V = V[:, kept] / d[:, None]
-    return np.asarray(V @ ((V.T @ b) / values[kept]), float)
+    return np.asarray(V @ ((V.T @ b).T / values[kept]).T, float)
 
 
 def degrees(case: TorqueFit) -> Iterator[Fault]:
@@ -418,9 +420,8 @@ def order(case: TorqueFit) -> Iterator[Fault]:
             swap = same.copy()
             swap[i], swap[k] = k, i
             orders.add(tuple(swap))
-    inverse = np.linalg.inv(spread(case.robot))
-    known = inverse.T @ inverse
-    if case.surprise(case.power, case.rows, known) < FITS * float(case.rows.sum()):
+    known = spread(case.robot)
+    if case.surprise(case.power, case.rows, known)[0] < FITS * float(case.rows.sum()):
         return
     found = []
     for order in sorted(orders - {tuple(same)}):
@@ -431,8 +432,8 @@ def order(case: TorqueFit) -> Iterator[Fault]:
             other = data._replace(motion=motion, tau=data.tau[:, at])
             fit = TorqueFit(case.robot, log, other, case.joints)
             noise = np.minimum(case.power[at], fit.power)  # joint j is the one recorded as at[j]
-            left, back = fit.surprise(noise, case.rows[at], known), np.argsort(at)
-            found.append((case.surprise(noise[back], case.rows, known), left, at, channels))
+            left, back = fit.surprise(noise, case.rows[at], known)[0], np.argsort(at)
+            found.append((case.surprise(noise[back], case.rows, known)[0], left, at, channels))
     as_it_stands, left, at, channels = max(found, key=lambda each: each[0] / max(each[1], 1e-9))
     bound = float(scipy.special.chdtri(n, ALARM / len(found)))
     dispersion = max(1.0, left / float(case.rows.sum()))  # errors of the model count as noise
@@ -453,6 +454,7 @@ def order(case: TorqueFit) -> Iterator[Fault]:
 
 
 def position_signs(case: TorqueFit) -> Iterator[Fault]:
+    """Joints whose positions count the other way, whatever the given bodies are."""
     for j, joint in enumerate(case.log.joints):
         flip = np.where(np.arange(case.robot.nv) == j, -1.0, 1.0)
         negated = TorqueFit(case.robot, case.log, case.data, case.joints, flip)

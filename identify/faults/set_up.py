@@ -70,17 +70,14 @@ def set_up_faults(case: TorqueFit) -> list[Fault]:
     found: list[Fault] = []
     for _ in range(case.robot.nv):
         tested = [faults for faults in ([*order(case)], [*torque_signs(case)]) if faults]
-        proposed = [_amended(case, faults) for faults in tested]
-        judged = [(each, *_squares(case, each)) for each in proposed]
+        judged = [(_gain(case, each), each) for each in (_amended(case, f) for f in tested)]
         for each in _searched(case):
-            before, after = _squares(case, each)
-            chance = float(scipy.special.chdtri(3, ALARM / case.robot.nv))
-            dispersion = max(1.0, after / float(case.rows.sum()))
-            if after < HALVED * before and before - after > chance * dispersion:
-                judged.append((each, before, after))
+            gain = _gain(case, each)
+            if gain > 0:
+                judged.append((gain, each))
         if not judged:
             break
-        best = max(judged, key=lambda each: each[1] / max(each[2], 1e-9))[0]
+        best = max(judged, key=lambda each: each[0])[1]
         found += best.faults
         case = _fit(case, best)
     return found
@@ -90,27 +87,31 @@ def _fit(case: TorqueFit, set_up: _SetUp) -> TorqueFit:
     return TorqueFit(set_up.robot, case.log, set_up.data, case.joints)
 
 
-def _squares(case: TorqueFit, other: _SetUp) -> tuple[float, float]:
-    """Squares that bodies near the given ones leave as it stands, and in another set-up.
+def _gain(case: TorqueFit, other: _SetUp) -> float:
+    """Twice the log evidence ratio of another set-up beyond chance; −∞ where it does not fit.
 
-    As it stands any one of the links may be another body: that needs no other set-up.
+    As it stands any one of the links may be another body: that needs no other set-up. Errors of
+    the model count as noise; the other set-up leaves half as much, or hardly more than these.
     """
-    if (case.robot.phi[::10] <= 0).any():
-        return 1.0, 1.0
-    fit, back = _fit(case, other), np.argsort(other.order)
+    robot, last = case.robot, case.robot.nv - 1
+    if (robot.phi[::10] <= 0).any():
+        return 0.0
+    fit, back, rows = _fit(case, other), np.argsort(other.order), float(case.rows.sum())
     noise = np.minimum(case.power[other.order], fit.power)
-    after = fit.surprise(noise, case.rows[other.order], _precision(fit.robot, case.robot.nv - 1))
-    links = range(case.robot.nv)
-    before = (case.surprise(noise[back], case.rows, _precision(case.robot, k)) for k in links)
-    return min(before), after
+    left, after = fit.surprise(noise, case.rows[other.order], _spread(robot, last))
+    tried = (case.surprise(noise[back], case.rows, _spread(robot, k)) for k in range(last + 1))
+    squares, before = map(min, zip(*tried, strict=True))
+    if left > max(HALVED * squares, FITS * rows):
+        return -np.inf
+    chance = float(scipy.special.chdtri(3, ALARM / robot.nv))
+    return before - after - chance * max(1.0, left / rows)
 
 
-def _precision(robot: Robot, other: int) -> Array:
-    """That of bodies near the given ones, one of which may be another, shape (10 nv, 10 nv)."""
+def _spread(robot: Robot, other: int) -> Array:
+    """Root of the covariance of bodies near the given ones, of which one may be another."""
     S = spread(robot)
     S[:, 10 * other : 10 * other + 10] *= _ANY
-    inverse = np.linalg.inv(S)
-    return np.asarray(inverse.T @ inverse, float)
+    return S
 
 
 def _amended(case: TorqueFit, faults: Sequence[Fault]) -> _SetUp:
@@ -132,11 +133,11 @@ def _amended(case: TorqueFit, faults: Sequence[Fault]) -> _SetUp:
 
 def _searched(case: TorqueFit) -> Iterator[_SetUp]:
     """The best mounting, and the best zero position and signs of each joint that turns."""
-    robot, links = case.robot, range(case.robot.nv)
+    robot = case.robot
     if (robot.phi[::10] <= 0).any():
         return
-    least = min(case.surprise(case.power, case.rows, _precision(robot, k)) for k in links)
-    if least < FITS * float(case.rows.sum()):
+    left, _ = case.surprise(case.power, case.rows, _spread(robot, robot.nv - 1))
+    if left < FITS * float(case.rows.sum()):
         return
     turning = (j for j in case.joints if robot.revolute[j])
     for found in (_mounting(case), *(_zeros(case, j) for j in turning)):
@@ -173,8 +174,7 @@ class _Mixtures:
 
 def _mixtures(case: TorqueFit, parts: Sequence[Array]) -> _Mixtures:
     """Of columns of the links in some set-ups, filtered as the torque is, (N, nv, 10 nv) each."""
-    S, n, m = spread(case.robot), len(case.tau), len(parts)
-    S[:, -10:] *= _ANY
+    n, m, S = len(case.tau), len(parts), _spread(case.robot, case.robot.nv - 1)
     own = np.column_stack([S, case.robot.phi])
     rows = slice(None, None, -(-n // _ROWS))
     grams, moments, squares = list[Array](), list[Array](), list[float]()

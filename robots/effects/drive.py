@@ -30,6 +30,7 @@ from excitant.robots.regressor import (
 from excitant.robots.robot import Robot
 
 _GAPS = np.geomspace(3e-4, 0.1, 12).tolist()  # rad
+_MASSLESS = 1e-9  # of the largest inertia that a joint moves: rounding
 _DELAYS = (-0.05, -0.02, -0.005, 0.002, 0.005, 0.01, 0.02, 0.04, 0.08)  # s
 _LONGEST = 0.04  # s, of a delay where another is at work
 _ORDERS = 3  # of ripple at each joint, the best of all
@@ -313,7 +314,10 @@ class Backlash(_Lag):
     def columns(self, robot: Robot, motion: Motion) -> Array:
         j = self.rows(robot)[0]
         _, _, by_ddq = torque_derivatives(robot, motion)
-        acceleration = rigid_torque(robot, motion)[:, j] / by_ddq[:, j, j]
+        inertia = np.diagonal(by_ddq, axis1=1, axis2=2)
+        if inertia[:, j].min() <= _MASSLESS * inertia.max():
+            return np.zeros((*motion.q.shape, 1))  # such a link is never left behind
+        acceleration = rigid_torque(robot, motion)[:, j] / inertia[:, j]
         lag = play(motion.t, acceleration, self.trial)
         return torque_along(robot, motion, j, -(lag / self.trial))[:, :, None]
 

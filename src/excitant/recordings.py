@@ -313,6 +313,8 @@ def diagnose(
 
         plan = planned(found, np.random.default_rng(0), time_limit=experiment_time)
     files = model_files(found.extension.model, "extended", "extended.yaml")
+    for fault in said["faults"]:
+        fault["repaired"] |= found.set_up is not None and found.set_up.amends(fault)
     result = found.result(plan) | said
     result["notes"] += notes
     folder = run.folder(result)

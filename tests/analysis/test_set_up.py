@@ -1,0 +1,138 @@
+"""Set-up errors of arms whose torque MuJoCo computes, and what a diagnosis makes of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from plant_recordings import mujoco_model
+
+from excitant.analysis.diagnosis import Diagnosis, diagnose
+from excitant.design import random_trajectory
+from excitant.identify import Recording
+from excitant.identify.faults import find_faults
+from excitant.robots import Robot
+from excitant.robots.motion import Motion
+from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
+from excitant.robots.regressor import rigid_body_torque
+from excitant.robots.urdf import robot_from_urdf
+
+RATE, DURATION = 125.0, 12.0
+SIDEWAYS, TURNED = (9.81, 0.0, 0.0), (3.2, -7.1, 5.96)
+pytestmark = pytest.mark.filterwarnings("ignore::excitant.exceptions.FaultWarning")
+
+
+def perturbed(robot: Robot, rng: np.random.Generator, share: float) -> Robot:
+    """The arm with every pseudo-inertia P replaced by (1 + E) P (1 + E)ᵀ."""
+    bodies = []
+    for values in robot.phi.reshape(-1, 10):
+        A = np.eye(4) + share / 2 * rng.normal(size=(4, 4))
+        bodies.append(from_pseudo_inertia(A @ pseudo_inertia(values) @ A.T))
+    return robot.with_parameters(np.concatenate(bodies))
+
+
+def recorded(
+    robot: Robot, seed: int, gravity: tuple[float, ...] | None = None, off: float = 0.1
+) -> list[Recording]:
+    """Two motions with the torque of bodies off from the given ones, friction and white noise."""
+    rng = np.random.default_rng(seed)
+    true = perturbed(robot, rng, off)
+    true = true if gravity is None else true.with_gravity(gravity)
+    friction = rng.uniform(0.01, 0.03, (2, robot.nv)) * robot.limits.torque
+    model = mujoco_model(replace(true, description=true.urdf))
+    data = mujoco.MjData(model)
+    found = []
+    for name in ("fitted", "held"):
+        motion = random_trajectory(robot, rng, DURATION, 4).motion(RATE)
+        tau = np.empty_like(motion.q)
+        for k in range(len(motion)):
+            data.qpos, data.qvel, data.qacc = motion.q[k], motion.dq[k], motion.ddq[k]
+            mujoco.mj_inverse(model, data)
+            tau[k] = data.qfrc_inverse
+        tau += friction[0] * motion.dq + friction[1] * np.tanh(motion.dq / 1e-3)
+        tau += 0.01 * tau.std(axis=0) * rng.normal(size=tau.shape)
+        q = motion.q + 2e-5 * rng.normal(size=tau.shape)
+        found.append(Recording(name, name, motion.t, q, tau, None))
+    return found
+
+
+def lead(diagnosis: Diagnosis) -> str:
+    entry = diagnosis.result()["findings"][0]
+    return f"{entry['effect']} {' '.join(entry['joints'][: 1 if len(entry['joints']) > 2 else 2])}"
+
+
+def bare(robot: Robot) -> Robot:
+    """The arm without friction, so that what the plant has is not given."""
+    return robot.with_effects([])
+
+
+@pytest.mark.parametrize("gravity", [SIDEWAYS, TURNED])
+def test_an_arm_bolted_otherwise_is_named_first_and_its_gravity_measured(
+    ur10: Robot, gravity: tuple[float, ...]
+) -> None:
+    fitted, held = recorded(bare(ur10), 1, gravity)
+    diagnosis = diagnose(bare(ur10), [fitted], validate=[held])
+    first = diagnosis.ordered[0][0]
+    assert first.effect.name == "gravity_direction"
+    error = diagnosis.set_up.robot.gravity - gravity
+    assert np.linalg.norm(error) < 4 * np.linalg.norm(first.std) + 0.02 * 9.81
+    assert np.linalg.norm(diagnosis.set_up.robot.gravity) == pytest.approx(9.81)
+    assert np.median(diagnosis.extended.nrmse) < 0.05 < 0.5 < np.median(diagnosis.simulation.nrmse)
+    assert not {f.effect.name for f in diagnosis.findings} & {"encoder_offset", "torque_gain"}
+
+
+@pytest.mark.parametrize(("joint", "angle"), [(1, np.pi / 2), (2, -2.0), (3, np.pi)])
+def test_a_zero_position_of_any_angle_is_found(ur10: Robot, joint: int, angle: float) -> None:
+    robot, unit = bare(ur10), np.eye(6)[joint]
+    recordings = [replace(r, q=r.q - angle * unit) for r in recorded(robot, 2)]
+    diagnosis = diagnose(robot, recordings[:1], validate=recordings[1:])
+    assert lead(diagnosis) == f"encoder_offset {robot.joints[joint]}"
+    turn = dict(diagnosis.set_up.robot.zeros)[robot.joints[joint]] - angle
+    assert abs((turn + np.pi) % (2 * np.pi) - np.pi) < 0.03
+
+
+@pytest.mark.parametrize("channels", ["tau", "q tau"])
+def test_a_joint_of_the_other_sign_is_repaired_and_named_first(ur10: Robot, channels: str) -> None:
+    robot, sign = bare(ur10), 1 - 2 * np.eye(6)[2]
+    recordings = [
+        replace(r, **{name: getattr(r, name) * sign for name in channels.split()})
+        for r in recorded(robot, 3)
+    ]
+    diagnosis = diagnose(robot, recordings[:1], validate=recordings[1:])
+    assert lead(diagnosis) == f"wrong_sign {robot.joints[2]}"
+    assert set(diagnosis.set_up.repaired) == {"fitted", "held"}
+    assert diagnosis.findings[0].rms_after < 0.2 * diagnosis.findings[0].rms_before
+    assert np.median(diagnosis.extended.nrmse) < 0.05
+    assert not {f.effect.name for f in diagnosis.findings} & {"spring", "torque_gain"}
+
+
+@pytest.mark.parametrize("off", [0.0, 0.1, 0.3])
+def test_bodies_off_by_as_much_as_published_ones_are_no_other_set_up(
+    ur10: Robot, off: float
+) -> None:
+    for seed in range(3):
+        for recording in recorded(bare(ur10), 10 + seed, off=off):
+            faults = {fault.fault for fault in find_faults(bare(ur10), recording)}
+            assert not faults & {"wrong_mounting", "wrong_zero", "wrong_sign", "wrong_order"}
+
+
+def test_a_heavy_load_is_no_other_set_up(ur10: Robot) -> None:
+    body = ur10.phi.copy()
+    body[50:60] += [12.0, 0.6, 0.3, 1.5, 0.3, 0.0, 0.3, 0.0, 0.0, 0.2]
+    loaded = bare(ur10).with_parameters(body)
+    for recording in recorded(loaded, 4):
+        faults = {fault.fault for fault in find_faults(bare(ur10), recording)}
+        assert not faults & {"wrong_mounting", "wrong_zero", "wrong_sign", "wrong_order"}
+
+
+def test_the_description_of_an_arm_has_its_zero_positions(ur10: Robot) -> None:
+    motion = Motion(np.arange(4.0), *np.random.default_rng(0).normal(size=(3, 4, 6)))
+    joint, angle = ur10.joints[2], 0.7
+    moved = ur10.with_zero(joint, angle)
+    shifted = replace(motion, q=motion.q + angle * np.eye(6)[2])
+    expected = rigid_body_torque(ur10, shifted)
+    assert rigid_body_torque(moved, motion) == pytest.approx(expected)
+    again = robot_from_urdf(moved.urdf, source="moved.urdf")
+    assert rigid_body_torque(again, motion) == pytest.approx(expected)
