@@ -9,7 +9,8 @@ candidates
 
 A candidate of k columns that is not present lowers J by λ χ²_k; residuals are far from white, so λ
 is estimated from sums of its score over blocks of time (Rao and Scott 1984). Given values are taken
-as correct to ±10 %, or better where the median of their deviations is smaller (empirical Bayes).
+as correct to ±10 %, or as the median of their deviations says (empirical Bayes): those of bodies up
+to 80 %, for published inertias are rough; noise is what bodies and usual effects leave when free.
 """
 
 from __future__ import annotations
@@ -35,13 +36,13 @@ _ROUNDS = 3  # of estimating the noise
 _RIDGE = 1e-3  # of a candidate's information that other blocks hold, at least
 _ROUNDING = 1e-12  # of a column, below which it cannot be told from those before
 _LEAST = 0.5  # λ at least, also where correlation of the noise favours a candidate
-_LOOSE = 0.01  # of the prior precision, where only the noise is estimated
+_LOOSE = 1e-6  # of the prior precision, where only the noise is estimated: bodies are free
 _BLOCK_S = 0.5  # s, at least: longer than the correlation time of filtered torque noise
 _BLOCKS = (16, 40)  # at least, at most
 _DETERMINED = 25.0  # least ratio of data to prior information in a direction that counts
 _FEWEST = 8  # such directions, to judge the tolerance by
 _MEDIAN = 0.4549  # of χ² with one degree of freedom
-_RANGE = (0.02, 1.0)  # of the tolerance
+_LEAST_OFF, _BODIES_OFF, _EFFECTS_OFF = 0.02, 8.0, 1.0  # ends of the tolerance of given values
 _UNKNOWN = 400.0  # tolerances: a link may be twenty times as heavy as a placeholder
 
 
@@ -305,7 +306,10 @@ def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
     """The same evidence with the tolerance of given values that the data support."""
     links = 10 * robot.nv
     parts = np.arange(links), np.arange(links, evidence.nuisance)
-    bodies, effects = (_typical_deviation(evidence, part) for part in parts)
+    most = (_BODIES_OFF, _EFFECTS_OFF)
+    bodies, effects = (
+        _typical_deviation(evidence, *each) for each in zip(parts, most, strict=True)
+    )
     tolerance = (_UNKNOWN if are_placeholders(robot) else bodies, effects)
     precision = np.array(evidence.precision)
     for part, factor in zip(parts, tolerance, strict=True):
@@ -313,10 +317,11 @@ def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
     return reweighed(replace(evidence, precision=precision, tolerance=tolerance), [])
 
 
-def _typical_deviation(evidence: Evidence, part: Index) -> float:
+def _typical_deviation(evidence: Evidence, part: Index, most: float) -> float:
     if len(part) < 2:
-        return _RANGE[1]
-    others = np.setdiff1d(np.arange(evidence.nuisance), part)
+        return 1.0
+    usual = [c for c in evidence.candidates if c.effect.usual]  # what joints have is left free
+    others = np.setdiff1d(evidence.active(usual), part)
     A = evidence.gram + np.diag(evidence.precision)
     H, m = evidence.gram[np.ix_(part, part)], evidence.moment[part]
     if len(others):
@@ -329,8 +334,8 @@ def _typical_deviation(evidence: Evidence, part: Index) -> float:
     values, vectors = np.linalg.eigh(unit[:, None] * H * unit)
     shown = values > _DETERMINED
     if shown.sum() < _FEWEST:
-        return _RANGE[1]
+        return 1.0
     deviation = (vectors[:, shown].T @ (unit * m)) / values[shown]
     # noise alone adds the second term to the median of a squared deviation
     variance = float(np.median(deviation**2 - _MEDIAN / values[shown])) / _MEDIAN
-    return float(np.clip(np.sqrt(max(variance, 0.0)), *_RANGE))
+    return float(np.clip(np.sqrt(max(variance, 0.0)), _LEAST_OFF, most))

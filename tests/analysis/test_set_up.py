@@ -25,11 +25,12 @@ pytestmark = pytest.mark.filterwarnings("ignore::excitant.exceptions.FaultWarnin
 
 
 def perturbed(robot: Robot, rng: np.random.Generator, share: float) -> Robot:
-    """The arm with every pseudo-inertia P replaced by (1 + E) P (1 + E)ᵀ."""
+    """The arm with every pseudo-inertia P = L Lᵀ replaced by L (1 + E) (1 + E)ᵀ Lᵀ."""
     bodies = []
     for values in robot.phi.reshape(-1, 10):
-        A = np.eye(4) + share / 2 * rng.normal(size=(4, 4))
-        bodies.append(from_pseudo_inertia(A @ pseudo_inertia(values) @ A.T))
+        root = np.linalg.cholesky(pseudo_inertia(values))
+        root = root @ (np.eye(4) + share / 2 * rng.normal(size=(4, 4)))
+        bodies.append(from_pseudo_inertia(root @ root.T))
     return robot.with_parameters(np.concatenate(bodies))
 
 
