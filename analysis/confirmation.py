@@ -14,7 +14,7 @@ from excitant.analysis.candidates import (
     coefficient_sizes,
     observed,
 )
-from excitant.analysis.evidence import Candidate, Evidence, Key
+from excitant.analysis.evidence import Candidate, Evidence, Key, are_placeholders
 from excitant.analysis.residuals import noise_floor
 from excitant.analysis.selection import Rival, underlies
 from excitant.identify.physical import fit_physical
@@ -22,6 +22,7 @@ from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import BodyPrior, EffectPrior
 from excitant.identify.rows import Series, identified_robot, predicted_torque, series
 from excitant.robots.effects import Effect, merged
+from excitant.robots.effects.geometry import GivenInertias
 from excitant.robots.motion import Array
 from excitant.robots.parameters import from_pseudo_inertia
 from excitant.robots.robot import Robot
@@ -243,6 +244,27 @@ def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...
         effect = candidate.effect.with_values(values.tolist())
         findings.append(finding_of(robot, fit, held, effect, torque, given.tolist(), std.tolist()))
     return tuple(findings)
+
+
+def off_bodies(robot: Robot, fit: Extension, held: HeldOut) -> Finding | None:
+    """The links whose given inertias the data contradict, as one finding; None where none pays.
+
+    Where the data allow the given bodies no more than ±10 %, single links are candidates instead.
+    """
+    apart = {row for c in fit.chosen if c.effect.role != "torque" for row in c.effect.rows(robot)}
+    if fit.evidence.tolerance[0] <= 1 or are_placeholders(robot) or not fit.std:
+        return None
+    change, std = fit.model.phi - robot.phi, [fit.std[name] for name in robot.parameter_names]
+
+    def of(rows: Sequence[int]) -> Finding:
+        at = np.concatenate([np.arange(10 * k, 10 * k + 10) for k in rows])
+        effect = GivenInertias(tuple(robot.joints[k] for k in rows)).with_values(change[at])
+        torque = fit.held.links[:, :, at] @ change[at] / held.gains
+        given, spread = (0.0,) * len(at), [std[k] for k in at]
+        return finding_of(robot, fit, held, effect, torque, given, spread)
+
+    rows = [k for k in range(robot.nv) if k not in apart and of([k]).pays]
+    return of(rows) if rows else None
 
 
 def finding_of(

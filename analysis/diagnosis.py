@@ -19,6 +19,7 @@ from excitant.analysis.confirmation import (
     confirmed,
     finding_of,
     held_out,
+    off_bodies,
     unextended,
 )
 from excitant.analysis.discrimination import Plan
@@ -389,6 +390,8 @@ def diagnose(
         for finding, candidate in zip(fit.findings, fit.chosen, strict=True)
         if finding.pays
     ]
+    if (off := off_bodies(robot, fit, held)) is not None:
+        paying.append(off)
     first_of_all = [_of_set_up(mounted, effect, fit, held) for effect in mounted.effects]
     if mounted.faults:
         raw = split(recordings, validate, data.cutoff_hz).validate

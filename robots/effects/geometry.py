@@ -213,3 +213,27 @@ class InertialParameters(AddedInertia):
                 "in the model were not mounted"
             )
         return f"The inertial parameters of {robot.links[j]} are wrong (mass {mass:+.2f} kg)"
+
+
+class GivenInertias(InertialParameters):
+    """The inertial parameters of several links differ from the given ones."""
+
+    arity = 0
+
+    def owners(self, robot: Robot) -> tuple[str, ...]:
+        return tuple(robot.links[row] for row in self.rows(robot))
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        Y = regressor(robot, motion)
+        return np.concatenate([Y[:, :, 10 * j : 10 * j + 10] for j in self.rows(robot)], axis=2)
+
+    def noun(self, robot: Robot) -> str:
+        return f"inertias of {', '.join(self.owners(robot))} other than given"
+
+    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+        masses, added = robot.phi[::10][self.rows(robot)], self._known()[::10]
+        said = ", ".join(
+            f"{link} {mass:.3g} → {mass + more:.3g} kg"
+            for link, mass, more in zip(self.owners(robot), masses, added, strict=True)
+        )
+        return f"The given inertias are off at several links, so they were re-identified ({said})"
