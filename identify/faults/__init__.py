@@ -22,7 +22,7 @@ from excitant.identify.faults.channels import (
     wrapped_counters,
 )
 from excitant.identify.faults.fault import FAULTS, PROVEN, Fault, Log, after_repair, repair
-from excitant.identify.faults.modelled import not_measured, poor_excitation, wrong_frame
+from excitant.identify.faults.modelled import not_measured, poor_excitation
 from excitant.identify.faults.physics import smooth, torque_fit, velocity_faults
 from excitant.identify.faults.set_up import physics_faults
 from excitant.identify.faults.time import gap_faults, repeated_rows, stamp_faults
@@ -86,7 +86,7 @@ def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault
             log, _ = repair(log, found)
             data = smooth(log) or data
         elif case is not None:
-            found = [*not_measured(case), *wrong_frame(case)]
+            found = [*not_measured(case)]
     return [*found, *poor_excitation(robot, log, data)]
 
 

@@ -17,6 +17,7 @@ import scipy
 
 from excitant.identify.drive_gains import without_effects
 from excitant.identify.faults.fault import ALARM, Fault, Remedy
+from excitant.identify.faults.modelled import in_joint_frames, wrong_frame
 from excitant.identify.faults.physics import (
     FITS,
     HALVED,
@@ -62,16 +63,30 @@ def physics_faults(case: TorqueFit) -> list[Fault]:
     if found := set_up_faults(case):
         return found
     readings = [*rate(case), *position_signs(case)]
+    if _known(case.robot):  # what such bodies contradict is something that no model has
+        readings = [fault for fault in readings if _gain(case, _amended(case, [fault])) > 0]
     return sorted(readings, key=lambda fault: -fault.evidence["gain"])[:1]
+
+
+def _known(robot: Robot) -> bool:
+    """Whether the given bodies say anything: each has a mass, and not all the same."""
+    mass = robot.phi[::10]
+    return bool((mass > 0).all() and np.ptp(mass) > 1e-6 * mass.max())
 
 
 def set_up_faults(case: TorqueFit) -> list[Fault]:
     """Faults of the set-up: that which explains most first, the others with it amended."""
     found: list[Fault] = []
     for _ in range(case.robot.nv):
-        tested = [faults for faults in ([*order(case)], [*torque_signs(case)]) if faults]
-        judged = [(_gain(case, each), each) for each in (_amended(case, f) for f in tested)]
-        for each in _searched(case):
+        tests = (order, torque_signs)
+        tested = [faults for faults in ([*test(case)] for test in tests) if faults]
+        proposed = [_amended(case, faults) for faults in tested]
+        if _known(case.robot) and (frames := [*wrong_frame(case)]):
+            moved = case.robot.with_parameters(in_joint_frames(case.robot))
+            proposed.append(replace(_amended(case, frames), robot=moved))
+        judged = [(_gain(case, each), each) for each in proposed]
+        clocks = (_amended(case, [fault]) for fault in rate(case))
+        for each in (*_searched(case), *clocks):
             gain = _gain(case, each)
             if gain > 0:
                 judged.append((gain, each))
@@ -119,6 +134,9 @@ def _amended(case: TorqueFit, faults: Sequence[Fault]) -> _SetUp:
     motion, tau, at = case.data.motion, np.array(case.data.tau), list(range(case.robot.nv))
     channels = {name: np.array(getattr(motion, name)) for name in ("q", "dq", "ddq")}
     for remedy in (remedy for fault in faults for remedy in fault.remedies):
+        if remedy.channel == "t":
+            channels["dq"] /= remedy.factor
+            channels["ddq"] /= remedy.factor**2
         moved = [channels[name] for name in ("q", "dq", "ddq") if remedy.channel == "q"]
         for values in [*moved, tau] if remedy.channel == "tau" else moved:
             if remedy.action == "order":
@@ -134,7 +152,7 @@ def _amended(case: TorqueFit, faults: Sequence[Fault]) -> _SetUp:
 def _searched(case: TorqueFit) -> Iterator[_SetUp]:
     """The best mounting, and the best zero position and signs of each joint that turns."""
     robot = case.robot
-    if (robot.phi[::10] <= 0).any():
+    if not _known(robot):
         return
     left, _ = case.surprise(case.power, case.rows, _spread(robot, robot.nv - 1))
     if left < FITS * float(case.rows.sum()):

@@ -121,7 +121,7 @@ def test_bodies_off_by_as_much_as_published_ones_are_no_other_set_up(
 
 def test_a_heavy_load_is_no_other_set_up(ur10: Robot) -> None:
     body = ur10.phi.copy()
-    body[50:60] += [12.0, 0.6, 0.3, 1.5, 0.3, 0.0, 0.3, 0.0, 0.0, 0.2]
+    body[50:60] += [12.0, 0.6, 0.3, 1.5, 0.6, 0.0, 0.6, 0.0, 0.0, 0.5]
     loaded = bare(ur10).with_parameters(body)
     for recording in recorded(loaded, 4):
         faults = {fault.fault for fault in find_faults(bare(ur10), recording)}
