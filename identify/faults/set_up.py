@@ -62,9 +62,10 @@ def physics_faults(case: TorqueFit) -> list[Fault]:
             return found
     if found := set_up_faults(case):
         return found
-    readings = [*rate(case), *position_signs(case)]
+    signs = [*position_signs(case)]
     if _known(case.robot):  # what such bodies contradict is something that no model has
-        readings = [fault for fault in readings if _gain(case, _amended(case, [fault])) > 0]
+        signs = [fault for fault in signs if _gain(case, _amended(case, [fault])) > 0]
+    readings = [*rate(case), *signs]
     return sorted(readings, key=lambda fault: -fault.evidence["gain"])[:1]
 
 
@@ -85,13 +86,12 @@ def set_up_faults(case: TorqueFit) -> list[Fault]:
             moved = case.robot.with_parameters(in_joint_frames(case.robot))
             proposed.append(replace(_amended(case, frames), robot=moved))
         judged = [(_gain(case, each), each) for each in proposed]
-        clocks = (_amended(case, [fault]) for fault in rate(case))
-        for each in (*_searched(case), *clocks):
-            gain = _gain(case, each)
-            if gain > 0:
-                judged.append((gain, each))
+        searched = [(_gain(case, each), each) for each in _searched(case)]
+        judged += [(gain, each) for gain, each in searched if gain > 0]
         if not judged:
             break
+        clocks = [_amended(case, [fault]) for fault in rate(case)]
+        judged += [(_gain(case, each), each) for each in clocks]
         best = max(judged, key=lambda each: each[0])[1]
         found += best.faults
         case = _fit(case, best)
