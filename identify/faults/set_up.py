@@ -119,7 +119,7 @@ def _gain(case: TorqueFit, other: _SetUp) -> float:
     if left > max(HALVED * squares, FITS * rows):
         return -np.inf
     chance = float(scipy.special.chdtri(3, ALARM / robot.nv))
-    return before - after - chance * max(1.0, left / rows)
+    return float(before - after - chance * max(1.0, left / rows))
 
 
 def _spread(robot: Robot, other: int) -> Array:
