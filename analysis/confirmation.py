@@ -29,7 +29,7 @@ from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values
 
 _BLOCKS = 10  # of the hold-out, to see how much the gain varies
-_DEVIATIONS = 2.0  # standard errors by which the gain must exceed zero
+_DEVIATIONS = 2.0  # standard errors by which a gain must exceed zero, a value the given one
 _PLAIN = 0.1  # of a joint's squared error: a gain as large counts even below the noise
 FLOOR = 0.05  # of a joint's squared error: dry friction is never an ideal sign function
 _PAYLOAD_SIGMA = 100.0  # relative: a payload is left free
@@ -52,7 +52,7 @@ class Finding:
         gain: Fall of its joints' squared error with it, relative to the error without it.
         gain_error: Standard error of the gain, from blocks of time.
         torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
-        margin: Gain beyond the threshold of confirmation.
+        margin: Gain beyond the threshold of confirmation; negative where the size may be chance.
         rivals: Causes that the data cannot distinguish from it.
         downgrade: Reason to call it undecided although it has no rival; else empty.
     """
@@ -73,7 +73,7 @@ class Finding:
 
     @property
     def pays(self) -> bool:
-        """Whether its gain exceeds chance and noise; if not, it is kept for the sake of others."""
+        """Whether its gain and its size exceed chance and noise; if not, others need it."""
         return self.margin >= 0
 
     @property
@@ -242,7 +242,10 @@ def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...
         values, given, std = _coefficients(robot, fit, candidate.effect)
         torque = fit.held.columns(candidate.effect) @ (values - given) / held.gains
         effect = candidate.effect.with_values(values.tolist())
-        findings.append(finding_of(robot, fit, held, effect, torque, given.tolist(), std.tolist()))
+        found = finding_of(robot, fit, held, effect, torque, given.tolist(), std.tolist())
+        if effect.role == "torque" and (np.abs(values - given) < _DEVIATIONS * std).all():
+            found = replace(found, margin=min(found.margin, -FLOOR))
+        findings.append(found)
     return tuple(findings)
 
 

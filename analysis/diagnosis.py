@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -27,11 +27,15 @@ from excitant.analysis.evidence import Key
 from excitant.analysis.explanation import (
     Curve,
     at_rest,
+    causes,
     curve_of,
     headline,
+    left_of,
     placeholders,
     reason_to_downgrade,
+    sentence,
     shared_friction,
+    unexplained,
 )
 from excitant.analysis.residuals import Residual, residuals
 from excitant.analysis.selection import rivals, select
@@ -59,6 +63,8 @@ from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
 _NO_PLAN = Plan()
+_LACKS = 0.5  # of the friction found: a model with less lacks it
+_MINOR = 0.05  # of what friction explains: a part whose rivals do not matter to the whole
 _ROUNDS = 3  # of the search at most, as effects may depend on the model that it finds
 
 
@@ -137,37 +143,45 @@ class Diagnosis:
     @cached_property
     def curves(self) -> list[Curve]:
         """The figure of evidence for each item of `ordered`."""
-        firsts = (item if isinstance(item, Residual) else item[0] for item in self.ordered)
-        return [curve_of(self, each) for each in firsts]
+        return [curve_of(self, item) for item in self.ordered]
+
+    @cached_property
+    def bare(self) -> frozenset[str]:
+        """Joints of which the given model has less than half the friction, if they are most."""
+        robot, known = self.robot, [e for e in self.robot.effects if e.family == "friction"]
+        rms, nothing = self.held.series.rms, np.zeros_like(self.held.simulated)
+        given = sum((self.held.observed.columns(e) @ np.array(e.values) for e in known), nothing)
+        found = [f for f in self.findings if f.effect.family == "friction"]
+        more = sum((f.torque for f in found), nothing)
+        where = {joint for f in found for joint in f.effect.joints}
+        lacking = rms(given / self.held.gains) < _LACKS * rms(more)
+        bare = where & {joint for joint, yes in zip(robot.joints, lacking, strict=True) if yes}
+        return frozenset(bare if 2 * len(bare) > robot.nv > 2 else ())
 
     @cached_property
     def groups(self) -> list[list[Finding]]:
-        """Findings by cause: one group per verdict where most joints share it, else by joint."""
-        groups: dict[str, list[Finding]] = {}
+        """Findings by cause: all friction that the model lacks, else an effect of one verdict."""
+        groups: dict[Hashable, list[Finding]] = {}
         for finding in self.findings:
-            name = finding.effect.name
-            count = sum(f.effect.name == name for f in self.findings)
-            common = finding.effect.jointwise and 2 * count > self.robot.nv > 2
+            effect = finding.effect
+            key = effect.name, finding.verdict, effect.jointwise or effect.joints
+            missing = effect.family == "friction" and {*effect.joints} <= self.bare
             turns = self.robot.revolute[finding.joint]
-            key = f"{name} {(finding.verdict, turns) if common else finding.effect.joints}"
-            groups.setdefault(key, []).append(finding)
+            groups.setdefault((turns, "friction" if missing else key), []).append(finding)
         return sorted(groups.values(), key=lambda group: -sum(f.explained for f in group))
 
     @cached_property
-    def ordered(self) -> list[list[Finding] | Residual]:
-        """Groups of findings, and joints with a visible residual, by their share of the error."""
+    def ordered(self) -> list[list[Finding] | list[Residual]]:
+        """Groups of findings by their gain, the set-up first, and what is left visibly."""
         known = () if self.set_up is None else (*self.set_up.faults, *self.set_up.effects)
-        first = {(effect.name, effect.joints) for effect in known}
-        items: list[tuple[float, list[Finding] | Residual]] = [
-            (
-                np.inf
-                if (group[0].effect.name, group[0].effect.joints) in first
-                else sum(f.explained for f in group),
-                group,
-            )
-            for group in self.groups
-        ]
-        items += [(self.share_of(left), left) for left in self.residuals if left.visible]
+        first = {(effect.name, joint) for effect in known for joint in effect.joints}
+        items = list[tuple[float, list[Finding] | list[Residual]]]()
+        for group in self.groups:
+            lead = group[0].effect
+            of_set_up = (lead.name, lead.joints[0]) in first
+            items.append((np.inf if of_set_up else sum(f.explained for f in group), group))
+        if left := sorted((r for r in self.residuals if r.visible), key=self.share_of)[::-1]:
+            items.append((sum(map(self.share_of, left)), left))
         return [item for _, item in sorted(items, key=lambda pair: -pair[0])]
 
     def unit(self, joint: int | None = None) -> str:
@@ -182,9 +196,14 @@ class Diagnosis:
         return float((left.structured / size) ** 2 / given.sum())
 
     def before_and_after(self, group: Sequence[Finding]) -> tuple[float, float]:
-        """Rms error on the hold-out without and with a cause, over its joints."""
-        both = [(finding.rms_before, finding.rms_after) for finding in group]
-        before, after = np.sqrt(np.mean(np.square(both), axis=0)).tolist()
+        """Rms error on the hold-out without and with a cause, over its joints of one unit."""
+        robot, rms = self.robot, self.held.series.rms
+        joints = list({j for f in group for j in f.effect.affected(robot)})
+        alike = [j for j in joints if robot.revolute[j] == robot.revolute[group[0].joint]]
+        torque = np.sum([f.torque for f in group], axis=0)
+        before, after = (
+            float(np.sqrt((rms(e)[alike] ** 2).mean())) for e in (self.left + torque, self.left)
+        )
         return before, after
 
     def result(self, plan: Plan = _NO_PLAN) -> dict[str, Any]:
@@ -205,7 +224,11 @@ class Diagnosis:
             "simulation": {"joints": self._joints(self.simulation)},
             "faults": [],
             "findings": [
-                (_unknown(self, item) if isinstance(item, Residual) else _cause(self, item, plan))
+                (
+                    _cause(self, group, plan)
+                    if (group := causes(item))
+                    else _unknown(self, left_of(item))
+                )
                 | {"figure": {"x_label": curve.x_label, "y_label": y, "joint": joints[curve.joint]}}
                 for item, curve, y in pairs
             ],
@@ -269,40 +292,31 @@ class Diagnosis:
 
 
 def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[str, Any]:
-    lead, robot = group[0], diagnosis.robot
+    """One cause at some joints; friction of several kinds with each kind as a part."""
+    kinds = list(dict.fromkeys(f.effect.name for f in group))
+    robot, several = diagnosis.robot, len(kinds) > 1
     before, after = diagnosis.before_and_after(group)
-    drive = diagnosis.drive
-    parameters = [
-        {"name": p.name, "value": factor * value, "given": factor * given, "unit": unit}
-        | {"std": float(np.sqrt(std**2 - (factor != 1) * gains**2)) * factor}
+    whole = sum(f.explained for f in group)
+    rivals = {
+        r.candidate.key: (f.effect, r)
         for f in group
-        for p, value, given, std, gains in zip(
-            f.effect.parameters(robot),
-            f.effect.values or (),
-            f.given,
-            f.std,
-            _by_gains(f, robot, drive),
-            strict=True,
-        )
-        for factor, unit in [told(p, robot, drive)]
-    ]
-    shapes: list[dict[str, Any]] = [
-        {"name": f"{f.effect.joints[0]}.{s.name}", "value": getattr(f.effect, s.name)}
-        | {"std": None, "unit": f.effect.shape_unit(robot, s)}
-        for f in group
-        for s in f.effect.shapes
-        if s.positive and not s.trial
-    ]
-    rivals = {r.candidate.key: (f.effect, r) for f in group for r in f.rivals}
-    return {
-        "effect": lead.effect.name,
-        "joints": [joint for f in group for joint in f.effect.joints],
-        "parameters": parameters + shapes,
-        "explained": sum(f.explained for f in group),
+        if f.explained > several * _MINOR * whole
+        for r in f.rivals
+        if not several or r.candidate.effect.family != "friction"
+    }
+    named = all(f.verdict == "named" for f in group) or (several and not rivals)
+    entry = {
+        "effect": "friction" if several else kinds[0],
+        "joints": list(dict.fromkeys(joint for f in group for joint in f.effect.joints)),
+        "sentence": sentence(group, diagnosis),
+        "parameters": [entry for f in group for entry in _parameters(f, robot, diagnosis.drive)],
+        "explained": whole,
         "holdout": {"rms_before": before, "rms_after": after},
-        "unit": diagnosis.unit(lead.joint),
-        "verdict": "named" if all(f.verdict == "named" for f in group) else "undecided",
-        "doubt": "; ".join(dict.fromkeys(f.downgrade for f in group if f.downgrade)),
+        "unit": diagnosis.unit(group[0].joint),
+        "verdict": "named" if named else "undecided",
+        "doubt": ""
+        if named
+        else "; ".join(dict.fromkeys(f.downgrade for f in group if f.downgrade)),
         "rivals": [
             {
                 "effect": name,
@@ -314,19 +328,51 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[s
             for (name, joints), (effect, rival) in rivals.items()
         ],
     }
+    if several:
+        alike = {(f.effect.name, f.verdict): list[Finding]() for f in group}
+        for f in group:
+            alike[f.effect.name, f.verdict].append(f)
+        entry["parts"] = [_cause(diagnosis, part, plan) for part in alike.values()]
+    return entry
 
 
-def _unknown(diagnosis: Diagnosis, left: Residual) -> dict[str, Any]:
+def _parameters(found: Finding, robot: Robot, drive: DriveGains | None) -> Iterator[dict[str, Any]]:
+    rows = zip(
+        found.effect.parameters(robot),
+        found.effect.values or (),
+        found.given,
+        found.std,
+        _by_gains(found, robot, drive),
+        strict=True,
+    )
+    for p, value, given, std, gains in rows:
+        factor, unit = told(p, robot, drive)
+        spread = float(np.sqrt(std**2 - (factor != 1) * gains**2)) * factor
+        yield {"name": p.name, "value": factor * value, "given": factor * given, "unit": unit} | {
+            "std": spread
+        }
+    for s in found.effect.shapes:
+        if s.positive and not s.trial:
+            name, value = f"{found.effect.joints[0]}.{s.name}", getattr(found.effect, s.name)
+            unit = found.effect.shape_unit(robot, s)
+            yield {"name": name, "value": value, "std": None, "unit": unit}
+
+
+def _unknown(diagnosis: Diagnosis, left: Sequence[Residual]) -> dict[str, Any]:
+    """What no cause explains, of all joints at once."""
+    rms = float(np.sqrt(np.mean([each.rms**2 for each in left])))
+    joint = diagnosis.robot.joint_index(left[0].joint)
     return {
         "effect": "unknown",
-        "joints": [left.joint],
+        "joints": [each.joint for each in left],
+        "sentence": unexplained(left, diagnosis),
         "parameters": [],
         "explained": 0.0,
-        "share": diagnosis.share_of(left),
-        "holdout": {"rms_before": left.rms, "rms_after": left.rms},
-        "unit": diagnosis.unit(diagnosis.robot.joint_index(left.joint)),
+        "share": sum(map(diagnosis.share_of, left)),
+        "holdout": {"rms_before": rms, "rms_after": rms},
+        "unit": diagnosis.unit(joint),
         "verdict": "unknown",
-        "structure": left.structure,
+        "structure": "; ".join(dict.fromkeys(each.structure for each in left)),
         "rivals": [],
     }
 

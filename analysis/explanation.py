@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -106,13 +107,8 @@ def headline(diagnosis: Diagnosis) -> str:
             "values or within the noise."
         )
         return f"{nothing} {at_rest(diagnosis)}".rstrip()
-    lead = order[0]
-    if isinstance(lead, Residual):
-        unit = diagnosis.unit(diagnosis.robot.joint_index(lead.joint))
-        return (
-            f"{lead.joint}: {lead.rms:.2g} {unit} remain unexplained on the "
-            f"hold-out ({lead.against_noise}); no known cause describes them ({lead.structure})."
-        )
+    if not (lead := causes(order[0])):
+        return unexplained(left_of(order[0]), diagnosis)
     more = f" {len(order) - 1} more finding{'s' * (len(order) > 2)} below." if order[1:] else ""
     if unknown := placeholders(diagnosis):
         apart = _apart_from("inertias", diagnosis.groups, diagnosis)
@@ -121,12 +117,49 @@ def headline(diagnosis: Diagnosis) -> str:
         return _no_friction(diagnosis)
     before, after = diagnosis.before_and_after(lead)
     gain = f"hold-out error {before:.2g} → {after:.2g} {diagnosis.unit(lead[0].joint)}"
-    return f"{_sentence(lead, diagnosis)}; {gain}.{_reservation(lead, diagnosis)}{more}"
+    return f"{sentence(lead, diagnosis)}; {gain}.{_reservation(lead, diagnosis)}{more}"
 
 
-def _sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
+def causes(item: Sequence[Finding] | Sequence[Residual]) -> list[Finding]:
+    """The findings of an item of a diagnosis; empty where it is what no cause explains."""
+    return [each for each in item if not isinstance(each, Residual)]
+
+
+def left_of(item: Sequence[Finding] | Sequence[Residual]) -> list[Residual]:
+    """The residuals of an item of a diagnosis; empty where it is a cause."""
+    return [each for each in item if isinstance(each, Residual)]
+
+
+def unexplained(left: Sequence[Residual], diagnosis: Diagnosis) -> str:
+    """How much is left that no cause explains, joint by joint, and what it depends on."""
+
+    def size(each: Residual) -> str:
+        return f"{each.rms:.2g} {diagnosis.unit(diagnosis.robot.joint_index(each.joint))}"
+
+    if len(left) == 1:
+        (one,) = left
+        return (
+            f"{one.joint}: {size(one)} remain unexplained on the hold-out ({one.against_noise}); "
+            f"no known cause describes them ({one.structure})."
+        )
+    said = "; ".join(
+        f"{each.joint} {size(each)} ({each.structure.removeprefix('structured: ')})"
+        for each in left
+    )
+    return f"No known cause describes what remains on the hold-out at {len(left)} joints: {said}."
+
+
+def sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
+    """A cause in words, with its size: ± one standard deviation, or its range over joints."""
     robot, effect, given = diagnosis.robot, group[0].effect, np.array(group[0].given)
-    joints = [joint for f in group for joint in f.effect.joints]
+    kinds: dict[str, list[Finding]] = {}
+    for f in group:
+        kinds.setdefault(f.effect.name, []).append(f)
+    joints = list(dict.fromkeys(joint for f in group for joint in f.effect.joints))
+    if len(kinds) > 1:
+        return f"Friction of {len(joints)} joints is not in the model: " + ", ".join(
+            _ranges(part, diagnosis) for part in kinds.values()
+        )
     parameters = effect.parameters(robot)
     if not parameters:  # a fault of the data
         return effect.sentence(robot, joints, ())
@@ -135,7 +168,29 @@ def _sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     said = effect.sentence(robot, joints, (given * factors).tolist())
     for p, unit in zip(parameters, units, strict=True):
         said = said.replace(p.unit, unit) if p.unit != unit else said
+    if len(group) > 1:
+        return f"{said}: {_ranges(group, diagnosis)}"
+    for value, std, factor in zip(effect.values or (), group[0].std, factors, strict=True):
+        number = re.escape(f"{value:.3g}")
+        said = re.sub(
+            rf"(?<![\w.±-]){number}(?![\w.])", f"{value:.3g} ± {std * factor:.2g}", said, count=1
+        )
     return said
+
+
+def _ranges(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
+    """One effect of several joints: the range of its first coefficient, and at which."""
+    robot, lead = diagnosis.robot, group[0].effect
+    factors = [told(f.effect.parameters(robot)[0], robot, diagnosis.drive) for f in group]
+    sizes = [
+        abs((f.effect.values or (0.0,))[0] * factor)
+        for f, (factor, _) in zip(group, factors, strict=True)
+    ]
+    low, high, unit = f"{min(sizes):.2g}", f"{max(sizes):.2g}", factors[0][1].removeprefix("1")
+    size = " ".join(filter(None, [low if low == high else f"{low} to {high}", unit]))
+    joints = list(dict.fromkeys(joint for f in group for joint in f.effect.joints))
+    few = f" at {', '.join(joints)}" if 2 * len(joints) <= robot.nv else ""
+    return f"{plain(lead.name)} {size}{few}"
 
 
 def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
@@ -173,9 +228,9 @@ def _everything(diagnosis: Diagnosis) -> str:
 
 def _no_friction(diagnosis: Diagnosis) -> str:
     groups = diagnosis.groups
-    friction = [group for group in groups if group[0].effect.family == "friction"]
-    joints = {joint for group in friction for f in group for joint in f.effect.joints}
-    kinds = list(dict.fromkeys(plain(group[0].effect.name) for group in friction))
+    friction = [f for group in groups for f in group if f.effect.family == "friction"]
+    joints = {joint for f in friction for joint in f.effect.joints}
+    kinds = list(dict.fromkeys(plain(f.effect.name) for f in friction))
     named = ", ".join(kinds[:3]) + (" and more" if len(kinds) > 3 else "")
     nv = diagnosis.robot.nv
     where = "all" if len(joints) == nv else f"{len(joints)} of {nv}"
@@ -190,7 +245,7 @@ def _no_friction(diagnosis: Diagnosis) -> str:
 def _apart_from(known: str, groups: Sequence[Sequence[Finding]], diagnosis: Diagnosis) -> str:
     if not groups:
         return ""
-    words = _sentence(groups[0], diagnosis)
+    words = sentence(groups[0], diagnosis)
     if words.startswith(("A ", "The ")):
         words = words[0].lower() + words[1:]
     verdict = "" if all(f.verdict == "named" for f in groups[0]) else " (undecided)"
@@ -209,23 +264,29 @@ class Curve:
     rival: Array | None = None  # of its closest rival, fitted to the residual; None without one
 
 
-def curve_of(diagnosis: Diagnosis, item: Finding | Residual) -> Curve:
-    """The figure of a finding, or of an unexplained residual."""
+def curve_of(diagnosis: Diagnosis, item: Sequence[Finding] | Sequence[Residual]) -> Curve:
+    """The figure of a group of findings, by its first, or of the largest unexplained residual."""
     moves = diagnosis.held.series.moves
-    if isinstance(item, Residual):
-        j = diagnosis.robot.joint_index(item.joint)
-        label, x = _abscissa(diagnosis, _DRAWN_OVER.get(item.dominant, item.dominant), j)
+    if not (group := causes(item)):
+        left = left_of(item)[0]
+        j = diagnosis.robot.joint_index(left.joint)
+        label, x = _abscissa(diagnosis, _DRAWN_OVER.get(left.dominant, left.dominant), j)
         return Curve(j, label, np.where(moves[:, j], x, np.nan), diagnosis.left[:, j])
-    j, joints = item.joint, item.effect.rows(diagnosis.robot)
+    lead = group[0]
+    j, joints = lead.joint, lead.effect.rows(diagnosis.robot)
     other = next((k for k in joints if k != j), j)
-    torque = item.torque[:, j]
-    if item.effect.abscissa == "own torque":
-        drawn = f"torque of the fitted {plain(item.effect.name)} [{diagnosis.unit(j)}]", torque
+    # all friction of a joint is one curve
+    torque = np.sum([f.torque[:, j] for f in group], axis=0)
+    if lead.effect.abscissa == "own torque":
+        drawn = f"torque of the fitted {plain(lead.effect.name)} [{diagnosis.unit(j)}]", torque
     else:
-        drawn = _abscissa(diagnosis, item.effect.abscissa, j, other)
-    label, x = item.effect.drawn(*drawn)
+        drawn = _abscissa(diagnosis, lead.effect.abscissa, j, other)
+    label, x = lead.effect.drawn(*drawn)
     x, residual = np.where(moves[:, j], x, np.nan), diagnosis.left[:, j] + torque
-    return Curve(j, label, x, residual, torque, _rival(diagnosis, item, j, residual))
+    rival = (
+        _rival(diagnosis, lead, j, residual) if len({f.effect.name for f in group}) == 1 else None
+    )
+    return Curve(j, label, x, residual, torque, rival)
 
 
 def _rival(diagnosis: Diagnosis, finding: Finding, j: int, residual: Array) -> Array | None:

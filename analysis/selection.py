@@ -79,9 +79,18 @@ def _best_addition(
             continue
         if not _significant(evidence, chosen, candidate, float(falls[k])):
             continue
+        if _repeats(robot, chosen, candidate):
+            continue
         if _plausible(evidence, robot, [*chosen, candidate], candidate):
             return _simplest(evidence, chosen, candidate)
     return None
+
+
+def _repeats(robot: Robot, chosen: Sequence[Candidate], candidate: Candidate) -> bool:
+    """Whether it is common to all joints and one of a single joint is chosen, or the reverse."""
+    alike = [c.effect for c in chosen if c.effect.name == candidate.effect.name]
+    common = candidate.effect.is_common(robot)
+    return any(effect.is_common(robot) != common for effect in alike)
 
 
 def _simplest(evidence: Evidence, chosen: Sequence[Candidate], found: Candidate) -> Candidate:
