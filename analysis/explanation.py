@@ -169,7 +169,7 @@ def sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     for p, unit in zip(parameters, units, strict=True):
         said = said.replace(p.unit, unit) if p.unit != unit else said
     if len(group) > 1:
-        return f"{said}: {_ranges(group, diagnosis)}"
+        return f"{said}: {_ranges(group, diagnosis).removeprefix(plain(effect.name)).lstrip()}"
     for value, std, factor in zip(effect.values or (), group[0].std, factors, strict=True):
         number = re.escape(f"{value:.3g}")
         said = re.sub(
@@ -209,11 +209,9 @@ def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
 
 
 def _lacks_friction(diagnosis: Diagnosis) -> bool:
-    if any(effect.family == "friction" for effect in diagnosis.robot.effects):
-        return False
     parts = {f: max(f.explained, 0.0) for f in diagnosis.findings}
     friction = sum(size for f, size in parts.items() if f.effect.family == "friction")
-    return len(diagnosis.robot.joints) > 1 and friction > _MOSTLY * sum(parts.values())
+    return bool(diagnosis.bare) and friction > _MOSTLY * sum(parts.values())
 
 
 def _everything(diagnosis: Diagnosis) -> str:
@@ -234,8 +232,9 @@ def _no_friction(diagnosis: Diagnosis) -> str:
     named = ", ".join(kinds[:3]) + (" and more" if len(kinds) > 3 else "")
     nv = diagnosis.robot.nv
     where = "all" if len(joints) == nv else f"{len(joints)} of {nv}"
+    has = "has little" if any(e.family == "friction" for e in diagnosis.robot.effects) else "has no"
     said = (
-        f"The given model has no friction, and {where} joints have it ({named}); "
+        f"The given model {has} friction, and {where} joints have it ({named}); "
         f"with {_everything(diagnosis)}"
     )
     others = [g for g in groups if g[0].effect.family != "friction" and g[0].explained > 0]

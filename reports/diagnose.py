@@ -27,6 +27,8 @@ _MEANING = (
     "hysteresis, backlash. Time: drift. Last, the error slower, as fast, faster than the motion."
 )
 _BANDS = ("slower", "motion", "faster")
+_FIRST = 7  # findings in the first table
+_NAMED = 3  # joints in a title
 _LEADING = 3  # findings that are shown without opening a fold
 _CURVES = Curves(
     "simulated",
@@ -55,7 +57,7 @@ def diagnose_section(result: Result, series: Series) -> p.Section:
         "Diagnosis",
         lead,
         [
-            ("Key figures", [_facts(result), fault_table(result), _finding_table(findings, unit)]),
+            ("Key figures", [_facts(result), fault_table(result), *_findings(findings, unit)]),
             (wrong, [*shares, *_refit(result, unit), *_forward(result, changed)]),
             ("Error step by step", [waterfall_figure(result) if changed else None]),
             *_finding_parts(findings, series, unit),
@@ -65,8 +67,17 @@ def diagnose_section(result: Result, series: Series) -> p.Section:
             ("Notes", [p.notes(said)]),
             ("Files", [p.files(v.words(result, "extended", "files"))]),
         ],
-        (("diagnosed", lead),),
+        (("diagnosed", lead), *_told(findings)),
     )
+
+
+def _told(findings: list[Result]) -> list[tuple[str, str]]:
+    """The first findings, a line each, where there is more than the headline."""
+    said = [
+        (f"{k}{' (undecided)' * (v.text(f, 'verdict') == 'undecided')}", v.text(f, "sentence"))
+        for k, f in enumerate(findings[:_FIRST], start=1)
+    ]
+    return said if len(said) > 1 else []
 
 
 def _pairs(result: Result) -> list[Result]:
@@ -108,12 +119,20 @@ def _facts(result: Result) -> p.Facts | None:
     )
 
 
-def _finding_table(findings: list[Result], unit: str) -> p.Table | None:
+def _findings(findings: list[Result], unit: str) -> p.Blocks:
+    """The first page of findings, and those that are behind a fold."""
+    found = p.numbered(findings)
+    first, rest = found[:_FIRST], found[_FIRST:]
+    more = f"{len(rest)} more finding{'s' * (len(rest) > 1)}, of less gain"
+    return [_finding_table(first, unit), _finding_table(rest, unit, more)]
+
+
+def _finding_table(findings: list[Result], unit: str, folded: str = "") -> p.Table | None:
     rows = [
         {**finding, "explained": None, "after": None}
         if _unknown(finding)
         else {**finding, "after": v.at(finding, "holdout", "rms_after")}
-        for finding in p.numbered(findings)
+        for finding in findings
     ]
     return p.table(
         rows,
@@ -128,6 +147,7 @@ def _finding_table(findings: list[Result], unit: str) -> p.Table | None:
         ],
         "What the model lacks, most important first: its share of the given model's squared error, "
         "and the hold-out error of its moving joints without and with it, with all other findings.",
+        folded,
     )
 
 
@@ -140,11 +160,13 @@ def _finding_parts(findings: list[Result], series: Series, unit: str) -> p.Parts
     parts: p.Parts = []
     others: p.Blocks = []
     for k, finding in enumerate(findings):
-        joints = v.listing(v.words(finding, "joints"), "")
+        names = v.words(finding, "joints")
+        joints = v.listing(names, "") if len(names) <= _NAMED else f"{len(names)} joints"
         title = f"Finding {k + 1}: {_cause(finding)}{' at ' * bool(joints)}{joints}"
         blocks: p.Blocks = [
             p.notes([_sentence(finding, unit)]),
             evidence_figure(k, finding, series, unit),
+            _kinds(finding, unit),
             _parameters(finding),
             _rivals(finding),
         ]
@@ -158,11 +180,34 @@ def _finding_parts(findings: list[Result], series: Series, unit: str) -> p.Parts
     return [*parts, ("Further findings", others)]
 
 
+def _kinds(finding: Result, unit: str) -> p.Table | None:
+    """The kinds of friction that one finding sums up."""
+    return p.table(
+        v.records(finding, "parts"),
+        [
+            ("name:Kind", lambda part: v.plain(v.text(part, "effect"))),
+            ("name:Joints", "joints"),
+            ("number:Explains", "explained", v.percent),
+            (f"number:rms without it [{unit}]", "holdout.rms_before"),
+            (f"number:rms with it [{unit}]", "holdout.rms_after"),
+            ("text:Verdict", _verdict),
+            ("text:Looks the same", _lookalikes),
+        ],
+        "Its kinds; which of them it is, is less certain than that there is friction.",
+    )
+
+
+def _lookalikes(part: Result) -> str:
+    names = [v.plain(v.text(rival, "effect")) for rival in v.records(part, "rivals")]
+    return v.listing(list(dict.fromkeys(names)))
+
+
 def _sentence(finding: Result, unit: str) -> str:
+    told = v.text(finding, "sentence")
     if _unknown(finding):
         structure = v.text(finding, "structure").removeprefix("structured: ")
         said = "Structure is left over that no candidate explains"
-        return f"{said}: it {structure}." if structure else f"{said}."
+        return told or (f"{said}: it {structure}." if structure else f"{said}.")
     before, after = (v.real(finding, "holdout", f"rms_{key}") for key in ("before", "after"))
     unit = v.text(finding, "unit") or unit
     effect, share = _cause(finding), v.real(finding, "explained")
@@ -176,6 +221,7 @@ def _sentence(finding: Result, unit: str) -> str:
     if share is not None:
         said += f" That is {v.percent(share)} of the squared error that the given model leaves"
         said += ": other findings depend on it." if share > 1 else "."
+    said = f"{told}. {said}" if told else said
     if reason := v.text(finding, "doubt"):
         said += f" It is not decided: {reason}."
     elif v.text(finding, "verdict") == "undecided":
