@@ -213,7 +213,8 @@ class TorqueFit:
     """Least squares of a log's filtered torque on everything that is free, by normal equations.
 
     Columns of the links at rest G and what motion adds D, (N, nv, 10 nv), of each joint's own
-    effects F, (N, nv, 4). ``factor`` multiplies positions.
+    effects F, (N, nv, 4). ``factor`` multiplies positions. A current counts as the torque that
+    suits the given bodies best.
     """
 
     def __init__(
@@ -226,6 +227,8 @@ class TorqueFit:
         F = np.stack([dq, np.sign(dq), ddq, np.ones_like(q)], axis=2)
         self.robot, self.log, self.data, self.joints = robot, log, data, joints
         self.G, self.D, self.F, self.tau = map(self.filtered, (G, D, F, data.tau))
+        if log.unit != "N·m":
+            self.tau = self.tau / self._readings_per_torque()
         self.size: Array = np.maximum((self.tau**2).mean(axis=0), 1e-300)
         own = np.einsum("njk,ji->njik", self.F, np.eye(robot.nv)).reshape(len(self.F), robot.nv, -1)
         still, moved = np.dstack([self.G, own]), np.dstack([self.D, 0 * own])
@@ -272,17 +275,14 @@ class TorqueFit:
             rows[j] = len(error) / autocorrelation_time(error) if error.any() else 1.0
         return rows
 
-    @cached_property
-    def readings_per_torque(self) -> Array:
-        """Reading per torque of the given bodies, of the joints that count: not 1 for currents."""
-        if self.log.unit == "N·m":
-            return np.ones(len(self.joints))
-        torque = (self.G + self.D) @ self.robot.phi
-        found = []
+    def _readings_per_torque(self) -> Array:
+        """Current that a joint of the given bodies needs per torque, shape (nv,)."""
+        torque, found = (self.G + self.D) @ self.robot.phi, np.ones(self.robot.nv)
         for j in self.joints:
             model, read = without_effects(self.F[:, j], torque[:, j], self.tau[:, j])
-            found.append(max(float(model @ read), 0.0) / max(float(model @ model), 1e-300))
-        return np.array(found)
+            if (product := float(model @ read)) > 0:
+                found[j] = product / float(model @ model)
+        return found
 
     def gain(self, power: Array) -> float:
         """Twice the log-likelihood ratio of another reading against the log as it stands."""
@@ -300,15 +300,11 @@ class TorqueFit:
 
         Noise is a mean square of each joint, shape (nv,), in so many independent rows; a twentieth
         of the torque comes to it. Bodies are φ̄ + S z, z of unit variance, S (10 nv, 10 nv), and
-        each joint's own effects free. Where currents were recorded, each joint has the drive gain
-        that suits the given bodies best.
+        each joint's own effects free.
         """
         weight = (rows / len(self.tau) / (noise + MODEL_ERROR**2 * self.size))[self.joints]
         A, b = np.sum(self._A, axis=0), np.sum(self._b, axis=0)
         bodies, links = self.robot.phi, len(self.robot.phi)
-        per = np.ones((len(self.joints), A.shape[1]))
-        per[:, :links] = self.readings_per_torque[:, None]
-        A, b = per[:, :, None] * A * per[:, None], per * b
         G, h = np.tensordot(weight, A, 1), weight @ b
         h = h - G[:, :links] @ bodies
         own = _solve(G[links:, links:], np.column_stack([G[links:, :links], h[links:]]))
@@ -502,6 +498,8 @@ def rate(case: TorqueFit) -> Iterator[Fault]:
     freedom = 1 if near else None  # an odd factor may stand for anything the model lacks
     if abs(c - 1) < 2 * _NEAR or not case.better(power, len(_BROAD), freedom):
         return
+    if np.median((power / case.power)[case.joints]) > HALVED:
+        return  # a clock is wrong for all joints
     low, high = bound(-1), bound(1)
     factor = near[0] if near else c
     detail = (
