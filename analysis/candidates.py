@@ -83,6 +83,7 @@ def gather(
     bodies: Array,
     believed: Sequence[Candidate] = (),
     *,
+    gains: Array | None = None,
     identified: bool = False,
 ) -> Evidence:
     """Evidence for the candidate causes of a given robot's errors; its effects are kept.
@@ -90,6 +91,7 @@ def gather(
     Torque tau (n, nv) [N·m] is to be explained at the rows of ``train``, of the model so far;
     believed causes are reconsidered. Tolerances are those of bodies (nv, 10): ±10 %, or as
     wide as in an identification, and then only effects beyond the standard model are candidates.
+    Of torque from currents, ``gains`` is the covariance of the gains' logarithms, (nv, nv).
     """
     given, segments = train.by(robot), train.segments
     known = train.matrix(robot.effects)[:, :, 10 * robot.nv :]
@@ -100,12 +102,17 @@ def gather(
     blocks = [train.links @ link_coordinates(bodies), known * spread]
     sigma = PRIOR_SIGMA if identified else TOLERANCE
     weights = [link_weights(robot.nv, sigma) ** 2, np.ones(len(spread))]
-    nuisance = start = 10 * robot.nv + len(spread)
+    if gains is not None:
+        blocks.append(given.torque()[:, :, None] * gain_root(gains))
+        weights.append(np.ones(robot.nv))
+    nuisance = start = sum(map(len, weights))
     candidates = []
     motions, rows = [s.motion for s in segments], [s.keep for s in segments]
     facts = joint_facts(motions, rows, tau - train.torque(), segments[0].cutoff_hz)
     for effect, trials in proposals(robot, facts, [(c.effect, c.trials) for c in believed]):
         if identified and not effect.further:
+            continue
+        if gains is not None and effect.of_given_torque:  # is no other than the drive's gain
             continue
         block = cause_columns(effect, given, train)
         if not block.any():
@@ -125,8 +132,15 @@ def gather(
         candidates,
         segments[0].t[1] - segments[0].t[0],
         by_share=identified,
+        gains=range(nuisance - (0 if gains is None else robot.nv), nuisance),
     )
     return evidence if identified else calibrated(evidence, robot)
+
+
+def gain_root(covariance: Array) -> Array:
+    """L of a covariance L Lᵀ of the logarithms of drive gains, singular where one is known."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), float)
 
 
 def coefficient_sizes(parameters: Sequence[Parameter], columns: Array, torque: Array) -> Array:

@@ -151,6 +151,7 @@ class Extender:
     tau: Array  # measured torque at the rows, shape (n, nv) [N·m]
     held: HeldOut
     evidence: Evidence  # noise levels, and the tolerance that the data support
+    gains: Array | None = None  # covariance of the logarithms of drive gains, (nv, nv)
 
     def __call__(self, chosen: Sequence[Candidate]) -> Extension:
         """The extended model with a set of causes."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from excitant.analysis.candidates import Observed, gather, observed
+from excitant.analysis.candidates import Observed, gain_root, gather, observed
 from excitant.analysis.confirmation import (
     FLOOR,
     Extender,
@@ -63,6 +63,8 @@ from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
 _NO_PLAN = Plan()
+_GAINS_OFF = 1.0  # standard deviation of the logarithm of a gain from what bodies alone show
+_LEAST_GAIN = 0.2  # of the gain assumed: a reading of less torque says nothing about it
 _LACKS = 0.5  # of the friction found: a model with less lacks it
 _MINOR = 0.05  # of what friction explains: a part whose rivals do not matter to the whole
 _ROUNDS = 3  # of the search at most, as effects may depend on the model that it finds
@@ -409,17 +411,20 @@ def diagnose(
         usual = standard_effects(robot.joints)
         base = base_parameters(robot, usual)
         drive = current_gains(robot, base, train.matrix(usual), measured)
-    if drive is not None:
-        notes.append(drive.sentence(robot.joints))
-    gains = gains_of(robot, data, drive)
-    tau = measured * gains
+    tau = measured * gains_of(robot, data, drive)
     mounted = refined(mounted, data.train, tau, prior)
     if mounted.robot is not robot:
         robot = mounted.robot
         train = observed(robot, data.train)
+    if drive is not None and data.unit == "A":
+        drive = _regained(robot, train, tau, prior, drive)
+    if drive is not None:
+        notes.append(drive.sentence(robot.joints))
+    gains, doubt = gains_of(robot, data, drive), None if drive is None else drive.covariance
+    tau = measured * gains
     held = held_out(robot, data.validate, gains, given)
-    evidence = gather(robot, train, tau, prior)
-    first = Extender(prior, train, tau, held, evidence)
+    evidence = gather(robot, train, tau, prior, gains=doubt)
+    first = Extender(prior, train, tau, held, evidence, doubt)
     known = frozenset((effect.name, effect.joints) for effect in mounted.effects)
     fit = _iterated(first, known)
     if fit.refuted:
@@ -449,6 +454,19 @@ def diagnose(
     steps = _waterfall(held, error, [f for f in judged if f.effect.values])
     found = fit, tuple(judged), errors, left, steps, tuple(notes), drive
     return Diagnosis(given, data, train, held, *found, mounted)
+
+
+def _regained(
+    robot: Robot, train: Observed, tau: Array, prior: Array, drive: DriveGains
+) -> DriveGains:
+    """Drive gains that suit the given bodies and effects best, beside the causes that there are."""
+    before = drive.covariance + _GAINS_OFF**2 * np.eye(robot.nv)
+    evidence, chosen = select(gather(robot, train, tau, prior, gains=before), robot)
+    x, covariance = evidence.solve(chosen)
+    root = gain_root(before)
+    off = 1 + root @ x[evidence.gains]
+    known = root @ covariance[np.ix_(evidence.gains, evidence.gains)] @ root.T / np.outer(off, off)
+    return replace(drive, gains=drive.gains / np.maximum(off, _LEAST_GAIN), covariance=known)
 
 
 def _of_set_up(mounted: SetUp, effect: Effect, fit: Extension, held: HeldOut) -> Finding:
@@ -481,7 +499,7 @@ def _with_gains(finding: Finding, robot: Robot, drive: DriveGains | None) -> Fin
 
 def _by_gains(finding: Finding, robot: Robot, drive: DriveGains | None) -> Array:
     """Standard deviations of a finding's coefficients by that of the drive gains."""
-    size = np.abs(np.array(finding.effect.values) - finding.given)
+    size: Array = np.abs(np.array(finding.effect.values))
     if drive is None:
         return 0 * size
     effect = finding.effect
@@ -498,7 +516,7 @@ def _iterated(first: Extender, refuted: frozenset[Key] = frozenset()) -> Extensi
     for _ in range(_ROUNDS):
         if best is not None:
             train = first.train.by(best.model)
-            evidence = gather(robot, train, first.tau, first.prior, best.chosen)
+            evidence = gather(robot, train, first.tau, first.prior, best.chosen, gains=first.gains)
             extender = replace(first, train=train, evidence=evidence)
         evidence, chosen = select(extender.evidence, robot, refuted)
         fit = confirmed(replace(extender, evidence=evidence), chosen)

@@ -79,6 +79,7 @@ class Evidence:
     by_share: bool  # bound the false discovery rate (Benjamini and Gavrilov 2009), not any alarm
     sigma: Array  # noise of each joint [N·m], shape (nv,)
     inflation: Array  # integrated autocorrelation time of the noise [rows], shape (nv,)
+    gains: range = range(0)  # columns of the nuisance: drive gains that are not known
     tolerance: tuple[float, float] = (1.0, 1.0)  # of given bodies and effects, relative to ±10 %
 
     @property
@@ -261,6 +262,7 @@ def weigh(
     period: float,
     *,
     by_share: bool = False,
+    gains: range = range(0),
 ) -> Evidence:
     """Evidence from rows that count (n, nv), a period [s] apart; for the rest see `Evidence`."""
     n, problem = len(counts), problem.counting(counts)
@@ -269,7 +271,7 @@ def weigh(
     blocks = np.linspace(0, n, count, endpoint=False).astype(np.intp)
     noise = _noise(problem.tau, counted)
     first = Evidence(
-        problem, counted, precision, nuisance, tuple(candidates), blocks, by_share, *noise
+        problem, counted, precision, nuisance, tuple(candidates), blocks, by_share, *noise, gains
     )
     return reweighed(first, [])
 
@@ -305,7 +307,7 @@ def widened(robot: Robot) -> float:
 def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
     """The same evidence with the tolerance of given values that the data support."""
     links = 10 * robot.nv
-    parts = np.arange(links), np.arange(links, evidence.nuisance)
+    parts = np.arange(links), np.arange(links, evidence.nuisance - len(evidence.gains))
     most = (_BODIES_OFF, _EFFECTS_OFF)
     bodies, effects = (
         _typical_deviation(evidence, *each) for each in zip(parts, most, strict=True)

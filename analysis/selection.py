@@ -94,22 +94,28 @@ def _repeats(robot: Robot, chosen: Sequence[Candidate], candidate: Candidate) ->
 
 
 def _simplest(evidence: Evidence, chosen: Sequence[Candidate], found: Candidate) -> Candidate:
-    """A special case of the cause found where that explains as much, else the cause itself."""
+    """The best special case of the cause found where all of them explain as much, else itself."""
     # so is a shape that this motion does not show: play that is never crossed is an offset
     if found.effect.shapes:
         for other in evidence.candidates:
             same = other.size == found.size and {*other.effect.joints} == {*found.effect.joints}
             if same and not other.effect.shapes and evidence.cosine(other, found) > _IDENTICAL:
                 return other
+    special = [
+        c
+        for c in evidence.candidates
+        if c.effect.name in found.effect.contains
+        and c.effect.joints == found.effect.joints
+        and c not in chosen
+    ]
     whole = evidence.cost([*chosen, found])
-    for simple in evidence.candidates:
-        special = simple.effect.name in found.effect.contains
-        if not special or simple.effect.joints != found.effect.joints or simple in chosen:
-            continue
-        more = max(found.size - simple.size, 1)
-        fall = evidence.cost([*chosen, simple]) - whole
-        if fall < evidence.dispersion(chosen, found) * scipy.stats.chi2.isf(_SUPERFLUOUS, more):
-            return simple
+    special.sort(key=lambda c: evidence.cost([*chosen, c]))
+    for simple in (special[:1], special):
+        more = max(found.size - sum(c.size for c in simple), 1)
+        lost = evidence.cost([*chosen, *simple]) - whole
+        chance = float(scipy.stats.chi2.isf(_SUPERFLUOUS, more))
+        if simple and lost < evidence.dispersion(chosen, found) * chance:
+            return simple[0]
     return found
 
 

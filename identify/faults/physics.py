@@ -213,8 +213,8 @@ class TorqueFit:
     """Least squares of a log's filtered torque on everything that is free, by normal equations.
 
     Columns of the links at rest G and what motion adds D, (N, nv, 10 nv), of each joint's own
-    effects F, (N, nv, 4). ``factor`` multiplies positions. A current counts as the torque that
-    suits the given bodies best.
+    effects F, (N, nv, 4). ``factor`` multiplies positions. Where currents were recorded, columns of
+    the links are in ampere, by the drive gains that suit the given bodies best.
     """
 
     def __init__(
@@ -228,7 +228,8 @@ class TorqueFit:
         self.robot, self.log, self.data, self.joints = robot, log, data, joints
         self.G, self.D, self.F, self.tau = map(self.filtered, (G, D, F, data.tau))
         if log.unit != "N·m":
-            self.tau = self.tau / self._readings_per_torque()
+            per = self._readings_per_torque()[:, None]
+            self.G, self.D = per * self.G, per * self.D
         self.size: Array = np.maximum((self.tau**2).mean(axis=0), 1e-300)
         own = np.einsum("njk,ji->njik", self.F, np.eye(robot.nv)).reshape(len(self.F), robot.nv, -1)
         still, moved = np.dstack([self.G, own]), np.dstack([self.D, 0 * own])
