@@ -186,8 +186,11 @@ def score(
         and not of_the_world(f["effect"], case["off"], hidden)
         and not any(is_it(f, h, robot) or f["effect"] in NEAR.get(h.kind, ()) for h in hidden)
     ]
-    own = [f for f in findings if not of_the_world(f["effect"], case["off"], ())]
-    own = own if own or not hidden else list(findings)
+    own = [
+        f
+        for f in findings
+        if any(is_it(f, h, robot) for h in hidden) or not of_the_world(f["effect"], case["off"], ())
+    ]
     first = bool(findings and hidden) and is_it(findings[0], hidden[0], robot)
     silent = not any(f["verdict"] in ("named", "undecided") for f in findings)
     near = [f["effect"] for f in sure for h in hidden if f["effect"] in NEAR.get(h.kind, ())]
