@@ -146,6 +146,10 @@ def tell(
     for finding in findings:
         shown = {k: v for k, v in finding.items() if k not in ("figure", "structure")}
         shown["rivals"] = [f"{r['effect']} {' '.join(r['joints'])}" for r in finding["rivals"]]
+        shown["parameters"] = [
+            f"{p['name']} {p['value']:.4g} ± {p['std'] or 0.0:.2g} {p['unit']}"
+            for p in finding["parameters"]
+        ]
         say(json.dumps(plain(shown), indent=1))
     for label, accuracy in (("given", diagnosis.simulation), ("extended", diagnosis.extended)):
         say(f"nrmse on the hold-out, {label} model: {np.round(accuracy.nrmse, 3)}")
@@ -166,7 +170,9 @@ def brief(finding: dict[str, Any]) -> dict[str, Any]:
     share = round(finding.get("share", finding["explained"]), 4)
     rivals = [[r["effect"], r["joints"]] for r in finding["rivals"]]
     named = {key: finding[key] for key in ("effect", "joints", "verdict")}
-    return named | {"share": share, "rivals": rivals}
+    values = {p["name"]: [p["value"], p["std"]] for p in finding["parameters"]}
+    few = plain(values) if finding["effect"] not in BODIES else {}
+    return named | {"share": share, "rivals": rivals, "parameters": few}
 
 
 def score(

@@ -29,6 +29,7 @@ DURATION = 15.0  # of each motion [s]
 SIZES = (0.03, 0.4)  # of an effect's torque to its joint's, rms
 SLIDING = 1e-3  # speed below which dry friction grows with speed [rad/s]
 LONGEST = 0.06  # of the delays [s]
+DRAWS = 20  # of an effect, until it shows
 
 FRICTION = ("coulomb_friction", "viscous_friction")
 BODIES = ("inertial_parameters", "payload")
@@ -258,10 +259,10 @@ class Drawing:
         some = range(inner, nv - inner)
         return [int(rng.choice([j for j in some if j not in taken] or some))]
 
-    def hide(self, plant: Plant, kind: str, taken: set[int]) -> tuple[Plant, Hidden]:
-        """A plant with one more effect of a kind."""
+    def change(self, kind: str, joints: list[int]) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What an effect changes of the plant without any, and its parameters."""
         rng, alone = self.rng, self.plant
-        robot, joints = alone.robot, self.joints_of(kind, taken)
+        robot = alone.robot
         size, way = float(np.exp(rng.uniform(*np.log(SIZES)))), float(rng.choice([-1, 1]))
         unit = np.eye(robot.nv)[joints].sum(axis=0)
         found: dict[str, Any] = {}
@@ -287,7 +288,17 @@ class Drawing:
             case _:
                 law, found = self.law(kind, joints, size)
                 changed = {"laws": (law,)}
-        shown = self.size(replace(alone, **changed))
+        return changed, found
+
+    def hide(self, plant: Plant, kind: str, taken: set[int]) -> tuple[Plant, Hidden]:
+        """A plant with one more effect of a kind, drawn again as long as it hardly shows."""
+        robot, shown = self.plant.robot, 0.0
+        for _ in range(DRAWS):
+            joints = self.joints_of(kind, taken)
+            changed, found = self.change(kind, joints)
+            shown = self.size(replace(self.plant, **changed))
+            if shown > 0.99 * SIZES[0]:
+                break
         if "laws" in changed:
             changed["laws"] = (*plant.laws, *changed["laws"])
         if "robot" in changed:  # bodies add up, and gravity stays turned
@@ -316,10 +327,13 @@ class Drawing:
                 changed, found = {"robot": turned}, {"gravity": turned.gravity}
                 effect = "gravity_direction"
             case "zero position":
-                j = int(rng.integers(1, nv - 1))  # elsewhere it may not show
-                angles = [np.pi / 2, -np.pi / 2, np.pi, rng.uniform(-np.pi, np.pi)]
-                angle = float(rng.choice(angles))
-                changed, found = {"offset": angle * np.eye(nv)[j]}, {"angle": angle}
+                for _ in range(DRAWS):
+                    j = int(rng.integers(1, nv - 1))  # elsewhere it may not show
+                    angles = [np.pi / 2, -np.pi / 2, np.pi, rng.uniform(-np.pi, np.pi)]
+                    angle = float(rng.choice(angles))
+                    changed, found = {"offset": angle * np.eye(nv)[j]}, {"angle": angle}
+                    if self.size(replace(plant, **changed)) > SIZES[1]:
+                        break
                 effect, joints = "encoder_offset", (names[j],)
             case "swapped":
                 order = np.arange(nv)
@@ -337,7 +351,8 @@ class Drawing:
                 also = flip if kind == "joint sign" else np.ones(nv)
                 changed, found = {"edits": (lambda q, tau: (q * also, tau * flip),)}, {}
                 effect, joints = "wrong_sign", (names[j],)
-        return replace(plant, **changed), Hidden(kind, effect, tuple(joints), found)
+        other = replace(plant, **changed)
+        return other, Hidden(kind, effect, tuple(joints), found, self.size(other))
 
 
 def tilted(robot: Robot, rng: Rng, angle: float) -> Robot:
