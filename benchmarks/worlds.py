@@ -93,9 +93,9 @@ def drawn(seed: int, number: int) -> tuple[dict[str, Any], Robot, list[Recording
     """A case: its description, the given model, two recordings, and what is hidden."""
     rng, (off, reading) = np.random.default_rng([seed, number]), WORLDS[number % len(WORLDS)]
     category = str(rng.choice(list(CATEGORIES), p=list(CATEGORIES.values())))
-    robot, bare = given_and_true(drawn_arm(rng), rng, OFF[off])
+    robot, given, bare = given_and_true(drawn_arm(rng), rng, OFF[off])
     motions = tuple(random_trajectory(robot, rng, DURATION, HARMONICS) for _ in range(2))
-    drawing, plant, hidden = Drawing(bare, motions, rng), bare, list[Hidden]()
+    drawing, plant, hidden = Drawing(bare, given, motions, rng), bare, list[Hidden]()
     if category == "set-up":
         plant, found = drawing.set_up(plant, str(rng.choice(SET_UPS)))
         hidden.append(found)

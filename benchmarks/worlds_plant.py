@@ -193,6 +193,7 @@ class Drawing:
     """What drawing an effect needs: a plant without any, two motions and their statistics."""
 
     plant: Plant
+    given: Plant  # with the friction that the given model has
     motions: tuple[Trajectory, ...]
     rng: Rng
 
@@ -299,6 +300,11 @@ class Drawing:
             shown = self.size(replace(self.plant, **changed))
             if shown > 0.99 * SIZES[0]:
                 break
+        if kind in FRICTION:  # what is hidden is all by which the given friction is off there
+            known = kind.removesuffix("_friction")
+            own = getattr(plant, known).copy()
+            own[joints] = getattr(self.given, known)[joints]
+            changed[known] = own
         if "laws" in changed:
             changed["laws"] = (*plant.laws, *changed["laws"])
         if "robot" in changed:  # bodies add up, and gravity stays turned
@@ -399,8 +405,11 @@ def drawn_arm(rng: Rng) -> Robot:
     return load_robot(str(rng.choice(SHIPPED)))
 
 
-def given_and_true(robot: Robot, rng: Rng, off: float) -> tuple[Robot, Plant]:
-    """The model that a diagnosis is given, with friction, and the plant without effects."""
+def given_and_true(robot: Robot, rng: Rng, off: float) -> tuple[Robot, Plant, Plant]:
+    """The model that a diagnosis is given, with friction; the plant as that has it; the true one.
+
+    Both plants have no other effects.
+    """
     known, joints, bare = effect_values(robot), robot.joints, robot.with_effects([])
     true = bare if off == 0 else perturbed(bare, rng, off)
     plant = Plant(true, np.zeros(robot.nv), np.zeros(robot.nv))
@@ -413,5 +422,8 @@ def given_and_true(robot: Robot, rng: Rng, off: float) -> tuple[Robot, Plant]:
         values[name] = np.array(model) * rng.uniform(0.5, 1.5, robot.nv)
         wrong[name] = values[name] * (1 + off * rng.normal(size=robot.nv).clip(-2, 2))
     effects = [EFFECTS[name](joints).with_values(each) for name, each in values.items()]
-    plant = replace(plant, viscous=wrong["viscous_friction"], coulomb=wrong["coulomb_friction"])
-    return bare.with_effects(effects), plant
+    as_given, as_is = (
+        Plant(body, each["viscous_friction"], each["coulomb_friction"])
+        for body, each in ((bare, values), (true, wrong))
+    )
+    return bare.with_effects(effects), as_given, as_is
