@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from excitant.analysis.candidates import Observed, gain_root, gather, observed
+from excitant.analysis.candidates import TOLERANCE, Observed, gain_root, gather, observed
 from excitant.analysis.confirmation import (
     FLOOR,
     Extender,
@@ -443,12 +443,16 @@ def diagnose(
     ]
     if (off := off_bodies(robot, fit, held)) is not None:
         paying.append(off)
+    off_by = TOLERANCE * max(1.0, fit.evidence.tolerance[0])
     first_of_all = [_of_set_up(mounted, effect, fit, held) for effect in mounted.effects]
     if mounted.faults:
         raw = split(recordings, validate, data.cutoff_hz).validate
         first_of_all = [*_of_faults(mounted, raw, fit, held), *first_of_all]
     judged = first_of_all + [
-        replace(_with_gains(f, robot, drive), downgrade=reason_to_downgrade(f, paying, left))
+        replace(
+            _with_gains(f, robot, drive),
+            downgrade=reason_to_downgrade(robot, f, paying, left, off_by),
+        )
         for f in sorted(paying, key=lambda f: -f.explained)
     ]
     steps = _waterfall(held, error, [f for f in judged if f.effect.values])

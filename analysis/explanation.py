@@ -18,18 +18,33 @@ from excitant.robots.motion import Array
 if TYPE_CHECKING:
     from excitant.analysis.confirmation import Finding
     from excitant.analysis.diagnosis import Diagnosis
+    from excitant.robots.robot import Robot
 
 _SMALL = 0.1  # of what a cause of roughly known shape explains
 _LITTLE = 0.05  # of the squared torque of a cause that acts on several joints
 _MATTERS = 0.3  # of a cause's torque at the joint where it is largest
 _MOSTLY = 0.5  # of what findings explain, or of a joint's squared error
+_COMMON = 2.0  # standard deviations of the given masses, by which all may be off alike
 _PLAINLY = 3.0  # times the noise
 _DRAWN_OVER = {"": "time", "constant": "time", "direction": "velocity"}
 
 
-def reason_to_downgrade(found: Finding, others: Sequence[Finding], left: Sequence[Residual]) -> str:
-    """Reason to downgrade a confirmed cause without rivals to undecided; half a sentence."""
+def reason_to_downgrade(
+    robot: Robot,
+    found: Finding,
+    others: Sequence[Finding],
+    left: Sequence[Residual],
+    tolerance: float,
+) -> str:
+    """Reason to downgrade a confirmed cause without rivals to undecided; half a sentence.
+
+    The given bodies have a relative standard deviation ``tolerance``.
+    """
     effect, torque = found.effect, found.torque
+    gains = {j for f in (found, *others) if f.effect.of_given_torque for j in f.effect.joints}
+    several_gains = effect.of_given_torque and 2 * len(gains) > robot.nv
+    if several_gains and np.abs(effect.values or 0.0).max() < _COMMON * tolerance:
+        return "given masses that are all off by one factor would look the same"
     # a cause on several joints has to explain them all, so a smaller residual counts
     several = bool(torque.any(axis=0).sum() > 1)
     scale = np.array([r.floor for r in left])

@@ -16,6 +16,7 @@ import joblib
 import numpy as np
 from hidden_effects import KINDS, draw_effect
 from threadpoolctl import threadpool_limits
+from worlds import campaign
 
 from excitant.analysis.diagnosis import diagnose
 from excitant.design import random_trajectory
@@ -197,10 +198,19 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=40)
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--arms", default=",".join(ARMS), help="built-in arms, in turn")
-    parser.add_argument("--seed", type=int, default=2026)
+    parser.add_argument("--seed", type=int, help="default 2026; with --worlds a new one")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--log", help="write every case as a line of JSON")
+    worlds = parser.add_argument_group("arms of MuJoCo, see worlds.py")
+    worlds.add_argument("--worlds", action="store_true", help="run these instead")
+    worlds.add_argument("--count", type=int, default=300, help="of cases")
+    worlds.add_argument("--case", type=int, help="tell all of one case of a seed")
+    worlds.add_argument("-o", "--output", help="write every case as a line of JSON")
     args = parser.parse_args()
+    if args.worlds:
+        campaign(args.count, args.seed, args.case, args.jobs, args.output)
+        return
+    args.seed = 2026 if args.seed is None else args.seed
     todo = cases(args)
     begun, results = time.perf_counter(), []
     work = joblib.Parallel(args.jobs, return_as="generator_unordered")

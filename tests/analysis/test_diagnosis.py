@@ -22,7 +22,7 @@ from excitant.identify import model_files
 from excitant.identify.preprocessing import away_from_rest
 from excitant.identify.rows import series
 from excitant.robots import Motion, Robot, load_robot, torque
-from excitant.robots.effects import StribeckFriction, ViscousFriction
+from excitant.robots.effects import StribeckFriction, TorqueGain, ViscousFriction
 from excitant.robots.virtual_arm import HiddenEffect, draw_hidden_effect, industrial_sensors
 
 PAN, LIFT, ELBOW = "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"
@@ -333,9 +333,18 @@ def test_why_a_cause_that_pays_is_not_decided(
         Residual(f"joint{j}", np.hypot(x, FLOOR), FLOOR, 2 * x + FLOOR, 1.0, {}, {})
         for j, x in enumerate(left, start=1)
     ]
-    reason = reason_to_downgrade(found, others, residuals)
+    reason = reason_to_downgrade(load_robot("planar_2r"), found, others, residuals, 0.1)
     assert said in reason
     assert bool(said) == bool(reason)
+
+
+@pytest.mark.parametrize(("size", "open_"), [(0.12, True), (0.25, False)])
+def test_a_common_gain_is_not_told_from_masses_that_are_all_off(size: float, open_: bool) -> None:
+    robot = load_robot("planar_2r")
+    gain = TorqueGain(robot.joints).with_values([size])
+    found = cast(Finding, SimpleNamespace(effect=gain, torque=np.ones((10, 2)), explained=0.5))
+    left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
+    assert bool(reason_to_downgrade(robot, found, [found], left, 0.1)) == open_
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,321 @@
+"""Diagnosis of arms of MuJoCo that hide effects, in worlds of more or less error; see README.md."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import sys
+import time
+import warnings
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+import scipy
+from threadpoolctl import threadpool_limits
+from worlds_plant import (
+    BODIES,
+    DURATION,
+    FRICTION,
+    KINDS,
+    SET_UPS,
+    STRUCTURES,
+    Drawing,
+    Hidden,
+    Plant,
+    Rng,
+    Trajectory,
+    drawn_arm,
+    given_and_true,
+)
+
+from excitant.analysis.diagnosis import Diagnosis, diagnose
+from excitant.design import random_trajectory
+from excitant.identify.recording import Recording
+from excitant.robots import Robot
+from excitant.robots.motion import Array
+
+OFF = {"exact": 0.0, "off 10 %": 0.1, "off 30 %": 0.3}  # inertias and friction of the given model
+READINGS = ("white", "coloured", "jitter", "current")
+WORLDS = tuple(itertools.product(OFF, READINGS))
+CATEGORIES = {"effects": 0.55, "set-up": 0.15, "outside": 0.1, "nothing": 0.2}
+COUNTS = (0.6, 0.25, 0.15)  # shares of one, two and three effects
+HARMONICS = 5  # of each motion
+NOISE, ENCODER = 0.01, 2e-5  # of torque, of its standard deviation; of positions [rad]
+CORRELATION, BITS, HEADROOM = 0.02, 12, 1.5  # of coloured noise [s]; of torque, times its peak
+JITTER = 0.1  # of the period
+GAINS = (2.0, 30.0)  # of the drives [N·m/A]
+BINS = (0.0, 0.03, 0.05, 0.1, 0.2, 0.4, np.inf)
+
+SAME = {  # exactly the same torque
+    "asymmetric_friction": ("coulomb_friction", "torque_offset"),  # their sum
+    "payload": ("inertial_parameters",),  # of the last link
+    "inertial_parameters": ("payload",),
+    "rotor_inertia at the first joint": ("inertial_parameters",),
+}
+NEAR = {  # as near as the vocabulary comes; neither right nor wrong
+    "hose": ("spring", "presliding_hysteresis"),
+    "bumper": ("spring",),
+    "swaying table": ("joint_elasticity",),
+}
+Said = Callable[[str], None]
+
+
+def record(
+    plant: Plant, motion: Trajectory, reading: str, gains: Array, rng: Rng, name: str
+) -> Recording:
+    """What the sensors of a world read of a motion."""
+    rate = 100.0 if reading == "jitter" else 125.0
+    t = np.arange(0.0, DURATION, 1 / rate)
+    if reading == "jitter":
+        t[1:] += rng.uniform(-JITTER, JITTER, len(t) - 1) / rate
+    q, tau = motion(t, 0), plant.torque(motion, t)
+    noise = rng.normal(size=tau.shape)
+    if reading == "coloured":
+        a = np.exp(-1 / (rate * CORRELATION))
+        noise = scipy.signal.lfilter([np.sqrt(1 - a**2)], [1, -a], noise, axis=0)
+    tau = tau + NOISE * tau.std(axis=0) * noise
+    if reading == "coloured":
+        step = 2 * HEADROOM * np.abs(tau).max(axis=0) / 2**BITS
+        tau = step * np.round(tau / step)
+    q = q + ENCODER * rng.normal(size=q.shape)
+    for edit in plant.edits:
+        q, tau = edit(q, tau)
+    if reading == "current":
+        return Recording(name, name, t, q, tau / gains, "A")
+    return Recording(name, name, t, q, tau)
+
+
+def drawn(seed: int, number: int) -> tuple[dict[str, Any], Robot, list[Recording], list[Hidden]]:
+    """A case: its description, the given model, two recordings, and what is hidden."""
+    rng, (off, reading) = np.random.default_rng([seed, number]), WORLDS[number % len(WORLDS)]
+    category = str(rng.choice(list(CATEGORIES), p=list(CATEGORIES.values())))
+    robot, given, bare = given_and_true(drawn_arm(rng), rng, OFF[off])
+    motions = tuple(random_trajectory(robot, rng, DURATION, HARMONICS) for _ in range(2))
+    drawing, plant, hidden = Drawing(bare, given, motions, rng), bare, list[Hidden]()
+    if category == "set-up":
+        plant, found = drawing.set_up(plant, str(rng.choice(SET_UPS)))
+        hidden.append(found)
+    elif category != "nothing":
+        kinds, count = STRUCTURES, 1
+        if category == "effects":  # a current does not show the gain of its drive
+            kinds = tuple(k for k in KINDS if (k, reading) != ("torque_gain", "current"))
+            count = 1 + int(rng.choice(3, p=COUNTS))
+        taken = set[int]()
+        for kind in rng.choice(kinds, count, replace=False):
+            plant, found = drawing.hide(plant, str(kind), taken)
+            hidden.append(found)
+    gains = np.exp(rng.uniform(*np.log(GAINS), robot.nv))
+    both = zip(motions, ("fitted", "held"), strict=True)
+    recordings = [record(plant, motion, reading, gains, rng, name) for motion, name in both]
+    case = {"case": number, "seed": seed, "arm": robot.name, "world": f"{off}, {reading}"}
+    return case | {"category": category, "off": OFF[off]}, robot, recordings, hidden
+
+
+def run(seed: int, number: int, say: Said | None = None) -> dict[str, Any]:
+    """Draw a case, diagnose it and score what is said."""
+    threadpool_limits(1)
+    warnings.simplefilter("ignore")
+    case, robot, (fitted, held), hidden = drawn(seed, number)
+    case["hidden"] = [plain(vars(h)) for h in hidden]
+    if say:
+        say(json.dumps(case, indent=1))
+    begun = time.perf_counter()
+    try:
+        diagnosis = diagnose(robot, [fitted], validate=[held])
+        findings = diagnosis.result()["findings"]
+    except Exception as error:
+        if say:
+            raise
+        case["no_result"] = f"{type(error).__name__}: {error}"
+        return case | {"seconds": time.perf_counter() - begun}
+    case["seconds"] = time.perf_counter() - begun
+    case["found"] = [brief(finding) for finding in findings]
+    case["score"] = score(case, robot, hidden, findings)
+    if say:
+        tell(diagnosis, findings, case["score"], say)
+    return case
+
+
+def tell(
+    diagnosis: Diagnosis, findings: Sequence[dict[str, Any]], scored: dict[str, Any], say: Said
+) -> None:
+    for finding in findings:
+        shown = {k: v for k, v in finding.items() if k not in ("figure", "structure")}
+        shown["rivals"] = [f"{r['effect']} {' '.join(r['joints'])}" for r in finding["rivals"]]
+        shown["parameters"] = [
+            f"{p['name']} {p['value']:.4g} ± {p['std'] or 0.0:.2g} {p['unit']}"
+            for p in finding["parameters"]
+        ]
+        say(json.dumps(plain(shown), indent=1))
+    for label, accuracy in (("given", diagnosis.simulation), ("extended", diagnosis.extended)):
+        say(f"nrmse on the hold-out, {label} model: {np.round(accuracy.nrmse, 3)}")
+    say("\n".join([diagnosis.headline, *diagnosis.notes, json.dumps(scored)]))
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON has it, numbers to four digits."""
+    if isinstance(value, dict):
+        return {k: plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [plain(v) for v in value]
+    number = isinstance(value, float | np.floating)
+    return float(f"{value:.4g}") if number and np.isfinite(value) else None if number else value
+
+
+def brief(finding: dict[str, Any]) -> dict[str, Any]:
+    share = round(finding.get("share", finding["explained"]), 4)
+    rivals = [[r["effect"], r["joints"]] for r in finding["rivals"]]
+    named = {key: finding[key] for key in ("effect", "joints", "verdict")}
+    values = {p["name"]: [p["value"], p["std"]] for p in finding["parameters"]}
+    few = plain(values) if finding["effect"] not in BODIES else {}
+    return named | {"share": share, "rivals": rivals, "parameters": few}
+
+
+def score(
+    case: dict[str, Any], robot: Robot, hidden: Sequence[Hidden], findings: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
+    """Of each hidden effect, whether it is named and found; what is named and not there."""
+    sure = [f for f in findings if f["verdict"] in ("named", "unknown")]
+    named = [any(is_it(f, h, robot) for f in sure) for h in hidden]
+    found = [
+        name or any(is_it(each, h, robot) for f in findings for each in (f, *f["rivals"]))
+        for name, h in zip(named, hidden, strict=True)
+    ]
+    wrong = [
+        f"{f['effect']}@{'+'.join(f['joints'][:2])}"
+        for f in findings
+        if f["verdict"] == "named"
+        and not of_the_world(f["effect"], case["off"], hidden)
+        and not any(is_it(f, h, robot) or f["effect"] in NEAR.get(h.kind, ()) for h in hidden)
+    ]
+    own = [
+        f
+        for f in findings
+        if any(is_it(f, h, robot) for h in hidden) or not of_the_world(f["effect"], case["off"], ())
+    ]
+    first = bool(findings and hidden) and is_it(findings[0], hidden[0], robot)
+    silent = not any(f["verdict"] in ("named", "undecided") for f in findings)
+    near = [f["effect"] for f in sure for h in hidden if f["effect"] in NEAR.get(h.kind, ())]
+    word = said_first(own[0], hidden, robot) if own else "nothing"
+    judged = {"named": named, "found": found, "wrong": wrong, "first": first}
+    return judged | {"silent": silent, "near": near, "word": word}
+
+
+def is_it(finding: dict[str, Any], hidden: Hidden, robot: Robot) -> bool:
+    """Whether a finding, or a rival of one, is what is hidden, at one of its joints."""
+    first = " at the first joint" if hidden.joints == robot.joints[:1] else ""
+    names = (hidden.effect, *SAME.get(hidden.effect, ()), *SAME.get(hidden.effect + first, ()))
+    return finding["effect"] in names and bool(set(finding["joints"]) & set(hidden.joints))
+
+
+def of_the_world(effect: str, off: float, hidden: Sequence[Hidden]) -> bool:
+    """Whether a cause is true whatever is hidden: the given bodies and friction are off."""
+    if effect in BODIES:
+        return off > 0 or any(h.effect in BODIES for h in hidden)
+    return effect in FRICTION and off > 0
+
+
+def said_first(finding: dict[str, Any], hidden: Sequence[Hidden], robot: Robot) -> str:
+    there = not hidden or finding["effect"] != hidden[0].effect or is_it(finding, hidden[0], robot)
+    doubt = " ?" if finding["verdict"] == "undecided" else ""
+    return finding["effect"] + ("" if there else " elsewhere") + doubt
+
+
+def wilson(hits: Sequence[Any]) -> str:
+    """A share with its 95 % interval, in per cent."""
+    if not (n := len(hits)):
+        return "-"
+    p, z = float(np.mean([bool(h) for h in hits])), 1.96
+    middle, half = p + z**2 / (2 * n), z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    low, high = (100 * (middle + s * half) / (1 + z**2 / n) for s in (-1, 1))
+    return f"{100 * p:3.0f} ({abs(low):.0f}-{high:.0f})"
+
+
+def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
+    yield from _worlds(results)
+    done = [r for r in results if "score" in r]
+    groups = {c: [r["score"] for r in done if r["category"] == c] for c in CATEGORIES}
+    outside, set_up, clean = groups["outside"], groups["set-up"], groups["nothing"]
+    rows = (
+        ("set-up: the right name first", [s["first"] for s in set_up]),
+        ("set-up: a wrong name beside", [s["wrong"] for s in set_up]),
+        ("outside the vocabulary: unknown said there", [s["named"][0] for s in outside]),
+        ("outside: the nearest name", [s["near"] for s in outside]),
+        ("outside: a wrong name", [s["wrong"] for s in outside]),
+        ("nothing hidden: no wrong name", [not s["wrong"] for s in clean]),
+        ("effects: a wrong name beside", [s["wrong"] for s in groups["effects"]]),
+    )
+    yield ""
+    yield from (f"{label:44s} {wilson(hits):>12s} % of {len(hits)}" for label, hits in rows)
+    effects = [
+        (h, r["score"]["named"][k], r["score"]["found"][k], r)
+        for r in done
+        if r["category"] == "effects"
+        for k, h in enumerate(r["hidden"])
+    ]
+    yield "\nsize [%]      effects     named [%]     found [%]"
+    for low, high in itertools.pairwise(BINS):
+        within = [e for e in effects if low <= e[0]["size"] < high]
+        named, found = wilson([e[1] for e in within]), wilson([e[2] for e in within])
+        yield f"{100 * low:3.0f} to {100 * high:3.0f} {len(within):10d} {named:>13s} {found:>13s}"
+    yield from _confusion(done)
+    missed = [e for e in effects if not e[2]]
+    if missed:
+        h, *_, r = max(missed, key=lambda e: e[0]["size"])
+        where = f"{h['effect']} at {', '.join(h['joints'])} of {r['arm']} ({r['world']})"
+        yield f"\nlargest missed: case {r['case']}, {where}, {100 * h['size']:.0f} %"
+    failed = Counter(r["no_result"].splitlines()[0] for r in results if "no_result" in r)
+    yield from (f"no result, {n} times: {why}" for why, n in failed.most_common())
+
+
+def _worlds(results: Sequence[dict[str, Any]]) -> Iterator[str]:
+    heads = (*("named [%]", "found [%]", "wrong [%]", "silent [%]", "no result"), "median s")
+    yield f"{'world':20s} cases " + " ".join(f"{head:>12s}" for head in heads)
+    for world in [*(", ".join(world) for world in WORLDS), "all"]:
+        here = [r for r in results if world in ("all", r["world"])]
+        scores = [r["score"] for r in here if "score" in r]
+        hiding = [s for s in scores if s["named"]]
+        shares = (
+            [hit for s in scores for hit in s["named"]],
+            [hit for s in scores for hit in s["found"]],
+            [s["wrong"] for s in scores],
+            [s["silent"] for s in hiding],
+        )
+        cells = [*map(wilson, shares), str(len(here) - len(scores))]
+        cells.append(f"{np.median([r['seconds'] for r in here]):.1f}" if here else "-")
+        yield f"{world:20s} {len(here):5d} " + " ".join(f"{cell:>12s}" for cell in cells)
+
+
+def _confusion(done: Sequence[dict[str, Any]]) -> Iterator[str]:
+    rows: dict[str, Counter[str]] = defaultdict(Counter)
+    for r in done:
+        if len(r["hidden"]) < 2:
+            kind = r["hidden"][0]["kind"] if r["hidden"] else "nothing"
+            rows[f"{r['category']}: {kind}" if kind != "nothing" else kind][r["score"]["word"]] += 1
+    yield "\nhidden alone: what came first, the world's own errors apart (? undecided)"
+    for kind, words in sorted(rows.items()):
+        yield f"  {kind:36s} " + ", ".join(f"{n} {word}" for word, n in words.most_common())
+
+
+def campaign(count: int, seed: int | None, only: int | None, jobs: int, out: str | None) -> None:
+    """Run and report as many cases, or tell all of one."""
+    seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
+    print(f"seed {seed}", flush=True)
+    if only is not None:
+        run(seed, only, print)
+        return
+    begun, results = time.perf_counter(), []
+    work = joblib.Parallel(jobs, return_as="generator_unordered")
+    for result in work(joblib.delayed(run)(seed, k) for k in range(1, count + 1)):
+        results.append(result)
+        if out:
+            with Path(out).open("a", encoding="utf-8") as lines:
+                lines.write(json.dumps(result) + "\n")
+        if sys.stderr.isatty():
+            print(f"\r{len(results)} of {count}", end="", file=sys.stderr, flush=True)
+    print("\n".join(report(results)))
+    print(f"\n{count} cases in {(time.perf_counter() - begun) / 60:.1f} min")

@@ -1,0 +1,429 @@
+"""Arms of MuJoCo with effects in closed form, and how what they hide is drawn.
+
+Nothing of the plant is excitant's: rigid bodies are MuJoCo's (`mj_inverse`), everything else is
+numpy. excitant only loads the arm and holds its parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import scipy
+from arms import ARMS as OTHERS
+from arms import data_folder, with_assumed_limits
+
+from excitant.exceptions import ExcitantError
+from excitant.robots import Robot, load_robot
+from excitant.robots.effects import EFFECTS, effect_values
+from excitant.robots.motion import Array
+from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
+
+SHIPPED = ("ur10", "panda", "puma560")
+DURATION = 15.0  # of each motion [s]
+SIZES = (0.03, 0.4)  # of an effect's torque to its joint's, rms
+SLIDING = 1e-3  # speed below which dry friction grows with speed [rad/s]
+LONGEST = 0.06  # of the delays [s]
+DRAWS = 20  # of an effect, until it shows
+
+FRICTION = ("coulomb_friction", "viscous_friction")
+BODIES = ("inertial_parameters", "payload")
+KINDS = (
+    *(*FRICTION, "stribeck_friction", "asymmetric_friction", "load_dependent_friction"),
+    *("torque_offset", "spring", "torque_ripple", "rotor_inertia", "friction_coupling"),
+    *("torque_gain", "time_delay", "encoder_offset", "gravity_direction", *BODIES),
+)
+SET_UPS = ("mounting", "torque sign", "joint sign", "swapped", "zero position", "degrees")
+STRUCTURES = ("hose", "bumper", "swaying table")
+
+Rng = np.random.Generator
+Trajectory = Callable[..., Array]
+Edit = Callable[[Array, Array], tuple[Array, Array]]
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """True motion and rigid-body torque at instants: t (n,), the others (n, nv), in SI units."""
+
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    rigid: Array
+    at: Callable[[Array], State]  # the same motion at other instants
+
+
+Shape = Callable[[State], Array]
+"""Torque of one joint, (n,), up to a factor."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """The true arm; motions are those that its encoders read."""
+
+    robot: Robot  # true bodies and gravity, without effects
+    viscous: Array
+    coulomb: Array
+    laws: tuple[tuple[Shape, Array], ...] = ()  # with the factor for each joint
+    gain: Array | float = 1.0  # of the readings of torque
+    delay: Array | float = 0.0  # of these [s]
+    offset: Array | float = 0.0  # true position less reading [rad]
+    edits: tuple[Edit, ...] = ()  # of what was recorded: q, tau
+
+    @cached_property
+    def model(self) -> Any:
+        """MuJoCo's model of the bodies alone."""
+        spec, without = mujoco.MjSpec.from_string(self.robot.urdf), mujoco.mjtDisableBit
+        spec.option.gravity = self.robot.gravity
+        spec.option.disableflags = without.mjDSBL_CONTACT | without.mjDSBL_LIMIT
+        return spec.compile()
+
+    def state(self, motion: Trajectory, t: Array) -> State:
+        """The true motion, and what torque its rigid bodies need by MuJoCo."""
+        q, dq, ddq = motion(t, 0) + self.offset, motion(t, 1), motion(t, 2)
+        rigid, data = np.empty_like(q), mujoco.MjData(self.model)
+        for k in range(len(t)):
+            data.qpos, data.qvel, data.qacc = q[k], dq[k], ddq[k]
+            mujoco.mj_inverse(self.model, data)
+            rigid[k] = data.qfrc_inverse
+        return State(t, q, dq, ddq, rigid, lambda other: self.state(motion, other))
+
+    def now(self, motion: Trajectory, t: Array) -> Array:
+        """Torque with friction and all laws, (n, nv)."""
+        s = self.state(motion, t)
+        tau = s.rigid + self.viscous * s.dq + self.coulomb * sign(s.dq)
+        for shape, factors in self.laws:
+            tau = tau + shape(s)[:, None] * factors
+        return tau
+
+    def torque(self, motion: Trajectory, t: Array) -> Array:
+        """Torque as it is read, without noise, (n, nv)."""
+        delay = np.broadcast_to(self.delay, self.viscous.shape)
+        tau = np.empty((len(t), len(delay)))
+        for each in np.unique(delay):
+            tau[:, delay == each] = self.now(motion, t - each)[:, delay == each]
+        return self.gain * tau
+
+
+@dataclass(frozen=True, eq=False)
+class Hidden:
+    """What a plant has and the given model has not."""
+
+    kind: str  # as drawn
+    effect: str  # as findings call it
+    joints: tuple[str, ...]
+    parameters: dict[str, Any] = field(default_factory=dict)
+    size: float = float("nan")  # largest rms of its torque relative to that of its joint
+
+
+def sign(x: Array) -> Array:
+    return np.tanh(x / SLIDING)
+
+
+def rms(x: Array) -> Array:
+    return np.sqrt(np.mean(np.square(x), axis=0))
+
+
+def joint_law(kind: str, rng: Rng, q: Array, dq: Array, j: int) -> tuple[Shape, dict[str, float]]:
+    """Torque of an effect of a joint up to a factor, in closed form, from a typical motion."""
+    fastest, middle = float(np.abs(dq[:, j]).max()), float(q[:, j].mean())
+    p: dict[str, float] = {}
+    match kind:
+        case "viscous_friction":
+            return lambda s: s.dq[:, j], p
+        case "coulomb_friction":
+            return lambda s: sign(s.dq[:, j]), p
+        case "stribeck_friction":  # beside the known Fc: (Fs - Fc) exp(-(v/vs)²)
+            p["vs"] = vs = rng.uniform(0.03, 0.2) * fastest
+            return lambda s: sign(s.dq[:, j]) * np.exp(-((s.dq[:, j] / vs) ** 2)), p
+        case "asymmetric_friction":
+            p["side"] = side = float(rng.choice([-1, 1]))
+            return lambda s: sign(s.dq[:, j]) * (side * s.dq[:, j] > 0), p
+        case "load_dependent_friction":
+            return lambda s: np.abs(s.rigid[:, j]) * sign(s.dq[:, j]), p
+        case "torque_offset":
+            return lambda s: np.ones(len(s.t)), p
+        case "rotor_inertia":
+            return lambda s: s.ddq[:, j], p
+        case "spring":
+            p["rest"] = rest = middle + rng.uniform(-0.5, 0.5)
+            return lambda s: s.q[:, j] - rest, p
+        case "torque_ripple":  # below 6 Hz at typical speed
+            most = np.clip(2 * np.pi * 6.0 / rms(dq[:, j]), 3.0, 60.0)
+            p["order"] = order = float(np.round(np.exp(rng.uniform(np.log(2.0), np.log(most)))))
+            p["phase"] = phase = rng.uniform(-np.pi, np.pi)
+            return lambda s: np.sin(order * s.q[:, j] + phase), p
+        case "hose":
+            p["reach"] = reach = 0.1 * float(np.ptp(q[:, j]))
+            half = float(np.ptp(q[:, j])) / 2
+            return lambda s: ((s.q[:, j] - middle) / half) ** 3 + 0.3 * drag(s.q[:, j], reach), p
+        case "bumper":
+            p["from"] = edge = float(np.quantile(q[:, j], rng.uniform(0.75, 0.9)))
+            return lambda s: np.maximum(s.q[:, j] - edge, 0.0), p
+        case "swaying table":
+            p["Hz"], p["damping"] = rng.uniform(3.0, 6.0), rng.uniform(0.03, 0.1)
+            return lambda s: sway(s, j, p["Hz"], p["damping"]), p
+    raise ValueError(f"no law of {kind}")
+
+
+def drag(q: Array, reach: float) -> Array:
+    """Dahl's friction of positions in order, from -1 to 1, which builds up over a reach."""
+    z = np.zeros(len(q))
+    for k, step in enumerate(np.diff(q)):
+        end = np.sign(step)
+        z[k + 1] = end + (z[k] - end) * np.exp(-abs(step) / reach)
+    return z
+
+
+def sway(s: State, j: int, hertz: float, damping: float) -> Array:
+    """Acceleration of a base on springs that a joint's torque drives, from rest, (n,)."""
+    fine = np.arange(min(s.t[0], 0.0), s.t[-1] + 4e-3, 2e-3)
+    force, w = s.at(fine).rigid[:, j], 2 * np.pi * hertz
+    b, a = scipy.signal.bilinear([w**2, 0, 0], [1, 2 * damping * w, w**2], 500.0)
+    return np.interp(s.t, fine, scipy.signal.lfilter(b, a, force - force[0]))
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """What drawing an effect needs: a plant without any, two motions and their statistics."""
+
+    plant: Plant
+    given: Plant  # with the friction that the given model has
+    motions: tuple[Trajectory, ...]
+    rng: Rng
+
+    @cached_property
+    def t(self) -> Array:
+        """Instants of the statistics [s]."""
+        return np.arange(0.0, DURATION, 0.01)
+
+    @cached_property
+    def states(self) -> list[State]:
+        """The motions of the plant without effects."""
+        return [self.plant.state(motion, self.t) for motion in self.motions]
+
+    @cached_property
+    def usual(self) -> Array:
+        """Rms torque of each joint [N·m]."""
+        return rms(self._torque(self.plant))
+
+    def size(self, plant: Plant) -> float:
+        """Rms of the torque that a plant has beyond that without effects, of the usual one."""
+        more = self._torque(plant) - self._torque(self.plant)
+        return float((rms(more) / self.usual).max())
+
+    def _torque(self, plant: Plant) -> Array:
+        return np.concatenate([plant.torque(motion, self.t) for motion in self.motions])
+
+    def law(self, kind: str, joints: Sequence[int], size: float) -> tuple[Any, dict[str, Any]]:
+        """The law of an effect with its factors, scaled to show so much, and its parameters."""
+        q, dq = (np.concatenate([getattr(s, x) for s in self.states]) for x in ("q", "dq"))
+        unit = np.eye(len(self.usual))[joints].sum(axis=0)
+        if kind == "friction_coupling":
+            (j, k), share = joints, self.rng.uniform()
+            ratio = float(self.rng.choice([-1, 1]))
+            typical = rms(dq[:, j] + ratio * dq[:, k])
+            unit[k] = ratio
+
+            def shape(s: State) -> Array:
+                v = s.dq[:, j] + ratio * s.dq[:, k]
+                return share * sign(v) + (1 - share) * v / typical
+
+            found: dict[str, Any] = {"ratio": ratio, "dry": share}
+        else:
+            shape, found = joint_law(kind, self.rng, q, dq, joints[-1])
+        factor = size / self.size(replace(self.plant, laws=((shape, unit),)))
+        if kind in ("torque_offset", "torque_ripple"):
+            factor *= float(self.rng.choice([-1, 1]))
+        return (shape, factor * unit), found | {"factor": factor}
+
+    def joints_of(self, kind: str, taken: set[int]) -> list[int]:
+        """Where an effect of a kind may be; at joints that no other effect has yet, if it can."""
+        rng, nv = self.rng, len(self.usual)
+        match kind:
+            case "friction_coupling":  # of the wrist
+                return [nv - 2, nv - 1] if rng.random() < 0.5 else [nv - 3, nv - 2]
+            case "swaying table":
+                return [0, 1]
+            case "payload":
+                return [nv - 1]
+            case "gravity_direction":
+                return list(range(nv))
+            case "time_delay" if rng.random() < 0.5:
+                return list(range(nv))
+        inner = kind == "encoder_offset"  # those of the first and last joint may not show
+        some = range(inner, nv - inner)
+        return [int(rng.choice([j for j in some if j not in taken] or some))]
+
+    def change(self, kind: str, joints: list[int]) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What an effect changes of the plant without any, and its parameters."""
+        rng, alone = self.rng, self.plant
+        robot = alone.robot
+        size, way = float(np.exp(rng.uniform(*np.log(SIZES)))), float(rng.choice([-1, 1]))
+        unit = np.eye(robot.nv)[joints].sum(axis=0)
+        found: dict[str, Any] = {}
+        changed: dict[str, Any] = {}
+        match kind:
+            case "torque_gain":
+                changed = found = {"gain": 1 + way * size * unit}
+            case "time_delay":
+                delay = 0.01 * size / self.size(replace(alone, delay=0.01 * unit))
+                changed = found = {"delay": min(delay, LONGEST) * unit}
+            case "encoder_offset":
+                changed = found = {"offset": way * rng.uniform(0.02, 0.1) * unit}
+            case "gravity_direction":
+                changed = {"robot": tilted(robot, rng, rng.uniform(0.05, 0.3))}
+                found = {"gravity": changed["robot"].gravity}
+            case "payload":
+                phi = payload(robot, rng)
+                phi *= size / self.size(replace(alone, robot=heavier(robot, joints[0], phi)))
+                changed, found = {"robot": heavier(robot, joints[0], phi)}, {"phi": phi}
+            case "inertial_parameters":  # twice those given
+                phi = robot.phi.reshape(-1, 10)[joints[0]]
+                changed, found = {"robot": heavier(robot, joints[0], phi)}, {"phi": phi}
+            case _:
+                law, found = self.law(kind, joints, size)
+                changed = {"laws": (law,)}
+        return changed, found
+
+    def hide(self, plant: Plant, kind: str, taken: set[int]) -> tuple[Plant, Hidden]:
+        """A plant with one more effect of a kind, drawn again as long as it hardly shows."""
+        robot, shown = self.plant.robot, 0.0
+        for _ in range(DRAWS):
+            joints = self.joints_of(kind, taken)
+            changed, found = self.change(kind, joints)
+            shown = self.size(replace(self.plant, **changed))
+            if shown > 0.99 * SIZES[0]:
+                break
+        if kind in FRICTION:  # what is hidden is all by which the given friction is off there
+            known = kind.removesuffix("_friction")
+            own = getattr(plant, known).copy()
+            own[joints] = getattr(self.given, known)[joints]
+            changed[known] = own
+        if "laws" in changed:
+            changed["laws"] = (*plant.laws, *changed["laws"])
+        if "robot" in changed:  # bodies add up, and gravity stays turned
+            phi = plant.robot.phi + changed["robot"].phi - robot.phi
+            tilt = changed["robot"] if kind == "gravity_direction" else plant.robot
+            changed["robot"] = plant.robot.with_parameters(phi).with_gravity(tilt.gravity)
+        taken.update(joints if len(joints) < robot.nv else [])
+        effect = "unknown" if kind in STRUCTURES else kind
+        names = tuple(robot.joints[j] for j in joints)
+        return replace(plant, **changed), Hidden(kind, effect, names, found, shown)
+
+    def set_up(self, plant: Plant, kind: str) -> tuple[Plant, Hidden]:
+        """A plant that is set up, or recorded, otherwise than the model has it."""
+        rng, names = self.rng, plant.robot.joints
+        nv = len(names)
+        j, joints, flip = int(rng.integers(nv)), names, np.ones(nv)
+        match kind:
+            case "mounting":
+                way = str(rng.choice(["sideways", "any", "tilted"]))
+                g = rng.choice([-1, 1]) * 9.81 * np.eye(3)[rng.integers(2)]
+                if way == "any":
+                    g = rng.normal(size=3)
+                    g *= 9.81 / np.linalg.norm(g)
+                turned = plant.robot.with_gravity(g)
+                turned = tilted(plant.robot, rng, 0.3) if way == "tilted" else turned
+                changed, found = {"robot": turned}, {"gravity": turned.gravity}
+                effect = "gravity_direction"
+            case "zero position":
+                for _ in range(DRAWS):
+                    j = int(rng.integers(1, nv - 1))  # elsewhere it may not show
+                    angles = [np.pi / 2, -np.pi / 2, np.pi, rng.uniform(-np.pi, np.pi)]
+                    angle = float(rng.choice(angles))
+                    changed, found = {"offset": angle * np.eye(nv)[j]}, {"angle": angle}
+                    if self.size(replace(plant, **changed)) > SIZES[1]:
+                        break
+                effect, joints = "encoder_offset", (names[j],)
+            case "swapped":
+                order = np.arange(nv)
+                a, b = rng.choice(nv, 2, replace=False)
+                order[[a, b]] = order[[b, a]]
+                whole = bool(rng.random() < 0.5)
+                edit: Edit = lambda q, tau: (q[:, order] if whole else q, tau[:, order])  # noqa: E731
+                changed, found = {"edits": (edit,)}, {"positions too": whole}
+                effect, joints = "wrong_order", (names[a], names[b])
+            case "degrees":
+                changed, found = {"edits": (lambda q, tau: (np.degrees(q), tau),)}, {}
+                effect = "wrong_unit"
+            case _:
+                flip[j] = -1.0
+                also = flip if kind == "joint sign" else np.ones(nv)
+                changed, found = {"edits": (lambda q, tau: (q * also, tau * flip),)}, {}
+                effect, joints = "wrong_sign", (names[j],)
+        other = replace(plant, **changed)
+        return other, Hidden(kind, effect, tuple(joints), found, self.size(other))
+
+
+def tilted(robot: Robot, rng: Rng, angle: float) -> Robot:
+    """The arm with its base turned by an angle about a level axis."""
+    way = rng.uniform(-np.pi, np.pi)
+    turn = pin.exp3(angle * np.array([np.cos(way), np.sin(way), 0.0]))
+    return robot.with_gravity(turn @ robot.gravity)
+
+
+def heavier(robot: Robot, j: int, phi: Array) -> Robot:
+    return robot.with_parameters(robot.phi + np.kron(np.eye(robot.nv)[j], phi))
+
+
+def payload(robot: Robot, rng: Rng) -> Array:
+    """Parameters of a body of 1 kg up to 0.15 m beside the flange, in the last link's frame."""
+    flange = list(robot.model.frames)[robot.tip].placement
+    lever = flange.act(rng.uniform(-1, 1, 3) * [0.07, 0.07, 0.1])
+    box = pin.Inertia.FromBox(1.0, *rng.uniform(0.05, 0.2, 3))
+    return np.array(pin.Inertia(1.0, lever, box.inertia).toDynamicParameters())
+
+
+def perturbed(robot: Robot, rng: Rng, share: float) -> Robot:
+    """The arm with each pseudo-inertia L Lᵀ replaced by L (1 + E) (1 + E)ᵀ Lᵀ."""
+    bodies = []
+    for values in robot.phi.reshape(-1, 10):
+        root = np.linalg.cholesky(pseudo_inertia(values))
+        root = root @ (np.eye(4) + share / 2 * rng.normal(size=(4, 4)))
+        bodies.append(from_pseudo_inertia(root @ root.T))
+    return robot.with_parameters(np.concatenate(bodies))
+
+
+def drawn_arm(rng: Rng) -> Robot:
+    """A shipped arm, or one of example-robot-data's where these are installed."""
+    folder = data_folder(None)
+    for _ in range(20 if folder and rng.random() < 0.5 else 0):
+        other = OTHERS[int(rng.integers(len(OTHERS)))]
+        try:
+            robot, _ = with_assumed_limits(load_robot(replace(other, path=folder / other.path)))
+            perturbed(robot, rng, 0.0)
+            if robot.nv >= 4 and robot.revolute.all():
+                return robot
+        except (ExcitantError, np.linalg.LinAlgError):
+            continue
+    return load_robot(str(rng.choice(SHIPPED)))
+
+
+def given_and_true(robot: Robot, rng: Rng, off: float) -> tuple[Robot, Plant, Plant]:
+    """The model that a diagnosis is given, with friction; the plant as that has it; the true one.
+
+    Both plants have no other effects.
+    """
+    known, joints, bare = effect_values(robot), robot.joints, robot.with_effects([])
+    true = bare if off == 0 else perturbed(bare, rng, off)
+    plant = Plant(true, np.zeros(robot.nv), np.zeros(robot.nv))
+    q, dq, ddq = robot.random_motion(rng, 50)
+    poses = lambda t, order: (q, dq, ddq)[order]  # noqa: E731
+    usual = 0.03 * np.abs(plant.state(poses, np.arange(50.0)).rigid).max(axis=0)
+    values, wrong = {}, {}
+    for name, symbol in (("viscous_friction", "Fv"), ("coulomb_friction", "Fc")):
+        model = [known.get(f"{j}.{symbol}", 0.0) or u for j, u in zip(joints, usual, strict=True)]
+        values[name] = np.array(model) * rng.uniform(0.5, 1.5, robot.nv)
+        wrong[name] = values[name] * (1 + off * rng.normal(size=robot.nv).clip(-2, 2))
+    effects = [EFFECTS[name](joints).with_values(each) for name, each in values.items()]
+    as_given, as_is = (
+        Plant(body, each["viscous_friction"], each["coulomb_friction"])
+        for body, each in ((bare, values), (true, wrong))
+    )
+    return bare.with_effects(effects), as_given, as_is
