@@ -14,6 +14,7 @@ from excitant.design import random_trajectory
 from excitant.identify import Recording
 from excitant.identify.faults import find_faults
 from excitant.robots import Robot
+from excitant.robots.effects import CoulombFriction, ViscousFriction
 from excitant.robots.motion import Motion
 from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
 from excitant.robots.regressor import rigid_body_torque
@@ -137,3 +138,67 @@ def test_the_description_of_an_arm_has_its_zero_positions(ur10: Robot) -> None:
     assert rigid_body_torque(moved, motion) == pytest.approx(expected)
     again = robot_from_urdf(moved.urdf, source="moved.urdf")
     assert rigid_body_torque(again, motion) == pytest.approx(expected)
+
+
+@pytest.fixture(scope="module")
+def frictionless(ur10: Robot) -> Diagnosis:
+    """An arm whose model has no friction, diagnosed from motions with friction at every joint."""
+    fitted, held = recorded(bare(ur10), 5, off=0.0)
+    return diagnose(bare(ur10), [fitted], validate=[held])
+
+
+def test_friction_that_the_model_lacks_is_one_finding(frictionless: Diagnosis) -> None:
+    (entry,) = frictionless.result()["findings"]
+    assert (entry["effect"], entry["verdict"]) == ("friction", "named")
+    assert set(entry["joints"]) == set(frictionless.robot.joints)
+    kinds = {part["effect"] for part in entry["parts"]}
+    assert kinds == {f.effect.name for f in frictionless.findings} >= {"viscous_friction"}
+    assert entry["explained"] == pytest.approx(sum(f.explained for f in frictionless.findings))
+    values = [p["value"] for p in entry["parameters"] if p["name"].endswith(".Fv")]
+    assert f"viscous friction {min(values):.2g} to {max(values):.2g} N·m·s/rad" in entry["sentence"]
+
+
+def test_without_friction_of_all_joints_the_error_is_the_given_models(
+    frictionless: Diagnosis,
+) -> None:
+    before, after = frictionless.before_and_after(frictionless.findings)
+    given = frictionless.simulation.rms
+    assert before == pytest.approx(np.sqrt((given**2).mean()), rel=0.05)
+    assert after < 0.1 * before
+
+
+def test_nothing_within_two_standard_deviations_is_a_finding(frictionless: Diagnosis) -> None:
+    for f in frictionless.findings:
+        size = np.abs(np.array(f.effect.values) - f.given)
+        assert (size > 2 * np.array(f.std)).any()
+
+
+@pytest.mark.parametrize("seed", [6, 7])
+def test_drive_gains_that_nobody_told_are_no_cause(ur10: Robot, seed: int) -> None:
+    """Bodies and friction as given, each joint's torque read as a current of its own gain."""
+    rng = np.random.default_rng(seed)
+    gains = np.exp(rng.uniform(*np.log([2.0, 30.0]), ur10.nv))
+    friction = np.random.default_rng(seed)
+    perturbed(bare(ur10), friction, 0.0)
+    viscous, coulomb = friction.uniform(0.01, 0.03, (2, ur10.nv)) * ur10.limits.torque
+    given = ur10.with_effects(
+        [
+            ViscousFriction(ur10.joints).with_values(viscous.tolist()),
+            CoulombFriction(ur10.joints).with_values(coulomb.tolist()),
+        ]
+    )
+    recordings = [
+        replace(r, tau=r.tau / gains, unit="A") for r in recorded(bare(ur10), seed, off=0.0)
+    ]
+    diagnosis = diagnose(given, recordings[:1], validate=recordings[1:])
+    assert diagnosis.findings == ()
+    assert diagnosis.drive is not None
+    assert diagnosis.drive.gains == pytest.approx(gains, rel=0.03)
+
+
+def test_a_clock_is_not_blamed_for_what_two_joints_do(ur10: Robot) -> None:
+    """A base that sways: torque of 4 Hz at the first two joints, after the motion's own."""
+    fitted, _ = recorded(bare(ur10), 8, off=0.3)
+    sway = np.sin(2 * np.pi * 4 * fitted.t)[:, None] * [1.0, 1.0, 0, 0, 0, 0]
+    shaken = replace(fitted, tau=fitted.tau * (1 + 0.5 * sway))
+    assert not {f.fault for f in find_faults(bare(ur10), shaken)} & {"wrong_sample_rate"}
