@@ -30,6 +30,7 @@ from excitant.robots.torque import effect_values
 
 _BLOCKS = 10  # of the hold-out, to see how much the gain varies
 _DEVIATIONS = 2.0  # standard errors by which a gain must exceed zero, a value the given one
+_CONTRADICTED = 3.0  # standard errors by which a joint's error grows with a cause common to all
 _PLAIN = 0.1  # of a joint's squared error: a gain as large counts even below the noise
 FLOOR = 0.05  # of a joint's squared error: dry friction is never an ideal sign function
 _PAYLOAD_SIGMA = 100.0  # relative: a payload is left free
@@ -309,7 +310,23 @@ def finding_of(
         gain_error=spread,
         torque=torque,
         margin=margin,
+        downgrade=_contradicted(robot, effect, without * rows.moves, torque * rows.moves),
     )
+
+
+def _contradicted(robot: Robot, effect: Effect, error: Array, torque: Array) -> str:
+    """The joints whose error grows with a cause that is common to all; half a sentence."""
+    if not effect.is_common(robot) or effect.role == "body":
+        return ""
+    each = [_relative_gain(error[:, [j]], torque[:, [j]]) for j in range(robot.nv)]
+    against = [
+        joint
+        for joint, (gain, spread) in zip(robot.joints, each, strict=True)
+        if gain + _CONTRADICTED * spread < -FLOOR
+    ]
+    if not against:
+        return ""
+    return f"all joints have it, and the error of {', '.join(against)} grows with it"
 
 
 def _relative_gain(error: Array, torque: Array) -> tuple[float, float]:

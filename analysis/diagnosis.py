@@ -451,7 +451,7 @@ def diagnose(
     judged = first_of_all + [
         replace(
             _with_gains(f, robot, drive),
-            downgrade=reason_to_downgrade(robot, f, paying, left, off_by),
+            downgrade=f.downgrade or reason_to_downgrade(robot, f, paying, left, off_by),
         )
         for f in sorted(paying, key=lambda f: -f.explained)
     ]

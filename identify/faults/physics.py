@@ -499,7 +499,8 @@ def rate(case: TorqueFit) -> Iterator[Fault]:
     freedom = 1 if near else None  # an odd factor may stand for anything the model lacks
     if abs(c - 1) < 2 * _NEAR or not case.better(power, len(_BROAD), freedom):
         return
-    if np.median((power / case.power)[case.joints]) > HALVED:
+    each = (case.rows * np.log(case.power / power))[case.joints]
+    if np.median(each) < scipy.special.chdtri(1, ALARM / len(each)):
         return  # a clock is wrong for all joints
     low, high = bound(-1), bound(1)
     factor = near[0] if near else c

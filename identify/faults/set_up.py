@@ -36,6 +36,7 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
+_ROUNDING = 1e-12  # of squares that a prior of a body's own hardly bounds
 _ANY = 10.0  # times the tolerance of a body that may be another
 _ROWS = 600  # of a search, at most
 _ANGLES = 0.4 * np.pi * np.arange(5)  # that determine a trigonometric polynomial of degree 2
@@ -186,8 +187,9 @@ class _Mixtures:
             scale = np.maximum(h[:, -1], 0.0) / np.maximum(G[:, -1, -1], 1e-300)
         A, b = np.tensordot(scale**2, G, 1), scale @ h
         H, g = A[:-1, :-1] + np.eye(len(b) - 1), b[:-1] - A[:-1, -1]
+        H[np.diag_indices_from(H)] *= 1 + _ROUNDING
         total = self.squares.sum() - 2 * b[-1] + A[-1, -1]
-        return float(total - g @ scipy.linalg.solve(H, g, assume_a="pos"))
+        return float(total - g @ scipy.linalg.cho_solve(scipy.linalg.cho_factor(H), g))
 
 
 def _mixtures(case: TorqueFit, parts: Sequence[Array]) -> _Mixtures:
