@@ -294,9 +294,9 @@ def _noise(e: Array, counted: Array) -> tuple[Array, Array]:
 
 
 def are_placeholders(robot: Robot) -> bool:
-    """Whether all links, three or more, have the same mass, as in no real arm."""
+    """Whether all links have no mass, or three or more the same mass, as in no real arm."""
     mass = robot.phi[::10]
-    return len(mass) > 2 and bool(np.allclose(mass, mass[0], rtol=1e-6))
+    return bool(np.allclose(mass, mass[0], rtol=1e-6)) and (len(mass) > 2 or not mass.any())
 
 
 def widened(robot: Robot) -> float:

@@ -332,7 +332,7 @@ def identify_shown(
 
     Raises:
         BadRecording: Recordings that cannot be used.
-        BadRobot: Links without mass, so no prior.
+        BadRobot: A link of negative mass.
         Infeasible: The semidefinite solver failed.
     """
     prior = prior_parameters(robot)

@@ -314,7 +314,7 @@ def rehearse(
     Raises:
         BadInput: The motion starts at speed, or an arm cannot follow it.
         BadRecording: The motion is too short to be identified from.
-        BadRobot: Links without mass.
+        BadRobot: A link of negative mass.
         Infeasible: The semidefinite solver failed.
     """
     tell = progress or (lambda fraction, words: None)

@@ -46,7 +46,7 @@ from excitant.robots.base_parameters import BaseParameters, base_parameters, cat
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, read_only
-from excitant.robots.parameters import UNITS, violations
+from excitant.robots.parameters import UNITS, inertia, violations
 from excitant.robots.robot import Robot
 
 LEVEL = 0.95
@@ -66,7 +66,7 @@ _ROUNDS = 2  # until the torque that columns hold is that of the identified arm
 
 @dataclass(frozen=True, eq=False)
 class BodyChange:
-    """Mass and centre of mass of a link, given and identified, in its joint's frame."""
+    """Mass and centre of mass of a link, of the prior and identified, in its joint's frame."""
 
     link: str
     given_mass: float  # [kg]
@@ -303,12 +303,12 @@ class Estimate:
     @cached_property
     def bodies(self) -> tuple[BodyChange, ...]:
         """Masses and centres of mass of the links, given and identified."""
-        model, covariance, changes = self.given.model, self.physical.covariance, []
-        who, places = decided_by(self.physical.influence), list(model.jointPlacements)
-        for k, (link, body) in enumerate(
-            zip(self.given.links, list(model.inertias)[1:], strict=True)
-        ):
+        covariance, changes = self.physical.covariance, list[BodyChange]()
+        who = decided_by(self.physical.influence)
+        places = list(self.given.model.jointPlacements)
+        for k, link in enumerate(self.given.links):
             at = slice(10 * k, 10 * k + 10)
+            body = inertia(self.prior[at])
             centre, std = centre_of_mass(self.phi[at], covariance[at, at])
             ends = [np.array(body.lever), *(place.translation for place in places[k + 2 : k + 3])]
             radius = np.sqrt(np.trace(body.inertia) / 2 / body.mass)
@@ -416,7 +416,7 @@ def identify_robot(
     Raises:
         BadInput: Knowledge that no body fulfils, or of links that the arm does not have.
         BadRecording: Recordings that cannot be used.
-        BadRobot: Links without mass, so no prior.
+        BadRobot: A link of negative mass.
         UnknownName: There is no such estimator.
         RankDeficient: Motion that leaves base parameters undetermined.
         Infeasible: The semidefinite solver failed, or an estimator does not converge.

@@ -20,12 +20,12 @@ import scipy
 
 from excitant.exceptions import BadInput
 from excitant.identify.information import square_root
-from excitant.identify.prior import BasePrior, base_prior, reference_motion
+from excitant.identify.prior import BasePrior, base_prior, needed_torque, reference_motion
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
-from excitant.robots.torque import observation_columns, torque
+from excitant.robots.torque import observation_columns
 
 ROWS_PER_SECOND = 20.0  # independent rows of torque filtered at 10 Hz
 _NOISE_SHARE = 0.01  # noise of a row in parts of the torque of a reference motion, when not known
@@ -156,8 +156,7 @@ def _share(motion: Motion) -> float:
 
 
 def _information(motion: Motion, rows: Array) -> Array:
-    flat = rows.reshape(-1, rows.shape[-1])
-    return np.asarray(_share(motion) * (flat.T @ flat), float)
+    return np.asarray(_share(motion) * np.tensordot(rows, rows, ((0, 1), (0, 1))), float)
 
 
 def excitation_judge(
@@ -172,8 +171,7 @@ def excitation_judge(
     """Prepare to judge windows of one length [s]; sigma as in `persistency`."""
     reference = reference_motion(robot, window, ROWS_PER_SECOND if window > 2 else 40 / window)
     if sigma is None:
-        rms = np.sqrt((torque(robot, reference) ** 2).mean(axis=0))
-        sigma = _NOISE_SHARE * np.maximum(rms, 1e-3 * rms.max())
+        sigma = _NOISE_SHARE * needed_torque(robot, reference)
     L = square_root(prior.covariance)
     judge = ExcitationJudge(robot, effects, base, sigma, L, reference)
     levels, V = scipy.linalg.eigh(_information(reference, judge.rows(reference)))

@@ -23,7 +23,7 @@ from excitant.identify.drive_gains import DriveGains, KnownPayload, payload_gain
 from excitant.identify.information import Information, gaussian, information_of
 from excitant.identify.online import replayable
 from excitant.identify.physical import PhysicalFit, centre_of_mass, fit_physical
-from excitant.identify.prior import BodyPrior, EffectPrior, base_prior
+from excitant.identify.prior import BodyPrior, EffectPrior, base_prior, prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import fit_rows, split
@@ -187,7 +187,7 @@ def estimate_payload(
     """
     about = payload_information(robot, base, loaded, arm)
     # a ball at the flange with a twentieth of the arm's mass
-    mass = _SHARE * max(float(robot.phi[::10].sum()), 1e-3)
+    mass = _SHARE * float(prior_parameters(robot)[:, 0].sum())
     tip = list(robot.model.frames)[robot.tip].placement.translation
     ball = pin.Inertia(mass, tip, 2 * mass * _RADIUS**2 * np.eye(3)).toDynamicParameters()
     nothing = EffectPrior(np.zeros(0), np.zeros(0), np.zeros(0))

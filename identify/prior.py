@@ -37,6 +37,7 @@ from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.parameters import (
+    PLACEHOLDER,
     PSEUDO_INERTIA_BASIS,
     from_pseudo_inertia,
     isotropic,
@@ -46,6 +47,8 @@ from excitant.robots.parameters import (
 from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values, observation_columns, torque
 
+_NO_MASS = 1e-3  # kg a link: an arm so light has no masses
+_BALL = 0.1  # m: radius of gyration about each axis of a link of which nothing is known
 PRIOR_SIGMA = 1.0  # links are known to about ±100 %; decides only what the data leave open
 UPPER = np.triu_indices(4)  # of Q: its coordinates
 NORMS = np.where(UPPER[0] == UPPER[1], 1.0, np.sqrt(2.0))  # Σ (norm · y)² = ‖Q‖_F²
@@ -56,6 +59,7 @@ for _k, (_i, _j) in enumerate(zip(*UPPER, strict=True)):
 _BELOW = np.tril_indices(4, -1)
 _HALF = np.tril(np.ones((4, 4))) - np.eye(4) / 2
 _NEAR_ONE = 1e-6  # logarithm of a factor, below which its series is exact
+_IDLE = 1e-2  # of the largest torque, and of its own limit: what a joint without load needs
 _HARMONICS = 5
 _LIMIT_SHARE = 0.5  # share of the limits on speed and acceleration that a reference motion uses
 _FREE_SPEED, _FREE_ACCELERATION = 3.0, 10.0  # rad/s, rad/s² where there is no limit
@@ -73,17 +77,20 @@ _SILENT = 1e-11  # norm of a column relative to the largest; below it is roundin
 def prior_parameters(robot: Robot) -> Array:
     """The robot's standard parameters, shape (nv, 10), impossible bodies moved to possible ones.
 
+    A link that is lighter than a `PLACEHOLDER` is as heavy as that, with its own shape or, without
+    any mass, as a ball around its joint; where no link has a mass worth the name, each has 1 kg.
+
     Raises:
-        BadRobot: A link without mass; there is no prior to start from.
+        BadRobot: A link of negative mass.
     """
-    phi = robot.phi.reshape(robot.nv, 10)
+    phi = np.array(robot.phi.reshape(robot.nv, 10))
     for link, values in zip(robot.links, phi, strict=True):
-        if values[0] <= 0:
-            raise BadRobot(
-                robot.source,
-                f"link '{link}' has mass {values[0]:g} kg, but a prior is needed; "
-                "give it a rough mass and inertia in the URDF",
-            )
+        if values[0] < 0:
+            raise BadRobot(robot.source, f"link '{link}' has mass {values[0]:g} kg; correct it")
+    mass, total = phi[:, 0], float(phi[:, 0].sum())
+    least = PLACEHOLDER * total if total > _NO_MASS * robot.nv else 1.0
+    phi[mass == 0] = from_pseudo_inertia(least * np.diag([*(_BALL**2,) * 3, 1.0]))
+    phi *= np.maximum(1.0, least / mass)[:, None]
     return np.array([nearest_consistent(values) for values in phi])
 
 
@@ -228,7 +235,7 @@ def base_prior(
     that makes all torque of its joint.
 
     Raises:
-        BadRobot: A link without mass.
+        BadRobot: A link of negative mass.
     """
     phi = prior_parameters(robot)
     T = link_coordinates(phi)
@@ -243,13 +250,25 @@ def base_prior(
     return BasePrior(B @ mean, (total + total.T) / 2)
 
 
+def needed_torque(robot: Robot, motion: Motion) -> Array:
+    """Rms torque that an arm such as this needs for a motion, shape (nv,) [N·m or N].
+
+    Its bodies are those of the prior, made `isotropic`: no description is sure of an inertia so
+    small that it needs no torque. A joint without load still has friction, and a strong drive.
+    """
+    bodies = [isotropic(body) for body in prior_parameters(robot)]
+    tau, limit = torque(robot.with_parameters(bodies), motion), robot.limits.torque
+    needed = np.sqrt((tau**2).mean(axis=0))
+    strong = np.maximum(needed.max(), np.where(np.isfinite(limit), limit, 0.0))
+    return np.asarray(np.maximum(needed, _IDLE * strong), float)
+
+
 def _effect_sizes(robot: Robot, effects: Sequence[Effect]) -> Array:
     """Coefficients that would make as much torque as a reference motion needs, shape (e,)."""
     motion = reference_motion(robot, 10.0, 20.0)
     columns = observation_columns(robot, effects, motion)[:, :, 10 * robot.nv :]
     size = np.sqrt((columns**2).mean(axis=0))
-    needed = np.sqrt((torque(robot, motion) ** 2).mean(axis=0))
-    needed = np.maximum(needed, 1e-2 * needed.max())  # a joint without load still has friction
+    needed = needed_torque(robot, motion)
     each = np.full_like(size, np.inf)
     np.divide(needed[:, None], size, out=each, where=size > 0)
     smallest = each.min(axis=0, initial=np.inf)

@@ -20,7 +20,7 @@ import pinocchio as pin
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.geometry import Body, bent_pose, bodies, sketch, zero_pose
 from excitant.robots.motion import Array, Motion
-from excitant.robots.parameters import elements, violations
+from excitant.robots.parameters import PLACEHOLDER, elements, violations
 from excitant.robots.regressor import rigid_body_torque
 from excitant.robots.robot import Robot
 
@@ -39,7 +39,6 @@ _TOO_WIDE = 1.0  # radius of gyration over the link's size; a half is possible
 _TOO_NARROW = 0.02
 _EXTENT = 0.02  # m: joints closer together say nothing about a link's size
 _LIGHT = 0.1  # kg/m of link
-_SHARE = 5e-4  # of the arm's mass: a moving link of less is a placeholder
 _ELONGATED = (4.0, 3.0)  # ratio of the two largest second moments: of the solids, of the inertia
 _ACROSS = 50.0  # degrees between both long axes
 _EXCESS, _CLOSER = 0.75, 0.4  # a tensor about the joint: how far off, how much nearer without it
@@ -336,7 +335,7 @@ def _placeholders(robot: Robot, own: Sequence[Body]) -> Warnings:
             yield ModelWarning("placeholder_inertia", links, sentence)
     arm = float(robot.phi[::10].sum())
     masses = {body.link: robot.phi[10 * robot.links.index(body.link)] for body in own}
-    light = {link: mass for link, mass in masses.items() if 0 < mass < _SHARE * arm}
+    light = {link: mass for link, mass in masses.items() if 0 < mass < PLACEHOLDER * arm}
     if light:
         yield ModelWarning(
             "placeholder_inertia",

@@ -334,7 +334,6 @@ def _velocity(model: Any, data: Any, joint: int, point: Array) -> Array:
     """Velocity of a point of a joint's body by joint velocity, shape (3, nv)."""
     if joint == 0:
         return np.zeros((3, model.nv))
-    # Pinocchio gives the Jacobian of a single joint as a vector
     J = np.reshape(pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED), (6, -1))
     lever = np.asarray(point) - data.oMi[joint].translation
     moved: Array = J[:3] - pin.skew(lever) @ J[3:]

@@ -19,6 +19,7 @@ import pinocchio as pin
 from excitant.robots.motion import Array
 
 STANDARD = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+PLACEHOLDER = 5e-4  # of an arm's mass: a moving link of less only holds a place
 UNITS = ("kg", "kg·m", "kg·m", "kg·m", *("kg·m²",) * 6)
 
 

@@ -25,6 +25,7 @@ _ANGLES = 0.4 * np.pi * np.arange(1, 5)
 _CIRCLE = [(x, 0.5 * (-1) ** k / np.sin(x / 2)) for k, x in enumerate(_ANGLES)]
 _LINE = [(1.0, 0.5), (-1.0, -0.5)]  # steps of a derivative by position, and their weights
 
+_ROUNDING = 1e-12  # of the largest torque of a motion, up to which there is none
 _KEPT = 8  # motions at a time: the segments of one diagnosis, fitted and held out
 
 
@@ -85,7 +86,13 @@ def rigid_body_torque(robot: Robot, motion: Motion) -> Array:
 @lru_cache(maxsize=_KEPT)
 def rigid_torque(robot: Robot, motion: Motion) -> Array:
     """Torque of the rigid bodies, kept for the next effect that asks, shape (n, nv) [N·m]."""
-    return read_only(rigid_body_torque(robot, motion))
+    return _without_rounding(rigid_body_torque(robot, motion))
+
+
+def _without_rounding(values: Array) -> Array:
+    """Values of which those that are only what rounding leaves of zero are zero."""
+    size = np.abs(values)
+    return read_only(np.where(size > _ROUNDING * size.max(initial=0.0), values, 0.0))
 
 
 @lru_cache(maxsize=_KEPT)
@@ -110,7 +117,7 @@ def torque_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, Arra
         parts[:, k] = pin.computeRNEADerivatives(
             model, data, motion.q[k], motion.dq[k], motion.ddq[k]
         )
-    by_q, by_dq, by_ddq = (read_only(part) for part in parts)
+    by_q, by_dq, by_ddq = map(_without_rounding, parts)
     return by_q, by_dq, by_ddq
 
 

@@ -94,7 +94,9 @@ class Robot:
 
     def axes(self, q: Array, data: Any = None) -> Array:
         """Directions of the joints in the base frame in a pose, shape (nv, 3)."""
+        # Pinocchio gives the Jacobian of a single joint as a vector, here and elsewhere
         J = pin.computeJointJacobians(self.model, data or self.model.createData(), q)
+        J = np.reshape(J, (6, -1))
         directions: Array = np.where(self.revolute[:, None], J[3:].T, J[:3].T)
         return directions
 

@@ -308,7 +308,7 @@ def separable_rotors(robot: Robot) -> list[str]:
     data, (q, dq, ddq) = robot.model.createData(), typical_motion(robot)
     states = zip(q, dq, ddq, strict=True)
     Y = np.array([pin.computeJointTorqueRegressor(robot.model, data, *x) for x in states])
-    basis = np.linalg.svd(Y.reshape(-1, Y.shape[2]), full_matrices=False)
+    basis = np.linalg.svd(Y.reshape(-1, 10 * robot.nv), full_matrices=False)
     span = basis.U[:, basis.S / basis.S[0] > 1e-10]
     columns = np.einsum("ij,kj->kij", np.eye(robot.nv), ddq).reshape(-1, robot.nv)
     rest = columns - span @ (span.T @ columns)

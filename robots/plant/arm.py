@@ -290,7 +290,7 @@ class Arm:
             frame, world = truth.tip, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
             pin.computeJointJacobians(self.model, self.data, x[: self.n])
             pin.updateFramePlacement(self.model, self.data, frame)
-            J = pin.getFrameJacobian(self.model, self.data, frame, world)[:3]
+            J = np.reshape(pin.getFrameJacobian(self.model, self.data, frame, world), (6, -1))[:3]
             place = np.array(self.data.oMf[frame].translation)
             force = sum(wall.force(place, J @ v[: self.n]) for wall in truth.walls)
             torque[: self.n] -= J.T @ force
