@@ -1,0 +1,102 @@
+"""Every command on arms that are not six revolute joints with a sound inertia each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from excitant.robots import Robot, load_robot
+
+BODY = (
+    '<inertial><origin xyz="0.05 0.02 0.1"/><mass value="{mass}"/><inertia ixx="{inertia}" '
+    'iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
+JOINT = """<link name="link{k}">{body}</link>
+<joint name="joint{k}" type="{kind}"><parent link="link{before}"/><child link="link{k}"/>
+<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>{limit}{more}</joint>"""
+TURNS = '<limit velocity="2" effort="300"/>'
+LIMIT = '<limit lower="{low}" upper="{high}" velocity="2" effort="300"/>'
+X, Y, Z = "1 0 0", "0 1 0", "0 0 1"
+ONE, SLIDE = {"axis": Y}, {"kind": "prismatic", "low": -0.4, "high": 0.4}
+WRIST = [{"axis": Z}, {"axis": Y}, {"axis": Y}, {"axis": Z}, {"axis": Y}, {"axis": Z}]
+KINDS: dict[str, list[dict[str, Any]]] = {
+    "one joint": [ONE],
+    "one joint about the vertical": [{"axis": Z}],
+    "one sliding joint": [SLIDE],
+    "last link without inertia": [ONE, ONE | {"inertia": 0.0}],
+    "last link without mass": [{"axis": Z}, ONE, ONE | {"mass": 0.0, "inertia": 0.0}],
+    "continuous": [{"axis": Z, "kind": "continuous"}, ONE],
+    "angles in seven digits": [{"rpy": f"{angle} 0 0"} for angle in (1.5707963, -1.57, 1.5707963)],
+    "coupled joint, held": [ONE, ONE, ONE | {"more": '<mimic joint="joint2"/>'}],
+    "selective compliance": [{}, {"xyz": "0.3 0 0"}, SLIDE | {"xyz": "0.3 0 0"}, {"xyz": "0 0 0"}],
+    "two sliding joints": [SLIDE, SLIDE | {"axis": X}],
+    "wrist without inertia": [*WRIST[:-1], WRIST[-1] | {"inertia": 0.0}],
+    "twelve joints": WRIST * 2,  # along one chain
+}
+FAST = {"one joint", "one sliding joint", "last link without inertia", "last link without mass"}
+HIDDEN = 1.0  # N·m or N of Coulomb friction at every joint
+
+
+def description(kind: str) -> str:
+    usual = {"kind": "revolute", "low": -2, "high": 2, "axis": Z, "xyz": "0 0 0.3", "rpy": "0 0 0"}
+    parts = []
+    for k, joint in enumerate(KINDS[kind], start=1):
+        own = usual | {"k": k, "before": k - 1, "mass": 3 / k, "inertia": 0.02 / k} | joint
+        own["limit"] = TURNS if own["kind"] == "continuous" else LIMIT.format(**own)
+        own["body"] = BODY.format(**own) if own["mass"] else ""
+        parts.append(JOINT.format(**{"more": ""} | own))
+    return "\n".join(['<robot name="arm"><link name="link0"/>', *parts, "</robot>"])
+
+
+def recorded(robot: Robot, seed: int) -> np.ndarray:
+    """Time, positions and torque of an arm whose bodies are 5 % heavier and whose joints rub."""
+    rng, t = np.random.default_rng(seed), np.arange(0, 10, 0.005)
+    model, n = robot.model.copy(), robot.nv
+    for k, body in enumerate(robot.phi.reshape(n, 10)):
+        true = pin.Inertia(0.3, np.array([0.05, 0.02, 0.1]), 1e-3 * np.eye(3))
+        if body[0] > 0:
+            true = pin.Inertia.FromDynamicParameters(1.05 * body)
+        model.inertias[k + 1] = true
+    omega = 2 * np.pi * np.array([0.1, 0.2, 0.3, 0.5])[:, None]
+    size = rng.uniform(-0.3, 0.3, (4, n)) * np.where(robot.revolute, 1.0, 0.3)
+    angle = omega * t[:, None, None] + rng.uniform(0, 2 * np.pi, (4, n))
+    q, dq, ddq = ((size * omega**k * np.sin(angle + k * np.pi / 2)).sum(axis=1) for k in range(3))
+    data = model.createData()
+    tau = np.array([pin.rnea(model, data, *row).copy() for row in zip(q, dq, ddq, strict=True)])
+    tau += HIDDEN * np.tanh(dq / 0.005) + 0.5 * dq
+    tau += 0.01 * np.abs(tau).max(axis=0) * rng.standard_normal(tau.shape)
+    return np.column_stack([t, q + 2e-5 * rng.standard_normal(q.shape), tau])
+
+
+@pytest.mark.parametrize(
+    "kind", [kind if kind in FAST else pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS]
+)
+def test_every_command(kind: str, here: Path, excitant: Callable[..., Any]) -> None:
+    Path("arm.urdf").write_text(description(kind))
+    held = "--lock joint2,joint3" if "mimic" in description(kind) else ""
+    arm = f"arm.urdf {held}"
+    robot = load_robot("arm.urdf", lock=dict.fromkeys(["joint2", "joint3"], 0.0) if held else None)
+    names = [f"{x}{j + 1}" for x in ("q", "tau") for j in range(robot.nv)]
+    header = ",".join(["t", *names])
+    for seed in (1, 2):
+        run = recorded(robot, seed)
+        np.savetxt(f"run{seed}.csv", run, delimiter=",", header=header, comments="")
+    runs = "run1.csv --validate run2.csv"
+    options = {
+        "analyze": "",
+        "design": "--time-limit 2 --starts 1 --harmonics 3 --duration 6",
+        "identify": runs,
+        "diagnose": f"{runs} --no-experiments",
+    }
+    found = {verb: excitant(f"{verb} {arm} {more} --json") for verb, more in options.items()}
+    assert {verb: ran.err for verb, ran in found.items() if ran.status} == {}
+    for joint in found["identify"].result["joints"]:
+        assert joint["validate"]["r2"] > 0.99, joint
+    causes = found["diagnose"].result["findings"]
+    rubbing = {joint for f in causes if "friction" in f["effect"] for joint in f["joints"]}
+    assert rubbing == {*robot.joints}
