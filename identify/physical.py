@@ -28,15 +28,13 @@ from excitant.identify.prior import (
     linear_influence,
     link_coordinates,
     link_weights,
-    relative_rows,
 )
 from excitant.identify.semidefinite import (
     KktResiduals,
     Program,
     Restriction,
-    Solution,
     contradiction,
-    definite,
+    possible,
     solve,
 )
 from excitant.robots.motion import Array, freeze, read_only
@@ -46,12 +44,7 @@ SIGMAS = 0.05, 10.0
 _GRID = 40  # values of σ, evenly spread by logarithm
 _ALTERNATIONS = 3  # between the σ of links that have their own and that of the others
 _CHANCE = 0.05
-_STEPS = 60  # of Newton's method
-_SHORTEST = 1e-2  # share of a step, below which rounding decides
-_DIGITS = 1e-13  # of the objective, likewise
-_SHRINKING = 0.1  # in one step
 _MARGIN = 1e-4  # least part of a given body in any direction
-_SETTLED = 1e-6  # step in standard deviations; the error is about its square
 _ROUNDING = 1e-10  # of a parameter's unit, up to which it is known exactly
 
 
@@ -119,7 +112,7 @@ def fit_physical(
 
     Raises:
         BadInput: Knowledge that no body fulfils, or about other links.
-        Infeasible: The solver did not converge.
+        Infeasible: The solver did not converge, or knowledge leaves no room.
     """
     knowledge = knowledge or Knowledge()
     if not isinstance(prior, BodyPrior):
@@ -130,80 +123,14 @@ def fit_physical(
     units = np.sqrt(len(R) / ((R[:, len(given) :] ** 2).sum(axis=0) + effects.std**-2.0))
     scale = scipy.linalg.block_diag(prior.T, np.diag(units))
     centre = np.concatenate([np.linalg.solve(prior.T, given), effects.mean / units])
-    C, d, restrictions = _known(knowledge, names, prior, effects.lower / units, centre)
-    problem = _Problem(R @ scale, z, C, d, restrictions, prior, effects, units)
-    y, multipliers = problem.solve(centre)
-    program = problem.near(y)
-    covariance, root = _uncertainty(program, scale)
-    kkt = Solution(y, multipliers).kkt(program)
-    return PhysicalFit(scale @ y, covariance, kkt, R, root, prior)
-
-
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """The fit in coordinates y of links and effects; only the prior of the links is no square."""
-
-    A: Array
-    z: Array
-    C: Array  # what is known of the links, rows of unit noise
-    d: Array
-    restrictions: tuple[Restriction, ...]
-    bodies: BodyPrior
-    effects: EffectPrior
-    units: Array  # of the effect coefficients
-
-    def near(self, y: Array) -> Program:
-        """The programme with the prior of the links to second order at y."""
-        T, weight = self.bodies.T, self.units / self.effects.std
-        phi = T @ y[: len(T)]
-        residual, jacobian = self.bodies.quadratic(phi)
-        J = jacobian @ T
-        return Program(
-            A=self.A,
-            z=self.z,
-            C=scipy.linalg.block_diag(np.vstack([J, self.C]), np.diag(weight)),
-            d=np.concatenate(
-                [J @ y[: len(T)] - residual, self.d, self.effects.mean / self.effects.std]
-            ),
-            restrictions=(*_possible(phi, _SHRINKING, T, len(y)), *self.restrictions),
-        )
-
-    def objective(self, y: Array) -> float:
-        """The sum of all squares; infinite at bodies that cannot be."""
-        links = len(self.bodies.T)
-        try:
-            surprise = self.bodies.residual(self.bodies.T @ y[:links])
-        except np.linalg.LinAlgError:
-            return np.inf
-        parts = (
-            self.A @ y - self.z,
-            self.C @ y[:links] - self.d,
-            surprise,
-            (y[links:] * self.units - self.effects.mean) / self.effects.std,
-        )
-        return float(sum((part**2).sum() for part in parts))
-
-    def solve(self, centre: Array) -> tuple[Array, tuple[Array, ...]]:
-        """Minimiser and multipliers: a sequence of programmes from the prior on, with halving."""
-        y, value = centre, self.objective(centre)
-        possible = all(r.violation(y) <= _ROUNDING for r in self.restrictions)
-        for _ in range(_STEPS):
-            program = self.near(y)
-            found = solve(program, centre)
-            step, share = found.y - y, 1.0
-            reached = self.objective(y + step)
-            bound = value if possible else np.finfo(float).max
-            while reached > bound and share > _SHORTEST:
-                share /= 2
-                reached = self.objective(y + share * step)
-            if reached > bound:
-                break
-            fall = value - reached if possible else np.inf
-            y, value, possible = y + share * step, reached, True
-            moved = np.linalg.norm(np.append(program.A @ step, program.C @ step))
-            if moved <= _SETTLED or fall <= _DIGITS * value:
-                break
-        return y, found.multipliers
+    known, about, restrictions = _known(knowledge, names, prior, effects.lower / units, centre)
+    weight = units / effects.std
+    C = scipy.linalg.block_diag(known, np.diag(weight))
+    d = np.concatenate([about, effects.mean / effects.std])
+    program = Program(R @ scale, z, C, d, prior, restrictions)
+    found = solve(program, centre)
+    covariance, root = _uncertainty(program, found.y, scale)
+    return PhysicalFit(scale @ found.y, covariance, found.kkt(program), R, root, prior)
 
 
 def agreement(R: Array, z: Array, prior: Array) -> Array:
@@ -276,13 +203,6 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
     return sigma
 
 
-def _possible(phi: Array, margin: float, T: Array, p: int) -> tuple[Restriction, ...]:
-    """No link shrinks below a part of what it is in φ, in any direction."""
-    blocks = zip(relative_rows(phi), np.split(T, len(T) // 10), strict=True)
-    rows = np.array([rows @ block for rows, block in blocks])
-    return definite(np.pad(rows, ((0, 0), (0, 0), (0, p - len(T)))), margin)
-
-
 def _known(
     knowledge: Knowledge, links: Sequence[str], prior: BodyPrior, lower: Array, centre: Array
 ) -> tuple[Array, Array, tuple[Restriction, ...]]:
@@ -296,7 +216,7 @@ def _known(
         restrictions.insert(0, Restriction("nonnegative", signs, lower[bounded]))
     names: tuple[str, ...] = ()
     if known and any(each.violation(centre) > 0 for each in restrictions):
-        names = contradiction((*_possible(prior.bodies, _MARGIN, T, p), *restrictions))
+        names = contradiction((*possible(prior, p, _MARGIN), *restrictions))
     if names:
         what = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
         together = "contradict each other" if len(names) > 1 else "cannot be"
@@ -317,13 +237,14 @@ def _scaled(restriction: Restriction, T: Array, p: int) -> Restriction:
     return Restriction(restriction.cone, G / norms, restriction.h / norms[:, 0], restriction.name)
 
 
-def _uncertainty(program: Program, scale: Array) -> tuple[Array, Array]:
-    """Posterior covariance of x, and root of the prior's."""
+def _uncertainty(program: Program, y: Array, scale: Array) -> tuple[Array, Array]:
+    """Posterior covariance of x at y, and root of the prior's."""
     exact = [r.G for r in program.restrictions if r.cone == "zero"]
     N = scipy.linalg.null_space(np.vstack(exact)) if exact else np.eye(len(scale))
     S = scale @ N
-    both = np.vstack([program.A, program.C])
-    factors = (np.linalg.qr(rows @ N, mode="r") for rows in (both, program.C))
+    prior, _ = program.prior(y)
+    both = np.vstack([program.A, prior])
+    factors = (np.linalg.qr(rows @ N, mode="r") for rows in (both, prior))
     after, root = (scipy.linalg.solve_triangular(F, S.T, trans=1).T for F in factors)
     root[np.linalg.norm(root, axis=1) <= _ROUNDING * np.linalg.norm(scale, axis=1)] = 0.0
     return after @ after.T, root

@@ -149,10 +149,10 @@ class BodyPrior:
         return link_coordinates(self.bodies if self.metric is None else self.metric)
 
     @cached_property
-    def _draws(self) -> Array:
-        """Square root of the weight n of the entropic distance, shape (links,)."""
+    def draws(self) -> Array:
+        """Weight n of the entropic distance, shape (links,)."""
         sigma = np.broadcast_to(np.asarray(self.sigma, float), (len(self.bodies),))
-        return np.minimum(1.0, 1 / sigma)
+        return np.minimum(1.0, sigma**-2.0)
 
     @cached_property
     def _distance(self) -> Array:
@@ -170,7 +170,7 @@ class BodyPrior:
         Σ_(i>j) G_ij² + Σ_i (G_ii² − 2 log G_ii − 1).
         """
         G = self._relative(phi)
-        entropic = self._draws[:, None] * np.hstack([_diagonal(G)[0], G[:, *_BELOW]])
+        entropic = np.sqrt(self.draws)[:, None] * np.hstack([_diagonal(G)[0], G[:, *_BELOW]])
         distance = self._distance @ (phi - self.bodies.ravel())
         return np.concatenate([distance, entropic.ravel()])
 
@@ -183,7 +183,7 @@ class BodyPrior:
         dG = G[:, None] @ (change * _HALF)
         diagonal = _diagonal(G)[1][:, None] * np.diagonal(dG, axis1=2, axis2=3)
         rows = np.concatenate([diagonal, dG[..., *_BELOW]], axis=2).swapaxes(1, 2)
-        blocks = scipy.linalg.block_diag(*(self._draws[:, None, None] * rows))
+        blocks = scipy.linalg.block_diag(*(np.sqrt(self.draws)[:, None, None] * rows))
         return np.vstack([self._distance, blocks])
 
     def _relative(self, phi: Array) -> Array:
@@ -191,12 +191,16 @@ class BodyPrior:
         P = pseudo_inertia(phi.reshape(-1, 10))
         return np.asarray(np.linalg.cholesky(self._roots @ P @ self._roots.swapaxes(1, 2)), float)
 
-    def quadratic(self, phi: Array) -> tuple[Array, Array]:
-        """Rows J and r, ‖r + J dφ‖² + constant being −2 log p to second order; as `slopes`."""
-        scale = self._draws[:, None] / np.sqrt(2)
+    def quadratic(self, phi: Array, barrier: float = 0.0) -> tuple[Array, Array]:
+        """Rows J and r, ‖r + J dφ‖² + constant being −2 log p to second order; as `slopes`.
+
+        A barrier adds so many times −log det P of every link.
+        """
+        weight = (self.draws + barrier)[:, None]
+        scale = np.sqrt(weight / 2)
         relative = self._roots @ np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10)))
-        beyond = relative.swapaxes(1, 2) @ relative - np.eye(4)
-        values = scale * NORMS * beyond[:, *UPPER]
+        Q = (relative.swapaxes(1, 2) @ relative)[:, *UPPER]
+        values = scale * NORMS * (self.draws[:, None] / weight * Q - np.eye(4)[UPPER])
         blocks = scipy.linalg.block_diag(*(scale[:, :, None] * relative_rows(phi)))
         distance = self._distance @ (phi - self.bodies.ravel())
         return np.concatenate([distance, values.ravel()]), np.vstack([self._distance, blocks])

@@ -1,35 +1,50 @@
 """Least squares over bodies that can exist: the convex programme, its solver and its judge.
 
-The unknowns y begin with the coordinates of the links (`excitant.identify.prior`).
+The unknowns y begin with the coordinates of the links (`excitant.identify.prior`). The minimum of
+
+    f(y) = ‖A y − z‖² + ‖C y − d‖² − 2 log p(P(y)),   y restricted,
+
+is reached along its central path (Nesterov and Nemirovskii 1994): −μ log of every determinant and
+slack is added, and μ falls. A step of Newton's method is linear least squares, solved by a QR
+factorisation, so that the condition number of the data counts once and not squared. Along a step
+the slope of the objective is a sum of simple fractions without cancellation, and the step ends at
+its zero. The end lies within √(ν μ) posterior standard deviations of the minimum, ν the number of
+logarithms, whatever the scales of data, prior and restrictions are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import product
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import clarabel
 import numpy as np
 import scipy
+from scipy.linalg import lapack
 
 from excitant.exceptions import Infeasible
-from excitant.identify.prior import NORMS, UPPER, matrices
+from excitant.identify.prior import NORMS, UPPER, BodyPrior, matrices, relative_rows
 from excitant.robots.motion import Array
+from excitant.robots.parameters import pseudo_inertia
 
-_COLUMNS = np.lexsort(UPPER)  # the solver takes the triangle column by column
+_COLUMNS = np.lexsort(UPPER)  # the conic solver takes the triangle column by column
 _CONES = {
     "nonnegative": clarabel.NonnegativeConeT,
     "zero": clarabel.ZeroConeT,
     "second_order": clarabel.SecondOrderConeT,
     "semidefinite": lambda _: clarabel.PSDTriangleConeT(4),
 }
-_TOLERANCES = (1e-10, 1e-8, 1e-7)  # of the conic solver: the tightest that rounding allows
-_SCALINGS = ((1.0, True), (1e-3, True), (1e-3, False))  # of the unit of length; equilibration
-_PRECISE = 1e-2  # posterior standard deviations from the optimum, or
-_NEAR = 1e-4  # this part of the way from the fit without restrictions
-_FEASIBLE = 1e-6  # violation in units of the restriction; far below the margin
-_SOLVED, _ALMOST = "Solved", "AlmostSolved"  # states of the solver with a solution
+_SOLVED = ("Solved", "AlmostSolved")  # states of the conic solver with a solution
+_MARGINS = (1e-2, 1e-4, 1e-6)  # of a point inside all restrictions, in their units
+_LEAST = 1e-10  # μ at the end: within 1e-4 standard deviations of the minimum
+_FALL = 0.1  # of μ
+_CENTRED = 0.1  # of μ: the decrement λ² from which Newton's method converges quadratically
+_SETTLED = 1e-6  # decrement λ at the end, in standard deviations; the error is about its square
+_STEPS = 60  # of Newton's method for one μ
+_PRECISE = 1e-2  # posterior standard deviations from the minimum, or
+_NEAR = 1e-4  # this part of the way from the start
+_BORDER = 1e-9  # of the way to where a body or a slack vanishes
+_PANEL = 32  # columns that LAPACK takes at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,28 +76,43 @@ class Restriction:
         return float(np.abs(slack).max() if self.cone == "zero" else -slack.min())
 
 
-def definite(rows: Array, margin: float) -> tuple[Restriction, ...]:
-    """Q_k ⪰ margin for matrices whose triangles, times `NORMS`, are rows of y, (links, 10, p)."""
-    h = margin * np.eye(4)[UPPER]
+def possible(bodies: BodyPrior, p: int, margin: float) -> tuple[Restriction, ...]:
+    """No link is less than a part of what is given, in any direction; y has p coordinates."""
+    h, T, rows = margin * np.eye(4)[UPPER], bodies.T, np.zeros((len(bodies.bodies), 10, p))
+    for k, own in enumerate(relative_rows(bodies.bodies)):
+        rows[k, :, : len(T)] = own @ T[10 * k : 10 * k + 10]
     return tuple(Restriction("semidefinite", each[_COLUMNS], h[_COLUMNS]) for each in rows)
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """min ‖A y − z‖² + ‖C y − d‖², y restricted: data, shape (m, p), and what is known, (c, p)."""
+    """min ‖A y − z‖² + ‖C y − d‖² − 2 log p(bodies), y restricted.
+
+    Data have shape (m, p), what is known of y beside the prior of the bodies (c, p).
+    """
 
     A: Array
     z: Array
     C: Array
     d: Array
+    bodies: BodyPrior
     restrictions: tuple[Restriction, ...]
 
-    def triangle(self) -> tuple[Array, Array]:
-        """F and t with ‖F y − t‖² the objective but for a constant, F upper triangular, (p, p)."""
-        rows, targets = np.vstack([self.A, self.C]), np.concatenate([self.z, self.d])
-        both = np.asarray(np.linalg.qr(np.column_stack([rows, targets]), mode="r"), float)
-        p = rows.shape[1]
-        return both[:p, :p], both[:p, p]
+    def prior(self, y: Array, barrier: float = 0.0) -> tuple[Array, Array]:
+        """Rows J and r, ‖r + J dy‖² being the objective without data to second order at y.
+
+        The distance of the bodies comes first, then their entropic distance, to which a barrier
+        adds so many times −log det P of every link, then what else is known.
+        """
+        T = self.bodies.T
+        residual, J = self.bodies.quadratic(T @ y[: len(T)], barrier)
+        rows = np.pad(J @ T, ((0, 0), (0, len(y) - len(T))))
+        return np.vstack([rows, self.C]), np.concatenate([residual, self.C @ y - self.d])
+
+    def gradient(self, y: Array) -> Array:
+        """Gradient of the objective, shape (p,)."""
+        J, residual = self.prior(y)
+        return np.asarray(2 * (self.A.T @ (self.A @ y - self.z) + J.T @ residual), float)
 
 
 @dataclass(frozen=True)
@@ -101,103 +131,213 @@ class Solution:
     y: Array
     multipliers: tuple[Array, ...]
 
-    def forces(self, program: Program) -> tuple[Array, float]:
-        """Σ Gᵀλ, shape (p,), and Σ |λᵀ(G y − h)|."""
-        pairs = list(zip(program.restrictions, self.multipliers, strict=True))
-        pull = np.asarray(sum(r.G.T @ push for r, push in pairs))
-        return pull, sum(abs(float(push @ r.slack(self.y))) for r, push in pairs)
-
     def kkt(self, program: Program) -> KktResiduals:
         """Residuals of the optimality conditions."""
-        pull, slackness = self.forces(program)
+        pairs = list(zip(program.restrictions, self.multipliers, strict=True))
+        pull = sum((r.G.T @ push for r, push in pairs), np.zeros_like(self.y))
+        slackness = sum(abs(float(push @ r.slack(self.y))) for r, push in pairs)
         size = float(np.linalg.norm(2 * program.A.T @ program.z)) + 1.0
-        parts = (program.A, program.z), (program.C, program.d)
-        gradient = sum(2 * M.T @ (M @ self.y - target) for M, target in parts)
         return KktResiduals(
-            float(np.linalg.norm(gradient - pull)) / size,
+            float(np.linalg.norm(program.gradient(self.y) - pull)) / size,
             slackness / size,
             max([0.0, *(r.violation(self.y) for r in program.restrictions)]),
         )
 
 
 def solve(program: Program, centre: Array) -> Solution:
-    """Minimiser and multipliers of a programme with one minimum; centre is the prior, shape (p,).
-
-    With U a QR factor of data and prior together and y₀ the minimum without restrictions, the
-    objective is ‖U (y − y₀)‖² plus a constant. It is solved for U (y − y₀), which no quality of
-    data makes ill-conditioned. Where the solver does not reach its tolerance, other scalings are
-    tried, and the solution nearest to the optimum is taken if it passes a check of its own.
+    """Minimiser and multipliers, on the way from the given bodies or close by; centre is (p,).
 
     Raises:
-        Infeasible: Restrictions without a common point, or no solution that passes its own check.
+        Infeasible: Restrictions that leave no room, or a minimum out of reach of floating point.
     """
-    U, target = program.triangle()
-    free = scipy.linalg.solve_triangular(U, target)
-    if all(r.violation(free) <= 0 for r in program.restrictions):
-        return Solution(free, tuple(np.zeros_like(r.h) for r in program.restrictions))
-    size = max(1.0, float(np.linalg.norm(U @ (centre - free))))
-    checked: list[tuple[float, Solution]] = []
-    for trusted, found in _attempts(program, U, free, size):
-        error = _distance_to_optimum(program, U, free, found)
-        moved = float(np.linalg.norm(U @ (found.y - free)))
-        missed = max(r.violation(found.y) for r in program.restrictions)
-        if trusted or (missed <= _FEASIBLE and error <= max(_PRECISE, _NEAR * moved)):
-            checked.append((error, found))
-        if trusted:
+    y = start = interior(program, centre)
+    path = _CentralPath(program, start)
+    barrier = max(1.0, path.squares(y) / path.logarithms)
+    while True:
+        y, decrement = path.centred(y, barrier)
+        if barrier <= _LEAST:
             break
-    if not checked:
+        barrier = max(_FALL * barrier, _LEAST)
+    error = decrement + np.sqrt(path.logarithms * barrier)
+    if not error <= max(_PRECISE, _NEAR * float(np.linalg.norm(path.U @ (y - start)))):
         raise Infeasible(
             "physically consistent fit",
-            "the semidefinite solver reaches no solution near the optimum under any scaling; the "
-            "data fit only bodies far from any that can exist: look for wrong units or signs of "
-            "torque",
+            f"Newton's method ends {error:.2g} standard deviations from the optimum; the data fit "
+            "only bodies far from any that can exist: look for wrong units or signs of torque",
         )
-    return min(checked, key=lambda pair: pair[0])[1]
+    return Solution(y, path.multipliers(y, barrier))
 
 
-def _attempts(
-    program: Program, U: Array, free: Array, size: float
-) -> Iterator[tuple[bool, Solution]]:
-    """Solutions under ever other scalings and looser tolerances, and whether to trust them."""
-    inverse = scipy.linalg.solve_triangular(U, np.eye(len(free)))
-    for (scale, equilibrate), tolerance in product(_SCALINGS, _TOLERANCES):
-        unit, settings = scale * size, clarabel.DefaultSettings()
-        settings.equilibrate_enable = equilibrate
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
-        step = unit * inverse
-        status, v, pushes = _conic(program.restrictions, step, free, 2.0, settings)
-        if status in (_SOLVED, _ALMOST):
-            found = Solution(free + step @ v, tuple(push * unit**2 for push in pushes))
-            yield status == _SOLVED and scale == 1.0, found
+class _CentralPath:
+    """Newton's method on the objective of a programme with logarithmic barriers."""
+
+    def __init__(self, program: Program, start: Array) -> None:
+        self.program, self.bodies = program, program.bodies
+        self.cones = [r for r in program.restrictions if r.cone != "zero"]
+        self.exact = _equalities(program.restrictions, len(start))
+        self.links = len(self.bodies.bodies)
+        self.orders = [2 if r.cone == "second_order" else len(r.h) for r in self.cones]
+        self.logarithms = 4 * self.links + sum(self.orders)
+        J, residual = program.prior(start)
+        fixed = np.r_[: 10 * self.links, 20 * self.links : len(J)]  # rows that do not change
+        rows = np.vstack([program.A, J[fixed]])
+        goal = np.concatenate([program.z, J[fixed] @ start - residual[fixed]])
+        both = np.linalg.qr(np.column_stack([rows, goal]), mode="r")
+        self.U, self.t = both[: len(start), :-1], both[: len(start), -1]
+        self.N = scipy.linalg.null_space(self.exact) if len(self.exact) else np.eye(len(start))
+        self.Q, self.R = np.linalg.qr(self.U @ self.N)
+
+    def squares(self, y: Array) -> float:
+        """The objective but for the entropic distance and a constant."""
+        return float(np.sum((self.U @ y - self.t) ** 2))
+
+    def centred(self, y: Array, barrier: float) -> tuple[Array, float]:
+        """Minimiser of the objective with barriers, from inside, and the last decrement λ."""
+        enough, decrement = np.sqrt(_CENTRED * barrier), np.inf
+        for _ in range(_STEPS):
+            step, decrement, length = self._newton(y, barrier)
+            while not self._inside(y + length * step):  # for rounding
+                length /= 2
+            y = y + length * step
+            if decrement <= (_SETTLED if barrier <= _LEAST else enough):
+                break
+        return y, decrement
+
+    def multipliers(self, y: Array, barrier: float) -> tuple[Array, ...]:
+        """Forces of the restrictions on the central path: μ times the slopes of the logarithms."""
+        found = {id(r): barrier * _logarithm(r, y)[2] for r in self.cones}
+        left = self.program.gradient(y) - sum(r.G.T @ found[id(r)] for r in self.cones)
+        forces = np.linalg.lstsq(self.exact.T, left, rcond=None)[0]
+        for r in self.program.restrictions:
+            if r.cone == "zero":
+                found[id(r)], forces = forces[: len(r.h)], forces[len(r.h) :]
+        return tuple(found[id(r)] for r in self.program.restrictions)
+
+    def _inside(self, y: Array) -> bool:
+        try:
+            np.linalg.cholesky(pseudo_inertia((self.bodies.T @ y[: 10 * self.links]).reshape(-1, 10)))
+        except np.linalg.LinAlgError:
+            return False
+        return all(r.violation(y) < 0 for r in self.cones)
+
+    def _newton(self, y: Array, barrier: float) -> tuple[Array, float, float]:
+        """Newton's step, its decrement λ, and the part of it after which the objective rises."""
+        curved = slice(10 * self.links, 20 * self.links)
+        J, residual = (part[curved] for part in self.program.prior(y, barrier))
+        logarithms = [_logarithm(r, y) for r in self.cones]
+        scale = np.sqrt(barrier / 2)
+        rows = np.vstack([J, *(scale * B for B, _, _ in logarithms)])
+        goal = np.concatenate([-residual, *(scale * g for _, g, _ in logarithms)])
+        step = self.N @ _least_squares(self.R, self.Q.T @ (self.t - self.U @ y), rows @ self.N, goal)
+        weight = self.bodies.draws + barrier
+        S = matrices((J @ step).reshape(-1, 10) / NORMS / np.sqrt(weight / 2)[:, None], self.links)
+        rates = [np.linalg.eigvalsh(S).ravel(), *(_rates(r, y, step) for r in self.cones)]
+        weights = np.repeat([*weight, *[barrier] * len(self.cones)], [*[4] * self.links, *self.orders])
+        square = 2 * float(np.sum((self.U @ step) ** 2))
+        return step, *_length(square, weights, np.concatenate(rates))
 
 
-def _conic(
-    restrictions: Sequence[Restriction],
-    step: Array,
-    start: Array,
-    curvature: float,
-    settings: clarabel.DefaultSettings,
-) -> tuple[str, Array, list[Array]]:
-    """Status, v and multipliers of min ½ curvature ‖v‖² with y = start + step v restricted."""
-    n = step.shape[1]
-    P = scipy.sparse.csc_matrix(curvature * scipy.sparse.identity(n))
-    A = scipy.sparse.csc_matrix(-np.vstack([r.G for r in restrictions]) @ step)
-    b = np.concatenate([r.slack(start) for r in restrictions])
-    sizes = [len(r.h) for r in restrictions]
-    cones = [_CONES[r.cone](size) for r, size in zip(restrictions, sizes, strict=True)]
-    settings.verbose = False
-    found = clarabel.DefaultSolver(P, np.zeros(n), A, b, cones, settings).solve()
-    return str(found.status), np.array(found.x), np.split(np.array(found.z), np.cumsum(sizes)[:-1])
+def _least_squares(R: Array, goal: Array, rows: Array, further: Array) -> Array:
+    """Minimiser of ‖R d − goal‖² + ‖rows d − further‖², R an upper triangle."""
+    p = len(R)
+    factor = np.zeros((p + 1, p + 1), order="F")
+    factor[:p, :p], factor[:p, p] = R, goal
+    below = np.asfortranarray(np.column_stack([rows, further]))
+    factor = lapack.dtpqrt(0, min(_PANEL, p + 1), factor, below, 1, 1)[0]
+    return np.asarray(scipy.linalg.solve_triangular(factor[:p, :p], factor[:p, p]), float)
 
 
-def _distance_to_optimum(program: Program, U: Array, free: Array, found: Solution) -> float:
-    """Bound of ‖U (y − y*)‖, in posterior standard deviations, by the duality gap.
+def _length(square: float, weights: Array, rates: Array) -> tuple[float, float]:
+    """Decrement λ of a step and where on it ½ a² square − Σ w log(1 + a s) − a slope is least.
 
-    A feasible y with multipliers λ lies ‖U (y − y₀) − ½ U⁻ᵀ Σ Gᵀλ‖² + Σ λᵀ(G y − h) above the dual.
+    The slope is λ² = square + Σ w s², as the step is Newton's, so that its derivative at a is
+    a (square + Σ w s² / (1 + a s)) − λ².
     """
-    pull, slackness = found.forces(program)
-    dual = 0.5 * scipy.linalg.solve_triangular(U, pull, trans=1)
-    return float(np.sqrt(np.sum((U @ (found.y - free) - dual) ** 2) + slackness))
+    curvature = weights * rates**2
+    slope = square + float(curvature.sum())
+
+    def rise(a: float) -> float:
+        return a * (square + float((curvature / (1 + a * rates)).sum())) - slope
+
+    end = -(1 - _BORDER) / min(float(rates.min()), -1e-9)
+    if slope > 0 and rise(end) > 0:
+        end = scipy.optimize.brentq(rise, 0.0, end, rtol=1e-6)
+    return float(np.sqrt(slope)), float(end)
+
+
+def _logarithm(restriction: Restriction, y: Array) -> tuple[Array, Array, Array]:
+    """Rows B and g, ½ ‖B d − g‖² being −Σ log of the slacks at y + d, and the slopes of Σ log."""
+    slack = restriction.slack(y)
+    if restriction.cone == "nonnegative":
+        return restriction.G / slack[:, None], np.ones_like(slack), 1 / slack
+    mirror = np.diag([1.0, *-np.ones(len(slack) - 1)])
+    square = float(slack @ mirror @ slack)
+    slope = 2 / square * mirror @ slack
+    L = np.linalg.cholesky(np.outer(slope, slope) - 2 / square * mirror)
+    return L.T @ restriction.G, scipy.linalg.solve_triangular(L, slope, lower=True), slope
+
+
+def _rates(restriction: Restriction, y: Array, step: Array) -> Array:
+    """Rates s at which slacks change along a step, as Π (1 + a s) of what they are at y."""
+    slack, change = restriction.slack(y), restriction.G @ step
+    if restriction.cone == "nonnegative":
+        return np.asarray(change / slack, float)
+    mirror = np.array([1.0, *-np.ones(len(slack) - 1)])
+    square = float(slack**2 @ mirror)
+    half, product = float(slack * change @ mirror) / square, float(change**2 @ mirror) / square
+    spread = np.sqrt(max(half**2 - product, 0.0))
+    return np.array([half - spread, half + spread])
+
+
+def interior(program: Program, centre: Array) -> Array:
+    """A point inside all restrictions, the nearest to the centre but for a margin, shape (p,).
+
+    Raises:
+        Infeasible: There is none.
+    """
+    p, restrictions = len(centre), program.restrictions
+    G = _equalities(restrictions, p)
+    h = np.concatenate([np.zeros(0), *(r.h for r in restrictions if r.cone == "zero")])
+    for margin in (0.0, *_MARGINS):
+        bodies, y = possible(program.bodies, p, margin), centre
+        if margin:
+            near = _nearest([*bodies, *_narrowed(restrictions, margin)], centre)
+            if near is None:
+                continue
+            y = near
+        y = y - np.linalg.pinv(G) @ (G @ y - h)
+        if all(r.violation(y) < 0 for r in (*bodies, *restrictions) if r.cone != "zero"):
+            return np.asarray(y, float)
+    raise Infeasible(
+        "physically consistent fit", "what is known of the bodies leaves no room; widen it"
+    )
+
+
+def _narrowed(restrictions: Sequence[Restriction], margin: float) -> list[Restriction]:
+    """The restrictions with slacks of at least a margin."""
+    found = []
+    for r in restrictions:
+        least = np.zeros_like(r.h)
+        least[: 1 if r.cone == "second_order" else None] = 0.0 if r.cone == "zero" else margin
+        found.append(replace(r, h=r.h + least))
+    return found
+
+
+def _equalities(restrictions: Sequence[Restriction], p: int) -> Array:
+    """Rows of what holds exactly, shape (k, p)."""
+    return np.vstack([np.zeros((0, p)), *(r.G for r in restrictions if r.cone == "zero")])
+
+
+def _nearest(restrictions: Sequence[Restriction], centre: Array) -> Array | None:
+    """The point nearest to a centre, shape (p,), that fulfils restrictions; None without any."""
+    P = scipy.sparse.identity(len(centre), format="csc")
+    A = scipy.sparse.csc_matrix(-np.vstack([r.G for r in restrictions]))
+    b = np.concatenate([r.slack(centre) for r in restrictions])
+    cones = [_CONES[r.cone](len(r.h)) for r in restrictions]
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    found = clarabel.DefaultSolver(P, np.zeros(len(centre)), A, b, cones, settings).solve()
+    return centre + np.array(found.x) if str(found.status) in _SOLVED else None
 
 
 def contradiction(restrictions: Sequence[Restriction]) -> tuple[str, ...]:
@@ -205,18 +345,11 @@ def contradiction(restrictions: Sequence[Restriction]) -> tuple[str, ...]:
 
     Those without a name always stay.
     """
-    kept = list(restrictions)
-    if _fulfillable(kept):
+    kept, nowhere = list(restrictions), np.zeros(restrictions[0].G.shape[1])
+    if _nearest(kept, nowhere) is not None:
         return ()
     for each in restrictions:
         rest = [r for r in kept if r is not each]
-        if each.name and not _fulfillable(rest):
+        if each.name and _nearest(rest, nowhere) is None:
             kept = rest
     return tuple(r.name for r in kept if r.name)
-
-
-def _fulfillable(restrictions: Sequence[Restriction]) -> bool:
-    p = restrictions[0].G.shape[1]
-    settings = clarabel.DefaultSettings()
-    status, *_ = _conic(restrictions, np.eye(p), np.zeros(p), 0.0, settings)
-    return status in (_SOLVED, _ALMOST)
