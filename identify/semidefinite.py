@@ -270,11 +270,18 @@ def _logarithm(restriction: Restriction, y: Array) -> tuple[Array, Array, Array]
     slack = restriction.slack(y)
     if restriction.cone == "nonnegative":
         return restriction.G / slack[:, None], np.ones_like(slack), 1 / slack
-    mirror = np.diag([1.0, *-np.ones(len(slack) - 1)])
-    square = float(slack @ mirror @ slack)
-    slope = 2 / square * mirror @ slack
-    L = np.linalg.cholesky(np.outer(slope, slope) - 2 / square * mirror)
-    return L.T @ restriction.G, scipy.linalg.solve_triangular(L, slope, lower=True), slope
+    # the root of its Hessian 2 (2 w wᵀ − J) / s² is √2 (2 v vᵀ − J) / s, v the root of w = J slack / s
+    s, mirror = _size(slack), np.array([1.0, *-np.ones(len(slack) - 1)])
+    w, unit = mirror * slack / s, np.eye(len(slack))[0]
+    v = (w + unit) / np.sqrt(2 * (w[0] + 1))
+    root = np.sqrt(2) / s * (2 * np.outer(v, v) - np.diag(mirror))
+    return root @ restriction.G, np.sqrt(2) * unit, 2 * w / s
+
+
+def _size(slack: Array) -> float:
+    """√(s₀² − s₁² − …) of a slack in the second-order cone."""
+    rest = float(np.linalg.norm(slack[1:]))
+    return float(np.sqrt((slack[0] - rest) * (slack[0] + rest)))
 
 
 def _rates(restriction: Restriction, y: Array, step: Array) -> Array:
@@ -282,9 +289,9 @@ def _rates(restriction: Restriction, y: Array, step: Array) -> Array:
     slack, change = restriction.slack(y), restriction.G @ step
     if restriction.cone == "nonnegative":
         return np.asarray(change / slack, float)
-    mirror = np.array([1.0, *-np.ones(len(slack) - 1)])
-    square = float(slack**2 @ mirror)
-    half, product = float(slack * change @ mirror) / square, float(change**2 @ mirror) / square
+    w, root = slack / _size(slack), change / _size(slack)
+    half = w[0] * root[0] - float(w[1:] @ root[1:])
+    product = root[0] ** 2 - float(root[1:] @ root[1:])
     spread = np.sqrt(max(half**2 - product, 0.0))
     return np.array([half - spread, half + spread])
 
