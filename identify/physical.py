@@ -153,9 +153,9 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
     seen = seen[:, size > _ROUNDING * max(size[:1], default=1.0)]  # σ is of no account elsewhere
     columns, left = seen.T @ columns, seen.T @ left
 
-    def most_likely(block: Array, covariance: Array) -> tuple[float, float]:
-        """σ of a block of columns beside a covariance, and −2 log likelihood."""
-        root = np.linalg.cholesky(covariance)
+    def most_likely(block: Array, others: Array) -> tuple[float, float]:
+        """σ of a block of columns beside others of unit variance, and −2 log likelihood."""
+        root = np.linalg.qr(np.vstack([np.eye(len(left)), others.T]), mode="r").T
         U, s, _ = np.linalg.svd(scipy.linalg.solve_triangular(root, block, lower=True))
         power = np.pad(s, (0, len(U) - len(s)))
         seen = (U.T @ scipy.linalg.solve_triangular(root, left, lower=True)) ** 2
@@ -168,13 +168,9 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
         k = int(np.argmin([surprise(x) for x in grid]))
         ends = grid[max(k - 1, 0)], grid[min(k + 1, _GRID - 1)]
         found = scipy.optimize.minimize_scalar(surprise, bounds=ends, method="bounded")
-        return float(np.exp(found.x)), float(found.fun) + 2 * float(np.log(np.diag(root)).sum())
+        return float(np.exp(found.x)), float(found.fun) + 2 * float(np.log(np.abs(np.diag(root))).sum())
 
     blocks = columns.reshape(len(left), links, 10).swapaxes(0, 1)
-
-    def covariance(sigma: Array) -> Array:
-        weighted = blocks * sigma[:, None, None]
-        return np.eye(len(left)) + np.tensordot(weighted, weighted, ((0, 2), (0, 2)))
 
     def with_own(own: Sequence[int], sigma: Array) -> tuple[float, Array]:
         """The surprise, and σ of every link: those of some, and that of all others."""
@@ -182,7 +178,8 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
         for group in [*([k] for k in reversed(own)), others] * (_ALTERNATIONS if own else 1):
             sigma[group] = 0.0
             joined = np.concatenate(blocks[group], axis=1)
-            sigma[group], least = most_likely(joined, covariance(sigma))
+            beside = np.concatenate(blocks * sigma[:, None, None], axis=1)
+            sigma[group], least = most_likely(joined, beside)
         return least, sigma
 
     own, chance = list[int](), np.append(np.full(links - 1, _CHANCE / links), _CHANCE)
