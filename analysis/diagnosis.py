@@ -38,7 +38,7 @@ from excitant.analysis.explanation import (
     unexplained,
 )
 from excitant.analysis.residuals import Residual, residuals
-from excitant.analysis.selection import rivals, select
+from excitant.analysis.selection import frictionless, rivals, select
 from excitant.analysis.set_up import SetUp, refined, set_up
 from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
@@ -463,8 +463,16 @@ def diagnose(
 def _regained(
     robot: Robot, train: Observed, tau: Array, prior: Array, drive: DriveGains
 ) -> DriveGains:
-    """Drive gains that suit the given bodies and effects best, beside the causes that there are."""
-    before = drive.covariance + _GAINS_OFF**2 * np.eye(robot.nv)
+    """Drive gains that suit the given bodies and friction best, beside the causes that there are.
+
+    Where no friction is given, the gain stays that of the given bodies.
+    """
+    bare = frictionless(robot)
+    if bare == {*robot.joints}:
+        return drive
+    before = drive.covariance + _GAINS_OFF**2 * np.diag(
+        [joint not in bare for joint in robot.joints]
+    )
     evidence, chosen = select(gather(robot, train, tau, prior, gains=before), robot)
     x, covariance = evidence.solve(chosen)
     root = gain_root(before)

@@ -185,6 +185,9 @@ def sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
         said = said.replace(p.unit, unit) if p.unit != unit else said
     if len(group) > 1:
         return f"{said}: {_ranges(group, diagnosis).removeprefix(plain(effect.name)).lstrip()}"
+    if effect.name == "gravity_direction":
+        spread = ", ".join(f"{std:.2g}" for std in group[0].std)
+        return said.replace(") m/s²", f") ± ({spread}) m/s²")
     for value, std, factor in zip(effect.values or (), group[0].std, factors, strict=True):
         number = re.escape(f"{value:.3g}")
         said = re.sub(

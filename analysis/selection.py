@@ -43,7 +43,7 @@ def select(
     Joints that the model gives no friction get that of the standard model first, so that finer
     kinds must explain more than it.
     """
-    bare = _frictionless(robot)
+    bare = frictionless(robot)
     allowed = [c for c in evidence.candidates if c.key not in refuted]
     standard = [c for c in allowed if c.effect.standard and {*c.effect.joints} <= bare]
     evidence, chosen = _grown(evidence, robot, [], standard)
@@ -155,7 +155,7 @@ def _pruned(
 def underlies(robot: Robot, rest: Sequence[Candidate], candidate: Candidate) -> bool:
     """Whether finer friction builds on this plain one (heredity: Hamada and Wu 1992)."""
     effect = candidate.effect
-    if not is_plain_friction(effect) or not {*effect.joints} <= _frictionless(robot):
+    if not is_plain_friction(effect) or not {*effect.joints} <= frictionless(robot):
         return False
     finer = (c.effect for c in rest if c.effect.family == "friction" and not c.effect.standard)
     return any(e.joints == effect.joints and effect.name not in e.contains for e in finer)
@@ -203,7 +203,8 @@ def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool
     return made > _CANCELLED * there
 
 
-def _frictionless(robot: Robot) -> set[str]:
+def frictionless(robot: Robot) -> set[str]:
+    """The joints of which the model has no plain friction."""
     return set(robot.joints) - {j for e in robot.effects if is_plain_friction(e) for j in e.joints}
 
 
@@ -225,7 +226,7 @@ def rivals(
     to explain. On joints without given friction, the standard model's may be added to it.
     """
     rest, taken = [c for c in chosen if c is not found], {c.key for c in chosen}
-    bare, falls = _frictionless(robot), evidence.additions(rest)
+    bare, falls = frictionless(robot), evidence.additions(rest)
     own, errors = falls[evidence.candidates.index(found)], evidence.block_errors(chosen)
     best: dict[Key, Rival] = {}
     for k, other in enumerate(evidence.candidates):

@@ -53,6 +53,7 @@ class DataFault(Effect):
 
 
 _OFF = 0.3  # relative standard deviation of the given bodies
+_FREE = 10.0  # standard deviation [rad or m/s²] of what the data alone tell
 _STEPS = 8
 _SMALL = 0.1  # of its standard deviation: a step that ends the refinement
 
@@ -188,7 +189,7 @@ def _step(
     W = np.concatenate([*columns, links, own * scale], axis=2)
     k = sum(part.shape[2] for part in columns)
     weights = link_weights(robot.nv, _OFF) ** 2
-    precision = np.concatenate([np.zeros(k), weights, np.ones(len(scale))])
+    precision = np.concatenate([np.full(k, _FREE**-2.0), weights, np.ones(len(scale))])
     residual, counts = tau - train.torque(), away_from_rest(train.segments)
     noise, x = np.ones(robot.nv), np.zeros(W.shape[2])
     for _ in range(2):
@@ -199,5 +200,6 @@ def _step(
         A = ((W * counts[:, :, None]) / noise[:, None]).reshape(-1, W.shape[2])
         b = (residual * counts / noise).ravel()
         H = A.T @ A + np.diag(precision)
-        x = scipy.linalg.solve(H, A.T @ b, assume_a="sym")
-    return x[:k], np.linalg.pinv(H, hermitian=True)[:k, :k]
+        factor = scipy.linalg.cho_factor(H)
+        x = scipy.linalg.cho_solve(factor, A.T @ b)
+    return x[:k], scipy.linalg.cho_solve(factor, np.eye(len(H))[:, :k])[:k]
