@@ -155,7 +155,8 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
 
     def most_likely(block: Array, others: Array) -> tuple[float, float]:
         """σ of a block of columns beside others of unit variance, and −2 log likelihood."""
-        root = np.linalg.qr(np.vstack([np.eye(len(left)), others.T]), mode="r").T
+        both = np.vstack([np.eye(len(left)), others.T])
+        root = np.asarray(np.linalg.qr(both, mode="r"), float).T
         U, s, _ = np.linalg.svd(scipy.linalg.solve_triangular(root, block, lower=True))
         power = np.pad(s, (0, len(U) - len(s)))
         seen = (U.T @ scipy.linalg.solve_triangular(root, left, lower=True)) ** 2
@@ -168,7 +169,9 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
         k = int(np.argmin([surprise(x) for x in grid]))
         ends = grid[max(k - 1, 0)], grid[min(k + 1, _GRID - 1)]
         found = scipy.optimize.minimize_scalar(surprise, bounds=ends, method="bounded")
-        return float(np.exp(found.x)), float(found.fun) + 2 * float(np.log(np.abs(np.diag(root))).sum())
+        return float(np.exp(found.x)), float(found.fun) + 2 * float(
+            np.log(np.abs(np.diag(root))).sum()
+        )
 
     blocks = columns.reshape(len(left), links, 10).swapaxes(0, 1)
 

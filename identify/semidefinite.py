@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 import clarabel
 import numpy as np
 import scipy
-from scipy.linalg import lapack
 
 from excitant.exceptions import Infeasible
 from excitant.identify.prior import NORMS, UPPER, BodyPrior, matrices, relative_rows
@@ -44,7 +43,7 @@ _STEPS = 60  # of Newton's method for one μ
 _PRECISE = 1e-2  # posterior standard deviations from the minimum, or
 _NEAR = 1e-4  # this part of the way from the start
 _BORDER = 1e-9  # of the way to where a body or a slack vanishes
-_PANEL = 32  # columns that LAPACK takes at a time
+_ROUNDING = 1e-10  # of the largest force of a restriction
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +181,7 @@ class _CentralPath:
         fixed = np.r_[: 10 * self.links, 20 * self.links : len(J)]  # rows that do not change
         rows = np.vstack([program.A, J[fixed]])
         goal = np.concatenate([program.z, J[fixed] @ start - residual[fixed]])
-        both = np.linalg.qr(np.column_stack([rows, goal]), mode="r")
+        both = np.asarray(np.linalg.qr(np.column_stack([rows, goal]), mode="r"), float)
         self.U, self.t = both[: len(start), :-1], both[: len(start), -1]
         self.N = scipy.linalg.null_space(self.exact) if len(self.exact) else np.eye(len(start))
         self.Q, self.R = np.linalg.qr(self.U @ self.N)
@@ -204,18 +203,31 @@ class _CentralPath:
         return y, decrement
 
     def multipliers(self, y: Array, barrier: float) -> tuple[Array, ...]:
-        """Forces of the restrictions on the central path: μ times the slopes of the logarithms."""
-        found = {id(r): barrier * _logarithm(r, y)[2] for r in self.cones}
-        left = self.program.gradient(y) - sum(r.G.T @ found[id(r)] for r in self.cones)
-        forces = np.linalg.lstsq(self.exact.T, left, rcond=None)[0]
+        """Forces of the restrictions: along the slopes of the logarithms, in equilibrium."""
+        pushes = [barrier * _logarithm(r, y)[2] for r in self.cones]
+        # a slack as small as rounding has the right direction and a rough size
+        parts = [
+            np.diag(push) if r.cone == "nonnegative" else push[:, None]
+            for r, push in zip(self.cones, pushes, strict=True)
+        ]
+        forces = [r.G.T @ part for r, part in zip(self.cones, parts, strict=True)]
+        both = np.hstack([self.exact.T, *forces])
+        left = self.program.gradient(y) - sum(force.sum(axis=1) for force in forces)
+        size = np.linalg.lstsq(both, left, rcond=_ROUNDING)[0]
+        exact, size = size[: len(self.exact)], 1 + size[len(self.exact) :]
+        found = dict[int, Array]()
+        for r, part in zip(self.cones, parts, strict=True):
+            found[id(r)], size = part @ size[: part.shape[1]], size[part.shape[1] :]
         for r in self.program.restrictions:
             if r.cone == "zero":
-                found[id(r)], forces = forces[: len(r.h)], forces[len(r.h) :]
+                found[id(r)], exact = exact[: len(r.h)], exact[len(r.h) :]
         return tuple(found[id(r)] for r in self.program.restrictions)
 
     def _inside(self, y: Array) -> bool:
         try:
-            np.linalg.cholesky(pseudo_inertia((self.bodies.T @ y[: 10 * self.links]).reshape(-1, 10)))
+            np.linalg.cholesky(
+                pseudo_inertia((self.bodies.T @ y[: 10 * self.links]).reshape(-1, 10))
+            )
         except np.linalg.LinAlgError:
             return False
         return all(r.violation(y) < 0 for r in self.cones)
@@ -228,23 +240,25 @@ class _CentralPath:
         scale = np.sqrt(barrier / 2)
         rows = np.vstack([J, *(scale * B for B, _, _ in logarithms)])
         goal = np.concatenate([-residual, *(scale * g for _, g, _ in logarithms)])
-        step = self.N @ _least_squares(self.R, self.Q.T @ (self.t - self.U @ y), rows @ self.N, goal)
+        step = self.N @ _least_squares(
+            self.R, self.Q.T @ (self.t - self.U @ y), rows @ self.N, goal
+        )
         weight = self.bodies.draws + barrier
         S = matrices((J @ step).reshape(-1, 10) / NORMS / np.sqrt(weight / 2)[:, None], self.links)
         rates = [np.linalg.eigvalsh(S).ravel(), *(_rates(r, y, step) for r in self.cones)]
-        weights = np.repeat([*weight, *[barrier] * len(self.cones)], [*[4] * self.links, *self.orders])
+        weights = np.repeat(
+            [*weight, *[barrier] * len(self.cones)], [*[4] * self.links, *self.orders]
+        )
         square = 2 * float(np.sum((self.U @ step) ** 2))
         return step, *_length(square, weights, np.concatenate(rates))
 
 
 def _least_squares(R: Array, goal: Array, rows: Array, further: Array) -> Array:
-    """Minimiser of ‖R d − goal‖² + ‖rows d − further‖², R an upper triangle."""
-    p = len(R)
-    factor = np.zeros((p + 1, p + 1), order="F")
-    factor[:p, :p], factor[:p, p] = R, goal
-    below = np.asfortranarray(np.column_stack([rows, further]))
-    factor = lapack.dtpqrt(0, min(_PANEL, p + 1), factor, below, 1, 1)[0]
-    return np.asarray(scipy.linalg.solve_triangular(factor[:p, :p], factor[:p, p]), float)
+    """Minimiser of ‖R d − goal‖² + ‖rows d − further‖²."""
+    p, both = len(R), np.vstack([np.column_stack([R, goal]), np.column_stack([rows, further])])
+    factor = np.asarray(np.linalg.qr(both, mode="r"), float)
+    found: Array = scipy.linalg.solve_triangular(factor[:p, :p], factor[:p, p])
+    return found
 
 
 def _length(square: float, weights: Array, rates: Array) -> tuple[float, float]:
@@ -270,7 +284,7 @@ def _logarithm(restriction: Restriction, y: Array) -> tuple[Array, Array, Array]
     slack = restriction.slack(y)
     if restriction.cone == "nonnegative":
         return restriction.G / slack[:, None], np.ones_like(slack), 1 / slack
-    # the root of its Hessian 2 (2 w wᵀ − J) / s² is √2 (2 v vᵀ − J) / s, v the root of w = J slack / s
+    # the root of its Hessian 2 (2 w wᵀ − J) / s², w = J slack / s, is √2 (2 v vᵀ − J) / s
     s, mirror = _size(slack), np.array([1.0, *-np.ones(len(slack) - 1)])
     w, unit = mirror * slack / s, np.eye(len(slack))[0]
     v = (w + unit) / np.sqrt(2 * (w[0] + 1))

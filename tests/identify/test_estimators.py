@@ -244,13 +244,14 @@ def test_every_estimator_identifies_a_robot(name: str, planar: Robot, noisy: Rec
         assert (words in said) == (name in by)
 
 
-def test_the_default_identifies_bit_for_bit_as_by_hand(planar: Robot, noisy: Recording) -> None:
+def test_the_default_identifies_as_by_hand(planar: Robot, noisy: Recording) -> None:
+    """To rounding, which depends on where arrays lie in memory."""
     found = identify_robot(planar, [noisy])
     rows = fit_rows(planar, standard_effects(planar.joints), found.base, split([noisy]))
     fit = weighted_least_squares(rows.reduced)
     R, z = rows.regression.factor(fit.weight)
     physical = fit_physical(R, z, prior_parameters(planar), rows.open_prior)
-    assert (found.physical.x == physical.x).all()
+    np.testing.assert_allclose(found.physical.x, physical.x, rtol=0, atol=1e-10)
     assert (found.least_squares.covariance == fit.covariance).all()
 
 
