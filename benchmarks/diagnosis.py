@@ -16,7 +16,7 @@ import joblib
 import numpy as np
 from hidden_effects import KINDS, draw_effect
 from threadpoolctl import threadpool_limits
-from worlds import campaign
+from worlds import apart, campaign
 
 from excitant.analysis.diagnosis import diagnose
 from excitant.design import random_trajectory
@@ -90,13 +90,14 @@ def run(case: Case) -> dict[str, Any]:
         return {"case": vars(case), "not_drawn": str(error)}
     drawn = time.perf_counter()
     result = diagnose(robot, [train], validate=[held]).result()
-    found = [brief(finding) for finding in result["findings"]]
+    findings = apart(result["findings"])
+    found = [brief(finding) for finding in findings]
     return {
         "case": vars(case),
         "hidden": [[h.effect, list(h.acts_on), h.kind, dict(h.parameters)] for h in hidden],
         "size": size,
         "found": found,
-        "score": score(robot, hidden, result["findings"]),
+        "score": score(robot, hidden, findings),
         "seconds": [drawn - begun, time.perf_counter() - drawn],
     }
 

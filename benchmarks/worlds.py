@@ -126,7 +126,7 @@ def run(seed: int, number: int, say: Said | None = None) -> dict[str, Any]:
     begun = time.perf_counter()
     try:
         diagnosis = diagnose(robot, [fitted], validate=[held])
-        findings = diagnosis.result()["findings"]
+        findings = apart(diagnosis.result()["findings"])
     except Exception as error:
         if say:
             raise
@@ -203,6 +203,11 @@ def score(
     word = said_first(own[0], hidden, robot) if own else "nothing"
     judged = {"named": named, "found": found, "wrong": wrong, "first": first}
     return judged | {"silent": silent, "near": near, "word": word}
+
+
+def apart(findings: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Findings, with those of several kinds of friction one by one."""
+    return [part for finding in findings for part in finding.get("parts", [finding])]
 
 
 def is_it(finding: dict[str, Any], hidden: Hidden, robot: Robot) -> bool:

@@ -42,7 +42,9 @@ def better(diagnosis: Diagnosis, factor: float) -> Diagnosis:
 def diagnosed(folder: Path, factor: float, fitted: list[str], held: list[str]) -> Diagnosis:
     dataset = load_dataset(str(folder))
     train, unseen = (dataset.recordings(names) if names else [] for names in (fitted, held))
-    return better(diagnose(dataset.robot, train, validate=unseen), factor)
+    found = better(diagnose(dataset.robot, train, validate=unseen), factor)
+    assert len(found.result()["findings"]) <= 7
+    return found
 
 
 def seen(diagnosis: Diagnosis, kinds: set[str], *joints: str) -> list[str]:
