@@ -227,7 +227,7 @@ def test_a_bad_recording_is_refused(verb: str, name: str, here: Path, refused: A
 
 FILES = {
     "not.urdf": "not XML",
-    "massless.urdf": re.sub('<mass value="[^"]*"', '<mass value="0"', load_robot("planar_2r").urdf),
+    "minus.urdf": re.sub('<mass value="[^"]*"', '<mass value="-1"', load_robot("planar_2r").urdf),
     "flat.yaml": "model: arm.urdf\n",
     "weak.yaml": "position: [[-3, 3], [-0.1, 0.1], [-0.1, 0.1], [-3, 3], [-3, 3], [-3, 3]]\n"
     "torque: 10\n",
@@ -240,8 +240,8 @@ DESIGN = "design ur10 --harmonics 2 --duration 4 --starts 1 --jobs 1"
 ONE = "identify planar_2r one.csv"
 REFUSED = {
     "identify not.urdf one.csv": "not.urdf: not XML",
-    "identify massless.urdf one.csv": "massless.urdf: link 'link1' has mass 0 kg",
-    "diagnose massless.urdf one.csv": "give it a rough mass",
+    "identify minus.urdf one.csv": "minus.urdf: link 'link1' has mass -1 kg",
+    "diagnose minus.urdf one.csv": "kg; correct it",
     "identify flat.yaml one.csv": "arm.urdf does not exist",
     f"{DESIGN} --limits weak.yaml": "shoulder_lift_joint",  # below gravity
     "design planar_2r --limits negative.yaml": "joint joint2: must be positive",

@@ -56,6 +56,7 @@ _RANK = 1e-10
 HALVED = 0.5
 _BROAD = np.geomspace(1e-3, 1e3, 25)  # time factors tried first
 _NEAR = 0.05  # of a clear factor
+_BY_CHANCE = 0.05  # probability of what most joints show by chance
 _EXPLAINED = 0.5  # of the torque's variance: the model is worth listening to
 _SIGNAL = 3.0  # a part of the torque that is to have a sign exceeds the error by so much
 _OFF, _SURE = 0.3, 2.0  # of given bodies; standard deviations
@@ -500,7 +501,7 @@ def rate(case: TorqueFit) -> Iterator[Fault]:
     if abs(c - 1) < 2 * _NEAR or not case.better(power, len(_BROAD), freedom):
         return
     each = (case.rows * np.log(case.power / power))[case.joints]
-    if np.median(each) < scipy.special.chdtri(1, ALARM / len(each)):
+    if np.median(each) < scipy.special.chdtri(1, _BY_CHANCE):
         return  # a clock is wrong for all joints
     low, high = bound(-1), bound(1)
     factor = near[0] if near else c
