@@ -55,7 +55,7 @@ def description(kind: str) -> str:
 
 def recorded(robot: Robot, seed: int) -> np.ndarray:
     """Time, positions and torque of an arm whose bodies are 5 % heavier and whose joints rub."""
-    rng, t = np.random.default_rng(seed), np.arange(0, 10, 0.005)
+    rng, t = np.random.default_rng(seed), np.arange(0, 10, 0.01)
     model, n = robot.model.copy(), robot.nv
     for k, body in enumerate(robot.phi.reshape(n, 10)):
         true = pin.Inertia(0.3, np.array([0.05, 0.02, 0.1]), 1e-3 * np.eye(3))
@@ -69,7 +69,7 @@ def recorded(robot: Robot, seed: int) -> np.ndarray:
     data = model.createData()
     tau = np.array([pin.rnea(model, data, *row).copy() for row in zip(q, dq, ddq, strict=True)])
     tau += HIDDEN * np.tanh(dq / 0.005) + 0.5 * dq
-    tau += 0.01 * np.abs(tau).max(axis=0) * rng.standard_normal(tau.shape)
+    tau += 0.005 * np.abs(tau).max(axis=0) * rng.standard_normal(tau.shape)
     return np.column_stack([t, q + 2e-5 * rng.standard_normal(q.shape), tau])
 
 

@@ -55,7 +55,7 @@ def test_an_upper_arm_weighs_what_an_upper_arm_weighs(ran: Verbs) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["ur10", "ur10e"])
+@pytest.mark.parametrize("name", ["ur10e"])
 def test_the_same_recording_gives_the_same_friction_in_three_verbs(ran: Verbs, name: str) -> None:
     """`analyze` to all digits; `diagnose` within ±, or a note names what shares the torque."""
     identified, analyzed, diagnosed = (ran(v, name) for v in ("identify", "analyze", "diagnose"))
