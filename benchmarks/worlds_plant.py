@@ -77,10 +77,25 @@ class Plant:
 
     @cached_property
     def model(self) -> Any:
-        """MuJoCo's model of the bodies alone."""
-        spec, without = mujoco.MjSpec.from_string(self.robot.urdf), mujoco.mjtDisableBit
+        """MuJoCo's model of the bodies alone, each a child of the one that carries it."""
+        spec, arm = mujoco.MjSpec(), self.robot.model
         spec.option.gravity = self.robot.gravity
-        spec.option.disableflags = without.mjDSBL_CONTACT | without.mjDSBL_LIMIT
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+        bodies = [spec.worldbody]
+        for k, values in enumerate(self.robot.phi.reshape(-1, 10), start=1):
+            place, inertia = arm.jointPlacements[k], pin.Inertia.FromDynamicParameters(values)
+            turn = pin.Quaternion(place.rotation)
+            body = bodies[arm.parents[k]].add_body(
+                pos=place.translation,
+                quat=[turn.w, turn.x, turn.y, turn.z],
+                mass=inertia.mass,
+                ipos=inertia.lever,
+                fullinertia=inertia.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]],
+                explicitinertial=True,
+            )
+            axis = np.ravel(arm.joints[k].createData().S)[3:]
+            body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
+            bodies.append(body)
         return spec.compile()
 
     def state(self, motion: Trajectory, t: Array) -> State:
