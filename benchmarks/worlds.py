@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import sys
@@ -34,6 +35,7 @@ from worlds_plant import (
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.design import random_trajectory
+from excitant.exceptions import Infeasible
 from excitant.identify.recording import Recording
 from excitant.robots import Robot
 from excitant.robots.motion import Array
@@ -93,8 +95,7 @@ def drawn(seed: int, number: int) -> tuple[dict[str, Any], Robot, list[Recording
     """A case: its description, the given model, two recordings, and what is hidden."""
     rng, (off, reading) = np.random.default_rng([seed, number]), WORLDS[number % len(WORLDS)]
     category = str(rng.choice(list(CATEGORIES), p=list(CATEGORIES.values())))
-    robot, given, bare = given_and_true(drawn_arm(rng), rng, OFF[off])
-    motions = tuple(random_trajectory(robot, rng, DURATION, HARMONICS) for _ in range(2))
+    robot, given, bare, motions = moving_arm(rng, OFF[off])
     drawing, plant, hidden = Drawing(bare, given, motions, rng), bare, list[Hidden]()
     if category == "set-up":
         plant, found = drawing.set_up(plant, str(rng.choice(SET_UPS)))
@@ -113,6 +114,15 @@ def drawn(seed: int, number: int) -> tuple[dict[str, Any], Robot, list[Recording
     recordings = [record(plant, motion, reading, gains, rng, name) for motion, name in both]
     case = {"case": number, "seed": seed, "arm": robot.name, "world": f"{off}, {reading}"}
     return case | {"category": category, "off": OFF[off]}, robot, recordings, hidden
+
+
+def moving_arm(rng: Rng, off: float) -> tuple[Robot, Plant, Plant, tuple[Trajectory, ...]]:
+    """An arm whose drives can hold it, as `given_and_true`, and two motions."""
+    while True:
+        robot, given, bare = given_and_true(drawn_arm(rng), rng, off)
+        with contextlib.suppress(Infeasible):
+            motions = [random_trajectory(robot, rng, DURATION, HARMONICS) for _ in range(2)]
+            return robot, given, bare, tuple(motions)
 
 
 def run(seed: int, number: int, say: Said | None = None) -> dict[str, Any]:

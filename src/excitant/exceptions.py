@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copyreg
 import difflib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 
 class ExcitantError(Exception):
@@ -12,6 +14,10 @@ class ExcitantError(Exception):
 
     def __str__(self) -> str:
         return " ".join(super().__str__().split())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # an error of a worker process arrives whole, whatever its constructor takes
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
 
 
 class UnknownName(ExcitantError):
